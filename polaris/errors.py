@@ -1,0 +1,54 @@
+"""The one family of errors. Each carries the exit code the command line ends with."""
+
+from __future__ import annotations
+
+
+class PolarisError(Exception):
+    """Root of every error this package raises on purpose."""
+
+    exit_code = 1
+
+
+class ScenarioError(PolarisError):
+    """A scenario (or an argument) is malformed: names the field, what was given, and the rule."""
+
+    exit_code = 2
+
+    def __init__(self, field: str, given: object, rule: str, where: str | None = None) -> None:
+        self.field = field
+        self.given = given
+        self.rule = rule
+        self.where = where
+        shown = repr(given)
+        if len(shown) > 120:
+            shown = shown[:117] + "..."
+        prefix = f"{where}: " if where else ""
+        super().__init__(f"{prefix}{field}: got {shown}; {rule}")
+
+
+class SynthesisInfeasible(PolarisError):
+    """No safe synthesis exists under the stated conditions.
+
+    Attributes
+    ----------
+    condition : str
+        The condition that fails.
+    shortfall : float or None
+        By how much it fails, in the unit named in the message.
+    relax : str
+        What to relax to make it feasible.
+    """
+
+    exit_code = 3
+
+    def __init__(self, condition: str, shortfall: float | None = None, relax: str = "") -> None:
+        self.condition = condition
+        self.shortfall = shortfall
+        self.relax = relax
+        super().__init__(condition + (f" To make it feasible: {relax}" if relax else ""))
+
+
+class NotCertified(PolarisError):
+    """No answer: nothing was found in the time given, or what was found failed its re-check."""
+
+    exit_code = 4

@@ -1,0 +1,142 @@
+"""The linear control system of section II: ``x' = A x + B u + D w`` with its bounds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .errors import ScenarioError
+
+Array = NDArray[np.float64]
+
+
+def as_finite(name: str, value: ArrayLike, ndim: int) -> Array:
+    """Convert to a float array of the given dimension, refusing NaN and infinity.
+
+    Raises
+    ------
+    ScenarioError
+        If the value is not numeric, has the wrong number of dimensions, or is not finite.
+    """
+    try:
+        array = np.array(value, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise ScenarioError(name, value, "must be numbers") from error
+    if array.ndim != ndim:
+        raise ScenarioError(name, value, f"must have {ndim} dimension(s), has {array.ndim}")
+    if not np.all(np.isfinite(array)):
+        raise ScenarioError(name, value, "must be finite numbers")
+    array.setflags(write=False)
+    return array
+
+
+@dataclass(frozen=True, eq=False)
+class LinearSystem:
+    """A linear control system with bounded input and bounded disturbance (section II).
+
+    Parameters
+    ----------
+    A, B, D : array_like, shapes (n, n), (n, m), (n, p)
+        System matrices, SI units.
+    u_max : array_like, shape (m,)
+        Input limits per axis, ``|u_i| <= u_max[i]`` [N for a spacecraft].
+    w_max : float
+        Disturbance bound, ``norm(w, 2) <= w_max`` [m/s^2 for a spacecraft].
+    C : array_like, shape (d, n), optional
+        Selects the position, in which obstacles live [m]. Default: the first n/2 states.
+    mass : float, optional
+        Mass [kg] that turns an integral of ``|u|`` into a velocity change; 1 where the input
+        is an acceleration.
+    mean_motion : float, optional
+        Orbital rate [rad/s] if the frame is Hill's, else None.
+
+    Raises
+    ------
+    ScenarioError
+        On wrong shapes, non-finite entries or negative bounds.
+    """
+
+    A: Array
+    B: Array
+    D: Array
+    u_max: Array
+    w_max: float = 0.0
+    C: Array | None = field(default=None)
+    mass: float = 1.0
+    mean_motion: float | None = None
+    state_names: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        put = object.__setattr__
+        for name in ("A", "B", "D"):
+            put(self, name, as_finite(f"system.{name}", getattr(self, name), 2))
+        n = self.A.shape[0]
+        if self.A.shape != (n, n):
+            raise ScenarioError("system.A", self.A.shape, "must be square")
+        for name in ("B", "D"):
+            matrix = getattr(self, name)
+            if matrix.shape[0] != n or matrix.shape[1] == 0:
+                rule = f"must have {n} rows, as A has, and at least one column"
+                raise ScenarioError(f"system.{name}", matrix.shape, rule)
+        put(self, "u_max", as_finite("system.u_max", self.u_max, 1))
+        if self.u_max.shape != (self.m,) or np.any(self.u_max <= 0):
+            raise ScenarioError("system.u_max", self.u_max.tolist(), f"must be {self.m} positive numbers")
+        if not (np.isfinite(self.w_max) and self.w_max >= 0):
+            raise ScenarioError("system.w_max", self.w_max, "must be a finite number >= 0")
+        if not (np.isfinite(self.mass) and self.mass > 0):
+            raise ScenarioError("system.mass", self.mass, "must be a finite number > 0")
+        C = np.eye(n)[: max(n // 2, 1)] if self.C is None else self.C
+        put(self, "C", as_finite("system.C", C, 2))
+        if self.position.shape[1] != n or not 1 <= self.position.shape[0] <= 3:
+            raise ScenarioError("system.C", self.position.shape, f"must be (d, {n}) with d = 1, 2 or 3")
+        if not self.state_names:
+            put(self, "state_names", tuple(f"x{i}" for i in range(n)))
+
+    @property
+    def n(self) -> int:
+        """Number of states."""
+        return int(self.A.shape[0])
+
+    @property
+    def m(self) -> int:
+        """Number of inputs."""
+        return int(self.B.shape[1])
+
+    @property
+    def p(self) -> int:
+        """Number of disturbance channels."""
+        return int(self.D.shape[1])
+
+    @property
+    def d(self) -> int:
+        """Dimension of position space."""
+        return int(self.position.shape[0])
+
+    @property
+    def position(self) -> Array:
+        """The position selector C, shape (d, n)."""
+        assert self.C is not None
+        return self.C
+
+    @cached_property
+    def velocity(self) -> Array:
+        """``C A``, shape (d, n): the rate of the position when ``C B = 0`` (mechanical systems)."""
+        return self.position @ self.A
+
+    @classmethod
+    def from_statespace(cls, sys: Any, u_max: ArrayLike, w_max: float = 0.0, D: ArrayLike | None = None,
+                        **kwargs: Any) -> LinearSystem:
+        """Build from a ``control.StateSpace`` (its A and B; D defaults to B's columns, unit scaled).
+
+        The feed-through matrix of the state space is ignored: this class needs states, not outputs.
+        """
+        A, B = np.asarray(sys.A, dtype=float), np.asarray(sys.B, dtype=float)
+        if getattr(sys, "dt", 0) not in (0, None):
+            raise ScenarioError("system", f"discrete time, dt = {sys.dt}", "must be a continuous-time system")
+        if D is None:
+            D = B / np.maximum(np.linalg.norm(B, axis=0), np.finfo(float).tiny)
+        return cls(A, B, np.asarray(D, dtype=float), np.asarray(u_max, dtype=float), float(w_max), **kwargs)
