@@ -1,0 +1,144 @@
+"""Planner benchmark: HiGHS against Gurobi on the same models, and growth with steps and obstacles.
+
+Run with ``python benchmarks/planner.py``.
+"""
+
+from __future__ import annotations
+
+import argparse
+from time import perf_counter
+
+import numpy as np
+
+from polaris.hill import clohessy_wiltshire
+from polaris.planning import EllipticalNMT, PlannerOptions, PlanProblem, StationaryPoint, plan
+from polaris.unsafe import TimedPolytope
+
+ETA = 0.0012
+CUBE = np.vstack([np.eye(3), -np.eye(3)])
+
+
+def box(name, center, half, K, velocity=(0, 0, 0), delta=50.0):
+    """A box that moves at constant velocity, as a timed polytope over K cells."""
+    center, half, velocity = (np.broadcast_to(np.asarray(v, float), (3,)) for v in (center, half, velocity))
+    t = np.arange(K + 1)[:, None] * delta
+    at = center + velocity * t
+    b = at @ CUBE.T + np.r_[half, half]
+    return TimedPolytope(name, CUBE, np.stack([b[:-1], b[1:]], axis=1), static=not np.any(velocity))
+
+
+def cone(K, apex, axis, half_angle, sides=8):
+    """Facets of a polyhedral cone inscribed in a true one, each an unsafe half-space."""
+    axis = np.asarray(axis, float) / np.linalg.norm(axis)
+    e1 = np.linalg.svd(axis[None])[2][1]
+    e2 = np.cross(axis, e1)
+    angle = 2 * np.pi * (np.arange(sides) + 0.5) / sides
+    slope = np.tan(half_angle) * np.cos(np.pi / sides)
+    normals = np.cos(angle)[:, None] * e1 + np.sin(angle)[:, None] * e2 - slope * axis
+    normals = -normals / np.linalg.norm(normals, axis=1)[:, None]
+    return [
+        TimedPolytope(f"cone {j}", n[None], np.full((K, 2, 1), n @ np.asarray(apex, float)), keep_in=True)
+        for j, n in enumerate(normals)
+    ]
+
+
+def problem(unsafe, goal, K=60, delta=50.0, x0=(0, -1000, 0, 0, 0, 0), margin=10.0, extra=20.0, u=0.9, **more):
+    """A planning problem with one margin for all cells and facets."""
+    system = clohessy_wiltshire(ETA, 10.0, 1.0)
+    return PlanProblem(
+        system, np.asarray(x0, float), K, delta, tuple(unsafe),
+        tuple(np.full((K, len(b.normals)), margin) for b in unsafe), np.full((K, 3), u), goal,
+        extra_margin=extra, **more,
+    )
+
+
+NMT = EllipticalNMT(ETA, 100.0, 250.0)
+OTHER = (200, -900, 50, 0, 0, 0)
+
+
+def scenes(K=60):
+    """The scenes of the comparison; all but the first stand in the way of the cheapest transfer."""
+    delta = 3000.0 / K
+    easy = box("box", (100, -550, 0), 100, K)
+    static = box("box", (-250, -600, 0), 120, K)
+    wide = box("box", (-320, -650, 0), 150, K)
+    keep_out = box("keep-out", (0, 0, 0), 50, K)
+    big = box("keep-out", (0, 0, 0), 180, K)
+    moving = box("box", (-700, -400, 0), 110, K, (0.25, 0, 0), delta)
+    head_on = box("box", (-300, 400, 0), 110, K, (0.0, -0.5, 0), delta)
+    hold = StationaryPoint(np.array([0, -100, 0, 0, 0, 0.0]))
+    small = box("box", (0, -500, 0), 50, K)
+    los = cone(K, (0, 0, 0), (0, -1, 0), np.deg2rad(30))
+    at = {"K": K, "delta": delta}
+    return {
+        "box beside the way": problem([easy], NMT, **at),
+        "static box": problem([static], NMT, **at),
+        "static box, other start": problem([wide], NMT, x0=OTHER, **at),
+        "box and keep-out": problem([static, keep_out], NMT, **at),
+        "box and keep-out, coasting": problem([static, keep_out], NMT, tail_cells=2 * K, **at),
+        "box and large keep-out": problem([static, big], EllipticalNMT(ETA, 150, 400), **at),
+        "wide box, other start, keep-out": problem([wide, keep_out], NMT, x0=OTHER, **at),
+        "box crossing and keep-out": problem([moving, keep_out], NMT, **at),
+        "box head on and keep-out": problem([head_on, keep_out], NMT, **at),
+        "cone, hold point, box": problem([*los, small], hold, margin=5.0, extra=10.0, **at),
+        "distance: box and keep-out": problem([static, keep_out], NMT, objective="distance", **at),
+        "fuel: box and keep-out": problem([static, keep_out], NMT, objective="fuel", **at),
+        "margin out of reach": problem([static, keep_out], NMT, extra=1000.0, **at),
+    }
+
+
+def field(K, count, seed=0):
+    """A corridor with `count` boxes scattered between the start and the target."""
+    rng = np.random.default_rng(seed)
+    delta = 3000.0 / K
+    boxes = []
+    for i in range(count):
+        way = np.array([-150.0, -930.0, 0.0]) + (i + 0.5) / count * np.array([-150.0, 750.0, 0.0])
+        center = way + rng.uniform(-1, 1, 3) * (40, 40, 20)
+        boxes.append(box(f"box {i}", center, rng.uniform(30, 60), K))
+    return problem(boxes, NMT, K=K, delta=delta, margin=5.0, extra=5.0)
+
+
+def run(task, solver, limit):
+    """Time and result of one solve."""
+    begun = perf_counter()
+    try:
+        answer = plan(task, PlannerOptions(solver=solver, time_limit=limit, threads=1))
+    except Exception as error:  # a benchmark reports, it does not stop
+        return perf_counter() - begun, error, None
+    return perf_counter() - begun, None, answer
+
+
+def show(name, solver, seconds, error, answer):
+    """One line."""
+    if error is not None:
+        print(f"{name:32s} {solver:7s} {seconds:7.2f} s  {type(error).__name__}: {str(error)[:90]}")
+        return
+    parts = " ".join(f"{k}={v:.2f}" for k, v in answer.seconds.items() if k != "total")
+    s = answer.stats
+    print(f"{name:32s} {solver:7s} {seconds:7.2f} s  dv={answer.delta_v:.4f} margin={answer.margin:7.2f} "
+          f"gap={answer.gap:.1e} {answer.status} bin={s['binaries']:.0f} rows={s['rows']:.0f} "
+          f"nodes={s['nodes']:.0f} rounds={s['rounds']:.0f} | {parts}", flush=True)
+
+
+def main() -> None:
+    """Print both tables."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--limit", type=float, default=60.0)
+    parser.add_argument("--growth", action="store_true", help="only the growth table")
+    parser.add_argument("--scenes", action="store_true", help="only the scenes")
+    parser.add_argument("--only", default="")
+    args = parser.parse_args()
+    if not args.growth:
+        for name, task in scenes().items():
+            if args.only in name:
+                for solver in ("highs", "gurobi"):
+                    show(name, solver, *run(task, solver, args.limit))
+    if not args.scenes:
+        for K in (30, 60, 120, 240):
+            for count in (1, 2, 4, 8):
+                show(f"K={K} obstacles={count}", "highs", *run(field(K, count), "highs", args.limit))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,81 @@
+"""Checks of single arguments: each refuses with one message naming field, value and rule."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .errors import ScenarioError
+from .system import Array, as_finite
+
+MOST_ROWS = 100
+"""Most facets of one polytope: its faces are enumerated for exact distances."""
+
+
+def number(field: str, value: object, rule: str = "must be a finite number") -> float:
+    """Check one finite number."""
+    try:
+        result = float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ScenarioError(field, value, rule) from error
+    if isinstance(value, (str, bytes)) or not np.isfinite(result):
+        raise ScenarioError(field, value, rule)
+    return result
+
+
+def positive(field: str, value: object, unit: str) -> float:
+    """Check one finite number > 0."""
+    rule = f"must be a finite number > 0 [{unit}]"
+    result = number(field, value, rule)
+    if result <= 0:
+        raise ScenarioError(field, value, rule)
+    return result
+
+
+def non_negative(field: str, value: object, unit: str) -> float:
+    """Check one finite number >= 0."""
+    rule = f"must be a finite number >= 0 [{unit}]"
+    result = number(field, value, rule)
+    if result < 0:
+        raise ScenarioError(field, value, rule)
+    return result
+
+
+def whole(field: str, value: object, least: int) -> int:
+    """Check one whole number >= `least`."""
+    if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)) or value < least:
+        raise ScenarioError(field, value, f"must be a whole number >= {least}")
+    return int(value)
+
+
+def vector(field: str, value: ArrayLike, size: int | None = None, like: str = "") -> Array:
+    """Check a finite vector of `size` numbers (of 1 to 3 if None)."""
+    array = as_finite(field, value, 1)
+    if size is None and not 1 <= len(array) <= 3:
+        raise ScenarioError(field, value, "must be 1, 2 or 3 numbers, one per axis of position")
+    if size is not None and len(array) != size:
+        raise ScenarioError(field, value, f"must be {size} numbers" + (f", as {like}" if like else ""))
+    return array
+
+
+def halfspaces(field: str, H: ArrayLike, b: ArrayLike) -> tuple[Array, Array]:
+    """Scale rows ``H p <= b`` to unit normals, shapes (F, d) and (F,)."""
+    rows = as_finite(f"{field}.H", H, 2)
+    count, d = rows.shape
+    if not 1 <= d <= 3:
+        raise ScenarioError(f"{field}.H", rows.shape, "must have 1, 2 or 3 columns, one per axis of position")
+    if not 1 <= count <= MOST_ROWS:
+        raise ScenarioError(f"{field}.H", rows.shape, f"must have 1 to {MOST_ROWS} rows")
+    offsets = vector(f"{field}.b", b, count, "H has rows")
+    peak = np.abs(rows).max(axis=1, keepdims=True)  # first, so that the norm cannot under- or overflow
+    if np.any(peak < 1e-150):
+        where = int(np.argmin(peak))
+        raise ScenarioError(f"{field}.H", rows[where].tolist(), f"row {where} must not be zero")
+    length = np.linalg.norm(rows / peak, axis=1, keepdims=True)
+    with np.errstate(over="ignore"):
+        scaled = offsets / peak[:, 0] / length[:, 0]
+    if not np.all(np.isfinite(scaled)):
+        raise ScenarioError(
+            f"{field}.b", offsets.tolist(), "must be finite once the rows of H have length 1"
+        )
+    return np.asarray(rows / peak / length), np.asarray(scaled)

@@ -1,0 +1,294 @@
+"""The safety controller S, and the kinds of experimental controller U that reachability covers.
+
+Every controller flies one planning step at a time in error coordinates ``e = x - xi(t)`` about the
+safe reference, so that its tube is compared with the recoverable sets directly.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+
+from reach.flow import LinearFlow
+from reach.linear import powers
+from reach.zonotope import Zonotope
+
+from .reference import Reference
+from .system import Array, LinearSystem
+from .tolerances import ROUNDING
+from .tracking import Feedback, Tracking
+
+ORDER = 20.0
+"""Generators per dimension kept at the end of a step; what is merged has decayed by then."""
+
+
+@dataclass(frozen=True, eq=False)
+class Flight:
+    """Reachable set of one controller over one planning step, sound in continuous time.
+
+    Attributes
+    ----------
+    nodes : Zonotope
+        Stack of q+1 sets in error coordinates. The set over ``[t_i, t_{i+1}]`` lies within the
+        convex hull of the two nodes (corresponding points), up to `bow`.
+    bow : ndarray, shape (q, n)
+        Elementwise bound on the distance from that hull: curvature of the motion, of a switch to S
+        at any instant in between, and the disturbance since the node.
+    end : Zonotope
+        Set at the end of the step, reduced.
+    refused : str
+        Why this controller must not fly here at all ("" if it may).
+    """
+
+    nodes: Zonotope
+    bow: Array
+    end: Zonotope
+    refused: str = ""
+
+
+class Controller(Protocol):
+    """What the synthesis asks of a controller. Mode numbers follow section II: 0 is S."""
+
+    name: str
+
+    def fly(self, start: Zonotope, k: int) -> Flight:
+        """Reachable set over step k from a set in error coordinates."""
+        ...
+
+    def command(self, k: int, xi: Array, own: Array, x: Array) -> Array:
+        """Thrust command, before any clipping, for states x of shape (..., n).
+
+        `xi` and `own` are the states, at the same instant, of the safe reference and of the
+        controller's own reference.
+        """
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class AffineController:
+    """``u = mu_U(t) + Lambda_U (xi_U(t) - x)``, unlimited or clipped to the thrust limits.
+
+    With ``clips=False`` the command itself must respect the limits: where the tube shows that it
+    might not, the controller is refused for that step. With ``clips=True`` the saturation is
+    part of the model, through a sound relaxation of the clip.
+
+    Parameters
+    ----------
+    name : str
+    system : LinearSystem
+    gain : ndarray, shape (m, n)
+        Lambda_U.
+    reference : Reference
+        The safe reference, on which the error coordinates rest.
+    own : Reference
+        The controller's own reference (the same object if shared), on the same steps.
+    tracking : Tracking
+        The safety tracker (for switches between nodes).
+    clips : bool
+    """
+
+    name: str
+    system: LinearSystem
+    gain: Array
+    reference: Reference
+    own: Reference
+    tracking: Tracking
+    clips: bool = False
+    _cache: dict[bytes, LinearFlow] = field(default_factory=dict, repr=False)
+
+    @property
+    def feedback(self) -> Feedback:
+        """Continuous or sampled, as the safety controller."""
+        return self.tracking.feedback
+
+    @cached_property
+    def flow(self) -> LinearFlow:
+        """Error dynamics about the controller's own reference, unsaturated."""
+        return self.feedback.flow(self.system, self.gain, self.reference.delta)
+
+    @cached_property
+    def _powers(self) -> Array:
+        return powers(self.flow.phi, self.feedback.nodes_per_cell)
+
+    @cached_property
+    def _disturbance(self) -> Zonotope:
+        return self.flow.disturbance_nodes(self.feedback.nodes_per_cell)
+
+    @cached_property
+    def _offset(self) -> Array:
+        """``xi_U - xi`` at the nodes of every cell, shape (K, q+1, n)."""
+        q, cells = self.feedback.nodes_per_cell, min(self.own.cells, self.reference.cells)
+        return self.own.fine(q)[:cells] - self.reference.fine(q)[:cells]
+
+    def command(self, k: int, xi: Array, own: Array, x: Array) -> Array:
+        """Thrust command before clipping, shape (..., m)."""
+        return np.asarray(self.own.nu[k] + (own - x) @ self.gain.T)
+
+    def fly(self, start: Zonotope, k: int) -> Flight:
+        """Reachable set over step k."""
+        zeta = self._offset[k]
+        d = start - zeta[0]
+        nodes = self._clipped_nodes(d, k) if self.clips else self._powers @ d + self._disturbance
+        bow = self._bow(nodes, k)
+        refused = "" if self.clips else self._over_limit(nodes, bow, k)
+        error = nodes + zeta
+        return Flight(error, bow, error[-1].reduce(ORDER), refused)
+
+    # -- saturation -------------------------------------------------------------------------------
+
+    def _over_limit(self, nodes: Zonotope, bow: Array, k: int) -> str:
+        """Whether the unclipped command may exceed the limits anywhere in the step."""
+        centre = self.own.nu[k] - nodes.c @ self.gain.T
+        spread = np.abs(self.gain @ nodes.G).sum(axis=-1)
+        spread[:-1] += bow @ np.abs(self.gain).T
+        spread[1:] += bow @ np.abs(self.gain).T
+        excess = (np.abs(centre) + spread) * (1 + ROUNDING) - self.system.u_max
+        worst = int(np.argmax(excess.max(axis=0)))
+        if excess.max() <= 0:
+            return ""
+        return f"its command may exceed the limit of axis {worst} by {excess.max():.3g}"
+
+    def _clipped_nodes(self, d: Zonotope, k: int) -> Zonotope:
+        from .saturation import clipped_step
+
+        nodes = [d]
+        for _ in range(self.feedback.nodes_per_cell):
+            nodes.append(clipped_step(self, nodes[-1], self.own.nu[k]))
+        return Zonotope.stack(nodes)
+
+    # -- between the nodes ------------------------------------------------------------------------
+
+    def _bow(self, nodes: Zonotope, k: int) -> Array:
+        """Elementwise bound of `Flight.bow`, shape (q, n)."""
+        system, flow, h = self.system, self.flow, self.flow.h
+        grow = np.maximum(flow.growth, self.tracking.flow.growth)
+        zeta, du = self._offset[k][:-1], self.own.nu[k] - self.reference.nu[k]
+        zeta_rate = np.abs(zeta @ system.A.T + du @ system.B.T)  # |zeta'| at the node
+        zeta_grow = self.open_flow.growth
+        start = nodes[:-1]
+        extent = np.abs(start.c) + start.half_widths  # |d| at the node
+        command = np.abs(self.own.nu[k] - start.c @ self.gain.T) + np.abs(self.gain @ start.G).sum(axis=-1)
+        applied = np.minimum(command, system.u_max) if self.clips else command
+        # |d'| and |d''|, over the whole period
+        if self.feedback.sampled:
+            rate = self._rate_sampled(start, k) @ zeta_grow.T
+            curvature = rate @ np.abs(system.A).T
+        elif self.clips:
+            applied = np.broadcast_to(system.u_max, command.shape)
+            push = (applied + np.abs(self.own.nu[k])) @ np.abs(system.B).T
+            far = extent @ zeta_grow.T + h * push @ zeta_grow.T + self._period_box
+            rate = far @ np.abs(system.A).T + push
+            curvature = rate @ (np.abs(system.A) + np.abs(system.B @ self.gain)).T
+        else:
+            image = flow.A_c @ start
+            rate = (np.abs(image.c) + image.half_widths) @ grow.T
+            curvature = (np.abs((flow.A_c @ image).c) + (flow.A_c @ image).half_widths) @ grow.T
+        curvature = curvature + zeta_rate @ (np.abs(system.A) @ zeta_grow).T
+        if not self.feedback.sampled:
+            curvature = np.maximum(curvature, self._switch_curvature(start, applied, rate, zeta, zeta_rate, k))
+        return np.asarray(h**2 / 8 * curvature + self._period_box + self.tracking.flow.period_box)
+
+    @cached_property
+    def open_flow(self) -> LinearFlow:
+        """Motion under a known input: what bounds a clipped law before its command is known."""
+        return LinearFlow.continuous(self.system.A, self.system.D, self.system.w_max, self.flow.h)
+
+    @cached_property
+    def _period_box(self) -> Array:
+        """Elementwise bound on what the disturbance adds within a period, shape (n,)."""
+        if not self.clips or self.feedback.sampled:
+            return self.flow.period_box
+        # The clip has slope at most 1: its law departs no faster than |A| + |B Lambda_U| lets it.
+        fastest = np.abs(self.system.A) + np.abs(self.system.B) @ np.abs(self.gain)
+        return LinearFlow.continuous(fastest, self.system.D, self.system.w_max, self.flow.h).period_box
+
+    def _rate_sampled(self, start: Zonotope, k: int) -> Array:
+        """``|A d + B (u - mu_U)|`` at the node, where u is held, shape (q, n)."""
+        if not self.clips:
+            image = self.flow.A_c @ start
+            return np.asarray(np.abs(image.c) + image.half_widths)
+        drift = self.system.A @ start
+        push = (self.system.u_max + np.abs(self.own.nu[k])) @ np.abs(self.system.B).T
+        return np.asarray(np.abs(drift.c) + drift.half_widths + push)
+
+    def _switch_curvature(
+        self, start: Zonotope, applied: Array, rate: Array, zeta: Array, zeta_rate: Array, k: int
+    ) -> Array:
+        """``|y''|`` for ``y(t)``: U until t, S from t to the next node (docs/theory.md, Lemma 5).
+
+        ``y'' = e^{A_c (t1 - t)} (B Delta' - A_c B Delta)`` with Delta the difference of the two inputs.
+        """
+        system, safe, h = self.system, self.tracking, self.flow.h
+        if self.clips:
+            extent = np.abs(start.c) + start.half_widths
+            delta = applied + np.abs(self.reference.nu[k]) + (extent + np.abs(zeta)) @ np.abs(safe.gain).T
+            slope = (np.abs(safe.gain) + np.abs(self.gain)) @ rate.T
+        else:
+            difference = safe.gain - self.gain
+            centre = (self.own.nu[k] - self.reference.nu[k]) + zeta @ safe.gain.T + start.c @ difference.T
+            delta = np.abs(centre) + np.abs(difference @ start.G).sum(axis=-1)
+            slope = np.abs(difference) @ rate.T
+        slope = slope.T + zeta_rate @ self.open_flow.growth.T @ np.abs(safe.gain).T
+        delta = delta + h * slope
+        inner = slope @ np.abs(system.B).T + delta @ np.abs(safe.flow.A_c @ system.B).T
+        return np.asarray(inner @ safe.flow.growth.T)
+
+
+@dataclass(frozen=True, eq=False)
+class AnyThrust:
+    """Anything within the thrust limits: covers a black box or a learned policy.
+
+    The input is a set; nothing is assumed of the law but that the thrusters clip it.
+    """
+
+    name: str
+    system: LinearSystem
+    reference: Reference
+    tracking: Tracking
+
+    @cached_property
+    def flow(self) -> LinearFlow:
+        """Open-loop motion of the error."""
+        h = self.tracking.flow.h
+        return LinearFlow.continuous(self.system.A, self.system.D, self.system.w_max, h)
+
+    @cached_property
+    def _period(self) -> tuple[Zonotope, Array]:
+        """What the inputs (about zero) and the disturbance add per period, and the input map."""
+        from reach.linear import discretize, growth
+
+        h, system = self.flow.h, self.system
+        _, mean = discretize(system.A, system.B, h)
+        lipschitz = np.abs(system.A) @ growth(system.A, h)
+        rest = h**2 / 3 * lipschitz @ np.abs(system.B) @ system.u_max
+        G = np.hstack([mean * system.u_max, np.diag(rest)])
+        return Zonotope(np.zeros(system.n), G), mean
+
+    def command(self, k: int, xi: Array, own: Array, x: Array) -> Array:
+        """The worst steering to hand: full thrust towards the frame's origin, shape (..., m)."""
+        direction = -(x @ self.system.position.T) @ self.system.position @ self.system.A @ self.system.B
+        return np.asarray(np.sign(direction) * self.system.u_max)
+
+    def fly(self, start: Zonotope, k: int) -> Flight:
+        """Reachable set over step k under every input within the limits."""
+        push, mean = self._period
+        step = -(mean @ self.reference.nu[k])
+        nodes = [start]
+        for _ in range(self.tracking.feedback.nodes_per_cell):
+            moved = self.flow.phi @ nodes[-1] + step + push + self.flow.period_zonotope
+            nodes.append(moved.reduce(ORDER))
+        # Between nodes the input's share is that of a part of the period: inside the whole's.
+        spread = [node + push for node in nodes[:-1]] + [nodes[-1]]
+        stack = Zonotope.stack(spread)
+        drift = np.abs(step) / self.flow.h  # the known part of the rate, -B mu
+        bent = self.flow.bow(stack[:-1]) + self.flow.h**2 / 8 * np.abs(self.system.A) @ self.flow.growth @ drift
+        bow = bent + self.flow.period_box + self.tracking.flow.period_box
+        return Flight(stack, bow, nodes[-1].reduce(ORDER))
+
+
+def construct_s(tracking: Tracking, reference: Reference) -> AffineController:
+    """The safety controller S of Algorithm 1: ``s(x, t) = Lambda (xi(t) - x) + mu(t)``."""
+    return AffineController("safety", tracking.system, tracking.gain, reference, reference, tracking)

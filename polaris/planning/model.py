@@ -1,0 +1,241 @@
+"""The mixed-integer program (eqs. 14-23, corrected), written in PuLP and solved by HiGHS or Gurobi."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from ..system import Array
+from .lp import GrowingLP
+from .problem import PlannerOptions
+from .rows import Rows
+from .search import Candidate, Cell, Levels
+
+
+@dataclass(eq=False)
+class Answer:
+    """What the back end returned.
+
+    Attributes
+    ----------
+    status : str
+        "optimal", "infeasible" or "time".
+    path : Candidate or None
+        Best solution, if any.
+    value, bound : float
+        Objective and proven bound, in the sense of minimisation.
+    stats : dict
+        Sizes and nodes.
+    """
+
+    status: str
+    path: Candidate | None
+    value: float
+    bound: float
+    stats: dict[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """One program: what is minimised and which cells are constrained.
+
+    Attributes
+    ----------
+    cells : frozenset of (int, int)
+        Constrained cells, as (unsafe set, cell).
+    fuel, margin, short, thrust : float
+        Prices of velocity change [1/(m/s)], of missing margin, of the shortfall [1/length], and of
+        the factor on the thrust limits. A price of 0 for `short` or `thrust` forbids it.
+    levels : Levels
+        Range of the margin variable.
+    budget : float
+        Upper bound on the velocity change [m/s].
+    one_of : bool
+        Whether to state the disjunctions of the goal (left out while the relaxation meets them).
+    """
+
+    cells: frozenset[Cell]
+    fuel: float = 1.0
+    margin: float = 0.0
+    short: float = 0.0
+    thrust: float = 0.0
+    levels: Levels = Levels(0.0, 0.0)
+    budget: float = np.inf
+    one_of: bool = True
+
+
+class Model:
+    """The PuLP model of one `Task`."""
+
+    def __init__(self, rows: Rows, task: Task, reachable: Callable[[int, int, int], bool]) -> None:
+        import pulp
+
+        self.pulp, self.rows, self.task = pulp, rows, task
+        self.lp: Any = pulp.LpProblem("reference", pulp.LpMinimize)
+        K, m, n = rows.problem.K, rows.problem.system.m, rows.problem.system.n
+        most = None if task.thrust else rows.limit
+        up = [None if most is None else float(b) for b in (np.zeros(rows.N) if most is None else most)]
+        self.plus = [pulp.LpVariable(f"p{j // m}_{j % m}", 0, up[j]) for j in range(rows.N)]
+        self.minus = [pulp.LpVariable(f"m{j // m}_{j % m}", 0, up[j]) for j in range(rows.N)]
+        self.s = pulp.LpVariable("s", task.levels.low, task.levels.high)
+        self.e = pulp.LpVariable("e", 0, None if task.short else 0)
+        self.thrust = pulp.LpVariable("thrust", 1, None if task.thrust else 1)
+        self.xK = [pulp.LpVariable(f"x{i}") for i in range(n)]
+        self.inputs = self.plus + self.minus
+        price = np.r_[rows.price, rows.price] * task.fuel
+        self.lp.setObjective(
+            self._sum(self.inputs, price)
+            + self._sum([self.s, self.e, self.thrust], np.array([-task.margin, task.short, task.thrust]))
+        )
+        self.z: dict[tuple[int, int, int], Any] = {}
+        self.sides: list[list[Any]] = []
+        if task.thrust:
+            for j, column in enumerate(zip(self.plus, self.minus, strict=True)):
+                for var in column:
+                    self.lp += var <= float(rows.limit[j]) * self.thrust
+        if np.isfinite(task.budget):
+            self.lp += self._sum(self.inputs, np.r_[rows.price, rows.price]) <= task.budget
+        self._goal(K)
+        self.impossible: Cell | None = None
+        for cell in sorted(task.cells, key=lambda c: (c[1], c[0])):
+            self._cell(cell, reachable)
+
+    def _sum(self, variables: Iterable[Any], weights: Array) -> Any:
+        return self.pulp.LpAffineExpression(
+            [(v, w) for v, w in zip(variables, weights.tolist(), strict=True) if w != 0.0]
+        )
+
+    def _goal(self, K: int) -> None:
+        rows, goal = self.rows, self.rows.problem.goal.conditions
+        # the last state in natural units: positions and rate-scaled velocities over `length`
+        W = goal_frame(rows)
+        a, free = rows.state_rows(W, K), W @ rows.free[K]
+        back = np.linalg.inv(W)
+        for i, row in enumerate(a):
+            self.lp += self._sum(self.inputs, np.r_[row, -row]) - self.xK[i] == -float(free[i])
+        for g, rhs in zip(goal.E @ back / rows.length, goal.e / rows.length, strict=True):
+            self.lp += self._sum(self.xK, g) == float(rhs)
+        for g, rhs in zip(goal.G @ back / rows.length, goal.g / rows.length, strict=True):
+            self.lp += self._sum(self.xK, g) <= float(rhs)
+        for group, (N, c) in enumerate(goal.one_of if self.task.one_of else ()):
+            binaries = [self.pulp.LpVariable(f"goal{group}_{j}", cat="Binary") for j in range(len(N))]
+            # every row is bounded below by the goal's own inequalities or by the thrust limits
+            floor = -rows.extreme(rows.state_rows(-N, K), self.task.budget) + N @ rows.free[K]
+            floor = np.maximum(floor, goal_floor(goal.G, goal.g, N)) if not self.task.thrust else goal_floor(
+                goal.G, goal.g, N
+            )
+            big = np.maximum((c - floor) / rows.length, 0.0)
+            for j, g in enumerate(N @ back / rows.length):
+                self.lp += self._sum([*self.xK, binaries[j]], np.r_[g, -big[j]]) >= float(c[j] / rows.length - big[j])
+            self.lp += self.pulp.lpSum(binaries) >= 1
+            self.sides.append(binaries)
+
+    def _cell(self, cell: Cell, reachable: Callable[[int, int, int], bool]) -> None:
+        i, k = cell
+        rows, task = self.rows, self.task
+        options = []
+        for f in range(len(rows.problem.unsafe[i].normals)):
+            part = rows.cell(i, k, f)
+            if task.short or task.thrust:
+                options.append((f, part, np.full(len(part.need), 1e3)))
+                continue
+            most = rows.extreme(part.a, task.budget)
+            need = part.need + part.slope * task.levels.low
+            if np.all(most >= need - 1e-9) and reachable(i, k, f):
+                options.append((f, part, part.need + part.slope * task.levels.high + most))
+        if not options:
+            self.impossible = cell
+            return
+        binaries = []
+        for f, part, big in options:
+            only = len(options) == 1
+            if not only:
+                self.z[(i, k, f)] = self.pulp.LpVariable(f"z{i}_{k}_{f}", cat="Binary")
+                binaries.append(self.z[(i, k, f)])
+            else:
+                self.z[(i, k, f)] = None
+            for a, need, M in zip(part.a, part.need, big, strict=True):
+                if M <= 0 and not only:
+                    continue
+                row = self._sum(self.inputs, np.r_[a, -a]) + self._sum([self.s], np.array([-part.slope]))
+                if task.short:
+                    row += self.e
+                if only:
+                    self.lp += row >= float(need)
+                else:
+                    self.lp += row - float(M) * binaries[-1] >= float(need - M)
+        if binaries:
+            self.lp += self.pulp.lpSum(binaries) == 1
+
+    def solve(self, options: PlannerOptions, seconds: float, start: Candidate | None = None,
+              listen: Callable[[float, float], None] | None = None) -> Answer:
+        """Run the back end, from a start if there is one."""
+        from . import backends
+
+        if self.impossible is not None:
+            return Answer("infeasible", None, np.inf, np.inf, {})
+        if start is not None:
+            self._warm(start)
+        begun = perf_counter()
+        status, bound, nodes = backends.run(self.lp, options, seconds, start is not None, listen)
+        stats = {
+            "rows": float(len(self.lp.constraints)), "cols": float(len(self.lp.variables())),
+            "binaries": float(sum(v is not None for v in self.z.values()) + sum(map(len, self.sides))),
+            "nodes": nodes, "solver_seconds": perf_counter() - begun,
+        }
+        if status == "infeasible" or self.s.varValue is None or status == "none":
+            return Answer("infeasible" if status == "infeasible" else "time", None, np.inf, bound, stats)
+        z = np.array([p.varValue - q.varValue for p, q in zip(self.plus, self.minus, strict=True)])
+        choice = {}
+        for (i, k, f), var in self.z.items():
+            if var is None or var.varValue > 0.5:
+                choice[(i, k)] = f
+        sides = tuple(int(np.argmax([v.varValue for v in group])) for group in self.sides)
+        fuel = float(np.sum(self.rows.price * np.abs(z)))
+        path = Candidate(z, self.s.varValue, self.e.varValue * self.rows.length, fuel, choice, sides)
+        return Answer(status, path, float(self.lp.objective.value()), bound, stats)
+
+    def _warm(self, path: Candidate) -> None:
+        for j, value in enumerate(path.z):
+            self.plus[j].setInitialValue(max(float(value), 0.0), check=False)
+            self.minus[j].setInitialValue(max(-float(value), 0.0), check=False)
+        self.s.setInitialValue(path.level, check=False)
+        self.e.setInitialValue(path.short / self.rows.length, check=False)
+        self.thrust.setInitialValue(1.0, check=False)
+        for (i, k, f), var in self.z.items():
+            if var is not None and (i, k) in path.choice:
+                var.setInitialValue(float(path.choice[(i, k)] == f), check=False)
+        last = self.rows.trajectory(path.z)[0][self.rows.problem.K]
+        for var, value in zip(self.xK, goal_frame(self.rows) @ last, strict=True):
+            var.setInitialValue(float(value), check=False)
+        for (N, c), group in zip(self.rows.problem.goal.conditions.one_of, self.sides, strict=False):
+            side = int(np.argmax(N @ last - c))
+            for j, var in enumerate(group):
+                var.setInitialValue(float(j == side), check=False)
+
+
+def goal_frame(rows: Rows) -> Array:
+    """Diagonal scaling that makes every entry of the last state a number near 1, shape (n, n)."""
+    system = rows.problem.system
+    reach = np.abs(rows.state_rows(np.eye(system.n), rows.problem.K)) @ rows.limit
+    typical = np.sqrt(np.maximum(reach, 1e-9) * np.maximum(np.abs(rows.free[rows.problem.K]), 1e-3 * reach + 1e-9))
+    position = np.abs(system.position).sum(axis=0) > 0
+    return np.diag(np.where(position, 1 / rows.length, 1 / np.maximum(typical, 1e-9)))
+
+
+def goal_floor(G: Array, g: Array, N: Array) -> Array:
+    """Smallest value of each row of N over ``G x <= g``, -inf where unbounded, shape (J,)."""
+    out = np.full(len(N), -np.inf)
+    if len(G):
+        n = N.shape[1]
+        for j, row in enumerate(N):
+            lp = GrowingLP(row, np.full(n, -np.inf), np.full(n, np.inf))
+            lp.add(G, -np.inf, g)
+            answer = lp.solve(1.0)
+            if answer is not None:
+                out[j] = answer[0]
+    return out

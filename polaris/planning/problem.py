@@ -1,0 +1,218 @@
+"""What the planner is asked (`PlanProblem`), how (`PlannerOptions`), and what it answers (`Plan`)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from ..errors import ScenarioError
+from ..system import Array, LinearSystem, as_finite
+from ..unsafe import TimedPolytope
+from .goals import Goal
+
+Objective = Literal["margin_then_fuel", "distance", "fuel"]
+OBJECTIVES = ("margin_then_fuel", "distance", "fuel")
+SOLVERS = ("highs", "gurobi")
+
+
+@dataclass(frozen=True, eq=False)
+class PlanProblem:
+    """One planning problem (section III-C): steer from `x0` to `goal` and keep clear of `unsafe`.
+
+    Parameters
+    ----------
+    system : LinearSystem
+    x0 : ndarray, shape (n,)
+        State at time 0.
+    K : int
+        Number of steps.
+    delta : float
+        Length of a step [s].
+    unsafe : tuple of TimedPolytope
+        Unsafe sets. Each covers at least ``K + tail_cells`` cells, or is static (then it is held).
+    margins : tuple of ndarray, each of shape (K, F)
+        Per unsafe set, the clearance [m] the reference must keep from each facet, should that facet
+        be the separating one, over the whole of the cell (the error tube; the bow of the path
+        between waypoints is *not* included, the planner takes care of it).
+    u_limit : ndarray, shape (K, m)
+        Tightened input limits, ``|nu_k,i| <= u_limit[k, i]``.
+    goal : Goal
+    objective : {"margin_then_fuel", "distance", "fuel"}
+        `fuel`: least velocity change. `distance`: largest smallest clearance (eq. 19), at any price.
+        `margin_then_fuel`: `extra_margin` on top of `margins`, or as much of it as there is; then
+        least velocity change.
+    extra_margin : float
+        Clearance [m] wanted on top of `margins`; more is useless. Read by `margin_then_fuel` (and by
+        `distance` as a cap on what is maximised, if positive).
+    tail_cells : int
+        Cells after K in which coasting from the last state must stay clear too, with the margins of
+        the last cell and no extra margin.
+    """
+
+    system: LinearSystem
+    x0: Array
+    K: int
+    delta: float
+    unsafe: tuple[TimedPolytope, ...]
+    margins: tuple[Array, ...]
+    u_limit: Array
+    goal: Goal
+    objective: Objective = "margin_then_fuel"
+    extra_margin: float = 0.0
+    tail_cells: int = 0
+
+    def __post_init__(self) -> None:
+        put, sys = object.__setattr__, self.system
+        if self.K < 1:
+            raise ScenarioError("planner.K", self.K, "must be at least 1")
+        if not (np.isfinite(self.delta) and self.delta > 0):
+            raise ScenarioError("planner.delta", self.delta, "must be a finite number > 0")
+        if self.objective not in OBJECTIVES:
+            raise ScenarioError("planner.objective", self.objective, f"must be one of {', '.join(OBJECTIVES)}")
+        if not (np.isfinite(self.extra_margin) and self.extra_margin >= 0):
+            raise ScenarioError("planner.extra_margin", self.extra_margin, "must be a finite number >= 0")
+        if self.tail_cells < 0:
+            raise ScenarioError("planner.tail_cells", self.tail_cells, "must be at least 0")
+        put(self, "x0", as_finite("planner.x0", self.x0, 1))
+        put(self, "u_limit", as_finite("planner.u_limit", self.u_limit, 2))
+        if self.x0.shape != (sys.n,):
+            raise ScenarioError("planner.x0", self.x0.shape, f"must have {sys.n} entries")
+        if self.u_limit.shape != (self.K, sys.m) or np.any(self.u_limit < 0):
+            raise ScenarioError("planner.u_limit", self.u_limit.shape, f"must be ({self.K}, {sys.m}), all >= 0")
+        if self.goal.n != sys.n:
+            raise ScenarioError("planner.goal", self.goal.n, f"must be a goal for {sys.n} states")
+        if len(self.margins) != len(self.unsafe):
+            raise ScenarioError("planner.margins", len(self.margins), f"must be {len(self.unsafe)} arrays")
+        margins = tuple(as_finite(f"planner.margins[{i}]", m, 2) for i, m in enumerate(self.margins))
+        put(self, "margins", margins)
+        for i, (body, margin) in enumerate(zip(self.unsafe, margins, strict=True)):
+            want = (self.K, len(body.normals))
+            if margin.shape != want:
+                raise ScenarioError(f"planner.margins[{i}]", margin.shape, f"must have shape {want}")
+            if body.cells < self.cells and not (body.static and body.cells >= 1):
+                raise ScenarioError(f"planner.unsafe[{i}]", body.cells, f"must cover {self.cells} cells")
+
+    @property
+    def cells(self) -> int:
+        """Cells checked: K planned ones and the coasting tail."""
+        return self.K + self.tail_cells
+
+    def offsets(self, i: int) -> Array:
+        """Offsets [m] of unsafe set i over all cells, shape (cells, 2, F); static sets are held."""
+        body = self.unsafe[i]
+        return body.offsets[np.minimum(np.arange(self.cells), body.cells - 1)]
+
+    def required(self, i: int) -> Array:
+        """Clearance [m] to keep from each facet of unsafe set i, without extra, shape (cells, F)."""
+        return self.margins[i][np.minimum(np.arange(self.cells), self.K - 1)]
+
+
+@dataclass(frozen=True)
+class Progress:
+    """What a progress callback receives.
+
+    Attributes
+    ----------
+    stage : str
+        What the planner is doing.
+    seconds : float
+        Since the start of `plan`.
+    incumbent, bound : float
+        Objective of the best plan so far and proven bound (m/s for fuel, m or share for margins).
+    gap : float
+        Relative distance between the two.
+    """
+
+    stage: str
+    seconds: float
+    incumbent: float = np.inf
+    bound: float = -np.inf
+    gap: float = np.inf
+
+
+@dataclass(frozen=True)
+class PlannerOptions:
+    """How to solve.
+
+    Parameters
+    ----------
+    solver : {"highs", "gurobi"}
+        Back end of the mixed-integer program; the model is the same.
+    time_limit : float
+        Wall time [s] for everything the planner does.
+    gap : float
+        Relative optimality gap at which the search stops.
+    threads : int or None
+        Threads for the back end; None leaves it to the back end.
+    progress : callable, optional
+        Called with a `Progress`, at most a few times a second.
+    """
+
+    solver: str = "highs"
+    time_limit: float = 60.0
+    gap: float = 1e-3
+    threads: int | None = None
+    progress: Callable[[Progress], None] | None = None
+
+    def __post_init__(self) -> None:
+        if self.solver not in SOLVERS:
+            raise ScenarioError("planner.solver", self.solver, f"must be one of {', '.join(SOLVERS)}")
+        if not (np.isfinite(self.time_limit) and self.time_limit > 0):
+            raise ScenarioError("planner.time_limit", self.time_limit, "must be a finite number > 0")
+        if not 0 <= self.gap < 1:
+            raise ScenarioError("planner.gap", self.gap, "must be in [0, 1)")
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """A certified plan: every number below was re-computed from the inputs, not read from a solver.
+
+    Attributes
+    ----------
+    chi : ndarray, shape (K+1, n)
+        States at the waypoints, propagated exactly.
+    nu : ndarray, shape (K, m)
+        Inputs.
+    facets : ndarray of int, shape (n_o, K)
+        Separating facet of every unsafe set in every cell.
+    tail_facets : ndarray of int, shape (n_o, tail_cells)
+        The same for the coasting tail.
+    margin : float
+        Smallest clearance [m] beyond `margins`, over all planned cells and continuous time.
+    extra : ndarray, shape (n_o, K)
+        Clearance [m] beyond `margins` per unsafe set and cell.
+    wanted : ndarray, shape (n_o, K)
+        Extra clearance [m] asked for per unsafe set and cell: `extra_margin`, or less where the start
+        and the goal do not leave room for it.
+    delta_v : float
+        Velocity change [m/s].
+    status : str
+        "optimal" (to the gap) or "time_limit".
+    objective, bound, gap : float
+        Objective of the last phase (`delta_v` [m/s], or the clearance [m] for `distance`), its proven
+        bound for the model solved, and the relative gap.
+    seconds : mapping
+        Wall time by part [s].
+    solver : str
+    stats : mapping
+        Size of the largest model (rows, cols, binaries), nodes, rounds.
+    """
+
+    chi: Array
+    nu: Array
+    facets: np.ndarray
+    tail_facets: np.ndarray
+    margin: float
+    extra: Array
+    wanted: Array
+    delta_v: float
+    status: str
+    objective: float
+    bound: float
+    gap: float
+    seconds: Mapping[str, float] = field(default_factory=dict)
+    solver: str = "highs"
+    stats: Mapping[str, float] = field(default_factory=dict)

@@ -1,0 +1,80 @@
+"""What the two algorithms are asked: the mathematical problem of section II, without a file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from reach.zonotope import Zonotope
+
+from .errors import ScenarioError
+from .planning.goals import Goal
+from .planning.problem import PlannerOptions
+from .system import Array, LinearSystem
+
+RECOVERABLE_KINDS = ("polytope", "time_varying_ball", "ball", "paper_ball")
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Input of Algorithm 1.
+
+    Parameters
+    ----------
+    system : LinearSystem
+    initial_set : Zonotope
+        Theta, in absolute coordinates (m, m/s).
+    unsafe : tuple of obstacles
+        Objects with ``timed_polytopes(system, delta, cells)`` (see `polaris.obstacles`).
+    K : int
+        Number of steps.
+    delta : float
+        Step [s]; the horizon is ``T = K delta``.
+    Q, R : array_like
+        LQR weights of the tracker, matrices or diagonals.
+    goal : Goal
+        Where the reference must end.
+    recoverable : {"polytope", "time_varying_ball", "ball", "paper_ball"}
+    period : float or None
+        Control period [s] of sampled feedback; None for continuous feedback.
+    bound : {"envelope", "lyapunov"}
+        Method of Lemma 1 (used by the balls).
+    weight : {"auto", "identity"} or array_like
+        Weight of the norm of Lemma 1.
+    objective : {"margin_then_fuel", "distance", "fuel"}
+    extra_margin : float
+        Clearance [m] wanted beyond what S's own tube needs: the room left to U.
+    planner : PlannerOptions
+    gains : tuple of ndarray
+        Gains of the experimental controllers, so that the time grid is fine enough for them.
+    """
+
+    system: LinearSystem
+    initial_set: Zonotope
+    unsafe: tuple[Any, ...]
+    K: int
+    delta: float
+    Q: ArrayLike
+    R: ArrayLike
+    goal: Goal
+    recoverable: str = "polytope"
+    period: float | None = None
+    bound: str = "envelope"
+    weight: ArrayLike | str = "auto"
+    objective: str = "margin_then_fuel"
+    extra_margin: float = 0.0
+    planner: PlannerOptions = field(default_factory=PlannerOptions)
+    gains: tuple[Array, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.initial_set.batch or self.initial_set.dim != self.system.n:
+            raise ScenarioError("initial_set", self.initial_set.c.shape, f"must be one set of {self.system.n} states")
+        if int(self.K) != self.K or self.K < 1:
+            raise ScenarioError("K", self.K, "must be a whole number >= 1")
+        if not (np.isfinite(self.delta) and self.delta > 0):
+            raise ScenarioError("delta", self.delta, "must be a finite number > 0")
+        if self.recoverable not in RECOVERABLE_KINDS:
+            raise ScenarioError("recoverable", self.recoverable, f"must be one of {', '.join(RECOVERABLE_KINDS)}")

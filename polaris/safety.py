@@ -1,0 +1,241 @@
+"""Algorithm 1, GetSafety: the safety controller and its recoverable sets."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from reach.zonotope import Zonotope
+
+from .clearance import Clearance, best_facets, error_tube
+from .controllers import AffineController, construct_s
+from .end_condition import EndCondition, coast, judge_end, tail_length
+from .error_bounds import ErrorBounds, get_err_bounds
+from .errors import NotCertified, SynthesisInfeasible
+from .planning import Plan, PlanProblem, plan
+from .planning.goals import Goal
+from .problem import Problem
+from .recoverable import Margin, RecoverableSet, get_recover
+from .reference import Reference
+from .system import Array, LinearSystem
+from .tolerances import SOLVER_BOOK_INPUT
+from .tracking import Tracking, choose_feedback, lqr_gain
+from .unsafe import TimedPolytope
+
+
+@dataclass(frozen=True, eq=False)
+class Safety:
+    """Output of Algorithm 1.
+
+    Attributes
+    ----------
+    problem : Problem
+    tracking : Tracking
+        Gain Lambda, error dynamics, contraction norm.
+    bounds : ErrorBounds
+        Constants of Lemma 1.
+    plan : Plan
+        Waypoints chi, inputs nu, and how they were found.
+    reference : Reference
+        xi and mu, followed by the coasting tail.
+    controller : AffineController
+        S.
+    recoverable : RecoverableSet
+        In error coordinates, at every node of the grid.
+    start : Zonotope
+        Theta minus the reference's first state.
+    start_margin : Margin
+        How far Theta is inside the first recoverable set.
+    end : EndCondition
+        What is proven after T.
+    seconds : mapping
+        Wall time by stage.
+    """
+
+    problem: Problem
+    tracking: Tracking
+    bounds: ErrorBounds
+    plan: Plan
+    reference: Reference
+    clearance: Clearance
+    controller: AffineController
+    recoverable: RecoverableSet
+    start: Zonotope
+    start_margin: Margin
+    end: EndCondition
+    seconds: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def guarantee(self) -> str:
+        """``proved``, or ``none`` for an option labelled unsound."""
+        return self.recoverable.guarantee
+
+    def plot(self, ax: Any = None) -> Any:
+        """Draw the reference among the unsafe sets; returns the matplotlib axes."""
+        from .figures import plot_reference
+
+        return plot_reference(self, ax)
+
+
+def get_safety(
+    problem: Any,
+    initial_set: Zonotope | None = None,
+    unsafe: tuple[Any, ...] = (),
+    K: int | None = None,
+    delta: float | None = None,
+    Q: ArrayLike | None = None,
+    R: ArrayLike | None = None,
+    *,
+    goal: Goal | None = None,
+    **options: Any,
+) -> Safety:
+    """Algorithm 1: ARE, error bounds, safe reference, S, recoverable sets.
+
+    Parameters
+    ----------
+    problem : Scenario, Problem, LinearSystem or control.StateSpace
+        A scenario or problem says everything; a system needs the arguments below.
+    initial_set, unsafe, K, delta, Q, R, goal
+        See `Problem`. A ``control.StateSpace`` also needs ``u_max`` (and takes ``w_max`` and ``D``)
+        among the options.
+    **options
+        Further fields of `Problem`.
+
+    Returns
+    -------
+    Safety
+
+    Raises
+    ------
+    ScenarioError
+        If an argument is malformed.
+    SynthesisInfeasible
+        If no safe reference exists, or Theta is not inside the first recoverable set.
+    NotCertified
+        If none was found in the time given, or what was found failed its re-check.
+    """
+    problem = _as_problem(problem, initial_set, unsafe, K, delta, Q, R, goal, options)
+    clock = _Clock()
+    gain = lqr_gain(problem.system, problem.Q, problem.R)  # lines 1 and 2
+    feedback = choose_feedback(problem.system, [gain, *problem.gains], problem.delta, problem.period)
+    tracking = Tracking(problem.system, gain, feedback, problem.delta)
+    bounds = get_err_bounds(tracking, problem.bound, problem.weight)  # line 3
+    tail = tail_length(tracking)
+    sets = perceive_unsafe(problem, problem.K + tail)
+    asked = plan_problem(problem, tracking, sets)
+    clock.lap("bounds")
+    found = plan(asked, problem.planner)  # line 4
+    clock.lap("plan")
+    safety = _complete(problem, tracking, bounds, sets, found, tail)  # lines 5 to 10
+    if safety.end.retry:
+        clock.lap("recoverable")
+        try:
+            found = plan(replace(asked, tail_cells=tail), problem.planner)
+            clock.lap("plan")
+            safety = _complete(problem, tracking, bounds, sets, found, tail)
+        except (SynthesisInfeasible, NotCertified):
+            clock.lap("plan")
+    if not safety.start_margin.inside and safety.guarantee == "proved":
+        witness = safety.start_margin
+        raise SynthesisInfeasible(
+            f"the initial set is not inside the first recoverable set ({problem.recoverable}): {witness}.",
+            witness.need - witness.room,
+            "shrink the initial set, raise the thrust limits, or use recoverable kind 'polytope'.",
+        )
+    clock.lap("recoverable")
+    return replace(safety, seconds=clock.laps)
+
+
+def _as_problem(system: Any, initial_set: Any, unsafe: Any, K: Any, delta: Any, Q: Any, R: Any, goal: Any,
+                options: dict[str, Any]) -> Problem:
+    if isinstance(system, Problem):
+        return replace(system, **options) if options else system
+    if hasattr(system, "problem"):
+        return _as_problem(system.problem(), None, (), None, None, None, None, None, options)
+    missing = [name for name, value in
+               (("initial_set", initial_set), ("K", K), ("delta", delta), ("Q", Q), ("R", R), ("goal", goal))
+               if value is None]
+    if missing:
+        raise TypeError(f"get_safety(system, ...) also needs {', '.join(missing)}")
+    if not isinstance(system, LinearSystem):
+        extra = {name: options.pop(name) for name in ("u_max", "w_max", "D", "C", "mass") if name in options}
+        system = LinearSystem.from_statespace(system, **extra)
+    return Problem(system, initial_set, tuple(unsafe), K, delta, Q, R, goal, **options)
+
+
+def perceive_unsafe(problem: Problem, cells: int) -> tuple[TimedPolytope, ...]:
+    """The perception oracle of Definition 2 over a number of cells."""
+    from .obstacles import perceive
+
+    return tuple(perceive(problem.unsafe, problem.system, problem.delta, cells))
+
+
+def plan_problem(problem: Problem, tracking: Tracking, sets: tuple[TimedPolytope, ...]) -> PlanProblem:
+    """The MIP of eqs. 14 to 19, with margins from S's tube and thrust limits tightened by it.
+
+    Raises
+    ------
+    SynthesisInfeasible
+        If correcting the initial error alone may demand more than the thrusters have.
+    """
+    system, q, K = problem.system, tracking.feedback.nodes_per_cell, problem.K
+    start = problem.initial_set - problem.initial_set.c
+    thrust = error_tube(tracking, start, np.vstack([tracking.gain, -tracking.gain])).over_cells(K, q)
+    needed = np.maximum(thrust[:, : system.m], thrust[:, system.m :])
+    limit = system.u_max * (1 - SOLVER_BOOK_INPUT) - needed
+    if np.any(limit < 0):
+        k, axis = np.unravel_index(int(np.argmin(limit)), limit.shape)
+        raise SynthesisInfeasible(
+            f"the tracker alone may demand {needed[k, axis]:.4g} N of the {system.u_max[axis]:.4g} N of thrust "
+            f"axis {axis} at t = {k * problem.delta:g} s to correct the initial set and the disturbance.",
+            float(-limit[k, axis]),
+            "shrink the initial set, raise the thrust limit, or raise tracking.R for a softer tracker.",
+        )
+    margins = []
+    for unsafe in sets:
+        tube = error_tube(tracking, start, -unsafe.normals @ system.position)
+        margins.append(tube.over_cells(K, q))
+    return PlanProblem(
+        system, problem.initial_set.c, K, problem.delta, sets, tuple(margins), limit, problem.goal,
+        problem.objective, problem.extra_margin,
+    )
+
+
+def _complete(problem: Problem, tracking: Tracking, bounds: ErrorBounds, sets: tuple[TimedPolytope, ...],
+              found: Plan, tail: int) -> Safety:
+    """Lines 5 to 10: reference, S, recoverable sets; with the coasting tail as far as it is safe."""
+    planned = Reference.propagate(problem.system, problem.delta, problem.initial_set.c, found.nu)
+    start = problem.initial_set - problem.initial_set.c
+    reference, jump = coast(planned, tail)
+
+    def build(path: Reference, step: Array) -> tuple[Clearance, RecoverableSet]:
+        facets = best_facets(tracking, path, sets, start)
+        clearance = Clearance(tracking, path, sets, facets, problem.K, step)
+        return clearance, get_recover(problem.recoverable, clearance, bounds)
+
+    clearance, recoverable = build(reference, jump)
+    end = judge_end(tracking, reference, problem.K, tail, sets, recoverable.margin_at(0, start), jump)
+    if not end.proven:
+        reference = planned
+        clearance, recoverable = build(planned, np.zeros(problem.system.n))
+    s = construct_s(tracking, reference)
+    margin = recoverable.margin_at(0, start)
+    return Safety(problem, tracking, bounds, found, reference, clearance, s, recoverable, start, margin, end)
+
+
+class _Clock:
+    """Wall time by stage; a stage named twice adds up."""
+
+    def __init__(self) -> None:
+        self.laps: dict[str, float] = {}
+        self._last = time.perf_counter()
+
+    def lap(self, stage: str) -> None:
+        now = time.perf_counter()
+        self.laps[stage] = self.laps.get(stage, 0.0) + now - self._last
+        self._last = now

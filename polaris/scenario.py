@@ -1,0 +1,314 @@
+"""Scenarios: load one by name or path, override a value, and build the domain's objects from it.
+
+>>> import polaris
+>>> scenario = polaris.load_scenario("static")
+>>> scenario.system().n
+6
+"""
+
+from __future__ import annotations
+
+import copy
+import difflib
+import re
+import tomllib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from reach.zonotope import Zonotope
+
+from . import scenario_build as build
+from .errors import ScenarioError
+from .scenario_checks import check
+from .scenario_model import Planner, Recoverable, SampledFeedback, ScenarioModel, Schedule, Simulation
+from .scenario_reading import NOTHING, join_path, printable, read_document, validate, write_toml
+from .scenario_scene import Experimental
+from .system import LinearSystem
+
+if TYPE_CHECKING:
+    from .obstacle_base import Obstacle
+    from .planning.goals import Goal
+
+_KEY_PART = re.compile(r"([A-Za-z0-9_-]+)((?:\[\d{1,4}\])*)")
+
+
+@dataclass(frozen=True, eq=False)
+class Scenario:
+    """A validated scenario and the builders of what it describes.
+
+    Parameters
+    ----------
+    model : ScenarioModel
+        The fields as in the file.
+    source : str or None
+        Where it came from, for messages.
+    text : str or None
+        The file's text, comments included; None once a value has been overridden.
+
+    Raises
+    ------
+    ScenarioError
+        If a rule that joins several fields is broken.
+    """
+
+    model: ScenarioModel
+    source: str | None = None
+    text: str | None = None
+
+    def __post_init__(self) -> None:
+        try:
+            check(self.model)
+        except ScenarioError as error:
+            given = NOTHING if error.given is None else error.given
+            raise ScenarioError(error.field, given, error.rule, error.where or self.source) from error
+
+    @classmethod
+    def from_dict(cls, document: Mapping[str, Any], source: str | None = None) -> Scenario:
+        """Validate nested data shaped like the TOML file."""
+        return cls(validate(document, source), source)
+
+    # -- overrides ------------------------------------------------------------------------------
+
+    def set(self, key: str, value: Any) -> Scenario:
+        """Return a copy with one value replaced.
+
+        Parameters
+        ----------
+        key : str
+            Where, as in ``planner.solver`` or ``obstacles[0].radius_m``. A whole table may be given
+            too: ``scenario.set("goal", {"kind": "box", ...})``. None removes an optional value.
+        value : object
+            The new value.
+
+        Raises
+        ------
+        ScenarioError
+            If there is no such key or the result is not a valid scenario.
+        """
+        return self.with_overrides({key: value})
+
+    def with_overrides(self, values: Mapping[str, Any]) -> Scenario:
+        """Return a copy with several values replaced together, as in `set`; checked once, at the end."""
+        if not values:
+            return self
+        document = self.to_dict()
+        for key, value in values.items():
+            _put(document, key, copy.deepcopy(value), self.source)
+        return Scenario(validate(document, self.source), self.source)
+
+    def with_assignments(self, assignments: Iterable[str]) -> Scenario:
+        """Return a copy changed by texts ``key=value`` as given to ``--set``.
+
+        The value is read as TOML (``0.5``, ``[1, 2]``, ``true``, ``{ kind = "ball" }``); what is not
+        TOML is taken for text, so ``planner.solver=gurobi`` needs no quotes.
+        """
+        return self.with_overrides(dict(_parse_assignment(text) for text in assignments))
+
+    # -- as data --------------------------------------------------------------------------------
+
+    @property
+    def name(self) -> str:
+        """Short name."""
+        return self.model.name
+
+    def to_dict(self) -> dict[str, Any]:
+        """All values, defaults included, as nested plain data."""
+        data: dict[str, Any] = _lists(self.model.model_dump(exclude_none=True))
+        return data
+
+    def to_toml(self) -> str:
+        """All values, defaults included, as TOML that loads back to the same scenario."""
+        return write_toml(self.to_dict())
+
+    # -- the domain's objects -------------------------------------------------------------------
+
+    @property
+    def steps(self) -> int:
+        """Number K of steps."""
+        count = build.whole_parts(self.model.horizon.duration_s, self.model.horizon.step_s)
+        assert count is not None  # checked on construction
+        return count
+
+    @property
+    def step(self) -> float:
+        """Step delta [s]."""
+        return self.model.horizon.step_s
+
+    @property
+    def coast_steps(self) -> int:
+        """Number of steps of coasting after the horizon that must stay clear too."""
+        return build.whole_parts(self.model.horizon.coast_s, self.model.horizon.step_s) or 0
+
+    @property
+    def periods_per_step(self) -> int | None:
+        """Control periods in one step; None if feedback is continuous."""
+        feedback = self.model.feedback
+        if isinstance(feedback, SampledFeedback):
+            return build.whole_parts(self.model.horizon.step_s, feedback.period_s)
+        return None
+
+    def system(self) -> LinearSystem:
+        """The controlled system."""
+        return build.build_system(self.model.system)
+
+    def initial_set(self) -> Zonotope:
+        """The initial set Theta, shape (n,); a ball is enclosed by a zonotope."""
+        return build.build_initial_set(self.model.initial_set, self.system())
+
+    def obstacles(self) -> tuple[Obstacle, ...]:
+        """Unsafe sets of the perception oracle: obstacles first, then keep-in sets."""
+        return build.build_obstacles(self.model)
+
+    def goal(self) -> Goal:
+        """Where the reference must end."""
+        return build.build_goal(self.model.goal, self.system())
+
+    def tracking(self) -> build.TrackingSpec:
+        """LQR weights as full matrices, the method of the error bound, and its norm."""
+        return build.build_tracking(self.model.tracking)
+
+    def experimental_specs(self) -> tuple[Experimental, ...]:
+        """The experimental controllers as validated models, in order of preference."""
+        return self.model.experimental
+
+    @property
+    def recoverable(self) -> Recoverable:
+        """Which recoverable sets."""
+        return self.model.recoverable
+
+    @property
+    def planner(self) -> Planner:
+        """How the reference is planned."""
+        return self.model.planner
+
+    @property
+    def schedule(self) -> Schedule:
+        """How the switching schedule is chosen."""
+        return self.model.schedule
+
+    @property
+    def simulation(self) -> Simulation:
+        """Closed-loop runs."""
+        return self.model.simulation
+
+
+# -- loading ----------------------------------------------------------------------------------------
+
+
+def scenario_folder() -> Path:
+    """The folder of bundled scenarios: in the installed package, or beside it in a checkout."""
+    package = Path(__file__).resolve().parent
+    beside = package.parent / "scenarios"
+    # A checkout's folder comes first, so that an editable installation never reads an old copy.
+    return beside if (package.parent / "pyproject.toml").is_file() else package / "bundled_scenarios"
+
+
+def bundled_scenarios() -> tuple[str, ...]:
+    """Names of the scenarios that come with the package, sorted."""
+    return tuple(sorted(path.stem for path in scenario_folder().glob("*.toml")))
+
+
+def load_scenario(name_or_path: str | Path, overrides: Mapping[str, Any] | None = None) -> Scenario:
+    """Load a bundled scenario by its name, or one's own by its path.
+
+    Parameters
+    ----------
+    name_or_path : str or Path
+        A name out of `bundled_scenarios()` or the path of a TOML file. A name wins over a file of the
+        same name; write ``./static`` for the file.
+    overrides : mapping, optional
+        Values to replace before validation, as in `Scenario.set`.
+
+    Raises
+    ------
+    ScenarioError
+        If there is no such scenario, or it is not valid: names the field, what was given, the rule.
+    """
+    text = str(name_or_path)
+    if isinstance(name_or_path, str) and text in bundled_scenarios():
+        path = scenario_folder() / f"{text}.toml"
+    else:
+        path = Path(name_or_path)
+        _refuse_unknown(text)
+    document, written = read_document(path)
+    where = printable(path.name)
+    for key, value in (overrides or {}).items():
+        _put(document, key, copy.deepcopy(value), where)
+    return Scenario(validate(document, where), where, None if overrides else written)
+
+
+def _refuse_unknown(text: str) -> None:
+    """A bare word that is neither a file nor a bundled name: say what there is."""
+    try:
+        there = Path(text).exists()
+    except (OSError, ValueError):
+        there = False
+    if there or not re.fullmatch(r"[\w-]+", text):
+        return
+    names = bundled_scenarios()
+    near = difflib.get_close_matches(text, names, n=1)
+    hint = f"; did you mean {near[0]}?" if near else ""
+    rule = f"is neither a file nor a bundled scenario ({', '.join(names)}){hint}"
+    raise ScenarioError("scenario", printable(text), rule)
+
+
+# -- overrides --------------------------------------------------------------------------------------
+
+
+def _parse_assignment(text: str) -> tuple[str, Any]:
+    key, equals, value = text.partition("=")
+    if not equals or not key.strip():
+        raise ScenarioError("--set", printable(text), "must be key=value")
+    try:
+        parsed = tomllib.loads(f"value = {value.strip()}")
+    except (ValueError, RecursionError):
+        parsed = {}
+    return key.strip(), parsed["value"] if set(parsed) == {"value"} else value.strip()
+
+
+def _split(key: str) -> list[str | int]:
+    """Parts of a dotted key; ``a[0].b`` and ``a.0.b`` mean the same."""
+    parts: list[str | int] = []
+    for piece in key.split("."):
+        match = _KEY_PART.fullmatch(piece)
+        if not match:
+            raise ScenarioError("--set", printable(key), "must name a key, as in planner.solver=highs")
+        parts.append(int(match[1]) if match[1].isdigit() else match[1])
+        parts += [int(index) for index in re.findall(r"\d+", match[2])]
+    return parts
+
+
+def _put(document: dict[str, Any], key: str, value: Any, where: str | None) -> None:
+    """Replace (or, with None, remove) the value at a dotted key; tables are made as needed."""
+    parts = _split(key)
+    holder: Any = document
+    for i, part in enumerate(parts):
+        last = i == len(parts) - 1
+        if isinstance(holder, dict) and isinstance(part, str):
+            if last:
+                holder.pop(part, None) if value is None else holder.__setitem__(part, value)
+                return
+            holder = holder.setdefault(part, {})
+        elif isinstance(holder, list) and isinstance(part, int):
+            if part >= len(holder):
+                rule = f"there are only {len(holder)} entries (counted from 0)"
+                raise ScenarioError(join_path(parts[: i + 1]), NOTHING, rule, where)
+            if last:
+                holder[part] = value
+                return
+            holder = holder[part]
+        else:
+            kind = (
+                "a list" if isinstance(holder, list) else "a table" if isinstance(holder, dict) else "a value"
+            )
+            rule = f"no such key: {join_path(parts[:i])} is {kind}"
+            raise ScenarioError(join_path(parts), value, rule, where)
+
+
+def _lists(data: Any) -> Any:
+    """The same data with lists for tuples, as a TOML reader gives it."""
+    if isinstance(data, dict):
+        return {key: _lists(value) for key, value in data.items()}
+    return [_lists(value) for value in data] if isinstance(data, (list, tuple)) else data

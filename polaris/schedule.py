@@ -1,0 +1,125 @@
+"""The result of Algorithm 2: modes per step, tubes, margins, and what is guaranteed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reach.zonotope import Zonotope
+
+from .controllers import Controller, Flight
+from .recoverable import Margin
+from .safety import Safety
+from .system import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One step of the schedule.
+
+    Attributes
+    ----------
+    mode : int
+        0 is S, 1, 2, ... the experimental controllers.
+    flight : Flight
+        Reachable set over the step, in error coordinates.
+    margin : Margin
+        How far it is inside the recoverable sets. Steps under S need no margin: from a recoverable
+        set S stays safe to the end.
+    """
+
+    mode: int
+    flight: Flight
+    margin: Margin
+
+
+@dataclass(frozen=True, eq=False)
+class Schedule:
+    """A switching schedule L with everything its proof rests on.
+
+    Attributes
+    ----------
+    safety : Safety
+    controllers : tuple of Controller
+        Indexed by mode.
+    steps : tuple of Step
+        One per planning step.
+    final : Zonotope
+        Set of errors at T.
+    guarantee : {"proved", "none"}
+    assumptions : tuple of str
+        What the guarantee rests on, for a mission to discharge.
+    seconds : mapping
+        Wall time of the synthesis by stage.
+    """
+
+    safety: Safety
+    controllers: tuple[Controller, ...]
+    steps: tuple[Step, ...]
+    final: Zonotope
+    guarantee: str
+    assumptions: tuple[str, ...]
+    seconds: Mapping[str, float] = field(default_factory=dict)
+
+    @cached_property
+    def modes(self) -> NDArray[np.int_]:
+        """Mode of every step, shape (K,)."""
+        return np.array([step.mode for step in self.steps], dtype=int)
+
+    @property
+    def times(self) -> Array:
+        """Start of every step, and T [s], shape (K+1,)."""
+        return np.arange(len(self.steps) + 1) * self.safety.problem.delta
+
+    @property
+    def switches(self) -> int:
+        """Number of changes of mode inside the horizon."""
+        return int(np.count_nonzero(np.diff(self.modes)))
+
+    def share(self, mode: int | None = None) -> float:
+        """Share of time under one mode; without one, under any experimental controller."""
+        flying = self.modes > 0 if mode is None else self.modes == mode
+        return float(np.mean(flying))
+
+    def mode_at(self, t: float) -> int:
+        """The switching logic L(t) [s]; S after T."""
+        k = int(np.floor(t / self.safety.problem.delta + 1e-12))
+        return int(self.modes[k]) if 0 <= k < len(self.modes) else 0
+
+    @property
+    def margins(self) -> Array:
+        """Containment margin of every step, shape (K,); see `polaris.recoverable.Margin`."""
+        return np.array([step.margin.value for step in self.steps])
+
+    def plot(self, ax: Any = None) -> Any:
+        """Draw the schedule in the plane of motion; returns the matplotlib axes."""
+        from .figures import plot_schedule
+
+        return plot_schedule(self, ax)
+
+
+def describe_guarantee(schedule: Schedule) -> tuple[str, tuple[str, ...]]:
+    """How far the claim reaches, and what it assumes."""
+    safety = schedule.safety
+    problem, end = safety.problem, safety.end
+    feedback = safety.tracking.feedback
+    if feedback.sampled:
+        period = safety.tracking.flow.h
+        law = f"every controller renews its input each {period:g} s, in time and with the exact state"
+    else:
+        law = "every controller acts continuously on the exact state"
+    reach = {"infinite": "for all time", "one_period": f"until {end.until:g} s", "none": "up to T only"}[end.horizon]
+    assumptions = (
+        f"the motion obeys x' = A x + B u + D w with |u_i| <= u_max and norm(w) <= {problem.system.w_max:g}",
+        "the initial state lies in the initial set",
+        "every unsafe set lies in its timed polytope (perception)",
+        law,
+        "the experimental controllers obey their declared models",
+        f"arithmetic in double precision, round-off covered by booked tolerances; claim holds {reach} ({end.reason})",
+    )
+    return safety.guarantee, assumptions

@@ -1,0 +1,262 @@
+"""Convex shapes in position space: exact Euclidean signed distance, and when a straight ray enters.
+
+Distances are positive outside a shape and negative inside (penetration depth). All shapes are
+closed: touching counts as entering, and round-off in that decision errs towards "enters".
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations
+from typing import Protocol
+
+import numpy as np
+
+from .errors import ScenarioError
+from .system import Array
+from .tolerances import ROUNDING
+
+CHUNK = 1_000_000
+"""Numbers held at once while distances to a polytope are computed."""
+
+
+class Shape(Protocol):
+    """What the metrics ask of a shape (positions relative to its origin)."""
+
+    def signed_distance(self, p: Array) -> Array:
+        """Distance [m] of points (..., d), shape (...,)."""
+        ...
+
+    def entry_time(self, p: Array, v: Array) -> Array:
+        """First time [s] at which ``p + s v``, s >= 0, is in the shape: 0 if inside, inf if never."""
+        ...
+
+
+def _directed(v: Array) -> tuple[Array, Array]:
+    """Speed (...,) and unit direction (..., d); direction 0 where the speed is 0."""
+    peak = np.abs(v).max(axis=-1, keepdims=True)
+    scaled = np.divide(v, peak, out=np.zeros_like(v), where=peak > 0)
+    length = np.linalg.norm(scaled, axis=-1, keepdims=True)
+    return (peak * length)[..., 0], np.divide(scaled, length, out=np.zeros_like(v), where=length > 0)
+
+
+def _in_time(path: Array, speed: Array) -> Array:
+    """Time [s] to cover a path length [m]; inf where the length is inf or the speed is 0."""
+    with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
+        return np.where((path < np.inf) & (speed > 0), path / speed, np.inf)
+
+
+@dataclass(frozen=True, eq=False)
+class Ball:
+    """``norm(p) <= radius`` [m]."""
+
+    radius: float
+
+    def signed_distance(self, p: Array) -> Array:
+        """Distance [m] of points (..., d)."""
+        return np.asarray(np.linalg.norm(p, axis=-1) - self.radius)
+
+    def entry_time(self, p: Array, v: Array) -> Array:
+        """First time [s] on the ray, from the quadratic in its geometric form."""
+        p, v = np.broadcast_arrays(np.asarray(p, dtype=float), np.asarray(v, dtype=float))
+        speed, way = _directed(v)
+        nearest = -np.sum(p * way, axis=-1)
+        miss = np.linalg.norm(p + nearest[..., None] * way, axis=-1)
+        slack = ROUNDING * (self.radius + np.linalg.norm(p, axis=-1))
+        half_chord = np.sqrt(np.maximum(self.radius - miss, 0.0) * (self.radius + miss))
+        hit = (miss <= self.radius + slack) & (nearest > 0)
+        time = _in_time(np.where(hit, np.maximum(nearest - half_chord, 0.0), np.inf), speed)
+        return np.where(self.signed_distance(p) <= 0, 0.0, time)
+
+
+@dataclass(frozen=True, eq=False)
+class Polytope:
+    """``H p <= b`` with unit rows, shapes (F, d) and (F,); need not be bounded."""
+
+    H: Array
+    b: Array
+
+    @property
+    def d(self) -> int:
+        """Dimension of position space."""
+        return int(self.H.shape[1])
+
+    # -- distance ---------------------------------------------------------------------------------
+
+    def signed_distance(self, p: Array) -> Array:
+        """Exact Euclidean distance [m] of points (..., d).
+
+        Inside, the depth is the smallest slack. Outside, the dual of the projection is
+        ``dist^2 = max r_S' (H_S H_S')^-1 r_S`` over sets S of at most d independent facets with
+        multipliers >= 0, where ``r = H p - b``. Every such S gives a lower bound, so that a set
+        lost to round-off can only make a distance too small.
+        """
+        p = np.asarray(p, dtype=float)
+        flat = p.reshape(-1, self.d)
+        out = np.empty(len(flat))
+        widest = max((index.size for index, _ in self._faces), default=1)
+        step = max(1, CHUNK // max(widest, len(self.b)))
+        for i in range(0, len(flat), step):
+            r = flat[i : i + step] @ self.H.T - self.b
+            worst = r.max(axis=1)
+            outside = worst > 0
+            worst[outside] = self._outside(r[outside], worst[outside])
+            out[i : i + step] = worst
+        return out.reshape(p.shape[:-1])
+
+    def _outside(self, r: Array, best: Array) -> Array:
+        # Two facets or more matter only where two are violated or the pair bends outwards; testing
+        # all faces is as fast as sorting the points first.
+        square = best**2
+        for index, inverse in self._faces:
+            own = r[:, index]
+            multipliers = np.einsum("cij,ncj->nci", inverse, own)
+            value = np.einsum("nci,nci->nc", multipliers, own)
+            value[np.any(multipliers < 0, axis=-1)] = 0.0
+            square = np.maximum(square, value.max(axis=1))
+        return np.asarray(np.sqrt(square))
+
+    @cached_property
+    def _faces(self) -> list[tuple[Array, Array]]:
+        """Sets of s = 2 ... d facets that meet on the polytope, with ``(H_S H_S')^-1``.
+
+        Every non-empty face holds a minimal face, so subsets of what is active there are enough.
+        """
+        corners, tolerance = self._minimal_faces
+        active = np.abs(corners @ self.H.T - self.b) <= 100 * tolerance
+        found: dict[int, set[tuple[int, ...]]] = {s: set() for s in range(2, self.d + 1)}
+        for row in active:
+            rows = [int(i) for i in np.flatnonzero(row)]
+            for s, sets in found.items():
+                sets.update(combinations(rows, s))
+        faces = []
+        for sets in found.values():
+            if not sets:
+                continue
+            index = np.array(sorted(sets))
+            gram = np.einsum("cid,cjd->cij", self.H[index], self.H[index])
+            keep = np.linalg.eigvalsh(gram)[:, 0] > 1e-11
+            if np.any(keep):
+                faces.append((index[keep], np.linalg.inv(gram[keep])))
+        return faces
+
+    @cached_property
+    def _minimal_faces(self) -> tuple[Array, float]:
+        """One point on every minimal face (the vertices, if it has any), and the tolerance used [m]."""
+        _, values, basis = np.linalg.svd(self.H, full_matrices=False)
+        rank = int(np.sum(values > 1e-10))
+        rows = self.H @ basis[:rank].T
+        gap = self.b - self.H @ self.middle
+        tolerance = 1e-10 * max(float(np.abs(gap).max()), float(np.abs(self.b).max()) * 1e-4)
+        index = np.array(list(combinations(range(len(self.b)), rank)))
+        index = index[np.linalg.svd(rows[index], compute_uv=False)[:, -1] > 1e-7]
+        points = np.linalg.solve(rows[index], gap[index][..., None])[..., 0]
+        inside = [np.all(part @ rows.T <= gap + tolerance, axis=1) for part in np.array_split(points, 16)]
+        return points[np.concatenate(inside)] @ basis[:rank] + self.middle, tolerance
+
+    @cached_property
+    def middle(self) -> Array:
+        """Centre of a largest inscribed ball (of one as wide as the offsets, if unbounded), shape (d,)."""
+        return self._largest_ball[0]
+
+    @property
+    def depth(self) -> float:
+        """Radius [m] of that ball; -inf if the polytope is empty."""
+        return self._largest_ball[1]
+
+    @cached_property
+    def _largest_ball(self) -> tuple[Array, float]:
+        from scipy.optimize import linprog
+
+        scale = float(max(np.abs(self.b).max(), 1e-300))
+        cost = np.r_[np.zeros(self.d), -1.0]
+        rows = np.c_[self.H, np.ones(len(self.b))]
+        bounds = [(None, None)] * self.d + [(None, 1.0)]
+        answer = linprog(cost, A_ub=rows, b_ub=self.b / scale, bounds=bounds, method="highs")
+        if answer.status != 0:
+            return np.zeros(self.d), -np.inf
+        return np.asarray(answer.x[:-1] * scale), float(answer.x[-1] * scale)
+
+    @cached_property
+    def bounded(self) -> bool:
+        """Whether it is bounded: the normals positively span the space."""
+        from scipy.optimize import linprog
+
+        if np.linalg.matrix_rank(self.H, tol=1e-10) < self.d:
+            return False
+        count = len(self.b)
+        answer = linprog(np.ones(count), A_eq=self.H.T, b_eq=np.zeros(self.d), bounds=[(1, None)] * count)
+        return bool(answer.status == 0)
+
+    def vertices(self, extent: float = np.inf) -> Array:
+        """Vertices, shape (V, d), counter-clockwise in the plane; an unbounded set is cut to a box [m]."""
+        if not self.bounded and np.isinf(extent):
+            raise ScenarioError("extent", extent, "must be finite [m] to draw an unbounded set")
+        shape = self
+        if not self.bounded:
+            eye = np.eye(self.d)
+            box = np.r_[extent + self.middle, extent - self.middle]
+            shape = Polytope(np.vstack([self.H, eye, -eye]), np.r_[self.b, box])
+        points, tolerance = shape._minimal_faces
+        keep: list[Array] = []
+        for point in points:
+            if all(np.abs(point - other).max() > 10 * tolerance for other in keep):
+                keep.append(point)
+        corners = np.array(keep).reshape(-1, self.d)
+        if self.d == 2:
+            centred = corners - corners.mean(axis=0)
+            corners = corners[np.argsort(np.arctan2(centred[:, 1], centred[:, 0]))]
+        return corners
+
+    # -- rays -------------------------------------------------------------------------------------
+
+    def _rates(self, p: Array, v: Array) -> tuple[Array, Array, Array, Array]:
+        p, v = np.broadcast_arrays(np.asarray(p, dtype=float), np.asarray(v, dtype=float))
+        speed, way = _directed(v)
+        rate = way @ self.H.T
+        rate[np.abs(rate) <= ROUNDING] = 0.0
+        reach = p @ self.H.T
+        return (
+            speed,
+            rate,
+            self.b - reach,
+            ROUNDING * (np.abs(self.b) + np.linalg.norm(p, axis=-1)[..., None]),
+        )
+
+    def entry_time(self, p: Array, v: Array) -> Array:
+        """First time [s] on the ray, by clipping it against every facet."""
+        speed, rate, gap, slack = self._rates(p, v)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            first = np.where(rate < 0, gap / rate, -np.inf).max(axis=-1)
+            eased = np.where(rate < 0, (gap + slack) / rate, -np.inf).max(axis=-1)
+            last = np.where(rate > 0, (gap + slack) / rate, np.inf).min(axis=-1)
+        never = np.any((rate == 0) & (gap + slack < 0), axis=-1)
+        hit = ~never & (np.maximum(eased, 0.0) <= last)
+        time = _in_time(np.where(hit, np.maximum(first, 0.0), np.inf), speed)
+        return np.where(np.all(gap >= 0, axis=-1), 0.0, time)
+
+    def exit_time(self, p: Array, v: Array) -> Array:
+        """First time [s] at which the ray touches the boundary from inside; 0 if outside, inf if never."""
+        speed, rate, gap, _ = self._rates(p, v)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            last = np.where(rate > 0, gap / rate, np.inf).min(axis=-1)
+        return np.where(np.any(gap <= 0, axis=-1), 0.0, _in_time(last, speed))
+
+
+@dataclass(frozen=True, eq=False)
+class Box(Polytope):
+    """Axis-aligned box about the origin, distances in closed form."""
+
+    @classmethod
+    def of(cls, half_widths: Array) -> Box:
+        """From half widths [m], shape (d,)."""
+        eye = np.eye(len(half_widths))
+        return cls(np.vstack([eye, -eye]), np.r_[half_widths, half_widths])
+
+    def signed_distance(self, p: Array) -> Array:
+        """Distance [m] of points (..., d)."""
+        beyond = np.abs(p) - self.b[: self.d]
+        return np.asarray(
+            np.linalg.norm(np.maximum(beyond, 0.0), axis=-1) + np.minimum(beyond.max(axis=-1), 0.0)
+        )

@@ -1,0 +1,253 @@
+"""Closed-loop simulation, vectorised over runs, with random and worst-case disturbances."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import expm
+
+from reach.linear import discretize
+
+from .controllers import AffineController, Controller
+from .errors import ScenarioError
+from .schedule import Schedule
+from .system import Array
+
+Disturbance = Literal["none", "random", "worst", "mixed"]
+Initial = Literal["center", "random", "corners", "mixed"]
+
+
+@dataclass(frozen=True, eq=False)
+class Runs:
+    """Simulated closed loops.
+
+    Attributes
+    ----------
+    schedule : Schedule
+    times : ndarray, shape (N+1,)
+        Instants of the states [s]: the nodes of the time grid.
+    states : ndarray, shape (R, N+1, n)
+        Absolute states.
+    inputs : ndarray, shape (R, N, m)
+        Input applied right after every node [N], after the thrusters' clipping.
+    demanded : ndarray, shape (R, N)
+        Largest ratio of commanded to available thrust within each period; above 1 the thrusters
+        clipped.
+    delta_v : ndarray, shape (R,)
+        Velocity change [m/s]: the integral of the 1-norm of the input over the mass.
+    modes : ndarray of int, shape (cells,)
+        Mode of every step.
+    """
+
+    schedule: Schedule
+    times: Array
+    states: Array
+    inputs: Array
+    demanded: Array
+    delta_v: Array
+    modes: NDArray[np.int_]
+
+    @property
+    def positions(self) -> Array:
+        """Positions [m], shape (R, N+1, d)."""
+        return np.asarray(self.states @ self.schedule.safety.tracking.system.position.T)
+
+    @property
+    def mode_per_period(self) -> NDArray[np.int_]:
+        """Mode over the period after every node, shape (N,)."""
+        return np.repeat(self.modes, (len(self.times) - 1) // len(self.modes))
+
+    def metrics(self) -> Any:
+        """Distances, times to collision, usage and velocity change; see `polaris.metrics`."""
+        from .evaluation import evaluate
+
+        return evaluate(self)
+
+
+def simulate(
+    schedule: Schedule,
+    n: int = 100,
+    seed: int = 0,
+    *,
+    mode: int | None = None,
+    initial: Initial = "mixed",
+    disturbance: Disturbance = "mixed",
+    tail: bool = False,
+    substeps: int = 4,
+) -> Runs:
+    """Fly the schedule, or one controller alone, many times at once.
+
+    Parameters
+    ----------
+    schedule : Schedule
+    n : int
+        Number of runs.
+    seed : int
+        Same seed, same runs.
+    mode : int, optional
+        Fly this controller alone (0 is S) instead of the schedule.
+    initial : {"mixed", "center", "random", "corners"}
+        States drawn from Theta; ``mixed`` takes corners for half of the runs.
+    disturbance : {"mixed", "none", "random", "worst"}
+        ``worst`` is the closed-form worst case of a randomly chosen facet and instant, along the
+        controllers as they fly; ``random`` is piecewise constant, half of it on the bound.
+    tail : bool
+        Fly S on along the coasting tail after T.
+    substeps : int
+        Integration steps per node.
+
+    Returns
+    -------
+    Runs
+
+    Notes
+    -----
+    Feedback is integrated by a fourth-order Runge-Kutta scheme on the exact reference (continuous
+    feedback) or by exact zero-order hold (sampled feedback). Thrusters clip every command.
+    """
+    if n < 1:
+        raise ScenarioError("simulation.runs", n, "must be at least 1")
+    rng = np.random.default_rng(seed)
+    safety = schedule.safety
+    cells = safety.reference.cells if tail else safety.problem.K
+    modes = np.zeros(cells, dtype=int)
+    modes[: safety.problem.K] = schedule.modes if mode is None else mode
+    flight = _Integrator(schedule, modes, substeps)
+    x0 = _initial_states(schedule, n, rng, initial)
+    w = _disturbances(flight, n, rng, disturbance)
+    return flight.run(x0, w)
+
+
+def _initial_states(schedule: Schedule, n: int, rng: np.random.Generator, initial: Initial) -> Array:
+    theta = schedule.safety.problem.initial_set
+    if initial == "center":
+        return np.repeat(theta.c[None], n, axis=0)
+    b = rng.uniform(-1, 1, (n, theta.order_count))
+    if initial in ("corners", "mixed"):
+        count = n if initial == "corners" else n - n // 2
+        b[:count] = np.where(b[:count] < 0, -1.0, 1.0)
+    return np.asarray(theta.c + b @ theta.G.T)
+
+
+class _Integrator:
+    """Time grid, references and transitions of one simulation."""
+
+    def __init__(self, schedule: Schedule, modes: NDArray[np.int_], substeps: int) -> None:
+        safety = schedule.safety
+        self.schedule, self.modes, self.substeps = schedule, modes, substeps
+        self.system, self.tracking = safety.tracking.system, safety.tracking
+        self.q, self.sampled = self.tracking.feedback.nodes_per_cell, self.tracking.feedback.sampled
+        self.dt = self.tracking.flow.h / substeps
+        self.steps_per_cell = self.q * substeps
+        self.safe = safety.reference.fine(2 * self.steps_per_cell)
+        self.own = {}
+        for number, controller in enumerate(schedule.controllers):
+            if isinstance(controller, AffineController) and controller.own is not safety.reference:
+                self.own[number] = controller.own.fine(2 * self.steps_per_cell)
+
+    @property
+    def steps(self) -> int:
+        return len(self.modes) * self.steps_per_cell
+
+    def command(self, controller: Controller, number: int, k: int, half: int, x: Array) -> Array:
+        """Command before clipping at a half-step of cell k, shape (R, m)."""
+        xi = self.safe[k, half]
+        own = self.own[number][k, half] if number in self.own else xi
+        return controller.command(k, xi, own, x)
+
+    def run(self, x0: Array, w: Array) -> Runs:
+        R, system, limit = len(x0), self.system, self.system.u_max
+        nodes = len(self.modes) * self.q
+        states = np.empty((R, nodes + 1, system.n))
+        inputs = np.empty((R, nodes, system.m))
+        demanded, delta_v = np.zeros((R, nodes)), np.zeros(R)
+        states[:, 0] = x = x0
+        A_T, B_T, D_T = system.A.T, system.B.T, system.D.T
+        Ad, Bd = discretize(system.A, system.B, self.dt)
+        _, Dd = discretize(system.A, system.D, self.dt)
+        u = np.zeros((R, system.m))
+        for step in range(self.steps):
+            k, inner = divmod(step, self.steps_per_cell)
+            node, sub = divmod(step, self.substeps)
+            number, half = int(self.modes[k]), 2 * inner
+            controller = self.schedule.controllers[number]
+            force = w[:, step] @ D_T
+            if not self.sampled or sub == 0:
+                raw = self.command(controller, number, k, half, x)
+                demanded[:, node] = np.maximum(demanded[:, node], np.max(np.abs(raw) / limit, axis=1))
+                u = np.clip(raw, -limit, limit)
+            if sub == 0:
+                inputs[:, node] = u
+            if self.sampled:
+                x = x @ Ad.T + u @ Bd.T + w[:, step] @ Dd.T
+                delta_v += np.abs(u).sum(axis=1) * self.dt / system.mass
+            else:
+                def rate(place: int, at: Array, fixed: Array = force, c: Controller = controller) -> Array:
+                    push = np.clip(self.command(c, number, k, place, at), -limit, limit)
+                    return at @ A_T + push @ B_T + fixed
+
+                first = x @ A_T + u @ B_T + force
+                second = rate(half + 1, x + self.dt / 2 * first)
+                third = rate(half + 1, x + self.dt / 2 * second)
+                fourth = rate(half + 2, x + self.dt * third)
+                x = x + self.dt / 6 * (first + 2 * second + 2 * third + fourth)
+                delta_v += np.abs(u).sum(axis=1) * self.dt / system.mass
+            if sub == self.substeps - 1:
+                states[:, node + 1] = x
+        times = np.arange(nodes + 1) * self.tracking.flow.h
+        return Runs(self.schedule, times, states, inputs, demanded, delta_v, self.modes)
+
+
+def _disturbances(flight: _Integrator, n: int, rng: np.random.Generator, kind: Disturbance) -> Array:
+    """Disturbances constant over each integration step, shape (n, steps, p), norm at most w_max."""
+    system, steps = flight.system, flight.steps
+    w = np.zeros((n, steps, system.p))
+    if kind == "none" or system.w_max == 0:
+        return w
+    worst = n if kind == "worst" else (n // 2 if kind == "mixed" else 0)
+    if worst:
+        w[:worst] = _worst_case(flight, worst, rng)
+    count = n - worst
+    if count:
+        holds = rng.integers(1, max(2, flight.steps_per_cell * 4), count)
+        for run in range(count):
+            pieces = -(-steps // holds[run])
+            raw = rng.normal(size=(pieces, system.p))
+            raw /= np.maximum(np.linalg.norm(raw, axis=1, keepdims=True), 1e-300)
+            raw *= np.where(rng.random((pieces, 1)) < 0.5, 1.0, rng.random((pieces, 1)))
+            w[worst + run] = np.repeat(raw, holds[run], axis=0)[:steps] * system.w_max
+    return w
+
+
+def _worst_case(flight: _Integrator, n: int, rng: np.random.Generator) -> Array:
+    """``w(s) = w_max D' lambda(s) / norm``: the adjoint of one facet (or thrust axis) and instant per run.
+
+    For an unsaturated linear loop this is the disturbance that takes the error furthest in that
+    direction at that instant; under sampled feedback the continuous adjoint is used.
+    """
+    clearance, system = flight.schedule.safety.clearance, flight.system
+    rows = [-u.normals @ system.position for u in clearance.unsafe] + [flight.tracking.gain, -flight.tracking.gain]
+    flat = np.vstack(rows)
+    targets = rng.integers(1, flight.steps + 1, n)
+    adjoint = np.zeros((n, system.n))
+    chosen = flat[rng.integers(0, len(flat), n)]
+    back = {}
+    for number in set(flight.modes.tolist()):
+        controller = flight.schedule.controllers[number]
+        gain = controller.gain if isinstance(controller, AffineController) else np.zeros((system.m, system.n))
+        back[number] = expm((system.A - system.B @ gain) * flight.dt)
+    w = np.zeros((n, flight.steps, system.p))
+    for step in range(flight.steps - 1, -1, -1):
+        starting = targets == step + 1
+        adjoint[starting] = chosen[starting]
+        direction = adjoint @ system.D
+        size = np.linalg.norm(direction, axis=1, keepdims=True)
+        w[:, step] = np.where(size > 0, direction / np.where(size > 0, size, 1), 0.0) * system.w_max
+        adjoint = adjoint @ back[int(flight.modes[step // flight.steps_per_cell])]
+    return w
+
+
+__all__ = ["Runs", "simulate"]

@@ -1,0 +1,221 @@
+"""Algorithm 2, Polaris: which controller flies when, decided before the flight."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from reach.zonotope import Zonotope
+
+from .controllers import Controller, Flight
+from .errors import ScenarioError
+from .recoverable import contains_flight
+from .safety import Safety, get_safety
+from .schedule import Schedule, Step, describe_guarantee
+
+SAFETY = 0
+"""Mode number of S (section II)."""
+
+
+@dataclass(frozen=True)
+class SwitchingRules:
+    """Options of Algorithm 2 beyond the paper.
+
+    Parameters
+    ----------
+    strategy : {"greedy", "look_ahead"}
+        ``greedy`` is Algorithm 2 as printed: U whenever it is contained. ``look_ahead`` searches for
+        the schedule with most (weighted) use of U, and is never worse than greedy.
+    min_dwell : int
+        Steps a controller keeps, once switched to.
+    max_switches : int or None
+        Cap on the number of switches.
+    weights : tuple of float
+        Worth of one step under each experimental controller, in their order of preference.
+    beam : int
+        Schedules kept in parallel by ``look_ahead``.
+    """
+
+    strategy: str = "greedy"
+    min_dwell: int = 1
+    max_switches: int | None = None
+    weights: tuple[float, ...] = ()
+    beam: int = 12
+
+    def __post_init__(self) -> None:
+        if self.strategy not in ("greedy", "look_ahead"):
+            raise ScenarioError("schedule.strategy", self.strategy, "must be 'greedy' or 'look_ahead'")
+        if self.min_dwell < 1:
+            raise ScenarioError("schedule.min_dwell_steps", self.min_dwell, "must be at least 1")
+        if self.max_switches is not None and self.max_switches < 0:
+            raise ScenarioError("schedule.max_switches", self.max_switches, "must be at least 0")
+        if self.beam < 1:
+            raise ScenarioError("schedule.beam", self.beam, "must be at least 1")
+
+
+@dataclass(frozen=True, eq=False)
+class _Branch:
+    """A schedule under construction: the set reached at step k, and how it came about."""
+
+    reached: Zonotope
+    steps: tuple[Step, ...] = ()
+    mode: int = SAFETY
+    held: int = 0
+    switches: int = 0
+    worth: float = 0.0
+
+    @property
+    def k(self) -> int:
+        return len(self.steps)
+
+
+def synthesize(
+    scenario: Any, safety: Safety | None = None, experimental: Sequence[Controller] | None = None,
+    rules: SwitchingRules | None = None, progress: Callable[[int, int], None] | None = None,
+) -> Schedule:
+    """Algorithm 2: the switching schedule, proven before the flight.
+
+    Parameters
+    ----------
+    scenario : Scenario or Problem
+    safety : Safety, optional
+        Result of `get_safety`; computed if not given.
+    experimental : sequence of Controller, optional
+        In order of preference; a scenario brings its own.
+    rules : SwitchingRules, optional
+        A scenario brings its own.
+    progress : callable, optional
+        Called with (step, steps).
+
+    Returns
+    -------
+    Schedule
+
+    Raises
+    ------
+    ScenarioError, SynthesisInfeasible, NotCertified
+        See `get_safety`.
+    """
+    safety = get_safety(scenario) if safety is None else safety  # line 2
+    if experimental is None:
+        from .experimental import build_controllers
+
+        experimental = build_controllers(scenario, safety)
+    if rules is None:
+        rules = scenario.switching_rules() if hasattr(scenario, "switching_rules") else SwitchingRules()
+    started = time.perf_counter()
+    controllers: tuple[Controller, ...] = (safety.controller, *experimental)
+    search = _Search(safety, controllers, rules)
+    branch = search.greedy(progress)
+    if rules.strategy == "look_ahead":
+        branch = max(branch, search.look_ahead(progress), key=lambda b: b.worth)
+    seconds = {**safety.seconds, "schedule": time.perf_counter() - started}
+    schedule = Schedule(safety, controllers, branch.steps, branch.reached, "", (), seconds)
+    kind, assumptions = describe_guarantee(schedule)
+    return replace(schedule, guarantee=kind, assumptions=assumptions)
+
+
+@dataclass(frozen=True, eq=False)
+class _Search:
+    safety: Safety
+    controllers: tuple[Controller, ...]
+    rules: SwitchingRules
+
+    def greedy(self, progress: Callable[[int, int], None] | None = None) -> _Branch:
+        """Lines 4 to 21: at every step the first controller whose tube is recoverable, else S."""
+        K = self.safety.problem.K
+        branch = _Branch(self.safety.start)
+        while branch.k < K:
+            branch = next(iter(self.options(branch)))
+            if progress:
+                progress(branch.k, K)
+        return branch
+
+    def look_ahead(self, progress: Callable[[int, int], None] | None = None) -> _Branch:
+        """Beam search over the same steps: keeps the most worthy schedules that reach each step."""
+        K = self.safety.problem.K
+        waiting: list[list[_Branch]] = [[] for _ in range(K + 1)]
+        waiting[0] = [_Branch(self.safety.start)]
+        for k in range(K):
+            for branch in self._best(waiting[k]):
+                for following in self.options(branch):
+                    waiting[following.k].append(following)
+            if progress:
+                progress(k + 1, K)
+        return max(waiting[K], key=lambda b: b.worth)
+
+    def _best(self, branches: list[_Branch]) -> list[_Branch]:
+        """The beam: most worth first, and of equal worth the set with most room left to it."""
+        ranked = sorted(branches, key=lambda b: (-b.worth, float(b.reached.norm_bound(self.safety.tracking.W))))
+        # Half of the beam is kept for branches under S, which have paid already and may harvest later.
+        under = {flag: [b for b in ranked if (b.mode == SAFETY) == flag] for flag in (True, False)}
+        share = -(-self.rules.beam // 2)
+        kept = under[False][:share] + under[True][: self.rules.beam - min(share, len(under[False]))]
+        return kept or ranked[:1]
+
+    def options(self, branch: _Branch) -> Iterable[_Branch]:
+        """Ways to go on from a branch, the preferred one first; S last, and always possible."""
+        settled = branch.k == 0 or branch.held >= self.rules.min_dwell
+        for mode in range(1, len(self.controllers)):
+            if mode == branch.mode and branch.k > 0:
+                following = self.fly(branch, mode, 1)
+            elif settled and self.may_switch(branch, mode):
+                # Once switched to, U must last: every step of its dwell has to be contained.
+                following = self.fly(branch, mode, self.rules.min_dwell)
+            else:
+                continue
+            if following is not None:
+                yield following
+        if branch.mode == SAFETY or branch.k == 0 or settled:
+            flown = self.fly(branch, SAFETY, 1)
+            assert flown is not None
+            yield flown
+
+    def may_switch(self, branch: _Branch, mode: int) -> bool:
+        """Whether the cap allows going to `mode` and, should it fail, back to S."""
+        if self.rules.max_switches is None or branch.k == 0:
+            spent = 0
+        else:
+            spent = branch.switches + (mode != branch.mode)
+        cap = self.rules.max_switches
+        return cap is None or spent + 1 <= cap or (branch.k == 0 and cap >= 1)
+
+    def fly(self, branch: _Branch, mode: int, steps: int) -> _Branch | None:
+        """Let one controller fly the next steps; None if it is not proven recoverable throughout."""
+        K = self.safety.problem.K
+        for _ in range(min(steps, K - branch.k)):
+            k, controller = branch.k, self.controllers[mode]
+            flight = controller.fly(branch.reached, k)  # GetReach, lines 3 and 12
+            if mode != SAFETY and flight.refused:
+                return None
+            margin = contains_flight(self.safety.recoverable, k, flight)  # line 13
+            if mode != SAFETY and not margin.inside:
+                return None
+            switched = branch.k > 0 and mode != branch.mode
+            branch = _Branch(
+                flight.end,
+                (*branch.steps, Step(mode, flight, margin)),
+                mode,
+                1 if switched or branch.k == 0 else branch.held + 1,
+                branch.switches + switched,
+                branch.worth + self.worth(mode),
+            )
+        return branch
+
+    def worth(self, mode: int) -> float:
+        """Worth of one step under a mode; S is worth nothing."""
+        if mode == SAFETY:
+            return 0.0
+        return self.rules.weights[mode - 1] if mode - 1 < len(self.rules.weights) else 1.0
+
+
+def modes_of(steps: Sequence[Step]) -> np.ndarray:
+    """Mode numbers of a sequence of steps, shape (K,)."""
+    return np.array([step.mode for step in steps], dtype=int)
+
+
+__all__ = ["Flight", "SwitchingRules", "modes_of", "synthesize"]

@@ -1,0 +1,244 @@
+"""Zonotopes, one at a time or stacked along leading axes (usually time)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .errors import ReachError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Zonotope:
+    """``{c + G b : |b_i| <= 1}``, or a stack of such sets.
+
+    Parameters
+    ----------
+    c : array_like, shape (..., n)
+        Centres. Leading axes are a batch.
+    G : array_like, shape (..., n, g)
+        Generators as columns, with the same batch axes (g may be 0).
+
+    Raises
+    ------
+    ReachError
+        If the shapes do not fit or an entry is not finite.
+    """
+
+    c: Array
+    G: Array
+
+    # Let ``M @ Z`` and ``v + Z`` reach this class instead of numpy's broadcasting.
+    __array_ufunc__ = None
+
+    def __post_init__(self) -> None:
+        c, G = np.asarray(self.c, dtype=float), np.asarray(self.G, dtype=float)
+        if G.ndim != c.ndim + 1 or G.shape[:-1] != c.shape:
+            raise ReachError(f"generators must have shape {c.shape} + (g,), got {G.shape}")
+        if not (np.all(np.isfinite(c)) and np.all(np.isfinite(G))):
+            raise ReachError("centre and generators must be finite numbers")
+        object.__setattr__(self, "c", c)
+        object.__setattr__(self, "G", G)
+
+    # -- constructors ---------------------------------------------------------------------------
+
+    @classmethod
+    def box(cls, center: ArrayLike, half_widths: ArrayLike) -> Zonotope:
+        """Axis-aligned box (exact). Batches allowed; a half-width below zero is refused."""
+        center, half = np.broadcast_arrays(np.asarray(center, float), np.asarray(half_widths, float))
+        if np.any(half < 0):
+            raise ReachError(f"half-widths must be >= 0, got {half.min()}")
+        return cls(center.copy(), half[..., :, None] * np.eye(half.shape[-1]))
+
+    @classmethod
+    def point(cls, c: ArrayLike) -> Zonotope:
+        """A single point (no generators)."""
+        c = np.asarray(c, dtype=float)
+        return cls(c, np.zeros((*c.shape, 0)))
+
+    @classmethod
+    def stack(cls, parts: Sequence[Zonotope]) -> Zonotope:
+        """Stack sets along a new leading axis, padding with zero generators."""
+        width = max(part.order_count for part in parts)
+        padded = [part._pad(width) for part in parts]
+        return cls(np.stack([part.c for part in padded]), np.stack([part.G for part in padded]))
+
+    def _pad(self, count: int) -> Zonotope:
+        missing = count - self.order_count
+        if missing == 0:
+            return self
+        return Zonotope(self.c, np.concatenate([self.G, np.zeros((*self.c.shape, missing))], axis=-1))
+
+    # -- facts ----------------------------------------------------------------------------------
+
+    @property
+    def dim(self) -> int:
+        """Dimension n of the space."""
+        return int(self.c.shape[-1])
+
+    @property
+    def order_count(self) -> int:
+        """Number g of generators."""
+        return int(self.G.shape[-1])
+
+    @property
+    def batch(self) -> tuple[int, ...]:
+        """Leading axes."""
+        return self.c.shape[:-1]
+
+    @property
+    def half_widths(self) -> Array:
+        """Half-widths of the interval hull, shape (..., n)."""
+        return np.asarray(np.abs(self.G).sum(axis=-1))
+
+    def interval_hull(self) -> tuple[Array, Array]:
+        """Lower and upper corners of the smallest enclosing box."""
+        r = self.half_widths
+        return self.c - r, self.c + r
+
+    def __getitem__(self, index: int | slice | Array) -> Zonotope:
+        """Select from the batch axes."""
+        if not self.batch:
+            raise ReachError("a single zonotope cannot be indexed")
+        return Zonotope(self.c[index], self.G[index])
+
+    def __len__(self) -> int:
+        if not self.batch:
+            raise ReachError("a single zonotope has no length")
+        return self.batch[0]
+
+    # -- operations, all exact ------------------------------------------------------------------
+
+    def __rmatmul__(self, M: ArrayLike) -> Zonotope:
+        """Linear image ``M @ Z``; M may carry batch axes that broadcast with the set's."""
+        M = np.asarray(M, dtype=float)
+        if M.ndim < 2 or M.shape[-1] != self.dim:
+            raise ReachError(f"cannot apply a map of shape {M.shape} to a set of dimension {self.dim}")
+        c = (M @ self.c[..., None])[..., 0]
+        G = M @ self.G
+        return Zonotope(c, np.broadcast_to(G, (*c.shape, self.order_count)))
+
+    def __add__(self, other: Zonotope | ArrayLike) -> Zonotope:
+        """Minkowski sum with another zonotope, or translation by a vector."""
+        if isinstance(other, Zonotope):
+            if other.dim != self.dim:
+                raise ReachError(f"cannot add sets of dimensions {self.dim} and {other.dim}")
+            c = self.c + other.c
+            parts = [np.broadcast_to(z.G, (*c.shape, z.order_count)) for z in (self, other)]
+            return Zonotope(c, np.concatenate(parts, axis=-1))
+        c = self.c + np.asarray(other, dtype=float)
+        return Zonotope(c, np.broadcast_to(self.G, (*c.shape, self.order_count)))
+
+    __radd__ = __add__
+
+    def __sub__(self, vector: ArrayLike) -> Zonotope:
+        return self + (-np.asarray(vector, dtype=float))
+
+    def inflate(self, half_widths: ArrayLike) -> Zonotope:
+        """Minkowski sum with a centred box."""
+        half = np.broadcast_to(np.asarray(half_widths, dtype=float), self.c.shape)
+        return self + Zonotope.box(np.zeros_like(half), half)
+
+    def support(self, directions: ArrayLike) -> Array:
+        """Largest value of each direction over the set.
+
+        Parameters
+        ----------
+        directions : array_like, shape (..., r, n)
+            Rows; batch axes broadcast with the set's.
+
+        Returns
+        -------
+        ndarray, shape (..., r)
+        """
+        R = np.asarray(directions, dtype=float)
+        return np.asarray((R @ self.c[..., None])[..., 0] + np.abs(R @ self.G).sum(axis=-1))
+
+    def support_vector(self, direction: ArrayLike) -> Array:
+        """A point of the (single) set that attains the support in one direction, shape (n,)."""
+        signs = np.sign(np.asarray(direction, dtype=float) @ self.G)
+        return np.asarray(self.c + self.G @ np.where(signs == 0, 1.0, signs))
+
+    def corners(self, most: int = 4096) -> Array:
+        """All points ``c + G b`` with ``b`` in {-1, 1}^g (a superset of the vertices), shape (2^g, n).
+
+        Raises
+        ------
+        ReachError
+            If there are more than `most`.
+        """
+        G = self.G[:, np.any(self.G != 0, axis=0)]
+        if 2 ** G.shape[1] > most:
+            raise ReachError(f"{G.shape[1]} generators have more than {most} corners")
+        signs = np.array(list(product((-1.0, 1.0), repeat=G.shape[1]))).reshape(-1, G.shape[1])
+        return np.asarray(self.c + signs @ G.T)
+
+    def sample(self, rng: np.random.Generator, count: int) -> Array:
+        """Points of the (single) set, a third of them corners; not uniform. Shape (count, n)."""
+        b = rng.uniform(-1, 1, (count, self.order_count))
+        b[: count // 3] = np.sign(b[: count // 3])
+        return np.asarray(self.c + b @ self.G.T)
+
+    def contains(self, points: ArrayLike, slack: float = 1e-9) -> NDArray[np.bool_]:
+        """Whether each point lies in the (single) set, exactly, by one linear program each.
+
+        Parameters
+        ----------
+        points : array_like, shape (k, n)
+        slack : float
+            Points reached with ``|b_i| <= 1 + slack`` count as inside.
+        """
+        from scipy.optimize import linprog
+
+        points = np.atleast_2d(np.asarray(points, dtype=float))
+        g = self.order_count
+        scale = np.maximum(self.half_widths, np.finfo(float).tiny)
+        inside = np.zeros(len(points), dtype=bool)
+        for i, point in enumerate(points):
+            gap = (point - self.c) / scale
+            if g == 0 or np.any(np.abs(gap) > 1 + slack):
+                inside[i] = g == 0 and bool(np.all(point == self.c))
+                continue
+            # minimise t subject to G b = p - c, |b| <= t
+            equal = np.hstack([self.G / scale[:, None], np.zeros((self.dim, 1))])
+            bound = np.block([[np.eye(g), -np.ones((g, 1))], [-np.eye(g), -np.ones((g, 1))]])
+            cost = np.r_[np.zeros(g), 1.0]
+            solved = linprog(cost, bound, np.zeros(2 * g), equal, gap, bounds=[(None, None)] * g + [(0, None)])
+            inside[i] = solved.status == 0 and solved.fun <= 1 + slack
+        return inside
+
+    # -- enclosures -----------------------------------------------------------------------------
+
+    def hull(self, other: Zonotope) -> Zonotope:
+        """Enclosure of the convex hull of two sets whose generators correspond one to one.
+
+        Encloses ``{(1-s) x + s y}`` for every x and y with the same coefficients and every s in
+        [0, 1], which is what consecutive sets of a tube need; not tight for unrelated sets.
+        """
+        width = max(self.order_count, other.order_count)
+        a, b = self._pad(width), other._pad(width)
+        G = np.concatenate([(a.G + b.G) / 2, (a.G - b.G) / 2, ((a.c - b.c) / 2)[..., None]], axis=-1)
+        return Zonotope((a.c + b.c) / 2, G)
+
+    def norm_bound(self, W: ArrayLike) -> Array:
+        """Upper bound on ``max ||W x||_2`` over the set (fast, sufficient), shape (...).
+
+        The least of two bounds: the norm of the interval hull of ``W Z`` and the sum of the norms
+        of the generators of ``W Z``. Exact for a point and for one generator.
+        """
+        image = np.asarray(W, dtype=float) @ self
+        hull = np.linalg.norm(np.abs(image.c) + image.half_widths, axis=-1)
+        total = np.linalg.norm(image.c, axis=-1) + np.linalg.norm(image.G, axis=-2).sum(axis=-1)
+        return np.minimum(hull, total)
+
+    def reduce(self, order: float, method: str = "pca") -> Zonotope:
+        """Enclosing zonotope with at most ``order * n`` generators; see `reach.reduction`."""
+        from .reduction import reduce
+
+        return reduce(self, order, method)
