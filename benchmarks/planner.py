@@ -6,7 +6,7 @@ Run with ``python benchmarks/planner.py``.
 from __future__ import annotations
 
 import argparse
-from time import perf_counter
+from time import perf_counter, process_time
 
 import numpy as np
 
@@ -42,13 +42,22 @@ def cone(K, apex, axis, half_angle, sides=8):
     ]
 
 
-def problem(unsafe, goal, K=60, delta=50.0, x0=(0, -1000, 0, 0, 0, 0), margin=10.0, extra=20.0, u=0.9, **more):
+def problem(
+    unsafe, goal, K=60, delta=50.0, x0=(0, -1000, 0, 0, 0, 0), margin=10.0, extra=20.0, u=0.9, **more
+):
     """A planning problem with one margin for all cells and facets."""
     system = clohessy_wiltshire(ETA, 10.0, 1.0)
     return PlanProblem(
-        system, np.asarray(x0, float), K, delta, tuple(unsafe),
-        tuple(np.full((K, len(b.normals)), margin) for b in unsafe), np.full((K, 3), u), goal,
-        extra_margin=extra, **more,
+        system,
+        np.asarray(x0, float),
+        K,
+        delta,
+        tuple(unsafe),
+        tuple(np.full((K, len(b.normals)), margin) for b in unsafe),
+        np.full((K, 3), u),
+        goal,
+        extra_margin=extra,
+        **more,
     )
 
 
@@ -81,9 +90,9 @@ def scenes(K=60):
         "box crossing and keep-out": problem([moving, keep_out], NMT, **at),
         "box head on and keep-out": problem([head_on, keep_out], NMT, **at),
         "cone, hold point, box": problem([*los, small], hold, margin=5.0, extra=10.0, **at),
-        "distance: box and keep-out": problem([static, keep_out], NMT, objective="distance", **at),
+        "distance: box and keep-out": problem([static, keep_out], NMT, objective="distance", extra=0.0, **at),
         "fuel: box and keep-out": problem([static, keep_out], NMT, objective="fuel", **at),
-        "margin out of reach": problem([static, keep_out], NMT, extra=1000.0, **at),
+        "margin out of reach": problem([static, keep_out], NMT, extra=300.0, **at),
     }
 
 
@@ -99,45 +108,74 @@ def field(K, count, seed=0):
     return problem(boxes, NMT, K=K, delta=delta, margin=5.0, extra=5.0)
 
 
-def run(task, solver, limit):
-    """Time and result of one solve."""
-    begun = perf_counter()
+def run(task, solver, branching, limit):
+    """Wall time, processor time and result of one solve."""
+    begun, cpu = perf_counter(), process_time()
     try:
-        answer = plan(task, PlannerOptions(solver=solver, time_limit=limit, threads=1))
-    except Exception as error:  # a benchmark reports, it does not stop
-        return perf_counter() - begun, error, None
-    return perf_counter() - begun, None, answer
+        answer = plan(task, PlannerOptions(solver=solver, time_limit=limit, threads=1, branching=branching))
+        error = None
+    except Exception as problem_found:  # a benchmark reports, it does not stop
+        answer, error = None, problem_found
+    return perf_counter() - begun, process_time() - cpu, error, answer
 
 
-def show(name, solver, seconds, error, answer):
+def show(name, how, seconds, cpu, error, answer):
     """One line."""
+    start = f"{name:31s} {how:15s} {seconds:7.2f} {cpu:7.2f} "
     if error is not None:
-        print(f"{name:32s} {solver:7s} {seconds:7.2f} s  {type(error).__name__}: {str(error)[:90]}")
+        print(start + f"{type(error).__name__}: {str(error)[:80]}", flush=True)
         return
-    parts = " ".join(f"{k}={v:.2f}" for k, v in answer.seconds.items() if k != "total")
     s = answer.stats
-    print(f"{name:32s} {solver:7s} {seconds:7.2f} s  dv={answer.delta_v:.4f} margin={answer.margin:7.2f} "
-          f"gap={answer.gap:.1e} {answer.status} bin={s['binaries']:.0f} rows={s['rows']:.0f} "
-          f"nodes={s['nodes']:.0f} rounds={s['rounds']:.0f} | {parts}", flush=True)
+    print(
+        start + f"{answer.delta_v:8.4f} {answer.margin:8.2f} {answer.gap:8.1e} {answer.status:10s} "
+        f"{s['nodes']:6.0f} {s['rows']:6.0f} {s['cols']:5.0f} {s['binaries']:5.0f}",
+        flush=True,
+    )
 
 
 def main() -> None:
     """Print both tables."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--limit", type=float, default=60.0)
-    parser.add_argument("--growth", action="store_true", help="only the growth table")
-    parser.add_argument("--scenes", action="store_true", help="only the scenes")
-    parser.add_argument("--only", default="")
+    parser.add_argument("--limit", type=float, default=60.0, help="time limit per solve [s]")
+    parser.add_argument("--part", choices=("all", "scenes", "growth"), default="all")
+    parser.add_argument("--only", default="", help="scenes whose name contains this")
     args = parser.parse_args()
-    if not args.growth:
+    head = f"{'':31s} {'':15s} {'wall s':>7s} {'cpu s':>7s} {'dv m/s':>8s} {'extra m':>8s} {'gap':>8s} {'status':10s} "
+    head += f"{'nodes':>6s} {'rows':>6s} {'cols':>5s} {'bin':>5s}"
+    plan(problem([], NMT), PlannerOptions())  # loads the libraries
+    if args.part != "growth":
+        print(head)
+        print("facets: the planner branches, the back end solves what is left; solver: the back end branches")
+        ratios = {}
         for name, task in scenes().items():
-            if args.only in name:
+            if args.only not in name:
+                continue
+            spent = {}
+            for branching in ("facets", "solver"):
                 for solver in ("highs", "gurobi"):
-                    show(name, solver, *run(task, solver, args.limit))
-    if not args.scenes:
+                    result = run(task, solver, branching, args.limit)
+                    show(name, f"{solver}/{branching}", *result)
+                    spent[solver, branching] = result[1] if result[2] is None else float("nan")
+            ratios[name] = [
+                spent["highs", "facets"] / spent["gurobi", "facets"],
+                spent["highs", "facets"] / spent["gurobi", "solver"],
+                spent["highs", "solver"] / spent["gurobi", "solver"],
+            ]
+        print("\nratios of processor time")
+        for name, (same, alone, back_ends) in ratios.items():
+            print(
+                f"{name:31s}  HiGHS/Gurobi {same:6.2f}   HiGHS default/Gurobi alone {alone:6.2f}   "
+                f"HiGHS alone/Gurobi alone {back_ends:6.2f}"
+            )
+    if args.part != "scenes":
+        print(head)
         for K in (30, 60, 120, 240):
             for count in (1, 2, 4, 8):
-                show(f"K={K} obstacles={count}", "highs", *run(field(K, count), "highs", args.limit))
+                show(
+                    f"K={K} obstacles={count}",
+                    "highs/facets",
+                    *run(field(K, count), "highs", "facets", args.limit),
+                )
 
 
 if __name__ == "__main__":

@@ -42,6 +42,16 @@ class Tube:
         return np.asarray(np.maximum(inside, per_node[q::q]))
 
 
+    def left_over(self, tracking: Tracking, radius: float) -> Array:
+        """What an error of a given norm still needs beyond the memory of the loop, shape (r,)."""
+        return _left_over(tracking, self.rows, radius) + tracking.disturbance(self.rows)[-1]
+
+
+def _left_over(tracking: Tracking, rows: Array, radius: float) -> Array:
+    weight = np.linalg.norm(rows @ tracking.W_inverse, axis=-1) + tracking.curvature(rows)
+    return np.asarray(weight * tracking.decay[-1] * radius)
+
+
 def error_tube(tracking: Tracking, start: Zonotope, rows: Array) -> Tube:
     """Tight bound on ``row e(t)`` under S from a set of errors, for all time, between nodes too.
 
@@ -59,8 +69,7 @@ def error_tube(tracking: Tracking, start: Zonotope, rows: Array) -> Tube:
     disturbance = tracking.disturbance(rows)
     booked = curvature * tracking.decay_before[:, None] * radius
     within = support + booked + disturbance[: len(support)]
-    later = (np.linalg.norm(rows @ tracking.W_inverse, axis=-1) + curvature) * tracking.decay[-1] * radius
-    need = np.vstack([within, later + disturbance[-1]])
+    need = np.vstack([within, _left_over(tracking, rows, radius) + disturbance[-1]])
     return Tube(rows, need + ROUNDING * np.abs(need))
 
 

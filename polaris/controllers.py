@@ -16,12 +16,14 @@ from reach.flow import LinearFlow
 from reach.linear import powers
 from reach.zonotope import Zonotope
 
+from . import between
 from .reference import Reference
+from .saturation import clipped_step
 from .system import Array, LinearSystem
 from .tolerances import ROUNDING
 from .tracking import Feedback, Tracking
 
-ORDER = 20.0
+ORDER = 6.0
 """Generators per dimension kept at the end of a step; what is merged has decayed by then."""
 
 
@@ -118,7 +120,7 @@ class AffineController:
         return self.flow.disturbance_nodes(self.feedback.nodes_per_cell)
 
     @cached_property
-    def _offset(self) -> Array:
+    def offset(self) -> Array:
         """``xi_U - xi`` at the nodes of every cell, shape (K, q+1, n)."""
         q, cells = self.feedback.nodes_per_cell, min(self.own.cells, self.reference.cells)
         return self.own.fine(q)[:cells] - self.reference.fine(q)[:cells]
@@ -128,113 +130,44 @@ class AffineController:
         return np.asarray(self.own.nu[k] + (own - x) @ self.gain.T)
 
     def fly(self, start: Zonotope, k: int) -> Flight:
-        """Reachable set over step k."""
-        zeta = self._offset[k]
+        """Reachable set over step k.
+
+        Where the tube of the unclipped law stays within the thrust limits, the clipped law is the
+        same law; only elsewhere is the clip relaxed (or an unclipped controller refused).
+        """
+        zeta = self.offset[k]
         d = start - zeta[0]
-        nodes = self._clipped_nodes(d, k) if self.clips else self._powers @ d + self._disturbance
-        bow = self._bow(nodes, k)
-        refused = "" if self.clips else self._over_limit(nodes, bow, k)
+        nodes = self._powers @ d + self._disturbance
+        bow = between.affine_bow(self, nodes[:-1], k)
+        excess, axis = self._over_limit(nodes, bow, k)
+        refused = ""
+        if excess > 0 and self.clips:
+            nodes = self._clipped_nodes(d, k)
+            bow = between.clipped_bow(self, nodes[:-1], k)
+        elif excess > 0:
+            refused = f"its command may exceed the limit of axis {axis} by {excess:.3g}"
         error = nodes + zeta
         return Flight(error, bow, error[-1].reduce(ORDER), refused)
 
-    # -- saturation -------------------------------------------------------------------------------
-
-    def _over_limit(self, nodes: Zonotope, bow: Array, k: int) -> str:
-        """Whether the unclipped command may exceed the limits anywhere in the step."""
+    def _over_limit(self, nodes: Zonotope, bow: Array, k: int) -> tuple[float, int]:
+        """By how much the unclipped command may exceed the limits in the step [N], and on which axis."""
         centre = self.own.nu[k] - nodes.c @ self.gain.T
         spread = np.abs(self.gain @ nodes.G).sum(axis=-1)
-        spread[:-1] += bow @ np.abs(self.gain).T
-        spread[1:] += bow @ np.abs(self.gain).T
+        booked = np.maximum(np.pad(bow, ((0, 1), (0, 0))), np.pad(bow, ((1, 0), (0, 0))))
+        spread += booked @ np.abs(self.gain).T
         excess = (np.abs(centre) + spread) * (1 + ROUNDING) - self.system.u_max
-        worst = int(np.argmax(excess.max(axis=0)))
-        if excess.max() <= 0:
-            return ""
-        return f"its command may exceed the limit of axis {worst} by {excess.max():.3g}"
+        return float(excess.max()), int(np.argmax(excess.max(axis=0)))
 
     def _clipped_nodes(self, d: Zonotope, k: int) -> Zonotope:
-        from .saturation import clipped_step
-
         nodes = [d]
         for _ in range(self.feedback.nodes_per_cell):
             nodes.append(clipped_step(self, nodes[-1], self.own.nu[k]))
         return Zonotope.stack(nodes)
 
-    # -- between the nodes ------------------------------------------------------------------------
-
-    def _bow(self, nodes: Zonotope, k: int) -> Array:
-        """Elementwise bound of `Flight.bow`, shape (q, n)."""
-        system, flow, h = self.system, self.flow, self.flow.h
-        grow = np.maximum(flow.growth, self.tracking.flow.growth)
-        zeta, du = self._offset[k][:-1], self.own.nu[k] - self.reference.nu[k]
-        zeta_rate = np.abs(zeta @ system.A.T + du @ system.B.T)  # |zeta'| at the node
-        zeta_grow = self.open_flow.growth
-        start = nodes[:-1]
-        extent = np.abs(start.c) + start.half_widths  # |d| at the node
-        command = np.abs(self.own.nu[k] - start.c @ self.gain.T) + np.abs(self.gain @ start.G).sum(axis=-1)
-        applied = np.minimum(command, system.u_max) if self.clips else command
-        # |d'| and |d''|, over the whole period
-        if self.feedback.sampled:
-            rate = self._rate_sampled(start, k) @ zeta_grow.T
-            curvature = rate @ np.abs(system.A).T
-        elif self.clips:
-            applied = np.broadcast_to(system.u_max, command.shape)
-            push = (applied + np.abs(self.own.nu[k])) @ np.abs(system.B).T
-            far = extent @ zeta_grow.T + h * push @ zeta_grow.T + self._period_box
-            rate = far @ np.abs(system.A).T + push
-            curvature = rate @ (np.abs(system.A) + np.abs(system.B @ self.gain)).T
-        else:
-            image = flow.A_c @ start
-            rate = (np.abs(image.c) + image.half_widths) @ grow.T
-            curvature = (np.abs((flow.A_c @ image).c) + (flow.A_c @ image).half_widths) @ grow.T
-        curvature = curvature + zeta_rate @ (np.abs(system.A) @ zeta_grow).T
-        if not self.feedback.sampled:
-            curvature = np.maximum(curvature, self._switch_curvature(start, applied, rate, zeta, zeta_rate, k))
-        return np.asarray(h**2 / 8 * curvature + self._period_box + self.tracking.flow.period_box)
-
     @cached_property
     def open_flow(self) -> LinearFlow:
         """Motion under a known input: what bounds a clipped law before its command is known."""
         return LinearFlow.continuous(self.system.A, self.system.D, self.system.w_max, self.flow.h)
-
-    @cached_property
-    def _period_box(self) -> Array:
-        """Elementwise bound on what the disturbance adds within a period, shape (n,)."""
-        if not self.clips or self.feedback.sampled:
-            return self.flow.period_box
-        # The clip has slope at most 1: its law departs no faster than |A| + |B Lambda_U| lets it.
-        fastest = np.abs(self.system.A) + np.abs(self.system.B) @ np.abs(self.gain)
-        return LinearFlow.continuous(fastest, self.system.D, self.system.w_max, self.flow.h).period_box
-
-    def _rate_sampled(self, start: Zonotope, k: int) -> Array:
-        """``|A d + B (u - mu_U)|`` at the node, where u is held, shape (q, n)."""
-        if not self.clips:
-            image = self.flow.A_c @ start
-            return np.asarray(np.abs(image.c) + image.half_widths)
-        drift = self.system.A @ start
-        push = (self.system.u_max + np.abs(self.own.nu[k])) @ np.abs(self.system.B).T
-        return np.asarray(np.abs(drift.c) + drift.half_widths + push)
-
-    def _switch_curvature(
-        self, start: Zonotope, applied: Array, rate: Array, zeta: Array, zeta_rate: Array, k: int
-    ) -> Array:
-        """``|y''|`` for ``y(t)``: U until t, S from t to the next node (docs/theory.md, Lemma 5).
-
-        ``y'' = e^{A_c (t1 - t)} (B Delta' - A_c B Delta)`` with Delta the difference of the two inputs.
-        """
-        system, safe, h = self.system, self.tracking, self.flow.h
-        if self.clips:
-            extent = np.abs(start.c) + start.half_widths
-            delta = applied + np.abs(self.reference.nu[k]) + (extent + np.abs(zeta)) @ np.abs(safe.gain).T
-            slope = (np.abs(safe.gain) + np.abs(self.gain)) @ rate.T
-        else:
-            difference = safe.gain - self.gain
-            centre = (self.own.nu[k] - self.reference.nu[k]) + zeta @ safe.gain.T + start.c @ difference.T
-            delta = np.abs(centre) + np.abs(difference @ start.G).sum(axis=-1)
-            slope = np.abs(difference) @ rate.T
-        slope = slope.T + zeta_rate @ self.open_flow.growth.T @ np.abs(safe.gain).T
-        delta = delta + h * slope
-        inner = slope @ np.abs(system.B).T + delta @ np.abs(safe.flow.A_c @ system.B).T
-        return np.asarray(inner @ safe.flow.growth.T)
 
 
 @dataclass(frozen=True, eq=False)

@@ -100,9 +100,7 @@ def judge_end(tracking: Tracking, reference: Reference, planned: int, tail: int,
     T, delta = planned * tracking.delta, tracking.delta
     until = (planned + tail) * delta
     if not start.inside:
-        late = start.time >= T
-        reason = f"not proven after T = {T:g} s: {start}"
-        return EndCondition("none", T, reason, retry=late)
+        return EndCondition("none", T, f"not proven after T = {T:g} s: {start}")
     closed, word = natural_motion(reference, reference.chi[planned])
     if not np.allclose(closed, reference.chi[planned], rtol=0, atol=1e-12 * max(1.0, np.max(np.abs(closed)))):
         return EndCondition("one_period", until, "the reference does not end on a natural motion trajectory")

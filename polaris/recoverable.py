@@ -248,65 +248,101 @@ class PolytopeSets:
         first = np.minimum(np.arange(len(per_node)) + tracking.memory, tail)
         return np.asarray(suffix[first])
 
-    def _targets(self, node: int, right_only: bool) -> tuple[NDArray[np.int_], NDArray[np.int_], NDArray[np.int_]]:
-        """Lags, cells and places in the cell of the limits that a node must meet."""
+    def _targets(self, node: int) -> tuple[NDArray[np.int_], NDArray[np.int_], NDArray[np.int_]]:
+        """Lags, cells and places in the cell of the limits that a node must meet from there on."""
         q, cells = self.clearance.q, self.clearance.cells
         last = min(node + self.clearance.tracking.memory + 1, cells * q)
         later = np.arange(node, last + 1)
         right = later[later < cells * q]
-        left = later[(later % q == 0) & (later > (node if right_only else 0))]
+        left = later[(later % q == 0) & (later > node)]
         lags = np.concatenate([right, left]) - node
-        cell = np.concatenate([right // q, left // q - 1])
-        place = np.concatenate([right % q, np.full(len(left), q)])
-        return lags, cell, place
+        return lags, np.concatenate([right // q, left // q - 1]), np.concatenate([right % q, np.full(len(left), q)])
 
-    def _need(self, node: int, centre: Array, G: Array, bow: Array, radius: float, right_only: bool) -> tuple[
-        Array, Array, NDArray[np.int_], NDArray[np.int_]
-    ]:
+    @cached_property
+    def _floor(self) -> Array:
+        """Least room of every distinct row from a cell on, shape (cells, r)."""
+        floor = np.full((self.clearance.cells, len(self._rows[3])), np.inf)
+        least = self.room.min(axis=1)
+        for limit in range(least.shape[1]):
+            np.minimum.at(floor, (np.arange(len(floor)), self._index[:, limit]), least[:, limit])
+        return np.asarray(np.minimum.accumulate(floor[::-1], axis=0)[::-1])
+
+    def _need(self, cell: int, nodes: Zonotope, bow: Array, radius: float) -> Array:
+        """What each node needs of every row at every lag, shape (count, memory + 2, r).
+
+        Rows that a bound by the norm shows to be met with half of the room to spare keep that
+        bound; only the others are worked out exactly.
+        """
+        tracking = self.clearance.tracking
         carried, disturbance, curvature, _ = self._rows
-        lags, cell, place = self._targets(node, right_only)
-        support = carried @ centre + np.abs(carried @ G).sum(axis=-1)
+        booked = curvature * tracking.decay_before[:, None] * radius + disturbance[: len(carried)]
+        coarse = self._weights * radius + booked
+        keep = coarse > 0.5 * np.maximum(self._floor[cell], 0)
+        exact = carried[keep]
+        support = exact @ nodes.c.T
+        for i in range(len(nodes)):
+            support[:, i] += np.abs(exact @ nodes.G[i]).sum(axis=-1)
         if np.any(bow > 0):
-            booked = np.abs(carried) @ bow
-            support += np.maximum(booked, np.vstack([booked[:1], booked[:-1]]))
-        need = support + curvature * self.clearance.tracking.decay_before[:, None] * radius
-        need += disturbance[: len(need)]
-        index = self._index[cell]
-        needed = np.take_along_axis(need[lags], index, axis=1)
-        return needed + ROUNDING * np.abs(needed), self.room[cell, place], lags, cell
+            # A switch between two nodes is seen from the later one: one period less to decay.
+            before = np.concatenate([carried[:1], carried[:-1]])[keep]
+            support += np.maximum(np.abs(exact) @ bow.T, np.abs(before) @ bow.T)
+        need = np.repeat(coarse[None], len(nodes), axis=0)
+        need[:, keep] = np.minimum(need[:, keep], support.T + booked[keep])
+        return np.asarray(need + ROUNDING * np.abs(need))
 
-    def _one(self, node: int, z: Zonotope, bow: Array, radius: float, right_only: bool) -> Margin:
-        h = self.clearance.tracking.flow.h
-        need, room, lags, _ = self._need(node, z.c, z.G, bow, radius, right_only)
-        share = np.where(room > 0, 1 - need / np.where(room > 0, room, 1), -np.inf)
-        far = self._far[min(node, len(self._far) - 1)]
-        if np.isfinite(far):
-            far_share = 1 - radius / far if far > 0 else -np.inf
-            if far_share < share.min(initial=np.inf):
-                return Margin(float(far_share), "limits beyond the loop's memory", node * h, radius, float(far))
-        j, limit = np.unravel_index(int(np.argmin(share)), share.shape)
-        time = float((node + lags[j]) * h)
-        return Margin(float(share[j, limit]), self.names[limit], time, float(need[j, limit]), float(room[j, limit]))
+    @cached_property
+    def _weights(self) -> Array:
+        """``norm(row phi^l W^-1)``, and one period earlier if that is larger, shape (memory + 2, r)."""
+        norms = np.linalg.norm(self._rows[0] @ self.clearance.tracking.W_inverse, axis=-1) * (1 + ROUNDING)
+        return np.asarray(np.maximum(norms, np.concatenate([norms[:1], norms[:-1]])))
+
+    def _margins(self, first: int, nodes: Zonotope, bow: Array, radius: float) -> Margin:
+        """Tightest limit over a stack of nodes that starts at node `first` of the grid."""
+        tracking, q, cells = self.clearance.tracking, self.clearance.q, self.clearance.cells
+        count, lags = len(nodes), len(self._rows[0])
+        need = self._need(min(first // q, cells - 1), nodes, bow, radius)
+        # Every target lies in the cell to its right; those at a cell's end also in the one to their left.
+        target = first + np.arange(count)[:, None] + np.arange(lags)
+        worst, where = np.inf, (0, 0, 0)
+        for side in (0, 1):
+            cell = target // q - side
+            counts = cell < cells if side == 0 else (target % q == 0) & (target > first) & (cell < cells)
+            i, lag = np.nonzero(counts)
+            at = cell[i, lag]
+            room = self.room[at, target[i, lag] - at * q]
+            needed = np.take_along_axis(need[i, lag], self._index[at], axis=1)
+            share = np.where(room > 0, 1 - needed / np.where(room > 0, room, 1), -np.inf)
+            if share.size and share.min() < worst:
+                j, limit = np.unravel_index(int(np.argmin(share)), share.shape)
+                worst, where = float(share[j, limit]), (int(i[j]), int(lag[j]), int(limit))
+                found = float(needed[j, limit]), float(room[j, limit])
+        h = tracking.flow.h
+        far = float(self._far[min(first, len(self._far) - 1)])
+        if np.isfinite(far) and (1 - radius / far if far > 0 else -np.inf) < worst:
+            value = 1 - radius / far if far > 0 else -np.inf
+            return Margin(value, "limits beyond the loop's memory", first * h, radius, far)
+        i0, lag0, limit0 = where
+        return Margin(worst, self.names[limit0], (first + i0 + lag0) * h, *found)
 
     def margin(self, k: int, nodes: Zonotope, bow: Array) -> Margin:
         """Margin of a flight over cell k."""
-        first, grown, W = k * self.clearance.q, _grow(nodes, bow), self.clearance.tracking.W
+        grown, W = _grow(nodes, bow), self.clearance.tracking.W
         # States between two nodes, and those of a switch there, are as large as the larger node's.
         radius = float(np.max(nodes.norm_bound(W) + np.linalg.norm(grown @ np.abs(W).T, axis=-1)))
-        margins = [self._one(first + i, nodes[i], grown[i], radius, i == 0) for i in range(len(nodes))]
-        return min(margins, key=lambda margin: margin.value)
+        return self._margins(k * self.clearance.q, nodes, grown, radius)
 
     def margin_at(self, k: int, start: Zonotope) -> Margin:
         """Margin of one set at the start of cell k."""
         radius = float(start.norm_bound(self.clearance.tracking.W))
-        return self._one(k * self.clearance.q, start, np.zeros(start.dim), radius, True)
+        one = Zonotope(start.c[None], start.G[None])
+        return self._margins(k * self.clearance.q, one, np.zeros((1, start.dim)), radius)
 
     def contains(self, node: int, errors: Array) -> NDArray[np.bool_]:
         """Whether each error (runs, n) at a node is recoverable."""
         errors = np.atleast_2d(errors)
         tracking = self.clearance.tracking
         carried, disturbance, curvature, _ = self._rows
-        lags, cell, place = self._targets(node, True)
+        lags, cell, place = self._targets(node)
         radius = np.linalg.norm(errors @ tracking.W.T, axis=-1)
         need = np.einsum("lrn,en->elr", carried, errors) + disturbance[: len(carried)]
         need += curvature * tracking.decay_before[:, None] * radius[:, None, None]
@@ -318,7 +354,7 @@ class PolytopeSets:
         """Radius of the largest ball ``norm(W e) <= r`` inside the set at a node."""
         tracking = self.clearance.tracking
         carried, disturbance, curvature, _ = self._rows
-        lags, cell, place = self._targets(node, True)
+        lags, cell, place = self._targets(node)
         per_unit = np.linalg.norm(carried @ tracking.W_inverse, axis=-1) + curvature * tracking.decay_before[:, None]
         index = self._index[cell]
         spare = self.room[cell, place] - np.take_along_axis(disturbance[lags], index, axis=1)

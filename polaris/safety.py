@@ -196,10 +196,13 @@ def plan_problem(problem: Problem, tracking: Tracking, sets: tuple[TimedPolytope
             float(-limit[k, axis]),
             "shrink the initial set, raise the thrust limit, or raise tracking.R for a softer tracker.",
         )
+    # Errors as large as the thrusters can correct at all must be forgotten by the time they have left
+    # the loop's memory, or a tight place late in the flight would bind early recoverable sets.
+    largest = float(np.min(system.u_max / np.linalg.norm(tracking.gain @ tracking.W_inverse, axis=1)))
     margins = []
     for unsafe in sets:
         tube = error_tube(tracking, start, -unsafe.normals @ system.position)
-        margins.append(tube.over_cells(K, q))
+        margins.append(np.maximum(tube.over_cells(K, q), tube.left_over(tracking, largest)))
     return PlanProblem(
         system, problem.initial_set.c, K, problem.delta, sets, tuple(margins), limit, problem.goal,
         problem.objective, problem.extra_margin,
@@ -219,12 +222,14 @@ def _complete(problem: Problem, tracking: Tracking, bounds: ErrorBounds, sets: t
         return clearance, get_recover(problem.recoverable, clearance, bounds)
 
     clearance, recoverable = build(reference, jump)
-    end = judge_end(tracking, reference, problem.K, tail, sets, recoverable.margin_at(0, start), jump)
+    margin = recoverable.margin_at(0, start)
+    end = judge_end(tracking, reference, problem.K, tail, sets, margin, jump)
     if not end.proven:
         reference = planned
         clearance, recoverable = build(planned, np.zeros(problem.system.n))
+        margin = recoverable.margin_at(0, start)
+        end = replace(end, retry=margin.inside)  # only the time after T stands in the way
     s = construct_s(tracking, reference)
-    margin = recoverable.margin_at(0, start)
     return Safety(problem, tracking, bounds, found, reference, clearance, s, recoverable, start, margin, end)
 
 

@@ -17,6 +17,10 @@ if TYPE_CHECKING:
     from .controllers import AffineController
 
 
+SLOPES = 8
+"""Different slopes of the relaxed clip per axis: each needs its own matrix exponentials, kept."""
+
+
 def clipped_step(law: AffineController, d: Zonotope, mu: Array) -> Zonotope:
     """Enclose the next node of ``d' = A d + B (clip(mu - Lambda_U d) - mu) + D w``.
 
@@ -35,26 +39,50 @@ def clipped_step(law: AffineController, d: Zonotope, mu: Array) -> Zonotope:
     image = law.gain @ d
     lo, hi = mu - image.c - image.half_widths, mu - image.c + image.half_widths
     if law.feedback.sampled:
-        return _sampled(law, d, mu, lo, hi).reduce(20)
-    drift = np.zeros_like(mu)
-    applied = system.u_max  # bound on |clip|, sharpened by the second pass
-    loose = law.open_flow
-    extent = np.abs(d.c) + d.half_widths
-    for _ in range(2):
-        push = np.abs(system.B) @ (applied + np.abs(mu))
-        moved = (loose.growth - np.eye(system.n)) @ extent + flow.h * loose.growth @ push + loose.period_box
-        drift = np.abs(law.gain) @ moved
-        applied = np.minimum(system.u_max, np.maximum(np.abs(lo - drift), np.abs(hi + drift)))
-    slope, offset, radius = clip_relaxation(lo - drift, hi + drift, system.u_max)
+        return _sampled(law, d, mu, lo, hi).reduce(6)
+    command = np.maximum(np.abs(mu - lo), np.abs(hi - mu)) + np.maximum(np.abs(mu) - system.u_max, 0)
+    moved, _ = clipped_motion(law, np.abs(d.c) + d.half_widths, command, mu)
+    drift = np.abs(law.gain) @ moved
+    slope, offset, radius = clip_relaxation(lo - drift, hi + drift, system.u_max, SLOPES)
     step = _relaxed_flow(law, slope)
-    _, Bh = discretize(step.A_c, system.B, flow.h)
+    Bh = step.input_map(system.B)
     known = Bh @ (slope * mu + offset - mu)
     out = step.phi @ d + known + step.period_zonotope
     if np.any(radius > 0):
         lipschitz = np.abs(step.A_c) @ step.growth
         rest = flow.h**2 / 3 * lipschitz @ np.abs(system.B) @ radius
         out = out + Zonotope(np.zeros(system.n), np.hstack([Bh * radius, np.diag(rest)]))
-    return out.reduce(20)
+    return out.reduce(6)
+
+
+def clipped_motion(law: AffineController, extent: Array, command: Array, mu: Array) -> tuple[Array, Array]:
+    """How far a clipped law moves within one period, and how hard it can push, elementwise.
+
+    Parameters
+    ----------
+    extent : ndarray, shape (..., n)
+        Bound on ``|d|`` at the node.
+    command : ndarray, shape (..., m)
+        Bound on ``|Lambda_U d|`` at the node, plus what mu exceeds the limits by.
+    mu : ndarray, shape (m,)
+        The law's own reference input.
+
+    Returns
+    -------
+    moved : ndarray, shape (..., n)
+        Bound on ``|d(s) - d(0)|`` over the period, disturbance included.
+    push : ndarray, shape (..., m)
+        Bound on ``|clip(mu - Lambda_U d) - mu|`` over the period: at most ``|Lambda_U d|``, because
+        the clip has slope at most 1 (and moves mu by what it exceeds), and at most what the thrusters have.
+    """
+    system, loose = law.system, law.open_flow
+    most = system.u_max + np.abs(mu)
+    push = np.broadcast_to(most, command.shape)
+    still = extent @ (loose.growth - np.eye(system.n)).T + loose.period_box
+    for _ in range(3):
+        moved = still + loose.h * push @ np.abs(system.B).T @ loose.growth.T
+        push = np.minimum(most, command + moved @ np.abs(law.gain).T)
+    return still + loose.h * push @ np.abs(system.B).T @ loose.growth.T, push
 
 
 def _sampled(law: AffineController, d: Zonotope, mu: Array, lo: Array, hi: Array) -> Zonotope:

@@ -11,7 +11,6 @@ from __future__ import annotations
 import copy
 import difflib
 import re
-import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,15 +22,16 @@ from . import scenario_build as build
 from .errors import ScenarioError
 from .scenario_checks import check
 from .scenario_model import Planner, Recoverable, SampledFeedback, ScenarioModel, Schedule, Simulation
-from .scenario_reading import NOTHING, join_path, printable, read_document, validate, write_toml
+from .scenario_overrides import parse_assignment, put
+from .scenario_reading import NOTHING, printable, read_document, validate, write_toml
 from .scenario_scene import Experimental
 from .system import LinearSystem
 
 if TYPE_CHECKING:
     from .obstacle_base import Obstacle
     from .planning.goals import Goal
-
-_KEY_PART = re.compile(r"([A-Za-z0-9_-]+)((?:\[\d{1,4}\])*)")
+    from .problem import Problem
+    from .synthesis import SwitchingRules
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +95,7 @@ class Scenario:
             return self
         document = self.to_dict()
         for key, value in values.items():
-            _put(document, key, copy.deepcopy(value), self.source)
+            put(document, key, copy.deepcopy(value), self.source)
         return Scenario(validate(document, self.source), self.source)
 
     def with_assignments(self, assignments: Iterable[str]) -> Scenario:
@@ -104,7 +104,7 @@ class Scenario:
         The value is read as TOML (``0.5``, ``[1, 2]``, ``true``, ``{ kind = "ball" }``); what is not
         TOML is taken for text, so ``planner.solver=gurobi`` needs no quotes.
         """
-        return self.with_overrides(dict(_parse_assignment(text) for text in assignments))
+        return self.with_overrides(dict(parse_assignment(text) for text in assignments))
 
     # -- as data --------------------------------------------------------------------------------
 
@@ -137,11 +137,6 @@ class Scenario:
         return self.model.horizon.step_s
 
     @property
-    def coast_steps(self) -> int:
-        """Number of steps of coasting after the horizon that must stay clear too."""
-        return build.whole_parts(self.model.horizon.coast_s, self.model.horizon.step_s) or 0
-
-    @property
     def periods_per_step(self) -> int | None:
         """Control periods in one step; None if feedback is continuous."""
         feedback = self.model.feedback
@@ -172,6 +167,41 @@ class Scenario:
     def experimental_specs(self) -> tuple[Experimental, ...]:
         """The experimental controllers as validated models, in order of preference."""
         return self.model.experimental
+
+    def problem(self) -> Problem:
+        """The problem that Algorithm 1 is asked."""
+        from .experimental import gains_of
+        from .planning.problem import PlannerOptions
+        from .problem import Problem
+
+        system, tracking, planner = self.system(), self.tracking(), self.planner
+        feedback = self.model.feedback
+        return Problem(
+            system=system,
+            initial_set=self.initial_set(),
+            unsafe=self.obstacles(),
+            K=self.steps,
+            delta=self.step,
+            Q=tracking.Q,
+            R=tracking.R,
+            goal=self.goal(),
+            recoverable=self.recoverable.kind,
+            period=feedback.period_s if isinstance(feedback, SampledFeedback) else None,
+            bound=tracking.bound,
+            weight=tracking.weight,
+            objective=planner.objective,
+            extra_margin=planner.extra_margin_m,
+            planner=PlannerOptions(solver=planner.solver, time_limit=planner.time_limit_s, gap=planner.gap),
+            gains=gains_of(self.experimental_specs(), system),
+        )
+
+    def switching_rules(self) -> SwitchingRules:
+        """Options of Algorithm 2."""
+        from .synthesis import SwitchingRules
+
+        rules = self.schedule
+        weights = tuple(spec.weight for spec in self.experimental_specs())
+        return SwitchingRules(rules.strategy, rules.min_dwell_steps, rules.max_switches, weights)
 
     @property
     def recoverable(self) -> Recoverable:
@@ -235,7 +265,7 @@ def load_scenario(name_or_path: str | Path, overrides: Mapping[str, Any] | None 
     document, written = read_document(path)
     where = printable(path.name)
     for key, value in (overrides or {}).items():
-        _put(document, key, copy.deepcopy(value), where)
+        put(document, key, copy.deepcopy(value), where)
     return Scenario(validate(document, where), where, None if overrides else written)
 
 
@@ -252,59 +282,6 @@ def _refuse_unknown(text: str) -> None:
     hint = f"; did you mean {near[0]}?" if near else ""
     rule = f"is neither a file nor a bundled scenario ({', '.join(names)}){hint}"
     raise ScenarioError("scenario", printable(text), rule)
-
-
-# -- overrides --------------------------------------------------------------------------------------
-
-
-def _parse_assignment(text: str) -> tuple[str, Any]:
-    key, equals, value = text.partition("=")
-    if not equals or not key.strip():
-        raise ScenarioError("--set", printable(text), "must be key=value")
-    try:
-        parsed = tomllib.loads(f"value = {value.strip()}")
-    except (ValueError, RecursionError):
-        parsed = {}
-    return key.strip(), parsed["value"] if set(parsed) == {"value"} else value.strip()
-
-
-def _split(key: str) -> list[str | int]:
-    """Parts of a dotted key; ``a[0].b`` and ``a.0.b`` mean the same."""
-    parts: list[str | int] = []
-    for piece in key.split("."):
-        match = _KEY_PART.fullmatch(piece)
-        if not match:
-            raise ScenarioError("--set", printable(key), "must name a key, as in planner.solver=highs")
-        parts.append(int(match[1]) if match[1].isdigit() else match[1])
-        parts += [int(index) for index in re.findall(r"\d+", match[2])]
-    return parts
-
-
-def _put(document: dict[str, Any], key: str, value: Any, where: str | None) -> None:
-    """Replace (or, with None, remove) the value at a dotted key; tables are made as needed."""
-    parts = _split(key)
-    holder: Any = document
-    for i, part in enumerate(parts):
-        last = i == len(parts) - 1
-        if isinstance(holder, dict) and isinstance(part, str):
-            if last:
-                holder.pop(part, None) if value is None else holder.__setitem__(part, value)
-                return
-            holder = holder.setdefault(part, {})
-        elif isinstance(holder, list) and isinstance(part, int):
-            if part >= len(holder):
-                rule = f"there are only {len(holder)} entries (counted from 0)"
-                raise ScenarioError(join_path(parts[: i + 1]), NOTHING, rule, where)
-            if last:
-                holder[part] = value
-                return
-            holder = holder[part]
-        else:
-            kind = (
-                "a list" if isinstance(holder, list) else "a table" if isinstance(holder, dict) else "a value"
-            )
-            rule = f"no such key: {join_path(parts[:i])} is {kind}"
-            raise ScenarioError(join_path(parts), value, rule, where)
 
 
 def _lists(data: Any) -> Any:

@@ -194,7 +194,7 @@ def build_keep_in(spec: scene.KeepIn, path: str) -> Obstacle:
 
 
 def in_file_terms(error: ScenarioError, path: str, spec: scene.Obstacle | scene.KeepIn) -> ScenarioError:
-    """The domain's own error with the field's name in the file: ``obstacles[0].H`` is called normals there."""
+    """The domain's own error with the field's name in the file (``H`` is called normals there)."""
     name = error.field.rpartition(".")[2]
     name = {"H": "normals", "b": "offsets_m"}.get(name, name)
     known = [field for field in type(spec).model_fields if field == name or field.startswith(f"{name}_")]

@@ -19,10 +19,10 @@ from .scenario_build import (
     build_initial_set,
     build_obstacles,
     build_system,
-    full_weight,
     whole_parts,
 )
 from .scenario_geometry import check_start_and_goal
+from .scenario_numerics import check_numerics, check_weights, weights
 from .scenario_types import MAX_STEPS
 from .system import LinearSystem
 
@@ -47,7 +47,7 @@ def check(model: models.ScenarioModel) -> None:
     check_shapes(model, system)
     check_time(model)
     check_numerics(model, system)
-    for path, Q, R in _weights(model):
+    for path, Q, R in weights(model):
         check_weights(path, Q, R, system)
     check_controllers(model, system)
     check_names(model)
@@ -149,115 +149,24 @@ def check_time(model: models.ScenarioModel) -> None:
     """Steps divide the horizon, control periods divide steps, and there are not too many of either."""
     horizon = model.horizon
     T, delta = horizon.duration_s, horizon.step_s
-    if (T + horizon.coast_s) / delta > MAX_STEPS:
-        given = f"{(T + horizon.coast_s) / delta:.4g} steps"
-        raise ScenarioError(
-            "horizon.step_s", given, f"must give at most {MAX_STEPS} steps, coasting included"
-        )
+    if T / delta > MAX_STEPS:
+        rule = f"must give at most {MAX_STEPS} steps, gives {T / delta:.4g}"
+        raise ScenarioError("horizon.step_s", delta, rule)
     K = whole_parts(T, delta)
     if not K:
         raise ScenarioError(
             "horizon.step_s", delta, f"must divide duration_s = {T:g} (a whole number of steps)"
         )
-    if whole_parts(horizon.coast_s, delta) is None:
-        raise ScenarioError("horizon.coast_s", horizon.coast_s, f"must be a multiple of step_s = {delta:g}")
     if model.schedule.min_dwell_steps > K:
         rule = f"must be at most the number of steps, {K}"
         raise ScenarioError("schedule.min_dwell_steps", model.schedule.min_dwell_steps, rule)
     if isinstance(model.feedback, models.SampledFeedback):
         period = model.feedback.period_s
-        if (T + horizon.coast_s) / period > MAX_STEPS:
-            given = f"{(T + horizon.coast_s) / period:.4g} periods"
-            raise ScenarioError("feedback.period_s", given, f"must give at most {MAX_STEPS} periods in all")
+        if T / period > MAX_STEPS:
+            rule = f"must give at most {MAX_STEPS} periods in all, gives {T / period:.4g}"
+            raise ScenarioError("feedback.period_s", period, rule)
         if not whole_parts(delta, period):
             raise ScenarioError("feedback.period_s", period, f"must divide step_s = {delta:g}")
-
-
-# -- the system and its weights ---------------------------------------------------------------------
-
-
-def check_numerics(model: models.ScenarioModel, system: LinearSystem) -> None:
-    """The step suits the dynamics, and the inputs can stabilise them."""
-    modes, delta = np.linalg.eigvals(system.A), model.horizon.step_s
-    fastest, growth = float(np.max(np.abs(modes))), float(np.max(modes.real))
-    if fastest * delta > 1e3 or growth * delta > 20:
-        rule = f"is too long for the system's fastest mode ({fastest:.3g} rad/s); at most {20 / fastest:.3g}"
-        raise ScenarioError("horizon.step_s", delta, rule)
-    stuck = _missed_mode(system.A, system.B)
-    if stuck is not None:
-        field = "system.B" if model.system.kind == "linear" else "system"
-        rule = (
-            f"must reach every mode that does not decay by itself (not stabilisable: eigenvalue {stuck:.4g})"
-        )
-        raise ScenarioError(field, system.B.tolist(), rule)
-
-
-def _missed_mode(A: np.ndarray, B: np.ndarray) -> complex | None:
-    """An eigenvalue with real part >= 0 that B does not reach (Popov-Belevitch-Hautus), or None."""
-    A_scale = max(float(np.abs(A).max()), np.finfo(float).tiny)
-    reach = B / np.maximum(np.linalg.norm(B, axis=0), np.finfo(float).tiny)
-    for mode in np.linalg.eigvals(A):
-        if mode.real < -1e-7 * A_scale:
-            continue
-        test = np.hstack([(A - mode * np.eye(len(A))) / A_scale, reach])
-        if np.linalg.svd(test, compute_uv=False)[-1] < 1e-7:
-            return complex(mode)
-    return None
-
-
-def _weights(model: models.ScenarioModel) -> Iterator[tuple[str, Any, Any]]:
-    yield "tracking", model.tracking.Q, model.tracking.R
-    for i, controller in enumerate(model.experimental):
-        if isinstance(controller, scene.Affine):
-            path = f"experimental[{i}]"
-            if controller.gain is not None:
-                if controller.Q is not None or controller.R is not None:
-                    raise ScenarioError(f"{path}.gain", controller.gain, "give gain or Q and R, not both")
-            elif controller.Q is None or controller.R is None:
-                missing = "Q" if controller.Q is None else "R"
-                raise ScenarioError(f"{path}.{missing}", None, "is required (Q and R, or gain)")
-            else:
-                yield path, controller.Q, controller.R
-
-
-def check_weights(path: str, Q: Any, R: Any, system: LinearSystem) -> None:
-    """Q semidefinite, R definite, and their Riccati equation has a stabilising solution."""
-    from scipy.linalg import LinAlgError, solve_continuous_are
-
-    for name, value, size in (("Q", Q, system.n), ("R", R, system.m)):
-        field, matrix = f"{path}.{name}", np.asarray(value, dtype=float)
-        if matrix.shape not in ((size,), (size, size)):
-            given = " x ".join(str(s) for s in matrix.shape) + " numbers"
-            raise ScenarioError(
-                field, given, f"must have {size} numbers (the diagonal) or be {size} x {size}"
-            )
-        scale = float(np.abs(matrix).max())
-        if matrix.ndim == 2 and np.abs(matrix - matrix.T).max() > 1e-9 * scale:
-            raise ScenarioError(field, matrix.tolist(), "must be symmetric")
-        least = float(np.linalg.eigvalsh(full_weight(matrix)).min())
-        if name == "R" and not least > 1e-12 * scale:
-            raise ScenarioError(
-                field, matrix.tolist(), f"must be positive definite (least eigenvalue {least:.3g})"
-            )
-        if name == "Q" and not least >= -1e-12 * scale:
-            rule = f"must be positive semidefinite (least eigenvalue {least:.3g})"
-            raise ScenarioError(field, matrix.tolist(), rule)
-    Qm, Rm = full_weight(Q), full_weight(R)
-    unseen = _missed_mode(system.A.T, Qm)
-    if unseen is not None:
-        rule = f"must weigh every mode that does not decay by itself (eigenvalue {unseen:.4g} is not)"
-        raise ScenarioError(f"{path}.Q", np.asarray(Q).tolist(), rule)
-    try:
-        P = solve_continuous_are(system.A, system.B, Qm, Rm)
-        loop = system.A - system.B @ np.linalg.solve(Rm, system.B.T @ P)
-        stable = bool(np.linalg.eigvals(loop).real.max() < 0)
-    except (LinAlgError, ValueError):
-        stable = False
-    if not stable:
-        rule = (
-            "must, with R, give a solvable Riccati equation; the weights are too far apart for the arithmetic"
-        )
-        raise ScenarioError(f"{path}.Q", np.asarray(Q).tolist(), rule)
 
 
 # -- controllers, names, scene ----------------------------------------------------------------------
@@ -266,10 +175,10 @@ def check_weights(path: str, Q: Any, R: Any, system: LinearSystem) -> None:
 def check_controllers(model: models.ScenarioModel, system: LinearSystem) -> None:
     """References that only Hill's frame has."""
     for i, controller in enumerate(model.experimental):
-        if isinstance(controller, scene.Affine) and isinstance(controller.reference, scene.NMTReference):
-            if system.mean_motion is None:
-                rule = "needs Hill's frame (system.kind = 'clohessy_wiltshire')"
-                raise ScenarioError(f"experimental[{i}].reference.kind", controller.reference.kind, rule)
+        on_orbit = isinstance(controller, scene.Affine) and controller.reference.kind == "nmt"
+        if on_orbit and system.mean_motion is None:
+            rule = "needs Hill's frame (system.kind = 'clohessy_wiltshire')"
+            raise ScenarioError(f"experimental[{i}].reference.kind", "nmt", rule)
 
 
 def check_names(model: models.ScenarioModel) -> None:
@@ -330,5 +239,5 @@ def check_scene(model: models.ScenarioModel, system: LinearSystem) -> None:
     if isinstance(goal, scene.StationaryGoal):
         drift = float(np.abs(system.A @ np.array(goal.state)).max())
         if drift > 1e-9 * max(1.0, float(np.abs(goal.state).max())) * max(1.0, float(np.abs(system.A).max())):
-            rule = f"must keep itself without input (A x = 0, here {drift:.3g}); for a point to pass use kind 'box'"
+            rule = f"must keep itself without input (A x = 0, here {drift:.3g}); else use kind 'box'"
             raise ScenarioError("goal.state", list(goal.state), rule)

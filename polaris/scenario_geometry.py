@@ -136,7 +136,7 @@ def _size_of(model: models.ScenarioModel) -> tuple[str, Any]:
 
 
 def cone_depth(spec: scene.KeepInCone, points: Array) -> Array:
-    """How far inside a cone [m] each point (k, d) lies; negative outside (a bound from the surface's plane)."""
+    """How far inside a cone [m] each point (k, d) lies; negative outside (from the surface's plane)."""
     axis = np.array(spec.axis) / np.linalg.norm(spec.axis)
     angle = math.radians(spec.half_angle_deg)
     rel = points - np.array(spec.apex_m)

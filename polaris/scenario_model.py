@@ -133,18 +133,12 @@ class Horizon(ScenarioPart):
     step_s: Positive = unit(
         "s", f"Step delta of the plan and of the schedule. Must divide duration_s; at most {MAX_STEPS} steps."
     )
-    coast_s: NonNegative = unit(
-        "s",
-        "Time after T for which coasting on (without thrust) from the planned end must stay clear too. A whole "
-        "number of steps; 0 asks nothing. The end condition beyond T is proven or reported as not proven.",
-        default=0.0,
-    )
 
 
 class ContinuousFeedback(ScenarioPart):
     """Feedback acts at every instant."""
 
-    kind: Literal["continuous"] = unit("-", "Idealised continuous feedback.", default="continuous")
+    kind: Literal["continuous"] = unit("-", "Idealised continuous feedback.")
 
 
 class SampledFeedback(ScenarioPart):
@@ -176,8 +170,8 @@ class Tracking(ScenarioPart):
     )
     weight: word_or_vector(Literal["auto", "identity"]) = unit(  # type: ignore[valid-type]
         "-",
-        "Weighted norm of that bound: chosen for the closed loop, none (m and m/s in one norm, loose), or the "
-        "diagonal of W, n numbers > 0.",
+        "Weighted norm of that bound: chosen for the closed loop, none (m and m/s in one norm, loose), or "
+        "the diagonal of W, n numbers > 0.",
         default="auto",
     )
 
@@ -187,8 +181,8 @@ class Recoverable(ScenarioPart):
 
     kind: Literal["polytope", "ball", "time_varying_ball", "paper_ball"] = unit(
         "-",
-        "`polytope`: facets of the plan carried back in time, exact for them. `time_varying_ball`: eq. 12 with "
-        "the clearance still ahead. `ball`: eqs. 11-12 in the weighted norm, thrust limits included. "
+        "`polytope`: facets of the plan carried back in time, exact for them. `time_varying_ball`: eq. 12 "
+        "with the clearance still ahead. `ball`: eqs. 11-12 in the weighted norm, thrust limits included. "
         "`paper_ball`: as printed, without thrust limits; UNSOUND, for comparison only, never a guarantee.",
         default="polytope",
     )
@@ -221,8 +215,8 @@ class Schedule(ScenarioPart):
 
     strategy: Literal["greedy", "look_ahead"] = unit(
         "-",
-        "`greedy`: Algorithm 2, use an experimental controller whenever it is safe now. `look_ahead`: most use "
-        "over the whole horizon, by weight.",
+        "`greedy`: Algorithm 2, use an experimental controller whenever it is safe now. `look_ahead`: most "
+        "use over the whole horizon, by weight.",
         default="greedy",
     )
     min_dwell_steps: Whole = unit(
@@ -249,8 +243,12 @@ class ScenarioModel(ScenarioPart):
     description: Text = unit("-", "What the scenario shows.", default="", max_length=5000)
     system: System = unit("-", "The controlled system.")
     initial_set: InitialSet = unit("-", "All states it may start in (Theta).")
-    horizon: Horizon = unit("-", "How long, and in what steps.")
-    feedback: Feedback = unit("-", "When the controllers act.", default_factory=ContinuousFeedback)
+    horizon: Horizon = unit("-", "Time covered and its steps.")
+    feedback: Feedback = unit(
+        "-",
+        "When the controllers act; continuous feedback without it.",
+        default_factory=lambda: ContinuousFeedback(kind="continuous"),
+    )
     tracking: Tracking = unit("-", "The safety controller's tracking part.")
     recoverable: Recoverable = unit("-", "Which recoverable sets.", default_factory=Recoverable)
     planner: Planner = unit("-", "How the reference is planned.", default_factory=Planner)

@@ -184,7 +184,7 @@ KeepIn = Annotated[KeepInPolytope | KeepInCone, Field(discriminator="kind")]
 class SharedReference(ScenarioPart):
     """The safety controller's own reference."""
 
-    kind: Literal["shared"] = unit("-", "Follow the safety controller's reference.", default="shared")
+    kind: Literal["shared"] = unit("-", "Follow the safety controller's reference.")
 
 
 class SetpointReference(ScenarioPart):
@@ -229,7 +229,11 @@ class Affine(ScenarioPart):
     gain: Matrix | None = unit(
         "input/state", "The gain K itself, m rows of n, instead of Q and R.", default=None
     )
-    reference: ControllerReference = unit("-", "What it follows.", default_factory=SharedReference)
+    reference: ControllerReference = unit(
+        "-",
+        "What it follows; the safety controller's reference without it.",
+        default_factory=lambda: SharedReference(kind="shared"),
+    )
     weight: Real = unit("-", "What a second of its use is worth to look_ahead.", default=1.0, gt=0, le=1e6)
 
 

@@ -24,7 +24,7 @@ def as_finite(name: str, value: ArrayLike, ndim: int) -> Array:
     """
     try:
         array = np.array(value, dtype=float)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise ScenarioError(name, value, "must be numbers") from error
     if array.ndim != ndim:
         raise ScenarioError(name, value, f"must have {ndim} dimension(s), has {array.ndim}")

@@ -16,6 +16,11 @@ from .errors import ScenarioError
 from .system import Array, LinearSystem, as_finite
 
 
+LEFT_OVER = 1e-3
+"""Share of an error (in the contraction norm) below which limits are no longer followed one by one
+but collected in one ball. Smaller: more rows per recoverable set, and a larger ball."""
+
+
 def solve_are(A: Array, B: Array, Q: Array, R: Array) -> tuple[Array, Array]:
     """Solve the algebraic Riccati equation (eq. 7); return P and the gain ``R^-1 B' P``.
 
@@ -137,11 +142,11 @@ class Tracking:
 
     @cached_property
     def memory(self) -> int:
-        """Number of periods after which less than 2 % of any error (in the norm W) is left."""
+        """Number of periods after which less than `LEFT_OVER` of any error (in the norm W) is left."""
         factor = self.flow.lyapunov[1]
-        most = int(np.ceil(np.log(0.02) / np.log(factor))) + 1
+        most = int(np.ceil(np.log(LEFT_OVER) / np.log(factor))) + 1
         norms = self.flow.norms(min(most, 5000))
-        below = np.flatnonzero(norms <= 0.02)
+        below = np.flatnonzero(norms <= LEFT_OVER)
         return int(below[0]) if len(below) else len(norms) - 1
 
     @cached_property

@@ -79,6 +79,14 @@ class LinearFlow:
         # the integral is an upper bound either way.
         return np.asarray(reached.sum(axis=1) * self.w_max)
 
+    def input_map(self, B: Array) -> Array:
+        """``int_0^h e^{A_x s} ds B``: what an input held over one period adds, shape (n, m)."""
+        return self._integral @ B
+
+    @cached_property
+    def _integral(self) -> Array:
+        return discretize(self.A_x, np.eye(len(self.phi)), self.h)[1]
+
     def bow(self, nodes: Zonotope) -> Array:
         """Elementwise bound on ``|e(t) - chord|`` over the period after each node, shape (..., n).
 
@@ -150,7 +158,7 @@ class LinearFlow:
     def period_zonotope(self) -> Zonotope:
         """Zonotope enclosing ``{int_0^h e^{A_x s} D w(s) ds}`` (the disturbance of one period)."""
         n, p = self.D.shape
-        _, mean = discretize(self.A_x, self.D, self.h)
+        mean = self._integral @ self.D
         ball = ball_generators(p, self.w_max)
         # w constant gives `mean`; the rest is bounded by |e^{A_x s} - average| <= Lipschitz * spread.
         lipschitz = np.abs(self.A_x) @ self.growth

@@ -10,8 +10,20 @@ from .errors import ReachError
 Array = NDArray[np.float64]
 
 
-def clip_relaxation(lo: ArrayLike, hi: ArrayLike, limit: ArrayLike) -> tuple[Array, Array, Array]:
+def clip_relaxation(
+    lo: ArrayLike, hi: ArrayLike, limit: ArrayLike, slopes: int | None = None
+) -> tuple[Array, Array, Array]:
     """Affine band that holds ``clip(y, -limit, limit)`` for every y in [lo, hi], elementwise.
+
+    Parameters
+    ----------
+    lo, hi : array_like
+        Range of the argument.
+    limit : array_like
+        Where it is clipped, >= 0.
+    slopes : int, optional
+        Round the slope to this many equal parts of 1, so that few different ones occur (a band of
+        any slope is sound; the radius pays for it).
 
     Returns
     -------
@@ -32,6 +44,8 @@ def clip_relaxation(lo: ArrayLike, hi: ArrayLike, limit: ArrayLike) -> tuple[Arr
     width = hi - lo
     top, bottom = np.clip(hi, -limit, limit), np.clip(lo, -limit, limit)
     slope = np.divide(top - bottom, width, out=np.zeros_like(width), where=width > 0)
+    if slopes is not None:
+        slope = np.round(slope * slopes) / slopes
     # clip(y) - slope * y is piecewise affine: its extremes are at the ends and at the limits.
     corners = np.stack([lo, hi, np.clip(-limit, lo, hi), np.clip(limit, lo, hi)])
     values = np.clip(corners, -limit, limit) - slope * corners

@@ -6,6 +6,17 @@ from .recheck import Recheck, recheck
 from .solve import plan
 
 __all__ = [
-    "Box", "EllipticalNMT", "Goal", "GoalConditions", "LinearNMT", "Plan", "PlanProblem", "PlannerOptions",
-    "Progress", "Recheck", "StationaryPoint", "plan", "recheck",
+    "Box",
+    "EllipticalNMT",
+    "Goal",
+    "GoalConditions",
+    "LinearNMT",
+    "Plan",
+    "PlanProblem",
+    "PlannerOptions",
+    "Progress",
+    "Recheck",
+    "StationaryPoint",
+    "plan",
+    "recheck",
 ]

@@ -14,8 +14,9 @@ from .problem import PlannerOptions
 Listen = Callable[[float, float], None]
 
 
-def run(lp: Any, options: PlannerOptions, seconds: float, warm: bool, listen: Listen | None
-        ) -> tuple[str, float, float]:
+def run(
+    lp: Any, options: PlannerOptions, seconds: float, warm: bool, listen: Listen | None
+) -> tuple[str, float, float]:
     """Solve a PuLP model in place.
 
     Returns
@@ -31,8 +32,9 @@ def run(lp: Any, options: PlannerOptions, seconds: float, warm: bool, listen: Li
     return solve(lp, options, max(seconds, 0.05), warm, listen)
 
 
-def _highs(lp: Any, options: PlannerOptions, seconds: float, warm: bool, listen: Listen | None
-           ) -> tuple[str, float, float]:
+def _highs(
+    lp: Any, options: PlannerOptions, seconds: float, warm: bool, listen: Listen | None
+) -> tuple[str, float, float]:
     import highspy
     import pulp
 
@@ -55,9 +57,14 @@ def _highs(lp: Any, options: PlannerOptions, seconds: float, warm: bool, listen:
 
     kinds = [highspy.cb.HighsCallbackType.kCallbackMipInterrupt] if listen is not None else None
     solver = WarmHiGHS(
-        msg=False, gapRel=options.gap / 2, timeLimit=seconds, threads=options.threads,
-        callbackTuple=(hear, None) if listen is not None else None, callbacksToActivate=kinds,
-        primal_feasibility_tolerance=SOLVER_FEASIBILITY, mip_feasibility_tolerance=SOLVER_FEASIBILITY,
+        msg=False,
+        gapRel=options.gap / 2,
+        timeLimit=seconds,
+        threads=options.threads,
+        callbackTuple=(hear, None) if listen is not None else None,
+        callbacksToActivate=kinds,
+        primal_feasibility_tolerance=SOLVER_FEASIBILITY,
+        mip_feasibility_tolerance=SOLVER_FEASIBILITY,
     )
     lp.solve(solver)
     model = lp.solverModel
@@ -73,15 +80,19 @@ def _highs(lp: Any, options: PlannerOptions, seconds: float, warm: bool, listen:
     return ("optimal" if status == kind.kOptimal else "time"), bound, nodes
 
 
-def _gurobi(lp: Any, options: PlannerOptions, seconds: float, warm: bool, listen: Listen | None
-            ) -> tuple[str, float, float]:
+def _gurobi(
+    lp: Any, options: PlannerOptions, seconds: float, warm: bool, listen: Listen | None
+) -> tuple[str, float, float]:
     import pulp
 
     try:
         import gurobipy as gp
     except ImportError as error:
-        raise ScenarioError("planner.solver", "gurobi", "needs the package gurobipy: install the extra "
-                            "'gurobi', or use the solver highs") from error
+        raise ScenarioError(
+            "planner.solver",
+            "gurobi",
+            "needs the package gurobipy: install the extra 'gurobi', or use the solver highs",
+        ) from error
 
     def hear(model: Any, where: int) -> None:
         if listen is not None and where == gp.GRB.Callback.MIP:
@@ -89,14 +100,22 @@ def _gurobi(lp: Any, options: PlannerOptions, seconds: float, warm: bool, listen
 
     more = {} if options.threads is None else {"Threads": options.threads}
     solver = pulp.GUROBI(
-        msg=False, gapRel=options.gap / 2, timeLimit=seconds, warmStart=warm,
-        FeasibilityTol=SOLVER_FEASIBILITY * 10, IntFeasTol=SOLVER_FEASIBILITY * 10, **more,
+        msg=False,
+        gapRel=options.gap / 2,
+        timeLimit=seconds,
+        warmStart=warm,
+        FeasibilityTol=SOLVER_FEASIBILITY * 10,
+        IntFeasTol=SOLVER_FEASIBILITY * 10,
+        **more,
     )
     try:
         lp.solve(solver, callback=hear if listen is not None else None)
     except gp.GurobiError as error:
-        raise ScenarioError("planner.solver", "gurobi", f"Gurobi refused the model ({error}); use the solver "
-                            "highs, or a licence without size limit") from error
+        raise ScenarioError(
+            "planner.solver",
+            "gurobi",
+            f"Gurobi refused the model ({error}); use the solver highs, or a licence without size limit",
+        ) from error
     model, grb = lp.solverModel, gp.GRB
     bound = float(model.ObjBound) if model.IsMIP else -np.inf
     nodes = float(model.NodeCount) if model.IsMIP else 0.0

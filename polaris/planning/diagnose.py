@@ -2,19 +2,158 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from time import perf_counter
 from typing import TYPE_CHECKING, NoReturn
 
+import numpy as np
+
 from ..errors import SynthesisInfeasible
+from ..system import Array
+from .lp import GrowingLP
+from .problem import PlanProblem
+from .rows import Rows
+from .search import Levels, PathSearch
+from .tree import branch
 
 if TYPE_CHECKING:
-    from .rows import Rows
-    from .search import Cell
     from .solve import Planner
 
+FACTORS = (1.25, 1.5, 2.0, 3.0, 5.0, 10.0)
+EFFORT = 5.0
+"""Longest time [s] spent on explaining a failure."""
 
-def unreachable(rows: Rows, deadline: float) -> NoReturn:
-    raise SynthesisInfeasible("unreachable")
+
+def unreachable(planner: Planner) -> NoReturn:
+    """The goal is out of reach even without unsafe sets."""
+    problem, rows = planner.problem, planner.rows
+    goal = problem.goal
+    miss, factor = _miss(rows), _thrust_factor(rows)
+    condition = (
+        f"The goal ({goal.describe()}) cannot be reached in {problem.K} steps of {problem.delta:g} s within "
+        f"the input limits, even without unsafe sets: it is missed by {miss:.3g} m at best."
+    )
+    relax = "no input limits would do; change the goal or the number of steps."
+    if factor is not None:
+        relax = (
+            f"input limits {factor:.3g} times as large (after tightening), a longer horizon or a wider goal."
+        )
+    raise SynthesisInfeasible(condition, miss, relax)
 
 
-def blocked(planner: Planner, cells: frozenset[Cell]) -> NoReturn:
-    raise SynthesisInfeasible("blocked")
+def blocked(planner: Planner) -> NoReturn:
+    """The goal can be reached, but not clear of the unsafe sets."""
+    problem = planner.problem
+    stop = min(planner.deadline, perf_counter() + EFFORT)
+    _start(problem)
+    short, proven = _shortfall(planner, stop)
+    helpful = _droppable(problem, stop)
+    factor = next((f for f in FACTORS if perf_counter() < stop and _works(_stronger(problem, f), stop)), None)
+    amount = "" if short is None else f" ({'' if proven else 'at most '}{short:.3g} m short)"
+    condition = (
+        f"The goal ({problem.goal.describe()}) can be reached within the input limits, but not with the "
+        f"margins required from the unsafe sets{amount}."
+    )
+    ways = []
+    if short is not None:
+        ways.append(f"{short:.3g} m less margin (a smaller initial set or disturbance, a stiffer gain)")
+    if helpful:
+        ways.append("without " + " or without ".join(helpful))
+    if factor is not None:
+        ways.append(f"input limits {factor:g} times as large")
+    raise SynthesisInfeasible(
+        condition, short, (", or ".join(ways) or "a longer horizon or another goal") + "."
+    )
+
+
+def _start(problem: PlanProblem) -> None:
+    """The start itself may be too close; no plan mends that."""
+    p = problem.system.position @ problem.x0
+    for i, body in enumerate(problem.unsafe):
+        surplus = body.normals @ p - problem.offsets(i)[0, 0] - problem.required(i)[0]
+        best = int(np.argmax(surplus))
+        if surplus[best] < 0:
+            raise SynthesisInfeasible(
+                f"The start is {-surplus[best]:.3g} m too close to {body.name}: a margin of "
+                f"{problem.required(i)[0, best]:.3g} m is required, the clearance is "
+                f"{surplus[best] + problem.required(i)[0, best]:.3g} m.",
+                float(-surplus[best]),
+                f"start further away, or at least {-surplus[best]:.3g} m less margin.",
+            )
+
+
+def _shortfall(planner: Planner, stop: float) -> tuple[float | None, bool]:
+    """Least length [m] by which all margins must give way, and whether that is proven."""
+    search = PathSearch(planner.rows, stop)
+    search.set_levels(Levels(0.0, 0.0), 0.0, 1e3)
+    search.set_fuel_price(1e-3)
+    found = search.first()
+    half = perf_counter() + 0.5 * max(stop - perf_counter(), 0.0)
+    outcome = branch(search, found, 0.02, half, 2000, lambda top, bound: None)
+    if outcome.best is None:
+        return None, False
+    return outcome.best.short, outcome.status == "optimal"
+
+
+def _stronger(problem: PlanProblem, factor: float) -> PlanProblem:
+    return replace(problem, u_limit=problem.u_limit * factor, objective="fuel")
+
+
+def _works(problem: PlanProblem, stop: float) -> bool:
+    """Whether the quick search finds a plan."""
+    search = PathSearch(Rows(problem), stop)
+    search.set_levels(Levels(0.0, 0.0), 0.0, 1e4)
+    path = search.first()
+    if path is None or path.short > 0:
+        return False
+    check = search.recheck(path)
+    return all(np.min(s.max(axis=1)) >= 0 for s in check.surplus)
+
+
+def _droppable(problem: PlanProblem, stop: float) -> list[str]:
+    """Names of unsafe sets without any one of which there is a plan."""
+    names = []
+    for i, body in enumerate(problem.unsafe):
+        if perf_counter() > stop:
+            break
+        rest = [j for j in range(len(problem.unsafe)) if j != i]
+        fewer = replace(
+            problem,
+            unsafe=tuple(problem.unsafe[j] for j in rest),
+            objective="fuel",
+            margins=tuple(problem.margins[j] for j in rest),
+        )
+        if _works(fewer, stop):
+            names.append(body.name)
+    return names
+
+
+def _wide(a: Array, extra: Array | float) -> Array:
+    return np.hstack([a, -a, np.broadcast_to(np.asarray(extra, dtype=float), (len(a), 1))])
+
+
+def _miss(rows: Rows) -> float:
+    """Smallest residual [m] of the goal within the input limits."""
+    goal, K = rows.problem.goal.conditions, rows.problem.K
+    free = rows.free[K]
+    lp = GrowingLP(
+        np.r_[np.zeros(2 * rows.N), 1.0], np.zeros(2 * rows.N + 1), np.r_[rows.limit, rows.limit, np.inf]
+    )
+    G = np.vstack([goal.G, goal.E, -goal.E])
+    g = np.r_[goal.g, goal.e, -goal.e]
+    lp.add(_wide(rows.state_rows(G, K) / rows.length, -1.0), -np.inf, (g - G @ free) / rows.length)
+    answer = lp.solve(EFFORT)
+    return np.inf if answer is None else answer[0] * rows.length
+
+
+def _thrust_factor(rows: Rows) -> float | None:
+    """Smallest factor on the input limits with which the goal is reached, without unsafe sets."""
+    goal, K, N = rows.problem.goal.conditions, rows.problem.K, rows.N
+    free, unit = rows.free[K], rows.length
+    lp = GrowingLP(np.r_[np.zeros(2 * N), 1.0], np.zeros(2 * N + 1), np.full(2 * N + 1, np.inf))
+    lp.add(_wide(rows.state_rows(goal.E, K) / unit, 0.0), *((goal.e - goal.E @ free) / unit,) * 2)
+    lp.add(_wide(rows.state_rows(goal.G, K) / unit, 0.0), -np.inf, (goal.g - goal.G @ free) / unit)
+    limits = np.hstack([np.eye(2 * N), -np.r_[rows.limit, rows.limit][:, None]])
+    lp.add(limits, -np.inf, 0.0)
+    answer = lp.solve(EFFORT)
+    return None if answer is None else answer[0]

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from ..errors import NotCertified
 from ..system import Array
 from ..tolerances import SOLVER_FEASIBILITY
 
@@ -26,9 +27,12 @@ class GrowingLP:
         import highspy
 
         self._highspy = highspy
-        self.highs: Any = highspy.Highs()
+        make: Any = highspy.Highs  # its constructor carries no types
+        self.highs: Any = make()
         self.highs.setOptionValue("output_flag", False)
         self.highs.setOptionValue("threads", 1)
+        self.highs.setOptionValue("presolve", "off")
+        self.highs.setOptionValue("solver", "simplex")
         self.highs.setOptionValue("primal_feasibility_tolerance", SOLVER_FEASIBILITY)
         n = len(cost)
         empty_i, empty = np.zeros(0, dtype=np.int32), np.zeros(0)
@@ -63,11 +67,32 @@ class GrowingLP:
         self.highs.changeColCost(column, cost)
         self.highs.changeColBounds(column, low, high)
 
+    def basis(self) -> Any:
+        """The simplex basis as it stands, to be given back to `use`."""
+        return self.highs.getBasis()
+
+    def use(self, basis: Any) -> None:
+        """Start the next solve from a basis taken when the same rows were in place."""
+        if len(basis.row_status) == self.rows:
+            self.highs.setBasis(basis)
+
     def solve(self, seconds: float) -> tuple[float, Array] | None:
         """Optimal value and point, or None where there is none (or no time)."""
+        status, kind = self._run(seconds), self._highspy.HighsModelStatus
+        if status not in (kind.kOptimal, kind.kInfeasible, kind.kTimeLimit):
+            # a stale basis can leave the simplex method stuck: once more from scratch
+            self.highs.clearSolver()
+            self.highs.setOptionValue("presolve", "on")
+            status = self._run(seconds)
+            self.highs.setOptionValue("presolve", "off")
+        if status == kind.kOptimal:
+            return float(self.highs.getObjectiveValue()), np.array(self.highs.getSolution().col_value)
+        if status in (kind.kInfeasible, kind.kUnboundedOrInfeasible, kind.kTimeLimit):
+            return None
+        raise NotCertified(f"a linear program of the planner ended without an answer ({status})")
+
+    def _run(self, seconds: float) -> Any:
         self.highs.setOptionValue("time_limit", self.highs.getRunTime() + max(seconds, 0.01))
         self.highs.run()
         self.solves += 1
-        if self.highs.getModelStatus() != self._highspy.HighsModelStatus.kOptimal:
-            return None
-        return float(self.highs.getObjectiveValue()), np.array(self.highs.getSolution().col_value)
+        return self.highs.getModelStatus()

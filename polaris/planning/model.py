@@ -56,6 +56,8 @@ class Task:
         Upper bound on the velocity change [m/s].
     one_of : bool
         Whether to state the disjunctions of the goal (left out while the relaxation meets them).
+    decided : tuple or None
+        Facets per cell and sides of the goal that are decided already; no binary is left then.
     """
 
     cells: frozenset[Cell]
@@ -66,6 +68,7 @@ class Task:
     levels: Levels = Levels(0.0, 0.0)
     budget: float = np.inf
     one_of: bool = True
+    decided: tuple[dict[Cell, int], tuple[int, ...]] | None = None
 
 
 class Model:
@@ -79,12 +82,14 @@ class Model:
         K, m, n = rows.problem.K, rows.problem.system.m, rows.problem.system.n
         most = None if task.thrust else rows.limit
         up = [None if most is None else float(b) for b in (np.zeros(rows.N) if most is None else most)]
-        self.plus = [pulp.LpVariable(f"p{j // m}_{j % m}", 0, up[j]) for j in range(rows.N)]
-        self.minus = [pulp.LpVariable(f"m{j // m}_{j % m}", 0, up[j]) for j in range(rows.N)]
-        self.s = pulp.LpVariable("s", task.levels.low, task.levels.high)
-        self.e = pulp.LpVariable("e", 0, None if task.short else 0)
-        self.thrust = pulp.LpVariable("thrust", 1, None if task.thrust else 1)
-        self.xK = [pulp.LpVariable(f"x{i}") for i in range(n)]
+        self.plus = [self._new(f"p{j // m}_{j % m}", 0.0, up[j]) for j in range(rows.N)]
+        self.minus = [self._new(f"m{j // m}_{j % m}", 0.0, up[j]) for j in range(rows.N)]
+        self.s = self._new("s", task.levels.low, task.levels.high)
+        self.e = self._new("e", 0.0, None if task.short else 0.0)
+        self.thrust = self._new("thrust", 1.0, None if task.thrust else 1.0)
+        self.frame = goal_frame(rows)
+        self.x = [[self._new(f"x{k}_{i}", None, None) for i in range(n)] for k in range(1, K + 1)]
+        self.xK = self.x[-1]
         self.inputs = self.plus + self.minus
         price = np.r_[rows.price, rows.price] * task.fuel
         self.lp.setObjective(
@@ -93,44 +98,85 @@ class Model:
         )
         self.z: dict[tuple[int, int, int], Any] = {}
         self.sides: list[list[Any]] = []
+        self.impossible: Cell | None = None
         if task.thrust:
             for j, column in enumerate(zip(self.plus, self.minus, strict=True)):
                 for var in column:
                     self.lp += var <= float(rows.limit[j]) * self.thrust
         if np.isfinite(task.budget):
             self.lp += self._sum(self.inputs, np.r_[rows.price, rows.price]) <= task.budget
+        self._dynamics(K, m)
         self._goal(K)
-        self.impossible: Cell | None = None
         for cell in sorted(task.cells, key=lambda c: (c[1], c[0])):
             self._cell(cell, reachable)
+
+    def _new(self, name: str, low: float | None, high: float | None, binary: bool = False) -> Any:
+        add = getattr(self.lp, "add_variable", None)  # PuLP before 3.3 has only the constructor
+        make = add if add is not None else self.pulp.LpVariable
+        return make(name, low, high, cat="Binary" if binary else "Continuous")
 
     def _sum(self, variables: Iterable[Any], weights: Array) -> Any:
         return self.pulp.LpAffineExpression(
             [(v, w) for v, w in zip(variables, weights.tolist(), strict=True) if w != 0.0]
         )
 
+    def _dynamics(self, K: int, m: int) -> None:
+        """States at the waypoints (eq. 14), in units that make them numbers near 1.
+
+        They stay in the model although the inputs determine them: the rows are then sparse, which is
+        worth more to a branch-and-cut code than fewer columns.
+        """
+        rows, W = self.rows, self.frame
+        A = W @ rows.Ad @ np.linalg.inv(W)
+        B = W @ rows.Bd * rows.problem.system.u_max
+        start = A @ W @ rows.problem.x0
+        for k in range(K):
+            inputs = self.plus[k * m : (k + 1) * m] + self.minus[k * m : (k + 1) * m]
+            for i, state in enumerate(self.x[k]):
+                row = self._sum(inputs, np.r_[B[i], -B[i]]) - state
+                if k:
+                    self.lp += row + self._sum(self.x[k - 1], A[i]) == 0.0
+                else:
+                    self.lp += row == -float(start[i])
+
+    def _at(self, k: int, g: Array, h: Array) -> tuple[Any, float]:
+        """Expression and constant of ``g x_k + h z_k``, rows as `Rows.local` returns them."""
+        K, m = self.rows.problem.K, self.rows.problem.system.m
+        if k == 0:
+            where, constant = self._sum([], np.zeros(0)), float(g @ self.rows.problem.x0)
+        else:
+            where, constant = self._sum(self.x[min(k, K) - 1], g @ np.linalg.inv(self.frame)), 0.0
+        if k < K:
+            inputs = self.plus[k * m : (k + 1) * m] + self.minus[k * m : (k + 1) * m]
+            where = where + self._sum(inputs, np.r_[h, -h])
+        return where, constant
+
     def _goal(self, K: int) -> None:
         rows, goal = self.rows, self.rows.problem.goal.conditions
-        # the last state in natural units: positions and rate-scaled velocities over `length`
-        W = goal_frame(rows)
-        a, free = rows.state_rows(W, K), W @ rows.free[K]
-        back = np.linalg.inv(W)
-        for i, row in enumerate(a):
-            self.lp += self._sum(self.inputs, np.r_[row, -row]) - self.xK[i] == -float(free[i])
+        back = np.linalg.inv(self.frame)
         for g, rhs in zip(goal.E @ back / rows.length, goal.e / rows.length, strict=True):
             self.lp += self._sum(self.xK, g) == float(rhs)
         for g, rhs in zip(goal.G @ back / rows.length, goal.g / rows.length, strict=True):
             self.lp += self._sum(self.xK, g) <= float(rhs)
+        if self.task.decided is not None:
+            for (N, c), side in zip(goal.one_of, self.task.decided[1], strict=False):
+                if side >= 0:
+                    g = N[side] @ back / rows.length
+                    self.lp += self._sum(self.xK, g) >= float(c[side] / rows.length)
         for group, (N, c) in enumerate(goal.one_of if self.task.one_of else ()):
-            binaries = [self.pulp.LpVariable(f"goal{group}_{j}", cat="Binary") for j in range(len(N))]
+            binaries = [self._new(f"goal{group}_{j}", 0.0, 1.0, binary=True) for j in range(len(N))]
             # every row is bounded below by the goal's own inequalities or by the thrust limits
             floor = -rows.extreme(rows.state_rows(-N, K), self.task.budget) + N @ rows.free[K]
-            floor = np.maximum(floor, goal_floor(goal.G, goal.g, N)) if not self.task.thrust else goal_floor(
-                goal.G, goal.g, N
+            floor = (
+                np.maximum(floor, goal_floor(goal.G, goal.g, N))
+                if not self.task.thrust
+                else goal_floor(goal.G, goal.g, N)
             )
             big = np.maximum((c - floor) / rows.length, 0.0)
             for j, g in enumerate(N @ back / rows.length):
-                self.lp += self._sum([*self.xK, binaries[j]], np.r_[g, -big[j]]) >= float(c[j] / rows.length - big[j])
+                self.lp += self._sum([*self.xK, binaries[j]], np.r_[g, -big[j]]) >= float(
+                    c[j] / rows.length - big[j]
+                )
             self.lp += self.pulp.lpSum(binaries) >= 1
             self.sides.append(binaries)
 
@@ -138,9 +184,12 @@ class Model:
         i, k = cell
         rows, task = self.rows, self.task
         options = []
-        for f in range(len(rows.problem.unsafe[i].normals)):
+        facets = (
+            range(len(rows.problem.unsafe[i].normals)) if task.decided is None else [task.decided[0][cell]]
+        )
+        for f in facets:
             part = rows.cell(i, k, f)
-            if task.short or task.thrust:
+            if task.decided is not None or task.short or task.thrust:
                 options.append((f, part, np.full(len(part.need), 1e3)))
                 continue
             most = rows.extreme(part.a, task.budget)
@@ -154,14 +203,16 @@ class Model:
         for f, part, big in options:
             only = len(options) == 1
             if not only:
-                self.z[(i, k, f)] = self.pulp.LpVariable(f"z{i}_{k}_{f}", cat="Binary")
+                self.z[(i, k, f)] = self._new(f"z{i}_{k}_{f}", 0.0, 1.0, binary=True)
                 binaries.append(self.z[(i, k, f)])
             else:
                 self.z[(i, k, f)] = None
-            for a, need, M in zip(part.a, part.need, big, strict=True):
+            for g, h, rhs, M in zip(*rows.local(i, k, f), big, strict=True):
                 if M <= 0 and not only:
                     continue
-                row = self._sum(self.inputs, np.r_[a, -a]) + self._sum([self.s], np.array([-part.slope]))
+                row, constant = self._at(k, g, h)
+                need = rhs - constant
+                row = row + self._sum([self.s], np.array([-part.slope]))
                 if task.short:
                     row += self.e
                 if only:
@@ -171,8 +222,13 @@ class Model:
         if binaries:
             self.lp += self.pulp.lpSum(binaries) == 1
 
-    def solve(self, options: PlannerOptions, seconds: float, start: Candidate | None = None,
-              listen: Callable[[float, float], None] | None = None) -> Answer:
+    def solve(
+        self,
+        options: PlannerOptions,
+        seconds: float,
+        start: Candidate | None = None,
+        listen: Callable[[float, float], None] | None = None,
+    ) -> Answer:
         """Run the back end, from a start if there is one."""
         from . import backends
 
@@ -183,20 +239,26 @@ class Model:
         begun = perf_counter()
         status, bound, nodes = backends.run(self.lp, options, seconds, start is not None, listen)
         stats = {
-            "rows": float(len(self.lp.constraints)), "cols": float(len(self.lp.variables())),
+            "rows": float(self.lp.numConstraints()),
+            "cols": float(self.lp.numVariables()),
             "binaries": float(sum(v is not None for v in self.z.values()) + sum(map(len, self.sides))),
-            "nodes": nodes, "solver_seconds": perf_counter() - begun,
+            "nodes": nodes,
+            "solver_seconds": perf_counter() - begun,
         }
-        if status == "infeasible" or self.s.varValue is None or status == "none":
+        if status in ("infeasible", "none"):
             return Answer("infeasible" if status == "infeasible" else "time", None, np.inf, bound, stats)
-        z = np.array([p.varValue - q.varValue for p, q in zip(self.plus, self.minus, strict=True)])
+        z = np.array(
+            [(p.varValue or 0.0) - (q.varValue or 0.0) for p, q in zip(self.plus, self.minus, strict=True)]
+        )
         choice = {}
         for (i, k, f), var in self.z.items():
             if var is None or var.varValue > 0.5:
                 choice[(i, k)] = f
         sides = tuple(int(np.argmax([v.varValue for v in group])) for group in self.sides)
         fuel = float(np.sum(self.rows.price * np.abs(z)))
-        path = Candidate(z, self.s.varValue, self.e.varValue * self.rows.length, fuel, choice, sides)
+        # PuLP leaves variables that no row mentions without a value
+        level = self.task.levels.high if self.s.varValue is None else float(self.s.varValue)
+        path = Candidate(z, level, (self.e.varValue or 0.0) * self.rows.length, fuel, choice, sides)
         return Answer(status, path, float(self.lp.objective.value()), bound, stats)
 
     def _warm(self, path: Candidate) -> None:
@@ -209,9 +271,11 @@ class Model:
         for (i, k, f), var in self.z.items():
             if var is not None and (i, k) in path.choice:
                 var.setInitialValue(float(path.choice[(i, k)] == f), check=False)
-        last = self.rows.trajectory(path.z)[0][self.rows.problem.K]
-        for var, value in zip(self.xK, goal_frame(self.rows) @ last, strict=True):
-            var.setInitialValue(float(value), check=False)
+        states = self.rows.trajectory(path.z)[0]
+        last = states[self.rows.problem.K]
+        for variables, state in zip(self.x, states[1:] @ self.frame.T, strict=False):
+            for var, value in zip(variables, state, strict=True):
+                var.setInitialValue(float(value), check=False)
         for (N, c), group in zip(self.rows.problem.goal.conditions.one_of, self.sides, strict=False):
             side = int(np.argmax(N @ last - c))
             for j, var in enumerate(group):
@@ -222,7 +286,9 @@ def goal_frame(rows: Rows) -> Array:
     """Diagonal scaling that makes every entry of the last state a number near 1, shape (n, n)."""
     system = rows.problem.system
     reach = np.abs(rows.state_rows(np.eye(system.n), rows.problem.K)) @ rows.limit
-    typical = np.sqrt(np.maximum(reach, 1e-9) * np.maximum(np.abs(rows.free[rows.problem.K]), 1e-3 * reach + 1e-9))
+    typical = np.sqrt(
+        np.maximum(reach, 1e-9) * np.maximum(np.abs(rows.free[rows.problem.K]), 1e-3 * reach + 1e-9)
+    )
     position = np.abs(system.position).sum(axis=0) > 0
     return np.diag(np.where(position, 1 / rows.length, 1 / np.maximum(typical, 1e-9)))
 

@@ -71,7 +71,9 @@ class PlanProblem:
         if not (np.isfinite(self.delta) and self.delta > 0):
             raise ScenarioError("planner.delta", self.delta, "must be a finite number > 0")
         if self.objective not in OBJECTIVES:
-            raise ScenarioError("planner.objective", self.objective, f"must be one of {', '.join(OBJECTIVES)}")
+            raise ScenarioError(
+                "planner.objective", self.objective, f"must be one of {', '.join(OBJECTIVES)}"
+            )
         if not (np.isfinite(self.extra_margin) and self.extra_margin >= 0):
             raise ScenarioError("planner.extra_margin", self.extra_margin, "must be a finite number >= 0")
         if self.tail_cells < 0:
@@ -81,7 +83,9 @@ class PlanProblem:
         if self.x0.shape != (sys.n,):
             raise ScenarioError("planner.x0", self.x0.shape, f"must have {sys.n} entries")
         if self.u_limit.shape != (self.K, sys.m) or np.any(self.u_limit < 0):
-            raise ScenarioError("planner.u_limit", self.u_limit.shape, f"must be ({self.K}, {sys.m}), all >= 0")
+            raise ScenarioError(
+                "planner.u_limit", self.u_limit.shape, f"must be ({self.K}, {sys.m}), all >= 0"
+            )
         if self.goal.n != sys.n:
             raise ScenarioError("planner.goal", self.goal.n, f"must be a goal for {sys.n} states")
         if len(self.margins) != len(self.unsafe):
@@ -149,6 +153,9 @@ class PlannerOptions:
         Threads for the back end; None leaves it to the back end.
     progress : callable, optional
         Called with a `Progress`, at most a few times a second.
+    branching : {"facets", "solver"}
+        Who decides the binaries first: the planner's own branch and bound on separating facets
+        (`tree`; the back end gets what that leaves), or the back end alone.
     """
 
     solver: str = "highs"
@@ -156,10 +163,13 @@ class PlannerOptions:
     gap: float = 1e-3
     threads: int | None = None
     progress: Callable[[Progress], None] | None = None
+    branching: Literal["facets", "solver"] = "facets"
 
     def __post_init__(self) -> None:
         if self.solver not in SOLVERS:
             raise ScenarioError("planner.solver", self.solver, f"must be one of {', '.join(SOLVERS)}")
+        if self.branching not in ("facets", "solver"):
+            raise ScenarioError("planner.branching", self.branching, "must be facets or solver")
         if not (np.isfinite(self.time_limit) and self.time_limit > 0):
             raise ScenarioError("planner.time_limit", self.time_limit, "must be a finite number > 0")
         if not 0 <= self.gap < 1:
@@ -192,8 +202,8 @@ class Plan:
     status : str
         "optimal" (to the gap) or "time_limit".
     objective, bound, gap : float
-        Objective of the last phase (`delta_v` [m/s], or the clearance [m] for `distance`), its proven
-        bound for the model solved, and the relative gap.
+        Objective of the last phase: `delta_v` [m/s], or the extra clearance [m] for `distance` and where
+        `extra_margin` is out of reach; its proven bound for the model solved; the relative gap.
     seconds : mapping
         Wall time by part [s].
     solver : str

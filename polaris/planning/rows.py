@@ -99,9 +99,9 @@ class Rows:
 
     @cached_property
     def control_points(self) -> tuple[Array, Array, Array]:
-        """Bezier control points of the path in a cell: ``P x_k + Q u_k`` (R, d, n), (R, d, m), at shares (R,).
+        """Bezier control points ``P x_k + Q u_k`` of the path in a cell, and their shares of the cell.
 
-        The path lies in their hull, up to the remainder of a cubic arc.
+        Shapes (R, d, n), (R, d, m), (R,). The path lies in their hull, up to the remainder of a cubic arc.
         """
         system, q = self.problem.system, self.segments
         h = self.problem.delta / q
@@ -140,6 +140,20 @@ class Rows:
     @cached_property
     def _book(self) -> Array:
         return 2 * self._remainder(self.segments)
+
+    def local(self, i: int, k: int, f: int) -> tuple[Array, Array, Array]:
+        """The rows of `cell` over the state and the input at the cell's start, before condensing.
+
+        Returns ``g`` (R, n), ``h`` (R, m) over the input shares, and ``need`` (R,), in units of length:
+        ``g x_k + h z_k >= need + slope s``. Tail cells refer to the last state instead, with h = 0.
+        """
+        problem, (P, Q, _) = self.problem, self.control_points
+        normal = problem.unsafe[i].normals[f]
+        g, h = np.einsum("d,rdn->rn", normal, P), np.einsum("d,rdm->rm", normal, Q) * problem.system.u_max
+        need = self.cell(i, k, f).need + g @ self.free[k] / self.length
+        if k >= problem.K:
+            g, h = g @ np.linalg.matrix_power(self.Ad, k - problem.K), h * 0.0
+        return g / self.length, h / self.length, need
 
     def extreme(self, a: Array, budget: float = np.inf) -> Array:
         """Largest ``a z`` over the input limits and a velocity change of at most `budget`, per row."""

@@ -69,6 +69,7 @@ class PathSearch:
     def __init__(self, rows: Rows, deadline: float) -> None:
         self.rows, self.deadline = rows, deadline
         self.levels = Levels(0.0, 0.0)
+        self.prices, self.fuel_price = (0.0, np.inf), 1.0
         N = rows.N
         cost = np.r_[rows.price, rows.price, 0.0, 0.0]
         self.lp = GrowingLP(cost, np.zeros(2 * N + 2), np.r_[rows.limit, rows.limit, 0.0, 0.0])
@@ -93,6 +94,7 @@ class PathSearch:
     def set_levels(self, levels: Levels, margin_price: float, short_price: float) -> None:
         """Range and price of s, price of the shortfall (infinite: none allowed)."""
         self.levels = levels
+        self.prices = (margin_price, short_price)
         N = self.rows.N
         self.lp.change(2 * N, -margin_price, levels.low, levels.high)
         free = np.isfinite(short_price)
@@ -100,6 +102,7 @@ class PathSearch:
 
     def set_fuel_price(self, share: float) -> None:
         """Scale the price of fuel (0: only the margin counts)."""
+        self.fuel_price = share
         N = self.rows.N
         cost = np.r_[self.rows.price, self.rows.price] * share
         self.lp.highs.changeColsCost(2 * N, np.arange(2 * N, dtype=np.int32), cost)
@@ -115,15 +118,69 @@ class PathSearch:
         N, c = goal.one_of[group]
         self._goal_add(N[side : side + 1], (c - N @ last)[side : side + 1] / self.rows.length, equal=False)
 
-    def solve(self, choice: Mapping[Cell, int], sides: tuple[int, ...]) -> Candidate | None:
-        """The best path with these facets, or None."""
+    def value(self, path: Candidate) -> float:
+        """Objective of a path at the prices set."""
+        margin, short = self.prices
+        value = self.fuel_price * path.fuel - margin * path.level
+        return value + (short * path.short / self.rows.length if path.short > 0 else 0.0)
+
+    def lay(self, choice: Mapping[Cell, int], sides: tuple[int, ...]) -> None:
+        """Replace all rows but the goal's by those of these facets and sides."""
         self.lp.take_back(self.base)
         for group, side in enumerate(sides):
             if side >= 0:
                 self.add_side(group, side)
         for cell, facet in choice.items():
             self.add_cell(cell, facet)
+
+    def solve(self, choice: Mapping[Cell, int], sides: tuple[int, ...]) -> Candidate | None:
+        """The best path with these facets, or None."""
+        self.lay(choice, sides)
         return self.resolve(dict(choice), sides)
+
+    def descend(self, path: Candidate, more: Mapping[Cell, int], sides: tuple[int, ...]) -> Candidate | None:
+        """The best path with facets added to those of `path`, whose rows are in place."""
+        if sides != path.sides:
+            return self.solve({**path.choice, **more}, sides)
+        for cell, facet in more.items():
+            self.add_cell(cell, facet)
+        return self.resolve({**path.choice, **more}, sides)
+
+    def split(
+        self, path: Candidate, check: Recheck, new: Mapping[Cell, float]
+    ) -> list[tuple[dict[Cell, int], tuple[int, ...]]] | None:
+        """Children of a node as (facets to add, sides); None if its path lacks nothing."""
+        for cell in new:
+            self.seen.add(cell)
+        facets = {cell: self.options(cell, check) for cell in new}
+        forced = {cell: f[0] for cell, f in facets.items() if len(f) == 1}
+        if any(not f for f in facets.values()):
+            return []
+        if forced:
+            return [(forced, path.sides)]
+        goal, last = self.rows.problem.goal.conditions, check.reference.chi[-1]
+        for group, (N, c) in enumerate(goal.one_of):
+            if path.sides[group] < 0 and np.max(N @ last - c) < -1e-9 * goal.scale:
+                before, after = path.sides[:group], path.sides[group + 1 :]
+                return [({}, (*before, side, *after)) for side in np.argsort(c - N @ last).tolist()]
+        if not new:
+            return None
+        worst = max(new, key=lambda cell: new[cell])
+        return [({worst: f}, path.sides) for f in facets[worst]]
+
+    def near_sides(self, last: Array, sides: tuple[int, ...]) -> tuple[int, ...]:
+        """Sides of the goal with the nearest one filled in where the last state meets none."""
+        goal = self.rows.problem.goal.conditions
+        out = []
+        for (N, c), side in zip(goal.one_of, sides, strict=True):
+            room = N @ last - c
+            out.append(side if side >= 0 or np.max(room) >= -1e-9 * goal.scale else int(np.argmax(room)))
+        return tuple(out)
+
+    def options(self, cell: Cell, check: Recheck) -> list[int]:
+        """Facets that can separate in a cell, those with most room first."""
+        order = np.argsort(-check.surplus[cell[0]][cell[1]])
+        return [int(f) for f in order if self.reachable(*cell, int(f))]
 
     def resolve(self, choice: dict[Cell, int], sides: tuple[int, ...]) -> Candidate | None:
         """The best path with the rows as they stand."""
@@ -133,7 +190,8 @@ class PathSearch:
         x, N = answer[1], self.rows.N
         z = x[:N] - x[N : 2 * N]
         fuel = float(np.sum(self.rows.price * np.abs(z)))
-        return Candidate(z, x[2 * N], x[2 * N + 1] * self.rows.length, fuel, choice, sides)
+        short = x[2 * N + 1] * self.rows.length
+        return Candidate(z, x[2 * N], short if short > 1e-9 else 0.0, fuel, choice, sides)
 
     def recheck(self, path: Candidate) -> Recheck:
         """Exact re-check of a candidate."""
@@ -151,6 +209,8 @@ class PathSearch:
 
     def reachable(self, i: int, k: int, f: int) -> bool:
         """Whether facet f can separate in cell k at all, given the thrust limits."""
+        if np.isfinite(self.prices[1]):
+            return True  # clearances may be relaxed
         key = (i, k, f)
         if key not in self._reachable:
             rows = self.rows.cell(i, k, f)
@@ -165,8 +225,14 @@ class PathSearch:
         order = np.argsort(-surplus)
         return next((int(f) for f in order if self.reachable(*cell, int(f))), int(order[0]))
 
-    def dive(self, wishes: Mapping[int, int], sides: tuple[int, ...], start: Mapping[Cell, int] | None = None,
-             rounds: int = 12, worse_than: float = np.inf) -> Candidate | None:
+    def dive(
+        self,
+        wishes: Mapping[int, int],
+        sides: tuple[int, ...],
+        start: Mapping[Cell, int] | None = None,
+        rounds: int = 12,
+        worse_than: float = np.inf,
+    ) -> Candidate | None:
         """Add cells as they are found lacking until none is; None if it does not settle."""
         choice = dict(start or {})
         path = self.solve(choice, sides)
@@ -180,7 +246,12 @@ class PathSearch:
             new = [cell for cell in lacking if cell not in choice]
             self.book({c: v for c, v in lacking.items() if c in choice}, choice)
             if not lacking:
-                return path
+                near = self.near_sides(check.reference.chi[-1], sides)
+                if near == sides:
+                    return path
+                sides = near
+                path = self.solve(choice, sides)
+                continue
             for i, k in new:
                 facet = self.pick((i, k), check.surplus[i][k], wishes.get(i))
                 choice[(i, k)] = facet
@@ -209,47 +280,21 @@ class PathSearch:
         """Whether a is better than b: less shortfall, then more margin, then less fuel."""
         if b is None:
             return True
-        for x, y, scale in ((-a.short, -b.short, self.rows.length), (a.level, b.level, self.levels.high or 1.0)):
+        for x, y, scale in (
+            (-a.short, -b.short, self.rows.length),
+            (a.level, b.level, self.levels.high or 1.0),
+        ):
             if abs(x - y) > 1e-6 * abs(scale):
                 return x > y
         return a.fuel < b.fuel * (1 - by)
 
-    def run(self, patience: float) -> Candidate | None:
-        """Natural choice first, then one side at a time for every unsafe set in the way."""
-        stop = perf_counter() + patience
-        best: Candidate | None = None
-        for sides in self.goal_sides()[:3]:
-            found = self.dive({}, sides)
-            if found is not None and self.beats(found, best):
-                best = found
-        sides = best.sides if best is not None else (self.goal_sides() or [()])[0]
-        wishes: dict[int, int] = {}
-        for i in sorted({i for i, _ in self.seen}):
-            trials = [f for f in range(len(self.rows.problem.unsafe[i].normals))]
-            for f in trials:
-                if perf_counter() > min(stop, self.deadline):
-                    break
-                limit = best.fuel if best is not None and best.short == 0 else np.inf
-                found = self.dive({**wishes, i: f}, sides, worse_than=limit)
-                if found is not None and self.beats(found, best):
-                    best, wishes[i] = found, f
-        return self.improve(best) if best is not None else None
-
-    def goal_sides(self) -> list[tuple[int, ...]]:
-        """Choices for the goal's disjunctions, cheapest first without unsafe sets; () if none needed."""
-        goal = self.rows.problem.goal.conditions
-        free = self.solve({}, ())
+    def first(self) -> Candidate | None:
+        """A good path without branching: natural facets, a near side of the goal, local improvement."""
+        goal, K = self.rows.problem.goal.conditions, self.rows.problem.K
+        none = (-1,) * len(goal.one_of)
+        free = self.solve({}, none)
         if free is None:
-            return []
-        x = self.rows.trajectory(free.z)[0][self.rows.problem.K]
-        none = tuple(-1 for _ in goal.one_of)
-        if all(np.max(N @ x - c) >= 0 for N, c in goal.one_of):
-            return [none]
-        ranked: list[tuple[float, tuple[int, ...]]] = []
-        for group, (N, _) in enumerate(goal.one_of):
-            for side in range(len(N)):
-                sides = none[:group] + (side,) + none[group + 1 :]
-                path = self.solve({}, sides)
-                if path is not None:
-                    ranked.append((path.fuel, sides))
-        return [sides for _, sides in sorted(ranked)]
+            return None
+        sides = self.near_sides(self.rows.trajectory(free.z)[0][K], none)
+        best = self.dive({}, sides)
+        return self.improve(best) if best is not None else None

@@ -2,25 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from time import perf_counter
+from typing import NoReturn
 
 import numpy as np
 
 from ..errors import NotCertified
-from ..system import Array
 from . import diagnose
+from .certify import certified, relative_gap
 from .model import Answer, Model, Task
 from .problem import Plan, PlannerOptions, PlanProblem, Progress
-from .recheck import Recheck
 from .rows import Rows
 from .search import Candidate, Cell, Levels, PathSearch
+from .tree import Outcome, branch
 
 MAX_ROUNDS = 60
-MARGIN_BACKOFF = 1e-4
-"""Share of the largest margin that is given back before the velocity change is minimised, so that
-the second program is not confined to a single point."""
+MAX_BOOKINGS = 4
+MAX_NODES = 20_000
+TREE_SHARE = 0.7
+"""Share of the time left that the tree may use before what is open goes to the back end."""
+
+SECONDS_PER_ROW = 5e-4
+"""Rough time to build a row of the model; a program that would take more than a tenth of the time
+left to write down is not handed to the back end."""
+
+MARGIN_SHARE = 0.25
+"""Share of the time left spent on proving that no larger margin exists, once a plan is known."""
+
+MARGIN_TRADE = 1e-4
+"""Where the full margin is out of reach: share of it that may be traded for a velocity change as
+large as that of the cheapest transfer without obstacles."""
 
 
 def plan(problem: PlanProblem, options: PlannerOptions | None = None) -> Plan:
@@ -72,71 +85,57 @@ class Planner:
         """All phases."""
         self.report("path search")
         begun = perf_counter()
-        base = self.search.solve({}, ())
+        groups = len(self.problem.goal.conditions.one_of)
+        base = self.search.solve({}, (-1,) * groups)
         if base is None:
-            self._time_or(lambda: diagnose.unreachable(self.rows, self.deadline))
-            raise AssertionError("unreachable")
-        objective = self.problem.objective
-        target = self._targets(base)
+            self._time_or(lambda: diagnose.unreachable(self))
+        assert base is not None
         scale = max(base.fuel, 1e-3 * float(np.sum(self.rows.price * self.rows.limit)), 1e-9)
-        top = 1.0 if objective == "margin_then_fuel" else target
-        levels = Levels(0.0, 0.0 if objective == "fuel" else top)
-        self.search.set_levels(levels, 300 * scale / max(top, 1e-9), 3000 * scale)
-        if objective == "distance":
-            self.search.set_fuel_price(1e-3)
-        best = self.search.run(patience=min(2.0, 0.2 * self.options.time_limit))
-        self.seconds["path_search"] = perf_counter() - begun
-        cells = frozenset(self.search.seen)
-        bound, status = base.fuel, "optimal"
-        if levels.high > 0 and (best is None or best.short > 0 or best.level < levels.high * (1 - 1e-9)):
-            best, bound, status = self._margin(levels, best, cells)
-            high = best.level if best.level >= levels.high * (1 - 1e-9) else best.level * (1 - MARGIN_BACKOFF)
-            levels = Levels(high, high)
-        else:
-            levels = Levels(levels.high, levels.high)
-        reached = levels.high
-        self.search.set_levels(levels, 0.0, np.inf)
-        self.search.set_fuel_price(1.0)
-        if best is not None and (best.short > 0 or best.level < reached):
-            best = self.search.dive({}, best.sides, best.choice)
-        elif best is not None:
-            best = self.search.improve(replace(best, level=reached))
-        if objective == "distance":
-            final = best
-            value = reached
-        else:
-            final, bound, status = self._fuel(levels, best, frozenset(self.search.seen | cells), base.fuel)
-            value = final.fuel
-        if final is None:
-            raise NotCertified("found but not certified: a plan with the largest distance failed its re-check")
-        return self._certify(final, value, bound, status)
+        top = self._targets(base)
+        margin_price = scale * (1 / MARGIN_TRADE if top > 0 else 0.0) / max(top, 1e-9)
+        self.search.set_levels(Levels(0.0, top), margin_price, 10 * scale / MARGIN_TRADE)
+        best = self.search.first()
+        if best is not None and best.short > 0:
+            best = None
+        self._add_time("path_search", begun)
+        if top > 0 and (best is None or best.level < top * (1 - 1e-9)):
+            self.search.set_levels(Levels(0.0, top), margin_price, np.inf)
+            best, bound, status = self._minimise("margin", best)
+            if best.level < top * (1 - 1e-6) or self.problem.objective == "distance":
+                unit = 1.0 if self.problem.objective == "distance" else self.problem.extra_margin
+                most = min(best.level + (self.search.value(best) - bound) / margin_price, top)
+                return self._certify(best, best.level * unit, most * unit, status)
+        if best is not None:
+            best = replace(best, level=top)
+        if self.problem.objective == "distance":
+            assert best is not None
+            return self._certify(best, top, top, "optimal")
+        self.search.set_levels(Levels(top, top), 0.0, np.inf)
+        best, bound, status = self._minimise("fuel", best)
+        return self._certify(best, best.fuel, bound, status)
 
     def _targets(self, base: Candidate) -> float:
         """Fill in the extra margin wanted per cell; returns the top of the margin variable."""
         problem, rows = self.problem, self.rows
-        if problem.objective == "fuel":
-            return 0.0
         if problem.objective == "distance":
             for extra in rows.extra:
                 extra[: problem.K] = 1.0
             # the first cell starts at a known place, which bounds the distance whatever the plan
-            start = [
-                float(np.max(s[0])) for s in self.search.recheck(base).surplus
-            ]
+            start = [float(np.max(s[0])) for s in self.search.recheck(base).surplus]
             reach = [self._room(i, 0, np.inf) for i in range(len(rows.extra))]
             cap = max(min([max(a, b) for a, b in zip(start, reach, strict=True)], default=0.0), 0.0)
             return min(cap, problem.extra_margin) if problem.extra_margin > 0 else cap
-        want = problem.extra_margin
+        want = problem.extra_margin if problem.objective == "margin_then_fuel" else 0.0
         surplus = self.search.recheck(base).surplus
         for i, extra in enumerate(rows.extra):
             extra[: problem.K] = want
-            if want == 0:
-                continue
             for cells in (range(problem.K), range(problem.K - 1, -1, -1)):
                 for k in cells:
                     if np.max(surplus[i][k]) >= want:
                         break
                     room = self._room(i, k, want)
+                    if room < 0:
+                        self._time_or(lambda: diagnose.blocked(self))
                     extra[k] = min(extra[k, 0], max(room, 0.0))
                     if room >= want:
                         break
@@ -151,7 +150,7 @@ class Planner:
         search.set_levels(Levels(-1e6, min(want, 1e6)), 1e3, np.inf)
         search.set_fuel_price(1e-6)
         for f in range(len(self.problem.unsafe[i].normals)):
-            path = search.solve({(i, k): f}, ())
+            path = search.solve({(i, k): f}, (-1,) * len(self.problem.goal.conditions.one_of))
             if path is not None:
                 best = max(best, path.level)
             if best >= want * (1 - 1e-9):
@@ -160,70 +159,116 @@ class Planner:
         search.set_fuel_price(1.0)
         return best * (1 - 1e-6) if best > 0 else best
 
-    def _margin(self, levels: Levels, best: Candidate | None, cells: frozenset[Cell]
-                ) -> tuple[Candidate, float, str]:
-        """Largest margin variable, with all cells certified."""
+    def _minimise(self, stage: str, best: Candidate | None) -> tuple[Candidate, float, str]:
+        """Least objective at the prices and levels set, all cells certified; path, bound and status."""
         begun = perf_counter()
-        usable = best if best is not None and best.short == 0 else None
-        task = Task(cells, fuel=0.0, margin=1.0, levels=levels)
-        found, bound, status = self._lazy("margin", task, usable, lambda c: -c.level, -levels.high)
-        self.seconds["margin"] = perf_counter() - begun
-        return found, -bound, status
+        found: Outcome | None = None
+        hurry = stage == "margin" and best is not None
+        stop = begun + (MARGIN_SHARE if hurry else 1.0) * self.left
+        if self.options.branching == "facets":
+            found = branch(
+                self.search,
+                best,
+                self.options.gap,
+                stop,
+                MAX_NODES,
+                lambda top, bound: self.report(stage, top, bound),
+                (begun + TREE_SHARE * self.left, self._max_cells()),
+            )
+            best = found.best
+            self.stats["nodes"] += found.nodes
+        self._add_time(stage, begun)
+        if found is not None and found.status == "infeasible" and best is None:
+            self._time_or(lambda: diagnose.blocked(self))
+        if found is not None and found.status == "optimal":
+            assert best is not None
+            return self._close(stage, best, found.bound)
+        if found is not None and hurry and best is not None:
+            return best, found.bound, "time_limit"
+        return self._lazy(stage, best, found)
 
-    def _fuel(self, levels: Levels, best: Candidate | None, cells: frozenset[Cell], floor: float
-              ) -> tuple[Candidate, float, str]:
-        """Least velocity change at a given margin, with all cells certified."""
-        begun = perf_counter()
-        found, bound, status = self._lazy("fuel", Task(cells, levels=levels), best, lambda c: c.fuel, floor)
-        self.seconds["fuel"] = perf_counter() - begun
-        return found, bound, status
+    def _close(self, stage: str, best: Candidate, bound: float) -> tuple[Candidate, float, str]:
+        """Every binary is decided: what is left of the program has none, and the back end solves it."""
+        search, begun = self.search, perf_counter()
+        task = Task(
+            frozenset(best.choice),
+            search.fuel_price,
+            search.prices[0],
+            levels=search.levels,
+            one_of=False,
+            decided=(dict(best.choice), best.sides),
+        )
+        answer = self._run(Model(self.rows, task, search.reachable), stage, None)
+        self._add_time("model", begun)
+        if answer.path is not None:
+            path, lacking, met = self._polished(replace(answer.path, choice=best.choice, sides=best.sides))
+            if path is not None and not lacking and met and search.value(path) <= search.value(best):
+                best = path
+        return best, min(bound, search.value(best)), "optimal"
 
-    def _lazy(self, stage, task, best, value, floor):  # type: ignore[no-untyped-def]
-        options, bound = self.options, floor
-        needs_sides = best is None or any(s >= 0 for s in best.sides)
-        tries: dict[Cell, int] = {}
+    def _max_cells(self) -> int:
+        """Constrained cells a model may have to be built in a tenth of the time left."""
+        facets = max((len(body.normals) for body in self.problem.unsafe), default=1)
+        rows = facets * len(self.rows.control_points[2])
+        return int(0.1 * self.left / (SECONDS_PER_ROW * rows))
+
+    def _lazy(
+        self, stage: str, best: Candidate | None, known: Outcome | None
+    ) -> tuple[Candidate, float, str]:
+        """The back end decides the binaries; cells enter when its solution lacks clearance there."""
+        options, search = self.options, self.search
+        bound = known.bound if known is not None else -np.inf
+        cells = known.cells if known is not None else frozenset(best.choice if best is not None else ())
+        if len(cells) > self._max_cells():
+            cells = frozenset(best.choice) if best is not None else frozenset()
+        one_of = best is None or any(side >= 0 for side in best.sides)
         for _ in range(MAX_ROUNDS):
-            if best is not None and value(best) - bound <= options.gap * abs(value(best)) + 1e-9:
+            if (
+                best is not None
+                and search.value(best) - bound <= options.gap * abs(search.value(best)) + 1e-9
+            ):
                 return best, bound, "optimal"
             if self.left <= 0:
                 break
             self.stats["rounds"] += 1
-            budget = best.fuel * (1 + 1e-6) + 1e-9 if best is not None and task.fuel else np.inf
+            budget = np.inf
+            if best is not None and search.prices[0] == 0:
+                budget = best.fuel * (1 + 1e-6) + 1e-9
             begun = perf_counter()
-            task = replace(task, budget=budget, one_of=needs_sides)
-            model = Model(self.rows, task, self.search.reachable)
-            self._add_time("build", begun)
-            answer = self._run(model, stage, best, value)
+            task = Task(
+                cells, search.fuel_price, search.prices[0], levels=search.levels, budget=budget, one_of=one_of
+            )
+            model = Model(self.rows, task, search.reachable)
+            self._add_time("model", begun)
+            answer = self._run(model, stage, best)
             if answer.status == "infeasible":
                 if best is not None:
-                    return best, value(best), "optimal"
-                self._time_or(lambda: diagnose.blocked(self, task.cells))
+                    return best, search.value(best), "optimal"
+                self._time_or(lambda: diagnose.blocked(self))
             bound = max(bound, answer.bound)
             if answer.path is None:
                 break
-            path, lacking, sides_ok = self._polish(answer.path, task)
-            if path is not None and not lacking and sides_ok and (best is None or value(path) < value(best)):
+            path, lacking, met = self._polished(answer.path)
+            if (
+                path is not None
+                and not lacking
+                and met
+                and (best is None or search.value(path) < search.value(best))
+            ):
                 best = path
-            if answer.status == "time":
+            if answer.status == "time" or path is None or (not lacking and met):
                 break
-            if path is None or (not lacking and sides_ok):
-                if best is not None:
-                    return best, bound, "optimal"
-                break
-            needs_sides = needs_sides or not sides_ok
-            for cell in lacking:
-                tries[cell] = tries.get(cell, 0) + 1
-            task = replace(task, cells=task.cells | lacking.keys())
+            one_of = one_of or not met
+            cells = cells | lacking.keys()
         if best is None:
-            raise NotCertified(
-                f"none found in the time given ({options.time_limit:g} s): the planner neither found a plan nor "
-                "proved that there is none"
-            )
-        return best, bound, "time_limit"
+            self._out_of_time()
+        assert best is not None
+        within = search.value(best) - bound <= options.gap * abs(search.value(best)) + 1e-9
+        return best, bound, "optimal" if within else "time_limit"
 
-    def _run(self, model: Model, stage: str, best: Candidate | None, value) -> Answer:  # type: ignore[no-untyped-def]
+    def _run(self, model: Model, stage: str, best: Candidate | None) -> Answer:
         begun = perf_counter()
-        top = value(best) if best is not None else np.inf
+        top = self.search.value(best) if best is not None else np.inf
 
         def listen(incumbent: float, bound: float) -> None:
             self.report(stage, min(top, incumbent), bound)
@@ -240,28 +285,21 @@ class Planner:
         self.stats["nodes"] += answer.stats.get("nodes", 0)
         return answer
 
-    def _polish(self, path: Candidate, task: Task) -> tuple[Candidate | None, dict[Cell, float], bool]:
+    def _polished(self, path: Candidate) -> tuple[Candidate | None, dict[Cell, float], bool]:
         """Solve again with the facets fixed, so that no big-M and no integer tolerance is left."""
-        search = self.search
-        if not task.fuel:
-            level = max(path.level - 1e-7 * max(1.0, task.levels.high), task.levels.low)
-            search.set_levels(Levels(level, level), 0.0, np.inf)
-        goal = self.problem.goal.conditions
-        sides = path.sides if path.sides else tuple(-1 for _ in goal.one_of)
-        clean = search.solve(path.choice, sides)
-        if clean is None:
-            return None, {}, True
-        for _ in range(4):
+        search, goal = self.search, self.problem.goal.conditions
+        clean = search.solve(path.choice, path.sides if path.sides else (-1,) * len(goal.one_of))
+        lacking: dict[Cell, float] = {}
+        for _ in range(MAX_BOOKINGS):
+            if clean is None:
+                return None, lacking, True
             check = search.recheck(clean)
             lacking = search.lacking(clean, check)
-            again = {c: v for c, v in lacking.items() if c in clean.choice}
-            if not again:
+            short = {c: v for c, v in lacking.items() if c in clean.choice}
+            if not short:
                 break
-            search.book(again, clean.choice)
-            retry = search.solve(clean.choice, sides)
-            if retry is None:
-                break
-            clean = retry
+            search.book(short, clean.choice)
+            clean = search.solve(clean.choice, clean.sides)
         last = check.reference.chi[-1]
         met = all(np.max(N @ last - c) >= -1e-6 * goal.scale for N, c in goal.one_of)
         return clean, lacking, met
@@ -269,48 +307,29 @@ class Planner:
     def _add_time(self, part: str, begun: float) -> None:
         self.seconds[part] = self.seconds.get(part, 0.0) + perf_counter() - begun
 
-    def _time_or(self, explain) -> None:  # type: ignore[no-untyped-def]
+    def _out_of_time(self) -> NoReturn:
+        raise NotCertified(
+            f"none found in the time given ({self.options.time_limit:g} s): the planner neither found a plan "
+            "nor proved that there is none"
+        )
+
+    def _time_or(self, explain: Callable[[], NoReturn]) -> NoReturn:
         if self.left <= 0:
-            raise NotCertified(
-                f"none found in the time given ({self.options.time_limit:g} s): the planner neither found a plan "
-                "nor proved that there is none"
-            )
+            self._out_of_time()
         explain()
 
     def _certify(self, path: Candidate, value: float, bound: float, status: str) -> Plan:
-        problem, K = self.problem, self.problem.K
-        check: Recheck = self.search.recheck(path)
-        wanted = np.array([e[:K, 0] for e in self.rows.extra]).reshape(len(problem.unsafe), K)
-        best, facets = (check.best() if problem.unsafe else (np.zeros((0, problem.cells)),) * 2)
-        missing = require(problem, check, best)
-        if missing:
-            raise NotCertified(f"found but not certified: {missing}")
-        nu = check.reference.nu
         self.seconds["total"] = perf_counter() - self.begun
-        extra: Array = best[:, :K]
-        return Plan(
-            chi=check.reference.chi, nu=nu, facets=np.asarray(facets[:, :K], dtype=int),
-            tail_facets=np.asarray(facets[:, K:], dtype=int), margin=float(np.min(extra, initial=np.inf)),
-            extra=extra, wanted=wanted, delta_v=float(np.sum(np.abs(nu)) * problem.delta / problem.system.mass),
-            status=status, objective=value, bound=bound, gap=relative_gap(value, bound),
-            seconds=dict(self.seconds), solver=self.options.solver, stats=dict(self.stats),
+        nu = path.z.reshape(self.problem.K, -1) * self.problem.system.u_max
+        wanted = np.array([e[: self.problem.K, 0] for e in self.rows.extra])
+        return certified(
+            self.problem,
+            nu,
+            wanted.reshape(-1, self.problem.K),
+            value,
+            bound,
+            status,
+            self.options.solver,
+            self.seconds,
+            self.stats,
         )
-
-
-def relative_gap(value: float, bound: float) -> float:
-    """Relative distance of a value and its bound, infinite while either is missing."""
-    if not (np.isfinite(value) and np.isfinite(bound)):
-        return np.inf
-    return abs(value - bound) / max(abs(value), 1e-9)
-
-
-def require(problem: PlanProblem, check: Recheck, best: Array) -> str:
-    """What a re-check finds wrong, or an empty string."""
-    if best.size and np.min(best) < 0:
-        i, k = np.unravel_index(np.argmin(best), best.shape)
-        return (f"clearance from {problem.unsafe[i].name} in cell {k} is {-best[i, k]:.3g} m short of its margin "
-                f"({problem.required(int(i))[k].max():.3g} m)")
-    amount, name = check.goal
-    if amount > 0:
-        return f"the goal is missed by {amount:.3g} of its scale: {name}"
-    return ""

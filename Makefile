@@ -1,0 +1,70 @@
+# Everything runs in a virtual environment beside this file; stamps make repeats quick.
+# PYTHON chooses the interpreter the environment is made with (3.11 or later).
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+BASE := $(VENV)/.stamp-base
+TEST := $(VENV)/.stamp-test
+DOCS := $(VENV)/.stamp-docs
+BENCH := $(VENV)/.stamp-bench
+RUN := runs/static
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test test-slow lint format bench docs schema clean
+
+help: ## List the targets
+	@grep -E '^[a-z-]+:.*## ' $(firstword $(MAKEFILE_LIST)) | sed -E 's/^([a-z-]+):.*## /\1|/' | \
+	  while IFS='|' read -r name text; do printf '  make %-10s %s\n' "$$name" "$$text"; done
+
+demo: $(BASE) ## Run the static scenario and say where its results lie
+	@$(BIN)/polaris run static --out $(RUN)
+	@echo "Run folder: $(CURDIR)/$(RUN)"
+
+test: $(TEST) ## Run the quick tests
+	$(BIN)/python -m pytest -q $(ARGS)
+
+test-slow: $(TEST) ## Run the long tests only
+	$(BIN)/python -m pytest -q -m slow $(ARGS)
+
+lint: $(TEST) ## Check style, formatting and types
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+format: $(TEST) ## Rewrite the code in the project's format
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+bench: $(BENCH) ## Run the benchmarks and print their tables
+	@for script in benchmarks/[a-z]*.py; do echo "== $$script"; $(BIN)/python "$$script" || exit 1; done
+
+schema: $(BASE) ## Rewrite the scenario schema and its reference
+	$(BIN)/python -m polaris.scenario_docs
+
+docs: $(DOCS) schema ## Build the documentation into build/docs
+	$(BIN)/mkdocs build --strict --site-dir build/docs
+
+clean: ## Remove what the targets made (runs are kept)
+	rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
+
+$(BIN)/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo "Python 3.11 or later is needed: make PYTHON=python3.12 ..." >&2; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+
+$(BASE): pyproject.toml | $(BIN)/python
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+	@touch $@
+
+$(TEST): $(BASE)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[test]'
+	@touch $@
+
+$(DOCS): $(BASE)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
+	@touch $@
+
+$(BENCH): $(BASE)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[bench]'
+	@touch $@

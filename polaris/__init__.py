@@ -1,0 +1,143 @@
+"""Run time assurance of spacecraft by switching schedules that are proven before the flight.
+
+>>> import polaris
+>>> scenario = polaris.load_scenario("static")
+>>> safety = polaris.get_safety(scenario)                 # Algorithm 1
+>>> schedule = polaris.synthesize(scenario, safety)       # Algorithm 2
+>>> runs = polaris.simulate(schedule, n=1000, seed=0)
+>>> runs.metrics().summary()["min_distance_m"] > 0
+True
+
+Names are imported when they are first used, so that ``import polaris`` costs next to nothing.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from reach.zonotope import Zonotope
+
+    from .controllers import AffineController, AnyThrust, Controller, Flight
+    from .errors import NotCertified, PolarisError, ScenarioError, SynthesisInfeasible
+    from .evaluation import Metrics, evaluate
+    from .figures import plot_reference, plot_schedule
+    from .hill import clohessy_wiltshire, elliptical_nmt, free_flight
+    from .obstacles import (
+        BallObstacle,
+        BoxObstacle,
+        KeepInCone,
+        KeepInPolytope,
+        PolytopeObstacle,
+        SatelliteObstacle,
+    )
+    from .planning.goals import Box, EllipticalNMT, LinearNMT, StationaryPoint
+    from .planning.problem import PlannerOptions
+    from .problem import Problem
+    from .reference import Reference
+    from .runfolder import RunFolder, read_run, write_run
+    from .safety import Safety, get_safety
+    from .scenario import Scenario, bundled_scenarios, load_scenario
+    from .schedule import Schedule
+    from .simulation import Runs, simulate
+    from .synthesis import SwitchingRules, synthesize
+    from .system import LinearSystem
+
+    __version__: str
+
+_HOMES = {
+    ".controllers": ("AffineController", "AnyThrust", "Controller", "Flight"),
+    ".errors": ("NotCertified", "PolarisError", "ScenarioError", "SynthesisInfeasible"),
+    ".evaluation": ("Metrics", "evaluate"),
+    ".figures": ("plot_reference", "plot_schedule"),
+    ".hill": ("clohessy_wiltshire", "elliptical_nmt", "free_flight"),
+    ".obstacles": (
+        "BallObstacle",
+        "BoxObstacle",
+        "KeepInCone",
+        "KeepInPolytope",
+        "PolytopeObstacle",
+        "SatelliteObstacle",
+    ),
+    ".planning.goals": ("Box", "EllipticalNMT", "LinearNMT", "StationaryPoint"),
+    ".planning.problem": ("PlannerOptions",),
+    ".problem": ("Problem",),
+    ".reference": ("Reference",),
+    ".runfolder": ("RunFolder", "read_run", "write_run"),
+    ".safety": ("Safety", "get_safety"),
+    ".scenario": ("Scenario", "bundled_scenarios", "load_scenario"),
+    ".schedule": ("Schedule",),
+    ".simulation": ("Runs", "simulate"),
+    ".synthesis": ("SwitchingRules", "synthesize"),
+    ".system": ("LinearSystem",),
+    "reach.zonotope": ("Zonotope",),
+}
+"""Module of every public name."""
+
+_HOME = {name: home for home, names in _HOMES.items() for name in names}
+
+__all__ = [
+    "AffineController",
+    "AnyThrust",
+    "BallObstacle",
+    "Box",
+    "BoxObstacle",
+    "Controller",
+    "EllipticalNMT",
+    "Flight",
+    "KeepInCone",
+    "KeepInPolytope",
+    "LinearNMT",
+    "LinearSystem",
+    "Metrics",
+    "NotCertified",
+    "PlannerOptions",
+    "PolarisError",
+    "PolytopeObstacle",
+    "Problem",
+    "Reference",
+    "RunFolder",
+    "Runs",
+    "Safety",
+    "SatelliteObstacle",
+    "Scenario",
+    "ScenarioError",
+    "Schedule",
+    "StationaryPoint",
+    "SwitchingRules",
+    "SynthesisInfeasible",
+    "Zonotope",
+    "__version__",
+    "bundled_scenarios",
+    "clohessy_wiltshire",
+    "elliptical_nmt",
+    "evaluate",
+    "free_flight",
+    "get_safety",
+    "load_scenario",
+    "plot_reference",
+    "plot_schedule",
+    "read_run",
+    "simulate",
+    "synthesize",
+    "write_run",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name when it is first asked for."""
+    if name == "__version__":
+        from .version import version
+
+        value: Any = version()
+    elif name in _HOME:
+        value = getattr(import_module(_HOME[name], __name__), name)
+    else:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

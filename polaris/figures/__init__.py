@@ -1,0 +1,138 @@
+"""Figures for print: the scene with its modes, distance and thrust, timeline, containment margin.
+
+matplotlib is imported when the first figure is drawn.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from ..safety import Safety
+    from ..schedule import Schedule
+    from .picture import Picture
+
+__all__ = ["NAMES", "draw_figures", "plot_reference", "plot_schedule"]
+
+NAMES = ("scene", "scene_3d", "distance", "modes", "margin")
+"""Figures of a run folder."""
+
+
+def plot_reference(safety: Safety, ax: Any = None) -> Any:
+    """Draw the safe reference among the unsafe sets, with the recoverable sets about it.
+
+    Parameters
+    ----------
+    safety : Safety
+    ax : matplotlib axes, optional
+        A new figure's if not given.
+
+    Returns
+    -------
+    matplotlib axes
+    """
+    from .picture import picture_of_safety
+
+    return _plot(picture_of_safety(safety), ax)
+
+
+def plot_schedule(schedule: Schedule, ax: Any = None) -> Any:
+    """Draw the paper's Figure 2: trajectory by mode, tube, reference, unsafe sets.
+
+    Parameters
+    ----------
+    schedule : Schedule
+    ax : matplotlib axes, optional
+        A new figure's if not given.
+
+    Returns
+    -------
+    matplotlib axes
+    """
+    from .picture import picture_of
+
+    return _plot(picture_of(schedule), ax)
+
+
+def _plot(picture: Picture, ax: Any) -> Any:
+    from .scene import View, draw_scene
+    from .style import WIDTH, axes_of, style
+
+    with style():
+        height = 1.3 + 0.82 * WIDTH * (View.around(picture).aspect if picture.system.d > 1 else 0.6)
+        ax = axes_of(ax, height)
+        draw_scene(ax, picture)
+    return ax
+
+
+def draw_figures(picture: Picture, folder: Path) -> list[Path]:
+    """Draw and write a run folder's figures, each as PDF and PNG; same picture, same bytes.
+
+    Parameters
+    ----------
+    picture : Picture
+        With a schedule and its flights.
+    folder : Path
+        Must exist.
+    """
+    from .style import new_figure, save, style
+
+    written: list[Path] = []
+    with style():
+        for name in NAMES:
+            if name == "scene_3d" and picture.system.d == 1:
+                continue
+            figure = _FIGURES[name](picture, new_figure)
+            written += save(figure, folder, name)
+    return written
+
+
+def _scene(picture: Picture, new_figure: Any) -> Any:
+    from .scene import View, draw_scene
+
+    aspect = View.around(picture).aspect if picture.system.d > 1 else 0.6
+    figure = new_figure(1.2 + 2.9 * aspect)
+    draw_scene(figure.add_subplot(), picture)
+    return figure
+
+
+def _scene_3d(picture: Picture, new_figure: Any) -> Any:
+    from .scene3d import draw_scene_3d
+
+    figure = new_figure(3.0)
+    figure.set_layout_engine("none")
+    ax = figure.add_axes((0.0, 0.02, 0.96, 0.88), projection="3d", computed_zorder=False)
+    draw_scene_3d(ax, picture)
+    figure.legend(*ax.get_legend_handles_labels(), loc="upper left", ncols=2)
+    return figure
+
+
+def _distance(picture: Picture, new_figure: Any) -> Any:
+    from .timelines import draw_distance, draw_input, mode_strip
+
+    figure = new_figure(3.6)
+    upper, lower = figure.subplots(2, 1, sharex=True)
+    draw_distance(upper, picture)
+    draw_input(lower, picture)
+    mode_strip(lower, picture)
+    return figure
+
+
+def _modes(picture: Picture, new_figure: Any) -> Any:
+    from .timelines import draw_modes
+
+    figure = new_figure(0.6 + 0.28 * len(picture.controllers))
+    draw_modes(figure.add_subplot(), picture)
+    return figure
+
+
+def _margin(picture: Picture, new_figure: Any) -> Any:
+    from .timelines import draw_margin
+
+    figure = new_figure(2.4)
+    draw_margin(figure.add_subplot(), picture)
+    return figure
+
+
+_FIGURES = dict(zip(NAMES, (_scene, _scene_3d, _distance, _modes, _margin), strict=True))

@@ -1,0 +1,303 @@
+"""The scene in the plane of motion: the paper's Figure 2."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ..keep_in import KeepIn
+from ..obstacles import Obstacle
+from ..planning.goals import Box, EllipticalNMT, StationaryPoint
+from ..system import Array
+from .geometry import flat_outline, tube_polygons, zonotope_outline
+from .picture import Picture
+from .style import BLACK, GREEN, GREY, ORANGE, RED, YELLOW, legend_above, mode_colour, tint
+
+INSTANTS = 5
+"""Instants at which a moving obstacle is drawn."""
+
+
+def draw_scene(ax: Any, picture: Picture) -> None:
+    """Draw everything in the plane of motion; on the line, position over time."""
+    if picture.system.d == 1:
+        _line_scene(ax, picture)
+        return
+    frame = picture.frame
+    view = View.around(picture)
+    ax.set_aspect("equal")
+    ax.set(xlim=view.x, ylim=view.y, xlabel=frame.labels[0], ylabel=frame.labels[1])
+    ax.grid(True)
+    handles = [*_sets(ax, picture), *_goal(ax, picture), *_paths(ax, picture)]
+    _obstacles(ax, picture, view)
+    if picture.system.mean_motion is not None:
+        ax.plot(0, 0, marker="+", color=BLACK, ms=5, mew=0.8, zorder=6)
+        view.label(ax, "target", np.zeros((1, 2)), BLACK)
+    legend_above(ax, handles, 2)
+
+
+class View:
+    """The part of the plane that is shown, and where in it there is room for labels."""
+
+    def __init__(self, x: tuple[float, float], y: tuple[float, float], points: Array) -> None:
+        self.x, self.y, self.points = x, y, points
+        self.taken: list[tuple[float, float, float, float]] = []
+
+    @classmethod
+    def around(cls, picture: Picture) -> View:
+        """All of the reference, the flights under Polaris, and what rests near them."""
+        axes = picture.frame.flat
+        before, after = picture.path()
+        paths = [before[:, axes], after[:, axes]]
+        for name, flights in picture.flights.items():
+            shown = picture.positions(flights)[:, axes]
+            if name == "polaris" or _near(shown, paths[0]):
+                paths.append(shown)
+        points = np.vstack(paths)
+        low, high = points.min(axis=0), points.max(axis=0)
+        reach = 0.4 * np.max(high - low)
+        corners = [points, zonotope_outline(_position(picture), axes)]
+        for obstacle in picture.obstacles:
+            if isinstance(obstacle, KeepIn):
+                continue
+            for t in np.linspace(0, picture.duration, INSTANTS) if _moves(obstacle, picture) else (0.0,):
+                outline = obstacle.outline(float(t), picture.system)[:, axes]
+                if np.all(outline > low - reach) and np.all(outline < high + reach):
+                    corners.append(outline)
+        everything = np.vstack(corners)
+        low, high = everything.min(axis=0), everything.max(axis=0)
+        pad = 0.05 * np.max(high - low) + 1e-9
+        low, high = low - pad, high + pad
+        # No figure is more than 2.2 times as wide as it is high, or higher than wide.
+        size, middle = high - low, (high + low) / 2
+        size = np.array([max(size[0], size[1]), max(size[1], size[0] / 2.2)])
+        low, high = middle - size / 2, middle + size / 2
+        return cls((low[0], high[0]), (low[1], high[1]), points)
+
+    @property
+    def aspect(self) -> float:
+        """Height over width."""
+        return float((self.y[1] - self.y[0]) / (self.x[1] - self.x[0]))
+
+    def contains(self, points: Array) -> Any:
+        """Which points lie in the view."""
+        x, y = points[..., 0], points[..., 1]
+        return (x > self.x[0]) & (x < self.x[1]) & (y > self.y[0]) & (y < self.y[1])
+
+    def label(self, ax: Any, text: str, outline: Array, colour: str) -> None:
+        """Write a name beside an outline, on the side where fewest lines pass."""
+        from matplotlib.patheffects import withStroke
+
+        point = (self.x[1] - self.x[0]) / (2.8 * 72)  # metres per point of type
+        w, h = 4.3 * len(text) * point, 8.5 * point
+        low, high = outline.min(axis=0) - 3 * point, outline.max(axis=0) + 3 * point
+        mid = (low + high) / 2
+        places = [
+            (mid[0] - w / 2, high[1]),
+            (high[0], mid[1] - h / 2),
+            (mid[0] - w / 2, low[1] - h),
+            (low[0] - w, mid[1] - h / 2),
+            (high[0], high[1]),
+            (high[0], low[1] - h),
+            (low[0] - w, high[1]),
+            (low[0] - w, low[1] - h),
+        ]
+
+        def cost(place: tuple[float, float]) -> float:
+            x, y = place
+            crossing = self.points - (x, y)
+            over = np.mean(np.all((crossing > 0) & (crossing < (w, h)), axis=1))
+            inside = self.x[0] <= x and x + w <= self.x[1] and self.y[0] <= y and y + h <= self.y[1]
+            clash = any(
+                x < a + c and a < x + w and y < b + d and b < y + h for a, b, c, d in self.taken
+            )
+            return float(over) * 10 + 10 * (not inside) + 2 * clash
+
+        x, y = min(places, key=cost)
+        self.taken.append((x, y, w, h))
+        drawn = ax.text(
+            x + w / 2, y + h / 2, text, color=colour, fontsize=7, ha="center", va="center", zorder=8, clip_on=True
+        )
+        drawn.set_path_effects([withStroke(linewidth=1.6, foreground="white")])
+
+
+def _near(shown: Array, path: Array) -> bool:
+    """Whether a flight stays about where the path is, so that it may widen the view."""
+    low, high = path.min(axis=0), path.max(axis=0)
+    reach = 0.35 * np.max(high - low)
+    return bool(np.all(shown > low - reach) and np.all(shown < high + reach))
+
+
+def _position(picture: Picture) -> Any:
+    return picture.system.position @ picture.initial_set
+
+
+def _moves(obstacle: Obstacle, picture: Picture) -> bool:
+    times = np.linspace(0, picture.duration, 5)
+    return bool(np.ptp(obstacle.centre(times, picture.system), axis=0).max() > 0)
+
+
+def _sets(ax: Any, picture: Picture) -> list[Any]:
+    """Recoverable sets, tube, initial set: drawn lightly."""
+    from matplotlib.collections import PolyCollection
+    from matplotlib.patches import Patch, Polygon
+
+    handles: list[Any] = []
+    axes = picture.frame.flat
+    if picture.slices is not None:
+        outlines = picture.slices.outline + picture.slices.centre[:, None]
+        colour, edge = tint(YELLOW, 0.45), tint("#8A7F00", 0.6)
+        ax.add_collection(PolyCollection(list(outlines), facecolor=colour, edgecolor="none", zorder=1))
+        ax.add_collection(PolyCollection(list(outlines), facecolor="none", edgecolor=edge, lw=0.35, zorder=1.1))
+        handles.append(Patch(facecolor=colour, edgecolor=edge, lw=0.35, label="recoverable sets"))
+    if picture.tube is not None:
+        tube = picture.tube
+        polygons = tube_polygons(
+            tube.centre[..., axes], tube.generators[..., axes, :], tube.bow[..., axes], parts=4
+        )
+        for mode in np.unique(picture.modes):
+            chosen = polygons[picture.modes == mode].reshape(-1, *polygons.shape[-2:])
+            colour = tint(mode_colour(int(mode)), 0.3)
+            ax.add_collection(PolyCollection(list(chosen), facecolor=colour, edgecolor=colour, lw=0.2, zorder=2))
+        handles.append(Patch(facecolor=tint(GREY, 0.3), label="reachable tube (by mode)"))
+    theta = zonotope_outline(_position(picture), axes)
+    ax.add_patch(Polygon(theta, closed=True, facecolor="none", edgecolor=BLACK, lw=0.6, zorder=5))
+    return handles
+
+
+def _goal(ax: Any, picture: Picture) -> list[Any]:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Ellipse, Polygon
+
+    goal, axes = picture.goal, picture.frame.flat
+    drawn: dict[str, Any] = {"edgecolor": GREEN, "facecolor": "none", "lw": 0.7, "ls": (0, (4, 2)), "zorder": 2.5}
+    line: dict[str, Any] = {"color": GREEN, "lw": 0.7, "ls": (0, (4, 2))}
+    if isinstance(goal, EllipticalNMT):
+        for b in {goal.inner_semi_minor, goal.outer_semi_minor} - {0.0}:
+            ax.add_patch(Ellipse((0, 0), 4 * b, 2 * b, **drawn))
+        return [Line2D([], [], label="goal (between ellipses)", **line)]
+    if isinstance(goal, StationaryPoint):
+        x, y = (picture.system.position @ np.asarray(goal.state))[axes]
+        ax.plot(x, y, marker="*", color=GREEN, ms=6, mec="white", mew=0.4, zorder=6, ls="none")
+        return [Line2D([], [], marker="*", color=GREEN, ls="none", ms=6, label="goal")]
+    if isinstance(goal, Box):
+        from reach.zonotope import Zonotope
+
+        box = picture.system.position @ Zonotope.box(np.asarray(goal.center), np.asarray(goal.half_widths))
+        ax.add_patch(Polygon(zonotope_outline(box, axes), closed=True, **drawn))
+        return [Line2D([], [], label="goal", **line)]
+    return []
+
+
+def _paths(ax: Any, picture: Picture) -> list[Any]:
+    """Reference, U alone, and the trajectory under Polaris coloured by mode."""
+    from matplotlib.collections import LineCollection
+    from matplotlib.lines import Line2D
+
+    axes = picture.frame.flat
+    before, after = (path[:, axes] for path in picture.path())
+    dots = (0, (1, 1.4))
+    ax.plot(*before.T, color=GREY, lw=1.1, ls=dots, zorder=4.5)
+    handles = [Line2D([], [], color=GREY, lw=1.1, ls=dots, label="reference")]
+    if len(after):
+        ax.plot(*after.T, color=tint(GREY, 0.6), lw=0.7, ls=dots, zorder=2.6)
+    if "experimental" in picture.flights:
+        alone = picture.positions(picture.flights["experimental"])[:, axes]
+        dashes = (0, (3, 1.2))
+        ax.plot(*alone.T, color=ORANGE, lw=0.9, ls=dashes, zorder=3.5)
+        handles.append(Line2D([], [], color=ORANGE, lw=0.9, ls=dashes, label="U alone"))
+    if "polaris" in picture.flights:
+        flights = picture.flights["polaris"]
+        flown = picture.positions(flights)[:, axes]
+        per_node = np.repeat(flights.modes, (len(flown) - 1) // len(flights.modes))
+        for mode in np.unique(flights.modes):
+            pieces = np.stack([flown[:-1], flown[1:]], axis=1)[per_node == mode]
+            colour = mode_colour(int(mode))
+            ax.add_collection(LineCollection(list(pieces), colors=colour, lw=1.5, zorder=4, capstyle="round"))
+            handles.append(Line2D([], [], color=colour, lw=1.5, label=f"Polaris: {picture.mode_name(int(mode))}"))
+        ax.plot(*flown[-1], marker="s", color=BLACK, ms=2.6, zorder=6)
+    else:
+        ax.plot(*before[-1], marker="s", color=BLACK, ms=2.6, zorder=6)
+    ax.plot(*before[0], marker="o", color=BLACK, ms=2.6, zorder=6)
+    return handles
+
+
+def _obstacles(ax: Any, picture: Picture, view: View) -> None:
+    from matplotlib.patches import Polygon
+
+    axes, system = picture.frame.flat, picture.system
+    extent = 3 * max(abs(v) for v in (*view.x, *view.y))
+    for obstacle in picture.obstacles:
+        if isinstance(obstacle, KeepIn):
+            outline = flat_outline(obstacle.outline(0.0, system, extent)[:, axes])
+            ax.add_patch(
+                Polygon(outline, closed=True, facecolor="none", edgecolor=RED, lw=0.8, ls=(0, (5, 1.5)), zorder=3)
+            )
+            inside = _along(outline)
+            seen = inside[view.contains(inside)]
+            if len(seen):
+                far = seen[np.argmax(np.linalg.norm(seen - view.points.mean(axis=0), axis=1))]
+                view.label(ax, f"{obstacle.name} (stay inside)", far[None], RED)
+            continue
+        instants = _instants(obstacle, picture, view)
+        for t, strength in zip(instants, np.linspace(0.25, 1.0, len(instants)) if len(instants) > 1 else [1.0], strict=True):
+            outline = flat_outline(obstacle.outline(float(t), system, extent)[:, axes])
+            face, edge = tint(RED, 0.45 * strength), tint(RED, strength)
+            ax.add_patch(Polygon(outline, closed=True, facecolor=face, edgecolor=edge, lw=0.6, zorder=3))
+        if len(instants):
+            seen = np.clip(outline, (view.x[0], view.y[0]), (view.x[1], view.y[1]))
+            big = np.ptp(seen, axis=0).min() > 0.12 * (view.y[1] - view.y[0]) * 1.5
+            text = obstacle.name if len(instants) == 1 else f"{obstacle.name}, t = {instants[-1]:.4g} s"
+            view.label(ax, text, seen.mean(axis=0)[None] if big else seen, RED)
+
+
+def _along(outline: Array, parts: int = 200) -> Array:
+    """Points along the edges of an outline."""
+    s = np.linspace(0, 1, parts)[:, None, None]
+    return np.asarray(((1 - s) * outline + s * np.roll(outline, -1, axis=0)).reshape(-1, 2))
+
+
+def _instants(obstacle: Obstacle, picture: Picture, view: View) -> Array:
+    """When an obstacle is drawn: once if it rests, else evenly over the time it is in view."""
+    if not _moves(obstacle, picture):
+        return np.zeros(1)
+    times = np.linspace(0, picture.duration, 201)
+    seen = times[view.contains(obstacle.centre(times, picture.system)[:, picture.frame.flat])]
+    if len(seen) == 0:
+        return np.zeros(0)
+    return np.asarray(seen[np.unique(np.linspace(0, len(seen) - 1, INSTANTS).astype(int))])
+
+
+def _line_scene(ax: Any, picture: Picture) -> None:
+    """Position over time, for a system that moves on a line."""
+    from matplotlib.lines import Line2D
+
+    delta, parts = picture.reference.delta, 8
+    before, _ = picture.path(parts)
+    t = (np.arange(picture.planned)[:, None] + np.linspace(0, 1, parts + 1)).ravel() * delta
+    ax.plot(t, before[:, 0], color=GREY, lw=1.1, ls=(0, (1, 1.4)), zorder=4.5)
+    handles = [Line2D([], [], color=GREY, lw=1.1, ls=(0, (1, 1.4)), label="reference")]
+    if "polaris" in picture.flights:
+        flights = picture.flights["polaris"]
+        flown = picture.positions(flights)[:, 0]
+        per_node = np.repeat(flights.modes, (len(flown) - 1) // len(flights.modes))
+        for mode in np.unique(flights.modes):
+            shown = np.where(per_node == mode, flown[:-1], np.nan)
+            ax.plot(flights.times[:-1], shown, color=mode_colour(int(mode)), zorder=4)
+            handles.append(
+                Line2D([], [], color=mode_colour(int(mode)), label=f"Polaris: {picture.mode_name(int(mode))}")
+            )
+    low, high = np.min(before), np.max(before)
+    pad = 0.3 * (high - low) + 1e-9
+    times = np.linspace(0, picture.duration, 101)
+    for obstacle in picture.obstacles:
+        spans = [obstacle.outline(float(s), picture.system, 1e6)[:, 0] for s in times]
+        edges = np.array([[span.min(), span.max()] for span in spans])
+        if isinstance(obstacle, KeepIn):
+            ax.plot(times, edges, color=RED, lw=0.8, ls=(0, (5, 1.5)))
+        else:
+            ax.fill_between(times, edges[:, 0], edges[:, 1], color=tint(RED, 0.45), lw=0, zorder=3)
+    ax.set(
+        xlabel="Time (s)", ylabel=picture.frame.labels[0], xlim=(0, picture.duration), ylim=(low - pad, high + pad)
+    )
+    legend_above(ax, handles, 2)

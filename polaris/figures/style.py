@@ -1,0 +1,163 @@
+"""How every figure looks: colours safe for colour-blind readers, type readable at column width."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..system import LinearSystem
+
+WIDTH = 3.5
+"""Width of a figure [in]: one column of a two-column page."""
+
+# Okabe and Ito's palette; the paper's orange for U and blue for S are in it.
+BLUE, ORANGE, VERMILION = "#0072B2", "#E69F00", "#D55E00"
+GREEN, SKY, PURPLE, YELLOW, BLACK = "#009E73", "#56B4E9", "#CC79A7", "#F0E442", "#000000"
+RED = "#C0202B"
+"""Unsafe sets: darker than the orange, so that they differ in grey too."""
+GREY = "#767676"
+
+MODE_COLOURS = (BLUE, ORANGE, PURPLE, GREEN, SKY, BLACK, YELLOW, VERMILION)
+
+_STYLE = {
+    "font.family": "sans-serif",
+    "font.sans-serif": ["DejaVu Sans"],
+    "mathtext.fontset": "dejavusans",
+    "font.size": 8,
+    "axes.labelsize": 8,
+    "axes.titlesize": 8,
+    "xtick.labelsize": 7,
+    "ytick.labelsize": 7,
+    "legend.fontsize": 7,
+    "axes.linewidth": 0.6,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "xtick.major.size": 2.5,
+    "ytick.major.size": 2.5,
+    "lines.linewidth": 1.2,
+    "patch.linewidth": 0.6,
+    "hatch.linewidth": 0.4,
+    "legend.frameon": False,
+    "legend.handlelength": 1.6,
+    "legend.columnspacing": 1.2,
+    "legend.handletextpad": 0.5,
+    "legend.borderaxespad": 0.2,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.axisbelow": True,
+    "grid.color": "#E4E4E4",
+    "grid.linewidth": 0.4,
+    "axes.formatter.use_mathtext": True,
+    "savefig.dpi": 300,
+    "pdf.fonttype": 42,
+    "svg.hashsalt": "polaris",
+    "path.simplify": True,
+}
+
+
+@contextmanager
+def style() -> Iterator[None]:
+    """Apply the house style while figures are drawn and saved; the user's own settings come back after."""
+    import matplotlib
+
+    with matplotlib.rc_context(_STYLE):
+        yield
+
+
+def new_figure(height: float, width: float = WIDTH) -> Any:
+    """Return an empty figure that no window and no global state knows of."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def axes_of(ax: Any, height: float = 3.0) -> Any:
+    """The axes given, or those of a new figure that ``pyplot.show()`` shows."""
+    if ax is not None:
+        return ax
+    from matplotlib import pyplot
+
+    return pyplot.subplots(figsize=(WIDTH, height), layout="constrained")[1]
+
+
+def save(figure: Any, folder: Path, name: str) -> tuple[Path, Path]:
+    """Write one figure as PDF and PNG with nothing in them that changes from run to run."""
+    pdf, png = folder / f"{name}.pdf", folder / f"{name}.png"
+    figure.savefig(pdf, metadata={"CreationDate": None, "Creator": "polaris", "Producer": None})
+    # The layout has been solved for the PDF; solving it again would only take time.
+    figure.set_layout_engine("none")
+    figure.savefig(png, metadata={"Software": "polaris"})
+    return pdf, png
+
+
+def mode_colour(mode: int) -> str:
+    """Colour of a controller: blue is S, orange the preferred experimental one."""
+    return MODE_COLOURS[mode % len(MODE_COLOURS)]
+
+
+def tint(colour: str, share: float) -> tuple[float, float, float]:
+    """The colour mixed with white: opaque, so that overlapping areas do not darken."""
+    from matplotlib.colors import to_rgb
+
+    r, g, b = (1 - share + share * value for value in to_rgb(colour))
+    return r, g, b
+
+
+def legend_above(ax: Any, handles: Any, columns: int = 2) -> None:
+    """Put the legend above the axes, where it covers nothing."""
+    if handles:
+        ax.legend(
+            handles=handles,
+            loc="lower left",
+            bbox_to_anchor=(0.0, 1.01),
+            ncols=columns,
+            labelspacing=0.3,
+        )
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Which coordinates a figure shows, and what they are called.
+
+    Attributes
+    ----------
+    axes : tuple of int
+        Position coordinates, horizontal one first. In Hill's frame along-track is drawn to the
+        right and radial (outward) upward, neither reversed; the third is cross-track.
+    labels : tuple of str
+        Axis labels with units, in the same order.
+    """
+
+    axes: tuple[int, ...]
+    labels: tuple[str, ...]
+
+    @classmethod
+    def of(cls, system: LinearSystem) -> Frame:
+        """Frame of a system: Hill's, or plain position coordinates."""
+        if system.mean_motion is not None and system.d == 3:
+            names = ("Along-track $r_y$ (m)", "Radial $r_x$ (m)", "Cross-track $r_z$ (m)")
+            return cls((1, 0, 2), names)
+        letters = "xyz"
+        return cls(tuple(range(system.d)), tuple(f"Position {letters[i]} (m)" for i in range(system.d)))
+
+    @property
+    def flat(self) -> list[int]:
+        """The two coordinates (or the one) of a plane view."""
+        return list(self.axes[:2])
+
+
+def input_labels(system: LinearSystem) -> tuple[str, tuple[str, ...]]:
+    """What the input is called, with its unit, and the name of each axis."""
+    if system.mean_motion is not None and system.m == 3:
+        return "Thrust (N)", ("radial $u_x$", "along-track $u_y$", "cross-track $u_z$")
+    return "Input $u$", tuple(f"$u_{{{i + 1}}}$" for i in range(system.m))
+
+
+def step_edges(values: Any) -> Any:
+    """Repeat the last value, so that a step plot reaches the end of the last step."""
+    return np.concatenate([values, values[-1:]])

@@ -1,0 +1,177 @@
+"""Write the scenario format's JSON Schema and its reference page from the models.
+
+Run ``python -m polaris.scenario_docs`` after a change to the models; a test compares the files.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from .scenario_model import ScenarioModel
+
+SCHEMA_FILE = "scenario.schema.json"
+REFERENCE_FILE = "scenario-reference.md"
+
+_INTRODUCTION = """\
+# Scenario reference
+
+<!-- Generated from the models by `python -m polaris.scenario_docs`. Do not edit. -->
+
+A scenario is one TOML file. Unknown keys are refused, numbers must be finite, and units stand in
+the names of the fields or in the tables below. States are written in the order of the system's
+state vector; in Hill's frame that is `[r_x, r_y, r_z, v_x, v_y, v_z]` (x radial, y along-track, z
+cross-track) in m and m/s. A system has *n* states, *m* inputs and *d* position coordinates (6, 3
+and 3 in Hill's frame).
+
+`polaris check FILE` validates a file and does nothing else. `polaris run FILE --set
+planner.solver=gurobi` replaces single values; lists count from 0, as in `--set
+obstacles[0].radius_m=25`. Editors that know JSON Schema complete and check the file when its first
+line is `#:schema ` followed by the path of [`scenario.schema.json`](scenario.schema.json).
+"""
+
+
+def schema() -> dict[str, Any]:
+    """JSON Schema of the scenario format; every field carries its unit under ``unit``."""
+    found: dict[str, Any] = _tidy(ScenarioModel.model_json_schema())
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        **found,
+        "title": "Polaris scenario",
+    }
+
+
+def _tidy(node: Any) -> Any:
+    """Drop the titles that only repeat the keys, and OpenAPI's ``discriminator``."""
+    if isinstance(node, list):
+        return [_tidy(entry) for entry in node]
+    if not isinstance(node, dict):
+        return node
+    kept = {}
+    for key, value in node.items():
+        if key in ("properties", "$defs"):
+            kept[key] = {name: _tidy(entry) for name, entry in value.items()}
+        elif key not in ("title", "discriminator"):
+            kept[key] = _tidy(value)
+    return kept
+
+
+def schema_text() -> str:
+    """The schema as it is written to the file."""
+    return json.dumps(schema(), indent=2, ensure_ascii=False) + "\n"
+
+
+# -- the reference page -----------------------------------------------------------------------------
+
+
+def reference_text() -> str:
+    """The reference page as Markdown."""
+    whole = schema()
+    tables = whole["$defs"]
+    lines = [_INTRODUCTION, "## Top level", "", *_fields(whole, tables, whole["required"])]
+    for key, node in whole["properties"].items():
+        members = list(_members(node, tables))
+        if not members:
+            continue
+        heading = f"[[{key}]]" if node.get("type") == "array" else f"[{key}]"
+        lines += ["", f"## `{heading}`"]
+        if len(members) > 1:
+            lines += ["", node["description"]]
+        for member in members:
+            lines += _section(member, tables, heading)
+            reference = member["properties"].get("reference")
+            if reference:
+                lines += ["", "#### `reference` of a controller"]
+                for choice in _members(reference, tables):
+                    lines += _section(choice, tables, "reference")
+    return "\n".join(lines) + "\n"
+
+
+def _section(member: dict[str, Any], tables: dict[str, Any], heading: str) -> Iterator[str]:
+    """One table of the file: its kind, what it is, its fields."""
+    kind = member["properties"].get("kind")
+    if kind and heading != "[recoverable]":
+        words = " or ".join(f'`kind = "{word}"`' for word in _words(kind))
+        level = "#####" if heading == "reference" else "###"
+        yield from ("", f"{level} {words}")
+    yield from ("", member["description"], "")
+    yield from _fields(member, tables, member.get("required", []))
+
+
+def _members(node: dict[str, Any], tables: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """Table classes a field may hold."""
+    if "$ref" in node:
+        yield tables[node["$ref"].rpartition("/")[2]]
+    for key in ("oneOf", "anyOf"):
+        for choice in node.get(key, ()):
+            yield from _members(choice, tables)
+    if node.get("type") == "array" and isinstance(node.get("items"), dict):
+        yield from _members(node["items"], tables)
+
+
+def _fields(table: dict[str, Any], tables: dict[str, Any], required: list[str]) -> Iterator[str]:
+    yield "| Field | Value | Unit | Default | Meaning |"
+    yield "|---|---|---|---|---|"
+    for key, node in table["properties"].items():
+        shown = _default(node) if key not in required else "required"
+        cells = (f"`{key}`", _value(node, tables), node["unit"], shown, node["description"])
+        yield "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+
+
+def _default(node: dict[str, Any]) -> str:
+    if "default" not in node or node["default"] is None:
+        return "none" if "default" in node else "see below"
+    default = node["default"]
+    return "none" if default in ("", []) else f"`{json.dumps(default)}`"
+
+
+def _words(node: dict[str, Any]) -> list[str]:
+    return [str(node["const"])] if "const" in node else [str(word) for word in node.get("enum", ())]
+
+
+def _value(node: dict[str, Any], tables: dict[str, Any]) -> str:
+    """What may be written, in words."""
+    if _words(node):
+        return ", ".join(f"`{word}`" for word in _words(node))
+    if any(_members(node, tables)):
+        return "list of tables" if node.get("type") == "array" else "table"
+    choices = [choice for choice in node.get("oneOf", node.get("anyOf", ())) if choice.get("type") != "null"]
+    if choices:
+        return " or ".join(_value(choice, tables) for choice in choices)
+    match node.get("type"):
+        case "array":
+            inner = _value(node["items"], tables)
+            if inner.startswith("list of "):
+                return "rows of " + inner.removeprefix("list of ")
+            return "list of " + inner.replace("number", "numbers", 1)
+        case "number" | "integer":
+            return ("whole number" if node["type"] == "integer" else "number") + _range(node)
+        case "boolean":
+            return "true or false"
+        case _:
+            return "text"
+
+
+def _range(node: dict[str, Any]) -> str:
+    """Bounds of a number; those every number has are left out."""
+    words = {"exclusiveMinimum": ">", "minimum": ">=", "exclusiveMaximum": "<", "maximum": "<="}
+    bounds = [f"{sign} {node[key]:g}" for key, sign in words.items() if key in node and abs(node[key]) < 1e12]
+    return " " + ", ".join(bounds) if bounds else ""
+
+
+def write(folder: Path) -> tuple[Path, Path]:
+    """Write both files into a folder; return their paths."""
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = folder / SCHEMA_FILE, folder / REFERENCE_FILE
+    for path, text in zip(paths, (schema_text(), reference_text()), strict=True):
+        path.write_text(text, encoding="utf-8", newline="\n")
+    return paths
+
+
+if __name__ == "__main__":
+    target = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).resolve().parent.parent / "docs"
+    for written in write(target):
+        print(written)

@@ -1,0 +1,33 @@
+"""The version, read from the one place that states it: the project file."""
+
+from __future__ import annotations
+
+from importlib import metadata
+from pathlib import Path
+
+DISTRIBUTION = "polaris-rta"
+
+
+def version() -> str:
+    """Version of this package: a checkout's project file, else what was installed."""
+    project = Path(__file__).resolve().parent.parent / "pyproject.toml"
+    if project.is_file():
+        import tomllib
+
+        declared = tomllib.loads(project.read_text(encoding="utf-8")).get("project", {})
+        if declared.get("name") == DISTRIBUTION:
+            return str(declared["version"])
+    return metadata.version(DISTRIBUTION)
+
+
+def versions() -> dict[str, str]:
+    """Versions of everything a result depends on, by name."""
+    import platform
+
+    found = {"polaris": version(), "python": platform.python_version()}
+    for name in ("numpy", "scipy", "control", "pulp", "highspy", "matplotlib"):
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:  # vendored, or installed without its metadata
+            found[name] = "unknown"
+    return found

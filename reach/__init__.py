@@ -1,0 +1,54 @@
+"""Reachable sets of linear systems: zonotopes, tubes sound in continuous time, relaxations.
+
+A library of its own: it needs numpy and scipy only. Names are imported when first used.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from .ball import ball_generators
+    from .errors import ReachError
+    from .flow import LinearFlow, state_scale
+    from .linear import discretize, growth, powers
+    from .relaxation import clip_relaxation
+    from .zonotope import Zonotope
+
+_HOMES = {
+    ".ball": ("ball_generators",),
+    ".errors": ("ReachError",),
+    ".flow": ("LinearFlow", "state_scale"),
+    ".linear": ("discretize", "growth", "powers"),
+    ".relaxation": ("clip_relaxation",),
+    ".zonotope": ("Zonotope",),
+}
+"""Module of every public name."""
+
+_HOME = {name: home for home, names in _HOMES.items() for name in names}
+
+__all__ = [
+    "LinearFlow",
+    "ReachError",
+    "Zonotope",
+    "ball_generators",
+    "clip_relaxation",
+    "discretize",
+    "growth",
+    "powers",
+    "state_scale",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name when it is first asked for."""
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(import_module(_HOME[name], __name__), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

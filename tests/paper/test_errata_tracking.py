@@ -1,0 +1,160 @@
+"""One named test per error of the papers about tracking and recoverable sets (docs/theory.md, Errata).
+
+Each shows the printed form failing and ours holding.
+"""
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from polaris.error_bounds import get_err_bounds
+from polaris.hill import clohessy_wiltshire
+from polaris.recoverable import get_recover
+from polaris.system import LinearSystem
+from polaris.tracking import Feedback, Tracking, choose_feedback, lqr_gain
+
+from ..polaris.conftest import small_safety
+
+SYSTEM = clohessy_wiltshire(0.0012, 10.0, 1.0, 1e-5)
+GAIN = lqr_gain(SYSTEM, [1, 1, 1, 1e3, 1e3, 1e3], [1e4] * 3)
+A_C = SYSTEM.A - SYSTEM.B @ GAIN
+
+
+def tracking(period=None):
+    return Tracking(SYSTEM, GAIN, choose_feedback(SYSTEM, [GAIN], 50.0, period), 50.0)
+
+
+def test_item_1_decay_rate_needs_the_absolute_value():
+    slowest = np.linalg.eigvals(A_C).real.max()
+    assert slowest < 0, "as printed, 0 < beta < lambda_max has no solution for a stable loop"
+    bounds = get_err_bounds(tracking())
+    assert 0 < bounds.beta < abs(slowest)
+    for t in np.linspace(0, 400, 81):
+        reached = np.linalg.norm(bounds.W @ expm(A_C * t) @ np.linalg.inv(bounds.W), 2)
+        assert reached <= bounds.gamma * np.exp(-bounds.beta * t) * (1 + 1e-9)
+
+
+def test_item_2_gamma_in_raw_units_is_many_times_the_weighted_one():
+    raw, weighted = get_err_bounds(tracking(), weight="identity"), get_err_bounds(tracking())
+    assert raw.gamma > 15
+    assert weighted.gamma < 1.5
+    # Position is bounded on its own: from 1 cm/s of initial error, in metres.
+    e0 = np.array([0, 0, 0, 0.01, 0, 0])
+    reached = max(np.linalg.norm((expm(A_C * t) @ e0)[:3]) for t in np.linspace(0, 400, 401))
+    assert reached <= weighted.gamma_position * np.linalg.norm(weighted.W @ e0)
+
+
+def test_item_3_printed_disturbance_gain_is_valid_but_loose():
+    bounds = get_err_bounds(tracking(), weight="identity")
+    printed = bounds.gamma / bounds.beta * np.linalg.norm(SYSTEM.D, 2) * SYSTEM.w_max
+    tight = tracking().disturbance(SYSTEM.position)[-1].max()
+    t = np.arange(0.25, 1500, 0.5)
+    kernel = [np.linalg.norm(SYSTEM.position[0] @ expm(A_C * s) @ SYSTEM.D) for s in t[::4]]
+    exact = np.sum(kernel) * 2.0 * SYSTEM.w_max
+    assert exact <= tight * 1.001 <= printed
+    assert printed > 1.4 * tight
+    assert tight < 1.25 * exact
+
+
+def spinning():
+    """A loop whose transient peaks between the samples of half its rotation."""
+    A = np.array([[-0.02, 1.0], [-0.01, -0.02]])  # rotates at 0.1 rad/s, axes 10 to 1
+    system = LinearSystem(A, np.eye(2), np.eye(2), [1.0, 1.0], 0.0, C=[[1.0, 0.0]])
+    h = np.pi / 0.1
+    return A, h, Tracking(system, np.zeros((2, 2)), Feedback(1), h)
+
+
+def test_item_4_gamma_from_samples_misses_what_happens_between_them():
+    A, h, track = spinning()
+    beta = 0.005
+    naive = max(np.exp(beta * l * h) * np.linalg.norm(expm(A * l * h), 2) for l in range(30))
+    peak = max(np.exp(beta * t) * np.linalg.norm(expm(A * t), 2) for t in np.linspace(0, h, 400))
+    assert naive < 0.3 * peak, "the printed recipe on this grid is no bound"
+    for method in ("envelope", "lyapunov"):
+        bounds = get_err_bounds(track, method, "identity")
+        for t in np.linspace(0, 30 * h, 2000):
+            reached = np.linalg.norm(expm(A * t), 2)
+            assert reached <= bounds.gamma * np.exp(-bounds.beta * t) * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("method", ["envelope", "lyapunov"])
+def test_item_4_bounds_hold_beyond_the_last_sample(method):
+    bounds = get_err_bounds(tracking(), method, "identity")
+    for t in np.linspace(500, 5000, 200):
+        assert np.linalg.norm(expm(A_C * t), 2) <= bounds.gamma * np.exp(-bounds.beta * t) * (1 + 1e-9)
+
+
+def radii(kind):
+    safety = small_safety()
+    sets = get_recover(kind, safety.clearance, safety.bounds)
+    nodes = safety.problem.K * safety.clearance.q
+    return np.array([sets.radius(i) for i in range(0, nodes, 5)])
+
+
+def test_item_5_printed_ball_is_constant_and_the_time_varying_one_is_no_smaller():
+    beta, t = 0.02, 100.0
+    tau = np.linspace(t, 1000, 50)
+    assert np.max(np.exp(-beta * (tau - t))) == 1.0, "the maximum in eq. 12 is always 1"
+    constant, varying = radii("ball"), radii("time_varying_ball")
+    assert np.ptp(constant) == 0
+    assert np.all(varying >= constant * (1 - 1e-12))
+    assert varying.max() > 1.05 * constant.max()
+
+
+def test_item_5_polytopes_are_no_smaller_than_the_balls_anywhere():
+    assert np.all(radii("polytope") >= radii("time_varying_ball") * (1 - 1e-9))
+
+
+def test_item_6_a_distance_in_the_state_norm_depends_on_the_units():
+    """The printed r_min mixes m and m/s; what ours needs along a facet does not care about units."""
+    in_mm_per_s = np.diag([1, 1, 1, 1e3, 1e3, 1e3])  # velocities in mm/s
+    e = np.array([3.0, 0, 0, 0.05, 0, 0])
+    assert np.linalg.norm(in_mm_per_s @ e) > 10 * np.linalg.norm(e), "the printed norm changes with the unit"
+    inverse = np.linalg.inv(in_mm_per_s)
+    scaled = LinearSystem(
+        in_mm_per_s @ SYSTEM.A @ inverse, in_mm_per_s @ SYSTEM.B, in_mm_per_s @ SYSTEM.D, SYSTEM.u_max,
+        SYSTEM.w_max, C=SYSTEM.position @ inverse, mass=10.0,
+    )
+    plain, other = tracking(), Tracking(scaled, GAIN @ inverse, tracking().feedback, 50.0)
+    from polaris.clearance import error_tube
+    from reach.zonotope import Zonotope
+
+    theta = Zonotope.box(np.zeros(6), [3, 3, 3, 0.01, 0.01, 0.01])
+    need = error_tube(plain, theta, SYSTEM.position).need
+    same = error_tube(other, in_mm_per_s @ theta, scaled.position).need
+    count = min(len(need), len(same)) - 1
+    assert np.allclose(need[:count], same[:count], rtol=1e-3)
+
+
+def test_item_7_the_printed_ball_admits_states_from_which_the_thrusters_saturate():
+    safety = small_safety()
+    printed = get_recover("paper_ball", safety.clearance, safety.bounds)
+    sound = get_recover("ball", safety.clearance, safety.bounds)
+    system, gain = safety.problem.system, safety.tracking.gain
+    assert printed.guarantee == "none"
+    assert sound.guarantee == "proved"
+    # along the direction of the gain, out to the edge of the printed ball
+    direction = gain[0] / np.linalg.norm(printed.bounds.W @ gain[0])
+    edge = direction * printed.radius(0) * 0.999
+    assert printed.contains(0, edge[None])[0]
+    assert abs(gain[0] @ edge) > system.u_max[0], "S would have to exceed the thrust limit"
+    assert not sound.contains(0, edge[None])[0]
+
+
+def test_item_7_reference_inputs_leave_room_for_the_tracker():
+    safety = small_safety()
+    system = safety.problem.system
+    corners = (safety.start).corners()
+    worst = 0.0
+    for lag in range(safety.clearance.q * 4):
+        carried = corners @ (safety.tracking.gain @ np.linalg.matrix_power(safety.tracking.flow.phi, lag)).T
+        worst = max(worst, float((np.abs(safety.plan.nu[lag // safety.clearance.q]) + np.abs(carried).max(axis=0)).max()))
+    assert worst <= system.u_max.max()
+    assert np.all(np.abs(safety.plan.nu) < system.u_max)
+
+
+def test_item_12_what_holds_after_T_is_said():
+    end = small_safety().end
+    assert end.horizon in ("infinite", "one_period", "none")
+    assert end.reason
+    assert (end.until == np.inf) == (end.horizon == "infinite")

@@ -1,0 +1,72 @@
+"""Scenes shared by the tests: synthesised once per run."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from polaris.controllers import AffineController, AnyThrust
+from polaris.hill import clohessy_wiltshire
+from polaris.obstacles import BoxObstacle
+from polaris.planning import EllipticalNMT
+from polaris.problem import Problem
+from polaris.reference import Reference
+from polaris.safety import get_safety
+from polaris.scenario import load_scenario
+from polaris.synthesis import synthesize
+from polaris.tracking import lqr_gain
+from reach.zonotope import Zonotope
+
+
+@cache
+def synthesised(name):
+    """(scenario, schedule) of a bundled scenario."""
+    scenario = load_scenario(name)
+    return scenario, synthesize(scenario)
+
+
+@cache
+def small_problem(period=None, w_max=1e-5, recoverable="polytope"):
+    """A short transfer past one box: the smallest scene that has everything."""
+    system = clohessy_wiltshire(0.0012, 10.0, 0.1, w_max)
+    weights = {"Q": [0.04] * 3 + [25.0] * 3, "R": [400.0] * 3}
+    start = Zonotope.box([0, 400.0, 0, 0.24, 0, 0], [3, 3, 3, 0.01, 0.01, 0.01])
+    box = BoxObstacle("debris", [125.0, 230.0, 0.0], [25.0] * 3)
+    stiff = lqr_gain(system, [0.25] * 3 + [100.0] * 3, [400.0] * 3)
+    return Problem(
+        system, start, (box,), 60, 30.0, goal=EllipticalNMT(0.0012, 40.0, 80.0), extra_margin=20.0,
+        period=period, recoverable=recoverable, gains=(stiff,), **weights,
+    )
+
+
+@cache
+def small_safety(period=None, w_max=1e-5, recoverable="polytope"):
+    """Algorithm 1 on `small_problem`."""
+    return get_safety(small_problem(period, w_max, recoverable))
+
+
+@cache
+def small_controllers(period=None, w_max=1e-5):
+    """Named experimental controllers on `small_problem`."""
+    safety = small_safety(period, w_max)
+    system, stiff = safety.problem.system, safety.problem.gains[0]
+    coasting = Reference.propagate(system, 30.0, safety.reference.chi[0], np.zeros((60, 3)))
+    away = Reference(system, 30.0, np.repeat(np.array([[0, 430.0, 0, 0, 0, 0]]), 61, axis=0), np.zeros((60, 3)))
+
+    def affine(name, own, clips):
+        return AffineController(name, system, stiff, safety.reference, own, safety.tracking, clips)
+
+    return {
+        "shared": affine("shared", safety.reference, False),
+        "coasting": affine("coasting", coasting, False),
+        "clipped": affine("clipped", away, True),
+        "any": AnyThrust("any", system, safety.reference, safety.tracking),
+    }
+
+
+@pytest.fixture(params=[None, 2.0], ids=["continuous", "sampled"])
+def period(request):
+    """Both kinds of feedback."""
+    return request.param
+
+

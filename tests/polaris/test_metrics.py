@@ -1,0 +1,243 @@
+"""Metrics against hand-computed values and brute force; the defects of RTAEval must not occur."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from polaris.errors import ScenarioError
+from polaris.hill import clohessy_wiltshire, free_flight
+from polaris.metrics import (
+    UNKNOWN,
+    closest,
+    count_switches,
+    delta_v,
+    drift_ttc,
+    mode_shares,
+    ray_ttc,
+    signed_distances,
+)
+from polaris.obstacles import (
+    BallObstacle,
+    BoxObstacle,
+    KeepInCone,
+    KeepInPolytope,
+    PolytopeObstacle,
+    SatelliteObstacle,
+)
+from polaris.system import LinearSystem
+
+ETA = 0.0012
+CW = clohessy_wiltshire(ETA, 10.0, 0.1)
+PLANE = LinearSystem(
+    np.kron([[0, 1], [0, 0]], np.eye(2)),
+    np.kron([[0], [1]], np.eye(2)),
+    np.kron([[0], [1]], np.eye(2)),
+    [1, 1],
+)
+BALL, BOX = BallObstacle("ball", [0, 0], 1.0), BoxObstacle("box", [10, 0], [1, 2])
+
+# -- distance -------------------------------------------------------------------------------------
+
+
+def test_distances_and_the_closest_approach_of_every_run():
+    t = np.array([0.0, 1, 2])
+    p = np.array([[[3, 0], [5, 0], [8, 0]], [[0, 3], [0, 0.5], [0, 9]]], dtype=float)
+    distances = signed_distances([BALL, BOX], t, p)
+    np.testing.assert_allclose(distances[0], [[2, 4, 7], [2, -0.5, 8]])
+    np.testing.assert_allclose(distances[1], [[6, 4, 1], [np.hypot(9, 1), 9, np.hypot(9, 7)]])
+    best = closest(distances, t)
+    np.testing.assert_allclose(best.distance, [1, -0.5])
+    np.testing.assert_allclose(best.time, [2, 1])
+    np.testing.assert_array_equal(best.obstacle, [1, 0])
+
+
+def test_no_obstacles_and_one_sample():
+    p = np.zeros((4, 1, 2))
+    none = closest(signed_distances([], [0.0], p), [0.0])
+    assert np.all(none.distance == np.inf)
+    assert np.all(none.obstacle == -1)
+    assert np.all(np.isnan(none.time))
+    assert ray_ttc([], [0.0], p, p).shape == (0, 4, 1)
+    assert drift_ttc([], PLANE, 0.0, np.zeros((4, 4)), 10.0).shape == (0, 4)
+    one = closest(signed_distances([BALL], [0.0], p), [0.0])
+    np.testing.assert_allclose(one.distance, -1)
+
+
+# -- time to collision ----------------------------------------------------------------------------
+
+
+def test_ray_ttc_is_vectorised_over_runs_and_times():
+    t = np.linspace(0, 1, 3)
+    p = np.array([[[-5.0, 0]] * 3, [[5.0, 0]] * 3])
+    v = np.array([[[1.0, 0], [2, 0], [0, 0]], [[1.0, 0], [-1, 0], [0, 1]]])
+    found = ray_ttc([BALL, BOX], t, p, v)
+    np.testing.assert_allclose(found[0], [[4, 2, np.inf], [np.inf, 4, np.inf]])
+    np.testing.assert_allclose(found[1], [[14, 7, np.inf], [4, np.inf, np.inf]])
+
+
+def test_drift_in_straight_lines_equals_the_ray():
+    rng = np.random.default_rng(0)
+    sat = SatelliteObstacle("sat", [3, -4, 0.2, 0.1], np.zeros(4), 0.7)
+    moving = BallObstacle("moving", [-3, 1], 0.5, velocity=[0.3, 0.2])
+    poly = PolytopeObstacle("poly", [[1, 1], [-1, 2], [0, -1]], [1, 1, 1])
+    keep = KeepInPolytope("keep", [[1, 0], [0, 1]], [6, 6])
+    cone = KeepInCone("cone", [-20, 0], [1, 0], 0.5)
+    obstacles = [BALL, BOX, moving, sat, poly, keep, cone]
+    x = np.concatenate([rng.normal(size=(2, 40, 2)) * 5, rng.normal(size=(2, 40, 2))], axis=-1)
+    t = np.linspace(0, 3, 40)
+    ray = ray_ttc(obstacles, t, x[..., :2], x[..., 2:], PLANE)
+    drift = drift_ttc(obstacles, PLANE, t, x, 20.0)
+    assert np.isfinite(ray[ray < 20]).sum() > 40
+    np.testing.assert_allclose(drift, np.where(ray <= 20, ray, np.inf), rtol=1e-6, atol=1e-6)
+
+
+@settings(max_examples=10, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_drift_ttc_against_dense_propagation(seed):
+    rng = np.random.default_rng(seed)
+    obstacles = [
+        BoxObstacle("box", [0, 0, 0], [20, 30, 20]),
+        BallObstacle("ball", [50, 100, 0], 25, velocity=[0, -0.05, 0]),
+        SatelliteObstacle("sat", [40, 0, 0, 0, -2 * ETA * 40, 0], np.zeros(6), 15),
+        KeepInCone("cone", [0, -400, 0], [0, 1, 0], 0.6),
+    ]
+    horizon, t0 = 5000.0, 100.0
+    x = np.r_[rng.normal(size=3) * 100, rng.normal(size=3) * 0.15]
+    found = drift_ttc(obstacles, CW, t0, x, horizon)
+    s = np.linspace(0, horizon, 10001)
+    p = (free_flight(ETA, s) @ x)[:, :3]
+    distances = signed_distances(obstacles, t0 + s, p, CW)
+    for o in range(len(obstacles)):
+        hits = np.flatnonzero(distances[o] <= 0)
+        if len(hits) and distances[o].min() < -2e-3:
+            depth = np.flatnonzero(distances[o] <= -2e-3)[0]
+            assert s[max(hits[0] - 1, 0)] - 1 <= found[o] <= s[depth] + 1e-6
+            if found[o] > 0:  # on the surface when it says so
+                at = (free_flight(ETA, found[o]) @ x)[:3]
+                assert abs(obstacles[o].signed_distance(t0 + found[o], at, CW)) < 2e-3
+        elif distances[o].min() > 2e-3:
+            assert found[o] == np.inf
+
+
+def test_drift_ttc_sees_a_pass_far_shorter_than_its_grid():
+    """1 m wide at 50 m/s: 0.02 s inside, in a horizon of an hour."""
+    ball = BallObstacle("b", [0, 0, 0], 0.5)
+    x = np.array([[100_000.0, 0.45, 0, -50, 0, 0], [100_000.0, 0.55, 0, -50, 0, 0]])
+    flat = LinearSystem(np.kron([[0, 1], [0, 0]], np.eye(3)), CW.B, CW.D, CW.u_max)
+    found = drift_ttc([ball], flat, 0.0, x, 3600.0)[0]
+    assert found[0] == pytest.approx((100_000 - np.sqrt(0.25 - 0.45**2)) / 50, abs=1e-6)
+    assert found[1] == np.inf
+
+
+def test_drift_ttc_uses_true_states_of_other_satellites():
+    sat = SatelliteObstacle("sat", [1000, 0, 0, 0], np.zeros(4), 1.0)
+    x = np.zeros((3, 4))
+    true = np.array([[11.0, 0, -1, 0], [11, 0, 1, 0], [0.5, 0, 0, 0]])
+    found = drift_ttc([sat], PLANE, 0.0, x, 50.0, states={"sat": true})[0]
+    np.testing.assert_allclose(found, [10, np.inf, 0])
+    np.testing.assert_allclose(
+        signed_distances([sat], 0.0, x[:, :2], PLANE, {"sat": true})[0], [10, 10, -0.5]
+    )
+
+
+# -- modes and fuel -------------------------------------------------------------------------------
+
+
+def test_shares_are_weighted_by_time():
+    shares = mode_shares([0.0, 1, 4, 10], [0, 1, 0])
+    assert shares[0] == pytest.approx(0.7)
+    assert shares[1] == pytest.approx(0.3)
+    runs = mode_shares([0.0, 1, 4], [[0, 1, 1], [2, UNKNOWN, 0]])  # the last sample holds for no time
+    assert set(runs) == {UNKNOWN, 0, 1, 2}
+    np.testing.assert_allclose(runs[1], [0.75, 0])
+    np.testing.assert_allclose(runs[UNKNOWN], [0, 0.75])
+    np.testing.assert_allclose(sum(runs.values()), 1)
+    assert mode_shares([0.0], [1])[1] == 1.0
+
+
+def test_switches_are_counted_inside_the_run_only():
+    np.testing.assert_array_equal(count_switches([[0, 0, 0], [0, 1, 1], [1, 0, 1], [2, 1, 0]]), [0, 1, 2, 2])
+    u = UNKNOWN
+    np.testing.assert_array_equal(
+        count_switches([[u, u, u, u], [u, 1, u, 1], [1, u, 0, u], [u, u, 0, 1]]), [0, 0, 1, 1]
+    )
+    assert count_switches([0]) == 0
+    # two rows stamped t = 0: the first held for no time
+    assert count_switches([1, 0, 0], [0.0, 0, 1]) == 0
+    assert count_switches([1, 0, 0]) == 1
+
+
+def test_delta_v():
+    u = np.array([[3.0, -4], [0, 1], [7, 7]])
+    assert delta_v([0.0, 2, 5], u, 10.0) == pytest.approx((7 * 2 + 1 * 3) / 10)
+    assert delta_v([0.0, 2, 5], u, 10.0, norm=2) == pytest.approx((5 * 2 + 1 * 3) / 10)
+    np.testing.assert_allclose(delta_v([0.0, 2, 5, 6], np.stack([u, 2 * u]), 10.0), [3.1, 6.2])
+
+
+# -- RTAEval's defects ----------------------------------------------------------------------------
+
+
+def test_rtaeval_1_no_coordinate_is_dropped():
+    assert signed_distances([BallObstacle("b", [0, 0, 0], 2.0)], 0.0, [10.0, 0, 0])[0] == pytest.approx(8)
+    assert signed_distances([BoxObstacle("b", [0, 0, 0], [2, 2, 2])], 0.0, [10.0, 0, 0])[0] == pytest.approx(
+        8
+    )
+
+
+def test_rtaeval_2_ttc_has_a_sign():
+    v = [[1.0, 0], [0, 5], [0, 0]]
+    found = ray_ttc([BallObstacle("b", [-10, 0], 1.0)], 0.0, np.zeros((3, 2)), v)
+    assert np.all(found == np.inf)
+
+
+def test_rtaeval_3_polytopes_have_a_ttc_of_their_own():
+    wall = PolytopeObstacle("w", [[-1.0, 0]], [-20], unbounded=True)
+    np.testing.assert_allclose(ray_ttc([BALL, wall], 0.0, [-5, 0], [1, 0]), [4, 25])
+
+
+def test_rtaeval_4_and_5_agents_meet_head_on():
+    space = LinearSystem(np.kron([[0, 1], [0, 0]], np.eye(3)), CW.B, CW.D, CW.u_max)
+    agent = SatelliteObstacle("agent", [0, 0, 12, 0, 0, -1], np.zeros(6), 2.0)
+    assert signed_distances([agent], 0.0, [0.0, 0, 0], space)[0] == pytest.approx(10)
+    assert ray_ttc([agent], 0.0, [0, 0, 0], [0, 0, 1], space)[0] == pytest.approx(5)
+
+
+def test_rtaeval_6_starting_in_safety_is_no_switch():
+    assert count_switches([0, 0, 0]) == 0
+    assert mode_shares([0.0, 1, 2], [UNKNOWN, UNKNOWN])[UNKNOWN] == 1.0
+    assert 0 not in mode_shares([0.0, 1, 2], [UNKNOWN, UNKNOWN])
+
+
+def test_rtaeval_7_penetration_is_kept():
+    assert signed_distances([BALL], 0.0, [0.25, 0])[0] == pytest.approx(-0.75)
+
+
+# -- refusals -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("call", "field"),
+    [
+        (lambda: mode_shares([0.0, 2, 1], [0, 1, 0]), "t"),
+        (lambda: mode_shares([0.0, np.nan, 1], [0, 1, 0]), "t"),
+        (lambda: mode_shares([0.0, 1], [0, 1, 0]), "t"),
+        (lambda: mode_shares([0.0, 1], [0.5, 1]), "modes"),
+        (lambda: mode_shares([], []), "modes"),
+        (lambda: count_switches(1), "modes"),
+        (lambda: delta_v([0.0, 1], [[1.0]], -1.0), "mass"),
+        (lambda: delta_v([0.0, 1], [[np.nan]], 1.0), "u"),
+        (lambda: delta_v([0.0, 1], [[1.0]], 1.0, norm=3), "norm"),
+        (lambda: drift_ttc([BALL], PLANE, 0.0, np.zeros(3), 1.0), "x"),
+        (lambda: drift_ttc([BALL], PLANE, 0.0, np.full(4, np.nan), 1.0), "x"),
+        (lambda: drift_ttc([BALL], PLANE, 0.0, np.zeros(4), -1.0), "horizon"),
+        (lambda: ray_ttc([BALL], 0.0, [0.0, 0], [np.inf, 0]), "v"),
+        (lambda: closest([1.0, 2.0], [0.0, 1]), "distances"),
+    ],
+)
+def test_bad_input_is_refused(call, field):
+    with pytest.raises(ScenarioError) as caught:
+        call()
+    assert caught.value.field == field

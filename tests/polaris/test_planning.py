@@ -1,0 +1,401 @@
+"""The planner: every plan is simulated densely by code that shares nothing with it."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from time import perf_counter
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from polaris.errors import NotCertified, PolarisError, ScenarioError, SynthesisInfeasible
+from polaris.hill import clohessy_wiltshire
+from polaris.planning import (
+    Box,
+    EllipticalNMT,
+    LinearNMT,
+    Plan,
+    PlannerOptions,
+    PlanProblem,
+    StationaryPoint,
+    plan,
+    recheck,
+)
+from polaris.system import LinearSystem
+from polaris.unsafe import TimedPolytope
+
+ETA = 0.0012
+CW = clohessy_wiltshire(ETA, 10.0, 1.0)
+NMT = EllipticalNMT(ETA, 100.0, 250.0)
+START = np.array([0, -1000, 0, 0, 0, 0.0])
+
+
+def box(name, center, half, K=60, velocity=0.0, delta=50.0, d=3):
+    """A box at constant velocity, as a timed polytope."""
+    center, half, velocity = (np.broadcast_to(np.asarray(v, float), (d,)) for v in (center, half, velocity))
+    normals = np.vstack([np.eye(d), -np.eye(d)])
+    b = (center + velocity * np.arange(K + 1)[:, None] * delta) @ normals.T + np.r_[half, half]
+    return TimedPolytope(name, normals, np.stack([b[:-1], b[1:]], axis=1), static=not np.any(velocity))
+
+
+def problem(unsafe, goal=NMT, K=60, delta=50.0, x0=START, margin=10.0, extra=20.0, u=0.9, system=CW, **more):
+    return PlanProblem(
+        system,
+        np.asarray(x0, float),
+        K,
+        delta,
+        tuple(unsafe),
+        tuple(np.full((K, len(b.normals)), margin) for b in unsafe),
+        np.full((K, system.m), u),
+        goal,
+        extra_margin=extra,
+        **more,
+    )
+
+
+def simulate(task: PlanProblem, nu, parts=40):
+    """Times and states on a fine grid, by the exponential of the augmented matrix."""
+    n, m = task.system.n, task.system.m
+    block = np.zeros((n + m, n + m))
+    block[:n, :n], block[:n, n:] = task.system.A, task.system.B
+    step = expm(block * task.delta / parts)
+    x, states = task.x0.copy(), [task.x0.copy()]
+    for u in np.vstack([nu, np.zeros((task.tail_cells, m))]):
+        for _ in range(parts):
+            x = step[:n, :n] @ x + step[:n, n:] @ u
+            states.append(x)
+    return np.arange(len(states)) * task.delta / parts, np.array(states)
+
+
+def clearance(task: PlanProblem, i, times, positions):
+    """Largest ``n p - b(t) - margin`` over the facets of unsafe set i at every time [m]."""
+    body, last = task.unsafe[i], len(task.unsafe[i].offsets) - 1
+    out = []
+    for t, p in zip(times, positions, strict=True):
+        k = min(int(t / task.delta + 1e-9), task.cells - 1)
+        share = t / task.delta - k
+        b = body.offsets[min(k, last)]
+        offset = b[0] * (1 - share) + b[1] * share
+        out.append(np.max(body.normals @ p - offset - task.margins[i][min(k, task.K - 1)]))
+    return np.array(out)
+
+
+def assert_holds(task: PlanProblem, answer: Plan, parts=40):
+    """Everything a plan promises, by dense simulation."""
+    assert np.all(np.abs(answer.nu) <= task.u_limit)
+    times, states = simulate(task, answer.nu, parts)
+    assert np.allclose(states[::parts][: task.K + 1], answer.chi, atol=1e-6, rtol=1e-9)
+    assert task.goal.violation(states[task.K * parts])[0] == 0.0
+    positions = states @ task.system.position.T
+    worst = np.inf
+    for i in range(len(task.unsafe)):
+        gap = clearance(task, i, times, positions)
+        assert gap.min() >= 0, f"{task.unsafe[i].name}: {gap.min()}"
+        planned = gap[: task.K * parts + 1]
+        worst = min(worst, planned.min())
+        # one facet separates the whole of each cell
+        for k in range(task.K):
+            f, span = answer.facets[i, k], slice(k * parts, (k + 1) * parts + 1)
+            share = np.linspace(0, 1, parts + 1)
+            b = task.unsafe[i].offsets[min(k, task.unsafe[i].cells - 1), :, f]
+            along = positions[span] @ task.unsafe[i].normals[f] - (b[0] * (1 - share) + b[1] * share)
+            assert along.min() >= task.margins[i][k, f] + answer.extra[i, k] - 1e-6
+    if task.unsafe:
+        assert answer.margin <= worst + 1e-6
+        assert answer.margin == pytest.approx(answer.extra.min())
+    assert answer.delta_v == pytest.approx(np.abs(answer.nu).sum() * task.delta / task.system.mass)
+
+
+STATIC = box("box", (-250, -600, 0), 120)
+KEEP_OUT = box("keep-out", (0, 0, 0), 50)
+CROSSING = box("crossing", (-700, -400, 0), 110, velocity=(0.25, 0, 0))
+
+
+@pytest.mark.parametrize(
+    "task",
+    [
+        problem([]),
+        problem([STATIC]),
+        problem([STATIC, KEEP_OUT], tail_cells=110),
+        problem([CROSSING, KEEP_OUT]),
+        problem([STATIC, KEEP_OUT], objective="fuel"),
+        problem([STATIC], goal=LinearNMT(ETA, 60.0, -100.0)),
+        problem([STATIC], goal=Box([0, -200, 0, 0, 0, 0], [20, 20, 20, 0.05, 0.05, 0.05])),
+        problem([box("box", (0, -500, 0), 50)], goal=StationaryPoint([0, -100, 0, 0, 0, 0])),
+    ],
+    ids=["free", "static", "coasting", "crossing", "fuel", "linear", "box-goal", "point"],
+)
+def test_plan_holds_in_dense_simulation(task):
+    answer = plan(task)
+    assert_holds(task, answer)
+    assert answer.status == "optimal" and answer.gap <= 1e-3
+    if task.objective == "margin_then_fuel" and task.unsafe:
+        assert answer.margin >= task.extra_margin * (1 - 1e-6)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_random_scenes(seed):
+    rng = np.random.default_rng(seed)
+    bodies = []
+    for j in range(rng.integers(1, 4)):
+        t = rng.uniform(500, 2500)
+        velocity = rng.choice([0.0, 1.0]) * rng.uniform(-0.1, 0.1, 3)
+        on_the_way = START[:3] * (1 - t / 3000) + np.array([-250 * np.sin(np.pi * t / 3000), 0, 0])
+        center = on_the_way - velocity * t + rng.uniform(-40, 40, 3)
+        bodies.append(box(f"box {j}", center, rng.uniform(20, 70, 3), K=40, velocity=velocity, delta=75.0))
+    task = problem(
+        bodies,
+        K=40,
+        delta=75.0,
+        x0=START + np.r_[rng.uniform(-60, 60, 3), rng.uniform(-0.1, 0.1, 3)],
+        margin=5.0,
+        extra=5.0,
+    )
+    try:
+        answer = plan(task, PlannerOptions(time_limit=10))
+    except PolarisError as error:  # a random scene may be impossible, but must say so
+        assert isinstance(error, SynthesisInfeasible)
+        return
+    assert_holds(task, answer)
+
+
+def test_planar_robot():
+    A = np.block([[np.zeros((2, 2)), np.eye(2)], [np.zeros((2, 4))]])
+    robot = LinearSystem(
+        A,
+        np.vstack([np.zeros((2, 2)), np.eye(2)]),
+        np.vstack([np.zeros((2, 2)), np.eye(2)]),
+        np.array([1.0, 1.0]),
+    )
+    bodies = [box("shelf", (5, 0), (1, 3), K=30, delta=0.5, d=2)]
+    task = problem(
+        bodies,
+        goal=Box([10, 0, 0, 0], [0.5, 0.5, 0.1, 0.1]),
+        K=30,
+        delta=0.5,
+        x0=np.zeros(4),
+        margin=0.2,
+        extra=0.3,
+        system=robot,
+    )
+    answer = plan(task)
+    assert_holds(task, answer)
+    assert answer.margin == pytest.approx(0.3, abs=0.05)
+
+
+def test_first_order_system():
+    still = LinearSystem(np.zeros((2, 2)), np.eye(2), np.eye(2), np.array([1.0, 1.0]), C=np.eye(2))
+    task = problem(
+        [box("block", (5, 0), (1, 2), K=20, delta=1.0, d=2)],
+        goal=StationaryPoint([10.0, 0.0]),
+        K=20,
+        delta=1.0,
+        x0=np.zeros(2),
+        margin=0.1,
+        extra=0.2,
+        system=still,
+    )
+    assert_holds(task, plan(task))
+
+
+def test_keep_in_facets_hold():
+    facets = [
+        TimedPolytope(f"side {j}", np.array([n], float), np.full((60, 2, 1), -120.0), keep_in=True)
+        for j, n in enumerate(([1, 0, 0], [-1, 0, 0], [0, 0, 1], [0, 0, -1]))
+    ]
+    task = problem(
+        [*facets, box("box", (0, -500, 0), 40)],
+        goal=StationaryPoint([0, -100, 0, 0, 0, 0]),
+        margin=5.0,
+        extra=10.0,
+    )
+    answer = plan(task)
+    assert_holds(task, answer)
+    assert np.abs(answer.chi[:, 0]).max() <= 115.0
+
+
+def test_cheaper_than_any_single_side_and_than_more_margin():
+    little, much = (plan(problem([STATIC], extra=e)).delta_v for e in (0.0, 60.0))
+    free = plan(problem([])).delta_v
+    assert free < little < much
+
+
+def small_robot():
+    """A plane, ten steps, one shelf: small enough for any back end and licence."""
+    A = np.block([[np.zeros((2, 2)), np.eye(2)], [np.zeros((2, 4))]])
+    push = np.vstack([np.zeros((2, 2)), np.eye(2)])
+    robot = LinearSystem(A, push, push, np.array([1.0, 1.0]))
+    return problem(
+        [box("shelf", (5, 0), (1, 2), K=10, delta=1.0, d=2)],
+        goal=Box([10, 0, 0, 0], [0.5] * 4),
+        K=10,
+        delta=1.0,
+        x0=np.zeros(4),
+        margin=0.1,
+        extra=0.2,
+        system=robot,
+    )
+
+
+def test_back_end_alone_agrees_with_the_tree():
+    task = small_robot()
+    by_tree = plan(task)
+    by_solver = plan(task, PlannerOptions(branching="solver", time_limit=20))
+    assert_holds(task, by_solver)
+    assert by_solver.delta_v == pytest.approx(by_tree.delta_v, rel=2.5e-3)
+    assert by_solver.stats["binaries"] > 0
+
+
+def test_gurobi_agrees():
+    pytest.importorskip("gurobipy", reason="gurobipy is not installed")
+    task = small_robot()
+    try:
+        other = plan(task, PlannerOptions(solver="gurobi", branching="solver", time_limit=20))
+    except ScenarioError as error:
+        pytest.skip(f"Gurobi is installed but cannot solve this model: {error}")
+    assert_holds(task, other)
+    assert other.delta_v == pytest.approx(plan(task).delta_v, rel=2.5e-3)
+
+
+def test_distance_reaches_further_than_the_default():
+    task = problem([box("box", (-250, -600, 0), 60)], extra=20.0)
+    default = plan(task)
+    furthest = plan(replace(task, objective="distance", extra_margin=0.0))
+    assert_holds(task, furthest)
+    assert furthest.margin > default.margin + 20
+    assert furthest.delta_v > default.delta_v
+
+
+def test_margin_out_of_reach_gives_what_there_is():
+    walls = [
+        box("left", (-400, -550, 0), (100, 100, 2000)),
+        box("right", (60, -550, 0), (100, 100, 2000)),
+        box("far left", (-2400, -550, 0), (1900, 100, 2000)),
+        box("far right", (2060, -550, 0), (1900, 100, 2000)),
+    ]
+    task = problem(walls, margin=10.0, extra=200.0)
+    answer = plan(task, PlannerOptions(time_limit=3))
+    assert_holds(task, answer)
+    # the gap is 260 m wide: half of it less the margin is what there is
+    assert 100.0 <= answer.margin <= 120.0 + 1e-6
+    assert answer.bound >= answer.objective
+
+
+def test_extra_margin_is_asked_for_only_where_start_leaves_room():
+    near = box("near", (0, -1130, 0), 100)
+    answer = plan(problem([near], margin=10.0, extra=60.0))
+    assert answer.margin == pytest.approx(20.0, abs=0.1)
+    assert answer.wanted[0, 0] == pytest.approx(20.0, abs=0.1)
+    assert answer.extra[0, 10:].min() >= 60.0 * (1 - 1e-3)
+
+
+def test_unreachable_goal_names_the_limits_needed():
+    with pytest.raises(SynthesisInfeasible) as caught:
+        plan(problem([STATIC], u=0.0002))
+    error = caught.value
+    assert error.shortfall > 1.0 and "cannot be reached" in str(error)
+    factor = float(error.relax.split("input limits ")[1].split(" times")[0])
+    plan(problem([], u=0.0002 * factor * 1.01))
+    with pytest.raises(SynthesisInfeasible):
+        plan(problem([], u=0.0002 * factor * 0.97))
+
+
+def test_start_inside_names_the_set_and_the_shortfall():
+    with pytest.raises(SynthesisInfeasible, match="too close to blob") as caught:
+        plan(problem([box("blob", (0, -1000, 0), 20)]))
+    assert caught.value.shortfall == pytest.approx(30.0)
+
+
+def test_blocked_goal_names_what_to_relax():
+    task = problem([box("huge", (0, 0, 0), 495)])
+    with pytest.raises(SynthesisInfeasible, match="without huge") as caught:
+        plan(task, PlannerOptions(time_limit=20))
+    short = caught.value.shortfall
+    assert short is not None and short > 0
+    relaxed = replace(task, margins=(task.margins[0] - short * 1.05 - 0.01,), objective="fuel")
+    assert_holds(relaxed, plan(relaxed))
+
+
+def test_no_time_is_not_no_solution():
+    with pytest.raises(NotCertified, match="none found in the time given"):
+        plan(problem([STATIC, KEEP_OUT]), PlannerOptions(time_limit=1e-4))
+
+
+def test_time_limit_is_kept_and_incumbent_is_certified():
+    bodies = [box(f"box {i}", (-150 - 15 * i, -930 + 75 * i, 0), 45, K=120, delta=25.0) for i in range(8)]
+    task = problem(bodies, K=120, delta=25.0, margin=5.0, extra=5.0, goal=EllipticalNMT(ETA, 150.0, 400.0))
+    begun = perf_counter()
+    try:
+        answer = plan(task, PlannerOptions(time_limit=1.0, gap=0.0))
+    except NotCertified:
+        answer = None
+    assert perf_counter() - begun < 4.0
+    if answer is not None:
+        assert_holds(task, answer, parts=10)
+
+
+def test_failed_recheck_is_an_error(monkeypatch):
+    from polaris.planning import certify
+
+    monkeypatch.setattr(certify, "require", lambda *_: "clearance from box is short")
+    with pytest.raises(NotCertified, match="found but not certified"):
+        plan(problem([STATIC]))
+
+
+def test_recheck_finds_a_collision_between_waypoints():
+    body = box("thin", (0, -900, 0), (50, 5, 50))
+    task = problem([body], margin=0.0)
+    nu = np.zeros((60, 3))
+    nu[0, 1], nu[1, 1] = 1.0, 1.0  # both waypoints about the body are clear of it
+    found = recheck(replace(task, u_limit=np.ones((60, 3))), nu)
+    assert found.best()[0].min() < 0
+
+
+def test_progress_and_bound_are_reported():
+    heard = []
+    answer = plan(
+        problem([STATIC, KEEP_OUT], goal=EllipticalNMT(ETA, 150.0, 400.0)),
+        PlannerOptions(progress=heard.append),
+    )
+    assert heard and all(h.seconds >= 0 for h in heard)
+    assert answer.bound <= answer.objective
+    assert answer.seconds["total"] > 0
+
+
+def test_same_problem_same_plan():
+    task = problem([STATIC, KEEP_OUT])
+    assert np.array_equal(plan(task).nu, plan(task).nu)
+
+
+@pytest.mark.parametrize(
+    ("change", "field"),
+    [
+        ({"K": 0}, "K"),
+        ({"delta": 0.0}, "delta"),
+        ({"delta": np.nan}, "delta"),
+        ({"objective": "speed"}, "objective"),
+        ({"x0": np.zeros(5)}, "x0"),
+        ({"u_limit": -np.ones((60, 3))}, "u_limit"),
+        ({"margins": ()}, "margins"),
+        ({"margins": (np.zeros((60, 5)),)}, "margins"),
+        ({"tail_cells": -1}, "tail_cells"),
+        ({"extra_margin": -1.0}, "extra_margin"),
+        ({"goal": StationaryPoint([0.0, 0.0])}, "goal"),
+        ({"unsafe": (box("b", (9e3, 0, 0), 1, K=10, velocity=1.0),)}, "unsafe"),
+    ],
+)
+def test_malformed_problems_name_the_field(change, field):
+    with pytest.raises(ScenarioError) as caught:
+        replace(problem([STATIC]), **change)
+    assert field in caught.value.field
+
+
+def test_importing_does_not_load_the_solvers():
+    import subprocess
+
+    solvers = "('pulp', 'highspy', 'gurobipy')"
+    code = f"import sys, polaris.planning; print([m for m in {solvers} if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

@@ -1,0 +1,104 @@
+"""The committed schema and reference are those of the models; the schema judges as they do."""
+
+import json
+import re
+from pathlib import Path
+
+import jsonschema
+import pytest
+
+from polaris.scenario import bundled_scenarios, load_scenario
+from polaris.scenario_docs import REFERENCE_FILE, SCHEMA_FILE, reference_text, schema, schema_text, write
+
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+
+
+@pytest.mark.parametrize(("name", "text"), [(SCHEMA_FILE, schema_text), (REFERENCE_FILE, reference_text)])
+def test_committed_file_is_up_to_date(name, text):
+    committed = (DOCS / name).read_text(encoding="utf-8")
+    assert committed == text(), "run: python -m polaris.scenario_docs"
+
+
+def test_writing_gives_the_same_bytes(tmp_path):
+    for path in write(tmp_path / "new"):
+        assert path.read_bytes() == (DOCS / path.name).read_bytes()
+
+
+def _tables():
+    found = schema()
+    yield "top level", found
+    yield from found["$defs"].items()
+
+
+def test_every_field_has_description_and_unit():
+    for table, node in _tables():
+        assert node["description"], table
+        for name, field in node["properties"].items():
+            assert field.get("description"), f"{table}.{name} lacks a description"
+            assert field.get("unit"), f"{table}.{name} lacks a unit"
+
+
+UNITS = {
+    "_m": "m",
+    "_s": "s",
+    "_kg": "kg",
+    "_N": "N",
+    "_m_s": "m/s",
+    "_m_s2": "m/s^2",
+    "_rad": "rad",
+    "_deg": "deg",
+}
+
+
+def test_unit_in_the_name_is_the_unit_of_the_field():
+    for table, node in _tables():
+        for name, field in node["properties"].items():
+            ending = next((e for e in sorted(UNITS, key=len, reverse=True) if name.endswith(e)), None)
+            if ending and name != "mean_motion_rad_s":
+                assert field["unit"].startswith(UNITS[ending]), f"{table}.{name}: {field['unit']}"
+
+
+def test_unknown_keys_are_refused_everywhere():
+    for table, node in _tables():
+        assert node["additionalProperties"] is False, table
+
+
+def test_schema_is_valid_and_accepts_the_bundled_scenarios():
+    validator = jsonschema.Draft202012Validator(schema())
+    validator.check_schema(schema())
+    for name in bundled_scenarios():
+        validator.validate(load_scenario(name).to_dict())
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("system.mass_kg", -1),
+        ("system.mass", 3),
+        ("goal.kind", "moon"),
+        ("horizon.step_s", "30"),
+        ("name", "a/b"),
+    ],
+)
+def test_schema_refuses_what_the_models_refuse(key, value):
+    document = load_scenario("static").to_dict()
+    table, _, field = key.rpartition(".")
+    (document[table] if table else document)[field] = value
+    assert not jsonschema.Draft202012Validator(schema()).is_valid(document)
+
+
+def test_reference_names_every_field_of_every_table():
+    text = reference_text()
+    for table, node in _tables():
+        for name in node["properties"]:
+            assert f"| `{name}` |" in text, f"{table}.{name}"
+
+
+def test_reference_table_rows_have_five_cells():
+    for line in reference_text().splitlines():
+        if line.startswith("|"):
+            assert len(re.findall(r"(?<!\\)\|", line)) == 6, line
+
+
+def test_schema_is_json():
+    assert json.loads(schema_text())["title"] == "Polaris scenario"

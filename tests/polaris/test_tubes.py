@@ -1,0 +1,135 @@
+"""Reachable tubes against simulation: at the nodes, between them, and after a switch in between."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+
+from polaris.clearance import error_tube
+from polaris.controllers import AffineController
+from reach.linear import discretize
+from reach.zonotope import Zonotope
+
+from .conftest import small_controllers, small_safety
+
+START = Zonotope.box(np.zeros(6), [2, 2, 2, 0.01, 0.01, 0.01])
+
+
+def fly(safety, law, k, e0, rng, until=None):
+    """Simulate one step of a law from an error, independently of the tubes: (times, errors).
+
+    With `until`, S takes over at that time within the step.
+    """
+    system, q = safety.problem.system, safety.tracking.feedback.nodes_per_cell
+    h, sampled = safety.tracking.flow.h, safety.tracking.feedback.sampled
+    parts = 8
+    dt = h / parts
+    Ad, Bd = discretize(system.A, system.B, dt)
+    _, Dd = discretize(system.A, system.D, dt)
+    times, errors = [0.0], [e0]
+    xi, own = safety.reference.chi[k], (law.own if isinstance(law, AffineController) else safety.reference).chi[k]
+    x = xi + e0
+    mu, mu_own = safety.reference.nu[k], (law.own if isinstance(law, AffineController) else safety.reference).nu[k]
+    w = rng.normal(size=3)
+    push = rng.choice([-1.0, 1.0], size=3) * system.u_max
+    for step in range(q * parts):
+        if rng.random() < 0.3:
+            w = rng.normal(size=3)
+        if rng.random() < 0.1:
+            push = rng.choice([-1.0, 1.0], size=3) * system.u_max
+        wind = system.D @ (w / np.linalg.norm(w) * system.w_max)
+        safe_now = until is not None and step * dt >= until
+
+        def command(state, ref, own_ref, safe_now=safe_now):
+            if safe_now:
+                return np.clip(mu + safety.tracking.gain @ (ref - state), -system.u_max, system.u_max)
+            if isinstance(law, AffineController):
+                return np.clip(mu_own + law.gain @ (own_ref - state), -system.u_max, system.u_max)
+            return push
+
+        if sampled:
+            if step % parts == 0:
+                held = command(x, xi, own)
+            x = Ad @ x + Bd @ held + Dd @ (w / np.linalg.norm(w) * system.w_max)
+            xi, own = Ad @ xi + Bd @ mu, Ad @ own + Bd @ mu_own
+        else:
+            def rate(t, y, wind=wind, command=command):
+                x, xi, own = y[:6], y[6:12], y[12:]
+                return np.concatenate([
+                    system.A @ x + system.B @ command(x, xi, own) + wind,
+                    system.A @ xi + system.B @ mu, system.A @ own + system.B @ mu_own,
+                ])
+            y = solve_ivp(rate, (0, dt), np.concatenate([x, xi, own]), rtol=1e-9, atol=1e-10).y[:, -1]
+            x, xi, own = y[:6], y[6:12], y[12:]
+        times.append((step + 1) * dt)
+        errors.append(x - xi)
+    return np.array(times), np.array(errors)
+
+
+@pytest.mark.parametrize("name", ["shared", "coasting", "clipped", "any"])
+def test_tube_holds_the_flight_at_and_between_nodes(name, period):
+    safety, law = small_safety(period), small_controllers(period)[name]
+    rng = np.random.default_rng(1)
+    D = np.vstack([np.eye(6), -np.eye(6), rng.normal(size=(12, 6)) / [5, 5, 5, 0.1, 0.1, 0.1]])
+    for k in (0, 7):
+        flight = law.fly(START, k)
+        nodes = flight.nodes.support(D)
+        booked = flight.bow @ np.abs(D).T
+        for _ in range(4):
+            e0 = START.sample(rng, 1)[0] if rng.random() < 0.5 else START.support_vector(rng.normal(size=6))
+            times, errors = fly(safety, law, k, e0, rng)
+            reached = errors @ D.T
+            scale = 1e-6 * (1 + np.abs(nodes).max(axis=0))
+            for i in range(len(flight.bow)):
+                inside = reached[8 * i : 8 * i + 9]
+                limit = np.maximum(nodes[i], nodes[i + 1]) + booked[i]
+                assert np.all(inside <= limit + scale)
+            assert np.all(reached[-1] <= flight.end.support(D) + scale)
+
+
+def test_clipped_tube_differs_from_the_affine_one_only_where_it_clips():
+    law = small_controllers(None)["clipped"]
+    calm = small_controllers(None)["shared"]
+    assert law.fly(START, 0).refused == ""
+    assert AffineController(
+        "hard", law.system, law.gain, law.reference, law.own, law.tracking, clips=False
+    ).fly(START, 0).refused.startswith("its command may exceed")
+    soft = AffineController("soft", law.system, law.gain, law.reference, law.reference, law.tracking, clips=True)
+    assert np.array_equal(soft.fly(START, 0).nodes.G, calm.fly(START, 0).nodes.G)
+
+
+def test_a_switch_to_s_between_two_nodes_lands_in_the_hull_of_the_nodes():
+    """Lemma 5: y(t), U until t and S until the next node, is within the bow of its chord."""
+    safety, law = small_safety(None), small_controllers(None)["coasting"]
+    rng = np.random.default_rng(2)
+    h = safety.tracking.flow.h
+    D = np.vstack([np.eye(6), -np.eye(6)])
+    flight = law.fly(START, 3)
+    for _ in range(6):
+        e0 = START.support_vector(rng.normal(size=6))
+        period = int(rng.integers(0, len(flight.bow)))
+        until = (period + rng.uniform(0.1, 0.9)) * h
+        _, errors = fly(safety, law, 3, e0, rng, until=until)
+        landed = errors[8 * (period + 1)] @ D.T
+        # S from the earlier node, U to the later one
+        s_side = (safety.tracking.flow.phi @ flight.nodes[period]).support(D)
+        limit = np.maximum(s_side, flight.nodes[period + 1].support(D)) + flight.bow[period] @ np.abs(D).T
+        assert np.all(landed <= limit + 1e-6 * (1 + np.abs(limit)))
+
+
+def test_error_tube_of_s_is_reached_to_a_few_per_cent(period):
+    """The closed-form worst case: initial vertex and disturbance against the tight tube."""
+    safety = small_safety(period)
+    system, tracking = safety.problem.system, safety.tracking
+    rows = np.vstack([np.eye(6)[:3], tracking.gain])
+    tube = error_tube(tracking, safety.start, rows)
+    h, q = tracking.flow.h, 8
+    for lag in (1, 5, 20):
+        carried = rows @ tracking.transitions[lag]
+        reached = np.abs(carried @ safety.start.G).sum(axis=1)
+        A_x = tracking.flow.A_x
+        for l in range(lag):
+            kernel = [rows @ tracking.transitions[l] @ expm(A_x * (j + 0.5) * h / q) @ system.D for j in range(q)]
+            reached = reached + np.linalg.norm(kernel, axis=-1).sum(axis=0) * h / q * system.w_max
+        assert np.all(reached <= tube.need[lag] * (1 + 1e-9))
+        assert np.all(tube.need[lag] <= 1.06 * reached), "within 6 % of what the worst case reaches"

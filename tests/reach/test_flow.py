@@ -1,0 +1,158 @@
+"""Linear flows: the nodes are exact, the bounds between them hold, the worst case comes close."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+
+from polaris.hill import clohessy_wiltshire
+from polaris.tracking import lqr_gain
+from reach.errors import ReachError
+from reach.flow import LinearFlow
+from reach.linear import discretize, growth, powers
+from reach.relaxation import clip_relaxation
+from reach.zonotope import Zonotope
+
+SYSTEM = clohessy_wiltshire(0.0012, 10.0, 1.0, 1e-4)
+GAIN = lqr_gain(SYSTEM, [1, 1, 1, 1e3, 1e3, 1e3], [1e4] * 3)
+A_C = SYSTEM.A - SYSTEM.B @ GAIN
+
+
+def flow(kind, h=10.0, w_max=1e-4):
+    if kind == "continuous":
+        return LinearFlow.continuous(A_C, SYSTEM.D, w_max, h)
+    return LinearFlow.sampled(SYSTEM.A, SYSTEM.B, GAIN, SYSTEM.D, w_max, h)
+
+
+def inside_period(kind, s):
+    """M(s), independently of the class."""
+    if kind == "continuous":
+        return expm(A_C * s)
+    As, Bs = discretize(SYSTEM.A, SYSTEM.B, s)
+    return As - Bs @ GAIN
+
+
+@pytest.mark.parametrize("kind", ["continuous", "sampled"])
+@given(seed=st.integers(0, 10_000), h=st.floats(0.5, 20))
+@settings(max_examples=25)
+def test_path_stays_within_the_bow_of_its_chord(kind, seed, h):
+    rng = np.random.default_rng(seed)
+    z = Zonotope(rng.normal(size=6) * [9, 9, 9, 1, 1, 1], rng.normal(size=(6, 4)))
+    f = flow(kind, h)
+    bow = f.bow(z)
+    worst = np.zeros(6)
+    for e in z.sample(rng, 8):
+        for share in np.linspace(0, 1, 9):
+            chord = (1 - share) * e + share * (f.phi @ e)
+            worst = np.maximum(worst, np.abs(inside_period(kind, share * h) @ e - chord))
+    assert np.all(worst <= bow * (1 + 1e-9) + 1e-12)
+
+
+def test_bow_is_not_idle():
+    e = np.array([10.0, 0, 0, 0, 0, 0])
+    f = flow("continuous", 5.0)
+    chord = 0.5 * e + 0.5 * f.phi @ e
+    reached = np.abs(expm(A_C * 2.5) @ e - chord)[0]
+    assert 0.6 < reached / f.bow(Zonotope.point(e))[0] <= 1
+
+
+@pytest.mark.parametrize("kind", ["continuous", "sampled"])
+def test_disturbance_support_is_reached_by_the_closed_form_worst_case(kind):
+    f = flow(kind, 5.0)
+    rows = np.vstack([np.eye(6), GAIN])
+    count, fine = 60, 64
+    bound = f.disturbance_support(rows, count)[-1]
+    A_x = A_C if kind == "continuous" else SYSTEM.A
+    transition = powers(f.phi, count)
+    kernel = np.array([expm(A_x * (j + 0.5) * 5.0 / fine) @ SYSTEM.D for j in range(fine)])
+    for row, limit in zip(rows, bound, strict=True):
+        # the exact support: integral of norm(row phi^l e^{A_x s} D) by a fine midpoint rule
+        exact = np.linalg.norm(np.einsum("i,lij,sjk->lsk", row, transition[:count], kernel), axis=-1).sum()
+        exact *= 5.0 / fine * 1e-4
+        assert exact <= limit * (1 + 1e-6)
+        assert limit <= exact * 1.03, "the directional gain is within 3 % of the worst case"
+
+
+@pytest.mark.parametrize("kind", ["continuous", "sampled"])
+def test_disturbance_zonotopes_hold_simulated_responses(kind):
+    f = flow(kind, 5.0)
+    rng = np.random.default_rng(0)
+    sets = f.disturbance_nodes(12)
+    D = np.vstack([np.eye(6), -np.eye(6), rng.normal(size=(10, 6))])
+    A_x = A_C if kind == "continuous" else SYSTEM.A
+    step, push = discretize(A_x, SYSTEM.D, 0.5)
+    for _ in range(60):
+        e = np.zeros(6)
+        for node in range(12):
+            inner, w0 = np.zeros(6), rng.normal(size=3)
+            for _ in range(10):
+                w = w0 if rng.random() < 0.5 else rng.normal(size=3)
+                inner = step @ inner + push @ (w / np.linalg.norm(w) * 1e-4)
+            e = f.phi @ e + inner
+            assert np.all(D @ e <= sets[node + 1].support(D) * (1 + 1e-9))
+            assert np.all(np.abs(inner) <= f.period_box * (1 + 1e-9))
+
+
+def test_disturbance_zonotope_is_within_forty_per_cent_of_the_exact_support():
+    f = flow("continuous", 5.0)
+    exact = f.disturbance_support(np.eye(6), 12)[-1]
+    assert np.all(f.disturbance_nodes(12)[-1].half_widths <= 1.4 * exact)
+
+
+@pytest.mark.parametrize("kind", ["continuous", "sampled"])
+def test_lyapunov_norm_contracts_every_period(kind):
+    f = flow(kind)
+    W, factor = f.lyapunov
+    rng = np.random.default_rng(0)
+    e = rng.normal(size=(200, 6)) * [50, 50, 50, 1, 1, 1]
+    before, after = np.linalg.norm(e @ W.T, axis=1), np.linalg.norm(e @ f.phi.T @ W.T, axis=1)
+    assert np.all(after <= factor * before * (1 + 1e-12))
+    norms = f.norms(30)
+    assert np.all(np.diff(norms) <= 1e-12)
+    assert norms[0] == pytest.approx(1.0)
+
+
+def test_unstable_loop_is_refused():
+    with pytest.raises(ReachError, match="not stable"):
+        LinearFlow.sampled(SYSTEM.A, SYSTEM.B, GAIN, SYSTEM.D, 0.0, 60.0).lyapunov  # noqa: B018
+
+
+@given(st.integers(0, 1000), st.floats(0.01, 30))
+@settings(max_examples=30)
+def test_growth_bounds_the_exponential_over_the_whole_step(seed, h):
+    A = np.random.default_rng(seed).normal(size=(4, 4)) / 10
+    bound = growth(A, h)
+    for s in np.linspace(0, h, 7):
+        assert np.all(np.abs(expm(A * s)) <= bound * (1 + 1e-9))
+
+
+def test_discretize_agrees_with_an_integrator():
+    u = np.array([0.3, -0.2, 0.1])
+    x0 = np.array([10.0, -20, 5, 0.1, 0.2, -0.1])
+    solved = solve_ivp(lambda t, x: SYSTEM.A @ x + SYSTEM.B @ u, (0, 120), x0, rtol=1e-11, atol=1e-12)
+    Ad, Bd = discretize(SYSTEM.A, SYSTEM.B, 120.0)
+    assert np.allclose(Ad @ x0 + Bd @ u, solved.y[:, -1], rtol=1e-8)
+
+
+@given(
+    st.floats(-10, 10), st.floats(0, 10), st.floats(0, 5), st.sampled_from([None, 1, 8]), st.integers(0, 100)
+)
+def test_clip_relaxation_holds_the_clip(lo, width, limit, slopes, seed):
+    hi = lo + width
+    slope, offset, radius = clip_relaxation(lo, hi, limit, slopes)
+    y = np.concatenate([np.random.default_rng(seed).uniform(lo, hi, 50), [lo, hi], np.clip([-limit, limit], lo, hi)])
+    assert np.all(np.abs(np.clip(y, -limit, limit) - (slope * y + offset)) <= radius + 1e-12 * (1 + abs(lo) + width))
+
+
+def test_clip_relaxation_is_exact_away_from_the_limits():
+    assert clip_relaxation(-1.0, 1.0, 2.0)[2] == 0
+    slope, offset, radius = clip_relaxation(3.0, 5.0, 2.0)
+    assert (slope, offset, radius) == (0, 2.0, 0)
+
+
+@pytest.mark.parametrize(("lo", "hi", "limit"), [(1, 0, 1), (0, 1, -1), (np.nan, 1, 1), (0, np.inf, 1)])
+def test_clip_relaxation_refuses_nonsense(lo, hi, limit):
+    with pytest.raises(ReachError):
+        clip_relaxation(lo, hi, limit)
