@@ -140,7 +140,8 @@ def main() -> None:
     parser.add_argument("--part", choices=("all", "scenes", "growth"), default="all")
     parser.add_argument("--only", default="", help="scenes whose name contains this")
     args = parser.parse_args()
-    head = f"{'':31s} {'':15s} {'wall s':>7s} {'cpu s':>7s} {'dv m/s':>8s} {'extra m':>8s} {'gap':>8s} {'status':10s} "
+    head = f"{'':31s} {'':15s} {'wall s':>7s} {'cpu s':>7s} {'dv m/s':>8s} {'extra m':>8s} "
+    head += f"{'gap':>8s} {'status':10s} "
     head += f"{'nodes':>6s} {'rows':>6s} {'cols':>5s} {'bin':>5s}"
     plan(problem([], NMT), PlannerOptions())  # loads the libraries
     if args.part != "growth":

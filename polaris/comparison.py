@@ -17,6 +17,7 @@ from .system import Array
 BATCH = 1000
 """Runs simulated at a time, to bound the memory used."""
 
+
 @dataclass(frozen=True, eq=False)
 class Flights:
     """Some simulated runs of one controller, and the envelope of all of them.

@@ -9,22 +9,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from reach.linear import discretize, powers
-
 from .metrics import closest, count_switches, drift_ttc, mode_shares, ray_ttc, signed_distances
-from .obstacles import Obstacle, SatelliteObstacle
+from .obstacles import Obstacle
 from .simulation import Runs
 from .system import Array, LinearSystem
+from .truth import true_states
 
 PART = 250
 """Runs evaluated at a time, to bound the memory used."""
 
 DEFINITIONS = {
-    "runs": "closed-loop runs from random and extreme initial states, under random and worst-case disturbances",
+    "runs": "closed-loop runs from random and extreme initial states, under random and worst disturbances",
     "min_distance_m": "least signed distance to any true unsafe set over all runs and times; negative inside",
     "min_distance_mean_m": "mean over runs of each run's least distance",
-    "min_ttc_s": "least time, over all runs and times, until a straight line at the present velocity enters an "
-    "unsafe set; null if none ever does",
+    "min_ttc_s": "least time, over all runs and times, until a straight line at the present velocity "
+    "enters an unsafe set; null if none ever does",
     "min_ttc_free_drift_s": "the same with thrusters off from the start of each step, looking ahead for "
     "drift_horizon_s; null if none enters",
     "experimental_share": "share of time under experimental controllers, mean over runs",
@@ -33,7 +32,8 @@ DEFINITIONS = {
     "delta_v_max_m_s": "velocity change, largest over runs",
     "collided": "whether any run entered a true unsafe set",
     "collided_runs": "number of runs that entered a true unsafe set",
-    "max_thrust_ratio": "largest commanded over available thrust, over runs, times and axes; above 1 it was clipped",
+    "max_thrust_ratio": "largest commanded over available thrust, over runs, times and axes; "
+    "above 1 it was clipped",
 }
 """What each number of a summary means, and how it joins the runs."""
 
@@ -95,7 +95,7 @@ class Metrics:
         weights = np.array([len(part.min_distance) for part in parts], dtype=float)
         nearest = np.stack([part.nearest for part in parts])
         mean = np.tensordot(weights / weights.sum(), nearest[:, 1], axes=1)
-        per_run = {
+        per_run: dict[str, Any] = {
             field.name: np.concatenate([getattr(part, field.name) for part in parts])
             for field in fields(cls)
             if field.name not in ("controller", "names", "times", "drift_horizon", "nearest")
@@ -277,31 +277,6 @@ class _Part:
         out = (1 + 2 * s) * (1 - s) ** 2 * a + s * (1 - s) ** 2 * da
         out = out + s**2 * (3 - 2 * s) * b + s**2 * (s - 1) * db
         return np.asarray(out.reshape(len(x), -1, x.shape[-1]))
-
-
-def true_states(
-    obstacles: Sequence[Obstacle], system: LinearSystem, times: Array, runs: int, rng: np.random.Generator
-) -> dict[str, Array]:
-    """States of other satellites that what is known of them allows, by name, shape (R, N+1, n).
-
-    Half of the runs start them in corners of the known box and give them their largest
-    acceleration; it is constant in each run.
-    """
-    out: dict[str, Array] = {}
-    h = float(times[1] - times[0])
-    for satellite in (o for o in obstacles if isinstance(o, SatelliteObstacle)):
-        spread = rng.uniform(-1.0, 1.0, (runs, system.n))
-        spread[: runs - runs // 2] = np.where(spread[: runs - runs // 2] < 0, -1.0, 1.0)
-        x0 = np.asarray(satellite.state) + spread * np.asarray(satellite.state_half_widths)
-        push = rng.normal(size=(runs, system.p))
-        push /= np.linalg.norm(push, axis=1, keepdims=True)
-        push[runs - runs // 2 :] *= rng.random((runs // 2, 1))
-        push *= satellite.thrust_accel_max + system.w_max
-        Ad, Dd = discretize(system.A, system.D, h)
-        free = powers(Ad, len(times) - 1)
-        forced = np.concatenate([np.zeros((1, *Dd.shape)), np.cumsum(free[:-1] @ Dd, axis=0)])
-        out[satellite.name] = np.einsum("tij,rj->rti", free, x0) + np.einsum("tij,rj->rti", forced, push)
-    return out
 
 
 def _who(runs: Runs) -> str:

@@ -47,6 +47,8 @@ class Problem:
     objective : {"margin_then_fuel", "distance", "fuel"}
     extra_margin : float
         Clearance [m] wanted beyond what S's own tube needs: the room left to U.
+    thrust_reserve : float
+        Share of the thrust limits, in [0, 1), that the reference leaves beyond what S's tube needs.
     planner : PlannerOptions
     gains : tuple of ndarray
         Gains of the experimental controllers, so that the time grid is fine enough for them.
@@ -66,6 +68,7 @@ class Problem:
     weight: ArrayLike | str = "auto"
     objective: str = "margin_then_fuel"
     extra_margin: float = 0.0
+    thrust_reserve: float = 0.0
     planner: PlannerOptions = field(default_factory=PlannerOptions)
     gains: tuple[Array, ...] = ()
 
@@ -76,5 +79,7 @@ class Problem:
             raise ScenarioError("K", self.K, "must be a whole number >= 1")
         if not (np.isfinite(self.delta) and self.delta > 0):
             raise ScenarioError("delta", self.delta, "must be a finite number > 0")
+        if not 0 <= self.thrust_reserve < 1:
+            raise ScenarioError("thrust_reserve", self.thrust_reserve, "must be in [0, 1)")
         if self.recoverable not in RECOVERABLE_KINDS:
             raise ScenarioError("recoverable", self.recoverable, f"must be one of {', '.join(RECOVERABLE_KINDS)}")

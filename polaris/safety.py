@@ -199,6 +199,7 @@ def plan_problem(problem: Problem, tracking: Tracking, sets: tuple[TimedPolytope
     # Errors as large as the thrusters can correct at all must be forgotten by the time they have left
     # the loop's memory, or a tight place late in the flight would bind early recoverable sets.
     largest = float(np.min(system.u_max / np.linalg.norm(tracking.gain @ tracking.W_inverse, axis=1)))
+    limit = np.maximum(limit - problem.thrust_reserve * system.u_max, 0.0)
     margins = []
     for unsafe in sets:
         tube = error_tube(tracking, start, -unsafe.normals @ system.position)

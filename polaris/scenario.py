@@ -191,6 +191,7 @@ class Scenario:
             weight=tracking.weight,
             objective=planner.objective,
             extra_margin=planner.extra_margin_m,
+            thrust_reserve=planner.thrust_reserve,
             planner=PlannerOptions(solver=planner.solver, time_limit=planner.time_limit_s, gap=planner.gap),
             gains=gains_of(self.experimental_specs(), system),
         )

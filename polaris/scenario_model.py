@@ -200,6 +200,14 @@ class Planner(ScenarioPart):
     extra_margin_m: NonNegative = unit(
         "m", "Clearance wanted beyond the tracking error; room for the experimental controller.", default=0.0
     )
+    thrust_reserve: Real = unit(
+        "-",
+        "Share of the thrust limits the reference leaves to the tracker beyond what the initial set needs; "
+        "room for the experimental controller, as extra_margin_m is.",
+        default=0.0,
+        ge=0,
+        lt=1,
+    )
     solver: Literal["highs", "gurobi"] = unit(
         "-", "Back end; gurobi needs the extra of that name.", default="highs"
     )

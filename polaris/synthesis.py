@@ -7,13 +7,11 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
-
 from reach.zonotope import Zonotope
 
 from .controllers import Controller, Flight
 from .errors import ScenarioError
-from .recoverable import contains_flight
+from .recoverable import Margin, contains_flight
 from .safety import Safety, get_safety
 from .schedule import Schedule, Step, describe_guarantee
 
@@ -44,7 +42,7 @@ class SwitchingRules:
     min_dwell: int = 1
     max_switches: int | None = None
     weights: tuple[float, ...] = ()
-    beam: int = 12
+    beam: int = 8
 
     def __post_init__(self) -> None:
         if self.strategy not in ("greedy", "look_ahead"):
@@ -62,7 +60,7 @@ class _Branch:
     """A schedule under construction: the set reached at step k, and how it came about."""
 
     reached: Zonotope
-    steps: tuple[Step, ...] = ()
+    steps: tuple[tuple[int, Flight, Margin | None], ...] = ()
     mode: int = SAFETY
     held: int = 0
     switches: int = 0
@@ -113,8 +111,9 @@ def synthesize(
     branch = search.greedy(progress)
     if rules.strategy == "look_ahead":
         branch = max(branch, search.look_ahead(progress), key=lambda b: b.worth)
+    steps = with_margins(safety, branch.steps)
     seconds = {**safety.seconds, "schedule": time.perf_counter() - started}
-    schedule = Schedule(safety, controllers, branch.steps, branch.reached, "", (), seconds)
+    schedule = Schedule(safety, controllers, steps, branch.reached, "", (), seconds)
     kind, assumptions = describe_guarantee(schedule)
     return replace(schedule, guarantee=kind, assumptions=assumptions)
 
@@ -192,13 +191,16 @@ class _Search:
             flight = controller.fly(branch.reached, k)  # GetReach, lines 3 and 12
             if mode != SAFETY and flight.refused:
                 return None
-            margin = contains_flight(self.safety.recoverable, k, flight)  # line 13
-            if mode != SAFETY and not margin.inside:
-                return None
+            if mode != SAFETY:
+                margin = contains_flight(self.safety.recoverable, k, flight)  # line 13
+                if not margin.inside:
+                    return None
+            else:
+                margin = None  # S stays safe from where it took over: `with_margins` says by how much
             switched = branch.k > 0 and mode != branch.mode
             branch = _Branch(
                 flight.end,
-                (*branch.steps, Step(mode, flight, margin)),
+                (*branch.steps, (mode, flight, margin)),
                 mode,
                 1 if switched or branch.k == 0 else branch.held + 1,
                 branch.switches + switched,
@@ -213,9 +215,12 @@ class _Search:
         return self.rules.weights[mode - 1] if mode - 1 < len(self.rules.weights) else 1.0
 
 
-def modes_of(steps: Sequence[Step]) -> np.ndarray:
-    """Mode numbers of a sequence of steps, shape (K,)."""
-    return np.array([step.mode for step in steps], dtype=int)
+def with_margins(safety: Safety, flown: Sequence[tuple[int, Flight, Margin | None]]) -> tuple[Step, ...]:
+    """The chosen steps, with the margins of those under S filled in (the proof does not need them)."""
+    return tuple(
+        Step(mode, flight, margin or contains_flight(safety.recoverable, k, flight))
+        for k, (mode, flight, margin) in enumerate(flown)
+    )
 
 
-__all__ = ["Flight", "SwitchingRules", "modes_of", "synthesize"]
+__all__ = ["SwitchingRules", "synthesize"]

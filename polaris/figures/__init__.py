@@ -56,8 +56,9 @@ def plot_schedule(schedule: Schedule, ax: Any = None) -> Any:
 
 
 def _plot(picture: Picture, ax: Any) -> Any:
-    from .scene import View, draw_scene
+    from .scene import draw_scene
     from .style import WIDTH, axes_of, style
+    from .view import View
 
     with style():
         height = 1.3 + 0.82 * WIDTH * (View.around(picture).aspect if picture.system.d > 1 else 0.6)
@@ -89,7 +90,8 @@ def draw_figures(picture: Picture, folder: Path) -> list[Path]:
 
 
 def _scene(picture: Picture, new_figure: Any) -> Any:
-    from .scene import View, draw_scene
+    from .scene import draw_scene
+    from .view import View
 
     aspect = View.around(picture).aspect if picture.system.d > 1 else 0.6
     figure = new_figure(1.2 + 2.9 * aspect)

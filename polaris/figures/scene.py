@@ -13,9 +13,7 @@ from ..system import Array
 from .geometry import flat_outline, tube_polygons, zonotope_outline
 from .picture import Picture
 from .style import BLACK, GREEN, GREY, ORANGE, RED, YELLOW, legend_above, mode_colour, tint
-
-INSTANTS = 5
-"""Instants at which a moving obstacle is drawn."""
+from .view import INSTANTS, View, moves, position_set
 
 
 def draw_scene(ax: Any, picture: Picture) -> None:
@@ -36,107 +34,6 @@ def draw_scene(ax: Any, picture: Picture) -> None:
     legend_above(ax, handles, 2)
 
 
-class View:
-    """The part of the plane that is shown, and where in it there is room for labels."""
-
-    def __init__(self, x: tuple[float, float], y: tuple[float, float], points: Array) -> None:
-        self.x, self.y, self.points = x, y, points
-        self.taken: list[tuple[float, float, float, float]] = []
-
-    @classmethod
-    def around(cls, picture: Picture) -> View:
-        """All of the reference, the flights under Polaris, and what rests near them."""
-        axes = picture.frame.flat
-        before, after = picture.path()
-        paths = [before[:, axes], after[:, axes]]
-        for name, flights in picture.flights.items():
-            shown = picture.positions(flights)[:, axes]
-            if name == "polaris" or _near(shown, paths[0]):
-                paths.append(shown)
-        points = np.vstack(paths)
-        low, high = points.min(axis=0), points.max(axis=0)
-        reach = 0.4 * np.max(high - low)
-        corners = [points, zonotope_outline(_position(picture), axes)]
-        for obstacle in picture.obstacles:
-            if isinstance(obstacle, KeepIn):
-                continue
-            for t in np.linspace(0, picture.duration, INSTANTS) if _moves(obstacle, picture) else (0.0,):
-                outline = obstacle.outline(float(t), picture.system)[:, axes]
-                if np.all(outline > low - reach) and np.all(outline < high + reach):
-                    corners.append(outline)
-        everything = np.vstack(corners)
-        low, high = everything.min(axis=0), everything.max(axis=0)
-        pad = 0.05 * np.max(high - low) + 1e-9
-        low, high = low - pad, high + pad
-        # No figure is more than 2.2 times as wide as it is high, or higher than wide.
-        size, middle = high - low, (high + low) / 2
-        size = np.array([max(size[0], size[1]), max(size[1], size[0] / 2.2)])
-        low, high = middle - size / 2, middle + size / 2
-        return cls((low[0], high[0]), (low[1], high[1]), points)
-
-    @property
-    def aspect(self) -> float:
-        """Height over width."""
-        return float((self.y[1] - self.y[0]) / (self.x[1] - self.x[0]))
-
-    def contains(self, points: Array) -> Any:
-        """Which points lie in the view."""
-        x, y = points[..., 0], points[..., 1]
-        return (x > self.x[0]) & (x < self.x[1]) & (y > self.y[0]) & (y < self.y[1])
-
-    def label(self, ax: Any, text: str, outline: Array, colour: str) -> None:
-        """Write a name beside an outline, on the side where fewest lines pass."""
-        from matplotlib.patheffects import withStroke
-
-        point = (self.x[1] - self.x[0]) / (2.8 * 72)  # metres per point of type
-        w, h = 4.3 * len(text) * point, 8.5 * point
-        low, high = outline.min(axis=0) - 3 * point, outline.max(axis=0) + 3 * point
-        mid = (low + high) / 2
-        places = [
-            (mid[0] - w / 2, high[1]),
-            (high[0], mid[1] - h / 2),
-            (mid[0] - w / 2, low[1] - h),
-            (low[0] - w, mid[1] - h / 2),
-            (high[0], high[1]),
-            (high[0], low[1] - h),
-            (low[0] - w, high[1]),
-            (low[0] - w, low[1] - h),
-        ]
-
-        def cost(place: tuple[float, float]) -> float:
-            x, y = place
-            crossing = self.points - (x, y)
-            over = np.mean(np.all((crossing > 0) & (crossing < (w, h)), axis=1))
-            inside = self.x[0] <= x and x + w <= self.x[1] and self.y[0] <= y and y + h <= self.y[1]
-            clash = any(
-                x < a + c and a < x + w and y < b + d and b < y + h for a, b, c, d in self.taken
-            )
-            return float(over) * 10 + 10 * (not inside) + 2 * clash
-
-        x, y = min(places, key=cost)
-        self.taken.append((x, y, w, h))
-        drawn = ax.text(
-            x + w / 2, y + h / 2, text, color=colour, fontsize=7, ha="center", va="center", zorder=8, clip_on=True
-        )
-        drawn.set_path_effects([withStroke(linewidth=1.6, foreground="white")])
-
-
-def _near(shown: Array, path: Array) -> bool:
-    """Whether a flight stays about where the path is, so that it may widen the view."""
-    low, high = path.min(axis=0), path.max(axis=0)
-    reach = 0.35 * np.max(high - low)
-    return bool(np.all(shown > low - reach) and np.all(shown < high + reach))
-
-
-def _position(picture: Picture) -> Any:
-    return picture.system.position @ picture.initial_set
-
-
-def _moves(obstacle: Obstacle, picture: Picture) -> bool:
-    times = np.linspace(0, picture.duration, 5)
-    return bool(np.ptp(obstacle.centre(times, picture.system), axis=0).max() > 0)
-
-
 def _sets(ax: Any, picture: Picture) -> list[Any]:
     """Recoverable sets, tube, initial set: drawn lightly."""
     from matplotlib.collections import PolyCollection
@@ -148,7 +45,9 @@ def _sets(ax: Any, picture: Picture) -> list[Any]:
         outlines = picture.slices.outline + picture.slices.centre[:, None]
         colour, edge = tint(YELLOW, 0.45), tint("#8A7F00", 0.6)
         ax.add_collection(PolyCollection(list(outlines), facecolor=colour, edgecolor="none", zorder=1))
-        ax.add_collection(PolyCollection(list(outlines), facecolor="none", edgecolor=edge, lw=0.35, zorder=1.1))
+        ax.add_collection(
+            PolyCollection(list(outlines), facecolor="none", edgecolor=edge, lw=0.35, zorder=1.1)
+        )
         handles.append(Patch(facecolor=colour, edgecolor=edge, lw=0.35, label="recoverable sets"))
     if picture.tube is not None:
         tube = picture.tube
@@ -158,9 +57,11 @@ def _sets(ax: Any, picture: Picture) -> list[Any]:
         for mode in np.unique(picture.modes):
             chosen = polygons[picture.modes == mode].reshape(-1, *polygons.shape[-2:])
             colour = tint(mode_colour(int(mode)), 0.3)
-            ax.add_collection(PolyCollection(list(chosen), facecolor=colour, edgecolor=colour, lw=0.2, zorder=2))
+            ax.add_collection(
+                PolyCollection(list(chosen), facecolor=colour, edgecolor=colour, lw=0.2, zorder=2)
+            )
         handles.append(Patch(facecolor=tint(GREY, 0.3), label="reachable tube (by mode)"))
-    theta = zonotope_outline(_position(picture), axes)
+    theta = zonotope_outline(position_set(picture), axes)
     ax.add_patch(Polygon(theta, closed=True, facecolor="none", edgecolor=BLACK, lw=0.6, zorder=5))
     return handles
 
@@ -170,7 +71,13 @@ def _goal(ax: Any, picture: Picture) -> list[Any]:
     from matplotlib.patches import Ellipse, Polygon
 
     goal, axes = picture.goal, picture.frame.flat
-    drawn: dict[str, Any] = {"edgecolor": GREEN, "facecolor": "none", "lw": 0.7, "ls": (0, (4, 2)), "zorder": 2.5}
+    drawn: dict[str, Any] = {
+        "edgecolor": GREEN,
+        "facecolor": "none",
+        "lw": 0.7,
+        "ls": (0, (4, 2)),
+        "zorder": 2.5,
+    }
     line: dict[str, Any] = {"color": GREEN, "lw": 0.7, "ls": (0, (4, 2))}
     if isinstance(goal, EllipticalNMT):
         for b in {goal.inner_semi_minor, goal.outer_semi_minor} - {0.0}:
@@ -214,7 +121,9 @@ def _paths(ax: Any, picture: Picture) -> list[Any]:
             pieces = np.stack([flown[:-1], flown[1:]], axis=1)[per_node == mode]
             colour = mode_colour(int(mode))
             ax.add_collection(LineCollection(list(pieces), colors=colour, lw=1.5, zorder=4, capstyle="round"))
-            handles.append(Line2D([], [], color=colour, lw=1.5, label=f"Polaris: {picture.mode_name(int(mode))}"))
+            handles.append(
+                Line2D([], [], color=colour, lw=1.5, label=f"Polaris: {picture.mode_name(int(mode))}")
+            )
         ax.plot(*flown[-1], marker="s", color=BLACK, ms=2.6, zorder=6)
     else:
         ax.plot(*before[-1], marker="s", color=BLACK, ms=2.6, zorder=6)
@@ -231,7 +140,9 @@ def _obstacles(ax: Any, picture: Picture, view: View) -> None:
         if isinstance(obstacle, KeepIn):
             outline = flat_outline(obstacle.outline(0.0, system, extent)[:, axes])
             ax.add_patch(
-                Polygon(outline, closed=True, facecolor="none", edgecolor=RED, lw=0.8, ls=(0, (5, 1.5)), zorder=3)
+                Polygon(
+                    outline, closed=True, facecolor="none", edgecolor=RED, lw=0.8, ls=(0, (5, 1.5)), zorder=3
+                )
             )
             inside = _along(outline)
             seen = inside[view.contains(inside)]
@@ -240,7 +151,9 @@ def _obstacles(ax: Any, picture: Picture, view: View) -> None:
                 view.label(ax, f"{obstacle.name} (stay inside)", far[None], RED)
             continue
         instants = _instants(obstacle, picture, view)
-        for t, strength in zip(instants, np.linspace(0.25, 1.0, len(instants)) if len(instants) > 1 else [1.0], strict=True):
+        for t, strength in zip(
+            instants, np.linspace(0.25, 1.0, len(instants)) if len(instants) > 1 else [1.0], strict=True
+        ):
             outline = flat_outline(obstacle.outline(float(t), system, extent)[:, axes])
             face, edge = tint(RED, 0.45 * strength), tint(RED, strength)
             ax.add_patch(Polygon(outline, closed=True, facecolor=face, edgecolor=edge, lw=0.6, zorder=3))
@@ -259,7 +172,7 @@ def _along(outline: Array, parts: int = 200) -> Array:
 
 def _instants(obstacle: Obstacle, picture: Picture, view: View) -> Array:
     """When an obstacle is drawn: once if it rests, else evenly over the time it is in view."""
-    if not _moves(obstacle, picture):
+    if not moves(obstacle, picture):
         return np.zeros(1)
     times = np.linspace(0, picture.duration, 201)
     seen = times[view.contains(obstacle.centre(times, picture.system)[:, picture.frame.flat])]
@@ -298,6 +211,9 @@ def _line_scene(ax: Any, picture: Picture) -> None:
         else:
             ax.fill_between(times, edges[:, 0], edges[:, 1], color=tint(RED, 0.45), lw=0, zorder=3)
     ax.set(
-        xlabel="Time (s)", ylabel=picture.frame.labels[0], xlim=(0, picture.duration), ylim=(low - pad, high + pad)
+        xlabel="Time (s)",
+        ylabel=picture.frame.labels[0],
+        xlim=(0, picture.duration),
+        ylim=(low - pad, high + pad),
     )
     legend_above(ax, handles, 2)

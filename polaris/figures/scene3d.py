@@ -10,8 +10,8 @@ from ..keep_in import KeepIn
 from ..system import Array
 from .geometry import faces
 from .picture import Picture
-from .scene import INSTANTS, _moves
 from .style import BLACK, GREY, ORANGE, RED, mode_colour, tint
+from .view import INSTANTS, moves
 
 
 def draw_scene_3d(ax: Any, picture: Picture) -> None:
@@ -86,7 +86,7 @@ def _solids(ax: Any, picture: Picture, low: Array, high: Array) -> None:
     centre, reach = (low + high) / 2, (high - low) / 2
     extent = float(np.max(np.abs(np.concatenate([low, high]))))
     for obstacle in picture.obstacles:
-        instants = np.linspace(0, picture.duration, INSTANTS) if _moves(obstacle, picture) else np.zeros(1)
+        instants = np.linspace(0, picture.duration, INSTANTS) if moves(obstacle, picture) else np.zeros(1)
         drawn: list[tuple[float, list[Array]]] = []
         if space:
             for i, t in enumerate(instants):
@@ -106,11 +106,13 @@ def _solids(ax: Any, picture: Picture, low: Array, high: Array) -> None:
             keep_in = isinstance(obstacle, KeepIn)
             face = (*tint(RED, 0.7), 0.04 if keep_in else 0.28 * strength)
             collection = Poly3DCollection(
-                polygons, facecolor=face, edgecolor=(*tint(RED, strength), 0.35 if keep_in else 0.8), linewidth=0.35
+                polygons,
+                facecolor=face,
+                edgecolor=(*tint(RED, strength), 0.35 if keep_in else 0.8),
+                linewidth=0.35,
             )
             ax.add_collection3d(collection, autolim=False)
         if drawn and drawn[-1][1]:
             top = np.vstack(drawn[-1][1])
             place = top[np.argmax(top[:, 2])]
             ax.text(*place, f" {obstacle.name}", color=RED, fontsize=7, va="bottom", clip_on=True)
-

@@ -24,7 +24,7 @@ GREY = "#767676"
 
 MODE_COLOURS = (BLUE, ORANGE, PURPLE, GREEN, SKY, BLACK, YELLOW, VERMILION)
 
-_STYLE = {
+_STYLE: Any = {
     "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans"],
     "mathtext.fontset": "dejavusans",

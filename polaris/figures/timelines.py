@@ -101,7 +101,12 @@ def draw_modes(ax: Any, picture: Picture) -> None:
         ax.broken_barh([(0, picture.duration)], (row - 0.3, 0.6), facecolor="#F2F2F2", lw=0)
         ax.broken_barh(spans, (row - 0.3, 0.6), facecolor=mode_colour(mode), lw=0)
         ax.text(
-            1.01, row, f"{np.mean(modes == mode):.0%}", fontsize=7, va="center", transform=ax.get_yaxis_transform()
+            1.01,
+            row,
+            f"{np.mean(modes == mode):.0%}",
+            fontsize=7,
+            va="center",
+            transform=ax.get_yaxis_transform(),
         )
     ax.set(xlim=(0, picture.duration), ylim=(-0.6, rows - 0.4), xlabel="Time (s)")
     names = [picture.mode_name(mode) for mode in range(rows)]
@@ -133,8 +138,21 @@ def draw_margin(ax: Any, picture: Picture) -> None:
         spans = [(a * delta, (b - a) * delta) for a, b in _runs_of(chosen)]
         ax.broken_barh(spans, (place, height), facecolor=colour, lw=0)
         handles.append(Patch(facecolor=colour, label=name))
-    ax.text(-0.015, place + height / 2, "limit", fontsize=7, ha="right", va="center", transform=ax.get_yaxis_transform())
-    ax.set(xlim=(0, picture.duration), ylim=(place - 0.03, 1.0), xlabel="Time (s)", ylabel="Margin (share of room left)")
+    ax.text(
+        -0.015,
+        place + height / 2,
+        "limit",
+        fontsize=7,
+        ha="right",
+        va="center",
+        transform=ax.get_yaxis_transform(),
+    )
+    ax.set(
+        xlim=(0, picture.duration),
+        ylim=(place - 0.03, 1.0),
+        xlabel="Time (s)",
+        ylabel="Margin (share of room left)",
+    )
     ax.set_yticks([0, 0.25, 0.5, 0.75, 1.0])
     ax.grid(True, axis="y")
     legend_above(ax, handles, 2 if max(map(len, names), default=0) > 18 else 3)
@@ -146,7 +164,12 @@ def mode_strip(ax: Any, picture: Picture) -> None:
     for mode in np.unique(picture.modes):
         spans = [(a * delta, (b - a) * delta) for a, b in _runs_of(picture.modes == mode)]
         ax.broken_barh(
-            spans, (0, 0.035), facecolor=mode_colour(int(mode)), lw=0, transform=ax.get_xaxis_transform(), zorder=5
+            spans,
+            (0, 0.035),
+            facecolor=mode_colour(int(mode)),
+            lw=0,
+            transform=ax.get_xaxis_transform(),
+            zorder=5,
         )
 
 
@@ -159,5 +182,3 @@ def _runs_of(flags: Any) -> list[tuple[int, int]]:
     """First and one-past-last index of every stretch of True."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], np.asarray(flags, dtype=int), [0]])))
     return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
-
-

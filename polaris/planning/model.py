@@ -47,9 +47,8 @@ class Task:
     ----------
     cells : frozenset of (int, int)
         Constrained cells, as (unsafe set, cell).
-    fuel, margin, short, thrust : float
-        Prices of velocity change [1/(m/s)], of missing margin, of the shortfall [1/length], and of
-        the factor on the thrust limits. A price of 0 for `short` or `thrust` forbids it.
+    fuel, margin : float
+        Prices of velocity change [1/(m/s)] and of missing margin.
     levels : Levels
         Range of the margin variable.
     budget : float
@@ -63,8 +62,6 @@ class Task:
     cells: frozenset[Cell]
     fuel: float = 1.0
     margin: float = 0.0
-    short: float = 0.0
-    thrust: float = 0.0
     levels: Levels = Levels(0.0, 0.0)
     budget: float = np.inf
     one_of: bool = True
@@ -80,29 +77,19 @@ class Model:
         self.pulp, self.rows, self.task = pulp, rows, task
         self.lp: Any = pulp.LpProblem("reference", pulp.LpMinimize)
         K, m, n = rows.problem.K, rows.problem.system.m, rows.problem.system.n
-        most = None if task.thrust else rows.limit
-        up = [None if most is None else float(b) for b in (np.zeros(rows.N) if most is None else most)]
+        up = rows.limit.tolist()
         self.plus = [self._new(f"p{j // m}_{j % m}", 0.0, up[j]) for j in range(rows.N)]
         self.minus = [self._new(f"m{j // m}_{j % m}", 0.0, up[j]) for j in range(rows.N)]
         self.s = self._new("s", task.levels.low, task.levels.high)
-        self.e = self._new("e", 0.0, None if task.short else 0.0)
-        self.thrust = self._new("thrust", 1.0, None if task.thrust else 1.0)
         self.frame = goal_frame(rows)
         self.x = [[self._new(f"x{k}_{i}", None, None) for i in range(n)] for k in range(1, K + 1)]
         self.xK = self.x[-1]
         self.inputs = self.plus + self.minus
         price = np.r_[rows.price, rows.price] * task.fuel
-        self.lp.setObjective(
-            self._sum(self.inputs, price)
-            + self._sum([self.s, self.e, self.thrust], np.array([-task.margin, task.short, task.thrust]))
-        )
+        self.lp.setObjective(self._sum(self.inputs, price) + self._sum([self.s], np.array([-task.margin])))
         self.z: dict[tuple[int, int, int], Any] = {}
         self.sides: list[list[Any]] = []
         self.impossible: Cell | None = None
-        if task.thrust:
-            for j, column in enumerate(zip(self.plus, self.minus, strict=True)):
-                for var in column:
-                    self.lp += var <= float(rows.limit[j]) * self.thrust
         if np.isfinite(task.budget):
             self.lp += self._sum(self.inputs, np.r_[rows.price, rows.price]) <= task.budget
         self._dynamics(K, m)
@@ -167,11 +154,7 @@ class Model:
             binaries = [self._new(f"goal{group}_{j}", 0.0, 1.0, binary=True) for j in range(len(N))]
             # every row is bounded below by the goal's own inequalities or by the thrust limits
             floor = -rows.extreme(rows.state_rows(-N, K), self.task.budget) + N @ rows.free[K]
-            floor = (
-                np.maximum(floor, goal_floor(goal.G, goal.g, N))
-                if not self.task.thrust
-                else goal_floor(goal.G, goal.g, N)
-            )
+            floor = np.maximum(floor, goal_floor(goal.G, goal.g, N))
             big = np.maximum((c - floor) / rows.length, 0.0)
             for j, g in enumerate(N @ back / rows.length):
                 self.lp += self._sum([*self.xK, binaries[j]], np.r_[g, -big[j]]) >= float(
@@ -189,7 +172,7 @@ class Model:
         )
         for f in facets:
             part = rows.cell(i, k, f)
-            if task.decided is not None or task.short or task.thrust:
+            if task.decided is not None:
                 options.append((f, part, np.full(len(part.need), 1e3)))
                 continue
             most = rows.extreme(part.a, task.budget)
@@ -213,8 +196,6 @@ class Model:
                 row, constant = self._at(k, g, h)
                 need = rhs - constant
                 row = row + self._sum([self.s], np.array([-part.slope]))
-                if task.short:
-                    row += self.e
                 if only:
                     self.lp += row >= float(need)
                 else:
@@ -258,7 +239,7 @@ class Model:
         fuel = float(np.sum(self.rows.price * np.abs(z)))
         # PuLP leaves variables that no row mentions without a value
         level = self.task.levels.high if self.s.varValue is None else float(self.s.varValue)
-        path = Candidate(z, level, (self.e.varValue or 0.0) * self.rows.length, fuel, choice, sides)
+        path = Candidate(z, level, 0.0, fuel, choice, sides)
         return Answer(status, path, float(self.lp.objective.value()), bound, stats)
 
     def _warm(self, path: Candidate) -> None:
@@ -266,8 +247,6 @@ class Model:
             self.plus[j].setInitialValue(max(float(value), 0.0), check=False)
             self.minus[j].setInitialValue(max(-float(value), 0.0), check=False)
         self.s.setInitialValue(path.level, check=False)
-        self.e.setInitialValue(path.short / self.rows.length, check=False)
-        self.thrust.setInitialValue(1.0, check=False)
         for (i, k, f), var in self.z.items():
             if var is not None and (i, k) in path.choice:
                 var.setInitialValue(float(path.choice[(i, k)] == f), check=False)

@@ -163,7 +163,7 @@ class Planner:
         """Least objective at the prices and levels set, all cells certified; path, bound and status."""
         begun = perf_counter()
         found: Outcome | None = None
-        hurry = stage == "margin" and best is not None
+        hurry = stage == "margin" and best is not None and self.problem.objective != "distance"
         stop = begun + (MARGIN_SHARE if hurry else 1.0) * self.left
         if self.options.branching == "facets":
             found = branch(

@@ -19,7 +19,9 @@ import numpy as np
 
 from .search import Candidate, Cell, PathSearch
 
-DIVE_EVERY = 25
+DIVE_EVERY, DIVE_EVERY_WANTING = 25, 5
+"""Nodes between two dives from the best open node for a better path; more often while none has the
+full margin."""
 
 
 @dataclass(order=True)
@@ -109,7 +111,8 @@ def branch(
                 continue
             split = [({}, path.sides)]  # only booked lengths were short: solve the node again
         touched |= new.keys()
-        if popped % DIVE_EVERY == 0 or best is None and popped % 5 == 0:
+        wanting = best is None or best.level < search.levels.high * (1 - 1e-9)
+        if popped % (DIVE_EVERY_WANTING if wanting else DIVE_EVERY) == 0:
             found = search.dive({}, path.sides, path.choice)
             if found is not None and found.short == 0 and search.value(found) < top:
                 best, top = found, search.value(found)

@@ -1,0 +1,234 @@
+"""The command ``polaris``: run a scenario, check one, list those that come along, redraw figures.
+
+Exit codes: 0 done, 1 fault of the program, 2 bad input, 3 no safe synthesis exists, 4 none certified
+in the time given. Results go to standard output, progress and errors to standard error.
+"""
+
+from __future__ import annotations
+
+import signal
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from enum import StrEnum
+from typing import Annotated, Any, NoReturn
+
+import typer
+
+from .errors import PolarisError
+
+app = typer.Typer(
+    name="polaris",
+    help="Switching schedules between a safety controller and experimental ones, proven before the flight.",
+    epilog="Exit codes: 0 done, 2 bad input, 3 no safe synthesis, 4 not certified in the time given.",
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+)
+
+
+class Solver(StrEnum):
+    """Back ends of the planner."""
+
+    highs = "highs"
+    gurobi = "gurobi"
+
+
+class Kind(StrEnum):
+    """Kinds of recoverable sets."""
+
+    polytope = "polytope"
+    time_varying_ball = "time_varying_ball"
+    ball = "ball"
+    paper_ball = "paper_ball"
+
+
+Name = Annotated[
+    str,
+    typer.Argument(metavar="NAME_OR_FILE", help="A bundled scenario (see `polaris scenarios`) or a file."),
+]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        from .version import version
+
+        typer.echo(f"polaris {version()}")
+        raise typer.Exit
+
+
+@app.callback()
+def main(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+) -> None:
+    """Options that come before the command."""
+
+
+@app.command()
+def run(
+    scenario: Name,
+    out: Annotated[
+        str | None,
+        typer.Option("--out", metavar="DIR", help="Run folder; default runs/<name of the scenario>."),
+    ] = None,
+    assignments: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set", metavar="KEY=VALUE", help="Override a value, as in planner.gap=0.01; repeatable."
+        ),
+    ] = None,
+    solver: Annotated[Solver | None, typer.Option(help="Short for --set planner.solver=...")] = None,
+    recoverable: Annotated[Kind | None, typer.Option(help="Short for --set recoverable.kind=...")] = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print the summary as JSON, and nothing else.")
+    ] = False,
+    quiet: Quiet = False,
+) -> None:
+    """Synthesise a schedule, prove it, fly it in simulation, and write a run folder."""
+    overrides = list(assignments or [])
+    if solver is not None:
+        overrides.append(f"planner.solver={solver.value}")
+    if recoverable is not None:
+        overrides.append(f"recoverable.kind={recoverable.value}")
+    with _answering():
+        folder = _run(scenario, out, overrides, quiet or as_json)
+        if as_json:
+            sys.stdout.write((folder.path / "summary.json").read_text(encoding="utf-8"))
+        elif not quiet:
+            from .console import show_summary
+
+            show_summary(folder.summary, str(folder.path))
+
+
+def _run(name: str, out: str | None, overrides: list[str], quiet: bool) -> Any:
+    """All stages, from the scenario file to the run folder."""
+    from .console import Stages
+
+    stages = Stages(quiet)
+    with stages.stage("load"):
+        from dataclasses import replace
+
+        from .replacing import check_target
+        from .runfolder import write_run
+        from .scenario import load_scenario
+
+        scenario = load_scenario(name).with_assignments(overrides)
+        target = check_target(out if out is not None else f"runs/{scenario.name}")
+    with stages.stage("safety controller"):
+        from .comparison import compare
+        from .experimental import build_controllers
+        from .safety import get_safety
+        from .synthesis import synthesize
+
+        problem = scenario.problem()
+        safety = get_safety(replace(problem, planner=replace(problem.planner, progress=stages.planner)))
+    with stages.stage("experimental controllers"):
+        experimental = build_controllers(scenario, safety)
+    with stages.stage("schedule"):
+        schedule = synthesize(scenario, safety, experimental, progress=stages.steps)
+    with stages.stage("simulation"):
+        flown = compare(schedule, scenario.simulation.runs, scenario.simulation.seed, stages.runs)
+    spent = {
+        "load": stages.seconds["load"],
+        "experimental": stages.seconds["experimental controllers"],
+        "simulation": stages.seconds["simulation"],
+    }
+    with stages.stage("run folder"):
+        return write_run(
+            target, scenario, schedule, flown, overrides=overrides, seconds=spent, progress=stages.note
+        )
+
+
+@app.command()
+def check(file: Name) -> None:
+    """Validate a scenario without running it."""
+    with _answering():
+        from .scenario import load_scenario
+
+        scenario = load_scenario(file)
+        system = scenario.system()
+        sets = len(scenario.model.obstacles) + len(scenario.model.keep_in)
+        typer.echo(
+            f"{scenario.name} is valid: {system.n} states, {system.m} inputs, {scenario.steps} steps of"
+            f" {scenario.step:g} s, unsafe sets: {sets}, experimental controllers:"
+            f" {len(scenario.experimental_specs())}"
+        )
+
+
+@app.command()
+def scenarios() -> None:
+    """List the scenarios that come along."""
+    with _answering():
+        import tomllib
+
+        from .scenario import bundled_scenarios, scenario_folder
+
+        names = bundled_scenarios()
+        width = max(map(len, names), default=0)
+        for name in names:
+            text = (scenario_folder() / f"{name}.toml").read_text(encoding="utf-8")
+            typer.echo(f"{name:{width}}  {tomllib.loads(text)['title']}")
+
+
+@app.command()
+def plot(
+    folder: Annotated[str, typer.Argument(metavar="RUN", help="A run folder.")], quiet: Quiet = False
+) -> None:
+    """Redraw the figures of a run folder from its files alone."""
+    with _answering():
+        from .console import Stages
+        from .runfolder import read_run
+
+        with Stages(quiet).stage("figures"):
+            drawn = read_run(folder).draw()
+        if not quiet:
+            typer.echo("\n".join(str(path) for path in drawn))
+
+
+# -- how it ends ------------------------------------------------------------------------------------
+
+
+@contextmanager
+def _answering() -> Iterator[None]:
+    """Turn everything that can go wrong into one message and an exit code."""
+    before = signal.signal(signal.SIGTERM, _terminated)
+    try:
+        yield
+    except PolarisError as error:
+        _fail(str(error), error.exit_code)
+    except KeyboardInterrupt:
+        _fail("interrupted; no run folder was changed", 130)
+    except BrokenPipeError:
+        raise typer.Exit(0) from None
+    except MemoryError:
+        _fail("out of memory; fewer steps, runs or obstacles need less", 1)
+    except OSError as error:
+        _fail(f"{error.filename or 'the system'}: {error.strerror or error}", 2)
+    except Exception as error:  # a fault of the program: still one message, with where it happened
+        _fail(f"internal fault ({_where(error)}): {type(error).__name__}: {error}", 1)
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _terminated(number: int, frame: Any) -> NoReturn:
+    """Leave like after an error, so that nothing half-written stays."""
+    raise SystemExit(128 + number)
+
+
+def _where(error: BaseException) -> str:
+    trace = error.__traceback__
+    while trace is not None and trace.tb_next is not None:
+        trace = trace.tb_next
+    return f"{trace.tb_frame.f_globals.get('__name__', '?')}:{trace.tb_lineno}" if trace else "?"
+
+
+def _fail(message: str, code: int) -> NoReturn:
+    typer.echo(f"error: {' '.join(message.split())}", err=True)
+    raise typer.Exit(code) from None
+
+
+if __name__ == "__main__":
+    app()

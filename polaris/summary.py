@@ -1,0 +1,62 @@
+"""A run in numbers: the contents of ``summary.json``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+
+from .comparison import Flown
+from .evaluation import DEFINITIONS
+from .scenario import Scenario
+from .schedule import Schedule
+from .version import versions
+
+
+def summary(
+    scenario: Scenario, schedule: Schedule, flown: Mapping[str, Flown], seconds: Mapping[str, float]
+) -> dict[str, Any]:
+    """Contents of ``summary.json``."""
+    safety, found = schedule.safety, schedule.safety.plan
+    stages = dict(schedule.seconds)
+    return {
+        "schema_version": 1,
+        "scenario": scenario.name,
+        "title": scenario.model.title,
+        **{key: item.metrics.summary() for key, item in flown.items()},
+        "synthesis": {
+            "recoverable": safety.recoverable.kind,
+            "experimental_share": schedule.share(),
+            "switches": schedule.switches,
+            "start_margin": safety.start_margin.value,
+            "start_limit": safety.start_margin.limit,
+            "planner": {
+                "status": found.status,
+                "solver": found.solver,
+                "gap": found.gap,
+                "delta_v_m_s": found.delta_v,
+                "margin_m": found.margin,
+                "size": found.stats,
+            },
+            "seconds": {**stages, "total": sum(stages.values()), "plan_parts": found.seconds, **seconds},
+        },
+        "guarantee": guarantee(schedule),
+        "definitions": DEFINITIONS,
+        "seed": scenario.simulation.seed,
+        "versions": versions(),
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+    }
+
+
+def guarantee(schedule: Schedule) -> dict[str, Any]:
+    """What is claimed, until when, why, and on what assumptions."""
+    end = schedule.safety.end
+    return {
+        "kind": schedule.guarantee,
+        "horizon": end.horizon,
+        "until_s": end.until if np.isfinite(end.until) else None,
+        "reason": end.reason,
+        "assumptions": list(schedule.assumptions),
+    }
