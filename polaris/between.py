@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from reach.flow import LinearFlow
 from reach.zonotope import Zonotope
 
 from .saturation import clipped_motion
@@ -42,7 +41,7 @@ def affine_bow(law: AffineController, start: Zonotope, k: int) -> Array:
     if law.feedback.sampled:
         rate = _size(image) @ law.open_flow.growth.T
         path = rate @ np.abs(law.system.A).T
-        return _book(law, path + _own_curvature(law, k), law.flow.period_box)
+        return _book(law, path + _own_curvature(law, k))
     rate = _size(image) @ flow.growth.T
     path = _size(flow.A_c @ image) @ flow.growth.T
     difference = safe.gain - law.gain
@@ -50,7 +49,7 @@ def affine_bow(law: AffineController, start: Zonotope, k: int) -> Array:
     inputs = np.abs(known + start.c @ difference.T) + np.abs(difference @ start.G).sum(axis=-1)
     slope = rate @ np.abs(difference).T
     switch = _switch(law, inputs, slope, k)
-    return _book(law, np.maximum(path + _own_curvature(law, k), switch), flow.period_box)
+    return _book(law, np.maximum(path + _own_curvature(law, k), switch))
 
 
 def clipped_bow(law: AffineController, start: Zonotope, k: int) -> Array:
@@ -62,7 +61,7 @@ def clipped_bow(law: AffineController, start: Zonotope, k: int) -> Array:
         push = np.minimum(command, system.u_max + np.abs(mu))
         rate = (_size(system.A @ start) + push @ np.abs(system.B).T) @ law.open_flow.growth.T
         path = rate @ np.abs(system.A).T
-        return _book(law, path + _own_curvature(law, k), law.flow.period_box)
+        return _book(law, path + _own_curvature(law, k))
     moved, push = clipped_motion(law, extent, command, mu)
     rate = (extent + moved) @ np.abs(system.A).T + push @ np.abs(system.B).T
     path = rate @ (np.abs(system.A) + np.abs(system.B) @ np.abs(law.gain)).T
@@ -70,10 +69,7 @@ def clipped_bow(law: AffineController, start: Zonotope, k: int) -> Array:
     inputs = np.abs(known) + push + _size(safe.gain @ start)
     slope = rate @ (np.abs(safe.gain) + np.abs(law.gain)).T
     switch = _switch(law, inputs, slope, k)
-    # The clip has slope at most 1: what the disturbance sets off grows no faster than |A| + |B Lambda_U|.
-    fastest = np.abs(system.A) + np.abs(system.B) @ np.abs(law.gain)
-    box = LinearFlow.continuous(fastest, system.D, system.w_max, law.flow.h).period_box
-    return _book(law, np.maximum(path + _own_curvature(law, k), switch), box)
+    return _book(law, np.maximum(path + _own_curvature(law, k), switch))
 
 
 def _own_rate(law: AffineController, k: int) -> Array:
@@ -105,6 +101,6 @@ def _switch(law: AffineController, inputs: Array, slope: Array, k: int) -> Array
     return np.asarray(inner @ safe.flow.growth.T)
 
 
-def _book(law: AffineController, curvature: Array, disturbance: Array) -> Array:
-    """``h^2/8`` times the curvature, and what the disturbance adds within a period, under U and S."""
-    return np.asarray(law.flow.h**2 / 8 * curvature + disturbance + law.tracking.flow.period_box)
+def _book(law: AffineController, curvature: Array) -> Array:
+    """``h^2/8`` times the curvature, and what the disturbance adds within a period."""
+    return np.asarray(law.flow.h**2 / 8 * curvature + law.period_box)

@@ -65,7 +65,9 @@ def error_tube(tracking: Tracking, start: Zonotope, rows: Array) -> Tube:
     """
     radius = float(start.norm_bound(tracking.W))
     curvature = tracking.curvature(rows)
-    support = (rows @ tracking.transitions @ start.c) + np.abs(rows @ tracking.transitions @ start.G).sum(axis=-1)
+    centre = rows @ tracking.transitions @ start.c
+    spread = np.abs(rows @ tracking.transitions @ start.G).sum(axis=-1)
+    support = centre + spread + ROUNDING * (np.abs(centre) + spread)
     disturbance = tracking.disturbance(rows)
     booked = curvature * tracking.decay_before[:, None] * radius
     within = support + booked + disturbance[: len(support)]

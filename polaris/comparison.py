@@ -83,7 +83,7 @@ class Flown:
 
 def fly_nominal(schedule: Schedule, mode: int | None, name: str) -> Flights:
     """One run from the centre of the initial set, undisturbed."""
-    run = simulate(schedule, 1, mode=mode, initial="center", disturbance="none")
+    run = simulate(schedule, 1, mode=mode, initial="center", disturbance="none", substeps=2)
     return Flights.of(run, evaluate(run, controller=name), {0: "nominal"})
 
 

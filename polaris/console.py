@@ -129,9 +129,9 @@ def show_summary(summary: Mapping[str, Any], folder: str, console: Console | Non
     reached = f"{plan['delta_v_m_s']:.4g} m/s, clearance {plan['margin_m']:.4g} m beyond the tube"
     console.print(Text(f"Plan: {plan['status']} ({plan['solver']}), {reached}."))
     console.print(Text(f"Synthesis: {seconds['total']:.2f} s ({stages})."))
-    console.print(Text(f"Guarantee: {_claim(claim)}", style="bold"))
+    console.print(Text(f"Guarantee: {_claim(claim)}", style="bold"), soft_wrap=True)
     for assumption in claim["assumptions"]:
-        console.print(Text(f"  - {assumption}"))
+        console.print(Text(f"  - {assumption}"), soft_wrap=True)
     console.print(Text(f"Run folder: {folder}"), soft_wrap=True)
 
 

@@ -125,6 +125,20 @@ class AffineController:
         q, cells = self.feedback.nodes_per_cell, min(self.own.cells, self.reference.cells)
         return self.own.fine(q)[:cells] - self.reference.fine(q)[:cells]
 
+    @cached_property
+    def period_box(self) -> Array:
+        """Elementwise bound on what the disturbance adds within a period, shape (n,).
+
+        Whatever the law does meanwhile: unclipped, clipped (the clip has slope at most 1, so nothing
+        grows faster than ``|A| + |B| |Lambda_U|`` lets it), or giving way to S at any instant.
+        """
+        if self.feedback.sampled:
+            return self.flow.period_box
+        fastest = np.maximum(np.abs(self.flow.A_c), np.abs(self.tracking.flow.A_c))
+        if self.clips:
+            fastest = np.maximum(fastest, np.abs(self.system.A) + np.abs(self.system.B) @ np.abs(self.gain))
+        return LinearFlow.continuous(fastest, self.system.D, self.system.w_max, self.flow.h).period_box
+
     def command(self, k: int, xi: Array, own: Array, x: Array) -> Array:
         """Thrust command before clipping, shape (..., m)."""
         return np.asarray(self.own.nu[k] + (own - x) @ self.gain.T)
@@ -216,7 +230,7 @@ class AnyThrust:
         # Between nodes the input's share is that of a part of the period: inside the whole's.
         spread = [node + push for node in nodes[:-1]] + [nodes[-1]]
         stack = Zonotope.stack(spread)
-        drift = np.abs(step) / self.flow.h  # the known part of the rate, -B mu
+        drift = np.abs(self.system.B @ self.reference.nu[k])  # the known part of the rate
         bent = self.flow.bow(stack[:-1]) + self.flow.h**2 / 8 * np.abs(self.system.A) @ self.flow.growth @ drift
         bow = bent + self.flow.period_box + self.tracking.flow.period_box
         return Flight(stack, bow, nodes[-1].reduce(ORDER))

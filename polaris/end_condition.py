@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .hill import cw_matrix
 from .recoverable import Margin
 from .reference import Reference
-from .system import Array
+from .system import Array, LinearSystem
 from .tracking import Tracking
 from .unsafe import TimedPolytope
 
@@ -49,7 +50,7 @@ def tail_length(tracking: Tracking) -> int:
     """Cells of one further period: the orbit's in Hill's frame, else the memory of the loop."""
     settle = int(np.ceil((tracking.memory + 1) / tracking.feedback.nodes_per_cell)) + 1
     eta = tracking.system.mean_motion
-    if eta is None:
+    if eta is None or not _in_hills_frame(tracking.system):
         return settle
     return max(int(np.ceil(2 * np.pi / eta / tracking.delta)), settle)
 
@@ -77,7 +78,8 @@ def coast(planned: Reference, tail: int) -> tuple[Reference, Array]:
 def natural_motion(planned: Reference, x: Array) -> tuple[Array, str]:
     """The nearest state whose unforced motion closes (Hill's frame) or rests (any other system)."""
     system = planned.system
-    if system.mean_motion is not None:
+    if _in_hills_frame(system):
+        assert system.mean_motion is not None
         closed = x.copy()
         closed[4] = -2 * system.mean_motion * x[0]
         return closed, "closed orbit"
@@ -85,6 +87,20 @@ def natural_motion(planned: Reference, x: Array) -> tuple[Array, str]:
     _, values, rows = np.linalg.svd(system.A)
     null = rows[values <= 1e-12 * max(values.max(), 1.0)]
     return np.asarray(null.T @ (null @ x)), "rest"
+
+
+def _in_hills_frame(system: LinearSystem) -> bool:
+    """Whether the free motion is Clohessy-Wiltshire's (not merely said to be)."""
+    eta = system.mean_motion
+    return eta is not None and system.n == 6 and np.array_equal(system.A, cw_matrix(eta))
+
+
+def _stays(system: LinearSystem, x: Array) -> bool:
+    """Whether the natural motion from x repeats for ever: by the closed form, or because A x is zero.
+
+    A state that rests only to rounding drifts, however slowly; nothing books that drift.
+    """
+    return _in_hills_frame(system) or not np.any(system.A @ x)
 
 
 def judge_end(tracking: Tracking, reference: Reference, planned: int, tail: int, sets: tuple[TimedPolytope, ...],
@@ -102,7 +118,8 @@ def judge_end(tracking: Tracking, reference: Reference, planned: int, tail: int,
     if not start.inside:
         return EndCondition("none", T, f"not proven after T = {T:g} s: {start}")
     closed, word = natural_motion(reference, reference.chi[planned])
-    if not np.allclose(closed, reference.chi[planned], rtol=0, atol=1e-12 * max(1.0, np.max(np.abs(closed)))):
+    exact = np.allclose(closed, reference.chi[planned], rtol=0, atol=1e-12 * max(1.0, np.max(np.abs(closed))))
+    if not exact or not _stays(reference.system, closed):
         return EndCondition("one_period", until, "the reference does not end on a natural motion trajectory")
     moving = [unsafe.name for unsafe in sets if not unsafe.static]
     if moving:

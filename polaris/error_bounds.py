@@ -85,7 +85,7 @@ def get_err_bounds(tracking: Tracking, method: str = "envelope", weight: ArrayLi
             # norm(V e(t)) <= factor^floor(t/h) (1 + what happens within a period)
             within = 1 + tracking.curvature(contraction).sum()
             gamma = out * within / factor * into
-            gain = out * tracking.disturbance_radius / max(system.w_max, np.finfo(float).tiny)
+            gain = out * within * tracking.disturbance_radius / max(system.w_max, np.finfo(float).tiny)
         else:
             gamma = _envelope(tracking, R, inverse, beta, into)
             gain = _gain(tracking, R)

@@ -128,6 +128,9 @@ class Tracking:
         except ReachError as error:
             field = "feedback.period_s" if self.feedback.sampled else "tracking.Q"
             raise ScenarioError(field, flow.h, f"must give a stable loop: {error}") from error
+        if not np.all(np.isfinite(flow.growth)):
+            rule = "is too long for the fastest motion of the system: what happens within it cannot be bounded"
+            raise ScenarioError("horizon.step_s", self.delta, rule)
         return flow
 
     @cached_property
@@ -171,7 +174,7 @@ class Tracking:
 
     @cached_property
     def disturbance_radius(self) -> float:
-        """Bound on ``norm(W e)`` ever reached by the disturbance alone (all time)."""
+        """Bound on ``norm(W e)`` reached by the disturbance alone at any node, however late."""
         factor = self.flow.lyapunov[1]
         total = self.decay.sum() + self.decay[-1] * factor / (1 - factor)
         return float(self.period_gain * (total + 1.0))

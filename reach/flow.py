@@ -126,7 +126,9 @@ class LinearFlow:
             raise ReachError("the Lyapunov equation has no positive definite solution to working precision")
         root = (vectors * np.sqrt(values)) @ vectors.T
         W = root @ inverse
-        factor = float(np.linalg.norm(W @ self.phi @ np.linalg.inv(W), 2)) * (1 + 1e-12)
+        if np.linalg.cond(W) > 1e6:
+            raise ReachError("the Lyapunov norm is too ill-conditioned to bound anything with")
+        factor = float(np.linalg.norm(W @ self.phi @ np.linalg.inv(W), 2)) * (1 + _slack(W))
         if not factor < 1:
             raise ReachError("the Lyapunov norm found does not contract to working precision")
         return np.asarray(W), factor
@@ -135,7 +137,7 @@ class LinearFlow:
         """``norm(W phi^l W^-1, 2)`` for l = 0..count, shape (count+1,); never increasing."""
         W, _ = self.lyapunov
         stack = W @ powers(self.phi, count) @ np.linalg.inv(W)
-        return np.asarray(np.linalg.norm(stack, 2, axis=(-2, -1)) * (1 + 1e-12))
+        return np.asarray(np.linalg.norm(stack, 2, axis=(-2, -1)) * (1 + _slack(W)))
 
     # -- responses to the disturbance, along rows -----------------------------------------------------
 
@@ -178,6 +180,11 @@ class LinearFlow:
             full = np.moveaxis(blocks[:i], 0, 1).reshape(n, -1)
             parts.append(Zonotope(np.zeros(n), full).reduce(order, "girard"))
         return Zonotope.stack(parts)
+
+
+def _slack(W: Array) -> float:
+    """Relative round-off of ``norm(W M W^-1)``."""
+    return float(10 * len(W) * np.finfo(float).eps * np.linalg.cond(W))
 
 
 def state_scale(A_c: Array) -> Array:

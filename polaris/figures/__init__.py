@@ -57,13 +57,14 @@ def plot_schedule(schedule: Schedule, ax: Any = None) -> Any:
 
 def _plot(picture: Picture, ax: Any) -> Any:
     from .scene import draw_scene
-    from .style import WIDTH, axes_of, style
-    from .view import View
+    from .style import axes_of, fit_height, style
 
     with style():
-        height = 1.3 + 0.82 * WIDTH * (View.around(picture).aspect if picture.system.d > 1 else 0.6)
-        ax = axes_of(ax, height)
+        own = ax is None
+        ax = axes_of(ax)
         draw_scene(ax, picture)
+        if own:
+            fit_height(ax)
     return ax
 
 
@@ -91,20 +92,21 @@ def draw_figures(picture: Picture, folder: Path) -> list[Path]:
 
 def _scene(picture: Picture, new_figure: Any) -> Any:
     from .scene import draw_scene
-    from .view import View
+    from .style import fit_height
 
-    aspect = View.around(picture).aspect if picture.system.d > 1 else 0.6
-    figure = new_figure(1.2 + 2.9 * aspect)
-    draw_scene(figure.add_subplot(), picture)
+    figure = new_figure(3.0)
+    ax = figure.add_subplot()
+    draw_scene(ax, picture)
+    fit_height(ax)
     return figure
 
 
 def _scene_3d(picture: Picture, new_figure: Any) -> Any:
     from .scene3d import draw_scene_3d
 
-    figure = new_figure(3.0)
+    figure = new_figure(2.5)
     figure.set_layout_engine("none")
-    ax = figure.add_axes((0.0, 0.02, 0.96, 0.88), projection="3d", computed_zorder=False)
+    ax = figure.add_axes((-0.1, -0.1, 1.1, 1.1), projection="3d", computed_zorder=False)
     draw_scene_3d(ax, picture)
     figure.legend(*ax.get_legend_handles_labels(), loc="upper left", ncols=2)
     return figure

@@ -7,13 +7,12 @@ from typing import Any
 import numpy as np
 
 from ..keep_in import KeepIn
-from ..obstacles import Obstacle
 from ..planning.goals import Box, EllipticalNMT, StationaryPoint
-from ..system import Array
-from .geometry import flat_outline, tube_polygons, zonotope_outline
+from .geometry import tube_polygons, zonotope_outline
 from .picture import Picture
 from .style import BLACK, GREEN, GREY, ORANGE, RED, YELLOW, legend_above, mode_colour, tint
-from .view import INSTANTS, View, moves, position_set
+from .unsafe import draw_unsafe
+from .view import View, position_set
 
 
 def draw_scene(ax: Any, picture: Picture) -> None:
@@ -27,10 +26,14 @@ def draw_scene(ax: Any, picture: Picture) -> None:
     ax.set(xlim=view.x, ylim=view.y, xlabel=frame.labels[0], ylabel=frame.labels[1])
     ax.grid(True)
     handles = [*_sets(ax, picture), *_goal(ax, picture), *_paths(ax, picture)]
-    _obstacles(ax, picture, view)
+    draw_unsafe(ax, picture, view)
     if picture.system.mean_motion is not None:
         ax.plot(0, 0, marker="+", color=BLACK, ms=5, mew=0.8, zorder=6)
-        view.label(ax, "target", np.zeros((1, 2)), BLACK)
+        distances = [
+            obstacle.signed_distance(0.0, np.zeros(3), picture.system) for obstacle in picture.obstacles
+        ]
+        if np.all(np.array(distances) > 0):  # else an unsafe set round the target has its own name there
+            view.label(ax, "target", np.zeros((1, 2)), BLACK)
     legend_above(ax, handles, 2)
 
 
@@ -85,7 +88,7 @@ def _goal(ax: Any, picture: Picture) -> list[Any]:
         return [Line2D([], [], label="goal (between ellipses)", **line)]
     if isinstance(goal, StationaryPoint):
         x, y = (picture.system.position @ np.asarray(goal.state))[axes]
-        ax.plot(x, y, marker="*", color=GREEN, ms=6, mec="white", mew=0.4, zorder=6, ls="none")
+        ax.plot(x, y, marker="*", color=GREEN, ms=9, mec="white", mew=0.4, zorder=3.8, ls="none")
         return [Line2D([], [], marker="*", color=GREEN, ls="none", ms=6, label="goal")]
     if isinstance(goal, Box):
         from reach.zonotope import Zonotope
@@ -122,63 +125,13 @@ def _paths(ax: Any, picture: Picture) -> list[Any]:
             colour = mode_colour(int(mode))
             ax.add_collection(LineCollection(list(pieces), colors=colour, lw=1.5, zorder=4, capstyle="round"))
             handles.append(
-                Line2D([], [], color=colour, lw=1.5, label=f"Polaris: {picture.mode_name(int(mode))}")
+                Line2D([], [], color=colour, lw=1.5, label=f"under {picture.mode_name(int(mode))}")
             )
         ax.plot(*flown[-1], marker="s", color=BLACK, ms=2.6, zorder=6)
     else:
         ax.plot(*before[-1], marker="s", color=BLACK, ms=2.6, zorder=6)
     ax.plot(*before[0], marker="o", color=BLACK, ms=2.6, zorder=6)
     return handles
-
-
-def _obstacles(ax: Any, picture: Picture, view: View) -> None:
-    from matplotlib.patches import Polygon
-
-    axes, system = picture.frame.flat, picture.system
-    extent = 3 * max(abs(v) for v in (*view.x, *view.y))
-    for obstacle in picture.obstacles:
-        if isinstance(obstacle, KeepIn):
-            outline = flat_outline(obstacle.outline(0.0, system, extent)[:, axes])
-            ax.add_patch(
-                Polygon(
-                    outline, closed=True, facecolor="none", edgecolor=RED, lw=0.8, ls=(0, (5, 1.5)), zorder=3
-                )
-            )
-            inside = _along(outline)
-            seen = inside[view.contains(inside)]
-            if len(seen):
-                far = seen[np.argmax(np.linalg.norm(seen - view.points.mean(axis=0), axis=1))]
-                view.label(ax, f"{obstacle.name} (stay inside)", far[None], RED)
-            continue
-        instants = _instants(obstacle, picture, view)
-        for t, strength in zip(
-            instants, np.linspace(0.25, 1.0, len(instants)) if len(instants) > 1 else [1.0], strict=True
-        ):
-            outline = flat_outline(obstacle.outline(float(t), system, extent)[:, axes])
-            face, edge = tint(RED, 0.45 * strength), tint(RED, strength)
-            ax.add_patch(Polygon(outline, closed=True, facecolor=face, edgecolor=edge, lw=0.6, zorder=3))
-        if len(instants):
-            seen = np.clip(outline, (view.x[0], view.y[0]), (view.x[1], view.y[1]))
-            big = np.ptp(seen, axis=0).min() > 0.12 * (view.y[1] - view.y[0]) * 1.5
-            text = obstacle.name if len(instants) == 1 else f"{obstacle.name}, t = {instants[-1]:.4g} s"
-            view.label(ax, text, seen.mean(axis=0)[None] if big else seen, RED)
-
-
-def _along(outline: Array, parts: int = 200) -> Array:
-    """Points along the edges of an outline."""
-    s = np.linspace(0, 1, parts)[:, None, None]
-    return np.asarray(((1 - s) * outline + s * np.roll(outline, -1, axis=0)).reshape(-1, 2))
-
-
-def _instants(obstacle: Obstacle, picture: Picture, view: View) -> Array:
-    """When an obstacle is drawn: once if it rests, else evenly over the time it is in view."""
-    if not moves(obstacle, picture):
-        return np.zeros(1)
-    times = np.linspace(0, picture.duration, 201)
-    seen = times[view.contains(obstacle.centre(times, picture.system)[:, picture.frame.flat])]
-    if len(seen) == 0:
-        return np.zeros(0)
-    return np.asarray(seen[np.unique(np.linspace(0, len(seen) - 1, INSTANTS).astype(int))])
 
 
 def _line_scene(ax: Any, picture: Picture) -> None:
@@ -198,7 +151,7 @@ def _line_scene(ax: Any, picture: Picture) -> None:
             shown = np.where(per_node == mode, flown[:-1], np.nan)
             ax.plot(flights.times[:-1], shown, color=mode_colour(int(mode)), zorder=4)
             handles.append(
-                Line2D([], [], color=mode_colour(int(mode)), label=f"Polaris: {picture.mode_name(int(mode))}")
+                Line2D([], [], color=mode_colour(int(mode)), label=f"under {picture.mode_name(int(mode))}")
             )
     low, high = np.min(before), np.max(before)
     pad = 0.3 * (high - low) + 1e-9

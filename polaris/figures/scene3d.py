@@ -16,6 +16,8 @@ from .view import INSTANTS, moves
 
 def draw_scene_3d(ax: Any, picture: Picture) -> None:
     """Draw the scene into axes with ``projection="3d"``."""
+    from matplotlib.ticker import MaxNLocator
+
     frame, space = picture.frame, picture.system.d == 3
     delta, parts = picture.reference.delta, 8
     before, after = picture.path(parts)
@@ -43,7 +45,7 @@ def draw_scene_3d(ax: Any, picture: Picture) -> None:
     low, high = box.min(axis=0), box.max(axis=0)
     size = high - low
     if space:  # one scale for all axes, however flat the motion
-        size = np.maximum(size, 0.3 * size.max())
+        size = np.maximum(size, 0.4 * size.max())
     middle, size = (low + high) / 2, size * 1.12 + 1e-9
     low, high = middle - size / 2, middle + size / 2
     _solids(ax, picture, low, high)
@@ -51,16 +53,14 @@ def draw_scene_3d(ax: Any, picture: Picture) -> None:
     labels = [*frame.labels] if space else [*frame.labels, "Time (s)"]
     ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
     for axis, label in zip("xyz", labels, strict=True):
-        getattr(ax, f"set_{axis}label")(label, fontsize=7, labelpad=-6)
-        ax.tick_params(axis=axis, labelsize=7, pad=-3)
+        getattr(ax, f"set_{axis}label")(label, fontsize=7, labelpad=-6 if axis == "z" else -3)
+        ax.tick_params(axis=axis, labelsize=7, pad=-2 if axis == "z" else -3)
         ticks = getattr(ax, f"{axis}axis")
         ticks.set_pane_color((1, 1, 1, 0))
         ticks.line.set_linewidth(0.5)
         ticks._axinfo["grid"].update(color="#E4E4E4", linewidth=0.4)  # there is no public way
-        from matplotlib.ticker import MaxNLocator
-
-        ticks.set_major_locator(MaxNLocator(4))
-    ax.set_box_aspect(size if space else (1, size[1] / size[0], 0.8), zoom=0.92)
+        ticks.set_major_locator(MaxNLocator(4 if axis == "x" else 3))
+    ax.set_box_aspect(size if space else (1, np.clip(size[1] / size[0], 0.4, 1.2), 0.7), zoom=1.0)
     ax.view_init(elev=24, azim=-58)
 
 
@@ -72,7 +72,7 @@ def _flown(ax: Any, picture: Picture, lift: Any) -> Array:
     seen: set[int] = set()
     for piece in np.split(np.arange(len(per_node)), changes):
         mode = int(per_node[piece[0]])
-        label = None if mode in seen else f"Polaris: {picture.mode_name(mode)}"
+        label = None if mode in seen else f"under {picture.mode_name(mode)}"
         seen.add(mode)
         ax.plot(*flown[piece[0] : piece[-1] + 2].T, color=mode_colour(mode), lw=1.5, label=label)
     return flown
@@ -104,15 +104,15 @@ def _solids(ax: Any, picture: Picture, low: Array, high: Array) -> None:
                 drawn.append((1.0, faces(np.vstack(layers))))
         for strength, polygons in drawn:
             keep_in = isinstance(obstacle, KeepIn)
-            face = (*tint(RED, 0.7), 0.04 if keep_in else 0.28 * strength)
+            face = (*tint(RED, 0.7), 0.0 if keep_in else 0.28 * strength)
             collection = Poly3DCollection(
                 polygons,
                 facecolor=face,
-                edgecolor=(*tint(RED, strength), 0.35 if keep_in else 0.8),
+                edgecolor=(*tint(RED, strength), 0.3 if keep_in else 0.8),
                 linewidth=0.35,
             )
             ax.add_collection3d(collection, autolim=False)
         if drawn and drawn[-1][1]:
             top = np.vstack(drawn[-1][1])
             place = top[np.argmax(top[:, 2])]
-            ax.text(*place, f" {obstacle.name}", color=RED, fontsize=7, va="bottom", clip_on=True)
+            ax.text(*place, f" {obstacle.name}", color=RED, fontsize=7, va="bottom")

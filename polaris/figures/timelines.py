@@ -24,7 +24,8 @@ from .style import (
     tint,
 )
 
-LIMIT_COLOURS = (RED, SKY, PURPLE, GREEN, YELLOW, BLACK, GREY, VERMILION)
+SET_COLOURS = (RED, PURPLE, BLACK, VERMILION)
+THRUST_COLOURS = (SKY, GREEN, YELLOW, GREY)
 INPUT_COLOURS = (BLACK, SKY, PURPLE, GREEN, YELLOW, VERMILION)
 INPUT_DASHES: tuple[Any, ...] = ("-", (0, (4, 1.2)), (0, (1.2, 1)))
 
@@ -34,8 +35,8 @@ def draw_distance(ax: Any, picture: Picture) -> None:
     from matplotlib.lines import Line2D
 
     shown = (
-        ("polaris", "Polaris", BLACK, "-", 3.2),
-        ("safety", "S alone", mode_colour(0), (0, (4, 1.2)), 3.1),
+        ("polaris", "Polaris", BLACK, "-", 3.1),
+        ("safety", "S alone", mode_colour(0), (0, (4, 1.2)), 3.2),
         ("experimental", "U alone", mode_colour(1), (0, (3, 1, 1, 1)), 3.0),
     )
     handles, lowest, highest = [], 0.0, 0.0
@@ -45,8 +46,9 @@ def draw_distance(ax: Any, picture: Picture) -> None:
             continue
         least, _, most = flights.nearest
         ax.fill_between(flights.times, least, most, color=tint(colour, 0.25), lw=0, zorder=order - 1)
-        ax.plot(flights.times, least, color=colour, ls=dashes, lw=1.2, zorder=order)
-        handles.append(Line2D([], [], color=colour, ls=dashes, lw=1.2, label=text))
+        width = 1.6 if key == "polaris" else 1.0
+        ax.plot(flights.times, least, color=colour, ls=dashes, lw=width, zorder=order)
+        handles.append(Line2D([], [], color=colour, ls=dashes, lw=width, label=text))
         lowest, highest = min(lowest, float(least.min())), max(highest, float(most.max()))
     pad = 0.06 * (highest - lowest) + 1e-9
     bottom = lowest - 2 * pad
@@ -120,7 +122,7 @@ def draw_margin(ax: Any, picture: Picture) -> None:
     from matplotlib.patches import Patch
 
     modes, delta = picture.modes, picture.reference.delta
-    floor = -0.3
+    floor = -0.3 if np.any(picture.margins < 0) else -0.03
     margins = np.clip(np.nan_to_num(picture.margins, neginf=floor), floor, 1.0)
     start = np.arange(len(modes)) * delta
     handles: list[Any] = []
@@ -132,8 +134,11 @@ def draw_margin(ax: Any, picture: Picture) -> None:
     ax.axhline(0, color=BLACK, lw=0.6)
     names = [limit_group(name) for name in picture.limits]
     place, height = floor - 0.17, 0.12
-    for i, name in enumerate(dict.fromkeys(names)):
-        colour = LIMIT_COLOURS[i % len(LIMIT_COLOURS)]
+    counts = {True: 0, False: 0}
+    for name in dict.fromkeys(names):
+        thrust = name.startswith("thrust axis")
+        colour = (THRUST_COLOURS if thrust else SET_COLOURS)[counts[thrust] % 4]
+        counts[thrust] += 1
         chosen = np.array([other == name for other in names])
         spans = [(a * delta, (b - a) * delta) for a, b in _runs_of(chosen)]
         ax.broken_barh(spans, (place, height), facecolor=colour, lw=0)

@@ -35,15 +35,16 @@ class View:
                 paths.append(shown)
         points = np.vstack(paths)
         low, high = points.min(axis=0), points.max(axis=0)
-        reach = 0.4 * np.max(high - low)
+        reach = 0.3 * np.max(high - low)
         corners = [points, zonotope_outline(position_set(picture), axes)]
         for obstacle in picture.obstacles:
             if isinstance(obstacle, KeepIn):
                 continue
-            for t in np.linspace(0, picture.duration, INSTANTS) if moves(obstacle, picture) else (0.0,):
-                outline = obstacle.outline(float(t), picture.system)[:, axes]
-                if np.all(outline > low - reach) and np.all(outline < high + reach):
-                    corners.append(outline)
+            moving = moves(obstacle, picture)
+            for t in np.linspace(0, picture.duration, INSTANTS) if moving else (0.0,):
+                seen = np.clip(obstacle.outline(float(t), picture.system)[:, axes], low - reach, high + reach)
+                if np.all(np.ptp(seen, axis=0) > 0) and not (moving and np.any(np.ptp(seen, axis=0) > reach)):
+                    corners.append(seen)
         everything = np.vstack(corners)
         low, high = everything.min(axis=0), everything.max(axis=0)
         pad = 0.05 * np.max(high - low) + 1e-9
@@ -64,12 +65,20 @@ class View:
         x, y = points[..., 0], points[..., 1]
         return (x > self.x[0]) & (x < self.x[1]) & (y > self.y[0]) & (y < self.y[1])
 
+    def clip(self, outline: Array) -> Array:
+        """Cut an outline to the view."""
+        return np.clip(outline, (self.x[0], self.y[0]), (self.x[1], self.y[1]))
+
+    def avoid(self, points: Array) -> None:
+        """Keep names off these points, too."""
+        self.points = np.vstack([self.points, points])
+
     def label(self, ax: Any, text: str, outline: Array, colour: str) -> None:
-        """Write a name beside an outline, on the side where fewest lines pass."""
+        """Write a name beside an outline, or into it if it is large, where fewest lines pass."""
         from matplotlib.patheffects import withStroke
 
         point = (self.x[1] - self.x[0]) / (2.8 * 72)  # metres per point of type
-        w, h = 4.3 * len(text) * point, 8.5 * point
+        w, h = 3.9 * len(text) * point, 8.5 * point
         low, high = outline.min(axis=0) - 3 * point, outline.max(axis=0) + 3 * point
         mid = (low + high) / 2
         places = [
@@ -82,16 +91,21 @@ class View:
             (low[0] - w, high[1]),
             (low[0] - w, low[1] - h),
         ]
+        if w < high[0] - low[0] and 1.8 * h < high[1] - low[1]:
+            places = [
+                (mid[0] - w / 2, low[1] + share * (high[1] - low[1]) - h / 2) for share in (0.5, 0.25, 0.75)
+            ]
 
         def cost(place: tuple[float, float]) -> float:
             x, y = place
             crossing = self.points - (x, y)
-            over = np.mean(np.all((crossing > 0) & (crossing < (w, h)), axis=1))
+            over = np.count_nonzero(np.all((crossing > 0) & (crossing < (w, h)), axis=1))
             inside = self.x[0] <= x and x + w <= self.x[1] and self.y[0] <= y and y + h <= self.y[1]
             clash = any(x < a + c and a < x + w and y < b + d and b < y + h for a, b, c, d in self.taken)
-            return float(over) * 10 + 10 * (not inside) + 2 * clash
+            return min(over, 20) / 20 + 3 * (not inside) + 2 * clash
 
         x, y = min(places, key=cost)
+        x = min(max(x, self.x[0]), self.x[1] - w)
         self.taken.append((x, y, w, h))
         drawn = ax.text(
             x + w / 2,

@@ -31,6 +31,9 @@ left to write down is not handed to the back end."""
 MARGIN_SHARE = 0.25
 """Share of the time left spent on proving that no larger margin exists, once a plan is known."""
 
+BOOKED_MOST = 0.05
+"""Largest length [m] booked on any row for which "no solution exists" is still said."""
+
 MARGIN_TRADE = 1e-4
 """Where the full margin is out of reach: share of it that may be traded for a velocity change as
 large as that of the cheapest transfer without obstacles."""
@@ -316,6 +319,14 @@ class Planner:
     def _time_or(self, explain: Callable[[], NoReturn]) -> NoReturn:
         if self.left <= 0:
             self._out_of_time()
+        # The program keeps a booked length from every facet. While that is small, "no solution" is an
+        # answer; where re-checks have forced it up, it only says that this program has none.
+        booked = max((float(b.max()) for b in self.rows.booking), default=0.0)
+        if booked > BOOKED_MOST:
+            raise NotCertified(
+                f"no certified plan: with the {booked:.3g} m that the re-check asked to book between the waypoints, "
+                "the program has no solution; take smaller steps"
+            )
         explain()
 
     def _certify(self, path: Candidate, value: float, bound: float, status: str) -> Plan:

@@ -28,7 +28,7 @@ def synthesised(name):
 @cache
 def small_problem(period=None, w_max=1e-5, recoverable="polytope"):
     """A short transfer past one box: the smallest scene that has everything."""
-    system = clohessy_wiltshire(0.0012, 10.0, 0.1, w_max)
+    system = clohessy_wiltshire(0.0012, 10.0, 0.3, w_max)
     weights = {"Q": [0.04] * 3 + [25.0] * 3, "R": [400.0] * 3}
     start = Zonotope.box([0, 400.0, 0, 0.24, 0, 0], [3, 3, 3, 0.01, 0.01, 0.01])
     box = BoxObstacle("debris", [125.0, 230.0, 0.0], [25.0] * 3)

@@ -1,0 +1,192 @@
+"""Algorithm 2 on the bundled scenes and with every option; closed loops that try to break the claim."""
+
+import numpy as np
+import pytest
+
+from polaris.controllers import AffineController
+from polaris.errors import NotCertified, ScenarioError, SynthesisInfeasible
+from polaris.recoverable import get_recover
+from polaris.safety import get_safety
+from polaris.scenario import load_scenario
+from polaris.simulation import simulate
+from polaris.synthesis import SwitchingRules, synthesize
+
+from .conftest import small_controllers, small_problem, small_safety, synthesised
+
+FEASIBLE = ["static", "dynamic", "keep_out", "hold_point", "robot"]
+
+
+def distances(schedule, runs, scenario):
+    system = schedule.safety.problem.system
+    return np.min([o.signed_distance(runs.times[None], runs.positions, system=system) for o in scenario.obstacles()])
+
+
+def facet_slack(schedule, runs):
+    """Least distance [m] of any run to the timed polytopes themselves, at the nodes."""
+    clearance = schedule.safety.clearance
+    cells, q = len(runs.modes), clearance.q
+    least = np.inf
+    nodes = runs.positions[:, :-1].reshape(len(runs.positions), cells, q, -1)
+    for unsafe in clearance.unsafe:
+        gap = nodes @ unsafe.normals.T - unsafe.fine(q)[:cells, :-1]
+        least = min(least, float(gap.max(axis=-1).min()))
+    return least
+
+
+def attack(name, n, seed):
+    """Fly one scenario's schedule, S alone with its tail; check every claim made of them."""
+    scenario, schedule = synthesised(name)
+    safety = schedule.safety
+    assert schedule.guarantee == "proved"
+    for mode, tail in ((None, True), (0, True)):
+        runs = simulate(schedule, n, seed, mode=mode, tail=tail and safety.end.proven)
+        assert distances(schedule, runs, scenario) > 0
+        assert facet_slack(schedule, runs) > 0
+        under_s = runs.mode_per_period == 0
+        assert runs.demanded[:, under_s].max() <= 1 + 1e-6, "S never saturates"
+    runs = simulate(schedule, n, seed)
+    q, K = safety.clearance.q, safety.problem.K
+    nodes = safety.clearance.nodes[:K, :-1].reshape(K * q, -1)
+    errors = runs.states[:, :-1] - nodes
+    for k in np.flatnonzero(schedule.modes > 0):
+        for node in range(k * q, (k + 1) * q):
+            assert safety.recoverable.contains(node, errors[:, node]).all()
+        start = schedule.steps[k].flight.nodes[0]
+        D = np.vstack([np.eye(start.dim), -np.eye(start.dim)])
+        assert np.all(errors[:, k * q] @ D.T <= start.support(D) + 1e-6 * (1 + np.abs(start.support(D))))
+
+
+@pytest.mark.parametrize("name", FEASIBLE)
+def test_no_run_breaks_the_claim(name):
+    attack(name, 500, 1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", FEASIBLE)
+def test_ten_thousand_runs_do_not_break_the_claim(name):
+    for seed in range(20):
+        attack(name, 500, 100 + seed)
+
+
+@pytest.mark.parametrize("name", ["static", "dynamic"])
+def test_u_alone_collides_and_s_alone_does_not(name):
+    scenario, schedule = synthesised(name)
+    assert distances(schedule, simulate(schedule, 50, 0, mode=1), scenario) < 0
+    assert distances(schedule, simulate(schedule, 50, 0, mode=0), scenario) > 0
+
+
+@pytest.mark.parametrize("name", FEASIBLE)
+def test_schedule_uses_the_experimental_controllers_for_a_real_part_of_the_time(name):
+    _, schedule = synthesised(name)
+    assert schedule.share() > 0.3
+    assert schedule.share() == pytest.approx(sum(schedule.share(m) for m in range(1, len(schedule.controllers))))
+    assert schedule.margins[schedule.modes > 0].min() >= 0
+
+
+def test_what_is_proven_after_t():
+    assert synthesised("static")[1].safety.end.horizon == "infinite"
+    assert synthesised("hold_point")[1].safety.end.horizon == "infinite"
+    assert synthesised("dynamic")[1].safety.end.horizon == "one_period"
+
+
+def test_infeasible_scenario_names_the_condition_and_what_to_relax():
+    with pytest.raises(SynthesisInfeasible) as caught:
+        synthesize(load_scenario("infeasible"))
+    assert caught.value.exit_code == 3
+    assert "input limits" in str(caught.value)
+
+
+def test_recoverable_kinds_in_order_of_use():
+    shares = {}
+    for kind in ("ball", "time_varying_ball", "polytope"):
+        safety = small_safety()
+        sets = get_recover(kind, safety.clearance, safety.bounds)
+        from dataclasses import replace
+
+        schedule = synthesize(None, replace(safety, recoverable=sets), [small_controllers()["coasting"]], SwitchingRules())
+        shares[kind] = schedule.share()
+    assert shares["ball"] <= shares["time_varying_ball"] <= shares["polytope"]
+    assert shares["polytope"] > shares["ball"]
+
+
+def pulses(modes):
+    edges = np.flatnonzero(np.diff(np.concatenate([[-1], modes, [-1]])))
+    return np.diff(edges)
+
+
+@pytest.mark.parametrize("strategy", ["greedy", "look_ahead"])
+@pytest.mark.parametrize("dwell", [1, 3])
+def test_dwell_and_cap_are_kept(strategy, dwell):
+    scenario, schedule = synthesised("static")
+    rules = SwitchingRules(strategy, dwell, 6, (1.0,), beam=4)
+    other = synthesize(scenario, schedule.safety, schedule.controllers[1:], rules)
+    assert other.switches <= 6
+    assert all(length >= dwell for length in pulses(other.modes)[:-1])
+    assert other.margins[other.modes > 0].min() >= 0
+    assert other.share() > 0
+
+
+def test_no_switch_allowed_means_s_throughout_unless_u_lasts():
+    scenario, schedule = synthesised("static")
+    never = synthesize(scenario, schedule.safety, schedule.controllers[1:], SwitchingRules(max_switches=0))
+    assert never.switches == 0
+
+
+def test_look_ahead_is_never_worse_than_greedy():
+    scenario, schedule = synthesised("static")
+    for cap in (2, 5):
+        greedy = synthesize(scenario, schedule.safety, schedule.controllers[1:], SwitchingRules(max_switches=cap))
+        ahead = synthesize(
+            scenario, schedule.safety, schedule.controllers[1:], SwitchingRules("look_ahead", max_switches=cap, beam=4)
+        )
+        assert ahead.share() >= greedy.share()
+        assert ahead.switches <= cap
+
+
+def test_preference_decides_between_several_controllers():
+    safety, laws = small_safety(), small_controllers()
+    first = synthesize(None, safety, [laws["shared"], laws["any"]], SwitchingRules())
+    second = synthesize(None, safety, [laws["any"], laws["shared"]], SwitchingRules())
+    assert first.share(1) == 1.0
+    assert second.share() == 1.0
+    assert second.controllers[1].name == "any"
+
+
+def test_unclipped_law_that_may_exceed_the_limits_is_refused():
+    safety = small_safety()
+    hard = AffineController(
+        "hard", safety.problem.system, 50 * safety.tracking.gain, safety.reference, safety.reference, safety.tracking
+    )
+    assert synthesize(None, safety, [hard], SwitchingRules()).share() == 0
+
+
+def test_theta_outside_the_first_set_is_an_error_with_the_witness():
+    from dataclasses import replace
+
+    from reach.zonotope import Zonotope
+
+    problem = small_problem()
+    wide = replace(problem, initial_set=Zonotope.box(problem.initial_set.c, [60, 60, 60, 0.2, 0.2, 0.2]))
+    with pytest.raises((SynthesisInfeasible, NotCertified), match=r"thrust|initial set|clear|margin"):
+        get_safety(wide)
+
+
+def test_same_input_same_schedule():
+    problem = small_problem()
+    a, b = get_safety(problem), get_safety(problem)
+    assert np.array_equal(a.reference.chi, b.reference.chi)
+    assert np.array_equal(a.clearance.room, b.clearance.room)
+
+
+@pytest.mark.parametrize(
+    ("options", "field"),
+    [
+        ({"strategy": "best"}, "strategy"),
+        ({"min_dwell": 0}, "dwell"),
+        ({"max_switches": -1}, "switches"),
+        ({"beam": 0}, "beam"),
+    ],
+)
+def test_malformed_rules(options, field):
+    with pytest.raises(ScenarioError, match=field):
+        SwitchingRules(**options)
