@@ -76,7 +76,7 @@ def simulate(
     initial: Initial = "mixed",
     disturbance: Disturbance = "mixed",
     tail: bool = False,
-    substeps: int = 4,
+    substeps: int | None = None,
 ) -> Runs:
     """Fly the schedule, or one controller alone, many times at once.
 
@@ -96,8 +96,8 @@ def simulate(
         controllers as they fly; ``random`` is piecewise constant, half of it on the bound.
     tail : bool
         Fly S on along the coasting tail after T.
-    substeps : int
-        Integration steps per node.
+    substeps : int, optional
+        Integration steps per node: 4 for continuous feedback, 1 for sampled (which is exact) by default.
 
     Returns
     -------
@@ -115,6 +115,8 @@ def simulate(
     cells = safety.reference.cells if tail else safety.problem.K
     modes = np.zeros(cells, dtype=int)
     modes[: safety.problem.K] = schedule.modes if mode is None else mode
+    if substeps is None:
+        substeps = 1 if safety.tracking.feedback.sampled else 4
     flight = _Integrator(schedule, modes, substeps)
     x0 = _initial_states(schedule, n, rng, initial)
     w = _disturbances(flight, n, rng, disturbance)
@@ -161,10 +163,11 @@ class _Integrator:
     def run(self, x0: Array, w: Array) -> Runs:
         R, system, limit = len(x0), self.system, self.system.u_max
         nodes = len(self.modes) * self.q
-        states = np.empty((R, nodes + 1, system.n))
-        inputs = np.empty((R, nodes, system.m))
-        demanded, delta_v = np.zeros((R, nodes)), np.zeros(R)
-        states[:, 0] = x = x0
+        # Time comes first while writing: every instant's block is then one piece of memory.
+        states = np.empty((nodes + 1, R, system.n))
+        inputs = np.empty((nodes, R, system.m))
+        demanded, delta_v = np.zeros((nodes, R)), np.zeros(R)
+        states[0] = x = x0
         A_T, B_T, D_T = system.A.T, system.B.T, system.D.T
         Ad, Bd = discretize(system.A, system.B, self.dt)
         _, Dd = discretize(system.A, system.D, self.dt)
@@ -174,15 +177,15 @@ class _Integrator:
             node, sub = divmod(step, self.substeps)
             number, half = int(self.modes[k]), 2 * inner
             controller = self.schedule.controllers[number]
-            force = w[:, step] @ D_T
+            force = w[step] @ D_T
             if not self.sampled or sub == 0:
                 raw = self.command(controller, number, k, half, x)
-                demanded[:, node] = np.maximum(demanded[:, node], np.max(np.abs(raw) / limit, axis=1))
+                demanded[node] = np.maximum(demanded[node], np.max(np.abs(raw) / limit, axis=1))
                 u = np.clip(raw, -limit, limit)
             if sub == 0:
-                inputs[:, node] = u
+                inputs[node] = u
             if self.sampled:
-                x = x @ Ad.T + u @ Bd.T + w[:, step] @ Dd.T
+                x = x @ Ad.T + u @ Bd.T + w[step] @ Dd.T
                 delta_v += np.abs(u).sum(axis=1) * self.dt / system.mass
             else:
                 def rate(place: int, at: Array, fixed: Array = force, c: Controller = controller) -> Array:
@@ -196,20 +199,21 @@ class _Integrator:
                 x = x + self.dt / 6 * (first + 2 * second + 2 * third + fourth)
                 delta_v += np.abs(u).sum(axis=1) * self.dt / system.mass
             if sub == self.substeps - 1:
-                states[:, node + 1] = x
+                states[node + 1] = x
         times = np.arange(nodes + 1) * self.tracking.flow.h
-        return Runs(self.schedule, times, states, inputs, demanded, delta_v, self.modes)
+        runs_first = (states.swapaxes(0, 1), inputs.swapaxes(0, 1), demanded.T)
+        return Runs(self.schedule, times, *runs_first, delta_v, self.modes)
 
 
 def _disturbances(flight: _Integrator, n: int, rng: np.random.Generator, kind: Disturbance) -> Array:
-    """Disturbances constant over each integration step, shape (n, steps, p), norm at most w_max."""
+    """Disturbances constant over each integration step, shape (steps, n, p), norm at most w_max."""
     system, steps = flight.system, flight.steps
-    w = np.zeros((n, steps, system.p))
+    w = np.zeros((steps, n, system.p))
     if kind == "none" or system.w_max == 0:
         return w
     worst = n if kind == "worst" else (n // 2 if kind == "mixed" else 0)
     if worst:
-        w[:worst] = _worst_case(flight, worst, rng)
+        w[:, :worst] = _worst_case(flight, worst, rng)
     count = n - worst
     if count:
         holds = rng.integers(1, max(2, flight.steps_per_cell * 4), count)
@@ -218,7 +222,7 @@ def _disturbances(flight: _Integrator, n: int, rng: np.random.Generator, kind: D
             raw = rng.normal(size=(pieces, system.p))
             raw /= np.maximum(np.linalg.norm(raw, axis=1, keepdims=True), 1e-300)
             raw *= np.where(rng.random((pieces, 1)) < 0.5, 1.0, rng.random((pieces, 1)))
-            w[worst + run] = np.repeat(raw, holds[run], axis=0)[:steps] * system.w_max
+            w[:, worst + run] = np.repeat(raw, holds[run], axis=0)[:steps] * system.w_max
     return w
 
 
@@ -239,13 +243,13 @@ def _worst_case(flight: _Integrator, n: int, rng: np.random.Generator) -> Array:
         controller = flight.schedule.controllers[number]
         gain = controller.gain if isinstance(controller, AffineController) else np.zeros((system.m, system.n))
         back[number] = expm((system.A - system.B @ gain) * flight.dt)
-    w = np.zeros((n, flight.steps, system.p))
+    w = np.zeros((flight.steps, n, system.p))
     for step in range(flight.steps - 1, -1, -1):
         starting = targets == step + 1
         adjoint[starting] = chosen[starting]
         direction = adjoint @ system.D
-        size = np.linalg.norm(direction, axis=1, keepdims=True)
-        w[:, step] = np.where(size > 0, direction / np.where(size > 0, size, 1), 0.0) * system.w_max
+        size = np.sqrt(np.einsum("ij,ij->i", direction, direction))[:, None]
+        w[step] = direction * (system.w_max / np.maximum(size, 1e-300))
         adjoint = adjoint @ back[int(flight.modes[step // flight.steps_per_cell])]
     return w
 

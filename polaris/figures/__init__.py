@@ -104,9 +104,12 @@ def _scene(picture: Picture, new_figure: Any) -> Any:
 def _scene_3d(picture: Picture, new_figure: Any) -> Any:
     from .scene3d import draw_scene_3d
 
-    figure = new_figure(2.5)
+    space = picture.system.d == 3
+    figure = new_figure(2.5 if space else 3.0)
     figure.set_layout_engine("none")
-    ax = figure.add_axes((-0.1, -0.1, 1.1, 1.1), projection="3d", computed_zorder=False)
+    # The axes draw their own labels outside of what matplotlib takes for their box.
+    place = (-0.1, -0.07, 1.1, 1.08) if space else (-0.05, 0.03, 1.0, 0.93)
+    ax = figure.add_axes(place, projection="3d", computed_zorder=False)
     draw_scene_3d(ax, picture)
     figure.legend(*ax.get_legend_handles_labels(), loc="upper left", ncols=2)
     return figure

@@ -7,10 +7,14 @@ from typing import Any
 import numpy as np
 
 from ..keep_in import KeepIn
+from ..obstacle_base import directions
+from ..obstacles import Obstacle
+from ..shapes import Ball, Polytope
 from ..system import Array
 from .geometry import faces
 from .picture import Picture
 from .style import BLACK, GREY, ORANGE, RED, mode_colour, tint
+from .unsafe import DASHES
 from .view import INSTANTS, moves
 
 
@@ -80,39 +84,87 @@ def _flown(ax: Any, picture: Picture, lift: Any) -> Array:
 
 def _solids(ax: Any, picture: Picture, low: Array, high: Array) -> None:
     """Unsafe sets as solids (in space) or as prisms along time (in the plane)."""
+    for obstacle in picture.obstacles:
+        instants = _instants(obstacle, picture, low, high)
+        if picture.system.d == 3:
+            drawn = [faces(_solid(obstacle, picture, float(t), low, high)) for t in instants]
+        else:
+            drawn = _prisms(obstacle, picture, instants, low, high)
+        drawn = [polygons for polygons in drawn if polygons and _seen(np.vstack(polygons), low, high)]
+        if not drawn:
+            continue
+        if isinstance(obstacle, KeepIn):
+            top = _edges(ax, drawn[0], low, high)
+        else:
+            for strength, polygons in zip(np.linspace(1 / len(drawn), 1, len(drawn)), drawn, strict=True):
+                _fill(ax, polygons, float(strength))
+            top = np.vstack(drawn[-1])
+        if len(top):
+            ax.text(*top[np.argmax(top[:, 2])], f" {obstacle.name}", color=RED, fontsize=7, va="bottom")
+
+
+def _instants(obstacle: Obstacle, picture: Picture, low: Array, high: Array) -> Array:
+    """When a set is drawn: once if it rests; in space, evenly over the time its centre is in view."""
+    if not moves(obstacle, picture):
+        return np.zeros(1)
+    if picture.system.d < 3:
+        return np.linspace(0, picture.duration, INSTANTS)
+    times = np.linspace(0, picture.duration, 201)
+    centres = obstacle.centre(times, picture.system)[:, list(picture.frame.axes)]
+    seen = times[np.all((centres > low) & (centres < high), axis=1)]
+    return seen if len(seen) == 0 else seen[np.unique(np.linspace(0, len(seen) - 1, INSTANTS).astype(int))]
+
+
+def _solid(obstacle: Obstacle, picture: Picture, t: float, low: Array, high: Array) -> Array:
+    """Corners of the true set; balls as polytopes about them."""
+    axes = list(picture.frame.axes)
+    if isinstance(obstacle.shape, Ball):
+        normals = directions(3)
+        around = Polytope(normals, np.full(len(normals), obstacle.shape.radius)).vertices()
+        return np.asarray((around + obstacle.centre(t, picture.system))[:, axes])
+    extent = float(np.max(np.abs(np.concatenate([low, high]))))
+    return obstacle.outline(t, picture.system, extent)[:, axes]
+
+
+def _prisms(
+    obstacle: Obstacle, picture: Picture, instants: Array, low: Array, high: Array
+) -> list[list[Array]]:
+    """What a set in the plane covers from one instant to the next, with time as third axis."""
+    ends = [0.0, picture.duration] if len(instants) == 1 else list(instants)
+    extent = float(np.max(np.abs(np.concatenate([low[:2], high[:2]]))))
+    out = []
+    for pair in zip(ends[:-1], ends[1:], strict=True):
+        layers = []
+        for t in pair:
+            flat = obstacle.outline(float(t), picture.system, extent)[:, picture.frame.flat]
+            layers.append(np.column_stack([np.clip(flat, low[:2], high[:2]), np.full(len(flat), t)]))
+        out.append(faces(np.vstack(layers)))
+    return out
+
+
+def _seen(points: Array, low: Array, high: Array) -> bool:
+    return bool(np.all(points.max(axis=0) > low) and np.all(points.min(axis=0) < high))
+
+
+def _fill(ax: Any, polygons: list[Array], strength: float) -> None:
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
-    axes, space = list(picture.frame.axes), picture.system.d == 3
-    centre, reach = (low + high) / 2, (high - low) / 2
-    extent = float(np.max(np.abs(np.concatenate([low, high]))))
-    for obstacle in picture.obstacles:
-        instants = np.linspace(0, picture.duration, INSTANTS) if moves(obstacle, picture) else np.zeros(1)
-        drawn: list[tuple[float, list[Array]]] = []
-        if space:
-            for i, t in enumerate(instants):
-                solid = obstacle.outline(float(t), picture.system, extent)[:, axes]
-                if np.all(np.abs(solid.mean(axis=0) - centre) < 1.3 * reach + np.ptp(solid, axis=0) / 2):
-                    drawn.append(((i + 1) / len(instants), faces(solid)))
-        else:
-            ends = [0.0, picture.duration] if len(instants) == 1 else list(instants)
-            for a, b in zip(ends[:-1], ends[1:], strict=True):
-                layers = []
-                for t in (a, b):
-                    flat = obstacle.outline(float(t), picture.system, extent)[:, axes]
-                    flat = np.clip(flat, low[:2], high[:2])
-                    layers.append(np.column_stack([flat, np.full(len(flat), t)]))
-                drawn.append((1.0, faces(np.vstack(layers))))
-        for strength, polygons in drawn:
-            keep_in = isinstance(obstacle, KeepIn)
-            face = (*tint(RED, 0.7), 0.0 if keep_in else 0.28 * strength)
-            collection = Poly3DCollection(
-                polygons,
-                facecolor=face,
-                edgecolor=(*tint(RED, strength), 0.3 if keep_in else 0.8),
-                linewidth=0.35,
-            )
-            ax.add_collection3d(collection, autolim=False)
-        if drawn and drawn[-1][1]:
-            top = np.vstack(drawn[-1][1])
-            place = top[np.argmax(top[:, 2])]
-            ax.text(*place, f" {obstacle.name}", color=RED, fontsize=7, va="bottom")
+    colours = {"facecolor": (*tint(RED, 0.7), 0.28 * strength), "edgecolor": (*tint(RED, strength), 0.8)}
+    ax.add_collection3d(Poly3DCollection(polygons, linewidth=0.35, **colours), autolim=False)
+
+
+def _edges(ax: Any, polygons: list[Array], low: Array, high: Array) -> Array:
+    """Draw the edges of a keep-in set as far as they are in view; returns their ends, shape (.., 3)."""
+    from mpl_toolkits.mplot3d.art3d import Line3DCollection
+
+    a = np.vstack(polygons)
+    b = np.vstack([np.roll(polygon, -1, axis=0) for polygon in polygons])
+    step = np.where(np.abs(b - a) > 1e-12, b - a, 1e-12)
+    s = np.sort(np.stack([(low - a) / step, (high - a) / step]), axis=0)
+    enter, leave = np.maximum(s[0].max(axis=1), 0.0), np.minimum(s[1].min(axis=1), 1.0)
+    kept = enter < leave
+    ends = np.stack([a + enter[:, None] * (b - a), a + leave[:, None] * (b - a)], axis=1)[kept]
+    ax.add_collection3d(
+        Line3DCollection(list(ends), colors=RED, linewidths=0.6, alpha=0.6, ls=DASHES), autolim=False
+    )
+    return np.asarray(ends.reshape(-1, 3))
