@@ -68,7 +68,7 @@ class Problem:
     weight: ArrayLike | str = "auto"
     objective: str = "margin_then_fuel"
     extra_margin: float = 0.0
-    thrust_reserve: float = 0.0
+    thrust_reserve: float = 0.2
     planner: PlannerOptions = field(default_factory=PlannerOptions)
     gains: tuple[Array, ...] = ()
 

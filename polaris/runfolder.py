@@ -130,6 +130,7 @@ def write_run(
     *,
     overrides: Sequence[str] = (),
     seconds: Mapping[str, float] | None = None,
+    figures: bool = True,
     progress: Callable[[str], None] | None = None,
 ) -> RunFolder:
     """Write a run folder, replacing an older one once everything is written.
@@ -147,6 +148,8 @@ def write_run(
         Texts ``key=value`` that changed the scenario, noted in the copy.
     seconds : mapping, optional
         Further wall times by stage, for the summary.
+    figures : bool
+        Whether to draw the figures; `RunFolder.draw` can do so later.
     progress : callable, optional
         Called with the name of what is being done.
 
@@ -178,8 +181,9 @@ def write_run(
         arrays.write_flights(folder / "trajectories.npz", {key: item.flights for key, item in flown.items()})
         written = time.perf_counter()
         note("figures")
-        (folder / "figures").mkdir()
-        draw_figures(RunFolder(folder, scenario).picture(), folder / "figures")
+        if figures:
+            (folder / "figures").mkdir()
+            draw_figures(RunFolder(folder, scenario).picture(), folder / "figures")
         spent = {"files": written - begun, "figures": time.perf_counter() - written}
         found = summary(scenario, schedule, flown, {**(seconds or {}), **spent})
         files.write_text(folder / "summary.json", files.json_text(found))

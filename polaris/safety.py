@@ -185,7 +185,11 @@ def plan_problem(problem: Problem, tracking: Tracking, sets: tuple[TimedPolytope
     """
     system, q, K = problem.system, tracking.feedback.nodes_per_cell, problem.K
     start = problem.initial_set - problem.initial_set.c
-    thrust = error_tube(tracking, start, np.vstack([tracking.gain, -tracking.gain])).over_cells(K, q)
+    # Errors as large as the thrusters can correct at all must be forgotten by the time they have left
+    # the loop's memory, or a tight place late in the flight would bind early recoverable sets.
+    largest = float(np.min(system.u_max / np.linalg.norm(tracking.gain @ tracking.W_inverse, axis=1)))
+    tube = error_tube(tracking, start, np.vstack([tracking.gain, -tracking.gain]))
+    thrust = np.maximum(tube.over_cells(K, q), tube.left_over(tracking, largest))
     needed = np.maximum(thrust[:, : system.m], thrust[:, system.m :])
     limit = system.u_max * (1 - SOLVER_BOOK_INPUT) - needed
     if np.any(limit < 0):
@@ -196,9 +200,6 @@ def plan_problem(problem: Problem, tracking: Tracking, sets: tuple[TimedPolytope
             float(-limit[k, axis]),
             "shrink the initial set, raise the thrust limit, or raise tracking.R for a softer tracker.",
         )
-    # Errors as large as the thrusters can correct at all must be forgotten by the time they have left
-    # the loop's memory, or a tight place late in the flight would bind early recoverable sets.
-    largest = float(np.min(system.u_max / np.linalg.norm(tracking.gain @ tracking.W_inverse, axis=1)))
     limit = np.maximum(limit - problem.thrust_reserve * system.u_max, 0.0)
     margins = []
     for unsafe in sets:

@@ -204,7 +204,7 @@ class Planner(ScenarioPart):
         "-",
         "Share of the thrust limits the reference leaves to the tracker beyond what the initial set needs; "
         "room for the experimental controller, as extra_margin_m is.",
-        default=0.0,
+        default=0.2,
         ge=0,
         lt=1,
     )

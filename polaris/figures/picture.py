@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from ..safety import Safety
     from ..schedule import Schedule
 
-SLICES = 12
+SLICES = 10
 """Recoverable sets shown along the path."""
 
 
@@ -183,31 +183,36 @@ def recoverable_slices(safety: Safety, steps: Sequence[int] | None = None) -> Sl
     """Slice the recoverable sets at the start of some steps with the plane of the figures.
 
     Works on any kind of set: each is convex and asked only whether it contains points, which are
-    tried along rays on a coarse and then a fine scale. None on the line.
+    tried along rays on ever finer scales (to 0.3 % of a step of the first). None on the line.
     """
     system, reference = safety.problem.system, safety.reference
     frame = Frame.of(system)
     if system.d < 2:
         return None
     chosen = shown_steps(safety.problem.K) if steps is None else np.asarray(steps)
-    rays = directions(32) @ np.linalg.pinv(system.position)[:, frame.flat].T  # (M, n)
-    q, coarse = safety.tracking.feedback.nodes_per_cell, np.geomspace(1e-3, 1e5, 41)
+    circle = directions(24)
+    rays = circle @ np.linalg.pinv(system.position)[:, frame.flat].T  # (M, n)
+    sizes = np.linalg.norm(rays @ safety.tracking.W.T, axis=1)
+    q = safety.tracking.feedback.nodes_per_cell
     outlines = []
     for k in chosen:
-        low, high = _bracket(safety, int(k) * q, rays, np.zeros((len(rays), 1)), coarse[None])
-        fine = low[:, None] + (high - low)[:, None] * np.linspace(0, 1, 17)[1:-1]
-        low, _ = _bracket(safety, int(k) * q, rays, low[:, None], fine)
-        outlines.append(low[:, None] * directions(32))
+        node = int(k) * q
+        known = safety.recoverable.radius(node) / sizes  # a ball that is inside
+        low = np.zeros_like(known)
+        scales = known[:, None] * np.geomspace(0.9, 1e3, 10)
+        for _ in range(5):
+            low, high = _bracket(safety, node, rays, low, scales)
+            scales = low[:, None] + (high - low)[:, None] * np.linspace(0, 1, 6)[1:-1]
+        outlines.append(low[:, None] * circle)
     centre = reference.chi[chosen] @ system.position.T
     return SlicePicture(centre[:, frame.flat], np.array(outlines))
 
 
-def _bracket(safety: Safety, node: int, rays: Array, known: Array, scales: Array) -> tuple[Array, Array]:
-    """Largest scale inside and smallest outside, per ray."""
-    scales = np.broadcast_to(scales, (len(rays), scales.shape[1]))
+def _bracket(safety: Safety, node: int, rays: Array, low: Array, scales: Array) -> tuple[Array, Array]:
+    """Largest scale inside (at least `low`) and the next one, per ray."""
     errors = (rays[:, None] * scales[..., None]).reshape(-1, rays.shape[1])
     inside = np.asarray(safety.recoverable.contains(node, errors)).reshape(scales.shape)
-    steps = np.concatenate([known, scales, scales[:, -1:]], axis=1)
+    known = np.concatenate([low[:, None], scales, scales[:, -1:]], axis=1)
     count = np.cumprod(inside, axis=1).sum(axis=1)
     place = np.arange(len(rays))
-    return steps[place, count], steps[place, count + 1]
+    return known[place, count], known[place, count + 1]

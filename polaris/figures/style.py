@@ -83,7 +83,7 @@ def fit_height(ax: Any) -> None:
     rows = 0 if legend is None else -(-len(legend.get_texts()) // legend._ncols)
     (x0, x1), (y0, y1) = ax.get_xlim(), ax.get_ylim()
     aspect = (y1 - y0) / (x1 - x0) if ax.get_aspect() == 1.0 else 0.6
-    ax.figure.set_figheight(2.9 / 3.5 * ax.figure.get_figwidth() * aspect + 0.52 + 0.135 * rows)
+    ax.figure.set_figheight(2.9 / 3.5 * ax.figure.get_figwidth() * aspect + 0.58 + 0.145 * rows)
 
 
 def axes_of(ax: Any, height: float = 3.0) -> Any:

@@ -1,0 +1,258 @@
+"""The command line: what it prints, where, and how it ends; and what importing the package costs."""
+
+import ast
+import json
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+import polaris
+import reach
+from polaris import cli
+from polaris.errors import NotCertified, ScenarioError, SynthesisInfeasible
+from polaris.figures import draw_figures
+from polaris.planning.problem import Progress
+from polaris.scenario import load_scenario
+
+from .tiny import TINY, flown, synthesised
+
+HEAVY = ("matplotlib", "control", "pulp", "scipy.optimize", "numpy", "pydantic")
+
+
+@pytest.fixture
+def invoke(tmp_path, monkeypatch):
+    """Run a command in an empty folder, with the synthesis taken from memory."""
+    monkeypatch.chdir(tmp_path)
+    schedule = synthesised()[1]
+    monkeypatch.setattr("polaris.safety.get_safety", lambda problem: schedule.safety)
+    monkeypatch.setattr("polaris.experimental.build_controllers", lambda scenario, safety: ())
+    monkeypatch.setattr("polaris.synthesis.synthesize", lambda *args, **options: schedule)
+    monkeypatch.setattr("polaris.comparison.compare", lambda *args: flown())
+    monkeypatch.setattr(
+        "polaris.figures.draw_figures", lambda picture, folder: (folder / "scene.pdf").touch()
+    )
+    return lambda *args: CliRunner().invoke(cli.app, list(map(str, args)))
+
+
+def python(code):
+    root = Path(polaris.__file__).resolve().parent.parent
+    return subprocess.run([sys.executable, "-c", code], cwd=root, capture_output=True, text=True, timeout=60)
+
+
+# -- importing --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "what", ["import polaris, reach", "import polaris.cli", "import polaris; polaris.__version__"]
+)
+def test_importing_loads_nothing_heavy(what):
+    done = python(f"import sys\n{what}\nprint(sorted(set({HEAVY}) & set(sys.modules)))")
+    assert (done.stdout.strip(), done.stderr) == ("[]", "")
+
+
+@pytest.mark.parametrize("package", [polaris, reach])
+def test_public_names_resolve_and_are_declared_to_type_checkers(package):
+    for name in package.__all__:
+        assert getattr(package, name) is not None
+    tree = ast.parse(Path(package.__file__).read_text(encoding="utf-8"))
+    block = next(node for node in tree.body if isinstance(node, ast.If))
+    declared = {alias.name for node in block.body if isinstance(node, ast.ImportFrom) for alias in node.names}
+    assert declared == set(package._HOME) == set(package.__all__) - {"__version__"}
+    assert set(package.__all__) <= set(dir(package))
+
+
+@pytest.mark.parametrize("package", [polaris, reach])
+def test_unknown_name_is_an_attribute_error(package):
+    with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
+        _ = package.nonsense
+
+
+# -- commands ---------------------------------------------------------------------------------------
+
+
+def test_version_and_help(invoke):
+    assert invoke("--version").output.split() == ["polaris", polaris.__version__]
+    text = invoke("--help").output
+    assert all(word in text for word in ("run", "check", "scenarios", "plot"))
+
+
+def test_run_prints_a_table_and_where_the_folder_lies(invoke, tmp_path):
+    done = invoke("run", TINY)
+    assert done.exit_code == 0, done.output
+    for text in ("S alone", "U alone", "Polaris", "least distance", "Guarantee: proved", "assuming that"):
+        assert text in done.stdout
+    assert str(tmp_path / "runs" / "tiny") in done.stdout
+    assert (tmp_path / "runs" / "tiny" / "figures" / "scene.pdf").is_file()
+
+
+def test_json_is_the_summary_and_nothing_else(invoke, tmp_path):
+    done = invoke("run", TINY, "--out", "here", "--json")
+    assert (done.exit_code, done.stderr) == (0, "")
+
+    def refuse(name):
+        raise AssertionError(f"{name} is not strict JSON")
+
+    data = json.loads(done.stdout, parse_constant=refuse)
+    assert data == json.loads((tmp_path / "here" / "summary.json").read_text(encoding="utf-8"))
+
+
+def test_quiet_prints_nothing(invoke):
+    done = invoke("run", TINY, "--quiet")
+    assert (done.exit_code, done.output) == (0, "")
+
+
+def test_overrides_reach_the_scenario_and_are_noted(invoke, tmp_path):
+    done = invoke(
+        "run",
+        TINY,
+        "--out",
+        "here",
+        "--set",
+        "planner.gap=0.01",
+        "--solver",
+        "gurobi",
+        "--recoverable",
+        "ball",
+        "-q",
+    )
+    assert done.exit_code == 0, done.output
+    copy = tmp_path / "here" / "scenario.toml"
+    assert "#   planner.gap=0.01\n#   planner.solver=gurobi\n#   recoverable.kind=ball\n" in copy.read_text(
+        "utf-8"
+    )
+    scenario = load_scenario(copy)
+    assert (scenario.planner.gap, scenario.planner.solver, scenario.recoverable.kind) == (
+        0.01,
+        "gurobi",
+        "ball",
+    )
+
+
+def test_check_and_scenarios(invoke):
+    done = invoke("check", "static")
+    assert done.exit_code == 0 and "static is valid: 6 states" in done.output
+    listed = invoke("scenarios").output
+    assert all(name in listed for name in polaris.bundled_scenarios())
+
+
+def test_plot_redraws_the_same_bytes_from_the_files_alone(invoke, tmp_path, monkeypatch):
+    monkeypatch.setattr("polaris.figures.draw_figures", draw_figures)
+    monkeypatch.setattr("polaris.figures.NAMES", ("modes", "margin"))
+    invoke("run", TINY, "--out", "here", "-q")
+    figures = tmp_path / "here" / "figures"
+    before = {path.name: path.read_bytes() for path in figures.iterdir()}
+    for path in figures.iterdir():
+        path.unlink()
+    done = invoke("plot", "here")
+    assert done.exit_code == 0 and "margin.png" in done.output
+    assert {path.name: path.read_bytes() for path in figures.iterdir()} == before
+
+
+# -- how it ends ------------------------------------------------------------------------------------
+
+
+def is_one_message(done, code, *words):
+    assert done.exit_code == code, done.output
+    lines = done.stderr.strip().splitlines()
+    assert len(lines) == 1 and lines[0].startswith("error: ")
+    assert "Traceback" not in done.output and done.stdout == ""
+    assert all(word in lines[0] for word in words)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("run", "nope"), ("nope",)),
+        (("run", "./nope.toml"), ("nope.toml", "no such file")),
+        (("run", TINY, "--set", "planner.gap=7"), ("planner.gap", "7", "< 1")),
+        (("run", TINY, "--set", "nonsense"), ("--set", "key=value")),
+        (("run", TINY, "--set", "planner.gpa=1"), ("planner.gpa",)),
+        (("run", TINY, "--out", "."), ("--out", "current folder")),
+        (("run", TINY, "--out", "full"), ("--out", "other contents")),
+        (("run", TINY, "--out", "full/file"), ("--out", "is a file")),
+        (("run", TINY, "--out", "full/file/deeper"), ("--out", "not a")),
+        (("run", TINY, "--out", "a\0b"), ("--out",)),
+        (("check", "nope"), ("nope",)),
+        (("plot", "full"), ("run folder", "scenario.toml")),
+        (("plot", "nope"), ("no such folder",)),
+    ],
+)
+def test_bad_input_is_one_message_and_exit_code_2(invoke, tmp_path, arguments, words):
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "file").write_text("precious", encoding="utf-8")
+    is_one_message(invoke(*arguments), 2, *words)
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["file", "full"]
+
+
+def test_wrong_options_are_exit_code_2(invoke):
+    assert invoke("run", TINY, "--solver", "abacus").exit_code == 2
+    assert invoke("run").exit_code == 2
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [
+        (ScenarioError("field", 1, "rule"), 2),
+        (SynthesisInfeasible("the goal is out of reach.", 1.0, "a longer horizon."), 3),
+        (NotCertified("none found in the time given"), 4),
+        (RuntimeError("broken\nin two lines"), 1),
+        (MemoryError(), 1),
+        (KeyboardInterrupt(), 130),
+    ],
+)
+def test_errors_end_with_their_exit_code_and_no_folder(invoke, tmp_path, monkeypatch, error, code):
+    def fail(problem):
+        raise error
+
+    monkeypatch.setattr("polaris.safety.get_safety", fail)
+    is_one_message(invoke("run", TINY), code)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_infeasible_and_out_of_time_for_real(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    weak = CliRunner().invoke(cli.app, ["run", str(TINY), "--set", "system.input_max=0.02", "--json"])
+    is_one_message(weak, 3, "To make it feasible")
+    late = CliRunner().invoke(cli.app, ["run", str(TINY), "--set", "planner.time_limit_s=1e-9", "--json"])
+    is_one_message(late, 4)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("error", [RuntimeError("no ink"), KeyboardInterrupt(), SystemExit(143)])
+def test_a_run_that_fails_late_leaves_the_old_folder_whole(invoke, tmp_path, monkeypatch, error):
+    invoke("run", TINY, "--out", "here", "-q")
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+
+    def fail(*args):
+        raise error
+
+    monkeypatch.setattr("polaris.figures.draw_figures", fail)
+    assert invoke("run", TINY, "--out", "here", "-q").exit_code != 0
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
+
+
+def test_termination_leaves_through_the_same_door():
+    with pytest.raises(SystemExit) as leaving:
+        cli._terminated(signal.SIGTERM, None)
+    assert leaving.value.code == 143
+
+
+def test_slow_stages_are_told_on_standard_error(capsys):
+    from polaris import console
+
+    stages = console.Stages()
+    patience, console.PATIENCE = console.PATIENCE, 0.0
+    try:
+        with stages.stage("plan"):
+            stages.planner(Progress("fuel", 1.0, 0.31, 0.30, 0.033))
+    finally:
+        console.PATIENCE = patience
+    shown = capsys.readouterr()
+    assert shown.out == "" and shown.err.startswith("plan: ")
+    line = console.planner_line(Progress("fuel", 1.0, 0.31, 0.30, 0.033))
+    assert line == "plan: fuel, best 0.31, bound 0.3, gap 3.30%"
+    assert console.planner_line(Progress("path search", 1.0)) == "plan: path search"

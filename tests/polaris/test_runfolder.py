@@ -1,0 +1,262 @@
+"""Run folders: what is in them, that it reads back, and that they are never half there."""
+
+import csv
+import json
+import math
+
+import numpy as np
+import pytest
+
+from polaris.errors import ScenarioError
+from polaris.runfolder import DATA_FILES, read_run, write_run
+
+from .tiny import TINY, flown, synthesised
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    scenario, schedule = synthesised()
+    return write_run(tmp_path_factory.mktemp("runs") / "tiny", scenario, schedule, flown())
+
+
+def load_strict(path):
+    def refuse(name):
+        raise AssertionError(f"{name} is not strict JSON")
+
+    return json.loads(path.read_text(encoding="utf-8"), parse_constant=refuse)
+
+
+def test_all_files_are_there_and_nothing_else(folder):
+    names = {path.name for path in folder.path.iterdir()}
+    assert names == {*DATA_FILES, "summary.json", "figures"}
+    assert len(list((folder.path / "figures").iterdir())) == 10
+    assert [path.name for path in folder.path.parent.iterdir()] == ["tiny"]
+
+
+def test_same_seed_same_bytes_times_apart(folder, tmp_path):
+    scenario, schedule = synthesised()
+    again = write_run(
+        tmp_path / "again", scenario, schedule, figures=False
+    )  # flown anew from the scenario's seed
+    for name in DATA_FILES:  # and figures: see test_figures
+        assert (again.path / name).read_bytes() == (folder.path / name).read_bytes(), name
+    summaries = [folder.summary, again.summary]
+    for summary in summaries:
+        del summary["created"], summary["synthesis"]["seconds"]
+    assert json.dumps(summaries[0]) == json.dumps(summaries[1])
+
+
+def test_summary_holds_the_promised_keys(folder):
+    summary = load_strict(folder.path / "summary.json")
+    keys = {
+        "min_distance_m",
+        "min_ttc_s",
+        "min_ttc_free_drift_s",
+        "experimental_share",
+        "switches",
+        "delta_v_m_s",
+    }
+    for who in ("safety", "experimental", "polaris"):
+        assert keys | {"collided", "max_thrust_ratio", "runs"} <= set(summary[who])
+        assert set(summary[who]) - {"controller", "drift_horizon_s"} <= set(summary["definitions"])
+    assert {"bounds", "plan", "recoverable", "schedule", "total"} <= set(summary["synthesis"]["seconds"])
+    assert {"status", "gap", "solver", "delta_v_m_s", "margin_m"} <= set(summary["synthesis"]["planner"])
+    assert set(summary["guarantee"]) == {"kind", "horizon", "until_s", "reason", "assumptions"}
+    assert summary["guarantee"]["kind"] == "proved" and summary["seed"] == 0
+    assert summary["experimental"]["collided"] and summary["experimental"]["min_distance_m"] < 0
+    for who in ("safety", "polaris"):
+        assert not summary[who]["collided"] and summary[who]["min_distance_m"] > 0
+    assert summary["safety"]["experimental_share"] == 0 and summary["experimental"]["experimental_share"] == 1
+
+
+def test_times_are_only_where_they_can_be_stripped(folder):
+    summary = folder.summary
+    assert "T" in summary.pop("created")
+    assert summary["synthesis"].pop("seconds")
+    assert "seconds" not in json.dumps({**summary, "definitions": {}})
+
+
+def test_scenario_copy_is_the_file_itself(folder):
+    assert (folder.path / "scenario.toml").read_bytes() == TINY.read_bytes()
+
+
+def test_schedule_tables_agree_with_the_schedule(folder):
+    schedule = synthesised()[1]
+    data = load_strict(folder.path / "schedule.json")
+    assert data["modes"] == schedule.modes.tolist() and data["switches"] == schedule.switches
+    with (folder.path / "schedule.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == len(schedule.steps) == len(data["steps"])
+    for k, (row, step) in enumerate(zip(rows, schedule.steps, strict=True)):
+        assert (int(row["step"]), int(row["mode"])) == (k, step.mode)
+        assert row["controller"] == schedule.controllers[step.mode].name
+        assert float(row["margin"] or "-inf") == step.margin.value and row["limit"] == step.margin.limit
+        assert float(row["t_end_s"]) == pytest.approx((k + 1) * 1.0)
+
+
+def test_reference_reads_back_bit_for_bit(folder):
+    reference, read = synthesised()[1].safety.reference, folder.picture().reference
+    np.testing.assert_array_equal(read.chi, reference.chi)
+    np.testing.assert_array_equal(read.nu, reference.nu)
+    header = (folder.path / "reference.csv").read_text(encoding="utf-8").splitlines()[0]
+    assert header == "t_s,x0,x1,x2,x3,u0,u1"
+
+
+def test_gains_hold_what_a_replay_needs(folder):
+    data, schedule = load_strict(folder.path / "gains.json"), synthesised()[1]
+    np.testing.assert_array_equal(data["controllers"][0]["gain"], schedule.safety.tracking.gain)
+    assert np.shape(data["controllers"][1]["own_states"]) == (13, 4)
+    assert data["feedback"]["sampled"] is False
+
+
+@pytest.mark.parametrize("name", ["sets.npz", "tubes.npz", "trajectories.npz"])
+def test_arrays_load_without_pickle(folder, name):
+    with np.load(folder.path / name, allow_pickle=False) as arrays:
+        for key in arrays.files:
+            assert arrays[key].dtype != object
+            if arrays[key].dtype.kind == "f" and not key.startswith(("thrust_room", "slice")):
+                assert not np.any(np.isnan(arrays[key])), key
+
+
+def test_tubes_contain_the_runs(folder):
+    schedule = synthesised()[1]
+    with np.load(folder.path / "tubes.npz", allow_pickle=False) as tubes:
+        half = np.abs(tubes["generators"]).sum(axis=-1)
+        low, high = tubes["center"] - half, tubes["center"] + half
+    q = schedule.safety.tracking.feedback.nodes_per_cell
+    with np.load(folder.path / "trajectories.npz", allow_pickle=False) as runs:
+        states = runs["polaris_states"]
+        assert runs["polaris_labels"][0] == "nominal" and "closest" in runs["polaris_labels"]
+    for k in range(len(schedule.steps)):
+        inside = states[:, k * q : (k + 1) * q + 1]
+        assert np.all(inside >= low[k] - 1e-9) and np.all(inside <= high[k] + 1e-9)
+
+
+def test_sets_hold_the_radius_of_every_node(folder):
+    safety = synthesised()[1].safety
+    with np.load(folder.path / "sets.npz", allow_pickle=False) as sets:
+        assert str(sets["kind"]) == "polytope" and sets["slice_outline_m"].shape[1:] == (24, 2)
+        q = safety.tracking.feedback.nodes_per_cell
+        assert sets["radius"][3] == safety.recoverable.radius(3 * q)
+        assert sets["obstacle_room_m"].shape == (safety.reference.cells, q + 1, 2)
+
+
+# -- replacing and reading ----------------------------------------------------------------------------
+
+
+def test_a_newer_run_replaces_the_older_one_whole(tmp_path):
+    scenario, schedule = synthesised()
+    target = tmp_path / "deep" / "er"
+    write_run(target, scenario, schedule, flown(), figures=False)
+    (target / "note.txt").write_text("mine", encoding="utf-8")
+    other, noted = scenario.set("simulation.seed", 5), ["simulation.seed=5"]
+    write_run(target, other, schedule, flown(), overrides=noted, figures=False)
+    assert not (target / "note.txt").exists() and read_run(target).scenario.simulation.seed == 5
+    assert [path.name for path in target.parent.iterdir()] == ["er"]
+
+
+def test_an_empty_folder_is_taken(tmp_path):
+    scenario, schedule = synthesised()
+    (tmp_path / "empty").mkdir()
+    written = write_run(tmp_path / "empty", scenario, schedule, flown(), figures=False)
+    assert written.summary["scenario"] == "tiny"
+
+
+@pytest.mark.parametrize("name", DATA_FILES)
+def test_missing_file_is_named(folder, tmp_path, name):
+    import shutil
+
+    copy = tmp_path / "copy"
+    shutil.copytree(folder.path, copy)
+    (copy / name).unlink()
+    with pytest.raises(ScenarioError, match=name):
+        read_run(copy)
+
+
+@pytest.mark.parametrize("name", [n for n in DATA_FILES if n not in ("schedule.csv", "gains.json")])
+@pytest.mark.parametrize("damage", [b"", b"\x00\xff garbage", b"{}"])
+def test_damaged_file_is_one_readable_error(folder, tmp_path, name, damage):
+    import shutil
+
+    copy = tmp_path / "copy"
+    shutil.copytree(folder.path, copy)
+    (copy / name).write_bytes(damage)
+    with pytest.raises(ScenarioError) as told:
+        read_run(copy).picture()
+    assert "\n" not in str(told.value)
+
+
+def test_pickled_arrays_are_refused(folder, tmp_path):
+    import shutil
+
+    copy = tmp_path / "copy"
+    shutil.copytree(folder.path, copy)
+    np.savez(copy / "tubes.npz", center=np.array([{"code": "run me"}], dtype=object))
+    with pytest.raises(ScenarioError, match="damaged"):
+        read_run(copy).picture()
+
+
+# -- evaluation -------------------------------------------------------------------------------------
+
+
+def test_metrics_of_batches_join_to_those_of_all(monkeypatch):
+    from polaris import comparison
+
+    schedule = synthesised()[1]
+    monkeypatch.setattr(comparison, "BATCH", 5)
+    parts = comparison.compare(schedule, 12, 0)
+    for who, item in parts.items():
+        metrics, flights = item.metrics, item.flights
+        assert len(metrics.min_distance) == 12
+        assert flights.labels[0] == "nominal" and np.all(np.diff(flights.nearest, axis=0) >= -1e-12)
+        closest = flights.states[flights.labels.index("closest")]
+        place = closest @ schedule.safety.problem.system.position.T
+        gaps = [o.signed_distance(flights.times, place) for o in schedule.safety.problem.unsafe]
+        assert np.min(gaps) == pytest.approx(metrics.min_distance.min(), abs=0.05), who
+
+
+def test_closest_approach_is_not_missed_between_nodes():
+    from polaris.evaluation import evaluate
+    from polaris.simulation import simulate
+
+    schedule = synthesised()[1]
+    runs = simulate(schedule, 8, seed=3, mode=1)
+    metrics = evaluate(runs)
+    fine = np.linspace(0, runs.times[-1], 20000)
+    for run in range(8):
+        path = np.stack([np.interp(fine, runs.times, column) for column in runs.positions[run].T], axis=1)
+        gaps = [o.signed_distance(fine, path) for o in schedule.safety.problem.unsafe]
+        assert metrics.min_distance[run] <= np.min(gaps) + 0.01
+    assert metrics.collided.all() and np.all(metrics.min_ttc == 0)
+    assert math.isfinite(metrics.summary()["min_distance_m"])
+    assert runs.metrics().columns()["closest_set"][0] == "pillar"
+
+
+def test_no_obstacles_reads_null_and_not_infinity():
+    from dataclasses import replace
+
+    from polaris.evaluation import evaluate
+    from polaris.simulation import simulate
+
+    schedule = synthesised()[1]
+    bare = replace(schedule.safety, problem=replace(schedule.safety.problem, unsafe=()))
+    runs = simulate(schedule, 2)
+    summary = evaluate(replace(runs, schedule=replace(schedule, safety=bare))).summary()
+    assert summary["min_distance_m"] is None and summary["min_ttc_s"] is None and not summary["collided"]
+
+
+def test_true_states_of_another_satellite_stay_in_what_is_known():
+    from polaris.hill import clohessy_wiltshire
+    from polaris.obstacles import SatelliteObstacle
+    from polaris.truth import true_states
+
+    system = clohessy_wiltshire(0.0012, 10.0, 0.1, 1e-5)
+    visitor = SatelliteObstacle(
+        "visitor", [100.0, 200, 0, 0, 0.1, 0], [2.0, 2, 2, 0.01, 0.01, 0.01], 20.0, 1e-4
+    )
+    times = np.arange(31) * 20.0
+    states = true_states([visitor], system, times, 40, np.random.default_rng(0))["visitor"]
+    assert states.shape == (40, 31, 6)
+    cover = visitor.timed_polytopes(system, 20.0, 30)[0]
+    heights = states[:, :-1] @ system.position.T @ cover.normals.T + visitor.radius
+    assert np.all(heights <= cover.offsets[:, 0] + 1e-6)

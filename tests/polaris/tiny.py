@@ -1,0 +1,24 @@
+"""One small scene, synthesised and flown once for the tests of everything that comes after."""
+
+from functools import cache
+from pathlib import Path
+
+from polaris.comparison import compare
+from polaris.scenario import load_scenario
+from polaris.synthesis import synthesize
+
+TINY = Path(__file__).parent / "data" / "tiny.toml"
+
+
+@cache
+def synthesised():
+    """(scenario, schedule)."""
+    scenario = load_scenario(TINY)
+    return scenario, synthesize(scenario)
+
+
+@cache
+def flown():
+    """Result of `compare` on it."""
+    scenario, schedule = synthesised()
+    return compare(schedule, scenario.simulation.runs, scenario.simulation.seed)

@@ -1,0 +1,250 @@
+"""What the pages say is run: code blocks, commands and the output they show, links, tables.
+
+Blocks of ``python`` are executed in one namespace per page, blocks of ``console`` by a shell, in the order
+of the page and in one folder. Lines of a console block that begin with ``$ `` are commands, the others output; a
+``text`` block right after a ``python`` block is its output. Output is compared with white space and numbers
+set aside, ``...`` standing for anything. A comment before a block changes that::
+
+    <!-- check: numbers -->      numbers must agree too, within 20 per cent
+    <!-- check: file NAME -->    the block is the contents of a file
+    <!-- check: make -->         commands name targets of the Makefile
+    <!-- check: install -->      the command is not run
+"""
+
+import contextlib
+import io
+import json
+import math
+import os
+import re
+import stat
+import subprocess
+import sys
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+import polaris
+from polaris import api_docs
+
+ROOT = Path(__file__).resolve().parents[1]
+DOCS = ROOT / "docs"
+PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md"))]
+RUN = [ROOT / "README.md", DOCS / "tutorial.md"]
+
+BLOCK = re.compile(r"(?:^<!-- check: (?P<check>.+?) -->\n)?^```(?P<kind>\w*)\n(?P<body>.*?)^```$", re.M | re.S)
+NUMBER = r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?"
+CLOSE = 0.2
+
+
+@dataclass(frozen=True)
+class Block:
+    """One fenced block of a page."""
+
+    page: str
+    line: int
+    kind: str
+    check: str
+    body: str
+
+
+def blocks(path):
+    text = path.read_text(encoding="utf-8")
+    for found in BLOCK.finditer(text):
+        line = text.count("\n", 0, found.start("body")) + 1
+        yield Block(path.name, line, found["kind"], found["check"] or "", found["body"])
+
+
+# -- comparing shown with real output ---------------------------------------------------------------
+
+
+def assert_shown(shown, real, where, numbers):
+    """Every piece of the shown output between dots occurs in the real one, in order."""
+    at = 0
+    real = " ".join(real.split())
+    for piece in filter(None, (" ".join(part.split()) for part in shown.split("..."))):
+        parts = re.split(f"({NUMBER})", piece)
+        pattern = "".join(f"({NUMBER})" if i % 2 else re.escape(part) for i, part in enumerate(parts))
+        found = re.compile(pattern).search(real, at)
+        assert found, f"{where}: no such output\n  {piece}\nin\n  {real[at:]}"
+        at = found.end()
+        for wanted, got in zip(map(float, parts[1::2]), map(float, found.groups()), strict=True):
+            same = math.isclose(wanted, got, rel_tol=CLOSE, abs_tol=1e-9)
+            assert same or not numbers, f"{where}: shows {wanted:g}, is {got:g}\n  {piece}"
+
+
+def test_comparison_finds_differences():
+    assert_shown("a 1.0  b\n... d", "x a 1.1 b c\nd", "here", numbers=True)
+    assert_shown("a 1", "a 7", "here", numbers=False)
+    for shown, real in (("a 1", "a 7"), ("a\n...\nb", "b a"), ("a -1", "a 1")):
+        with pytest.raises(AssertionError):
+            assert_shown(shown, real, "here", numbers=True)
+
+
+# -- running a page ---------------------------------------------------------------------------------
+
+
+class Shell:
+    """Runs console blocks in one folder; a command that two pages show is run once."""
+
+    def __init__(self, folder):
+        self.folder = folder
+        scripts = folder / ".bin"
+        scripts.mkdir()
+        # The command of the interpreter that runs the tests, installed or not.
+        command = scripts / "polaris"
+        command.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m polaris "$@"\n', encoding="utf-8")
+        command.chmod(command.stat().st_mode | stat.S_IXUSR)
+        places = [str(scripts), str(Path(sys.executable).parent), os.environ.get("PATH", "")]
+        path = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
+        changed = {"PATH": os.pathsep.join(places), "PYTHONPATH": path, "COLUMNS": "100", "MPLBACKEND": "agg"}
+        self.environment = {**os.environ, **changed, "PYTHONIOENCODING": "utf-8"}
+        self.known = {}
+
+    def run(self, command):
+        """Output (both streams) and exit code."""
+        if command not in self.known:
+            done = subprocess.run(
+                command, shell=True, cwd=self.folder, env=self.environment, encoding="utf-8",
+                stdout=subprocess.PIPE, stderr=subprocess.STDOUT, timeout=300, check=False,
+            )
+            self.known[command] = done.stdout, done.returncode
+        return self.known[command]
+
+    def check(self, block):
+        """Run the commands of a block and compare what they print and how they end."""
+        pieces = re.split(r"^\$ (.+)\n", block.body, flags=re.M)
+        assert not pieces[0], f"{block.page}:{block.line}: output without a command"
+        commands, outputs = pieces[1::2], pieces[2::2]
+        code = 0
+        for i, (command, shown) in enumerate(zip(commands, outputs, strict=True)):
+            where = f"{block.page}:{block.line}: {command}"
+            if command == "echo $?":
+                assert shown.strip() == str(code), f"{where}: was {code}"
+                continue
+            real, code = self.run(command)
+            assert code == 0 or "echo $?" in commands[i + 1 : i + 2], f"{where}: exit code {code}\n{real}"
+            assert_shown(shown, real, where, block.check == "numbers")
+
+
+@pytest.fixture(scope="module")
+def shell(tmp_path_factory):
+    return Shell(tmp_path_factory.mktemp("docs"))
+
+
+@pytest.mark.parametrize("path", RUN, ids=lambda path: path.name)
+def test_page_does_what_it_shows(path, shell, monkeypatch):
+    monkeypatch.chdir(shell.folder)
+    monkeypatch.setenv("MPLBACKEND", "agg")
+    import matplotlib.pyplot as plt
+
+    plt.switch_backend("agg")
+    namespace, printed = {"__name__": path.stem}, None
+    for block in blocks(path):
+        where = f"{block.page}:{block.line}"
+        if block.check == "make":
+            targets = re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.M)
+            assert set(re.findall(r"^\$ make (\S+)$", block.body, re.M)) <= set(targets), where
+        elif block.check == "install":
+            assert block.body == "$ python -m pip install .\n", where
+        elif block.check.startswith("file "):
+            (shell.folder / block.check.removeprefix("file ")).write_text(block.body, encoding="utf-8")
+        elif block.kind == "console":
+            shell.check(block)
+        elif block.kind == "python":
+            code = compile("\n" * (block.line - 1) + block.body, str(path), "exec")
+            with contextlib.redirect_stdout(io.StringIO()) as out:
+                exec(code, namespace)
+            printed = out.getvalue()
+            continue
+        elif block.kind == "text":
+            assert printed is not None, f"{where}: output of what?"
+            assert_shown(block.body, printed, where, block.check == "numbers")
+        else:
+            raise AssertionError(f"{where}: nothing runs this block")
+        printed = None
+    plt.close("all")
+
+
+# -- the table of scenarios -------------------------------------------------------------------------
+
+
+def scenario_rows():
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    table = text.split("## The bundled scenarios", 1)[1].split("\n\n")[1]
+    cells = [[cell.strip() for cell in row.strip("|").split("|")] for row in table.splitlines()[2:]]
+    return {row[0].strip("`"): row[2:] for row in cells}
+
+
+def test_every_bundled_scenario_is_in_the_table():
+    assert sorted(scenario_rows()) == list(polaris.bundled_scenarios())
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "static",
+        "dynamic",  # these two are run by the README anyway
+        *(pytest.param(name, marks=pytest.mark.slow) for name in ("keep_out", "hold_point", "robot")),
+    ],
+)
+def test_table_of_scenarios_is_what_a_run_gives(name, shell):
+    share, switches, proven, alone, under = scenario_rows()[name]
+    _, code = shell.run(f"polaris run {name}")
+    assert code == 0
+    found = json.loads((shell.folder / "runs" / name / "summary.json").read_text(encoding="utf-8"))
+    end = found["guarantee"]
+    until = "" if end["until_s"] is None else f"{end['until_s']:g}"
+    expected = {"infinite": "for all time", "one_period": f"until {until} s", "none": "up to T"}
+    assert (end["kind"], expected[end["horizon"]]) == ("proved", proven)
+    assert float(share.split()[0]) == pytest.approx(100 * found["polaris"]["experimental_share"], abs=3.0)
+    assert int(switches) == pytest.approx(found["polaris"]["switches"], abs=4)
+    for shown, who in ((alone, "experimental"), (under, "polaris")):
+        metres = found[who]["min_distance_m"]
+        assert float(shown.split()[0]) == pytest.approx(metres, rel=CLOSE, abs=0.06)
+
+
+# -- pages as pages ---------------------------------------------------------------------------------
+
+
+def test_interface_page_is_up_to_date():
+    committed = (DOCS / api_docs.API_FILE).read_text(encoding="utf-8")
+    assert committed == api_docs.api_text(), "run: python -m polaris.api_docs"
+
+
+def test_interface_page_has_every_public_name():
+    listed = [name for names in api_docs.GROUPS.values() for name in names]
+    assert sorted(listed) == sorted(set(polaris.__all__) - {"__version__"})
+
+
+def anchors(path):
+    """Anchors of a page's headings, as GitHub and MkDocs make them."""
+    text = re.sub(r"^```.*?^```$", "", path.read_text(encoding="utf-8"), flags=re.M | re.S)
+    for heading in re.findall(r"^#+ (.+)$", text, re.M):
+        plain = re.sub(r"[^\w\s-]", "", heading.replace("`", "")).strip().lower()
+        yield re.sub(r"\s", "-", plain)
+
+
+@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.name)
+def test_links_lead_somewhere(path):
+    text = re.sub(r"^```.*?^```$", "", path.read_text(encoding="utf-8"), flags=re.M | re.S)
+    for target in re.findall(r"\]\(([^)\s]+)\)", text):
+        if target.startswith(("http://", "https://")):
+            continue
+        file, _, anchor = target.partition("#")
+        place = (path.parent / file) if file else path
+        assert place.is_file(), f"{path.name}: {target}"
+        if anchor and place.suffix == ".md":
+            assert anchor in anchors(place), f"{path.name}: {target}"
+
+
+def test_every_page_is_in_the_navigation():
+    listed = re.findall(r"^  - .+: (\S+\.md)$", (ROOT / "mkdocs.yml").read_text(encoding="utf-8"), re.M)
+    assert sorted(listed) == sorted(path.name for path in DOCS.glob("*.md"))
+
+
+def test_version_is_the_same_everywhere():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert f"version: {project['version']}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
