@@ -50,10 +50,10 @@ _INTRODUCTION = """\
 
 <!-- Generated from the docstrings by `python -m polaris.api_docs`. Do not edit. -->
 
-Everything below is imported from `polaris`, as in `polaris.get_safety(...)`; `polaris.__version__` is the version.
-Results are frozen dataclasses. Quantities are in SI units (m, m/s, s, kg, N, rad/s); states in Hill's frame are
-`[r_x, r_y, r_z, v_x, v_y, v_z]` with x radial, y along-track and z cross-track. Symbols are those of
-[theory](theory.md).
+Everything below is imported from `polaris`, as in `polaris.get_safety(...)`; `polaris.__version__` is the
+version. Results are frozen dataclasses. Quantities are in SI units (m, m/s, s, kg, N, rad/s); states in
+Hill's frame are `[r_x, r_y, r_z, v_x, v_y, v_z]` with x radial, y along-track and z cross-track. Symbols are
+those of [theory](theory.md).
 """
 
 
@@ -62,15 +62,12 @@ def api_text() -> str:
     lines = [_INTRODUCTION]
     for group, names in GROUPS.items():
         lines += [f"## {group}", "", "| | |", "|---|---|"]
-        lines += [f"| [`{name}`](#{_anchor(name)}) | {_cell(_summary(getattr(polaris, name)))} |" for name in names]
+        for name in names:
+            lines.append(f"| [`{name}`](#{name.lower()}) | {_cell(_summary(getattr(polaris, name)))} |")
         lines.append("")
         for name in names:
             lines += [*_entry(name, getattr(polaris, name)), ""]
     return "\n".join(lines).rstrip() + "\n"
-
-
-def _anchor(name: str) -> str:
-    return name.lower()
 
 
 def _summary(thing: Any) -> str:
@@ -157,7 +154,7 @@ def _signature(name: str, thing: Any) -> str:
         if parameter.kind is parameter.KEYWORD_ONLY and not keyword_only:
             parameters.append("*")
             keyword_only = True
-        prefix = {parameter.VAR_POSITIONAL: "*", parameter.VAR_KEYWORD: "**"}.get(parameter.kind, "")
+        prefix = "**" if parameter.kind is parameter.VAR_KEYWORD else ""
         default = "" if parameter.default is parameter.empty else f"={_default(parameter.default)}"
         parameters.append(f"{prefix}{key}{default}")
     return f"{name}({', '.join(parameters)})"

@@ -1,14 +1,15 @@
 """What the pages say is run: code blocks, commands and the output they show, links, tables.
 
-Blocks of ``python`` are executed in one namespace per page, blocks of ``console`` by a shell, in the order
-of the page and in one folder. Lines of a console block that begin with ``$ `` are commands, the others output; a
-``text`` block right after a ``python`` block is its output. Output is compared with white space and numbers
-set aside, ``...`` standing for anything. A comment before a block changes that::
+Blocks of ``python`` are executed in one namespace per page, blocks of ``console`` by a shell, in the
+order of the page and in one folder. Lines of a console block that begin with ``$ `` are commands, the
+others output; a ``text`` block right after a ``python`` block is its output. Output is compared with white
+space and numbers set aside, ``...`` standing for anything. A comment before a block changes that::
 
     <!-- check: numbers -->      numbers must agree too, within 20 per cent
     <!-- check: file NAME -->    the block is the contents of a file
     <!-- check: make -->         commands name targets of the Makefile
     <!-- check: install -->      the command is not run
+    <!-- check: slow -->         the commands are run by the slow tests
 """
 
 import contextlib
@@ -34,7 +35,9 @@ DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md"))]
 RUN = [ROOT / "README.md", DOCS / "tutorial.md"]
 
-BLOCK = re.compile(r"(?:^<!-- check: (?P<check>.+?) -->\n)?^```(?P<kind>\w*)\n(?P<body>.*?)^```$", re.M | re.S)
+BLOCK = re.compile(
+    r"(?:^<!-- check: (?P<check>.+?) -->\n)?^```(?P<kind>\w*)\n(?P<body>.*?)^```$", re.M | re.S
+)
 NUMBER = r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?"
 CLOSE = 0.2
 
@@ -107,8 +110,15 @@ class Shell:
         """Output (both streams) and exit code."""
         if command not in self.known:
             done = subprocess.run(
-                command, shell=True, cwd=self.folder, env=self.environment, encoding="utf-8",
-                stdout=subprocess.PIPE, stderr=subprocess.STDOUT, timeout=300, check=False,
+                command,
+                shell=True,
+                cwd=self.folder,
+                env=self.environment,
+                encoding="utf-8",
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                timeout=300,
+                check=False,
             )
             self.known[command] = done.stdout, done.returncode
         return self.known[command]
@@ -151,6 +161,8 @@ def test_page_does_what_it_shows(path, shell, monkeypatch):
             assert block.body == "$ python -m pip install .\n", where
         elif block.check.startswith("file "):
             (shell.folder / block.check.removeprefix("file ")).write_text(block.body, encoding="utf-8")
+        elif block.check == "slow":
+            assert block.kind == "console", where
         elif block.kind == "console":
             shell.check(block)
         elif block.kind == "python":
@@ -168,6 +180,14 @@ def test_page_does_what_it_shows(path, shell, monkeypatch):
     plt.close("all")
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("path", RUN, ids=lambda path: path.name)
+def test_slow_commands_do_what_they_show(path, shell):
+    for block in blocks(path):
+        if block.check == "slow":
+            shell.check(block)
+
+
 # -- the table of scenarios -------------------------------------------------------------------------
 
 
@@ -182,14 +202,10 @@ def test_every_bundled_scenario_is_in_the_table():
     assert sorted(scenario_rows()) == list(polaris.bundled_scenarios())
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "static",
-        "dynamic",  # these two are run by the README anyway
-        *(pytest.param(name, marks=pytest.mark.slow) for name in ("keep_out", "hold_point", "robot")),
-    ],
-)
+SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in ("dynamic", "keep_out", "hold_point", "robot")]
+
+
+@pytest.mark.parametrize("name", ["static", *SLOW])
 def test_table_of_scenarios_is_what_a_run_gives(name, shell):
     share, switches, proven, alone, under = scenario_rows()[name]
     _, code = shell.run(f"polaris run {name}")
