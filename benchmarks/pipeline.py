@@ -1,7 +1,7 @@
 """Wall time from a scenario to a run folder, by stage, and its growth.
 
-    python benchmarks/pipeline.py            # both tables
-    python benchmarks/pipeline.py --part run # process start to run folder
+python benchmarks/pipeline.py            # both tables
+python benchmarks/pipeline.py --part run # process start to run folder
 """
 
 from __future__ import annotations
@@ -27,8 +27,12 @@ def timed(code: list[str]) -> float:
 
 
 def runs(repeats: int) -> None:
-    print(f"import polaris: {min(timed(['-c', 'import polaris']) for _ in range(repeats)):.2f} s (interpreter included)")
-    print(f"{'scenario':<12}{'bounds':>8}{'plan':>8}{'recover.':>9}{'schedule':>9}{'sum - plan':>11}{'process':>9}   [s]")
+    importing = min(timed(["-c", "import polaris"]) for _ in range(repeats))
+    print(f"import polaris: {importing:.2f} s (interpreter included)")
+    print(
+        f"{'scenario':<12}{'bounds':>8}{'plan':>8}{'recover.':>9}{'schedule':>9}"
+        f"{'sum - plan':>11}{'process':>9}   [s]"
+    )
     for name in ("static", "dynamic", "keep_out", "hold_point", "robot"):
         best, total = None, float("inf")
         for _ in range(repeats):
@@ -39,21 +43,29 @@ def runs(repeats: int) -> None:
             if spent < total:
                 best, total = stages, spent
         rest = sum(best[k] for k in ("bounds", "recoverable", "schedule"))
-        row = "".join(f"{best[k]:>{w}.3f}" for k, w in (("bounds", 8), ("plan", 8), ("recoverable", 9), ("schedule", 9)))
+        row = "".join(
+            f"{best[k]:>{w}.3f}" for k, w in (("bounds", 8), ("plan", 8), ("recoverable", 9), ("schedule", 9))
+        )
         print(f"{name:<12}{row}{rest:>11.3f}{total:>9.2f}", flush=True)
 
 
 def growth() -> None:
-    print(f"\n{'K':>5}{'obstacles':>10}{'bounds':>8}{'plan':>8}{'recover.':>9}{'schedule':>9}{'share':>8}   [s]")
+    print(
+        f"\n{'K':>5}{'obstacles':>10}{'bounds':>8}{'plan':>8}{'recover.':>9}{'schedule':>9}{'share':>8}   [s]"
+    )
     base = load_scenario("static")
     for K, count in [(30, 1), (60, 1), (120, 1), (240, 1), (60, 2), (60, 4), (60, 8)]:
         boxes = [base.to_dict()["obstacles"][0]]
         for i in range(1, count):
             # further bodies on either side of the transfer, in the way of other paths but not of all
-            boxes.append({
-                "kind": "box", "name": f"body_{i}", "half_widths_m": [15.0, 15.0, 15.0],
-                "center_m": [200.0 + 25.0 * (i % 3), 330.0 - 60.0 * i, 40.0 * (-1) ** i],
-            })
+            boxes.append(
+                {
+                    "kind": "box",
+                    "name": f"body_{i}",
+                    "half_widths_m": [15.0, 15.0, 15.0],
+                    "center_m": [200.0 + 25.0 * (i % 3), 330.0 - 60.0 * i, 40.0 * (-1) ** i],
+                }
+            )
         scenario = base.with_overrides({"horizon.step_s": 1800.0 / K, "obstacles": boxes})
         safety = get_safety(scenario)
         schedule = synthesize(scenario, safety, build_controllers(scenario, safety))

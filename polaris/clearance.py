@@ -41,10 +41,9 @@ class Tube:
         inside = per_node[:-1].reshape(cells, q, -1).max(axis=1)
         return np.asarray(np.maximum(inside, per_node[q::q]))
 
-
     def left_over(self, tracking: Tracking, radius: float) -> Array:
         """What an error of a given norm still needs beyond the memory of the loop, shape (r,)."""
-        return _left_over(tracking, self.rows, radius) + tracking.disturbance(self.rows)[-1]
+        return np.asarray(_left_over(tracking, self.rows, radius) + tracking.disturbance(self.rows)[-1])
 
 
 def _left_over(tracking: Tracking, rows: Array, radius: float) -> Array:
@@ -142,7 +141,8 @@ class Clearance:
             return np.zeros((self.cells, self.q + 1, 0))
         parts = [facet_room(self.tracking, self.reference, u, self.q, self.nodes) for u in self.unsafe]
         chosen = [
-            np.take_along_axis(part, self.facets[:, None, o : o + 1], axis=2)[..., 0] for o, part in enumerate(parts)
+            np.take_along_axis(part, self.facets[:, None, o : o + 1], axis=2)[..., 0]
+            for o, part in enumerate(parts)
         ]
         room = np.stack(chosen, axis=-1)
         rows, index = self.obstacle_rows

@@ -6,6 +6,7 @@ in the time given. Results go to standard output, progress and errors to standar
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 from collections.abc import Iterator
@@ -65,6 +66,10 @@ def main(
     ] = False,
 ) -> None:
     """Options that come before the command."""
+    # The matrices here are small: threads of the linear algebra library cost more than they give, and
+    # one thread adds up in the same order every time. It is read when numpy is first imported.
+    for library in ("OPENBLAS", "OMP", "MKL"):
+        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
 
 
 @app.command()

@@ -54,7 +54,10 @@ class Flight:
 class Controller(Protocol):
     """What the synthesis asks of a controller. Mode numbers follow section II: 0 is S."""
 
-    name: str
+    @property
+    def name(self) -> str:
+        """Name in tables and figures."""
+        ...
 
     def fly(self, start: Zonotope, k: int) -> Flight:
         """Reachable set over step k from a set in error coordinates."""
@@ -231,7 +234,9 @@ class AnyThrust:
         spread = [node + push for node in nodes[:-1]] + [nodes[-1]]
         stack = Zonotope.stack(spread)
         drift = np.abs(self.system.B @ self.reference.nu[k])  # the known part of the rate
-        bent = self.flow.bow(stack[:-1]) + self.flow.h**2 / 8 * np.abs(self.system.A) @ self.flow.growth @ drift
+        bent = (
+            self.flow.bow(stack[:-1]) + self.flow.h**2 / 8 * np.abs(self.system.A) @ self.flow.growth @ drift
+        )
         bow = bent + self.flow.period_box + self.tracking.flow.period_box
         return Flight(stack, bow, nodes[-1].reduce(ORDER))
 

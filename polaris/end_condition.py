@@ -103,8 +103,15 @@ def _stays(system: LinearSystem, x: Array) -> bool:
     return _in_hills_frame(system) or not np.any(system.A @ x)
 
 
-def judge_end(tracking: Tracking, reference: Reference, planned: int, tail: int, sets: tuple[TimedPolytope, ...],
-              start: Margin, jump: Array) -> EndCondition:
+def judge_end(
+    tracking: Tracking,
+    reference: Reference,
+    planned: int,
+    tail: int,
+    sets: tuple[TimedPolytope, ...],
+    start: Margin,
+    jump: Array,
+) -> EndCondition:
     """Decide what is proven after T from the margin of Theta with the tail included.
 
     Parameters

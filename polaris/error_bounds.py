@@ -50,7 +50,9 @@ class ErrorBounds:
         return np.asarray(self.gamma * np.exp(-self.beta * np.asarray(t)) * e0 + self.gain * w_max)
 
 
-def get_err_bounds(tracking: Tracking, method: str = "envelope", weight: ArrayLike | str = "auto") -> ErrorBounds:
+def get_err_bounds(
+    tracking: Tracking, method: str = "envelope", weight: ArrayLike | str = "auto"
+) -> ErrorBounds:
     """Compute the constants of Lemma 1.
 
     Parameters
@@ -71,7 +73,7 @@ def get_err_bounds(tracking: Tracking, method: str = "envelope", weight: ArrayLi
         raise ScenarioError("tracking.bound", method, "must be 'envelope' or 'lyapunov'")
     flow, system = tracking.flow, tracking.system
     W = _weight(tracking, weight)
-    inverse = np.linalg.inv(W)
+    inverse = np.asarray(np.linalg.inv(W), dtype=float)
     contraction, factor = flow.lyapunov
     slowest = -np.log(np.max(np.abs(np.linalg.eigvals(flow.phi)))) / flow.h
     beta = float(min(-np.log(factor) / flow.h * (1 - ROUNDING), 0.8 * slowest))
@@ -103,7 +105,9 @@ def _weight(tracking: Tracking, weight: ArrayLike | str) -> Array:
     W = np.diag(W) if W.ndim == 1 else W
     n = tracking.system.n
     if W.shape != (n, n) or not np.all(np.isfinite(W)) or np.linalg.matrix_rank(W) < n:
-        raise ScenarioError("tracking.weight", weight, f"must be {n} non-zero numbers or an invertible {n} x {n} matrix")
+        raise ScenarioError(
+            "tracking.weight", weight, f"must be {n} non-zero numbers or an invertible {n} x {n} matrix"
+        )
     return W
 
 
@@ -135,7 +139,9 @@ def _gain(tracking: Tracking, R: Array) -> float:
 
     left = np.linalg.norm(images @ flow.D, 2, axis=(-2, -1))
     right = np.linalg.norm(images @ np.asarray(expm(flow.A_x * flow.h)) @ flow.D, 2, axis=(-2, -1))
-    bend = np.linalg.norm(np.abs(images @ (flow.A_x @ flow.A_x)) @ flow.growth @ np.abs(flow.D), 2, axis=(-2, -1))
+    bend = np.linalg.norm(
+        np.abs(images @ (flow.A_x @ flow.A_x)) @ flow.growth @ np.abs(flow.D), 2, axis=(-2, -1)
+    )
     period = flow.h / 2 * (left + right) + flow.h**3 / 12 * bend
     factor = flow.lyapunov[1]
     out = float(np.linalg.norm(R @ tracking.W_inverse, 2))

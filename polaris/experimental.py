@@ -91,7 +91,9 @@ def _settled(system: LinearSystem, gain: Array, state: Array, K: int, delta: flo
         raise ScenarioError(f"{path}.state", state.tolist(), f"must have {system.n} entries")
     closed = system.A - system.B @ gain
     if np.linalg.matrix_rank(closed) < system.n:
-        raise ScenarioError(f"{path}.state", state.tolist(), "the controller never comes to rest (singular loop)")
+        raise ScenarioError(
+            f"{path}.state", state.tolist(), "the controller never comes to rest (singular loop)"
+        )
     rest = np.linalg.solve(closed, -system.B @ gain @ state)
     u = gain @ (state - rest)
     # Rounding must not set the constant trajectory drifting: chi is constant by construction.

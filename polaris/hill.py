@@ -24,9 +24,7 @@ def cw_matrix(mean_motion: float) -> Array:
     return A
 
 
-def clohessy_wiltshire(
-    mean_motion: float, mass: float, u_max: ArrayLike, w_max: float = 0.0
-) -> LinearSystem:
+def clohessy_wiltshire(mean_motion: float, mass: float, u_max: ArrayLike, w_max: float = 0.0) -> LinearSystem:
     """The system of Example 1 (eq. 1).
 
     Parameters
@@ -89,7 +87,11 @@ def free_flight(mean_motion: float, t: ArrayLike) -> Array:
 
 
 def elliptical_nmt(
-    mean_motion: float, semi_minor: float, phase: ArrayLike, cross_track: float = 0.0, cross_phase: float = 0.0
+    mean_motion: float,
+    semi_minor: float,
+    phase: ArrayLike,
+    cross_track: float = 0.0,
+    cross_phase: float = 0.0,
 ) -> Array:
     """States on a closed elliptical NMT about the target, shape (..., 6).
 

@@ -53,7 +53,8 @@ class PolytopeSets:
         """
         above, below = self.clearance.thrust
         thrust = np.broadcast_to(
-            np.hstack([below, above])[:, None, :], (self.clearance.cells, self.clearance.q + 1, 2 * below.shape[1])
+            np.hstack([below, above])[:, None, :],
+            (self.clearance.cells, self.clearance.q + 1, 2 * below.shape[1]),
         ).copy()
         if self.clearance.tracking.feedback.sampled:
             thrust[:, -1] = np.inf  # the input renewed at the end of a cell belongs to the next one
@@ -73,7 +74,9 @@ class PolytopeSets:
         _, disturbance, curvature, rows = self._rows
         reach = (np.linalg.norm(rows @ tracking.W_inverse, axis=-1) + curvature) * tracking.decay[-1]
         spare = self.room - disturbance[-1][self._index][:, None, :]
-        allowed = np.min(np.where(np.isposinf(spare), np.inf, spare / reach[self._index][:, None, :]), axis=-1)
+        allowed = np.min(
+            np.where(np.isposinf(spare), np.inf, spare / reach[self._index][:, None, :]), axis=-1
+        )
         allowed = np.where(np.isnan(allowed), -np.inf, allowed)
         per_node = allowed[:, :-1].reshape(-1)
         per_node = np.append(np.minimum(per_node, allowed[:, 1:].reshape(-1)), np.inf)
@@ -91,7 +94,11 @@ class PolytopeSets:
         right = later[later < cells * q]
         left = later[(later % q == 0) & (later > node)]
         lags = np.concatenate([right, left]) - node
-        return lags, np.concatenate([right // q, left // q - 1]), np.concatenate([right % q, np.full(len(left), q)])
+        return (
+            lags,
+            np.concatenate([right // q, left // q - 1]),
+            np.concatenate([right % q, np.full(len(left), q)]),
+        )
 
     @cached_property
     def _floor(self) -> Array:
@@ -188,14 +195,18 @@ class PolytopeSets:
         where = coarse[lags[:, None], index] > room
         lag, row, limit = np.broadcast_to(lags[:, None], index.shape)[where], index[where], room[where]
         need = errors @ carried[lag, row].T + radius[:, None] * weight[lag, row] + disturbance[lag, row]
-        return np.asarray(np.all(need <= limit, axis=1) & (radius <= self._far[min(node, len(self._far) - 1)]))
+        return np.asarray(
+            np.all(need <= limit, axis=1) & (radius <= self._far[min(node, len(self._far) - 1)])
+        )
 
     def radius(self, node: int) -> float:
         """Radius of the largest ball ``norm(W e) <= r`` inside the set at a node."""
         tracking = self.clearance.tracking
         carried, disturbance, curvature, _ = self._rows
         lags, cell, place = self._targets(node)
-        per_unit = np.linalg.norm(carried @ tracking.W_inverse, axis=-1) + curvature * tracking.decay_before[:, None]
+        per_unit = (
+            np.linalg.norm(carried @ tracking.W_inverse, axis=-1) + curvature * tracking.decay_before[:, None]
+        )
         index = self._index[cell]
         spare = self.room[cell, place] - np.take_along_axis(disturbance[lags], index, axis=1)
         near = np.min(spare / np.take_along_axis(per_unit[lags], index, axis=1), initial=np.inf)

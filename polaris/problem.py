@@ -12,7 +12,7 @@ from reach.zonotope import Zonotope
 
 from .errors import ScenarioError
 from .planning.goals import Goal
-from .planning.problem import PlannerOptions
+from .planning.problem import Objective, PlannerOptions
 from .system import Array, LinearSystem
 
 RECOVERABLE_KINDS = ("polytope", "time_varying_ball", "ball", "paper_ball")
@@ -66,7 +66,7 @@ class Problem:
     period: float | None = None
     bound: str = "envelope"
     weight: ArrayLike | str = "auto"
-    objective: str = "margin_then_fuel"
+    objective: Objective = "margin_then_fuel"
     extra_margin: float = 0.0
     thrust_reserve: float = 0.2
     planner: PlannerOptions = field(default_factory=PlannerOptions)
@@ -74,7 +74,9 @@ class Problem:
 
     def __post_init__(self) -> None:
         if self.initial_set.batch or self.initial_set.dim != self.system.n:
-            raise ScenarioError("initial_set", self.initial_set.c.shape, f"must be one set of {self.system.n} states")
+            raise ScenarioError(
+                "initial_set", self.initial_set.c.shape, f"must be one set of {self.system.n} states"
+            )
         if int(self.K) != self.K or self.K < 1:
             raise ScenarioError("K", self.K, "must be a whole number >= 1")
         if not (np.isfinite(self.delta) and self.delta > 0):
@@ -82,4 +84,6 @@ class Problem:
         if not 0 <= self.thrust_reserve < 1:
             raise ScenarioError("thrust_reserve", self.thrust_reserve, "must be in [0, 1)")
         if self.recoverable not in RECOVERABLE_KINDS:
-            raise ScenarioError("recoverable", self.recoverable, f"must be one of {', '.join(RECOVERABLE_KINDS)}")
+            raise ScenarioError(
+                "recoverable", self.recoverable, f"must be one of {', '.join(RECOVERABLE_KINDS)}"
+            )

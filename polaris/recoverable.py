@@ -56,8 +56,15 @@ class Margin:
 class RecoverableSet(Protocol):
     """One recoverable set per node, in error coordinates ``e = x - xi(t)``."""
 
-    kind: str
-    guarantee: str
+    @property
+    def kind(self) -> str:
+        """``polytope``, ``time_varying_ball``, ``ball`` or ``paper_ball``."""
+        ...
+
+    @property
+    def guarantee(self) -> str:
+        """``proved``, or ``none`` for the option that is not sound."""
+        ...
 
     def margin(self, k: int, nodes: Zonotope, bow: Array) -> Margin:
         """Margin of a flight over cell k: sets at its q+1 nodes, bow over the q parts (see Flight)."""
@@ -77,7 +84,7 @@ class RecoverableSet(Protocol):
 
 
 def contains_flight(recoverable: RecoverableSet, k: int, flight: Flight) -> Margin:
-    """Line 13 of Algorithm 2: is the reach set over ``[t1, t2]`` inside, pointwise in time?"""
+    """Line 13 of Algorithm 2: how far the reach set over ``[t1, t2]`` is inside, pointwise in time."""
     return recoverable.margin(k, flight.nodes, flight.bow)
 
 
@@ -87,7 +94,8 @@ def get_recover(kind: str, clearance: Clearance, bounds: ErrorBounds) -> Recover
     from .polytope_sets import PolytopeSets
 
     if not clearance.unsafe and kind == "paper_ball":
-        raise ScenarioError("recoverable.kind", kind, "has nothing to keep clear of: there are no unsafe sets")
+        rule = "has nothing to keep clear of: there are no unsafe sets"
+        raise ScenarioError("recoverable.kind", kind, rule)
     if kind == "polytope":
         return PolytopeSets(clearance)
     if kind in ("ball", "time_varying_ball", "paper_ball"):

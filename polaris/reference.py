@@ -60,7 +60,7 @@ class Reference:
         steps = _sub_steps(self.system, self.delta, q)
         arcs = np.einsum("qij,kj->kqi", steps[0], self.chi[:-1])
         arcs += np.einsum("qij,kj->kqi", steps[1], self.nu)
-        return arcs
+        return np.asarray(arcs)
 
     def extend(self, cells: int) -> Reference:
         """The same trajectory followed by `cells` steps with zero input (coasting)."""

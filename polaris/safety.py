@@ -151,15 +151,33 @@ def get_safety(
     return replace(safety, seconds=clock.laps)
 
 
-def _as_problem(system: Any, initial_set: Any, unsafe: Any, K: Any, delta: Any, Q: Any, R: Any, goal: Any,
-                options: dict[str, Any]) -> Problem:
+def _as_problem(
+    system: Any,
+    initial_set: Any,
+    unsafe: Any,
+    K: Any,
+    delta: Any,
+    Q: Any,
+    R: Any,
+    goal: Any,
+    options: dict[str, Any],
+) -> Problem:
     if isinstance(system, Problem):
         return replace(system, **options) if options else system
     if hasattr(system, "problem"):
         return _as_problem(system.problem(), None, (), None, None, None, None, None, options)
-    missing = [name for name, value in
-               (("initial_set", initial_set), ("K", K), ("delta", delta), ("Q", Q), ("R", R), ("goal", goal))
-               if value is None]
+    missing = [
+        name
+        for name, value in (
+            ("initial_set", initial_set),
+            ("K", K),
+            ("delta", delta),
+            ("Q", Q),
+            ("R", R),
+            ("goal", goal),
+        )
+        if value is None
+    ]
     if missing:
         raise TypeError(f"get_safety(system, ...) also needs {', '.join(missing)}")
     if not isinstance(system, LinearSystem):
@@ -195,8 +213,8 @@ def plan_problem(problem: Problem, tracking: Tracking, sets: tuple[TimedPolytope
     if np.any(limit < 0):
         k, axis = np.unravel_index(int(np.argmin(limit)), limit.shape)
         raise SynthesisInfeasible(
-            f"the tracker alone may demand {needed[k, axis]:.4g} N of the {system.u_max[axis]:.4g} N of thrust "
-            f"axis {axis} at t = {k * problem.delta:g} s to correct the initial set and the disturbance.",
+            f"the tracker alone may demand {needed[k, axis]:.4g} N of the {system.u_max[axis]:.4g} N of "
+            f"thrust axis {axis} at t = {k * problem.delta:g} s to correct the initial set and the disturbance.",
             float(-limit[k, axis]),
             "shrink the initial set, raise the thrust limit, or raise tracking.R for a softer tracker.",
         )
@@ -206,13 +224,27 @@ def plan_problem(problem: Problem, tracking: Tracking, sets: tuple[TimedPolytope
         tube = error_tube(tracking, start, -unsafe.normals @ system.position)
         margins.append(np.maximum(tube.over_cells(K, q), tube.left_over(tracking, largest)))
     return PlanProblem(
-        system, problem.initial_set.c, K, problem.delta, sets, tuple(margins), limit, problem.goal,
-        problem.objective, problem.extra_margin,
+        system,
+        problem.initial_set.c,
+        K,
+        problem.delta,
+        sets,
+        tuple(margins),
+        limit,
+        problem.goal,
+        problem.objective,
+        problem.extra_margin,
     )
 
 
-def _complete(problem: Problem, tracking: Tracking, bounds: ErrorBounds, sets: tuple[TimedPolytope, ...],
-              found: Plan, tail: int) -> Safety:
+def _complete(
+    problem: Problem,
+    tracking: Tracking,
+    bounds: ErrorBounds,
+    sets: tuple[TimedPolytope, ...],
+    found: Plan,
+    tail: int,
+) -> Safety:
     """Lines 5 to 10: reference, S, recoverable sets; with the coasting tail as far as it is safe."""
     planned = Reference.propagate(problem.system, problem.delta, problem.initial_set.c, found.nu)
     start = problem.initial_set - problem.initial_set.c

@@ -74,7 +74,7 @@ class Schedule:
     @property
     def times(self) -> Array:
         """Start of every step, and T [s], shape (K+1,)."""
-        return np.arange(len(self.steps) + 1) * self.safety.problem.delta
+        return np.asarray(np.arange(len(self.steps) + 1) * self.safety.problem.delta, dtype=float)
 
     @property
     def switches(self) -> int:
@@ -104,22 +104,20 @@ class Schedule:
 
 
 def describe_guarantee(schedule: Schedule) -> tuple[str, tuple[str, ...]]:
-    """How far the claim reaches, and what it assumes."""
+    """The kind of the claim and what it assumes; how far it reaches is in `Safety.end`."""
     safety = schedule.safety
-    problem, end = safety.problem, safety.end
-    feedback = safety.tracking.feedback
+    problem, feedback = safety.problem, safety.tracking.feedback
     if feedback.sampled:
         period = safety.tracking.flow.h
         law = f"every controller renews its input each {period:g} s, in time and with the exact state"
     else:
         law = "every controller acts continuously on the exact state"
-    reach = {"infinite": "for all time", "one_period": f"until {end.until:g} s", "none": "up to T only"}[end.horizon]
     assumptions = (
         f"the motion obeys x' = A x + B u + D w with |u_i| <= u_max and norm(w) <= {problem.system.w_max:g}",
         "the initial state lies in the initial set",
         "every unsafe set lies in its timed polytope (perception)",
         law,
         "the experimental controllers obey their declared models",
-        f"arithmetic in double precision, round-off covered by booked tolerances; claim holds {reach} ({end.reason})",
+        "arithmetic in double precision, its round-off covered by booked tolerances",
     )
     return safety.guarantee, assumptions

@@ -160,6 +160,12 @@ class _Integrator:
         own = self.own[number][k, half] if number in self.own else xi
         return controller.command(k, xi, own, x)
 
+    def rate(self, number: int, k: int, half: int, later: int, x: Array, force: Array) -> Array:
+        """``x'`` under one controller, `later` half-steps after the half-step `half` of cell k."""
+        limit = self.system.u_max
+        raw = self.command(self.schedule.controllers[number], number, k, half + later, x)
+        return np.asarray(x @ self.system.A.T + np.clip(raw, -limit, limit) @ self.system.B.T + force)
+
     def run(self, x0: Array, w: Array) -> Runs:
         R, system, limit = len(x0), self.system, self.system.u_max
         nodes = len(self.modes) * self.q
@@ -188,19 +194,16 @@ class _Integrator:
                 x = x @ Ad.T + u @ Bd.T + w[step] @ Dd.T
                 delta_v += np.abs(u).sum(axis=1) * self.dt / system.mass
             else:
-                def rate(place: int, at: Array, fixed: Array = force, c: Controller = controller) -> Array:
-                    push = np.clip(self.command(c, number, k, place, at), -limit, limit)
-                    return at @ A_T + push @ B_T + fixed
-
+                place = number, k, half
                 first = x @ A_T + u @ B_T + force
-                second = rate(half + 1, x + self.dt / 2 * first)
-                third = rate(half + 1, x + self.dt / 2 * second)
-                fourth = rate(half + 2, x + self.dt * third)
+                second = self.rate(*place, 1, x + self.dt / 2 * first, force)
+                third = self.rate(*place, 1, x + self.dt / 2 * second, force)
+                fourth = self.rate(*place, 2, x + self.dt * third, force)
                 x = x + self.dt / 6 * (first + 2 * second + 2 * third + fourth)
                 delta_v += np.abs(u).sum(axis=1) * self.dt / system.mass
             if sub == self.substeps - 1:
                 states[node + 1] = x
-        times = np.arange(nodes + 1) * self.tracking.flow.h
+        times = np.asarray(np.arange(nodes + 1) * self.tracking.flow.h, dtype=float)
         runs_first = (states.swapaxes(0, 1), inputs.swapaxes(0, 1), demanded.T)
         return Runs(self.schedule, times, *runs_first, delta_v, self.modes)
 
@@ -233,7 +236,10 @@ def _worst_case(flight: _Integrator, n: int, rng: np.random.Generator) -> Array:
     direction at that instant; under sampled feedback the continuous adjoint is used.
     """
     clearance, system = flight.schedule.safety.clearance, flight.system
-    rows = [-u.normals @ system.position for u in clearance.unsafe] + [flight.tracking.gain, -flight.tracking.gain]
+    rows = [-u.normals @ system.position for u in clearance.unsafe] + [
+        flight.tracking.gain,
+        -flight.tracking.gain,
+    ]
     flat = np.vstack(rows)
     targets = rng.integers(1, flight.steps + 1, n)
     adjoint = np.zeros((n, system.n))

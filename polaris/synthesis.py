@@ -72,8 +72,11 @@ class _Branch:
 
 
 def synthesize(
-    scenario: Any, safety: Safety | None = None, experimental: Sequence[Controller] | None = None,
-    rules: SwitchingRules | None = None, progress: Callable[[int, int], None] | None = None,
+    scenario: Any,
+    safety: Safety | None = None,
+    experimental: Sequence[Controller] | None = None,
+    rules: SwitchingRules | None = None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Schedule:
     """Algorithm 2: the switching schedule, proven before the flight.
 
@@ -149,7 +152,9 @@ class _Search:
 
     def _best(self, branches: list[_Branch]) -> list[_Branch]:
         """The beam: most worth first, and of equal worth the set with most room left to it."""
-        ranked = sorted(branches, key=lambda b: (-b.worth, float(b.reached.norm_bound(self.safety.tracking.W))))
+        ranked = sorted(
+            branches, key=lambda b: (-b.worth, float(b.reached.norm_bound(self.safety.tracking.W)))
+        )
         # Half of the beam is kept for branches under S, which have paid already and may harvest later.
         under = {flag: [b for b in ranked if (b.mode == SAFETY) == flag] for flag in (True, False)}
         share = -(-self.rules.beam // 2)

@@ -128,8 +128,9 @@ class LinearSystem:
         return self.position @ self.A
 
     @classmethod
-    def from_statespace(cls, sys: Any, u_max: ArrayLike, w_max: float = 0.0, D: ArrayLike | None = None,
-                        **kwargs: Any) -> LinearSystem:
+    def from_statespace(
+        cls, sys: Any, u_max: ArrayLike, w_max: float = 0.0, D: ArrayLike | None = None, **kwargs: Any
+    ) -> LinearSystem:
         """Build from a ``control.StateSpace`` (its A and B; D defaults to B's columns, unit scaled).
 
         The feed-through matrix of the state space is ignored: this class needs states, not outputs.

@@ -15,7 +15,6 @@ from reach.linear import powers
 from .errors import ScenarioError
 from .system import Array, LinearSystem, as_finite
 
-
 LEFT_OVER = 1e-3
 """Share of an error (in the contraction norm) below which limits are no longer followed one by one
 but collected in one ball. Smaller: more rows per recoverable set, and a larger ball."""
@@ -129,7 +128,9 @@ class Tracking:
             field = "feedback.period_s" if self.feedback.sampled else "tracking.Q"
             raise ScenarioError(field, flow.h, f"must give a stable loop: {error}") from error
         if not np.all(np.isfinite(flow.growth)):
-            rule = "is too long for the fastest motion of the system: what happens within it cannot be bounded"
+            rule = (
+                "is too long for the fastest motion of the system: what happens within it cannot be bounded"
+            )
             raise ScenarioError("horizon.step_s", self.delta, rule)
         return flow
 
@@ -199,5 +200,7 @@ class Tracking:
         booked = self.curvature(rows) * self.disturbance_radius
         until = sums[1:] + first + booked
         factor = self.flow.lyapunov[1]
-        tail = np.linalg.norm(rows @ self.W_inverse, axis=-1) * self.decay[-1] * self.period_gain / (1 - factor)
+        tail = (
+            np.linalg.norm(rows @ self.W_inverse, axis=-1) * self.decay[-1] * self.period_gain / (1 - factor)
+        )
         return np.vstack([until, until[-1] + tail])

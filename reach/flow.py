@@ -112,7 +112,9 @@ class LinearFlow:
         """
         radius = float(np.max(np.abs(np.linalg.eigvals(self.phi))))
         if not radius < 1:
-            raise ReachError(f"the closed loop is not stable: spectral radius {radius:.6g} per period of {self.h:g}")
+            raise ReachError(
+                f"the closed loop is not stable: spectral radius {radius:.6g} per period of {self.h:g}"
+            )
         rate = -np.log(radius) / self.h
         scale = state_scale(self.A_c)
         # Asking for half the slowest rate keeps the norm well conditioned.
@@ -152,7 +154,9 @@ class LinearFlow:
         left = np.linalg.norm(images[:-1] @ self.D, axis=-1)
         right = np.linalg.norm(images[:-1] @ end, axis=-1)
         # |v'' | <= |row phi^l A_x^2| e^{|A_x| h} |D|, elementwise
-        bend = np.linalg.norm(np.abs(images[:-1] @ (self.A_x @ self.A_x)) @ self.growth @ np.abs(self.D), axis=-1)
+        bend = np.linalg.norm(
+            np.abs(images[:-1] @ (self.A_x @ self.A_x)) @ self.growth @ np.abs(self.D), axis=-1
+        )
         period = self.w_max * (self.h / 2 * (left + right) + self.h**3 / 12 * bend)
         return np.vstack([np.zeros((1, len(rows))), np.cumsum(period, axis=0)])
 

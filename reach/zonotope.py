@@ -209,7 +209,9 @@ class Zonotope:
             equal = np.hstack([self.G / scale[:, None], np.zeros((self.dim, 1))])
             bound = np.block([[np.eye(g), -np.ones((g, 1))], [-np.eye(g), -np.ones((g, 1))]])
             cost = np.r_[np.zeros(g), 1.0]
-            solved = linprog(cost, bound, np.zeros(2 * g), equal, gap, bounds=[(None, None)] * g + [(0, None)])
+            solved = linprog(
+                cost, bound, np.zeros(2 * g), equal, gap, bounds=[(None, None)] * g + [(0, None)]
+            )
             inside[i] = solved.status == 0 and solved.fun <= 1 + slack
         return inside
 
@@ -235,7 +237,7 @@ class Zonotope:
         image = np.asarray(W, dtype=float) @ self
         hull = np.linalg.norm(np.abs(image.c) + image.half_widths, axis=-1)
         total = np.linalg.norm(image.c, axis=-1) + np.linalg.norm(image.G, axis=-2).sum(axis=-1)
-        return np.minimum(hull, total)
+        return np.asarray(np.minimum(hull, total))
 
     def reduce(self, order: float, method: str = "pca") -> Zonotope:
         """Enclosing zonotope with at most ``order * n`` generators; see `reach.reduction`."""

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from ..safety import Safety
     from ..schedule import Schedule
 
-SLICES = 10
+SLICES = 8
 """Recoverable sets shown along the path."""
 
 

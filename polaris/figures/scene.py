@@ -46,12 +46,12 @@ def _sets(ax: Any, picture: Picture) -> list[Any]:
     axes = picture.frame.flat
     if picture.slices is not None:
         outlines = picture.slices.outline + picture.slices.centre[:, None]
-        colour, edge = tint(YELLOW, 0.45), tint("#8A7F00", 0.6)
+        colour, edge = tint(YELLOW, 0.28), tint("#8A7F00", 0.5)
         ax.add_collection(PolyCollection(list(outlines), facecolor=colour, edgecolor="none", zorder=1))
         ax.add_collection(
             PolyCollection(list(outlines), facecolor="none", edgecolor=edge, lw=0.35, zorder=1.1)
         )
-        handles.append(Patch(facecolor=colour, edgecolor=edge, lw=0.35, label="recoverable sets"))
+        handles.append(Patch(facecolor=colour, edgecolor=edge, lw=0.35, label="recoverable sets (slices)"))
     if picture.tube is not None:
         tube = picture.tube
         polygons = tube_polygons(

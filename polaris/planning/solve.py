@@ -324,8 +324,8 @@ class Planner:
         booked = max((float(b.max()) for b in self.rows.booking), default=0.0)
         if booked > BOOKED_MOST:
             raise NotCertified(
-                f"no certified plan: with the {booked:.3g} m that the re-check asked to book between the waypoints, "
-                "the program has no solution; take smaller steps"
+                f"no certified plan: with the {booked:.3g} m that the re-check asked to book between the "
+                "waypoints, the program has no solution; take smaller steps"
             )
         explain()
 

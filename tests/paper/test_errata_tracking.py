@@ -67,7 +67,7 @@ def spinning():
 def test_item_4_gamma_from_samples_misses_what_happens_between_them():
     A, h, track = spinning()
     beta = 0.005
-    naive = max(np.exp(beta * l * h) * np.linalg.norm(expm(A * l * h), 2) for l in range(30))
+    naive = max(np.exp(beta * i * h) * np.linalg.norm(expm(A * i * h), 2) for i in range(30))
     peak = max(np.exp(beta * t) * np.linalg.norm(expm(A * t), 2) for t in np.linspace(0, h, 400))
     assert naive < 0.3 * peak, "the printed recipe on this grid is no bound"
     for method in ("envelope", "lyapunov"):
@@ -112,8 +112,13 @@ def test_item_6_a_distance_in_the_state_norm_depends_on_the_units():
     assert np.linalg.norm(in_mm_per_s @ e) > 10 * np.linalg.norm(e), "the printed norm changes with the unit"
     inverse = np.linalg.inv(in_mm_per_s)
     scaled = LinearSystem(
-        in_mm_per_s @ SYSTEM.A @ inverse, in_mm_per_s @ SYSTEM.B, in_mm_per_s @ SYSTEM.D, SYSTEM.u_max,
-        SYSTEM.w_max, C=SYSTEM.position @ inverse, mass=10.0,
+        in_mm_per_s @ SYSTEM.A @ inverse,
+        in_mm_per_s @ SYSTEM.B,
+        in_mm_per_s @ SYSTEM.D,
+        SYSTEM.u_max,
+        SYSTEM.w_max,
+        C=SYSTEM.position @ inverse,
+        mass=10.0,
     )
     plain, other = tracking(), Tracking(scaled, GAIN @ inverse, tracking().feedback, 50.0)
     from polaris.clearance import error_tube
@@ -148,7 +153,10 @@ def test_item_7_reference_inputs_leave_room_for_the_tracker():
     worst = 0.0
     for lag in range(safety.clearance.q * 4):
         carried = corners @ (safety.tracking.gain @ np.linalg.matrix_power(safety.tracking.flow.phi, lag)).T
-        worst = max(worst, float((np.abs(safety.plan.nu[lag // safety.clearance.q]) + np.abs(carried).max(axis=0)).max()))
+        worst = max(
+            worst,
+            float((np.abs(safety.plan.nu[lag // safety.clearance.q]) + np.abs(carried).max(axis=0)).max()),
+        )
     assert worst <= system.u_max.max()
     assert np.all(np.abs(safety.plan.nu) < system.u_max)
 

@@ -18,7 +18,9 @@ FEASIBLE = ["static", "dynamic", "keep_out", "hold_point", "robot"]
 
 def distances(schedule, runs, scenario):
     system = schedule.safety.problem.system
-    return np.min([o.signed_distance(runs.times[None], runs.positions, system=system) for o in scenario.obstacles()])
+    return np.min(
+        [o.signed_distance(runs.times[None], runs.positions, system=system) for o in scenario.obstacles()]
+    )
 
 
 def facet_slack(schedule, runs):
@@ -79,7 +81,9 @@ def test_u_alone_collides_and_s_alone_does_not(name):
 def test_schedule_uses_the_experimental_controllers_for_a_real_part_of_the_time(name):
     _, schedule = synthesised(name)
     assert schedule.share() > 0.3
-    assert schedule.share() == pytest.approx(sum(schedule.share(m) for m in range(1, len(schedule.controllers))))
+    assert schedule.share() == pytest.approx(
+        sum(schedule.share(m) for m in range(1, len(schedule.controllers)))
+    )
     assert schedule.margins[schedule.modes > 0].min() >= 0
 
 
@@ -103,7 +107,9 @@ def test_recoverable_kinds_in_order_of_use():
         sets = get_recover(kind, safety.clearance, safety.bounds)
         from dataclasses import replace
 
-        schedule = synthesize(None, replace(safety, recoverable=sets), [small_controllers()["coasting"]], SwitchingRules())
+        schedule = synthesize(
+            None, replace(safety, recoverable=sets), [small_controllers()["coasting"]], SwitchingRules()
+        )
         shares[kind] = schedule.share()
     assert shares["ball"] <= shares["time_varying_ball"] <= shares["polytope"]
     assert shares["polytope"] > shares["ball"]
@@ -135,9 +141,14 @@ def test_no_switch_allowed_means_s_throughout_unless_u_lasts():
 def test_look_ahead_is_never_worse_than_greedy():
     scenario, schedule = synthesised("static")
     for cap in (2, 5):
-        greedy = synthesize(scenario, schedule.safety, schedule.controllers[1:], SwitchingRules(max_switches=cap))
+        greedy = synthesize(
+            scenario, schedule.safety, schedule.controllers[1:], SwitchingRules(max_switches=cap)
+        )
         ahead = synthesize(
-            scenario, schedule.safety, schedule.controllers[1:], SwitchingRules("look_ahead", max_switches=cap, beam=4)
+            scenario,
+            schedule.safety,
+            schedule.controllers[1:],
+            SwitchingRules("look_ahead", max_switches=cap, beam=4),
         )
         assert ahead.share() >= greedy.share()
         assert ahead.switches <= cap
@@ -155,7 +166,12 @@ def test_preference_decides_between_several_controllers():
 def test_unclipped_law_that_may_exceed_the_limits_is_refused():
     safety = small_safety()
     hard = AffineController(
-        "hard", safety.problem.system, 50 * safety.tracking.gain, safety.reference, safety.reference, safety.tracking
+        "hard",
+        safety.problem.system,
+        50 * safety.tracking.gain,
+        safety.reference,
+        safety.reference,
+        safety.tracking,
     )
     assert synthesize(None, safety, [hard], SwitchingRules()).share() == 0
 

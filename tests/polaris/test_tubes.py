@@ -27,9 +27,15 @@ def fly(safety, law, k, e0, rng, until=None):
     Ad, Bd = discretize(system.A, system.B, dt)
     _, Dd = discretize(system.A, system.D, dt)
     times, errors = [0.0], [e0]
-    xi, own = safety.reference.chi[k], (law.own if isinstance(law, AffineController) else safety.reference).chi[k]
+    xi, own = (
+        safety.reference.chi[k],
+        (law.own if isinstance(law, AffineController) else safety.reference).chi[k],
+    )
     x = xi + e0
-    mu, mu_own = safety.reference.nu[k], (law.own if isinstance(law, AffineController) else safety.reference).nu[k]
+    mu, mu_own = (
+        safety.reference.nu[k],
+        (law.own if isinstance(law, AffineController) else safety.reference).nu[k],
+    )
     w = rng.normal(size=3)
     push = rng.choice([-1.0, 1.0], size=3) * system.u_max
     for step in range(q * parts):
@@ -40,7 +46,7 @@ def fly(safety, law, k, e0, rng, until=None):
         wind = system.D @ (w / np.linalg.norm(w) * system.w_max)
         safe_now = until is not None and step * dt >= until
 
-        def command(state, ref, own_ref, safe_now=safe_now):
+        def command(state, ref, own_ref, safe_now=safe_now, push=push):
             if safe_now:
                 return np.clip(mu + safety.tracking.gain @ (ref - state), -system.u_max, system.u_max)
             if isinstance(law, AffineController):
@@ -53,12 +59,17 @@ def fly(safety, law, k, e0, rng, until=None):
             x = Ad @ x + Bd @ held + Dd @ (w / np.linalg.norm(w) * system.w_max)
             xi, own = Ad @ xi + Bd @ mu, Ad @ own + Bd @ mu_own
         else:
+
             def rate(t, y, wind=wind, command=command):
                 x, xi, own = y[:6], y[6:12], y[12:]
-                return np.concatenate([
-                    system.A @ x + system.B @ command(x, xi, own) + wind,
-                    system.A @ xi + system.B @ mu, system.A @ own + system.B @ mu_own,
-                ])
+                return np.concatenate(
+                    [
+                        system.A @ x + system.B @ command(x, xi, own) + wind,
+                        system.A @ xi + system.B @ mu,
+                        system.A @ own + system.B @ mu_own,
+                    ]
+                )
+
             y = solve_ivp(rate, (0, dt), np.concatenate([x, xi, own]), rtol=1e-9, atol=1e-10).y[:, -1]
             x, xi, own = y[:6], y[6:12], y[12:]
         times.append((step + 1) * dt)
@@ -94,10 +105,14 @@ def test_clipped_tube_differs_from_the_affine_one_only_where_it_clips():
     law = small_controllers(None)["clipped"]
     calm = small_controllers(None)["shared"]
     assert law.fly(START, 0).refused == ""
-    assert AffineController(
-        "hard", law.system, law.gain, law.reference, law.own, law.tracking, clips=False
-    ).fly(START, 0).refused.startswith("its command may exceed")
-    soft = AffineController("soft", law.system, law.gain, law.reference, law.reference, law.tracking, clips=True)
+    assert (
+        AffineController("hard", law.system, law.gain, law.reference, law.own, law.tracking, clips=False)
+        .fly(START, 0)
+        .refused.startswith("its command may exceed")
+    )
+    soft = AffineController(
+        "soft", law.system, law.gain, law.reference, law.reference, law.tracking, clips=True
+    )
     assert np.array_equal(soft.fly(START, 0).nodes.G, calm.fly(START, 0).nodes.G)
 
 
@@ -132,8 +147,10 @@ def test_error_tube_of_s_is_reached_to_a_few_per_cent(period):
         carried = rows @ tracking.transitions[lag]
         reached = np.abs(carried @ safety.start.G).sum(axis=1)
         A_x = tracking.flow.A_x
-        for l in range(lag):
-            kernel = [rows @ tracking.transitions[l] @ expm(A_x * (j + 0.5) * h / q) @ system.D for j in range(q)]
+        for past in range(lag):
+            kernel = [
+                rows @ tracking.transitions[past] @ expm(A_x * (j + 0.5) * h / q) @ system.D for j in range(q)
+            ]
             reached = reached + np.linalg.norm(kernel, axis=-1).sum(axis=0) * h / q * system.w_max
         assert np.all(reached <= tube.need[lag] * (1 + 1e-9))
         assert np.all(tube.need[lag] <= 1.09 * reached), "within 9 % of what the worst case reaches"

@@ -142,8 +142,12 @@ def test_discretize_agrees_with_an_integrator():
 def test_clip_relaxation_holds_the_clip(lo, width, limit, slopes, seed):
     hi = lo + width
     slope, offset, radius = clip_relaxation(lo, hi, limit, slopes)
-    y = np.concatenate([np.random.default_rng(seed).uniform(lo, hi, 50), [lo, hi], np.clip([-limit, limit], lo, hi)])
-    assert np.all(np.abs(np.clip(y, -limit, limit) - (slope * y + offset)) <= radius + 1e-12 * (1 + abs(lo) + width))
+    y = np.concatenate(
+        [np.random.default_rng(seed).uniform(lo, hi, 50), [lo, hi], np.clip([-limit, limit], lo, hi)]
+    )
+    assert np.all(
+        np.abs(np.clip(y, -limit, limit) - (slope * y + offset)) <= radius + 1e-12 * (1 + abs(lo) + width)
+    )
 
 
 def test_clip_relaxation_is_exact_away_from_the_limits():

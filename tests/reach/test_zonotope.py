@@ -83,7 +83,9 @@ def test_hull_of_a_set_with_itself_is_that_set():
 @given(zonotopes(), st.sampled_from(["pca", "girard"]), st.floats(1, 3))
 def test_reduction_encloses_and_keeps_its_budget(z, method, order):
     small = z.reduce(order, method)
-    assert small.order_count <= max(int(order * z.dim), z.order_count if z.order_count <= order * z.dim else 0)
+    assert small.order_count <= max(
+        int(order * z.dim), z.order_count if z.order_count <= order * z.dim else 0
+    )
     assert below(z.support(directions(z.dim)), small.support(directions(z.dim)))
 
 
