@@ -214,7 +214,8 @@ def plan_problem(problem: Problem, tracking: Tracking, sets: tuple[TimedPolytope
         k, axis = np.unravel_index(int(np.argmin(limit)), limit.shape)
         raise SynthesisInfeasible(
             f"the tracker alone may demand {needed[k, axis]:.4g} N of the {system.u_max[axis]:.4g} N of "
-            f"thrust axis {axis} at t = {k * problem.delta:g} s to correct the initial set and the disturbance.",
+            f"thrust axis {axis} at t = {k * problem.delta:g} s to correct the initial set and the "
+            "disturbance.",
             float(-limit[k, axis]),
             "shrink the initial set, raise the thrust limit, or raise tracking.R for a softer tracker.",
         )

@@ -100,3 +100,9 @@ def faces(vertices: Array) -> list[Array]:
         flat = (on - on.mean(axis=0)) @ first.T
         found.append(on[np.argsort(np.arctan2(flat[:, 1], flat[:, 0]))])
     return found
+
+
+def stretches(flags: ArrayLike) -> list[tuple[int, int]]:
+    """First and one-past-last index of every stretch of True."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], np.asarray(flags, dtype=int), [0]])))
+    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]

@@ -8,7 +8,8 @@ import numpy as np
 
 from ..keep_in import KeepIn
 from ..planning.goals import Box, EllipticalNMT, StationaryPoint
-from .geometry import tube_polygons, zonotope_outline
+from ..system import Array
+from .geometry import stretches, tube_polygons, zonotope_outline
 from .picture import Picture
 from .style import BLACK, GREEN, GREY, ORANGE, RED, YELLOW, legend_above, mode_colour, tint
 from .unsafe import draw_unsafe
@@ -40,7 +41,8 @@ def draw_scene(ax: Any, picture: Picture) -> None:
 def _sets(ax: Any, picture: Picture) -> list[Any]:
     """Recoverable sets, tube, initial set: drawn lightly."""
     from matplotlib.collections import PolyCollection
-    from matplotlib.patches import Patch, Polygon
+    from matplotlib.patches import Patch, PathPatch, Polygon
+    from matplotlib.path import Path
 
     handles: list[Any] = []
     axes = picture.frame.flat
@@ -60,9 +62,8 @@ def _sets(ax: Any, picture: Picture) -> list[Any]:
         for mode in np.unique(picture.modes):
             chosen = polygons[picture.modes == mode].reshape(-1, *polygons.shape[-2:])
             colour = tint(mode_colour(int(mode)), 0.3)
-            ax.add_collection(
-                PolyCollection(list(chosen), facecolor=colour, edgecolor=colour, lw=0.2, zorder=2)
-            )
+            together = Path.make_compound_path_from_polys(chosen)
+            ax.add_patch(PathPatch(together, facecolor=colour, edgecolor=colour, lw=0.2, zorder=2))
         handles.append(Patch(facecolor=tint(GREY, 0.3), label="reachable tube (by mode)"))
     theta = zonotope_outline(position_set(picture), axes)
     ax.add_patch(Polygon(theta, closed=True, facecolor="none", edgecolor=BLACK, lw=0.6, zorder=5))
@@ -101,7 +102,6 @@ def _goal(ax: Any, picture: Picture) -> list[Any]:
 
 def _paths(ax: Any, picture: Picture) -> list[Any]:
     """Reference, U alone, and the trajectory under Polaris coloured by mode."""
-    from matplotlib.collections import LineCollection
     from matplotlib.lines import Line2D
 
     axes = picture.frame.flat
@@ -121,9 +121,10 @@ def _paths(ax: Any, picture: Picture) -> list[Any]:
         flown = picture.positions(flights)[:, axes]
         per_node = np.repeat(flights.modes, (len(flown) - 1) // len(flights.modes))
         for mode in np.unique(flights.modes):
-            pieces = np.stack([flown[:-1], flown[1:]], axis=1)[per_node == mode]
             colour = mode_colour(int(mode))
-            ax.add_collection(LineCollection(list(pieces), colors=colour, lw=1.5, zorder=4, capstyle="round"))
+            ax.plot(
+                *under_mode(flown, per_node == mode).T, color=colour, lw=1.5, zorder=4, solid_capstyle="round"
+            )
             handles.append(
                 Line2D([], [], color=colour, lw=1.5, label=f"under {picture.mode_name(int(mode))}")
             )
@@ -132,6 +133,19 @@ def _paths(ax: Any, picture: Picture) -> list[Any]:
         ax.plot(*before[-1], marker="s", color=BLACK, ms=2.6, zorder=6)
     ax.plot(*before[0], marker="o", color=BLACK, ms=2.6, zorder=6)
     return handles
+
+
+def under_mode(flown: Array, flags: Any) -> Array:
+    """The stretches of a path flown under one mode, gaps between them: one line to draw.
+
+    Parameters
+    ----------
+    flown : ndarray, shape (N+1, d)
+    flags : ndarray of bool, shape (N,)
+        Whether the mode flies from each point to the next.
+    """
+    gap = np.full((1, flown.shape[1]), np.nan)
+    return np.vstack([part for a, b in stretches(flags) for part in (flown[a : b + 1], gap)])
 
 
 def _line_scene(ax: Any, picture: Picture) -> None:
@@ -148,8 +162,8 @@ def _line_scene(ax: Any, picture: Picture) -> None:
         flown = picture.positions(flights)[:, 0]
         per_node = np.repeat(flights.modes, (len(flown) - 1) // len(flights.modes))
         for mode in np.unique(flights.modes):
-            shown = np.where(per_node == mode, flown[:-1], np.nan)
-            ax.plot(flights.times[:-1], shown, color=mode_colour(int(mode)), zorder=4)
+            shown = under_mode(np.column_stack([flights.times, flown]), per_node == mode)
+            ax.plot(*shown.T, color=mode_colour(int(mode)), zorder=4)
             handles.append(
                 Line2D([], [], color=mode_colour(int(mode)), label=f"under {picture.mode_name(int(mode))}")
             )

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from .geometry import stretches
 from .picture import Picture
 from .style import (
     BLACK,
@@ -98,7 +99,7 @@ def draw_modes(ax: Any, picture: Picture) -> None:
     delta, modes = picture.reference.delta, picture.modes
     rows = len(picture.controllers)
     for mode in range(rows):
-        spans = [(start * delta, (stop - start) * delta) for start, stop in _runs_of(modes == mode)]
+        spans = [(start * delta, (stop - start) * delta) for start, stop in stretches(modes == mode)]
         row = rows - 1 - mode
         ax.broken_barh([(0, picture.duration)], (row - 0.3, 0.6), facecolor="#F2F2F2", lw=0)
         ax.broken_barh(spans, (row - 0.3, 0.6), facecolor=mode_colour(mode), lw=0)
@@ -140,7 +141,7 @@ def draw_margin(ax: Any, picture: Picture) -> None:
         colour = (THRUST_COLOURS if thrust else SET_COLOURS)[counts[thrust] % 4]
         counts[thrust] += 1
         chosen = np.array([other == name for other in names])
-        spans = [(a * delta, (b - a) * delta) for a, b in _runs_of(chosen)]
+        spans = [(a * delta, (b - a) * delta) for a, b in stretches(chosen)]
         ax.broken_barh(spans, (place, height), facecolor=colour, lw=0)
         handles.append(Patch(facecolor=colour, label=name))
     ax.text(
@@ -167,7 +168,7 @@ def mode_strip(ax: Any, picture: Picture) -> None:
     """Mark along the foot of the axes which controller flies."""
     delta = picture.reference.delta
     for mode in np.unique(picture.modes):
-        spans = [(a * delta, (b - a) * delta) for a, b in _runs_of(picture.modes == mode)]
+        spans = [(a * delta, (b - a) * delta) for a, b in stretches(picture.modes == mode)]
         ax.broken_barh(
             spans,
             (0, 0.035),
@@ -181,9 +182,3 @@ def mode_strip(ax: Any, picture: Picture) -> None:
 def limit_group(name: str) -> str:
     """Name of a limit without the number of a keep-in set's facet."""
     return re.sub(r"\[\d+\]$", "", name)
-
-
-def _runs_of(flags: Any) -> list[tuple[int, int]]:
-    """First and one-past-last index of every stretch of True."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], np.asarray(flags, dtype=int), [0]])))
-    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]

@@ -8,8 +8,9 @@ import pytest
 from matplotlib.text import Text
 
 from polaris.figures import _FIGURES, NAMES, draw_figures, plot_reference, plot_schedule
-from polaris.figures.geometry import directions, faces, flat_outline, polygon, tube_polygons
+from polaris.figures.geometry import directions, faces, flat_outline, polygon, stretches, tube_polygons
 from polaris.figures.picture import Picture, picture_of, picture_of_safety, recoverable_slices, tube_of
+from polaris.figures.scene import under_mode
 from polaris.figures.style import MODE_COLOURS, Frame, new_figure, style
 from polaris.figures.timelines import limit_group
 from polaris.hill import clohessy_wiltshire
@@ -200,6 +201,13 @@ def test_slices_end_at_the_boundary_of_the_recoverable_sets():
         errors = np.hstack([outline, np.zeros_like(outline)])
         assert safety.recoverable.contains(k * q, errors * 0.999).all()
         assert not safety.recoverable.contains(k * q, errors * 1.2).any()
+
+
+def test_a_path_is_drawn_under_the_mode_that_flew_it():
+    flown, flags = np.arange(7.0)[:, None] * [1.0, 2.0], np.array([True, False, True, True, False, True])
+    drawn = under_mode(flown, flags)[:, 0]
+    np.testing.assert_array_equal(drawn, [0, 1, np.nan, 2, 3, 4, np.nan, 5, 6, np.nan])
+    assert stretches(flags) == [(0, 1), (2, 4), (5, 6)] and stretches([]) == []
 
 
 def test_outline_and_faces_of_a_cube():

@@ -1,0 +1,130 @@
+"""The two algorithms on bare mathematics: arrays, a ``control.StateSpace``, small and odd problems."""
+
+import numpy as np
+import pytest
+
+import polaris
+from polaris.controllers import AffineController, AnyThrust
+from polaris.errors import ScenarioError
+from polaris.obstacles import BallObstacle, BoxObstacle
+from polaris.planning import Box, StationaryPoint
+from polaris.safety import get_safety
+from polaris.simulation import simulate
+from polaris.synthesis import SwitchingRules, synthesize
+from polaris.system import LinearSystem
+from reach.zonotope import Zonotope
+
+A = np.block([[np.zeros((2, 2)), np.eye(2)], [np.zeros((2, 4))]])
+B = np.vstack([np.zeros((2, 2)), np.eye(2)])
+THETA = Zonotope.box([0, 0, 0, 0], [0.05, 0.05, 0.01, 0.01])
+GOAL = StationaryPoint(np.array([4.0, 0, 0, 0]))
+ROCK = BallObstacle("rock", [2.0, 0.1], 0.3)
+
+
+def plane(**options):
+    system = LinearSystem(A, B, B, [1.0, 1.0], 0.01)
+    return get_safety(system, THETA, (ROCK,), 40, 0.25, [1.0] * 4, [4.0] * 2, goal=GOAL, **options)
+
+
+def test_bare_arrays():
+    safety = plane(extra_margin=0.2)
+    other = AnyThrust("anything", safety.problem.system, safety.reference, safety.tracking)
+    schedule = polaris.synthesize(None, safety, [other], SwitchingRules())
+    assert schedule.guarantee == "proved"
+    runs = simulate(schedule, 100, 0, tail=True)
+    assert ROCK.signed_distance(runs.times[None], runs.positions).min() > 0
+    assert safety.end.horizon == "infinite"
+
+
+def test_state_space_of_python_control():
+    import control
+
+    loop = control.ss(A, B, np.eye(4), np.zeros((4, 2)))
+    safety = get_safety(
+        loop, THETA, (ROCK,), 40, 0.25, np.eye(4), 4 * np.eye(2), goal=GOAL, u_max=[1.0, 1.0], w_max=0.01
+    )
+    assert np.allclose(safety.tracking.gain, plane().tracking.gain)
+    sampled = control.ss(A, B, np.eye(4), np.zeros((4, 2)), 0.1)
+    with pytest.raises(ScenarioError, match="continuous-time"):
+        get_safety(sampled, THETA, (), 4, 0.25, np.eye(4), np.eye(2), goal=GOAL, u_max=[1.0, 1.0])
+
+
+def test_units_do_not_matter():
+    """The same scene in millimetres gives the same schedule."""
+    shares = []
+    for scale in (1.0, 1e3):
+        system = LinearSystem(A, B, B, [scale, scale], 0.01 * scale)
+        theta = Zonotope(THETA.c, THETA.G * scale)
+        rock = BallObstacle("rock", [2.0 * scale, 0.1 * scale], 0.3 * scale)
+        goal = StationaryPoint(np.array([4.0 * scale, 0, 0, 0]))
+        safety = get_safety(
+            system, theta, (rock,), 40, 0.25, [1.0] * 4, [4.0] * 2, goal=goal, extra_margin=0.2 * scale
+        )
+        law = AffineController(
+            "soft", system, 0.3 * safety.tracking.gain, safety.reference, safety.reference, safety.tracking
+        )
+        shares.append(synthesize(None, safety, [law], SwitchingRules()).share())
+    assert shares[0] == pytest.approx(shares[1], abs=0.05)
+
+
+def test_no_unsafe_sets_no_disturbance_no_width_and_one_step():
+    system = LinearSystem(A, B, B, [1.0, 1.0], 0.0)
+    point = Zonotope.point([0.0, 0, 0, 0])
+    goal = Box(np.zeros(4), np.full(4, 0.1))
+    safety = get_safety(system, point, (), 1, 0.5, [1.0] * 4, [4.0] * 2, goal=goal)
+    schedule = synthesize(None, safety, [AnyThrust("any", system, safety.reference, safety.tracking)], SwitchingRules())
+    assert len(schedule.modes) == 1
+    assert simulate(schedule, 5, 0).states.shape[0] == 5
+
+
+def test_one_state_one_input():
+    system = LinearSystem([[-0.1]], [[1.0]], [[1.0]], [1.0], 0.01, C=[[1.0]])
+    wall = BoxObstacle("wall", [3.0], [0.5])
+    goal = Box(np.array([1.0]), np.array([0.2]))
+    safety = get_safety(system, Zonotope.box([0.0], [0.1]), (wall,), 20, 0.25, [1.0], [1.0], goal=goal)
+    schedule = synthesize(None, safety, [], SwitchingRules())
+    assert schedule.share() == 0
+    assert simulate(schedule, 20, 0).positions.max() < 2.5
+
+
+def test_missing_arguments_are_named():
+    with pytest.raises(TypeError, match="goal"):
+        get_safety(LinearSystem(A, B, B, [1.0, 1.0]), THETA, (), 4, 0.25, [1.0] * 4, [1.0] * 2)
+
+
+@pytest.mark.parametrize(
+    ("change", "field"),
+    [
+        ({"K": 0}, "K"),
+        ({"delta": -1.0}, "delta"),
+        ({"initial_set": Zonotope.box([0.0, 0.0], [1.0, 1.0])}, "initial_set"),
+        ({"Q": [1.0, 1.0]}, "tracking.Q"),
+        ({"R": [-1.0, 1.0]}, "tracking"),
+        ({"recoverable": "cube"}, "recoverable"),
+        ({"period": 0.1}, "feedback.period_s"),
+        ({"bound": "guess"}, "tracking.bound"),
+        ({"weight": "heavy"}, "tracking.weight"),
+        ({"weight": [1.0, 0.0, 1.0, 1.0]}, "tracking.weight"),
+        ({"thrust_reserve": 1.0}, "thrust_reserve"),
+    ],
+)
+def test_malformed_arguments_name_the_field(change, field):
+    arguments = {"initial_set": THETA, "unsafe": (ROCK,), "K": 40, "delta": 0.25, "Q": [1.0] * 4, "R": [4.0] * 2}
+    with pytest.raises(ScenarioError, match=field):
+        get_safety(LinearSystem(A, B, B, [1.0, 1.0], 0.01), goal=GOAL, **{**arguments, **change})
+
+
+@pytest.mark.parametrize(
+    ("matrices", "field"),
+    [
+        (dict(A=np.zeros((2, 3)), B=np.eye(2), D=np.eye(2), u_max=[1, 1]), "system.A"),
+        (dict(A=np.eye(2) * np.nan, B=np.eye(2), D=np.eye(2), u_max=[1, 1]), "system.A"),
+        (dict(A=np.eye(2), B=np.eye(3), D=np.eye(2), u_max=[1, 1]), "system.B"),
+        (dict(A=np.eye(2), B=np.eye(2), D=np.eye(2), u_max=[1, -1]), "system.u_max"),
+        (dict(A=np.eye(2), B=np.eye(2), D=np.eye(2), u_max=[1, 1], w_max=np.inf), "system.w_max"),
+        (dict(A=np.eye(2), B=np.eye(2), D=np.eye(2), u_max=[1, 1], C=np.eye(3)), "system.C"),
+    ],
+)
+def test_malformed_systems_name_the_field(matrices, field):
+    with pytest.raises(ScenarioError, match=field):
+        LinearSystem(**matrices)
