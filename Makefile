@@ -22,10 +22,10 @@ demo: $(BASE) ## Run the static scenario and say where its results lie
 	@echo "Run folder: $(CURDIR)/$(RUN)"
 
 test: $(TEST) ## Run the quick tests
-	$(BIN)/python -m pytest -q $(ARGS)
+	$(BIN)/python -m pytest -q -n 2 --dist loadfile $(ARGS)
 
 test-slow: $(TEST) ## Run the long tests only
-	$(BIN)/python -m pytest -q -m slow $(ARGS)
+	$(BIN)/python -m pytest -q -n 2 -m slow $(ARGS)
 
 lint: $(TEST) ## Check style, formatting and types
 	$(BIN)/ruff check .
@@ -39,8 +39,9 @@ format: $(TEST) ## Rewrite the code in the project's format
 bench: $(BENCH) ## Run the benchmarks and print their tables
 	@for script in benchmarks/[a-z]*.py; do echo "== $$script"; $(BIN)/python "$$script" || exit 1; done
 
-schema: $(BASE) ## Rewrite the scenario schema and its reference
+schema: $(BASE) ## Rewrite the scenario schema, its reference and the API page
 	$(BIN)/python -m polaris.scenario_docs
+	$(BIN)/python -m polaris.api_docs
 
 docs: $(DOCS) schema ## Build the documentation into build/docs
 	$(BIN)/mkdocs build --strict --site-dir build/docs

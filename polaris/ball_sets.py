@@ -39,7 +39,7 @@ class BallSets:
     def limits(self) -> tuple[Array, list[str]]:
         """Norm allowed with no time to decay, per period and limit, shape (cells * q, l); names."""
         c, b, w = self.clearance, self.bounds, self.clearance.tracking.system.w_max
-        room = np.minimum(c.room[:, :-1], c.room[:, 1:]).reshape(-1, len(c.unsafe))
+        room = np.minimum(c.room[:, :-1], c.room[:, 1:]).reshape(c.cells * c.q, len(c.unsafe))
         allowed = [(room - b.gain_position * w) / b.gamma_position]
         names = [u.name for u in c.unsafe]
         if self.kind != "paper_ball":
@@ -84,7 +84,7 @@ class BallSets:
 
     def margin(self, k: int, nodes: Zonotope, bow: Array) -> Margin:
         """Margin of a flight over cell k."""
-        extra = np.linalg.norm(grow_bow(nodes, bow) @ np.abs(self.bounds.W).T, axis=-1)
+        extra = np.linalg.norm(grow_bow(bow) @ np.abs(self.bounds.W).T, axis=-1)
         return self._margins(k, (nodes.norm_bound(self.bounds.W) + extra) * (1 + ROUNDING))
 
     def margin_at(self, k: int, start: Zonotope) -> Margin:

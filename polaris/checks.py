@@ -8,6 +8,9 @@ from numpy.typing import ArrayLike
 from .errors import ScenarioError
 from .system import Array, as_finite
 
+MAX_STEPS = 100_000
+"""Most steps of one scenario; a plan of more could not be solved anyway."""
+
 MOST_ROWS = 100
 """Most facets of one polytope: its faces are enumerated for exact distances."""
 
@@ -75,7 +78,5 @@ def halfspaces(field: str, H: ArrayLike, b: ArrayLike) -> tuple[Array, Array]:
     with np.errstate(over="ignore"):
         scaled = offsets / peak[:, 0] / length[:, 0]
     if not np.all(np.isfinite(scaled)):
-        raise ScenarioError(
-            f"{field}.b", offsets.tolist(), "must be finite once the rows of H have length 1"
-        )
+        raise ScenarioError(f"{field}.b", offsets.tolist(), "must be finite once the rows of H have length 1")
     return np.asarray(rows / peak / length), np.asarray(scaled)

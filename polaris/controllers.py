@@ -17,6 +17,7 @@ from reach.linear import powers
 from reach.zonotope import Zonotope
 
 from . import between
+from .errors import ScenarioError
 from .reference import Reference
 from .saturation import clipped_step
 from .system import Array, LinearSystem
@@ -103,6 +104,14 @@ class AffineController:
     tracking: Tracking
     clips: bool = False
     _cache: dict[bytes, LinearFlow] = field(default_factory=dict, repr=False)
+
+    def __post_init__(self) -> None:
+        shape = (self.system.m, self.system.n)
+        if np.shape(self.gain) != shape or not np.all(np.isfinite(self.gain)):
+            raise ScenarioError(f"{self.name}.gain", np.shape(self.gain), f"must be finite, of shape {shape}")
+        if self.own.delta != self.reference.delta:
+            rule = f"must have steps of {self.reference.delta:g} s, as the safe reference has"
+            raise ScenarioError(f"{self.name}.own", self.own.delta, rule)
 
     @property
     def feedback(self) -> Feedback:

@@ -82,11 +82,11 @@ def natural_motion(planned: Reference, x: Array) -> tuple[Array, str]:
         assert system.mean_motion is not None
         closed = x.copy()
         closed[4] = -2 * system.mean_motion * x[0]
-        return closed, "closed orbit"
+        return closed, "on a closed orbit"
     # Nearest point of the null space of A: the states at rest.
     _, values, rows = np.linalg.svd(system.A)
     null = rows[values <= 1e-12 * max(values.max(), 1.0)]
-    return np.asarray(null.T @ (null @ x)), "rest"
+    return np.asarray(null.T @ (null @ x)), "at rest"
 
 
 def _in_hills_frame(system: LinearSystem) -> bool:
@@ -135,4 +135,4 @@ def judge_end(
     settled = (tracking.memory + 1) <= tail * tracking.feedback.nodes_per_cell
     if not settled:
         return EndCondition("one_period", until, "the period is shorter than the memory of the loop")
-    return EndCondition("infinite", np.inf, f"the reference ends on a {word}, and all unsafe sets are static")
+    return EndCondition("infinite", np.inf, f"the reference ends {word}, and all unsafe sets are static")

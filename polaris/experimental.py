@@ -44,7 +44,7 @@ def build_controllers(scenario: Any, safety: Safety) -> tuple[Controller, ...]:
     Raises
     ------
     ScenarioError
-        If one is malformed, or the scenario names none.
+        If one is malformed.
     SynthesisInfeasible, NotCertified
         If the plan that an ``unaware`` reference stands for cannot be found.
     """

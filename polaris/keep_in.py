@@ -210,9 +210,7 @@ class KeepInCone(KeepIn):
         put(self, "path", self.path or f"keep_in[{self.name!r}]")
         put(self, "apex", vector(f"{self.path}.apex", self.apex))
         if len(self.anchor) == 1:
-            raise ScenarioError(
-                f"{self.path}.apex", self.anchor.tolist(), "a cone needs 2 or 3 axes"
-            )
+            raise ScenarioError(f"{self.path}.apex", self.anchor.tolist(), "a cone needs 2 or 3 axes")
         axis = vector(f"{self.path}.axis", self.axis, len(self.anchor), "apex has")
         if not np.any(axis):
             raise ScenarioError(f"{self.path}.axis", axis.tolist(), "must not be zero")

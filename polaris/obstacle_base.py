@@ -96,9 +96,7 @@ class Obstacle(ABC):
         array = np.asarray(value, dtype=float)
         d = centre.shape[-1]
         if array.ndim == 0 or array.shape[-1] != d:
-            raise ScenarioError(
-                name, array.shape, f"must end with {d} axes, as {self.path} has"
-            )
+            raise ScenarioError(name, array.shape, f"must end with {d} axes, as {self.path} has")
         if not np.all(np.isfinite(array)):
             where = np.argwhere(~np.isfinite(array))[0].tolist()
             raise ScenarioError(name, float(array[tuple(where)]), f"must be finite numbers (entry {where})")

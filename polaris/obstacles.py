@@ -162,9 +162,7 @@ class PolytopeObstacle(RigidObstacle):
         path = self.path or f"obstacles[{self.name!r}]"
         polytope = solid(path, self.H, self.b)
         if not self.unbounded and not polytope.bounded:
-            raise ScenarioError(
-                f"{path}.H", polytope.H.tolist(), "must bound the set (or unbounded = true)"
-            )
+            raise ScenarioError(f"{path}.H", polytope.H.tolist(), "must bound the set (or unbounded = true)")
         object.__setattr__(self, "H", polytope.H)
         object.__setattr__(self, "b", polytope.b)
         self._check_motion(polytope.d)
@@ -208,9 +206,7 @@ def perceive(
     seen: set[str] = set()
     for obstacle in obstacles:
         if obstacle.name in seen:
-            raise ScenarioError(
-                f"{obstacle.path}.name", obstacle.name, "must differ from the other names"
-            )
+            raise ScenarioError(f"{obstacle.path}.name", obstacle.name, "must differ from the other names")
         seen.add(obstacle.name)
     found = [obstacle.timed_polytopes(system, delta, cells) for obstacle in obstacles]
     return tuple(polytope for several in found for polytope in several)

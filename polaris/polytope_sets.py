@@ -170,7 +170,7 @@ class PolytopeSets:
 
     def margin(self, k: int, nodes: Zonotope, bow: Array) -> Margin:
         """Margin of a flight over cell k."""
-        grown, W = grow_bow(nodes, bow), self.clearance.tracking.W
+        grown, W = grow_bow(bow), self.clearance.tracking.W
         # States between two nodes, and those of a switch there, are as large as the larger node's.
         radius = float(np.max(nodes.norm_bound(W) + np.linalg.norm(grown @ np.abs(W).T, axis=-1)))
         return self._margins(k * self.clearance.q, nodes, grown, radius)

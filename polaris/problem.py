@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from reach.zonotope import Zonotope
 
+from .checks import MAX_STEPS, non_negative, number, positive, whole
 from .errors import ScenarioError
 from .planning.goals import Goal
 from .planning.problem import Objective, PlannerOptions
@@ -73,17 +73,26 @@ class Problem:
     gains: tuple[Array, ...] = ()
 
     def __post_init__(self) -> None:
+        if not isinstance(self.initial_set, Zonotope):
+            raise ScenarioError("initial_set", type(self.initial_set).__name__, "must be a reach.Zonotope")
         if self.initial_set.batch or self.initial_set.dim != self.system.n:
-            raise ScenarioError(
-                "initial_set", self.initial_set.c.shape, f"must be one set of {self.system.n} states"
-            )
-        if int(self.K) != self.K or self.K < 1:
-            raise ScenarioError("K", self.K, "must be a whole number >= 1")
-        if not (np.isfinite(self.delta) and self.delta > 0):
-            raise ScenarioError("delta", self.delta, "must be a finite number > 0")
-        if not 0 <= self.thrust_reserve < 1:
+            rule = f"must be one set of {self.system.n} states"
+            raise ScenarioError("initial_set", self.initial_set.c.shape, rule)
+        if whole("K", self.K, 1) > MAX_STEPS:
+            raise ScenarioError("K", self.K, f"must be at most {MAX_STEPS} steps")
+        positive("delta", self.delta, "s")
+        if self.period is not None:
+            positive("feedback.period_s", self.period, "s")
+        if not isinstance(self.goal, Goal):
+            raise ScenarioError("goal", type(self.goal).__name__, "must be one of polaris.planning's goals")
+        bodies = self.unsafe if isinstance(self.unsafe, (tuple, list)) else None
+        if bodies is None or not all(hasattr(body, "timed_polytopes") for body in bodies):
+            raise ScenarioError("unsafe", self.unsafe, "must be a tuple of obstacles (see polaris.obstacles)")
+        if not isinstance(self.planner, PlannerOptions):
+            raise ScenarioError("planner", type(self.planner).__name__, "must be PlannerOptions")
+        non_negative("extra_margin", self.extra_margin, "m")
+        if not 0 <= number("thrust_reserve", self.thrust_reserve) < 1:
             raise ScenarioError("thrust_reserve", self.thrust_reserve, "must be in [0, 1)")
         if self.recoverable not in RECOVERABLE_KINDS:
-            raise ScenarioError(
-                "recoverable", self.recoverable, f"must be one of {', '.join(RECOVERABLE_KINDS)}"
-            )
+            rule = f"must be one of {', '.join(RECOVERABLE_KINDS)}"
+            raise ScenarioError("recoverable", self.recoverable, rule)

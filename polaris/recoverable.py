@@ -103,6 +103,6 @@ def get_recover(kind: str, clearance: Clearance, bounds: ErrorBounds) -> Recover
     raise ValueError(f"unknown kind of recoverable set: {kind}")
 
 
-def grow_bow(nodes: Zonotope, bow: Array) -> Array:
+def grow_bow(bow: Array) -> Array:
     """Bow at every node: the larger of the two parts that meet there, shape (q+1, n)."""
     return np.asarray(np.maximum(np.pad(bow, ((0, 1), (0, 0))), np.pad(bow, ((1, 0), (0, 0)))))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -145,7 +145,8 @@ def get_safety(
         raise SynthesisInfeasible(
             f"the initial set is not inside the first recoverable set ({problem.recoverable}): {witness}.",
             witness.need - witness.room,
-            "shrink the initial set, raise the thrust limits, or use recoverable kind 'polytope'.",
+            "shrink the initial set, raise the thrust limits or take smaller steps"
+            + ("." if problem.recoverable == "polytope" else ", or use recoverable kind 'polytope'."),
         )
     clock.lap("recoverable")
     return replace(safety, seconds=clock.laps)
@@ -164,7 +165,7 @@ def _as_problem(
 ) -> Problem:
     if isinstance(system, Problem):
         return replace(system, **options) if options else system
-    if hasattr(system, "problem"):
+    if callable(getattr(system, "problem", None)):
         return _as_problem(system.problem(), None, (), None, None, None, None, None, options)
     missing = [
         name
@@ -180,7 +181,16 @@ def _as_problem(
     ]
     if missing:
         raise TypeError(f"get_safety(system, ...) also needs {', '.join(missing)}")
-    if not isinstance(system, LinearSystem):
+    if isinstance(system, LinearSystem):
+        known = {field.name for field in fields(Problem)}
+        wrong = sorted(set(options) - known)
+        if wrong:
+            raise TypeError(f"get_safety(LinearSystem, ...) does not take {', '.join(wrong)}")
+    else:
+        if not hasattr(system, "A") or "u_max" not in options:
+            raise TypeError(
+                "get_safety needs a Scenario, a Problem, a LinearSystem, or a control.StateSpace with u_max="
+            )
         extra = {name: options.pop(name) for name in ("u_max", "w_max", "D", "C", "mass") if name in options}
         system = LinearSystem.from_statespace(system, **extra)
     return Problem(system, initial_set, tuple(unsafe), K, delta, Q, R, goal, **options)

@@ -6,11 +6,10 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, Strict, Tag
 
+from .checks import MAX_STEPS as MAX_STEPS
+
 LARGEST = 1e12
 """Largest magnitude of any number in a scenario: beyond it, double precision loses millimetres."""
-
-MAX_STEPS = 100_000
-"""Most steps of one scenario; a plan of more could not be solved anyway."""
 
 NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_-]*$"
 """Names become file names and column heads, so they are letters, digits, ``_`` and ``-`` only."""

@@ -93,7 +93,12 @@ class Schedule:
 
     @property
     def margins(self) -> Array:
-        """Containment margin of every step, shape (K,); see `polaris.recoverable.Margin`."""
+        """Containment margin of every step, shape (K,); see `polaris.recoverable.Margin`.
+
+        The proof needs it to be at least 0 under an experimental controller only. Under S it may be
+        negative: the set reached is enclosed afresh at every node, and S, once it has taken over from a
+        recoverable set, is safe whatever that enclosure says.
+        """
         return np.array([step.margin.value for step in self.steps])
 
     def plot(self, ax: Any = None) -> Any:

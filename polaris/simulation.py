@@ -11,6 +11,7 @@ from scipy.linalg import expm
 
 from reach.linear import discretize
 
+from .checks import whole
 from .controllers import AffineController, Controller
 from .errors import ScenarioError
 from .schedule import Schedule
@@ -18,6 +19,8 @@ from .system import Array
 
 Disturbance = Literal["none", "random", "worst", "mixed"]
 Initial = Literal["center", "random", "corners", "mixed"]
+DISTURBANCES = ("none", "random", "worst", "mixed")
+INITIALS = ("center", "random", "corners", "mixed")
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,8 +111,15 @@ def simulate(
     Feedback is integrated by a fourth-order Runge-Kutta scheme on the exact reference (continuous
     feedback) or by exact zero-order hold (sampled feedback). Thrusters clip every command.
     """
-    if n < 1:
-        raise ScenarioError("simulation.runs", n, "must be at least 1")
+    whole("simulation.runs", n, 1)
+    whole("simulation.seed", seed, 0)
+    for name, given, allowed in (("initial", initial, INITIALS), ("disturbance", disturbance, DISTURBANCES)):
+        if given not in allowed:
+            raise ScenarioError(f"simulation.{name}", given, f"must be one of {', '.join(allowed)}")
+    if mode is not None and whole("simulation.mode", mode, 0) >= len(schedule.controllers):
+        raise ScenarioError("simulation.mode", mode, f"must be below {len(schedule.controllers)}")
+    if substeps is not None:
+        whole("simulation.substeps", substeps, 1)
     rng = np.random.default_rng(seed)
     safety = schedule.safety
     cells = safety.reference.cells if tail else safety.problem.K
@@ -119,7 +129,11 @@ def simulate(
         substeps = 1 if safety.tracking.feedback.sampled else 4
     flight = _Integrator(schedule, modes, substeps)
     x0 = _initial_states(schedule, n, rng, initial)
-    w = _disturbances(flight, n, rng, disturbance)
+    w, adjoint = _disturbances(flight, n, rng, disturbance)
+    if initial in ("corners", "mixed") and len(adjoint):
+        # The worst disturbance strikes hardest from the corner that lies furthest in its direction.
+        theta = safety.problem.initial_set
+        x0[: len(adjoint)] = theta.c + np.where(adjoint @ theta.G < 0, -1.0, 1.0) @ theta.G.T
     return flight.run(x0, w)
 
 
@@ -208,15 +222,21 @@ class _Integrator:
         return Runs(self.schedule, times, *runs_first, delta_v, self.modes)
 
 
-def _disturbances(flight: _Integrator, n: int, rng: np.random.Generator, kind: Disturbance) -> Array:
-    """Disturbances constant over each integration step, shape (steps, n, p), norm at most w_max."""
+def _disturbances(
+    flight: _Integrator, n: int, rng: np.random.Generator, kind: Disturbance
+) -> tuple[Array, Array]:
+    """Disturbances constant over each integration step, shape (steps, n, p), norm at most w_max.
+
+    Also the direction, at time 0, in which the initial error of each worst-case run counts, (worst, n).
+    """
     system, steps = flight.system, flight.steps
     w = np.zeros((steps, n, system.p))
+    adjoint = np.zeros((0, system.n))
     if kind == "none" or system.w_max == 0:
-        return w
+        return w, adjoint
     worst = n if kind == "worst" else (n // 2 if kind == "mixed" else 0)
     if worst:
-        w[:, :worst] = _worst_case(flight, worst, rng)
+        w[:, :worst], adjoint = _worst_case(flight, worst, rng)
     count = n - worst
     if count:
         holds = rng.integers(1, max(2, flight.steps_per_cell * 4), count)
@@ -226,10 +246,10 @@ def _disturbances(flight: _Integrator, n: int, rng: np.random.Generator, kind: D
             raw /= np.maximum(np.linalg.norm(raw, axis=1, keepdims=True), 1e-300)
             raw *= np.where(rng.random((pieces, 1)) < 0.5, 1.0, rng.random((pieces, 1)))
             w[:, worst + run] = np.repeat(raw, holds[run], axis=0)[:steps] * system.w_max
-    return w
+    return w, adjoint
 
 
-def _worst_case(flight: _Integrator, n: int, rng: np.random.Generator) -> Array:
+def _worst_case(flight: _Integrator, n: int, rng: np.random.Generator) -> tuple[Array, Array]:
     """``w(s) = w_max D' lambda(s) / norm``: the adjoint of one facet (or thrust axis) and instant per run.
 
     For an unsaturated linear loop this is the disturbance that takes the error furthest in that
@@ -257,7 +277,7 @@ def _worst_case(flight: _Integrator, n: int, rng: np.random.Generator) -> Array:
         size = np.sqrt(np.einsum("ij,ij->i", direction, direction))[:, None]
         w[step] = direction * (system.w_max / np.maximum(size, 1e-300))
         adjoint = adjoint @ back[int(flight.modes[step // flight.steps_per_cell])]
-    return w
+    return w, adjoint
 
 
 __all__ = ["Runs", "simulate"]

@@ -9,6 +9,7 @@ from typing import Any
 
 from reach.zonotope import Zonotope
 
+from .checks import positive, whole
 from .controllers import Controller, Flight
 from .errors import ScenarioError
 from .recoverable import Margin, contains_flight
@@ -31,7 +32,8 @@ class SwitchingRules:
     min_dwell : int
         Steps a controller keeps, once switched to.
     max_switches : int or None
-        Cap on the number of switches.
+        Cap on the number of switches. One is always held back for the return to S, so a cap of 0
+        leaves S alone, and the last one may stay unused.
     weights : tuple of float
         Worth of one step under each experimental controller, in their order of preference.
     beam : int
@@ -47,12 +49,12 @@ class SwitchingRules:
     def __post_init__(self) -> None:
         if self.strategy not in ("greedy", "look_ahead"):
             raise ScenarioError("schedule.strategy", self.strategy, "must be 'greedy' or 'look_ahead'")
-        if self.min_dwell < 1:
-            raise ScenarioError("schedule.min_dwell_steps", self.min_dwell, "must be at least 1")
-        if self.max_switches is not None and self.max_switches < 0:
-            raise ScenarioError("schedule.max_switches", self.max_switches, "must be at least 0")
-        if self.beam < 1:
-            raise ScenarioError("schedule.beam", self.beam, "must be at least 1")
+        whole("schedule.min_dwell_steps", self.min_dwell, 1)
+        whole("schedule.beam", self.beam, 1)
+        if self.max_switches is not None:
+            whole("schedule.max_switches", self.max_switches, 0)
+        for weight in self.weights:
+            positive("schedule.weights", weight, "-")
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +84,8 @@ def synthesize(
 
     Parameters
     ----------
-    scenario : Scenario or Problem
+    scenario : Scenario, Problem or Safety
+        A `Safety` stands for its own problem (then give the experimental controllers).
     safety : Safety, optional
         Result of `get_safety`; computed if not given.
     experimental : sequence of Controller, optional
@@ -101,6 +104,8 @@ def synthesize(
     ScenarioError, SynthesisInfeasible, NotCertified
         See `get_safety`.
     """
+    if isinstance(scenario, Safety):
+        safety, scenario = scenario, scenario.problem
     safety = get_safety(scenario) if safety is None else safety  # line 2
     if experimental is None:
         from .experimental import build_controllers
@@ -108,6 +113,7 @@ def synthesize(
         experimental = build_controllers(scenario, safety)
     if rules is None:
         rules = scenario.switching_rules() if hasattr(scenario, "switching_rules") else SwitchingRules()
+    _check(safety, experimental, rules)
     started = time.perf_counter()
     controllers: tuple[Controller, ...] = (safety.controller, *experimental)
     search = _Search(safety, controllers, rules)
@@ -174,10 +180,9 @@ class _Search:
                 continue
             if following is not None:
                 yield following
-        if branch.mode == SAFETY or branch.k == 0 or settled:
-            flown = self.fly(branch, SAFETY, 1)
-            assert flown is not None
-            yield flown
+        flown = self.fly(branch, SAFETY, 1)  # U has always flown its whole dwell, so S may take over
+        assert flown is not None
+        yield flown
 
     def may_switch(self, branch: _Branch, mode: int) -> bool:
         """Whether the cap allows going to `mode` and, should it fail, back to S."""
@@ -186,7 +191,7 @@ class _Search:
         else:
             spent = branch.switches + (mode != branch.mode)
         cap = self.rules.max_switches
-        return cap is None or spent + 1 <= cap or (branch.k == 0 and cap >= 1)
+        return cap is None or spent + 1 <= cap
 
     def fly(self, branch: _Branch, mode: int, steps: int) -> _Branch | None:
         """Let one controller fly the next steps; None if it is not proven recoverable throughout."""
@@ -218,6 +223,25 @@ class _Search:
         if mode == SAFETY:
             return 0.0
         return self.rules.weights[mode - 1] if mode - 1 < len(self.rules.weights) else 1.0
+
+
+def _check(safety: Safety, experimental: Sequence[Controller], rules: SwitchingRules) -> None:
+    """Refuse controllers that do not belong to this safe reference: their tubes would mean nothing."""
+    for controller in experimental:
+        reference = getattr(controller, "reference", safety.reference)
+        tracking = getattr(controller, "tracking", safety.tracking)
+        if reference is not safety.reference or tracking is not safety.tracking:
+            rule = "was built on the reference of another Safety; build it on this one's"
+            raise ScenarioError("experimental", controller.name, rule)
+        own = getattr(controller, "own", reference)
+        if own.cells < safety.problem.K:
+            rule = f"must cover {safety.problem.K} steps"
+            raise ScenarioError(f"{controller.name}.own", f"{own.cells} steps", rule)
+    if len(rules.weights) > len(experimental):
+        given = f"{len(rules.weights)} weights"
+        raise ScenarioError(
+            "schedule.weights", given, f"must be at most one per controller ({len(experimental)})"
+        )
 
 
 def with_margins(safety: Safety, flown: Sequence[tuple[int, Flight, Margin | None]]) -> tuple[Step, ...]:

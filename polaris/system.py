@@ -89,6 +89,9 @@ class LinearSystem:
             raise ScenarioError("system.w_max", self.w_max, "must be a finite number >= 0")
         if not (np.isfinite(self.mass) and self.mass > 0):
             raise ScenarioError("system.mass", self.mass, "must be a finite number > 0")
+        eta = self.mean_motion
+        if eta is not None and not (np.isfinite(eta) and eta > 0):
+            raise ScenarioError("system.mean_motion", eta, "must be a finite number > 0")
         C = np.eye(n)[: max(n // 2, 1)] if self.C is None else self.C
         put(self, "C", as_finite("system.C", C, 2))
         if self.position.shape[1] != n or not 1 <= self.position.shape[0] <= 3:
@@ -133,11 +136,19 @@ class LinearSystem:
     ) -> LinearSystem:
         """Build from a ``control.StateSpace`` (its A and B; D defaults to B's columns, unit scaled).
 
-        The feed-through matrix of the state space is ignored: this class needs states, not outputs.
+        Its outputs are taken for the position (1 to 3 of them) unless ``C`` is given; where the output is
+        the whole state, the position is the first half of it, as in `LinearSystem`. The feed-through
+        matrix is ignored.
         """
         A, B = np.asarray(sys.A, dtype=float), np.asarray(sys.B, dtype=float)
         if getattr(sys, "dt", 0) not in (0, None):
             raise ScenarioError("system", f"discrete time, dt = {sys.dt}", "must be a continuous-time system")
+        outputs = np.atleast_2d(np.asarray(sys.C, dtype=float))
+        if kwargs.get("C") is None and not np.array_equal(outputs, np.eye(len(A))):
+            if len(outputs) > 3:
+                rule = "does not say which outputs are the position: pass C with one row per axis"
+                raise ScenarioError("system.C", outputs.shape, rule)
+            kwargs["C"] = outputs
         if D is None:
             D = B / np.maximum(np.linalg.norm(B, axis=0), np.finfo(float).tiny)
         return cls(A, B, np.asarray(D, dtype=float), np.asarray(u_max, dtype=float), float(w_max), **kwargs)

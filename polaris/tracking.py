@@ -54,7 +54,7 @@ def lqr_gain(system: LinearSystem, Q: ArrayLike, R: ArrayLike) -> Array:
     """LQR gain, shape (m, n), for weights given as matrices or as diagonals (Proposition 1)."""
     weights = []
     for name, value, size in (("tracking.Q", Q, system.n), ("tracking.R", R, system.m)):
-        matrix = np.asarray(value, dtype=float)
+        matrix = as_finite(name, value, 1 if np.ndim(value) == 1 else 2)
         matrix = as_finite(name, np.diag(matrix) if matrix.ndim == 1 else matrix, 2)
         if matrix.shape != (size, size):
             raise ScenarioError(name, matrix.shape, f"must be {size} numbers or a {size} x {size} matrix")

@@ -32,9 +32,9 @@ def draw_unsafe(ax: Any, picture: Picture, view: View) -> None:
     axes = picture.frame.flat
     for obstacle in picture.obstacles:
         if isinstance(obstacle, KeepIn):
-            edge = flat_outline(obstacle.outline(0.0, picture.system, extent)[:, axes])
-            ax.add_patch(Polygon(edge, facecolor="none", edgecolor=RED, lw=0.8, ls=DASHES, zorder=3))
-            _name_edge(ax, view, f"{obstacle.name} (stay inside)", edge)
+            rim = flat_outline(obstacle.outline(0.0, picture.system, extent)[:, axes])
+            ax.add_patch(Polygon(rim, facecolor="none", edgecolor=RED, lw=0.8, ls=DASHES, zorder=3))
+            _name_edge(ax, view, f"{obstacle.name} (stay inside)", rim)
             continue
         instants = _instants(obstacle, picture, view)
         if len(instants) == 0:

@@ -99,10 +99,10 @@ class View:
         def cost(place: tuple[float, float]) -> float:
             x, y = place
             crossing = self.points - (x, y)
-            over = np.count_nonzero(np.all((crossing > 0) & (crossing < (w, h)), axis=1))
+            over = int(np.count_nonzero(np.all((crossing > 0) & (crossing < (w, h)), axis=1)))
             inside = self.x[0] <= x and x + w <= self.x[1] and self.y[0] <= y and y + h <= self.y[1]
             clash = any(x < a + c and a < x + w and y < b + d and b < y + h for a, b, c, d in self.taken)
-            return min(over, 20) / 20 + 3 * (not inside) + 2 * clash
+            return float(min(over, 20)) / 20 + 3 * (not inside) + 2 * clash
 
         x, y = min(places, key=cost)
         x = min(max(x, self.x[0]), self.x[1] - w)

@@ -161,8 +161,24 @@ def test_item_7_reference_inputs_leave_room_for_the_tracker():
     assert np.all(np.abs(safety.plan.nu) < system.u_max)
 
 
-def test_item_12_what_holds_after_T_is_said():
-    end = small_safety().end
-    assert end.horizon in ("infinite", "one_period", "none")
-    assert end.reason
-    assert (end.until == np.inf) == (end.horizon == "infinite")
+def test_item_12_a_reference_safe_until_T_may_be_unsafe_right_after_it():
+    """As printed the plan ends at T, and nothing keeps what follows clear; ours reports or avoids it."""
+    from dataclasses import replace
+
+    from polaris.obstacles import BoxObstacle
+    from polaris.reference import Reference
+    from polaris.safety import get_safety
+
+    base = small_safety()
+    after = base.reference.chi[base.problem.K + 20, :3]  # where the first plan coasts 600 s after T
+    block = BoxObstacle("block", after, [8.0, 8.0, 8.0])
+    problem = replace(base.problem, unsafe=(*base.problem.unsafe, block))
+    printed = Reference.propagate(problem.system, problem.delta, base.reference.chi[0], base.plan.nu)
+    during = block.signed_distance(0.0, printed.chi[:, :3]).min()
+    later = block.signed_distance(0.0, printed.extend(40).chi[:, :3]).min()
+    assert during > 0 > later, "the printed plan is safe until T and collides after it"
+    ours = get_safety(problem)
+    if ours.end.proven:
+        assert block.signed_distance(0.0, ours.reference.chi[:, :3]).min() > 0
+    else:
+        assert "not proven" in ours.end.reason

@@ -49,9 +49,13 @@ def small_problem(period=None, w_max=1e-5, recoverable="polytope"):
 
 
 @cache
-def small_safety(period=None, w_max=1e-5, recoverable="polytope"):
-    """Algorithm 1 on `small_problem`."""
+def _safety(period, w_max, recoverable):
     return get_safety(small_problem(period, w_max, recoverable))
+
+
+def small_safety(period=None, w_max=1e-5, recoverable="polytope"):
+    """Algorithm 1 on `small_problem`; the same arguments, however given, are the same object."""
+    return _safety(period, w_max, recoverable)
 
 
 @cache

@@ -128,3 +128,43 @@ def test_malformed_arguments_name_the_field(change, field):
 def test_malformed_systems_name_the_field(matrices, field):
     with pytest.raises(ScenarioError, match=field):
         LinearSystem(**matrices)
+
+
+def test_state_space_position_is_its_output():
+    """States in another order: the output matrix says which are the position."""
+    import control
+
+    order = [0, 2, 1, 3]  # x, v_x, y, v_y
+    P = np.eye(4)[order]
+    loop = control.ss(P @ A @ P.T, P @ B, np.eye(4)[:2] @ P.T, np.zeros((2, 2)))
+    goal = StationaryPoint(P @ np.array([4.0, 0, 0, 0]))
+    safety = get_safety(
+        loop, P @ THETA, (ROCK,), 40, 0.25, [1.0] * 4, [4.0] * 2, goal=goal, u_max=[1.0, 1.0], w_max=0.01
+    )
+    positions = safety.reference.chi @ safety.tracking.system.position.T
+    assert ROCK.signed_distance(0.0, positions).min() > 0
+    assert np.allclose(positions[-1], [4.0, 0.0], atol=1e-5)
+
+
+@pytest.mark.parametrize("kind", ["ball", "time_varying_ball", "polytope"])
+def test_every_kind_of_recoverable_set_without_unsafe_sets(kind):
+    system = LinearSystem(A, B, B, [1.0, 1.0], 0.01)
+    safety = get_safety(system, THETA, (), 20, 0.5, [1.0] * 4, [4.0] * 2, goal=GOAL, recoverable=kind)
+    assert safety.start_margin.inside
+    assert synthesize(safety, experimental=[]).guarantee == "proved"
+
+
+def test_a_claim_for_ever_needs_a_motion_that_repeats():
+    from polaris.hill import cw_matrix
+
+    with pytest.raises(ScenarioError, match="mean_motion"):
+        LinearSystem(np.eye(6), np.eye(6), np.eye(6), np.ones(6), mean_motion=-0.001)
+    # Clohessy-Wiltshire given as a plain matrix: rest off the along-track axis is no rest.
+    slow = cw_matrix(2e-7)
+    force = np.vstack([np.zeros((3, 3)), np.eye(3)])
+    system = LinearSystem(slow, force, force, [0.1] * 3, 0.0)
+    theta = Zonotope.point([100.0, 0, 0, 0, 0, 0])
+    goal = Box(np.array([100.0, 0, 0, 0, 0, 0]), np.full(6, 1.0))
+    weights = [1.0] * 3 + [100.0] * 3, [1e3] * 3
+    safety = get_safety(system, theta, (), 10, 10.0, *weights, goal=goal)
+    assert safety.end.horizon != "infinite"

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from polaris.controllers import AffineController
-from polaris.errors import NotCertified, ScenarioError, SynthesisInfeasible
+from polaris.errors import ScenarioError, SynthesisInfeasible
 from polaris.recoverable import get_recover
 from polaris.safety import get_safety
 from polaris.scenario import load_scenario
@@ -135,7 +135,7 @@ def test_dwell_and_cap_are_kept(strategy, dwell):
 def test_no_switch_allowed_means_s_throughout_unless_u_lasts():
     scenario, schedule = synthesised("static")
     never = synthesize(scenario, schedule.safety, schedule.controllers[1:], SwitchingRules(max_switches=0))
-    assert never.switches == 0
+    assert not never.modes.any(), "one switch is always held back for the return to S"
 
 
 def test_look_ahead_is_never_worse_than_greedy():
@@ -183,8 +183,13 @@ def test_theta_outside_the_first_set_is_an_error_with_the_witness():
 
     problem = small_problem()
     wide = replace(problem, initial_set=Zonotope.box(problem.initial_set.c, [60, 60, 60, 0.2, 0.2, 0.2]))
-    with pytest.raises((SynthesisInfeasible, NotCertified), match=r"thrust|initial set|clear|margin"):
+    with pytest.raises(SynthesisInfeasible, match="the tracker alone may demand"):
         get_safety(wide)
+    near = replace(problem, recoverable="ball", extra_margin=0.0, objective="fuel", thrust_reserve=0.0)
+    with pytest.raises(SynthesisInfeasible, match="not inside the first recoverable set") as caught:
+        get_safety(near)
+    assert caught.value.shortfall > 0
+    assert "debris" in str(caught.value) or "thrust axis" in str(caught.value)
 
 
 def test_same_input_same_schedule():
@@ -206,3 +211,54 @@ def test_same_input_same_schedule():
 def test_malformed_rules(options, field):
     with pytest.raises(ScenarioError, match=field):
         SwitchingRules(**options)
+
+
+def test_simulation_disturbs_on_the_bound_and_its_worst_case_nearly_reaches_the_tube():
+    """Were the disturbance or the corners left out, every attack above would pass for nothing."""
+    from polaris.clearance import error_tube
+
+    safety = small_safety(None, 1e-3)
+    schedule = synthesize(None, safety, [], SwitchingRules())
+    calm = simulate(schedule, 200, 0, initial="center", disturbance="none")
+    assert np.abs(calm.states - calm.states[:1]).max() < 1e-9
+    rows = -safety.clearance.unsafe[0].normals @ safety.tracking.system.position
+    tube = error_tube(safety.tracking, safety.start, rows)
+    runs = simulate(schedule, 400, 0, initial="corners", disturbance="worst")
+    K, q = safety.problem.K, safety.clearance.q
+    errors = runs.states[:, :-1] - safety.clearance.nodes[:K, :-1].reshape(K * q, -1)
+    reached = (errors @ rows.T).max(axis=0)
+    need = tube.need[np.minimum(np.arange(K * q), len(tube.need) - 1)]
+    assert np.all(reached <= need)
+    late = need[-1]
+    assert np.max(reached[-5 * q :] / late) > 0.9, "the worst case comes within 10 % of the bound"
+
+
+@pytest.mark.parametrize(
+    ("options", "field"),
+    [
+        ({"n": 0}, "runs"),
+        ({"n": 1.5}, "runs"),
+        ({"seed": -1}, "seed"),
+        ({"disturbance": "wurst"}, "disturbance"),
+        ({"initial": "junk"}, "initial"),
+        ({"mode": -1}, "mode"),
+        ({"mode": 9}, "mode"),
+        ({"substeps": 0}, "substeps"),
+    ],
+)
+def test_malformed_simulation_options(options, field):
+    schedule = synthesize(None, small_safety(), [], SwitchingRules())
+    with pytest.raises(ScenarioError, match=field):
+        simulate(schedule, **options)
+
+
+def test_controllers_of_another_reference_are_refused():
+    from dataclasses import replace
+
+    safety = small_safety()
+    other = get_safety(replace(small_problem(), extra_margin=5.0))
+    stranger = AffineController(
+        "stranger", other.problem.system, other.tracking.gain, other.reference, other.reference, other.tracking
+    )
+    with pytest.raises(ScenarioError, match="another Safety"):
+        synthesize(safety, experimental=[stranger])
