@@ -72,7 +72,9 @@ def test_no_unsafe_sets_no_disturbance_no_width_and_one_step():
     point = Zonotope.point([0.0, 0, 0, 0])
     goal = Box(np.zeros(4), np.full(4, 0.1))
     safety = get_safety(system, point, (), 1, 0.5, [1.0] * 4, [4.0] * 2, goal=goal)
-    schedule = synthesize(None, safety, [AnyThrust("any", system, safety.reference, safety.tracking)], SwitchingRules())
+    schedule = synthesize(
+        None, safety, [AnyThrust("any", system, safety.reference, safety.tracking)], SwitchingRules()
+    )
     assert len(schedule.modes) == 1
     assert simulate(schedule, 5, 0).states.shape[0] == 5
 
@@ -109,7 +111,14 @@ def test_missing_arguments_are_named():
     ],
 )
 def test_malformed_arguments_name_the_field(change, field):
-    arguments = {"initial_set": THETA, "unsafe": (ROCK,), "K": 40, "delta": 0.25, "Q": [1.0] * 4, "R": [4.0] * 2}
+    arguments = {
+        "initial_set": THETA,
+        "unsafe": (ROCK,),
+        "K": 40,
+        "delta": 0.25,
+        "Q": [1.0] * 4,
+        "R": [4.0] * 2,
+    }
     with pytest.raises(ScenarioError, match=field):
         get_safety(LinearSystem(A, B, B, [1.0, 1.0], 0.01), goal=GOAL, **{**arguments, **change})
 

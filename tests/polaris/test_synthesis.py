@@ -258,7 +258,12 @@ def test_controllers_of_another_reference_are_refused():
     safety = small_safety()
     other = get_safety(replace(small_problem(), extra_margin=5.0))
     stranger = AffineController(
-        "stranger", other.problem.system, other.tracking.gain, other.reference, other.reference, other.tracking
+        "stranger",
+        other.problem.system,
+        other.tracking.gain,
+        other.reference,
+        other.reference,
+        other.tracking,
     )
     with pytest.raises(ScenarioError, match="another Safety"):
         synthesize(safety, experimental=[stranger])
