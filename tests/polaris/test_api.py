@@ -126,12 +126,12 @@ def test_malformed_arguments_name_the_field(change, field):
 @pytest.mark.parametrize(
     ("matrices", "field"),
     [
-        (dict(A=np.zeros((2, 3)), B=np.eye(2), D=np.eye(2), u_max=[1, 1]), "system.A"),
-        (dict(A=np.eye(2) * np.nan, B=np.eye(2), D=np.eye(2), u_max=[1, 1]), "system.A"),
-        (dict(A=np.eye(2), B=np.eye(3), D=np.eye(2), u_max=[1, 1]), "system.B"),
-        (dict(A=np.eye(2), B=np.eye(2), D=np.eye(2), u_max=[1, -1]), "system.u_max"),
-        (dict(A=np.eye(2), B=np.eye(2), D=np.eye(2), u_max=[1, 1], w_max=np.inf), "system.w_max"),
-        (dict(A=np.eye(2), B=np.eye(2), D=np.eye(2), u_max=[1, 1], C=np.eye(3)), "system.C"),
+        ({"A": np.zeros((2, 3)), "B": np.eye(2), "D": np.eye(2), "u_max": [1, 1]}, "system.A"),
+        ({"A": np.eye(2) * np.nan, "B": np.eye(2), "D": np.eye(2), "u_max": [1, 1]}, "system.A"),
+        ({"A": np.eye(2), "B": np.eye(3), "D": np.eye(2), "u_max": [1, 1]}, "system.B"),
+        ({"A": np.eye(2), "B": np.eye(2), "D": np.eye(2), "u_max": [1, -1]}, "system.u_max"),
+        ({"A": np.eye(2), "B": np.eye(2), "D": np.eye(2), "u_max": [1, 1], "w_max": np.inf}, "system.w_max"),
+        ({"A": np.eye(2), "B": np.eye(2), "D": np.eye(2), "u_max": [1, 1], "C": np.eye(3)}, "system.C"),
     ],
 )
 def test_malformed_systems_name_the_field(matrices, field):
