@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,22 +47,22 @@ class GoalConditions:
         return float(worst)
 
 
-class Goal:
+class Goal(ABC):
     """Base of all goals. A new goal states `n`, `conditions` and `describe`; the rest follows."""
 
     @property
+    @abstractmethod
     def n(self) -> int:
         """Number of states the goal speaks about."""
-        raise NotImplementedError
 
     @property
+    @abstractmethod
     def conditions(self) -> GoalConditions:
         """The linear conditions the planner uses; they imply the goal."""
-        raise NotImplementedError
 
+    @abstractmethod
     def describe(self) -> str:
         """One line for messages and reports."""
-        raise NotImplementedError
 
     def residual(self, x: Array) -> tuple[float, str]:
         """Largest violation of the goal itself [m] and what it is, at a state x of shape (n,)."""
