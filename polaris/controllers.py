@@ -215,16 +215,10 @@ class AnyThrust:
         return LinearFlow.continuous(self.system.A, self.system.D, self.system.w_max, h)
 
     @cached_property
-    def _period(self) -> tuple[Zonotope, Array]:
-        """What the inputs (about zero) and the disturbance add per period, and the input map."""
-        from reach.linear import discretize, growth
-
-        h, system = self.flow.h, self.system
-        _, mean = discretize(system.A, system.B, h)
-        lipschitz = np.abs(system.A) @ growth(system.A, h)
-        rest = h**2 / 3 * lipschitz @ np.abs(system.B) @ system.u_max
-        G = np.hstack([mean * system.u_max, np.diag(rest)])
-        return Zonotope(np.zeros(system.n), G), mean
+    def _push(self) -> Zonotope:
+        """What the inputs, about zero, add per period."""
+        B, u_max = self.system.B, self.system.u_max
+        return self.flow.input_zonotope(B, np.diag(u_max), np.abs(B) @ u_max)
 
     def command(self, k: int, xi: Array, own: Array, x: Array) -> Array:
         """The worst steering to hand: full thrust towards the frame's origin, shape (..., m)."""
@@ -233,8 +227,8 @@ class AnyThrust:
 
     def fly(self, start: Zonotope, k: int) -> Flight:
         """Reachable set over step k under every input within the limits."""
-        push, mean = self._period
-        step = -(mean @ self.reference.nu[k])
+        push = self._push
+        step = -(self.flow.input_map(self.system.B) @ self.reference.nu[k])
         nodes = [start]
         for _ in range(self.tracking.feedback.nodes_per_cell):
             moved = self.flow.phi @ nodes[-1] + step + push + self.flow.period_zonotope

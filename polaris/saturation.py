@@ -35,7 +35,7 @@ def clipped_step(law: AffineController, d: Zonotope, mu: Array) -> Zonotope:
     mu : ndarray, shape (m,)
         Its own reference input over the period.
     """
-    system, flow = law.system, law.flow
+    system = law.system
     image = law.gain @ d
     lo, hi = mu - image.c - image.half_widths, mu - image.c + image.half_widths
     if law.feedback.sampled:
@@ -45,13 +45,10 @@ def clipped_step(law: AffineController, d: Zonotope, mu: Array) -> Zonotope:
     drift = np.abs(law.gain) @ moved
     slope, offset, radius = clip_relaxation(lo - drift, hi + drift, system.u_max, SLOPES)
     step = _relaxed_flow(law, slope)
-    Bh = step.input_map(system.B)
-    known = Bh @ (slope * mu + offset - mu)
+    known = step.input_map(system.B) @ (slope * mu + offset - mu)
     out = step.phi @ d + known + step.period_zonotope
     if np.any(radius > 0):
-        lipschitz = np.abs(step.A_c) @ step.growth
-        rest = flow.h**2 / 3 * lipschitz @ np.abs(system.B) @ radius
-        out = out + Zonotope(np.zeros(system.n), np.hstack([Bh * radius, np.diag(rest)]))
+        out = out + step.input_zonotope(system.B, np.diag(radius), np.abs(system.B) @ radius)
     return out.reduce(6)
 
 

@@ -11,7 +11,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm, solve_continuous_lyapunov, solve_discrete_lyapunov
+from scipy.linalg import expm, matrix_balance, solve_continuous_lyapunov, solve_discrete_lyapunov
 
 from .ball import ball_generators
 from .errors import ReachError
@@ -83,6 +83,23 @@ class LinearFlow:
         """``int_0^h e^{A_x s} ds B``: what an input held over one period adds, shape (n, m)."""
         return self._integral @ B
 
+    def input_zonotope(self, B: Array, inputs: Array, size: Array) -> Zonotope:
+        """Zonotope enclosing ``{int_0^h e^{A_x s} B v(s) ds}`` for measurable v in a set about zero.
+
+        The mean of v lies in the set, as it is convex; the rest is bounded by ``h^2/3 sup |B v|``
+        times the Lipschitz constant of ``e^{A_x s}`` (docs/theory.md, Lemma 11).
+
+        Parameters
+        ----------
+        B : ndarray, shape (n, m)
+        inputs : ndarray, shape (m, g)
+            Generators of a zonotope that encloses the set of inputs.
+        size : ndarray, shape (n,)
+            Elementwise bound on ``|B v|`` over the set of inputs.
+        """
+        rest = self.h**2 / 3 * (np.abs(self.A_x) @ self.growth) @ size
+        return Zonotope(np.zeros(len(rest)), np.hstack([self.input_map(B) @ inputs, np.diag(rest)]))
+
     @cached_property
     def _integral(self) -> Array:
         return discretize(self.A_x, np.eye(len(self.phi)), self.h)[1]
@@ -98,7 +115,7 @@ class LinearFlow:
 
     # -- the contraction norm -----------------------------------------------------------------------
 
-    @cached_property
+    @property
     def lyapunov(self) -> tuple[Array, float]:
         """A matrix W and the contraction factor ``norm(W phi W^-1, 2) < 1`` per period.
 
@@ -109,6 +126,15 @@ class LinearFlow:
         ------
         ReachError
             If phi is not a contraction in any norm (an unstable closed loop).
+        """
+        return self._contraction[:2]
+
+    @cached_property
+    def _contraction(self) -> tuple[Array, float, float]:
+        """`lyapunov`, and the relative round-off of ``norm(W M W^-1, 2)`` for any M.
+
+        With R the root on scaled states and N the scaled M, products round by ``eps norm(R) norm(N)
+        norm(R^-1)``, and ``norm(N) <= cond(R) norm(R N R^-1)``.
         """
         radius = float(np.max(np.abs(np.linalg.eigvals(self.phi))))
         if not radius < 1:
@@ -127,19 +153,22 @@ class LinearFlow:
         if values.min() <= 0:
             raise ReachError("the Lyapunov equation has no positive definite solution to working precision")
         root = (vectors * np.sqrt(values)) @ vectors.T
-        W = root @ inverse
-        if np.linalg.cond(W) > 1e6:
+        # Judged on the scaled states: scaling columns only adds a rounding to each entry.
+        condition = float(np.linalg.cond(root))
+        if condition > 1e6:
             raise ReachError("the Lyapunov norm is too ill-conditioned to bound anything with")
-        factor = float(np.linalg.norm(W @ self.phi @ np.linalg.inv(W), 2)) * (1 + _slack(W))
+        W = root @ inverse
+        slack = 10 * len(W) * np.finfo(float).eps * condition**2
+        factor = float(np.linalg.norm(W @ self.phi @ np.linalg.inv(W), 2)) * (1 + slack)
         if not factor < 1:
             raise ReachError("the Lyapunov norm found does not contract to working precision")
-        return np.asarray(W), factor
+        return np.asarray(W), factor, slack
 
     def norms(self, count: int) -> Array:
         """``norm(W phi^l W^-1, 2)`` for l = 0..count, shape (count+1,); never increasing."""
-        W, _ = self.lyapunov
+        W, _, slack = self._contraction
         stack = W @ powers(self.phi, count) @ np.linalg.inv(W)
-        return np.asarray(np.linalg.norm(stack, 2, axis=(-2, -1)) * (1 + _slack(W)))
+        return np.asarray(np.linalg.norm(stack, 2, axis=(-2, -1)) * (1 + slack))
 
     # -- responses to the disturbance, along rows -----------------------------------------------------
 
@@ -163,13 +192,8 @@ class LinearFlow:
     @cached_property
     def period_zonotope(self) -> Zonotope:
         """Zonotope enclosing ``{int_0^h e^{A_x s} D w(s) ds}`` (the disturbance of one period)."""
-        n, p = self.D.shape
-        mean = self._integral @ self.D
-        ball = ball_generators(p, self.w_max)
-        # w constant gives `mean`; the rest is bounded by |e^{A_x s} - average| <= Lipschitz * spread.
-        lipschitz = np.abs(self.A_x) @ self.growth
-        rest = self.h**2 / 3 * lipschitz @ np.linalg.norm(self.D, axis=1) * self.w_max
-        return Zonotope(np.zeros(n), np.hstack([mean @ ball, np.diag(rest)]))
+        ball = ball_generators(self.D.shape[1], self.w_max)
+        return self.input_zonotope(self.D, ball, np.linalg.norm(self.D, axis=1) * self.w_max)
 
     def disturbance_nodes(self, count: int, order: float = 3.0) -> Zonotope:
         """Zonotopes enclosing the response to the disturbance at nodes 0..count from a rest start.
@@ -186,11 +210,6 @@ class LinearFlow:
         return Zonotope.stack(parts)
 
 
-def _slack(W: Array) -> float:
-    """Relative round-off of ``norm(W M W^-1)``."""
-    return float(10 * len(W) * np.finfo(float).eps * np.linalg.cond(W))
-
-
 def state_scale(A_c: Array) -> Array:
     """Positive sizes of the states that make ``A_c`` balanced, shape (n,): a diagonal similarity.
 
@@ -202,8 +221,9 @@ def state_scale(A_c: Array) -> Array:
     if np.max(np.linalg.eigvals(A_c).real) >= 0:
         slowest = np.max(np.linalg.eigvals(A_c).real)
         raise ReachError(f"the closed loop is not stable: largest real part of an eigenvalue {slowest:.6g}")
-    # Covariance under unit white noise in the balanced coordinates, iterated to a fixed point.
-    scale = np.ones(len(A_c))
+    # Covariance under unit white noise in the balanced coordinates, iterated to a fixed point. It starts
+    # from rows and columns of like norms: in far-fetched units the equation is singular to rounding.
+    scale = np.asarray(matrix_balance(A_c, permute=False, separate=True)[1][0])
     for _ in range(50):
         normal = A_c * scale[None, :] / scale[:, None]
         P = solve_continuous_lyapunov(normal, -np.eye(len(A_c)))

@@ -114,6 +114,50 @@ def test_lyapunov_norm_contracts_every_period(kind):
     assert norms[0] == pytest.approx(1.0)
 
 
+@pytest.mark.parametrize("kind", ["continuous", "sampled"])
+@pytest.mark.parametrize(
+    ("sizes", "same"),
+    [
+        ([1e3] * 6, 1e-7),
+        ([1e-6] * 6, 1e-7),
+        ([1e3] * 3 + [1e-6] * 3, 1e-7),
+        ([1e-6] * 3 + [1e3] * 3, 1e-7),
+        ([1e3, 1, 1e-6, 1e-6, 1e3, 1], 1e-2),  # axes that hardly influence each other, in units of their own
+    ],
+    ids=["mm", "Mm", "mm and Mm/s", "Mm and mm/s", "mixed"],
+)
+def test_contraction_does_not_depend_on_the_units(kind, sizes, same):
+    plain, T = flow(kind), np.diag(sizes)
+    back = np.linalg.inv(T)
+    if kind == "continuous":
+        other = LinearFlow.continuous(T @ A_C @ back, T @ SYSTEM.D, 1e-4, 10.0)
+    else:
+        other = LinearFlow.sampled(T @ SYSTEM.A @ back, T @ SYSTEM.B, GAIN @ back, T @ SYSTEM.D, 1e-4, 10.0)
+    assert other.lyapunov[1] == pytest.approx(plain.lyapunov[1], rel=same)
+    if same < 1e-6:
+        np.testing.assert_allclose(other.norms(30), plain.norms(30), rtol=1e-5)
+    W, factor = other.lyapunov
+    e = np.random.default_rng(0).normal(size=(200, 6)) * [50, 50, 50, 1, 1, 1] @ T
+    before, after = np.linalg.norm(e @ W.T, axis=1), np.linalg.norm(e @ other.phi.T @ W.T, axis=1)
+    assert np.all(after <= factor * before)
+
+
+@pytest.mark.parametrize("kind", ["continuous", "sampled"])
+def test_input_zonotope_holds_inputs_that_vary_within_the_period(kind):
+    f, rng = flow(kind, 5.0), np.random.default_rng(0)
+    most, parts = np.array([0.3, 0.1, 0.2]), 40
+    enclosure = f.input_zonotope(SYSTEM.B, np.diag(most), np.abs(SYSTEM.B) @ most)
+    D = np.vstack([np.eye(6), -np.eye(6), rng.normal(size=(20, 6))])
+    step, push = discretize(f.A_x, SYSTEM.B, 5.0 / parts)
+    kernel = np.array([D @ np.linalg.matrix_power(step, j) @ push for j in range(parts)])
+    worst = np.abs(kernel).sum(axis=0) @ most  # bang-bang, a switch at any of the parts
+    limit = enclosure.support(D)
+    assert np.all(worst <= limit * (1 + 1e-12))
+    constant = np.abs(kernel.sum(axis=0)) @ most
+    assert np.all(constant <= worst * (1 + 1e-12))
+    assert np.all(limit[3:6] <= 1.3 * worst[3:6]), "and it is not idle"
+
+
 def test_unstable_loop_is_refused():
     with pytest.raises(ReachError, match="not stable"):
         LinearFlow.sampled(SYSTEM.A, SYSTEM.B, GAIN, SYSTEM.D, 0.0, 60.0).lyapunov  # noqa: B018
