@@ -10,17 +10,27 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from .ball import ball_generators
+    from .convex import ConvexSet
+    from .ellipsoid import Ellipsoid
     from .errors import ReachError
     from .flow import LinearFlow, state_scale
+    from .interval import Interval
+    from .lazy import AffineImage, MinkowskiSum
     from .linear import discretize, growth, powers
+    from .polytope import HPolytope
     from .relaxation import clip_relaxation
     from .zonotope import Zonotope
 
 _HOMES = {
     ".ball": ("ball_generators",),
+    ".convex": ("ConvexSet",),
+    ".ellipsoid": ("Ellipsoid",),
     ".errors": ("ReachError",),
     ".flow": ("LinearFlow", "state_scale"),
+    ".interval": ("Interval",),
+    ".lazy": ("AffineImage", "MinkowskiSum"),
     ".linear": ("discretize", "growth", "powers"),
+    ".polytope": ("HPolytope",),
     ".relaxation": ("clip_relaxation",),
     ".zonotope": ("Zonotope",),
 }
@@ -29,7 +39,13 @@ _HOMES = {
 _HOME = {name: home for home, names in _HOMES.items() for name in names}
 
 __all__ = [
+    "AffineImage",
+    "ConvexSet",
+    "Ellipsoid",
+    "HPolytope",
+    "Interval",
     "LinearFlow",
+    "MinkowskiSum",
     "ReachError",
     "Zonotope",
     "ball_generators",

@@ -5,17 +5,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .convex import SetOperators, as_factor, as_map, as_vector, require_same_dim, selector
 from .errors import ReachError
+from .interval import Interval
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Zonotope:
+class Zonotope(SetOperators):
     """``{c + G b : |b_i| <= 1}``, or a stack of such sets.
 
     Parameters
@@ -33,9 +36,6 @@ class Zonotope:
 
     c: Array
     G: Array
-
-    # Let ``M @ Z`` and ``v + Z`` reach this class instead of numpy's broadcasting.
-    __array_ufunc__ = None
 
     def __post_init__(self) -> None:
         c, G = np.asarray(self.c, dtype=float), np.asarray(self.G, dtype=float)
@@ -97,12 +97,28 @@ class Zonotope:
         """Half-widths of the interval hull, shape (..., n)."""
         return np.asarray(np.abs(self.G).sum(axis=-1))
 
-    def interval_hull(self) -> tuple[Array, Array]:
-        """Lower and upper corners of the smallest enclosing box."""
-        r = self.half_widths
-        return self.c - r, self.c + r
+    @property
+    def center(self) -> Array:
+        """Centre of symmetry, shape (..., n)."""
+        return self.c
 
-    def __getitem__(self, index: int | slice | Array) -> Zonotope:
+    @property
+    def extent(self) -> Array:
+        """Elementwise bound on the points, before rounding, shape (..., n)."""
+        return np.asarray(np.abs(self.c) + self.half_widths)
+
+    @property
+    def terms(self) -> int:
+        """Number of products summed in one value of the support function."""
+        return self.dim + self.order_count
+
+    def interval_hull(self) -> Interval:
+        """Smallest enclosing box, rounded outwards (exact where one generator moves each axis)."""
+        moving = np.count_nonzero(self.G, axis=-1)
+        slack = np.where(moving > 1, moving * np.finfo(float).eps, 0.0)
+        return Interval.ball(self.c, self.half_widths * (1 + slack))
+
+    def __getitem__(self, index: Any) -> Zonotope:
         """Select from the batch axes."""
         if not self.batch:
             raise ReachError("a single zonotope cannot be indexed")
@@ -117,28 +133,45 @@ class Zonotope:
 
     def __rmatmul__(self, M: ArrayLike) -> Zonotope:
         """Linear image ``M @ Z``; M may carry batch axes that broadcast with the set's."""
-        M = np.asarray(M, dtype=float)
-        if M.ndim < 2 or M.shape[-1] != self.dim:
-            raise ReachError(f"cannot apply a map of shape {M.shape} to a set of dimension {self.dim}")
+        M = as_map(M, self.dim)
         c = (M @ self.c[..., None])[..., 0]
         G = M @ self.G
         return Zonotope(c, np.broadcast_to(G, (*c.shape, self.order_count)))
 
-    def __add__(self, other: Zonotope | ArrayLike) -> Zonotope:
-        """Minkowski sum with another zonotope, or translation by a vector."""
+    @overload
+    def __add__(self, other: Zonotope | Interval | ArrayLike) -> Zonotope: ...
+
+    @overload
+    def __add__(self, other: SetOperators) -> Any: ...
+
+    def __add__(self, other: Any) -> Any:
+        """Minkowski sum with another set, or translation by a vector.
+
+        Zonotopes and intervals give a zonotope, other sets a lazy `reach.MinkowskiSum`.
+        """
+        if isinstance(other, Interval):
+            other = other.to_zonotope()
         if isinstance(other, Zonotope):
-            if other.dim != self.dim:
-                raise ReachError(f"cannot add sets of dimensions {self.dim} and {other.dim}")
+            require_same_dim(self, other)
             c = self.c + other.c
             parts = [np.broadcast_to(z.G, (*c.shape, z.order_count)) for z in (self, other)]
             return Zonotope(c, np.concatenate(parts, axis=-1))
-        c = self.c + np.asarray(other, dtype=float)
+        if isinstance(other, SetOperators):
+            from .lazy import minkowski_sum
+
+            return minkowski_sum(self, other)
+        c = self.c + as_vector(other, self.dim)
         return Zonotope(c, np.broadcast_to(self.G, (*c.shape, self.order_count)))
 
-    __radd__ = __add__
+    def __mul__(self, factor: float) -> Zonotope:
+        """Scaled copy ``{a x}``."""
+        a = as_factor(factor)
+        return Zonotope(a * self.c, a * self.G)
 
-    def __sub__(self, vector: ArrayLike) -> Zonotope:
-        return self + (-np.asarray(vector, dtype=float))
+    def project(self, dims: Sequence[int]) -> Zonotope:
+        """Coordinates in the order given."""
+        selector(dims, self.dim)
+        return Zonotope(self.c[..., list(dims)], self.G[..., list(dims), :])
 
     def inflate(self, half_widths: ArrayLike) -> Zonotope:
         """Minkowski sum with a centred box."""
@@ -157,13 +190,16 @@ class Zonotope:
         -------
         ndarray, shape (..., r)
         """
-        R = np.asarray(directions, dtype=float)
-        return np.asarray((R @ self.c[..., None])[..., 0] + np.abs(R @ self.G).sum(axis=-1))
+        D = as_vector(directions, self.dim)
+        return np.asarray((D @ self.c[..., None])[..., 0] + np.abs(D @ self.G).sum(axis=-1))
 
-    def support_vector(self, direction: ArrayLike) -> Array:
-        """A point of the (single) set that attains the support in one direction, shape (n,)."""
-        signs = np.sign(np.asarray(direction, dtype=float) @ self.G)
-        return np.asarray(self.c + self.G @ np.where(signs == 0, 1.0, signs))
+    def support_vector(self, directions: ArrayLike) -> Array:
+        """Corners that attain the support, shape of `directions` broadcast with the batch."""
+        D = as_vector(directions, self.dim)
+        signs = np.where(D @ self.G < 0, -1.0, 1.0)
+        if D.ndim == 1:
+            return np.asarray(self.c + (self.G @ signs[..., None])[..., 0])
+        return np.asarray(self.c[..., None, :] + signs @ np.swapaxes(self.G, -1, -2))
 
     def corners(self, most: int = 4096) -> Array:
         """All points ``c + G b`` with ``b`` in {-1, 1}^g (a superset of the vertices), shape (2^g, n).
@@ -186,34 +222,24 @@ class Zonotope:
         return np.asarray(self.c + b @ self.G.T)
 
     def contains(self, points: ArrayLike, slack: float = 1e-9) -> NDArray[np.bool_]:
-        """Whether each point lies in the (single) set, exactly, by one linear program each.
+        """Whether each point lies in the (single) set, by one linear program each, shape (...).
 
         Parameters
         ----------
-        points : array_like, shape (k, n)
+        points : array_like, shape (..., n)
         slack : float
             Points reached with ``|b_i| <= 1 + slack`` count as inside.
         """
-        from scipy.optimize import linprog
+        from .membership import zonotope_level
 
-        points = np.atleast_2d(np.asarray(points, dtype=float))
-        g = self.order_count
-        scale = np.maximum(self.half_widths, np.finfo(float).tiny)
-        inside = np.zeros(len(points), dtype=bool)
-        for i, point in enumerate(points):
-            gap = (point - self.c) / scale
-            if g == 0 or np.any(np.abs(gap) > 1 + slack):
-                inside[i] = g == 0 and bool(np.all(point == self.c))
-                continue
-            # minimise t subject to G b = p - c, |b| <= t
-            equal = np.hstack([self.G / scale[:, None], np.zeros((self.dim, 1))])
-            bound = np.block([[np.eye(g), -np.ones((g, 1))], [-np.eye(g), -np.ones((g, 1))]])
-            cost = np.r_[np.zeros(g), 1.0]
-            solved = linprog(
-                cost, bound, np.zeros(2 * g), equal, gap, bounds=[(None, None)] * g + [(0, None)]
-            )
-            inside[i] = solved.status == 0 and solved.fun <= 1 + slack
-        return inside
+        self._require_single("contains")
+        x = as_vector(points, self.dim)
+        levels = [zonotope_level(self, p) for p in x.reshape(-1, self.dim)]
+        return np.array(levels).reshape(x.shape[:-1]) <= 1 + slack
+
+    def _require_single(self, what: str) -> None:
+        if self.batch:
+            raise ReachError(f"{what} asks a single zonotope, got a stack of shape {self.batch}")
 
     # -- enclosures -----------------------------------------------------------------------------
 

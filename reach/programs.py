@@ -1,0 +1,70 @@
+"""Linear programs, solved by HiGHS on equilibrated data."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import ReachError
+
+Array = NDArray[np.float64]
+
+TOLERANCE = 1e-10
+"""Feasibility asked of the solver, on equilibrated data. Whatever is proved is re-checked without it."""
+
+
+@dataclass(frozen=True)
+class Maximum:
+    """Answer to a linear program.
+
+    Attributes
+    ----------
+    value : float
+        Largest value; inf if unbounded, -inf if nothing is feasible.
+    point : ndarray, shape (n,)
+        Where it is attained (nan unless the value is finite).
+    multipliers : ndarray, shape (m,)
+        ``>= 0``, with ``A.T @ multipliers`` close to the objective (nan unless the value is finite).
+    """
+
+    value: float
+    point: Array
+    multipliers: Array
+
+
+def maximise(objective: Array, A: Array, b: Array) -> Maximum:
+    """Solve ``max objective . x`` subject to ``A x <= b``.
+
+    Raises
+    ------
+    ReachError
+        If the solver gives up.
+    """
+    from scipy.optimize import linprog
+
+    m, n = A.shape
+    columns = np.abs(A).max(axis=0, initial=0.0)
+    columns = np.where(columns > 0, 1 / np.where(columns > 0, columns, 1), 1.0)
+    rows = np.linalg.norm(A * columns, axis=1)
+    rows = np.where(rows > 0, rows, 1.0)
+    level = float(np.max(np.abs(b) / rows, initial=0.0)) or 1.0
+    size = float(np.abs(objective * columns).max(initial=0.0)) or 1.0
+    solved = linprog(
+        -objective * columns / size,
+        A * columns / rows[:, None],
+        b / rows / level,
+        bounds=(None, None),
+        method="highs",
+        options={"primal_feasibility_tolerance": TOLERANCE, "dual_feasibility_tolerance": TOLERANCE},
+    )
+    if solved.status == 2:
+        return Maximum(-np.inf, np.full(n, np.nan), np.full(m, np.nan))
+    if solved.status == 3:
+        return Maximum(np.inf, np.full(n, np.nan), np.full(m, np.nan))
+    if solved.status != 0:
+        raise ReachError(f"the linear program was not solved: {solved.message}")
+    point = solved.x * columns * level
+    multipliers = np.maximum(-solved.ineqlin.marginals, 0.0) * size / rows
+    return Maximum(float(objective @ point), point, multipliers)
