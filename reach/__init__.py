@@ -19,7 +19,11 @@ if TYPE_CHECKING:
     from .linear import discretize, growth, powers
     from .polytope import HPolytope
     from .relaxation import clip_relaxation
+    from .support_tube import SupportTube, support_tube
+    from .systems import LinearSystem
+    from .verification import Always, Never, Verdict, verify
     from .zonotope import Zonotope
+    from .zonotope_tube import ZonotopeTube, zonotope_tube
 
 _HOMES = {
     ".ball": ("ball_generators",),
@@ -32,7 +36,11 @@ _HOMES = {
     ".linear": ("discretize", "growth", "powers"),
     ".polytope": ("HPolytope",),
     ".relaxation": ("clip_relaxation",),
+    ".support_tube": ("SupportTube", "support_tube"),
+    ".systems": ("LinearSystem",),
+    ".verification": ("Always", "Never", "Verdict", "verify"),
     ".zonotope": ("Zonotope",),
+    ".zonotope_tube": ("ZonotopeTube", "zonotope_tube"),
 }
 """Module of every public name."""
 
@@ -40,20 +48,29 @@ _HOME = {name: home for home, names in _HOMES.items() for name in names}
 
 __all__ = [
     "AffineImage",
+    "Always",
     "ConvexSet",
     "Ellipsoid",
     "HPolytope",
     "Interval",
     "LinearFlow",
+    "LinearSystem",
     "MinkowskiSum",
+    "Never",
     "ReachError",
+    "SupportTube",
+    "Verdict",
     "Zonotope",
+    "ZonotopeTube",
     "ball_generators",
     "clip_relaxation",
     "discretize",
     "growth",
     "powers",
     "state_scale",
+    "support_tube",
+    "verify",
+    "zonotope_tube",
 ]
 
 

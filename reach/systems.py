@@ -1,0 +1,139 @@
+"""Linear systems with uncertain inputs: what the tubes of this library are computed for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import sparse
+
+from .convex import ConvexSet
+from .errors import ReachError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class LinearSystem:
+    """``x' = A x + B u + c`` with an unknown input ``u(t)`` in U at every instant.
+
+    With ``discrete=True`` the same letters mean ``x+ = A x + B u + c``.
+
+    Parameters
+    ----------
+    A : array_like or scipy sparse matrix, shape (n, n)
+        A sparse matrix stays sparse, and selects methods that never form an exponential.
+    B : array_like or scipy sparse matrix, shape (n, m), optional
+        Input map; the identity if only U is given.
+    U : ConvexSet of dimension m, or sequence of them, optional
+        Set of the input, which may change arbitrarily (measurably) within it. A sequence gives one
+        set per piece of time, see `breaks`.
+    c : array_like, shape (n,), optional
+        Constant drift.
+    breaks : array_like, shape (p-1,), optional
+        Times at which the set of the input changes from one piece to the next, for p sets.
+    discrete : bool
+
+    Raises
+    ------
+    ReachError
+        If a shape does not fit, a number is not finite, or the pieces and breaks do not match.
+    """
+
+    A: Any
+    B: Any = None
+    U: Any = None
+    c: Any = None
+    breaks: Any = ()
+    discrete: bool = False
+
+    def __post_init__(self) -> None:
+        A = _matrix("A", self.A)
+        n = A.shape[0]
+        if A.shape != (n, n) or n == 0:
+            raise ReachError(f"A must be square, got shape {A.shape}")
+        pieces = self._pieces()
+        B = self.B
+        if B is None:
+            B = np.eye(n) if pieces and not sparse.issparse(A) else sparse.identity(n, format="csr")
+            B = B if pieces else np.zeros((n, 0))
+        B = _matrix("B", B)
+        if B.shape[0] != n:
+            raise ReachError(f"B must have {n} rows as A has, got shape {B.shape}")
+        if B.shape[1] and not pieces:
+            raise ReachError("B is given without U, the set of its input")
+        for U in pieces:
+            if U.dim != B.shape[1]:
+                raise ReachError(f"U must have dimension {B.shape[1]}, the columns of B, got {U.dim}")
+        c = np.zeros(n) if self.c is None else np.asarray(self.c, dtype=float)
+        if c.shape != (n,) or not np.all(np.isfinite(c)):
+            raise ReachError(f"c must be {n} finite numbers, got {self.c!r}")
+        breaks = np.asarray(self.breaks, dtype=float)
+        if breaks.shape != (max(len(pieces) - 1, 0),) or not np.all(np.diff(breaks, prepend=0.0) > 0):
+            raise ReachError(
+                f"{len(pieces)} input sets need {max(len(pieces) - 1, 0)} breaks, positive and increasing, "
+                f"got {self.breaks!r}"
+            )
+        for name, value in (("A", A), ("B", B), ("U", pieces), ("c", c), ("breaks", breaks)):
+            object.__setattr__(self, name, value)
+
+    def _pieces(self) -> tuple[ConvexSet, ...]:
+        if self.U is None:
+            return ()
+        pieces = tuple(self.U) if isinstance(self.U, list | tuple) else (self.U,)
+        for U in pieces:
+            if getattr(U, "batch", ()):
+                raise ReachError("U must be a single set or a sequence of single sets, got a stack")
+        return pieces
+
+    @property
+    def dim(self) -> int:
+        """Number n of states."""
+        return int(self.A.shape[0])
+
+    @property
+    def inputs(self) -> int:
+        """Number m of inputs."""
+        return int(self.B.shape[1])
+
+    @property
+    def sparse(self) -> bool:
+        """Whether A is kept sparse."""
+        return bool(sparse.issparse(self.A))
+
+    def holding_inputs(self) -> LinearSystem:
+        """The system whose state is ``(x, u)``, for an input that is unknown but constant.
+
+        Its initial set is the product of the initial set of x and of U.
+        """
+        n, m = self.dim, self.inputs
+        if len(self.U) != 1:
+            raise ReachError("an input that changes its set cannot be constant")
+        stack = sparse.bmat if self.sparse else np.block
+        zero = sparse.csr_matrix((m, n + m)) if self.sparse else np.zeros((m, n + m))
+        A = (
+            sparse.vstack([stack([[self.A, self.B]]), zero])
+            if self.sparse
+            else np.vstack([np.hstack([self.A, self.B]), zero])
+        )
+        return LinearSystem(A, c=np.r_[self.c, np.zeros(m)], discrete=self.discrete)
+
+
+def _matrix(name: str, value: ArrayLike) -> Any:
+    """A dense float array or a CSR matrix, two-dimensional and finite."""
+    if sparse.issparse(value):
+        matrix: Any = sparse.csr_matrix(value, dtype=float)
+        entries = matrix.data
+    else:
+        try:
+            matrix = np.asarray(value, dtype=float)
+        except (TypeError, ValueError) as exc:
+            raise ReachError(f"{name} must be a matrix of numbers: {exc}") from None
+        entries = matrix
+    if matrix.ndim != 2:
+        raise ReachError(f"{name} must be a matrix, got shape {matrix.shape}")
+    if not np.all(np.isfinite(entries)):
+        raise ReachError(f"{name} has entries that are not finite numbers")
+    return matrix
