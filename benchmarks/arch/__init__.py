@@ -1,0 +1,1 @@
+"""Public ARCH-COMP reachability benchmarks of linear and switched affine systems."""
