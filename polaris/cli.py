@@ -7,6 +7,7 @@ in the time given. Results go to standard output, progress and errors to standar
 from __future__ import annotations
 
 import os
+import shlex
 import signal
 import sys
 from collections.abc import Iterator
@@ -87,6 +88,9 @@ def run(
     ] = None,
     solver: Annotated[Solver | None, typer.Option(help="Short for --set planner.solver=...")] = None,
     recoverable: Annotated[Kind | None, typer.Option(help="Short for --set recoverable.kind=...")] = None,
+    figures: Annotated[
+        bool, typer.Option("--figures/--no-figures", help="Draw the figures; `polaris plot` can do so later.")
+    ] = True,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print the summary as JSON, and nothing else.")
     ] = False,
@@ -99,16 +103,18 @@ def run(
     if recoverable is not None:
         overrides.append(f"recoverable.kind={recoverable.value}")
     with _answering():
-        folder = _run(scenario, out, overrides, quiet or as_json)
+        folder = _run(scenario, out, overrides, figures, quiet or as_json)
         if as_json:
             sys.stdout.write((folder.path / "summary.json").read_text(encoding="utf-8"))
         elif not quiet:
             from .console import show_summary
 
             show_summary(folder.summary, str(folder.path))
+            if not figures:
+                typer.echo(f"To draw the figures: polaris plot {shlex.quote(str(folder.path))}")
 
 
-def _run(name: str, out: str | None, overrides: list[str], quiet: bool) -> Any:
+def _run(name: str, out: str | None, overrides: list[str], figures: bool, quiet: bool) -> Any:
     """All stages, from the scenario file to the run folder."""
     from .console import Stages
 
@@ -143,7 +149,14 @@ def _run(name: str, out: str | None, overrides: list[str], quiet: bool) -> Any:
     }
     with stages.stage("run folder"):
         return write_run(
-            target, scenario, schedule, flown, overrides=overrides, seconds=spent, progress=stages.note
+            target,
+            scenario,
+            schedule,
+            flown,
+            overrides=overrides,
+            seconds=spent,
+            figures=figures,
+            progress=stages.note,
         )
 
 

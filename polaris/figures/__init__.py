@@ -78,10 +78,10 @@ def draw_figures(picture: Picture, folder: Path) -> list[Path]:
     folder : Path
         Must exist.
     """
-    from .style import new_figure, save, style
+    from .style import new_figure, printing, save
 
     written: list[Path] = []
-    with style():
+    with printing():
         for name in NAMES:
             if name == "scene_3d" and picture.system.d == 1:
                 continue
@@ -106,7 +106,7 @@ def _scene_3d(picture: Picture, new_figure: Any) -> Any:
 
     space = picture.system.d == 3
     figure = new_figure(2.5 if space else 3.0)
-    figure.set_layout_engine("none")
+    figure.set_layout_engine(None)
     # The axes draw their own labels outside of what matplotlib takes for their box.
     place = (-0.1, -0.07, 1.1, 1.08) if space else (-0.05, 0.03, 1.0, 0.93)
     ax = figure.add_axes(place, projection="3d", computed_zorder=False)

@@ -63,7 +63,8 @@ def _sets(ax: Any, picture: Picture) -> list[Any]:
             chosen = polygons[picture.modes == mode].reshape(-1, *polygons.shape[-2:])
             colour = tint(mode_colour(int(mode)), 0.3)
             together = Path.make_compound_path_from_polys(chosen)
-            ax.add_patch(PathPatch(together, facecolor=colour, edgecolor=colour, lw=0.2, zorder=2))
+            patch = PathPatch(together, facecolor=colour, edgecolor=colour, lw=0.2, zorder=2)
+            ax.add_artist(patch)  # not add_patch, which would go through every corner for its limits
         handles.append(Patch(facecolor=tint(GREY, 0.3), label="reachable tube (by mode)"))
     theta = zonotope_outline(position_set(picture), axes)
     ax.add_patch(Polygon(theta, closed=True, facecolor="none", edgecolor=BLACK, lw=0.6, zorder=5))

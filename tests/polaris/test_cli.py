@@ -105,6 +105,16 @@ def test_quiet_prints_nothing(invoke):
     assert (done.exit_code, done.output) == (0, "")
 
 
+def test_figures_can_wait(invoke, tmp_path, monkeypatch):
+    monkeypatch.setattr("polaris.figures.draw_figures", draw_figures)
+    monkeypatch.setattr("polaris.figures.NAMES", ("modes",))
+    done = invoke("run", TINY, "--out", "here", "--no-figures")
+    assert done.exit_code == 0 and not (tmp_path / "here" / "figures").exists()
+    assert "draw the figures: polaris plot" in " ".join(done.stdout.split())
+    assert invoke("plot", "here").exit_code == 0
+    assert (tmp_path / "here" / "figures" / "modes.pdf").is_file()
+
+
 def test_overrides_reach_the_scenario_and_are_noted(invoke, tmp_path):
     done = invoke(
         "run",

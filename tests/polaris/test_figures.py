@@ -103,6 +103,35 @@ def test_files_hold_no_dates_and_are_the_same_twice(picture, tmp_path, monkeypat
         assert b"CreationDate" not in a.read_bytes() and b"tIME" not in a.read_bytes()
 
 
+def test_pdfs_embed_truetype_fonts_whose_text_can_be_searched(picture, tmp_path, monkeypatch):
+    monkeypatch.setattr("polaris.figures.NAMES", ("modes",))
+    draw_figures(picture, tmp_path)
+    plain = (tmp_path / "modes.pdf").read_bytes()
+    assert b"/FontFile2" in plain and b"/ToUnicode" in plain and b"/Type3" not in plain
+    assert b"PolarisSans" in plain and b"DejaVuSans" not in plain
+    # A letter that the light font lacks comes from the full one.
+    draw_figures(replace(picture, controllers=("safety", "\N{CYRILLIC CAPITAL LETTER ZHE}")), tmp_path)
+    assert b"DejaVuSans" in (tmp_path / "modes.pdf").read_bytes()
+
+
+def test_each_format_is_drawn_once_and_the_layout_solved_once(picture, tmp_path, monkeypatch):
+    from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+    calls = []
+    for owner, name in ((Figure, "draw"), (ConstrainedLayoutEngine, "execute")):
+        true = getattr(owner, name)
+
+        def counted(self, *args, true=true, name=name):
+            calls.append(name)
+            return true(self, *args)
+
+        monkeypatch.setattr(owner, name, counted)
+    monkeypatch.setattr("polaris.figures.NAMES", ("scene", "scene_3d"))
+    draw_figures(picture, tmp_path)
+    assert calls == ["execute", "draw", "draw", "draw", "draw"]
+
+
 def test_the_users_settings_come_back(picture):
     before = dict(matplotlib.rcParams)
     drawn("modes", picture)
