@@ -38,12 +38,13 @@ def solve_are(A: Array, B: Array, Q: Array, R: Array) -> tuple[Array, Array]:
     import control
 
     try:
-        P, _, gain = control.care(A, B, Q, R)
-    except Exception as error:  # python-control and scipy raise several kinds; all mean one thing
+        # Always scipy's method: with the other one the result would depend on what is installed.
+        P, _, gain = control.care(A, B, Q, R, method="scipy")
+        gain = np.atleast_2d(np.asarray(gain, dtype=float))
+        worst = float(np.max(np.linalg.eigvals(A - B @ gain).real))
+    except (ValueError, np.linalg.LinAlgError, control.ControlArgument) as error:
         rule = f"the Riccati equation has no stabilising solution ({error})"
         raise ScenarioError("tracking.Q", np.diag(Q).tolist(), rule) from error
-    gain = np.atleast_2d(np.asarray(gain, dtype=float))
-    worst = float(np.max(np.linalg.eigvals(A - B @ gain).real))
     if not worst < 0:
         rule = f"the closed loop must be stable; its slowest eigenvalue has real part {worst:.3g}"
         raise ScenarioError("tracking.Q", np.diag(Q).tolist(), rule)
