@@ -19,11 +19,16 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from reach.zonotope import Zonotope
 
+    from .clearance import Clearance
+    from .comparison import Flights, Flown, compare
     from .controllers import AffineController, AnyThrust, Controller, Flight
+    from .end_condition import EndCondition
+    from .error_bounds import ErrorBounds
     from .errors import NotCertified, PolarisError, ScenarioError, SynthesisInfeasible
     from .evaluation import Metrics, evaluate
     from .figures import plot_reference, plot_schedule
     from .hill import clohessy_wiltshire, elliptical_nmt, free_flight
+    from .obstacle_base import Obstacle
     from .obstacles import (
         BallObstacle,
         BoxObstacle,
@@ -32,26 +37,59 @@ if TYPE_CHECKING:
         PolytopeObstacle,
         SatelliteObstacle,
     )
+    from .planning.conditions import Goal
     from .planning.goals import Box, EllipticalNMT, LinearNMT, StationaryPoint
-    from .planning.problem import PlannerOptions
+    from .planning.problem import Plan, PlannerOptions, Progress
     from .problem import Problem
+    from .recoverable import Margin, RecoverableSet
     from .reference import Reference
     from .runfolder import RunFolder, read_run, write_run
     from .safety import Safety, get_safety
     from .scenario import Scenario, bundled_scenarios, load_scenario
-    from .schedule import Schedule
+    from .schedule import Schedule, Step
     from .simulation import Runs, simulate
     from .synthesis import SwitchingRules, synthesize
     from .system import LinearSystem
+    from .tracking import Feedback, Tracking
+    from .unsafe import TimedPolytope
 
     __version__: str
 
 _HOMES = {
-    ".controllers": ("AffineController", "AnyThrust", "Controller", "Flight"),
-    ".errors": ("NotCertified", "PolarisError", "ScenarioError", "SynthesisInfeasible"),
-    ".evaluation": ("Metrics", "evaluate"),
-    ".figures": ("plot_reference", "plot_schedule"),
-    ".hill": ("clohessy_wiltshire", "elliptical_nmt", "free_flight"),
+    ".clearance": ("Clearance",),
+    ".comparison": (
+        "Flights",
+        "Flown",
+        "compare",
+    ),
+    ".controllers": (
+        "AffineController",
+        "AnyThrust",
+        "Controller",
+        "Flight",
+    ),
+    ".end_condition": ("EndCondition",),
+    ".error_bounds": ("ErrorBounds",),
+    ".errors": (
+        "NotCertified",
+        "PolarisError",
+        "ScenarioError",
+        "SynthesisInfeasible",
+    ),
+    ".evaluation": (
+        "Metrics",
+        "evaluate",
+    ),
+    ".figures": (
+        "plot_reference",
+        "plot_schedule",
+    ),
+    ".hill": (
+        "clohessy_wiltshire",
+        "elliptical_nmt",
+        "free_flight",
+    ),
+    ".obstacle_base": ("Obstacle",),
     ".obstacles": (
         "BallObstacle",
         "BoxObstacle",
@@ -60,17 +98,56 @@ _HOMES = {
         "PolytopeObstacle",
         "SatelliteObstacle",
     ),
-    ".planning.goals": ("Box", "EllipticalNMT", "LinearNMT", "StationaryPoint"),
-    ".planning.problem": ("PlannerOptions",),
+    ".planning.conditions": ("Goal",),
+    ".planning.goals": (
+        "Box",
+        "EllipticalNMT",
+        "LinearNMT",
+        "StationaryPoint",
+    ),
+    ".planning.problem": (
+        "Plan",
+        "PlannerOptions",
+        "Progress",
+    ),
     ".problem": ("Problem",),
+    ".recoverable": (
+        "Margin",
+        "RecoverableSet",
+    ),
     ".reference": ("Reference",),
-    ".runfolder": ("RunFolder", "read_run", "write_run"),
-    ".safety": ("Safety", "get_safety"),
-    ".scenario": ("Scenario", "bundled_scenarios", "load_scenario"),
-    ".schedule": ("Schedule",),
-    ".simulation": ("Runs", "simulate"),
-    ".synthesis": ("SwitchingRules", "synthesize"),
+    ".runfolder": (
+        "RunFolder",
+        "read_run",
+        "write_run",
+    ),
+    ".safety": (
+        "Safety",
+        "get_safety",
+    ),
+    ".scenario": (
+        "Scenario",
+        "bundled_scenarios",
+        "load_scenario",
+    ),
+    ".schedule": (
+        "Schedule",
+        "Step",
+    ),
+    ".simulation": (
+        "Runs",
+        "simulate",
+    ),
+    ".synthesis": (
+        "SwitchingRules",
+        "synthesize",
+    ),
     ".system": ("LinearSystem",),
+    ".tracking": (
+        "Feedback",
+        "Tracking",
+    ),
+    ".unsafe": ("TimedPolytope",),
     "reach.zonotope": ("Zonotope",),
 }
 """Module of every public name."""
@@ -83,19 +160,31 @@ __all__ = [
     "BallObstacle",
     "Box",
     "BoxObstacle",
+    "Clearance",
     "Controller",
     "EllipticalNMT",
+    "EndCondition",
+    "ErrorBounds",
+    "Feedback",
     "Flight",
+    "Flights",
+    "Flown",
+    "Goal",
     "KeepInCone",
     "KeepInPolytope",
     "LinearNMT",
     "LinearSystem",
+    "Margin",
     "Metrics",
     "NotCertified",
+    "Obstacle",
+    "Plan",
     "PlannerOptions",
     "PolarisError",
     "PolytopeObstacle",
     "Problem",
+    "Progress",
+    "RecoverableSet",
     "Reference",
     "RunFolder",
     "Runs",
@@ -105,12 +194,16 @@ __all__ = [
     "ScenarioError",
     "Schedule",
     "StationaryPoint",
+    "Step",
     "SwitchingRules",
     "SynthesisInfeasible",
+    "TimedPolytope",
+    "Tracking",
     "Zonotope",
     "__version__",
     "bundled_scenarios",
     "clohessy_wiltshire",
+    "compare",
     "elliptical_nmt",
     "evaluate",
     "free_flight",

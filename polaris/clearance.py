@@ -81,9 +81,11 @@ class Clearance:
     Parameters
     ----------
     tracking : Tracking
+        S, and what is known of its error.
     reference : Reference
         The safe reference, coasting tail included.
     unsafe : tuple of TimedPolytope
+        One per unsafe set (one per facet of a keep-in set).
     facets : ndarray of int, shape (cells, o)
         The facet that separates in each cell.
     planned : int

@@ -25,14 +25,17 @@ class Flights:
     Attributes
     ----------
     controller : str
+        Who flew.
     labels : tuple of str
         What each run shown is: ``nominal`` (from the centre, undisturbed), ``closest``, ``run 3``.
     times : ndarray, shape (N+1,)
         [s]
     states : ndarray, shape (r, N+1, n)
+        Absolute states.
     inputs : ndarray, shape (r, N, m)
         Applied after every node.
     modes : ndarray of int, shape (cells,)
+        Mode of every step.
     nearest : ndarray, shape (3, N+1)
         Distance to the nearest unsafe set [m]: least, mean and largest over all runs.
     input_range : ndarray, shape (2, N, m)
@@ -75,7 +78,15 @@ class Flights:
 
 @dataclass(frozen=True, eq=False)
 class Flown:
-    """What one controller did: the metrics of all its runs, and some of the runs."""
+    """What one controller did.
+
+    Attributes
+    ----------
+    metrics : Metrics
+        Of all its runs.
+    flights : Flights
+        Some of the runs, and the envelope of all.
+    """
 
     metrics: Metrics
     flights: Flights
@@ -95,9 +106,11 @@ def compare(
     Parameters
     ----------
     schedule : Schedule
+        Result of `synthesize`.
     n : int
         Runs per controller: half from corners of the initial set, half under worst-case disturbances.
     seed : int
+        Same seed, same runs.
     progress : callable, optional
         Called with (runs flown, runs in all).
 

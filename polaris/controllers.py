@@ -84,7 +84,9 @@ class AffineController:
     Parameters
     ----------
     name : str
+        Name in tables and figures.
     system : LinearSystem
+        What it controls.
     gain : ndarray, shape (m, n)
         Lambda_U.
     reference : Reference
@@ -94,6 +96,7 @@ class AffineController:
     tracking : Tracking
         The safety tracker (for switches between nodes).
     clips : bool
+        Whether commands beyond the limits are part of the model.
     """
 
     name: str

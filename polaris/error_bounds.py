@@ -19,11 +19,7 @@ from .tracking import Tracking
 class ErrorBounds:
     """ISS bounds on the error ``e = x - xi`` (Lemma 1; theory, items 1 to 4).
 
-    For all t >= 0, with ``e0 = norm(W e(0), 2)``:
-
-    * ``norm(W e(t)) <= gamma exp(-beta t) e0 + gain w_max``
-    * ``norm(C e(t)) <= gamma_position exp(-beta t) e0 + gain_position w_max`` [m]
-    * ``|Lambda_i e(t)| <= gamma_input[i] exp(-beta t) e0 + gain_input[i] w_max`` [N]
+    Each bound reads ``gamma exp(-beta t) norm(W e(0), 2) + gain w_max``, for all t >= 0.
 
     Attributes
     ----------
@@ -31,6 +27,12 @@ class ErrorBounds:
         Weight of the norm.
     beta : float
         Decay rate [1/s], ``0 < beta < |max Re eig(A - B Lambda)|``.
+    gamma, gain : float
+        Of ``norm(W e(t), 2)``.
+    gamma_position, gain_position : float
+        Of the error of position, ``norm(C e(t), 2)`` [m].
+    gamma_input, gain_input : ndarray, shape (m,)
+        Of what S adds to each input, ``|Lambda_i e(t)|`` [N].
     method : str
         ``lyapunov`` or ``envelope``.
     """

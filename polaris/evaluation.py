@@ -61,10 +61,13 @@ class Metrics:
     drift_horizon : float
         How far free drift looks ahead [s].
     experimental_share : ndarray, shape (R,)
+        Share of time under experimental controllers.
     switches : ndarray of int, shape (R,)
+        Changes of controller.
     delta_v : ndarray, shape (R,)
         [m/s]
     collided : ndarray of bool, shape (R,)
+        Whether the run entered a true unsafe set.
     max_thrust_ratio : ndarray, shape (R,)
         Commanded over available thrust.
     nearest : ndarray, shape (3, N+1)
@@ -155,6 +158,7 @@ def evaluate(runs: Runs, seed: int = 0, controller: str | None = None) -> Metric
     Parameters
     ----------
     runs : Runs
+        Result of `simulate`.
     seed : int
         For the true states of other satellites, drawn from what is known of them.
     controller : str, optional

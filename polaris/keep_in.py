@@ -141,6 +141,7 @@ class KeepInPolytope(KeepIn):
     Parameters
     ----------
     name : str
+        What tables, figures and messages call it.
     H, b : array_like, shapes (F, d) and (F,)
         Facets, b in m per unit of row length; rows are scaled to unit length.
     path : str
@@ -185,6 +186,7 @@ class KeepInCone(KeepIn):
     Parameters
     ----------
     name : str
+        What tables, figures and messages call it.
     apex, axis : array_like, shape (d,), d = 2 or 3
         Tip [m] and direction into the cone (any length but zero).
     half_angle_rad : float

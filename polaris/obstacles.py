@@ -42,6 +42,7 @@ class BoxObstacle(RigidObstacle):
     Parameters
     ----------
     name : str
+        What tables, figures and messages call it.
     center, half_widths : array_like, shape (d,)
         Centre at t = 0 and half widths [m], > 0.
     velocity : array_like, shape (d,), optional
@@ -89,6 +90,7 @@ class BallObstacle(RigidObstacle):
     Parameters
     ----------
     name : str
+        What tables, figures and messages call it.
     center : array_like, shape (d,)
         Centre at t = 0 [m].
     radius : float
@@ -140,6 +142,7 @@ class PolytopeObstacle(RigidObstacle):
     Parameters
     ----------
     name : str
+        What tables, figures and messages call it.
     H, b : array_like, shapes (F, d) and (F,)
         Facets at t = 0, b in m per unit of row length; rows are scaled to unit length.
     velocity : array_like, shape (d,), optional

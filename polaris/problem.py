@@ -25,6 +25,7 @@ class Problem:
     Parameters
     ----------
     system : LinearSystem
+        What is controlled.
     initial_set : Zonotope
         Theta, in absolute coordinates (m, m/s).
     unsafe : tuple of obstacles
@@ -38,6 +39,7 @@ class Problem:
     goal : Goal
         Where the reference must end.
     recoverable : {"polytope", "time_varying_ball", "ball", "paper_ball"}
+        Kind of recoverable set, from the widest to the printed one, which proves nothing.
     period : float or None
         Control period [s] of sampled feedback; None for continuous feedback.
     bound : {"envelope", "lyapunov"}
@@ -45,11 +47,13 @@ class Problem:
     weight : {"auto", "identity"} or array_like
         Weight of the norm of Lemma 1.
     objective : {"margin_then_fuel", "distance", "fuel"}
+        What the planner seeks: the extra margin and then least velocity change; most distance; least fuel.
     extra_margin : float
         Clearance [m] wanted beyond what S's own tube needs: the room left to U.
     thrust_reserve : float
         Share of the thrust limits, in [0, 1), that the reference leaves beyond what S's tube needs.
     planner : PlannerOptions
+        Solver, time limit, gap.
     gains : tuple of ndarray
         Gains of the experimental controllers, so that the time grid is fine enough for them.
     """

@@ -18,6 +18,7 @@ class Reference:
     Parameters
     ----------
     system : LinearSystem
+        Whose dynamics it obeys.
     delta : float
         Step [s] over which the input is constant.
     chi : ndarray, shape (K+1, n)

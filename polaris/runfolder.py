@@ -57,6 +57,7 @@ class RunFolder:
     Attributes
     ----------
     path : Path
+        Where it lies.
     scenario : Scenario
         As it was run, overrides included.
     """
@@ -140,6 +141,7 @@ def write_run(
     out : path
         The folder; its parents are made.
     scenario : Scenario
+        What was synthesised; it is copied into the folder.
     schedule : Schedule
         Result of `synthesize` on it.
     flown : mapping, optional

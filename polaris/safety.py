@@ -35,6 +35,7 @@ class Safety:
     Attributes
     ----------
     problem : Problem
+        What was asked.
     tracking : Tracking
         Gain Lambda, error dynamics, contraction norm.
     bounds : ErrorBounds

@@ -34,6 +34,7 @@ class SatelliteObstacle(Obstacle):
     Parameters
     ----------
     name : str
+        What tables, figures and messages call it.
     state, state_half_widths : array_like, shape (n,)
         State at t = 0 and how far each entry may be off (0 where known), in the system's units.
     radius : float

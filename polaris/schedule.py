@@ -45,6 +45,7 @@ class Schedule:
     Attributes
     ----------
     safety : Safety
+        What it was made from.
     controllers : tuple of Controller
         Indexed by mode.
     steps : tuple of Step
@@ -52,6 +53,7 @@ class Schedule:
     final : Zonotope
         Set of errors at T.
     guarantee : {"proved", "none"}
+        Whether safety is proven; how far the claim reaches is in ``safety.end``.
     assumptions : tuple of str
         What the guarantee rests on, for a mission to discharge.
     seconds : mapping

@@ -30,6 +30,7 @@ class Runs:
     Attributes
     ----------
     schedule : Schedule
+        What was flown, whole or one of its controllers.
     times : ndarray, shape (N+1,)
         Instants of the states [s]: the nodes of the time grid.
     states : ndarray, shape (R, N+1, n)
@@ -86,6 +87,7 @@ def simulate(
     Parameters
     ----------
     schedule : Schedule
+        Result of `synthesize`.
     n : int
         Number of runs.
     seed : int

@@ -72,6 +72,7 @@ class Feedback:
     nodes_per_cell : int
         Number q of nodes per planning step. For sampled feedback the control period is delta / q.
     sampled : bool
+        Whether the input is held from node to node.
     """
 
     nodes_per_cell: int
@@ -107,9 +108,11 @@ class Tracking:
     Parameters
     ----------
     system : LinearSystem
+        What is controlled.
     gain : ndarray, shape (m, n)
         Lambda.
     feedback : Feedback
+        Continuous, or sampled with its control period.
     delta : float
         Planning step [s].
     """

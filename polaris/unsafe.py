@@ -20,6 +20,7 @@ class TimedPolytope:
     Attributes
     ----------
     name : str
+        Of the unsafe set that it covers.
     normals : ndarray, shape (F, d)
         Unit outward facet normals, the same at all times.
     offsets : ndarray, shape (cells, 2, F)

@@ -25,6 +25,7 @@ def plot_reference(safety: Safety, ax: Any = None) -> Any:
     Parameters
     ----------
     safety : Safety
+        Result of `get_safety`.
     ax : matplotlib axes, optional
         A new figure's if not given.
 
@@ -43,6 +44,7 @@ def plot_schedule(schedule: Schedule, ax: Any = None) -> Any:
     Parameters
     ----------
     schedule : Schedule
+        Result of `synthesize`.
     ax : matplotlib axes, optional
         A new figure's if not given.
 
