@@ -111,10 +111,10 @@ def zonotope_tube(
     if F.shape != (system.dim,) * 2 or not np.all(np.isfinite(F)) or np.linalg.matrix_rank(F) < len(F):
         raise ReachError(f"the frame must be an invertible matrix of {system.dim} rows")
     start = initial if isinstance(initial, Zonotope) else initial.interval_hull().to_zonotope()
-    centered, start = _centered(system, start)
+    symmetric, start = centered(system, start)
     rows = np.linalg.inv(F)
-    rows = np.hstack([rows, np.zeros((len(rows), centered.dim - system.dim))])
-    adjoint, both = Adjoint(centered, start), np.vstack([rows, -rows])
+    rows = np.hstack([rows, np.zeros((len(rows), symmetric.dim - system.dim))])
+    adjoint, both = Adjoint(symmetric, start), np.vstack([rows, -rows])
     parts = substeps(adjoint, step)
     run = march(adjoint, both, horizon, step, tolerance, keep=True, substeps=parts)
     return _enclose(run.every(parts), start, F)
@@ -133,7 +133,7 @@ def _enclose(run: March, start: Zonotope, F: Array) -> ZonotopeTube:
     return ZonotopeTube(run.times, Zonotope((image.c + middle) @ F.T, G), bow, F)
 
 
-def _centered(system: LinearSystem, start: Zonotope) -> tuple[LinearSystem, Zonotope]:
+def centered(system: LinearSystem, start: Zonotope) -> tuple[LinearSystem, Zonotope]:
     """The system with its drift and the centre of its input moved into one more state, constantly 1."""
     inputs, drift = system.U, system.c
     if len(inputs) == 1:
