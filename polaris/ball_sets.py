@@ -45,7 +45,7 @@ class BallSets:
         if self.kind != "paper_ball":
             thrust = np.repeat(np.minimum(*c.thrust), c.q, axis=0)
             allowed.append((thrust - b.gain_input * w) / b.gamma_input)
-            names += [f"thrust axis {i}" for i in range(thrust.shape[1])]
+            names += c.tracking.system.input_names
         return np.hstack(allowed) * (1 - ROUNDING), names
 
     @cached_property

@@ -1,7 +1,8 @@
 """The command ``polaris``: run a scenario, check one, list those that come along, redraw figures.
 
 Exit codes: 0 done, 1 fault of the program, 2 bad input, 3 no safe synthesis exists, 4 none certified
-in the time given. Results go to standard output, progress and errors to standard error.
+in the time given. Results go to standard output, progress and errors to standard error. A run that
+proves nothing (only the option ``paper_ball`` does) ends with 0 and a warning on standard error.
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ from .errors import PolarisError
 app = typer.Typer(
     name="polaris",
     help="Switching schedules between a safety controller and experimental ones, proven before the flight.",
-    epilog="Exit codes: 0 done, 2 bad input, 3 no safe synthesis, 4 not certified in the time given.",
+    epilog="Exit codes: 0 done, 2 bad input, 3 no safe synthesis, 4 not certified in the time given."
+    " Code 0 with a warning on standard error: done, but nothing is proven (recoverable kind paper_ball).",
     add_completion=False,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
@@ -87,7 +89,10 @@ def run(
         ),
     ] = None,
     solver: Annotated[Solver | None, typer.Option(help="Short for --set planner.solver=...")] = None,
-    recoverable: Annotated[Kind | None, typer.Option(help="Short for --set recoverable.kind=...")] = None,
+    recoverable: Annotated[
+        Kind | None,
+        typer.Option(help="Short for --set recoverable.kind=...; with paper_ball nothing is proven."),
+    ] = None,
     figures: Annotated[
         bool, typer.Option("--figures/--no-figures", help="Draw the figures; `polaris plot` can do so later.")
     ] = True,
@@ -104,6 +109,10 @@ def run(
         overrides.append(f"recoverable.kind={recoverable.value}")
     with _answering():
         folder = _run(scenario, out, overrides, figures, quiet or as_json)
+        claim, kind = folder.summary["guarantee"]["kind"], folder.summary["synthesis"]["recoverable"]
+        if claim != "proved":  # even if asked to be quiet
+            warning = "NOTHING IS PROVEN by this run, whatever its simulation shows"
+            typer.echo(f"warning: {warning} (recoverable kind {kind}, guarantee {claim})", err=True)
         if as_json:
             sys.stdout.write((folder.path / "summary.json").read_text(encoding="utf-8"))
         elif not quiet:

@@ -128,16 +128,21 @@ def show_summary(summary: Mapping[str, Any], folder: str, console: Console | Non
     )
     reached = f"{plan['delta_v_m_s']:.4g} m/s, clearance {plan['margin_m']:.4g} m beyond the tube"
     console.print(Text(f"Plan: {plan['status']} ({plan['solver']}), {reached}."))
+    start, limit = synthesis["start_margin"], synthesis["start_limit"]
+    if start is not None:
+        console.print(Text(f"Start: {start:.1%} of the room is left, least at {limit}."))
     console.print(Text(f"Synthesis: {seconds['total']:.2f} s ({stages})."))
-    console.print(Text(f"Guarantee: {_claim(claim)}", style="bold"), soft_wrap=True)
-    for assumption in claim["assumptions"]:
+    proved = claim["kind"] == "proved"
+    style = "bold" if proved else "bold red"
+    console.print(Text(f"Guarantee: {_claim(claim)}", style=style), soft_wrap=True)
+    for assumption in claim["assumptions"] if proved else ():
         console.print(Text(f"  - {assumption}"), soft_wrap=True)
     console.print(Text(f"Run folder: {folder}"), soft_wrap=True)
 
 
 def _claim(claim: Mapping[str, Any]) -> str:
     if claim["kind"] != "proved":
-        return "none; this option is not sound"
+        return "none; this option is not sound, and nothing is proven"
     reach = {
         "infinite": "for all time",
         "one_period": f"until {claim['until_s'] or 0:.6g} s",

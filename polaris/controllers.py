@@ -174,7 +174,7 @@ class AffineController:
             nodes = self._clipped_nodes(d, k)
             bow = between.clipped_bow(self, nodes[:-1], k)
         elif excess > 0:
-            refused = f"its command may exceed the limit of axis {axis} by {excess:.3g}"
+            refused = f"its command may exceed the limit of {self.system.input_names[axis]} by {excess:.3g}"
         error = nodes + zeta
         return Flight(error, bow, error[-1].reduce(ORDER), refused)
 

@@ -63,9 +63,8 @@ class PolytopeSets:
     @cached_property
     def names(self) -> list[str]:
         """Names of the limits, in the order of `room`."""
-        m = self.clearance.tracking.system.m
-        axes = [f"thrust axis {i}" for i in range(m)]
-        return [u.name for u in self.clearance.unsafe] + axes + axes
+        axes = self.clearance.tracking.system.input_names
+        return [*(u.name for u in self.clearance.unsafe), *axes, *axes]
 
     @cached_property
     def _far(self) -> Array:

@@ -31,7 +31,7 @@ class Margin:
         Share of the available room left over at the tightest place: 1 for the reference itself
         undisturbed, 0 on the boundary, negative outside.
     limit : str
-        Name of the unsafe set or of the thrust axis that limits it.
+        Name of the unsafe set that limits it, or of the input (`LinearSystem.input_names`).
     time : float
         Time [s] at which the limit bites, under S.
     need, room : float

@@ -224,8 +224,8 @@ def plan_problem(problem: Problem, tracking: Tracking, sets: tuple[TimedPolytope
     if np.any(limit < 0):
         k, axis = np.unravel_index(int(np.argmin(limit)), limit.shape)
         raise SynthesisInfeasible(
-            f"the tracker alone may demand {needed[k, axis]:.4g} N of the {system.u_max[axis]:.4g} N of "
-            f"thrust axis {axis} at t = {k * problem.delta:g} s to correct the initial set and the "
+            f"the tracker alone may demand {needed[k, axis]:.4g} of the {system.u_max[axis]:.4g} of "
+            f"{system.input_names[axis]} at t = {k * problem.delta:g} s to correct the initial set and the "
             "disturbance.",
             float(-limit[k, axis]),
             "shrink the initial set, raise the thrust limit, or raise tracking.R for a softer tracker.",

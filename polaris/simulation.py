@@ -252,7 +252,7 @@ def _disturbances(
 
 
 def _worst_case(flight: _Integrator, n: int, rng: np.random.Generator) -> tuple[Array, Array]:
-    """``w(s) = w_max D' lambda(s) / norm``: the adjoint of one facet (or thrust axis) and instant per run.
+    """``w(s) = w_max D' lambda(s) / norm``: the adjoint of one facet (or input) and instant per run.
 
     For an unsaturated linear loop this is the disturbance that takes the error furthest in that
     direction at that instant; under sampled feedback the continuous adjoint is used.

@@ -13,6 +13,9 @@ from .errors import ScenarioError
 
 Array = NDArray[np.float64]
 
+HILL_AXES = ("radial", "along-track", "cross-track")
+"""Axes of Hill's frame, in the order of position, velocity and thrust."""
+
 
 def as_finite(name: str, value: ArrayLike, ndim: int) -> Array:
     """Convert to a float array of the given dimension, refusing NaN and infinity.
@@ -113,6 +116,13 @@ class LinearSystem:
     def p(self) -> int:
         """Number of disturbance channels."""
         return int(self.D.shape[1])
+
+    @property
+    def input_names(self) -> tuple[str, ...]:
+        """What messages and figures call the inputs: thrust along Hill's axes, or inputs by number."""
+        if self.mean_motion is not None and self.m == 3:
+            return tuple(f"{axis} thrust" for axis in HILL_AXES)
+        return tuple(f"input {i}" for i in range(self.m))
 
     @property
     def d(self) -> int:

@@ -214,9 +214,8 @@ class Frame:
 
 def input_labels(system: LinearSystem) -> tuple[str, tuple[str, ...]]:
     """What the input is called, with its unit, and the name of each axis."""
-    if system.mean_motion is not None and system.m == 3:
-        return "Thrust (N)", ("radial", "along-track", "cross-track")
-    return "Input", tuple(f"input {i}" for i in range(system.m))
+    names = tuple(name.removesuffix(" thrust") for name in system.input_names)
+    return "Input" if names == system.input_names else "Thrust (N)", names
 
 
 def step_edges(values: Any) -> Any:

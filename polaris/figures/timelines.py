@@ -137,7 +137,7 @@ def draw_margin(ax: Any, picture: Picture) -> None:
     place, height = floor - 0.17, 0.12
     counts = {True: 0, False: 0}
     for name in dict.fromkeys(names):
-        thrust = name.startswith("thrust axis")
+        thrust = name in picture.system.input_names
         colour = (THRUST_COLOURS if thrust else SET_COLOURS)[counts[thrust] % 4]
         counts[thrust] += 1
         chosen = np.array([other == name for other in names])

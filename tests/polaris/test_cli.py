@@ -5,6 +5,7 @@ import json
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -113,6 +114,16 @@ def test_figures_can_wait(invoke, tmp_path, monkeypatch):
     assert "draw the figures: polaris plot" in " ".join(done.stdout.split())
     assert invoke("plot", "here").exit_code == 0
     assert (tmp_path / "here" / "figures" / "modes.pdf").is_file()
+
+
+@pytest.mark.parametrize("options", [(), ("--quiet",), ("--json",)])
+def test_a_run_that_proves_nothing_says_so_on_standard_error(invoke, monkeypatch, options):
+    unsound = replace(synthesised()[1], guarantee="none")
+    monkeypatch.setattr("polaris.synthesis.synthesize", lambda *args, **given: unsound)
+    done = invoke("run", TINY, *options)
+    assert done.exit_code == 0
+    assert done.stderr.startswith("warning: NOTHING IS PROVEN") and len(done.stderr.splitlines()) == 1
+    assert "Guarantee: none" in done.stdout or options
 
 
 def test_overrides_reach_the_scenario_and_are_noted(invoke, tmp_path):

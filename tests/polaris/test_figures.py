@@ -11,7 +11,7 @@ from polaris.figures import _FIGURES, NAMES, draw_figures, plot_reference, plot_
 from polaris.figures.geometry import directions, faces, flat_outline, polygon, stretches, tube_polygons
 from polaris.figures.picture import Picture, picture_of, picture_of_safety, recoverable_slices, tube_of
 from polaris.figures.scene import under_mode
-from polaris.figures.style import MODE_COLOURS, Frame, new_figure, style
+from polaris.figures.style import MODE_COLOURS, Frame, input_labels, new_figure, style
 from polaris.figures.timelines import limit_group
 from polaris.hill import clohessy_wiltshire
 from polaris.obstacles import BallObstacle, BoxObstacle, KeepInCone, SatelliteObstacle
@@ -82,6 +82,16 @@ def test_hills_frame_is_along_track_to_the_right_and_radial_up():
 def test_modes_keep_the_papers_colours():
     assert MODE_COLOURS[:2] == ("#0072B2", "#E69F00")  # blue S, orange U, out of Okabe and Ito's palette
     assert len(set(MODE_COLOURS)) == len(MODE_COLOURS)
+
+
+def test_inputs_are_named_by_axis_in_hills_frame_and_by_number_elsewhere():
+    space = clohessy_wiltshire(0.0012, 10.0, 0.1)
+    assert space.input_names == ("radial thrust", "along-track thrust", "cross-track thrust")
+    assert input_labels(space) == ("Thrust (N)", ("radial", "along-track", "cross-track"))
+    plane = synthesised()[1].safety
+    assert plane.problem.system.input_names == ("input 0", "input 1")
+    assert input_labels(plane.problem.system) == ("Input", ("input 0", "input 1"))
+    assert {"input 0", "input 1"} < set(plane.recoverable.names)
 
 
 def test_limits_of_one_keep_in_set_are_one_name():

@@ -183,13 +183,13 @@ def test_theta_outside_the_first_set_is_an_error_with_the_witness():
 
     problem = small_problem()
     wide = replace(problem, initial_set=Zonotope.box(problem.initial_set.c, [60, 60, 60, 0.2, 0.2, 0.2]))
-    with pytest.raises(SynthesisInfeasible, match="the tracker alone may demand"):
+    with pytest.raises(SynthesisInfeasible, match=r"the tracker alone may demand .* of radial thrust at t"):
         get_safety(wide)
     near = replace(problem, recoverable="ball", extra_margin=0.0, objective="fuel", thrust_reserve=0.0)
     with pytest.raises(SynthesisInfeasible, match="not inside the first recoverable set") as caught:
         get_safety(near)
     assert caught.value.shortfall > 0
-    assert "debris" in str(caught.value) or "thrust axis" in str(caught.value)
+    assert "debris" in str(caught.value) or " thrust at t = " in str(caught.value)
 
 
 def test_same_input_same_schedule():
