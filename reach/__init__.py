@@ -19,11 +19,11 @@ if TYPE_CHECKING:
     from .linear import discretize, growth, powers
     from .polytope import HPolytope
     from .relaxation import clip_relaxation
-    from .support_tube import SupportTube, support_tube
+    from .tube_support import SupportTube, support_tube
     from .systems import LinearSystem
     from .verification import Always, Never, Verdict, verify
     from .zonotope import Zonotope
-    from .zonotope_tube import ZonotopeTube, zonotope_tube
+    from .tube_zonotope import ZonotopeTube, zonotope_tube
 
 _HOMES = {
     ".ball": ("ball_generators",),
@@ -36,11 +36,11 @@ _HOMES = {
     ".linear": ("discretize", "growth", "powers"),
     ".polytope": ("HPolytope",),
     ".relaxation": ("clip_relaxation",),
-    ".support_tube": ("SupportTube", "support_tube"),
+    ".tube_support": ("SupportTube", "support_tube"),
     ".systems": ("LinearSystem",),
     ".verification": ("Always", "Never", "Verdict", "verify"),
     ".zonotope": ("Zonotope",),
-    ".zonotope_tube": ("ZonotopeTube", "zonotope_tube"),
+    ".tube_zonotope": ("ZonotopeTube", "zonotope_tube"),
 }
 """Module of every public name."""
 

@@ -13,7 +13,7 @@ from .adjoint import ROUNDING, Adjoint
 from .convex import ConvexSet
 from .errors import ReachError
 from .march import March, march, substeps
-from .support_tube import locate
+from .tube_support import locate
 from .systems import LinearSystem
 from .zonotope import Zonotope
 
