@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,16 @@ from ..tolerances import SOLVER_FEASIBILITY
 from .problem import PlannerOptions
 
 Listen = Callable[[float, float], None]
+
+
+def require(solver: str) -> None:
+    """Refuse a back end that is not installed."""
+    if solver == "gurobi" and find_spec("gurobipy") is None:
+        raise ScenarioError(
+            "planner.solver",
+            "gurobi",
+            "needs the package gurobipy: install the extra 'gurobi', or use the solver highs",
+        )
 
 
 def run(
@@ -83,16 +94,8 @@ def _highs(
 def _gurobi(
     lp: Any, options: PlannerOptions, seconds: float, warm: bool, listen: Listen | None
 ) -> tuple[str, float, float]:
+    import gurobipy as gp
     import pulp
-
-    try:
-        import gurobipy as gp
-    except ImportError as error:
-        raise ScenarioError(
-            "planner.solver",
-            "gurobi",
-            "needs the package gurobipy: install the extra 'gurobi', or use the solver highs",
-        ) from error
 
     def hear(model: Any, where: int) -> None:
         if listen is not None and where == gp.GRB.Callback.MIP:

@@ -85,11 +85,10 @@ def _start(problem: PlanProblem) -> None:
 def _shortfall(planner: Planner, stop: float) -> tuple[float | None, bool]:
     """Least length [m] by which all margins must give way, and whether that is proven."""
     search = PathSearch(planner.rows, stop)
-    search.set_levels(Levels(0.0, 0.0), 0.0, 1e3)
-    search.set_fuel_price(1e-3)
+    search.set_prices(Levels(0.0, 0.0), short=1e3, fuel=1e-3)
     found = search.first()
     half = perf_counter() + 0.5 * max(stop - perf_counter(), 0.0)
-    outcome = branch(search, found, 0.02, half, 2000, lambda top, bound: None)
+    outcome = branch(search, found, 0.02, lambda best, cells, lps: lps > 2000 or perf_counter() > half)
     if outcome.best is None:
         return None, False
     return outcome.best.short, outcome.status == "optimal"
@@ -102,7 +101,7 @@ def _stronger(problem: PlanProblem, factor: float) -> PlanProblem:
 def _works(problem: PlanProblem, stop: float) -> bool:
     """Whether the quick search finds a plan."""
     search = PathSearch(Rows(problem), stop)
-    search.set_levels(Levels(0.0, 0.0), 0.0, 1e4)
+    search.set_prices(Levels(0.0, 0.0), short=1e4)
     path = search.first()
     if path is None or path.short > 0:
         return False

@@ -14,6 +14,9 @@ from ..errors import NotCertified
 from ..system import Array
 from ..tolerances import SOLVER_FEASIBILITY
 
+FAR = 1e6
+"""Range of what is unlimited: no row of the planner gets as many lengths away from its bound."""
+
 
 class GrowingLP:
     """``min cost x  s.t.  lower <= A x <= upper, low <= x <= high`` with rows added and taken back.
@@ -37,47 +40,62 @@ class GrowingLP:
         n = len(cost)
         empty_i, empty = np.zeros(0, dtype=np.int32), np.zeros(0)
         self.highs.addCols(n, cost, low, high, 0, np.zeros(n, dtype=np.int32), empty_i, empty)
-        self.n = n
+        self._room = np.asarray(high - low, dtype=float)
+        self._a, self._slack = [np.zeros((0, n))], [np.zeros(0)]
         self.rows = 0
-        self.solves = 0
+        self.out_of_time = False
 
     def add(self, a: Array, lower: Array | float, upper: Array | float) -> None:
         """Add rows ``lower <= a x <= upper``, a of shape (R, n)."""
-        a = np.atleast_2d(a)
         R = len(a)
         if R == 0:
             return
         inf = self._highspy.kHighsInf
-        lo = np.clip(np.broadcast_to(np.asarray(lower, dtype=float), (R,)), -inf, inf).copy()
-        up = np.clip(np.broadcast_to(np.asarray(upper, dtype=float), (R,)), -inf, inf).copy()
+        lo = np.clip(np.broadcast_to(np.asarray(lower, dtype=float), (R,)), -inf, inf)
+        up = np.clip(np.broadcast_to(np.asarray(upper, dtype=float), (R,)), -inf, inf)
         where = np.nonzero(a)
         starts = np.searchsorted(where[0], np.arange(R)).astype(np.int32)
         self.highs.addRows(R, lo, up, len(where[0]), starts, where[1].astype(np.int32), a[where])
+        self._a.append(a)
+        self._slack.append(up - lo)
         self.rows += R
 
     def take_back(self, rows: int) -> None:
-        """Remove every row but the first `rows`."""
+        """Remove every row but the first `rows`, which must end where a block of `add` ended."""
         if self.rows > rows:
             drop = np.arange(rows, self.rows, dtype=np.int32)
             self.highs.deleteRows(len(drop), drop)
-            self.rows = rows
+            while self.rows > rows:
+                self.rows -= len(self._a.pop())
+                self._slack.pop()
 
-    def change(self, column: int, cost: float, low: float, high: float) -> None:
-        """Change cost and bounds of one column."""
-        self.highs.changeColCost(column, cost)
+    def price(self, first: int, cost: Array) -> None:
+        """Change the costs of consecutive columns."""
+        columns = np.arange(first, first + len(cost), dtype=np.int32)
+        self.highs.changeColsCost(len(cost), columns, cost)
+
+    def limit(self, column: int, low: float, high: float) -> None:
+        """Change the bounds of one column."""
         self.highs.changeColBounds(column, low, high)
+        self._room[column] = high - low
 
     def basis(self) -> Any:
         """The simplex basis as it stands, to be given back to `use`."""
         return self.highs.getBasis()
 
     def use(self, basis: Any) -> None:
-        """Start the next solve from a basis taken when the same rows were in place."""
-        if len(basis.row_status) == self.rows:
+        """Start the next solve from a basis, its rows completed by basic ones for rows added since."""
+        lack = self.rows - len(basis.row_status)
+        if lack >= 0:
+            if lack:
+                start = self._highspy.HighsBasis()
+                start.col_status = basis.col_status
+                start.row_status = [*basis.row_status, *[self._highspy.HighsBasisStatus.kBasic] * lack]
+                basis = start
             self.highs.setBasis(basis)
 
     def solve(self, seconds: float) -> tuple[float, Array] | None:
-        """Optimal value and point, or None where there is none (or no time)."""
+        """Optimal value and point, or None where there is none, or no time (then `out_of_time` is set)."""
         status, kind = self._run(seconds), self._highspy.HighsModelStatus
         if status not in (kind.kOptimal, kind.kInfeasible, kind.kTimeLimit):
             # a stale basis can leave the simplex method stuck: once more from scratch
@@ -87,12 +105,63 @@ class GrowingLP:
             self.highs.setOptionValue("presolve", "off")
         if status == kind.kOptimal:
             return float(self.highs.getObjectiveValue()), np.array(self.highs.getSolution().col_value)
-        if status in (kind.kInfeasible, kind.kUnboundedOrInfeasible, kind.kTimeLimit):
+        self.out_of_time = status == kind.kTimeLimit
+        if self.out_of_time or status in (kind.kInfeasible, kind.kUnboundedOrInfeasible):
             return None
         raise NotCertified(f"a linear program of the planner ended without an answer ({status})")
 
     def _run(self, seconds: float) -> Any:
         self.highs.setOptionValue("time_limit", self.highs.getRunTime() + max(seconds, 0.01))
         self.highs.run()
-        self.solves += 1
         return self.highs.getModelStatus()
+
+    def costs(self, a: Array, lack: Array) -> Array:
+        """Lower bounds on what the optimum loses if one more row has to hold, without solving anything.
+
+        At the optimum just found every variable and slack that is not basic can only move into the
+        program, at its reduced cost. Written over these, the new row needs a certain amount of
+        movement; the cheapest way to pay for it is a continuous knapsack. What it leaves out are the
+        bounds of the basic variables, so the true cost is the same or higher.
+
+        Parameters
+        ----------
+        a : ndarray, shape (J, n)
+            New rows ``a x >= need``, each on its own.
+        lack : ndarray, shape (J,)
+            ``need - a x`` at the optimum.
+
+        Returns
+        -------
+        ndarray, shape (J,)
+            Infinite where no movement is enough; 0 where nothing is lacking.
+        """
+        basis, point = self.highs.getBasis(), self.highs.getSolution()
+        status = self._highspy.HighsBasisStatus
+        basic, upper = int(status.kBasic), int(status.kUpper)
+        columns, rows = (np.array([int(s) for s in side]) for side in (basis.col_status, basis.row_status))
+        idle, tight = columns != basic, rows != basic
+        A = np.vstack(self._a)[tight]
+        lead = _solve(A[:, ~idle].T, a[:, ~idle].T)
+        if lead is None:
+            return np.zeros(len(a))
+        sign = np.where(np.r_[columns[idle], rows[tight]] == upper, -1.0, 1.0)
+        room = np.minimum(np.r_[self._room[idle], np.concatenate(self._slack)[tight]], FAR)
+        gain = np.maximum(np.hstack([a[:, idle] - lead.T @ A[:, idle], lead.T]) * sign, 0.0)
+        price = np.r_[np.array(point.col_dual)[idle], np.array(point.row_dual)[tight]] * sign
+        rate = np.divide(np.maximum(price, 0.0), gain, out=np.zeros(gain.shape), where=gain > 0)
+        order = np.argsort(rate, axis=1)
+        steps = np.take_along_axis(gain * room, order, axis=1)
+        reached = np.cumsum(steps, axis=1)
+        paid = np.clip(lack[:, None] - (reached - steps), 0.0, steps)
+        cost = np.sum(paid * np.take_along_axis(rate, order, axis=1), axis=1)
+        return np.where(reached[:, -1] < lack * (1 - 1e-6) - 1e-6, np.inf, cost)
+
+
+def _solve(M: Array, b: Array) -> Array | None:
+    """Solution of ``M x = b``, or None where M is not square or too close to singular to trust it."""
+    try:
+        x = np.linalg.solve(M, b)
+    except np.linalg.LinAlgError:
+        return None
+    error, size = np.max(np.abs(M @ x - b), initial=0.0), np.max(np.abs(b), initial=1.0)
+    return np.asarray(x) if error <= 1e-9 * size else None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 from time import perf_counter
 from typing import Any
@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 
 from ..system import Array
+from . import backends
 from .lp import GrowingLP
 from .problem import PlannerOptions
-from .rows import Rows
-from .search import Candidate, Cell, Levels
+from .rows import Key, Rows
+from .search import Candidate, PathSearch
 
 
 @dataclass(eq=False)
@@ -39,63 +40,44 @@ class Answer:
     stats: dict[str, float]
 
 
-@dataclass(frozen=True, eq=False)
-class Task:
-    """One program: what is minimised and which cells are constrained.
+class Model:
+    """The PuLP model of the program at the prices of a search, over some cells.
 
-    Attributes
+    Parameters
     ----------
-    cells : frozenset of (int, int)
-        Constrained cells, as (unsafe set, cell).
-    fuel, margin : float
-        Prices of velocity change [1/(m/s)] and of missing margin.
-    levels : Levels
-        Range of the margin variable.
+    search : PathSearch
+        With prices set.
+    cells : collection of (int, int)
+        Disjunctions to state; what is not among them is left out.
     budget : float
         Upper bound on the velocity change [m/s].
-    one_of : bool
-        Whether to state the disjunctions of the goal (left out while the relaxation meets them).
-    decided : tuple or None
-        Facets per cell and sides of the goal that are decided already; no binary is left then.
     """
 
-    cells: frozenset[Cell]
-    fuel: float = 1.0
-    margin: float = 0.0
-    levels: Levels = Levels(0.0, 0.0)
-    budget: float = np.inf
-    one_of: bool = True
-    decided: tuple[dict[Cell, int], tuple[int, ...]] | None = None
-
-
-class Model:
-    """The PuLP model of one `Task`."""
-
-    def __init__(self, rows: Rows, task: Task, reachable: Callable[[int, int, int], bool]) -> None:
+    def __init__(self, search: PathSearch, cells: Collection[Key], budget: float = np.inf) -> None:
         import pulp
 
-        self.pulp, self.rows, self.task = pulp, rows, task
+        self.pulp, self.search, self.rows, self.levels = pulp, search, search.rows, search.levels
         self.lp: Any = pulp.LpProblem("reference", pulp.LpMinimize)
-        K, m, n = rows.problem.K, rows.problem.system.m, rows.problem.system.n
-        up = rows.limit.tolist()
+        rows, system = self.rows, search.rows.problem.system
+        up, m = rows.limit.tolist(), system.m
         self.plus = [self._new(f"p{j // m}_{j % m}", 0.0, up[j]) for j in range(rows.N)]
         self.minus = [self._new(f"m{j // m}_{j % m}", 0.0, up[j]) for j in range(rows.N)]
-        self.s = self._new("s", task.levels.low, task.levels.high)
+        self.s = self._new("s", self.levels.low, self.levels.high)
         self.frame = goal_frame(rows)
-        self.x = [[self._new(f"x{k}_{i}", None, None) for i in range(n)] for k in range(1, K + 1)]
-        self.xK = self.x[-1]
-        self.inputs = self.plus + self.minus
-        price = np.r_[rows.price, rows.price] * task.fuel
-        self.lp.setObjective(self._sum(self.inputs, price) + self._sum([self.s], np.array([-task.margin])))
-        self.z: dict[tuple[int, int, int], Any] = {}
-        self.sides: list[list[Any]] = []
-        self.impossible: Cell | None = None
-        if np.isfinite(task.budget):
-            self.lp += self._sum(self.inputs, np.r_[rows.price, rows.price]) <= task.budget
+        self.back = np.linalg.inv(self.frame)
+        K = rows.problem.K
+        self.x = [[self._new(f"x{k}_{i}", None, None) for i in range(system.n)] for k in range(1, K + 1)]
+        inputs, price, self.budget = self.plus + self.minus, np.r_[rows.price, rows.price], budget
+        self.lp.setObjective(
+            self._sum(inputs, price * search.fuel_price)
+            + self._sum([self.s], np.array([-search.margin_price]))
+        )
+        if np.isfinite(budget):
+            self.lp += self._sum(inputs, price) <= budget
         self._dynamics(K, m)
-        self._goal(K)
-        for cell in sorted(task.cells, key=lambda c: (c[1], c[0])):
-            self._cell(cell, reachable)
+        self._goal()
+        self.z: dict[tuple[Key, int], Any] = {}
+        self.impossible = not all(self._one_of(key) for key in sorted(cells, key=lambda c: (c[1], c[0])))
 
     def _new(self, name: str, low: float | None, high: float | None, binary: bool = False) -> Any:
         add = getattr(self.lp, "add_variable", None)  # PuLP before 3.3 has only the constructor
@@ -126,82 +108,50 @@ class Model:
                 else:
                     self.lp += row == -float(start[i])
 
-    def _at(self, k: int, g: Array, h: Array) -> tuple[Any, float]:
-        """Expression and constant of ``g x_k + h z_k``, rows as `Rows.local` returns them."""
+    def _at(self, k: int, g: Array, h: Array) -> Any:
+        """Expression ``g x_k + h z_k`` without its constant, rows as in `Options`."""
         K, m = self.rows.problem.K, self.rows.problem.system.m
-        if k == 0:
-            where, constant = self._sum([], np.zeros(0)), float(g @ self.rows.problem.x0)
-        else:
-            where, constant = self._sum(self.x[min(k, K) - 1], g @ np.linalg.inv(self.frame)), 0.0
+        where = self._sum(self.x[k - 1], g @ self.back) if k else self._sum([], np.zeros(0))
         if k < K:
             inputs = self.plus[k * m : (k + 1) * m] + self.minus[k * m : (k + 1) * m]
             where = where + self._sum(inputs, np.r_[h, -h])
-        return where, constant
+        return where
 
-    def _goal(self, K: int) -> None:
-        rows, goal = self.rows, self.rows.problem.goal.conditions
-        back = np.linalg.inv(self.frame)
-        for g, rhs in zip(goal.E @ back / rows.length, goal.e / rows.length, strict=True):
-            self.lp += self._sum(self.xK, g) == float(rhs)
-        for g, rhs in zip(goal.G @ back / rows.length, goal.g / rows.length, strict=True):
-            self.lp += self._sum(self.xK, g) <= float(rhs)
-        if self.task.decided is not None:
-            for (N, c), side in zip(goal.one_of, self.task.decided[1], strict=False):
-                if side >= 0:
-                    g = N[side] @ back / rows.length
-                    self.lp += self._sum(self.xK, g) >= float(c[side] / rows.length)
-        for group, (N, c) in enumerate(goal.one_of if self.task.one_of else ()):
-            binaries = [self._new(f"goal{group}_{j}", 0.0, 1.0, binary=True) for j in range(len(N))]
-            # every row is bounded below by the goal's own inequalities or by the thrust limits
-            floor = -rows.extreme(rows.state_rows(-N, K), self.task.budget) + N @ rows.free[K]
-            floor = np.maximum(floor, goal_floor(goal.G, goal.g, N))
-            big = np.maximum((c - floor) / rows.length, 0.0)
-            for j, g in enumerate(N @ back / rows.length):
-                self.lp += self._sum([*self.xK, binaries[j]], np.r_[g, -big[j]]) >= float(
-                    c[j] / rows.length - big[j]
-                )
-            self.lp += self.pulp.lpSum(binaries) >= 1
-            self.sides.append(binaries)
+    def _goal(self) -> None:
+        goal, unit = self.rows.problem.goal.conditions, self.rows.length
+        for g, rhs in zip(goal.E @ self.back / unit, goal.e / unit, strict=True):
+            self.lp += self._sum(self.x[-1], g) == float(rhs)
+        for g, rhs in zip(goal.G @ self.back / unit, goal.g / unit, strict=True):
+            self.lp += self._sum(self.x[-1], g) <= float(rhs)
 
-    def _cell(self, cell: Cell, reachable: Callable[[int, int, int], bool]) -> None:
-        i, k = cell
-        rows, task = self.rows, self.task
-        options = []
-        facets = (
-            range(len(rows.problem.unsafe[i].normals)) if task.decided is None else [task.decided[0][cell]]
-        )
-        for f in facets:
-            part = rows.cell(i, k, f)
-            if task.decided is not None:
-                options.append((f, part, np.full(len(part.need), 1e3)))
-                continue
-            most = rows.extreme(part.a, task.budget)
-            need = part.need + part.slope * task.levels.low
-            if np.all(most >= need - 1e-9) and reachable(i, k, f):
-                options.append((f, part, part.need + part.slope * task.levels.high + most))
-        if not options:
-            self.impossible = cell
-            return
+    def _one_of(self, key: Key) -> bool:
+        """State one disjunction, with big-M as small as the input limits allow; False if none can hold."""
+        rows, levels = self.rows, self.levels
+        options = rows.options(key)
+        most = rows.extreme(options.a, self.budget)
+        least = -most
+        if key[0] < 0:  # the goal's own inequalities bound its rows too
+            goal = rows.problem.goal.conditions
+            floor = goal_floor(goal.G, goal.g, goal.one_of[key[1]][0]) / rows.length
+            least = np.maximum(least, floor[:, None] - options.free)
+        big = options.need + options.slope * levels.high - least
+        can = np.all(most >= options.need + options.slope * levels.low - 1e-9, axis=1)
+        chosen = np.nonzero(can)[0].tolist()
         binaries = []
-        for f, part, big in options:
-            only = len(options) == 1
-            if not only:
-                self.z[(i, k, f)] = self._new(f"z{i}_{k}_{f}", 0.0, 1.0, binary=True)
-                binaries.append(self.z[(i, k, f)])
-            else:
-                self.z[(i, k, f)] = None
-            for g, h, rhs, M in zip(*rows.local(i, k, f), big, strict=True):
-                if M <= 0 and not only:
+        for j in chosen:
+            z = self._new(f"z{key[0] + 1}_{key[1]}_{j}", 0.0, 1.0, binary=True) if len(chosen) > 1 else None
+            self.z[key, j] = z
+            binaries += [z] if z is not None else []
+            for r, M in enumerate(big[j].tolist()):
+                if M <= 0 and z is not None:
                     continue
-                row, constant = self._at(k, g, h)
-                need = rhs - constant
-                row = row + self._sum([self.s], np.array([-part.slope]))
-                if only:
-                    self.lp += row >= float(need)
-                else:
-                    self.lp += row - float(M) * binaries[-1] >= float(need - M)
+                need = float(options.need[j, r] + (options.free[j, r] if options.at else 0.0))
+                row = self._at(options.at, options.g[j, r], options.h[j, r])
+                row = row + self._sum([self.s], np.array([-options.slope]))
+                self.lp += row >= need if z is None else row - M * z >= need - M
         if binaries:
             self.lp += self.pulp.lpSum(binaries) == 1
+        return bool(chosen)
 
     def solve(
         self,
@@ -211,9 +161,7 @@ class Model:
         listen: Callable[[float, float], None] | None = None,
     ) -> Answer:
         """Run the back end, from a start if there is one."""
-        from . import backends
-
-        if self.impossible is not None:
+        if self.impossible:
             return Answer("infeasible", None, np.inf, np.inf, {})
         if start is not None:
             self._warm(start)
@@ -222,7 +170,7 @@ class Model:
         stats = {
             "rows": float(self.lp.numConstraints()),
             "cols": float(self.lp.numVariables()),
-            "binaries": float(sum(v is not None for v in self.z.values()) + sum(map(len, self.sides))),
+            "binaries": float(sum(v is not None for v in self.z.values())),
             "nodes": nodes,
             "solver_seconds": perf_counter() - begun,
         }
@@ -231,15 +179,11 @@ class Model:
         z = np.array(
             [(p.varValue or 0.0) - (q.varValue or 0.0) for p, q in zip(self.plus, self.minus, strict=True)]
         )
-        choice = {}
-        for (i, k, f), var in self.z.items():
-            if var is None or var.varValue > 0.5:
-                choice[(i, k)] = f
-        sides = tuple(int(np.argmax([v.varValue for v in group])) for group in self.sides)
+        choice = {key: j for (key, j), var in self.z.items() if var is None or var.varValue > 0.5}
         fuel = float(np.sum(self.rows.price * np.abs(z)))
         # PuLP leaves variables that no row mentions without a value
-        level = self.task.levels.high if self.s.varValue is None else float(self.s.varValue)
-        path = Candidate(z, level, 0.0, fuel, choice, sides)
+        level = self.levels.high if self.s.varValue is None else float(self.s.varValue)
+        path = Candidate(z, level, 0.0, fuel, choice)
         return Answer(status, path, float(self.lp.objective.value()), bound, stats)
 
     def _warm(self, path: Candidate) -> None:
@@ -247,18 +191,13 @@ class Model:
             self.plus[j].setInitialValue(max(float(value), 0.0), check=False)
             self.minus[j].setInitialValue(max(-float(value), 0.0), check=False)
         self.s.setInitialValue(path.level, check=False)
-        for (i, k, f), var in self.z.items():
-            if var is not None and (i, k) in path.choice:
-                var.setInitialValue(float(path.choice[(i, k)] == f), check=False)
-        states = self.rows.trajectory(path.z)[0]
-        last = states[self.rows.problem.K]
-        for variables, state in zip(self.x, states[1:] @ self.frame.T, strict=False):
+        for (key, j), var in self.z.items():
+            if var is not None and key in path.choice:
+                var.setInitialValue(float(path.choice[key] == j), check=False)
+        states = self.search.recheck(path).reference.chi[1:] @ self.frame.T
+        for variables, state in zip(self.x, states, strict=True):
             for var, value in zip(variables, state, strict=True):
                 var.setInitialValue(float(value), check=False)
-        for (N, c), group in zip(self.rows.problem.goal.conditions.one_of, self.sides, strict=False):
-            side = int(np.argmax(N @ last - c))
-            for j, var in enumerate(group):
-                var.setInitialValue(float(j == side), check=False)
 
 
 def goal_frame(rows: Rows) -> Array:

@@ -144,7 +144,8 @@ class PlannerOptions:
     Parameters
     ----------
     solver : {"highs", "gurobi"}
-        Back end of the mixed-integer program; the model is the same.
+        Back end of the mixed-integer program; the model is the same. It is called for what the tree
+        leaves open (see `branching`).
     time_limit : float
         Wall time [s] for everything the planner does.
     gap : float
@@ -207,8 +208,10 @@ class Plan:
     seconds : mapping
         Wall time by part [s].
     solver : str
+        Back end that was called; "highs", which solves the linear programs, where none had to be.
     stats : mapping
-        Size of the largest model (rows, cols, binaries), nodes, rounds.
+        Linear programs solved (lps), nodes, calls of the back end (rounds), size of its largest model
+        (rows, cols, binaries).
     """
 
     chi: Array

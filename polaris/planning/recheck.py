@@ -78,14 +78,15 @@ def path_bounds(problem: PlanProblem, path: Reference, arcs: int) -> list[Array]
     size = np.abs(x[:, :-1]) @ growth(A, h).T + np.abs(u) @ forced.T
     fourth = size @ np.abs(CA3 @ A).T + np.abs(u) @ np.abs(CA3 @ B).T  # (cells, arcs, d)
     lead, trail = p[:, :-1] + h / 3 * v[:, :-1], p[:, 1:] - h / 3 * v[:, 1:]
-    points = np.stack([p[:, :-1], lead, trail, p[:, 1:]], axis=2)  # (cells, arcs, 4, d)
-    share = (np.arange(arcs)[:, None] + np.arange(4) / 3) / arcs
+    points = np.stack([p[:, :-1], lead, trail, p[:, 1:]])  # (4, cells, arcs, d)
+    share = ((np.arange(arcs) + np.arange(4)[:, None] / 3) / arcs)[:, None, :, None]
+    reach = np.max(np.abs(points), axis=(0, 2))  # (cells, d)
     lows = []
     for i, body in enumerate(problem.unsafe):
         b = problem.offsets(i)
-        offset = b[:, 0, None, None] * (1 - share[..., None]) + b[:, 1, None, None] * share[..., None]
-        along = points @ body.normals.T
-        low = np.min(along - offset, axis=2) - h**4 / 384 * (fourth @ np.abs(body.normals).T)
-        slack = ROUNDING * (np.max(np.abs(along), axis=(1, 2)) + np.max(np.abs(b), axis=1))
+        offset = b[:, 0, None] * (1 - share) + b[:, 1, None] * share
+        size = np.abs(body.normals).T
+        low = np.min(points @ body.normals.T - offset, axis=0) - h**4 / 384 * (fourth @ size)
+        slack = ROUNDING * (reach @ size + np.max(np.abs(b), axis=1))
         lows.append(np.min(low, axis=1) - slack)
     return lows

@@ -6,7 +6,7 @@ shares ``z = nu / u_limit``-free of units (``nu_k,i = u_max_i z_k,i``), position
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -20,23 +20,34 @@ from .problem import PlanProblem
 SEGMENTS = (1, 2, 4, 8, 16, 32)
 
 
+Key = tuple[int, int]
+"""A disjunction: (unsafe set, cell), or (-1, group) for one of the goal's."""
+
+
 @dataclass(frozen=True, eq=False)
-class CellRows:
-    """Rows ``a z >= need + slope * s`` (in units of length) that keep one cell beyond one facet.
+class Options:
+    """The J alternatives of one disjunction, each R rows ``a z >= need + slope * s`` in units of length.
 
     Attributes
     ----------
-    a : ndarray, shape (R, N)
+    a : ndarray, shape (J, R, N)
         Coefficients of the input shares.
-    need : ndarray, shape (R,)
+    need : ndarray, shape (J, R)
         Right-hand sides without extra margin.
     slope : float
         How much one unit of the margin variable adds.
+    at : int
+        Before the states are condensed out the rows read ``g x_at + h z_at >= need + free + slope * s``.
+    g, h, free : ndarray, shapes (J, R, n), (J, R, m), (J, R)
     """
 
     a: Array
     need: Array
     slope: float
+    at: int
+    g: Array
+    h: Array
+    free: Array
 
 
 class Rows:
@@ -51,34 +62,20 @@ class Rows:
         self.price = np.tile(system.u_max * delta / system.mass, problem.K)
         self.length = max(1e-3, float(np.max(np.abs(system.position @ problem.x0), initial=0.0)) / 10)
         self.free = np.einsum("kij,j->ki", powers(self.Ad, problem.cells), problem.x0)
-        impulse = powers(self.Ad, problem.cells) @ (self.Bd * system.u_max)
-        self._impulse = impulse
+        self._impulse = powers(self.Ad, problem.K) @ (self.Bd * system.u_max)
         self._offsets = [problem.offsets(i) for i in range(len(problem.unsafe))]
         self._required = [problem.required(i) for i in range(len(problem.unsafe))]
         self.extra = [np.zeros((problem.cells, 1)) for _ in problem.unsafe]
         self.booking = [np.full(r.shape, SOLVER_BOOK_M) for r in self._required]
-        self._cache: dict[tuple[int, int, int], CellRows] = {}
+        self._cache: dict[Key, Options] = {}
 
     def state_rows(self, g: Array, k: int) -> Array:
-        """Coefficients of ``g x_k`` over the input shares, shape (R, N), for rows g of shape (R, n)."""
+        """Coefficients of ``g x_k``, k <= K, over the input shares, (..., N) for rows g of shape (..., n)."""
         K, m = self.problem.K, self.problem.system.m
-        out = np.zeros((len(g), K, m))
-        last = min(k, K)
-        if last:
-            # u_j acts on x_k through Ad^(k-1-j) Bd
-            out[:, :last] = np.einsum("rn,jnm->rjm", g, self._impulse[k - last : k][::-1])
-        return out.reshape(len(g), self.N)
-
-    def trajectory(self, z: Array) -> tuple[Array, Array]:
-        """States (cells+1, n) and inputs (cells, m, zero in the tail) of input shares z (N,)."""
-        problem = self.problem
-        nu = np.zeros((problem.cells, problem.system.m))
-        nu[: problem.K] = z.reshape(problem.K, -1) * problem.system.u_max
-        chi = np.empty((problem.cells + 1, problem.system.n))
-        chi[0] = problem.x0
-        for k in range(problem.cells):
-            chi[k + 1] = self.Ad @ chi[k] + self.Bd @ nu[k]
-        return chi, nu
+        out = np.zeros((*g.shape[:-1], K, m))
+        # u_j acts on x_k through Ad^(k-1-j) Bd
+        out[..., :k, :] = np.einsum("...n,jnm->...jm", g, self._impulse[:k][::-1])
+        return out.reshape(*g.shape[:-1], self.N)
 
     @cached_property
     def segments(self) -> int:
@@ -118,49 +115,50 @@ class Rows:
             share += [(j + i / 3) / q for i in range(len(arc))]
         return np.array(P), np.array(Q), np.array(share)
 
-    def cell(self, i: int, k: int, f: int) -> CellRows:
-        """Rows that keep cell k beyond facet f of unsafe set i, with what is booked at present."""
-        key = (i, k, f)
+    def options(self, key: Key) -> Options:
+        """The facets of unsafe set i to stay beyond in cell k, with what is booked at present.
+
+        The key (-1, group) means the rows of one of the goal's disjunctions.
+        """
         if key not in self._cache:
-            problem = self.problem
+            self._cache[key] = self._options(key)
+        known, (i, k) = self._cache[key], key
+        if i < 0:
+            return known
+        booked = self.booking[i][k] + np.abs(self.problem.unsafe[i].normals) @ self._book
+        slope = float(self.extra[i][k, 0]) / self.length
+        return replace(known, need=known.need + booked[:, None] / self.length, slope=slope)
+
+    def _options(self, key: Key) -> Options:
+        problem, (i, k) = self.problem, key
+        at = problem.K if i < 0 else min(k, problem.K)
+        if i < 0:
+            N, c = problem.goal.conditions.one_of[k]
+            g, h, least = N[:, None], np.zeros((len(N), 1, problem.system.m)), c[:, None]
+        else:
             P, Q, share = self.control_points
-            normal = problem.unsafe[i].normals[f]
-            g, h = np.einsum("d,rdn->rn", normal, P), np.einsum("d,rdm->rm", normal, Q)
-            a = self.state_rows(g, k)
-            if k < problem.K:
-                m = problem.system.m
-                a[:, k * m : (k + 1) * m] += h * problem.system.u_max
-            b = self._offsets[i][k, 0, f] * (1 - share) + self._offsets[i][k, 1, f] * share
-            need = b + self._required[i][k, f] - g @ self.free[k]
-            self._cache[key] = CellRows(a / self.length, need / self.length, 0.0)
-        rows = self._cache[key]
-        booked = self.booking[i][k, f] + float(np.abs(self.problem.unsafe[i].normals[f]) @ self._book)
-        return CellRows(rows.a, rows.need + booked / self.length, float(self.extra[i][k, 0]) / self.length)
+            normals, b = problem.unsafe[i].normals, self._offsets[i][k]
+            g, h = np.einsum("fd,rdn->frn", normals, P), np.einsum("fd,rdm->frm", normals, Q)
+            least = b[0][:, None] * (1 - share) + b[1][:, None] * share + self._required[i][k][:, None]
+        if k >= problem.K:  # coasting: a condition on the last state
+            g, h = g @ np.linalg.matrix_power(self.Ad, k - problem.K), h * 0.0
+        g, h, least = g / self.length, h * problem.system.u_max / self.length, least / self.length
+        a, free = self.state_rows(g, at), g @ self.free[at]
+        if at < problem.K:
+            m = problem.system.m
+            a[..., at * m : (at + 1) * m] += h
+        return Options(a, least - free, 0.0, at, g, h, free)
 
     @cached_property
     def _book(self) -> Array:
         return 2 * self._remainder(self.segments)
 
-    def local(self, i: int, k: int, f: int) -> tuple[Array, Array, Array]:
-        """The rows of `cell` over the state and the input at the cell's start, before condensing.
-
-        Returns ``g`` (R, n), ``h`` (R, m) over the input shares, and ``need`` (R,), in units of length:
-        ``g x_k + h z_k >= need + slope s``. Tail cells refer to the last state instead, with h = 0.
-        """
-        problem, (P, Q, _) = self.problem, self.control_points
-        normal = problem.unsafe[i].normals[f]
-        g, h = np.einsum("d,rdn->rn", normal, P), np.einsum("d,rdm->rm", normal, Q) * problem.system.u_max
-        need = self.cell(i, k, f).need + g @ self.free[k] / self.length
-        if k >= problem.K:
-            g, h = g @ np.linalg.matrix_power(self.Ad, k - problem.K), h * 0.0
-        return g / self.length, h / self.length, need
-
     def extreme(self, a: Array, budget: float = np.inf) -> Array:
         """Largest ``a z`` over the input limits and a velocity change of at most `budget`, per row."""
         gain, cost = np.abs(a) * self.limit, self.price * self.limit
         if np.sum(cost) <= budget:
-            return np.asarray(np.sum(gain, axis=1))
-        order = np.argsort(-np.abs(a) / self.price, axis=1)
-        spent = np.cumsum(cost[order], axis=1)
+            return np.asarray(np.sum(gain, axis=-1))
+        order = np.argsort(-np.abs(a) / self.price, axis=-1)
+        spent = np.cumsum(cost[order], axis=-1)
         taken = np.clip((budget - (spent - cost[order])) / np.maximum(cost[order], 1e-300), 0.0, 1.0)
-        return np.asarray(np.sum(np.take_along_axis(gain, order, axis=1) * taken, axis=1))
+        return np.asarray(np.sum(np.take_along_axis(gain, order, axis=-1) * taken, axis=-1))

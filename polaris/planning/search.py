@@ -6,18 +6,20 @@ the optimal path can stray, which is what makes the program small and its big-M 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 
 from ..system import Array
 from .lp import GrowingLP
 from .recheck import Recheck, recheck
-from .rows import Rows
+from .rows import Key, Rows
 
-Cell = tuple[int, int]  # (unsafe set, cell)
+GOAL_SLACK = 1e-9
+"""Share of the goal's scale by which a disjunction of the goal may be missed unnoticed."""
 
 
 @dataclass(eq=False)
@@ -35,17 +37,14 @@ class Candidate:
     fuel : float
         Velocity change [m/s].
     choice : dict
-        Facet of every constrained cell.
-    sides : tuple of int
-        Chosen row of every disjunction of the goal.
+        Facet of every constrained cell, row of every constrained disjunction of the goal.
     """
 
     z: Array
     level: float
     short: float
     fuel: float
-    choice: dict[Cell, int] = field(default_factory=dict)
-    sides: tuple[int, ...] = ()
+    choice: dict[Key, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -63,238 +62,151 @@ class PathSearch:
     ----------
     rows : Rows
     deadline : float
-        Value of `time.perf_counter` at which to stop.
+        Value of `time.perf_counter` at which to stop; past as soon as a program has run out of time.
     """
 
     def __init__(self, rows: Rows, deadline: float) -> None:
         self.rows, self.deadline = rows, deadline
-        self.levels = Levels(0.0, 0.0)
-        self.prices, self.fuel_price = (0.0, np.inf), 1.0
-        N = rows.N
-        cost = np.r_[rows.price, rows.price, 0.0, 0.0]
-        self.lp = GrowingLP(cost, np.zeros(2 * N + 2), np.r_[rows.limit, rows.limit, 0.0, 0.0])
-        goal, last = rows.problem.goal.conditions, rows.free[rows.problem.K]
-        unit = rows.length
-        self._goal_add(goal.E, (goal.e - goal.E @ last) / unit, equal=True)
-        self._goal_add(-goal.G, -(goal.g - goal.G @ last) / unit, equal=False)
+        N, K, unit = rows.N, rows.problem.K, rows.length
+        self.lp = GrowingLP(np.zeros(2 * N + 2), np.zeros(2 * N + 2), np.r_[rows.limit, rows.limit, 0.0, 0.0])
+        goal, last = rows.problem.goal.conditions, rows.free[K]
+        for g, rhs, top in ((goal.E, goal.e, 0.0), (-goal.G, -goal.g, np.inf)):
+            need = (rhs - g @ last) / unit
+            self.lp.add(_wide(rows.state_rows(g, K) / unit, 0.0, 0.0), need, need + top)
         self.base = self.lp.rows
-        self.seen: set[Cell] = set()
-        self._reachable: dict[tuple[int, int, int], bool] = {}
+        self.solves = 0
+        self.set_prices(Levels(0.0, 0.0))
 
-    def _goal_add(self, g: Array, rhs: Array, equal: bool) -> None:
-        if len(g):
-            a = self.rows.state_rows(g, self.rows.problem.K) / self.rows.length
-            self.lp.add(self._wide(a, 0.0, 0.0), rhs, rhs if equal else np.inf)
-
-    @staticmethod
-    def _wide(a: Array, slope: float, elastic: float) -> Array:
-        R = len(a)
-        return np.hstack([a, -a, np.full((R, 1), -slope), np.full((R, 1), elastic)])
-
-    def set_levels(self, levels: Levels, margin_price: float, short_price: float) -> None:
-        """Range and price of s, price of the shortfall (infinite: none allowed)."""
-        self.levels = levels
-        self.prices = (margin_price, short_price)
-        N = self.rows.N
-        self.lp.change(2 * N, -margin_price, levels.low, levels.high)
-        free = np.isfinite(short_price)
-        self.lp.change(2 * N + 1, short_price if free else 0.0, 0.0, np.inf if free else 0.0)
-
-    def set_fuel_price(self, share: float) -> None:
-        """Scale the price of fuel (0: only the margin counts)."""
-        self.fuel_price = share
-        N = self.rows.N
-        cost = np.r_[self.rows.price, self.rows.price] * share
-        self.lp.highs.changeColsCost(2 * N, np.arange(2 * N, dtype=np.int32), cost)
-
-    def add_cell(self, cell: Cell, facet: int) -> None:
-        """Constrain one cell to stay beyond one facet."""
-        rows = self.rows.cell(*cell, facet)
-        self.lp.add(self._wide(rows.a, rows.slope, 1.0), rows.need, np.inf)
-
-    def add_side(self, group: int, side: int) -> None:
-        """Choose one row of a disjunction of the goal."""
-        goal, last = self.rows.problem.goal.conditions, self.rows.free[self.rows.problem.K]
-        N, c = goal.one_of[group]
-        self._goal_add(N[side : side + 1], (c - N @ last)[side : side + 1] / self.rows.length, equal=False)
+    def set_prices(
+        self, levels: Levels, margin: float = 0.0, short: float = np.inf, fuel: float = 1.0
+    ) -> None:
+        """Range of s; prices of s, of the shortfall (infinite: none allowed) and of fuel."""
+        self.levels, self.margin_price, self.short_price, self.fuel_price = levels, margin, short, fuel
+        s, free = 2 * self.rows.N, bool(np.isfinite(short))
+        fuel_cost = self.rows.price * fuel
+        self.lp.price(0, np.r_[fuel_cost, fuel_cost, -margin, short if free else 0.0])
+        self.lp.limit(s, levels.low, levels.high)
+        self.lp.limit(s + 1, 0.0, np.inf if free else 0.0)
 
     def value(self, path: Candidate) -> float:
         """Objective of a path at the prices set."""
-        margin, short = self.prices
-        value = self.fuel_price * path.fuel - margin * path.level
-        return value + (short * path.short / self.rows.length if path.short > 0 else 0.0)
+        value = self.fuel_price * path.fuel - self.margin_price * path.level
+        return value + (self.short_price * path.short / self.rows.length if path.short > 0 else 0.0)
 
-    def lay(self, choice: Mapping[Cell, int], sides: tuple[int, ...]) -> None:
-        """Replace all rows but the goal's by those of these facets and sides."""
+    def solve(self, choice: Mapping[Key, int], basis: Any = None) -> Candidate | None:
+        """The best path with these facets, or None; from the basis of a program with fewer of them."""
         self.lp.take_back(self.base)
-        for group, side in enumerate(sides):
-            if side >= 0:
-                self.add_side(group, side)
-        for cell, facet in choice.items():
-            self.add_cell(cell, facet)
-
-    def solve(self, choice: Mapping[Cell, int], sides: tuple[int, ...]) -> Candidate | None:
-        """The best path with these facets, or None."""
-        self.lay(choice, sides)
-        return self.resolve(dict(choice), sides)
-
-    def descend(self, path: Candidate, more: Mapping[Cell, int], sides: tuple[int, ...]) -> Candidate | None:
-        """The best path with facets added to those of `path`, whose rows are in place."""
-        if sides != path.sides:
-            return self.solve({**path.choice, **more}, sides)
-        for cell, facet in more.items():
-            self.add_cell(cell, facet)
-        return self.resolve({**path.choice, **more}, sides)
-
-    def split(
-        self, path: Candidate, check: Recheck, new: Mapping[Cell, float]
-    ) -> list[tuple[dict[Cell, int], tuple[int, ...]]] | None:
-        """Children of a node as (facets to add, sides); None if its path lacks nothing."""
-        for cell in new:
-            self.seen.add(cell)
-        facets = {cell: self.options(cell, check) for cell in new}
-        forced = {cell: f[0] for cell, f in facets.items() if len(f) == 1}
-        if any(not f for f in facets.values()):
-            return []
-        if forced:
-            return [(forced, path.sides)]
-        goal, last = self.rows.problem.goal.conditions, check.reference.chi[-1]
-        for group, (N, c) in enumerate(goal.one_of):
-            if path.sides[group] < 0 and np.max(N @ last - c) < -1e-9 * goal.scale:
-                before, after = path.sides[:group], path.sides[group + 1 :]
-                return [({}, (*before, side, *after)) for side in np.argsort(c - N @ last).tolist()]
-        if not new:
-            return None
-        worst = max(new, key=lambda cell: new[cell])
-        return [({worst: f}, path.sides) for f in facets[worst]]
-
-    def near_sides(self, last: Array, sides: tuple[int, ...]) -> tuple[int, ...]:
-        """Sides of the goal with the nearest one filled in where the last state meets none."""
-        goal = self.rows.problem.goal.conditions
-        out = []
-        for (N, c), side in zip(goal.one_of, sides, strict=True):
-            room = N @ last - c
-            out.append(side if side >= 0 or np.max(room) >= -1e-9 * goal.scale else int(np.argmax(room)))
-        return tuple(out)
-
-    def options(self, cell: Cell, check: Recheck) -> list[int]:
-        """Facets that can separate in a cell, those with most room first."""
-        order = np.argsort(-check.surplus[cell[0]][cell[1]])
-        return [int(f) for f in order if self.reachable(*cell, int(f))]
-
-    def resolve(self, choice: dict[Cell, int], sides: tuple[int, ...]) -> Candidate | None:
-        """The best path with the rows as they stand."""
+        if choice:
+            parts = [(self.rows.options(key), j, key) for key, j in choice.items()]
+            self.lp.add(
+                np.vstack([_wide(o.a[j], o.slope, float(key[0] >= 0)) for o, j, key in parts]),
+                np.concatenate([o.need[j] for o, j, _ in parts]),
+                np.inf,
+            )
+        if basis is not None:
+            self.lp.use(basis)
+        self.solves += 1
         answer = self.lp.solve(self.deadline - perf_counter())
         if answer is None:
+            if self.lp.out_of_time:  # not to be taken for infeasible: nothing more is asked
+                self.deadline = min(self.deadline, perf_counter() - 1e-3)
             return None
         x, N = answer[1], self.rows.N
         z = x[:N] - x[N : 2 * N]
         fuel = float(np.sum(self.rows.price * np.abs(z)))
         short = x[2 * N + 1] * self.rows.length
-        return Candidate(z, x[2 * N], short if short > 1e-9 else 0.0, fuel, choice, sides)
+        return Candidate(z, x[2 * N], short if short > 1e-9 else 0.0, fuel, dict(choice))
+
+    def bounds(self, path: Candidate, keys: Collection[Key]) -> dict[Key, Array]:
+        """Lower bounds on the objective with each alternative added to the program `path` solves.
+
+        That program must be the last one solved.
+        """
+        if not keys:
+            return {}
+        a, lack, sizes = [], [], []
+        for key in keys:
+            o, elastic = self.rows.options(key), float(key[0] >= 0)
+            short = o.need - o.a @ path.z + o.slope * path.level - elastic * path.short / self.rows.length
+            worst = np.argmax(short, axis=1)
+            each = np.arange(len(worst))
+            a.append(_wide(o.a[each, worst], o.slope, elastic))
+            lack.append(short[each, worst])
+            sizes.append(len(worst))
+        cost = self.lp.costs(np.vstack(a), np.concatenate(lack))
+        value = self.value(path)
+        parts = np.split(value + cost, np.cumsum(sizes)[:-1])
+        return dict(zip(keys, parts, strict=True))
 
     def recheck(self, path: Candidate) -> Recheck:
         """Exact re-check of a candidate."""
-        nu = path.z.reshape(self.rows.problem.K, -1) * self.rows.problem.system.u_max
-        return recheck(self.rows.problem, nu)
+        problem = self.rows.problem
+        return recheck(problem, path.z.reshape(problem.K, -1) * problem.system.u_max)
 
-    def lacking(self, path: Candidate, check: Recheck) -> dict[Cell, float]:
-        """Cells whose best certified clearance falls short of what was asked, with the shortfall [m]."""
-        out: dict[Cell, float] = {}
+    def lacking(self, path: Candidate, check: Recheck) -> dict[Key, float]:
+        """Cells whose best certified clearance falls short of what was asked, with the shortfall [m].
+
+        So do the disjunctions of the goal of which no row holds, unless one was chosen already.
+        """
+        out: dict[Key, float] = {}
         for i, surplus in enumerate(check.surplus):
             gap = surplus.max(axis=1) - self.rows.extra[i][:, 0] * path.level + path.short
-            for k in np.nonzero(gap < 0)[0]:
-                out[(i, int(k))] = -float(gap[k])
+            out |= {(i, int(k)): -float(gap[k]) for k in np.nonzero(gap < 0)[0]}
+        goal, last = self.rows.problem.goal.conditions, check.reference.chi[-1]
+        for group, (N, c) in enumerate(goal.one_of):
+            room = float(np.max(N @ last - c))
+            if room < -GOAL_SLACK * goal.scale and (-1, group) not in path.choice:
+                out[-1, group] = -room
         return out
 
-    def reachable(self, i: int, k: int, f: int) -> bool:
-        """Whether facet f can separate in cell k at all, given the thrust limits."""
-        if np.isfinite(self.prices[1]):
-            return True  # clearances may be relaxed
-        key = (i, k, f)
-        if key not in self._reachable:
-            rows = self.rows.cell(i, k, f)
-            floor = min(self.levels.low, 0.0) * rows.slope
-            self._reachable[key] = bool(np.all(self.rows.extreme(rows.a) >= rows.need + floor))
-        return self._reachable[key]
+    def book(self, lacking: Mapping[Key, float], choice: Mapping[Key, int]) -> bool:
+        """Book more length for constrained cells that still came out short in the re-check, if any."""
+        stale = [key for key in lacking if key in choice]
+        for i, k in stale:
+            self.rows.booking[i][k, choice[i, k]] += 1.5 * lacking[i, k] + 1e-4
+        return bool(stale)
 
-    def pick(self, cell: Cell, surplus: Array, wish: int | None = None) -> int:
-        """The wished facet if it can separate, else the one with the largest surplus that can."""
-        if wish is not None and self.reachable(*cell, wish):
-            return wish
-        order = np.argsort(-surplus)
-        return next((int(f) for f in order if self.reachable(*cell, int(f))), int(order[0]))
+    def dive(self, start: Mapping[Key, int], rounds: int = 12) -> Candidate | None:
+        """Add cells as they are found lacking until none is; None if it does not settle.
 
-    def dive(
-        self,
-        wishes: Mapping[int, int],
-        sides: tuple[int, ...],
-        start: Mapping[Cell, int] | None = None,
-        rounds: int = 12,
-        worse_than: float = np.inf,
-    ) -> Candidate | None:
-        """Add cells as they are found lacking until none is; None if it does not settle."""
-        choice = dict(start or {})
-        path = self.solve(choice, sides)
+        Each gets the facet beyond which the path has most room, or least to make up for.
+        """
+        choice = dict(start)
         for _ in range(rounds):
+            path = self.solve(choice)
             if path is None or perf_counter() > self.deadline:
-                return None
-            if path.fuel > worse_than and path.short == 0:
                 return None
             check = self.recheck(path)
             lacking = self.lacking(path, check)
-            new = [cell for cell in lacking if cell not in choice]
-            self.book({c: v for c, v in lacking.items() if c in choice}, choice)
             if not lacking:
-                near = self.near_sides(check.reference.chi[-1], sides)
-                if near == sides:
-                    return path
-                sides = near
-                path = self.solve(choice, sides)
-                continue
-            for i, k in new:
-                facet = self.pick((i, k), check.surplus[i][k], wishes.get(i))
-                choice[(i, k)] = facet
-                self.add_cell((i, k), facet)
-                self.seen.add((i, k))
-            path = self.resolve(choice, sides) if new else self.solve(choice, sides)
+                return path
+            self.book(lacking, choice)
+            choice |= {key: self.pick(key, check) for key in lacking if key not in choice}
         return None
 
-    def book(self, short: Mapping[Cell, float], choice: Mapping[Cell, int]) -> None:
-        """Book more length for constrained cells that still came out short in the re-check."""
-        for (i, k), lack in short.items():
-            self.rows.booking[i][k, choice[(i, k)]] += 1.5 * lack + 1e-4
+    def pick(self, key: Key, check: Recheck) -> int:
+        """The alternative with most room in a re-checked path."""
+        if key[0] < 0:
+            N, c = self.rows.problem.goal.conditions.one_of[key[1]]
+            return int(np.argmax(N @ check.reference.chi[-1] - c))
+        return int(np.argmax(check.surplus[key[0]][key[1]]))
 
     def improve(self, path: Candidate, rounds: int = 6) -> Candidate:
         """Re-choose facets where the path has most room, and solve again, while it pays."""
         for _ in range(rounds):
             check = self.recheck(path)
-            choice = {c: self.pick(c, check.surplus[c[0]][c[1]]) for c in path.choice}
-            better = self.dive({}, path.sides, choice, rounds=4)
-            if better is None or not self.beats(better, path, 1e-5):
+            better = self.dive({key: self.pick(key, check) for key in path.choice}, rounds=4)
+            if better is None or self.value(better) > self.value(path) - 1e-5 * abs(path.fuel):
                 break
             path = better
         return path
 
-    def beats(self, a: Candidate, b: Candidate | None, by: float = 0.0) -> bool:
-        """Whether a is better than b: less shortfall, then more margin, then less fuel."""
-        if b is None:
-            return True
-        for x, y, scale in (
-            (-a.short, -b.short, self.rows.length),
-            (a.level, b.level, self.levels.high or 1.0),
-        ):
-            if abs(x - y) > 1e-6 * abs(scale):
-                return x > y
-        return a.fuel < b.fuel * (1 - by)
-
     def first(self) -> Candidate | None:
-        """A good path without branching: natural facets, a near side of the goal, local improvement."""
-        goal, K = self.rows.problem.goal.conditions, self.rows.problem.K
-        none = (-1,) * len(goal.one_of)
-        free = self.solve({}, none)
-        if free is None:
-            return None
-        sides = self.near_sides(self.rows.trajectory(free.z)[0][K], none)
-        best = self.dive({}, sides)
-        return self.improve(best) if best is not None else None
+        """A good path without branching: the nearest facets, then local improvement."""
+        path = self.dive({})
+        return self.improve(path) if path is not None else None
+
+
+def _wide(a: Array, slope: float, elastic: float) -> Array:
+    one = np.ones((*a.shape[:-1], 1))
+    return np.concatenate([a, -a, -slope * one, elastic * one], axis=-1)

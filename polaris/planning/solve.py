@@ -10,12 +10,13 @@ from typing import NoReturn
 import numpy as np
 
 from ..errors import NotCertified
-from . import diagnose
+from . import backends, diagnose
 from .certify import certified, relative_gap
-from .model import Answer, Model, Task
+from .model import Answer, Model
 from .problem import Plan, PlannerOptions, PlanProblem, Progress
-from .rows import Rows
-from .search import Candidate, Cell, Levels, PathSearch
+from .rows import Key, Rows
+from .search import Candidate, Levels, PathSearch
+from .targets import set_targets
 from .tree import Outcome, branch
 
 MAX_ROUNDS = 60
@@ -28,8 +29,9 @@ SECONDS_PER_ROW = 5e-4
 """Rough time to build a row of the model; a program that would take more than a tenth of the time
 left to write down is not handed to the back end."""
 
-MARGIN_SHARE = 0.25
-"""Share of the time left spent on proving that no larger margin exists, once a plan is known."""
+SPARE_SHARE = 0.25
+"""Share of the time left for a phase that can be given up: looking for a first path with the full
+margin, and proving that no larger margin exists once a path is known."""
 
 BOOKED_MOST = 0.05
 """Largest length [m] booked on any row for which "no solution exists" is still said."""
@@ -63,13 +65,18 @@ class Planner:
 
     def __init__(self, problem: PlanProblem, options: PlannerOptions) -> None:
         self.problem, self.options = problem, options
+        backends.require(options.solver)
         self.begun = perf_counter()
-        self.deadline = self.begun + options.time_limit
         self.rows = Rows(problem)
-        self.search = PathSearch(self.rows, self.deadline)
+        self.search = PathSearch(self.rows, self.begun + options.time_limit)
         self.seconds: dict[str, float] = {}
-        self.stats: dict[str, float] = {"rows": 0, "cols": 0, "binaries": 0, "nodes": 0, "rounds": 0}
+        self.stats = dict.fromkeys(("rows", "cols", "binaries", "nodes", "rounds", "lps"), 0.0)
         self._last_report = -np.inf
+
+    @property
+    def deadline(self) -> float:
+        """Value of `time.perf_counter` at which to stop."""
+        return self.search.deadline
 
     @property
     def left(self) -> float:
@@ -85,129 +92,84 @@ class Planner:
             self.options.progress(Progress(stage, now - self.begun, incumbent, bound, gap))
 
     def run(self) -> Plan:
-        """All phases."""
+        """All phases: least fuel at the full margin; where that is out of reach, the largest margin."""
         self.report("path search")
-        begun = perf_counter()
-        groups = len(self.problem.goal.conditions.one_of)
-        base = self.search.solve({}, (-1,) * groups)
+        base = self.search.solve({})
         if base is None:
-            self._time_or(lambda: diagnose.unreachable(self))
+            self._none_because(diagnose.unreachable)
         assert base is not None
         scale = max(base.fuel, 1e-3 * float(np.sum(self.rows.price * self.rows.limit)), 1e-9)
-        top = self._targets(base)
-        margin_price = scale * (1 / MARGIN_TRADE if top > 0 else 0.0) / max(top, 1e-9)
-        self.search.set_levels(Levels(0.0, top), margin_price, 10 * scale / MARGIN_TRADE)
-        best = self.search.first()
-        if best is not None and best.short > 0:
-            best = None
-        self._add_time("path_search", begun)
-        if top > 0 and (best is None or best.level < top * (1 - 1e-9)):
-            self.search.set_levels(Levels(0.0, top), margin_price, np.inf)
-            best, bound, status = self._minimise("margin", best)
-            if best.level < top * (1 - 1e-6) or self.problem.objective == "distance":
-                unit = 1.0 if self.problem.objective == "distance" else self.problem.extra_margin
-                most = min(best.level + (self.search.value(best) - bound) / margin_price, top)
-                return self._certify(best, best.level * unit, most * unit, status)
-        if best is not None:
-            best = replace(best, level=top)
-        if self.problem.objective == "distance":
-            assert best is not None
-            return self._certify(best, top, top, "optimal")
-        self.search.set_levels(Levels(top, top), 0.0, np.inf)
-        best, bound, status = self._minimise("fuel", best)
-        return self._certify(best, best.fuel, bound, status)
-
-    def _targets(self, base: Candidate) -> float:
-        """Fill in the extra margin wanted per cell; returns the top of the margin variable."""
-        problem, rows = self.problem, self.rows
-        if problem.objective == "distance":
-            for extra in rows.extra:
-                extra[: problem.K] = 1.0
-            # the first cell starts at a known place, which bounds the distance whatever the plan
-            start = [float(np.max(s[0])) for s in self.search.recheck(base).surplus]
-            reach = [self._room(i, 0, np.inf) for i in range(len(rows.extra))]
-            cap = max(min([max(a, b) for a, b in zip(start, reach, strict=True)], default=0.0), 0.0)
-            return min(cap, problem.extra_margin) if problem.extra_margin > 0 else cap
-        want = problem.extra_margin if problem.objective == "margin_then_fuel" else 0.0
-        surplus = self.search.recheck(base).surplus
-        for i, extra in enumerate(rows.extra):
-            extra[: problem.K] = want
-            for cells in (range(problem.K), range(problem.K - 1, -1, -1)):
-                for k in cells:
-                    if np.max(surplus[i][k]) >= want:
-                        break
-                    room = self._room(i, k, want)
-                    if room < 0:
-                        self._time_or(lambda: diagnose.blocked(self))
-                    extra[k] = min(extra[k, 0], max(room, 0.0))
-                    if room >= want:
-                        break
-        return 1.0 if want > 0 else 0.0
-
-    def _room(self, i: int, k: int, want: float) -> float:
-        """Largest extra clearance [m] any path to the goal can have in one cell, at most `want`."""
-        search, rows = self.search, self.rows
-        best = -np.inf
-        old = rows.extra[i][k, 0]
-        rows.extra[i][k] = 1.0
-        search.set_levels(Levels(-1e6, min(want, 1e6)), 1e3, np.inf)
-        search.set_fuel_price(1e-6)
-        for f in range(len(self.problem.unsafe[i].normals)):
-            path = search.solve({(i, k): f}, (-1,) * len(self.problem.goal.conditions.one_of))
-            if path is not None:
-                best = max(best, path.level)
-            if best >= want * (1 - 1e-9):
-                break
-        rows.extra[i][k] = old
-        search.set_fuel_price(1.0)
-        return best * (1 - 1e-6) if best > 0 else best
-
-    def _minimise(self, stage: str, best: Candidate | None) -> tuple[Candidate, float, str]:
-        """Least objective at the prices and levels set, all cells certified; path, bound and status."""
-        begun = perf_counter()
-        found: Outcome | None = None
-        hurry = stage == "margin" and best is not None and self.problem.objective != "distance"
-        stop = begun + (MARGIN_SHARE if hurry else 1.0) * self.left
-        if self.options.branching == "facets":
-            found = branch(
-                self.search,
-                best,
-                self.options.gap,
-                stop,
-                MAX_NODES,
-                lambda top, bound: self.report(stage, top, bound),
-                (begun + TREE_SHARE * self.left, self._max_cells()),
-            )
-            best = found.best
-            self.stats["nodes"] += found.nodes
-        self._add_time(stage, begun)
-        if found is not None and found.status == "infeasible" and best is None:
-            self._time_or(lambda: diagnose.blocked(self))
-        if found is not None and found.status == "optimal":
-            assert best is not None
-            return self._close(stage, best, found.bound)
-        if found is not None and hurry and best is not None:
-            return best, found.bound, "time_limit"
-        return self._lazy(stage, best, found)
-
-    def _close(self, stage: str, best: Candidate, bound: float) -> tuple[Candidate, float, str]:
-        """Every binary is decided: what is left of the program has none, and the back end solves it."""
-        search, begun = self.search, perf_counter()
-        task = Task(
-            frozenset(best.choice),
-            search.fuel_price,
-            search.prices[0],
-            levels=search.levels,
-            one_of=False,
-            decided=(dict(best.choice), best.sides),
+        self.short_price = 10 * scale / MARGIN_TRADE
+        top = set_targets(self.search, base)
+        if top is None:
+            self._none_because(diagnose.blocked)
+        assert top is not None
+        furthest = self.problem.objective == "distance" and top > 0
+        if not furthest:
+            found = self._minimise("fuel", Levels(top, top), 0.0, lambda path: top > 0 and path is None)
+            if found.best is not None:
+                return self._certify(found.best, found.best.fuel, found.bound, found.status)
+            if top == 0:
+                self._none(found.status)
+        price = scale / MARGIN_TRADE / top
+        found = self._minimise(
+            "margin", Levels(0.0, top), price, lambda path: not furthest and path is not None
         )
-        answer = self._run(Model(self.rows, task, search.reachable), stage, None)
-        self._add_time("model", begun)
-        if answer.path is not None:
-            path, lacking, met = self._polished(replace(answer.path, choice=best.choice, sides=best.sides))
-            if path is not None and not lacking and met and search.value(path) <= search.value(best):
-                best = path
-        return best, min(bound, search.value(best)), "optimal"
+        best = found.best
+        if best is None:
+            self._none(found.status)
+        assert best is not None
+        if not furthest and best.level >= top * (1 - 1e-6):  # the first phase gave up too early
+            known = replace(best, level=top)
+            found = self._minimise("fuel", Levels(top, top), 0.0, lambda path: False, known)
+            assert found.best is not None
+            return self._certify(found.best, found.best.fuel, found.bound, found.status)
+        unit = 1.0 if furthest else self.problem.extra_margin
+        most = min(best.level + (self.search.value(best) - found.bound) / price, top)
+        return self._certify(best, best.level * unit, most * unit, found.status)
+
+    def _minimise(
+        self,
+        stage: str,
+        levels: Levels,
+        margin_price: float,
+        spare: Callable[[Candidate | None], bool],
+        best: Candidate | None = None,
+    ) -> Outcome:
+        """Least objective with all cells certified.
+
+        `spare` says whether the phase may be given up early with the path known by then.
+        """
+        search, begun = self.search, perf_counter()
+        if best is None:
+            search.set_prices(levels, margin_price, self.short_price)
+            best = search.first()
+            best = best if best is not None and best.short == 0 else None
+            self._add_time("path_search", begun)
+        search.set_prices(levels, margin_price)
+        begun, most = perf_counter(), self._max_cells()
+        early, hand_over = begun + SPARE_SHARE * self.left, begun + TREE_SHARE * self.left
+        if self.options.branching == "solver":
+            cells = frozenset(best.choice if best is not None else ())
+            return self._lazy(stage, best, -np.inf, cells, early if spare(best) else self.deadline)
+
+        def stop(path: Candidate | None, cells: int, lps: int) -> bool:
+            now = perf_counter()
+            if lps > MAX_NODES or now > self.deadline:
+                return True
+            return now > early if spare(path) else now > hand_over and cells <= most
+
+        found = branch(
+            search, best, self.options.gap, stop, lambda top, bound: self.report(stage, top, bound)
+        )
+        self.stats["nodes"] += found.nodes
+        self._add_time(stage, begun)
+        if found.status != "time_limit" or spare(found.best):
+            return found
+        cells = found.cells
+        if len(cells) > most:
+            cells = frozenset(found.best.choice if found.best is not None else ())
+        return self._lazy(stage, found.best, found.bound, cells, self.deadline)
 
     def _max_cells(self) -> int:
         """Constrained cells a model may have to be built in a tenth of the time left."""
@@ -216,60 +178,39 @@ class Planner:
         return int(0.1 * self.left / (SECONDS_PER_ROW * rows))
 
     def _lazy(
-        self, stage: str, best: Candidate | None, known: Outcome | None
-    ) -> tuple[Candidate, float, str]:
+        self, stage: str, best: Candidate | None, bound: float, cells: frozenset[Key], until: float
+    ) -> Outcome:
         """The back end decides the binaries; cells enter when its solution lacks clearance there."""
-        options, search = self.options, self.search
-        bound = known.bound if known is not None else -np.inf
-        cells = known.cells if known is not None else frozenset(best.choice if best is not None else ())
-        if len(cells) > self._max_cells():
-            cells = frozenset(best.choice) if best is not None else frozenset()
-        one_of = best is None or any(side >= 0 for side in best.sides)
+        search, gap = self.search, self.options.gap
+
+        def within() -> bool:
+            value = search.value(best) if best is not None else np.inf
+            return value - bound <= gap * abs(value) + 1e-9
+
         for _ in range(MAX_ROUNDS):
-            if (
-                best is not None
-                and search.value(best) - bound <= options.gap * abs(search.value(best)) + 1e-9
-            ):
-                return best, bound, "optimal"
-            if self.left <= 0:
+            if (best is not None and within()) or perf_counter() > until:
                 break
             self.stats["rounds"] += 1
-            budget = np.inf
-            if best is not None and search.prices[0] == 0:
-                budget = best.fuel * (1 + 1e-6) + 1e-9
             begun = perf_counter()
-            task = Task(
-                cells, search.fuel_price, search.prices[0], levels=search.levels, budget=budget, one_of=one_of
-            )
-            model = Model(self.rows, task, search.reachable)
+            by_fuel = best is not None and search.margin_price == 0
+            budget = best.fuel * (1 + 1e-6) + 1e-9 if best is not None and by_fuel else np.inf
+            model = Model(search, cells, budget)
             self._add_time("model", begun)
-            answer = self._run(model, stage, best)
+            answer = self._run(model, stage, best, until - perf_counter())
             if answer.status == "infeasible":
-                if best is not None:
-                    return best, search.value(best), "optimal"
-                self._time_or(lambda: diagnose.blocked(self))
+                if best is None:
+                    return Outcome(None, np.inf, "infeasible")
+                return Outcome(best, search.value(best), "optimal")
             bound = max(bound, answer.bound)
-            if answer.path is None:
-                break
-            path, lacking, met = self._polished(answer.path)
-            if (
-                path is not None
-                and not lacking
-                and met
-                and (best is None or search.value(path) < search.value(best))
-            ):
+            path, lacking = self._polished(answer.path) if answer.path is not None else (None, {})
+            if path is not None and not lacking and (best is None or search.value(path) < search.value(best)):
                 best = path
-            if answer.status == "time" or path is None or (not lacking and met):
+            if answer.status == "time" or not lacking:
                 break
-            one_of = one_of or not met
             cells = cells | lacking.keys()
-        if best is None:
-            self._out_of_time()
-        assert best is not None
-        within = search.value(best) - bound <= options.gap * abs(search.value(best)) + 1e-9
-        return best, bound, "optimal" if within else "time_limit"
+        return Outcome(best, bound, "optimal" if best is not None and within() else "time_limit")
 
-    def _run(self, model: Model, stage: str, best: Candidate | None) -> Answer:
+    def _run(self, model: Model, stage: str, best: Candidate | None, seconds: float) -> Answer:
         begun = perf_counter()
         top = self.search.value(best) if best is not None else np.inf
 
@@ -278,34 +219,30 @@ class Planner:
 
         start = None
         if best is not None:
-            _, facets = self.search.recheck(best).best()
-            everywhere = {c: best.choice.get(c, int(facets[c])) for c in model.task.cells}
-            start = replace(best, choice=everywhere)
-        answer = model.solve(self.options, self.left, start, listen if self.options.progress else None)
+            check = self.search.recheck(best)
+            facets = {key: self.search.pick(key, check) for key, _ in model.z}
+            start = replace(best, choice=facets | best.choice)
+        answer = model.solve(self.options, seconds, start, listen if self.options.progress else None)
         self._add_time("solver", begun)
         for name in ("rows", "cols", "binaries"):
             self.stats[name] = max(self.stats[name], answer.stats.get(name, 0))
         self.stats["nodes"] += answer.stats.get("nodes", 0)
         return answer
 
-    def _polished(self, path: Candidate) -> tuple[Candidate | None, dict[Cell, float], bool]:
-        """Solve again with the facets fixed, so that no big-M and no integer tolerance is left."""
-        search, goal = self.search, self.problem.goal.conditions
-        clean = search.solve(path.choice, path.sides if path.sides else (-1,) * len(goal.one_of))
-        lacking: dict[Cell, float] = {}
+    def _polished(self, path: Candidate) -> tuple[Candidate | None, dict[Key, float]]:
+        """Solve again with the facets fixed, so that no big-M and no integer tolerance is left.
+
+        Returns the path and the cells where it lacks clearance.
+        """
+        search = self.search
         for _ in range(MAX_BOOKINGS):
+            clean = search.solve(path.choice)
             if clean is None:
-                return None, lacking, True
-            check = search.recheck(clean)
-            lacking = search.lacking(clean, check)
-            short = {c: v for c, v in lacking.items() if c in clean.choice}
-            if not short:
                 break
-            search.book(short, clean.choice)
-            clean = search.solve(clean.choice, clean.sides)
-        last = check.reference.chi[-1]
-        met = all(np.max(N @ last - c) >= -1e-6 * goal.scale for N, c in goal.one_of)
-        return clean, lacking, met
+            lacking = search.lacking(clean, search.recheck(clean))
+            if not search.book(lacking, path.choice):
+                return clean, lacking
+        return None, {}
 
     def _add_time(self, part: str, begun: float) -> None:
         self.seconds[part] = self.seconds.get(part, 0.0) + perf_counter() - begun
@@ -316,7 +253,12 @@ class Planner:
             "nor proved that there is none"
         )
 
-    def _time_or(self, explain: Callable[[], NoReturn]) -> NoReturn:
+    def _none(self, status: str) -> NoReturn:
+        if status != "infeasible":
+            self._out_of_time()
+        self._none_because(diagnose.blocked)
+
+    def _none_because(self, explain: Callable[[Planner], NoReturn]) -> NoReturn:
         if self.left <= 0:
             self._out_of_time()
         # The program keeps a booked length from every facet. While that is small, "no solution" is an
@@ -327,9 +269,10 @@ class Planner:
                 f"no certified plan: with the {booked:.3g} m that the re-check asked to book between the "
                 "waypoints, the program has no solution; take smaller steps"
             )
-        explain()
+        explain(self)
 
     def _certify(self, path: Candidate, value: float, bound: float, status: str) -> Plan:
+        self.stats["lps"] = self.search.solves
         self.seconds["total"] = perf_counter() - self.begun
         nu = path.z.reshape(self.problem.K, -1) * self.problem.system.u_max
         wanted = np.array([e[: self.problem.K, 0] for e in self.rows.extra])
@@ -340,7 +283,7 @@ class Planner:
             value,
             bound,
             status,
-            self.options.solver,
+            self.options.solver if self.stats["rounds"] else "highs",
             self.seconds,
             self.stats,
         )

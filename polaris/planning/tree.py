@@ -2,139 +2,149 @@
 
 This decides the binaries of the mixed-integer program before a back end sees it. A node is a choice
 of facets for some cells; its linear program leaves every other cell free, so its optimum bounds
-everything below it. The path of the best open node is re-checked; where it lacks clearance most, the
+everything below it. The path of the best open node is re-checked; where it lacks clearance, the
 node is split into one child per facet that can separate. No big-M, hence no weak relaxation; and
-cells far from every obstacle are never looked at.
+cells far from every obstacle are never looked at. A child waits with a bound read off its parent's
+simplex basis and is solved only when no open node has a lower one; most never are.
 """
 
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from time import perf_counter
 from typing import Any
 
 import numpy as np
 
-from .search import Candidate, Cell, PathSearch
+from ..system import Array
+from .rows import Key
+from .search import Candidate, PathSearch
 
-DIVE_EVERY, DIVE_EVERY_WANTING = 25, 5
-"""Nodes between two dives from the best open node for a better path; more often while none has the
-full margin."""
+DIVE_EVERY, DIVE_EVERY_WANTING = 10, 5
+"""Splits between two dives from the best open node for a better path; more often while there is none."""
+
+LOOK_AT = 8
+"""Cells of which all facets are priced when a node is split."""
 
 
 @dataclass(order=True)
 class Node:
-    """An open node: its bound, a tie breaker, its path (which holds the choices), its simplex basis."""
+    """An open node: its bound, a tie breaker, its facets, a simplex basis, whether it was solved."""
 
     bound: float
     number: int
-    path: Candidate = field(compare=False)
+    choice: dict[Key, int] = field(compare=False)
     basis: Any = field(compare=False)
+    solved: bool = field(default=False, compare=False)
 
 
 @dataclass(eq=False)
 class Outcome:
-    """What the tree found out: best path or None, bound, and "optimal", "infeasible" or "open"."""
+    """Best path or None, bound, "optimal", "infeasible" or "time_limit", nodes solved, cells touched."""
 
     best: Candidate | None
     bound: float
     status: str
-    nodes: int
-    cells: frozenset[Cell]
+    nodes: int = 0
+    cells: frozenset[Key] = frozenset()
 
 
 def branch(
     search: PathSearch,
     best: Candidate | None,
     gap: float,
-    deadline: float,
-    max_nodes: int,
-    listen: Callable[[float, float], None],
-    hand_over: tuple[float, int] = (np.inf, 0),
+    stop: Callable[[Candidate | None, int, int], bool],
+    listen: Callable[[float, float], None] = lambda top, bound: None,
 ) -> Outcome:
     """Minimise the search's objective over all facet choices.
 
     Parameters
     ----------
     search : PathSearch
-        With levels and prices set.
+        With prices set.
     best : Candidate or None
-        A certified path with the same levels.
+        A certified path at the same prices.
     gap : float
         Relative gap at which to stop.
-    deadline : float
-        Value of `time.perf_counter` at which to stop with the tree open.
-    max_nodes : int
-        Linear programs after which to stop with the tree open.
+    stop : callable
+        Asked before every linear program, given the best path so far and the numbers of cells touched
+        and of programs solved, whether to stop with the tree open.
     listen : callable
         Told the incumbent and the bound.
-    hand_over : tuple of (float, int)
-        Stop at this earlier time too, if no more than this many cells were touched.
     """
-    groups = len(search.rows.problem.goal.conditions.one_of)
-    touched: set[Cell] = set(best.choice) if best is not None else set()
-    root = search.solve({}, (-1,) * groups)
-    if root is None:
-        status = "infeasible" if perf_counter() < deadline else "open"
-        return Outcome(best, np.inf if status == "infeasible" else -np.inf, status, 1, frozenset(touched))
-    heap = [Node(search.value(root), 0, root, search.lp.basis())]
+    touched: set[Key] = set(best.choice) if best is not None else set()
     top = search.value(best) if best is not None else np.inf
-    count, bound, popped, dropped = 1, heap[0].bound, 0, np.inf
+    heap = [Node(-np.inf, 0, {}, None)]
+    count, splits, bound, dropped = 0, 0, -np.inf, np.inf
 
     def cut() -> float:
         return top - gap * abs(top) if np.isfinite(top) else np.inf
 
+    def outcome(status: str) -> Outcome:
+        return Outcome(best, min(bound, dropped, top), status, count, frozenset(touched))
+
     while heap:
-        node = heap[0]
-        bound = max(bound, min(node.bound, top))
+        bound = max(bound, min(heap[0].bound, top))
         listen(top, bound)
-        if node.bound >= cut():
-            break
-        soft = perf_counter() > hand_over[0] and len(touched) <= hand_over[1]
-        if soft or perf_counter() > deadline or count > max_nodes:
-            return Outcome(best, min(bound, dropped), "open", count, frozenset(touched))
-        heapq.heappop(heap)
-        popped += 1
-        path = node.path
+        if heap[0].bound >= cut():
+            return outcome("optimal")
+        if stop(best, len(touched), count):
+            return outcome("time_limit")
+        node = heapq.heappop(heap)
+        path = search.solve(node.choice, node.basis)
+        count += 1
+        if path is None:
+            if perf_counter() > search.deadline:
+                return outcome("time_limit")
+            continue
+        value, basis = max(search.value(path), node.bound), search.lp.basis()
+        if heap and value > heap[0].bound and not node.solved:
+            heapq.heappush(heap, Node(value, count, node.choice, basis, True))
+            continue
         check = search.recheck(path)
         lacking = search.lacking(path, check)
-        search.book({c: v for c, v in lacking.items() if c in path.choice}, path.choice)
-        stale = any(c in path.choice for c in lacking)
-        new = {c: v for c, v in lacking.items() if c not in path.choice}
-        split = search.split(path, check, new)
-        if split is None:
-            if not stale:
-                if search.value(path) < top:
-                    best, top = path, search.value(path)
-                continue
-            split = [({}, path.sides)]  # only booked lengths were short: solve the node again
-        touched |= new.keys()
-        wanting = best is None or best.level < search.levels.high * (1 - 1e-9)
-        if popped % (DIVE_EVERY_WANTING if wanting else DIVE_EVERY) == 0:
-            found = search.dive({}, path.sides, path.choice)
+        if not lacking:
+            if value < top:
+                best, top = path, search.value(path)
+            continue
+        # the goal's disjunctions first, then the cells where most is lacking
+        new = sorted(set(lacking) - set(path.choice), key=lambda key: (key[0] >= 0, -lacking[key]))
+        bounds = search.bounds(path, new[:LOOK_AT])
+        if search.book(lacking, path.choice) and not new:
+            heapq.heappush(heap, Node(value, count, node.choice, basis))  # solve it again
+            continue
+        splits += 1
+        touched |= lacking.keys()
+        children, least = split(bounds, value, cut())
+        dropped = min(dropped, least)
+        for at_least, more in children:
+            heapq.heappush(heap, Node(at_least, count, {**node.choice, **more}, basis))
+        if splits % (DIVE_EVERY if best is not None else DIVE_EVERY_WANTING) == 0:
+            found = search.dive(path.choice)
+            found = search.improve(found) if found is not None else None
             if found is not None and found.short == 0 and search.value(found) < top:
                 best, top = found, search.value(found)
                 touched |= found.choice.keys()
-        search.lay(path.choice, path.sides)
-        mark = search.lp.rows
-        for more, sides in split:
-            search.lp.take_back(mark)
-            search.lp.use(node.basis)
-            child = search.descend(path, more, sides)
-            count += 1
-            if child is None:
-                if perf_counter() > deadline:
-                    return Outcome(best, min(bound, dropped), "open", count, frozenset(touched))
-            elif search.value(child) < cut():
-                heapq.heappush(
-                    heap, Node(max(search.value(child), node.bound), count, child, search.lp.basis())
-                )
-            else:
-                dropped = min(dropped, search.value(child))
-    else:
-        if best is None:
-            return Outcome(None, np.inf, "infeasible", count, frozenset(touched))
-        bound = top
-    return Outcome(best, min(bound, dropped, top), "optimal", count, frozenset(touched))
+    bound = top
+    return outcome("infeasible" if best is None else "optimal")
+
+
+def split(
+    bounds: Mapping[Key, Array], value: float, cut: float
+) -> tuple[list[tuple[float, dict[Key, int]]], float]:
+    """Children of a node, with their bounds, and the least bound of what needs no child.
+
+    Cells with one facet left below the cut get it at once, all in one child. Otherwise the first cell
+    is split.
+    """
+    floor = max(value, *(float(np.min(b)) for b in bounds.values()))
+    if floor >= cut:
+        return [], floor
+    forced = {key: int(np.argmin(b)) for key, b in bounds.items() if np.sum(b < cut) == 1}
+    first = next(iter(bounds))
+    split_up = [forced] if forced else [{first: int(j)} for j in np.nonzero(bounds[first] < cut)[0]]
+    children = [(max(floor, *(float(bounds[key][j]) for key, j in more.items())), more) for more in split_up]
+    closed = np.concatenate([bounds[key] for key in forced or (first,)])
+    return children, float(np.min(closed[closed >= cut], initial=np.inf))

@@ -110,10 +110,9 @@ def test_note_11_one_big_m_hides_a_violation_of_a_metre():
     task = problem(box((-250, -600, 0), 120, 40), extra_margin=20.0)
     rows = Rows(task)
     worst = max(
-        float(np.max(part.need + rows.extreme(part.a, budget=1.0))) * rows.length
+        float(np.max(facets.need + rows.extreme(facets.a, budget=1.0))) * rows.length
         for k in range(40)
-        for f in range(6)
-        for part in [rows.cell(0, k, f)]
+        for facets in [rows.options((0, k))]
     )
     assert worst <= printed_m / 5
     assert plan(task).extra.min() >= 20.0 * (1 - 1e-6)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 import sys
 from dataclasses import replace
 from time import perf_counter
@@ -20,9 +21,14 @@ from polaris.planning import (
     PlannerOptions,
     PlanProblem,
     StationaryPoint,
+    backends,
     plan,
     recheck,
+    solve,
 )
+from polaris.planning.lp import GrowingLP
+from polaris.planning.rows import Rows
+from polaris.planning.search import Levels, PathSearch
 from polaris.system import LinearSystem
 from polaris.unsafe import TimedPolytope
 
@@ -393,9 +399,73 @@ def test_malformed_problems_name_the_field(change, field):
 
 
 def test_importing_does_not_load_the_solvers():
-    import subprocess
-
     solvers = "('pulp', 'highspy', 'gurobipy')"
     code = f"import sys, polaris.planning; print([m for m in {solvers} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("prices", [{}, {"margin": 50.0, "fuel": 1e-3}, {"short": 1e3}])
+def test_prices_of_facets_are_lower_bounds(prices):
+    task = problem([STATIC, KEEP_OUT, CROSSING], goal=EllipticalNMT(ETA, 150.0, 400.0))
+    search = PathSearch(Rows(task), perf_counter() + 60)
+    search.rows.extra[0][:] = search.rows.extra[2][:] = 20.0
+    search.set_prices(Levels(0.0, 1.0), **prices)
+    keys = [(-1, 0), *((i, k) for i in (0, 1, 2) for k in (10, 25, 40))]
+    choice, sharp = {}, 0
+    for key in keys:  # prices at the program solved so far against what each alternative really costs
+        path = search.solve(choice)
+        bounds = search.bounds(path, [key])[key]
+        real = [search.solve({**choice, key: j}) for j in range(len(bounds))]
+        for bound, better in zip(bounds, real, strict=True):
+            value = np.inf if better is None else search.value(better)
+            assert bound <= value + 1e-6 * max(abs(search.value(path)), 1.0)
+            sharp += bound > search.value(path) + 0.3 * (value - search.value(path)) > search.value(path)
+        choice[key] = int(np.argmin([np.inf if p is None else search.value(p) for p in real]))
+    assert sharp > 5  # and worth their while
+
+
+def test_no_back_end_is_called_or_loaded_where_the_tree_decides():
+    code = (
+        "import sys; sys.path.insert(0, '.'); import numpy as np\n"
+        "from polaris.hill import clohessy_wiltshire\n"
+        "from polaris.planning import EllipticalNMT, PlanProblem, plan\n"
+        "cw, start = clohessy_wiltshire(0.0012, 10.0, 1.0), np.array([0, -1000, 0, 0, 0, 0.0])\n"
+        "goal = EllipticalNMT(0.0012, 100.0, 250.0)\n"
+        "p = PlanProblem(cw, start, 60, 50.0, (), (), np.ones((60, 3)), goal)\n"
+        "print(plan(p).stats['rounds'], 'pulp' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["0.0", "False"]
+
+
+def test_back_end_that_is_not_installed_is_refused_at_once(monkeypatch):
+    monkeypatch.setattr(backends, "find_spec", lambda name: None)
+    with pytest.raises(ScenarioError, match="install the extra 'gurobi'"):
+        plan(problem([]), PlannerOptions(solver="gurobi"))
+
+
+def test_program_that_runs_out_of_time_is_not_infeasible(monkeypatch):
+    """Whatever clock the solver looks at."""
+    import highspy
+
+    once, solved = GrowingLP._run, []
+
+    def run(self, seconds):
+        solved.append(seconds)
+        return once(self, seconds) if len(solved) < 12 else highspy.HighsModelStatus.kTimeLimit
+
+    monkeypatch.setattr(GrowingLP, "_run", run)
+    try:
+        answer = plan(problem([STATIC, KEEP_OUT], goal=EllipticalNMT(ETA, 150.0, 400.0)))
+    except NotCertified as error:
+        assert "none found in the time given" in str(error)
+    else:
+        assert answer.status == "time_limit"
+
+
+def test_phase_given_up_early_does_not_cost_the_plan(monkeypatch):
+    monkeypatch.setattr(solve, "SPARE_SHARE", 0.0)
+    monkeypatch.setattr(PathSearch, "first", lambda self: None)
+    task = problem([STATIC, KEEP_OUT])
+    assert_holds(task, plan(task))
