@@ -9,33 +9,45 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from .automaton import HybridAutomaton, Mode, Transition
     from .ball import ball_generators
     from .convex import ConvexSet
     from .ellipsoid import Ellipsoid
     from .errors import ReachError
+    from .fan import Fan
     from .flow import LinearFlow, state_scale
+    from .hybrid import hybrid_tube
+    from .hybrid_simulation import HybridTrajectory, Visit, replay, simulate_hybrid
+    from .hybrid_verification import HybridVerdict, falsify, verify_hybrid
     from .interval import Interval
     from .lazy import AffineImage, MinkowskiSum
     from .linear import discretize, growth, powers
     from .polytope import HPolytope
     from .relaxation import clip_relaxation
-    from .tube_support import SupportTube, support_tube
+    from .segments import HybridTube, Segment
     from .systems import LinearSystem
+    from .tube_support import SupportTube, support_tube
+    from .tube_zonotope import ZonotopeTube, zonotope_tube
     from .verification import Always, Never, Verdict, verify
     from .zonotope import Zonotope
-    from .tube_zonotope import ZonotopeTube, zonotope_tube
 
 _HOMES = {
+    ".automaton": ("HybridAutomaton", "Mode", "Transition"),
     ".ball": ("ball_generators",),
     ".convex": ("ConvexSet",),
     ".ellipsoid": ("Ellipsoid",),
     ".errors": ("ReachError",),
+    ".fan": ("Fan",),
     ".flow": ("LinearFlow", "state_scale"),
+    ".hybrid": ("hybrid_tube",),
+    ".hybrid_simulation": ("HybridTrajectory", "Visit", "replay", "simulate_hybrid"),
+    ".hybrid_verification": ("HybridVerdict", "falsify", "verify_hybrid"),
     ".interval": ("Interval",),
     ".lazy": ("AffineImage", "MinkowskiSum"),
     ".linear": ("discretize", "growth", "powers"),
     ".polytope": ("HPolytope",),
     ".relaxation": ("clip_relaxation",),
+    ".segments": ("HybridTube", "Segment"),
     ".tube_support": ("SupportTube", "support_tube"),
     ".systems": ("LinearSystem",),
     ".verification": ("Always", "Never", "Verdict", "verify"),
@@ -51,25 +63,39 @@ __all__ = [
     "Always",
     "ConvexSet",
     "Ellipsoid",
+    "Fan",
     "HPolytope",
+    "HybridAutomaton",
+    "HybridTrajectory",
+    "HybridTube",
+    "HybridVerdict",
     "Interval",
     "LinearFlow",
     "LinearSystem",
     "MinkowskiSum",
+    "Mode",
     "Never",
     "ReachError",
+    "Segment",
     "SupportTube",
+    "Transition",
     "Verdict",
+    "Visit",
     "Zonotope",
     "ZonotopeTube",
     "ball_generators",
     "clip_relaxation",
     "discretize",
+    "falsify",
     "growth",
+    "hybrid_tube",
     "powers",
+    "replay",
+    "simulate_hybrid",
     "state_scale",
     "support_tube",
     "verify",
+    "verify_hybrid",
     "zonotope_tube",
 ]
 

@@ -1,0 +1,305 @@
+"""Single trajectories of hybrid automata: simulated by exponentials, replayed by an integrator."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import expm
+
+from .automaton import HybridAutomaton, Mode, Transition
+from .errors import ReachError
+from .polytope import HPolytope
+
+Array = NDArray[np.float64]
+
+TOUCH = 1e-9
+"""A state this close to a face, relative to the terms of its row, counts as on it."""
+BISECTIONS = 60
+
+Policy = Literal["first", "last", "random"]
+
+
+@dataclass(frozen=True, eq=False)
+class Visit:
+    """A stay in one mode.
+
+    Attributes
+    ----------
+    mode : str
+    times : ndarray, shape (m,)
+        Absolute.
+    states : ndarray, shape (m, n)
+    input : ndarray, shape (inputs,)
+        Held over the visit.
+    transition : Transition or None
+        Taken at the end; None at the horizon, or where the trajectory ends.
+    uncertain : ndarray or None
+        What the reset added.
+    """
+
+    mode: str
+    times: Array
+    states: Array
+    input: Array
+    transition: Transition | None = None
+    uncertain: Array | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class HybridTrajectory:
+    """One trajectory: visits one after the other.
+
+    Attributes
+    ----------
+    visits : tuple of Visit
+    deadlock : bool
+        It ends before the horizon: the invariant ends and no transition can be taken.
+    """
+
+    visits: tuple[Visit, ...]
+    deadlock: bool = False
+
+
+def simulate_hybrid(
+    automaton: HybridAutomaton,
+    x0: ArrayLike,
+    horizon: float,
+    *,
+    dt: float,
+    policy: Policy = "last",
+    rng: np.random.Generator | None = None,
+    jumps: int = 50,
+) -> HybridTrajectory:
+    """Run one trajectory, sampled every `dt`.
+
+    Parameters
+    ----------
+    automaton : HybridAutomaton
+    x0 : array_like, shape (n,)
+    horizon : float
+    dt : float
+        Guards and invariants are looked at this often, and instants then found by bisection: a
+        guard touched between two samples can be missed.
+    policy : {"first", "last", "random"}
+        Which of the admissible instants of the transitions is taken.
+    rng : numpy.random.Generator, optional
+        For "random"; inputs and uncertain resets are then random too, and at their centres otherwise.
+    jumps : int
+        The trajectory ends after so many.
+
+    Raises
+    ------
+    ReachError
+        If the policy is unknown, or "random" comes without a generator.
+    """
+    if policy not in ("first", "last", "random"):
+        raise ReachError(f"policy must be 'first', 'last' or 'random', got {policy!r}")
+    if policy == "random" and rng is None:
+        raise ReachError("the policy 'random' needs a random generator")
+    assert automaton.start is not None
+    x, t, name = np.asarray(x0, dtype=float), 0.0, automaton.start
+    if x.shape != (automaton[name].system.dim,):
+        raise ReachError(f"the initial state must have shape ({automaton[name].system.dim},), got {x.shape}")
+    visits: list[Visit] = []
+    while True:
+        mode = automaton[name]
+        drawn = rng if policy == "random" else None
+        u = _input(mode, drawn)
+        move = _Motion(mode, x, u, dt)
+        end, stops = move.leaves(horizon - t)
+        options = _options(automaton, move, t, end) if len(visits) < jumps else []
+        chosen = _choose(options, policy, rng, must=stops or _urgent(automaton, name))
+        if chosen is None:
+            visits.append(move.visit(t, end))
+            return HybridTrajectory(tuple(visits), deadlock=stops and end < horizon - t)
+        transition, at = chosen
+        w = None if transition.uncertain is None else _point(transition.uncertain, drawn)
+        visits.append(replace(move.visit(t, at), transition=transition, uncertain=w))
+        x = transition.R @ move.at(at) + transition.r + (0 if w is None else w)
+        t, name = t + at, transition.target
+
+
+def _input(mode: Mode, rng: np.random.Generator | None) -> Array:
+    return _point(mode.system.U[0], rng) if mode.system.U else np.zeros(0)
+
+
+def _point(body: Any, rng: np.random.Generator | None) -> Array:
+    """The centre of a set, or a random point of it: an extreme one, pulled in half of the time."""
+    if rng is None:
+        return np.asarray(body.center)
+    corner = body.support_vector(rng.normal(size=(1, body.dim)))[0]
+    share = 1.0 if rng.random() < 0.5 else rng.random()
+    return np.asarray(body.center + share * (corner - body.center))
+
+
+class _Motion:
+    """A motion within one mode from one state."""
+
+    def __init__(self, mode: Mode, x: Array, u: Array, dt: float) -> None:
+        system = mode.system
+        n = system.dim
+        A = system.A if isinstance(system.A, np.ndarray) else system.A.toarray()
+        self.mode, self.u, self.dt, self.n = mode, u, dt, n
+        self.M = np.zeros((n + 1, n + 1))
+        self.M[:n, :n], self.M[:n, n] = A, np.asarray(system.B @ u).ravel() + system.c
+        self.z = np.r_[x, 1.0]
+
+    def at(self, s: float) -> Array:
+        """State after a time."""
+        return np.asarray((expm(self.M * s) @ self.z)[: self.n])
+
+    def samples(self, end: float) -> tuple[Array, Array]:
+        """Times from 0 to `end` and states at them."""
+        count = int(np.ceil(end / self.dt)) if end > 0 else 0
+        step, states = expm(self.M * self.dt), np.empty((count + 1, self.n + 1))
+        states[0] = self.z
+        have, power = 1, step
+        while have <= count:
+            more = min(have, count + 1 - have)
+            states[have : have + more] = states[:more] @ power.T
+            have, power = 2 * have, power @ power
+        times = np.minimum(self.dt * np.arange(count + 1), end)
+        if count:
+            states[-1, : self.n] = self.at(end)
+        return times, states[:, : self.n]
+
+    def leaves(self, most: float) -> tuple[float, bool]:
+        """Last time in the invariant, and whether it is left before `most`."""
+        times, states = self.samples(most)
+        outside = ~inside(self.mode.invariant, states)
+        if not np.any(outside):
+            return most, False
+        k = int(np.argmax(outside))
+        return (0.0 if k == 0 else self.bisect(times[k - 1], times[k], self.mode.invariant, True)), True
+
+    def bisect(self, low: float, high: float, region: HPolytope | None, holds: bool) -> float:
+        """Time at which being in a region changes from `holds`; the side on which it is inside."""
+        for _ in range(BISECTIONS):
+            middle = (low + high) / 2
+            if bool(inside(region, self.at(middle)[None])[0]) == holds:
+                low = middle
+            else:
+                high = middle
+        return low if holds else high
+
+    def visit(self, t: float, end: float) -> Visit:
+        times, states = self.samples(end)
+        return Visit(self.mode.name, t + times, states, self.u)
+
+
+def inside(region: HPolytope | None, states: Array) -> NDArray[np.bool_]:
+    """Whether states (m, n) are in a polytope, touching included."""
+    if region is None:
+        return np.ones(len(states), dtype=bool)
+    return region.contains(states, slack=TOUCH)
+
+
+def _urgent(automaton: HybridAutomaton, name: str) -> bool:
+    return any(t.urgent for t in automaton.leaving(name))
+
+
+def _options(
+    automaton: HybridAutomaton, move: _Motion, t: float, end: float
+) -> list[tuple[Transition, float, float]]:
+    """Transitions with stretches of time in which they may be taken, in time since entry."""
+    found = []
+    for transition in automaton.leaving(move.mode.name):
+        window, dwell = transition.window or (0.0, np.inf), transition.dwell or (0.0, np.inf)
+        low = max(window[0] - t, dwell[0], 0.0)
+        high = min(window[1] - t, dwell[1], end)
+        if abs(low - high) < 1e-12 * (1 + t):
+            high = low
+        if low > high:
+            continue
+        if transition.guard is None:
+            found.append((transition, low, high))
+            continue
+        times, states = move.samples(end)
+        hit = inside(transition.guard, states)
+        edges = np.flatnonzero(np.diff(np.r_[False, hit, False].astype(int)))
+        for first, after in edges.reshape(-1, 2):
+            begin, stop = times[first], times[after - 1]
+            if first > 0:
+                begin = move.bisect(times[first - 1], times[first], transition.guard, False)
+            if after < len(times):
+                stop = move.bisect(times[after - 1], times[after], transition.guard, True)
+            begin, stop = max(begin, low), min(stop, high)
+            if begin <= stop:
+                found.append((transition, float(begin), float(stop)))
+    return found
+
+
+def _choose(
+    options: list[tuple[Transition, float, float]],
+    policy: Policy,
+    rng: np.random.Generator | None,
+    must: bool,
+) -> tuple[Transition, float] | None:
+    if not options:
+        return None
+    if policy == "first":
+        transition, at, _ = min(options, key=lambda o: o[1])
+        return transition, at
+    limit = min((o[2] for o in options if o[0].urgent), default=np.inf)
+    options = [(o, low, min(high, limit)) for o, low, high in options if low <= limit]
+    if policy == "last":
+        transition, _, at = max(options, key=lambda o: o[2])
+        return transition, at
+    assert rng is not None
+    if not must and rng.random() < 0.2:
+        return None
+    transition, low, high = options[rng.integers(len(options))]
+    return transition, float(rng.choice([low, high, rng.uniform(low, high)]))
+
+
+def replay(automaton: HybridAutomaton, trajectory: HybridTrajectory, rtol: float = 1e-10) -> float:
+    """Integrate a trajectory again, independently, and check that it is admissible.
+
+    Every visit is integrated from the state in which the last one ended, with the same input and
+    duration; the guard, window, dwell time, invariant and reset are checked on the way.
+
+    Returns
+    -------
+    float
+        Largest difference between the states, relative to the largest of each coordinate; inf if
+        some step is not admissible.
+    """
+    from scipy.integrate import solve_ivp
+
+    worst, x = 0.0, trajectory.visits[0].states[0]
+    for visit, after in zip(trajectory.visits, (*trajectory.visits[1:], None), strict=True):
+        mode, begun = automaton[visit.mode], visit.times[0]
+        force = np.asarray(mode.system.B @ visit.input).ravel() + mode.system.c
+        length = visit.times[-1] - begun
+        size = np.abs(visit.states).max(axis=0)
+        size = np.where(size > 0, size, size.max() or 1.0)
+        states = np.repeat(x[None], len(visit.times), axis=0)
+        if length > 0:
+            solved = solve_ivp(
+                lambda s, y, A=mode.system.A, f=force: A @ y + f,
+                (0.0, length),
+                x,
+                method="LSODA" if np.abs(mode.system.A).max() * length > 100 else "DOP853",
+                t_eval=np.clip(visit.times - begun, 0, length),
+                rtol=rtol,
+                atol=rtol * float(size.min()),
+            )
+            states = solved.y.T
+        worst = max(worst, float(np.max(np.abs(states - visit.states) / size)))
+        room = 1e-6
+        ok = mode.invariant is None or bool(np.all(mode.invariant.contains(states, slack=room)))
+        t, x = visit.transition, states[-1]
+        if t is not None and after is not None:
+            ok = ok and (t.source, t.target) == (visit.mode, after.mode)
+            ok = ok and (t.guard is None or bool(t.guard.contains(x[None], slack=room)[0]))
+            for limits, value in ((t.window, visit.times[-1]), (t.dwell, length)):
+                if limits is not None:
+                    slack = 1e-9 * (1 + abs(visit.times[-1]))
+                    ok = ok and limits[0] - slack <= value <= limits[1] + slack
+            x = t.R @ x + t.r + (0 if visit.uncertain is None else visit.uncertain)
+        if not ok:
+            return float("inf")
+    return worst
