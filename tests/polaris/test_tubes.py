@@ -116,19 +116,23 @@ def test_clipped_tube_differs_from_the_affine_one_only_where_it_clips():
     assert np.array_equal(soft.fly(START, 0).nodes.G, calm.fly(START, 0).nodes.G)
 
 
-def test_a_switch_to_s_between_two_nodes_lands_in_the_hull_of_the_nodes():
-    """Lemma 5: y(t), U until t and S until the next node, is within the bow of its chord."""
-    safety, law = small_safety(None), small_controllers(None)["coasting"]
+@pytest.mark.parametrize("name", ["shared", "coasting", "clipped", "any"])
+def test_a_switch_to_s_between_two_nodes_lands_in_the_hull_of_the_nodes(name):
+    """Lemmas 5 and 14: U until t and S until the next node is within the bow of the chord."""
+    safety, law = small_safety(None), small_controllers(None)[name]
     rng = np.random.default_rng(2)
-    h = safety.tracking.flow.h
-    D = np.vstack([np.eye(6), -np.eye(6)])
-    flight = law.fly(START, 1)
+    h, k = safety.tracking.flow.h, 0 if name == "clipped" else 1
+    D = np.vstack([np.eye(6), -np.eye(6), rng.normal(size=(12, 6)) / [5, 5, 5, 0.1, 0.1, 0.1]])
+    flight = law.fly(START, k)
     assert not flight.refused
-    for _ in range(6):
+    if name == "clipped":  # and it does clip: that is what is tested
+        rigid = AffineController("rigid", law.system, law.gain, law.reference, law.own, law.tracking)
+        assert rigid.fly(START, k).refused
+    for _ in range(8):
         e0 = START.support_vector(rng.normal(size=6))
         period = int(rng.integers(0, len(flight.bow)))
         until = (period + rng.uniform(0.1, 0.9)) * h
-        _, errors = fly(safety, law, 1, e0, rng, until=until)
+        _, errors = fly(safety, law, k, e0, rng, until=until)
         landed = errors[8 * (period + 1)] @ D.T
         # S from the earlier node, U to the later one
         s_side = (safety.tracking.flow.phi @ flight.nodes[period]).support(D)
