@@ -11,45 +11,61 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from .automaton import HybridAutomaton, Mode, Transition
     from .ball import ball_generators
+    from .containment import contains
     from .convex import ConvexSet
     from .ellipsoid import Ellipsoid
     from .errors import ReachError
     from .fan import Fan
     from .flow import LinearFlow, state_scale
+    from .hulls import enclosing_hull
     from .hybrid import hybrid_tube
-    from .hybrid_simulation import HybridTrajectory, Visit, replay, simulate_hybrid
-    from .hybrid_verification import HybridVerdict, falsify, verify_hybrid
+    from .hybrid_simulation import HybridTrajectory, Visit, replay_hybrid, simulate_hybrid
+    from .hybrid_verification import HybridVerdict, falsify_hybrid, verify_hybrid
+    from .intersection import meet_halfspace
     from .interval import Interval
     from .lazy import AffineImage, MinkowskiSum
     from .linear import discretize, growth, powers
+    from .norms import NormBracket, largest_norm
+    from .outline import outline
     from .polytope import HPolytope
+    from .reduction import reduce, reduction_loss
     from .relaxation import clip_relaxation
     from .segments import HybridTube, Segment
+    from .separation import disjoint
     from .systems import LinearSystem
     from .tube_support import SupportTube, support_tube
     from .tube_zonotope import ZonotopeTube, zonotope_tube
+    from .verdict import Verdict
     from .verification import Always, Never, Verdict, verify
     from .zonotope import Zonotope
 
 _HOMES = {
     ".automaton": ("HybridAutomaton", "Mode", "Transition"),
     ".ball": ("ball_generators",),
+    ".containment": ("contains",),
     ".convex": ("ConvexSet",),
     ".ellipsoid": ("Ellipsoid",),
     ".errors": ("ReachError",),
     ".fan": ("Fan",),
     ".flow": ("LinearFlow", "state_scale"),
+    ".hulls": ("enclosing_hull",),
     ".hybrid": ("hybrid_tube",),
-    ".hybrid_simulation": ("HybridTrajectory", "Visit", "replay", "simulate_hybrid"),
-    ".hybrid_verification": ("HybridVerdict", "falsify", "verify_hybrid"),
+    ".hybrid_simulation": ("HybridTrajectory", "Visit", "replay_hybrid", "simulate_hybrid"),
+    ".hybrid_verification": ("HybridVerdict", "falsify_hybrid", "verify_hybrid"),
+    ".intersection": ("meet_halfspace",),
     ".interval": ("Interval",),
     ".lazy": ("AffineImage", "MinkowskiSum"),
     ".linear": ("discretize", "growth", "powers"),
+    ".norms": ("NormBracket", "largest_norm"),
+    ".outline": ("outline",),
     ".polytope": ("HPolytope",),
+    ".reduction": ("reduce", "reduction_loss"),
     ".relaxation": ("clip_relaxation",),
     ".segments": ("HybridTube", "Segment"),
+    ".separation": ("disjoint",),
     ".tube_support": ("SupportTube", "support_tube"),
     ".systems": ("LinearSystem",),
+    ".verdict": ("Verdict",),
     ".verification": ("Always", "Never", "Verdict", "verify"),
     ".zonotope": ("Zonotope",),
     ".tube_zonotope": ("ZonotopeTube", "zonotope_tube"),
@@ -75,6 +91,7 @@ __all__ = [
     "MinkowskiSum",
     "Mode",
     "Never",
+    "NormBracket",
     "ReachError",
     "Segment",
     "SupportTube",
@@ -85,12 +102,20 @@ __all__ = [
     "ZonotopeTube",
     "ball_generators",
     "clip_relaxation",
+    "contains",
     "discretize",
-    "falsify",
+    "disjoint",
+    "enclosing_hull",
+    "falsify_hybrid",
     "growth",
     "hybrid_tube",
+    "largest_norm",
+    "meet_halfspace",
+    "outline",
     "powers",
-    "replay",
+    "reduce",
+    "reduction_loss",
+    "replay_hybrid",
     "simulate_hybrid",
     "state_scale",
     "support_tube",

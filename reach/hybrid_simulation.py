@@ -255,7 +255,7 @@ def _choose(
     return transition, float(rng.choice([low, high, rng.uniform(low, high)]))
 
 
-def replay(automaton: HybridAutomaton, trajectory: HybridTrajectory, rtol: float = 1e-10) -> float:
+def replay_hybrid(automaton: HybridAutomaton, trajectory: HybridTrajectory, rtol: float = 1e-10) -> float:
     """Integrate a trajectory again, independently, and check that it is admissible.
 
     Every visit is integrated from the state in which the last one ended, with the same input and

@@ -15,7 +15,7 @@ from .clipping import clip, strips
 from .convex import ConvexSet
 from .errors import ReachError
 from .hybrid import hybrid_tube
-from .hybrid_simulation import HybridTrajectory, Policy, Visit, replay, simulate_hybrid
+from .hybrid_simulation import HybridTrajectory, Policy, Visit, replay_hybrid, simulate_hybrid
 from .polytope import HPolytope
 from .rounding import gamma
 from .segments import HybridTube, Segment
@@ -98,7 +98,7 @@ def verify_hybrid(
         for spec in asked:
             if spec.region.dim != automaton[name].system.dim:
                 raise ReachError(f"a region for mode {name!r} has dimension {spec.region.dim}")
-    found = falsify(automaton, initial, specs, horizon, dt=dt, runs=runs, seed=seed)
+    found = falsify_hybrid(automaton, initial, specs, horizon, dt=dt, runs=runs, seed=seed)
     if found is not None:
         last = found.visits[-1]
         reason = f"broken in mode {last.mode!r} at t = {last.times[-1]:.6g}"
@@ -174,7 +174,7 @@ def _implied(invariant: HPolytope | None, rows: Array, limits: Array) -> NDArray
     return np.asarray(np.any(same & (invariant.b[None] <= limits[:, None]), axis=1))
 
 
-def falsify(
+def falsify_hybrid(
     automaton: HybridAutomaton,
     initial: ConvexSet,
     specs: Specs,
@@ -197,7 +197,7 @@ def falsify(
     for x, policy in plans:
         path = simulate_hybrid(automaton, x, horizon, dt=dt, policy=policy, rng=rng, jumps=jumps)
         broken = first_violation(path, specs)
-        if broken is not None and replay(automaton, broken) < DEEP:
+        if broken is not None and replay_hybrid(automaton, broken) < DEEP:
             return broken
     return None
 
