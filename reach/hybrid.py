@@ -21,6 +21,9 @@ from .segments import HybridTube, Segment, Starts
 from .waves import Waves
 from .zonotope import Zonotope
 
+JUMPS = 50
+"""Most transitions of one trajectory, if nothing else is said."""
+
 
 def hybrid_tube(
     automaton: HybridAutomaton,
@@ -32,7 +35,7 @@ def hybrid_tube(
     clusters: int | Mapping[str, int] | None = None,
     order: float = 10.0,
     reduction: str = "pca",
-    jumps: int = 50,
+    jumps: int = JUMPS,
 ) -> HybridTube:
     """Enclose all trajectories of a hybrid automaton, continuously in time.
 

@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 TOUCH = 1e-9
 """A state this close to a face, relative to the terms of its row, counts as on it."""
-BISECTIONS = 60
+BISECTIONS = 40
 
 Policy = Literal["first", "last", "random"]
 

@@ -14,7 +14,7 @@ from .automaton import HybridAutomaton
 from .clipping import clip, strips
 from .convex import ConvexSet
 from .errors import ReachError
-from .hybrid import hybrid_tube
+from .hybrid import JUMPS, hybrid_tube
 from .hybrid_simulation import HybridTrajectory, Policy, Visit, replay_hybrid, simulate_hybrid
 from .polytope import HPolytope
 from .rounding import gamma
@@ -28,6 +28,8 @@ Specs = Mapping[str, Sequence[Always | Never]]
 
 DEEP = 1e-6
 """A violation must go beyond its limit by this share of the terms of the row, after the replay."""
+CORNERS = 8
+"""Directions in which corners of the initial set are tried."""
 PART = 20_000
 """Sets that are cut at once."""
 
@@ -72,7 +74,8 @@ def verify_hybrid(
     """Decide whether every trajectory meets what is asked in each mode, in continuous time.
 
     First trajectories are tried that may break it: from corners of the initial set, with the
-    earliest, the latest and random transitions. If none does, the tube is checked.
+    earliest and the latest transitions. If none does, the tube is checked, and if that does not
+    prove it, random trajectories are tried.
 
     Parameters
     ----------
@@ -83,7 +86,7 @@ def verify_hybrid(
     dt : float
         Sampling of the trajectories tried.
     runs : int
-        Random trajectories tried; 0 for none at all.
+        Random trajectories tried.
     seed : int
     **options
         Of `hybrid_tube`.
@@ -98,18 +101,24 @@ def verify_hybrid(
         for spec in asked:
             if spec.region.dim != automaton[name].system.dim:
                 raise ReachError(f"a region for mode {name!r} has dimension {spec.region.dim}")
-    found = falsify_hybrid(automaton, initial, specs, horizon, dt=dt, runs=runs, seed=seed)
+    limit = int(options.get("jumps", JUMPS))
+    rng = np.random.default_rng(seed)
+    found = falsify_hybrid(automaton, initial, specs, horizon, dt=dt, jumps=limit)
+    tube, reason = None, ""
+    if found is None:
+        tube = hybrid_tube(automaton, initial, horizon, **options)
+        reason = "" if tube.complete else "the limit on jumps cut trajectories off"
+        for name, asked in specs.items():
+            for spec in asked:
+                reason = reason or unproven(tube, name, spec)
+        if not reason:
+            return HybridVerdict("proven", None, tube, perf_counter() - begun, "the tube meets all of it")
+        found = falsify_hybrid(automaton, initial, specs, horizon, dt=dt, runs=runs, rng=rng, jumps=limit)
     if found is not None:
         last = found.visits[-1]
         reason = f"broken in mode {last.mode!r} at t = {last.times[-1]:.6g}"
-        return HybridVerdict("violated", found, None, perf_counter() - begun, reason)
-    tube = hybrid_tube(automaton, initial, horizon, **options)
-    reason = "the limit on jumps cut trajectories off" if not tube.complete else ""
-    for name, asked in specs.items():
-        for spec in asked:
-            reason = reason or unproven(tube, name, spec)
-    status = "unknown" if reason else "proven"
-    return HybridVerdict(status, None, tube, perf_counter() - begun, reason or "the tube meets all of it")
+        return HybridVerdict("violated", found, tube, perf_counter() - begun, reason)
+    return HybridVerdict("unknown", None, tube, perf_counter() - begun, reason)
 
 
 def unproven(tube: HybridTube, mode: str, spec: Always | Never) -> str:
@@ -181,19 +190,29 @@ def falsify_hybrid(
     horizon: float,
     *,
     dt: float,
-    runs: int = 100,
-    seed: int = 0,
-    jumps: int = 50,
+    runs: int = 0,
+    rng: np.random.Generator | None = None,
+    jumps: int = JUMPS,
 ) -> HybridTrajectory | None:
-    """Look for a trajectory that breaks a specification; None if none was found, which proves nothing."""
-    rng = np.random.default_rng(seed)
-    plans: list[tuple[Array, Policy]] = []
-    if runs > 0:
-        corners = initial.support_vector(rng.normal(size=(min(runs, 16), initial.dim)))
-        plans += [(x, policy) for x in [initial.center, *corners] for policy in ("first", "last")]
-    for _ in range(runs):
-        x = initial.support_vector(rng.normal(size=(1, initial.dim)))[0]
-        plans.append((x, "random"))
+    """Look for a trajectory that breaks a specification; None if none was found, which proves nothing.
+
+    Parameters
+    ----------
+    automaton, initial, specs, horizon, dt
+        As for `verify_hybrid`.
+    runs : int
+        Random trajectories to try; with 0, the earliest and the latest transitions from the centre
+        and from corners of the initial set.
+    rng : numpy.random.Generator, optional
+    jumps : int
+        Most transitions of one trajectory.
+    """
+    rng = np.random.default_rng(0) if rng is None else rng
+    corners = initial.support_vector(rng.normal(size=(max(runs, CORNERS), initial.dim)))
+    plans: list[tuple[Array, Policy]] = [(x, "random") for x in corners]
+    if runs == 0:
+        corners = np.unique(np.vstack([initial.center, corners]), axis=0)
+        plans = [(x, policy) for x in corners for policy in ("last", "first")]
     for x, policy in plans:
         path = simulate_hybrid(automaton, x, horizon, dt=dt, policy=policy, rng=rng, jumps=jumps)
         broken = first_violation(path, specs)
