@@ -84,14 +84,8 @@ class GrowingLP:
         return self.highs.getBasis()
 
     def use(self, basis: Any) -> None:
-        """Start the next solve from a basis, its rows completed by basic ones for rows added since."""
-        lack = self.rows - len(basis.row_status)
-        if lack >= 0:
-            if lack:
-                start = self._highspy.HighsBasis()
-                start.col_status = basis.col_status
-                start.row_status = [*basis.row_status, *[self._highspy.HighsBasisStatus.kBasic] * lack]
-                basis = start
+        """Start the next solve from a basis taken when the same rows were in place; more may follow."""
+        if len(basis.row_status) == self.rows:
             self.highs.setBasis(basis)
 
     def solve(self, seconds: float) -> tuple[float, Array] | None:

@@ -93,18 +93,16 @@ class PathSearch:
         value = self.fuel_price * path.fuel - self.margin_price * path.level
         return value + (self.short_price * path.short / self.rows.length if path.short > 0 else 0.0)
 
-    def solve(self, choice: Mapping[Key, int], basis: Any = None) -> Candidate | None:
-        """The best path with these facets, or None; from the basis of a program with fewer of them."""
+    def solve(self, choice: Mapping[Key, int], start: tuple[Any, int] | None = None) -> Candidate | None:
+        """The best path with these facets, or None; from the basis there was with the first few of them."""
         self.lp.take_back(self.base)
-        if choice:
-            parts = [(self.rows.options(key), j, key) for key, j in choice.items()]
-            self.lp.add(
-                np.vstack([_wide(o.a[j], o.slope, float(key[0] >= 0)) for o, j, key in parts]),
-                np.concatenate([o.need[j] for o, j, _ in parts]),
-                np.inf,
-            )
-        if basis is not None:
+        parts = list(choice.items())
+        if start is not None:
+            basis, known = start
+            self._add(parts[:known])
             self.lp.use(basis)
+            parts = parts[known:]
+        self._add(parts)
         self.solves += 1
         answer = self.lp.solve(self.deadline - perf_counter())
         if answer is None:
@@ -116,6 +114,15 @@ class PathSearch:
         fuel = float(np.sum(self.rows.price * np.abs(z)))
         short = x[2 * N + 1] * self.rows.length
         return Candidate(z, x[2 * N], short if short > 1e-9 else 0.0, fuel, dict(choice))
+
+    def _add(self, parts: list[tuple[Key, int]]) -> None:
+        if parts:
+            options = [self.rows.options(key) for key, _ in parts]
+            rows = [
+                _wide(o.a[j], o.slope, float(i >= 0)) for o, ((i, _), j) in zip(options, parts, strict=True)
+            ]
+            need = [o.need[j] for o, (_, j) in zip(options, parts, strict=True)]
+            self.lp.add(np.vstack(rows), np.concatenate(need), np.inf)
 
     def bounds(self, path: Candidate, keys: Collection[Key]) -> dict[Key, Array]:
         """Lower bounds on the objective with each alternative added to the program `path` solves.

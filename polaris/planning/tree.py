@@ -31,12 +31,12 @@ LOOK_AT = 8
 
 @dataclass(order=True)
 class Node:
-    """An open node: its bound, a tie breaker, its facets, a simplex basis, whether it was solved."""
+    """An open node: bound, tie breaker, facets, a basis with the number of them it knows, whether solved."""
 
     bound: float
     number: int
     choice: dict[Key, int] = field(compare=False)
-    basis: Any = field(compare=False)
+    start: tuple[Any, int] | None = field(compare=False)
     solved: bool = field(default=False, compare=False)
 
 
@@ -93,15 +93,15 @@ def branch(
         if stop(best, len(touched), count):
             return outcome("time_limit")
         node = heapq.heappop(heap)
-        path = search.solve(node.choice, node.basis)
+        path = search.solve(node.choice, node.start)
         count += 1
         if path is None:
             if perf_counter() > search.deadline:
                 return outcome("time_limit")
             continue
-        value, basis = max(search.value(path), node.bound), search.lp.basis()
+        value, start = max(search.value(path), node.bound), (search.lp.basis(), len(node.choice))
         if heap and value > heap[0].bound and not node.solved:
-            heapq.heappush(heap, Node(value, count, node.choice, basis, True))
+            heapq.heappush(heap, Node(value, count, node.choice, start, True))
             continue
         check = search.recheck(path)
         lacking = search.lacking(path, check)
@@ -113,14 +113,14 @@ def branch(
         new = sorted(set(lacking) - set(path.choice), key=lambda key: (key[0] >= 0, -lacking[key]))
         bounds = search.bounds(path, new[:LOOK_AT])
         if search.book(lacking, path.choice) and not new:
-            heapq.heappush(heap, Node(value, count, node.choice, basis))  # solve it again
+            heapq.heappush(heap, Node(value, count, node.choice, start))  # solve it again
             continue
         splits += 1
         touched |= lacking.keys()
         children, least = split(bounds, value, cut())
         dropped = min(dropped, least)
         for at_least, more in children:
-            heapq.heappush(heap, Node(at_least, count, {**node.choice, **more}, basis))
+            heapq.heappush(heap, Node(at_least, count, {**node.choice, **more}, start))
         if splits % (DIVE_EVERY if best is not None else DIVE_EVERY_WANTING) == 0:
             found = search.dive(path.choice)
             found = search.improve(found) if found is not None else None
