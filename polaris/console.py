@@ -166,7 +166,8 @@ def _metrics_table(summary: Mapping[str, Any]) -> Table:
         ("share of experimental control", "experimental_share", "{:.1%}", ""),
         ("switches", "switches", "{:d}", ""),
         ("velocity change, mean", "delta_v_m_s", "{:.4g} m/s", ""),
-        ("largest demand of thrust", "max_thrust_ratio", "{:.1%}", ""),
+        ("largest demand of thrust by S", "max_thrust_ratio_safety", "{:.1%}", "-"),
+        ("largest demand of thrust by U", "max_thrust_ratio_experimental", "{:.1%}", "-"),
     )
     for title, key, form, absent in rows:
         values = [summary[who][key] for who in shown]

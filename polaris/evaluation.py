@@ -34,6 +34,8 @@ DEFINITIONS = {
     "collided_runs": "number of runs that entered a true unsafe set",
     "max_thrust_ratio": "largest commanded over available thrust, over runs, times and axes; "
     "above 1 it was clipped",
+    "max_thrust_ratio_safety": "the same while S flies, at most 1 where it is proven; null if it never does",
+    "max_thrust_ratio_experimental": "the same while an experimental controller flies; null if none does",
 }
 """What each number of a summary means, and how it joins the runs."""
 
@@ -70,6 +72,8 @@ class Metrics:
         Whether the run entered a true unsafe set.
     max_thrust_ratio : ndarray, shape (R,)
         Commanded over available thrust.
+    max_thrust_ratio_safety, max_thrust_ratio_experimental : ndarray, shape (R,)
+        The same while S flies, and while an experimental controller does; nan if none ever does.
     nearest : ndarray, shape (3, N+1)
         Distance to the nearest unsafe set at every instant [m]: least, mean and largest over runs.
     """
@@ -88,6 +92,8 @@ class Metrics:
     delta_v: Array
     collided: NDArray[np.bool_]
     max_thrust_ratio: Array
+    max_thrust_ratio_safety: Array
+    max_thrust_ratio_experimental: Array
     nearest: Array
 
     @classmethod
@@ -128,6 +134,8 @@ class Metrics:
             "collided": bool(self.collided.any()),
             "collided_runs": int(self.collided.sum()),
             "max_thrust_ratio": float(self.max_thrust_ratio.max()),
+            "max_thrust_ratio_safety": _finite(self.max_thrust_ratio_safety.max()),
+            "max_thrust_ratio_experimental": _finite(self.max_thrust_ratio_experimental.max()),
         }
 
     def columns(self) -> dict[str, Array]:
@@ -143,6 +151,8 @@ class Metrics:
             "delta_v_m_s": self.delta_v,
             "collided": self.collided,
             "max_thrust_ratio": self.max_thrust_ratio,
+            "max_thrust_ratio_safety": self.max_thrust_ratio_safety,
+            "max_thrust_ratio_experimental": self.max_thrust_ratio_experimental,
         }
 
     def to_pandas(self) -> Any:
@@ -205,6 +215,8 @@ def evaluate(runs: Runs, seed: int = 0, controller: str | None = None) -> Metric
         delta_v=runs.delta_v,
         collided=joined("collided").astype(bool),
         max_thrust_ratio=runs.demanded.max(axis=1),
+        max_thrust_ratio_safety=_peak(runs, runs.mode_per_period == 0),
+        max_thrust_ratio_experimental=_peak(runs, runs.mode_per_period > 0),
         nearest=np.stack([distances.min(axis=0), distances.mean(axis=0), distances.max(axis=0)]),
     )
 
@@ -281,6 +293,11 @@ class _Part:
         out = (1 + 2 * s) * (1 - s) ** 2 * a + s * (1 - s) ** 2 * da
         out = out + s**2 * (3 - 2 * s) * b + s**2 * (s - 1) * db
         return np.asarray(out.reshape(len(x), -1, x.shape[-1]))
+
+
+def _peak(runs: Runs, chosen: NDArray[np.bool_]) -> Array:
+    """Largest demand of thrust in some of the periods, per run; nan without any."""
+    return runs.demanded[:, chosen].max(axis=1) if chosen.any() else np.full(len(runs.demanded), np.nan)
 
 
 def _who(runs: Runs) -> str:

@@ -67,6 +67,11 @@ def test_summary_holds_the_promised_keys(folder):
     for who in ("safety", "polaris"):
         assert not summary[who]["collided"] and summary[who]["min_distance_m"] > 0
     assert summary["safety"]["experimental_share"] == 0 and summary["experimental"]["experimental_share"] == 1
+    for who, other in (("safety", "experimental"), ("experimental", "safety")):
+        assert summary[who][f"max_thrust_ratio_{who}"] == summary[who]["max_thrust_ratio"]
+        assert summary[who][f"max_thrust_ratio_{other}"] is None
+    both = [summary["polaris"][f"max_thrust_ratio_{who}"] for who in ("safety", "experimental")]
+    assert max(both) == summary["polaris"]["max_thrust_ratio"] and both[0] <= 1
 
 
 def test_times_are_only_where_they_can_be_stripped(folder):
