@@ -50,9 +50,9 @@ def hybrid_tube(
     tolerance : array_like of shape (n,) or a number, or mapping from mode names, optional
         Steps are halved until the state leaves the set that joins two nodes by less than this.
     clusters : int or mapping from names of target modes, optional
-        A wave of start sets is merged into at most so many, each one stretch of time. By default
-        nothing is merged: every step that crosses a guard becomes a start set of its own, and all
-        of them are followed together.
+        What crosses in one transition of one wave is merged into at most so many start sets, each
+        one stretch of time. By default nothing is merged: every step that crosses a guard becomes a
+        start set of its own, and all of them are followed together.
     order : float
         Start sets with more than ``order * n`` generators are reduced.
     reduction : str

@@ -139,13 +139,12 @@ class Waves:
             same = [s for s in entered if s.mode is mode]
             if not same:
                 continue
+            most = self._of(self.clusters, mode)
+            same = [s if most is None or len(s.sets) <= most else _merged(s, int(most)) for s in same]
             width = max(s.sets.order_count for s in same)
             padded = [s.sets._pad(width) for s in same]
             sets = Zonotope(np.concatenate([p.c for p in padded]), np.concatenate([p.G for p in padded]))
             times = np.concatenate([s.entered for s in same])
-            most = self._of(self.clusters, mode)
-            if most is not None and len(sets) > most:
-                sets, times = _merged(sets, times, int(most))
             used = np.any(sets.G != 0, axis=(0, 1))
             sets = Zonotope(sets.c, sets.G[..., used])
             wave.append(Starts(mode, sets.reduce(self.order, self.reduction), times))
@@ -162,10 +161,11 @@ def meets(flow: Fan, H: Array, low: Array, high: Array) -> NDArray[np.bool_]:
     return np.asarray(out & np.all(-bounds[..., len(H) :] <= high, axis=-1))
 
 
-def _merged(sets: Zonotope, times: Array, most: int) -> tuple[Zonotope, Array]:
+def _merged(starts: Starts, most: int) -> Starts:
     """At most so many sets, each around those that are entered in one stretch of time."""
+    times = starts.entered
     rank = np.argsort(times.sum(axis=1), kind="stable")
     groups = np.array_split(rank, most)
-    hulls = Zonotope.stack([hull_of(sets[g]) for g in groups])
+    hulls = Zonotope.stack([hull_of(starts.sets[g]) for g in groups])
     spans = [[times[g, 0].min(), times[g, 1].max()] for g in groups]
-    return hulls, np.array(spans)
+    return Starts(starts.mode, hulls, np.array(spans))
