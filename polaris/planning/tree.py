@@ -22,7 +22,7 @@ from ..system import Array
 from .rows import Key
 from .search import Candidate, PathSearch
 
-DIVE_EVERY, DIVE_EVERY_WANTING = 10, 5
+DIVE_EVERY, DIVE_EVERY_WANTING = 10, 2
 """Splits between two dives from the best open node for a better path; more often while there is none."""
 
 LOOK_AT = 8
