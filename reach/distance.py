@@ -44,7 +44,7 @@ class Nearest:
     scale: Array
 
 
-def nearest(X: ConvexSet, Y: ConvexSet, scale: Array | None = None) -> Nearest:
+def nearest(X: ConvexSet, Y: ConvexSet, scale: Array | None = None, enough: float = 0.0) -> Nearest:
     """Nearest points of two sets (Wolfe 1976, the point of least norm of ``X - Y``).
 
     Parameters
@@ -53,6 +53,8 @@ def nearest(X: ConvexSet, Y: ConvexSet, scale: Array | None = None) -> Nearest:
         Single bounded sets.
     scale : ndarray, shape (n,), optional
         Size of one unit along each axis; by default the larger of the two interval hulls.
+    enough : float
+        Scaled distance at or below which the points need not come closer.
     """
     require_same_dim(X, Y)
     if scale is None:
@@ -61,6 +63,8 @@ def nearest(X: ConvexSet, Y: ConvexSet, scale: Array | None = None) -> Nearest:
     corral, weights, least = ((X.center - Y.center) / scale)[None], np.ones(1), 0.0
     for _ in range(STEPS):
         z = weights @ corral
+        if z @ z <= enough**2:
+            break
         pair = np.stack([X.support_vector(-z / scale), Y.support_vector(z / scale)])
         furthest = (pair[0] - pair[1]) / scale
         least = max(least, float(z @ furthest) / max(float(np.linalg.norm(z)), np.finfo(float).tiny))
