@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .automaton import Mode
 from .clipping import clip, strips
+from .errors import ReachError
 from .fan import Fan
 from .zonotope import Zonotope
 
@@ -66,8 +67,12 @@ class Segment:
         They hold ``x(t)`` at every time t a trajectory spends in this mode, cut by the invariant.
         """
         k, i = self.steps
-        sets, meets = clip(self.fan.sets(k, i), *strips([self.mode.invariant], self.mode.system.dim))
+        sets, meets = self.cut(k, i)
         return self.span(k, i)[meets], sets[meets]
+
+    def cut(self, k: Index, i: Index) -> tuple[Zonotope, NDArray[np.bool_]]:
+        """Sets over steps k of starts i, cut by the invariant, and whether anything is left of each."""
+        return clip(self.fan.sets(k, i), *strips([self.mode.invariant], self.mode.system.dim))
 
     def support(self, directions: ArrayLike) -> Array:
         """Upper bound of each direction over the whole segment, shape (r,); -inf if it is empty."""
@@ -94,6 +99,26 @@ class HybridTube:
     def of(self, mode: str) -> list[Segment]:
         """Segments of one mode."""
         return [s for s in self.segments if s.mode.name == mode]
+
+    def at(self, t: float) -> list[tuple[str, Zonotope]]:
+        """Modes and stacks of zonotopes that hold the state at a time, one entry per segment.
+
+        Raises
+        ------
+        ReachError
+            If the time lies outside the horizon.
+        """
+        if not 0 <= t <= self.horizon:
+            raise ReachError(f"the time must lie in [0, {self.horizon:g}], got {t!r}")
+        found = []
+        for segment in self.segments:
+            k, i = segment.steps
+            span = segment.span(k, i)
+            now = (span[:, 0] <= t) & (t <= span[:, 1])
+            sets, meets = segment.cut(k[now], i[now])
+            if np.any(meets):
+                found.append((segment.mode.name, sets[meets]))
+        return found
 
     def support(self, mode: str, directions: ArrayLike) -> Array:
         """Upper bound of each direction over all a mode's segments, shape (r,); -inf if never entered."""

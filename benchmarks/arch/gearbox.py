@@ -89,7 +89,7 @@ SPECS = {
     "free": [SMALL, Never(HPolytope([[0, 0, 1, 0, 0]], [0]), during=(MESHED_BY, HORIZON))],
     "meshed": [SMALL],
 }
-STEPS = {"free": 5e-4, "meshed": HORIZON}
+STEPS = {"free": 3e-4, "meshed": HORIZON}
 
 
 def rows() -> Iterator[Row]:
