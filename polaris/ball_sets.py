@@ -52,23 +52,20 @@ class BallSets:
     def _radii(self) -> tuple[Array, NDArray[np.int_], NDArray[np.int_]]:
         """Radius for every period, and which period and limit set it."""
         allowed, _ = self.limits
-        count = len(allowed)
-        radii, when, which = np.empty(count), np.empty(count, int), np.empty(count, int)
-        flat = allowed.min(axis=1), allowed.argmin(axis=1)
-        step = np.exp(self.bounds.beta * self.clearance.tracking.flow.h)
-        for i in range(count):
-            later = flat[0][i:]
-            if self.kind == "time_varying_ball":
-                # From anywhere in period i to anywhere in period j at least j - i - 1 periods pass.
-                gone = np.maximum(np.arange(len(later)) - 1, 0)
-                later = np.where(later > 0, later * np.minimum(step**gone, 1e12), later)
-            else:
-                later = flat[0]
-            j = int(np.argmin(later))
-            radii[i] = later[j]
-            when[i] = i + j if self.kind == "time_varying_ball" else j
-            which[i] = flat[1][when[i]]
-        return radii, when, which
+        count, least = len(allowed), allowed.min(axis=1)
+        if self.kind == "time_varying_ball":
+            # From anywhere in period i to anywhere in period j at least j - i - 1 periods pass.
+            gone = np.maximum(np.arange(count) - 1, 0) * self.clearance.tracking.flow.h
+            decayed = np.exp(np.minimum(self.bounds.beta * gone, np.log(1e12)))
+            radii, when = np.empty(count), np.empty(count, int)
+            for i in range(count):
+                later = least[i:] * np.where(least[i:] > 0, decayed[: count - i], 1.0)
+                j = int(np.argmin(later))
+                radii[i], when[i] = later[j], i + j
+        else:
+            when = np.full(count, np.argmin(least))
+            radii = least[when]
+        return radii, when, allowed.argmin(axis=1)[when]
 
     def _margins(self, k: int, norms: Array) -> Margin:
         radii, when, which = self._radii

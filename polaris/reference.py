@@ -47,11 +47,6 @@ class Reference:
         """Number K of steps."""
         return len(self.nu)
 
-    @property
-    def duration(self) -> float:
-        """Time covered [s]."""
-        return self.cells * self.delta
-
     def fine(self, q: int) -> Array:
         """States at q equal parts of every cell, both ends included, shape (K, q+1, n).
 

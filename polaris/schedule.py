@@ -89,7 +89,7 @@ class Schedule:
         return float(np.mean(flying))
 
     def mode_at(self, t: float) -> int:
-        """The switching logic L(t) [s]; S after T."""
+        """The switching logic L(t): mode at a time t [s], at a switch the new one; S after T."""
         k = int(np.floor(t / self.safety.problem.delta + 1e-12))
         return int(self.modes[k]) if 0 <= k < len(self.modes) else 0
 

@@ -72,6 +72,10 @@ class _Branch:
     def k(self) -> int:
         return len(self.steps)
 
+    def merit(self) -> tuple[float, int]:
+        """What a finished schedule is chosen by: most worth, then fewest switches."""
+        return self.worth, -self.switches
+
 
 def synthesize(
     scenario: Any,
@@ -93,7 +97,7 @@ def synthesize(
     rules : SwitchingRules, optional
         A scenario brings its own.
     progress : callable, optional
-        Called with (step, steps).
+        Called with (step, steps), once per step.
 
     Returns
     -------
@@ -117,9 +121,10 @@ def synthesize(
     started = time.perf_counter()
     controllers: tuple[Controller, ...] = (safety.controller, *experimental)
     search = _Search(safety, controllers, rules)
-    branch = search.greedy(progress)
     if rules.strategy == "look_ahead":
-        branch = max(branch, search.look_ahead(progress), key=lambda b: b.worth)
+        branch = max(search.greedy(), search.look_ahead(progress), key=_Branch.merit)
+    else:
+        branch = search.greedy(progress)
     steps = with_margins(safety, branch.steps)
     seconds = {**safety.seconds, "schedule": time.perf_counter() - started}
     schedule = Schedule(safety, controllers, steps, branch.reached, "", (), seconds)
@@ -154,7 +159,7 @@ class _Search:
                     waiting[following.k].append(following)
             if progress:
                 progress(k + 1, K)
-        return max(waiting[K], key=lambda b: b.worth)
+        return max(waiting[K], key=_Branch.merit)
 
     def _best(self, branches: list[_Branch]) -> list[_Branch]:
         """The beam: most worth first, and of equal worth the set with most room left to it."""

@@ -220,6 +220,17 @@ def test_metrics_of_batches_join_to_those_of_all(monkeypatch):
         assert np.min(gaps) == pytest.approx(metrics.min_distance.min(), abs=0.05), who
 
 
+def test_metrics_as_a_table(monkeypatch):
+    import sys
+    from types import SimpleNamespace
+
+    monkeypatch.setitem(sys.modules, "pandas", SimpleNamespace(DataFrame=dict))
+    metrics = flown()["polaris"].metrics
+    table = metrics.to_pandas()
+    assert {len(column) for column in table.values()} == {len(metrics.min_distance)}
+    assert np.array_equal(table["delta_v_m_s"], metrics.delta_v)
+
+
 def test_closest_approach_is_not_missed_between_nodes():
     from polaris.evaluation import evaluate
     from polaris.simulation import simulate

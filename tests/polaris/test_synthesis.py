@@ -138,6 +138,30 @@ def test_no_switch_allowed_means_s_throughout_unless_u_lasts():
     assert not never.modes.any(), "one switch is always held back for the return to S"
 
 
+@pytest.mark.parametrize("strategy", ["greedy", "look_ahead"])
+def test_progress_goes_through_the_steps_once(strategy):
+    calls = []
+    synthesize(
+        None,
+        small_safety(),
+        [small_controllers()["coasting"]],
+        SwitchingRules(strategy, beam=2),
+        lambda *call: calls.append(call),
+    )
+    steps = [step for step, _ in calls]
+    assert steps == sorted(set(steps)) and calls[-1] == (60, 60)
+
+
+def test_mode_at_a_time():
+    _, schedule = synthesised("static")
+    delta, switch = schedule.safety.problem.delta, int(np.flatnonzero(np.diff(schedule.modes))[0]) + 1
+    assert schedule.mode_at(0.0) == schedule.modes[0]
+    assert schedule.mode_at(switch * delta - 1e-3) == schedule.modes[switch - 1]
+    assert schedule.mode_at(switch * delta) == schedule.modes[switch]
+    assert [schedule.mode_at((k + 0.5) * delta) for k in range(60)] == schedule.modes.tolist()
+    assert schedule.mode_at(schedule.times[-1]) == schedule.mode_at(1e9) == 0
+
+
 def test_look_ahead_is_never_worse_than_greedy():
     scenario, schedule = synthesised("static")
     for cap in (2, 5):
