@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import expm
 
-from .adjoint import ROUNDING, Adjoint, times
+from .adjoint import Adjoint
 from .errors import ReachError
 from .march import MAX_STEPS, substeps
+from .rows import ROUNDING, times
 from .systems import LinearSystem
 from .tube_zonotope import centered
 from .zonotope import Zonotope
@@ -20,7 +21,7 @@ Array = NDArray[np.float64]
 
 BLOCK = 32
 """Steps marched together."""
-ENTRIES = 4_000_000
+ENTRIES = 1_000_000
 """Numbers handled at once where a stack is worked through in parts."""
 HALVINGS = 16
 """A step is halved at most this often to meet a tolerance."""
@@ -63,13 +64,8 @@ class Fan:
     def support(self, directions: Array) -> Array:
         """Bounds on ``d x(t)`` over every step, shape (K, N, r) for rows (r, n)."""
         D = np.asarray(directions, dtype=float)
-        K, N = self.shape
-        nodes = np.empty((K + 1, N, len(D)))
-        size = max(ENTRIES // max(N * len(D) * self.start.order_count, 1), 1)
-        for k in range(0, K + 1, size):
-            rows = D @ self.maps[k : k + size]
-            nodes[k : k + size] = (rows @ self.start.c[..., None])[..., 0]
-            nodes[k : k + size] += np.abs(rows @ self.start.G).sum(axis=-1)
+        middle, spread = images(D @ self.maps, self.start)
+        nodes = middle + spread
         middle, half = (self.low + self.high) / 2, (self.high - self.low) / 2
         extra = (middle @ D.T + half @ np.abs(D).T)[:, None]
         return np.asarray(np.maximum(nodes[1:], nodes[:-1]) + self.bow @ np.abs(D).T + extra)
@@ -85,8 +81,33 @@ class Fan:
         return (a.hull(b) + middle).inflate(self.bow[k, i] + half)
 
 
+class Carrier:
+    """One system made ready for many fans: its drift in the state, its exponentials kept.
+
+    Parameters
+    ----------
+    system : LinearSystem
+        In continuous time, with one set of inputs at most.
+    """
+
+    def __init__(self, system: LinearSystem) -> None:
+        self.system, n = system, system.dim
+        around, _ = centered(system, Zonotope.point(np.zeros(n)))
+        self.dim = around.dim
+        self.adjoint = Adjoint(around, Zonotope.point(np.zeros(self.dim)))
+        self.rows = self.adjoint.rows
+        self.scale, self.A = self.rows.scale, self.rows.A
+
+    def lifted(self, start: Zonotope) -> Zonotope:
+        """Start sets with a last coordinate that is constantly 1, if there is a drift."""
+        if self.dim == start.dim:
+            return start
+        one = np.concatenate([start.c, np.ones((len(start), 1))], axis=-1)
+        return Zonotope(one, np.concatenate([start.G, np.zeros((len(start), 1, start.order_count))], axis=1))
+
+
 def fan(
-    system: LinearSystem,
+    carrier: Carrier,
     start: Zonotope,
     horizon: float,
     *,
@@ -99,7 +120,7 @@ def fan(
 
     Parameters
     ----------
-    system : LinearSystem
+    carrier : Carrier
     start : Zonotope, batch (N,)
     horizon : float
         At least 0.
@@ -118,8 +139,10 @@ def fan(
         raise ReachError(f"step and horizon must be finite and > 0, got {step!r} and {horizon!r}")
     if horizon / step > MAX_STEPS:
         raise ReachError(f"more than {MAX_STEPS:,} steps: horizon {horizon:g}, step {step:g}")
-    march = _Marcher(system, start, offset)
-    limit = None if tolerance is None else np.broadcast_to(np.asarray(tolerance, float), (system.dim,))
+    march = _Marcher(carrier, start, offset, step, horizon)
+    limit = (
+        None if tolerance is None else np.broadcast_to(np.asarray(tolerance, float), (carrier.system.dim,))
+    )
     if limit is not None and not np.all(limit > 0):
         raise ReachError(f"the tolerance must be > 0, got {tolerance!r}")
     blocks: list[Fan] = []
@@ -132,9 +155,13 @@ def fan(
             length, count = h, int(min(BLOCK, left // h))
         block = march.block(done, length, count)
         error = 0.0 if limit is None else float((block.bow / limit).max())
+        if not np.all(np.isfinite(block.bow)):
+            error = np.inf
         if error > 1 and h > step * 2.0**-HALVINGS:
             h = min(h, length) / 2
             continue
+        if error == np.inf:
+            raise ReachError(f"the step {step:g} is too long: the bounds are beyond floating point")
         march.accept(block)
         blocks.append(block)
         done = horizon if length == left else done + count * length
@@ -161,75 +188,94 @@ def _joined(blocks: list[Fan]) -> Fan:
 class _Marcher:
     """Blocks of a fan, one after the other."""
 
-    def __init__(self, system: LinearSystem, start: Zonotope, offset: Array | None) -> None:
-        n = system.dim
-        self.centered, origin = centered(system, Zonotope.point(np.zeros(n)))
-        d = self.centered.dim
-        if d > n:
-            one = np.concatenate([start.c, np.ones((len(start), 1))], axis=-1)
-            start = Zonotope(one, np.concatenate([start.G, np.zeros((len(start), 1, start.order_count))], 1))
-        self.n, self.start, self.origin = n, start, origin
-        self.adjoint = Adjoint(self.centered, Zonotope.point(np.zeros(d)))
-        self.s = self.adjoint.rows.scale
-        self.x = Zonotope(start.c / self.s, start.G / self.s[:, None])
-        self.extent = np.abs(self.x.c) + self.x.half_widths
-        alike = offset is None or not len(offset) or np.ptp(offset) == 0
+    def __init__(
+        self, carrier: Carrier, start: Zonotope, offset: Array | None, step: float, horizon: float
+    ) -> None:
+        n, d, s, rows = carrier.system.dim, carrier.dim, carrier.scale, carrier.rows
+        self.n, self.carrier, self.start = n, carrier, carrier.lifted(start)
+        self.x = Zonotope(self.start.c / s, self.start.G / s[:, None])
+        self.extent = self.x.extent
         self.offset = np.zeros(len(start)) if offset is None else np.asarray(offset, dtype=float)
-        self.M = 1 if alike else len(start)
-        self.forced = self.adjoint.pieces > 0 and not np.any(self.offset)
-        self.rows = np.eye(n, d) * self.s
-        if np.any(self.offset):
-            A = self.adjoint.rows.A
-            A = A if isinstance(A, np.ndarray) else A.toarray()
+        late = float(self.offset.max(initial=0.0))
+        self.M = len(start) if np.ptp(self.offset) else 1
+        self.forced = carrier.adjoint.pieces > 0 and late == 0
+        self.rows = np.eye(n, d) * s
+        if late > 0:
+            A = carrier.A if isinstance(carrier.A, np.ndarray) else carrier.A.toarray()
             self.rows = (self.rows @ expm(A * self.offset[: self.M, None, None])).reshape(-1, d)
         elif self.forced:
             self.rows = np.vstack([self.rows, -self.rows])
-        self.sum, self.steps = np.zeros(2 * n), 0
+        self.sum, self.work = np.zeros(2 * n), d + rows.norm * late
+        # What a product gets wrong is carried on: it is weighed by the sizes that states grow to.
+        longest = horizon + late
+        lags = rows.lags(min(step, longest), longest) if longest > 0 else []
+        if self.forced:
+            carrier.adjoint.watch(lags)
+        self.weights = rows.weights(lags, rows.weights(lags, self.extent.T)).T
 
     def block(self, begin: float, h: float, count: int) -> Fan:
         """Steps that follow what was accepted, not yet accepted themselves."""
-        n, M, A = self.n, self.M, self.adjoint.rows.A
-        parts = substeps(self.adjoint, h) if h > 0 else 1
+        n, M, A, rows = self.n, self.M, self.carrier.A, self.carrier.rows
+        parts = substeps(self.carrier.adjoint, h) if h > 0 else 1
         f = h / parts
-        raw = self.adjoint.block(self.rows, f, count * parts)
-        R = raw.rows[:, : M * n].reshape(count * parts + 1, M, n, -1)
+        raw = self.carrier.adjoint.block(self.rows, f, count * parts) if self.forced else None
+        every = rows.carry(self.rows, f, count * parts) if raw is None else raw.rows
+        R = every[:, : M * n].reshape(count * parts + 1, M, n, -1)
         R2 = times(times(R, A), A)
         R4 = np.abs(times(times(R2, A), A)[:-1])
-        p2 = self._magnitude(R2)
+        middle, spread = images(R2, self.x)
+        p2 = np.abs(middle) + spread
         curve = np.maximum(p2[1:], p2[:-1])
-        grown = self.adjoint.rows.closing(f, self.extent.T).T if f > 0 else self.extent
+        grown = rows.closing(f, self.extent.T).T if f > 0 else self.extent
         curve = curve + f**2 / 8 * (R4 @ grown[..., None])[..., 0]
         bow = h**2 / 8 * curve.reshape(count, parts, *curve.shape[1:]).max(axis=1)
         coarse = R[::parts]
-        size = (np.abs(coarse) @ self.extent[..., None])[..., 0]
-        rounding = ROUNDING * (self.centered.dim + self.steps + count * parts) * size
+        work = self.work + count * (parts + h * rows.norm)
+        rounding = ROUNDING * work * (np.abs(coarse) @ self.weights[..., None])[..., 0]
         bow = bow + np.maximum(rounding[1:], rounding[:-1])
         low = high = np.zeros((count, n))
-        self._next = raw.rows[-1], self.sum, self.steps + count * parts
-        if self.forced:
-            added = np.vstack([np.zeros((1, 2 * n)), np.cumsum(raw.upper[:, 0], axis=0)]) + self.sum
+        added = self.sum
+        if raw is not None:
+            sums = np.vstack([np.zeros((1, 2 * n)), np.cumsum(raw.upper[:, 0], axis=0)]) + self.sum
             bend = parts**2 * raw.bend[:, 0].reshape(count, parts, 2 * n).max(axis=1)
-            ends = added[::parts] * (1 + ROUNDING * (self.centered.dim + self.steps + count * parts))
-            ends = np.maximum(ends[1:], ends[:-1]) + bend
-            low, high = -ends[:, n:], ends[:, :n]
-            self._next = raw.rows[-1], added[-1], self.steps + count * parts
+            ends = np.maximum(sums[parts::parts], sums[:-1:parts]) + bend
+            ends = ends + ROUNDING * work * (begin + h * count) * raw.size[1].max(axis=0)
+            low, high, added = -ends[:, n:], ends[:, :n], sums[-1]
+        self._next = every[-1], added, work
         nodes = np.asarray(begin + h * np.arange(count + 1), dtype=float)
-        return Fan(nodes, self.offset, self.start, np.asarray(coarse / self.s, dtype=float), bow, low, high)
+        return Fan(
+            nodes,
+            self.offset,
+            self.start,
+            np.asarray(coarse / self.carrier.scale, dtype=float),
+            bow,
+            low,
+            high,
+        )
 
     def accept(self, block: Fan) -> None:
         """Go on from the end of the last block."""
-        self.rows, self.sum, self.steps = self._next
+        self.rows, self.sum, self.work = self._next
 
-    def _magnitude(self, rows: Array) -> Array:
-        """``sup |row x|`` over every start, shape (m, N, n) for rows (m, M, n, d)."""
-        m, N, n = rows.shape[0], len(self.start), rows.shape[2]
-        out = np.empty((m, N, n))
-        size = max(ENTRIES // max(N * n * self.x.order_count, 1), 1)
-        for k in range(0, m, size):
-            part = rows[k : k + size]
-            out[k : k + size] = np.abs((part @ self.x.c[..., None])[..., 0])
-            out[k : k + size] += np.abs(part @ self.x.G).sum(axis=-1)
-        return out
+
+def images(rows: Array, sets: Zonotope) -> tuple[Array, Array]:
+    """Values of rows at the centres of a stack and half-widths around them, both (m, N, r).
+
+    The rows (m, M, r, d) are different for every set where M is N, and the same where M is 1.
+    """
+    (m, M, r, d), N, g = rows.shape, len(sets), sets.order_count
+    middle, spread = np.empty((m, N, r)), np.empty((m, N, r))
+    columns = np.concatenate([sets.c[..., None], sets.G], axis=-1)  # (N, d, 1 + g)
+    flat = np.ascontiguousarray(np.moveaxis(columns, 1, 0)).reshape(d, -1)
+    size = max(ENTRIES // max(N * r * (g + 1), 1), 1)
+    for k in range(0, m, size):
+        part = rows[k : k + size]
+        if M == 1:
+            out = np.moveaxis((part.reshape(-1, d) @ flat).reshape(-1, r, N, g + 1), 2, 1)
+        else:
+            out = part @ columns
+        middle[k : k + size], spread[k : k + size] = out[..., 0], np.abs(out[..., 1:]).sum(axis=-1)
+    return middle, spread
 
 
 def input_response(system: LinearSystem, time: float, step: float) -> Zonotope:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from .automaton import HybridAutomaton, Mode, Transition
 from .clipping import clip, hull_of, strips
 from .errors import ReachError
-from .fan import Fan, fan, input_response
+from .fan import Carrier, Fan, fan, input_response
 from .segments import Segment, Starts
 from .zonotope import Zonotope
 
@@ -30,6 +30,7 @@ class Waves:
     clusters: Any
     order: float
     reduction: str
+    carriers: dict[str, Carrier] = field(default_factory=dict)
 
     def _of(self, value: Any, mode: Mode) -> Any:
         return value.get(mode.name) if isinstance(value, Mapping) else value
@@ -38,7 +39,10 @@ class Waves:
         step = self._of(self.step, mode)
         if step is None:
             raise ReachError(f"mode {mode.name!r} has no step")
-        return fan(mode.system, sets, length, step=step, tolerance=self._of(self.tolerance, mode), **more)
+        if mode.name not in self.carriers:
+            self.carriers[mode.name] = Carrier(mode.system)
+        carrier = self.carriers[mode.name]
+        return fan(carrier, sets, length, step=step, tolerance=self._of(self.tolerance, mode), **more)
 
     def _stay(self, starts: Starts | Segment) -> Array:
         """Longest time in the mode after each entry, shape (N,)."""
