@@ -17,13 +17,13 @@ from .controllers import AffineController, construct_s
 from .end_condition import EndCondition, coast, judge_end, tail_length
 from .error_bounds import ErrorBounds, get_err_bounds
 from .errors import NotCertified, SynthesisInfeasible
-from .planning import Plan, PlanProblem, plan
+from .planning import Plan, PlannerOptions, PlanProblem, plan
 from .planning.goals import Goal
 from .problem import Problem
 from .recoverable import Margin, RecoverableSet, get_recover
 from .reference import Reference
 from .system import Array, LinearSystem
-from .tolerances import SOLVER_BOOK_INPUT
+from .tolerances import SOLVER_BOOK_INPUT, SOLVER_BOOK_M
 from .tracking import Tracking, choose_feedback, lqr_gain
 from .unsafe import TimedPolytope
 
@@ -130,7 +130,7 @@ def get_safety(
     sets = perceive_unsafe(problem, problem.K + tail)
     asked = plan_problem(problem, tracking, sets)
     clock.lap("bounds")
-    found = plan(asked, problem.planner)  # line 4
+    found = _find_plan(asked, problem.planner)  # line 4
     clock.lap("plan")
     safety = _complete(problem, tracking, bounds, sets, found, tail)  # lines 5 to 10
     if safety.end.retry:
@@ -247,6 +247,25 @@ def plan_problem(problem: Problem, tracking: Tracking, sets: tuple[TimedPolytope
         problem.objective,
         problem.extra_margin,
     )
+
+
+def _find_plan(asked: PlanProblem, options: PlannerOptions) -> Plan:
+    """Plan; if that fails in a scene about as small as what the planner books for its solver, say so."""
+    try:
+        return plan(asked, options)
+    except (SynthesisInfeasible, NotCertified) as error:
+        lengths = [np.abs(unsafe.offsets).max() for unsafe in asked.unsafe]
+        size = max(float(np.abs(asked.system.position @ asked.x0).max()), *lengths, 0.0)
+        if not asked.unsafe or size > 100 * SOLVER_BOOK_M:
+            raise
+        hint = (
+            f"another unit of length: this scene is {size:.2g} m wide, and the planner keeps "
+            f"{SOLVER_BOOK_M:g} m more clearance than needed, whatever the size of the scene."
+        )
+        if isinstance(error, SynthesisInfeasible):
+            relax = f"{error.relax.rstrip('.')}, or {hint}" if error.relax else hint
+            raise SynthesisInfeasible(error.condition, error.shortfall, relax) from error
+        raise NotCertified(f"{str(error).rstrip('.')}. It may take {hint}") from error
 
 
 def _complete(

@@ -31,6 +31,11 @@ and 3 in Hill's frame).
 planner.solver=gurobi` replaces single values; lists count from 0, as in `--set
 obstacles[0].radius_m=25`. Editors that know JSON Schema complete and check the file when its first
 line is `#:schema ` followed by the path of [`scenario.schema.json`](scenario.schema.json).
+
+The planner keeps 1 mm more clearance of every unsafe set than the proof needs, whatever the size of the
+scene. Where the clearances themselves are of that size (a scene of millimetres, or kilometres given as
+numbers near 1), it finds nothing: state such a scene in another unit, with `kind = "linear"`, so that its
+clearances are numbers well above 0.001. Nothing else depends on the unit.
 """
 
 

@@ -5,7 +5,7 @@ import pytest
 
 import polaris
 from polaris.controllers import AffineController, AnyThrust
-from polaris.errors import ScenarioError
+from polaris.errors import NotCertified, ScenarioError, SynthesisInfeasible
 from polaris.obstacles import BallObstacle, BoxObstacle
 from polaris.planning import Box, StationaryPoint
 from polaris.safety import get_safety
@@ -50,8 +50,11 @@ def test_state_space_of_python_control():
 
 
 def test_units_do_not_matter():
-    """The same scene in millimetres gives the same schedule."""
-    shares = []
+    """The same scene in millimetres gives the same margins, and nearly the same plan and schedule.
+
+    Nearly, because the planner books 1 mm here and a micrometre there, and U flies or not by less.
+    """
+    shares, found = [], []
     for scale in (1.0, 1e3):
         system = LinearSystem(A, B, B, [scale, scale], 0.01 * scale)
         theta = Zonotope(THETA.c, THETA.G * scale)
@@ -64,7 +67,19 @@ def test_units_do_not_matter():
             "soft", system, 0.3 * safety.tracking.gain, safety.reference, safety.reference, safety.tracking
         )
         shares.append(synthesize(None, safety, [law], SwitchingRules()).share())
-    assert shares[0] == pytest.approx(shares[1], abs=0.05)
+        found.append((safety.start_margin.value, safety.plan.delta_v / scale, safety.plan.margin / scale))
+    assert found[0] == pytest.approx(found[1], rel=1e-2)
+    assert shares[0] == pytest.approx(shares[1], abs=0.15)
+
+
+def test_a_scene_of_millimetres_is_told_to_take_another_unit():
+    small = 5e-5
+    system = LinearSystem(A, B, B, [small, small], 0.01 * small)
+    theta = Zonotope(THETA.c, THETA.G * small)
+    rock = BallObstacle("rock", [2.0 * small, 0.1 * small], 0.3 * small)
+    goal = StationaryPoint(np.array([4.0 * small, 0, 0, 0]))
+    with pytest.raises((SynthesisInfeasible, NotCertified), match=r"another unit of length: .* 0.001 m"):
+        get_safety(system, theta, (rock,), 40, 0.25, [1.0] * 4, [4.0] * 2, goal=goal)
 
 
 def test_no_unsafe_sets_no_disturbance_no_width_and_one_step():
