@@ -99,53 +99,57 @@ class Planner:
             self._none_because(diagnose.unreachable)
         assert base is not None
         scale = max(base.fuel, 1e-3 * float(np.sum(self.rows.price * self.rows.limit)), 1e-9)
-        self.short_price = 10 * scale / MARGIN_TRADE
         top = set_targets(self.search, base)
         if top is None:
             self._none_because(diagnose.blocked)
         assert top is not None
         furthest = self.problem.objective == "distance" and top > 0
+        price = scale / MARGIN_TRADE / top if top > 0 else 0.0
+        some = self._first(Levels(0.0, top), price, 10 * scale / MARGIN_TRADE)
+        full = replace(some, level=top) if some is not None and some.level >= top * (1 - 1e-9) else None
         if not furthest:
-            found = self._minimise("fuel", Levels(top, top), 0.0, lambda path: top > 0 and path is None)
+            found = self._minimise("fuel", full, Levels(top, top), 0.0, lambda path: top > 0 and path is None)
             if found.best is not None:
                 return self._certify(found.best, found.best.fuel, found.bound, found.status)
             if top == 0:
                 self._none(found.status)
-        price = scale / MARGIN_TRADE / top
         found = self._minimise(
-            "margin", Levels(0.0, top), price, lambda path: not furthest and path is not None
+            "margin", some, Levels(0.0, top), price, lambda path: not furthest and path is not None
         )
         best = found.best
         if best is None:
             self._none(found.status)
         assert best is not None
         if not furthest and best.level >= top * (1 - 1e-6):  # the first phase gave up too early
-            known = replace(best, level=top)
-            found = self._minimise("fuel", Levels(top, top), 0.0, lambda path: False, known)
+            full = replace(best, level=top)
+            found = self._minimise("fuel", full, Levels(top, top), 0.0, lambda path: False)
             assert found.best is not None
             return self._certify(found.best, found.best.fuel, found.bound, found.status)
         unit = 1.0 if furthest else self.problem.extra_margin
         most = min(best.level + (self.search.value(best) - found.bound) / price, top)
         return self._certify(best, best.level * unit, most * unit, found.status)
 
+    def _first(self, levels: Levels, margin_price: float, short_price: float) -> Candidate | None:
+        """A path found without branching, by way of paths that lack clearance; None if it still does."""
+        begun = perf_counter()
+        self.search.set_prices(levels, margin_price, short_price)
+        path = self.search.first()
+        self._add_time("path_search", begun)
+        return path if path is not None and path.short == 0 else None
+
     def _minimise(
         self,
         stage: str,
+        best: Candidate | None,
         levels: Levels,
         margin_price: float,
         spare: Callable[[Candidate | None], bool],
-        best: Candidate | None = None,
     ) -> Outcome:
         """Least objective with all cells certified.
 
         `spare` says whether the phase may be given up early with the path known by then.
         """
-        search, begun = self.search, perf_counter()
-        if best is None:
-            search.set_prices(levels, margin_price, self.short_price)
-            best = search.first()
-            best = best if best is not None and best.short == 0 else None
-            self._add_time("path_search", begun)
+        search = self.search
         search.set_prices(levels, margin_price)
         begun, most = perf_counter(), self._max_cells()
         early, hand_over = begun + SPARE_SHARE * self.left, begun + TREE_SHARE * self.left
