@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Protocol, Self, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, Self, cast, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,6 +14,7 @@ from .rounding import gamma
 
 if TYPE_CHECKING:
     from .interval import Interval
+    from .zonotope import Zonotope
 
 Array = NDArray[np.float64]
 
@@ -22,8 +23,7 @@ Array = NDArray[np.float64]
 class ConvexSet(Protocol):
     """A closed convex set that can be asked for its furthest point in a direction.
 
-    Anything with these members can be checked against anything else (`reach.contains`,
-    `reach.disjoint`); the sets of this library also have the operators of `SetOperators`.
+    The sets of this library also book their rounding and have operators, see `SetOperators`.
     """
 
     @property
@@ -78,9 +78,22 @@ class SetOperators(ABC):
     def contains(self, points: ArrayLike, slack: float = 1e-9) -> NDArray[np.bool_]:
         """Whether each point lies in the set."""
 
+    @property
+    @abstractmethod
+    def center(self) -> Array:
+        """A point of the set."""
+
     @abstractmethod
     def support(self, directions: ArrayLike) -> Array:
         """Largest ``d . x`` over the set."""
+
+    @abstractmethod
+    def support_vector(self, directions: ArrayLike) -> Array:
+        """Points of the set that attain the support."""
+
+    @abstractmethod
+    def interval_hull(self) -> Interval:
+        """Smallest axis-aligned box around the set, rounded outwards."""
 
     @property
     @abstractmethod
@@ -95,8 +108,12 @@ class SetOperators(ABC):
     def support_up(self, directions: ArrayLike) -> Array:
         """Support with its rounding booked: never below the true value, shape (..., r)."""
         D = as_vector(directions, self.dim)
-        booked = gamma(self.terms) * (np.abs(D) @ self.extent[..., None])[..., 0]
-        return np.asarray(self.support(D) + booked)
+        return np.asarray(self.support(D) + gamma(self.terms) * weighed(D, self.extent))
+
+    def support_down(self, directions: ArrayLike) -> Array:
+        """Support with its rounding booked: never above the true value, shape (..., r)."""
+        D = as_vector(directions, self.dim)
+        return np.asarray(self.support(D) - gamma(self.terms) * weighed(D, self.extent))
 
     def __radd__(self, other: Any) -> Any:
         return self + other
@@ -116,15 +133,101 @@ class SetOperators(ABC):
     def __contains__(self, point: ArrayLike) -> bool:
         return bool(self.contains(as_vector(point, self.dim)))
 
+    def __le__(self, other: Any) -> bool:
+        """Whether this set is proved to lie in the other one; see `reach.contains`."""
+        from .containment import contains
+
+        return bool(contains(other, self))
+
+    def product(self, other: Any) -> Any:
+        """Cartesian product: this set's coordinates, then the other's (exact)."""
+        n, m = self.dim, other.dim
+        return np.eye(n + m)[:, :n] @ self + np.eye(n + m)[:, n:] @ other
+
     def project(self, dims: Sequence[int]) -> Any:
         """Image on some of the coordinates, in the order given (exact)."""
         return selector(dims, self.dim) @ self
+
+    def enclosing_zonotope(self, frame: ArrayLike | None = None) -> Zonotope:
+        """A zonotope around the set: the smallest parallelotope with the columns of a frame as edges.
+
+        Parameters
+        ----------
+        frame : array_like, shape (n, n), optional
+            Invertible. By default the set itself where it is a zonotope, else its interval hull.
+
+        Raises
+        ------
+        ReachError
+            If the frame has no inverse to working precision, or the set is unbounded or empty.
+        """
+        if frame is None:
+            same = getattr(self, "to_zonotope", None) or self.interval_hull().to_zonotope
+            return cast("Zonotope", same())
+        from .interval import Interval
+
+        F = as_map(frame, self.dim)
+        if F.shape != (self.dim, self.dim) or not np.linalg.cond(F) < 1e12:
+            raise ReachError(f"frame must be an invertible {self.dim} x {self.dim} matrix")
+        R = np.linalg.inv(F)
+        # x = F y; what y - R x can be is booked: |F^-1| |1 - F R| |x|, first order doubled.
+        left = np.abs(np.eye(self.dim) - F @ R) + gamma(self.dim) * (np.abs(F) @ np.abs(R))
+        extent = self.interval_hull().extent
+        booked = 2 * np.abs(R) @ (left @ extent) + gamma(self.dim) * np.abs(R) @ extent
+        box = Interval(-self.support_up(-R) - booked, self.support_up(R) + booked)
+        return box.to_zonotope().__rmatmul__(F)
+
+    def vertices_2d(self) -> Array:
+        """Vertices of a planar set, counter-clockwise, shape (k, 2).
+
+        Of intervals and zonotopes, stacks too, shape (..., 2 g, 2): of a zonotope points repeat or
+        lie on an edge where generators vanish or are parallel.
+
+        Raises
+        ------
+        ReachError
+            If the set is not planar, unbounded, or round.
+        """
+        from .outline import vertices_2d
+
+        return vertices_2d(self)
+
+    def plot(self, ax: Any = None, dims: Sequence[int] = (0, 1), **style: Any) -> Any:
+        """Draw the projection on two coordinates, and return the axes.
+
+        Exact for sets with flat faces; round ones are drawn as the polygon of `OUTLINE` supporting
+        lines, which contains them. Needs matplotlib.
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes, optional
+            The current axes by default.
+        dims : sequence of two int
+        **style
+            Passed on to ``ax.fill``.
+        """
+        from .outline import outline
+
+        if ax is None:
+            from matplotlib import pyplot
+
+            ax = pyplot.gca()
+        polygon = outline(self.project(dims))
+        ax.fill(polygon[:, 0], polygon[:, 1], **({"alpha": 0.5} | style))
+        return ax
 
 
 def magnitude(X: ConvexSet, directions: ArrayLike) -> Array:
     """Largest ``|d . x|`` over a set, shape (..., r) for rows (..., r, n)."""
     D = np.asarray(directions, dtype=float)
     return np.maximum(X.support(D), X.support(-D))
+
+
+def weighed(rows: Array, extent: Array) -> Array:
+    """``|rows| . extent`` with ``0 * inf = 0``, shape (..., r) for rows (..., r, n)."""
+    if np.all(np.isfinite(extent)):
+        return np.asarray((np.abs(rows) @ extent[..., None])[..., 0])
+    return np.asarray(np.where(rows != 0, np.abs(rows) * np.where(rows != 0, extent, 0.0), 0.0).sum(axis=-1))
 
 
 def as_vector(value: ArrayLike, n: int) -> Array:
@@ -158,6 +261,12 @@ def require_same_dim(a: ConvexSet | SetOperators, b: ConvexSet | SetOperators) -
     """Refuse sets of different dimensions."""
     if a.dim != b.dim:
         raise ReachError(f"sets of dimensions {a.dim} and {b.dim} do not go together")
+
+
+def require_single(X: Any, what: str) -> None:
+    """Refuse a stack of sets."""
+    if getattr(X, "batch", ()):
+        raise ReachError(f"{what} asks a single set, got a stack of shape {X.batch}")
 
 
 def selector(dims: Sequence[int], n: int) -> Array:

@@ -7,11 +7,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import gamma as gamma_function
 
+from .ball import ball_generators
 from .convex import SetOperators, as_factor, as_map, as_vector
 from .errors import ReachError
 from .interval import Interval
 from .rounding import gamma
+from .zonotope import Zonotope
 
 Array = NDArray[np.float64]
 
@@ -155,6 +158,33 @@ class Ellipsoid(SetOperators):
         """Scaled copy ``{a x}``."""
         a = as_factor(factor)
         return Ellipsoid(a * self.c, a * self.L)
+
+    # -- other descriptions -----------------------------------------------------------------------
+
+    def enclosing_zonotope(self, frame: ArrayLike | None = None) -> Zonotope:
+        """Zonotope around the set: the image of `reach.ball_generators`, or a parallelotope in a frame.
+
+        Without a frame the excess is that of the unit ball of the rank of L: none in one dimension,
+        2 % in two, 10 % in three; above, a box along the principal axes.
+        """
+        if frame is not None:
+            return super().enclosing_zonotope(frame)
+        U, s, _ = np.linalg.svd(self.L, full_matrices=False)
+        live = s > 0
+        if not live.any():
+            return Zonotope.point(self.c)
+        axes = U[:, live] * s[live]
+        # U S V^T is L to rounding only; what it misses lies in a box.
+        missed = gamma(self.terms) * float(s.max()) * self.dim
+        ball = Zonotope(self.c, axes @ ball_generators(int(live.sum()), 1.0))
+        return ball.inflate(missed * np.where(self.L.any(axis=1), 1.0, 0.0))
+
+    def volume(self) -> float:
+        """Volume ``pi^(n/2) / Gamma(n/2 + 1) sqrt(det(L L^T))``; zero if flat."""
+        if self.L.shape[1] < self.dim:
+            return 0.0
+        sizes = np.linalg.svd(self.L, compute_uv=False)
+        return float(np.prod(sizes) * np.pi ** (self.dim / 2) / gamma_function(self.dim / 2 + 1))
 
 
 def _spectrum(name: str, matrix: ArrayLike) -> tuple[Array, Array]:

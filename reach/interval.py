@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .convex import SetOperators, as_factor, as_map, as_vector, require_same_dim, selector
+from .convex import SetOperators, as_factor, as_map, as_vector, require_same_dim, require_single, selector
 from .errors import ReachError
-from .rounding import add_down, add_up
+from .rounding import add_down, add_up, gamma
 
 if TYPE_CHECKING:
+    from .polytope import HPolytope
     from .zonotope import Zonotope
 
 Array = NDArray[np.float64]
@@ -142,9 +143,10 @@ class Interval(SetOperators):
     def contains(self, points: ArrayLike, slack: float = 1e-9) -> NDArray[np.bool_]:
         """Whether each point lies in the box, shape (...) for points (..., n).
 
-        Batch axes broadcast with the points'. Each half-width is taken ``1 + slack`` times.
+        Batch axes broadcast with the points'. Each half-width is taken ``1 + slack`` times, and the
+        rounding of the points forgiven.
         """
-        x, extra = as_vector(points, self.dim), slack * (self.hi - self.lo) / 2
+        x, extra = as_vector(points, self.dim), slack * (self.hi - self.lo) / 2 + gamma(1) * self.extent
         return np.asarray(np.all((self.lo - extra <= x) & (x <= self.hi + extra), axis=-1))
 
     # -- operations, all exact ------------------------------------------------------------------
@@ -205,3 +207,39 @@ class Interval(SetOperators):
         from .zonotope import Zonotope
 
         return Zonotope.box(self.center, self.half_widths)
+
+    def to_polytope(self) -> HPolytope:
+        """The same box by inequalities (exact)."""
+        from .polytope import HPolytope
+
+        require_single(self, "to_polytope")
+        eye = np.eye(self.dim)
+        return HPolytope(np.vstack([eye, -eye]), np.r_[self.hi, -self.lo])
+
+    def meet_halfspace(self, normal: ArrayLike, offset: ArrayLike) -> Interval:
+        """Smallest box around the part with ``normal . x <= offset``, rounded outwards.
+
+        Parameters
+        ----------
+        normal : array_like, shape (..., n)
+        offset : array_like, shape (...)
+            Both broadcast with the batch.
+
+        Raises
+        ------
+        ReachError
+            If no point of (one of) the set(s) is left.
+        """
+        a, b = as_vector(normal, self.dim), np.asarray(offset, dtype=float)[..., None]
+        # The least the other coordinates can contribute leaves this much for each one.
+        least = np.minimum(a * self.lo, a * self.hi)
+        booked = gamma(2 * self.dim) * (np.abs(a) * self.extent).sum(axis=-1, keepdims=True)
+        total = least.sum(axis=-1, keepdims=True)
+        if np.any(total - booked > b):
+            raise ReachError("no point of the interval satisfies normal . x <= offset")
+        room = b - (total - least) + booked + gamma(1) * np.abs(b)
+        ratio = np.divide(room, a, out=np.zeros(np.broadcast_shapes(room.shape, a.shape)), where=a != 0)
+        ratio = ratio + gamma(1) * np.sign(a) * np.abs(ratio)
+        lo, hi = np.broadcast_arrays(self.lo, ratio)[0], np.broadcast_arrays(self.hi, ratio)[0]
+        cut = np.where(a > 0, np.clip(ratio, lo, hi), hi)
+        return Interval(np.where(a < 0, np.clip(ratio, lo, hi), lo), cut)

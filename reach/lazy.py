@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .convex import SetOperators, as_factor, as_map, as_vector, require_same_dim
+from .convex import SetOperators, as_factor, as_map, as_vector, require_same_dim, require_single, weighed
 from .errors import ReachError
 from .interval import Interval
 from .membership import contains_by_distance
+from .rounding import gamma
 
 Array = NDArray[np.float64]
 
@@ -54,6 +55,19 @@ class AffineImage(SetOperators):
         D = as_vector(directions, self.dim)
         return np.asarray(self.base.support(D @ self.M) + D @ self.v)
 
+    def support_up(self, directions: ArrayLike) -> Array:
+        """Support with its rounding booked: never below the true value, shape (..., r)."""
+        D = as_vector(directions, self.dim)
+        return np.asarray(self.base.support_up(D @ self.M) + D @ self.v + self._booked(D))
+
+    def support_down(self, directions: ArrayLike) -> Array:
+        """Support with its rounding booked: never above the true value, shape (..., r)."""
+        D = as_vector(directions, self.dim)
+        return np.asarray(self.base.support_down(D @ self.M) + D @ self.v - self._booked(D))
+
+    def _booked(self, D: Array) -> Array:
+        return gamma(2 * self.dim) * weighed(D, self.extent)
+
     def support_vector(self, directions: ArrayLike) -> Array:
         """Points of the set that attain the support, shape of `directions`."""
         D = as_vector(directions, self.dim)
@@ -62,7 +76,7 @@ class AffineImage(SetOperators):
     @property
     def extent(self) -> Array:
         """Elementwise bound on the points, before rounding, shape (m,)."""
-        return np.asarray(np.abs(self.M) @ self.base.extent + np.abs(self.v))
+        return weighed(self.M, self.base.extent) + np.abs(self.v)
 
     @property
     def terms(self) -> int:
@@ -127,6 +141,18 @@ class MinkowskiSum(SetOperators):
         """Largest value of each direction over the set, shape (..., r) for rows (..., r, n)."""
         return np.asarray(sum(part.support(directions) for part in self.parts))
 
+    def support_up(self, directions: ArrayLike) -> Array:
+        """Support with its rounding booked: never below the true value, shape (..., r)."""
+        D = as_vector(directions, self.dim)
+        booked = gamma(len(self.parts)) * weighed(D, self.extent)
+        return np.asarray(sum(part.support_up(D) for part in self.parts) + booked)
+
+    def support_down(self, directions: ArrayLike) -> Array:
+        """Support with its rounding booked: never above the true value, shape (..., r)."""
+        D = as_vector(directions, self.dim)
+        booked = gamma(len(self.parts)) * weighed(D, self.extent)
+        return np.asarray(sum(part.support_down(D) for part in self.parts) - booked)
+
     def support_vector(self, directions: ArrayLike) -> Array:
         """Points of the set that attain the support, shape of `directions`."""
         return np.asarray(sum(part.support_vector(directions) for part in self.parts))
@@ -170,7 +196,6 @@ class MinkowskiSum(SetOperators):
 def minkowski_sum(*sets: Any) -> MinkowskiSum:
     """Lazy Minkowski sum; nested sums are flattened."""
     for part in sets:
-        if getattr(part, "batch", ()):
-            raise ReachError("only single sets can be summed lazily; enclose the other set first")
+        require_single(part, "a lazy Minkowski sum")
     flat = [part for s in sets for part in (s.parts if isinstance(s, MinkowskiSum) else (s,))]
     return MinkowskiSum(tuple(flat))

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .convex import ConvexSet, as_vector
 from .distance import nearest, unit_sizes
+from .rounding import gamma
 
 if TYPE_CHECKING:
     from .zonotope import Zonotope
@@ -17,13 +18,16 @@ Array = NDArray[np.float64]
 
 
 def zonotope_level(zonotope: Zonotope, point: Array) -> float:
-    """Least t with ``point = c + G b`` and ``|b_i| <= t``; inf if there is none."""
+    """Least t with ``point = c + G b`` and ``|b_i| <= t``; inf if there is none.
+
+    Along an axis on which the set is flat the rounding of the point is forgiven.
+    """
     from scipy.optimize import linprog
 
     moved = np.any(zonotope.G != 0, axis=0)
     G, scale = zonotope.G[:, moved], zonotope.half_widths
     gap = point - zonotope.c
-    if np.any(gap[scale == 0] != 0):
+    if np.any(np.abs(gap[scale == 0]) > gamma(1) * np.abs(zonotope.c[scale == 0])):
         return np.inf
     G, gap = G[scale > 0] / scale[scale > 0, None], gap[scale > 0] / scale[scale > 0]
     least = float(np.abs(gap).max(initial=0.0))

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .convex import SetOperators, as_factor, as_map, as_vector, require_same_dim
+from .convex import SetOperators, as_factor, as_map, as_vector, require_same_dim, weighed
 from .errors import ReachError
 from .interval import Interval
 from .programs import Maximum, maximise
@@ -62,20 +63,23 @@ class HPolytope(SetOperators):
         return int(self.A.shape[1])
 
     @cached_property
-    def _ball(self) -> Maximum:
-        """The largest inscribed ball: centre and radius as one point."""
-        norms = np.linalg.norm(self.A, axis=1)
-        return maximise(np.r_[np.zeros(self.dim), 1.0], np.c_[self.A, norms], self.b)
+    def _ball(self) -> tuple[Array, float]:
+        """Centre and radius of the largest inscribed ball, axes scaled alike; the radius relative to b."""
+        scale = np.abs(self.A).max(axis=0, initial=0.0)
+        rows = self.A / np.where(scale > 0, scale, 1.0)
+        norms = np.linalg.norm(rows, axis=1)
+        found = maximise(np.r_[np.zeros(self.dim), 1.0], np.c_[rows, norms], self.b)
+        level = float(np.max(np.abs(self.b) / norms, initial=0.0)) or 1.0
+        return found.point[:-1] / np.where(scale > 0, scale, 1.0), found.value / level
 
-    @cached_property
+    @property
     def is_empty(self) -> bool:
         """Whether no point satisfies all rows (thinner than `FLATNESS` counts as flat, not empty)."""
-        norms = np.linalg.norm(self.A, axis=1)
-        return bool(self._ball.value < -FLATNESS * np.max(np.abs(self.b) / norms, initial=0.0))
+        return self._ball[1] < -FLATNESS
 
-    @cached_property
+    @property
     def center(self) -> Array:
-        """Centre of a largest inscribed ball, shape (n,).
+        """Centre of a largest inscribed ball, axes scaled alike, shape (n,).
 
         Raises
         ------
@@ -83,9 +87,9 @@ class HPolytope(SetOperators):
             If the set is empty or holds balls of every size.
         """
         self._refuse_empty()
-        if not np.isfinite(self._ball.value):
+        if not np.isfinite(self._ball[1]):
             raise ReachError("the polytope has no centre: it holds balls of every size")
-        return self._ball.point[:-1]
+        return self._ball[0]
 
     @property
     def is_bounded(self) -> bool:
@@ -101,8 +105,7 @@ class HPolytope(SetOperators):
     @cached_property
     def _axes(self) -> list[Maximum]:
         """The linear programs along the positive, then the negative axes."""
-        self._refuse_empty()
-        return [maximise(d, self.A, self.b) for d in np.vstack([np.eye(self.dim), -np.eye(self.dim)])]
+        return self._programs(np.vstack([np.eye(self.dim), -np.eye(self.dim)]))
 
     @property
     def terms(self) -> int:
@@ -150,8 +153,7 @@ class HPolytope(SetOperators):
     def support(self, directions: ArrayLike) -> Array:
         """Largest value of each direction, one linear program each, shape (..., r); inf if unbounded.
 
-        Of a bounded set the answer is an upper bound proved by weak duality, residuals booked; of
-        an unbounded one it is the solver's (about 1e-9 relative).
+        The bound of `support_up` where there is one, else what the solver says (1e-9 relative).
 
         Raises
         ------
@@ -159,28 +161,50 @@ class HPolytope(SetOperators):
             If the set is empty.
         """
         D = as_vector(directions, self.dim)
-        rows = D.reshape(-1, self.dim)
+        found = self._programs(D)
+        proved = self._proved(D, found)
+        values = np.array([one.value for one in found]).reshape(D.shape[:-1])
+        return np.where(np.isfinite(proved), proved, values)
+
+    def support_up(self, directions: ArrayLike) -> Array:
+        """Support proved by weak duality, residuals booked, shape (..., r); inf where there is no proof.
+
+        Of a bounded set there always is one.
+        """
+        D = as_vector(directions, self.dim)
+        return self._proved(D, self._programs(D))
+
+    def support_down(self, directions: ArrayLike) -> Array:
+        """Value at the solver's point less its tolerance, shape (..., r); inf if unbounded."""
+        D = as_vector(directions, self.dim)
+        found = self._programs(D)
+        values = np.array([one.value for one in found]).reshape(D.shape[:-1])
+        points = np.array([one.point for one in found]).reshape(D.shape)
+        room = np.nan_to_num(np.abs(D) * np.abs(points)).sum(axis=-1) + np.abs(
+            np.nan_to_num(values, posinf=0)
+        )
+        return np.asarray(values - FLATNESS * room)
+
+    @cached_property
+    def _program(self) -> Callable[[bytes], Maximum]:
+        return lru_cache(1024)(lambda direction: maximise(np.frombuffer(direction), self.A, self.b))
+
+    def _programs(self, D: Array) -> list[Maximum]:
         self._refuse_empty()
-        values = np.empty(len(rows))
-        for i, d in enumerate(rows):
-            found = maximise(d, self.A, self.b)
-            values[i] = found.value
-            if np.isfinite(found.value) and self.is_bounded:
-                level, residual = self.weak_duality(d[None], found.multipliers[None])
-                values[i] = level[0] + residual[0] @ self.extent
+        return [self._program(d.tobytes()) for d in D.reshape(-1, self.dim)]
+
+    def _proved(self, D: Array, found: list[Maximum]) -> Array:
+        values = np.full(len(found), np.inf)
+        for i, one in enumerate(found):
+            if np.isfinite(one.value):
+                level, residual = self.weak_duality(D.reshape(-1, self.dim)[i : i + 1], one.multipliers[None])
+                values[i] = level[0] + weighed(residual, self.extent)[0]
         return values.reshape(D.shape[:-1])
 
     def support_vector(self, directions: ArrayLike) -> Array:
-        """Points of the set that attain the support, shape of `directions`.
-
-        Raises
-        ------
-        ReachError
-            If the set is empty or unbounded in a direction.
-        """
+        """Points of the set that attain the support, shape of `directions`; refused where unbounded."""
         D = as_vector(directions, self.dim)
-        self._refuse_empty()
-        points = np.array([maximise(d, self.A, self.b).point for d in D.reshape(-1, self.dim)])
+        points = np.array([found.point for found in self._programs(D)])
         if np.any(np.isnan(points)):
             raise ReachError("the polytope is unbounded in a direction asked for")
         return points.reshape(D.shape)
@@ -203,10 +227,7 @@ class HPolytope(SetOperators):
         return Interval(np.minimum(-ends[n:], ends[:n]), ends[:n])
 
     def contains(self, points: ArrayLike, slack: float = 1e-9) -> NDArray[np.bool_]:
-        """Whether each point satisfies all rows, shape (...) for points (..., n).
-
-        A row may be exceeded by `slack` times the sum of its terms' sizes.
-        """
+        """Whether each point satisfies all rows to `slack` times the sizes of their terms, shape (...)."""
         x = as_vector(points, self.dim)
         room = slack * (np.abs(x) @ np.abs(self.A.T) + np.abs(self.b))
         return np.asarray(np.all(x @ self.A.T <= self.b + room, axis=-1))
@@ -245,3 +266,42 @@ class HPolytope(SetOperators):
     def intersect_halfspace(self, normal: ArrayLike, offset: float) -> HPolytope:
         """Part of the set with ``normal . x <= offset`` (exact)."""
         return self & HPolytope(as_vector(normal, self.dim)[None], np.asarray([float(offset)]))
+
+    # -- other descriptions -----------------------------------------------------------------------
+
+    def to_polytope(self) -> HPolytope:
+        """The set itself."""
+        return self
+
+    def vertices(self) -> Array:
+        """Vertices of a bounded set with an interior, to rounding, shape (k, n); by Qhull.
+
+        Raises
+        ------
+        ReachError
+            If the set is empty, unbounded or flat.
+        """
+        from scipy.spatial import HalfspaceIntersection
+
+        hull = self.interval_hull()
+        if self.dim == 1:
+            return np.stack([hull.lo, hull.hi])
+        if not self._ball[1] > FLATNESS:
+            raise ReachError("the polytope is flat: its vertices are not offered")
+        scale = hull.half_widths
+        rows, room = self.A * scale, self.b - self.A @ self.center
+        norms = np.linalg.norm(rows, axis=1)
+        points = HalfspaceIntersection(np.c_[rows, -room] / norms[:, None], np.zeros(self.dim)).intersections
+        points = points[np.all(np.isfinite(points), axis=1)]
+        near = np.unique(np.round(points, 9), axis=0, return_index=True)[1]
+        return np.asarray(points[near] * scale + self.center)
+
+    def volume(self) -> float:
+        """Volume of the hull of the vertices; see `vertices` for what is refused."""
+        from scipy.spatial import ConvexHull
+
+        points = self.vertices()
+        if self.dim == 1:
+            return float(np.ptp(points))
+        scale = self.interval_hull().half_widths
+        return float(ConvexHull((points - self.center) / scale).volume * np.prod(scale))

@@ -10,9 +10,12 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .convex import SetOperators, as_factor, as_map, as_vector, require_same_dim, selector
+from .convex import SetOperators, as_factor, as_map, as_vector, require_same_dim, require_single, selector
 from .errors import ReachError
+from .facets import facet_normals, unit_columns, volume
 from .interval import Interval
+from .polytope import HPolytope
+from .rounding import gamma
 
 Array = NDArray[np.float64]
 
@@ -202,17 +205,11 @@ class Zonotope(SetOperators):
         return np.asarray(self.c[..., None, :] + signs @ np.swapaxes(self.G, -1, -2))
 
     def corners(self, most: int = 4096) -> Array:
-        """All points ``c + G b`` with ``b`` in {-1, 1}^g (a superset of the vertices), shape (2^g, n).
-
-        Raises
-        ------
-        ReachError
-            If there are more than `most`.
-        """
+        """All points ``c + G b``, b in {-1, 1}^g: at most `most`, vertices among them, shape (2^g, n)."""
         G = self.G[:, np.any(self.G != 0, axis=0)]
         if 2 ** G.shape[1] > most:
             raise ReachError(f"{G.shape[1]} generators have more than {most} corners")
-        signs = np.array(list(product((-1.0, 1.0), repeat=G.shape[1]))).reshape(-1, G.shape[1])
+        signs = np.array(list(product((-1.0, 1.0), repeat=G.shape[1]))).reshape(2 ** G.shape[1], G.shape[1])
         return np.asarray(self.c + signs @ G.T)
 
     def sample(self, rng: np.random.Generator, count: int) -> Array:
@@ -232,14 +229,10 @@ class Zonotope(SetOperators):
         """
         from .membership import zonotope_level
 
-        self._require_single("contains")
+        require_single(self, "contains")
         x = as_vector(points, self.dim)
         levels = [zonotope_level(self, p) for p in x.reshape(-1, self.dim)]
         return np.array(levels).reshape(x.shape[:-1]) <= 1 + slack
-
-    def _require_single(self, what: str) -> None:
-        if self.batch:
-            raise ReachError(f"{what} asks a single zonotope, got a stack of shape {self.batch}")
 
     # -- enclosures -----------------------------------------------------------------------------
 
@@ -247,12 +240,14 @@ class Zonotope(SetOperators):
         """Enclosure of the convex hull of two sets whose generators correspond one to one.
 
         Encloses ``{(1-s) x + s y}`` for every x and y with the same coefficients and every s in
-        [0, 1], which is what consecutive sets of a tube need; not tight for unrelated sets.
+        [0, 1], which is what consecutive sets of a tube need; see `reach.enclosing_hull` for
+        unrelated sets. The last n generators carry the rounding.
         """
+        require_same_dim(self, other)
         width = max(self.order_count, other.order_count)
         a, b = self._pad(width), other._pad(width)
         G = np.concatenate([(a.G + b.G) / 2, (a.G - b.G) / 2, ((a.c - b.c) / 2)[..., None]], axis=-1)
-        return Zonotope((a.c + b.c) / 2, G)
+        return Zonotope((a.c + b.c) / 2, G).inflate(gamma(width) * (a.extent + b.extent))
 
     def norm_bound(self, W: ArrayLike) -> Array:
         """Upper bound on ``max ||W x||_2`` over the set (fast, sufficient), shape (...).
@@ -270,3 +265,34 @@ class Zonotope(SetOperators):
         from .reduction import reduce
 
         return reduce(self, order, method)
+
+    def meet_halfspace(self, normal: ArrayLike, offset: ArrayLike) -> Zonotope:
+        """Enclosure of the part with ``normal . x <= offset``; see `reach.intersection`."""
+        from .intersection import meet_halfspace
+
+        return meet_halfspace(self, normal, offset)
+
+    # -- other descriptions -----------------------------------------------------------------------
+
+    def to_zonotope(self) -> Zonotope:
+        """The set itself."""
+        return self
+
+    def to_polytope(self, most: int = 20_000) -> HPolytope:
+        """The same (single) set by inequalities, one pair for each pair of facets.
+
+        Exact but for the offsets, which are rounded up; a flat set gets its equations as pairs.
+
+        Raises
+        ------
+        ReachError
+            If more than `most` groups of n - 1 generators would have to be looked at.
+        """
+        require_single(self, "to_polytope")
+        rows = np.unique(unit_columns(facet_normals(self.G, most)).T, axis=0)
+        rows = np.vstack([rows, -rows])
+        return HPolytope(rows, self.support_up(rows))
+
+    def volume(self, most: int = 1_000_000) -> Array:
+        """Volume, by ``comb(g, n)`` determinants (at most `most` of them), shape (...)."""
+        return volume(self.G, most)

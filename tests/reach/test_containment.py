@@ -1,0 +1,224 @@
+"""Containment and disjointness: exact answers, witnesses, and what is left open."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from reach.answer import Answer
+from reach.containment import contains
+from reach.ellipsoid import Ellipsoid
+from reach.errors import ReachError
+from reach.exact import cross, integers
+from reach.interval import Interval
+from reach.norms import largest_norm
+from reach.polytope import HPolytope
+from reach.separation import disjoint
+from reach.zonotope import Zonotope
+
+from .strategies import directions, ellipsoids, intervals, polytopes, sets, size, vectors, zonotopes
+
+UNIT = Zonotope.box([0, 0], [1, 1])
+
+
+def brute_force(outer, inner):
+    """Exact for small zonotopes, by linear programs: every corner inside."""
+    return bool(outer.contains(inner.corners(), 1e-7).all())
+
+
+def check(answer, outer, inner):
+    """A witness is in the inner set and not in the outer one."""
+    if answer.holds is False:
+        w = answer.witness
+        assert inner.contains(w, 1e-7)
+        assert not outer.contains(w, 0)
+        assert answer.margin <= 0
+        assert answer.direction @ w > outer.support(answer.direction) - 1e-9 * size(outer)
+
+
+@settings(max_examples=60)
+@given(st.integers(1, 3), st.data())
+def test_zonotope_in_zonotope_agrees_with_its_corners(n, data):
+    outer, inner = data.draw(zonotopes(n)), data.draw(zonotopes(n, 3))
+    inner = data.draw(st.sampled_from([0.125, 0.5, 1.0])) * (inner - inner.c) + outer.c
+    answer = contains(outer, inner, "exact")
+    assert answer.holds is brute_force(outer, inner)
+    check(answer, outer, inner)
+    quick = contains(outer, inner, "sufficient")
+    assert quick.holds in (answer.holds, None)
+    check(quick, outer, inner)
+    assert contains(outer, inner).holds is answer.holds
+    if quick and np.all(outer.half_widths > 0):
+        assert quick.margin <= answer.margin + 1e-9
+
+
+@settings(max_examples=60)
+@given(st.integers(1, 3), st.data())
+def test_touching_sets_are_settled_exactly(n, data):
+    z = data.draw(zonotopes(n))
+    assert contains(z, z, "exact").holds is True
+    assert contains(z, 0.5 * (z - z.c) + z.c, "exact").holds is True
+    hull = z.interval_hull()
+    assert contains(hull, z).holds is True and contains(hull.to_polytope(), z).holds is True
+    assert z <= z.to_polytope()
+    nudged = z + np.full(n, 2.0**-40)
+    assert contains(z, nudged, "exact").holds is False and contains(hull, nudged).holds is False
+
+
+@settings(max_examples=40)
+@given(st.integers(1, 3), st.data())
+def test_any_set_in_a_polytope_agrees_with_its_support(n, data):
+    outer, inner = data.draw(st.one_of(polytopes(n), intervals(n))), data.draw(sets(n))
+    answer = contains(outer, inner)
+    rows = outer if isinstance(outer, HPolytope) else outer.to_polytope()
+    room = ((rows.b - inner.support(rows.A)) / np.linalg.norm(rows.A, axis=1)).min()
+    if abs(room) > 1e-7 * size(inner):
+        assert answer.holds is bool(room > 0)
+    if answer.holds:
+        assert answer.margin <= room + 1e-9
+    check(answer, outer, inner)
+
+
+@settings(max_examples=40)
+@given(st.integers(1, 3), st.data())
+def test_any_set_in_an_ellipsoid_agrees_with_its_points(n, data):
+    inner = data.draw(sets(n))
+    L = np.eye(n) + data.draw(st.integers(0, 8)) / 16 * np.ones((n, n))
+    outer = Ellipsoid(inner.center, data.draw(st.integers(1, 30)) * L)
+    answer = contains(outer, inner)
+    check(answer, outer, inner)
+    if answer:
+        assert outer.contains(inner.support_vector(directions(n, 40)), 1e-9).all()
+    elif not isinstance(inner, HPolytope):
+        assert answer.holds is False or abs(answer.margin) < 1e-6
+    if isinstance(inner, Zonotope) and contains(outer, inner, "sufficient"):
+        assert answer
+
+
+@settings(max_examples=60)
+@given(zonotopes(), st.data())
+def test_largest_norm_of_a_zonotope_is_that_of_a_corner(z, data):
+    found, truth = largest_norm(z), np.linalg.norm(z.corners(), axis=1).max()
+    assert found.lower <= truth * (1 + 1e-12) and truth <= found.upper * (1 + 1e-12)
+    assert found.upper - found.lower <= 1e-8 * (1 + truth)
+    assert np.isclose(np.linalg.norm(found.point), found.lower, atol=1e-9) and z.contains(found.point, 1e-7)
+    assert found.upper <= z.norm_bound(np.eye(z.dim)) * (1 + 1e-9) + 1e-12
+
+
+@given(ellipsoids())
+def test_largest_norm_of_an_ellipsoid_brackets_its_surface(E):
+    u = np.random.default_rng(0).normal(size=(3000, E.L.shape[1]))
+    u /= np.maximum(np.linalg.norm(u, axis=1, keepdims=True), 1e-300)
+    truth, found = np.linalg.norm(E.c + u @ E.L.T, axis=1).max(), largest_norm(E)
+    assert truth <= found.upper and found.upper - found.lower <= 1e-6 * (1 + found.upper)
+    assert np.isclose(np.linalg.norm(found.point), found.lower, atol=1e-8) and E.contains(found.point, 1e-6)
+
+
+def test_branch_and_bound_that_is_cut_short_says_so():
+    z = Zonotope(np.zeros(8), np.random.default_rng(0).normal(size=(8, 24)))
+    wide = largest_norm(z, most=2)
+    assert wide.lower <= largest_norm(z).lower * (1 + 1e-9) and wide.upper > wide.lower * 1.01
+    middle = (wide.lower + wide.upper) / 2
+    ball = Ellipsoid.ball(np.zeros(8), middle)
+    assert contains(ball, z, most=1).holds is None
+    with pytest.raises(ReachError, match="more than 1 branches"):
+        contains(ball, z, "exact", most=1)
+
+
+@settings(max_examples=60)
+@given(st.integers(1, 3), st.data())
+def test_disjoint_sets_are_separated_and_others_share_a_point(n, data):
+    X, Y = data.draw(sets(n)), data.draw(sets(n))
+    Y = Y + data.draw(vectors(n))
+    answer = disjoint(X, Y)
+    if answer:
+        d = answer.direction / np.linalg.norm(answer.direction)
+        assert X.support(d) + Y.support(-d) <= -answer.margin * (1 - 1e-6) + 1e-9 and answer.margin > 0
+        assert disjoint(Y, X).holds
+    elif answer.holds is False:
+        assert X.contains(answer.witness, 1e-6) and Y.contains(answer.witness, 1e-6)
+    else:
+        D = directions(n, 60)
+        assert (X.support(D) + Y.support(-D)).min() > -1e-6 * (size(X) + size(Y))
+
+
+@settings(max_examples=8)
+@given(st.integers(2, 3), st.data())
+def test_translates_are_apart_exactly_when_they_are_moved_beyond_the_sum(n, data):
+    X, Y = data.draw(sets(n)), data.draw(sets(n))
+    d = directions(n, 1)[0]
+    touch = X.support(d) + Y.support(-d)
+    assert disjoint(X, Y + (touch + 0.01 * size(X)) * d)
+    assert not disjoint(X, Y + X.support_vector(d) - Y.support_vector(-d))
+    assert disjoint(X, X).holds is not True
+
+
+def test_unbounded_polytopes():
+    left, right = HPolytope([[1, 0.3]], [-5]), HPolytope([[-1, -0.3]], [-5])
+    assert disjoint(left, UNIT) and disjoint(UNIT, left) and disjoint(left, right)
+    ball = Ellipsoid.ball([0, 0], 4.7)
+    far = disjoint(left, ball)
+    assert far and np.isclose(far.margin, 5 / np.hypot(1, 0.3) - 4.7, rtol=1e-3)
+    assert disjoint(ball, left) and disjoint(left, Ellipsoid.ball([0, 0], 4.8)).holds is False
+    assert disjoint(left, HPolytope([[0, 1]], [0])).holds is False
+    for outer in (UNIT, ball, Interval([0, 0], [1, 1]), right):
+        answer = contains(outer, left)
+        assert answer.holds is False and left.contains(answer.witness) and not outer.contains(answer.witness)
+    assert contains(left, HPolytope([[1, 0.3]], [-6])) and contains(left, left)
+
+
+def test_empty_sets_lie_in_everything_and_meet_nothing():
+    empty = HPolytope([[1, 0], [-1, 0]], [-1, 0])
+    assert contains(UNIT, empty) and disjoint(empty, UNIT) and not contains(empty, UNIT)
+
+
+def test_flat_sets():
+    flat = Zonotope([0, 0, 0], [[1, 1], [0, 1], [0, 0]])
+    assert contains(flat, 0.5 * flat, "exact").holds is True
+    assert contains(flat, flat + [0, 0, 2.0**-40], "exact").holds is False
+    assert contains(flat, 0.5 * flat, "sufficient").holds is None
+    line = Zonotope([1, 1, 1], [[1], [2], [3]])
+    assert contains(line, Zonotope([1, 1, 1], [[0.5], [1], [1.5]]), "exact").holds is True
+    assert contains(line, Zonotope([1, 1, 1], [[0.5], [1], [1.25]]), "exact").holds is False
+
+
+@given(st.integers(2, 4), st.data())
+def test_generalised_cross_product_is_orthogonal_without_rounding(n, data):
+    columns = np.array([data.draw(vectors(n)) for _ in range(n - 1)])
+    (whole,) = integers(columns)
+    normal = cross(whole[..., None])[:, 0]
+    assert not np.any(whole @ normal)
+    assert bool(np.any(normal != 0)) is bool(np.linalg.matrix_rank(columns) == n - 1)
+
+
+@given(st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=1, max_size=6))
+def test_integers_are_the_floats_times_one_power_of_two(values):
+    (whole, one) = integers(np.array(values), np.ones(1))
+    assert [w / one[0] for w in whole] == values
+
+
+def test_an_answer_is_true_only_if_proved():
+    assert Answer(True, 0.0) and not Answer(False, 0.0) and not Answer(None, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("ask", "says"),
+    [
+        (lambda: contains(UNIT, UNIT, "best"), "method must be"),
+        (lambda: contains(UNIT, Interval([0], [1])), "dimensions 2 and 1"),
+        (lambda: contains(Interval([[0, 0]], [[1, 1]]), UNIT), "a single set"),
+        (lambda: contains(UNIT, Interval([[0, 0]], [[1, 1]])), "a single set"),
+        (lambda: contains(UNIT + Ellipsoid.ball([0, 0], 1), UNIT), "MinkowskiSum is not offered"),
+        (lambda: contains(Ellipsoid([0, 0], [[1, 0], [0, 0]]), UNIT), "flat ellipsoid"),
+        (
+            lambda: contains(Zonotope(np.zeros(6), np.ones((6, 30))), Zonotope.point(np.zeros(6)), "exact"),
+            "facets",
+        ),
+        (lambda: disjoint(UNIT, Interval([0], [1])), "dimensions 2 and 1"),
+        (lambda: disjoint(UNIT, Interval([[0, 0]], [[1, 1]])), "a single set"),
+        (lambda: largest_norm(Interval([[0, 0]], [[1, 1]])), "a single set"),
+    ],
+)
+def test_malformed_questions_are_one_clear_error(ask, says):
+    with pytest.raises(ReachError, match=says):
+        ask()
