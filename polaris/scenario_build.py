@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -210,17 +210,14 @@ def build_obstacles(model: models.ScenarioModel) -> tuple[Obstacle, ...]:
     ScenarioError
         If one of them is not a set the perception oracle can deal with.
     """
-    made: list[Obstacle] = []
-    for i, obstacle in enumerate(model.obstacles):
-        path = f"obstacles[{i}]"
+
+    def build(make: Any, path: str, spec: Any) -> Obstacle:
         try:
-            made.append(build_obstacle(obstacle, path))
+            made: Obstacle = make(spec, path)
         except ScenarioError as error:
-            raise in_file_terms(error, path, obstacle) from error
-    for i, keep_in in enumerate(model.keep_in):
-        path = f"keep_in[{i}]"
-        try:
-            made.append(build_keep_in(keep_in, path))
-        except ScenarioError as error:
-            raise in_file_terms(error, path, keep_in) from error
-    return tuple(made)
+            raise in_file_terms(error, path, spec) from error
+        return made
+
+    outside = [build(build_obstacle, f"obstacles[{i}]", spec) for i, spec in enumerate(model.obstacles)]
+    inside = [build(build_keep_in, f"keep_in[{i}]", spec) for i, spec in enumerate(model.keep_in)]
+    return (*outside, *inside)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
@@ -73,29 +73,16 @@ Goal = Annotated[EllipticalNMTGoal | LinearNMTGoal | StationaryGoal | BoxGoal, F
 # -- what to avoid ----------------------------------------------------------------------------------
 
 
-class BoxObstacle(ScenarioPart):
-    """An axis-aligned box, at rest or moving straight."""
-
-    kind: Literal["box"] = unit("-", "Axis-aligned box.")
-    name: Name = unit("-", "Its name in messages and figures.")
-    center_m: Vector = unit("m", "Centre at t = 0, d numbers.")
-    half_widths_m: WidthVector = unit("m", "Half-width per axis, d numbers > 0.")
-    velocity_m_s: Vector | None = unit(
-        "m/s", "Constant velocity, d numbers; at rest without it.", default=None
-    )
+def _name() -> Any:
+    return unit("-", "Its name in messages and figures.")
 
 
-class BallObstacle(ScenarioPart):
-    """A ball, at rest or moving straight; it is planned around as a circumscribed polytope."""
+def _velocity() -> Any:
+    return unit("m/s", "Constant velocity, d numbers; at rest without it.", default=None)
 
-    kind: Literal["ball"] = unit("-", "Ball.")
-    name: Name = unit("-", "Its name in messages and figures.")
-    center_m: Vector = unit("m", "Centre at t = 0, d numbers.")
-    radius_m: Positive = unit("m", "Radius.")
-    velocity_m_s: Vector | None = unit(
-        "m/s", "Constant velocity, d numbers; at rest without it.", default=None
-    )
-    facets: Whole | None = unit(
+
+def _facets() -> Any:
+    return unit(
         "-",
         "Facets of the polytope planned around: 6, 14, 18 or 26 (default) in space, any number in the plane "
         "(default 12). More are tighter and cost the planner more.",
@@ -105,16 +92,35 @@ class BallObstacle(ScenarioPart):
     )
 
 
+class BoxObstacle(ScenarioPart):
+    """An axis-aligned box, at rest or moving straight."""
+
+    kind: Literal["box"] = unit("-", "Axis-aligned box.")
+    name: Name = _name()
+    center_m: Vector = unit("m", "Centre at t = 0, d numbers.")
+    half_widths_m: WidthVector = unit("m", "Half-width per axis, d numbers > 0.")
+    velocity_m_s: Vector | None = _velocity()
+
+
+class BallObstacle(ScenarioPart):
+    """A ball, at rest or moving straight; it is planned around as a circumscribed polytope."""
+
+    kind: Literal["ball"] = unit("-", "Ball.")
+    name: Name = _name()
+    center_m: Vector = unit("m", "Centre at t = 0, d numbers.")
+    radius_m: Positive = unit("m", "Radius.")
+    velocity_m_s: Vector | None = _velocity()
+    facets: Whole | None = _facets()
+
+
 class PolytopeObstacle(ScenarioPart):
     """The positions p with ``normals p <= offsets_m``, at rest or moving straight."""
 
     kind: Literal["polytope"] = unit("-", "Convex polytope; may be unbounded (a wall is one row).")
-    name: Name = unit("-", "Its name in messages and figures.")
+    name: Name = _name()
     normals: Matrix = unit("-", "Outward facet normals, F rows of d numbers; any length but 0.")
     offsets_m: Vector = unit("m (for unit normals)", "Offsets at t = 0, F numbers.")
-    velocity_m_s: Vector | None = unit(
-        "m/s", "Constant velocity, d numbers; at rest without it.", default=None
-    )
+    velocity_m_s: Vector | None = _velocity()
     unbounded: Flag = unit(
         "-",
         "Must be true for a set without bounds (a wall), so that a forgotten row is noticed.",
@@ -126,7 +132,7 @@ class SatelliteObstacle(ScenarioPart):
     """Another spacecraft: an uncertain state carried forward by the same dynamics, with or without thrust."""
 
     kind: Literal["satellite"] = unit("-", "Another body that obeys the system's dynamics.")
-    name: Name = unit("-", "Its name in messages and figures.")
+    name: Name = _name()
     state: Vector = unit("m, m/s (state order)", "Estimated state at t = 0, n numbers.")
     state_half_widths: WidthVector = unit(
         "m, m/s (state order)", "Uncertainty of that state as a box, n numbers >= 0."
@@ -135,14 +141,7 @@ class SatelliteObstacle(ScenarioPart):
     thrust_accel_max_m_s2: NonNegative = unit(
         "m/s^2", "2-norm of the acceleration it may apply; 0 for free motion.", default=0.0
     )
-    facets: Whole | None = unit(
-        "-",
-        "Facets of the polytope planned around: 6, 14, 18 or 26 (default) in space, any number in the plane "
-        "(default 12). More are tighter and cost the planner more.",
-        default=None,
-        ge=3,
-        le=64,
-    )
+    facets: Whole | None = _facets()
 
 
 Obstacle = Annotated[
@@ -154,7 +153,7 @@ class KeepInPolytope(ScenarioPart):
     """The chaser must stay where ``normals p <= offsets_m``."""
 
     kind: Literal["polytope"] = unit("-", "Convex polytope to stay inside.")
-    name: Name = unit("-", "Its name in messages and figures.")
+    name: Name = _name()
     normals: Matrix = unit("-", "Outward facet normals, F rows of d numbers; any length but 0.")
     offsets_m: Vector = unit("m (for unit normals)", "Offsets, F numbers.")
 
@@ -163,7 +162,7 @@ class KeepInCone(ScenarioPart):
     """A line-of-sight cone to stay inside; planned with a polyhedral cone inside the true one."""
 
     kind: Literal["cone"] = unit("-", "Cone to stay inside.")
-    name: Name = unit("-", "Its name in messages and figures.")
+    name: Name = _name()
     apex_m: Vector = unit("m", "Apex, d numbers.")
     axis: Vector = unit("-", "Direction in which the cone opens, d numbers; any length but 0.")
     half_angle_deg: Real = unit("deg", "Angle between axis and surface.", ge=0.1, le=89)
