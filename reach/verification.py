@@ -72,9 +72,10 @@ class Verdict:
         the lengths of these. Of a violation: how far the trajectory goes beyond them (negative).
         nan if unknown.
     bounds : ndarray, shape (r,)
-        Upper bounds on the rows of the region (`Always`), from the last tube computed.
+        Upper bounds on the rows of the region to stay in (`Always`), or on the directions that were
+        to separate (`Never`; its rows negated come first), from the last tube computed.
     reached : ndarray, shape (r,)
-        What trajectories reach in these rows.
+        What trajectories reach in these rows; nan where it was not asked.
     trajectory : Trajectory or None
         Of a violation: initial state and inputs that are admissible, replayed; it ends at the
         instant of the violation.
@@ -133,6 +134,10 @@ def verify(
     if not 0 <= window[0] <= window[1] <= horizon:
         raise ReachError(f"`during` must lie within [0, {horizon:g}], got {spec.during}")
     begun = perf_counter()
+    if isinstance(spec, Never) and len(spec.region.b) == 1:
+        # Out of one halfspace is inside the opposite one, its boundary excluded.
+        beyond = HPolytope(-spec.region.A, np.nextafter(-spec.region.b, -np.inf))
+        return verify_always(system, initial, beyond, window, begun, max_seconds)
     if isinstance(spec, Never):
         from .avoidance import verify_never
 

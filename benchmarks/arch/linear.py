@@ -92,7 +92,7 @@ def decide(
     verdict = verify(system, initial, spec, horizon)
     seconds = perf_counter() - begun
     sign = 1.0 if isinstance(spec, Always) else -1.0
-    reached = float(np.max(verdict.reached))
+    reached = sign * float(np.max(verdict.reached))
     if verdict.trajectory is not None:
         reached = sign * float(np.max(sign * spec.region.A @ verdict.trajectory.states[-1]))
     bound, limit = sign * float(np.max(verdict.bounds)), float(spec.region.b[0])
