@@ -1,4 +1,4 @@
-"""Rows carried backwards through a linear system: support functions of its reachable sets.
+"""Bounds on what a linear system adds along rows carried backwards, step by step.
 
 The support of the set reached at time t in a direction d needs one row only, ``r(t) = d e^{A t}``:
 
@@ -18,150 +18,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.linalg import expm
-from scipy.sparse.csgraph import connected_components
-from scipy.sparse.linalg import expm_multiply
 
 from .convex import ConvexSet
+from .ellipsoid import Ellipsoid
 from .errors import ReachError
-from .systems import LinearSystem
+from .interval import Interval
+from .rows import Rows, times
+from .systems import LinearSystem, single_set
+from .zonotope import Zonotope
 
 Array = NDArray[np.float64]
 
-SPARSE = 0.1
-"""Share of entries below which products with A use its sparse form."""
-SMALL_PART = 32
-"""Largest independent part whose exponentials are formed on their own."""
-ROUNDING = 16 * np.finfo(float).eps
-"""Booked relative rounding per step and state, see `docs`; never the error of a method."""
 
-
-def balance(A: Array) -> Array:
-    """Powers of two s that make the rows and columns of ``A[i, j] s[j] / s[i]`` alike, shape (n,)."""
-    size = abs(A)
-    logs = np.zeros(size.shape[0])
-    for _ in range(30):
-        s = np.exp2(logs)
-        row = np.asarray(size @ s).ravel() / s
-        column = np.asarray(size.T @ (1 / s)).ravel() * s
-        both = (row > 0) & (column > 0)
-        change = np.zeros_like(logs)
-        change[both] = np.log2(row[both] / column[both]) / 4
-        logs = np.clip(logs + change, -60, 60)
-        if np.max(np.abs(change), initial=0.0) < 0.25:
-            break
-    return np.asarray(np.exp2(np.round(logs)))
-
-
-class Rows:
-    """Rows ``d e^{A t}`` on regular grids, in coordinates in which A is balanced.
-
-    Three ways to carry them, chosen by the structure of A: through the exponentials of its
-    independent parts where it falls apart into small ones, through the action of the exponential
-    where A is sparse, through the dense exponential otherwise.
-    """
-
-    def __init__(self, system: LinearSystem) -> None:
-        self.discrete = system.discrete
-        self.scale = s = np.ones(system.dim) if system.discrete else balance(system.A)
-        A = sparse.csr_matrix(system.A)
-        A = sparse.csr_matrix(sparse.diags(1 / s) @ A @ sparse.diags(s))
-        self.parts = _parts(A)
-        thin = system.sparse or A.nnz < SPARSE * A.shape[0] ** 2
-        self.A = A if thin else A.toarray()
-        self.AT = sparse.csr_matrix(A.T)
-        self.action = system.sparse and self.parts is None
-        self._maps: dict[float, Any] = {}
-        self._closings: dict[float, Any] = {}
-
-    def map(self, h: float) -> Any:
-        """``e^{A h}``; squared from the half of h where that is known."""
-        found = self._maps.get(h)
-        if found is None:
-            half = self._maps.get(h / 2)
-            found = self._exponential(self.A, h) if half is None else flushed(half @ half)
-            self._maps[h] = found
-        return found
-
-    def _exponential(self, A: Any, h: float) -> Any:
-        dense = A if isinstance(A, np.ndarray) else A.toarray()
-        if self.parts is None:
-            return flushed(expm(dense * h) if A is dense else taylor(A, h))
-        blocks = expm(dense[self.parts[:, :, None], self.parts[:, None, :]] * h)
-        rows, columns = np.broadcast_arrays(self.parts[:, :, None], self.parts[:, None, :])
-        return sparse.csr_matrix((blocks.ravel(), (rows.ravel(), columns.ravel())), shape=dense.shape)
-
-    def carry(self, rows: Array, h: float, count: int) -> Array:
-        """``rows e^{A h l}`` for l = 0..count, shape (count+1, r, n); rows of shape (r, n)."""
-        r, n = rows.shape
-        if self.action and not self.discrete:
-            trace = float(self.AT.diagonal().sum())
-            out = expm_multiply(self.AT, rows.T, 0.0, h * count, count + 1, traceA=trace)
-            return np.asarray(flushed(np.ascontiguousarray(np.moveaxis(out, 1, 2))))
-        out = np.empty((count + 1, r, n))
-        out[0] = rows
-        if self.discrete:
-            for i in range(count):
-                out[i + 1] = times(out[i], self.A)
-            return out
-        have = 1
-        while have <= count:
-            more = min(have, count + 1 - have)
-            out[have : have + more] = times(out[:more], self.map(h * have))
-            have *= 2
-        return out
-
-    def closing(self, h: float, vector: Array) -> Array:
-        """Bound on ``sup_s |e^{A s}| v`` over [0, h], elementwise, for v >= 0.
-
-        ``|e^{A s}| <= e^{M s}`` with M the absolute values of A off its diagonal and the positive
-        part of its diagonal, so that the bound grows with s.
-        """
-        if h not in self._closings:
-            diagonal = self.A.diagonal()
-            M = abs(self.A) + sparse.diags(np.maximum(diagonal, 0) - np.abs(diagonal))
-            if self.action:
-                M, trace = sparse.csr_matrix(M) * h, float(np.maximum(diagonal, 0).sum()) * h
-                self._closings[h] = lambda v: expm_multiply(M, v, traceA=trace)
-            else:
-                growth = self._exponential(np.asarray(M) if isinstance(self.A, np.ndarray) else M, h)
-                self._closings[h] = lambda v: growth @ v
-        return np.asarray(self._closings[h](vector))
-
-
-def taylor(A: Any, h: float) -> Array:
-    """``e^{A h}`` of a sparse matrix, dense: Taylor's series of a fraction of h, squared.
-
-    The series keeps the entries far from those of A at zero, where Pade's form fills them with
-    denormal numbers, which are slow.
-    """
-    halvings = max(int(np.ceil(np.log2(max(float(abs(A).sum(axis=1).max()) * h, 1e-300)))) + 2, 0)
-    part = sparse.csr_matrix(A) * (h / 2.0**halvings)
-    term = total = sparse.identity(A.shape[0], format="csr")
-    for k in range(1, 15):  # the norm of `part` is at most 1/4: 0.25^15 / 15! < 1e-21
-        term = term @ part / k
-        total = total + term
-    out = total.toarray()
-    for _ in range(halvings):
-        out = flushed(out @ out)
-    return np.asarray(out)
-
-
-def flushed(values: Any) -> Any:
-    """The array with entries below 1e-60 of its largest set to zero, in place (see `ROUNDING`)."""
-    data = values if isinstance(values, np.ndarray) else values.data
-    size = np.abs(data)
-    data[size < 1e-60 * size.max(initial=0.0)] = 0.0
-    return values
-
-
-def _parts(A: Any) -> NDArray[np.intp] | None:
-    """Indices of the independent parts of A, shape (p, size), if all have one small size."""
-    count, label = connected_components(A, directed=False)
-    sizes = np.bincount(label)
-    if count == 1 or np.ptp(sizes) or sizes[0] > SMALL_PART:
-        return None
-    return np.argsort(label, kind="stable").reshape(count, sizes[0])
+class Overflow(ReachError):
+    """A bound is too large for floating point."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,7 +52,7 @@ class Block:
     bend : ndarray, shape (m, p, r)
         The same for each input set.
     size : ndarray, shape (2, m+1, r)
-        Sizes of the terms of the support and of one step of the integral, for booking rounding.
+        Sizes of the terms of the support and of the rate of its integral, for booking rounding.
     """
 
     rows: Array
@@ -210,96 +80,132 @@ class Adjoint:
     """
 
     def __init__(self, system: LinearSystem, initial: ConvexSet) -> None:
+        single_set("the initial set", initial)
         if initial.dim != system.dim:
             raise ReachError(
                 f"the initial set has dimension {initial.dim}, the system has {system.dim} states"
             )
         self.system, self.rows = system, Rows(system)
-        s = self.rows.scale
-        self.initial, self.inputs = initial, system.U
-        self.B = system.B / s[:, None] if not hasattr(system.B, "multiply") else _rows_over(system.B, s)
-        self.c = system.c / s
-        self._x = extent(initial) / s
-        self._u = [np.asarray(abs(self.B) @ extent(U)).ravel() + np.abs(self.c) for U in system.U]
-        if not self._u and np.any(self.c):
-            self._u = [np.abs(self.c)]
-        self.pieces = len(self._u)
+        A, s = self.rows.A, self.rows.scale
+        self.initial, self._shrink = _scaled(initial, s)
+        self.inputs, self.pieces = system.U, max(len(system.U), int(np.any(system.c)))
+        self._A2 = A @ A if isinstance(A, np.ndarray) else None
+        B = sparse.csr_matrix(sparse.diags(1 / s) @ system.B)
+        self._B, self._c = [B if B.nnz < B.shape[0] * B.shape[1] / 4 else B.toarray()], [system.c / s]
+        for _ in range(2):
+            self._B.append(A @ self._B[-1])
+            self._c.append(A @ self._c[-1])
+        sizes = [extent("the initial set", initial) / s]
+        sizes += [abs(self._B[0]) @ extent("an input set", U) + np.abs(self._c[0]) for U in system.U]
+        sizes += [np.abs(self._c[0])] if self.pieces > len(system.U) else []
+        self._sizes = np.stack(sizes, axis=1)
+        self.weights = self._weighed([])
 
-    def input_support(self, piece: int, rows: Array) -> Array:
-        """``sup over u in U of rows (B u + c)``, rows in balanced coordinates."""
-        value = rows @ self.c
+    def watch(self, lags: list[float]) -> None:
+        """Weigh rounding by the sizes that states grow to after some lags (see `Rows.lags`)."""
+        self.weights = self._weighed(lags)
+
+    def _weighed(self, lags: list[float]) -> Array:
+        both = np.stack([self._sizes[:, 0], self._sizes[:, 1:].sum(axis=1)], axis=1)
+        return self.rows.weights(lags, self.rows.weights(lags, both))
+
+    def supports(self, piece: int, rows: Array, order: int = 0) -> Array:
+        """``sup over u in U of rows A^order (B u + c)``, rows in balanced coordinates."""
+        value = rows @ self._c[order]
         if self.inputs:
-            value = value + self.inputs[piece].support(times(rows, self.B))
+            value = value + self.inputs[piece].support(times(rows, self._B[order]))
         return np.asarray(value)
 
-    def input_magnitude(self, piece: int, rows: Array) -> Array:
-        """``sup over u in U of |rows (B u + c)|``, rows in balanced coordinates."""
-        value = np.abs(rows @ self.c)
-        if self.inputs:
-            value = value + _magnitude(self.inputs[piece], times(rows, self.B))
-        return np.asarray(value)
+    def magnitudes(self, piece: int, rows: Array, order: int) -> Array:
+        """``sup over u in U of |rows A^order (B u + c)|``, rows in balanced coordinates."""
+        middle = rows @ self._c[order]
+        if not self.inputs:
+            return np.asarray(np.abs(middle))
+        return np.asarray(_magnitude(self.inputs[piece], times(rows, self._B[order]), middle))
+
+    def sizes(self, rows: Array, h: float) -> tuple[Array, Array]:
+        """Largest absolute values over a block: of the first part, and about what the inputs add, (r,)."""
+        rate = np.zeros(rows.shape[:2])
+        for i in range(self.pieces):
+            rate += self.magnitudes(i, rows, 0)
+        gained = h * np.minimum(rate[1:], rate[:-1]).sum(axis=0)
+        return _magnitude(self.initial, rows / self._shrink).max(axis=0), gained
 
     def block(self, start: Array, h: float, count: int) -> Block:
-        """Carry rows (balanced, shape (r, n)) over `count` steps of length h."""
-        if self.system.discrete:
-            return self._discrete(start, count)
-        A, s = self.rows.A, self.rows.scale
-        R = self.rows.carry(start, h, count)
-        first = self.initial.support(R / s)
-        R1 = times(R, A)
-        R2 = times(R1, A)
-        R4 = np.abs(times(times(R2, A), A)[:-1])
-        p2 = _ends(_magnitude(self.initial, R2 / s)) + h**2 / 8 * (R4 @ self.rows.closing(h, self._x))
+        """Carry rows (balanced, shape (r, n)) over `count` steps of length h.
+
+        Raises
+        ------
+        Overflow
+            If a row is too large for floating point.
+        """
+        with np.errstate(over="ignore", invalid="ignore"):
+            R = self.rows.carry(start, h, count)
+        if not np.all(np.isfinite(R)):
+            raise Overflow(f"the response grows beyond floating point within {count} steps of {h:g}")
+        first = self.initial.support(R / self._shrink)
+        size = np.moveaxis(np.abs(R) @ self.weights, -1, 0)
+        size = size + 1e-40 * np.abs(R).max(axis=-1) * self.weights.sum(axis=0)[:, None, None]
         shape = (count, self.pieces, R.shape[1])
-        upper, lower, bend = np.empty(shape), np.empty(shape), np.empty(shape)
-        for i, reach in enumerate(self._u):
-            value = self.input_support(i, R)
-            q2 = _ends(self.input_magnitude(i, R2)) + h**2 / 8 * (R4 @ self.rows.closing(h, reach))
-            q1 = _ends(self.input_magnitude(i, R1)) + h / 2 * q2
+        upper, lower, bend = np.empty(shape), np.empty(shape), np.zeros(shape)
+        if self.system.discrete:
+            for i in range(self.pieces):
+                upper[:, i] = lower[:, i] = self.supports(i, R[:-1])
+            return Block(R, first, upper, lower, np.zeros((count, R.shape[1])), bend, size)
+        R2 = self._curved(R)
+        with np.errstate(over="ignore", invalid="ignore"):
+            closing = np.abs(self._curved(R2)[:-1]) @ self.rows.closing(h, self._sizes)
+            closing = h**2 / 8 * np.where(np.isnan(closing), np.inf, closing)
+        p2 = _ends(_magnitude(self.initial, R2 / self._shrink)) + closing[..., 0]
+        for i in range(self.pieces):
+            value = self.supports(i, R)
+            q2 = _ends(self.magnitudes(i, R, 2)) + closing[..., 1 + i]
+            q1 = _ends(self.magnitudes(i, R, 1)) + h / 2 * q2
             rest = h**3 / 12 * q2
             upper[:, i] = h / 2 * (value[:-1] + value[1:]) + rest
-            lower[:, i] = h * self.input_support(i, (R[:-1] + R[1:]) / 2) - rest
+            lower[:, i] = h * self.supports(i, (R[:-1] + R[1:]) / 2) - rest
             bend[:, i] = h**2 / 8 * q1
-        return Block(R, first, upper, lower, h**2 / 8 * p2, bend, self._size(R, h))
+        return Block(R, first, upper, lower, h**2 / 8 * p2, bend, size)
 
-    def _discrete(self, start: Array, count: int) -> Block:
-        R = self.rows.carry(start, 1.0, count)
-        shape = (count, self.pieces, R.shape[1])
-        upper = np.empty(shape)
-        for i in range(self.pieces):
-            upper[:, i] = self.input_support(i, R[:-1])
-        none = np.zeros((count, R.shape[1]))
-        return Block(R, self.initial.support(R), upper, upper, none, np.zeros(shape), self._size(R, 1.0))
-
-    def _size(self, R: Array, h: float) -> Array:
-        absolute, most = np.abs(R), sum(self._u, np.zeros_like(self._x))
-        return np.stack([absolute @ self._x, h * (absolute @ most)])
+    def _curved(self, rows: Array) -> Array:
+        """``rows A^2``, the second derivative."""
+        if self._A2 is not None:
+            return times(rows, self._A2)
+        return times(times(rows, self.rows.A), self.rows.A)
 
 
-def _magnitude(body: ConvexSet, rows: Array) -> Array:
-    """``sup |d x|`` over a set."""
-    return np.maximum(body.support(rows), body.support(-rows))
+def _scaled(body: ConvexSet, s: Array) -> tuple[Any, Array | float]:
+    """The set in coordinates divided by powers of two, or the set itself and what to divide rows by."""
+    if isinstance(body, Interval):
+        return Interval(body.lo / s, body.hi / s), 1.0
+    if isinstance(body, Zonotope):
+        return Zonotope(body.c / s, body.G / s[:, None]), 1.0
+    if isinstance(body, Ellipsoid):
+        return Ellipsoid(body.c / s, body.L / s[:, None]), 1.0
+    return body, s
 
 
-def extent(body: ConvexSet) -> Array:
+def is_symmetric(body: ConvexSet) -> bool:
+    """Whether a set is known to be symmetric about its centre."""
+    return isinstance(body, Interval | Zonotope | Ellipsoid)
+
+
+def _magnitude(body: ConvexSet, rows: Array, shift: Array | float = 0.0) -> Array:
+    """``sup |d x + shift|`` over a set."""
+    if is_symmetric(body):
+        middle = rows @ body.center
+        return np.asarray(np.abs(middle + shift) + (body.support(rows) - middle))
+    return np.maximum(body.support(rows) + shift, body.support(-rows) - shift)
+
+
+def extent(name: str, body: ConvexSet) -> Array:
     """Largest absolute value of every coordinate over a set, shape (n,)."""
-    hull = body.interval_hull()
-    out = np.maximum(np.abs(hull.lo), np.abs(hull.hi))
-    if not np.all(np.isfinite(out)):
-        raise ReachError("a set is not bounded")
-    return np.asarray(out)
+    try:
+        hull = body.interval_hull()
+    except ReachError as exc:
+        raise ReachError(f"{name} must be bounded and not empty: {exc}") from None
+    return np.asarray(np.maximum(np.abs(hull.lo), np.abs(hull.hi)))
 
 
 def _ends(values: Array) -> Array:
     return np.maximum(values[:-1], values[1:])
-
-
-def times(rows: Array, M: Any) -> Array:
-    """``rows @ M`` for rows (..., n) and M dense or sparse."""
-    flat = rows.reshape(-1, rows.shape[-1])
-    out = flat @ M if isinstance(M, np.ndarray) else np.asarray((M.T @ flat.T).T)
-    return out.reshape(*rows.shape[:-1], M.shape[1])
-
-
-def _rows_over(M: Any, s: Array) -> Any:
-    return sparse.csr_matrix(sparse.diags(1 / s) @ M)

@@ -8,13 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .adjoint import ROUNDING, Adjoint, Block
+from .adjoint import Adjoint, Block, Overflow
 from .errors import ReachError
+from .rows import ROUNDING
 from .systems import LinearSystem
 
 Array = NDArray[np.float64]
 
-MAX_STEPS = 10_000_000
+MAX_STEPS = 2_000_000
 BLOCK = 64
 """Steps that are carried together when their length may change."""
 ENTRIES = 100_000
@@ -85,119 +86,151 @@ def march(
         raise ReachError(f"the horizon must be a finite number > 0, got {horizon!r}")
     if step is not None and tolerance is not None:
         raise ReachError("give a step or a tolerance, not both")
+    if step is not None and not (np.isfinite(step) and step > 0):
+        raise ReachError(f"the step must be a finite number > 0, got {step!r}")
     if adjoint.system.discrete:
-        if horizon != round(horizon):
-            raise ReachError(f"a discrete system needs a whole number of steps, got {horizon!r}")
+        if horizon != round(horizon) or step not in (None, 1):
+            given = f"got horizon {horizon!r} and step {step!r}"
+            raise ReachError(f"a discrete system takes a whole number of steps of 1, {given}")
         step = 1.0
     if step is None and adjoint.pieces > 1:
         raise ReachError("an input that changes its set needs a step, one that divides its breaks")
     if step is not None:
-        return collect(adjoint, D, horizon, regular(adjoint, D, horizon, step, substeps), keep)
-    if tolerance is None:
-        first = collect(
-            adjoint, D, horizon, regular(adjoint, D, horizon, first_step(adjoint, horizon), 1), keep
-        )
-        size = np.maximum(np.abs(first.first) + np.abs(first.lower), np.finfo(float).tiny).max(axis=0)
-        tolerance = SHARE * size
-        error = (first.upper - first.lower).max(axis=0) + (first.bow + first.bend).max(axis=0)
-        if np.all(error <= tolerance):
-            return first
-    return collect(adjoint, D, horizon, adaptive(adjoint, D, horizon, tolerance, limit), keep)
+        return regular(adjoint, D, horizon, step, substeps, keep)
+    goal = None if tolerance is None else per_row("tolerance", tolerance, len(D))
+    if goal is not None and not np.all((goal > 0) & np.isfinite(goal)):
+        raise ReachError(f"the tolerance must be finite and > 0, got {tolerance!r}")
+    ceiling = np.full(len(D), -np.inf) if limit is None else per_row("limit", limit, len(D))
+    return collect(adjoint, D, horizon, adaptive(adjoint, D, horizon, goal, ceiling), keep)
 
 
-def first_step(adjoint: Adjoint, horizon: float) -> float:
-    """A step in which the fastest row turns by about a radian, at least 64 and at most 4096 of them."""
-    return horizon / float(np.clip(horizon * _norm(adjoint), 64, 4096))
+def per_row(name: str, value: ArrayLike, r: int) -> Array:
+    """One number for each of r rows."""
+    numbers = np.asarray(value, dtype=float)
+    if numbers.shape not in ((), (1,), (r,)) or np.any(np.isnan(numbers)):
+        raise ReachError(f"the {name} must be a number or {r} of them, got {value!r}")
+    return np.broadcast_to(numbers, (r,))
 
 
 def substeps(adjoint: Adjoint, step: float | None) -> int:
     """Parts, a power of two up to 16, that a given step is carried in so that little turns in one."""
-    if step is None or adjoint.system.discrete:
+    if step is None or adjoint.system.discrete or not step > 0:
         return 1
-    return int(2 ** np.clip(np.ceil(np.log2(max(2 * step * _norm(adjoint), 1.0))), 0, 4))
+    return int(2 ** np.clip(np.ceil(np.log2(max(2 * step * adjoint.rows.norm, 1.0))), 0, 4))
 
 
-def _norm(adjoint: Adjoint) -> float:
-    return float(np.max(np.asarray(abs(adjoint.rows.A).sum(axis=1))))
-
-
-def regular(
-    adjoint: Adjoint, D: Array, horizon: float, step: float, parts: int
-) -> Iterator[tuple[float, Block]]:
-    """Blocks with one step length, each with that length; every step asked for in some parts."""
-    if not (np.isfinite(step) and step > 0):
-        raise ReachError(f"the step must be a finite number > 0, got {step!r}")
+def regular(adjoint: Adjoint, D: Array, horizon: float, step: float, parts: int, keep: bool) -> March:
+    """Steps of one length, each carried in some parts."""
     if horizon / step > MAX_STEPS:
         raise ReachError(f"more than {MAX_STEPS:,} steps: horizon {horizon:g}, step {step:g}")
     count = max(int(np.ceil(horizon / step * (1 - 1e-12))), 1) * parts
-    h, rows = horizon / count, D * adjoint.rows.scale
     size = int(np.clip(ENTRIES // D.size, BLOCK, count))
-    for k in range(0, count, size):
-        block = adjoint.block(rows, h, min(size, count - k))
-        yield h, block
-        rows = block.rows[-1]
+    h = horizon / count
+    adjoint.watch(adjoint.rows.lags(h, horizon))
+
+    def blocks() -> Iterator[tuple[float, Block]]:
+        rows = D * adjoint.rows.scale
+        for k in range(0, count, size):
+            block = adjoint.block(rows, h, min(size, count - k))
+            yield h, block
+            rows = block.rows[-1]
+
+    run = collect(adjoint, D, horizon, blocks(), keep, parts)
+    if not (np.all(np.isfinite(run.bow + run.bend)) and np.all(np.isfinite(run.upper))):
+        raise ReachError(f"the step {step:g} is too long: the bounds are beyond floating point")
+    return run
 
 
 def adaptive(
-    adjoint: Adjoint, D: Array, horizon: float, tolerance: float | ArrayLike, limit: ArrayLike | None
+    adjoint: Adjoint, D: Array, horizon: float, goal: Array | None, ceiling: Array
 ) -> Iterator[tuple[float, Block]]:
     """Blocks whose steps are a half, a quarter, ... of the horizon, as short as the tolerance asks.
 
     Half of the tolerance is for the integral of the inputs, spent in proportion to time but never
-    less than a twentieth of what is left on one block; half for the bow between nodes.
+    less than a twentieth of what is left on one block; half for the bow between nodes. Without a
+    goal the tolerance is `SHARE` of the largest value met so far.
     """
     rows = D * adjoint.rows.scale
-    tol = np.broadcast_to(np.asarray(tolerance, dtype=float), (len(D),))
-    if not np.all(tol > 0):
-        raise ReachError(f"the tolerance must be > 0, got {tolerance!r}")
-    ceiling = np.full(len(D), -np.inf) if limit is None else np.asarray(limit, dtype=float)
-    level = int(np.clip(np.ceil(np.log2(max(horizon * _norm(adjoint), 1.0))), 0, 40))
-    done, reached, left, patience = 0.0, np.zeros(len(D)), tol / 2, 0
+    level = int(np.clip(np.ceil(np.log2(max(horizon * adjoint.rows.norm, 1.0))), 0, 40))
+    adjoint.watch(adjoint.rows.lags(horizon * 2.0**-level, horizon))
+    done, patience, steps = 0.0, 0, 0
+    reached, spent, known, sums = np.zeros((4, len(D)))
     while done < 1:
         h = 2.0**-level
-        count = int(min(BLOCK, round((1 - done) / h)))
-        block = adjoint.block(rows, h * horizon, count)
-        gain, loss = block.upper.sum(axis=1), (block.upper - block.lower).sum(axis=(0, 1))
-        node = block.first + reached + np.vstack([np.zeros(len(D)), np.cumsum(gain, axis=0)])
-        room = np.maximum(tol / 2, ceiling - np.maximum(node[1:], node[:-1]))
-        bow = np.max((block.bow + block.bend.sum(axis=1)) / room)
-        share = left * np.maximum(count * h / (1 - done), 0.05)
-        error = float(max(bow, np.max(loss / share)))
+        # A block ends at a multiple of its full length, so that longer steps may follow.
+        count = BLOCK - int(done / h) % BLOCK if h * BLOCK < 1 else int((1 - done) / h)
+        if steps + count > MAX_STEPS:
+            raise ReachError(f"the tolerance needs more than {MAX_STEPS:,} steps")
+        try:
+            block = adjoint.block(rows, h * horizon, count)
+        except Overflow:
+            if h <= FINEST:
+                raise
+            level += 3
+            continue
+        if goal is None:
+            start, gained = adjoint.sizes(block.rows, h * horizon)
+            met = np.maximum(known, start + sums + gained)
+        tolerance = SHARE * met if goal is None else goal
+        if np.any(tolerance < ROUNDING * adjoint.system.dim * block.size[0, 0]):
+            raise ReachError(f"the tolerance {tolerance} is below the rounding of the bounds")
+        gain = block.upper.sum(axis=1)
+        with np.errstate(invalid="ignore"):
+            loss = (block.upper - block.lower).sum(axis=(0, 1))
+            node = block.first + reached + np.vstack([np.zeros(len(D)), np.cumsum(gain, axis=0)])
+            room = np.maximum(tolerance / 2, ceiling - np.maximum(node[1:], node[:-1]))
+            share = (tolerance / 2 - spent) * np.maximum(count * h / (1 - done), 0.05)
+            error = max(_most(block.bow + block.bend.sum(axis=1), room), _most(loss, share))
         if error > 1 and h > FINEST:
             level += 1 + (error > 16) + (error > 256)
             patience = 4  # blocks before a longer step is tried again
             continue
-        if error > 1 or not np.isfinite(error):
-            raise ReachError(f"no step is short enough for the tolerance {tolerance!r}")
+        if error > 1:
+            raise ReachError(f"no step is short enough for the tolerance {tolerance}")
         yield h * horizon, block
-        done, reached, left = done + count * h, reached + gain.sum(axis=0), left - loss
-        rows, patience = block.rows[-1], patience - 1
+        if goal is None:
+            known, sums = met, sums + gained
+        done, reached, spent = done + count * h, reached + gain.sum(axis=0), spent + loss
+        rows, patience, steps = block.rows[-1], patience - 1, steps + count
         easy = error < 0.01 or (error < 0.1 and patience <= 0)
         if easy and level > 0 and (done * 2.0 ** (level - 1)).is_integer():
             level -= 1
 
 
+def _most(values: Array, allowed: Array) -> float:
+    """Largest ratio, none where the value is zero."""
+    ratio = np.divide(values, allowed, out=np.full_like(values, np.inf), where=np.not_equal(allowed, 0))
+    return float(np.nan_to_num(np.max(np.where(values == 0, 0.0, ratio)), nan=np.inf, posinf=np.inf))
+
+
 def collect(
-    adjoint: Adjoint, D: Array, horizon: float, blocks: Iterable[tuple[float, Block]], keep: bool
+    adjoint: Adjoint,
+    D: Array,
+    horizon: float,
+    blocks: Iterable[tuple[float, Block]],
+    keep: bool,
+    parts: int = 1,
 ) -> March:
     """Put blocks together: sums of the steps, shifted for every input set, and the rounding."""
-    parts: list[tuple[Array, ...]] = []
+    found: list[tuple[Array, ...]] = []
     begin: tuple[Array, ...] = ()
     for h, block in blocks:
-        nodes = (block.first, block.size[0], block.rows if keep else block.first)
+        nodes = (block.first, block.rows if keep else block.first, *block.size)
         begin = begin or tuple(node[:1] for node in nodes)
         between = (np.full(len(block.bow), h), block.upper, block.lower, block.bow, block.bend)
-        parts.append((*(node[1:] for node in nodes), *between, block.size[1, :-1]))
-    first, size, rows, steps, upper, lower, bow, bend, added = (
-        np.concatenate(p) for p in zip(*parts, strict=True)
+        found.append((*(node[1:] for node in nodes), *between))
+    first, rows, states, rates, steps, upper, lower, bow, bend = (
+        np.concatenate(p) for p in zip(*found, strict=True)
     )
-    first, size, rows = (np.concatenate([b, p]) for b, p in zip(begin, (first, size, rows), strict=True))
-    times = np.r_[0.0, np.cumsum(steps)] if np.ptp(steps) else np.linspace(0, horizon, len(steps) + 1)
-    times[-1] = horizon
-    starts = piece_starts(adjoint.system, times)
-    k = np.arange(len(times))[:, None]
-    sums = np.vstack([np.zeros((1, len(D))), np.cumsum(added, axis=0)])
-    rounding = ROUNDING * (adjoint.system.dim + k) * (np.maximum.accumulate(size) + sums)
+    first, rows, states, rates = (
+        np.concatenate([b, p]) for b, p in zip(begin, (first, rows, states, rates), strict=True)
+    )
+    # Where steps differ they are powers of two of the horizon, so that their sum is exact.
+    times = np.r_[0.0, horizon * np.cumsum(steps / horizon)]
+    if not np.ptp(steps):
+        times = np.linspace(0, horizon, len(steps) + 1)
+    starts, missed = piece_starts(adjoint.system, times, parts)
+    rounding = booked(adjoint, D, times, steps, states, rates, missed)
     return March(
         times,
         first,
@@ -210,13 +243,41 @@ def collect(
     )
 
 
-def piece_starts(system: LinearSystem, times: Array) -> list[int]:
-    """Node at which every input set begins."""
-    starts = [int(np.argmin(np.abs(times - b))) for b in (0.0, *system.breaks)]
-    for b, k in zip(system.breaks, starts[1:], strict=True):
-        if b < times[-1] and abs(times[k] - b) > 1e-9 * times[-1]:
+def booked(
+    adjoint: Adjoint, D: Array, times: Array, steps: Array, states: Array, rates: Array, missed: float
+) -> Array:
+    """Bound on the rounding of the sum of both parts at the nodes, shape (K+1, r).
+
+    What a step gets wrong, a share of the row it is applied to, is then carried on as the row is:
+    it may grow although the row does not, where the row avoids a part of the system that grows.
+    """
+    lags = adjoint.rows.lags(float(steps.min()), times[-1])
+    excess, rate = adjoint.rows.amplification(D * adjoint.rows.scale, lags, adjoint.weights)
+    grown = []
+    for size, a, b in zip((states, rates), excess, rate, strict=True):
+        with np.errstate(divide="ignore"):
+            logs = np.maximum.accumulate(np.log(size) - b * times[:, None]) + b * times[:, None]
+        grown.append(np.exp(np.minimum(logs + a, 700.0)))
+    state, change = grown
+    work = adjoint.system.dim + np.r_[0.0, np.cumsum(1 + steps * adjoint.rows.norm)]
+    total = np.vstack([np.zeros((1, len(D))), np.cumsum(steps[:, None] * change[1:], axis=0)])
+    return np.asarray(ROUNDING * work[:, None] * (state + total) + missed * np.maximum.accumulate(rates))
+
+
+def piece_starts(system: LinearSystem, times: Array, parts: int) -> tuple[list[int], float]:
+    """Node at which every input set begins, and the most that a break lies off its node."""
+    starts, missed = [0], 0.0
+    for b in system.breaks:
+        if b >= times[-1]:
+            starts.append(len(times))
+            continue
+        k = parts * int(np.argmin(np.abs(times[::parts] - b)))
+        off = float(abs(times[k] - b))
+        if off > (0.0 if system.discrete else 1e-9 * times[-1]):
             raise ReachError(f"the break at {b:g} is not a node: the step must divide it")
-    return [k if b < times[-1] else len(times) for k, b in zip(starts, (0.0, *system.breaks), strict=True)]
+        starts.append(k)
+        missed = max(missed, off)
+    return starts, missed
 
 
 def totals(steps: Array, starts: list[int]) -> Array:

@@ -67,10 +67,10 @@ class LinearSystem:
         for U in pieces:
             if U.dim != B.shape[1]:
                 raise ReachError(f"U must have dimension {B.shape[1]}, the columns of B, got {U.dim}")
-        c = np.zeros(n) if self.c is None else np.asarray(self.c, dtype=float)
+        c = np.zeros(n) if self.c is None else numbers("c", self.c)
         if c.shape != (n,) or not np.all(np.isfinite(c)):
             raise ReachError(f"c must be {n} finite numbers, got {self.c!r}")
-        breaks = np.asarray(self.breaks, dtype=float)
+        breaks = numbers("breaks", self.breaks)
         if breaks.shape != (max(len(pieces) - 1, 0),) or not np.all(np.diff(breaks, prepend=0.0) > 0):
             raise ReachError(
                 f"{len(pieces)} input sets need {max(len(pieces) - 1, 0)} breaks, positive and increasing, "
@@ -84,8 +84,7 @@ class LinearSystem:
             return ()
         pieces = tuple(self.U) if isinstance(self.U, list | tuple) else (self.U,)
         for U in pieces:
-            if getattr(U, "batch", ()):
-                raise ReachError("U must be a single set or a sequence of single sets, got a stack")
+            single_set("U", U)
         return pieces
 
     @property
@@ -106,18 +105,14 @@ class LinearSystem:
     def holding_inputs(self) -> LinearSystem:
         """The system whose state is ``(x, u)``, for an input that is unknown but constant.
 
-        Its initial set is the product of the initial set of x and of U.
+        Its initial set is the product of the initial set of x and of U, ``X.product(U)``.
         """
-        n, m = self.dim, self.inputs
+        m = self.inputs
         if len(self.U) != 1:
-            raise ReachError("an input that changes its set cannot be constant")
-        stack = sparse.bmat if self.sparse else np.block
-        zero = sparse.csr_matrix((m, n + m)) if self.sparse else np.zeros((m, n + m))
-        A = (
-            sparse.vstack([stack([[self.A, self.B]]), zero])
-            if self.sparse
-            else np.vstack([np.hstack([self.A, self.B]), zero])
-        )
+            raise ReachError(f"an input can be constant only if it has one set, got {len(self.U)}")
+        keep = sparse.identity(m) if self.discrete else sparse.csr_matrix((m, m))
+        A = sparse.bmat([[sparse.csr_matrix(self.A), self.B], [None, keep]], format="csr")
+        A = A if self.sparse else A.toarray()
         return LinearSystem(A, c=np.r_[self.c, np.zeros(m)], discrete=self.discrete)
 
 
@@ -127,13 +122,25 @@ def _matrix(name: str, value: ArrayLike) -> Any:
         matrix: Any = sparse.csr_matrix(value, dtype=float)
         entries = matrix.data
     else:
-        try:
-            matrix = np.asarray(value, dtype=float)
-        except (TypeError, ValueError) as exc:
-            raise ReachError(f"{name} must be a matrix of numbers: {exc}") from None
-        entries = matrix
+        matrix = entries = numbers(name, value)
     if matrix.ndim != 2:
         raise ReachError(f"{name} must be a matrix, got shape {matrix.shape}")
     if not np.all(np.isfinite(entries)):
         raise ReachError(f"{name} has entries that are not finite numbers")
     return matrix
+
+
+def numbers(name: str, value: ArrayLike) -> Array:
+    """An array of floats, or one clear error."""
+    try:
+        return np.asarray(value, dtype=float)
+    except (TypeError, ValueError) as exc:
+        raise ReachError(f"{name} must be numbers: {exc}") from None
+
+
+def single_set(name: str, value: Any) -> None:
+    """Refuse what is not one convex set."""
+    if not hasattr(type(value), "support") or not hasattr(type(value), "interval_hull"):
+        raise ReachError(f"{name} must be a convex set, got {type(value).__name__}")
+    if getattr(value, "batch", ()):
+        raise ReachError(f"{name} must be a single set, got a stack of shape {value.batch}")

@@ -11,7 +11,7 @@ from .adjoint import Adjoint
 from .convex import ConvexSet
 from .errors import ReachError
 from .march import march, substeps
-from .systems import LinearSystem
+from .systems import LinearSystem, numbers
 
 Array = NDArray[np.float64]
 
@@ -92,7 +92,7 @@ def support_tube(
         step, it is carried in up to 16 parts that are not shown.
     tolerance : float or array_like of shape (r,), optional
         Instead of a step: how far the bounds may lie above what is attained. Steps are then chosen
-        by it, and differ. Default: a hundredth of the range of the first bounds.
+        by it, and differ. Default: a hundredth of the largest value met.
     limit : array_like, shape (r,), optional
         With a tolerance: a bound between nodes that stays below this is tight enough.
 
@@ -105,8 +105,8 @@ def support_tube(
     ReachError
         If a number is not finite, shapes do not fit, or the tolerance cannot be met.
     """
-    D = np.atleast_2d(np.asarray(directions, dtype=float))
-    if D.ndim != 2 or D.shape[1] != system.dim or not np.all(np.isfinite(D)):
+    D = np.atleast_2d(numbers("directions", directions))
+    if D.ndim != 2 or D.shape[1] != system.dim or len(D) == 0 or not np.all(np.isfinite(D)):
         raise ReachError(f"directions must be finite rows of length {system.dim}, got shape {D.shape}")
     adjoint = Adjoint(system, initial)
     parts = substeps(adjoint, step)

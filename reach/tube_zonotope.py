@@ -9,12 +9,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
-from .adjoint import ROUNDING, Adjoint
+from .adjoint import Adjoint, is_symmetric
 from .convex import ConvexSet
 from .errors import ReachError
 from .march import March, march, substeps
-from .tube_support import locate
+from .rows import ROUNDING
 from .systems import LinearSystem
+from .tube_support import locate
 from .zonotope import Zonotope
 
 Array = NDArray[np.float64]
@@ -111,25 +112,28 @@ def zonotope_tube(
     if F.shape != (system.dim,) * 2 or not np.all(np.isfinite(F)) or np.linalg.matrix_rank(F) < len(F):
         raise ReachError(f"the frame must be an invertible matrix of {system.dim} rows")
     start = initial if isinstance(initial, Zonotope) else initial.interval_hull().to_zonotope()
-    symmetric, start = centered(system, start)
-    rows = np.linalg.inv(F)
-    rows = np.hstack([rows, np.zeros((len(rows), symmetric.dim - system.dim))])
-    adjoint, both = Adjoint(symmetric, start), np.vstack([rows, -rows])
+    around, start = centered(system, start)
+    inverse = np.linalg.inv(F)
+    rows = np.hstack([inverse, np.zeros((len(F), around.dim - system.dim))])
+    if len(around.U) > 1 or not all(is_symmetric(U) for U in around.U):
+        rows = np.vstack([rows, -rows])
+    adjoint = Adjoint(around, start)
     parts = substeps(adjoint, step)
-    run = march(adjoint, both, horizon, step, tolerance, keep=True, substeps=parts)
-    return _enclose(run.every(parts), start, F)
+    run = march(adjoint, rows, horizon, step, tolerance, keep=True, substeps=parts)
+    return _enclose(run.every(parts), start, F, inverse)
 
 
-def _enclose(run: March, start: Zonotope, F: Array) -> ZonotopeTube:
+def _enclose(run: March, start: Zonotope, F: Array, inverse: Array) -> ZonotopeTube:
     n = len(F)
     assert run.rows is not None
     image = run.rows[:, :n] @ start
-    high, low = run.upper[:, :n] + run.rounding[:, :n], run.upper[:, n:] + run.rounding[:, n:]
+    # The second half of the rows is the first half with the sign turned, or left out if alike.
+    high, low = (run.upper[:, rows] + run.rounding[:, rows] for rows in (slice(n), slice(-n, None)))
     middle, widths = (high - low) / 2, (high + low) / 2
-    size = np.max(np.abs(image.c + middle) + image.half_widths + widths, axis=1, keepdims=True)
-    widths = widths + ROUNDING * n * np.linalg.cond(F) * size  # F inv(F) is the identity but for rounding
+    size = np.abs(image.c + middle) + image.half_widths + widths
+    widths = widths + ROUNDING * n * size @ (np.abs(inverse) @ np.abs(F)).T  # F inverse is not the identity
     G = np.concatenate([F @ image.G, F * widths[:, None, :]], axis=-1)
-    bow = np.maximum(run.bow[:, :n], run.bow[:, n:]) + np.maximum(run.bend[:, :n], run.bend[:, n:])
+    bow = np.maximum(run.bow[:, :n], run.bow[:, -n:]) + np.maximum(run.bend[:, :n], run.bend[:, -n:])
     return ZonotopeTube(run.times, Zonotope((image.c + middle) @ F.T, G), bow, F)
 
 
@@ -140,7 +144,7 @@ def centered(system: LinearSystem, start: Zonotope) -> tuple[LinearSystem, Zonot
         drift = drift + np.asarray(system.B @ inputs[0].center).ravel()
         inputs = (inputs[0] + (-inputs[0].center),)
     if not np.any(drift):
-        return replace(system, U=inputs or None, B=system.B if inputs else None), start
+        return replace(system, U=inputs or None, B=system.B if inputs else None, c=None), start
     n, m = system.dim, system.inputs
     one = 1.0 if system.discrete else 0.0
     A: Any = np.zeros((n + 1, n + 1))

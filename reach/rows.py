@@ -1,0 +1,272 @@
+"""Rows ``d e^{A t}`` on regular grids, and how far their rounding can have grown."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.linalg import expm
+from scipy.sparse.csgraph import connected_components
+
+from .systems import LinearSystem
+
+Array = NDArray[np.float64]
+
+SPARSE = 0.1
+"""Share of entries below which products with A use its sparse form."""
+SMALL_PART = 32
+"""Largest independent part whose exponentials are formed on their own."""
+ROUNDING = 16 * np.finfo(float).eps
+"""Booked relative rounding per step and state, see `docs`; never the error of a method."""
+FLUSH = 1e-60
+"""Entries below this share of the largest of their row are set to zero: denormal numbers are slow."""
+REACH = 3.0
+"""Norm of ``A t`` up to which Taylor's series of the action is summed at once."""
+MOST_TERMS = 100
+"""Terms of that series, whose rest then is below 1e-100; more are asked for only where numbers overflow."""
+WATCHED = 400
+"""States up to which the growth of rounding is bounded by exponentials over the whole horizon."""
+
+
+def balance(A: Array) -> Array:
+    """Powers of two s that make the rows and columns of ``A[i, j] s[j] / s[i]`` alike, shape (n,).
+
+    A state that nothing acts on (a constant), or that acts on nothing (an integral), has no scale of
+    its own: it gets one that leaves the norm of the others as it is.
+    """
+    size = abs(A)
+    logs = np.zeros(size.shape[0])
+
+    def sums(s: Array, share: Any = 1.0) -> tuple[Array, Array]:
+        return np.asarray(size @ (s * share)).ravel() / s, np.asarray(size.T @ (share / s)).ravel() * s
+
+    for _ in range(30):
+        row, column = sums(np.exp2(logs))
+        both = (row > 0) & (column > 0)
+        change = np.zeros_like(logs)
+        change[both] = np.log2(row[both] / column[both]) / 4
+        logs = np.clip(logs + change, -60, 60)
+        if np.max(np.abs(change), initial=0.0) < 0.25:
+            break
+    row, column = sums(np.exp2(logs))
+    level = np.max(sums(np.exp2(logs), both)[0][both], initial=0.0)
+    if level > 0:
+        constant, integral = (row == 0) & (column > 0), (row > 0) & (column == 0)
+        logs[constant] += np.log2(level / column[constant])
+        logs[integral] += np.log2(row[integral] / level)
+    return np.asarray(np.exp2(np.round(np.clip(logs, -60, 60))))
+
+
+class Rows:
+    """Rows ``d e^{A t}`` on regular grids, in coordinates in which A is balanced.
+
+    Three ways to carry them, chosen by the structure of A: through the exponentials of its
+    independent parts where it falls apart into small ones, through the action of the exponential
+    where A is sparse, through the dense exponential otherwise.
+    """
+
+    def __init__(self, system: LinearSystem) -> None:
+        self.discrete = system.discrete
+        self.scale = s = np.ones(system.dim) if system.discrete else balance(system.A)
+        A = sparse.csr_matrix(system.A)
+        A = sparse.csr_matrix(sparse.diags(1 / s) @ A @ sparse.diags(s))
+        self.parts = None if system.discrete else _parts(A)
+        thin = system.sparse or A.nnz < SPARSE * A.shape[0] ** 2
+        self.A = A if thin else A.toarray()
+        self.norm = float(np.max(np.asarray(abs(A).sum(axis=1)), initial=0.0))
+        self.action = system.sparse and self.parts is None
+        self._maps: dict[float, Any] = {}
+        self._closings: dict[float, Any] = {}
+
+    def map(self, h: float) -> Any:
+        """``e^{A h}`` (``A^h`` of a discrete system); squared from the half of h where that is known."""
+        if h not in self._maps:
+            half = self._maps.get(h / 2)
+            with np.errstate(over="ignore", invalid="ignore"):
+                if half is not None:
+                    self._maps[h] = flushed(half @ half)
+                elif self.discrete:
+                    self._maps[h] = np.linalg.matrix_power(_dense(self.A), int(h))
+                else:
+                    self._maps[h] = self._exponential(self.A, h)
+        return self._maps[h]
+
+    def _exponential(self, A: Any, h: float) -> Any:
+        if self.parts is None:
+            return flushed(expm(A * h) if isinstance(A, np.ndarray) else taylor(A, h))
+        rows, columns = np.broadcast_arrays(self.parts[:, :, None], self.parts[:, None, :])
+        place = rows.ravel(), columns.ravel()
+        blocks = flushed(expm(np.asarray(A[place]).reshape(rows.shape) * h))
+        return sparse.csr_matrix((blocks.ravel(), place), shape=A.shape)
+
+    def carry(self, rows: Array, h: float, count: int) -> Array:
+        """``rows e^{A h l}`` for l = 0..count, shape (count+1, r, n); rows of shape (r, n)."""
+        if self.action and not self.discrete:
+            return np.asarray(flushed(action(self.A.T, rows, h, count)))
+        out = np.empty((count + 1, *rows.shape))
+        out[0] = rows
+        if self.discrete:
+            for i in range(count):
+                out[i + 1] = times(out[i], self.A)
+            return out
+        have = 1
+        while have <= count:
+            more = min(have, count + 1 - have)
+            out[have : have + more] = times(out[:more], self.map(h * have))
+            have *= 2
+        return out
+
+    def closing(self, h: float, vectors: Array) -> Array:
+        """Bound on ``sup_s |e^{A s}| v`` over [0, h], elementwise, for v >= 0 of shape (n,) or (n, q).
+
+        ``|e^{A s}| <= e^{M s}`` with M the absolute values of A off its diagonal and the positive
+        part of its diagonal, so that the bound grows with s. Infinite where it overflows.
+        """
+        with np.errstate(over="ignore", invalid="ignore"):
+            if h not in self._closings:
+                diagonal = self.A.diagonal()
+                M: Any = abs(self.A) + sparse.diags(np.maximum(diagonal, 0) - np.abs(diagonal))
+                M = np.asarray(M) if isinstance(self.A, np.ndarray) else sparse.csr_matrix(M)
+                self._closings[h] = M if self.action else self._exponential(M, h)
+            found = self._closings[h]
+            out = action(found, vectors.T, h, 1)[-1].T if self.action else found @ vectors
+        return np.where(np.isnan(out), np.inf, out)
+
+    # -- rounding ---------------------------------------------------------------------------------
+
+    def lags(self, h: float, horizon: float) -> list[float]:
+        """Powers of two of a step, up to the horizon; none where exponentials are not to be formed."""
+        if self.A.shape[0] > WATCHED and self.parts is None:
+            return []
+        return [h * 2.0**i for i in range(int(np.log2(horizon / h)) + 1)]
+
+    def weights(self, lags: list[float], sizes: Array) -> Array:
+        """Sizes (n, q) that states of given sizes (n, q) grow to after any of some lags."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            grown = [sizes, *(np.asarray(abs(self.map(t)) @ sizes) for t in lags)]
+        return np.asarray(np.max(grown, axis=0))
+
+    def amplification(self, rows: Array, lags: list[float], weights: Array) -> tuple[Array, Array]:
+        """Numbers a and b with ``norm(e e^{A t}) <= norm(e) exp(a + b t)``, each (q, r).
+
+        For any perturbation e of the states that one of r rows depends on, any sum t of different
+        lags, and the norm ``sum |e_i| w_i`` of each of the q weights.
+        """
+        r, q = len(rows), weights.shape[1]
+        if not lags:
+            return np.zeros((q, r)), np.zeros((q, r))
+        logs, seen = np.empty((len(lags), q, r)), np.abs(rows)
+        for t in lags:
+            seen = np.maximum(seen, np.abs(rows) @ abs(self.map(t)))
+        for i, t in enumerate(lags):
+            grown = np.asarray(abs(self.map(t)) @ weights)
+            ratio = np.divide(grown, weights, out=np.where(grown > 0, np.inf, 1.0), where=weights > 0)
+            most = np.where(seen[None] > 0, ratio.T[:, None], 0.0).max(axis=2)
+            logs[i] = np.log(np.maximum(most, 1e-300))
+        t = np.asarray(lags)[:, None, None]
+        rates = np.concatenate([np.zeros((1, q, r)), logs / t])
+        excess = np.maximum(logs - rates[:, None] * t, 0).sum(axis=1)
+        # Any of these rates will do. Take the lowest of those that bound the growth over all lags well.
+        total = excess + np.maximum(rates, 0) * lags[-1]
+        good = np.where(total <= total.min(axis=0) + 1, rates, np.inf).argmin(axis=0)[None]
+        return np.take_along_axis(excess, good, 0)[0], np.take_along_axis(rates, good, 0)[0]
+
+
+def action(M: Any, rows: Array, h: float, count: int) -> Array:
+    """``e^{M h l} v`` for l = 0..count and every row v, shape (count+1, r, n), by Taylor's series.
+
+    Each series spans as many steps as `REACH` allows, or a part of one, and ends where the bound on
+    its rest, a geometric series in the norm of the last term, is below the rounding of every row.
+    The mean of the diagonal is split off: it takes nothing but a factor.
+    """
+    M = sparse.csr_matrix(M)
+    shift = float(M.diagonal().mean())
+    N = M - shift * sparse.identity(M.shape[0], format="csr")
+    norm = h * float(abs(N).sum(axis=0).max())
+    parts = max(int(np.ceil(norm / REACH)), 1)
+    span = int(np.clip(REACH / norm if norm > 0 else count, 1, count)) if parts == 1 else 1
+    out = np.empty((count + 1, *rows.shape))
+    out[0] = rows
+    for k in range(0, count, span):
+        m = min(span, count - k)
+        shares = np.arange(1, m + 1) / m
+        x: Any = out[k]
+        for _ in range(parts - 1):
+            x = _series(N, x, h / parts, norm / parts, np.ones(1))[0] * np.exp(shift * h / parts)
+        length = h * m / parts
+        out[k + 1 : k + 1 + m] = _series(N, x, length, norm * m / parts, shares)
+        out[k + 1 : k + 1 + m] *= np.exp(shift * length * shares)[:, None, None]
+    return out
+
+
+def _series(N: Any, rows: Array, t: float, norm: float, shares: Array) -> Array:
+    """``e^{N t s} v`` for all shares s in [0, 1] of t and every row v; norm bounds ``|N t|``."""
+    term = np.ascontiguousarray(rows.T)
+    terms, start, j = [rows.ravel()], np.abs(rows).sum(axis=1), 0
+    while True:
+        j += 1
+        term = N @ term * (t / j)
+        terms.append(term.T.ravel())
+        ratio = norm / (j + 1)
+        rest = np.abs(term).sum(axis=0) * ratio / (1 - ratio) if ratio < 0.5 else np.full(len(start), np.inf)
+        if np.all(rest <= 1e-17 * start) or j > MOST_TERMS:
+            break
+    powers = shares[:, None] ** np.arange(j + 1)
+    return np.asarray((powers @ np.array(terms)).reshape(len(shares), *rows.shape))
+
+
+def taylor(A: Any, h: float) -> Array:
+    """``e^{A h}`` of a sparse matrix, dense: Taylor's series of a fraction of h, squared.
+
+    The series keeps the entries far from those of A at zero, where Pade's form fills them with
+    denormal numbers, which are slow.
+    """
+    halvings = max(int(np.ceil(np.log2(max(float(abs(A).sum(axis=1).max()) * h, 1e-300)))) + 2, 0)
+    part = sparse.csr_matrix(A) * (h / 2.0**halvings)
+    term = total = sparse.identity(A.shape[0], format="csr")
+    for k in range(1, 15):  # the norm of `part` is at most 1/4: 0.25^15 / 15! < 1e-21
+        term = term @ part / k
+        total = total + term
+    out = total.toarray()
+    for _ in range(halvings):
+        out = flushed(out @ out)
+    return np.asarray(out)
+
+
+def flushed(values: Any) -> Any:
+    """The array, with entries below `FLUSH` times the largest of their row set to zero, in place.
+
+    Rows run along the last axis. Each is compared with itself only: another row may be larger by
+    any factor and matter less.
+    """
+    if isinstance(values, np.ndarray):
+        size = np.abs(values)
+        values[size < FLUSH * size.max(axis=-1, keepdims=True, initial=0.0)] = 0.0
+        return values
+    size, counts = np.abs(values.data), np.diff(values.indptr)
+    largest = np.zeros(len(counts))
+    largest[counts > 0] = np.maximum.reduceat(size, values.indptr[:-1][counts > 0]) if len(size) else 0.0
+    values.data[size < FLUSH * np.repeat(largest, counts)] = 0.0
+    return values
+
+
+def times(rows: Array, M: Any) -> Array:
+    """``rows @ M`` for rows (..., n) and M dense or sparse."""
+    flat = rows.reshape(-1, rows.shape[-1])
+    out = flat @ M if isinstance(M, np.ndarray) else np.asarray((M.T @ flat.T).T)
+    return out.reshape(*rows.shape[:-1], M.shape[1])
+
+
+def _dense(A: Any) -> Array:
+    return A if isinstance(A, np.ndarray) else np.asarray(A.toarray())
+
+
+def _parts(A: Any) -> NDArray[np.intp] | None:
+    """Indices of the independent parts of A, shape (p, size), if all have one small size."""
+    count, label = connected_components(A, directed=False)
+    sizes = np.bincount(label)
+    if count == 1 or np.ptp(sizes) or sizes[0] > SMALL_PART:
+        return None
+    return np.argsort(label, kind="stable").reshape(count, sizes[0])
