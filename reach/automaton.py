@@ -73,7 +73,8 @@ class Transition:
     uncertain : ConvexSet, optional
         Set of w (a zonotope; of any other set the interval hull is taken).
     urgent : bool
-        The source is left by the end of the window or dwell time at the latest.
+        The source is left by the end of the window or dwell time at the latest (of a window, if the
+        source was entered before).
 
     Raises
     ------

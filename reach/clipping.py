@@ -114,7 +114,7 @@ def _narrow(
                 ends = above / w, below / w
                 upper = np.where(w > 0, ends[0], np.where(w < 0, ends[1], np.inf))
                 lower = np.where(w > 0, ends[1], np.where(w < 0, ends[0], -np.inf))
-                tiny = np.abs(w) < 1e-9 * np.abs(w).max(axis=1, keepdims=True)
+                tiny = np.abs(w) < 1e-9 * np.abs(w).max(axis=1, keepdims=True, initial=0.0)
                 widen = 1e-12
                 hi = np.where(tiny | np.isnan(upper), hi, np.clip(upper + widen, lo, hi))
                 lo = np.where(tiny | np.isnan(lower), lo, np.clip(lower - widen, lo, hi))

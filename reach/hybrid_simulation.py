@@ -17,6 +17,8 @@ Array = NDArray[np.float64]
 
 TOUCH = 1e-9
 """A state this close to a face, relative to the terms of its row, counts as on it."""
+REPLAYED = 1e-6
+"""The same for a trajectory that is integrated again."""
 BISECTIONS = 40
 
 Policy = Literal["first", "last", "random"]
@@ -109,9 +111,11 @@ def simulate_hybrid(
         drawn = rng if policy == "random" else None
         u = _input(mode, drawn)
         move = _Motion(mode, x, u, dt)
-        end, stops = move.leaves(horizon - t)
+        left, bound = horizon - t, longest_stay(automaton, name, t)
+        end, stops = move.leaves(min(left, bound))
+        stops = stops or bound < left
         options = _options(automaton, move, t, end) if len(visits) < jumps else []
-        chosen = _choose(options, policy, rng, must=stops or _urgent(automaton, name))
+        chosen = _choose(options, policy, rng, must=stops)
         if chosen is None:
             visits.append(move.visit(t, end))
             return HybridTrajectory(tuple(visits), deadlock=stops and end < horizon - t)
@@ -145,7 +149,7 @@ class _Motion:
         self.mode, self.u, self.dt, self.n = mode, u, dt, n
         self.M = np.zeros((n + 1, n + 1))
         self.M[:n, :n], self.M[:n, n] = A, np.asarray(system.B @ u).ravel() + system.c
-        self.z = np.r_[x, 1.0]
+        self.z, self.size = np.r_[x, 1.0], np.abs(x)
 
     def at(self, s: float) -> Array:
         """State after a time."""
@@ -169,7 +173,8 @@ class _Motion:
     def leaves(self, most: float) -> tuple[float, bool]:
         """Last time in the invariant, and whether it is left before `most`."""
         times, states = self.samples(most)
-        outside = ~inside(self.mode.invariant, states)
+        self.size = np.abs(states).max(axis=0)
+        outside = ~inside(self.mode.invariant, states, self.size)
         if not np.any(outside):
             return most, False
         k = int(np.argmax(outside))
@@ -179,7 +184,7 @@ class _Motion:
         """Time at which being in a region changes from `holds`; the side on which it is inside."""
         for _ in range(BISECTIONS):
             middle = (low + high) / 2
-            if bool(inside(region, self.at(middle)[None])[0]) == holds:
+            if bool(inside(region, self.at(middle)[None], self.size)[0]) == holds:
                 low = middle
             else:
                 high = middle
@@ -190,15 +195,19 @@ class _Motion:
         return Visit(self.mode.name, t + times, states, self.u)
 
 
-def inside(region: HPolytope | None, states: Array) -> NDArray[np.bool_]:
-    """Whether states (m, n) are in a polytope, touching included."""
+def inside(region: HPolytope | None, states: Array, size: Array, slack: float = TOUCH) -> NDArray[np.bool_]:
+    """Whether states (m, n) are in a polytope, or beyond it by a share of the size of its terms only."""
     if region is None:
         return np.ones(len(states), dtype=bool)
-    return region.contains(states, slack=TOUCH)
+    room = slack * (np.abs(region.A) @ size + np.abs(region.b))
+    return np.asarray(np.all(states @ region.A.T <= region.b + room, axis=1))
 
 
-def _urgent(automaton: HybridAutomaton, name: str) -> bool:
-    return any(t.urgent for t in automaton.leaving(name))
+def longest_stay(automaton: HybridAutomaton, name: str, t: float) -> float:
+    """How long a mode that is entered at time t may last, by its urgent transitions."""
+    urgent = [o for o in automaton.leaving(name) if o.urgent]
+    stays = [o.window[1] - t for o in urgent if o.window is not None and t <= o.window[1]]
+    return min([*stays, *(o.dwell[1] for o in urgent if o.dwell is not None)], default=np.inf)
 
 
 def _options(
@@ -218,7 +227,7 @@ def _options(
             found.append((transition, low, high))
             continue
         times, states = move.samples(end)
-        hit = inside(transition.guard, states)
+        hit = inside(transition.guard, states, move.size)
         edges = np.flatnonzero(np.diff(np.r_[False, hit, False].astype(int)))
         for first, after in edges.reshape(-1, 2):
             begin, stop = times[first], times[after - 1]
@@ -243,8 +252,6 @@ def _choose(
     if policy == "first":
         transition, at, _ = min(options, key=lambda o: o[1])
         return transition, at
-    limit = min((o[2] for o in options if o[0].urgent), default=np.inf)
-    options = [(o, low, min(high, limit)) for o, low, high in options if low <= limit]
     if policy == "last":
         transition, _, at = max(options, key=lambda o: o[2])
         return transition, at
@@ -259,7 +266,8 @@ def replay_hybrid(automaton: HybridAutomaton, trajectory: HybridTrajectory, rtol
     """Integrate a trajectory again, independently, and check that it is admissible.
 
     Every visit is integrated from the state in which the last one ended, with the same input and
-    duration; the guard, window, dwell time, invariant and reset are checked on the way.
+    duration; inputs, guards, windows, dwell times, invariants and resets are checked on the way. That
+    it begins in the initial set is not.
 
     Returns
     -------
@@ -270,12 +278,14 @@ def replay_hybrid(automaton: HybridAutomaton, trajectory: HybridTrajectory, rtol
     from scipy.integrate import solve_ivp
 
     worst, x = 0.0, trajectory.visits[0].states[0]
+    if trajectory.visits[0].mode != automaton.start:
+        return float("inf")
     for visit, after in zip(trajectory.visits, (*trajectory.visits[1:], None), strict=True):
         mode, begun = automaton[visit.mode], visit.times[0]
         force = np.asarray(mode.system.B @ visit.input).ravel() + mode.system.c
         length = visit.times[-1] - begun
         size = np.abs(visit.states).max(axis=0)
-        size = np.where(size > 0, size, size.max() or 1.0)
+        scale = np.where(size > 0, size, size.max() or 1.0)
         states = np.repeat(x[None], len(visit.times), axis=0)
         if length > 0:
             solved = solve_ivp(
@@ -285,21 +295,24 @@ def replay_hybrid(automaton: HybridAutomaton, trajectory: HybridTrajectory, rtol
                 method="LSODA" if np.abs(mode.system.A).max() * length > 100 else "DOP853",
                 t_eval=np.clip(visit.times - begun, 0, length),
                 rtol=rtol,
-                atol=rtol * float(size.min()),
+                atol=rtol * float(scale.min()),
             )
             states = solved.y.T
-        worst = max(worst, float(np.max(np.abs(states - visit.states) / size)))
-        room = 1e-6
-        ok = mode.invariant is None or bool(np.all(mode.invariant.contains(states, slack=room)))
+        worst = max(worst, float(np.max(np.abs(states - visit.states) / scale)))
+        slack = 1e-9 * (1 + abs(visit.times[-1]))
+        ok = all(bool(U.contains(visit.input)) for U in mode.system.U)
+        ok = ok and bool(np.all(inside(mode.invariant, states, size, REPLAYED)))
+        ok = ok and length <= longest_stay(automaton, visit.mode, begun) + slack
         t, x = visit.transition, states[-1]
         if t is not None and after is not None:
             ok = ok and (t.source, t.target) == (visit.mode, after.mode)
-            ok = ok and (t.guard is None or bool(t.guard.contains(x[None], slack=room)[0]))
+            ok = ok and bool(inside(t.guard, x[None], size, REPLAYED)[0])
             for limits, value in ((t.window, visit.times[-1]), (t.dwell, length)):
                 if limits is not None:
-                    slack = 1e-9 * (1 + abs(visit.times[-1]))
                     ok = ok and limits[0] - slack <= value <= limits[1] + slack
-            x = t.R @ x + t.r + (0 if visit.uncertain is None else visit.uncertain)
+            w = np.zeros(len(t.r)) if visit.uncertain is None else visit.uncertain
+            ok = ok and (not np.any(w) if t.uncertain is None else bool(t.uncertain.contains(w)))
+            x = t.R @ x + t.r + w
         if not ok:
             return float("inf")
     return worst

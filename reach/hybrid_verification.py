@@ -15,7 +15,7 @@ from .clipping import clip, strips
 from .convex import ConvexSet
 from .errors import ReachError
 from .hybrid import JUMPS, hybrid_tube
-from .hybrid_simulation import HybridTrajectory, Policy, Visit, replay_hybrid, simulate_hybrid
+from .hybrid_simulation import HybridTrajectory, Policy, Visit, inside, replay_hybrid, simulate_hybrid
 from .polytope import HPolytope
 from .rounding import gamma
 from .segments import HybridTube, Segment
@@ -224,10 +224,10 @@ def falsify_hybrid(
 def first_violation(path: HybridTrajectory, specs: Specs) -> HybridTrajectory | None:
     """The trajectory up to its first clear violation; None if there is none."""
     for j, visit in enumerate(path.visits):
-        broken = np.zeros(len(visit.times), dtype=bool)
+        broken, size = np.zeros(len(visit.times), dtype=bool), np.abs(visit.states).max(axis=0)
         for spec in specs.get(visit.mode, ()):
             slack = -DEEP if isinstance(spec, Never) else DEEP
-            within = spec.region.contains(visit.states, slack=slack)
+            within = inside(spec.region, visit.states, size, slack)
             bad = within if isinstance(spec, Never) else ~within
             if spec.during is not None:
                 bad = bad & (visit.times >= spec.during[0]) & (visit.times <= spec.during[1])

@@ -45,14 +45,18 @@ class Waves:
         return fan(carrier, sets, length, step=step, tolerance=self._of(self.tolerance, mode), **more)
 
     def _stay(self, starts: Starts | Segment) -> Array:
-        """Longest time in the mode after each entry, shape (N,)."""
-        until = np.full(len(starts.entered), self.horizon) - starts.entered[:, 0]
+        """Longest time in the mode after each entry, shape (N,).
+
+        A window that may have ended before the entry binds nobody.
+        """
+        a, b = starts.entered.T
+        until = self.horizon - a
         for t in self.automaton.leaving(starts.mode.name):
             if t.urgent and t.window is not None:
-                until = np.minimum(until, t.window[1] - starts.entered[:, 0])
+                until = np.minimum(until, np.where(b <= t.window[1], t.window[1] - a, np.inf))
             if t.urgent and t.dwell is not None:
                 until = np.minimum(until, t.dwell[1])
-        return np.maximum(until, 0.0)
+        return np.asarray(np.maximum(until, 0.0))
 
     def follow(self, starts: Starts, depth: int) -> Segment:
         """Follow a mode until nothing is left of it."""
