@@ -11,11 +11,11 @@ from .convex import ConvexSet, require_same_dim
 
 Array = NDArray[np.float64]
 
-STEPS = 500
-"""Most support vectors asked of each set; polytopes need far fewer, ellipsoids stop at `CLOSE`."""
+STEPS = 300
+"""Most support vectors asked of each set: polytopes need far fewer, round sets that touch use them up."""
 
-CLOSE = 1e-12
-"""Relative improvement of the squared distance that is no longer worth a step."""
+CLOSE = 1e-9
+"""Distance, in sizes of the sets, that is as good as none, and relative gap at which the search ends."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Nearest:
 
 
 def nearest(X: ConvexSet, Y: ConvexSet, scale: Array | None = None, enough: float = 0.0) -> Nearest:
-    """Nearest points of two sets (Wolfe 1976, the point of least norm of ``X - Y``).
+    """Nearest points of two sets (Wolfe 1976: the point of least norm of ``X - Y``).
 
     Parameters
     ----------
@@ -63,14 +63,17 @@ def nearest(X: ConvexSet, Y: ConvexSet, scale: Array | None = None, enough: floa
     corral, weights, least = ((X.center - Y.center) / scale)[None], np.ones(1), 0.0
     for _ in range(STEPS):
         z = weights @ corral
-        if z @ z <= enough**2:
-            break
+        length = float(np.linalg.norm(z))
         pair = np.stack([X.support_vector(-z / scale), Y.support_vector(z / scale)])
         furthest = (pair[0] - pair[1]) / scale
-        least = max(least, float(z @ furthest) / max(float(np.linalg.norm(z)), np.finfo(float).tiny))
-        if z @ (z - furthest) <= CLOSE * max(float(z @ z), CLOSE * float(np.max(corral**2))):
+        least = max(least, float(z @ furthest) / max(length, np.finfo(float).tiny))
+        if length <= CLOSE / 10 or least >= (1 - CLOSE) * length:
             break
-        corral, weights, pairs = _settle(np.vstack([corral, furthest]), np.r_[weights, 0.0], [*pairs, pair])
+        corral, pairs = np.vstack([corral, furthest]), [*pairs, pair]
+        weights = _least_norm(corral)
+        kept = weights > 0
+        corral, weights = corral[kept], weights[kept]
+        pairs = [pair for pair, use in zip(pairs, kept, strict=True) if use]
     x, y = np.tensordot(weights, np.array(pairs), axes=1)
     z = weights @ corral
     return Nearest(x, y, float(np.linalg.norm(z)), least, -z / scale, scale)
@@ -82,19 +85,14 @@ def unit_sizes(half_widths: Array) -> Array:
     return np.where(half_widths > 0, half_widths, largest)
 
 
-def _settle(corral: Array, weights: Array, pairs: list[Array]) -> tuple[Array, Array, list[Array]]:
-    """Minor cycle: move to the point of least norm of a face of the corral, dropping what it does not use."""
-    while True:
-        k = len(corral)
-        system = np.block([[np.zeros((1, 1)), np.ones((1, k))], [np.ones((k, 1)), corral @ corral.T]])
-        best = np.linalg.lstsq(system, np.r_[1.0, np.zeros(k)], rcond=None)[0][1:]
-        if np.all(best > 1e-14):
-            return corral, best / best.sum(), pairs
-        falling = best <= 1e-14
-        shares = weights[falling] / np.maximum(weights[falling] - best[falling], 1e-300)
-        weights = weights + min(1.0, float(shares.min())) * (best - weights)
-        keep = weights > 1e-14
-        if keep.all():
-            keep[np.argmin(weights)] = False
-        corral, weights = corral[keep], weights[keep] / weights[keep].sum()
-        pairs = [pair for pair, kept in zip(pairs, keep, strict=True) if kept]
+def _least_norm(points: Array) -> Array:
+    """Weights of the convex combination of least norm, shape (k,); at most n + 1 of them are not zero.
+
+    With u >= 0 free in scale, ``norm(u P)^2 + (sum(u) - 1)^2`` is least along the combination sought.
+    """
+    from scipy.optimize import nnls
+
+    k, n = points.shape
+    found = nnls(np.vstack([points.T, np.ones((1, k))]), np.r_[np.zeros(n), 1.0], maxiter=100 * (k + 1))[0]
+    total = float(found.sum())
+    return np.asarray(found / total) if total > 0 else np.full(k, 1 / k)

@@ -39,5 +39,5 @@ def enclosing_hull(first: Zonotope, second: Zonotope) -> Zonotope:
         pick = np.arange(width), order
         paired[at] = H[at][:, order] * np.where(near[at][pick] <= far[at][pick], 1.0, -1.0)
     used = np.any(G != 0, axis=-2) | np.any(paired != 0, axis=-2)
-    kept = np.any(used.reshape(-1, width), axis=0)
+    kept = used.any(axis=tuple(range(len(shape))))
     return Zonotope(a.c, G[..., kept]).hull(Zonotope(b.c, paired[..., kept]))

@@ -81,7 +81,7 @@ def reduction_loss(before: Zonotope, after: Zonotope) -> Array:
     A bound, axis by axis, on how far the enclosure reaches beyond the original; zero for the
     original itself. Any matrix C with row sums ``sum_j |C_ij| <= 1`` writes ``after.G`` as
     ``before.G C`` plus what is counted here; C follows the cosines between the generators, raised to
-    a few powers, the best of which is taken for each axis.
+    a few powers, and the best of these is taken.
 
     Raises
     ------
@@ -95,14 +95,18 @@ def reduction_loss(before: Zonotope, after: Zonotope) -> Array:
     size = np.broadcast_to(before.half_widths, (*shape, n))[..., None]
     size = np.where(size > 0, size, 1.0)
     scaled = [M / size for M in (B, A)]
-    units = [M / np.where((norm := np.linalg.norm(M, axis=-2, keepdims=True)) > 0, norm, 1.0) for M in scaled]
+    lengths = [np.linalg.norm(M, axis=-2, keepdims=True) for M in scaled]
+    units = [M / np.where(norm > 0, norm, 1.0) for M, norm in zip(scaled, lengths, strict=True)]
     cosines = np.swapaxes(units[0], -1, -2) @ units[1]
     best = np.full((*shape, n), np.inf)
     for power in (1, 2, 4, 16, 256):
-        C = np.sign(cosines) * np.abs(cosines) ** power
+        C = np.sign(cosines) * np.abs(cosines) ** power * lengths[1]
         C = C / np.maximum(np.abs(C).sum(axis=-1, keepdims=True), 1e-300) * (1 - gamma(k))
         rest = np.abs(A - B @ C) + gamma(g) * (np.abs(A) + np.abs(B) @ np.abs(C))
-        best = np.minimum(best, rest.sum(axis=-1))
+        loss = rest.sum(axis=-1)
+        # One matrix for all axes: the bounds of two of them do not mix.
+        smaller = (loss / size[..., 0]).sum(axis=-1) < (best / size[..., 0]).sum(axis=-1)
+        best = np.where(smaller[..., None], loss, best)
     return np.asarray((best + np.abs(after.c - before.c)) * (1 + gamma(k)))
 
 

@@ -1,0 +1,84 @@
+"""Order reduction: every method contains the original, exactly; the loss bound is a bound; none is idle."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from reach.containment import contains
+from reach.errors import ReachError
+from reach.reduction import METHODS, mean_width, reduce, reduction_loss
+from reach.zonotope import Zonotope
+
+from .strategies import directions, zonotopes
+
+EVERY = [*METHODS, "auto"]
+
+
+@settings(max_examples=40)
+@given(zonotopes(), st.sampled_from(EVERY), st.sampled_from([1, 1.5, 2]))
+def test_every_method_contains_the_original_without_rounding_in_the_way(z, method, order):
+    small = reduce(z, order, method)
+    assert small.order_count <= max(int(order * z.dim), 0) or small is z
+    assert contains(small, z, "exact").holds is True
+    loss = reduction_loss(z, small)
+    D = directions(z.dim)
+    assert np.all(small.support_down(D) <= z.support_up(D) + np.abs(D) @ loss)
+
+
+@pytest.mark.parametrize("method", EVERY)
+def test_random_sets_with_mixed_units_are_contained_exactly(method):
+    rng = np.random.default_rng(3)
+    for n, g in [(2, 9), (3, 8), (4, 8)]:
+        z = Zonotope(rng.normal(size=n), rng.normal(size=(n, g)) * 10.0 ** rng.uniform(-6, 6, (n, 1)))
+        assert contains(reduce(z, 1.5, method), z, "exact", most=10**5).holds is True
+
+
+@pytest.mark.parametrize("method", EVERY)
+def test_a_stack_is_reduced_member_by_member(method):
+    rng = np.random.default_rng(0)
+    stack = Zonotope(rng.normal(size=(2, 3, 3)), rng.normal(size=(2, 3, 3, 11)))
+    small = reduce(stack, 2, method)
+    assert small.batch == (2, 3) and small.order_count == 6
+    for at in np.ndindex(2, 3):
+        alone = reduce(stack[at], 2, method)
+        assert np.allclose(alone.support(directions(3)), small[at].support(directions(3)))
+    assert np.all(reduction_loss(stack, small) >= 0)
+
+
+@pytest.mark.parametrize("method", ["girard", "combastel", "scott", "pca"])
+def test_aligned_generators_are_merged_without_loss(method):
+    z = Zonotope([0.0, 0.0], [[1.0, 0.5, 0.0, 0.25], [0.0, 0.0, 2.0, 0.0]])
+    small = reduce(z, 1, method)
+    assert np.allclose(small.half_widths, z.half_widths, rtol=1e-12)
+    assert np.all(reduction_loss(z, small) < 1e-9)
+
+
+def test_auto_is_never_wider_than_a_single_method():
+    rng = np.random.default_rng(1)
+    stack = Zonotope(np.zeros((20, 4)), rng.normal(size=(20, 4, 24)))
+    size = np.exp2(np.round(np.log2(stack.half_widths)))[..., None]
+    widths = {name: mean_width(reduce(stack, 2, name).G / size) for name in EVERY}
+    for name in METHODS:
+        assert np.all(widths["auto"] <= widths[name] * (1 + 1e-12))
+
+
+def test_what_is_not_reduced_loses_nothing_and_a_bigger_set_loses_what_it_added():
+    z = Zonotope([0.0, 0.0], [[1.0, 0.5], [0.0, 2.0]])
+    assert reduce(z, 1.0) is z and np.all(reduction_loss(z, z) < 1e-14)
+    assert np.allclose(reduction_loss(z, z.inflate([0.25, 0])), [0.25, 0])
+    assert np.allclose(reduction_loss(z, z + [0.5, 0]), [0.5, 0])
+
+
+@pytest.mark.parametrize(
+    ("ask", "says"),
+    [
+        (lambda z: reduce(z, 0.5), "at least 1, got 0.5"),
+        (lambda z: reduce(z, np.nan), "at least 1"),
+        (lambda z: reduce(z, 1, "best"), "method must be 'auto' or one of"),
+        (lambda z: reduction_loss(z, Zonotope.point([0.0])), "dimensions 2 and 1"),
+    ],
+)
+def test_malformed_questions_are_one_clear_error(ask, says):
+    with pytest.raises(ReachError, match=says):
+        ask(Zonotope([0.0, 0.0], np.eye(2)))
