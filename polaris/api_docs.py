@@ -1,6 +1,6 @@
-"""Write the page of the Python interface, ``docs/api.md``, from the docstrings of the public names.
+"""Write the pages of the Python interfaces, ``docs/*api.md``, from the docstrings of the public names.
 
-Run ``python -m polaris.api_docs`` after a change to a public name; a test compares the file.
+Run ``python -m polaris.api_docs`` after a change to a public name; a test compares the files.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ import re
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import polaris
-
-API_FILE = "api.md"
+import reach
 
 GROUPS = {
     "The two algorithms": ("get_safety", "synthesize", "SwitchingRules"),
@@ -60,7 +60,43 @@ GROUPS = {
     "Hill's frame": ("free_flight", "elliptical_nmt"),
     "Errors": ("PolarisError", "ScenarioError", "SynthesisInfeasible", "NotCertified"),
 }
-"""Every public name but ``__version__``, in the order of the page."""
+"""Every public name of `polaris` but ``__version__``, in the order of the page."""
+
+REACH_GROUPS = {
+    "Systems": ("LinearSystem",),
+    "Tubes": ("support_tube", "SupportTube", "zonotope_tube", "ZonotopeTube"),
+    "Verification": ("verify", "Always", "Never", "Verdict", "Trajectory", "simulate", "worst_case"),
+    "Sets": ("Interval", "Zonotope", "HPolytope", "Ellipsoid", "AffineImage", "MinkowskiSum", "ConvexSet"),
+    "Questions about sets": ("contains", "disjoint", "Answer", "largest_norm", "NormBracket"),
+    "Enclosures": (
+        "reduce",
+        "reduction_loss",
+        "enclosing_hull",
+        "meet_halfspace",
+        "ball_generators",
+        "clip_relaxation",
+        "outline",
+    ),
+    "Switched systems": (
+        "HybridAutomaton",
+        "Mode",
+        "Transition",
+        "hybrid_tube",
+        "HybridTube",
+        "Segment",
+        "Fan",
+        "verify_hybrid",
+        "HybridVerdict",
+        "falsify_hybrid",
+        "simulate_hybrid",
+        "replay_hybrid",
+        "HybridTrajectory",
+        "Visit",
+    ),
+    "Closed loops and exponentials": ("LinearFlow", "state_scale", "discretize", "growth", "powers"),
+    "Errors": ("ReachError",),
+}
+"""Every public name of `reach`, in the order of the page."""
 
 _INTERNAL = ("path",)
 """Arguments that only say what messages call a thing."""
@@ -78,18 +114,43 @@ Hill's frame are `[r_x, r_y, r_z, v_x, v_y, v_z]` with x radial, y along-track a
 those of [theory](theory.md).
 """
 
+_REACH_INTRODUCTION = """\
+# Interface of `reach`
 
-def api_text() -> str:
-    """The page as Markdown."""
-    lines = [_INTRODUCTION]
-    for group, names in GROUPS.items():
-        lines += [f"## {group}", "", "| | |", "|---|---|"]
-        for name in names:
-            lines.append(f"| [`{name}`](#{name.lower()}) | {_cell(_summary(getattr(polaris, name)))} |")
-        lines.append("")
-        for name in names:
-            lines += [*_entry(name, getattr(polaris, name)), ""]
-    return "\n".join(lines).rstrip() + "\n"
+<!-- Generated from the docstrings by `python -m polaris.api_docs`. Do not edit. -->
+
+Everything below is imported from `reach`, as in `reach.verify(...)`. Units are yours: whatever the matrices
+are in. Sets and results are frozen dataclasses; leading axes of a set's arrays are a stack of sets.
+"""
+
+
+@dataclasses.dataclass(frozen=True)
+class Page:
+    """One page: the file, the package, what stands first, and its names in groups."""
+
+    file: str
+    package: ModuleType
+    introduction: str
+    groups: dict[str, tuple[str, ...]]
+
+    def text(self) -> str:
+        """The page as Markdown."""
+        lines = [self.introduction]
+        for group, names in self.groups.items():
+            things = [getattr(self.package, name) for name in names]
+            lines += [f"## {group}", "", "| | |", "|---|---|"]
+            for name, thing in zip(names, things, strict=True):
+                lines.append(f"| [`{name}`](#{name.lower()}) | {_cell(_summary(thing))} |")
+            lines.append("")
+            for name, thing in zip(names, things, strict=True):
+                lines += [*_entry(name, thing), ""]
+        return "\n".join(lines).rstrip() + "\n"
+
+
+PAGES = (
+    Page("api.md", polaris, _INTRODUCTION, GROUPS),
+    Page("reach-api.md", reach, _REACH_INTRODUCTION, REACH_GROUPS),
+)
 
 
 def _summary(thing: Any) -> str:
@@ -202,18 +263,18 @@ def _members(thing: Any) -> Iterator[tuple[str, str]]:
             yield _signature(key, member).replace("(self, ", "(").replace("(self)", "()"), _summary(member)
 
 
-def write(folder: Path) -> Path:
-    """Write the page into a folder; returns its path."""
+def write(folder: Path) -> list[Path]:
+    """Write the pages into a folder; returns their paths."""
     folder.mkdir(parents=True, exist_ok=True)
-    path = folder / API_FILE
-    path.write_text(api_text(), encoding="utf-8", newline="\n")
-    return path
+    for page in PAGES:
+        (folder / page.file).write_text(page.text(), encoding="utf-8", newline="\n")
+    return [folder / page.file for page in PAGES]
 
 
 def main() -> None:
     """Write into ``docs`` beside the package, or into the folder given as an argument."""
     folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).resolve().parents[1] / "docs"
-    print(write(folder))
+    print(*write(folder), sep="\n")
 
 
 if __name__ == "__main__":

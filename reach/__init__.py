@@ -9,6 +9,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from .answer import Answer
     from .automaton import HybridAutomaton, Mode, Transition
     from .ball import ball_generators
     from .containment import contains
@@ -33,13 +34,14 @@ if TYPE_CHECKING:
     from .segments import HybridTube, Segment
     from .separation import disjoint
     from .systems import LinearSystem
+    from .trajectory import Trajectory, simulate, worst_case
     from .tube_support import SupportTube, support_tube
     from .tube_zonotope import ZonotopeTube, zonotope_tube
-    from .verdict import Verdict
     from .verification import Always, Never, Verdict, verify
     from .zonotope import Zonotope
 
 _HOMES = {
+    ".answer": ("Answer",),
     ".automaton": ("HybridAutomaton", "Mode", "Transition"),
     ".ball": ("ball_generators",),
     ".containment": ("contains",),
@@ -63,9 +65,9 @@ _HOMES = {
     ".relaxation": ("clip_relaxation",),
     ".segments": ("HybridTube", "Segment"),
     ".separation": ("disjoint",),
+    ".trajectory": ("Trajectory", "simulate", "worst_case"),
     ".tube_support": ("SupportTube", "support_tube"),
     ".systems": ("LinearSystem",),
-    ".verdict": ("Verdict",),
     ".verification": ("Always", "Never", "Verdict", "verify"),
     ".zonotope": ("Zonotope",),
     ".tube_zonotope": ("ZonotopeTube", "zonotope_tube"),
@@ -77,6 +79,7 @@ _HOME = {name: home for home, names in _HOMES.items() for name in names}
 __all__ = [
     "AffineImage",
     "Always",
+    "Answer",
     "ConvexSet",
     "Ellipsoid",
     "Fan",
@@ -95,6 +98,7 @@ __all__ = [
     "ReachError",
     "Segment",
     "SupportTube",
+    "Trajectory",
     "Transition",
     "Verdict",
     "Visit",
@@ -116,11 +120,13 @@ __all__ = [
     "reduce",
     "reduction_loss",
     "replay_hybrid",
+    "simulate",
     "simulate_hybrid",
     "state_scale",
     "support_tube",
     "verify",
     "verify_hybrid",
+    "worst_case",
     "zonotope_tube",
 ]
 

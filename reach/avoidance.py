@@ -116,7 +116,8 @@ def verify_never(
         if window[1] == 0:
             t, bounds = np.zeros(1), np.asarray(initial.support(D))[None]
         else:
-            tube = sharp_tube(system, initial, window[1], D, share * size, least)
+            between = least if window[0] < window[1] else np.full(len(D), np.inf)
+            tube = sharp_tube(system, initial, window[1], D, share * size, between)
             t, bounds = _seen(tube, window)
             steps, step = len(tube.times) - 1, float(np.min(np.diff(tube.times)))
         room = (least - bounds) / np.linalg.norm(D, axis=1)
