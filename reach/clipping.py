@@ -81,7 +81,7 @@ def clip(Z: Zonotope, H: Array, low: Array, high: Array) -> tuple[Zonotope, NDAr
     narrowed, meets = _narrow(Z, H, lows, highs, meets)
     cut, grew = narrowed, False
     for j in range(len(H)):
-        cut, changed = _strip(cut, H[j], lows[:, j], highs[:, j], meets)
+        cut, changed = _strip(cut, H[j], lows[:, j], highs[:, j], slack[:, j], meets)
         grew = grew or changed
     if grew:
         cut, meets = _narrow(cut, H, lows, highs, meets)
@@ -122,12 +122,17 @@ def _narrow(
     return Zonotope(Z.c + (Z.G @ middle[..., None])[..., 0], Z.G * half[:, None, :]), meets
 
 
-def _strip(Z: Zonotope, h: Array, low: Array, high: Array, meets: NDArray[np.bool_]) -> tuple[Zonotope, bool]:
-    """Intersect with one strip by one more generator, where that is worth it."""
+def _strip(
+    Z: Zonotope, h: Array, low: Array, high: Array, slack: Array, meets: NDArray[np.bool_]
+) -> tuple[Zonotope, bool]:
+    """Intersect with one strip by one more generator, where that is worth it.
+
+    The gain may be large, so what rounding does to values of ``h x`` is booked in the strip itself.
+    """
     a = (h @ Z.G).reshape(len(Z), -1)
     d, reach = Z.c @ h, np.abs(a).sum(axis=1)
     low, high = np.maximum(low, d - reach), np.minimum(high, d + reach)
-    s, middle = np.maximum((high - low) / 2, 0), (high + low) / 2
+    s, middle = np.maximum((high - low) / 2, 0) + 2 * slack, (high + low) / 2
     worth = meets & (s < WORTH * reach)
     if not np.any(worth):
         return Z, False

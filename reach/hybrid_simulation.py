@@ -174,11 +174,21 @@ class _Motion:
         """Last time in the invariant, and whether it is left before `most`."""
         times, states = self.samples(most)
         self.size = np.abs(states).max(axis=0)
-        outside = ~inside(self.mode.invariant, states, self.size)
+        region = self._relaxed()
+        outside = ~inside(region, states, self.size)
         if not np.any(outside):
             return most, False
         k = int(np.argmax(outside))
-        return (0.0 if k == 0 else self.bisect(times[k - 1], times[k], self.mode.invariant, True)), True
+        return (0.0 if k == 0 else self.bisect(times[k - 1], times[k], region, True)), True
+
+    def _relaxed(self) -> HPolytope | None:
+        """The invariant; a face that the start is on, or beyond by a replay's tolerance, goes through it."""
+        region = self.mode.invariant
+        if region is None:
+            return None
+        values = region.A @ self.z[: self.n]
+        near = values <= region.b + REPLAYED / 10 * (np.abs(region.A) @ self.size + np.abs(region.b))
+        return HPolytope(region.A, np.where(near, np.maximum(region.b, values), region.b))
 
     def bisect(self, low: float, high: float, region: HPolytope | None, holds: bool) -> float:
         """Time at which being in a region changes from `holds`; the side on which it is inside."""

@@ -28,7 +28,7 @@ def test_platoon():
 def test_gearbox():
     row = gearbox.run("GRBX01")
     assert row.verdict == "proven"
-    assert row.reached <= row.bound < gearbox.IMPULSE
+    assert 0.99 * row.bound <= row.reached <= row.bound < gearbox.IMPULSE
 
 
 def test_powertrain():
