@@ -159,7 +159,7 @@ def main() -> None:
                 done = result[2] is None and result[3].status == "optimal"
                 spent[way] = result[1] if done else float("nan")
             ratios[name] = spent
-        print("\nprocessor time over that of Gurobi (nan: not optimal in the time given, or beyond the licence)")
+        print("\nprocessor time over that of Gurobi (nan: no optimum in the time given)")
         for name, spent in ratios.items():
             tree, highs = (spent[way] / spent["Gurobi"] for way in ("tree", "HiGHS"))
             print(f"{name:31s}  tree {tree:6.2f}   HiGHS {highs:6.2f}")
