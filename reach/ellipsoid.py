@@ -165,19 +165,19 @@ class Ellipsoid(SetOperators):
         """Zonotope around the set: the image of `reach.ball_generators`, or a parallelotope in a frame.
 
         Without a frame the excess is that of the unit ball of the rank of L: none in one dimension,
-        2 % in two, 10 % in three; above, a box along the principal axes.
+        2 % in two, 10 % in three; above, a box along the principal axes (axes scaled alike).
         """
         if frame is not None:
             return super().enclosing_zonotope(frame)
-        U, s, _ = np.linalg.svd(self.L, full_matrices=False)
+        size = np.linalg.norm(self.L, axis=1)
+        U, s, _ = np.linalg.svd(self.L / np.where(size > 0, size, 1.0)[:, None], full_matrices=False)
         live = s > 0
         if not live.any():
             return Zonotope.point(self.c)
-        axes = U[:, live] * s[live]
-        # U S V^T is L to rounding only; what it misses lies in a box.
+        ball = ball_generators(int(live.sum()), 1.0)
+        # U S V^T is the scaled L to rounding only; what it misses lies in a box.
         missed = gamma(self.terms) * float(s.max()) * self.dim
-        ball = Zonotope(self.c, axes @ ball_generators(int(live.sum()), 1.0))
-        return ball.inflate(missed * np.where(self.L.any(axis=1), 1.0, 0.0))
+        return Zonotope(self.c, size[:, None] * ((U[:, live] * s[live]) @ ball)).inflate(missed * size)
 
     def volume(self) -> float:
         """Volume ``pi^(n/2) / Gamma(n/2 + 1) sqrt(det(L L^T))``; zero if flat."""

@@ -153,12 +153,8 @@ class HPolytope(SetOperators):
     def support(self, directions: ArrayLike) -> Array:
         """Largest value of each direction, one linear program each, shape (..., r); inf if unbounded.
 
-        The bound of `support_up` where there is one, else what the solver says (1e-9 relative).
-
-        Raises
-        ------
-        ReachError
-            If the set is empty.
+        The bound of `support_up` where there is one, else what the solver says (1e-9 relative). An
+        empty set is refused.
         """
         D = as_vector(directions, self.dim)
         found = self._programs(D)
@@ -274,13 +270,7 @@ class HPolytope(SetOperators):
         return self
 
     def vertices(self) -> Array:
-        """Vertices of a bounded set with an interior, to rounding, shape (k, n); by Qhull.
-
-        Raises
-        ------
-        ReachError
-            If the set is empty, unbounded or flat.
-        """
+        """Vertices to rounding, by Qhull, shape (k, n); an empty, unbounded or flat set is refused."""
         from scipy.spatial import HalfspaceIntersection
 
         hull = self.interval_hull()
