@@ -20,7 +20,8 @@ if TYPE_CHECKING:
     from .flow import LinearFlow, state_scale
     from .hulls import enclosing_hull
     from .hybrid import hybrid_tube
-    from .hybrid_simulation import HybridTrajectory, Visit, replay_hybrid, simulate_hybrid
+    from .hybrid_replay import replay_hybrid
+    from .hybrid_simulation import HybridTrajectory, Visit, simulate_hybrid
     from .hybrid_verification import HybridVerdict, falsify_hybrid, verify_hybrid
     from .intersection import meet_halfspace
     from .interval import Interval
@@ -52,7 +53,8 @@ _HOMES = {
     ".flow": ("LinearFlow", "state_scale"),
     ".hulls": ("enclosing_hull",),
     ".hybrid": ("hybrid_tube",),
-    ".hybrid_simulation": ("HybridTrajectory", "Visit", "replay_hybrid", "simulate_hybrid"),
+    ".hybrid_replay": ("replay_hybrid",),
+    ".hybrid_simulation": ("HybridTrajectory", "Visit", "simulate_hybrid"),
     ".hybrid_verification": ("HybridVerdict", "falsify_hybrid", "verify_hybrid"),
     ".intersection": ("meet_halfspace",),
     ".interval": ("Interval",),

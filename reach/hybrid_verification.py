@@ -15,7 +15,8 @@ from .clipping import clip, strips
 from .convex import ConvexSet
 from .errors import ReachError
 from .hybrid import JUMPS, hybrid_tube
-from .hybrid_simulation import HybridTrajectory, Policy, Visit, inside, replay_hybrid, simulate_hybrid
+from .hybrid_replay import replay_hybrid
+from .hybrid_simulation import HybridTrajectory, Policy, Visit, inside, simulate_hybrid
 from .polytope import HPolytope
 from .rounding import gamma
 from .segments import HybridTube, Segment

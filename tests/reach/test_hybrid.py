@@ -48,8 +48,10 @@ def outside(tube, path, rng, looks=5):
             span = segment.span(k_, i_)
             now = (span[:, 0] <= t + 1e-6) & (t - 1e-6 <= span[:, 1])
             sets, meets = segment.cut(k_[now], i_[now])
+            # The simulation finds instants to a tolerance, and a set may be flat: room for both.
+            sets = sets.inflate(np.full(sets.dim, 1e-9 * (1 + np.abs(x).max())))
             hulls = sets.interval_hull()
-            near = meets & np.all((x >= hulls.lo - 1e-9) & (x <= hulls.hi + 1e-9), axis=-1)
+            near = meets & np.all((x >= hulls.lo) & (x <= hulls.hi), axis=-1)
             if any(sets[j].contains(x, slack=1e-6) for j in np.flatnonzero(near)):
                 found = True
                 break
