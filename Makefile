@@ -37,7 +37,8 @@ format: $(TEST) ## Rewrite the code in the project's format
 	$(BIN)/ruff format .
 
 bench: $(BENCH) ## Run the benchmarks and print their tables
-	@for script in benchmarks/[a-z]*.py; do echo "== $$script"; $(BIN)/python "$$script" || exit 1; done
+	@for name in $(basename $(notdir $(wildcard benchmarks/*.py))) arch; do \
+	  echo "== $$name"; $(BIN)/python -m "benchmarks.$$name" || exit 1; done
 
 schema: $(BASE) ## Rewrite the scenario schema, its reference and the API page
 	$(BIN)/python -m polaris.scenario_docs
