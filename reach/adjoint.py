@@ -42,8 +42,8 @@ class Block:
     ----------
     rows : ndarray, shape (m+1, r, n)
         ``d e^{A t}`` at the nodes, in the balanced coordinates.
-    first : ndarray, shape (m+1, r)
-        Support of the initial set at the nodes.
+    first, attained : ndarray, shape (m+1, r)
+        Support of the initial set at the nodes, and what one of its points attains.
     upper, lower : ndarray, shape (m, p, r)
         What one step adds, for each of p input sets: never less than it can, never more than some
         input attains.
@@ -57,6 +57,7 @@ class Block:
 
     rows: Array
     first: Array
+    attained: Array
     upper: Array
     lower: Array
     bow: Array
@@ -109,11 +110,13 @@ class Adjoint:
         both = np.stack([self._sizes[:, 0], self._sizes[:, 1:].sum(axis=1)], axis=1)
         return self.rows.weights(lags, self.rows.weights(lags, both))
 
-    def supports(self, piece: int, rows: Array, order: int = 0) -> Array:
-        """``sup over u in U of rows A^order (B u + c)``, rows in balanced coordinates."""
-        value = rows @ self._c[order]
+    def supports(self, piece: int, rows: Array, attained: bool = False) -> Array:
+        """``sup over u in U of rows (B u + c)``, or what some u attains; rows in balanced coordinates."""
+        value = rows @ self._c[0]
         if self.inputs:
-            value = value + self.inputs[piece].support(times(rows, self._B[order]))
+            along, U = times(rows, self._B[0]), self.inputs[piece]
+            support = U.support(along)
+            value = value + (_attained(U, along, support) if attained else support)
         return np.asarray(value)
 
     def magnitudes(self, piece: int, rows: Array, order: int) -> Array:
@@ -144,14 +147,16 @@ class Adjoint:
         if not np.all(np.isfinite(R)):
             raise Overflow(f"the response grows beyond floating point within {count} steps of {h:g}")
         first = self.initial.support(R / self._shrink)
+        attained = _attained(self.initial, R / self._shrink, first)
         size = np.moveaxis(np.abs(R) @ self.weights, -1, 0)
         size = size + 1e-40 * np.abs(R).max(axis=-1) * self.weights.sum(axis=0)[:, None, None]
         shape = (count, self.pieces, R.shape[1])
         upper, lower, bend = np.empty(shape), np.empty(shape), np.zeros(shape)
         if self.system.discrete:
             for i in range(self.pieces):
-                upper[:, i] = lower[:, i] = self.supports(i, R[:-1])
-            return Block(R, first, upper, lower, np.zeros((count, R.shape[1])), bend, size)
+                upper[:, i] = self.supports(i, R[:-1])
+                lower[:, i] = self.supports(i, R[:-1], attained=True)
+            return Block(R, first, attained, upper, lower, np.zeros((count, R.shape[1])), bend, size)
         R2 = self._curved(R)
         with np.errstate(over="ignore", invalid="ignore"):
             closing = np.abs(self._curved(R2)[:-1]) @ self.rows.closing(h, self._sizes)
@@ -163,9 +168,9 @@ class Adjoint:
             q1 = _ends(self.magnitudes(i, R, 1)) + h / 2 * q2
             rest = h**3 / 12 * q2
             upper[:, i] = h / 2 * (value[:-1] + value[1:]) + rest
-            lower[:, i] = h * self.supports(i, (R[:-1] + R[1:]) / 2) - rest
+            lower[:, i] = h * self.supports(i, (R[:-1] + R[1:]) / 2, attained=True) - rest
             bend[:, i] = h**2 / 8 * q1
-        return Block(R, first, upper, lower, h**2 / 8 * p2, bend, size)
+        return Block(R, first, attained, upper, lower, h**2 / 8 * p2, bend, size)
 
     def _curved(self, rows: Array) -> Array:
         """``rows A^2``, the second derivative."""
@@ -188,6 +193,11 @@ def _scaled(body: ConvexSet, s: Array) -> tuple[Any, Array | float]:
 def is_symmetric(body: ConvexSet) -> bool:
     """Whether a set is known to be symmetric about its centre."""
     return isinstance(body, Interval | Zonotope | Ellipsoid)
+
+
+def _attained(body: Any, rows: Array, support: Array) -> Array:
+    """What is proved to be attained, where the support is found by a program and is an upper bound."""
+    return support if is_symmetric(body) or not hasattr(body, "support_down") else body.support_down(rows)
 
 
 def _magnitude(body: ConvexSet, rows: Array, shift: Array | float = 0.0) -> Array:

@@ -10,11 +10,11 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import expm
 
 from .adjoint import Adjoint
+from .centering import centered
 from .errors import ReachError
 from .march import MAX_STEPS, substeps
 from .rows import ROUNDING, times
 from .systems import LinearSystem
-from .tube_zonotope import centered
 from .zonotope import Zonotope
 
 Array = NDArray[np.float64]

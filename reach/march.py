@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from .adjoint import Adjoint, Block, Overflow
 from .errors import ReachError
+from .pieces import bends, piece_starts, totals
 from .rows import ROUNDING
-from .systems import LinearSystem
 
 Array = NDArray[np.float64]
 
@@ -33,8 +33,8 @@ class March:
     Attributes
     ----------
     times : ndarray, shape (K+1,)
-    first : ndarray, shape (K+1, r)
-        Support of the initial set alone, at the nodes.
+    first, attained : ndarray, shape (K+1, r)
+        Support of the initial set alone, at the nodes, and what one of its points attains.
     upper, lower : ndarray, shape (K+1, r)
         Support of the response to the inputs alone: bound and attained value.
     bow, bend : ndarray, shape (K, r)
@@ -47,6 +47,7 @@ class March:
 
     times: Array
     first: Array
+    attained: Array
     upper: Array
     lower: Array
     bow: Array
@@ -62,6 +63,7 @@ class March:
         return March(
             self.times[::s],
             self.first[::s],
+            self.attained[::s],
             self.upper[::s],
             self.lower[::s],
             coarse[0],
@@ -215,16 +217,15 @@ def collect(
     found: list[tuple[Array, ...]] = []
     begin: tuple[Array, ...] = ()
     for h, block in blocks:
-        nodes = (block.first, block.rows if keep else block.first, *block.size)
+        nodes = (block.first, block.attained, block.rows if keep else block.first, *block.size)
         begin = begin or tuple(node[:1] for node in nodes)
         between = (np.full(len(block.bow), h), block.upper, block.lower, block.bow, block.bend)
         found.append((*(node[1:] for node in nodes), *between))
-    first, rows, states, rates, steps, upper, lower, bow, bend = (
+    first, attained, rows, states, rates, steps, upper, lower, bow, bend = (
         np.concatenate(p) for p in zip(*found, strict=True)
     )
-    first, rows, states, rates = (
-        np.concatenate([b, p]) for b, p in zip(begin, (first, rows, states, rates), strict=True)
-    )
+    nodes = (first, attained, rows, states, rates)
+    first, attained, rows, states, rates = (np.concatenate([b, p]) for b, p in zip(begin, nodes, strict=True))
     # Where steps differ they are powers of two of the horizon, so that their sum is exact.
     times = np.r_[0.0, horizon * np.cumsum(steps / horizon)]
     if not np.ptp(steps):
@@ -234,6 +235,7 @@ def collect(
     return March(
         times,
         first,
+        attained,
         totals(upper, starts),
         totals(lower, starts),
         bow,
@@ -262,44 +264,3 @@ def booked(
     work = adjoint.system.dim + np.r_[0.0, np.cumsum(1 + steps * adjoint.rows.norm)]
     total = np.vstack([np.zeros((1, len(D))), np.cumsum(steps[:, None] * change[1:], axis=0)])
     return np.asarray(ROUNDING * work[:, None] * (state + total) + missed * np.maximum.accumulate(rates))
-
-
-def piece_starts(system: LinearSystem, times: Array, parts: int) -> tuple[list[int], float]:
-    """Node at which every input set begins, and the most that a break lies off its node."""
-    starts, missed = [0], 0.0
-    for b in system.breaks:
-        if b >= times[-1]:
-            starts.append(len(times))
-            continue
-        k = parts * int(np.argmin(np.abs(times[::parts] - b)))
-        off = float(abs(times[k] - b))
-        if off > (0.0 if system.discrete else 1e-9 * times[-1]):
-            raise ReachError(f"the break at {b:g} is not a node: the step must divide it")
-        starts.append(k)
-        missed = max(missed, off)
-    return starts, missed
-
-
-def totals(steps: Array, starts: list[int]) -> Array:
-    """Integral of the inputs at every node from what the steps add per input set, shape (K+1, r).
-
-    At time t the set that begins at b and ends at e has acted over the lags ``t - e`` to ``t - b``.
-    """
-    K, pieces, r = steps.shape
-    sums = np.concatenate([np.zeros((1, pieces, r)), np.cumsum(steps, axis=0)])
-    out, k = np.zeros((K + 1, r)), np.arange(K + 1)
-    for i in range(pieces):
-        out += sums[np.maximum(k - starts[i], 0), i]
-        if i + 1 < pieces:
-            out -= sums[np.maximum(k - starts[i + 1], 0), i]
-    return out
-
-
-def bends(bend: Array, starts: list[int]) -> Array:
-    """Bow of the integral between nodes, shape (K, r): the rates at both ends of every set's lags."""
-    K, pieces, r = bend.shape
-    out = np.zeros((K, r))
-    for i in range(pieces):
-        for start in starts[i : i + 2]:
-            out[start:] += bend[: max(K - start, 0), i]
-    return out

@@ -72,7 +72,8 @@ class Rows:
         self.scale = s = np.ones(system.dim) if system.discrete else balance(system.A)
         A = sparse.csr_matrix(system.A)
         A = sparse.csr_matrix(sparse.diags(1 / s) @ A @ sparse.diags(s))
-        self.parts = None if system.discrete else _parts(A)
+        self.parts, self.constants = _parts(A)
+        self.parts = None if system.discrete else self.parts
         thin = system.sparse or A.nnz < SPARSE * A.shape[0] ** 2
         self.A = A if thin else A.toarray()
         self.norm = float(np.max(np.asarray(abs(A).sum(axis=1)), initial=0.0))
@@ -96,10 +97,13 @@ class Rows:
     def _exponential(self, A: Any, h: float) -> Any:
         if self.parts is None:
             return flushed(expm(A * h) if isinstance(A, np.ndarray) else taylor(A, h))
-        rows, columns = np.broadcast_arrays(self.parts[:, :, None], self.parts[:, None, :])
-        place = rows.ravel(), columns.ravel()
-        blocks = flushed(expm(np.asarray(A[place]).reshape(rows.shape) * h))
-        return sparse.csr_matrix((blocks.ravel(), place), shape=A.shape)
+        # Every part is joined by the constants, which act on all of them and change by none.
+        size, k = self.parts.shape[1], self.constants
+        blocks = np.hstack([self.parts, np.tile(k, (len(self.parts), 1))])
+        rows, columns = np.broadcast_arrays(blocks[:, :, None], blocks[:, None, :])
+        found = flushed(expm(np.asarray(A[rows.ravel(), columns.ravel()]).reshape(rows.shape) * h))
+        place = np.r_[rows[:, :size].ravel(), k], np.r_[columns[:, :size].ravel(), k]
+        return sparse.csr_matrix((np.r_[found[:, :size].ravel(), np.ones(len(k))], place), shape=A.shape)
 
     def carry(self, rows: Array, h: float, count: int) -> Array:
         """``rows e^{A h l}`` for l = 0..count, shape (count+1, r, n); rows of shape (r, n)."""
@@ -165,9 +169,9 @@ class Rows:
             ratio = np.divide(grown, weights, out=np.where(grown > 0, np.inf, 1.0), where=weights > 0)
             most = np.where(seen[None] > 0, ratio.T[:, None], 0.0).max(axis=2)
             logs[i] = np.log(np.maximum(most, 1e-300))
-        t = np.asarray(lags)[:, None, None]
-        rates = np.concatenate([np.zeros((1, q, r)), logs / t])
-        excess = np.maximum(logs - rates[:, None] * t, 0).sum(axis=1)
+        lag = np.asarray(lags)[:, None, None]
+        rates = np.concatenate([np.zeros((1, q, r)), logs / lag])
+        excess = np.maximum(logs - rates[:, None] * lag, 0).sum(axis=1)
         # Any of these rates will do. Take the lowest of those that bound the growth over all lags well.
         total = excess + np.maximum(rates, 0) * lags[-1]
         good = np.where(total <= total.min(axis=0) + 1, rates, np.inf).argmin(axis=0)[None]
@@ -263,10 +267,18 @@ def _dense(A: Any) -> Array:
     return A if isinstance(A, np.ndarray) else np.asarray(A.toarray())
 
 
-def _parts(A: Any) -> NDArray[np.intp] | None:
-    """Indices of the independent parts of A, shape (p, size), if all have one small size."""
-    count, label = connected_components(A, directed=False)
+def _parts(A: Any) -> tuple[NDArray[np.intp] | None, NDArray[np.intp]]:
+    """Indices of the independent parts of A, shape (p, size), if all have one small size; constants.
+
+    A constant is a state that nothing acts on; it may act on every part.
+    """
+    A.eliminate_zeros()
+    active = np.diff(A.indptr) > 0
+    constant = ~active & (np.diff(A.tocsc().indptr) > 0)
+    inner = np.nonzero(~constant)[0]
+    count, label = connected_components(A[inner][:, inner], directed=False)
     sizes = np.bincount(label)
-    if count == 1 or np.ptp(sizes) or sizes[0] > SMALL_PART:
-        return None
-    return np.argsort(label, kind="stable").reshape(count, sizes[0])
+    constants = np.nonzero(constant)[0]
+    if count < 2 or np.ptp(sizes) or sizes[0] + len(constants) > SMALL_PART:
+        return None, constants
+    return inner[np.argsort(label, kind="stable")].reshape(count, sizes[0]), constants

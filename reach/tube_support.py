@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .adjoint import Adjoint
+from .centering import centered
 from .convex import ConvexSet
 from .errors import ReachError
 from .march import march, substeps
@@ -108,10 +109,12 @@ def support_tube(
     D = np.atleast_2d(numbers("directions", directions))
     if D.ndim != 2 or D.shape[1] != system.dim or len(D) == 0 or not np.all(np.isfinite(D)):
         raise ReachError(f"directions must be finite rows of length {system.dim}, got shape {D.shape}")
-    adjoint = Adjoint(system, initial)
+    around, start = (system, initial) if system.discrete else centered(system, initial)
+    rows = np.hstack([D, np.zeros((len(D), around.dim - system.dim))])
+    adjoint = Adjoint(around, start)
     parts = substeps(adjoint, step)
-    run = march(adjoint, D, horizon, step, tolerance, limit, substeps=parts)
-    upper, lower = run.first + run.upper + run.rounding, run.first + run.lower - run.rounding
+    run = march(adjoint, rows, horizon, step, tolerance, limit, substeps=parts)
+    upper, lower = run.first + run.upper + run.rounding, run.attained + run.lower - run.rounding
     interval = np.maximum(upper[1:], upper[:-1]) + run.bow + run.bend
     interval = interval.reshape(-1, parts, len(D)).max(axis=1)
     coarse = run.every(parts)

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import sparse
 
 from .adjoint import Adjoint, is_symmetric
+from .centering import centered
 from .convex import ConvexSet
 from .errors import ReachError
 from .march import March, march, substeps
 from .rows import ROUNDING
-from .systems import LinearSystem
+from .systems import LinearSystem, numbers, single_set
 from .tube_support import locate
 from .zonotope import Zonotope
 
@@ -46,7 +45,11 @@ class ZonotopeTube:
 
     @property
     def intervals(self) -> Zonotope:
-        """``x(t)`` lies in ``intervals[k]`` for every t in ``[times[k], times[k+1]]``; batch (K,)."""
+        """``x(t)`` lies in ``intervals[k]`` for every t in ``[times[k], times[k+1]]``; batch (K,).
+
+        One zonotope around two is larger than their hull, by as much as generators change within a
+        step; `support` is tighter by an order of the step.
+        """
         n = self.nodes.dim
         g = self.nodes.order_count - n
         before, after = self.nodes[:-1], self.nodes[1:]
@@ -64,6 +67,12 @@ class ZonotopeTube:
         extra = self.frame * (4 * s * (1 - s) * self.bow[k])[:, None, :]
         n = self.nodes.dim
         return Zonotope(c, np.concatenate([G[..., :-n], G[..., -n:] + extra], axis=-1))
+
+    def support(self, directions: ArrayLike) -> Array:
+        """Bounds on ``d x(t)`` over every interval for rows d, shape (K, r) for rows (r, n)."""
+        D = np.atleast_2d(numbers("directions", directions))
+        nodes = self.nodes.support(D)
+        return np.asarray(np.maximum(nodes[1:], nodes[:-1]) + self.bow @ np.abs(D @ self.frame).T)
 
     @property
     def _widths(self) -> Array:
@@ -108,12 +117,13 @@ def zonotope_tube(
     ReachError
         If the frame is singular, shapes do not fit, or the tolerance cannot be met.
     """
-    F = np.eye(system.dim) if frame is None else np.asarray(frame, dtype=float)
+    F = np.eye(system.dim) if frame is None else numbers("frame", frame)
     if F.shape != (system.dim,) * 2 or not np.all(np.isfinite(F)) or np.linalg.matrix_rank(F) < len(F):
         raise ReachError(f"the frame must be an invertible matrix of {system.dim} rows")
-    start = initial if isinstance(initial, Zonotope) else initial.interval_hull().to_zonotope()
-    around, start = centered(system, start)
-    inverse = np.linalg.inv(F)
+    single_set("the initial set", initial)
+    hull = initial if isinstance(initial, Zonotope) else initial.interval_hull().to_zonotope()
+    around, start = centered(system, hull)
+    inverse: Array = np.asarray(np.linalg.inv(F))
     rows = np.hstack([inverse, np.zeros((len(F), around.dim - system.dim))])
     if len(around.U) > 1 or not all(is_symmetric(U) for U in around.U):
         rows = np.vstack([rows, -rows])
@@ -135,25 +145,3 @@ def _enclose(run: March, start: Zonotope, F: Array, inverse: Array) -> ZonotopeT
     G = np.concatenate([F @ image.G, F * widths[:, None, :]], axis=-1)
     bow = np.maximum(run.bow[:, :n], run.bow[:, -n:]) + np.maximum(run.bend[:, :n], run.bend[:, -n:])
     return ZonotopeTube(run.times, Zonotope((image.c + middle) @ F.T, G), bow, F)
-
-
-def centered(system: LinearSystem, start: Zonotope) -> tuple[LinearSystem, Zonotope]:
-    """The system with its drift and the centre of its input moved into one more state, constantly 1."""
-    inputs, drift = system.U, system.c
-    if len(inputs) == 1:
-        drift = drift + np.asarray(system.B @ inputs[0].center).ravel()
-        inputs = (inputs[0] + (-inputs[0].center),)
-    if not np.any(drift):
-        return replace(system, U=inputs or None, B=system.B if inputs else None, c=None), start
-    n, m = system.dim, system.inputs
-    one = 1.0 if system.discrete else 0.0
-    A: Any = np.zeros((n + 1, n + 1))
-    if system.sparse:
-        A = sparse.bmat([[system.A, drift[:, None]], [None, [[one]]]], format="csr")
-        B = sparse.vstack([system.B, sparse.csr_matrix((1, m))])
-    else:
-        A[:n, :n], A[:n, n], A[n, n] = system.A, drift, one
-        B = np.vstack([sparse.csr_matrix(system.B).toarray(), np.zeros((1, m))])
-    G = np.vstack([start.G, np.zeros((1, start.order_count))])
-    bigger = LinearSystem(A, B if inputs else None, inputs or None, None, system.breaks, system.discrete)
-    return bigger, Zonotope(np.r_[start.c, 1.0], G)
