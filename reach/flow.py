@@ -195,7 +195,7 @@ class LinearFlow:
         ball = ball_generators(self.D.shape[1], self.w_max)
         return self.input_zonotope(self.D, ball, np.linalg.norm(self.D, axis=1) * self.w_max)
 
-    def disturbance_nodes(self, count: int, order: float = 3.0) -> Zonotope:
+    def disturbance_nodes(self, count: int, order: float = 30.0) -> Zonotope:
         """Zonotopes enclosing the response to the disturbance at nodes 0..count from a rest start.
 
         Every node's sum is formed in full and reduced once, so nothing is enclosed twice.
@@ -206,7 +206,7 @@ class LinearFlow:
         parts = [Zonotope.point(np.zeros(n))]
         for i in range(1, count + 1):
             full = np.moveaxis(blocks[:i], 0, 1).reshape(n, -1)
-            parts.append(Zonotope(np.zeros(n), full).reduce(order, "girard"))
+            parts.append(Zonotope(np.zeros(n), full).reduce(order))
         return Zonotope.stack(parts)
 
 

@@ -155,8 +155,10 @@ class Rows:
     def amplification(self, rows: Array, lags: list[float], weights: Array) -> tuple[Array, Array]:
         """Numbers a and b with ``norm(e e^{A t}) <= norm(e) exp(a + b t)``, each (q, r).
 
-        For any perturbation e of the states that one of r rows depends on, any sum t of different
-        lags, and the norm ``sum |e_i| w_i`` of each of the q weights.
+        For perturbations e of the states that one of r rows depends on, and the norm ``sum |e_i| w_i``
+        of each of the q weights; measured at the lags, with a factor of 2 for the times between.
+        (The product over the lags that make up a time would be a bound, but one out of all
+        proportion: every lag adds the norm's own distortion.)
         """
         r, q = len(rows), weights.shape[1]
         if not lags:
@@ -171,7 +173,7 @@ class Rows:
             logs[i] = np.log(np.maximum(most, 1e-300))
         lag = np.asarray(lags)[:, None, None]
         rates = np.concatenate([np.zeros((1, q, r)), logs / lag])
-        excess = np.maximum(logs - rates[:, None] * lag, 0).sum(axis=1)
+        excess = np.maximum(logs - rates[:, None] * lag, 0).max(axis=1) + np.log(2)
         # Any of these rates will do. Take the lowest of those that bound the growth over all lags well.
         total = excess + np.maximum(rates, 0) * lags[-1]
         good = np.where(total <= total.min(axis=0) + 1, rates, np.inf).argmin(axis=0)[None]
