@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from .relaxation import clip_relaxation
     from .segments import HybridTube, Segment
     from .separation import disjoint
+    from .signals import Signal
     from .systems import LinearSystem
     from .trajectory import Trajectory, simulate, worst_case
     from .tube_support import SupportTube, support_tube
@@ -69,6 +70,7 @@ _HOMES = {
     ".separation": ("disjoint",),
     ".trajectory": ("Trajectory", "simulate", "worst_case"),
     ".tube_support": ("SupportTube", "support_tube"),
+    ".signals": ("Signal",),
     ".systems": ("LinearSystem",),
     ".verification": ("Always", "Never", "Verdict", "verify"),
     ".zonotope": ("Zonotope",),
@@ -99,6 +101,7 @@ __all__ = [
     "NormBracket",
     "ReachError",
     "Segment",
+    "Signal",
     "SupportTube",
     "Trajectory",
     "Transition",

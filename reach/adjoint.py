@@ -100,14 +100,18 @@ class Adjoint:
         sizes += [abs(self._B[0]) @ extent("an input set", U) + np.abs(self._c[0]) for U in system.U]
         sizes += [np.abs(self._c[0])] if self.pieces > len(system.U) else []
         self._sizes = np.stack(sizes, axis=1)
-        self.weights = self._weighed([])
+        self.weights = self._weighed([], 0.0)
 
-    def watch(self, lags: list[float]) -> None:
-        """Weigh rounding by the sizes that states grow to after some lags (see `Rows.lags`)."""
-        self.weights = self._weighed(lags)
+    def watch(self, lags: list[float], moved: Array | float = 0.0) -> None:
+        """Weigh rounding by the sizes that states grow to after some lags (see `Rows.lags`).
 
-    def _weighed(self, lags: list[float]) -> Array:
-        both = np.stack([self._sizes[:, 0], self._sizes[:, 1:].sum(axis=1)], axis=1)
+        `moved` are the sizes that a nominal input brings them to.
+        """
+        self.weights = self._weighed(lags, moved)
+
+    def _weighed(self, lags: list[float], moved: Array | float) -> Array:
+        states = self._sizes[:, 0] + moved / self.rows.scale
+        both = np.stack([states, self._sizes[:, 1:].sum(axis=1)], axis=1)
         return self.rows.weights(lags, self.rows.weights(lags, both))
 
     def supports(self, piece: int, rows: Array, attained: bool = False) -> Array:

@@ -49,7 +49,7 @@ def centered(system: LinearSystem, start: Any) -> tuple[LinearSystem, Any]:
         drift = drift + np.asarray(system.B @ middle).ravel()
         inputs = (inputs[0] + (-middle),) if np.any(middle) else inputs
     if not np.any(drift):
-        return replace(system, U=inputs or None, B=system.B if inputs else None, c=None), start
+        return replace(system, U=inputs or None, c=None), start
     n, m = system.dim, system.inputs
     one = 1.0 if system.discrete else 0.0
     A: Any = np.zeros((n + 1, n + 1))
@@ -59,7 +59,7 @@ def centered(system: LinearSystem, start: Any) -> tuple[LinearSystem, Any]:
     else:
         A[:n, :n], A[:n, n], A[n, n] = system.A, drift, one
         B = np.vstack([sparse.csr_matrix(system.B).toarray(), np.zeros((1, m))])
-    bigger = LinearSystem(A, B if inputs else None, inputs or None, None, system.breaks, system.discrete)
+    bigger = replace(system, A=A, B=B, U=inputs or None, c=None)
     return bigger, _with_one(start)
 
 

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .adjoint import Adjoint, Block, Overflow
 from .errors import ReachError
+from .known import Ahead, known
 from .pieces import bends, piece_starts, totals
 from .rows import ROUNDING
 
@@ -34,7 +35,12 @@ class March:
     ----------
     times : ndarray, shape (K+1,)
     first, attained : ndarray, shape (K+1, r)
-        Support of the initial set alone, at the nodes, and what one of its points attains.
+        Support of the initial set, moved on without unknown inputs, at the nodes; and what one of
+        its points attains.
+    known : ndarray, shape (K+1, r)
+        The part of it that a nominal input causes.
+    kinks : ndarray, shape (K+1, r)
+        By how much the slope of that part jumps at the nodes.
     upper, lower : ndarray, shape (K+1, r)
         Support of the response to the inputs alone: bound and attained value.
     bow, bend : ndarray, shape (K, r)
@@ -48,6 +54,8 @@ class March:
     times: Array
     first: Array
     attained: Array
+    known: Array
+    kinks: Array
     upper: Array
     lower: Array
     bow: Array
@@ -60,10 +68,14 @@ class March:
         if s == 1:
             return self
         coarse = [s**2 * part.reshape(-1, s, part.shape[1]).max(axis=1) for part in (self.bow, self.bend)]
+        kinks = self.kinks[:-1].reshape(-1, s, self.kinks.shape[1])[:, 1:].sum(axis=1)
+        coarse[0] += np.diff(self.times[::s])[:, None] / 4 * kinks
         return March(
             self.times[::s],
             self.first[::s],
             self.attained[::s],
+            self.known[::s],
+            self.kinks[::s],
             self.upper[::s],
             self.lower[::s],
             coarse[0],
@@ -128,7 +140,8 @@ def regular(adjoint: Adjoint, D: Array, horizon: float, step: float, parts: int,
     count = max(int(np.ceil(horizon / step * (1 - 1e-12))), 1) * parts
     size = int(np.clip(ENTRIES // D.size, BLOCK, count))
     h = horizon / count
-    adjoint.watch(adjoint.rows.lags(h, horizon))
+    ahead = look_ahead(adjoint, D, horizon)
+    adjoint.watch(adjoint.rows.lags(h, horizon), 0.0 if ahead is None else ahead.states)
 
     def blocks() -> Iterator[tuple[float, Block]]:
         rows = D * adjoint.rows.scale
@@ -143,6 +156,11 @@ def regular(adjoint: Adjoint, D: Array, horizon: float, step: float, parts: int,
     return run
 
 
+def look_ahead(adjoint: Adjoint, D: Array, horizon: float) -> Ahead | None:
+    """What a nominal input will ask of steps, if there is one."""
+    return None if adjoint.system.nominal is None else Ahead(adjoint.system, D, horizon)
+
+
 def adaptive(
     adjoint: Adjoint, D: Array, horizon: float, goal: Array | None, ceiling: Array
 ) -> Iterator[tuple[float, Block]]:
@@ -154,7 +172,10 @@ def adaptive(
     """
     rows = D * adjoint.rows.scale
     level = int(np.clip(np.ceil(np.log2(max(horizon * adjoint.rows.norm, 1.0))), 0, 40))
-    adjoint.watch(adjoint.rows.lags(horizon * 2.0**-level, horizon))
+    ahead = look_ahead(adjoint, D, horizon)
+    if ahead is not None:
+        ceiling = np.full(len(D), -np.inf)  # what is compared with it leaves the nominal input out
+    adjoint.watch(adjoint.rows.lags(horizon * 2.0**-level, horizon), 0.0 if ahead is None else ahead.states)
     done, patience, steps = 0.0, 0, 0
     reached, spent, known, sums = np.zeros((4, len(D)))
     while done < 1:
@@ -179,10 +200,13 @@ def adaptive(
         gain = block.upper.sum(axis=1)
         with np.errstate(invalid="ignore"):
             loss = (block.upper - block.lower).sum(axis=(0, 1))
+            bend = block.bow + block.bend.sum(axis=1)
+            if ahead is not None:
+                bend = bend + ahead.bow(done, done + count * h, h)
             node = block.first + reached + np.vstack([np.zeros(len(D)), np.cumsum(gain, axis=0)])
             room = np.maximum(tolerance / 2, ceiling - np.maximum(node[1:], node[:-1]))
             share = (tolerance / 2 - spent) * np.maximum(count * h / (1 - done), 0.05)
-            error = max(_most(block.bow + block.bend.sum(axis=1), room), _most(loss, share))
+            error = max(_most(bend, room), _most(loss, share))
         if error > 1 and h > FINEST:
             level += 1 + (error > 16) + (error > 256)
             patience = 4  # blocks before a longer step is tried again
@@ -232,10 +256,16 @@ def collect(
         times = np.linspace(0, horizon, len(steps) + 1)
     starts, missed = piece_starts(adjoint.system, times, parts)
     rounding = booked(adjoint, D, times, steps, states, rates, missed)
+    motion, kinks = np.zeros((2, *first.shape))
+    if adjoint.system.nominal is not None:
+        by = known(adjoint.system, D, times, steps)
+        motion, kinks, bow = by.values, by.kinks, bow + by.bow
     return March(
         times,
-        first,
-        attained,
+        first + motion,
+        attained + motion,
+        motion,
+        kinks,
         totals(upper, starts),
         totals(lower, starts),
         bow,

@@ -11,15 +11,16 @@ from scipy import sparse
 
 from .convex import ConvexSet
 from .errors import ReachError
+from .signals import Signal
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class LinearSystem:
-    """``x' = A x + B u + c`` with an unknown input ``u(t)`` in U at every instant.
+    """``x' = A x + B (u_0(t) + u) + c`` with an unknown input ``u(t)`` in U at every instant.
 
-    With ``discrete=True`` the same letters mean ``x+ = A x + B u + c``.
+    With ``discrete=True`` the same letters mean ``x+ = A x + B (u_0 + u) + c``.
 
     Parameters
     ----------
@@ -35,6 +36,8 @@ class LinearSystem:
     breaks : array_like, shape (p-1,), optional
         Times at which the set of the input changes from one piece to the next, for p sets.
     discrete : bool
+    nominal : Signal, optional
+        Known part ``u_0(t)`` of the input, of dimension m; nothing if not given.
 
     Raises
     ------
@@ -48,6 +51,7 @@ class LinearSystem:
     c: Any = None
     breaks: Any = ()
     discrete: bool = False
+    nominal: Signal | None = None
 
     def __post_init__(self) -> None:
         A = _matrix("A", self.A)
@@ -55,15 +59,19 @@ class LinearSystem:
         if A.shape != (n, n) or n == 0:
             raise ReachError(f"A must be square, got shape {A.shape}")
         pieces = self._pieces()
-        B = self.B
+        B, driven = self.B, pieces or self.nominal is not None
         if B is None:
-            B = np.eye(n) if pieces and not sparse.issparse(A) else sparse.identity(n, format="csr")
-            B = B if pieces else np.zeros((n, 0))
+            B = np.eye(n) if driven and not sparse.issparse(A) else sparse.identity(n, format="csr")
+            B = B if driven else np.zeros((n, 0))
         B = _matrix("B", B)
         if B.shape[0] != n:
             raise ReachError(f"B must have {n} rows as A has, got shape {B.shape}")
-        if B.shape[1] and not pieces:
-            raise ReachError("B is given without U, the set of its input")
+        if B.shape[1] and not driven:
+            raise ReachError("B is given without U, the set of its input, or a nominal input")
+        if self.nominal is not None and self.nominal.dim != B.shape[1]:
+            raise ReachError(
+                f"nominal must have dimension {B.shape[1]}, the columns of B, got {self.nominal.dim}"
+            )
         for U in pieces:
             if U.dim != B.shape[1]:
                 raise ReachError(f"U must have dimension {B.shape[1]}, the columns of B, got {U.dim}")
@@ -113,7 +121,11 @@ class LinearSystem:
         keep = sparse.identity(m) if self.discrete else sparse.csr_matrix((m, m))
         A = sparse.bmat([[sparse.csr_matrix(self.A), self.B], [None, keep]], format="csr")
         A = A if self.sparse else A.toarray()
-        return LinearSystem(A, c=np.r_[self.c, np.zeros(m)], discrete=self.discrete)
+        drift, B = np.r_[self.c, np.zeros(m)], None
+        if self.nominal is not None:
+            B = sparse.vstack([self.B, sparse.csr_matrix((m, m))], format="csr")
+            B = B if self.sparse else B.toarray()
+        return LinearSystem(A, B, c=drift, discrete=self.discrete, nominal=self.nominal)
 
 
 def _matrix(name: str, value: ArrayLike) -> Any:

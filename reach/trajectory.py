@@ -13,8 +13,10 @@ from scipy.linalg import expm
 from scipy.sparse.linalg import expm_multiply
 
 from .adjoint import Adjoint
+from .centering import centered
 from .convex import ConvexSet
 from .errors import ReachError
+from .known import known
 from .march import march
 from .rows import times
 from .systems import LinearSystem
@@ -37,7 +39,7 @@ class Trajectory:
     states : ndarray, shape (m+1, n)
         Exact but for rounding.
     inputs : ndarray, shape (m, inputs)
-        Held from each time to the next.
+        Held from each time to the next, on top of a nominal input if there is one.
     """
 
     times: Array
@@ -74,6 +76,8 @@ def simulate(system: LinearSystem, x0: ArrayLike, instants: ArrayLike, inputs: A
     states[0] = x0
     advance = _discrete if system.discrete else _sparse if system.dim > DENSE_MOST else _dense
     advance(system, states, t, u)
+    if system.nominal is not None:
+        states += known(system, np.zeros((1, system.dim)), t, np.diff(t)).states
     return Trajectory(t, states, u)
 
 
@@ -139,12 +143,13 @@ def worst_case(
     d = np.asarray(direction, dtype=float).reshape(1, -1)
     if horizon == 0:
         return Trajectory(np.zeros(1), initial.support_vector(d), np.zeros((0, system.inputs)))
-    adjoint = Adjoint(system, initial)
+    around, start = (system, initial) if system.discrete else centered(system, initial)
+    adjoint, row = Adjoint(around, start), np.hstack([d, np.zeros((1, around.dim - system.dim))])
     if step is None and tolerance is None and not system.discrete:
         step = horizon / STEPS
-    run = march(adjoint, d, horizon, step, tolerance, limit=[np.inf], keep=True)
+    run = march(adjoint, row, horizon, step, tolerance, limit=[np.inf], keep=True)
     assert run.rows is not None
-    rows = run.rows[:, 0]
+    rows = run.rows[:, 0, : system.dim]
     x0 = initial.support_vector(rows[-1])
     instants = (run.times[-1] - run.times)[::-1]
     instants[0] = 0.0
@@ -161,4 +166,4 @@ def worst_case(
 
 
 def _none(system: LinearSystem, instants: Array) -> Array:
-    return np.zeros((len(instants) - 1 if system.discrete else 1, 0))
+    return np.zeros((len(instants) - 1 if system.discrete else 1, system.inputs))

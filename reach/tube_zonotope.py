@@ -139,7 +139,7 @@ def _enclose(run: March, start: Zonotope, F: Array, inverse: Array) -> ZonotopeT
     image = run.rows[:, :n] @ start
     # The second half of the rows is the first half with the sign turned, or left out if alike.
     high, low = (run.upper[:, rows] + run.rounding[:, rows] for rows in (slice(n), slice(-n, None)))
-    middle, widths = (high - low) / 2, (high + low) / 2
+    middle, widths = (high - low) / 2 + run.known[:, :n], (high + low) / 2
     size = np.abs(image.c + middle) + image.half_widths + widths
     widths = widths + ROUNDING * n * size @ (np.abs(inverse) @ np.abs(F)).T  # F inverse is not the identity
     G = np.concatenate([F @ image.G, F * widths[:, None, :]], axis=-1)
