@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from .convex import ConvexSet
 from .errors import ReachError
 from .polytope import HPolytope
-from .tube_support import SupportTube, support_tube
 from .systems import LinearSystem
 from .trajectory import Trajectory, worst_case
+from .tube_support import SupportTube, support_tube
 
 Array = NDArray[np.float64]
 
