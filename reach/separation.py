@@ -130,7 +130,9 @@ def _by_program(X: Any, Y: Any, first: _Lifted, second: _Lifted) -> Answer:
     elif isinstance(Y, HPolytope):
         direction = -theirs @ Y.A
     if isinstance(X, HPolytope) and isinstance(Y, HPolytope) and _cancel(X & Y, np.r_[mine, theirs]):
-        return Answer(True, 0.0, direction=direction)
+        gap, length = -(mine @ X.b + theirs @ Y.b), np.linalg.norm(direction)
+        margin = max(float(gap) * (1 - 1e-9) / float(length), 0.0) if length > 0 else 0.0
+        return Answer(True, margin, direction=direction)
     # Only points of both sets need be refuted, so a polytope may borrow the other set's bounds.
     common = np.minimum(X.extent, Y.extent)
     top = _top(X, direction, mine, common) + _top(Y, -direction, theirs, common)

@@ -222,3 +222,9 @@ def test_an_answer_is_true_only_if_proved():
 def test_malformed_questions_are_one_clear_error(ask, says):
     with pytest.raises(ReachError, match=says):
         ask()
+
+
+def test_polytopes_apart_by_exact_multipliers_say_how_far():
+    X = HPolytope([[1.0], [-1.0]], [0.125, 0.125])
+    answer = disjoint(X, X + [0.375])
+    assert answer and answer.margin == pytest.approx(0.125, rel=1e-6)
