@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from .interval import Interval
     from .lazy import AffineImage, MinkowskiSum
     from .linear import discretize, growth, powers
+    from .ltv import LTVSystem, ltv_support_tube, ltv_zonotope_tube
     from .norms import NormBracket, largest_norm
     from .outline import outline
     from .polytope import HPolytope
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
     from .trajectory import Trajectory, simulate, worst_case
     from .tube_support import SupportTube, support_tube
     from .tube_zonotope import ZonotopeTube, zonotope_tube
+    from .varying import Varying
     from .verification import Always, Never, Verdict, verify
     from .zonotope import Zonotope
 
@@ -60,6 +62,7 @@ _HOMES = {
     ".intersection": ("meet_halfspace",),
     ".interval": ("Interval",),
     ".lazy": ("AffineImage", "MinkowskiSum"),
+    ".ltv": ("LTVSystem", "ltv_support_tube", "ltv_zonotope_tube"),
     ".linear": ("discretize", "growth", "powers"),
     ".norms": ("NormBracket", "largest_norm"),
     ".outline": ("outline",),
@@ -72,6 +75,7 @@ _HOMES = {
     ".tube_support": ("SupportTube", "support_tube"),
     ".signals": ("Signal",),
     ".systems": ("LinearSystem",),
+    ".varying": ("Varying",),
     ".verification": ("Always", "Never", "Verdict", "verify"),
     ".zonotope": ("Zonotope",),
     ".tube_zonotope": ("ZonotopeTube", "zonotope_tube"),
@@ -93,6 +97,7 @@ __all__ = [
     "HybridTube",
     "HybridVerdict",
     "Interval",
+    "LTVSystem",
     "LinearFlow",
     "LinearSystem",
     "MinkowskiSum",
@@ -105,6 +110,7 @@ __all__ = [
     "SupportTube",
     "Trajectory",
     "Transition",
+    "Varying",
     "Verdict",
     "Visit",
     "Zonotope",
@@ -117,6 +123,8 @@ __all__ = [
     "enclosing_hull",
     "falsify_hybrid",
     "growth",
+    "ltv_support_tube",
+    "ltv_zonotope_tube",
     "hybrid_tube",
     "largest_norm",
     "meet_halfspace",

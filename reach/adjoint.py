@@ -120,7 +120,7 @@ class Adjoint:
         if self.inputs:
             along, U = times(rows, self._B[0]), self.inputs[piece]
             support = U.support(along)
-            value = value + (_attained(U, along, support) if attained else support)
+            value = value + (attained_support(U, along, support) if attained else support)
         return np.asarray(value)
 
     def magnitudes(self, piece: int, rows: Array, order: int) -> Array:
@@ -151,7 +151,7 @@ class Adjoint:
         if not np.all(np.isfinite(R)):
             raise Overflow(f"the response grows beyond floating point within {count} steps of {h:g}")
         first = self.initial.support(R / self._shrink)
-        attained = _attained(self.initial, R / self._shrink, first)
+        attained = attained_support(self.initial, R / self._shrink, first)
         size = np.moveaxis(np.abs(R) @ self.weights, -1, 0)
         size = size + 1e-40 * np.abs(R).max(axis=-1) * self.weights.sum(axis=0)[:, None, None]
         shape = (count, self.pieces, R.shape[1])
@@ -199,7 +199,7 @@ def is_symmetric(body: ConvexSet) -> bool:
     return isinstance(body, Interval | Zonotope | Ellipsoid)
 
 
-def _attained(body: Any, rows: Array, support: Array) -> Array:
+def attained_support(body: Any, rows: Array, support: Array) -> Array:
     """What is proved to be attained, where the support is found by a program and is an upper bound."""
     return support if is_symmetric(body) or not hasattr(body, "support_down") else body.support_down(rows)
 
