@@ -260,20 +260,20 @@ def test_simulation_disturbs_on_the_bound_and_its_worst_case_nearly_reaches_the_
 @pytest.mark.parametrize("name", ["shared", "coasting", "clipped"])
 def test_cells_flown_at_once_are_the_cells_flown_step_by_step(name, monkeypatch):
     """What nothing clips is flown by products over the whole cell; the rest step by step."""
-    from polaris import simulation
+    from polaris import integration
 
     safety, law = small_safety(), small_controllers()[name]
     schedule = synthesize(None, safety, [law], SwitchingRules())
-    whole, true = [], simulation._Integrator._unclipped
+    whole, true = [], integration.Integrator._unclipped
 
     def watched(self, *cell):
         found = true(self, *cell)
         whole.append(found is not None)
         return found
 
-    monkeypatch.setattr(simulation._Integrator, "_unclipped", watched)
+    monkeypatch.setattr(integration.Integrator, "_unclipped", watched)
     quick = simulate(schedule, 12, 3, mode=1)
-    monkeypatch.setattr(simulation._Integrator, "_unclipped", lambda self, *cell: None)
+    monkeypatch.setattr(integration.Integrator, "_unclipped", lambda self, *cell: None)
     slow = simulate(schedule, 12, 3, mode=1)
     assert any(whole) and all(whole) == (name != "clipped")
     for field in ("states", "inputs", "demanded", "delta_v"):
