@@ -23,11 +23,15 @@ from .convex import ConvexSet
 from .ellipsoid import Ellipsoid
 from .errors import ReachError
 from .interval import Interval
-from .rows import Rows, times
+from .rows import Rows, scaled, times
 from .systems import LinearSystem, single_set
 from .zonotope import Zonotope
 
 Array = NDArray[np.float64]
+
+
+SMALL = 2000
+"""Entries that a product with a sparse input map must save to be worth it."""
 
 
 class Overflow(ReachError):
@@ -88,17 +92,19 @@ class Adjoint:
             )
         self.system, self.rows = system, Rows(system)
         A, s = self.rows.A, self.rows.scale
-        self.initial, self._shrink = _scaled(initial, s)
+        self.initial, self._shrink = in_units(initial, s)
         self.inputs, self.pieces = system.U, max(len(system.U), int(np.any(system.c)))
         self._A2 = A @ A if isinstance(A, np.ndarray) else None
-        B = sparse.csr_matrix(sparse.diags(1 / s) @ system.B)
-        self._B, self._c = [B if B.nnz < B.shape[0] * B.shape[1] / 4 else B.toarray()], [system.c / s]
-        for _ in range(2):
-            self._B.append(A @ self._B[-1])
-            self._c.append(A @ self._c[-1])
+        B, c = scaled(system.B, 1 / s), system.c / s
+        thin = not isinstance(B, np.ndarray) and B.nnz < min(np.prod(B.shape) / 4, np.prod(B.shape) - SMALL)
+        B = B if thin or isinstance(B, np.ndarray) else B.toarray()
         sizes = [extent("the initial set", initial) / s]
-        sizes += [abs(self._B[0]) @ extent("an input set", U) + np.abs(self._c[0]) for U in system.U]
-        sizes += [np.abs(self._c[0])] if self.pieces > len(system.U) else []
+        sizes += [abs(B) @ extent("an input set", U) + np.abs(c) for U in system.U]
+        sizes += [np.abs(c)] if self.pieces > len(system.U) else []
+        # [B c], A [B c], A^2 [B c] side by side: one product along many rows.
+        force = [sparse.hstack([B, c[:, None]], format="csr") if thin else np.hstack([B, c[:, None]])]
+        force += [A @ force[0], A @ (A @ force[0])]
+        self._force = sparse.hstack(force, format="csr") if thin else np.hstack(force)
         self._sizes = np.stack(sizes, axis=1)
         self.weights = self._weighed([], 0.0)
 
@@ -114,29 +120,33 @@ class Adjoint:
         both = np.stack([states, self._sizes[:, 1:].sum(axis=1)], axis=1)
         return self.rows.weights(lags, self.rows.weights(lags, both))
 
-    def supports(self, piece: int, rows: Array, attained: bool = False) -> Array:
-        """``sup over u in U of rows (B u + c)``, or what some u attains; rows in balanced coordinates."""
-        value = rows @ self._c[0]
-        if self.inputs:
-            along, U = times(rows, self._B[0]), self.inputs[piece]
-            support = U.support(along)
-            value = value + (attained_support(U, along, support) if attained else support)
-        return np.asarray(value)
+    def along(self, rows: Array) -> Array:
+        """``rows A^k [B c]`` for k = 0, 1, 2, shape (3, ..., m+1); rows in balanced coordinates."""
+        found = times(rows, self._force)
+        return np.moveaxis(found.reshape(*rows.shape[:-1], 3, -1), -2, 0)
 
-    def magnitudes(self, piece: int, rows: Array, order: int) -> Array:
-        """``sup over u in U of |rows A^order (B u + c)|``, rows in balanced coordinates."""
-        middle = rows @ self._c[order]
+    def supports(self, piece: int, along: Array, attained: bool = False) -> Array:
+        """``sup over u in U of b u + c`` for rows ``[b c]``, or what some u attains."""
         if not self.inputs:
-            return np.asarray(np.abs(middle))
-        return np.asarray(_magnitude(self.inputs[piece], times(rows, self._B[order]), middle))
+            return np.asarray(along[..., -1])
+        rows, U = along[..., :-1], self.inputs[piece]
+        support = supported(U, rows)
+        return np.asarray(along[..., -1] + (attained_support(U, rows, support) if attained else support))
+
+    def magnitudes(self, piece: int, along: Array) -> Array:
+        """``sup over u in U of |b u + c|`` for rows ``[b c]``."""
+        if not self.inputs:
+            return np.asarray(np.abs(along[..., -1]))
+        return np.asarray(_magnitude(self.inputs[piece], along[..., :-1], along[..., -1]))
 
     def sizes(self, rows: Array, h: float) -> tuple[Array, Array]:
         """Largest absolute values over a block: of the first part, and about what the inputs add, (r,)."""
-        rate = np.zeros(rows.shape[:2])
+        rate, along = np.zeros(rows.shape[:2]), self.along(rows)[0]
         for i in range(self.pieces):
-            rate += self.magnitudes(i, rows, 0)
+            rate += self.magnitudes(i, along)
         gained = h * np.minimum(rate[1:], rate[:-1]).sum(axis=0)
-        return _magnitude(self.initial, rows / self._shrink).max(axis=0), gained
+        rows = rows if self._shrink is None else rows / self._shrink
+        return _magnitude(self.initial, rows).max(axis=0), gained
 
     def block(self, start: Array, h: float, count: int) -> Block:
         """Carry rows (balanced, shape (r, n)) over `count` steps of length h.
@@ -150,29 +160,34 @@ class Adjoint:
             R = self.rows.carry(start, h, count)
         if not np.all(np.isfinite(R)):
             raise Overflow(f"the response grows beyond floating point within {count} steps of {h:g}")
-        first = self.initial.support(R / self._shrink)
-        attained = attained_support(self.initial, R / self._shrink, first)
-        size = np.moveaxis(np.abs(R) @ self.weights, -1, 0)
-        size = size + 1e-40 * np.abs(R).max(axis=-1) * self.weights.sum(axis=0)[:, None, None]
+        shrunk = R / self._shrink if self._shrink is not None else R
+        first = supported(self.initial, shrunk)
+        attained = attained_support(self.initial, shrunk, first)
+        absolute = np.abs(R)
+        # What was flushed counts as well, see `FLUSH`.
+        size = np.moveaxis(times(absolute, self.weights + 1e-40 * self.weights.sum(axis=0)), -1, 0)
         shape = (count, self.pieces, R.shape[1])
         upper, lower, bend = np.empty(shape), np.empty(shape), np.zeros(shape)
         if self.system.discrete:
+            along = self.along(R[:-1])[0]
             for i in range(self.pieces):
-                upper[:, i] = self.supports(i, R[:-1])
-                lower[:, i] = self.supports(i, R[:-1], attained=True)
+                upper[:, i] = self.supports(i, along)
+                lower[:, i] = self.supports(i, along, attained=True)
             return Block(R, first, attained, upper, lower, np.zeros((count, R.shape[1])), bend, size)
         R2 = self._curved(R)
         with np.errstate(over="ignore", invalid="ignore"):
-            closing = np.abs(self._curved(R2)[:-1]) @ self.rows.closing(h, self._sizes)
+            closing = times(np.abs(self._curved(R2)[:-1]), self.rows.closing(h, self._sizes))
             closing = h**2 / 8 * np.where(np.isnan(closing), np.inf, closing)
-        p2 = _ends(_magnitude(self.initial, R2 / self._shrink)) + closing[..., 0]
+        R2 = R2 / self._shrink if self._shrink is not None else R2
+        p2 = _ends(_magnitude(self.initial, R2)) + closing[..., 0]
+        along = self.along(R) if self.pieces else R
         for i in range(self.pieces):
-            value = self.supports(i, R)
-            q2 = _ends(self.magnitudes(i, R, 2)) + closing[..., 1 + i]
-            q1 = _ends(self.magnitudes(i, R, 1)) + h / 2 * q2
+            value = self.supports(i, along[0])
+            q2 = _ends(self.magnitudes(i, along[2])) + closing[..., 1 + i]
+            q1 = _ends(self.magnitudes(i, along[1])) + h / 2 * q2
             rest = h**3 / 12 * q2
             upper[:, i] = h / 2 * (value[:-1] + value[1:]) + rest
-            lower[:, i] = h * self.supports(i, (R[:-1] + R[1:]) / 2, attained=True) - rest
+            lower[:, i] = h * self.supports(i, (along[0, :-1] + along[0, 1:]) / 2, attained=True) - rest
             bend[:, i] = h**2 / 8 * q1
         return Block(R, first, attained, upper, lower, h**2 / 8 * p2, bend, size)
 
@@ -183,14 +198,14 @@ class Adjoint:
         return times(times(rows, self.rows.A), self.rows.A)
 
 
-def _scaled(body: ConvexSet, s: Array) -> tuple[Any, Array | float]:
+def in_units(body: ConvexSet, s: Array) -> tuple[Any, Array | None]:
     """The set in coordinates divided by powers of two, or the set itself and what to divide rows by."""
     if isinstance(body, Interval):
-        return Interval(body.lo / s, body.hi / s), 1.0
+        return Interval(body.lo / s, body.hi / s), None
     if isinstance(body, Zonotope):
-        return Zonotope(body.c / s, body.G / s[:, None]), 1.0
+        return Zonotope(body.c / s, body.G / s[:, None]), None
     if isinstance(body, Ellipsoid):
-        return Ellipsoid(body.c / s, body.L / s[:, None]), 1.0
+        return Ellipsoid(body.c / s, body.L / s[:, None]), None
     return body, s
 
 
@@ -204,12 +219,17 @@ def attained_support(body: Any, rows: Array, support: Array) -> Array:
     return support if is_symmetric(body) or not hasattr(body, "support_down") else body.support_down(rows)
 
 
+def supported(body: Any, rows: Array) -> Array:
+    """Support along rows (..., n), all at once: products of one large matrix are much faster."""
+    return np.asarray(body.support(rows.reshape(-1, rows.shape[-1])).reshape(rows.shape[:-1]))
+
+
 def _magnitude(body: ConvexSet, rows: Array, shift: Array | float = 0.0) -> Array:
     """``sup |d x + shift|`` over a set."""
     if is_symmetric(body):
-        middle = rows @ body.center
-        return np.asarray(np.abs(middle + shift) + (body.support(rows) - middle))
-    return np.maximum(body.support(rows) + shift, body.support(-rows) - shift)
+        middle = times(rows, body.center[:, None])[..., 0]
+        return np.asarray(np.abs(middle + shift) + (supported(body, rows) - middle))
+    return np.maximum(supported(body, rows) + shift, supported(body, -rows) - shift)
 
 
 def extent(name: str, body: ConvexSet) -> Array:

@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 MAX_STEPS = 2_000_000
 BLOCK = 64
 """Steps that are carried together when their length may change."""
-ENTRIES = 100_000
+ENTRIES = 50_000
 """Entries of all rows that are carried together when it does not."""
 SHARE = 0.01
 """Tolerance if none is given, as a share of the largest support."""

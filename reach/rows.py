@@ -70,8 +70,7 @@ class Rows:
     def __init__(self, system: LinearSystem) -> None:
         self.discrete = system.discrete
         self.scale = s = np.ones(system.dim) if system.discrete else balance(system.A)
-        A = sparse.csr_matrix(system.A)
-        A = sparse.csr_matrix(sparse.diags(1 / s) @ A @ sparse.diags(s))
+        A = sparse.csr_matrix(scaled(scaled(system.A, 1 / s).T, s).T)
         self.parts, self.constants = _parts(A)
         self.parts = None if system.discrete else self.parts
         thin = system.sparse or A.nnz < SPARSE * A.shape[0] ** 2
@@ -131,8 +130,9 @@ class Rows:
         with np.errstate(over="ignore", invalid="ignore"):
             if h not in self._closings:
                 diagonal = self.A.diagonal()
-                M: Any = abs(self.A) + sparse.diags(np.maximum(diagonal, 0) - np.abs(diagonal))
-                M = np.asarray(M) if isinstance(self.A, np.ndarray) else sparse.csr_matrix(M)
+                less = np.maximum(diagonal, 0) - np.abs(diagonal)
+                dense = isinstance(self.A, np.ndarray)
+                M = abs(self.A) + (np.diag(less) if dense else sparse.diags(less, format="csr"))
                 self._closings[h] = M if self.action else self._exponential(M, h)
             found = self._closings[h]
             out = action(found, vectors.T, h, 1)[-1].T if self.action else found @ vectors
@@ -263,6 +263,11 @@ def times(rows: Array, M: Any) -> Array:
     flat = rows.reshape(-1, rows.shape[-1])
     out = flat @ M if isinstance(M, np.ndarray) else np.asarray((M.T @ flat.T).T)
     return out.reshape(*rows.shape[:-1], M.shape[1])
+
+
+def scaled(M: Any, s: Array) -> Any:
+    """Rows of M, dense or sparse, times numbers s."""
+    return M * s[:, None] if isinstance(M, np.ndarray) else sparse.csr_matrix(sparse.diags(s) @ M)
 
 
 def _dense(A: Any) -> Array:

@@ -165,7 +165,7 @@ def test_parts_of_a_block_bound_what_they_say(case, steps):
         if adjoint.pieces:
             fine = h / 200
             rows = np.array([D @ expm(system.A * (k * h + (j + 0.5) * fine)) for j in range(200)])
-            rate = np.array([adjoint.supports(0, row * adjoint.rows.scale) for row in rows])
+            rate = np.array([adjoint.supports(0, adjoint.along(row * adjoint.rows.scale)[0]) for row in rows])
             total, spread = rate.sum(axis=0) * fine, np.abs(np.diff(rate, axis=0)).sum(axis=0) * fine / 50
             assert np.all(total <= block.upper[k, 0] + spread + slack)
             assert np.all(block.lower[k, 0] <= total + spread + slack)
