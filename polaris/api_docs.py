@@ -63,8 +63,15 @@ GROUPS = {
 """Every public name of `polaris` but ``__version__``, in the order of the page."""
 
 REACH_GROUPS = {
-    "Systems": ("LinearSystem",),
-    "Tubes": ("support_tube", "SupportTube", "zonotope_tube", "ZonotopeTube"),
+    "Systems": ("LinearSystem", "Signal", "LTVSystem", "Varying"),
+    "Tubes": (
+        "support_tube",
+        "SupportTube",
+        "zonotope_tube",
+        "ZonotopeTube",
+        "ltv_support_tube",
+        "ltv_zonotope_tube",
+    ),
     "Verification": ("verify", "Always", "Never", "Verdict", "Trajectory", "simulate", "worst_case"),
     "Sets": ("Interval", "Zonotope", "HPolytope", "Ellipsoid", "AffineImage", "MinkowskiSum", "ConvexSet"),
     "Questions about sets": ("contains", "disjoint", "Answer", "largest_norm", "NormBracket"),

@@ -259,7 +259,7 @@ def test_links_lead_somewhere(path):
 
 
 def test_every_page_is_in_the_navigation():
-    listed = re.findall(r"^  - .+: (\S+\.md)$", (ROOT / "mkdocs.yml").read_text(encoding="utf-8"), re.M)
+    listed = re.findall(r"^ +- .+: (\S+\.md)$", (ROOT / "mkdocs.yml").read_text(encoding="utf-8"), re.M)
     assert sorted(listed) == sorted(path.name for path in DOCS.glob("*.md"))
 
 
