@@ -22,7 +22,7 @@ from .polytope import HPolytope
 from .systems import LinearSystem
 from .trajectory import STEPS, Trajectory, simulate, worst_case
 from .tube_support import SupportTube
-from .verification import FIRST, LAST, SHARPER, Verdict, sharp_tube
+from .verification import FIRST, LAST, REPLAY, SHARPER, Verdict, sharp_tube
 
 Array = NDArray[np.float64]
 
@@ -128,12 +128,12 @@ def verify_never(
             reason = f"some direction keeps {margin:.6g} from the region at every time"
             seconds = perf_counter() - begun
             return Verdict("proven", margin, bounds.max(axis=0), _nothing(D), None, steps, seconds, reason)
-        found, direction = _try(system, initial, region, float(t[worst]), step)
+        found, direction = _try(system, initial, region, float(t[worst]), window, step)
         if found is not None:
             depth = float(
                 np.min((region.b - region.A @ found.states[-1]) / np.linalg.norm(D[: len(region.b)], axis=1))
             )
-            reason = f"a trajectory is in the region at t = {t[worst]:.6g}, {depth:.6g} deep"
+            reason = f"a trajectory is in the region at t = {found.times[-1]:.6g}, {depth:.6g} deep"
             seconds = perf_counter() - begun
             return Verdict("violated", -depth, bounds.max(axis=0), _nothing(D), found, steps, seconds, reason)
         if direction is not None and len(D) < MOST_DIRECTIONS and _is_new(direction[0], D):
@@ -158,9 +158,14 @@ def _seen(tube: SupportTube, window: tuple[float, float]) -> tuple[Array, Array]
 
 
 def _try(
-    system: LinearSystem, initial: ConvexSet, region: HPolytope, time: float, step: float
+    system: LinearSystem,
+    initial: ConvexSet,
+    region: HPolytope,
+    time: float,
+    window: tuple[float, float],
+    step: float,
 ) -> tuple[Trajectory | None, tuple[Array, float] | None]:
-    """A trajectory that ends in the region at a time, or else a direction that separates there.
+    """A trajectory that ends in the region at about a time, or else a direction that separates there.
 
     In the coordinates ``y = A x`` the region is what lies below b, so that a separating direction
     is a mixture of the rows of A: with l >= 0, ``-l A x >= -l b`` in the region.
@@ -168,6 +173,9 @@ def _try(
     if system.discrete or len(system.U) > 1:
         grid = 1.0 if system.discrete else step
         time = round(time / grid) * grid
+        time += grid * (time < window[0]) - grid * (time > window[1])
+        if not window[0] <= time <= window[1]:
+            return None, None  # no node lies in the window
     else:
         step = max(min(time / STEPS, step), time / MOST_STEPS)
     body = Reached(system, initial, region.A, time, None if system.discrete or time == 0 else step)
@@ -183,7 +191,8 @@ def _try(
         answer = nearest(body, aim, size, enough=TOUCHING)
         if answer.gap <= TOUCHING:
             path = body.leading_to(answer.x)
-            if np.all(region.A @ path.states[-1] <= region.b):
+            deep = REPLAY * (np.abs(region.A) @ np.abs(path.states[-1]) + np.abs(region.b))
+            if np.all(region.A @ path.states[-1] <= region.b - deep):
                 return path, None
     mix = np.maximum(-answer.direction, 0.0)
     d, terms = -mix @ region.A, mix @ np.abs(region.A)

@@ -284,7 +284,7 @@ def booked(
     it may grow although the row does not, where the row avoids a part of the system that grows.
     """
     lags = adjoint.rows.lags(float(steps.min()), times[-1])
-    excess, rate = adjoint.rows.amplification(D * adjoint.rows.scale, lags, adjoint.weights)
+    excess, rate = adjoint.rows.amplification(D * adjoint.rows.scale, lags, adjoint.weights, times[-1])
     grown = []
     for size, a, b in zip((states, rates), excess, rate, strict=True):
         with np.errstate(divide="ignore"):

@@ -26,6 +26,8 @@ REACH = 3.0
 """Norm of ``A t`` up to which Taylor's series of the action is summed at once."""
 MOST_TERMS = 100
 """Terms of that series, whose rest then is below 1e-100; more are asked for only where numbers overflow."""
+SAMPLES = 8
+"""Instants at which the growth of rounding in larger systems is looked at."""
 WATCHED = 400
 """States up to which the growth of rounding is bounded by exponentials over the whole horizon."""
 
@@ -152,7 +154,9 @@ class Rows:
             grown = [sizes, *(np.asarray(abs(self.map(t)) @ sizes) for t in lags)]
         return np.asarray(np.max(grown, axis=0))
 
-    def amplification(self, rows: Array, lags: list[float], weights: Array) -> tuple[Array, Array]:
+    def amplification(
+        self, rows: Array, lags: list[float], weights: Array, horizon: float
+    ) -> tuple[Array, Array]:
         """Numbers a and b with ``norm(e e^{A t}) <= norm(e) exp(a + b t)``, each (q, r).
 
         For perturbations e of the states that one of r rows depends on, and the norm ``sum |e_i| w_i``
@@ -162,7 +166,8 @@ class Rows:
         """
         r, q = len(rows), weights.shape[1]
         if not lags:
-            return np.zeros((q, r)), np.zeros((q, r))
+            grown = np.log(self._sampled_growth(weights, horizon))
+            return np.repeat(grown[:, None], r, axis=1), np.zeros((q, r))
         logs, seen = np.empty((len(lags), q, r)), np.abs(rows)
         for t in lags:
             seen = np.maximum(seen, np.abs(rows) @ abs(self.map(t)))
@@ -178,6 +183,25 @@ class Rows:
         total = excess + np.maximum(rates, 0) * lags[-1]
         good = np.where(total <= total.min(axis=0) + 1, rates, np.inf).argmin(axis=0)[None]
         return np.take_along_axis(excess, good, 0)[0], np.take_along_axis(rates, good, 0)[0]
+
+    def _sampled_growth(self, weights: Array, horizon: float) -> Array:
+        """Factors (q,) by which states of given sizes grow, from one motion with random signs each.
+
+        For systems too large for their exponentials. A direction that grows is met by random signs
+        almost surely; the factor of 10 stands for what they see of it less than fully.
+        """
+        signs = np.random.default_rng(0).choice([-1.0, 1.0], weights.shape)
+        start = (weights * signs).T
+        with np.errstate(over="ignore", invalid="ignore"):
+            if self.discrete:
+                path = np.stack([start] * (int(horizon) + 1))
+                for i in range(int(horizon)):
+                    path[i + 1] = path[i] @ self.A.T
+            else:
+                path = action(sparse.csr_matrix(self.A), start, horizon / SAMPLES, SAMPLES)
+            most, first = np.abs(path).max(axis=(0, 2)), weights.max(axis=0)
+        ratio = np.divide(most, first, out=np.ones_like(first), where=first > 0)
+        return np.asarray(10 * np.clip(np.nan_to_num(ratio, nan=1e299, posinf=1e299), 1.0, 1e299))
 
 
 def action(M: Any, rows: Array, h: float, count: int) -> Array:
@@ -260,7 +284,7 @@ def flushed(values: Any) -> Any:
 
 def times(rows: Array, M: Any) -> Array:
     """``rows @ M`` for rows (..., n) and M dense or sparse."""
-    flat = rows.reshape(-1, rows.shape[-1])
+    flat = rows.reshape(int(np.prod(rows.shape[:-1])), rows.shape[-1])
     out = flat @ M if isinstance(M, np.ndarray) else np.asarray((M.T @ flat.T).T)
     return out.reshape(*rows.shape[:-1], M.shape[1])
 

@@ -1,0 +1,94 @@
+"""Verdicts: proven, violated with an admissible trajectory, or unknown; never the wrong one."""
+
+import numpy as np
+import pytest
+from scipy import sparse
+from scipy.linalg import block_diag
+
+from reach import Always, HPolytope, Interval, LinearSystem, Never, ReachError, support_tube, verify
+
+OSCILLATOR = LinearSystem([[0.0, 1.0], [-4.0, -0.4]], [[0.0], [1.0]], Interval([-0.1], [0.1]))
+START = Interval([0.9, -0.1], [1.1, 0.1])
+
+
+def between(lo, hi):
+    return HPolytope([[1.0], [-1.0]], [hi, -lo])
+
+
+def test_a_limit_above_all_motions_is_proven_and_one_below_is_broken_by_an_admissible_trajectory():
+    row = np.array([[0.0, -1.0]])
+    exact = support_tube(OSCILLATOR, START, 5.0, row, tolerance=1e-6).most[0]
+    assert verify(OSCILLATOR, START, Always(HPolytope(row, [exact * 1.001])), 5.0)
+    verdict = verify(OSCILLATOR, START, Always(HPolytope(row, [exact * 0.999])), 5.0)
+    path = verdict.trajectory
+    assert verdict.status == "violated" and verdict.margin < 0 and not verdict
+    assert START.contains(path.states[0]) and np.all(np.abs(path.inputs) <= 0.1 + 1e-12)
+    assert row[0] @ path.states[-1] > exact * 0.999 and path.times[-1] <= 5.0
+
+
+def test_a_region_that_only_a_slanted_direction_separates():
+    square = HPolytope(np.vstack([np.eye(2), -np.eye(2)]), np.full(4, 0.1))
+    assert verify(OSCILLATOR, START, Never(square), 2.0)
+    verdict = verify(OSCILLATOR, START, Never(square), 12.0)
+    assert verdict.status == "violated" and np.all(np.abs(verdict.trajectory.states[-1]) <= 0.1)
+
+
+def test_only_the_window_counts():
+    falling = LinearSystem([[-1.0]])
+    one = Interval([1.0], [1.0])
+    low = Always(HPolytope([[1.0]], [0.5]), during=(1.0, 3.0))
+    assert verify(falling, one, low, 3.0)
+    assert (
+        verify(falling, one, Always(HPolytope([[1.0]], [0.5]), during=(0.5, 3.0)), 3.0).status == "violated"
+    )
+    at_end = Never(HPolytope([[1.0]], [np.exp(-2.0) - 1e-6]), during=(2.0, 2.0))
+    assert verify(falling, one, at_end, 3.0)
+
+
+def test_no_trajectory_from_outside_the_window_is_called_a_violation():
+    # x = min(t, 2 - t): at least 0.1 within the window, below 0.05 before it
+    there_and_back = LinearSystem(
+        [[0.0]], [[1.0]], [Interval([1.0], [1.0]), Interval([-1.0], [-1.0])], breaks=[1.0]
+    )
+    spec = Never(between(-0.1, 0.05), during=(0.1, 1.5))
+    assert verify(there_and_back, Interval([0.0], [0.0]), spec, 2.0, max_seconds=5.0).status != "violated"
+
+
+def test_touching_a_region_is_no_violation():
+    counting = LinearSystem([[1.0]], [[1.0]], Interval([0.1], [0.1]), discrete=True)
+    spec = Never(between(0.1 + 0.1 + 0.1, 1.0), during=(3.0, 3.0))
+    verdict = verify(counting, Interval([0.0], [0.0]), spec, 3, max_seconds=5.0)
+    assert verdict.status != "violated"
+
+
+def test_large_sparse_systems_book_the_rounding_of_what_grows():
+    # the row avoids the growing motion but for rounding
+    turned = np.array([[1.0, 2.0], [1.0, 3.0]]) @ np.diag([20.0, -1.0]) @ np.array([[3.0, -2.0], [-1.0, 1.0]])
+    A = sparse.csr_matrix(block_diag(turned, -np.eye(448)))
+    start = np.zeros(450)
+    start[:2] = -5.0, -6.0
+    row = np.zeros((1, 450))
+    row[0, :2] = -1.0, 1.0
+    tube = support_tube(LinearSystem(A), Interval(start, start), 2.2, row, step=0.05)
+    exact = -np.exp(-tube.times)
+    assert np.all(tube.upper[:, 0] >= exact) and np.all(tube.attained[:, 0] <= exact)
+
+
+def test_systems_without_inputs_are_replayed_too():
+    doubling = LinearSystem([[2.0]], discrete=True)
+    assert verify(doubling, Interval([1.0], [1.0]), Always(between(-3, 3)), 4).status == "violated"
+    large = LinearSystem(sparse.identity(500, format="csr") * 0.1)
+    row = np.ones((1, 500))
+    ones = Interval(np.ones(500), np.ones(500))
+    assert verify(large, ones, Always(HPolytope(row, [600.0])), 5.0).status == "violated"
+
+
+@pytest.mark.parametrize("during", [(-1.0, 2.0), (2.0, 1.0), (0.0, 9.0), (np.nan, 1.0)])
+def test_windows_outside_the_horizon(during):
+    with pytest.raises(ReachError, match="during"):
+        verify(OSCILLATOR, START, Always(HPolytope(np.eye(2), [9, 9]), during), 5.0)
+
+
+def test_region_of_another_dimension():
+    with pytest.raises(ReachError, match="dimension 1"):
+        verify(OSCILLATOR, START, Always(between(0, 1)), 5.0)
