@@ -21,8 +21,7 @@ from .interval import Interval
 from .polytope import HPolytope
 from .systems import LinearSystem
 from .trajectory import STEPS, Trajectory, simulate, worst_case
-from .tube_support import SupportTube
-from .verification import FIRST, LAST, REPLAY, SHARPER, Verdict, sharp_tube
+from .verification import FIRST, LAST, REPLAY, SHARPER, Verdict, seen, sharp_tube
 
 Array = NDArray[np.float64]
 
@@ -113,13 +112,10 @@ def verify_never(
     while not stop:
         size = np.maximum(np.abs(least), np.maximum(initial.support(D), initial.support(-D)))
         size = np.where(size > 0, size, 1.0)
-        if window[1] == 0:
-            t, bounds = np.zeros(1), np.asarray(initial.support(D))[None]
-        else:
-            between = least if window[0] < window[1] else np.full(len(D), np.inf)
-            tube = sharp_tube(system, initial, window[1], D, share * size, between)
-            t, bounds = _seen(tube, window)
-            steps, step = len(tube.times) - 1, float(np.min(np.diff(tube.times)))
+        between = least if window[0] < window[1] else np.full(len(D), np.inf)
+        tube = sharp_tube(system, initial, window[1], D, share * size, between)
+        t, bounds = seen(tube, window, system.discrete)
+        steps, step = len(tube.times) - 1, float(np.min(np.diff(tube.times), initial=np.inf))
         room = (least - bounds) / np.linalg.norm(D, axis=1)
         best = room.max(axis=1)
         worst = int(np.argmin(best))
@@ -146,15 +142,6 @@ def verify_never(
             stop = f"neither proven nor violated within {max_seconds:g} s"
     seconds = perf_counter() - begun
     return Verdict("unknown", np.nan, bounds.max(axis=0), _nothing(D), None, steps, seconds, stop)
-
-
-def _seen(tube: SupportTube, window: tuple[float, float]) -> tuple[Array, Array]:
-    """Times and bounds that cover the window: its intervals, or the one instant it is."""
-    if window[0] == window[1]:
-        return np.array([window[1]]), tube.at([window[1]])
-    before, after = tube.times[:-1], tube.times[1:]
-    meets = (before < window[1]) & (after > window[0])
-    return np.clip((before + after)[meets] / 2, *window), tube.interval[meets]
 
 
 def _try(

@@ -133,6 +133,10 @@ def verify(
     window = (0.0, float(horizon)) if spec.during is None else spec.during
     if not 0 <= window[0] <= window[1] <= horizon:
         raise ReachError(f"`during` must lie within [0, {horizon:g}], got {spec.during}")
+    if system.discrete:
+        window = float(np.ceil(window[0])), float(np.floor(window[1]))
+        if window[0] > window[1]:
+            raise ReachError(f"`during` must hold a whole number of steps, got {spec.during}")
     begun = perf_counter()
     if isinstance(spec, Never) and len(spec.region.b) == 1:
         # Out of one halfspace is inside the opposite one, its boundary excluded.
@@ -169,13 +173,13 @@ def verify_always(
         between = limits[open_rows] if window[0] < window[1] else np.full(len(open_rows), np.inf)
         tube = sharp_tube(system, initial, window[1], C[open_rows], share * size[open_rows], between)
         steps = len(tube.times) - 1
-        bounds[open_rows], instants, reached[open_rows] = extremes(tube, window)
+        bounds[open_rows], instants, reached[open_rows] = extremes(tube, window, system.discrete)
         broken = np.nonzero(reached > limits)[0]
         if len(broken):
             row = int(broken[np.argmax((reached - limits)[broken] / size[broken])])
             instant = float(instants[open_rows.tolist().index(row)])
             excess = float(reached[row] - limits[row])
-            found = sharp_worst_case(system, initial, instant, C[row], excess / 2, window[1] / steps)
+            found = sharp_worst_case(system, initial, instant, C[row], excess / 2, window[1] / max(steps, 1))
             value = float(C[row] @ found.states[-1])
             if value > limits[row] + REPLAY * size[row]:
                 margin = float((limits[row] - value) / np.linalg.norm(C[row]))
@@ -197,6 +201,9 @@ def sharp_tube(
     system: LinearSystem, initial: ConvexSet, horizon: float, C: Array, tolerance: Array, limits: Array
 ) -> SupportTube:
     """A tube as sharp as a tolerance asks; with several input sets, equal steps short enough for it."""
+    if horizon == 0:
+        start, none = initial.support(C)[None], np.zeros((0, len(C)))
+        return SupportTube(np.zeros(1), C, start, start, none, none)
     if len(system.U) < 2:
         return support_tube(system, initial, horizon, C, tolerance=tolerance, limit=limits)
     shares = [Fraction(time / horizon).limit_denominator(100_000) for time in system.breaks]
@@ -218,17 +225,24 @@ def sharp_worst_case(
     return worst_case(system, initial, horizon, d, step=step)
 
 
-def extremes(tube: SupportTube, window: tuple[float, float]) -> tuple[Array, Array, Array]:
+def extremes(tube: SupportTube, window: tuple[float, float], discrete: bool) -> tuple[Array, Array, Array]:
     """Bounds over a window, where it is reached most, and what is attained there, each (r,)."""
-    t = tube.times
-    meets = (t[:-1] < window[1]) & (t[1:] > window[0])
-    ends = tube.at(np.array(window)).max(axis=0)
-    bounds = (
-        np.maximum(tube.interval[meets].max(axis=0, initial=-np.inf), ends) if window[0] < window[1] else ends
-    )
-    inside = np.nonzero((t >= window[0]) & (t <= window[1]))[0]
+    bounds = seen(tube, window, discrete)[1].max(axis=0)
+    inside = np.nonzero((tube.times >= window[0]) & (tube.times <= window[1]))[0]
     if len(inside) == 0:
         nowhere = np.full(len(bounds), -np.inf)
         return bounds, nowhere, nowhere
     best = inside[np.argmax(tube.attained[inside], axis=0)]
-    return bounds, t[best], tube.attained[best, np.arange(len(bounds))]
+    return bounds, tube.times[best], tube.attained[best, np.arange(len(bounds))]
+
+
+def seen(tube: SupportTube, window: tuple[float, float], discrete: bool) -> tuple[Array, Array]:
+    """Times, one each, and bounds (k, r) of what covers a window: intervals, or nodes where those are all."""
+    before, after = tube.times[:-1], tube.times[1:]
+    if discrete or len(before) == 0:
+        inside = (tube.times >= window[0]) & (tube.times <= window[1])
+        return tube.times[inside], tube.upper[inside]
+    if window[0] == window[1]:
+        return np.array([window[1]]), tube.at([window[1]])
+    meets = (before < window[1]) & (after > window[0])
+    return np.clip((before + after)[meets] / 2, *window), tube.interval[meets]

@@ -5,7 +5,17 @@ import pytest
 from scipy import sparse
 from scipy.linalg import block_diag
 
-from reach import Always, HPolytope, Interval, LinearSystem, Never, ReachError, support_tube, verify
+from reach import (
+    Always,
+    HPolytope,
+    Interval,
+    LinearSystem,
+    Never,
+    ReachError,
+    simulate,
+    support_tube,
+    verify,
+)
 
 OSCILLATOR = LinearSystem([[0.0, 1.0], [-4.0, -0.4]], [[0.0], [1.0]], Interval([-0.1], [0.1]))
 START = Interval([0.9, -0.1], [1.1, 0.1])
@@ -92,3 +102,35 @@ def test_windows_outside_the_horizon(during):
 def test_region_of_another_dimension():
     with pytest.raises(ReachError, match="dimension 1"):
         verify(OSCILLATOR, START, Always(between(0, 1)), 5.0)
+
+
+def test_the_start_alone():
+    now = Always(HPolytope([[1.0, 0.0]], [1.15]), during=(0.0, 0.0))
+    assert verify(OSCILLATOR, START, now, 5.0)
+    late = Always(HPolytope([[1.0, 0.0]], [1.05]), during=(0.0, 0.0))
+    verdict = verify(OSCILLATOR, START, late, 5.0)
+    assert verdict.status == "violated" and len(verdict.trajectory.times) == 1
+    assert verify(OSCILLATOR, START, Never(between_2d(1.2, 1.3), during=(0.0, 0.0)), 5.0)
+    assert verify(OSCILLATOR, START, Never(between_2d(1.0, 1.3), during=(0.0, 0.0)), 5.0).status == "violated"
+
+
+def between_2d(lo, hi):
+    return HPolytope([[1.0, 0.0], [-1.0, 0.0]], [hi, -lo])
+
+
+def test_discrete_systems_are_asked_at_their_steps():
+    flipping = LinearSystem([[-1.0]], discrete=True)
+    one = Interval([1.0], [1.0])
+    assert verify(flipping, one, Never(between(-0.5, 0.5)), 6)
+    halving = LinearSystem([[0.5]], discrete=True)
+    assert verify(halving, one, Never(between(0.49, 0.51)), 4).status == "violated"
+    assert verify(halving, one, Never(between(0.24, 0.26), during=(2.3, 3)), 3)
+    with pytest.raises(ReachError, match="whole number of steps"):
+        verify(halving, one, Never(between(0.24, 0.26), during=(2.3, 2.6)), 3)
+
+
+def test_replays_of_fast_systems_are_exact():
+    fast = LinearSystem([[0.0, 1e6], [-1e6, 0.0]])
+    T = 10 / 3
+    end = simulate(fast, [1.0, 0.0], np.linspace(0, T, 1001), np.zeros((1000, 0))).states[-1]
+    assert end == pytest.approx([np.cos(1e6 * T), -np.sin(1e6 * T)], abs=2e-8)
