@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from .linear import discretize, growth, powers
     from .ltv import LTVSystem, ltv_support_tube, ltv_zonotope_tube
     from .norms import NormBracket, largest_norm
-    from .outline import outline
+    from .outlines import outline
     from .polytope import HPolytope
     from .reduction import reduce, reduction_loss
     from .relaxation import clip_relaxation
@@ -65,7 +65,7 @@ _HOMES = {
     ".ltv": ("LTVSystem", "ltv_support_tube", "ltv_zonotope_tube"),
     ".linear": ("discretize", "growth", "powers"),
     ".norms": ("NormBracket", "largest_norm"),
-    ".outline": ("outline",),
+    ".outlines": ("outline",),
     ".polytope": ("HPolytope",),
     ".reduction": ("reduce", "reduction_loss"),
     ".relaxation": ("clip_relaxation",),

@@ -188,7 +188,7 @@ class SetOperators(ABC):
         ReachError
             If the set is not planar, unbounded, or round.
         """
-        from .outline import vertices_2d
+        from .outlines import vertices_2d
 
         return vertices_2d(self)
 
@@ -206,7 +206,7 @@ class SetOperators(ABC):
         **style
             Passed on to ``ax.fill``.
         """
-        from .outline import outline
+        from .outlines import outline
 
         if ax is None:
             from matplotlib import pyplot

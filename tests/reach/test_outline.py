@@ -9,7 +9,7 @@ from reach.ellipsoid import Ellipsoid
 from reach.errors import ReachError
 from reach.facets import facet_normals
 from reach.interval import Interval
-from reach.outline import outline, vertices_2d
+from reach.outlines import outline, vertices_2d
 from reach.polytope import HPolytope
 from reach.zonotope import Zonotope
 
