@@ -1,8 +1,9 @@
 """The command ``polaris``: run a scenario, check one, list those that come along, redraw figures.
 
 Exit codes: 0 done, 1 fault of the program, 2 bad input, 3 no safe synthesis exists, 4 none certified
-in the time given. Results go to standard output, progress and errors to standard error. A run that
-proves nothing (only the option ``paper_ball`` does) ends with 0 and a warning on standard error.
+in the time given, 5 a counterexample was found, or a declared bound does not hold. Results go to standard
+output, progress and errors to standard error. A run that proves nothing (only the option ``paper_ball``
+does) ends with 0 and a warning on standard error.
 """
 
 from __future__ import annotations
@@ -18,12 +19,14 @@ from typing import Annotated, Any, NoReturn
 
 import typer
 
+from .cli_attacks import add_commands
 from .errors import PolarisError
 
 app = typer.Typer(
     name="polaris",
     help="Switching schedules between a safety controller and experimental ones, proven before the flight.",
-    epilog="Exit codes: 0 done, 2 bad input, 3 no safe synthesis, 4 not certified in the time given."
+    epilog="Exit codes: 0 done, 2 bad input, 3 no safe synthesis, 4 not certified in the time given,"
+    " 5 a counterexample or a bound that does not hold."
     " Code 0 with a warning on standard error: done, but nothing is proven (recoverable kind paper_ball).",
     add_completion=False,
     no_args_is_help=True,
@@ -256,6 +259,8 @@ def _fail(message: str, code: int) -> NoReturn:
     typer.echo(f"error: {' '.join(message.split())}", err=True)
     raise typer.Exit(code) from None
 
+
+add_commands(app, _answering)
 
 if __name__ == "__main__":
     app()

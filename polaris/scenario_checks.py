@@ -43,6 +43,7 @@ def check(model: models.ScenarioModel) -> None:
         At the first rule that is broken.
     """
     check_system(model.system)
+    check_orbit(model)
     system = build_system(model.system)
     check_shapes(model, system)
     check_time(model)
@@ -87,6 +88,14 @@ def check_system(spec: models.System) -> None:
     if spec.C is None and chosen is None and not 1 <= max(n // 2, 1) <= 3:
         rule = f"is required for a system of {n} states (positions have one to three coordinates)"
         raise ScenarioError("system.position_states", None, rule)
+
+
+def check_orbit(model: models.ScenarioModel) -> None:
+    """The table of the orbit belongs to a spacecraft."""
+    if model.orbit is None or isinstance(model.system, models.ClohessyWiltshire):
+        return
+    rule = "needs Hill's frame (system.kind = 'clohessy_wiltshire')"
+    raise ScenarioError("orbit", model.system.kind, rule)
 
 
 def check_shapes(model: models.ScenarioModel, system: LinearSystem) -> None:

@@ -12,6 +12,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from .scenario_orbit import Orbit
 from .scenario_scene import Experimental, Goal, KeepIn, Obstacle
 from .scenario_types import (
     MAX_STEPS,
@@ -250,6 +251,11 @@ class ScenarioModel(ScenarioPart):
     title: Text = unit("-", "One line for figures and tables.", min_length=1, max_length=200)
     description: Text = unit("-", "What the scenario shows.", default="", max_length=5000)
     system: System = unit("-", "The controlled system.")
+    orbit: Orbit | None = unit(
+        "-",
+        "What the linear model of a spacecraft leaves out; needed by `polaris model-error`.",
+        default=None,
+    )
     initial_set: InitialSet = unit("-", "All states it may start in (Theta).")
     horizon: Horizon = unit("-", "Time covered and its steps.")
     feedback: Feedback = unit(

@@ -1,0 +1,73 @@
+"""The commands that try to prove a run wrong: falsify, replay, model-error."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from .orbit.model_error import ModelError
+
+REFUTED = 5
+"""Exit code: a counterexample was found, or a declared bound does not hold."""
+
+Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON, and nothing else.")]
+Guard = Callable[[], AbstractContextManager[None]]
+
+
+def add_commands(app: typer.Typer, guard: Guard) -> None:
+    """Add the commands to the application; `guard` turns errors into messages and exit codes."""
+
+    @app.command("model-error")
+    def model_error_command(
+        scenario: Annotated[
+            str, typer.Argument(metavar="NAME_OR_FILE", help="A bundled scenario or a file, with [orbit].")
+        ],
+        fit: Annotated[
+            bool, typer.Option("--fit", help="Find a disturbance bound that covers its own model error.")
+        ] = False,
+        as_json: Json = False,
+    ) -> None:
+        """Bound what the linear model leaves out, and compare it with the disturbance bound."""
+        with guard():
+            from .orbit.model_error import justify, model_error
+            from .scenario import load_scenario
+
+            loaded = load_scenario(scenario)
+            found = justify(loaded) if fit else model_error(loaded)
+            if as_json:
+                _print_json(found.summary())
+            else:
+                _show_model_error(found)
+            if not found.covered:
+                raise typer.Exit(REFUTED)
+
+
+def _print_json(data: object) -> None:
+    from .runfiles import json_text
+
+    sys.stdout.write(json_text(data))
+
+
+def _show_model_error(found: ModelError) -> None:
+    told = found.summary()
+    worst = told["worst"]
+    typer.echo(f"{told['scenario']}: what the linear model leaves out where the schedule flies [m/s^2]")
+    for name, value in told["parts_m_s2"].items():
+        typer.echo(f"  {name.replace('_', ' '):16} {value:9.3g}")
+    typer.echo(f"  {'bound':16} {told['bound_m_s2']:9.3g}   (sampled: {told['sampled_share']:.0%} of it)")
+    typer.echo(
+        f"  {'declared':16} {told['declared_m_s2']:9.3g}   {'covers it' if found.covered else 'TOO SMALL'}"
+    )
+    typer.echo(
+        f"Largest at t = {worst['time_s']:g} s under {worst['controller']}: within"
+        f" {worst['distance_m']:.0f} m of the target, {worst['radial_m']:.0f} m in height,"
+        f" {worst['speed_m_s']:.2f} m/s."
+    )
+    for name, time in told["satellites_covered_until_s"].items():
+        until = "as long as it is perceived" if time is None else f"until t = {time:g} s"
+        typer.echo(f"The motion declared for {name} covers its own model error {until}.")
