@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from .containment import contains
     from .convex import ConvexSet
     from .ellipsoid import Ellipsoid
-    from .errors import ReachError
+    from .errors import ReachError, Unresolved
     from .fan import Fan
     from .flow import LinearFlow, state_scale
     from .hulls import enclosing_hull
@@ -51,7 +51,7 @@ _HOMES = {
     ".containment": ("contains",),
     ".convex": ("ConvexSet",),
     ".ellipsoid": ("Ellipsoid",),
-    ".errors": ("ReachError",),
+    ".errors": ("ReachError", "Unresolved"),
     ".fan": ("Fan",),
     ".flow": ("LinearFlow", "state_scale"),
     ".hulls": ("enclosing_hull",),
@@ -110,6 +110,7 @@ __all__ = [
     "SupportTube",
     "Trajectory",
     "Transition",
+    "Unresolved",
     "Varying",
     "Verdict",
     "Visit",

@@ -21,9 +21,10 @@ from scipy import sparse
 
 from .convex import ConvexSet
 from .ellipsoid import Ellipsoid
-from .errors import ReachError
+from .errors import ReachError, Unresolved
+from .exponentials import scaled, times
 from .interval import Interval
-from .rows import Rows, scaled, times
+from .rows import Rows
 from .systems import LinearSystem, single_set
 from .zonotope import Zonotope
 
@@ -34,7 +35,7 @@ SMALL = 2000
 """Entries that a product with a sparse input map must save to be worth it."""
 
 
-class Overflow(ReachError):
+class Overflow(Unresolved):
     """A bound is too large for floating point."""
 
 
@@ -157,9 +158,11 @@ class Adjoint:
             If a row is too large for floating point.
         """
         with np.errstate(over="ignore", invalid="ignore"):
-            R = self.rows.carry(start, h, count)
-        if not np.all(np.isfinite(R)):
-            raise Overflow(f"the response grows beyond floating point within {count} steps of {h:g}")
+            return self._block(self.rows.carry(start, h, count), h, count)
+
+    def _block(self, R: Array, h: float, count: int) -> Block:
+        """Bounds along rows at nodes, shape (count+1, r, n); not finite where anything overflows."""
+        _in_range(R)
         shrunk = R / self._shrink if self._shrink is not None else R
         first = supported(self.initial, shrunk)
         attained = attained_support(self.initial, shrunk, first)
@@ -175,12 +178,12 @@ class Adjoint:
                 lower[:, i] = self.supports(i, along, attained=True)
             return Block(R, first, attained, upper, lower, np.zeros((count, R.shape[1])), bend, size)
         R2 = self._curved(R)
-        with np.errstate(over="ignore", invalid="ignore"):
-            closing = times(np.abs(self._curved(R2)[:-1]), self.rows.closing(h, self._sizes))
-            closing = h**2 / 8 * np.where(np.isnan(closing), np.inf, closing)
+        closing = times(np.abs(self._curved(R2)[:-1]), self.rows.closing(h, self._sizes))
+        closing = h**2 / 8 * np.where(np.isnan(closing), np.inf, closing)
         R2 = R2 / self._shrink if self._shrink is not None else R2
-        p2 = _ends(_magnitude(self.initial, R2)) + closing[..., 0]
         along = self.along(R) if self.pieces else R
+        _in_range(R2, along)
+        p2 = _ends(_magnitude(self.initial, R2)) + closing[..., 0]
         for i in range(self.pieces):
             value = self.supports(i, along[0])
             q2 = _ends(self.magnitudes(i, along[2])) + closing[..., 1 + i]
@@ -239,6 +242,11 @@ def extent(name: str, body: ConvexSet) -> Array:
     except ReachError as exc:
         raise ReachError(f"{name} must be bounded and not empty: {exc}") from None
     return np.asarray(np.maximum(np.abs(hull.lo), np.abs(hull.hi)))
+
+
+def _in_range(*numbers: Array) -> None:
+    if not all(np.all(np.isfinite(values)) for values in numbers):
+        raise Overflow("the response grows beyond floating point")
 
 
 def _ends(values: Array) -> Array:

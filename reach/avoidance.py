@@ -17,11 +17,14 @@ from scipy.optimize import nnls
 
 from .convex import ConvexSet
 from .distance import nearest, unit_sizes
+from .errors import Unresolved
 from .interval import Interval
+from .march import in_time
 from .polytope import HPolytope
+from .rounding import gamma
 from .systems import LinearSystem
 from .trajectory import STEPS, Trajectory, simulate, worst_case
-from .verification import FIRST, LAST, REPLAY, SHARPER, Verdict, seen, sharp_tube
+from .verification import FIRST, LAST, REPLAY, SHARPER, Verdict, seen, sharp_tube, visited
 
 Array = NDArray[np.float64]
 
@@ -43,8 +46,15 @@ class Reached:
     """
 
     def __init__(
-        self, system: LinearSystem, initial: ConvexSet, rows: Array, time: float, step: float | None
+        self,
+        system: LinearSystem,
+        initial: ConvexSet,
+        rows: Array,
+        time: float,
+        step: float | None,
+        deadline: float = np.inf,
     ) -> None:
+        self.deadline = deadline
         self.system, self.initial, self.rows, self.time, self.step = system, initial, rows, time, step
         self.found: list[Trajectory] = []
 
@@ -60,6 +70,7 @@ class Reached:
 
     def support_vector(self, directions: ArrayLike) -> Array:
         """The values of the rows that go furthest in one direction, shape (r,)."""
+        in_time(self.deadline)
         d = np.asarray(directions, dtype=float) @ self.rows
         self.found.append(worst_case(self.system, self.initial, self.time, d, step=self.step))
         return np.asarray(self.rows @ self.found[-1].states[-1])
@@ -87,9 +98,11 @@ class Reached:
         """The trajectory that mixes the answers so as to end closest to a point."""
         answers = self.answers
         size = np.maximum(np.abs(answers).max(axis=0), np.finfo(float).tiny)
-        weights = nnls(np.vstack([(answers / size).T, np.full(len(answers), 1e3)]), np.r_[point / size, 1e3])[
-            0
-        ]
+        M, aim = np.vstack([(answers / size).T, np.full(len(answers), 1e3)]), np.r_[point / size, 1e3]
+        try:
+            weights = nnls(M, aim, maxiter=100 * (len(answers) + 1))[0]
+        except RuntimeError as exc:
+            raise Unresolved(f"no mixture of trajectories was found: {exc}") from None
         weights = weights / weights.sum()
         x0 = np.tensordot(weights, np.array([path.states[0] for path in self.found]), axes=1)
         inputs = np.tensordot(weights, np.array([path.inputs for path in self.found]), axes=1)
@@ -104,44 +117,52 @@ def verify_never(
     region: HPolytope,
     window: tuple[float, float],
     begun: float,
-    max_seconds: float,
+    deadline: float,
 ) -> Verdict:
     """`verify` for a region to stay out of."""
     D, least = -region.A, -region.b
-    share, steps, step, stop = FIRST, 0, 0.0, ""
-    while not stop:
-        size = np.maximum(np.abs(least), np.maximum(initial.support(D), initial.support(-D)))
-        size = np.where(size > 0, size, 1.0)
-        between = least if window[0] < window[1] else np.full(len(D), np.inf)
-        tube = sharp_tube(system, initial, window[1], D, share * size, between)
-        t, bounds = seen(tube, window, system.discrete)
-        steps, step = len(tube.times) - 1, float(np.min(np.diff(tube.times), initial=np.inf))
-        room = (least - bounds) / np.linalg.norm(D, axis=1)
-        best = room.max(axis=1)
-        worst = int(np.argmin(best))
-        if best[worst] > 0:
-            margin = float(best[worst])
-            reason = f"some direction keeps {margin:.6g} from the region at every time"
-            seconds = perf_counter() - begun
-            return Verdict("proven", margin, bounds.max(axis=0), _nothing(D), None, steps, seconds, reason)
-        found, direction = _try(system, initial, region, float(t[worst]), window, step)
-        if found is not None:
-            depth = float(
-                np.min((region.b - region.A @ found.states[-1]) / np.linalg.norm(D[: len(region.b)], axis=1))
-            )
-            reason = f"a trajectory is in the region at t = {found.times[-1]:.6g}, {depth:.6g} deep"
-            seconds = perf_counter() - begun
-            return Verdict("violated", -depth, bounds.max(axis=0), _nothing(D), found, steps, seconds, reason)
-        if direction is not None and len(D) < MOST_DIRECTIONS and _is_new(direction[0], D):
-            D, least = np.vstack([D, direction[0]]), np.r_[least, direction[1]]
-        else:
-            share /= SHARPER
-        if share < LAST:
-            stop = "the region is touched to working precision"
-        elif perf_counter() - begun > max_seconds:
-            stop = f"neither proven nor violated within {max_seconds:g} s"
-    seconds = perf_counter() - begun
-    return Verdict("unknown", np.nan, bounds.max(axis=0), _nothing(D), None, steps, seconds, stop)
+    lengths = np.linalg.norm(D, axis=1)
+    bounds, steps, path, reason = np.full((1, len(D)), np.nan), 0, None, ""
+
+    def verdict(status: str, margin: float) -> Verdict:
+        nothing, seconds = np.full(len(D), np.nan), perf_counter() - begun
+        return Verdict(status, margin, bounds.max(axis=0), nothing, path, steps, seconds, reason)
+
+    sizes: Array | None = None
+    share = FIRST
+    try:
+        if region.is_empty and region.is_empty_within(visited(system, initial, window[1], deadline)):
+            reason = "the region is empty"
+            return verdict("proven", np.inf)
+        while share >= LAST:
+            size = np.maximum(np.abs(least), np.maximum(initial.support(D), initial.support(-D)))
+            size = np.where(size > 0, size, 1.0)
+            between = least if window[0] < window[1] else np.full(len(D), np.inf)
+            tube = sharp_tube(system, initial, window[1], D, share * size, between, deadline)
+            t, bounds = seen(tube, window, system.discrete)
+            steps, step = len(tube.times) - 1, float(np.min(np.diff(tube.times), initial=np.inf))
+            best = ((least - bounds) / np.linalg.norm(D, axis=1)).max(axis=1)
+            worst = int(np.argmin(best))
+            if best[worst] > 0:
+                reason = f"some direction keeps {best[worst]:.6g} from the region at every time"
+                return verdict("proven", float(best[worst]))
+            path, mix = _try(system, initial, region, float(t[worst]), window, step, deadline)
+            if path is not None:
+                depth = float(np.min((region.b - region.A @ path.states[-1]) / lengths))
+                reason = f"a trajectory is in the region at t = {path.times[-1]:.6g}, {depth:.6g} deep"
+                return verdict("violated", -depth)
+            if mix is not None and len(D) < MOST_DIRECTIONS and _is_new(-mix @ region.A, D):
+                # In the region -mix A x >= -mix b, but for the rounding of the products.
+                sizes = visited(system, initial, window[1], deadline) if sizes is None else sizes
+                level, residual = region.weak_duality((mix @ region.A)[None], mix[None])
+                most = level + (1 + gamma(system.dim)) * residual @ sizes
+                D, least = np.vstack([D, -mix @ region.A]), np.r_[least, -most]
+            else:
+                share /= SHARPER
+        reason = "found no directions that separate, and no trajectory that enters beyond rounding"
+    except Unresolved as exc:
+        reason = f"neither proven nor violated: {exc}"
+    return verdict("unknown", np.nan)
 
 
 def _try(
@@ -151,21 +172,18 @@ def _try(
     time: float,
     window: tuple[float, float],
     step: float,
-) -> tuple[Trajectory | None, tuple[Array, float] | None]:
-    """A trajectory that ends in the region at about a time, or else a direction that separates there.
+    deadline: float,
+) -> tuple[Trajectory | None, Array | None]:
+    """A trajectory that ends in the region at about a time, or else what separates there.
 
     In the coordinates ``y = A x`` the region is what lies below b, so that a separating direction
     is a mixture of the rows of A: with l >= 0, ``-l A x >= -l b`` in the region.
     """
-    if system.discrete or len(system.U) > 1:
-        grid = 1.0 if system.discrete else step
-        time = round(time / grid) * grid
-        time += grid * (time < window[0]) - grid * (time > window[1])
-        if not window[0] <= time <= window[1]:
-            return None, None  # no node lies in the window
+    if system.discrete:
+        time = float(np.clip(round(time), *window))
     else:
         step = max(min(time / STEPS, step), time / MOST_STEPS)
-    body = Reached(system, initial, region.A, time, None if system.discrete or time == 0 else step)
+    body = Reached(system, initial, region.A, time, None if system.discrete or time == 0 else step, deadline)
     for d in np.vstack([np.eye(body.dim), -np.eye(body.dim)]):
         body.support_vector(d)
     hull = body.interval_hull()
@@ -183,18 +201,10 @@ def _try(
                 return path, None
     mix = np.maximum(-answer.direction, 0.0)
     d, terms = -mix @ region.A, mix @ np.abs(region.A)
-    if not answer.least > 0 or not np.any(np.abs(d) > 1e-9 * terms):
-        return None, None
-    largest = np.max([np.abs(path.states[-1]) for path in body.found], axis=0)
-    rounding = 1e-12 * float(mix @ np.abs(region.b) + terms @ (2 * largest))
-    return None, (d, float(-mix @ region.b) - rounding)
+    return None, mix if answer.least > 0 and np.any(np.abs(d) > 1e-9 * terms) else None
 
 
 def _is_new(d: Array, D: Array) -> bool:
     """Whether a direction differs from all those in use."""
     cosines = D @ d / np.linalg.norm(D, axis=1) / np.linalg.norm(d)
     return bool(np.max(cosines) < 1 - 1e-9)
-
-
-def _nothing(D: Array) -> Array:
-    return np.full(len(D), np.nan)

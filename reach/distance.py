@@ -69,8 +69,10 @@ def nearest(X: ConvexSet, Y: ConvexSet, scale: Array | None = None, enough: floa
         least = max(least, float(z @ furthest) / max(length, np.finfo(float).tiny))
         if length <= CLOSE / 10 or least >= (1 - CLOSE) * length:
             break
-        corral, pairs = np.vstack([corral, furthest]), [*pairs, pair]
-        weights = _least_norm(corral)
+        found = _least_norm(np.vstack([corral, furthest]))
+        if found is None:
+            break  # what is known so far stays true
+        corral, pairs, weights = np.vstack([corral, furthest]), [*pairs, pair], found
         kept = weights > 0
         corral, weights = corral[kept], weights[kept]
         pairs = [pair for pair, use in zip(pairs, kept, strict=True) if use]
@@ -85,14 +87,20 @@ def unit_sizes(half_widths: Array) -> Array:
     return np.where(half_widths > 0, half_widths, largest)
 
 
-def _least_norm(points: Array) -> Array:
+def _least_norm(points: Array) -> Array | None:
     """Weights of the convex combination of least norm, shape (k,); at most n + 1 of them are not zero.
 
-    With u >= 0 free in scale, ``norm(u P)^2 + (sum(u) - 1)^2`` is least along the combination sought.
+    None if the search for them does not end. With u >= 0 free in scale,
+    ``norm(u P)^2 + (sum(u) - 1)^2`` is least along the combination sought.
     """
     from scipy.optimize import nnls
 
     k, n = points.shape
-    found = nnls(np.vstack([points.T, np.ones((1, k))]), np.r_[np.zeros(n), 1.0], maxiter=100 * (k + 1))[0]
+    try:
+        found = nnls(np.vstack([points.T, np.ones((1, k))]), np.r_[np.zeros(n), 1.0], maxiter=100 * (k + 1))[
+            0
+        ]
+    except RuntimeError:
+        return None
     total = float(found.sum())
     return np.asarray(found / total) if total > 0 else np.full(k, 1 / k)

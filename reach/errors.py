@@ -3,3 +3,7 @@
 
 class ReachError(ValueError):
     """A set or system is malformed: the message says what was given and what is required."""
+
+
+class Unresolved(ReachError):
+    """What was asked for is well posed, but steps, time or floating point do not suffice for it."""

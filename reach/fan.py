@@ -12,8 +12,9 @@ from scipy.linalg import expm
 from .adjoint import Adjoint
 from .centering import centered
 from .errors import ReachError
+from .exponentials import times
 from .march import MAX_STEPS, substeps
-from .rows import ROUNDING, times
+from .rows import ROUNDING
 from .systems import LinearSystem
 from .zonotope import Zonotope
 

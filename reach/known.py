@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from .rows import Rows, times
+from .exponentials import times
+from .rows import Rows
 from .signals import Signal
 from .systems import LinearSystem
 

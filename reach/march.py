@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from time import perf_counter
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .adjoint import Adjoint, Block, Overflow
-from .errors import ReachError
+from .errors import ReachError, Unresolved
 from .known import Ahead, known
 from .pieces import bends, piece_starts, totals
 from .rows import ROUNDING
@@ -23,6 +24,8 @@ ENTRIES = 50_000
 """Entries of all rows that are carried together when it does not."""
 SHARE = 0.01
 """Tolerance if none is given, as a share of the largest support."""
+USELESS = 1e9
+"""Bounds between nodes may exceed the size of what is bounded by this; more is an error, not a bound."""
 FINEST = 2.0**-40
 """Shortest step of the automatic choice, as a share of the horizon."""
 
@@ -94,28 +97,44 @@ def march(
     limit: ArrayLike | None = None,
     keep: bool = False,
     substeps: int = 1,
+    deadline: float = np.inf,
 ) -> March:
     """Carry rows D over the horizon, with a step (in substeps) or by a tolerance (see `support_tube`)."""
-    if not (np.isfinite(horizon) and horizon > 0):
-        raise ReachError(f"the horizon must be a finite number > 0, got {horizon!r}")
+    _is_number("horizon", horizon)
     if step is not None and tolerance is not None:
         raise ReachError("give a step or a tolerance, not both")
-    if step is not None and not (np.isfinite(step) and step > 0):
-        raise ReachError(f"the step must be a finite number > 0, got {step!r}")
+    if step is not None:
+        _is_number("step", step)
     if adjoint.system.discrete:
         if horizon != round(horizon) or step not in (None, 1):
             given = f"got horizon {horizon!r} and step {step!r}"
             raise ReachError(f"a discrete system takes a whole number of steps of 1, {given}")
         step = 1.0
     if step is None and adjoint.pieces > 1:
-        raise ReachError("an input that changes its set needs a step, one that divides its breaks")
+        raise ReachError("an input that changes its set needs a step, best one that divides its breaks")
     if step is not None:
-        return regular(adjoint, D, horizon, step, substeps, keep)
+        return regular(adjoint, D, horizon, step, substeps, keep, deadline)
     goal = None if tolerance is None else per_row("tolerance", tolerance, len(D))
     if goal is not None and not np.all((goal > 0) & np.isfinite(goal)):
         raise ReachError(f"the tolerance must be finite and > 0, got {tolerance!r}")
     ceiling = np.full(len(D), -np.inf) if limit is None else per_row("limit", limit, len(D))
-    return collect(adjoint, D, horizon, adaptive(adjoint, D, horizon, goal, ceiling), keep)
+    return collect(adjoint, D, horizon, adaptive(adjoint, D, horizon, goal, ceiling, deadline), keep)
+
+
+def _is_number(name: str, value: float) -> None:
+    if not (isinstance(value, int | float | np.number) and np.isfinite(value) and value > 0):
+        raise ReachError(f"the {name} must be a finite number > 0, got {value!r}")
+
+
+def in_time(deadline: float) -> None:
+    """Stop where a time (of `perf_counter`) has passed.
+
+    Raises
+    ------
+    Unresolved
+    """
+    if perf_counter() > deadline:
+        raise Unresolved("time ran out")
 
 
 def per_row(name: str, value: ArrayLike, r: int) -> Array:
@@ -133,10 +152,12 @@ def substeps(adjoint: Adjoint, step: float | None) -> int:
     return int(2 ** np.clip(np.ceil(np.log2(max(2 * step * adjoint.rows.norm, 1.0))), 0, 4))
 
 
-def regular(adjoint: Adjoint, D: Array, horizon: float, step: float, parts: int, keep: bool) -> March:
+def regular(
+    adjoint: Adjoint, D: Array, horizon: float, step: float, parts: int, keep: bool, deadline: float
+) -> March:
     """Steps of one length, each carried in some parts."""
     if horizon / step > MAX_STEPS:
-        raise ReachError(f"more than {MAX_STEPS:,} steps: horizon {horizon:g}, step {step:g}")
+        raise Unresolved(f"more than {MAX_STEPS:,} steps: horizon {horizon:g}, step {step:g}")
     count = max(int(np.ceil(horizon / step * (1 - 1e-12))), 1) * parts
     size = int(np.clip(ENTRIES // D.size, BLOCK, count))
     h = horizon / count
@@ -146,13 +167,14 @@ def regular(adjoint: Adjoint, D: Array, horizon: float, step: float, parts: int,
     def blocks() -> Iterator[tuple[float, Block]]:
         rows = D * adjoint.rows.scale
         for k in range(0, count, size):
+            in_time(deadline)
             block = adjoint.block(rows, h, min(size, count - k))
             yield h, block
             rows = block.rows[-1]
 
     run = collect(adjoint, D, horizon, blocks(), keep, parts)
-    if not (np.all(np.isfinite(run.bow + run.bend)) and np.all(np.isfinite(run.upper))):
-        raise ReachError(f"the step {step:g} is too long: the bounds are beyond floating point")
+    if not np.all((run.bow + run.bend).max(axis=0) <= USELESS / ROUNDING * run.rounding.max(axis=0)):
+        raise Unresolved(f"the step {step:g} is too long: nothing useful is known between two nodes")
     return run
 
 
@@ -162,7 +184,7 @@ def look_ahead(adjoint: Adjoint, D: Array, horizon: float) -> Ahead | None:
 
 
 def adaptive(
-    adjoint: Adjoint, D: Array, horizon: float, goal: Array | None, ceiling: Array
+    adjoint: Adjoint, D: Array, horizon: float, goal: Array | None, ceiling: Array, deadline: float
 ) -> Iterator[tuple[float, Block]]:
     """Blocks whose steps are a half, a quarter, ... of the horizon, as short as the tolerance asks.
 
@@ -179,11 +201,12 @@ def adaptive(
     done, patience, steps = 0.0, 0, 0
     reached, spent, known, sums = np.zeros((4, len(D)))
     while done < 1:
+        in_time(deadline)
         h = 2.0**-level
         # A block ends at a multiple of its full length, so that longer steps may follow.
         count = BLOCK - int(done / h) % BLOCK if h * BLOCK < 1 else int((1 - done) / h)
         if steps + count > MAX_STEPS:
-            raise ReachError(f"the tolerance needs more than {MAX_STEPS:,} steps")
+            raise Unresolved(f"the tolerance needs more than {MAX_STEPS:,} steps")
         try:
             block = adjoint.block(rows, h * horizon, count)
         except Overflow:
@@ -196,7 +219,7 @@ def adaptive(
             met = np.maximum(known, start + sums + gained)
         tolerance = SHARE * met if goal is None else goal
         if np.any(tolerance < ROUNDING * adjoint.system.dim * block.size[0, 0]):
-            raise ReachError(f"the tolerance {tolerance} is below the rounding of the bounds")
+            raise Unresolved(f"the tolerance {tolerance} is below the rounding of the bounds")
         gain = block.upper.sum(axis=1)
         with np.errstate(invalid="ignore"):
             loss = (block.upper - block.lower).sum(axis=(0, 1))
@@ -212,7 +235,7 @@ def adaptive(
             patience = 4  # blocks before a longer step is tried again
             continue
         if error > 1:
-            raise ReachError(f"no step is short enough for the tolerance {tolerance}")
+            raise Unresolved(f"no step is short enough for the tolerance {tolerance}")
         yield h * horizon, block
         if goal is None:
             known, sums = met, sums + gained
@@ -255,7 +278,12 @@ def collect(
     if not np.ptp(steps):
         times = np.linspace(0, horizon, len(steps) + 1)
     starts, missed = piece_starts(adjoint.system, times, parts)
-    rounding = booked(adjoint, D, times, steps, states, rates, missed)
+    rounding = booked(adjoint, D, times, steps, states, rates)
+    # The rate of an integral between two nodes exceeds that at a node by its slope times half the step.
+    slope = np.vstack([np.zeros((1, len(D))), 4 * bend.sum(axis=1) / steps[:, None]])
+    rounding = rounding + missed * np.maximum.accumulate(rates + slope)
+    if not (np.all(np.isfinite(rounding)) and np.all(np.isfinite(upper)) and np.all(np.isfinite(first))):
+        raise Overflow("the bounds or their rounding are beyond floating point")
     motion, kinks = np.zeros((2, *first.shape))
     if adjoint.system.nominal is not None:
         by = known(adjoint.system, D, times, steps)
@@ -275,9 +303,7 @@ def collect(
     )
 
 
-def booked(
-    adjoint: Adjoint, D: Array, times: Array, steps: Array, states: Array, rates: Array, missed: float
-) -> Array:
+def booked(adjoint: Adjoint, D: Array, times: Array, steps: Array, states: Array, rates: Array) -> Array:
     """Bound on the rounding of the sum of both parts at the nodes, shape (K+1, r).
 
     What a step gets wrong, a share of the row it is applied to, is then carried on as the row is:
@@ -291,6 +317,6 @@ def booked(
             logs = np.maximum.accumulate(np.log(size) - b * times[:, None]) + b * times[:, None]
         grown.append(np.exp(np.minimum(logs + a, 700.0)))
     state, change = grown
-    work = adjoint.system.dim + np.r_[0.0, np.cumsum(1 + steps * adjoint.rows.norm)]
+    work = adjoint.system.dim + np.r_[0.0, np.cumsum(1 + steps * adjoint.rows.work)]
     total = np.vstack([np.zeros((1, len(D))), np.cumsum(steps[:, None] * change[1:], axis=0)])
-    return np.asarray(ROUNDING * work[:, None] * (state + total) + missed * np.maximum.accumulate(rates))
+    return np.asarray(ROUNDING * work[:, None] * (state + total))

@@ -63,19 +63,26 @@ class HPolytope(SetOperators):
         return int(self.A.shape[1])
 
     @cached_property
-    def _ball(self) -> tuple[Array, float]:
-        """Centre and radius of the largest inscribed ball, axes scaled alike; the radius relative to b."""
+    def _ball(self) -> tuple[Array, float, Array]:
+        """Largest inscribed ball, axes scaled alike: centre, radius relative to b, multipliers."""
         scale = np.abs(self.A).max(axis=0, initial=0.0)
         rows = self.A / np.where(scale > 0, scale, 1.0)
         norms = np.linalg.norm(rows, axis=1)
         found = maximise(np.r_[np.zeros(self.dim), 1.0], np.c_[rows, norms], self.b)
         level = float(np.max(np.abs(self.b) / norms, initial=0.0)) or 1.0
-        return found.point[:-1] / np.where(scale > 0, scale, 1.0), found.value / level
+        return found.point[:-1] / np.where(scale > 0, scale, 1.0), found.value / level, found.multipliers
 
     @property
     def is_empty(self) -> bool:
         """Whether no point satisfies all rows (thinner than `FLATNESS` counts as flat, not empty)."""
         return self._ball[1] < -FLATNESS
+
+    def is_empty_within(self, sizes: Array) -> bool:
+        """Whether it is proved that no point with ``|x| <= sizes``, shape (n,), is in the set (Farkas)."""
+        if not self.is_empty:
+            return False
+        level, residual = self.weak_duality(np.zeros((1, self.dim)), self._ball[2][None])
+        return bool(level[0] + (1 + gamma(self.dim)) * float(residual[0] @ sizes) < 0)
 
     @property
     def center(self) -> Array:

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.linalg import expm
 from scipy.sparse.csgraph import connected_components
 
+from .exponentials import CANCELLED, action, exponential, flushed, scaled, times
 from .systems import LinearSystem
 
 Array = NDArray[np.float64]
@@ -20,12 +20,6 @@ SMALL_PART = 32
 """Largest independent part whose exponentials are formed on their own."""
 ROUNDING = 16 * np.finfo(float).eps
 """Booked relative rounding per step and state, see `docs`; never the error of a method."""
-FLUSH = 1e-60
-"""Entries below this share of the largest of their row are set to zero: denormal numbers are slow."""
-REACH = 3.0
-"""Norm of ``A t`` up to which Taylor's series of the action is summed at once."""
-MOST_TERMS = 100
-"""Terms of that series, whose rest then is below 1e-100; more are asked for only where numbers overflow."""
 SAMPLES = 8
 """Instants at which the growth of rounding in larger systems is looked at."""
 WATCHED = 400
@@ -67,6 +61,8 @@ class Rows:
     Three ways to carry them, chosen by the structure of A: through the exponentials of its
     independent parts where it falls apart into small ones, through the action of the exponential
     where A is sparse, through the dense exponential otherwise.
+
+    `work` is how many roundings of a row one unit of time takes.
     """
 
     def __init__(self, system: LinearSystem) -> None:
@@ -79,6 +75,7 @@ class Rows:
         self.A = A if thin else A.toarray()
         self.norm = float(np.max(np.asarray(abs(A).sum(axis=1)), initial=0.0))
         self.action = system.sparse and self.parts is None
+        self.work = self.norm * (CANCELLED if self.action else 1.0)
         self._maps: dict[float, Any] = {}
         self._closings: dict[float, Any] = {}
 
@@ -97,12 +94,12 @@ class Rows:
 
     def _exponential(self, A: Any, h: float) -> Any:
         if self.parts is None:
-            return flushed(expm(A * h) if isinstance(A, np.ndarray) else taylor(A, h))
+            return exponential(A, h)
         # Every part is joined by the constants, which act on all of them and change by none.
         size, k = self.parts.shape[1], self.constants
         blocks = np.hstack([self.parts, np.tile(k, (len(self.parts), 1))])
         rows, columns = np.broadcast_arrays(blocks[:, :, None], blocks[:, None, :])
-        found = flushed(expm(np.asarray(A[rows.ravel(), columns.ravel()]).reshape(rows.shape) * h))
+        found = exponential(np.asarray(A[rows.ravel(), columns.ravel()]).reshape(rows.shape), h)
         place = np.r_[rows[:, :size].ravel(), k], np.r_[columns[:, :size].ravel(), k]
         return sparse.csr_matrix((np.r_[found[:, :size].ravel(), np.ones(len(k))], place), shape=A.shape)
 
@@ -149,10 +146,16 @@ class Rows:
         return [h * 2.0**i for i in range(int(np.log2(horizon / h)) + 1)]
 
     def weights(self, lags: list[float], sizes: Array) -> Array:
-        """Sizes (n, q) that states of given sizes (n, q) grow to after any of some lags."""
+        """Sizes (n, q) that states of given sizes (n, q) grow to after any of some lags.
+
+        Less the growth at the rate over the longest of them: what grows all alike at one rate has no
+        preferred direction, and `amplification` counts the rate.
+        """
         with np.errstate(over="ignore", invalid="ignore"):
-            grown = [sizes, *(np.asarray(abs(self.map(t)) @ sizes) for t in lags)]
-        return np.asarray(np.max(grown, axis=0))
+            grown = np.array([sizes, *(np.asarray(abs(self.map(t)) @ sizes) for t in lags)])
+            first, last = (np.maximum(g.max(axis=0), 1e-300) for g in (sizes, grown[-1]))
+            rate = np.clip(np.nan_to_num(np.log(last / first)), 0, 600) / max(lags, default=1.0)
+            return np.asarray(np.max(grown * np.exp(-np.outer([0.0, *lags], rate))[:, None], axis=0))
 
     def amplification(
         self, rows: Array, lags: list[float], weights: Array, horizon: float
@@ -160,7 +163,8 @@ class Rows:
         """Numbers a and b with ``norm(e e^{A t}) <= norm(e) exp(a + b t)``, each (q, r).
 
         For perturbations e of the states that one of r rows depends on, and the norm ``sum |e_i| w_i``
-        of each of the q weights; measured at the lags, with a factor of 2 for the times between.
+        of each of the q weights; measured at the lags and carried on from the last of them to the
+        horizon, with a factor of 2 for the times between.
         (The product over the lags that make up a time would be a bound, but one out of all
         proportion: every lag adds the norm's own distortion.)
         """
@@ -176,12 +180,17 @@ class Rows:
             ratio = np.divide(grown, weights, out=np.where(grown > 0, np.inf, 1.0), where=weights > 0)
             most = np.where(seen[None] > 0, ratio.T[:, None], 0.0).max(axis=2)
             logs[i] = np.log(np.maximum(most, 1e-300))
-        lag = np.asarray(lags)[:, None, None]
+        # To the end it goes on as between the last two lags.
+        slope = np.maximum(logs[-1] - logs[-2], 0) / (lags[-1] - lags[-2]) if len(lags) > 1 else 0.0
+        logs = np.concatenate([logs, [logs[-1] + slope * (horizon - lags[-1])]])
+        lag = np.asarray([*lags, horizon])[:, None, None]
         rates = np.concatenate([np.zeros((1, q, r)), logs / lag])
         excess = np.maximum(logs - rates[:, None] * lag, 0).max(axis=1) + np.log(2)
-        # Any of these rates will do. Take the lowest of those that bound the growth over all lags well.
-        total = excess + np.maximum(rates, 0) * lags[-1]
-        good = np.where(total <= total.min(axis=0) + 1, rates, np.inf).argmin(axis=0)[None]
+        # Any of these rates will do. Of those that bound the growth to the end well, take the fastest
+        # decay, or else the fastest growth: it counts nothing twice of rows that grow by themselves.
+        total = excess + np.maximum(rates, 0) * horizon
+        speed = np.where(rates < 0, 1e9 - rates, rates)
+        good = np.where(total <= total.min(axis=0) + 1, speed, -np.inf).argmax(axis=0)[None]
         return np.take_along_axis(excess, good, 0)[0], np.take_along_axis(rates, good, 0)[0]
 
     def _sampled_growth(self, weights: Array, horizon: float) -> Array:
@@ -202,96 +211,6 @@ class Rows:
             most, first = np.abs(path).max(axis=(0, 2)), weights.max(axis=0)
         ratio = np.divide(most, first, out=np.ones_like(first), where=first > 0)
         return np.asarray(10 * np.clip(np.nan_to_num(ratio, nan=1e299, posinf=1e299), 1.0, 1e299))
-
-
-def action(M: Any, rows: Array, h: float, count: int) -> Array:
-    """``e^{M h l} v`` for l = 0..count and every row v, shape (count+1, r, n), by Taylor's series.
-
-    Each series spans as many steps as `REACH` allows, or a part of one, and ends where the bound on
-    its rest, a geometric series in the norm of the last term, is below the rounding of every row.
-    The mean of the diagonal is split off: it takes nothing but a factor.
-    """
-    M = sparse.csr_matrix(M)
-    shift = float(M.diagonal().mean())
-    N = M - shift * sparse.identity(M.shape[0], format="csr")
-    norm = h * float(abs(N).sum(axis=0).max())
-    parts = max(int(np.ceil(norm / REACH)), 1)
-    span = int(np.clip(REACH / norm if norm > 0 else count, 1, count)) if parts == 1 else 1
-    out = np.empty((count + 1, *rows.shape))
-    out[0] = rows
-    for k in range(0, count, span):
-        m = min(span, count - k)
-        shares = np.arange(1, m + 1) / m
-        x: Any = out[k]
-        for _ in range(parts - 1):
-            x = _series(N, x, h / parts, norm / parts, np.ones(1))[0] * np.exp(shift * h / parts)
-        length = h * m / parts
-        out[k + 1 : k + 1 + m] = _series(N, x, length, norm * m / parts, shares)
-        out[k + 1 : k + 1 + m] *= np.exp(shift * length * shares)[:, None, None]
-    return out
-
-
-def _series(N: Any, rows: Array, t: float, norm: float, shares: Array) -> Array:
-    """``e^{N t s} v`` for all shares s in [0, 1] of t and every row v; norm bounds ``|N t|``."""
-    term = np.ascontiguousarray(rows.T)
-    terms, start, j = [rows.ravel()], np.abs(rows).sum(axis=1), 0
-    while True:
-        j += 1
-        term = N @ term * (t / j)
-        terms.append(term.T.ravel())
-        ratio = norm / (j + 1)
-        rest = np.abs(term).sum(axis=0) * ratio / (1 - ratio) if ratio < 0.5 else np.full(len(start), np.inf)
-        if np.all(rest <= 1e-17 * start) or j > MOST_TERMS:
-            break
-    powers = shares[:, None] ** np.arange(j + 1)
-    return np.asarray((powers @ np.array(terms)).reshape(len(shares), *rows.shape))
-
-
-def taylor(A: Any, h: float) -> Array:
-    """``e^{A h}`` of a sparse matrix, dense: Taylor's series of a fraction of h, squared.
-
-    The series keeps the entries far from those of A at zero, where Pade's form fills them with
-    denormal numbers, which are slow.
-    """
-    halvings = max(int(np.ceil(np.log2(max(float(abs(A).sum(axis=1).max()) * h, 1e-300)))) + 2, 0)
-    part = sparse.csr_matrix(A) * (h / 2.0**halvings)
-    term = total = sparse.identity(A.shape[0], format="csr")
-    for k in range(1, 15):  # the norm of `part` is at most 1/4: 0.25^15 / 15! < 1e-21
-        term = term @ part / k
-        total = total + term
-    out = total.toarray()
-    for _ in range(halvings):
-        out = flushed(out @ out)
-    return np.asarray(out)
-
-
-def flushed(values: Any) -> Any:
-    """The array, with entries below `FLUSH` times the largest of their row set to zero, in place.
-
-    Rows run along the last axis. Each is compared with itself only: another row may be larger by
-    any factor and matter less.
-    """
-    if isinstance(values, np.ndarray):
-        size = np.abs(values)
-        values[size < FLUSH * size.max(axis=-1, keepdims=True, initial=0.0)] = 0.0
-        return values
-    size, counts = np.abs(values.data), np.diff(values.indptr)
-    largest = np.zeros(len(counts))
-    largest[counts > 0] = np.maximum.reduceat(size, values.indptr[:-1][counts > 0]) if len(size) else 0.0
-    values.data[size < FLUSH * np.repeat(largest, counts)] = 0.0
-    return values
-
-
-def times(rows: Array, M: Any) -> Array:
-    """``rows @ M`` for rows (..., n) and M dense or sparse."""
-    flat = rows.reshape(int(np.prod(rows.shape[:-1])), rows.shape[-1])
-    out = flat @ M if isinstance(M, np.ndarray) else np.asarray((M.T @ flat.T).T)
-    return out.reshape(*rows.shape[:-1], M.shape[1])
-
-
-def scaled(M: Any, s: Array) -> Any:
-    """Rows of M, dense or sparse, times numbers s."""
-    return M * s[:, None] if isinstance(M, np.ndarray) else sparse.csr_matrix(sparse.diags(s) @ M)
 
 
 def _dense(A: Any) -> Array:

@@ -79,11 +79,15 @@ class LinearSystem:
         if c.shape != (n,) or not np.all(np.isfinite(c)):
             raise ReachError(f"c must be {n} finite numbers, got {self.c!r}")
         breaks = numbers("breaks", self.breaks)
-        if breaks.shape != (max(len(pieces) - 1, 0),) or not np.all(np.diff(breaks, prepend=0.0) > 0):
+        if breaks.shape != (max(len(pieces) - 1, 0),) or not (
+            np.all(np.isfinite(breaks)) and np.all(np.diff(breaks, prepend=0.0) > 0)
+        ):
             raise ReachError(
                 f"{len(pieces)} input sets need {max(len(pieces) - 1, 0)} breaks, positive and increasing, "
                 f"got {self.breaks!r}"
             )
+        if self.discrete and np.any(breaks != np.round(breaks)):
+            raise ReachError(f"the breaks of a discrete system must be whole numbers, got {self.breaks!r}")
         for name, value in (("A", A), ("B", B), ("U", pieces), ("c", c), ("breaks", breaks)):
             object.__setattr__(self, name, value)
 
@@ -116,7 +120,7 @@ class LinearSystem:
         Its initial set is the product of the initial set of x and of U, ``X.product(U)``.
         """
         m = self.inputs
-        if len(self.U) != 1:
+        if len(self.U) != 1 or m == 0:
             raise ReachError(f"an input can be constant only if it has one set, got {len(self.U)}")
         keep = sparse.identity(m) if self.discrete else sparse.csr_matrix((m, m))
         A = sparse.bmat([[sparse.csr_matrix(self.A), self.B], [None, keep]], format="csr")

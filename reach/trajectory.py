@@ -16,10 +16,10 @@ from .adjoint import Adjoint
 from .centering import centered
 from .convex import ConvexSet
 from .errors import ReachError
+from .exponentials import times
 from .known import known
 from .march import march
-from .rows import times
-from .systems import LinearSystem
+from .systems import LinearSystem, numbers, single_set
 
 Array = NDArray[np.float64]
 
@@ -140,8 +140,18 @@ def worst_case(
         Over which an input is held. Default: a 256th of the horizon.
     tolerance : float, optional
         Instead of a step: most that ``d x(horizon)`` may lie below the exact support.
+
+    Raises
+    ------
+    ReachError
+        If a number is not finite or shapes do not fit.
+    Unresolved
+        If the tolerance cannot be met.
     """
-    d = np.asarray(direction, dtype=float).reshape(1, -1)
+    d = np.atleast_2d(numbers("direction", direction))
+    if d.shape != (1, system.dim) or not np.all(np.isfinite(d)):
+        raise ReachError(f"the direction must be {system.dim} finite numbers, got {direction!r}")
+    single_set("the initial set", initial)
     if horizon == 0:
         return Trajectory(np.zeros(1), initial.support_vector(d), np.zeros((0, system.inputs)))
     around, start = (system, initial) if system.discrete else centered(system, initial)
@@ -158,7 +168,15 @@ def worst_case(
         return simulate(
             system, x0, [0.0, horizon] if not system.discrete else instants, _none(system, instants)
         )
-    middle = (rows[:-1] if system.discrete else (rows[:-1] + rows[1:]) / 2)[::-1]
+    if system.discrete:
+        middle = rows[:-1][::-1]
+    else:
+        # No input is held across a change of its set.
+        ends, backwards = instants, rows[::-1]
+        instants = np.union1d(ends, system.breaks[system.breaks < horizon])
+        s, k = (instants[:-1] + instants[1:]) / 2, np.searchsorted(ends, instants[:-1], side="right") - 1
+        share = ((s - ends[k]) / (ends[k + 1] - ends[k]))[:, None]
+        middle = (1 - share) * backwards[k] + share * backwards[k + 1]
     piece = np.searchsorted(system.breaks, (instants[:-1] + instants[1:]) / 2, side="right")
     u = np.empty((len(middle), system.inputs))
     for i, U in enumerate(system.U):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from time import perf_counter
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -77,6 +78,7 @@ def support_tube(
     step: float | None = None,
     tolerance: float | ArrayLike | None = None,
     limit: ArrayLike | None = None,
+    max_seconds: float = np.inf,
 ) -> SupportTube:
     """Bound chosen directions over the reachable sets, continuously in time.
 
@@ -96,6 +98,8 @@ def support_tube(
         by it, and differ. Default: a hundredth of the largest value met.
     limit : array_like, shape (r,), optional
         With a tolerance: a bound between nodes that stays below this is tight enough.
+    max_seconds : float, optional
+        Wall time after which to give up.
 
     Returns
     -------
@@ -104,8 +108,11 @@ def support_tube(
     Raises
     ------
     ReachError
-        If a number is not finite, shapes do not fit, or the tolerance cannot be met.
+        If a number is not finite or shapes do not fit.
+    Unresolved
+        If the tolerance cannot be met, in the time given, or a bound is beyond floating point.
     """
+    deadline = perf_counter() + max_seconds
     D = np.atleast_2d(numbers("directions", directions))
     if D.ndim != 2 or D.shape[1] != system.dim or len(D) == 0 or not np.all(np.isfinite(D)):
         raise ReachError(f"directions must be finite rows of length {system.dim}, got shape {D.shape}")
@@ -113,7 +120,7 @@ def support_tube(
     rows = np.hstack([D, np.zeros((len(D), around.dim - system.dim))])
     adjoint = Adjoint(around, start)
     parts = substeps(adjoint, step)
-    run = march(adjoint, rows, horizon, step, tolerance, limit, substeps=parts)
+    run = march(adjoint, rows, horizon, step, tolerance, limit, substeps=parts, deadline=deadline)
     upper, lower = run.first + run.upper + run.rounding, run.attained + run.lower - run.rounding
     interval = np.maximum(upper[1:], upper[:-1]) + run.bow + run.bend
     interval = interval.reshape(-1, parts, len(D)).max(axis=1)

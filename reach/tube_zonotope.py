@@ -11,7 +11,7 @@ from .adjoint import Adjoint, is_symmetric
 from .centering import centered
 from .convex import ConvexSet
 from .errors import ReachError
-from .march import March, march, substeps
+from .march import March, march, per_row, substeps
 from .rows import ROUNDING
 from .systems import LinearSystem, numbers, single_set
 from .tube_support import locate
@@ -115,7 +115,9 @@ def zonotope_tube(
     Raises
     ------
     ReachError
-        If the frame is singular, shapes do not fit, or the tolerance cannot be met.
+        If the frame is singular or shapes do not fit.
+    Unresolved
+        If the tolerance cannot be met or a bound is beyond floating point.
     """
     F = np.eye(system.dim) if frame is None else numbers("frame", frame)
     if F.shape != (system.dim,) * 2 or not np.all(np.isfinite(F)) or np.linalg.matrix_rank(F) < len(F):
@@ -125,8 +127,11 @@ def zonotope_tube(
     around, start = centered(system, hull)
     inverse: Array = np.asarray(np.linalg.inv(F))
     rows = np.hstack([inverse, np.zeros((len(F), around.dim - system.dim))])
+    if tolerance is not None:
+        tolerance = per_row("tolerance", tolerance, len(F))
     if len(around.U) > 1 or not all(is_symmetric(U) for U in around.U):
         rows = np.vstack([rows, -rows])
+        tolerance = None if tolerance is None else np.tile(tolerance, 2)
     adjoint = Adjoint(around, start)
     parts = substeps(adjoint, step)
     run = march(adjoint, rows, horizon, step, tolerance, keep=True, substeps=parts)

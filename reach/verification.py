@@ -6,14 +6,15 @@ from dataclasses import dataclass
 from fractions import Fraction
 from math import lcm
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .convex import ConvexSet
-from .errors import ReachError
+from .errors import ReachError, Unresolved
 from .polytope import HPolytope
-from .systems import LinearSystem
+from .systems import LinearSystem, numbers, single_set
 from .trajectory import Trajectory, worst_case
 from .tube_support import SupportTube, support_tube
 
@@ -25,6 +26,8 @@ SHARPER = 8.0
 """Factor by which the tolerance shrinks while neither proof nor violation is found."""
 FIRST, LAST = 0.05, 1e-7
 """First and last tolerance, as shares of the size of the quantity bounded."""
+GRID = 10_000
+"""Most steps that a first grid takes to have every change of the input set on a node."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,33 +123,77 @@ def verify(
     initial : ConvexSet
     spec : Always or Never
     horizon : float
+        May be 0: then the initial set is asked.
     max_seconds : float
-        No further refinement is begun after this time.
+        Wall time after which the answer is "unknown".
 
     Raises
     ------
     ReachError
         If dimensions differ, or the times of the specification lie outside the horizon.
     """
-    if spec.region.dim != system.dim:
-        raise ReachError(f"the region has dimension {spec.region.dim}, the system {system.dim} states")
-    window = (0.0, float(horizon)) if spec.during is None else spec.during
-    if not 0 <= window[0] <= window[1] <= horizon:
-        raise ReachError(f"`during` must lie within [0, {horizon:g}], got {spec.during}")
-    if system.discrete:
-        window = float(np.ceil(window[0])), float(np.floor(window[1]))
-        if window[0] > window[1]:
-            raise ReachError(f"`during` must hold a whole number of steps, got {spec.during}")
+    window = _window(system, spec, horizon)
+    single_set("the initial set", initial)
     begun = perf_counter()
-    if isinstance(spec, Never) and len(spec.region.b) == 1:
+    deadline = begun + max_seconds
+    region = spec.region
+    if len(region.b) == 0:
+        return _without_limits(system, initial, spec, window[0], begun)
+    if isinstance(spec, Never) and len(region.b) == 1:
         # Out of one halfspace is inside the opposite one, its boundary excluded.
-        beyond = HPolytope(-spec.region.A, np.nextafter(-spec.region.b, -np.inf))
-        return verify_always(system, initial, beyond, window, begun, max_seconds)
-    if isinstance(spec, Never):
+        region = HPolytope(-region.A, np.nextafter(-region.b, -np.inf))
+    elif isinstance(spec, Never):
         from .avoidance import verify_never
 
-        return verify_never(system, initial, spec.region, window, begun, max_seconds)
-    return verify_always(system, initial, spec.region, window, begun, max_seconds)
+        return verify_never(system, initial, region, window, begun, deadline)
+    return verify_always(system, initial, region, window, begun, deadline)
+
+
+def _window(system: LinearSystem, spec: Any, horizon: float) -> tuple[float, float]:
+    """First and last time that a specification speaks of."""
+    if not isinstance(spec, Always | Never):
+        raise ReachError(f"the specification must be Always or Never, got {type(spec).__name__}")
+    if not isinstance(spec.region, HPolytope):
+        given = type(spec.region).__name__
+        raise ReachError(f"its region must be an HPolytope, got {given}; use its to_polytope()")
+    if spec.region.dim != system.dim:
+        raise ReachError(f"the region has dimension {spec.region.dim}, the system {system.dim} states")
+    if not (numbers("horizon", horizon).shape == () and 0 <= horizon < np.inf):
+        raise ReachError(f"the horizon must be a finite number >= 0, got {horizon!r}")
+    during = (0.0, horizon) if spec.during is None else spec.during
+    if numbers("during", during).shape != (2,) or not 0 <= during[0] <= during[1] <= horizon:
+        raise ReachError(f"`during` must be two times within [0, {horizon:g}], got {spec.during!r}")
+    first, last = float(during[0]), float(during[1])
+    if system.discrete:
+        first, last = float(np.ceil(first)), float(np.floor(last))
+        if first > last:
+            raise ReachError(f"`during` must hold a whole number of steps, got {spec.during!r}")
+    return first, last
+
+
+def _without_limits(
+    system: LinearSystem, initial: ConvexSet, spec: Always | Never, time: float, begun: float
+) -> Verdict:
+    """Of a region that is everything there is nothing to compute."""
+    none, path = np.zeros(0), None
+    if isinstance(spec, Always):
+        status, margin, reason = "proven", np.inf, "the region has no limits"
+    else:
+        path = worst_case(system, initial, time, np.ones(system.dim))
+        status, margin, reason = "violated", -np.inf, "the region to avoid has no limits"
+    return Verdict(status, margin, none, none, path, 0, perf_counter() - begun, reason)
+
+
+def visited(system: LinearSystem, initial: ConvexSet, horizon: float, deadline: float) -> Array:
+    """Largest absolute values of the states over the horizon, never too small, shape (n,)."""
+    axes = np.vstack([np.eye(system.dim), -np.eye(system.dim)])
+    if horizon == 0:
+        most = initial.support(axes)
+    else:
+        step = {"step": horizon / 64} if len(system.U) > 1 and not system.discrete else {}
+        seconds = deadline - perf_counter()
+        most = support_tube(system, initial, horizon, axes, max_seconds=seconds, **step).most
+    return np.asarray(np.maximum(most[: system.dim], most[system.dim :]).clip(min=0))
 
 
 def verify_always(
@@ -155,73 +202,100 @@ def verify_always(
     region: HPolytope,
     window: tuple[float, float],
     begun: float,
-    max_seconds: float,
+    deadline: float,
 ) -> Verdict:
     """`verify` for a region to stay in: one tube along its normals, sharper where it must be."""
     C, limits = region.A, region.b
     size = np.maximum(np.abs(limits), np.maximum(initial.support(C), initial.support(-C)))
     size = np.where(size > 0, size, 1.0)
     bounds, reached = np.full(len(C), np.inf), np.full(len(C), -np.inf)
-    share, steps, stop = FIRST, 0, ""
-    while not stop:
-        open_rows = np.nonzero(~(bounds <= limits))[0]
-        if len(open_rows) == 0:
+    share, steps, path, reason = FIRST, 0, None, ""
+
+    def verdict(status: str, margin: float) -> Verdict:
+        return Verdict(status, margin, bounds, reached, path, steps, perf_counter() - begun, reason)
+
+    while True:
+        rows = np.nonzero(~(bounds <= limits))[0]
+        if len(rows) == 0:
             margin = float(np.min((limits - bounds) / np.linalg.norm(C, axis=1)))
             reason = f"every bound keeps {margin:.6g} from its limit"
-            return Verdict("proven", margin, bounds, reached, None, steps, perf_counter() - begun, reason)
+            return verdict("proven", margin)
+        if share < LAST:
+            gap = np.max((np.abs(bounds - reached) / size)[rows])
+            reason = f"bounds and trajectories are within {gap:.1g} of each other and of the limit"
+            return verdict("unknown", np.nan)
         # At a single instant, which is a node, nothing between nodes matters.
-        between = limits[open_rows] if window[0] < window[1] else np.full(len(open_rows), np.inf)
-        tube = sharp_tube(system, initial, window[1], C[open_rows], share * size[open_rows], between)
+        between = limits[rows] if window[0] < window[1] else np.full(len(rows), np.inf)
+        try:
+            tube = sharp_tube(system, initial, window[1], C[rows], share * size[rows], between, deadline)
+        except Unresolved as exc:
+            reason = f"neither proven nor violated: {exc}"
+            return verdict("unknown", np.nan)
         steps = len(tube.times) - 1
-        bounds[open_rows], instants, reached[open_rows] = extremes(tube, window, system.discrete)
+        bounds[rows], instants, reached[rows] = extremes(tube, window, system.discrete)
         broken = np.nonzero(reached > limits)[0]
         if len(broken):
             row = int(broken[np.argmax((reached - limits)[broken] / size[broken])])
-            instant = float(instants[open_rows.tolist().index(row)])
+            instant = float(instants[rows.tolist().index(row)])
             excess = float(reached[row] - limits[row])
-            found = sharp_worst_case(system, initial, instant, C[row], excess / 2, window[1] / max(steps, 1))
-            value = float(C[row] @ found.states[-1])
+            path = sharp_worst_case(system, initial, instant, C[row], excess / 2, window[1] / max(steps, 1))
+            value = float(C[row] @ path.states[-1])
             if value > limits[row] + REPLAY * size[row]:
-                margin = float((limits[row] - value) / np.linalg.norm(C[row]))
-                reason = (
-                    f"row {row} reaches {value:.6g} at t = {instant:.6g}, above its limit {limits[row]:.6g}"
-                )
-                return Verdict(
-                    "violated", margin, bounds, reached, found, steps, perf_counter() - begun, reason
-                )
+                reason = f"row {row} reaches {value:.6g} at t = {instant:.6g}, its limit is {limits[row]:.6g}"
+                return verdict("violated", float((limits[row] - value) / np.linalg.norm(C[row])))
+            path = None
         share /= SHARPER
-        if share < LAST:
-            stop = "the limit is touched to working precision"
-        elif perf_counter() - begun > max_seconds:
-            stop = f"neither proven nor violated within {max_seconds:g} s"
-    return Verdict("unknown", np.nan, bounds, reached, None, steps, perf_counter() - begun, stop)
 
 
 def sharp_tube(
-    system: LinearSystem, initial: ConvexSet, horizon: float, C: Array, tolerance: Array, limits: Array
+    system: LinearSystem,
+    initial: ConvexSet,
+    horizon: float,
+    C: Array,
+    tolerance: Array,
+    limits: Array,
+    deadline: float = np.inf,
 ) -> SupportTube:
-    """A tube as sharp as a tolerance asks; with several input sets, equal steps short enough for it."""
+    """A tube as sharp as a tolerance asks; with several input sets, equal steps short enough for it.
+
+    Raises
+    ------
+    Unresolved
+        If that takes too many steps, or longer than the deadline.
+    """
     if horizon == 0:
         start, none = initial.support(C)[None], np.zeros((0, len(C)))
         return SupportTube(np.zeros(1), C, start, start, none, none)
-    if len(system.U) < 2:
-        return support_tube(system, initial, horizon, C, tolerance=tolerance, limit=limits)
-    shares = [Fraction(time / horizon).limit_denominator(100_000) for time in system.breaks]
-    step = horizon / lcm(*(share.denominator for share in shares))
+    if len(system.U) < 2 or system.discrete:
+        how: dict[str, Any] = {} if system.discrete else {"tolerance": tolerance, "limit": limits}
+        return support_tube(system, initial, horizon, C, max_seconds=deadline - perf_counter(), **how)
+    step = horizon / _grid(system.breaks[system.breaks < horizon] / horizon)
     while True:
-        tube = support_tube(system, initial, horizon, C, step=step)
+        tube = support_tube(system, initial, horizon, C, step=step, max_seconds=deadline - perf_counter())
         loose = np.maximum((tube.upper - tube.attained).max(axis=0), tube.bow.max(axis=0))
         if np.all(loose <= tolerance):
             return tube
         step /= 2
 
 
+def _grid(shares: Array) -> int:
+    """Least number of equal parts of [0, 1] that has all shares at its nodes, if there is a small one."""
+    near = [Fraction(share).limit_denominator(GRID) for share in shares]
+    count = lcm(*(share.denominator for share in near))
+    return count if count <= GRID else 64
+
+
 def sharp_worst_case(
     system: LinearSystem, initial: ConvexSet, horizon: float, d: Array, tolerance: float, step: float
 ) -> Trajectory:
     """`worst_case` by a tolerance; with the step of the tube where that cannot be."""
-    if system.discrete or len(system.U) < 2:
-        return worst_case(system, initial, horizon, d, tolerance=None if system.discrete else tolerance)
+    if system.discrete:
+        return worst_case(system, initial, horizon, d)
+    if len(system.U) < 2:
+        try:
+            return worst_case(system, initial, horizon, d, tolerance=tolerance)
+        except Unresolved:
+            pass
     return worst_case(system, initial, horizon, d, step=step)
 
 

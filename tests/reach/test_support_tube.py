@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import sparse
 
-from reach import HPolytope, Interval, LinearSystem, ReachError, Zonotope, support_tube
+from reach import HPolytope, Interval, LinearSystem, ReachError, Zonotope, support_tube, worst_case
 from tests.reach import truth
 
 BOX = Interval([-1.0, -1.0], [1.0, 1.0])
@@ -237,14 +237,36 @@ def test_a_part_that_grows_by_hundreds_of_decades_leaves_the_others_alone(rate, 
     assert tube.upper[-1, 0] >= np.exp(-0.1) * (1 - 1e-14)
 
 
-def test_a_break_between_the_nodes_shown_is_refused():
+def test_a_break_between_the_nodes_is_booked():
     # The step is carried in parts: the break is a node of those, not of the tube.
     A = np.array([[0.0, 30.0], [-0.1, 0.0]])
     point = Interval([0.0, 0.0], [0.0, 0.0])
     system = LinearSystem(A, np.eye(2), (point, Interval([1.0, 0.0], [1.0, 0.0])), breaks=[0.25])
-    with pytest.raises(ReachError, match=r"break at 0\.25"):
-        support_tube(system, point, 1.0, np.eye(2), step=0.5)
-    holds(support_tube(system, point, 1.0, np.eye(2), step=0.25), system, point, np.random.default_rng(0), 16)
+    exact = support_tube(system, point, 1.0, np.eye(2), step=0.25)
+    holds(exact, system, point, np.random.default_rng(0), 16)
+    for step in (0.5, 0.1, 0.01):
+        tube = support_tube(system, point, 1.0, np.eye(2), step=step)
+        holds(tube, system, point, np.random.default_rng(0), 16)
+        assert np.all(tube.attained[-1] <= exact.upper[-1]) and np.all(exact.attained[-1] <= tube.upper[-1])
+        # The rate of the rows is at most 18: 30 ** 0.5 of the turning system, and 3 times that with both.
+        assert np.all(tube.upper[-1] - exact.upper[-1] <= 40 * step)
+
+
+def test_input_sets_that_share_no_grid_are_enclosed():
+    sets, breaks = (
+        [Interval([-1.0], [1.0]), Interval([0.0], [3.0]), Interval([-2.0], [-1.0])],
+        [0.1, np.sqrt(0.5)],
+    )
+    system = LinearSystem([[0.0]], [[1.0]], sets, breaks=breaks)
+    tube = support_tube(system, Interval([0.0], [0.0]), 1.0, [[1.0], [-1.0]], step=1 / 64)
+    high = 0.1 + 3 * (breaks[1] - 0.1) - (1 - breaks[1])
+    assert high <= tube.upper[-1, 0] <= high + 0.15 and tube.attained[-1, 0] <= high
+    least = -(0.1 + 2 * (1 - breaks[1]))
+    assert -least <= tube.upper[-1, 1] <= -least + 0.15
+    path = worst_case(system, Interval([0.0], [0.0]), 1.0, [1.0])
+    assert path.states[-1, 0] == pytest.approx(high, abs=1e-12)
+    for t, u in zip((path.times[:-1] + path.times[1:]) / 2, path.inputs, strict=True):
+        assert u in sets[int(np.searchsorted(breaks, t))]
 
 
 @pytest.mark.slow

@@ -1,5 +1,7 @@
 """Verdicts: proven, violated with an admissible trajectory, or unknown; never the wrong one."""
 
+from time import perf_counter
+
 import numpy as np
 import pytest
 from scipy import sparse
@@ -12,9 +14,11 @@ from reach import (
     LinearSystem,
     Never,
     ReachError,
+    Unresolved,
     simulate,
     support_tube,
     verify,
+    worst_case,
 )
 
 OSCILLATOR = LinearSystem([[0.0, 1.0], [-4.0, -0.4]], [[0.0], [1.0]], Interval([-0.1], [0.1]))
@@ -134,3 +138,119 @@ def test_replays_of_fast_systems_are_exact():
     T = 10 / 3
     end = simulate(fast, [1.0, 0.0], np.linspace(0, T, 1001), np.zeros((1000, 0))).states[-1]
     assert end == pytest.approx([np.cos(1e6 * T), -np.sin(1e6 * T)], abs=2e-8)
+
+
+# -- what does not work out is said, not computed on ----------------------------------------------
+
+
+def test_a_limit_touched_to_the_last_bit_is_unknown_not_an_error():
+    turn = LinearSystem([[0.0, 1.0], [-1.0, 0.0]])
+    verdict = verify(turn, Interval([1.0, 0.0], [1.0, 0.0]), Always(HPolytope([[1.0, 0.0]], [1.0])), 10.0)
+    assert verdict.status == "unknown" and "of the limit" in verdict.reason
+    huge = Always(HPolytope([[1.0, 0.0]], [1e-9]))
+    assert verify(turn, Interval([-1e9, 0.0], [0.0, 0.0]), huge, 1e-20).status in ("unknown", "violated")
+
+
+def test_time_that_runs_out_is_unknown_soon():
+    rng = np.random.default_rng(0)
+    stiff = LinearSystem(rng.normal(size=(60, 60)) * 40, np.eye(60), Interval(-np.ones(60), np.ones(60)))
+    begun = perf_counter()
+    spec = Always(HPolytope(np.eye(60)[:1], [1e9]))
+    verdict = verify(stiff, Interval(-np.ones(60), np.ones(60)), spec, 1000.0, max_seconds=0.2)
+    assert verdict.status == "unknown" and perf_counter() - begun < 30
+    never = Never(HPolytope(np.eye(60)[:2], [-1e300, -1e300]))
+    verdict = verify(stiff, Interval(-np.ones(60), np.ones(60)), never, 1000.0, max_seconds=0.2)
+    assert verdict.status == "unknown" and perf_counter() - begun < 60
+
+
+def test_growth_beyond_numbers_is_unknown():
+    grow = LinearSystem([[1e3]])
+    verdict = verify(grow, Interval([1.0], [1.0]), Always(HPolytope([[-1.0]], [0.0])), 1e3)
+    assert verdict.status == "unknown" and "rounding" in verdict.reason
+
+
+def test_an_unseen_part_that_overflows_gives_no_nan():
+    A = np.array([[-1.0, 0.0], [1e-3, 400.0]])
+    for kept in (A, sparse.csr_matrix(A)):
+        tube = support_tube(
+            LinearSystem(kept), Interval([1.0, 0.0], [1.0, 0.0]), 1.0, [[1.0, 0.0]], step=0.01
+        )
+        assert np.all(np.isfinite(tube.upper)) and np.all(tube.upper[-1] >= np.exp(-1.0))
+        try:
+            tube = support_tube(
+                LinearSystem(kept * 2), Interval([1.0, 0.0], [1.0, 0.0]), 1.0, [[0.0, 1.0]], step=0.01
+            )
+        except Unresolved:
+            continue
+        assert np.all(np.isfinite(tube.upper)) and np.all(np.isfinite(tube.interval))
+
+
+def test_stiff_sparse_systems_refuse_long_steps_at_once():
+    A = sparse.diags([np.full(999, 1e9), np.full(1000, -2e9), np.full(999, 1e9)], [-1, 0, 1])
+    with pytest.raises(Unresolved, match="too long for a sparse system"):
+        support_tube(
+            LinearSystem(A), Interval(-np.ones(1000), np.ones(1000)), 1.0, np.eye(1000)[:1], step=0.5
+        )
+
+
+@pytest.mark.parametrize("step", [1.0, 5.0])
+def test_useless_bounds_are_refused(step):
+    fast = LinearSystem([[0.0, 400.0], [-400.0, 0.0]])
+    with pytest.raises(Unresolved, match="too long"):
+        support_tube(fast, Interval([-1, -1], [1, 1]), 10.0, [[1.0, 0.0]], step=step)
+
+
+def test_regions_that_are_nothing_or_everything():
+    system, start = LinearSystem([[-1.0]]), Interval([1.0], [2.0])
+    everything = HPolytope(np.zeros((0, 1)), np.zeros(0))
+    assert verify(system, start, Always(everything), 1.0)
+    verdict = verify(system, start, Never(everything), 1.0)
+    assert verdict.status == "violated" and verdict.trajectory.states.shape == (1, 1)
+    nothing = HPolytope([[1.0], [-1.0]], [1.2, -1.3])
+    assert verify(system, start, Never(nothing), 1.0).reason == "the region is empty"
+    assert verify(system, start, Always(nothing), 1.0).status == "violated"
+
+
+def test_input_sets_that_share_no_grid_are_decided():
+    sets = [Interval([-1.0], [1.0]), Interval([0.0], [3.0])]
+    system = LinearSystem([[-1.0]], [[1.0]], sets, breaks=[np.sqrt(0.5)])
+    b = np.sqrt(0.5)
+    top = (1 - np.exp(-b)) * np.exp(b - 1) + 3 * (1 - np.exp(b - 1))
+    start = Interval([0.0], [0.0])
+    assert verify(system, start, Always(HPolytope([[1.0]], [top * 1.01])), 1.0)
+    verdict = verify(system, start, Always(HPolytope([[1.0]], [top * 0.99])), 1.0)
+    assert verdict.status == "violated"
+    path = verdict.trajectory
+    for t, u in zip((path.times[:-1] + path.times[1:]) / 2, path.inputs, strict=True):
+        assert u in sets[int(t > b)]
+
+
+@pytest.mark.parametrize(
+    "arguments, message",
+    [
+        ({"spec": HPolytope([[1.0]], [1.0])}, "Always or Never"),
+        ({"spec": Always(Interval([0.0], [1.0]))}, "to_polytope"),
+        ({"spec": Always(HPolytope([[1.0]], [1.0]), during=0.5)}, "two times"),
+        ({"spec": Always(HPolytope([[1.0]], [1.0]), during=(0.5, np.nan))}, "two times"),
+        ({"initial": [0.0]}, "convex set"),
+        ({"horizon": -1.0}, "horizon"),
+        ({"horizon": "long"}, "horizon"),
+        ({"horizon": np.inf}, "horizon"),
+    ],
+)
+def test_wrong_arguments_get_one_clear_error(arguments, message):
+    good = {
+        "system": LinearSystem([[-1.0]]),
+        "initial": Interval([0.0], [1.0]),
+        "spec": Always(HPolytope([[1.0]], [2.0])),
+        "horizon": 1.0,
+    }
+    assert verify(**good)
+    with pytest.raises(ReachError, match=message):
+        verify(**(good | arguments))
+
+
+def test_directions_of_worst_cases_are_checked():
+    for bad in ([1.0, 2.0], [np.nan], "up"):
+        with pytest.raises(ReachError, match="direction"):
+            worst_case(LinearSystem([[-1.0]]), Interval([0.0], [1.0]), 1.0, bad)
