@@ -127,7 +127,7 @@ def simulate(
     if substeps is None:
         substeps = 1 if safety.tracking.feedback.sampled else 4
     flight = Integrator(schedule, modes, substeps)
-    x0 = _initial_states(schedule, n, rng, initial)
+    x0 = initial_states(schedule, n, rng, initial)
     w, adjoint = disturbances(flight, n, rng, disturbance)
     if initial in ("corners", "mixed") and len(adjoint):
         # The worst disturbance strikes hardest from the corner that lies furthest in its direction.
@@ -137,7 +137,8 @@ def simulate(
     return Runs(schedule, times, states, inputs, demanded, delta_v, modes)
 
 
-def _initial_states(schedule: Schedule, n: int, rng: np.random.Generator, initial: Initial) -> Array:
+def initial_states(schedule: Schedule, n: int, rng: np.random.Generator, initial: Initial) -> Array:
+    """States drawn from Theta, shape (n, states); ``mixed`` takes corners for half of them."""
     theta = schedule.safety.problem.initial_set
     if initial == "center":
         return np.repeat(theta.c[None], n, axis=0)
