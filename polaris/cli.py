@@ -20,13 +20,14 @@ from typing import Annotated, Any, NoReturn
 import typer
 
 from .cli_attacks import add_commands
+from .cli_verify import add_verify
 from .errors import PolarisError
 
 app = typer.Typer(
     name="polaris",
     help="Switching schedules between a safety controller and experimental ones, proven before the flight.",
     epilog="Exit codes: 0 done, 2 bad input, 3 no safe synthesis, 4 not certified in the time given,"
-    " 5 a counterexample or a bound that does not hold."
+    " 5 a counterexample, a bound or a certificate that does not hold, 6 a certificate not decided."
     " Code 0 with a warning on standard error: done, but nothing is proven (recoverable kind paper_ball).",
     add_completion=False,
     no_args_is_help=True,
@@ -261,6 +262,7 @@ def _fail(message: str, code: int) -> NoReturn:
 
 
 add_commands(app, _answering)
+add_verify(app, _answering)
 
 if __name__ == "__main__":
     app()

@@ -162,6 +162,7 @@ def write_run(
     """
     from . import runarrays as arrays
     from . import runfiles as files
+    from .certificate.writer import write_certificate
     from .comparison import compare
     from .figures import draw_figures
     from .summary import guarantee, summary
@@ -181,6 +182,7 @@ def write_run(
         arrays.write_sets(folder / "sets.npz", schedule)
         arrays.write_tubes(folder / "tubes.npz", schedule)
         arrays.write_flights(folder / "trajectories.npz", {key: item.flights for key, item in flown.items()})
+        write_certificate(folder, schedule, scenario.name, DATA_FILES)
         written = time.perf_counter()
         note("figures")
         if figures:

@@ -28,7 +28,7 @@ def load_strict(path):
 
 def test_all_files_are_there_and_nothing_else(folder):
     names = {path.name for path in folder.path.iterdir()}
-    assert names == {*DATA_FILES, "summary.json", "figures"}
+    assert names == {*DATA_FILES, "certificate.json", "summary.json", "figures"}
     assert len(list((folder.path / "figures").iterdir())) == 10
     assert [path.name for path in folder.path.parent.iterdir()] == ["tiny"]
 
@@ -38,7 +38,7 @@ def test_same_seed_same_bytes_times_apart(folder, tmp_path):
     again = write_run(
         tmp_path / "again", scenario, schedule, figures=False
     )  # flown anew from the scenario's seed
-    for name in DATA_FILES:  # and figures: see test_figures
+    for name in (*DATA_FILES, "certificate.json"):  # and figures: see test_figures
         assert (again.path / name).read_bytes() == (folder.path / name).read_bytes(), name
     summaries = [folder.summary, again.summary]
     for summary in summaries:

@@ -1,0 +1,40 @@
+"""``python -m polaris.certificate FILE``: check a certificate without the rest of Polaris."""
+
+from __future__ import annotations
+
+import sys
+
+USAGE = "usage: python -m polaris.certificate RUN_OR_FILE"
+
+
+def main(arguments: list[str]) -> int:
+    """Check one certificate and print the verdict.
+
+    Returns
+    -------
+    int
+        0 verified, 5 rejected, 6 unknown, 2 if there was nothing to check.
+    """
+    if len(arguments) != 1 or arguments[0].startswith("-"):
+        print(USAGE, file=sys.stderr)
+        return 2
+    try:
+        from .checker import verify
+    except ModuleNotFoundError as error:
+        if error.name != "flint":
+            raise
+        print(MISSING, file=sys.stderr)
+        return 2
+    try:
+        verdict = verify(arguments[0])
+    except OSError as error:
+        print(f"error: {error.filename}: {error.strerror}", file=sys.stderr)
+        return 2
+    print(verdict.text())
+    return verdict.exit_code
+
+
+MISSING = "error: checking a certificate needs python-flint: pip install 'polaris-rta[verify]'"
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

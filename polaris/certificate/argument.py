@@ -1,0 +1,240 @@
+"""The safety argument, re-derived from the primary data of a certificate."""
+
+from __future__ import annotations
+
+from flint import arb, arb_mat
+
+from .balls import above, column, largest, magnitude, matrix, require
+from .document import Document
+from .flights import Flown, Pilot, fly
+from .limits import Barrier, Limits
+from .loop import Memory, Needs, resting_box
+from .path import Kinematics, Path
+from .plants import plant_of
+from .recovery import Recovery
+from .verdict import Record, Rejected
+from .zonotopes import Zonotope, widest
+
+PATH_SLACK = 1e-9
+"""Largest difference between stored and exact reference, relative to its size: rounding of doubles."""
+
+TUBE_SLACK = 1e-6
+"""By how much a stored bound may fall short of the derived one, relative to it."""
+
+BOX_SLACK = 0.05
+"""By how much a stored enclosure may fall short of the derived one, as a share of its own width.
+
+Both enclose the same set, but merge generators differently. Nothing is derived from a stored enclosure.
+"""
+
+
+class Argument:
+    """Every step of the argument, in the order in which `run` makes it.
+
+    Parameters
+    ----------
+    document : Document
+    record : Record
+        Where confirmed claims are noted.
+    """
+
+    def __init__(self, document: Document, record: Record) -> None:
+        self.document, self.record = document, record
+        self.plant = plant_of(document)
+        self.n, self.m, self.K = len(document.A), len(document.u_max), document.steps
+        self.kinematics = Kinematics(self.plant, document.q)
+        gain = document.laws[0].gain
+        assert gain is not None  # checked by Document
+        self.gain = matrix(gain)
+        self.loop = self.plant.loop(self.gain)
+
+    def run(self) -> None:
+        """Check everything; returns only if every claim holds."""
+        path = self.reference()
+        sets, flown = self.tubes(path)
+        self.enclosures(sets, flown)
+        memory = Memory.of(self.loop, widest(sets), self.document.q)
+        self.error_bounds(memory, sets[0])
+        self.recoverability(path, memory, sets)
+        self.end(path, memory)
+        if self.document.guarantee != "proved" or self.document.recoverable == "paper_ball":
+            told = f"recoverable kind {self.document.recoverable}, guarantee {self.document.guarantee}"
+            raise Rejected("guarantee", f"the certificate itself claims nothing ({told})")
+        self.record.holds("guarantee", "proved")
+
+    def reference(self) -> Path:
+        """The reference is the exact motion under the stored inputs, and these are within the limits."""
+        doc = self.document
+        closed = doc.system_kind == "clohessy_wiltshire" and doc.horizon == "infinite"
+        path = Path.propagate(self.kinematics, doc.center, doc.inputs, self.K, doc.states[self.K], closed)
+        size = [max(abs(state[i]) for state in doc.states) for i in range(self.n)]
+        size = [x + 1e-6 * max(size) for x in size]  # a state that rests is zero up to rounding
+        for k, (state, exact) in enumerate(zip(doc.states, path.starts, strict=True)):
+            for i in range(self.n):
+                off = abs(exact[i, 0] - state[i])
+                slack = arb(PATH_SLACK) * (size[i] if k else 0.0)
+                require(
+                    "reference",
+                    slack - off,
+                    f"state {i} at the start of step {k} is {float(off.mid()):.6g} off",
+                )
+        for k, u in enumerate(doc.inputs):
+            for i, value in enumerate(u):
+                spare = self.plant.u_max[i] - abs(arb(value))
+                require("thrust", spare, f"{doc.input_names[i]} of the reference in step {k}")
+        self.record.holds("reference", f"{doc.cells} steps, jump at T at most {_show(path.jump)}")
+        return path
+
+    def tubes(self, path: Path) -> tuple[list[Zonotope], list[Flown]]:
+        """Reachable sets of the schedule; every step of an experimental controller is separate."""
+        doc = self.document
+        start = Zonotope(arb_mat(self.n, 1), matrix(doc.generators, self.n).transpose())
+        pilots = [
+            Pilot(
+                law.name,
+                law.kind,
+                self.plant,
+                None if law.gain is None else matrix(law.gain),
+                None
+                if law.states is None or law.inputs is None
+                else [(column(x), column(u)) for x, u in zip(law.states, law.inputs, strict=False)],
+            )
+            for law in doc.laws
+        ]
+        sets, flown = [start], []
+        for k, mode in enumerate(doc.modes):
+            barrier = Barrier.of(doc, self.plant.C, k) if mode else None
+            flown.append(fly(pilots[mode], sets[-1], k, path, barrier))
+            sets.append(flown[-1].end)
+        share = sum(mode > 0 for mode in doc.modes) / self.K
+        self.record.holds("separation", f"{self.K} steps, {share:.1%} of them experimental, whole intervals")
+        return sets, flown
+
+    def enclosures(self, sets: list[Zonotope], flown: list[Flown]) -> None:
+        """Stored enclosures contain the derived ones, up to the slack of merged generators."""
+        doc = self.document
+        for k, z in enumerate(sets):
+            reach = z.support(above(*(_axis(self.n, i, s) for s in (1, -1) for i in range(self.n))))
+            for i in range(self.n):
+                middle, half = arb(doc.box_center[k][i]), arb(doc.box_half[k][i])
+                slack = half * BOX_SLACK + abs(middle) * TUBE_SLACK
+                where = f"state {i} at the start of step {k}"
+                require("enclosures", middle + half + slack - reach[i], where)
+                require("enclosures", half - middle + slack - reach[self.n + i], where)
+        for k, step in enumerate(flown):
+            for i in range(self.n):
+                low, high = arb(doc.lower[k][i]), arb(doc.upper[k][i])
+                slack = (high - low) * BOX_SLACK
+                where = f"state {i} during step {k}"
+                require("enclosures", high + slack - step.upper[i], where)
+                require("enclosures", step.lower[i] - low + slack, where)
+        self.record.holds("enclosures", f"{len(sets)} instants, {len(flown)} steps")
+
+    def error_bounds(self, memory: Memory, start: Zonotope) -> None:
+        """Stored bounds on S's error from the initial set, and on its command, are no smaller than derived.
+
+        Beyond the memory of the loop what is derived is the disturbance's share alone.
+        """
+        doc, q, C = self.document, self.document.q, self.plant.C
+        needs = Needs(self.loop, memory, above(C, -C, self.gain, -self.gain))
+        disturbed = needs.disturbed(resting_box(self.loop, memory))
+        tube = needs.tube(start)
+        names = [f"position {i}" for i in range(C.nrows())] * 2 + doc.input_names * 2
+        d = 2 * C.nrows()
+        for k in range(self.K):
+            lags = range(k * q, (k + 1) * q + 1)
+            if lags[-1] <= memory.periods:
+                need = [largest(tube[lag][j] + disturbed[lag][j] for lag in lags) for j in range(len(names))]
+            else:
+                need = disturbed[-2]
+            for j, name in enumerate(names):
+                self._no_smaller("error_bounds", f"{name} in step {k}", doc.tube[k][j], need[j])
+            for i, top in enumerate(self.plant.u_max):
+                below, over, u = need[d + i], need[d + self.m + i], doc.inputs[k][i]
+                where = f"{doc.input_names[i]} in step {k}"
+                self._no_smaller("thrust", where, doc.peaks[k][i], largest((over + u, below - u)))
+                require("thrust", top - doc.peaks[k][i], f"{where}, {doc.peaks[k][i]:.6g} claimed")
+        for name, stored, most in zip(names, doc.settled, disturbed[-2], strict=True):
+            self._no_smaller("error_bounds", f"{name} from rest, for ever", stored, most)
+        self.record.holds("error_bounds", f"{self.K} steps of S from the initial set, and from rest for ever")
+        self.record.holds("thrust", "reference, and S from the initial set, within the limits")
+
+    def _no_smaller(self, claim: str, what: str, stored: float, derived: arb) -> None:
+        """A stored bound is at least the derived one, up to rounding."""
+        spare = stored - derived + abs(derived) * TUBE_SLACK
+        if not spare >= 0:
+            require(claim, spare, f"{what}: {stored:.6g} stored, {float(derived.mid()):.6g} derived")
+
+    def recoverability(self, path: Path, memory: Memory, sets: list[Zonotope]) -> None:
+        """S keeps to every limit to the end if it takes over before or after any experimental step."""
+        doc = self.document
+        limits = Limits.of(doc, path, self.gain)
+        needs = Needs(self.loop, memory, limits.rows)
+        recovery = Recovery(limits.less_jump(needs, path), needs, doc.q, self.K, doc.delta)
+        switches = {0, *(k + 1 for k, mode in enumerate(doc.modes) if mode > 0)}
+        claimed: dict[int, float] = {}
+        for k, mode in enumerate(doc.modes):
+            if mode > 0:
+                for at in (k, k + 1):
+                    claimed[at] = max(claimed.get(at, 0.0), doc.margins[k])
+        switches |= set(claimed)
+        ball = doc.recoverable != "polytope"
+        reached = {k: sets[k] for k in switches if k * doc.q < recovery.nodes}
+        least = recovery.check_sets(reached, claimed, ball)
+        recovery.check_far(forever=doc.horizon == "infinite")
+        ahead = f"{memory.periods} periods ahead and beyond, tightest share {least:.3g}"
+        self.record.holds("recoverable", f"{len(reached)} instants of switching, {ahead}")
+        claims = sum(margin > 0 for margin in claimed.values())
+        self.record.holds("margins", f"{claims} instants next to experimental steps")
+        recovery.check_balls(doc.radius[: self.K + (doc.cells > self.K)], matrix(doc.weight).inv())
+        self.record.holds(
+            "recoverable_sets", f"balls inside the sets of kind {doc.recoverable}, {self.K} instants"
+        )
+
+    def end(self, path: Path, memory: Memory) -> None:
+        """What is claimed about the time after T follows from what has been shown."""
+        doc, tail = self.document, self.document.cells - self.K
+        last = arb(doc.cells) * doc.delta
+        if doc.horizon == "infinite":
+            self._closes(path, memory, tail)
+            if doc.until is not None:
+                raise Rejected("end", "an infinite claim has no last instant")
+        else:
+            if doc.until is None:
+                raise Rejected("end", f"the claim {doc.horizon} must name its last instant")
+            most = last if doc.horizon == "one_period" else arb(self.K) * doc.delta
+            require(
+                "end",
+                most * (1 + 1e-12) - doc.until,
+                f"safe until {float(most.mid()):.6g} s, {doc.until:.6g} claimed",
+            )
+            if doc.horizon == "one_period" and not tail:
+                raise Rejected("end", "one period is claimed, but the reference ends at T")
+        self.record.holds(
+            "end", doc.horizon if doc.until is None else f"{doc.horizon}, until {doc.until:.6g} s"
+        )
+
+    def _closes(self, path: Path, memory: Memory, tail: int) -> None:
+        """The coasting motion repeats, and one turn of it lies in the tail with all sets at rest."""
+        doc = self.document
+        moving = [item.name for item in doc.unsafe if not item.resting]
+        if moving:
+            raise Rejected("end", f"safe for ever is claimed, but unsafe sets move: {', '.join(moving)}")
+        if any(any(u) for u in doc.inputs[self.K :]):
+            raise Rejected("end", "the tail does not coast")
+        if doc.system_kind == "clohessy_wiltshire":
+            turn = 2 * arb.pi() / arb(doc.mean_motion or 0.0)
+            require("end", arb(tail) * doc.delta - turn, f"the tail has {tail} steps, less than one turn")
+        else:
+            rate = self.plant.A * path.starts[self.K] if tail else column([1])
+            if any(not x.is_zero() for x in rate.entries()):
+                raise Rejected("end", "the reference does not come to rest exactly")
+        require("end", arb(tail * doc.q - memory.periods), "the tail is shorter than the memory of the loop")
+
+
+def _axis(n: int, i: int, sign: int) -> arb_mat:
+    return arb_mat(1, n, [sign * int(i == j) for j in range(n)])
+
+
+def _show(v: arb_mat) -> str:
+    return f"{float(largest(magnitude(v).entries()).mid()):.3g}"

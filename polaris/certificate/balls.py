@@ -1,0 +1,151 @@
+"""Matrices of balls: every number is enclosed, every operation rounds outwards (python-flint's arb)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from flint import arb, arb_mat
+
+from .verdict import Rejected, Undecided
+
+PRECISION = 128
+"""Bits of the midpoints."""
+
+TERMS = 8
+"""Terms of the Taylor series of an exponential over an interval of time."""
+
+
+Number = arb | float
+"""An entry: a float is exact."""
+
+
+def matrix(rows: Sequence[Sequence[Number]], columns: int | None = None) -> arb_mat:
+    """Matrix of rows of floats (exact) or balls; `columns` is needed if there are no rows."""
+    width = columns if columns is not None else len(rows[0])
+    return arb_mat(len(rows), width, [x for row in rows for x in row])
+
+
+def column(values: Sequence[Number]) -> arb_mat:
+    """One column."""
+    return arb_mat(len(values), 1, list(values))
+
+
+def identity(n: int) -> arb_mat:
+    """Unit matrix."""
+    return arb_mat(n, n, [int(i == j) for i in range(n) for j in range(n)])
+
+
+def diagonal(values: Sequence[Number]) -> arb_mat:
+    """Diagonal matrix."""
+    n = len(values)
+    return arb_mat(n, n, [values[i] if i == j else 0 for i in range(n) for j in range(n)])
+
+
+def beside(*blocks: arb_mat) -> arb_mat:
+    """Blocks with the same number of rows, side by side."""
+    entries: list[arb] = []
+    tables = [(block.entries(), block.ncols()) for block in blocks]
+    for i in range(blocks[0].nrows()):
+        for found, width in tables:
+            entries += found[i * width : (i + 1) * width]
+    return arb_mat(blocks[0].nrows(), sum(width for _, width in tables), entries)
+
+
+def above(*blocks: arb_mat) -> arb_mat:
+    """Blocks with the same number of columns, one above the other."""
+    entries = [x for block in blocks for x in block.entries()]
+    return arb_mat(sum(block.nrows() for block in blocks), blocks[0].ncols(), entries)
+
+
+def magnitude(M: arb_mat) -> arb_mat:
+    """Exact upper bounds on the absolute values of the entries."""
+    return arb_mat(M.nrows(), M.ncols(), [x.abs_upper() for x in M.entries()])
+
+
+def absolute(M: arb_mat) -> arb_mat:
+    """Absolute values of the entries, as balls."""
+    return arb_mat(M.nrows(), M.ncols(), [abs(x) for x in M.entries()])
+
+
+def row_sums(M: arb_mat) -> list[arb]:
+    """Sum of the absolute values of every row."""
+    entries, width = M.entries(), M.ncols()
+    return [sum(map(abs, entries[i * width : (i + 1) * width]), arb(0)) for i in range(M.nrows())]
+
+
+def norms(M: arb_mat) -> list[arb]:
+    """2-norm of every row."""
+    entries, width = M.entries(), M.ncols()
+    rows = (entries[i * width : (i + 1) * width] for i in range(M.nrows()))
+    return [root(sum((x * x for x in row), arb(0))) for row in rows]
+
+
+def root(square: arb) -> arb:
+    """Square root of a number that is not negative, though its ball may reach below 0."""
+    found = square.sqrt()
+    if found.is_nan() and not square.is_nan():
+        return arb(0).union(square.abs_upper().sqrt())
+    return found
+
+
+def largest(values: Iterable[arb]) -> arb:
+    """A number that is at least every one of the values (their largest upper bound)."""
+    best: arb | None = None
+    for value in values:
+        upper = value.upper()
+        best = upper if best is None or upper > best else best
+    return arb(0) if best is None else best
+
+
+def smallest(values: Iterable[arb]) -> arb:
+    """A number that is at most every one of the values."""
+    return -largest(-value for value in values)
+
+
+def require(claim: str, spare: arb, witness: str) -> None:
+    """Go on only if a number is certainly at least 0.
+
+    Raises
+    ------
+    Rejected
+        If it is certainly negative.
+    Undecided
+        If its ball contains 0.
+    """
+    if spare >= 0:
+        return
+    if spare < 0:
+        raise Rejected(claim, witness, -float(spare.mid()))
+    raise Undecided(claim, f"{witness} (precision: {spare})")
+
+
+# -- exponentials -----------------------------------------------------------------------------------
+
+
+def exponential(X: arb_mat, time: arb) -> tuple[arb_mat, arb_mat]:
+    """``e^{X t}`` and ``int_0^t e^{X s} ds``, enclosed; both from one exponential of a block matrix."""
+    n = X.nrows()
+    zeros = arb_mat(n, n)
+    block = above(beside(X * time, identity(n) * time), beside(zeros, zeros)).exp().tolist()
+    return matrix([row[:n] for row in block[:n]]), matrix([row[n:] for row in block[:n]])
+
+
+def exponential_over(X: arb_mat, time: arb) -> arb_mat:
+    """Enclosure of ``e^{X s}`` for all s in [0, t].
+
+    Taylor's series with every power of s replaced by the interval it ranges over. What is cut off is
+    at most what the same series of ``|X| t`` has left over, entry by entry.
+    """
+    n, size = X.nrows(), magnitude(X)
+    total, bound = identity(n), identity(n)
+    power, absolute = identity(n), identity(n)
+    for j in range(1, TERMS):
+        power, absolute = power * X * (arb(1) / j), absolute * size * (time / j)
+        total, bound = total + power * _from_zero(time**j), bound + absolute
+    rest = magnitude((size * time).exp() - bound)
+    return total + arb_mat(n, n, [arb(0, x) for x in rest.entries()])
+
+
+def _from_zero(top: arb) -> arb:
+    """The interval [0, top] as a ball."""
+    return arb(0).union(top)

@@ -1,0 +1,86 @@
+"""Check one certificate: the file, what it was made from, and the safety argument."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import flint
+
+from .argument import Argument
+from .artefacts import check_artefacts, has_artefacts
+from .balls import PRECISION
+from .document import Document, read
+from .inputs import check_inputs
+from .verdict import REJECTED, UNKNOWN, VERIFIED, Record, Rejected, Undecided, Verdict
+
+NAME = "certificate.json"
+"""The certificate's name in a run folder."""
+
+
+def locate(path: str | Path) -> Path:
+    """The certificate of a run folder, or the file itself."""
+    given = Path(path)
+    return given / NAME if given.is_dir() else given
+
+
+def verify(path: str | Path) -> Verdict:
+    """Check the certificate of a run folder, or a certificate file.
+
+    Parameters
+    ----------
+    path : path
+        If other files of the run folder lie beside the certificate, it is compared with them too.
+
+    Returns
+    -------
+    Verdict
+
+    Raises
+    ------
+    OSError
+        If the file cannot be read.
+    """
+    file = locate(path)
+    return _judge(lambda record: _check(read(file), file.parent, record))
+
+
+def verify_document(data: dict[str, object], folder: Path | None = None) -> Verdict:
+    """Check a certificate already read from JSON; without a folder it is compared with no other file."""
+    return _judge(lambda record: _check(Document(data), folder, record))
+
+
+def _judge(check: Callable[[Record], list[str]]) -> Verdict:
+    """Run a check and turn how it ends into a verdict."""
+    begun, record = time.perf_counter(), Record()
+    before = flint.ctx.prec
+    flint.ctx.prec = PRECISION
+    outcome, claim, witness, excess, trusted = VERIFIED, "", "", None, []
+    try:
+        trusted = check(record)
+    except Rejected as error:
+        outcome, claim, witness, excess = REJECTED, error.claim, error.witness, error.excess
+    except Undecided as error:
+        outcome, claim, witness = UNKNOWN, error.claim, error.witness
+    except (ZeroDivisionError, OverflowError, MemoryError, RecursionError) as error:
+        outcome, claim, witness = UNKNOWN, "arithmetic", f"{type(error).__name__}: {error}"
+    finally:
+        flint.ctx.prec = before
+    seconds = time.perf_counter() - begun
+    return Verdict(outcome, claim, witness, excess, tuple(record.checked), tuple(trusted), seconds)
+
+
+def _check(document: Document, folder: Path | None, record: Record) -> list[str]:
+    record.holds("digest", f"scenario {document.scenario}, {document.steps} steps of {document.delta:g} s")
+    trusted = list(document.assumptions)
+    if folder is None or not has_artefacts(document, folder):
+        trusted.append("the certificate was made from the scenario it names: no other file lies beside it")
+    else:
+        check_artefacts(document, folder, record)
+        check_inputs(document, folder, record)
+    Argument(document, record).run()
+    trusted.append(
+        f"python-flint {flint.__version__} (ball arithmetic, {PRECISION} bit), SHA-256, and this checker"
+    )
+    return trusted

@@ -1,0 +1,250 @@
+"""The certificate as a file: JSON, floats as exact hexadecimal text, and a digest of itself."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from .verdict import Rejected, Undecided
+
+FORMAT = "polaris-certificate"
+VERSION = 1
+
+KINDS = ("safety", "affine", "saturated_affine", "any_thrust")
+"""Kinds of controllers."""
+
+LARGEST = 256 * 2**20
+"""Largest certificate that is read [bytes]."""
+
+
+def digest(data: dict[str, Any]) -> str:
+    """SHA-256 of the canonical JSON text of all fields but ``digest``."""
+    rest = {key: value for key, value in data.items() if key != "digest"}
+    return hashlib.sha256(canonical(rest).encode()).hexdigest()
+
+
+def canonical(data: Any) -> str:
+    """The one JSON text of the data: keys sorted, no spaces, ASCII."""
+    return json.dumps(data, sort_keys=True, separators=(",", ":"), ensure_ascii=True, allow_nan=False)
+
+
+@dataclass(frozen=True)
+class UnsafeSet:
+    """One timed polytope: ``normals p <= b(t)``, b linear within each cell.
+
+    Attributes
+    ----------
+    name : str
+    keep_in : bool
+        Whether it is the outside of one facet of a keep-in set.
+    normals : list of list of float
+    start, end : list (cells) of list (F) of float
+        b at the start and the end of every cell.
+    """
+
+    name: str
+    keep_in: bool
+    normals: list[list[float]]
+    start: list[list[float]]
+    end: list[list[float]]
+
+    @property
+    def resting(self) -> bool:
+        """Whether the offsets are the same at all times."""
+        return all(b == self.start[0] for b in (*self.start, *self.end))
+
+
+@dataclass(frozen=True)
+class Law:
+    """One controller; gain and own reference are None for ``any_thrust``, the latter also for S."""
+
+    name: str
+    kind: str
+    gain: list[list[float]] | None
+    states: list[list[float]] | None
+    inputs: list[list[float]] | None
+
+
+class Document:
+    """A certificate, its shapes checked and its numbers decoded.
+
+    Parameters
+    ----------
+    data : dict
+        The JSON object.
+
+    Raises
+    ------
+    Rejected
+        Naming the claim ``format`` or ``digest``.
+    Undecided
+        If the version is not known.
+    """
+
+    def __init__(self, data: dict[str, Any]) -> None:
+        self.data = data
+        if data.get("format") != FORMAT:
+            raise Rejected("format", f"the field format is {data.get('format')!r}, not {FORMAT!r}")
+        if data.get("schema_version") != VERSION:
+            raise Undecided("format", f"schema_version {data.get('schema_version')!r} is not {VERSION}")
+        found = digest(data)
+        if data.get("digest") != found:
+            raise Rejected("digest", f"the certificate was changed: its digest is {found}")
+        try:
+            self._decode(data)
+        except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
+            raise Rejected("format", f"{type(error).__name__}: {error}") from error
+
+    def _decode(self, data: dict[str, Any]) -> None:
+        system, sampling = data["system"], data["sampling"]
+        self.steps, self.q = _whole(sampling["steps"], 1), _whole(sampling["nodes_per_step"], 1)
+        self.delta, self.sampled = (
+            number(sampling["step"]),
+            _one_of(sampling["kind"], ("continuous", "sampled")),
+        )
+        if not self.delta > 0:
+            raise ValueError("the step must be positive")
+        self.system_kind = str(system["kind"])
+        n = len(system["A"])
+        self.A, self.B = table(system["A"], n, n), table(system["B"], n)
+        m = len(self.B[0])
+        self.D, self.C = table(system["D"], n), table(system["C"], None, n)
+        self.u_max, self.w_max = vector(system["input_max"], m), number(system["disturbance_max"])
+        if not (min(self.u_max) > 0 and self.w_max >= 0 and 1 <= len(self.C) <= 3):
+            raise ValueError("limits must be positive, and positions have one to three axes")
+        self.mass, eta = number(system["mass"]), system["mean_motion"]
+        self.mean_motion = None if eta is None else number(eta)
+        self.input_names = [str(name) for name in system["input_names"]]
+        self.center = vector(data["initial_set"]["center"], n)
+        self.generators = table(data["initial_set"]["generators"], None, n)
+        reference = data["reference"]
+        self.states, self.inputs = table(reference["states"], None, n), table(reference["inputs"], None, m)
+        self.cells = len(self.inputs)
+        if len(self.states) != self.cells + 1 or self.cells < self.steps or len(self.input_names) != m:
+            raise ValueError("the reference must have one state more than inputs, and cover every step")
+        d, cells = len(self.C), self.cells
+        self.unsafe = [_unsafe(item, d, cells) for item in data["unsafe_sets"]]
+        self.facets = [[_whole(f, 0) for f in row] for row in data["facets"]]
+        counts = [len(item.normals) for item in self.unsafe]
+        if len(self.facets) != cells or any(
+            len(row) != len(counts) or any(f >= c for f, c in zip(row, counts, strict=True))
+            for row in self.facets
+        ):
+            raise ValueError("facets must name one facet of every unsafe set in every cell")
+        self.laws = [_law(item, m, n, self.steps) for item in data["controllers"]]
+        kinds = [law.kind for law in self.laws]
+        if kinds[:1] != ["safety"] or "safety" in kinds[1:]:
+            raise ValueError("mode 0, and no other, must be the safety controller")
+        schedule, K = data["schedule"], self.steps
+        self.modes = [_whole(mode, 0) for mode in schedule["modes"]]
+        self.margins = [-math.inf if x is None else number(x) for x in schedule["margins"]]
+        if len(self.modes) != K or len(self.margins) != K or max(self.modes) >= len(self.laws):
+            raise ValueError("modes and margins must have one entry per step, of a known mode")
+        bounds, sets, boxes = data["error_bounds"], data["recoverable"], data["enclosures"]
+        self.tube = table(bounds["per_step"], K, 2 * (d + m))
+        self.settled = vector(bounds["settled"], 2 * (d + m))
+        self.peaks = table(data["thrust"]["peak"], K, m)
+        self.recoverable = _one_of(
+            sets["kind"], ("polytope", "time_varying_ball", "ball", "paper_ball"), plain=True
+        )
+        self.weight, self.radius = table(sets["weight"], n, n), vector(sets["radius"], K + 1)
+        self.box_center, self.box_half = (
+            table(boxes["center"], K + 1, n),
+            table(boxes["half_widths"], K + 1, n),
+        )
+        self.lower, self.upper = table(boxes["lower"], K, n), table(boxes["upper"], K, n)
+        end = data["end"]
+        self.horizon = _one_of(end["horizon"], ("infinite", "one_period", "none"), plain=True)
+        self.until = None if end["until"] is None else number(end["until"])
+        self.guarantee, self.assumptions = str(data["guarantee"]), [str(x) for x in data["assumptions"]]
+        self.scenario, self.artefacts = str(data["scenario"]["name"]), dict(data["artefacts"])
+
+
+def read(path: Path) -> Document:
+    """Read a certificate.
+
+    Raises
+    ------
+    Rejected, Undecided
+        See `Document`.
+    OSError
+        If the file cannot be read.
+    """
+    if path.stat().st_size > LARGEST:
+        raise Undecided("format", f"larger than {LARGEST} bytes")
+    try:
+        data = json.loads(path.read_bytes())
+    except (ValueError, RecursionError) as error:
+        raise Rejected("format", f"not JSON: {error}") from error
+    if not isinstance(data, dict):
+        raise Rejected("format", "not a JSON object")
+    return Document(data)
+
+
+# -- decoding ---------------------------------------------------------------------------------------
+
+
+def number(text: Any) -> float:
+    """Decode one finite float from hexadecimal text."""
+    if not isinstance(text, str):
+        raise ValueError(f"{text!r} is not hexadecimal text")
+    value = float.fromhex(text)
+    if not math.isfinite(value):
+        raise ValueError(f"{text!r} is not finite")
+    return value
+
+
+def vector(items: Any, size: int | None = None) -> list[float]:
+    """Decode a list of numbers."""
+    values = [number(item) for item in items]
+    if size is not None and len(values) != size:
+        raise ValueError(f"{len(values)} numbers where {size} are needed")
+    return values
+
+
+def table(rows: Any, height: int | None = None, width: int | None = None) -> list[list[float]]:
+    """Decode a list of lists of numbers, all equally long."""
+    width = len(rows[0]) if width is None else width
+    values = [vector(row, width) for row in rows]
+    if height is not None and len(values) != height:
+        raise ValueError(f"{len(values)} rows where {height} are needed")
+    return values
+
+
+def _whole(value: Any, least: int) -> int:
+    if isinstance(value, bool) or not isinstance(value, int) or value < least:
+        raise ValueError(f"{value!r} is not a whole number of at least {least}")
+    return value
+
+
+def _one_of(value: Any, known: tuple[str, ...], plain: bool = False) -> Any:
+    if value not in known:
+        raise ValueError(f"{value!r} is not one of {', '.join(known)}")
+    return value if plain else value == known[1]
+
+
+def _unsafe(item: dict[str, Any], d: int, cells: int) -> UnsafeSet:
+    normals = table(item["normals"], None, d)
+    pairs = item["offsets"]
+    if len(pairs) != cells or any(len(pair) != 2 for pair in pairs):
+        raise ValueError("offsets must have two rows for every cell")
+    first = [vector(pair[0], len(normals)) for pair in pairs]
+    last = [vector(pair[1], len(normals)) for pair in pairs]
+    return UnsafeSet(str(item["name"]), item["keep_in"] is True, normals, first, last)
+
+
+def _law(item: dict[str, Any], m: int, n: int, steps: int) -> Law:
+    kind = _one_of(item["kind"], KINDS, plain=True)
+    if kind == "any_thrust":
+        return Law(str(item["name"]), kind, None, None, None)
+    gain = table(item["gain"], m, n)
+    if item.get("own_states") is None:
+        return Law(str(item["name"]), kind, gain, None, None)
+    states, inputs = table(item["own_states"], None, n), table(item["own_inputs"], None, m)
+    if min(len(states), len(inputs)) < steps:
+        raise ValueError(f"the reference of {item['name']} must cover every step")
+    return Law(str(item["name"]), kind, gain, states, inputs)

@@ -1,0 +1,250 @@
+"""Reachable sets of the schedule: what each controller may do in a step, enclosed over whole intervals."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from flint import arb, arb_mat
+
+from .balls import above, column, diagonal, identity, largest, magnitude, require, row_sums, smallest
+from .limits import Barrier
+from .motion import Motion, Plant
+from .path import Arc, Path
+from .verdict import Rejected
+from .zonotopes import Zonotope
+
+ORDER = 10
+"""Generators per dimension that are kept at the end of a step."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pilot:
+    """A controller as reachability sees it.
+
+    Parameters
+    ----------
+    name, kind : str
+    plant : Plant
+    gain : arb_mat or None
+        None for anything within the thrust limits.
+    own : list of (arb_mat, arb_mat) or None
+        State at the start and input of every step of its own reference; None for the safe reference.
+    """
+
+    name: str
+    kind: str
+    plant: Plant
+    gain: arb_mat | None
+    own: list[tuple[arb_mat, arb_mat]] | None
+    _linear: list[Motion] = field(default_factory=list, repr=False)
+
+    @property
+    def linear(self) -> Motion:
+        """Its loop while the thrusters do not clip."""
+        assert self.gain is not None
+        if not self._linear:
+            self._linear.append(self.plant.loop(self.gain))
+        return self._linear[0]
+
+
+@dataclass(frozen=True, eq=False)
+class Period:
+    """Motion over one period: ``d' = ... + g + V v`` with ``|v_i| <= bounds[i]``."""
+
+    motion: Motion
+    g: arb_mat
+    V: arb_mat
+    bounds: list[arb]
+
+    def ends(self, d: Zonotope) -> Zonotope:
+        """Where the motion without disturbance and without v ends."""
+        return d.image(self.motion.phi).moved(self.motion.gamma * self.g)
+
+    def after(self, end: Zonotope) -> Zonotope:
+        """The set at the next node, from `ends`."""
+        pushed = []
+        if self.bounds:
+            V = self.V * diagonal(self.bounds)
+            held = self.motion.held is not None
+            size = magnitude(V) * column([1] * len(self.bounds))
+            pushed = [self.motion.gamma * V if held else self.motion.input_set(V, size)]
+        return end.grown(*pushed, self.motion.disturbance_set)
+
+    def extra(self, rows: arb_mat, d: Zonotope) -> list[arb]:
+        """Bound on how far ``row d`` exceeds the chord of its undisturbed end values within the period."""
+        bent = self.motion.bend(rows) * d.image(self.motion.closed).moved(self.g).size()
+        pushed = self.motion.input_gain(rows, self.V, self.bounds) if self.bounds else [arb(0)] * rows.nrows()
+        return [
+            a + b + c
+            for a, b, c in zip(bent.entries(), pushed, self.motion.disturbance_gain(rows), strict=True)
+        ]
+
+
+@dataclass(frozen=True, eq=False)
+class Flown:
+    """One step flown.
+
+    Attributes
+    ----------
+    end : Zonotope
+        Errors at the end of the step.
+    lower, upper : list of arb
+        Bounds on every state over the whole step.
+    """
+
+    end: Zonotope
+    lower: list[arb]
+    upper: list[arb]
+
+
+def fly(pilot: Pilot, start: Zonotope, k: int, path: Path, barrier: Barrier | None) -> Flown:
+    """Enclose one step of one controller, and check that it stays separate from every unsafe set.
+
+    Parameters
+    ----------
+    pilot : Pilot
+    start : Zonotope
+        Errors about the safe reference at the start of the step.
+    k : int
+        Step.
+    path : Path
+        The safe reference.
+    barrier : Barrier or None
+        Separating facets; None under the safety controller, whose separation follows from
+        recoverability.
+
+    Raises
+    ------
+    Rejected
+        If the step is not separate, or an unclipped law may exceed the thrust limits.
+    """
+    kinematics, n = path.kinematics, start.c.nrows()
+    base, u = _base(pilot, k, path)
+    axes = identity(n)
+    heights, bows = base.heights(axes).tolist(), kinematics.bow(axes, base).tolist()
+    rows, room = axes, []
+    if barrier is not None:
+        rows, room = above(axes, barrier.rows), kinematics.room(barrier.rows, barrier.offsets, base)
+    d = start.moved(path.starts[k] - base.nodes[0])
+    lows: list[list[arb]] = [[] for _ in range(n)]
+    highs: list[list[arb]] = [[] for _ in range(n)]
+    for i in range(kinematics.q):
+        period = _period(pilot, d, u, k)
+        end, extra = period.ends(d), period.extra(rows, d)
+        for place, z in ((i, d), (i + 1, end)):
+            middle, spread = (rows * z.c).entries(), row_sums(rows * z.G)
+            needs = [a + b + c for a, b, c in zip(middle, spread, extra, strict=True)]
+            for axis in range(n):
+                at, room_for = heights[axis][place] + middle[axis], spread[axis] + extra[axis] + bows[axis][i]
+                lows[axis].append(at - room_for)
+                highs[axis].append(at + room_for)
+            if barrier is not None:
+                for name, need, there in zip(barrier.names, needs[n:], room[place], strict=True):
+                    if not need <= there:
+                        told = (
+                            f"step {k}, part {i}, under {pilot.name}: {name}, needs {float(need.mid()):.6g}"
+                        )
+                        require("separation", there - need, f"{told} of {float(there.mid()):.6g} m")
+        d = period.after(end)
+        if d.G.ncols() > 2 * ORDER * n:
+            d = d.reduced(ORDER * n)
+    leave = d.moved(base.nodes[-1] - path.starts[k + 1])
+    return Flown(leave.reduced(ORDER * n), [smallest(x) for x in lows], [largest(x) for x in highs])
+
+
+def _base(pilot: Pilot, k: int, path: Path) -> tuple[Arc, arb_mat]:
+    """The arc about which a controller's motion is described, and its input."""
+    if pilot.gain is None:  # free motion, and every thrust is an uncertain input about zero
+        rest = column([0] * pilot.plant.B.ncols())
+        return path.kinematics.arc(path.starts[k], rest), rest
+    if pilot.own is None:
+        return path.arcs[k], path.inputs[k]
+    state, u = pilot.own[k]
+    return path.kinematics.arc(state, u), u
+
+
+def _period(pilot: Pilot, d: Zonotope, u: arb_mat, k: int) -> Period:
+    """Motion over the next period from a set about the base arc."""
+    plant = pilot.plant
+    still = arb_mat(d.c.nrows(), 1)
+    if pilot.gain is None:
+        return Period(plant.open, still, plant.B, plant.u_max)
+    linear = Period(pilot.linear, still, plant.B, [])
+    if pilot.kind == "safety":
+        return linear
+    command = _linear_command(pilot, linear, d, u)
+    if all(max(-lo, hi) <= top for (lo, hi), top in zip(command, plant.u_max, strict=True)):
+        return linear
+    if pilot.kind == "affine":
+        raise Rejected("controllers", f"{pilot.name} may exceed the thrust limits, unclipped, in step {k}")
+    return _clipped(pilot, d, u)
+
+
+def _linear_command(pilot: Pilot, linear: Period, d: Zonotope, u: arb_mat) -> list[tuple[arb, arb]]:
+    """Range of every command over the period if nothing clips, which is proven if it is within the limits."""
+    assert pilot.gain is not None  # `_period` asks only then
+    rows = above(-pilot.gain, pilot.gain)
+    most = d.support(rows)
+    if not pilot.plant.sampled:
+        extra = linear.extra(rows, d)
+        most = [
+            largest((a, b)) + c for a, b, c in zip(most, linear.ends(d).support(rows), extra, strict=True)
+        ]
+    return _ranges(u, most)
+
+
+def _ranges(u: arb_mat, most: list[arb]) -> list[tuple[arb, arb]]:
+    """Ranges of ``u + y`` from bounds on y and on -y, as exact numbers."""
+    m = u.nrows()
+    return [((u[i, 0] - most[m + i]).lower(), (u[i, 0] + most[i]).upper()) for i in range(m)]
+
+
+def _clipped(pilot: Pilot, d: Zonotope, u: arb_mat) -> Period:
+    """A clipped law over a period, as a linear one and an input within a band.
+
+    The range of the command comes from what any thrust known so far may do within the period, and a
+    range of the command limits that thrust: each round of this is valid because the one before was.
+    """
+    plant, gain, m = pilot.plant, pilot.gain, u.nrows()
+    assert gain is not None  # `_period` asks only then
+    rows = above(-gain, gain)
+    at_node = d.support(rows)
+    ranges = _ranges(u, at_node)
+    if not plant.sampled:
+        free = Period(plant.open, arb_mat(d.c.nrows(), 1), plant.B, [])
+        drift = [
+            largest((a, b)) + c
+            for a, b, c in zip(at_node, free.ends(d).support(rows), free.extra(rows, d), strict=True)
+        ]
+        push = [top + abs(u[i, 0]) for i, top in enumerate(plant.u_max)]
+        for _ in range(3):
+            pushed = plant.open.input_gain(rows, plant.B, push)
+            ranges = _ranges(u, [a + b for a, b in zip(drift, pushed, strict=True)])
+            push = [
+                largest((abs(_clip(lo, top) - u[i, 0]), abs(_clip(hi, top) - u[i, 0])))
+                for i, ((lo, hi), top) in enumerate(zip(ranges, plant.u_max, strict=True))
+            ]
+    slopes, middles, bands = [], [], []
+    for (lo, hi), top in zip(ranges, plant.u_max, strict=True):
+        width = hi - lo
+        slope = ((_clip(hi, top) - _clip(lo, top)) / width).mid() if width > 0 else arb(1)
+        # The clip less a line is piecewise affine: its extremes are at the ends and at the limits.
+        places = [lo, hi, *(x for x in (-top, top) if lo < x < hi)]
+        rests = [_clip(y, top) - slope * y for y in places]
+        high, low = largest(rests), -largest(-x for x in rests)
+        slopes.append(slope)
+        middles.append(((high + low) / 2).mid())
+        bands.append(largest((high - middles[-1], middles[-1] - low)))
+    known = [
+        slope * u[i, 0] + middle - u[i, 0]
+        for i, (slope, middle) in enumerate(zip(slopes, middles, strict=True))
+    ]
+    motion = plant.loop(diagonal(slopes) * gain)
+    return Period(motion, plant.B * column(known), plant.B, bands if m else [])
+
+
+def _clip(y: arb, top: arb) -> arb:
+    """The command y limited to ``[-top, top]``."""
+    if y > top:
+        return top
+    return -top if y < -top else y

@@ -1,0 +1,237 @@
+"""The certificate against the scenario beside it: the system and the scene that were asked for."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from flint import arb, arb_mat
+
+from .balls import diagonal, matrix, norms, require, row_sums
+from .document import Document, Law
+from .perception import check_unsafe
+from .verdict import Record, Rejected
+from .zonotopes import inner_radius
+
+GAIN_SLACK = 1e-6
+"""Largest residual of the Riccati equation's gain, relative to the gain."""
+
+GOAL_SLACK = 1e-5
+"""By how much the goal may be missed, relative to its size. No claim of safety rests on the goal."""
+
+
+def check_inputs(document: Document, folder: Path, record: Record) -> None:
+    """Compare the certificate with the scenario file of the run folder.
+
+    Raises
+    ------
+    Rejected
+        Naming ``system``, ``initial_set``, ``sampling``, ``unsafe_sets``, ``controllers``,
+        ``recoverable_sets`` or ``goal``.
+    """
+    try:
+        scenario = tomllib.loads((folder / "scenario.toml").read_text(encoding="utf-8"))
+        if scenario["name"] != document.scenario:
+            raise Rejected("system", f"{document.scenario} is not the scenario {scenario['name']}")
+        _check_system(document, scenario["system"])
+        record.holds("system", "matrices and limits of the scenario")
+        _check_initial_set(document, scenario["initial_set"])
+        record.holds("initial_set", f"contains the scenario's {scenario['initial_set']['kind']}")
+        _check_sampling(document, scenario)
+        record.holds("sampling", "steps, periods and kind of feedback of the scenario")
+        count = check_unsafe(document, scenario)
+        record.holds("unsafe_sets", f"{count} timed polytopes contain the scenario's sets at all times")
+        _check_controllers(document, scenario)
+        record.holds(
+            "controllers", f"{len(document.laws) - 1} experimental, gains solve their Riccati equation"
+        )
+        kind = scenario.get("recoverable", {}).get("kind", "polytope")
+        _need("recoverable_sets", "kind", document.recoverable, kind)
+        _check_goal(document, scenario["goal"])
+        record.holds("goal", f"the reference ends in the scenario's {scenario['goal']['kind']}")
+    except (KeyError, TypeError, ValueError, IndexError, ZeroDivisionError) as error:
+        raise Rejected(
+            "artefacts", f"scenario.toml cannot be compared: {type(error).__name__}: {error}"
+        ) from error
+
+
+def _need(claim: str, what: str, found: Any, given: Any) -> None:
+    if found != given:
+        raise Rejected(claim, f"{what} is {found} in the certificate, {given} in the scenario")
+
+
+def _table(rows: Any) -> list[list[float]]:
+    return [[float(x) for x in row] for row in rows]
+
+
+def _vector(values: Any) -> list[float]:
+    return [float(x) for x in values]
+
+
+def _check_system(document: Document, spec: dict[str, Any]) -> None:
+    n, m = len(document.A), len(document.u_max)
+    _need("system", "kind", document.system_kind, spec["kind"])
+    hill = spec["kind"] == "clohessy_wiltshire"
+    top = spec["thrust_max_N" if hill else "input_max"]
+    limits = _vector(top) if isinstance(top, list) else [float(top)] * m
+    _need("system", "input limit", document.u_max, limits)
+    bound = float(spec.get("disturbance_max_m_s2" if hill else "disturbance_max", 0.0))
+    _need("system", "disturbance bound", document.w_max, bound)
+    if hill:
+        _need("system", "mean motion", document.mean_motion, float(spec["mean_motion_rad_s"]))
+        _need("system", "mass", document.mass, float(spec["mass_kg"]))
+        place: list[int] | None = [0, 1, 2]
+    else:
+        for key, value in (("A", document.A), ("B", document.B), ("D", document.D)):
+            _need("system", key, value, _table(spec[key]))
+        place = spec.get("position_states")
+        if place is None:
+            place = list(range(max(n // 2, 1))) if spec.get("C") is None else None
+    chosen = _table(spec["C"]) if place is None else [[float(i == j) for j in range(n)] for i in place]
+    _need("system", "C", document.C, chosen)
+
+
+def _check_initial_set(document: Document, spec: dict[str, Any]) -> None:
+    _need("initial_set", "centre", document.center, _vector(spec["center"]))
+    n, generators = len(document.center), document.generators
+    if spec["kind"] == "zonotope":
+        _need("initial_set", "generators", generators, _table(spec["generators"]))
+        return
+    if spec["kind"] == "box":
+        if any(sum(x != 0 for x in g) > 1 for g in generators):
+            raise Rejected("initial_set", "a box has generators along the axes")
+        extent = [sum(abs(g[i]) for g in generators) for i in range(n)]
+        _need("initial_set", "half-widths", extent, _vector(spec["half_widths"]))
+        return
+    place = {row.index(1.0) for row in document.C}
+    radii = float(spec["position_radius_m"]), float(spec["velocity_radius_m_s"])
+    for states, radius in zip((place, set(range(n)) - place), radii, strict=True):
+        block = [g for g in generators if any(g[i] for i in states)]
+        if any(g[i] for g in block for i in range(n) if i not in states):
+            raise Rejected("initial_set", "a generator mixes position and velocity")
+        if not (states and radius):
+            continue
+        G = matrix([[g[i] for i in sorted(states)] for g in block], len(states)).transpose()
+        inside = inner_radius(G) if len(states) <= 3 else _inner_box(G)
+        require(
+            "initial_set", inside - radius * (1 - 1e-9), f"the ball of radius {radius:g} is not contained"
+        )
+        most = max(float(x.mid()) for x in row_sums(G))
+        if most > 2 * radius:
+            raise Rejected("initial_set", f"reaches {most:g} where the ball has the radius {radius:g}")
+
+
+def _inner_box(G: arb_mat) -> arb:
+    """Inner radius of a box; 0 for anything else."""
+    along = all(sum(x != 0 for x in g) == 1 for g in G.transpose().tolist())
+    return min(row_sums(G)) if along else arb(0)
+
+
+def _check_sampling(document: Document, scenario: dict[str, Any]) -> None:
+    horizon, feedback = scenario["horizon"], scenario.get("feedback", {"kind": "continuous"})
+    step = float(horizon["step_s"])
+    _need("sampling", "step [s]", document.delta, step)
+    _need("sampling", "number of steps", document.steps, round(float(horizon["duration_s"]) / step))
+    _need("sampling", "sampled", document.sampled, feedback["kind"] == "sampled")
+    if document.sampled:
+        _need("sampling", "periods per step", document.q, round(step / float(feedback["period_s"])))
+
+
+# -- controllers ------------------------------------------------------------------------------------
+
+
+def _check_controllers(document: Document, scenario: dict[str, Any]) -> None:
+    specs = scenario["experimental"]
+    _need("controllers", "number of experimental controllers", len(document.laws) - 1, len(specs))
+    _check_gain(document, document.laws[0], scenario["tracking"])
+    for law, spec in zip(document.laws[1:], specs, strict=True):
+        _need("controllers", "name", law.name, spec["name"])
+        _need("controllers", f"kind of {law.name}", law.kind, spec["kind"])
+        if law.kind == "any_thrust":
+            continue
+        if spec.get("gain") is not None:
+            _need("controllers", f"gain of {law.name}", law.gain, _table(spec["gain"]))
+        else:
+            _check_gain(document, law, spec)
+        shared = spec.get("reference", {"kind": "shared"})["kind"] == "shared"
+        _need("controllers", f"{law.name} shares the safe reference", law.states is None, shared)
+
+
+def _check_gain(document: Document, law: Law, spec: dict[str, Any]) -> None:
+    """A gain K is the LQR gain of (Q, R): ``K = R^-1 B' P`` with P the cost of flying K."""
+    A, B = matrix(document.A), matrix(document.B)
+    assert law.gain is not None  # any_thrust, the only kind without one, is not asked
+    K, Q, R = matrix(law.gain), _weight(spec["Q"]), _weight(spec["R"])
+    closed = A - B * K
+    P = _lyapunov(closed, Q + K.transpose() * R * K)
+    rest = R * K - B.transpose() * P
+    size, off = max(norms(R * K)), max(norms(rest))
+    told = f"the gain of {law.name} is not that of its weights Q and R"
+    require("controllers", size * GAIN_SLACK - off, told)
+
+
+def _weight(values: Any) -> arb_mat:
+    if not isinstance(values[0], list):
+        return diagonal(_vector(values))
+    M = matrix(_table(values))
+    return (M + M.transpose()) * arb(0.5)
+
+
+def _lyapunov(A: arb_mat, Q: arb_mat) -> arb_mat:
+    """Solve ``A' P + P A + Q = 0`` as a system of linear equations."""
+    n = A.nrows()
+    rows = []
+    for i in range(n):
+        for j in range(n):
+            row = [arb(0)] * (n * n)
+            for k in range(n):
+                row[k * n + j] += A[k, i]
+                row[i * n + k] += A[k, j]
+            rows.append(row)
+    found = matrix(rows).solve(arb_mat(n * n, 1, [-x for x in Q.entries()]))
+    return arb_mat(n, n, found.entries())
+
+
+# -- goal -------------------------------------------------------------------------------------------
+
+
+def _check_goal(document: Document, spec: dict[str, Any]) -> None:
+    x, kind = document.states[document.steps], spec["kind"]
+    if kind in ("stationary", "box"):
+        middle = _vector(spec["state" if kind == "stationary" else "center"])
+        half = _vector(spec["half_widths"]) if kind == "box" else [0.0] * len(x)
+        size = max(1.0, *(abs(c) for c in middle))
+        terms = [
+            (abs(a - c) - h, f"state {i}") for i, (a, c, h) in enumerate(zip(x, middle, half, strict=True))
+        ]
+    else:
+        terms, size = _orbit_terms(document, x, spec)
+    worst, name = max(terms)
+    if not worst <= GOAL_SLACK * size:
+        raise Rejected("goal", f"the reference misses the goal ({name})", worst)
+
+
+def _orbit_terms(
+    document: Document, x: list[float], spec: dict[str, Any]
+) -> tuple[list[tuple[float, str]], float]:
+    """How far a state is from a goal in Hill's frame, as lengths [m], and the goal's size."""
+    eta = document.mean_motion or 1.0
+    across = [x[2], x[5] / eta]
+    if spec["kind"] == "linear_nmt":
+        amplitude, along = float(spec["amplitude_max_m"]), float(spec.get("along_track_m", 0.0))
+        rest = [x[0], x[1] - along, x[3] / eta, x[4] / eta]
+        terms = [(abs(value), f"condition {i}") for i, value in enumerate(rest)]
+        return [*terms, ((across[0] ** 2 + across[1] ** 2) ** 0.5 - amplitude, "amplitude")], max(
+            amplitude, 1.0
+        )
+    inner, outer = float(spec["inner_semi_minor_m"]), float(spec["outer_semi_minor_m"])
+    b = (x[0] ** 2 + x[1] ** 2 / 4) ** 0.5
+    most = float(spec.get("cross_track_max_m", 0.0))
+    return [
+        (abs(x[4] / eta + 2 * x[0]), "v_y = -2 eta r_x"),
+        (abs(x[3] / eta - x[1] / 2), "v_x = eta r_y / 2"),
+        (b - outer, "outer ellipse"),
+        (inner - b, "inner ellipse"),
+        *((abs(value) - most, "cross-track") for value in across),
+    ], outer

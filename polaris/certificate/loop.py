@@ -1,0 +1,193 @@
+"""The safety controller from a set of errors to the end of time: what its error needs along fixed rows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+from flint import arb, arb_mat
+
+from .balls import above, column, identity, largest, magnitude, norms
+from .motion import Motion
+from .verdict import Undecided
+from .zonotopes import Zonotope
+
+FORGOTTEN = 1e-3
+"""What is left of an error once the loop counts as having forgotten it."""
+
+LONGEST = 20000
+"""Most periods that are followed one by one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Memory:
+    """After how many periods the loop has forgotten an error.
+
+    With ``z > 0`` and ``|phi^N| z <= c z``, c < 1, every undisturbed error that was within ``|e| <= z`` is
+    within ``c^a z`` at node ``a N``, and this needs nothing but a product of two matrices to be checked.
+
+    Parameters
+    ----------
+    powers : list of arb_mat
+        ``phi^l`` for l = 0 ... N + 1.
+    z : arb_mat, shape (n, 1)
+    c : arb
+    """
+
+    powers: list[arb_mat]
+    z: arb_mat
+    c: arb
+
+    @property
+    def periods(self) -> int:
+        """N."""
+        return len(self.powers) - 2
+
+    @classmethod
+    def of(cls, motion: Motion, extent: arb_mat, multiple: int, share: float = FORGOTTEN) -> Memory:
+        """Find N, a multiple of a number of periods, for errors up to an extent.
+
+        Raises
+        ------
+        Undecided
+            If the loop does not seem to forget.
+        """
+        p = motion.disturbance_box
+        z0 = column([x + 10 * y + 1e-30 for x, y in zip(extent.entries(), p.entries(), strict=True)])
+        powers = [identity(len(z0.entries()))]
+        while len(powers) < LONGEST:
+            for _ in range(multiple):
+                powers.append(powers[-1] * motion.phi)
+            last = magnitude(powers[-1])
+            z = z0 + last * z0 + last * (last * z0)
+            c = largest(a / b for a, b in zip((last * z).entries(), z.entries(), strict=True))
+            if c < share:
+                return cls([*powers, powers[-1] * motion.phi], magnitude(z), c)
+        raise Undecided("recoverable", f"the loop has not forgotten errors after {LONGEST} periods")
+
+
+@dataclass(frozen=True, eq=False)
+class Needs:
+    """What errors need along fixed rows, lag by lag.
+
+    Parameters
+    ----------
+    motion : Motion
+        The safety controller's loop.
+    memory : Memory
+    rows : arb_mat, shape (r, n)
+    """
+
+    motion: Motion
+    memory: Memory
+    rows: arb_mat
+
+    @cached_property
+    def carried(self) -> list[arb_mat]:
+        """``row phi^l`` for l = 0 ... N + 1, each of shape (r, n)."""
+        return [self.rows * power for power in self.memory.powers]
+
+    @cached_property
+    def bend(self) -> list[arb_mat]:
+        """What is booked between nodes per unit of ``|e|`` at the start, for the periods next to node l."""
+        curved = self.motion.bend(self.rows)
+        per = [magnitude(curved * magnitude(self.motion.closed * power)) for power in self.memory.powers]
+        return [per[0], *(_larger(a, b) for a, b in zip(per[:-1], per[1:], strict=True))]
+
+    @cached_property
+    def _sums(self) -> list[list[arb]]:
+        """Response at node L to the disturbance from rest, for L = 0 ... N + 1."""
+        stacked = self.motion.disturbance_gain(above(*self.carried[:-1]))
+        count, sums = self.rows.nrows(), [[arb(0)] * self.rows.nrows()]
+        for lag in range(len(self.carried) - 1):
+            gains = stacked[lag * count : (lag + 1) * count]
+            sums.append([(a + b).upper() for a, b in zip(sums[-1], gains, strict=True)])
+        return sums
+
+    @cached_property
+    def _late(self) -> list[arb]:
+        """Bound on the share of all disturbances older than N periods."""
+        memory, p = self.memory, self.motion.disturbance_box.entries()
+        alpha = largest(a / b for a, b in zip(p, memory.z.entries(), strict=True))
+        weight = alpha * memory.c / (1 - memory.c)
+        total = magnitude(self.carried[0])
+        for carried in self.carried[1 : memory.periods]:
+            total = total + magnitude(carried)
+        return [x * weight for x in (total * memory.z).entries()]
+
+    @cached_property
+    def settled(self) -> list[arb]:
+        """Bound on the disturbance's share at every node, however late."""
+        return [(a + b).upper() for a, b in zip(self._sums[-1], self._late, strict=True)]
+
+    def disturbed(self, resting: arb_mat) -> list[list[arb]]:
+        """The disturbance's share until the end of the period after node l, for l = 0 ... N, then for ever.
+
+        Parameters
+        ----------
+        resting : arb_mat, shape (n, 1)
+            Bound on what the disturbance adds to each state at any node: `settled` along the axes.
+        """
+        curved = (self.motion.bend(self.rows) * magnitude(self.motion.closed) * resting).entries()
+        first = self._sums[1]
+        until = [
+            [_most(a + f, b) + k for a, b, f, k in zip(now, following, first, curved, strict=True)]
+            for now, following in zip(self._sums[:-1], self._sums[1:], strict=True)
+        ]
+        ever = [a + f + k for a, f, k in zip(self.settled, first, curved, strict=True)]
+        return [*until, ever]
+
+    def forgotten(self) -> list[arb]:
+        """What any undisturbed error within ``z`` at the start still needs after N periods."""
+        memory = self.memory
+        each = [
+            ((magnitude(row) + bend) * memory.z).entries()
+            for row, bend in zip(self.carried[: memory.periods], self.bend[: memory.periods], strict=True)
+        ]
+        return [largest(values) * memory.c for values in zip(*each, strict=True)]
+
+    def tube(self, start: Zonotope) -> list[list[arb]]:
+        """What one set needs at lag l = 0 ... N, disturbance apart: exact support and what is booked."""
+        booked, size = self.bend, start.size()
+        support = start.support(above(*self.carried))
+        count = self.rows.nrows()
+        return [
+            [
+                a + b
+                for a, b in zip(
+                    support[lag * count : (lag + 1) * count], (booked[lag] * size).entries(), strict=True
+                )
+            ]
+            for lag in range(self.memory.periods + 1)
+        ]
+
+    def per_norm(self, inverse: arb_mat) -> list[list[arb]]:
+        """What a unit ball of ``norm(V e, 2)`` needs at lag l, given ``V^-1``."""
+        curved = self.motion.bend(self.rows)
+        bent = [
+            norms(curved * magnitude(self.motion.closed * power * inverse))
+            for power in self.memory.powers[:-1]
+        ]
+        straight = [norms(row * inverse) for row in self.carried[:-1]]
+        before = [bent[0], *bent[:-1]]
+        return [
+            [a + _most(b, c) for a, b, c in zip(*each, strict=True)]
+            for each in zip(straight, bent, before, strict=True)
+        ]
+
+
+def resting_box(motion: Motion, memory: Memory) -> arb_mat:
+    """Bound on what the disturbance adds to each state at any node, shape (n, 1)."""
+    return magnitude(column(Needs(motion, memory, identity(motion.X.nrows())).settled))
+
+
+def _larger(a: arb_mat, b: arb_mat) -> arb_mat:
+    pairs: Sequence[tuple[arb, arb]] = list(zip(a.entries(), b.entries(), strict=True))
+    return arb_mat(a.nrows(), a.ncols(), [x if x > y else y for x, y in pairs])
+
+
+def _most(a: arb, b: arb) -> arb:
+    """The larger of two, as an upper bound."""
+    a, b = a.upper(), b.upper()
+    return a if a > b else b

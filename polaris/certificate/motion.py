@@ -1,0 +1,167 @@
+"""One period of a linear motion with uncertain inputs, between two instants at which it is known as a set.
+
+``x' = X x + g + V v + D w`` with measurable v in a box about zero and ``norm(w, 2) <= w_max``. Under
+sampled feedback the input of the period is fixed at its start, so ``x(s) = M(s) x(0) + ...`` with
+``M'' = X e^{X s} A_c`` and ``A_c = A - B K``; under continuous feedback ``X = A_c`` and ``M(s) = e^{X s}``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+from flint import arb, arb_mat
+
+from .balls import exponential, exponential_over, magnitude, norms, row_sums
+from .zonotopes import ball_cover
+
+
+@dataclass(frozen=True, eq=False)
+class Plant:
+    """What is controlled: matrices, limits, and the period between two nodes.
+
+    Parameters
+    ----------
+    A, B, D, C : arb_mat
+        System matrices, and the position as a function of the state.
+    u_max : list of arb
+        Input limits.
+    w_max : arb
+        Bound on the 2-norm of the disturbance.
+    h : arb
+        Length of a period [s].
+    sampled : bool
+        Whether inputs are held over a period.
+    """
+
+    A: arb_mat
+    B: arb_mat
+    D: arb_mat
+    C: arb_mat
+    u_max: list[arb]
+    w_max: arb
+    h: arb
+    sampled: bool
+
+    def loop(self, gain: arb_mat) -> Motion:
+        """Motion under ``u = -gain x``."""
+        closed = self.A - self.B * gain
+        if not self.sampled:
+            return Motion(self, closed, closed)
+        return Motion(self, self.A, closed, gain)
+
+    @cached_property
+    def open(self) -> Motion:
+        """Motion under inputs that do not depend on the state."""
+        return Motion(self, self.A, self.A)
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """One period of it.
+
+    Parameters
+    ----------
+    plant : Plant
+    X : arb_mat
+        Matrix of the motion within the period.
+    closed : arb_mat
+        ``A_c``.
+    held : arb_mat or None
+        The gain, if its input is held.
+    """
+
+    plant: Plant
+    X: arb_mat
+    closed: arb_mat
+    held: arb_mat | None = None
+
+    @cached_property
+    def _exponentials(self) -> tuple[arb_mat, arb_mat]:
+        return exponential(self.X, self.plant.h)
+
+    @cached_property
+    def phi(self) -> arb_mat:
+        """``M(h)``: from one node to the next."""
+        phi, gamma = self._exponentials
+        return phi if self.held is None else phi - gamma * self.plant.B * self.held
+
+    @property
+    def gamma(self) -> arb_mat:
+        """``int_0^h e^{X s} ds``."""
+        return self._exponentials[1]
+
+    @cached_property
+    def over(self) -> arb_mat:
+        """Enclosure of ``e^{X s}`` for all s of the period."""
+        return exponential_over(self.X, self.plant.h)
+
+    def bend(self, rows: arb_mat) -> arb_mat:
+        """Bound on ``(h^2/8) |row X e^{X s}|``, entry by entry, for all s of the period.
+
+        By the chord lemma ``row x(s)`` differs from the chord of its end values by at most this times
+        the size of ``A_c x(0) + g``.
+        """
+        return magnitude(rows * self.X * self.over * (self.plant.h**2 / 8))
+
+    # -- uncertain inputs ---------------------------------------------------------------------------
+
+    def input_set(self, V: arb_mat, size: arb_mat) -> arb_mat:
+        """Generators that enclose ``int_0^h e^{X s} V v(s) ds`` for measurable v.
+
+        The mean of v lies in its (convex) set; the rest is at most ``(h^2/3) |X| sup|e^{X s}| |V v|``.
+
+        Parameters
+        ----------
+        V : arb_mat
+            Generators of the set of ``V v``.
+        size : arb_mat, shape (n, 1)
+            Bound on ``|V v|``.
+        """
+        rest = magnitude(self.X) * magnitude(self.over) * size * (self.plant.h**2 / 3)
+        n = self.X.nrows()
+        corner = rest.entries()
+        box = arb_mat(n, n, [corner[i] if i == j else 0 for i in range(n) for j in range(n)])
+        mapped = self.gamma * V
+        return arb_mat(
+            n, V.ncols() + n, [x for a, b in zip(mapped.tolist(), box.tolist(), strict=True) for x in a + b]
+        )
+
+    @cached_property
+    def disturbance_set(self) -> arb_mat:
+        """Generators that enclose what the disturbance adds over one period."""
+        D, w = self.plant.D, self.plant.w_max
+        size = arb_mat(D.nrows(), 1, [length * w for length in norms(D)])
+        return self.input_set(D * ball_cover(D.ncols(), w), size)
+
+    def disturbance_gain(self, rows: arb_mat) -> list[arb]:
+        """Bound on ``w_max int_0^h norm(row e^{X s} D, 2) ds`` for every row.
+
+        The norm of a smooth vector lies below its chord plus that of the vector's bend: the trapezoid
+        rule and ``h^3/12`` times a bound on the second derivative are an upper bound.
+        """
+        h, D = self.plant.h, self.plant.D
+        left, right = norms(rows * D), norms(rows * (self._exponentials[0] * D))
+        second = magnitude(rows * self.X * self.X * self.over * D)
+        bent = norms(second)
+        return [
+            self.plant.w_max * (h / 2 * (a + b) + h**3 / 12 * c)
+            for a, b, c in zip(left, right, bent, strict=True)
+        ]
+
+    def input_gain(self, rows: arb_mat, V: arb_mat, bounds: list[arb]) -> list[arb]:
+        """Bound on ``|int_0^s row e^{X r} V v dr|`` for ``|v_i| <= bounds[i]`` and any s of the period.
+
+        By the same rule as `disturbance_gain`, for every column of V.
+        """
+        h = self.plant.h
+        ends = magnitude(rows * V) + magnitude(rows * (self._exponentials[0] * V))
+        second = magnitude(rows * self.X * self.X * self.over * V)
+        return ((ends * (h / 2) + second * (h**3 / 12)) * arb_mat(len(bounds), 1, list(bounds))).entries()
+
+    @cached_property
+    def disturbance_box(self) -> arb_mat:
+        """Bound on what the disturbance adds to each state within a period, shape (n, 1)."""
+        D = self.plant.D
+        sizes = row_sums(magnitude(self.over * D))
+        return magnitude(arb_mat(D.nrows(), 1, [s * self.plant.w_max * self.plant.h for s in sizes]))

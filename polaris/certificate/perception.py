@@ -1,0 +1,265 @@
+"""Whether the timed polytopes contain the sets that the scenario describes, at all times.
+
+A polytope contains a set if each of its facets lies beyond the set's support in that direction. All
+supports are worked out here anew, from the scenario's numbers.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from flint import arb, arb_mat
+
+from .balls import absolute, column, exponential, exponential_over, magnitude, matrix, norms, require
+from .document import Document, UnsafeSet
+from .plants import plant_of
+from .verdict import Rejected
+
+SLACK = 1e-9
+"""Rounding of unit normals and offsets, relative to the numbers they are made from."""
+
+MOST_PARTS = 256
+"""Most parts into which a step is divided to follow another satellite."""
+
+
+def check_unsafe(document: Document, scenario: dict[str, Any]) -> int:
+    """Check every unsafe set of the certificate, in the scenario's order; returns their number.
+
+    Raises
+    ------
+    Rejected
+        Naming the claim ``unsafe_sets``.
+    """
+    left = list(document.unsafe)
+    for spec in scenario.get("obstacles", ()):
+        if not left or left[0].name != spec["name"] or left[0].keep_in:
+            raise Rejected("unsafe_sets", f"{spec['name']} is missing")
+        _check_obstacle(document, left.pop(0), spec)
+    for spec in scenario.get("keep_in", ()):
+        facets: list[UnsafeSet] = []
+        while left and left[0].keep_in and left[0].name == f"{spec['name']}[{len(facets)}]":
+            facets.append(left.pop(0))
+        for item in facets:
+            if len(item.normals) != 1 or not item.resting:
+                raise Rejected("unsafe_sets", f"{item.name} must be one halfspace at rest")
+        _check_keep_in(document, facets, spec)
+    if left:
+        raise Rejected("unsafe_sets", f"{left[0].name} is not in the scenario")
+    return len(document.unsafe)
+
+
+def _beyond(item: UnsafeSet, cell: int, place: int, facet: int, support: arb, size: arb) -> None:
+    """A facet at one end of a cell lies beyond a support, up to rounding."""
+    offset = (item.start, item.end)[place][cell][facet]
+    where = f"{item.name}, facet {facet}, at the {('start', 'end')[place]} of step {cell}"
+    require("unsafe_sets", offset - support + size * SLACK, where)
+
+
+# -- obstacles --------------------------------------------------------------------------------------
+
+
+def _check_obstacle(document: Document, item: UnsafeSet, spec: dict[str, Any]) -> None:
+    if spec["kind"] == "satellite":
+        _check_count(item, _directions(document, spec))
+        _Satellite(document, item, spec).check()
+        return
+    d, kind = len(document.C), spec["kind"]
+    v = [float(x) for x in spec.get("velocity_m_s") or [0.0] * d]
+    anchor = [0.0] * d if kind == "polytope" else [float(x) for x in spec["center_m"]]
+    counts = {"box": 2 * d, "polytope": len(spec.get("normals", ()))}
+    _check_count(item, counts[kind] if kind in counts else _directions(document, spec))
+    for f, normal in enumerate(item.normals):
+        n = [arb(x) for x in normal]
+        if kind == "box":
+            extent = sum((abs(x) * float(h) for x, h in zip(n, spec["half_widths_m"], strict=True)), arb(0))
+        elif kind == "ball":
+            extent = _length(n) * float(spec["radius_m"])
+        else:
+            extent = _row_support(
+                document, normal, spec["normals"][f], float(spec["offsets_m"][f]), item.name
+            )
+        base = sum((x * c for x, c in zip(n, anchor, strict=True)), extent)
+        rate = sum((x * c for x, c in zip(n, v, strict=True)), arb(0))
+        for cell in range(document.cells):
+            for place in (0, 1):
+                t = arb(cell + place) * document.delta
+                _beyond(item, cell, place, f, base + rate * t, abs(base) + abs(rate * t))
+
+
+def _check_count(item: UnsafeSet, count: int) -> None:
+    if len(item.normals) != count:
+        raise Rejected("unsafe_sets", f"{item.name} has {len(item.normals)} facets, not {count}")
+
+
+def _directions(document: Document, spec: dict[str, Any]) -> int:
+    """Number of facets about a ball."""
+    d = len(document.C)
+    return 2 if d == 1 else int(spec.get("facets") or {2: 12, 3: 26}[d])
+
+
+def _length(n: list[arb]) -> arb:
+    return sum((x * x for x in n), arb(0)).sqrt()
+
+
+def _row_support(document: Document, normal: list[float], row: Any, offset: float, name: str) -> arb:
+    """Support of a halfspace in the direction of its own normal as stored.
+
+    The stored normal is rounded; over the positions that matter (ten times as far as anything in the
+    certificate) that moves the facet by no more than is added here.
+    """
+    given = [arb(float(x)) for x in row]
+    length = _length(given)
+    off = sum((abs(n - x / length) for n, x in zip(normal, given, strict=True)), arb(0))
+    require("unsafe_sets", SLACK - off, f"a normal of {name} is turned")
+    reach = 10 * max(abs(x) for state in (*document.states, *document.lower, *document.upper) for x in state)
+    return offset / length + off * reach
+
+
+# -- keep-in sets -----------------------------------------------------------------------------------
+
+
+def _check_keep_in(document: Document, facets: list[UnsafeSet], spec: dict[str, Any]) -> None:
+    """The polytope that the facets leave lies inside the set."""
+    name = spec["name"]
+    rows = [[-x for x in item.normals[0]] for item in facets]
+    offsets = [-item.start[0][0] for item in facets]
+    if spec["kind"] == "polytope":
+        if len(facets) != len(spec["normals"]):
+            raise Rejected("unsafe_sets", f"{name} has {len(facets)} facets, not {len(spec['normals'])}")
+        for f, (row, offset) in enumerate(zip(rows, offsets, strict=True)):
+            most = _row_support(document, row, spec["normals"][f], float(spec["offsets_m"][f]), name)
+            require("unsafe_sets", most - offset + abs(most) * SLACK, f"{name}, facet {f}, is too far out")
+        return
+    d = len(document.C)
+    sides = (2 if d == 2 else int(spec.get("facets", 12))) + (spec.get("length_m") is not None)
+    if len(facets) != sides:
+        raise Rejected("unsafe_sets", f"{name} has {len(facets)} facets, not {sides}")
+    _check_cone(rows, offsets, spec)
+
+
+def _check_cone(rows: list[list[float]], offsets: list[float], spec: dict[str, Any]) -> None:
+    """Edges of the polyhedral cone lie on or inside the circular one, and its facets pass its apex.
+
+    A polyhedral cone is spanned by its edges, and the circular cone is convex.
+    """
+    name, axis = spec["name"], [arb(float(x)) for x in spec["axis"]]
+    length = _length(axis)
+    axis = [x / length for x in axis]
+    apex = [float(x) for x in spec["apex_m"]]
+    if spec.get("length_m") is not None:
+        last, at = (
+            rows[-1],
+            sum((a * b for a, b in zip(axis, apex, strict=True)), arb(float(spec["length_m"]))),
+        )
+        off = sum((abs(a - b) for a, b in zip(last, axis, strict=True)), arb(0))
+        require("unsafe_sets", SLACK - off, f"the end of {name} is turned")
+        require("unsafe_sets", at - offsets[-1] + abs(at) * SLACK, f"the end of {name} is too far out")
+        rows, offsets = rows[:-1], offsets[:-1]
+    size = 1 + sum(abs(x) for x in apex)
+    for f, (row, offset) in enumerate(zip(rows, offsets, strict=True)):
+        at = sum((arb(a) * b for a, b in zip(row, apex, strict=True)), arb(0))
+        require("unsafe_sets", at - offset + size * SLACK, f"{name}, facet {f}, is beyond the apex")
+    slope = (arb(float(spec["half_angle_deg"])) * arb.pi() / 180).cos()
+    for f in range(len(rows)):
+        edge = _edge(rows, f)
+        forward = sum((a * b for a, b in zip(edge, axis, strict=True)), arb(0)) / _length(edge)
+        require(
+            "unsafe_sets",
+            forward - slope + SLACK,
+            f"an edge of {name} next to facet {f} lies outside the cone",
+        )
+        for other, row in enumerate(rows):
+            beyond = sum((a * b for a, b in zip(row, edge, strict=True)), arb(0)) / _length(edge)
+            require("unsafe_sets", SLACK - beyond, f"facets {f} and {other} of {name} are out of order")
+
+
+def _edge(rows: list[list[float]], f: int) -> list[arb]:
+    """Direction of the edge between one facet and the next, pointing away from the apex."""
+    a, b = [arb(x) for x in rows[f]], [arb(x) for x in rows[(f + 1) % len(rows)]]
+    if len(a) == 2:
+        edge, inward = [-a[1], a[0]], b
+    else:
+        edge = [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+        inward = [arb(x) for x in rows[(f + 2) % len(rows)]]
+    side = sum((x * y for x, y in zip(edge, inward, strict=True)), arb(0))
+    return [-x for x in edge] if side > 0 else edge
+
+
+# -- another satellite ------------------------------------------------------------------------------
+
+
+class _Satellite:
+    """Support of every place where another satellite may be, and a ball around it, over each step.
+
+    ``c(t) z_0 + |c(t)| dz + a int_0^t norm(c(s) D) ds + radius`` with ``c(t) = n C e^{A t}``. Between
+    two instants each term is at most its chord plus what its bend allows.
+    """
+
+    def __init__(self, document: Document, item: UnsafeSet, spec: dict[str, Any]) -> None:
+        self.document, self.item = document, item
+        plant = plant_of(document)
+        self.A, self.D = plant.A, plant.D
+        self.rows = matrix(item.normals) * matrix(document.C)
+        self.state = column([float(x) for x in spec["state"]])
+        self.half = column([float(x) for x in spec["state_half_widths"]])
+        self.radius = float(spec["radius_m"])
+        self.accel = arb(float(spec.get("thrust_accel_max_m_s2", 0.0))) + document.w_max
+
+    def check(self) -> None:
+        """Check all steps; each is divided until its polytope is shown to do, or no further."""
+        step = exponential(self.A, arb(self.document.delta))[0]
+        carried, at = self.rows, self.state
+        gained, parts = [arb(0)] * self.rows.nrows(), 1
+        for cell in range(self.document.cells):
+            while True:
+                final = parts >= MOST_PARTS
+                after = self._step(cell, parts, carried, at, gained, final)
+                if after is not None:
+                    break
+                parts *= 2
+            gained, carried, at = after, carried * step, step * at
+
+    def _step(
+        self, cell: int, parts: int, carried: arb_mat, at: arb_mat, gained: list[arb], final: bool
+    ) -> list[arb] | None:
+        """Check one step in parts; the integral so far at its end, or None if it needs more parts."""
+        h = arb(self.document.delta) / parts
+        small = exponential(self.A, h)[0]
+        over = self.A * self.A * exponential_over(self.A, h)
+        first, last = self.item.start[cell], self.item.end[cell]
+        size = [abs(a) + abs(b) for a, b in zip(map(arb, first), map(arb, last), strict=True)]
+        values, margins = [], []
+        now = norms(carried * self.D)
+        for part in range(parts + 1):
+            spread = (absolute(carried) * self.half).entries()
+            middle = (carried * self.state).entries()
+            values.append([a + b + g + self.radius for a, b, g in zip(middle, spread, gained, strict=True)])
+            if part == parts:
+                break
+            second, following = carried * over, carried * small
+            bend = (absolute(second * self.state) + absolute(second) * self.half) * (h**2 / 8)
+            later, lifts = norms(following * self.D), norms(magnitude(second * self.D))
+            margins.append(
+                [
+                    b + self.accel * (h / 8 * max(x - y, arb(0)) + h**3 / 12 * z)
+                    for b, x, y, z in zip(bend.entries(), now, later, lifts, strict=True)
+                ]
+            )
+            gained = [
+                g + self.accel * (h / 2 * (x + y) + h**3 / 12 * z)
+                for g, x, y, z in zip(gained, now, later, lifts, strict=True)
+            ]
+            carried, now = following, later
+        for part, value in enumerate(values):
+            near = margins[max(part - 1, 0) : part + 1]
+            s = arb(part) / parts
+            for f, support in enumerate(value):
+                spare = first[f] * (1 - s) + last[f] * s - support + size[f] * SLACK
+                for margin in near:
+                    if spare - margin[f] >= 0:
+                        continue
+                    if not final:
+                        return None
+                    where = f"{self.item.name}, facet {f}, in step {cell}"
+                    require("unsafe_sets", spare - margin[f], where)
+        return gained

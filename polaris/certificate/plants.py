@@ -1,0 +1,44 @@
+"""The plant that a certificate speaks about, with exact entries."""
+
+from __future__ import annotations
+
+from flint import arb, arb_mat
+
+from .balls import matrix, require
+from .document import Document
+from .motion import Plant
+from .verdict import Rejected
+
+
+def plant_of(document: Document) -> Plant:
+    """Matrices with exact entries: in Hill's frame those of the mean motion, not their rounded values.
+
+    Raises
+    ------
+    Rejected
+        If the stored matrices of a frame of Hill are others.
+    """
+    A, B, D = matrix(document.A), matrix(document.B), matrix(document.D)
+    if document.system_kind == "clohessy_wiltshire":
+        exact = _hill(document)
+        for name, stored, true in zip("ABD", (A, B, D), exact, strict=True):
+            if (stored.nrows(), stored.ncols()) != (true.nrows(), true.ncols()):
+                raise Rejected("system", f"{name} is not of the size it has in Hill's frame")
+            for i, (x, y) in enumerate(zip(stored.entries(), true.entries(), strict=True)):
+                require("system", abs(y) * 1e-14 - abs(x - y), f"{name}, entry {i}: {x} is not {y}")
+        A, B, D = exact
+    h = arb(document.delta) / document.q
+    u_max = [arb(x) for x in document.u_max]
+    return Plant(A, B, D, matrix(document.C), u_max, arb(document.w_max), h, document.sampled)
+
+
+def _hill(document: Document) -> tuple[arb_mat, arb_mat, arb_mat]:
+    """Clohessy-Wiltshire matrices of the stored mean motion and mass, exact."""
+    if document.mean_motion is None:
+        raise Rejected("system", "Hill's frame needs a mean motion")
+    eta = arb(document.mean_motion)
+    A, B, D = arb_mat(6, 6), arb_mat(6, 3), arb_mat(6, 3)
+    for i in range(3):
+        A[i, 3 + i], B[3 + i, i], D[3 + i, i] = 1, 1 / arb(document.mass), 1
+    A[3, 0], A[3, 4], A[4, 3], A[5, 2] = 3 * eta * eta, 2 * eta, -2 * eta, -eta * eta
+    return A, B, D

@@ -1,0 +1,180 @@
+"""Recoverability: from the set reached at a switch, the safety controller keeps to every limit to the end."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+from flint import arb, arb_mat
+
+from .balls import above, absolute, beside, matrix, require
+from .limits import Limits, Target
+from .loop import Needs, resting_box
+from .verdict import Rejected
+from .zonotopes import Zonotope
+
+
+@dataclass(frozen=True, eq=False)
+class Recovery:
+    """Limits against needs.
+
+    Parameters
+    ----------
+    limits : Limits
+        Reduced by the jump at the start of the tail.
+    needs : Needs
+        Along the rows of the limits.
+    q : int
+        Periods per step.
+    planned : int
+        Number of steps before the tail.
+    delta : float
+        Step [s], for messages.
+    """
+
+    limits: Limits
+    needs: Needs
+    q: int
+    planned: int
+    delta: float
+
+    @cached_property
+    def disturbed(self) -> list[list[arb]]:
+        """The disturbance's share, see `Needs.disturbed`."""
+        return self.needs.disturbed(resting_box(self.needs.motion, self.needs.memory))
+
+    @property
+    def nodes(self) -> int:
+        """Number of the last node."""
+        return self.q * len(self.limits.targets)
+
+    def time(self, step: int, node: int) -> str:
+        """Time of a node after the start of a step, for messages."""
+        return f"{(step + node / self.q) * self.delta:.6g} s"
+
+    def lags(self, step: int) -> int:
+        """Number of periods after the start of a step that are looked at one by one."""
+        return min(self.needs.memory.periods, self.nodes - step * self.q)
+
+    def check_sets(self, reached: dict[int, Zonotope], margins: dict[int, float], ball: bool) -> float:
+        """Check that each set is recoverable, and inside by the share of the room that is claimed.
+
+        A bound from the extents of the set comes first; only where it does not do, the exact support.
+
+        Parameters
+        ----------
+        reached : dict of int to Zonotope
+            Set of errors at the start of a step.
+        margins : dict of int to float
+            Share of the room claimed to be left.
+        ball : bool
+            Whether shares refer to the room that the disturbance leaves, as those of balls do.
+
+        Returns
+        -------
+        float
+            The least share found where the exact support was needed; 1 if nowhere.
+        """
+        steps = sorted(reached)
+        sizes = beside(*(reached[k].size() for k in steps))
+        worst = 1.0
+        coarse = [
+            (absolute(row) + bend) * sizes
+            for row, bend in zip(self.needs.carried, self.needs.bend, strict=True)
+        ]
+        for place, k in enumerate(steps):
+            share = max(margins.get(k, 0.0), 0.0)
+            close: dict[tuple[int, int], list[Target]] = {}
+            for lag in range(self.lags(k) + 1):
+                for target in self.limits.at(k * self.q + lag, first=lag == 0):
+                    room = target.room - self.disturbed[lag][target.row]
+                    of = room if ball else target.room
+                    if not room - coarse[lag][target.row, place] >= share * of:
+                        close.setdefault((lag, target.row), []).append(target)
+            if close:
+                worst = min(worst, self._check_close(k, reached[k], close, share, ball))
+        return worst
+
+    def _check_close(
+        self,
+        k: int,
+        z: Zonotope,
+        close: dict[tuple[int, int], list[Target]],
+        share: float,
+        ball: bool,
+    ) -> float:
+        n, carried, worst = self.limits.rows.ncols(), self.needs.carried, 1.0
+        rows = matrix([[carried[lag][row, j] for j in range(n)] for lag, row in close], n)
+        size = z.size()
+        booked = above(*(_row(self.needs.bend[lag], row) for lag, row in close)) * size
+        for (key, targets), support, extra in zip(
+            close.items(), z.support(rows), booked.entries(), strict=True
+        ):
+            lag, row = key
+            disturbance = self.disturbed[lag][row]
+            for target in targets:
+                need, room = support + extra, target.room - disturbance
+                where = (
+                    f"the set at the start of step {k}, {target.name} at t = {self.time(k, lag)} under the "
+                    f"safety controller: needs {_plain(need + disturbance)} of {_plain(target.room)}"
+                )
+                require("recoverable", room - need, where)
+                of = room if ball else target.room
+                left = float(((room - need) / of).mid()) if of > 0 else 0.0
+                worst = min(worst, left)
+                if not (room - need) >= share * of * (1 - MARGIN_SLACK) - of * MARGIN_SLACK:
+                    told = f"share {left:.6g} left, {share:.6g} claimed, for {where}"
+                    raise Rejected("margins", told, share - left)
+        return worst
+
+    def check_far(self, forever: bool) -> None:
+        """Check the limits that lie beyond the memory of the loop, for every set within the memory's extent.
+
+        Parameters
+        ----------
+        forever : bool
+            Whether the tail repeats: then all of it lies beyond.
+        """
+        late = self.needs.forgotten()
+        need = [a + b for a, b in zip(late, self.disturbed[-1], strict=True)]
+        first = self.needs.memory.periods // self.q
+        cells = set(range(first, len(self.limits.targets)))
+        if forever:
+            cells |= set(range(self.planned, len(self.limits.targets)))
+        for cell in sorted(cells):
+            for i, met in enumerate(self.limits.targets[cell]):
+                for t in met:
+                    where = (
+                        f"errors forgotten by the loop, {t.name} at t = {self.time(cell, i)}: "
+                        f"needs {_plain(need[t.row])} of {_plain(t.room)}"
+                    )
+                    require("recoverable", t.room - need[t.row], where)
+
+    def check_balls(self, radii: list[float], inverse: arb_mat) -> None:
+        """Check that every error of a step's ball ``norm(V e, 2) <= radius`` is recoverable.
+
+        Raises
+        ------
+        Rejected
+            Naming the claim ``recoverable_sets``.
+        """
+        per = self.needs.per_norm(inverse)
+        for k, radius in enumerate(radii):
+            for lag in range(self.lags(k) + 1) if radius > 0 else ():
+                for t in self.limits.at(k * self.q + lag, first=lag == 0):
+                    spare = t.room - self.disturbed[lag][t.row] - per[lag][t.row] * radius
+                    if not spare >= -MARGIN_SLACK * abs(t.room):
+                        where = f"radius {radius:.6g} at {self.time(k, 0)}, {t.name} at {self.time(k, lag)}"
+                        require("recoverable_sets", spare, where)
+
+
+MARGIN_SLACK = 1e-6
+"""Slack of stored margins and radii, as a share of the room: they are results in double precision."""
+
+
+def _row(M: arb_mat, i: int) -> arb_mat:
+    return arb_mat(1, M.ncols(), [M[i, j] for j in range(M.ncols())])
+
+
+def _plain(x: arb) -> str:
+    return f"{float(x.mid()):.6g}"

@@ -1,0 +1,92 @@
+"""What a check ends with: verified, rejected with a witness, or not decided."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+VERIFIED, REJECTED, UNKNOWN = "VERIFIED", "REJECTED", "UNKNOWN"
+
+EXIT_CODES = {VERIFIED: 0, REJECTED: 5, UNKNOWN: 6}
+"""Exit codes by outcome; 2 means that there was nothing to check (no such file, python-flint missing)."""
+
+
+class Rejected(Exception):
+    """A claim of the certificate does not hold.
+
+    Parameters
+    ----------
+    claim : str
+        Which claim: one of the names in docs/certificate.md.
+    witness : str
+        Where and how it fails.
+    excess : float or None
+        By how much, in the unit that the witness names.
+    """
+
+    def __init__(self, claim: str, witness: str, excess: float | None = None) -> None:
+        super().__init__(f"{claim}: {witness}")
+        self.claim, self.witness, self.excess = claim, witness, excess
+
+
+class Undecided(Exception):
+    """The checker can neither confirm nor refute a claim; the arguments are as in `Rejected`."""
+
+    def __init__(self, claim: str, witness: str) -> None:
+        super().__init__(f"{claim}: {witness}")
+        self.claim, self.witness = claim, witness
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Outcome of a check.
+
+    Attributes
+    ----------
+    outcome : {"VERIFIED", "REJECTED", "UNKNOWN"}
+    claim, witness : str
+        The claim that fails or stays open, and where; empty when verified.
+    excess : float or None
+        By how much it fails, in the unit that the witness names.
+    checked : tuple of (str, str)
+        Claims that were confirmed, each with what was found.
+    trusted : tuple of str
+        What the verdict rests on and no checker can confirm.
+    seconds : float
+        Wall time [s].
+    """
+
+    outcome: str
+    claim: str = ""
+    witness: str = ""
+    excess: float | None = None
+    checked: tuple[tuple[str, str], ...] = ()
+    trusted: tuple[str, ...] = ()
+    seconds: float = 0.0
+
+    @property
+    def exit_code(self) -> int:
+        """Exit code of the commands: 0 only if verified."""
+        return EXIT_CODES[self.outcome]
+
+    def text(self) -> str:
+        """Readable report, some lines."""
+        width = max((len(name) for name, _ in self.checked), default=0)
+        lines = [f"{'holds':10}{name:{width}}  {found}" for name, found in self.checked]
+        lines += [f"{'trusted':10}{line}" for line in self.trusted]
+        if self.claim:
+            by = "" if self.excess is None else f", by {self.excess:.4g}"
+            lines.append(
+                f"{'fails' if self.outcome == REJECTED else 'open':10}{self.claim}: {self.witness}{by}"
+            )
+        return "\n".join([*lines, f"{self.outcome} in {self.seconds:.1f} s"])
+
+
+@dataclass
+class Record:
+    """Claims confirmed so far."""
+
+    checked: list[tuple[str, str]] = field(default_factory=list)
+
+    def holds(self, claim: str, found: str) -> None:
+        """Note a claim that was confirmed."""
+        self.checked.append((claim, found))

@@ -1,0 +1,189 @@
+"""The certificate of a schedule: everything that the argument for its safety rests on, as JSON."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from reach.linear import growth
+
+from ..clearance import error_tube
+from ..controllers import AffineController, Controller, Flight
+from ..safety import Safety
+from ..schedule import Schedule
+from ..system import Array
+from ..tolerances import ROUNDING
+from ..unsafe import TimedPolytope
+from .document import FORMAT, VERSION, canonical, digest
+
+PERCEPTION = "every unsafe set lies in the timed polytopes of this certificate at all times"
+
+
+def hexadecimal(values: ArrayLike) -> Any:
+    """The same nested lists, floats as exact hexadecimal text."""
+    if isinstance(values, list):
+        return [hexadecimal(item) for item in values]
+    if isinstance(values, (np.ndarray, tuple)):
+        return hexadecimal(np.asarray(values, dtype=float).tolist())
+    return float(values).hex()  # type: ignore[arg-type]
+
+
+def file_hash(path: Path) -> str:
+    """SHA-256 of a file."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def certificate(schedule: Schedule, name: str, files: Iterable[Path] = ()) -> dict[str, Any]:
+    """Build the certificate of a schedule.
+
+    Parameters
+    ----------
+    schedule : Schedule
+    name : str
+        Name of the scenario.
+    files : iterable of Path
+        Files whose hashes it carries.
+
+    Returns
+    -------
+    dict
+        JSON data; see docs/certificate.md.
+    """
+    safety = schedule.safety
+    system, tracking = safety.problem.system, safety.tracking
+    until = safety.end.until
+    data: dict[str, Any] = {
+        "format": FORMAT,
+        "schema_version": VERSION,
+        "scenario": {"name": name},
+        "artefacts": {path.name: file_hash(path) for path in files},
+        "system": {
+            "kind": "linear" if system.mean_motion is None else "clohessy_wiltshire",
+            "mean_motion": None if system.mean_motion is None else hexadecimal(system.mean_motion),
+            "mass": hexadecimal(system.mass),
+            "A": hexadecimal(system.A),
+            "B": hexadecimal(system.B),
+            "C": hexadecimal(system.position),
+            "D": hexadecimal(system.D),
+            "input_max": hexadecimal(system.u_max),
+            "disturbance_max": hexadecimal(system.w_max),
+            "input_names": list(system.input_names),
+        },
+        "sampling": {
+            "kind": "sampled" if tracking.feedback.sampled else "continuous",
+            "step": hexadecimal(safety.problem.delta),
+            "steps": safety.problem.K,
+            "nodes_per_step": tracking.feedback.nodes_per_cell,
+        },
+        "initial_set": {
+            "center": hexadecimal(safety.problem.initial_set.c),
+            "generators": hexadecimal(safety.problem.initial_set.G.T),
+        },
+        "unsafe_sets": [_unsafe(item, safety.reference.cells) for item in safety.clearance.unsafe],
+        "facets": safety.clearance.facets.tolist(),
+        "reference": {
+            "states": hexadecimal(safety.reference.chi),
+            "inputs": hexadecimal(safety.reference.nu),
+        },
+        "controllers": [_controller(item, safety) for item in schedule.controllers],
+        "schedule": {
+            "modes": schedule.modes.tolist(),
+            "margins": [hexadecimal(m) if np.isfinite(m) else None for m in schedule.margins.tolist()],
+        },
+        **_bounds(safety),
+        "recoverable": {
+            "kind": safety.recoverable.kind,
+            "weight": hexadecimal(tracking.W),
+            "radius": hexadecimal(
+                [safety.recoverable.radius(k * safety.clearance.q) for k in range(safety.problem.K + 1)]
+            ),
+        },
+        "enclosures": _enclosures(schedule),
+        "end": {
+            "horizon": safety.end.horizon,
+            "until": hexadecimal(until) if np.isfinite(until) else None,
+            "reason": safety.end.reason,
+        },
+        "guarantee": schedule.guarantee,
+        "assumptions": [*schedule.assumptions[:2], PERCEPTION, *schedule.assumptions[3:5]],
+    }
+    data["digest"] = digest(data)
+    return data
+
+
+def write_certificate(folder: Path, schedule: Schedule, name: str, files: Iterable[str]) -> None:
+    """Write ``certificate.json`` into a folder that holds the named files."""
+    data = certificate(schedule, name, [folder / file for file in files])
+    (folder / "certificate.json").write_text(canonical(data) + "\n", encoding="utf-8", newline="\n")
+
+
+def _unsafe(item: TimedPolytope, cells: int) -> dict[str, Any]:
+    return {
+        "name": item.name,
+        "keep_in": item.keep_in,
+        "normals": hexadecimal(item.normals),
+        "offsets": hexadecimal(item.offsets[:cells]),
+    }
+
+
+def _controller(item: Controller, safety: Safety) -> dict[str, Any]:
+    if item is safety.controller:
+        return {"name": item.name, "kind": "safety", "gain": hexadecimal(safety.controller.gain)}
+    if not isinstance(item, AffineController):
+        return {"name": item.name, "kind": "any_thrust"}
+    entry = {
+        "name": item.name,
+        "kind": "saturated_affine" if item.clips else "affine",
+        "gain": hexadecimal(item.gain),
+    }
+    if item.own is not safety.reference:
+        entry |= {"own_states": hexadecimal(item.own.chi), "own_inputs": hexadecimal(item.own.nu)}
+    return entry
+
+
+def _bounds(safety: Safety) -> dict[str, Any]:
+    """S's error from the initial set along positions and gain rows, and its largest command."""
+    tracking, K, q = safety.tracking, safety.problem.K, safety.clearance.q
+    C, gain = tracking.system.position, tracking.gain
+    rows = np.vstack([C, -C, gain, -gain])
+    tube = error_tube(tracking, safety.start, rows).over_cells(K, q)
+    below, above = np.split(tube[:, 2 * len(C) :], 2, axis=1)
+    nu = safety.reference.nu[:K]
+    peak = np.maximum(above + nu, below - nu)
+    return {
+        "error_bounds": {
+            "per_step": hexadecimal(tube),
+            "settled": hexadecimal(tracking.disturbance(rows)[-1]),
+        },
+        "thrust": {"peak": hexadecimal(peak * (1 + ROUNDING))},
+    }
+
+
+def _enclosures(schedule: Schedule) -> dict[str, Any]:
+    """Boxes around the errors at the start of every step and at T, and around the states during steps."""
+    safety = schedule.safety
+    sets = [safety.start, *(step.flight.end for step in schedule.steps)]
+    arcs = safety.reference.fine(safety.clearance.q)
+    hulls = [_hull(step.flight, arcs[k], safety, k) for k, step in enumerate(schedule.steps)]
+    return {
+        "center": hexadecimal(np.array([z.c for z in sets])),
+        "half_widths": hexadecimal(np.array([z.half_widths for z in sets])),
+        "lower": hexadecimal(np.array([low for low, _ in hulls])),
+        "upper": hexadecimal(np.array([high for _, high in hulls])),
+    }
+
+
+def _hull(flight: Flight, arc: Array, safety: Safety, k: int) -> tuple[Array, Array]:
+    """Lowest and highest of every state over one step: nodes, what happens between them, the arc's bow."""
+    system, h = safety.problem.system, safety.tracking.flow.h
+    rate = arc[:-1] @ system.A.T + safety.reference.nu[k] @ system.B.T
+    bow = flight.bow + h**2 / 8 * np.abs(rate) @ (np.abs(system.A) @ growth(system.A, h)).T
+    centre, half = flight.nodes.c + arc, flight.nodes.half_widths
+    low = np.minimum((centre - half)[:-1], (centre - half)[1:]) - bow
+    high = np.maximum((centre + half)[:-1], (centre + half)[1:]) + bow
+    return low.min(axis=0), high.max(axis=0)

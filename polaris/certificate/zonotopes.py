@@ -1,0 +1,115 @@
+"""Sets ``c + G [-1, 1]^g`` whose centre and generators are enclosed by balls."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations, product
+
+from flint import arb, arb_mat
+
+from .balls import beside, column, diagonal, largest, magnitude, matrix, row_sums, smallest
+
+
+@dataclass(frozen=True)
+class Zonotope:
+    """A zonotope.
+
+    Parameters
+    ----------
+    c : arb_mat, shape (n, 1)
+        Centre.
+    G : arb_mat, shape (n, g)
+        Generators, one per column.
+    """
+
+    c: arb_mat
+    G: arb_mat
+
+    def image(self, M: arb_mat) -> Zonotope:
+        """The set mapped by a matrix."""
+        return Zonotope(M * self.c, M * self.G)
+
+    def moved(self, v: arb_mat) -> Zonotope:
+        """The set moved by a vector (n, 1)."""
+        return Zonotope(self.c + v, self.G)
+
+    def grown(self, *generators: arb_mat) -> Zonotope:
+        """Minkowski sum with zonotopes about zero, given by their generators."""
+        return Zonotope(self.c, beside(self.G, *generators))
+
+    def support(self, rows: arb_mat) -> list[arb]:
+        """``max row x`` over the set, for every row."""
+        spread = row_sums(rows * self.G)
+        return [middle + most for middle, most in zip((rows * self.c).entries(), spread, strict=True)]
+
+    def size(self) -> arb_mat:
+        """Exact upper bound on ``|x_i|`` over the set, shape (n, 1)."""
+        centre = self.c.entries()
+        return magnitude(column([abs(c) + most for c, most in zip(centre, row_sums(self.G), strict=True)]))
+
+    def reduced(self, most: int) -> Zonotope:
+        """Enclosing set with exact centre and at most `most` exact generators.
+
+        The generators that come closest to an axis or are shortest, measured against the set's own
+        extent, are replaced by the box around their sum; so are the radii of all balls.
+        """
+        n, count = self.G.nrows(), self.G.ncols()
+        table = self.G.tolist()
+        extent = [max(float(x.mid()), 1e-300) for x in row_sums(self.G)]
+        kept: list[int] = list(range(count))
+        if count > most - n:
+            sizes = [[abs(float(table[i][j].mid())) / extent[i] for i in range(n)] for j in range(count)]
+            ranked = sorted(range(count), key=lambda j: max(sizes[j]) - sum(sizes[j]))
+            kept = sorted(ranked[: most - n])
+        merged = set(range(count)) - set(kept)
+        box = [
+            sum((abs(row[j]) for j in merged), middle.rad()) + sum((row[j].rad() for j in kept), arb(0))
+            for row, middle in zip(table, self.c.entries(), strict=True)
+        ]
+        exact = matrix([[row[j].mid() for j in kept] for row in table], len(kept))
+        return Zonotope(self.c.mid(), beside(exact, diagonal([x.abs_upper() for x in box])))
+
+
+def inner_radius(G: arb_mat) -> arb:
+    """Lower bound on the radius of the largest ball about zero inside a zonotope of dimension 1 to 3.
+
+    The least support over the normals of its facets: perpendiculars of one generator in the plane, of
+    two in space.
+    """
+    columns = [list(c) for c in G.transpose().tolist()]
+    if G.nrows() == 1:
+        return row_sums(G)[0]
+    if G.nrows() == 2:
+        normals = [[-y, x] for x, y in columns]
+    else:
+        normals = [_cross(a, b) for a, b in combinations(columns, 2)]
+    found = []
+    for normal, width in zip(normals, row_sums(matrix(normals) * G), strict=True):
+        length = sum((x * x for x in normal), arb(0)).sqrt()
+        if length > 0:  # parallel generators span no facet
+            found.append(width / length)
+    return smallest(found)
+
+
+def ball_cover(p: int, radius: arb) -> arb_mat:
+    """Generators, shape (p, g), of a zonotope that contains the 2-norm ball of a radius."""
+    if p == 1 or p > 3:
+        return diagonal([radius] * p)
+    if p == 2:
+        angles = [arb.pi() * j / 8 for j in range(8)]
+        rays = matrix([[a.cos() for a in angles], [a.sin() for a in angles]])
+    else:
+        weight = {1: 1.0, 2: 1.15 / 2**0.5, 3: 0.9 / 3**0.5}  # axes of the cube, weighted for roundness
+        axes = [a for a in product((-1, 0, 1), repeat=3) if next((x for x in a if x), 0) > 0]
+        rays = matrix([[a[i] * weight[sum(map(abs, a))] for a in axes] for i in range(3)])
+    return rays * (radius / inner_radius(rays))
+
+
+def widest(sets: list[Zonotope]) -> arb_mat:
+    """Exact upper bound on ``|x_i|`` over several sets, shape (n, 1)."""
+    sizes = [z.size().entries() for z in sets]
+    return column([largest(values) for values in zip(*sizes, strict=True)])
+
+
+def _cross(a: list[arb], b: list[arb]) -> list[arb]:
+    return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
