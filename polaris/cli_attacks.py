@@ -43,8 +43,8 @@ def add_commands(app: typer.Typer, guard: Guard) -> None:
                 _print_json(found.summary())
             else:
                 _show_model_error(found)
-            if not found.covered:
-                raise typer.Exit(REFUTED)
+        if not found.covered:
+            raise typer.Exit(REFUTED)
 
 
 def _print_json(data: object) -> None:

@@ -3,22 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from reach.linear import discretize
 
-from .controllers import AffineController, Controller
+from .controllers import AffineController, AnyThrust, Controller
 from .schedule import Schedule
 from .system import Array
 
 
 class Integrator:
-    """Time grid, references and transitions of one simulation."""
+    """Time grid, references and transitions of one simulation.
+
+    Attributes
+    ----------
+    free : ndarray, shape (steps, R, m), or None
+        Inputs over each step of a controller that may do anything; without them it does as its
+        `command` says.
+    """
 
     def __init__(self, schedule: Schedule, modes: NDArray[np.int_], substeps: int) -> None:
         safety = schedule.safety
+        self.free: Array | None = None
         self.schedule, self.modes, self.substeps = schedule, modes, substeps
         self.system, self.tracking = safety.tracking.system, safety.tracking
         self.q, self.sampled = self.tracking.feedback.nodes_per_cell, self.tracking.feedback.sampled
@@ -31,21 +40,31 @@ class Integrator:
             if isinstance(controller, AffineController) and controller.own is not safety.reference:
                 self.own[number] = controller.own.fine(2 * self.steps_per_cell)
 
+    @cached_property
+    def _held(self) -> tuple[Array, Array, Array]:
+        """Transition over a step, and what an input and a disturbance held over it add."""
+        Ad, Bd = discretize(self.system.A, self.system.B, self.dt)
+        return Ad, Bd, discretize(self.system.A, self.system.D, self.dt)[1]
+
     @property
     def steps(self) -> int:
         """Number of integration steps."""
         return len(self.modes) * self.steps_per_cell
 
-    def command(self, controller: Controller, number: int, k: int, half: int, x: Array) -> Array:
-        """Command before clipping at a half-step of cell k, shape (R, m)."""
-        xi = self.safe[k, half]
-        own = self.own[number][k, half] if number in self.own else xi
+    def command(
+        self, controller: Controller, number: int, k: int, half: int, x: Array, later: int = 0
+    ) -> Array:
+        """Command before clipping, shape (R, m), `later` half-steps after the half-step `half` of cell k."""
+        if self.free is not None and isinstance(controller, AnyThrust):
+            return np.asarray(self.free[k * self.steps_per_cell + half // 2])
+        xi = self.safe[k, half + later]
+        own = self.own[number][k, half + later] if number in self.own else xi
         return controller.command(k, xi, own, x)
 
     def rate(self, number: int, k: int, half: int, later: int, x: Array, force: Array) -> Array:
         """``x'`` under one controller, `later` half-steps after the half-step `half` of cell k."""
         limit = self.system.u_max
-        raw = self.command(self.schedule.controllers[number], number, k, half + later, x)
+        raw = self.command(self.schedule.controllers[number], number, k, half, x, later)
         return np.asarray(x @ self.system.A.T + np.clip(raw, -limit, limit) @ self.system.B.T + force)
 
     def run(self, x0: Array, w: Array) -> tuple[Array, Array, Array, Array, Array]:
@@ -87,8 +106,7 @@ class Integrator:
         R, system, limit = len(x), self.system, self.system.u_max
         states, inputs = np.empty((self.q, R, system.n)), np.empty((self.q, R, system.m))
         demanded, spent = np.zeros((self.q, R)), np.zeros(R)
-        Ad, Bd = discretize(system.A, system.B, self.dt)
-        _, Dd = discretize(system.A, system.D, self.dt)
+        Ad, Bd, Dd = self._held
         u = np.zeros((R, system.m))
         controller = self.schedule.controllers[number]
         for step in range(self.steps_per_cell):

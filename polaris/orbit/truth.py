@@ -99,7 +99,7 @@ def _march(grid: Integrator, env: Environment, y: Array, ballistic: Array, push:
         controller = grid.schedule.controllers[number]
 
         def asked(state: Array, later: int) -> Array:
-            return grid.command(controller, number, k, 2 * within + later, state[:, :6])  # noqa: B023
+            return grid.command(controller, number, k, 2 * within, state[:, :6], later)  # noqa: B023
 
         def rate(state: Array, later: int, held: Array | None) -> tuple[Array, Array]:
             u = np.clip(asked(state, later), -limit, limit) if held is None else held

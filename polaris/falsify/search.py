@@ -1,0 +1,267 @@
+"""The search: worst cases, worst cases about what was flown, mutations of the best, and chance."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..checks import whole
+from ..integration import Integrator
+from ..schedule import Schedule
+from ..simulation import Runs
+from ..system import Array
+from .attacks import Attack, Attacker
+from .claims import Claims
+from .measure import EXACT_INPUT, EXACT_M, Attained, attained
+
+BATCH = 250
+"""Runs flown at a time: what they need stays in the processor's cache."""
+
+ELITES = 12
+"""Attacks kept per limit."""
+
+TAIL_EVERY = 8
+"""Every so many batches S flies on after T."""
+
+ROUND = ("worst", "again", "again", "mutate", "mutate", "random")
+"""One round of the search, a batch each."""
+
+
+@dataclass(frozen=True)
+class Failure:
+    """One violation.
+
+    Attributes
+    ----------
+    kind : {"unsafe set", "saturation", "margin"}
+        A timed polytope was entered; S asked for more thrust than there is; a run came closer than proven.
+    limit : str
+        Which unsafe set or input.
+    time_s : float
+        When [s].
+    margin : float
+        Margin there [m or N]; below zero for the first two kinds.
+    proven : float
+        What was proven for that period (-inf: nothing).
+    """
+
+    kind: str
+    limit: str
+    time_s: float
+    margin: float
+    proven: float
+
+
+@dataclass(frozen=True, eq=False)
+class Falsification:
+    """Result of a search.
+
+    Attributes
+    ----------
+    schedule : Schedule
+    names : tuple of str
+        Limits.
+    least : ndarray, shape (limits,)
+        Least margin attained [m, N].
+    proven : ndarray, shape (limits,)
+        Least proven margin over the same periods [m, N].
+    at_s : ndarray, shape (limits,)
+        When the least was attained [s].
+    runs : int
+        Trajectories flown.
+    seconds : float
+    failure : Failure or None
+        The worst violation.
+    case : tuple or None
+        The attack behind it (one run), whether the tail was flown, and the integration steps per node.
+    """
+
+    schedule: Schedule
+    names: tuple[str, ...]
+    least: Array
+    proven: Array
+    at_s: Array
+    runs: int
+    seconds: float
+    failure: Failure | None
+    case: tuple[Attack, bool, int] | None
+
+    @property
+    def ratio(self) -> Array:
+        """Proven over attained margin: at most 1 while the bound holds, and the nearer to 1 the less idle."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            share = self.proven / self.least
+        return np.where(np.isfinite(share) & (self.least > 0), share, np.nan)
+
+    def summary(self) -> dict[str, Any]:
+        """The numbers of a report; strict JSON."""
+        return {
+            "runs": self.runs,
+            "runs_per_s": self.runs / self.seconds if self.seconds > 0 else None,
+            "guarantee": self.schedule.guarantee,
+            "violated": self.failure is not None,
+            "failure": None if self.failure is None else vars(self.failure),
+            "limits": [
+                {"limit": name, "least": least, "proven": proven, "proven_share": share, "time_s": at}
+                for name, least, proven, share, at in zip(
+                    self.names, self.least, self.proven, self.ratio, self.at_s, strict=True
+                )
+            ],
+        }
+
+
+def falsify(
+    schedule: Schedule,
+    runs: int = 10_000,
+    seed: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+) -> Falsification:
+    """Search for a run that breaks what a schedule claims.
+
+    Parameters
+    ----------
+    schedule : Schedule
+    runs : int
+        Trajectories to fly.
+    seed : int
+        Same seed, same search.
+    progress : callable, optional
+        Called with (trajectories flown, trajectories in all).
+
+    Returns
+    -------
+    Falsification
+        It stops at the first violation.
+    """
+    whole("falsify.runs", runs, 1)
+    whole("falsify.seed", seed, 0)
+    return _Search(schedule, runs, np.random.default_rng(seed)).run(progress)
+
+
+class _Search:
+    def __init__(self, schedule: Schedule, runs: int, rng: np.random.Generator) -> None:
+        self.schedule, self.wanted, self.flown = schedule, runs, 0
+        self.substeps = 1 if schedule.safety.tracking.feedback.sampled else 2
+        proven_after = schedule.safety.end.proven and schedule.guarantee == "proved"
+        self.arenas = [self._arena(tail, rng) for tail in ((False, True) if proven_after else (False,))]
+        limits = len(self.arenas[0][0].names)
+        self.least, self.at = np.full(limits, np.inf), np.full(limits, np.nan)
+        claimed = self.arenas[-1][0].floor  # with the tail, if there is one
+        self.proven = np.where(np.isneginf(claimed), np.inf, claimed).min(axis=(0, 1))
+
+    def _arena(self, tail: bool, rng: np.random.Generator) -> tuple[Claims, Integrator, Attacker]:
+        claims = Claims(self.schedule, tail)
+        flight = Integrator(self.schedule, claims.modes, self.substeps)
+        return claims, flight, Attacker(claims, flight, rng)
+
+    def run(self, progress: Callable[[int, int], None] | None) -> Falsification:
+        begun = time.perf_counter()
+        batch, failed = 0, None
+        elites: dict[int, Attack] = {}
+        worth: dict[int, Array] = {}
+        last: tuple[Runs, Attained] | None = None
+        while self.flown < self.wanted and failed is None:
+            which = 1 if len(self.arenas) > 1 and batch % TAIL_EVERY == TAIL_EVERY - 1 else 0
+            claims, flight, attacker = self.arenas[which]
+            count = min(BATCH, self.wanted - self.flown)
+            kind = "worst" if which else ROUND[batch % len(ROUND)]
+            if kind == "again" and last is not None:
+                attack = attacker.again(*last, count)
+            elif kind == "mutate":
+                attack = attacker.mutate(Attack.join(list(elites.values())), count)
+            else:
+                attack = attacker.random(count) if kind == "random" else attacker.worst(count)
+            flown = attack.fly(flight)
+            measured = attained(claims, flown)
+            self.flown += count
+            batch += 1
+            failed = self._record(claims, attack, measured)
+            if which == 0:
+                last = flown, measured
+                self._keep(elites, worth, attack, measured)
+            if progress:
+                progress(self.flown, self.wanted)
+        failure, case = (None, None) if failed is None else failed
+        return Falsification(
+            self.schedule,
+            self.arenas[0][0].names,
+            self.least,
+            self.proven,
+            self.at,
+            self.flown,
+            time.perf_counter() - begun,
+            failure,
+            case,
+        )
+
+    def _record(
+        self, claims: Claims, attack: Attack, measured: Attained
+    ) -> tuple[Failure, tuple[Attack, bool, int]] | None:
+        """Note the least margins; the worst violation, flown again with finer steps to be sure of it."""
+        best = np.argmin(measured.margin, axis=0)
+        for limit, run in enumerate(best):
+            if measured.margin[run, limit] < self.least[limit]:
+                self.least[limit] = measured.margin[run, limit]
+                self.at[limit] = measured.when[run, limit]
+        broken = [violation(claims, measured, run) is not None for run in range(len(attack.x0))]
+        suspects = np.flatnonzero(broken)
+        for run in suspects[np.argsort(measured.margin[suspects].min(axis=1))]:
+            one = attack.pick(np.array([run]))
+            failure, substeps = confirm(claims, one, self.substeps)
+            if failure is not None:
+                return failure, (one, claims.tail, substeps)
+        return None
+
+    def _keep(
+        self, elites: dict[int, Attack], worth: dict[int, Array], attack: Attack, measured: Attained
+    ) -> None:
+        """Keep the best attacks on every limit."""
+        for limit in range(measured.margin.shape[1]):
+            score = measured.margin[:, limit]
+            chosen = np.argsort(score)[:ELITES]
+            if not np.isfinite(score[chosen[0]]):
+                continue
+            pool, value = attack.pick(chosen), score[chosen]
+            if limit in elites:
+                pool = Attack.join([elites[limit], pool])
+                value = np.concatenate([worth[limit], value])
+            best = np.argsort(value, kind="stable")[:ELITES]
+            elites[limit], worth[limit] = pool.pick(best), value[best]
+
+
+def violation(claims: Claims, measured: Attained, run: int) -> Failure | None:
+    """What one run violates, the gravest first; None if nothing."""
+    obstacles = len(claims.unsafe)
+    margin, when, below = measured.margin[run], measured.when[run], measured.below[run]
+    system = claims.schedule.safety.problem.system
+    exact = np.concatenate([np.full(obstacles, EXACT_M), EXACT_INPUT * system.u_max])
+    entered = np.flatnonzero(margin[:obstacles] < 0)
+    beyond = np.flatnonzero(margin[obstacles:] < -exact[obstacles:]) + obstacles
+    short = np.flatnonzero(below > exact)
+    for kind, which, size in (
+        ("unsafe set", entered, margin),
+        ("saturation", beyond, margin / np.where(exact > 0, exact, 1)),
+        ("margin", short, -below),
+    ):
+        if len(which):
+            limit = int(which[np.argmin(size[which])])
+            period = claims.period_at(when[limit])
+            floor = claims.floor.reshape(-1, len(margin))[period, limit]
+            return Failure(kind, claims.names[limit], float(when[limit]), float(margin[limit]), float(floor))
+    return None
+
+
+def confirm(claims: Claims, attack: Attack, substeps: int) -> tuple[Failure | None, int]:
+    """Fly one attack again with four times as many integration steps, its disturbance the same."""
+    factor = 1 if claims.schedule.safety.tracking.feedback.sampled else 4
+    finer = Attack(
+        attack.x0,
+        np.repeat(attack.w, factor, axis=0),
+        None if attack.free is None else np.repeat(attack.free, factor, axis=0),
+    )
+    flight = Integrator(claims.schedule, claims.modes, substeps * factor)
+    return violation(claims, attained(claims, finer.fly(flight)), 0), substeps
