@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import shlex
 import sys
 from collections.abc import Callable
 from contextlib import AbstractContextManager
@@ -10,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
+    from .falsify.search import Falsification
     from .orbit.model_error import ModelError
 
 REFUTED = 5
@@ -45,6 +48,64 @@ def add_commands(app: typer.Typer, guard: Guard) -> None:
                 _show_model_error(found)
         if not found.covered:
             raise typer.Exit(REFUTED)
+
+    @app.command("falsify")
+    def falsify_command(
+        target: Annotated[
+            str, typer.Argument(metavar="RUN_OR_SCENARIO", help="A run folder, a bundled scenario or a file.")
+        ],
+        runs: Annotated[int, typer.Option(min=1, help="Trajectories to fly.")] = 10_000,
+        seed: Annotated[int, typer.Option(min=0, help="Same seed, same search.")] = 0,
+        out: Annotated[
+            str | None,
+            typer.Option("--out", metavar="FILE", help="Where a case goes; default <scenario>.case.json."),
+        ] = None,
+        as_json: Json = False,
+    ) -> None:
+        """Search for a run that breaks what a schedule claims; save it as a case."""
+        with guard():
+            from .falsify.case import write_case
+            from .falsify.load import load_target
+            from .falsify.search import falsify
+
+            scenario, schedule = load_target(target)
+            found = falsify(schedule, runs, seed)
+            if as_json:
+                _print_json(found.summary())
+            else:
+                _show_falsification(scenario.name, found)
+            if found.failure is not None:
+                path = write_case(out or f"{scenario.name}.case.json", scenario, found)
+                typer.echo(f"Saved: polaris replay {shlex.quote(str(path))}", err=True)
+        if found.failure is not None:
+            raise typer.Exit(REFUTED)
+
+    @app.command("replay")
+    def replay_command(
+        case: Annotated[str, typer.Argument(metavar="CASE", help="A case that `polaris falsify` saved.")],
+    ) -> None:
+        """Fly a saved case again and say what it violates and when."""
+        with guard():
+            from .falsify.case import replay
+
+            failure, scenario = replay(case)
+            if failure is None:
+                typer.echo(f"{scenario.name}: this case violates nothing")
+            else:
+                typer.echo(f"{scenario.name}: {failure}")
+        if failure is not None:
+            raise typer.Exit(REFUTED)
+
+
+def _show_falsification(name: str, found: Falsification) -> None:
+    told = found.summary()
+    typer.echo(f"{name}: {told['runs']} trajectories, {told['runs_per_s']:.0f} per second")
+    typer.echo(f"{'limit':24} {'least margin':>13} {'proven':>11} {'proven/least':>13} {'at':>9}")
+    for row in told["limits"]:
+        proven = f"{row['proven']:.4g}" if math.isfinite(row["proven"]) else "nothing"
+        share = f"{row['proven_share']:.0%}" if math.isfinite(row["proven_share"]) else "-"
+        typer.echo(f"{row['limit']:24} {row['least']:13.4g} {proven:>11} {share:>13} {row['time_s']:7g} s")
+    typer.echo("No violation." if found.failure is None else f"VIOLATED: {found.failure}")
 
 
 def _print_json(data: object) -> None:

@@ -82,7 +82,7 @@ class Integrator:
         for k, number in enumerate(self.modes.tolist()):
             first, last = k * q, (k + 1) * q
             pushes = w[k * self.steps_per_cell : (k + 1) * self.steps_per_cell]
-            flown = None if self.sampled else self._unclipped(number, k, states[first], pushes)
+            flown = self._unclipped(number, k, states[first], pushes)
             if flown is None:
                 flown = self._stepped(number, k, states[first], pushes)
             states[first + 1 : last + 1], inputs[first:last], demanded[first:last], spent = flown
@@ -140,6 +140,8 @@ class Integrator:
         law, limit = self.schedule.controllers[number], self.system.u_max
         if not isinstance(law, AffineController):
             return None
+        if self.sampled:
+            return self._held_unclipped(law, number, k, x, w) if self.substeps == 1 else None
         loop, carried, pushed = self._scheme(number)
         own = self.own.get(number, self.safe)[k]
         places = [own[:-1:2], own[1::2], own[1::2], own[2::2]]  # of the law's reference, at the four stages
@@ -161,6 +163,25 @@ class Integrator:
         per_node = (np.abs(raw) / limit).max(axis=2).reshape(self.q, self.substeps, len(x))
         spent = np.abs(raw).sum(axis=(0, 2))
         return path[self.substeps :: self.substeps], raw[:: self.substeps], per_node.max(axis=1), spent
+
+    def _held_unclipped(
+        self, law: AffineController, number: int, k: int, x: Array, w: Array
+    ) -> tuple[Array, Array, Array, Array] | None:
+        """The same for inputs held over each step, which is then exact."""
+        Ad, Bd, Dd = self._held
+        limit = self.system.u_max
+        own = self.own.get(number, self.safe)[k][:-1:2]
+        forced = ((law.own.nu[k] + own @ law.gain.T) @ Bd.T)[:, None] + w @ Dd.T
+        carried = (Ad - Bd @ law.gain).T
+        path = np.empty((len(w) + 1, *x.shape))
+        path[0] = x
+        for step in range(len(w)):
+            path[step + 1] = path[step] @ carried + forced[step]
+        raw = law.own.nu[k] + (own[:, None] - path[:-1]) @ law.gain.T
+        size = np.abs(raw)
+        if not np.all(size <= limit):
+            return None
+        return path[1:], raw, (size / limit).max(axis=2), size.sum(axis=(0, 2))
 
     def _scheme(self, number: int) -> tuple[Array, list[Array], list[Array]]:
         """Closed loop of a law, and how a state and a disturbance held over a step enter its stages."""

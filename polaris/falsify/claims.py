@@ -65,6 +65,12 @@ class Claims:
         q = self.schedule.safety.clearance.q
         return [u.fine(q)[: self.cells] for u in self.unsafe]
 
+    def edges(self, unsafe: int) -> tuple[Array, Array]:
+        """Offsets of a polytope at the beginning and the end of every period, (periods, F) each [m]."""
+        offsets = self.offsets[unsafe]
+        facets = offsets.shape[-1]
+        return offsets[:, :-1].reshape(-1, facets), offsets[:, 1:].reshape(-1, facets)
+
     @cached_property
     def facets(self) -> list[Array]:
         """Lower bounds on the margin of every facet over each period, (cells, q, F) each [m]."""

@@ -14,6 +14,9 @@ from .claims import Claims
 PARTS = 8
 """Parts of a period in which it is looked at closely."""
 
+LOOKED_AT = 4
+"""Periods of each run, those with the least margins at their ends, that are looked at so closely."""
+
 EXACT_M = 1e-3
 """Length [m] by which simulated margins may fall short of proven ones: the integration's error."""
 
@@ -42,50 +45,40 @@ class Attained:
 
 def attained(claims: Claims, runs: Runs) -> Attained:
     """Measure runs against the limits of a schedule."""
-    R = len(runs.states)
     system, q = claims.schedule.safety.problem.system, claims.schedule.safety.clearance.q
-    inputs = system.m
-    shape = R, len(claims.names)
+    shape = len(runs.states), len(claims.names)
     out = Attained(np.full(shape, np.inf), np.zeros(shape), np.full(shape, -np.inf))
-    p = runs.states @ system.position.T
-    per_cell = np.arange(claims.cells)[:, None] * q + np.arange(q + 1)
+    p = (runs.states @ system.position.T).reshape(-1, system.d).T
     floor = claims.floor.reshape(-1, len(claims.names))
     smooth = not (np.any(system.position @ system.B) or np.any(system.position @ system.D))
-    bow = _bow(claims, runs) if smooth else None
+    bow = _bow(claims, runs)[:, None] if smooth else None
+    every = np.arange(shape[0])
     for o, u in enumerate(claims.unsafe):
-        along = p @ u.normals.T
-        at = np.max(along[:, per_cell] - claims.offsets[o], axis=-1)  # (R, cells, q+1)
-        ends = np.minimum(at[..., :-1], at[..., 1:]).reshape(R, -1)
-        _take(out, o, ends, at.reshape(R, claims.cells, q + 1), runs, q)
+        along = (u.normals @ p).reshape(-1, *runs.states.shape[:2])
+        before, after = claims.edges(o)
+        at = np.max(along[:, :, :-1] - before.T[:, None], axis=0)
+        ends = np.minimum(at, np.max(along[:, :, 1:] - after.T[:, None], axis=0))
+        best = np.argmin(ends, axis=1)
+        out.margin[:, o] = ends[every, best]
+        out.when[:, o] = runs.times[np.where(at[every, best] <= ends[every, best], best, best + 1)]
         out.below[:, o] = np.max(floor[:, o] - ends, axis=1)
-        if bow is None:
-            continue
-        run, period = np.nonzero(ends - bow < out.margin[:, o, None])
-        if len(run):
-            _closer(claims, runs, o, run, period, out)
+        if bow is not None:
+            few = min(LOOKED_AT, ends.shape[1])
+            near = np.argpartition(ends, few - 1, axis=1)[:, :few]
+            run, place = np.nonzero(np.take_along_axis(ends, near, axis=1) < out.margin[:, o, None] + bow)
+            _closer(claims, runs, o, run, near[run, place], out)
     flown = np.flatnonzero(np.repeat(claims.modes == 0, q))
     if len(flown):
-        out.margin[:, -inputs:], out.when[:, -inputs:], short = _thrust(claims, runs, flown, floor)
-        out.below[:, -inputs:] = short
+        inputs = slice(-system.m, None)
+        out.margin[:, inputs], out.when[:, inputs], out.below[:, inputs] = _thrust(claims, runs, flown, floor)
     return out
 
 
-def _take(out: Attained, o: int, ends: Array, at: Array, runs: Runs, q: int) -> None:
-    """Least margin at the nodes, and when."""
-    flat = at.reshape(len(at), -1)
-    best = np.argmin(flat, axis=1)
-    out.margin[:, o] = flat[np.arange(len(flat)), best]
-    cell, node = np.divmod(best, q + 1)
-    out.when[:, o] = runs.times[cell * q + node]
-
-
 def _bow(claims: Claims, runs: Runs) -> Array:
-    """How far a path may bow away from its chords, by the accelerations seen, shape (R, periods)."""
+    """How far a path may bow away from its chords, by the accelerations seen, shape (R,)."""
     system, h = claims.schedule.safety.problem.system, claims.schedule.safety.tracking.flow.h
-    v = runs.states @ system.velocity.T
-    change = np.linalg.norm(np.diff(v, axis=1), axis=-1)
-    spread = np.maximum(np.pad(change, ((0, 0), (1, 0)))[:, :-1], change)
-    return np.asarray(h / 8 * np.maximum(spread, np.pad(change, ((0, 0), (0, 1)))[:, 1:]))
+    change = np.abs(np.diff(runs.states @ system.velocity.T, axis=1)).max(axis=(1, 2))
+    return np.asarray(2 * h / 8 * np.sqrt(system.d) * change)
 
 
 def _closer(

@@ -18,14 +18,17 @@ from .attacks import Attack, Attacker
 from .claims import Claims
 from .measure import EXACT_INPUT, EXACT_M, Attained, attained
 
-BATCH = 250
-"""Runs flown at a time: what they need stays in the processor's cache."""
+BATCH = 100_000
+"""States of all runs flown at a time: few enough that they stay near the processor."""
 
 ELITES = 12
 """Attacks kept per limit."""
 
 TAIL_EVERY = 8
 """Every so many batches S flies on after T."""
+
+KINDS = ("unsafe set", "saturation", "margin")
+"""Kinds of violation, the gravest first."""
 
 ROUND = ("worst", "again", "again", "mutate", "mutate", "random")
 """One round of the search, a batch each."""
@@ -54,6 +57,15 @@ class Failure:
     time_s: float
     margin: float
     proven: float
+
+    def __str__(self) -> str:
+        claimed = f"{self.proven:.4g} is proven" if np.isfinite(self.proven) else "nothing is proven"
+        what = {
+            "unsafe set": f"{self.limit} is entered",
+            "saturation": f"S asks for more {self.limit} than there is",
+            "margin": f"the margin to {self.limit} is below the proven one",
+        }[self.kind]
+        return f"{what} at t = {self.time_s:.6g} s (margin {self.margin:.4g}, {claimed})"
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,7 +157,7 @@ def falsify(
 class _Search:
     def __init__(self, schedule: Schedule, runs: int, rng: np.random.Generator) -> None:
         self.schedule, self.wanted, self.flown = schedule, runs, 0
-        self.substeps = 1 if schedule.safety.tracking.feedback.sampled else 2
+        self.substeps = 1
         proven_after = schedule.safety.end.proven and schedule.guarantee == "proved"
         self.arenas = [self._arena(tail, rng) for tail in ((False, True) if proven_after else (False,))]
         limits = len(self.arenas[0][0].names)
@@ -167,7 +179,7 @@ class _Search:
         while self.flown < self.wanted and failed is None:
             which = 1 if len(self.arenas) > 1 and batch % TAIL_EVERY == TAIL_EVERY - 1 else 0
             claims, flight, attacker = self.arenas[which]
-            count = min(BATCH, self.wanted - self.flown)
+            count = min(max(BATCH // flight.steps, 50), self.wanted - self.flown)
             kind = "worst" if which else ROUND[batch % len(ROUND)]
             if kind == "again" and last is not None:
                 attack = attacker.again(*last, count)
@@ -207,13 +219,12 @@ class _Search:
             if measured.margin[run, limit] < self.least[limit]:
                 self.least[limit] = measured.margin[run, limit]
                 self.at[limit] = measured.when[run, limit]
-        broken = [violation(claims, measured, run) is not None for run in range(len(attack.x0))]
-        suspects = np.flatnonzero(broken)
+        suspects = np.flatnonzero(np.any([mask.any(axis=1) for mask in broken(claims, measured)], axis=0))
         for run in suspects[np.argsort(measured.margin[suspects].min(axis=1))]:
-            one = attack.pick(np.array([run]))
-            failure, substeps = confirm(claims, one, self.substeps)
-            if failure is not None:
-                return failure, (one, claims.tail, substeps)
+            confirmed = confirm(claims, attack.pick(np.array([run])), self.substeps)
+            if confirmed is not None:
+                failure, finer, substeps = confirmed
+                return failure, (finer, claims.tail, substeps)
         return None
 
     def _keep(
@@ -233,30 +244,37 @@ class _Search:
             elites[limit], worth[limit] = pool.pick(best), value[best]
 
 
-def violation(claims: Claims, measured: Attained, run: int) -> Failure | None:
-    """What one run violates, the gravest first; None if nothing."""
+def broken(claims: Claims, measured: Attained) -> tuple[Any, Any, Any]:
+    """Which limits each run violates: by entering, by asking for too much, by coming closer than proven."""
     obstacles = len(claims.unsafe)
-    margin, when, below = measured.margin[run], measured.when[run], measured.below[run]
-    system = claims.schedule.safety.problem.system
-    exact = np.concatenate([np.full(obstacles, EXACT_M), EXACT_INPUT * system.u_max])
-    entered = np.flatnonzero(margin[:obstacles] < 0)
-    beyond = np.flatnonzero(margin[obstacles:] < -exact[obstacles:]) + obstacles
-    short = np.flatnonzero(below > exact)
-    for kind, which, size in (
-        ("unsafe set", entered, margin),
-        ("saturation", beyond, margin / np.where(exact > 0, exact, 1)),
-        ("margin", short, -below),
-    ):
+    exact = np.full(len(claims.names), EXACT_M)
+    exact[obstacles:] = EXACT_INPUT * claims.schedule.safety.problem.system.u_max
+    entered, beyond = measured.margin < 0, measured.margin < -exact
+    entered[:, obstacles:] = beyond[:, :obstacles] = False
+    return entered, beyond, measured.below > exact
+
+
+def violation(claims: Claims, measured: Attained, run: int = 0) -> Failure | None:
+    """What one run violates, the gravest first; None if nothing."""
+    sizes = measured.margin[run], measured.margin[run], -measured.below[run]
+    for kind, mask, size in zip(KINDS, broken(claims, measured), sizes, strict=True):
+        which = np.flatnonzero(mask[run])
         if len(which):
             limit = int(which[np.argmin(size[which])])
-            period = claims.period_at(when[limit])
-            floor = claims.floor.reshape(-1, len(margin))[period, limit]
-            return Failure(kind, claims.names[limit], float(when[limit]), float(margin[limit]), float(floor))
+            when, margin = float(measured.when[run, limit]), float(measured.margin[run, limit])
+            floor = claims.floor.reshape(-1, len(claims.names))[claims.period_at(np.array(when)), limit]
+            return Failure(kind, claims.names[limit], when, margin, float(floor))
     return None
 
 
-def confirm(claims: Claims, attack: Attack, substeps: int) -> tuple[Failure | None, int]:
-    """Fly one attack again with four times as many integration steps, its disturbance the same."""
+def confirm(claims: Claims, attack: Attack, substeps: int) -> tuple[Failure, Attack, int] | None:
+    """Fly one attack again with four times as many integration steps, its disturbance the same.
+
+    Returns
+    -------
+    failure, attack, substeps
+        The violation, the attack on the finer steps, and their number; None if it was none.
+    """
     factor = 1 if claims.schedule.safety.tracking.feedback.sampled else 4
     finer = Attack(
         attack.x0,
@@ -264,4 +282,5 @@ def confirm(claims: Claims, attack: Attack, substeps: int) -> tuple[Failure | No
         None if attack.free is None else np.repeat(attack.free, factor, axis=0),
     )
     flight = Integrator(claims.schedule, claims.modes, substeps * factor)
-    return violation(claims, attained(claims, finer.fly(flight)), 0), substeps
+    failure = violation(claims, attained(claims, finer.fly(flight)))
+    return None if failure is None else (failure, finer, substeps * factor)

@@ -1,0 +1,36 @@
+"""What to attack: a scenario, or the schedule of a run folder, made again and compared with it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import ScenarioError
+from ..runfiles import read_reference
+from ..runfolder import read_run
+from ..scenario import Scenario, load_scenario
+from ..schedule import Schedule
+from ..synthesis import synthesize
+
+
+def load_target(target: str) -> tuple[Scenario, Schedule]:
+    """Synthesise a scenario, or that of a run folder.
+
+    Raises
+    ------
+    ScenarioError
+        If there is no such scenario, or the schedule made again is not that of the folder.
+    """
+    if not Path(target).is_dir():
+        scenario = load_scenario(target)
+        return scenario, synthesize(scenario)
+    folder = read_run(target)
+    schedule = synthesize(folder.scenario)
+    reference = schedule.safety.reference
+    kept = read_reference(folder.path / "reference.csv", reference.system, reference.delta)
+    same = np.array_equal(kept.chi, reference.chi) and np.array_equal(kept.nu, reference.nu)
+    if not same or folder.schedule.get("modes") != schedule.modes.tolist():
+        rule = "holds another schedule than its scenario gives here (edited, or other versions)"
+        raise ScenarioError("run folder", target, rule)
+    return folder.scenario, schedule
