@@ -18,6 +18,9 @@ from .zonotopes import Zonotope, widest
 PATH_SLACK = 1e-9
 """Largest difference between stored and exact reference, relative to its size: rounding of doubles."""
 
+JUMP_SLACK = 2e-5
+"""Largest step of the reference at T, relative to its size. It is booked; more would not be rounding."""
+
 TUBE_SLACK = 1e-6
 """By how much a stored bound may fall short of the derived one, relative to it."""
 
@@ -78,6 +81,9 @@ class Argument:
                     slack - off,
                     f"state {i} at the start of step {k} is {float(off.mid()):.6g} off",
                 )
+        for i, off in enumerate(magnitude(path.jump).entries()):
+            most = JUMP_SLACK * max(1.0, *size)
+            require("reference", most - off, f"the tail starts {float(off):.6g} off state {i} reached at T")
         for k, u in enumerate(doc.inputs):
             for i, value in enumerate(u):
                 spare = self.plant.u_max[i] - abs(arb(value))

@@ -21,6 +21,21 @@ LARGEST = 256 * 2**20
 """Largest certificate that is read [bytes]."""
 
 
+def assumptions(w_max: float, period: float | None) -> list[str]:
+    """What a certificate rests on and no checker can confirm; `period` [s] only for sampled feedback."""
+    if period is None:
+        law = "every controller acts continuously on the exact state"
+    else:
+        law = f"every controller renews its input each {period:g} s, in time and with the exact state"
+    return [
+        f"model: x' = A x + B u + D w, |u_i| <= u_max, norm(w, 2) <= {w_max:g} and otherwise arbitrary",
+        "initial state: inside the initial set",
+        "perception: every unsafe set lies in its timed polytope, and sets at rest stay at rest",
+        f"sampling: {law}",
+        "experimental controllers: each obeys its declared model",
+    ]
+
+
 def digest(data: dict[str, Any]) -> str:
     """SHA-256 of the canonical JSON text of all fields but ``digest``."""
     rest = {key: value for key, value in data.items() if key != "digest"}
@@ -160,8 +175,14 @@ class Document:
         end = data["end"]
         self.horizon = _one_of(end["horizon"], ("infinite", "one_period", "none"), plain=True)
         self.until = None if end["until"] is None else number(end["until"])
-        self.guarantee, self.assumptions = str(data["guarantee"]), [str(x) for x in data["assumptions"]]
-        self.scenario, self.artefacts = str(data["scenario"]["name"]), dict(data["artefacts"])
+        self.guarantee = str(data["guarantee"])
+        self.assumptions = assumptions(self.w_max, self.delta / self.q if self.sampled else None)
+        if data["assumptions"] != self.assumptions:
+            raise Rejected(
+                "assumptions", "the certificate rests on other assumptions than those of its format"
+            )
+        self.scenario = str(data["scenario"]["name"])
+        self.artefacts = {str(name): str(known) for name, known in data["artefacts"].items()}
 
 
 def read(path: Path) -> Document:

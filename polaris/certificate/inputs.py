@@ -41,6 +41,9 @@ def check_inputs(document: Document, folder: Path, record: Record) -> None:
         _check_sampling(document, scenario)
         record.holds("sampling", "steps, periods and kind of feedback of the scenario")
         count = check_unsafe(document, scenario)
+        moving = [spec["name"] for spec in scenario.get("obstacles", ()) if _moves(spec)]
+        if document.horizon == "infinite" and moving:
+            raise Rejected("end", f"safe for ever is claimed, but unsafe sets move: {', '.join(moving)}")
         record.holds("unsafe_sets", f"{count} timed polytopes contain the scenario's sets at all times")
         _check_controllers(document, scenario)
         record.holds(
@@ -54,6 +57,11 @@ def check_inputs(document: Document, folder: Path, record: Record) -> None:
         raise Rejected(
             "artefacts", f"scenario.toml cannot be compared: {type(error).__name__}: {error}"
         ) from error
+
+
+def _moves(spec: dict[str, Any]) -> bool:
+    """Whether an obstacle moves, however slowly."""
+    return spec["kind"] == "satellite" or any(spec.get("velocity_m_s") or ())
 
 
 def _need(claim: str, what: str, found: Any, given: Any) -> None:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from flint import arb, arb_mat
 
-from .balls import above, magnitude, matrix
+from .balls import above, largest, magnitude, matrix
 from .document import Document
 from .loop import Needs
 from .path import Path
@@ -113,11 +113,14 @@ class Limits:
             ((magnitude(row) + bend) * size).entries()
             for row, bend in zip(needs.carried, needs.bend, strict=True)
         ]
+        share = largest(a / b for a, b in zip(size.entries(), needs.memory.z.entries(), strict=True))
+        late = [x * share for x in needs.forgotten()]
         targets = self.targets[: path.planned]
         for tail, nodes in enumerate(self.targets[path.planned :]):
             reduced = []
             for i, met in enumerate(nodes):
-                spent = cost[min(tail * q + i, last)]
+                lag = tail * q + i
+                spent = cost[lag] if lag <= last else late
                 reduced.append([Target(t.row, (t.room - spent[t.row]).lower(), t.name) for t in met])
             targets = [*targets, reduced]
         return Limits(self.rows, targets)

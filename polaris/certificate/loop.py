@@ -60,10 +60,10 @@ class Memory:
             for _ in range(multiple):
                 powers.append(powers[-1] * motion.phi)
             last = magnitude(powers[-1])
-            z = z0 + last * z0 + last * (last * z0)
+            z = magnitude(z0 + last * z0 + last * (last * z0))
             c = largest(a / b for a, b in zip((last * z).entries(), z.entries(), strict=True))
             if c < share:
-                return cls([*powers, powers[-1] * motion.phi], magnitude(z), c)
+                return cls([*powers, powers[-1] * motion.phi], z, c)
         raise Undecided("recoverable", f"the loop has not forgotten errors after {LONGEST} periods")
 
 

@@ -19,9 +19,7 @@ from ..schedule import Schedule
 from ..system import Array
 from ..tolerances import ROUNDING
 from ..unsafe import TimedPolytope
-from .document import FORMAT, VERSION, canonical, digest
-
-PERCEPTION = "every unsafe set lies in the timed polytopes of this certificate at all times"
+from .document import FORMAT, VERSION, assumptions, canonical, digest
 
 
 def hexadecimal(values: ArrayLike) -> Any:
@@ -110,7 +108,9 @@ def certificate(schedule: Schedule, name: str, files: Iterable[Path] = ()) -> di
             "reason": safety.end.reason,
         },
         "guarantee": schedule.guarantee,
-        "assumptions": [*schedule.assumptions[:2], PERCEPTION, *schedule.assumptions[3:5]],
+        "assumptions": assumptions(
+            system.w_max, safety.problem.delta / safety.clearance.q if tracking.feedback.sampled else None
+        ),
     }
     data["digest"] = digest(data)
     return data
