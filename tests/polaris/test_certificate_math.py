@@ -1,0 +1,152 @@
+"""The checker's own mathematics: every enclosure contains what it must, every bound holds."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+pytest.importorskip("flint")
+
+import flint
+from flint import arb, arb_mat
+
+from polaris.certificate.argument import Argument
+from polaris.certificate.balls import column, exponential_over, matrix, norms, require
+from polaris.certificate.document import Document
+from polaris.certificate.loop import Memory, Needs, resting_box
+from polaris.certificate.motion import Plant
+from polaris.certificate.verdict import Record, Rejected, Undecided
+from polaris.certificate.writer import certificate
+from polaris.certificate.zonotopes import Zonotope, ball_cover, inner_radius, widest
+from polaris.scenario import load_scenario
+from polaris.simulation import simulate
+from polaris.synthesis import synthesize
+
+from .tiny import TINY
+
+ANY = ('experimental.0={kind="any_thrust",name="any"}', "tracking.Q=[1,1,1,1]", "tracking.R=[8,8]")
+SCENES = {
+    "clipped": ("tracking.R=[60,60]",),
+    "clipped, sampled": ("tracking.R=[60,60]", 'feedback={kind="sampled",period_s=0.1}'),
+    "any thrust": (*ANY, "horizon.step_s=0.25", "planner.thrust_reserve=0.5"),
+}
+
+
+@pytest.fixture(autouse=True)
+def precision():
+    before, flint.ctx.prec = flint.ctx.prec, 128
+    yield
+    flint.ctx.prec = before
+
+
+@cache
+def scene(name):
+    schedule = synthesize(load_scenario(TINY).with_assignments(list(SCENES[name])))
+    return schedule, Argument(Document(certificate(schedule, "tiny")), Record())
+
+
+def values(M):
+    return np.array([[float(x.mid()) for x in row] for row in M.tolist()])
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_reachable_sets_contain_what_is_flown(name):
+    schedule, argument = scene(name)
+    path = argument.reference()
+    sets, flown = argument.tubes(path)
+    runs = simulate(schedule, 200, 3)
+    q, K = argument.document.q, argument.K
+    fullest = 0.0
+    for k in range(K + 1):
+        errors = runs.states[:, k * q] - values(path.starts[k])[:, 0]
+        centre, half = values(sets[k].c)[:, 0], values(sets[k].size())[:, 0]
+        assert np.all(np.abs(errors) <= half + 1e-9)
+        fullest = max(fullest, float(np.max(np.abs(errors - centre) / half)))
+    assert fullest > 0.3  # the sets are no idle bounds
+    for k in range(K):
+        during = runs.states[:, k * q : (k + 1) * q + 1]
+        assert np.all(during <= [float(x) + 1e-9 for x in flown[k].upper])
+        assert np.all(during >= [float(x) - 1e-9 for x in flown[k].lower])
+
+
+@pytest.mark.parametrize("name", ["clipped", "clipped, sampled"])
+def test_needs_of_the_safety_controller_cover_what_it_flies(name):
+    schedule, argument = scene(name)
+    path = argument.reference()
+    sets, _ = argument.tubes(path)
+    memory = Memory.of(argument.loop, widest(sets), argument.document.q)
+    needs = Needs(argument.loop, memory, argument.gain)
+    disturbed = needs.disturbed(resting_box(argument.loop, memory))
+    tube, gain = needs.tube(sets[0]), values(argument.gain)
+    runs = simulate(schedule, 300, 5, mode=0)
+    reference = schedule.safety.reference.fine(argument.document.q)[: argument.K, :-1].reshape(-1, argument.n)
+    reached = (runs.states[:, :-1] - reference) @ gain.T
+    count = min(len(reference), memory.periods)
+    most = np.array(
+        [[float(a + b) for a, b in zip(tube[i], disturbed[i], strict=True)] for i in range(count)]
+    )
+    assert np.all(reached[:, :count].max(axis=0) <= most + 1e-9)
+    assert np.max(reached[:, :count].max(axis=0) / most) > 0.7
+
+
+def test_exponentials_over_an_interval_contain_all_of_them():
+    X = np.random.default_rng(1).normal(size=(4, 4))
+    over = exponential_over(matrix(X.tolist()), arb(0.3))
+    for s in np.linspace(0, 0.3, 31):
+        exact = expm(X * s)
+        assert all(over[i, j].overlaps(arb(float(exact[i, j]), 1e-14)) for i in range(4) for j in range(4))
+        assert all(float(over[i, j].rad()) < 3.0 for i in range(4) for j in range(4))
+
+
+@pytest.mark.parametrize("sampled", [False, True])
+def test_gains_along_rows_are_upper_bounds_and_tight(sampled):
+    A, B = matrix([[0, 1], [0, 0]]), matrix([[0], [1]])
+    plant = Plant(A, B, B, matrix([[1, 0]]), [arb(1)], arb(0.5), arb(0.2), sampled)
+    motion, row = plant.loop(matrix([[4, 3]])), np.array([1.0, 0.3])
+    X = values(motion.X)
+    fine = np.linspace(0, 0.2, 20_001)
+    flow = np.array([abs(row @ expm(X * s) @ [0, 1]) for s in fine[::20]])
+    exact = (
+        0.5 * np.trapezoid(flow, fine[::20]) if hasattr(np, "trapezoid") else 0.5 * np.trapz(flow, fine[::20])
+    )
+    bound = float(motion.disturbance_gain(matrix([row.tolist()]))[0])
+    assert exact * (1 - 1e-6) <= bound <= exact * 1.05
+    held = float(motion.input_gain(matrix([row.tolist()]), B, [arb(0.5)])[0])
+    assert exact * (1 - 1e-6) <= held <= exact * 1.05
+
+
+@pytest.mark.parametrize("p", [1, 2, 3, 5])
+def test_covers_contain_the_ball_and_are_tight(p):
+    G = values(ball_cover(p, arb(2)))
+    directions = np.random.default_rng(0).normal(size=(2000, p))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    support = np.abs(directions @ G).sum(axis=1)
+    assert support.min() >= 2 * (1 - 1e-12)
+    if p <= 3:
+        assert support.max() <= 2 * 1.12
+        assert float(inner_radius(matrix(G.tolist()))) == pytest.approx(2)
+
+
+def test_reduced_sets_contain_the_set():
+    rng = np.random.default_rng(2)
+    G = rng.normal(size=(3, 40)) * np.logspace(0, -3, 40)
+    full = Zonotope(column([1.0, 2.0, 3.0]), matrix(G.tolist()))
+    small = full.reduced(12)
+    assert small.G.ncols() <= 12 and small.c.entries()[0].is_exact()
+    rows = matrix(rng.normal(size=(500, 3)).tolist())
+    assert all(a <= b for a, b in zip(full.support(rows), small.support(rows), strict=True))
+
+
+def test_norms_of_balls_about_zero_are_not_lost():
+    around = arb_mat(1, 2, [arb(0, 1e-20), arb(0, 1e-20)])
+    assert norms(around)[0].is_finite() and norms(around)[0] < 1e-19
+
+
+def test_a_number_on_the_edge_is_neither_confirmed_nor_refuted():
+    require("claim", arb(0), "exactly on it")
+    with pytest.raises(Undecided):
+        require("claim", arb(0, 1e-30), "about it")
+    with pytest.raises(Rejected) as caught:
+        require("claim", arb(-2), "beyond it")
+    assert (caught.value.claim, caught.value.excess) == ("claim", 2.0)
