@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..controllers import AnyThrust
 from ..disturbances import adjoint_worst_case, disturbances
 from ..integration import Integrator
 from ..simulation import Runs, initial_states
@@ -170,7 +171,8 @@ class Attacker:
 
     def _thrust(self, count: int) -> Array | None:
         """Random inputs of a controller that may do anything."""
-        if not any(type(law).__name__ == "AnyThrust" for law in self.flight.schedule.controllers):
+        laws = (self.flight.schedule.controllers[int(number)] for number in np.unique(self.flight.modes))
+        if not any(isinstance(law, AnyThrust) for law in laws):
             return None
         steps, m = self.flight.steps, self.flight.system.m
         hold = int(self.rng.integers(1, 4 * self.flight.steps_per_cell))

@@ -1,0 +1,260 @@
+"""The search for counterexamples: nothing where the claim holds, and everything broken on purpose."""
+
+import json
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from polaris.clearance import error_tube
+from polaris.cli import app
+from polaris.disturbances import adjoint_worst_case
+from polaris.errors import ScenarioError
+from polaris.falsify.attacks import Attack, Attacker
+from polaris.falsify.case import digest, replay, write_case
+from polaris.falsify.claims import Claims
+from polaris.falsify.load import load_target
+from polaris.falsify.measure import EXACT_M, attained
+from polaris.falsify.search import falsify
+from polaris.integration import Integrator
+from polaris.runfolder import write_run
+from polaris.scenario import load_scenario
+from polaris.synthesis import synthesize
+
+from .conftest import synthesised
+from .tiny import TINY
+from .tiny import flown as tiny_flown
+from .tiny import synthesised as tiny
+
+BUNDLED = ["static", "dynamic", "keep_out", "hold_point", "robot"]
+STIFF = {"recoverable.kind": "paper_ball", "tracking.R": [400.0] * 3}
+"""The printed ball does not know the thrust limits; a stiff tracker runs into them."""
+
+
+@cache
+def with_black_box():
+    """A schedule in which a controller flies that may do anything."""
+    return synthesize(load_scenario("keep_out").set("schedule.min_dwell_steps", 1))
+
+
+def flight_of(schedule, tail=False, substeps=1):
+    claims = Claims(schedule, tail)
+    return claims, Integrator(schedule, claims.modes, substeps)
+
+
+# -- where the claim holds --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", BUNDLED)
+def test_nothing_breaks_a_proven_schedule(name):
+    found = falsify(synthesised(name)[1], 400, seed=1)
+    assert found.failure is None and found.runs == 400
+    obstacles = len(synthesised(name)[1].safety.clearance.unsafe)
+    assert np.all(found.least[:obstacles] >= found.proven[:obstacles] - EXACT_M)
+    assert np.all(found.least >= 0)
+
+
+def test_the_bound_is_neither_violated_nor_idle():
+    found = falsify(synthesised("static")[1], 1500, seed=0)
+    assert 0.6 < found.ratio[0] <= 1, "the debris is approached to within what the proof leaves open"
+
+
+@pytest.mark.slow
+def test_a_million_trajectories_violate_nothing():
+    total = 0
+    for name in BUNDLED:
+        found = falsify(synthesised(name)[1], 200_000, seed=7)
+        total += found.runs
+        told = found.summary()
+        print(f"\n{name}: {found.runs} trajectories, {told['runs_per_s']:.0f} per second")
+        for row in told["limits"]:
+            least, proven = row["least"], row["proven"]
+            print(f"  {row['limit']:20} {least:10.4g} of {proven:10.4g} {row['proven_share']:6.1%}")
+        assert found.failure is None, (name, found.failure)
+    assert total == 1_000_000
+
+
+def test_same_seed_same_search():
+    first, second = (falsify(tiny()[1], 300, seed=3) for _ in range(2))
+    assert np.array_equal(first.least, second.least)
+    assert not np.array_equal(first.least, falsify(tiny()[1], 300, seed=4).least)
+
+
+# -- the attacks ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["static", "hold_point"])
+def test_adjoint_reaches_what_the_tube_of_s_allows(name):
+    """No run goes further along a row than the tube, and the closed-form worst case nearly gets there."""
+    schedule = synthesised(name)[1]
+    safety = schedule.safety
+    modes = np.zeros(12, dtype=int)
+    flight = Integrator(schedule, modes, 1)
+    rows = np.array([[1.0, 0, 0, 0, 0, 0], [0, -1.0, 0, 0, 0, 0], [0, 0, 1.0, 0, 0, 0]])
+    w, free, adjoint = adjoint_worst_case(flight, rows, np.full(3, flight.steps))
+    assert free is None
+    theta = safety.problem.initial_set
+    x0 = theta.c + np.sign(adjoint @ theta.G) @ theta.G.T
+    ends = Attack(x0, w, None).fly(flight).states[:, -1] - safety.clearance.nodes[11, -1]
+    reached = np.einsum("ij,ij->i", ends, rows)
+    allowed = error_tube(safety.tracking, safety.start, rows).need
+    allowed = allowed[min(flight.steps, len(allowed) - 1)]
+    assert np.all(reached <= allowed)
+    assert np.all(reached >= 0.85 * allowed)
+    rng = np.random.default_rng(0)
+    tried = rng.normal(size=(flight.steps, 500, 3))
+    tried *= safety.problem.system.w_max / np.linalg.norm(tried, axis=2, keepdims=True)
+    others = Attack(np.repeat(x0[:1], 500, axis=0), tried, None).fly(flight).states[:, -1]
+    assert np.all((others - safety.clearance.nodes[11, -1]) @ rows[0] < reached[0])
+
+
+def test_disturbances_and_starts_are_admissible():
+    schedule = with_black_box()
+    claims, flight = flight_of(schedule)
+    attacker = Attacker(claims, flight, np.random.default_rng(0))
+    first = attacker.worst(40)
+    runs = first.fly(flight)
+    measured = attained(claims, runs)
+    made = [first, attacker.random(40), attacker.again(runs, measured, 40), attacker.mutate(first, 40)]
+    system, theta = flight.system, schedule.safety.problem.initial_set
+    for attack in made:
+        assert np.linalg.norm(attack.w, axis=-1).max() <= system.w_max * (1 + 1e-12)
+        assert attack.free is not None and np.all(np.abs(attack.free) <= system.u_max)
+        assert theta.contains(attack.x0).all()
+
+
+def test_black_box_does_what_the_attack_says():
+    schedule = with_black_box()
+    k = int(np.flatnonzero(schedule.modes == 1)[0])
+    claims, flight = flight_of(schedule)
+    attack = Attacker(claims, flight, np.random.default_rng(0)).worst(5)
+    runs = attack.fly(flight)
+    q = schedule.safety.clearance.q
+    assert np.array_equal(runs.inputs[:, k * q], attack.free[k * flight.steps_per_cell])
+
+
+def test_margins_are_those_of_the_timed_polytopes_between_nodes_too():
+    schedule = synthesised("static")[1]
+    claims, coarse = flight_of(schedule)
+    box = schedule.safety.problem.unsafe[0]
+    attack = Attacker(claims, coarse, np.random.default_rng(0)).worst(60)
+    measured = attained(claims, attack.fly(coarse))
+    fine = Integrator(schedule, claims.modes, 16)
+    fine_attack = Attack(attack.x0, np.repeat(attack.w, 16, axis=0), None)
+    x = attack.x0
+    nearest = np.full(len(x), np.inf)
+    for step in range(fine.steps):
+        k, sub = divmod(step, fine.steps_per_cell)
+        number = int(claims.modes[k])
+        force = fine_attack.w[step] @ fine.system.D.T
+        middle = x + fine.dt / 2 * fine.rate(number, k, 2 * sub, 0, x, force)
+        x = x + fine.dt * fine.rate(number, k, 2 * sub, 1, middle, force)
+        outside = np.max(np.abs(x[:, :3] - box.anchor) - np.asarray(box.half_widths), axis=1)
+        nearest = np.minimum(nearest, outside)
+    assert np.allclose(measured.margin[:, 0], nearest, atol=0.02)
+
+
+# -- what was broken on purpose -----------------------------------------------------------------------
+
+
+def test_printed_ball_without_thrust_limits_is_caught(tmp_path):
+    scenario = load_scenario("static").with_overrides(STIFF)
+    schedule = synthesize(scenario)
+    assert schedule.guarantee == "none"
+    found = falsify(schedule, 3000)
+    assert found.failure is not None and found.failure.kind == "saturation"
+    assert found.failure.margin < 0 and found.runs < 3000
+    path = write_case(tmp_path / "ball.json", scenario, found)
+    failure, again = replay(path)
+    assert failure == found.failure and again.to_dict() == scenario.to_dict()
+    done = CliRunner().invoke(app, ["replay", str(path)])
+    assert done.exit_code == 5 and f"at t = {found.failure.time_s:g} s" in done.stdout
+
+
+def test_a_schedule_that_ignores_its_proof_collides():
+    schedule = synthesised("static")[1]
+    step = next(step for step in schedule.steps if step.mode == 1)
+    reckless = replace(schedule, steps=tuple(replace(s, mode=step.mode) for s in schedule.steps))
+    found = falsify(reckless, 500)
+    assert found.failure is not None and found.failure.kind == "unsafe set"
+    assert found.failure.limit == "debris" and found.failure.margin < 0
+
+
+def test_a_tube_that_is_too_thin_is_caught():
+    scenario, schedule = tiny()
+    thin = tuple(
+        replace(
+            step,
+            flight=replace(
+                step.flight,
+                nodes=replace(step.flight.nodes, G=0.3 * step.flight.nodes.G),
+                bow=0 * step.flight.bow,
+            ),
+        )
+        for step in schedule.steps
+    )
+    assert falsify(schedule, 600).failure is None
+    found = falsify(replace(schedule, steps=thin), 600)
+    assert found.failure is not None and found.failure.kind == "margin"
+    assert found.failure.margin > 0, "it enters nothing; it only comes closer than was claimed"
+
+
+def test_a_disturbance_beyond_its_bound_breaks_the_margin():
+    """The claim rests on the bound: with ten times the disturbance the same search gets through."""
+    schedule = synthesised("static")[1]
+    claims, flight = flight_of(schedule)
+    attack = Attacker(claims, flight, np.random.default_rng(0)).worst(100)
+    assert attained(claims, attack.fly(flight)).below.max() <= EXACT_M
+    stronger = Attack(attack.x0, 40 * attack.w, None)
+    assert attained(claims, stronger.fly(flight)).below.max() > EXACT_M
+
+
+# -- files and commands -----------------------------------------------------------------------------
+
+
+def test_case_that_was_changed_is_refused(tmp_path):
+    scenario, schedule = tiny()
+    found = falsify(replace(schedule, steps=tuple(replace(s, mode=1) for s in schedule.steps)), 400)
+    assert found.failure is not None
+    data = json.loads(write_case(tmp_path / "case.json", scenario, found).read_text(encoding="utf-8"))
+    assert np.array_equal([float.fromhex(v) for v in data["x0"]], found.case[0].x0[0])
+    for key, value in (("schedule", "0" * 64), ("version", 2), ("format", "other"), ("x0", ["nan?"])):
+        broken = tmp_path / f"{key}.json"
+        changed = {**data, "schedule": digest(schedule), key: value}
+        broken.write_text(json.dumps(changed), encoding="utf-8")
+        assert CliRunner().invoke(app, ["replay", str(broken)]).exit_code == 2
+    # The same attack on the schedule that is really made violates nothing.
+    fair = tmp_path / "fair.json"
+    fair.write_text(json.dumps({**data, "schedule": digest(schedule)}), encoding="utf-8")
+    done = CliRunner().invoke(app, ["replay", str(fair)])
+    assert done.exit_code == 0 and "violates nothing" in done.stdout
+    with pytest.raises(ScenarioError, match="no violation"):
+        write_case(tmp_path / "none.json", scenario, falsify(schedule, 50))
+
+
+def test_run_folder_is_attacked_if_it_is_what_its_scenario_gives(tmp_path):
+    scenario, schedule = tiny()
+    folder = write_run(tmp_path / "run", scenario, schedule, tiny_flown(), figures=False).path
+    loaded, again = load_target(str(folder))
+    assert digest(again) == digest(schedule) and loaded.name == scenario.name
+    file = folder / "schedule.json"
+    data = json.loads(file.read_text(encoding="utf-8"))
+    data["modes"][0] = 1 - data["modes"][0]
+    file.write_text(json.dumps(data), encoding="utf-8")
+    with pytest.raises(ScenarioError, match="another schedule"):
+        load_target(str(folder))
+
+
+def test_command_reports_margins_and_saves_a_case(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    done = CliRunner().invoke(app, ["falsify", str(TINY), "--runs", "200", "--json"])
+    assert done.exit_code == 0
+    told = json.loads(done.stdout)
+    assert told["runs"] == 200 and not told["violated"] and len(told["limits"]) >= 3
+    scenario = load_scenario("static").with_overrides(STIFF)
+    (tmp_path / "stiff.toml").write_text(scenario.to_toml(), encoding="utf-8")
+    done = CliRunner().invoke(app, ["falsify", "stiff.toml", "--runs", "3000", "--out", "found.json"])
+    assert done.exit_code == 5 and "VIOLATED" in done.stdout
+    assert (tmp_path / "found.json").is_file()
