@@ -49,8 +49,8 @@ def flight_of(schedule, tail=False, substeps=1):
 
 @pytest.mark.parametrize("name", BUNDLED)
 def test_nothing_breaks_a_proven_schedule(name):
-    found = falsify(synthesised(name)[1], 400, seed=1)
-    assert found.failure is None and found.runs == 400
+    found = falsify(synthesised(name)[1], 250, seed=1)
+    assert found.failure is None and found.runs == 250
     obstacles = len(synthesised(name)[1].safety.clearance.unsafe)
     assert np.all(found.least[:obstacles] >= found.proven[:obstacles] - EXACT_M)
     assert np.all(found.least >= 0)
