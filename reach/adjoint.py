@@ -22,7 +22,7 @@ from scipy import sparse
 from .convex import ConvexSet
 from .ellipsoid import Ellipsoid
 from .errors import ReachError, Unresolved
-from .exponentials import scaled, times
+from .exponentials import FLUSHED, scaled, times
 from .interval import Interval
 from .rows import Rows
 from .systems import LinearSystem, single_set
@@ -107,6 +107,7 @@ class Adjoint:
         force += [A @ force[0], A @ (A @ force[0])]
         self._force = sparse.hstack(force, format="csr") if thin else np.hstack(force)
         self._sizes = np.stack(sizes, axis=1)
+        self._grown: dict[float, Array] = {}
         self.weights = self._weighed([], 0.0)
 
     def watch(self, lags: list[float], moved: Array | float = 0.0) -> None:
@@ -167,8 +168,7 @@ class Adjoint:
         first = supported(self.initial, shrunk)
         attained = attained_support(self.initial, shrunk, first)
         absolute = np.abs(R)
-        # What was flushed counts as well, see `FLUSH`.
-        size = np.moveaxis(times(absolute, self.weights + 1e-40 * self.weights.sum(axis=0)), -1, 0)
+        size = np.moveaxis(times(absolute, self.weights + FLUSHED * self.weights.sum(axis=0)), -1, 0)
         shape = (count, self.pieces, R.shape[1])
         upper, lower, bend = np.empty(shape), np.empty(shape), np.zeros(shape)
         if self.system.discrete:
@@ -178,7 +178,9 @@ class Adjoint:
                 lower[:, i] = self.supports(i, along, attained=True)
             return Block(R, first, attained, upper, lower, np.zeros((count, R.shape[1])), bend, size)
         R2 = self._curved(R)
-        closing = times(np.abs(self._curved(R2)[:-1]), self.rows.closing(h, self._sizes))
+        if h not in self._grown:
+            self._grown[h] = self.rows.closing(h, self._sizes)
+        closing = times(np.abs(self._curved(R2)[:-1]), self._grown[h])
         closing = h**2 / 8 * np.where(np.isnan(closing), np.inf, closing)
         R2 = R2 / self._shrink if self._shrink is not None else R2
         along = self.along(R) if self.pieces else R

@@ -19,15 +19,21 @@ from .errors import Unresolved
 
 Array = NDArray[np.float64]
 
-FLUSH = 1e-60
+FLUSH = 1e-36
 """Entries below this share of the largest of their row are set to zero: denormal numbers are slow."""
 REACH = 3.0
 """Norm of ``A t`` up to which Taylor's series of the action is summed at once."""
 CANCELLED = float(np.exp(2 * REACH) / (8 * REACH))
 """How much more rounding, per norm of ``A t``, such a series has than a product: its terms grow to
 ``exp(REACH)`` before they sum to what may be ``exp(-REACH)``."""
-MOST_TERMS = 100
-"""Terms of that series, whose rest then is below 1e-100; more are asked for only where numbers overflow."""
+FLUSHED = 1e-15
+"""Share of the sizes of all states that is booked along with each row for what was cut off."""
+FULL = 500
+"""Entries a row up to which products with a sparse exponential are cheaper than its action."""
+PROBES = 3
+"""Rows from which it is seen how many entries such an exponential has."""
+OVERHEAD = 20_000
+"""Entries of a sparse matrix that are multiplied while one product is set up."""
 MOST_PARTS = 50_000
 """Series in a row that one step may take."""
 
@@ -41,7 +47,8 @@ def exponential(A: Any, h: float) -> Any:
     norm = float(np.max(np.asarray(abs(A).sum(axis=-1)), initial=0.0)) * h
     halvings = int(np.clip(np.ceil(np.log2(max(norm, 1e-300))) + 1, 0, 1000))
     part = A * (h / 2.0**halvings)
-    out = _dense_series(part) if isinstance(A, np.ndarray) else _sparse_series(sparse.csr_matrix(part))
+    dense = isinstance(A, np.ndarray)
+    out = _dense_series(part) if dense else _sparse_series(sparse.csr_matrix(part)).toarray()
     for _ in range(halvings):
         out = flushed(out @ out)
     return out
@@ -61,60 +68,102 @@ def _dense_series(X: Array) -> Array:
     return out
 
 
-def _sparse_series(X: Any) -> Array:
+def _sparse_series(X: Any) -> Any:
     term = total = sparse.identity(X.shape[0], format="csr")
     for k in range(1, 16):
         term = term @ X / k
         total = total + term
-    return np.asarray(total.toarray())
+    return total
 
 
-def action(M: Any, rows: Array, h: float, count: int) -> Array:
-    """``e^{M h l} v`` for l = 0..count and every row v, shape (count+1, r, n), by Taylor's series.
+def thin_exponential(A: Any, h: float, action: Action, half: Any = None) -> Any:
+    """``e^{A h}`` of a sparse matrix, sparse; None where its action is cheaper than products with it.
 
-    Each series spans as many steps as `REACH` allows, or a part of one, and ends where the bound on
-    its rest, a geometric series in the norm of the last term, is below the rounding of every row.
-    The mean of the diagonal is split off: it takes nothing but a factor.
+    Waves and diffusion do not reach far in a short time: further off, entries are below `FLUSH`. How
+    far is seen from some rows moved by the action. Squared from the half of h if that is given.
     """
-    M = sparse.csr_matrix(M)
-    shift = float(M.diagonal().mean())
-    N = M - shift * sparse.identity(M.shape[0], format="csr")
-    norm = h * float(abs(N).sum(axis=0).max())
-    if not norm <= MOST_PARTS * REACH:
-        raise Unresolved(
-            f"a step of {h:g} is too long for a sparse system this stiff ({norm:.3g} times its norm): "
-            f"take steps below {h * MOST_PARTS * REACH / norm:.3g}, or give A as a dense matrix"
-        )
-    parts = max(int(np.ceil(norm / REACH)), 1)
-    span = int(np.clip(REACH / norm if norm > 0 else count, 1, count)) if parts == 1 else 1
-    out = np.empty((count + 1, *rows.shape))
-    out[0] = rows
-    for k in range(0, count, span):
-        m = min(span, count - k)
-        shares = np.arange(1, m + 1) / m
-        x: Any = out[k]
-        for _ in range(parts - 1):
-            x = _series(N, x, h / parts, norm / parts, np.ones(1))[0] * np.exp(shift * h / parts)
-        length = h * m / parts
-        out[k + 1 : k + 1 + m] = _series(N, x, length, norm * m / parts, shares)
-        out[k + 1 : k + 1 + m] *= np.exp(shift * length * shares)[:, None, None]
+    n, norm = A.shape[0], action.norm * h
+    if norm > MOST_PARTS * REACH:
+        return None
+    some = np.zeros((PROBES, n))
+    some[np.arange(PROBES), np.random.default_rng(0).integers(n, size=PROBES)] = 1.0
+    fill = int(np.count_nonzero(action(some, h, 1)[-1], axis=-1).max())
+    if fill > FULL or n * fill > _degree(min(norm, REACH)) * max(norm / REACH, 1.0) * (A.nnz + OVERHEAD):
+        return None
+    halvings = 1 if half is not None else max(int(np.ceil(np.log2(max(norm, 1e-300)))) + 2, 0)
+    out = half if half is not None else _sparse_series(sparse.csr_matrix(A * (h / 2.0**halvings)))
+    for _ in range(halvings):
+        out = flushed(out @ out)
+        out.eliminate_zeros()
     return out
 
 
-def _series(N: Any, rows: Array, t: float, norm: float, shares: Array) -> Array:
-    """``e^{N t s} v`` for all shares s in [0, 1] of t and every row v; norm bounds ``|N t|``."""
-    term = np.ascontiguousarray(rows.T)
-    terms, start, j = [rows.ravel()], np.abs(rows).sum(axis=1), 0
+class Action:
+    """``e^{M t} v`` for a sparse matrix M and rows v, by Taylor's series; no exponential is formed.
+
+    The mean of the diagonal is split off: it takes nothing but a factor.
+
+    Parameters
+    ----------
+    M : sparse matrix, shape (n, n)
+    """
+
+    def __init__(self, M: Any) -> None:
+        M = sparse.csr_matrix(M)
+        self.shift = float(M.diagonal().mean())
+        self.N = M - self.shift * sparse.identity(M.shape[0], format="csr")
+        self.norm = float(abs(self.N).sum(axis=0).max())
+
+    def __call__(self, rows: Array, h: float, count: int) -> Array:
+        """``e^{M h l} v`` for l = 0..count and every row v of (r, n), shape (count+1, r, n).
+
+        Each series spans as many steps as `REACH` allows, or a part of one.
+
+        Raises
+        ------
+        Unresolved
+            If one step takes more than `MOST_PARTS` series.
+        """
+        norm = h * self.norm
+        if not norm <= MOST_PARTS * REACH:
+            raise Unresolved(
+                f"a step of {h:g} is too long for a sparse system this stiff ({norm:.3g} times its norm): "
+                f"take steps below {h * MOST_PARTS * REACH / norm:.3g}, or give A as a dense matrix"
+            )
+        parts = max(int(np.ceil(norm / REACH)), 1)
+        span = int(np.clip(REACH / norm if norm > 0 else count, 1, count)) if parts == 1 else 1
+        out = np.empty((count + 1, *rows.shape))
+        out[0] = rows
+        for k in range(0, count, span):
+            m = min(span, count - k)
+            x = out[k]
+            for _ in range(parts - 1):
+                x = self._series(x, h / parts, np.ones(1))[0]
+            out[k + 1 : k + 1 + m] = self._series(x, h * m / parts, np.arange(1, m + 1) / m)
+        return np.asarray(flushed(out))
+
+    def _series(self, rows: Array, t: float, shares: Array) -> Array:
+        """``e^{M t s} v`` for all shares s in [0, 1] of t and every row v."""
+        degree = _degree(self.norm * t)
+        terms = np.empty((degree + 1, self.N.shape[0], len(rows)))
+        terms[0] = rows.T
+        N = self.N * t
+        for j in range(1, degree + 1):
+            terms[j] = N @ terms[j - 1]
+            terms[j] /= j
+        weights = shares[:, None] ** np.arange(degree + 1) * np.exp(self.shift * t * shares)[:, None]
+        found: Array = (weights @ terms.reshape(degree + 1, -1)).reshape(len(shares), *terms.shape[1:])
+        return np.asarray(np.moveaxis(found, 2, 1))
+
+
+def _degree(norm: float) -> int:
+    """Terms after which the rest of the series of the exponential of a norm is below 1e-17."""
+    term, j = 1.0, 0
     while True:
         j += 1
-        term = N @ term * (t / j)
-        terms.append(term.T.ravel())
-        ratio = norm / (j + 1)
-        rest = np.abs(term).sum(axis=0) * ratio / (1 - ratio) if ratio < 0.5 else np.full(len(start), np.inf)
-        if np.all(rest <= 1e-17 * start) or j > MOST_TERMS:
-            break
-    powers = shares[:, None] ** np.arange(j + 1)
-    return np.asarray((powers @ np.array(terms)).reshape(len(shares), *rows.shape))
+        term *= norm / j
+        if term * norm / (j + 1) <= 5e-18 and norm < (j + 1) / 2:
+            return j
 
 
 def flushed(values: Any) -> Any:

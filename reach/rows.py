@@ -9,13 +9,15 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from .exponentials import CANCELLED, action, exponential, flushed, scaled, times
+from .exponentials import CANCELLED, Action, exponential, flushed, scaled, thin_exponential, times
 from .systems import LinearSystem
 
 Array = NDArray[np.float64]
 
 SPARSE = 0.1
 """Share of entries below which products with A use its sparse form."""
+DENSE = 300
+"""States up to which exponentials are formed."""
 SMALL_PART = 32
 """Largest independent part whose exponentials are formed on their own."""
 ROUNDING = 16 * np.finfo(float).eps
@@ -74,17 +76,24 @@ class Rows:
         thin = system.sparse or A.nnz < SPARSE * A.shape[0] ** 2
         self.A = A if thin else A.toarray()
         self.norm = float(np.max(np.asarray(abs(A).sum(axis=1)), initial=0.0))
-        self.action = system.sparse and self.parts is None
+        large = system.sparse and self.parts is None and system.dim > DENSE
+        self.action = Action(self.A.T) if large else None
+        self.action = None if self.discrete else self.action
         self.work = self.norm * (CANCELLED if self.action else 1.0)
         self._maps: dict[float, Any] = {}
         self._closings: dict[float, Any] = {}
 
     def map(self, h: float) -> Any:
-        """``e^{A h}`` (``A^h`` of a discrete system); squared from the half of h where that is known."""
+        """``e^{A h}`` (``A^h`` of a discrete system); squared from the half of h where that is known.
+
+        None where A is large and sparse and its exponential is not.
+        """
         if h not in self._maps:
             half = self._maps.get(h / 2)
             with np.errstate(over="ignore", invalid="ignore"):
-                if half is not None:
+                if self.action is not None:
+                    self._maps[h] = thin_exponential(self.A, h, self.action, half)
+                elif half is not None:
                     self._maps[h] = flushed(half @ half)
                 elif self.discrete:
                     self._maps[h] = np.linalg.matrix_power(_dense(self.A), int(h))
@@ -94,7 +103,7 @@ class Rows:
 
     def _exponential(self, A: Any, h: float) -> Any:
         if self.parts is None:
-            return exponential(A, h)
+            return exponential(A if A.shape[0] > DENSE else _dense(A), h)
         # Every part is joined by the constants, which act on all of them and change by none.
         size, k = self.parts.shape[1], self.constants
         blocks = np.hstack([self.parts, np.tile(k, (len(self.parts), 1))])
@@ -105,19 +114,23 @@ class Rows:
 
     def carry(self, rows: Array, h: float, count: int) -> Array:
         """``rows e^{A h l}`` for l = 0..count, shape (count+1, r, n); rows of shape (r, n)."""
-        if self.action and not self.discrete:
-            return np.asarray(flushed(action(self.A.T, rows, h, count)))
+        if self.action is not None and self.map(h) is None:
+            return self.action(rows, h, count)
         out = np.empty((count + 1, *rows.shape))
         out[0] = rows
         if self.discrete:
             for i in range(count):
                 out[i + 1] = times(out[i], self.A)
             return out
-        have = 1
+        have = reach = 1  # rows that are known, and the steps of the longest map that is
         while have <= count:
-            more = min(have, count + 1 - have)
-            out[have : have + more] = times(out[:more], self.map(h * have))
-            have *= 2
+            if reach < have and self.map(2 * reach * h) is not None:
+                reach *= 2
+            more = min(reach, count + 1 - have)
+            out[have : have + more] = flushed(
+                times(out[have - reach : have - reach + more], self.map(h * reach))
+            )
+            have += more
         return out
 
     def closing(self, h: float, vectors: Array) -> Array:
@@ -132,9 +145,9 @@ class Rows:
                 less = np.maximum(diagonal, 0) - np.abs(diagonal)
                 dense = isinstance(self.A, np.ndarray)
                 M = abs(self.A) + (np.diag(less) if dense else sparse.diags(less, format="csr"))
-                self._closings[h] = M if self.action else self._exponential(M, h)
+                self._closings[h] = Action(M) if self.action is not None else self._exponential(M, h)
             found = self._closings[h]
-            out = action(found, vectors.T, h, 1)[-1].T if self.action else found @ vectors
+            out = found @ vectors if self.action is None else found(vectors.T, h, 1)[-1].T
         return np.where(np.isnan(out), np.inf, out)
 
     # -- rounding ---------------------------------------------------------------------------------
@@ -196,9 +209,14 @@ class Rows:
     def _sampled_growth(self, weights: Array, horizon: float) -> Array:
         """Factors (q,) by which states of given sizes grow, from one motion with random signs each.
 
-        For systems too large for their exponentials. A direction that grows is met by random signs
-        almost surely; the factor of 10 stands for what they see of it less than fully.
+        For systems too large for their exponentials, where the logarithmic norm does not tell. A
+        direction that grows is met by random signs almost surely; the factor of 10 stands for what
+        they see of it less than fully.
         """
+        diagonal = self.A.diagonal()
+        sums = np.asarray(abs(self.A).sum(axis=1)).ravel() - np.abs(diagonal) + diagonal
+        if not self.discrete and sums.max() * horizon <= 1:  # the logarithmic norm
+            return np.full(weights.shape[1], np.exp(max(float(sums.max()) * horizon, 0.0)))
         signs = np.random.default_rng(0).choice([-1.0, 1.0], weights.shape)
         start = (weights * signs).T
         with np.errstate(over="ignore", invalid="ignore"):
@@ -207,10 +225,23 @@ class Rows:
                 for i in range(int(horizon)):
                     path[i + 1] = path[i] @ self.A.T
             else:
-                path = action(sparse.csr_matrix(self.A), start, horizon / SAMPLES, SAMPLES)
+                path = self._sampled_path(start, horizon)
             most, first = np.abs(path).max(axis=(0, 2)), weights.max(axis=0)
         ratio = np.divide(most, first, out=np.ones_like(first), where=first > 0)
         return np.asarray(10 * np.clip(np.nan_to_num(ratio, nan=1e299, posinf=1e299), 1.0, 1e299))
+
+    def _sampled_path(self, start: Array, horizon: float) -> Array:
+        """Sizes of states moved on from rows of `start`, shape (m, q, n): at times, or the most of all."""
+        m = int(np.clip(np.ceil(np.log2(max(self.norm * horizon / 4, 8.0))), 3, 20))
+        if self.action is None or self.map(horizon / 2**m) is None:
+            return Action(self.A)(start, horizon / SAMPLES, SAMPLES)
+        while m > 3 and self.map(horizon / 2 ** (m - 1)) is not None:
+            m -= 1
+        x, most = start.T, np.abs(start.T)
+        for _ in range(2**m):
+            x = self.map(horizon / 2**m) @ x
+            most = np.maximum(most, np.abs(x))
+        return np.stack([start, most.T])
 
 
 def _dense(A: Any) -> Array:

@@ -25,7 +25,7 @@ class LinearSystem:
     Parameters
     ----------
     A : array_like or scipy sparse matrix, shape (n, n)
-        A sparse matrix stays sparse, and selects methods that never form an exponential.
+        A sparse matrix stays sparse, and above 300 states no exponential is formed of it.
     B : array_like or scipy sparse matrix, shape (n, m), optional
         Input map; the identity if only U is given.
     U : ConvexSet of dimension m, or sequence of them, optional

@@ -123,8 +123,9 @@ def zonotope_tube(
     if F.shape != (system.dim,) * 2 or not np.all(np.isfinite(F)) or np.linalg.matrix_rank(F) < len(F):
         raise ReachError(f"the frame must be an invertible matrix of {system.dim} rows")
     single_set("the initial set", initial)
-    hull = initial if isinstance(initial, Zonotope) else initial.interval_hull().to_zonotope()
-    around, start = centered(system, hull)
+    box = initial if isinstance(initial, Zonotope) else initial.interval_hull()
+    around, start = centered(system, box)
+    generated = start if isinstance(start, Zonotope) else centered(system, box.to_zonotope())[1]
     inverse: Array = np.asarray(np.linalg.inv(F))
     rows = np.hstack([inverse, np.zeros((len(F), around.dim - system.dim))])
     if tolerance is not None:
@@ -135,7 +136,7 @@ def zonotope_tube(
     adjoint = Adjoint(around, start)
     parts = substeps(adjoint, step)
     run = march(adjoint, rows, horizon, step, tolerance, keep=True, substeps=parts)
-    return _enclose(run.every(parts), start, F, inverse)
+    return _enclose(run.every(parts), generated, F, inverse)
 
 
 def _enclose(run: March, start: Zonotope, F: Array, inverse: Array) -> ZonotopeTube:

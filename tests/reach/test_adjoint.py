@@ -9,7 +9,7 @@ from scipy.linalg import expm
 
 from reach import Interval, LinearSystem, Unresolved, Zonotope, support_tube
 from reach.adjoint import Adjoint
-from reach.exponentials import action, exponential, flushed
+from reach.exponentials import Action, exponential, flushed
 from reach.rows import Rows, balance
 from tests.reach import truth
 
@@ -116,7 +116,7 @@ def test_the_action_of_an_exponential_is_that_of_the_dense_one(seed, spread, cou
     # Rows of any size beside one another: none is as inexact as the largest.
     v = rng.normal(size=(3, 12)) * 10.0 ** (spread * np.arange(3))[:, None]
     t = 10.0**length / 50
-    out = action(A.T, v, t / count, count)[-1]
+    out = Action(A.T)(v, t / count, count)[-1]
     assert np.allclose(out, v @ expm(A.toarray() * t), rtol=0, atol=1e-12 * np.abs(v).max(axis=1)[:, None])
 
 
