@@ -36,12 +36,13 @@ if TYPE_CHECKING:
     from .segments import HybridTube, Segment
     from .separation import disjoint
     from .signals import Signal
+    from .specification import Always, Never, Verdict
     from .systems import LinearSystem
     from .trajectory import Trajectory, simulate, worst_case
     from .tube_support import SupportTube, support_tube
     from .tube_zonotope import ZonotopeTube, zonotope_tube
     from .varying import Varying
-    from .verification import Always, Never, Verdict, verify
+    from .verification import verify
     from .zonotope import Zonotope
 
 _HOMES = {
@@ -76,7 +77,8 @@ _HOMES = {
     ".signals": ("Signal",),
     ".systems": ("LinearSystem",),
     ".varying": ("Varying",),
-    ".verification": ("Always", "Never", "Verdict", "verify"),
+    ".specification": ("Always", "Never", "Verdict"),
+    ".verification": ("verify",),
     ".zonotope": ("Zonotope",),
     ".tube_zonotope": ("ZonotopeTube", "zonotope_tube"),
 }

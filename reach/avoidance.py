@@ -22,9 +22,10 @@ from .interval import Interval
 from .march import in_time
 from .polytope import HPolytope
 from .rounding import gamma
+from .specification import Verdict
 from .systems import LinearSystem
 from .trajectory import STEPS, Trajectory, simulate, worst_case
-from .verification import FIRST, LAST, REPLAY, SHARPER, Verdict, seen, sharp_tube, visited
+from .verification import FIRST, LAST, REPLAY, SHARPER, seen, sharp_tube, visited
 
 Array = NDArray[np.float64]
 

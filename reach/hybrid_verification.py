@@ -20,7 +20,7 @@ from .hybrid_simulation import HybridTrajectory, Policy, Visit, inside, simulate
 from .polytope import HPolytope
 from .rounding import gamma
 from .segments import HybridTube, Segment
-from .verification import Always, Never
+from .specification import Always, Never
 from .zonotope import Zonotope
 
 Array = NDArray[np.float64]

@@ -154,7 +154,7 @@ class Rows:
 
     def lags(self, h: float, horizon: float) -> list[float]:
         """Powers of two of a step, up to the horizon; none where exponentials are not to be formed."""
-        if self.A.shape[0] > WATCHED and self.parts is None:
+        if self.action is not None or (self.A.shape[0] > WATCHED and self.parts is None):
             return []
         return [h * 2.0**i for i in range(int(np.log2(horizon / h)) + 1)]
 

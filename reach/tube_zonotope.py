@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .adjoint import Adjoint, is_symmetric
+from .bounds import March
 from .centering import centered
 from .convex import ConvexSet
 from .errors import ReachError
-from .march import March, march, per_row, substeps
+from .march import march, per_row, substeps
 from .rows import ROUNDING
 from .systems import LinearSystem, numbers, single_set
 from .tube_support import locate

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from fractions import Fraction
 from math import lcm
 from time import perf_counter
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 from .convex import ConvexSet
 from .errors import ReachError, Unresolved
 from .polytope import HPolytope
+from .specification import Always, Never, Verdict
 from .systems import LinearSystem, numbers, single_set
 from .trajectory import Trajectory, worst_case
 from .tube_support import SupportTube, support_tube
@@ -28,79 +28,6 @@ FIRST, LAST = 0.05, 1e-7
 """First and last tolerance, as shares of the size of the quantity bounded."""
 GRID = 10_000
 """Most steps that a first grid takes to have every change of the input set on a node."""
-
-
-@dataclass(frozen=True, eq=False)
-class Always:
-    """The state stays in a polytope.
-
-    Parameters
-    ----------
-    region : HPolytope
-        May be unbounded.
-    during : tuple of float, optional
-        First and last time at which it must hold; the whole horizon if not given. The two may be
-        the same.
-    """
-
-    region: HPolytope
-    during: tuple[float, float] | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class Never:
-    """The state never enters a polytope (its boundary belongs to it).
-
-    Parameters
-    ----------
-    region : HPolytope
-        May be unbounded.
-    during : tuple of float, optional
-        As for `Always`.
-    """
-
-    region: HPolytope
-    during: tuple[float, float] | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class Verdict:
-    """Answer of `verify`; true only if proven.
-
-    Attributes
-    ----------
-    status : {"proven", "violated", "unknown"}
-    margin : float
-        Of a proof: distance kept to the limits, in the units of the normals of the region, over
-        the lengths of these. Of a violation: how far the trajectory goes beyond them (negative).
-        nan if unknown.
-    bounds : ndarray, shape (r,)
-        Upper bounds on the rows of the region to stay in (`Always`), or on the directions that were
-        to separate (`Never`; its rows negated come first), from the last tube computed.
-    reached : ndarray, shape (r,)
-        What trajectories reach in these rows; nan where it was not asked.
-    trajectory : Trajectory or None
-        Of a violation: initial state and inputs that are admissible, replayed; it ends at the
-        instant of the violation.
-    steps : int
-        Steps of the last tube.
-    seconds : float
-        Wall time.
-    reason : str
-        One sentence.
-    """
-
-    status: str
-    margin: float
-    bounds: Array
-    reached: Array
-    trajectory: Trajectory | None
-    steps: int
-    seconds: float
-    reason: str
-
-    def __bool__(self) -> bool:
-        return self.status == "proven"
 
 
 def verify(

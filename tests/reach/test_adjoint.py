@@ -1,15 +1,17 @@
 """Rows carried backwards: scales, carriers, remainders and the rounding that is booked for them."""
 
+from unittest import mock
+
 import numpy as np
 import pytest
-from hypothesis import given, reject, settings
+from hypothesis import HealthCheck, given, reject, settings
 from hypothesis import strategies as st
 from scipy import sparse
 from scipy.linalg import expm
 
 from reach import Interval, LinearSystem, Unresolved, Zonotope, support_tube
 from reach.adjoint import Adjoint
-from reach.exponentials import Action, exponential, flushed
+from reach.exponentials import Action, exponential, flushed, thin_exponential
 from reach.rows import Rows, balance
 from tests.reach import truth
 
@@ -41,10 +43,17 @@ def hidden_growth(draw):
     return np.linalg.inv(V) @ np.diag(values) @ V, V[0], rng
 
 
+@pytest.fixture(params=["as it comes", "as if large"])
+def size_of_sparse(request):
+    """Sparse systems as small ones are treated, and by the ways of large ones: action and thin maps."""
+    with mock.patch("reach.rows.DENSE", 0 if request.param == "as if large" else 300):
+        yield
+
+
 @pytest.mark.skipif(np.finfo(Exact).eps > 1e-18, reason="no extended precision here")
 @given(hidden_growth(), st.integers(1, 400), st.booleans())
-@settings(max_examples=60)
-def test_rounding_is_booked_where_it_grows(case, steps, keep_sparse):
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_rounding_is_booked_where_it_grows(size_of_sparse, case, steps, keep_sparse):
     A, d, rng = case
     x = rng.normal(size=len(A))
     system = LinearSystem(sparse.csr_matrix(A) if keep_sparse else A)
@@ -58,8 +67,8 @@ def test_rounding_is_booked_where_it_grows(case, steps, keep_sparse):
 
 @pytest.mark.skipif(np.finfo(Exact).eps > 1e-18, reason="no extended precision here")
 @given(truth.cases(), st.integers(1, 300), st.booleans())
-@settings(max_examples=60)
-def test_rounding_is_booked_for_systems_of_every_kind(case, steps, keep_sparse):
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_rounding_is_booked_for_systems_of_every_kind(size_of_sparse, case, steps, keep_sparse):
     system, X, rng = case
     x, A = X.support_vector(rng.normal(size=system.dim)), system.A
     D = np.vstack([np.eye(len(A)), rng.normal(size=(2, len(A)))])
@@ -118,6 +127,55 @@ def test_the_action_of_an_exponential_is_that_of_the_dense_one(seed, spread, cou
     t = 10.0**length / 50
     out = Action(A.T)(v, t / count, count)[-1]
     assert np.allclose(out, v @ expm(A.toarray() * t), rtol=0, atol=1e-12 * np.abs(v).max(axis=1)[:, None])
+
+
+@pytest.mark.parametrize("length", [0.01, 0.3, 2.0, 20.0])
+def test_thin_exponentials_are_those_of_scipy(length):
+    chain = sparse.diags([np.ones(199), -2 * np.ones(200), np.ones(199)], [-1, 0, 1])
+    A = sparse.bmat([[None, sparse.identity(200)], [chain, 0.1 * chain]], format="csr")
+    want = expm(A.toarray() * length)
+    half = thin_exponential(A, length / 2, Action(A))
+    found = [
+        thin_exponential(A, length, Action(A)),
+        None if half is None else thin_exponential(A, length, Action(A), half),
+    ]
+    assert length > 2 or found[0] is not None
+    for one in found:
+        if one is not None:
+            assert sparse.issparse(one) and one.nnz < A.shape[0] ** 2 * (0.2 if length < 1 else 1.1)
+            assert np.abs(one.toarray() - want).max() < 1e-13 * (1 + 4 * length)
+
+
+def test_an_exponential_that_is_full_is_left_to_its_action():
+    rng = np.random.default_rng(0)
+    A = sparse.random(700, 700, 0.01, random_state=0).tocsr() - sparse.diags(rng.uniform(1, 2, 700))
+    assert thin_exponential(A, 1.0, Action(A)) is None
+    assert thin_exponential(A, 1e9, Action(A)) is None
+
+
+@pytest.mark.parametrize("kind", ["waves", "full", "growing"])
+def test_large_sparse_systems_are_followed_as_dense_ones(kind):
+    rng, m = np.random.default_rng(1), 160
+    chain = sparse.diags([np.ones(m - 1), -2 * np.ones(m), np.ones(m - 1)], [-1, 0, 1])
+    if kind == "full":
+        A = sparse.random(2 * m, 2 * m, 0.02, random_state=1).tocsr() - 2 * sparse.identity(2 * m)
+    else:
+        A = sparse.bmat(
+            [
+                [None, sparse.identity(m)],
+                [30 * chain, (0.5 if kind == "growing" else -0.1) * sparse.identity(m)],
+            ]
+        )
+    B = sparse.csr_matrix(rng.normal(size=(2 * m, 2)))
+    U, X = Interval([-1, -1], [1, 2]), Interval(-np.ones(2 * m), np.ones(2 * m))
+    D = np.vstack([np.eye(2 * m)[3], rng.normal(size=2 * m)])
+    thin = support_tube(LinearSystem(A.tocsr(), B, U), X, 3.0, D, step=1 / 50)
+    dense = support_tube(LinearSystem(A.toarray(), B.toarray(), U), X, 3.0, D, step=1 / 50)
+    assert Rows(LinearSystem(A.tocsr())).action is not None
+    for name in ("upper", "attained", "interval"):
+        a, b = getattr(thin, name), getattr(dense, name)
+        assert np.all(np.abs(a - b) <= 1e-7 * np.abs(b).max(axis=0))  # as rounding is booked
+    assert np.all(thin.attained <= dense.upper) and np.all(dense.attained <= thin.upper)
 
 
 @given(truth.cases(), st.floats(0.01, 1))
