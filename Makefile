@@ -40,9 +40,10 @@ bench: $(BENCH) ## Run the benchmarks and print their tables
 	@for name in $(basename $(notdir $(wildcard benchmarks/*.py))) arch; do \
 	  echo "== $$name"; $(BIN)/python -m "benchmarks.$$name" || exit 1; done
 
-schema: $(BASE) ## Rewrite the scenario schema, its reference and the API page
+schema: $(BASE) ## Rewrite the generated pages: scenario schema and reference, interfaces, assurance
 	$(BIN)/python -m polaris.scenario_docs
 	$(BIN)/python -m polaris.api_docs
+	$(BIN)/python -m polaris.assurance_docs
 
 docs: $(DOCS) schema ## Build the documentation into build/docs
 	$(BIN)/mkdocs build --strict --site-dir build/docs

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from .error_bounds import ErrorBounds
     from .errors import NotCertified, PolarisError, ScenarioError, SynthesisInfeasible
     from .evaluation import Metrics, evaluate
+    from .falsification.case import replay, write_case
+    from .falsification.search import Failure, Falsification, falsify
     from .figures import plot_reference, plot_schedule
     from .hill import clohessy_wiltshire, elliptical_nmt, free_flight
     from .obstacle_base import Obstacle
@@ -37,6 +39,9 @@ if TYPE_CHECKING:
         PolytopeObstacle,
         SatelliteObstacle,
     )
+    from .orbit.environment import Environment
+    from .orbit.model_error import ModelError, model_error
+    from .orbit.truth import TrueFlights, fly_true
     from .planning.conditions import Goal
     from .planning.goals import Box, EllipticalNMT, LinearNMT, StationaryPoint
     from .planning.problem import Plan, PlannerOptions, Progress
@@ -80,6 +85,8 @@ _HOMES = {
         "Metrics",
         "evaluate",
     ),
+    ".falsification.case": ("replay", "write_case"),
+    ".falsification.search": ("Failure", "Falsification", "falsify"),
     ".figures": (
         "plot_reference",
         "plot_schedule",
@@ -98,6 +105,9 @@ _HOMES = {
         "PolytopeObstacle",
         "SatelliteObstacle",
     ),
+    ".orbit.environment": ("Environment",),
+    ".orbit.model_error": ("ModelError", "model_error"),
+    ".orbit.truth": ("TrueFlights", "fly_true"),
     ".planning.conditions": ("Goal",),
     ".planning.goals": (
         "Box",
@@ -164,7 +174,10 @@ __all__ = [
     "Controller",
     "EllipticalNMT",
     "EndCondition",
+    "Environment",
     "ErrorBounds",
+    "Failure",
+    "Falsification",
     "Feedback",
     "Flight",
     "Flights",
@@ -176,6 +189,7 @@ __all__ = [
     "LinearSystem",
     "Margin",
     "Metrics",
+    "ModelError",
     "NotCertified",
     "Obstacle",
     "Plan",
@@ -199,6 +213,7 @@ __all__ = [
     "SynthesisInfeasible",
     "TimedPolytope",
     "Tracking",
+    "TrueFlights",
     "Zonotope",
     "__version__",
     "bundled_scenarios",
@@ -206,14 +221,19 @@ __all__ = [
     "compare",
     "elliptical_nmt",
     "evaluate",
+    "falsify",
+    "fly_true",
     "free_flight",
     "get_safety",
     "load_scenario",
+    "model_error",
     "plot_reference",
     "plot_schedule",
     "read_run",
+    "replay",
     "simulate",
     "synthesize",
+    "write_case",
     "write_run",
 ]
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from .falsify.search import Falsification
+    from .falsification.search import Falsification
     from .orbit.model_error import ModelError
 
 REFUTED = 5
@@ -64,9 +64,9 @@ def add_commands(app: typer.Typer, guard: Guard) -> None:
     ) -> None:
         """Search for a run that breaks what a schedule claims; save it as a case."""
         with guard():
-            from .falsify.case import write_case
-            from .falsify.load import load_target
-            from .falsify.search import falsify
+            from .falsification.case import write_case
+            from .falsification.load import load_target
+            from .falsification.search import falsify
 
             scenario, schedule = load_target(target)
             found = falsify(schedule, runs, seed)
@@ -86,7 +86,7 @@ def add_commands(app: typer.Typer, guard: Guard) -> None:
     ) -> None:
         """Fly a saved case again and say what it violates and when."""
         with guard():
-            from .falsify.case import replay
+            from .falsification.case import replay
 
             failure, scenario = replay(case)
             if failure is None:

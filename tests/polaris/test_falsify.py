@@ -12,12 +12,12 @@ from polaris.clearance import error_tube
 from polaris.cli import app
 from polaris.disturbances import adjoint_worst_case
 from polaris.errors import ScenarioError
-from polaris.falsify.attacks import Attack, Attacker
-from polaris.falsify.case import digest, replay, write_case
-from polaris.falsify.claims import Claims
-from polaris.falsify.load import load_target
-from polaris.falsify.measure import EXACT_M, attained
-from polaris.falsify.search import falsify
+from polaris.falsification.attacks import Attack, Attacker
+from polaris.falsification.case import digest, replay, write_case
+from polaris.falsification.claims import Claims
+from polaris.falsification.load import load_target
+from polaris.falsification.measure import EXACT_M, attained
+from polaris.falsification.search import falsify
 from polaris.integration import Integrator
 from polaris.runfolder import write_run
 from polaris.scenario import load_scenario
