@@ -11,10 +11,13 @@ from typing import Any
 from .document import Document
 from .verdict import Record, Rejected
 
+NEEDED = ("scenario.toml", "schedule.json", "reference.csv", "gains.json")
+"""Files that a certificate is compared with."""
+
 
 def has_artefacts(document: Document, folder: Path) -> bool:
-    """Whether any of the named files lies beside the certificate."""
-    return any((folder / name).is_file() for name in document.artefacts)
+    """Whether any file of a run folder lies beside the certificate, named in it or not."""
+    return any((folder / name).is_file() for name in (*NEEDED, *document.artefacts))
 
 
 def check_artefacts(document: Document, folder: Path, record: Record) -> None:
@@ -32,8 +35,7 @@ def check_artefacts(document: Document, folder: Path, record: Record) -> None:
         found = hashlib.sha256((folder / name).read_bytes()).hexdigest()
         if found != known:
             raise Rejected("artefacts", f"{name} has the hash {found}, not {known}")
-    needed = ("scenario.toml", "schedule.json", "reference.csv", "gains.json")
-    for name in needed:
+    for name in NEEDED:
         if name not in document.artefacts:
             raise Rejected("artefacts", f"no hash of {name}")
     record.holds("artefacts", f"{len(document.artefacts)} files")
@@ -41,7 +43,7 @@ def check_artefacts(document: Document, folder: Path, record: Record) -> None:
         _check_schedule(document, json.loads((folder / "schedule.json").read_text(encoding="utf-8")))
         _check_reference(document, folder / "reference.csv")
         _check_gains(document, json.loads((folder / "gains.json").read_text(encoding="utf-8")))
-    except (KeyError, TypeError, ValueError, IndexError) as error:
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError, csv.Error) as error:
         raise Rejected("artefacts", f"cannot be read: {type(error).__name__}: {error}") from error
     record.holds("schedule", "modes, margins, reference and gains are those of the other files")
 
@@ -64,6 +66,13 @@ def _check_schedule(document: Document, stored: dict[str, Any]) -> None:
     for k, (margin, step) in enumerate(zip(document.margins, stored["steps"], strict=True)):
         given = float("-inf") if step["margin"] is None else step["margin"]
         _same("margins", f"margin of step {k}", margin, given)
+        _same("schedule", f"mode of step {k}", document.modes[k], step["mode"])
+        _same(
+            "schedule", f"controller of step {k}", document.laws[document.modes[k]].name, step["controller"]
+        )
+        for key, at in (("t_start_s", k), ("t_end_s", k + 1)):
+            if not abs(step[key] - at * document.delta) <= 1e-9 * at * document.delta:
+                raise Rejected("schedule", f"{key} of step {k} is {step[key]} in the run folder")
     _same("recoverable_sets", "kind of recoverable set", document.recoverable, stored["recoverable"])
     for key, value in (
         ("kind", document.guarantee),
@@ -78,6 +87,8 @@ def _check_reference(document: Document, path: Path) -> None:
         rows = list(csv.reader(file))[1:]
     n = len(document.A)
     for k, (row, state) in enumerate(zip(rows, document.states, strict=True)):
+        if not abs(float(row[0]) - k * document.delta) <= 1e-9 * k * document.delta:
+            raise Rejected("reference", f"step {k} starts at {row[0]} s in reference.csv")
         _same("reference", f"state at the start of step {k}", state, [float(x) for x in row[1 : 1 + n]])
     for k, (row, u) in enumerate(zip(rows, document.inputs, strict=False)):
         _same("reference", f"input in step {k}", u, [float(x) for x in row[1 + n :]])

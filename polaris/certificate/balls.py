@@ -93,6 +93,8 @@ def largest(values: Iterable[arb]) -> arb:
     best: arb | None = None
     for value in values:
         upper = value.upper()
+        if upper.is_nan():
+            return upper
         best = upper if best is None or upper > best else best
     return arb(0) if best is None else best
 

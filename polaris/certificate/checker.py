@@ -42,8 +42,8 @@ def verify(path: str | Path) -> Verdict:
     OSError
         If the file cannot be read.
     """
-    file = locate(path)
-    return _judge(lambda record: _check(read(file), file.parent, record))
+    file, whole = locate(path), Path(path).is_dir()
+    return _judge(lambda record: _check(read(file), file.parent, record, whole))
 
 
 def verify_document(data: dict[str, object], folder: Path | None = None) -> Verdict:
@@ -71,14 +71,17 @@ def _judge(check: Callable[[Record], list[str]]) -> Verdict:
     return Verdict(outcome, claim, witness, excess, tuple(record.checked), tuple(trusted), seconds)
 
 
-def _check(document: Document, folder: Path | None, record: Record) -> list[str]:
+def _check(document: Document, folder: Path | None, record: Record, whole: bool = False) -> list[str]:
     record.holds("digest", f"scenario {document.scenario}, {document.steps} steps of {document.delta:g} s")
     trusted = list(document.assumptions)
-    if folder is None or not has_artefacts(document, folder):
+    if folder is None or not (whole or has_artefacts(document, folder)):
         trusted.append("the certificate was made from the scenario it names: no other file lies beside it")
     else:
         check_artefacts(document, folder, record)
         check_inputs(document, folder, record)
+    own = [law.name for law in document.laws if law.states is not None]
+    if own:
+        trusted.append(f"the references of their own, of {', '.join(own)}, are those that are meant")
     Argument(document, record).run()
     trusted.append(
         f"python-flint {flint.__version__} (ball arithmetic, {PRECISION} bit), SHA-256, and this checker"

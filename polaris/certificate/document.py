@@ -17,6 +17,10 @@ VERSION = 1
 KINDS = ("safety", "affine", "saturated_affine", "any_thrust")
 """Kinds of controllers."""
 
+UNIT = 4e-9
+"""How far the square of a unit normal may be off 1."""
+MOST_NODES = 100_000
+"""Most periods in a step."""
 LARGEST = 256 * 2**20
 """Largest certificate that is read [bytes]."""
 
@@ -104,9 +108,13 @@ class Document:
         self.data = data
         if data.get("format") != FORMAT:
             raise Rejected("format", f"the field format is {data.get('format')!r}, not {FORMAT!r}")
-        if data.get("schema_version") != VERSION:
+        version = data.get("schema_version")
+        if isinstance(version, bool) or not isinstance(version, int) or version != VERSION:
             raise Undecided("format", f"schema_version {data.get('schema_version')!r} is not {VERSION}")
-        found = digest(data)
+        try:
+            found = digest(data)
+        except (ValueError, TypeError, RecursionError) as error:
+            raise Rejected("format", f"has no canonical text: {error}") from error
         if data.get("digest") != found:
             raise Rejected("digest", f"the certificate was changed: its digest is {found}")
         try:
@@ -117,6 +125,8 @@ class Document:
     def _decode(self, data: dict[str, Any]) -> None:
         system, sampling = data["system"], data["sampling"]
         self.steps, self.q = _whole(sampling["steps"], 1), _whole(sampling["nodes_per_step"], 1)
+        if self.q > MOST_NODES:
+            raise ValueError(f"more than {MOST_NODES} periods in a step")
         self.delta, self.sampled = (
             number(sampling["step"]),
             _one_of(sampling["kind"], ("continuous", "sampled")),
@@ -133,7 +143,9 @@ class Document:
             raise ValueError("limits must be positive, and positions have one to three axes")
         self.mass, eta = number(system["mass"]), system["mean_motion"]
         self.mean_motion = None if eta is None else number(eta)
-        self.input_names = [str(name) for name in system["input_names"]]
+        if not (self.mass > 0 and (self.mean_motion is None or self.mean_motion > 0)):
+            raise Rejected("system", "mass and mean motion must be positive")
+        self.input_names = [_name(name) for name in system["input_names"]]
         self.center = vector(data["initial_set"]["center"], n)
         self.generators = table(data["initial_set"]["generators"], None, n)
         reference = data["reference"]
@@ -181,7 +193,7 @@ class Document:
             raise Rejected(
                 "assumptions", "the certificate rests on other assumptions than those of its format"
             )
-        self.scenario = str(data["scenario"]["name"])
+        self.scenario = _name(data["scenario"]["name"])
         self.artefacts = {str(name): str(known) for name, known in data["artefacts"].items()}
 
 
@@ -198,12 +210,16 @@ def read(path: Path) -> Document:
     if path.stat().st_size > LARGEST:
         raise Undecided("format", f"larger than {LARGEST} bytes")
     try:
-        data = json.loads(path.read_bytes())
+        data = json.loads(path.read_bytes(), parse_constant=_no_constant)
     except (ValueError, RecursionError) as error:
         raise Rejected("format", f"not JSON: {error}") from error
     if not isinstance(data, dict):
         raise Rejected("format", "not a JSON object")
     return Document(data)
+
+
+def _no_constant(text: str) -> None:
+    raise ValueError(f"{text} is no number")
 
 
 # -- decoding ---------------------------------------------------------------------------------------
@@ -236,6 +252,13 @@ def table(rows: Any, height: int | None = None, width: int | None = None) -> lis
     return values
 
 
+def _name(value: Any) -> str:
+    """A name that is printed as it is: no line breaks, nothing that a terminal obeys."""
+    if not isinstance(value, str) or not value.isprintable() or len(value) > 200:
+        raise ValueError(f"{ascii(value)[:80]} is no name")
+    return value
+
+
 def _whole(value: Any, least: int) -> int:
     if isinstance(value, bool) or not isinstance(value, int) or value < least:
         raise ValueError(f"{value!r} is not a whole number of at least {least}")
@@ -255,17 +278,21 @@ def _unsafe(item: dict[str, Any], d: int, cells: int) -> UnsafeSet:
         raise ValueError("offsets must have two rows for every cell")
     first = [vector(pair[0], len(normals)) for pair in pairs]
     last = [vector(pair[1], len(normals)) for pair in pairs]
-    return UnsafeSet(str(item["name"]), item["keep_in"] is True, normals, first, last)
+    for normal in normals:
+        # Everything measures distances along normals, and slacks are relative to them.
+        if not abs(math.fsum(x * x for x in normal) - 1) <= UNIT:
+            raise Rejected("unsafe_sets", f"a normal of {item['name']!r} is no unit vector")
+    return UnsafeSet(_name(item["name"]), item["keep_in"] is True, normals, first, last)
 
 
 def _law(item: dict[str, Any], m: int, n: int, steps: int) -> Law:
     kind = _one_of(item["kind"], KINDS, plain=True)
     if kind == "any_thrust":
-        return Law(str(item["name"]), kind, None, None, None)
+        return Law(_name(item["name"]), kind, None, None, None)
     gain = table(item["gain"], m, n)
     if item.get("own_states") is None:
-        return Law(str(item["name"]), kind, gain, None, None)
+        return Law(_name(item["name"]), kind, gain, None, None)
     states, inputs = table(item["own_states"], None, n), table(item["own_inputs"], None, m)
     if min(len(states), len(inputs)) < steps:
         raise ValueError(f"the reference of {item['name']} must cover every step")
-    return Law(str(item["name"]), kind, gain, states, inputs)
+    return Law(_name(item["name"]), kind, gain, states, inputs)

@@ -53,7 +53,7 @@ def check_inputs(document: Document, folder: Path, record: Record) -> None:
         _need("recoverable_sets", "kind", document.recoverable, kind)
         _check_goal(document, scenario["goal"])
         record.holds("goal", f"the reference ends in the scenario's {scenario['goal']['kind']}")
-    except (KeyError, TypeError, ValueError, IndexError, ZeroDivisionError) as error:
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError, ZeroDivisionError) as error:
         raise Rejected(
             "artefacts", f"scenario.toml cannot be compared: {type(error).__name__}: {error}"
         ) from error
@@ -140,10 +140,16 @@ def _check_sampling(document: Document, scenario: dict[str, Any]) -> None:
     horizon, feedback = scenario["horizon"], scenario.get("feedback", {"kind": "continuous"})
     step = float(horizon["step_s"])
     _need("sampling", "step [s]", document.delta, step)
-    _need("sampling", "number of steps", document.steps, round(float(horizon["duration_s"]) / step))
+    _times("number of steps", document.steps, step, float(horizon["duration_s"]))
     _need("sampling", "sampled", document.sampled, feedback["kind"] == "sampled")
     if document.sampled:
-        _need("sampling", "periods per step", document.q, round(step / float(feedback["period_s"])))
+        _times("periods per step", document.q, float(feedback["period_s"]), step)
+
+
+def _times(what: str, count: int, part: float, whole: float) -> None:
+    """A whole is so many times its part."""
+    if not abs(count * part - whole) <= 1e-9 * whole:
+        raise Rejected("sampling", f"{what}: {count} times {part:g} s is not {whole:g} s")
 
 
 # -- controllers ------------------------------------------------------------------------------------

@@ -184,10 +184,10 @@ def resting_box(motion: Motion, memory: Memory) -> arb_mat:
 
 def _larger(a: arb_mat, b: arb_mat) -> arb_mat:
     pairs: Sequence[tuple[arb, arb]] = list(zip(a.entries(), b.entries(), strict=True))
-    return arb_mat(a.nrows(), a.ncols(), [x if x > y else y for x, y in pairs])
+    return arb_mat(a.nrows(), a.ncols(), [x if x.is_nan() or x > y else y for x, y in pairs])
 
 
 def _most(a: arb, b: arb) -> arb:
     """The larger of two, as an upper bound."""
     a, b = a.upper(), b.upper()
-    return a if a > b else b
+    return a if a.is_nan() or a > b else b

@@ -18,6 +18,9 @@ from .verdict import Rejected
 SLACK = 1e-9
 """Rounding of unit normals and offsets, relative to the numbers they are made from."""
 
+SLOPE = 1e-6
+"""Least sine of the angle of a cone, and of the angle between two of its facets."""
+
 MOST_PARTS = 256
 """Most parts into which a step is divided to follow another satellite."""
 
@@ -75,9 +78,8 @@ def _check_obstacle(document: Document, item: UnsafeSet, spec: dict[str, Any]) -
         elif kind == "ball":
             extent = _length(n) * float(spec["radius_m"])
         else:
-            extent = _row_support(
-                document, normal, spec["normals"][f], float(spec["offsets_m"][f]), item.name
-            )
+            offset = float(spec["offsets_m"][f])
+            extent = sum(_row_support(document, normal, spec["normals"][f], offset, item.name), arb(0))
         base = sum((x * c for x, c in zip(n, anchor, strict=True)), extent)
         rate = sum((x * c for x, c in zip(n, v, strict=True)), arb(0))
         for cell in range(document.cells):
@@ -101,18 +103,19 @@ def _length(n: list[arb]) -> arb:
     return sum((x * x for x in n), arb(0)).sqrt()
 
 
-def _row_support(document: Document, normal: list[float], row: Any, offset: float, name: str) -> arb:
-    """Support of a halfspace in the direction of its own normal as stored.
+def _row_support(
+    document: Document, normal: list[float], row: Any, offset: float, name: str
+) -> tuple[arb, arb]:
+    """Support of a halfspace along its own normal, and by how much rounding of the stored one moves it.
 
-    The stored normal is rounded; over the positions that matter (ten times as far as anything in the
-    certificate) that moves the facet by no more than is added here.
+    The latter over the positions that matter: ten times as far as anything in the certificate.
     """
     given = [arb(float(x)) for x in row]
     length = _length(given)
     off = sum((abs(n - x / length) for n, x in zip(normal, given, strict=True)), arb(0))
     require("unsafe_sets", SLACK - off, f"a normal of {name} is turned")
     reach = 10 * max(abs(x) for state in (*document.states, *document.lower, *document.upper) for x in state)
-    return offset / length + off * reach
+    return offset / length, off * reach
 
 
 # -- keep-in sets -----------------------------------------------------------------------------------
@@ -127,8 +130,10 @@ def _check_keep_in(document: Document, facets: list[UnsafeSet], spec: dict[str, 
         if len(facets) != len(spec["normals"]):
             raise Rejected("unsafe_sets", f"{name} has {len(facets)} facets, not {len(spec['normals'])}")
         for f, (row, offset) in enumerate(zip(rows, offsets, strict=True)):
-            most = _row_support(document, row, spec["normals"][f], float(spec["offsets_m"][f]), name)
-            require("unsafe_sets", most - offset + abs(most) * SLACK, f"{name}, facet {f}, is too far out")
+            given = float(spec["offsets_m"][f])
+            most, moved = _row_support(document, row, spec["normals"][f], given, name)
+            spare = most - moved - offset + abs(most) * SLACK
+            require("unsafe_sets", spare, f"{name}, facet {f}, is too far out")
         return
     d = len(document.C)
     sides = (2 if d == 2 else int(spec.get("facets", 12))) + (spec.get("length_m") is not None)
@@ -140,7 +145,8 @@ def _check_keep_in(document: Document, facets: list[UnsafeSet], spec: dict[str, 
 def _check_cone(rows: list[list[float]], offsets: list[float], spec: dict[str, Any]) -> None:
     """Edges of the polyhedral cone lie on or inside the circular one, and its facets pass its apex.
 
-    A polyhedral cone is spanned by its edges, and the circular cone is convex.
+    A pointed polyhedral cone is spanned by its edges, and the circular cone is convex. In order about
+    the axis, once around, each facet meets the next in an edge.
     """
     name, axis = spec["name"], [arb(float(x)) for x in spec["axis"]]
     length = _length(axis)
@@ -160,8 +166,8 @@ def _check_cone(rows: list[list[float]], offsets: list[float], spec: dict[str, A
         at = sum((arb(a) * b for a, b in zip(row, apex, strict=True)), arb(0))
         require("unsafe_sets", at - offset + size * SLACK, f"{name}, facet {f}, is beyond the apex")
     slope = (arb(float(spec["half_angle_deg"])) * arb.pi() / 180).cos()
-    for f in range(len(rows)):
-        edge = _edge(rows, f)
+    edges = _edges(rows, axis, name)
+    for f, edge in enumerate(edges):
         forward = sum((a * b for a, b in zip(edge, axis, strict=True)), arb(0)) / _length(edge)
         require(
             "unsafe_sets",
@@ -173,16 +179,31 @@ def _check_cone(rows: list[list[float]], offsets: list[float], spec: dict[str, A
             require("unsafe_sets", SLACK - beyond, f"facets {f} and {other} of {name} are out of order")
 
 
-def _edge(rows: list[list[float]], f: int) -> list[arb]:
-    """Direction of the edge between one facet and the next, pointing away from the apex."""
-    a, b = [arb(x) for x in rows[f]], [arb(x) for x in rows[(f + 1) % len(rows)]]
-    if len(a) == 2:
-        edge, inward = [-a[1], a[0]], b
-    else:
+def _edges(rows: list[list[float]], axis: list[arb], name: str) -> list[list[arb]]:
+    """Directions of the edges between one facet and the next, pointing away from the apex."""
+    balls = [[arb(x) for x in row] for row in rows]
+    for f, row in enumerate(balls):
+        closing = -sum((a * b for a, b in zip(row, axis, strict=True)), arb(0))
+        require("unsafe_sets", closing - SLOPE, f"facet {f} of {name} does not close around the axis")
+    if len(axis) == 2:
+        turn = balls[0][0] * balls[1][1] - balls[0][1] * balls[1][0]
+        require("unsafe_sets", abs(turn) - SLOPE, f"the facets of {name} are parallel")
+        pairs = ((balls[0], balls[1]), (balls[1], balls[0]))
+        edges = [([-a[1], a[0]], b) for a, b in pairs]
+        return [[-x for x in e] if e[0] * b[0] + e[1] * b[1] > 0 else e for e, b in edges]
+    angle, edges3 = arb(0), []
+    for a, b in zip(balls, [*balls[1:], balls[0]], strict=True):
         edge = [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-        inward = [arb(x) for x in rows[(f + 2) % len(rows)]]
-    side = sum((x * y for x, y in zip(edge, inward, strict=True)), arb(0))
-    return [-x for x in edge] if side > 0 else edge
+        forward = sum((x * y for x, y in zip(edge, axis, strict=True)), arb(0))
+        along = [sum((x * y for x, y in zip(v, axis, strict=True)), arb(0)) for v in (a, b)]
+        level = sum((x * y for x, y in zip(a, b, strict=True)), arb(0)) - along[0] * along[1]
+        angle += arb.atan2(forward, level)
+        edges3.append((edge, forward))
+    sign = 1 if edges3[0][1] > 0 else -1
+    for f, (_, forward) in enumerate(edges3):
+        require("unsafe_sets", sign * forward - SLOPE**2, f"facets of {name} are out of order at {f}")
+    require("unsafe_sets", 3 * arb.pi() - abs(angle), f"the facets of {name} go around more than once")
+    return [[sign * x for x in edge] for edge, _ in edges3]
 
 
 # -- another satellite ------------------------------------------------------------------------------
@@ -202,7 +223,7 @@ class _Satellite:
         self.rows = matrix(item.normals) * matrix(document.C)
         self.state = column([float(x) for x in spec["state"]])
         self.half = column([float(x) for x in spec["state_half_widths"]])
-        self.radius = float(spec["radius_m"])
+        self.radius = [_length([arb(x) for x in n]) * float(spec["radius_m"]) for n in item.normals]
         self.accel = arb(float(spec.get("thrust_accel_max_m_s2", 0.0))) + document.w_max
 
     def check(self) -> None:
@@ -233,7 +254,9 @@ class _Satellite:
         for part in range(parts + 1):
             spread = (absolute(carried) * self.half).entries()
             middle = (carried * self.state).entries()
-            values.append([a + b + g + self.radius for a, b, g in zip(middle, spread, gained, strict=True)])
+            values.append(
+                [a + b + g + r for a, b, g, r in zip(middle, spread, gained, self.radius, strict=True)]
+            )
             if part == parts:
                 break
             second, following = carried * over, carried * small

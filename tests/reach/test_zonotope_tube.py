@@ -6,7 +6,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import sparse
 
-from reach import Ellipsoid, Interval, LinearSystem, ReachError, Zonotope, support_tube, zonotope_tube
+from reach import (
+    Ellipsoid,
+    HPolytope,
+    Interval,
+    LinearSystem,
+    ReachError,
+    Zonotope,
+    support_tube,
+    zonotope_tube,
+)
 from tests.reach import truth
 
 BOX = Interval([-1.0, -1.0], [1.0, 1.0])
@@ -168,3 +177,16 @@ def test_bad_arguments_get_one_clear_error(name):
     arguments = {"system": OSCILLATOR, "initial": BOX, "horizon": 1.0} | changed
     with pytest.raises(ReachError, match=message):
         zonotope_tube(**arguments)
+
+
+def test_a_tolerance_per_axis_with_inputs_that_are_not_symmetric():
+    triangle = HPolytope([[-1.0, 0.0], [0.0, -1.0], [1.0, 1.0]], [0.0, 0.0, 1.0])
+    system = LinearSystem([[0.0, 1.0], [-1.0, -0.1]], np.eye(2), triangle)
+    tolerance = np.array([0.01, 0.2])
+    tube = zonotope_tube(system, Interval([0.0, 0.0], [0.1, 0.1]), 3.0, tolerance=tolerance)
+    rows = np.vstack([np.eye(2), -np.eye(2)])
+    exact = support_tube(system, Interval([0.0, 0.0], [0.1, 0.1]), 3.0, rows, tolerance=1e-4)
+    excess = tube.nodes[-1].support(rows) - exact.upper[-1]
+    assert np.all(excess >= -1e-4) and np.all(excess <= np.tile(tolerance, 2) + 1e-4)
+    with pytest.raises(ReachError, match="tolerance"):
+        zonotope_tube(system, Interval([0.0, 0.0], [0.1, 0.1]), 3.0, tolerance=[0.1, 0.1, 0.1])
