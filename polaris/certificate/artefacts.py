@@ -68,7 +68,10 @@ def _check_schedule(document: Document, stored: dict[str, Any]) -> None:
         _same("margins", f"margin of step {k}", margin, given)
         _same("schedule", f"mode of step {k}", document.modes[k], step["mode"])
         _same(
-            "schedule", f"controller of step {k}", document.laws[document.modes[k]].name, step["controller"]
+            "controllers",
+            f"controller of step {k}",
+            document.laws[document.modes[k]].name,
+            step["controller"],
         )
         for key, at in (("t_start_s", k), ("t_end_s", k + 1)):
             if not abs(step[key] - at * document.delta) <= 1e-9 * at * document.delta:

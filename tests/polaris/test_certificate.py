@@ -244,4 +244,5 @@ def test_a_module_of_the_checker_imports_its_own_kind_only(module):
 def test_write_certificate_reads_back(tmp_path):
     scenario, schedule = synthesised()
     write_certificate(tmp_path, schedule, scenario.name, ())
-    assert verify(tmp_path).outcome == "VERIFIED"
+    assert verify(tmp_path / "certificate.json").outcome == "VERIFIED"
+    assert verify(tmp_path).claim == "artefacts", "a run folder is never taken for a certificate alone"
