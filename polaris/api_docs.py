@@ -113,7 +113,7 @@ REACH_GROUPS = {
         "Visit",
     ),
     "Closed loops and exponentials": ("LinearFlow", "state_scale", "discretize", "growth", "powers"),
-    "Errors": ("ReachError",),
+    "Errors": ("ReachError", "Unresolved"),
 }
 """Every public name of `reach`, in the order of the page."""
 

@@ -47,7 +47,9 @@ def flight_of(schedule, tail=False, substeps=1):
 # -- where the claim holds --------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", BUNDLED)
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=[pytest.mark.slow] * (n in ("hold_point", "robot"))) for n in BUNDLED]
+)
 def test_nothing_breaks_a_proven_schedule(name):
     found = falsify(synthesised(name)[1], 250, seed=1)
     assert found.failure is None and found.runs == 250

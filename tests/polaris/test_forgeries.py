@@ -95,7 +95,7 @@ def test_step_tables_that_say_something_else_are_refused(forge):
         other = copy.deepcopy(stored)
         other["steps"][0].update(change)
         (folder / "schedule.json").write_text(json.dumps(other))
-        assert finish().claim in ("schedule", "artefacts")
+        assert finish().claim in ("schedule", "controllers")
 
 
 def test_times_of_the_reference_are_compared(forge):
