@@ -80,6 +80,9 @@ class Rows:
         self.action = Action(self.A.T) if large else None
         self.action = None if self.discrete else self.action
         self.work = self.norm * (CANCELLED if self.action else 1.0)
+        sums = np.asarray(abs(A).sum(axis=1)).ravel() + A.diagonal() - np.abs(A.diagonal())
+        # The logarithmic norm of largest entries, up to rounding.
+        self.contracts = not system.discrete and float(np.max(sums, initial=0.0)) <= 1e-12 * self.norm
         self._maps: dict[float, Any] = {}
         self._closings: dict[float, Any] = {}
 
@@ -164,6 +167,8 @@ class Rows:
         Less the growth at the rate over the longest of them: what grows all alike at one rate has no
         preferred direction, and `amplification` counts the rate.
         """
+        if not lags and self.contracts:  # the largest of all states bounds each of them ever after
+            return np.broadcast_to(sizes.max(axis=0), sizes.shape).copy()
         with np.errstate(over="ignore", invalid="ignore"):
             grown = np.array([sizes, *(np.asarray(abs(self.map(t)) @ sizes) for t in lags)])
             first, last = (np.maximum(g.max(axis=0), 1e-300) for g in (sizes, grown[-1]))
@@ -213,10 +218,8 @@ class Rows:
         direction that grows is met by random signs almost surely; the factor of 10 stands for what
         they see of it less than fully.
         """
-        diagonal = self.A.diagonal()
-        sums = np.asarray(abs(self.A).sum(axis=1)).ravel() - np.abs(diagonal) + diagonal
-        if not self.discrete and sums.max() * horizon <= 1:  # the logarithmic norm
-            return np.full(weights.shape[1], np.exp(max(float(sums.max()) * horizon, 0.0)))
+        if self.contracts:
+            return np.full(weights.shape[1], 2.0)
         signs = np.random.default_rng(0).choice([-1.0, 1.0], weights.shape)
         start = (weights * signs).T
         with np.errstate(over="ignore", invalid="ignore"):

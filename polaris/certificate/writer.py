@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from reach.linear import growth
 
@@ -22,13 +21,13 @@ from ..unsafe import TimedPolytope
 from .document import FORMAT, VERSION, assumptions, canonical, digest
 
 
-def hexadecimal(values: ArrayLike) -> Any:
+def hexadecimal(values: Any) -> Any:
     """The same nested lists, floats as exact hexadecimal text."""
     if isinstance(values, list):
         return [hexadecimal(item) for item in values]
     if isinstance(values, (np.ndarray, tuple)):
         return hexadecimal(np.asarray(values, dtype=float).tolist())
-    return float(values).hex()  # type: ignore[arg-type]
+    return float(values).hex()
 
 
 def file_hash(path: Path) -> str:
