@@ -1,0 +1,39 @@
+"""Braking before a boundary: the speed from which a spacecraft can still stop (eqs. 27 to 30, 35, 36)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..system import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Braking:
+    """Approach speed ``s(delta)`` that may be held at the distance delta from a boundary.
+
+    The paper's ``sqrt(2 a delta)`` has no slope at the boundary and no value behind it (theory, item 14).
+    Here ``s(delta) = k delta`` below the depth d of a layer and ``sqrt(2 a (delta - d / 2))`` above it,
+    with ``k = sqrt(a / d)``: value and slope are continuous, ``s(0) = 0``, and s never exceeds the paper's,
+    so whatever respects it respects eq. 27. Braking in the layer needs ``k^2 delta <= a`` only.
+
+    Parameters
+    ----------
+    acceleration : array_like
+        a [m/s^2], > 0; broadcasts against delta.
+    depth : float
+        d [m], > 0.
+    """
+
+    acceleration: Array
+    depth: float
+
+    def __call__(self, delta: ArrayLike) -> tuple[Array, Array]:
+        """Speed [m/s] and its slope [1/s] at a signed distance [m]."""
+        delta = np.asarray(delta)
+        a, d = self.acceleration, self.depth
+        k = np.sqrt(a / d)
+        root = np.sqrt(2 * a * np.maximum(delta - d / 2, d / 2))
+        return np.where(delta > d, root, k * delta), np.minimum(a / root, k)

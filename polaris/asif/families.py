@@ -1,0 +1,172 @@
+"""All control-invariant constraints of an inspection problem at once, as rows for the filters.
+
+Row by row ``G (u_i - u_j) >= bound`` is the barrier condition BC >= 0 of eq. 7, with u_j absent where a row
+concerns one deputy only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..errors import ScenarioError
+from ..hill import free_flight
+from ..system import Array
+from .barriers import Barrier, Radial, Speed, SunCone, Velocity, dot
+from .braking import Braking
+from .closest import ClosestApproach
+from .inspection import Inspection
+from .passive import Passive
+from .strengthening import FAMILIES, PRESETS, Strengthening, evaluate
+
+Index = NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Barrier conditions at some states; the leading axes are runs.
+
+    Attributes
+    ----------
+    h : ndarray, shape (..., M)
+        Values of the constraints.
+    G : ndarray, shape (..., M, 3)
+        Change of h per newton of thrust.
+    bound : ndarray, shape (..., M)
+        ``-L_f h - alpha(h)``, least value of ``G (u_i - u_j)``.
+    """
+
+    h: Array
+    G: Array
+    bound: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Group:
+    """Constraints of one formula: a barrier with a parameter per row, and whom each row concerns."""
+
+    barrier: Barrier
+    family: list[str]
+    place: Index  # into the stack of deputies and pairs
+
+
+class Families:
+    """The constraints h1 to h11 of all deputies and pairs, in one fixed order of rows.
+
+    Parameters
+    ----------
+    inspection : Inspection
+    strengthening : str or mapping from family to Strengthening
+        A preset's name, or one function for each of `FAMILIES`.
+    without : collection of str
+        Families left out.
+
+    Attributes
+    ----------
+    family : tuple of str, length M
+        Family of each row.
+    first, second : ndarray of int, shape (M,)
+        The deputies a row concerns; second is -1 where there is one only.
+    """
+
+    def __init__(
+        self,
+        inspection: Inspection,
+        strengthening: str | Mapping[str, Strengthening] = "afrl",
+        without: Collection[str] = (),
+    ) -> None:
+        self.inspection = inspection
+        self.alpha = _checked(strengthening)
+        for name in without:
+            if name not in FAMILIES:
+                raise ScenarioError("without", name, f"must be one of {', '.join(FAMILIES)}")
+        self._groups = [group for group in self._all_groups(frozenset(without)) if len(group.place)]
+        place = np.concatenate([group.place for group in self._groups])
+        self.family = tuple(name for group in self._groups for name in group.family)
+        N, pairs = inspection.deputies, inspection.pairs
+        who = np.concatenate([np.stack([np.arange(N), np.full(N, -1)], axis=1), pairs])[place]
+        self.first, self.second = who[:, 0], who[:, 1]
+        self._alpha = tuple(np.array([self.alpha[name].numbers for name in self.family]).T)
+
+    def _all_groups(self, without: frozenset[str]) -> list[_Group]:
+        """Stack what shares a formula."""
+        q = self.inspection
+        alone = np.arange(q.deputies)
+        pairs = q.deputies + np.arange(len(q.pairs))
+
+        def stack(*members: tuple[str, Index, float, float, float]) -> tuple[list[str], Index, Array, Array, Array]:
+            kept = [m for m in members if m[0] not in without]
+            names = [m[0] for m in kept for _ in m[1]]
+            values = (np.concatenate([np.full(len(m[1]), m[k]) for m in kept] or [[]]) for k in (2, 3, 4))
+            place = np.concatenate([m[1] for m in kept] or [alone[:0]])
+            return names, place, *values
+
+        apart = 2 * q.deputy_radius
+        names, place, radius, a, side = stack(
+            ("chief_separation", alone, q.separation, q.a_max, 1.0),
+            ("deputy_separation", pairs, apart, 2 * q.a_max, 1.0),
+            ("keep_in", alone, q.distance_max, q.a_max, -1.0),
+        )
+        groups = [_Group(Radial("radial", radius, Braking(a, q.smoothing), side), names, place)]
+        names, place, _, a, side = stack(
+            ("sun", alone, 0.0, q.a_max, 1.0),
+            ("deputy_sun", pairs, 0.0, q.a_max, 1.0),
+            ("deputy_sun", pairs, 0.0, q.a_max, -1.0),
+        )
+        cone = SunCone("cone", q.field_of_view / 2, q.mean_motion, Braking(a, q.smoothing), side)
+        groups.append(_Group(cone, names, place))
+        names, place, radius, _, _ = stack(
+            ("passive", alone, q.separation, 0.0, 0.0), ("deputy_passive", pairs, apart, 0.0, 0.0)
+        )
+        approach = ClosestApproach(q.mean_motion, q.passive_time)
+        groups.append(_Group(Passive("passive", radius, approach, self._beyond(approach)), names, place))
+        single = [("speed", Speed("speed", q.docking_speed, q.nu_1))]
+        single += [("velocity", Velocity("velocity", axis, q.speed_max)) for axis in range(3)]
+        for name, barrier in single:
+            if name not in without:
+                groups.append(_Group(barrier, [name] * q.deputies, alone))
+        return groups
+
+    def _beyond(self, approach: ClosestApproach) -> float:
+        """From which value on a passive constraint allows every input: it then need not be exact."""
+        q = self.inspection
+        reach = np.linalg.norm(free_flight(q.mean_motion, approach.times)[:, :3, 3:], 2, axis=(1, 2)).max()
+        thrust = 1.05 * float(reach) * 2 * np.sqrt(3) * q.thrust_max / q.mass
+        drift = 2 * q.distance_max * approach.speed_gain[0] + 2 * np.sqrt(3) * q.speed_max * approach.speed_gain[1]
+        return max(self.alpha[name].reaches(thrust + 2 * drift) for name in ("passive", "deputy_passive"))
+
+    def stack(self, x: Array) -> Array:
+        """States of the deputies, then of each pair relative to each other, shape (..., N + P, 6)."""
+        pairs = self.inspection.pairs
+        return np.concatenate([x, x[..., pairs[:, 0], :] - x[..., pairs[:, 1], :]], axis=-2)
+
+    def __call__(self, x: Array, sun: ArrayLike) -> Rows:
+        """Barrier conditions at states of shape (..., N, 6) and sun angles of shape (...) [rad]."""
+        q = self.inspection
+        every = self.stack(x)
+        drift = every @ q.A.T
+        sun = np.asarray(sun)[..., None]
+        h, G, rate = [], [], []
+        for group in self._groups:
+            z, moved = every[..., group.place, :], drift[..., group.place, :]
+            value, gradient, change = group.barrier(z, sun)
+            h.append(value)
+            G.append(gradient[..., 3:] / q.mass)
+            rate.append(dot(gradient, moved) + change)
+        values = np.concatenate(h, axis=-1)
+        bound = -np.concatenate(rate, axis=-1) - evaluate(values, *self._alpha)
+        return Rows(values, np.concatenate(G, axis=-2), bound)
+
+
+def _checked(strengthening: str | Mapping[str, Strengthening]) -> dict[str, Strengthening]:
+    if isinstance(strengthening, str):
+        if strengthening not in PRESETS:
+            raise ScenarioError("strengthening", strengthening, f"must be one of {', '.join(PRESETS)}")
+        return dict(PRESETS[strengthening])
+    missing = [name for name in FAMILIES if name not in strengthening]
+    if missing:
+        raise ScenarioError("strengthening", sorted(strengthening), f"{missing[0]} is missing")
+    return {name: strengthening[name] for name in FAMILIES}
