@@ -163,9 +163,10 @@ class SunCone:
     braking: Braking
     side: ArrayLike = 1.0
 
-    def distance(self, z: Array, sun: ArrayLike) -> Array:
-        """Signed distance delta [m] from the cone, shape (...)."""
-        return self._geometry(z[..., :3], sun)[0]
+    def approach(self, z: Array, sun: ArrayLike) -> tuple[Array, Array, Array]:
+        """Signed distance [m], its rate [m/s] and the distance from the axis [m], each of shape (...)."""
+        delta, normal, _, radius = self._geometry(z[..., :3], sun)
+        return delta, dot(normal, z[..., 3:] - _turn(z[..., :3], self.mean_motion)), radius
 
     def _geometry(self, p: Array, sun: ArrayLike) -> tuple[Array, Array, Array, Array]:
         """Signed distance, its gradient (the normal), the axis and the distance from it."""
@@ -193,7 +194,9 @@ class SunCone:
         straight = np.where(far, dot(outward, across), 0.0)[..., None] * outward
         bend = np.cos(self.half_angle) / np.maximum(radius, CENTRE)
         gradient = np.empty(p.shape[:-1] + (6,))
-        gradient[..., :3] = slope[..., None] * normal + bend[..., None] * (across - straight) + _turn(normal, n)
+        gradient[..., :3] = (
+            slope[..., None] * normal + bend[..., None] * (across - straight) + _turn(normal, n)
+        )
         gradient[..., 3:] = normal
         change = -dot(gradient[..., :3], _turn(p, n)) - dot(normal, _turn(v, n))
         return Evaluation(speed + rate, gradient, change)

@@ -37,3 +37,9 @@ class Braking:
         k = np.sqrt(a / d)
         root = np.sqrt(2 * a * np.maximum(delta - d / 2, d / 2))
         return np.where(delta > d, root, k * delta), np.minimum(a / root, k)
+
+    def bend(self, delta: ArrayLike) -> Array:
+        """Bound on ``-s''`` [1/(m s)] at all distances of at least delta."""
+        a, d = self.acceleration, self.depth
+        root = np.sqrt(2 * a * np.maximum(np.asarray(delta) - d / 2, d / 2))
+        return np.asarray(a**2 / root**3)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..hill import free_flight
+from ..hill import cw_matrix, free_flight
 from ..system import Array
 from .barriers import dot
 
@@ -79,11 +79,15 @@ class ClosestApproach:
         transitions = free_flight(mean_motion, self.times)
         self.positions = np.ascontiguousarray(transitions[:, :3].reshape(-1, 6).T)
         self.velocities = np.ascontiguousarray(transitions[:, 3:].reshape(-1, 6).T)
-        # Speed of a flight <= gain_p norm(p) + gain_v norm(v). Both norms change by less than 4 n times
+        # Speed of a flight <= gain_p norm(p) + gain_v norm(v), acceleration alike. The norms change by less than 4 n times
         # their unit per second, and no time is further than half a segment from one looked at.
         slack = 4 * mean_motion * SEGMENT
-        gains = (np.linalg.norm(transitions[:, 3:, part], 2, axis=(1, 2)).max() for part in (np.s_[:3], np.s_[3:]))
-        self.speed_gain = (float(next(gains)) + slack * mean_motion, float(next(gains)) + slack)
+        g_p, g_v = _norms(transitions[:, 3:])
+        self.speed_gain = (g_p + slack * mean_motion, g_v + slack)
+        g_p, g_v = _norms(cw_matrix(mean_motion)[3:] @ transitions)
+        self.acceleration_gain = (g_p + slack * mean_motion**2, g_v + slack * mean_motion)
+        self.place_maps = transitions[:, :3]
+        self.place_gain = _norms(self.place_maps)
 
     def __call__(self, z: Array, beyond: float = np.inf) -> Approach:
         """Find the closest approach of every flight.
@@ -100,7 +104,9 @@ class ClosestApproach:
             found = [self._block(flat, beyond)]
         else:
             found = [self._block(flat[k : k + BLOCK], beyond) for k in range(0, len(flat), BLOCK)]
-        distance, when, place = (np.concatenate(part) if len(found) > 1 else part[0] for part in zip(*found, strict=True))
+        distance, when, place = (
+            np.concatenate(part) if len(found) > 1 else part[0] for part in zip(*found, strict=True)
+        )
         shape = z.shape[:-1]
         return Approach(distance.reshape(shape), when.reshape(shape), place.reshape(*shape, 3))
 
@@ -151,3 +157,10 @@ class ClosestApproach:
             target = chosen[row[k]]
             if distance[k] < found.distance[target]:
                 found.distance[target], found.when[target], found.place[target] = distance[k], at[k], place[k]
+
+
+def _norms(maps: Array) -> tuple[float, float]:
+    """Largest 2-norms of the halves of maps of shape (S, 3, 6): per metre, and per metre per second."""
+    parts = (maps[..., :3], maps[..., 3:])
+    position, velocity = (float(np.linalg.norm(part, 2, axis=(1, 2)).max()) for part in parts)
+    return position, velocity

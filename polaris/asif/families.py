@@ -20,6 +20,7 @@ from .braking import Braking
 from .closest import ClosestApproach
 from .inspection import Inspection
 from .passive import Passive
+from .sampled import Motion, PassiveSegments, SampledData, SpeedInSquares, curvature
 from .strengthening import FAMILIES, PRESETS, Strengthening, evaluate
 
 Index = NDArray[np.intp]
@@ -51,6 +52,7 @@ class _Group:
     barrier: Barrier
     family: list[str]
     place: Index  # into the stack of deputies and pairs
+    repeat: int = 1  # rows per place
 
 
 class Families:
@@ -63,6 +65,8 @@ class Families:
         A preset's name, or one function for each of `FAMILIES`.
     without : collection of str
         Families left out.
+    sampled : SampledData, optional
+        Tighten the conditions so that they hold between samples.
 
     Attributes
     ----------
@@ -70,6 +74,8 @@ class Families:
         Family of each row.
     first, second : ndarray of int, shape (M,)
         The deputies a row concerns; second is -1 where there is one only.
+    labels : tuple of str, length M
+        Names of the rows: ``h1[2]``, ``h2[0,3]``; ``h5+`` and ``h5-`` are the two cones of a pair.
     """
 
     def __init__(
@@ -77,18 +83,21 @@ class Families:
         inspection: Inspection,
         strengthening: str | Mapping[str, Strengthening] = "afrl",
         without: Collection[str] = (),
+        sampled: SampledData | None = None,
     ) -> None:
+        self.sampled = sampled
         self.inspection = inspection
         self.alpha = _checked(strengthening)
         for name in without:
             if name not in FAMILIES:
                 raise ScenarioError("without", name, f"must be one of {', '.join(FAMILIES)}")
         self._groups = [group for group in self._all_groups(frozenset(without)) if len(group.place)]
-        place = np.concatenate([group.place for group in self._groups])
-        self.family = tuple(name for group in self._groups for name in group.family)
+        place = np.concatenate([np.repeat(group.place, group.repeat) for group in self._groups])
+        self.family = tuple(name for g in self._groups for name in g.family for _ in range(g.repeat))
         N, pairs = inspection.deputies, inspection.pairs
         who = np.concatenate([np.stack([np.arange(N), np.full(N, -1)], axis=1), pairs])[place]
         self.first, self.second = who[:, 0], who[:, 1]
+        self.labels = tuple(map(_label, self.family, self.first, self.second, self._variants()))
         self._alpha = tuple(np.array([self.alpha[name].numbers for name in self.family]).T)
 
     def _all_groups(self, without: frozenset[str]) -> list[_Group]:
@@ -97,7 +106,9 @@ class Families:
         alone = np.arange(q.deputies)
         pairs = q.deputies + np.arange(len(q.pairs))
 
-        def stack(*members: tuple[str, Index, float, float, float]) -> tuple[list[str], Index, Array, Array, Array]:
+        def stack(
+            *members: tuple[str, Index, float, float, float],
+        ) -> tuple[list[str], Index, Array, Array, Array]:
             kept = [m for m in members if m[0] not in without]
             names = [m[0] for m in kept for _ in m[1]]
             values = (np.concatenate([np.full(len(m[1]), m[k]) for m in kept] or [[]]) for k in (2, 3, 4))
@@ -122,8 +133,14 @@ class Families:
             ("passive", alone, q.separation, 0.0, 0.0), ("deputy_passive", pairs, apart, 0.0, 0.0)
         )
         approach = ClosestApproach(q.mean_motion, q.passive_time)
-        groups.append(_Group(Passive("passive", radius, approach, self._beyond(approach)), names, place))
-        single = [("speed", Speed("speed", q.docking_speed, q.nu_1))]
+        speed: Barrier = Speed("speed", q.docking_speed, q.nu_1)
+        if self.sampled is None:
+            groups.append(_Group(Passive("passive", radius, approach, self._beyond(approach)), names, place))
+        else:
+            segments = PassiveSegments("passive", radius, approach)
+            groups.append(_Group(segments, names, place, segments.rows))
+            speed = SpeedInSquares("speed", q.docking_speed, q.nu_1)
+        single = [("speed", speed)]
         single += [("velocity", Velocity("velocity", axis, q.speed_max)) for axis in range(3)]
         for name, barrier in single:
             if name not in without:
@@ -135,8 +152,20 @@ class Families:
         q = self.inspection
         reach = np.linalg.norm(free_flight(q.mean_motion, approach.times)[:, :3, 3:], 2, axis=(1, 2)).max()
         thrust = 1.05 * float(reach) * 2 * np.sqrt(3) * q.thrust_max / q.mass
-        drift = 2 * q.distance_max * approach.speed_gain[0] + 2 * np.sqrt(3) * q.speed_max * approach.speed_gain[1]
+        drift = (
+            2 * q.distance_max * approach.speed_gain[0]
+            + 2 * np.sqrt(3) * q.speed_max * approach.speed_gain[1]
+        )
         return max(self.alpha[name].reaches(thrust + 2 * drift) for name in ("passive", "deputy_passive"))
+
+    def _variants(self) -> list[str]:
+        """What tells apart the rows of one family that concern the same deputies."""
+        seen: dict[tuple[str, int, int], int] = {}
+        out = []
+        for key in zip(self.family, self.first, self.second, strict=True):
+            number = seen[key] = seen.get(key, -1) + 1
+            out.append({"deputy_sun": "+-", "velocity": "012"}.get(key[0], " ")[number : number + 1])
+        return out
 
     def stack(self, x: Array) -> Array:
         """States of the deputies, then of each pair relative to each other, shape (..., N + P, 6)."""
@@ -149,16 +178,38 @@ class Families:
         every = self.stack(x)
         drift = every @ q.A.T
         sun = np.asarray(sun)[..., None]
-        h, G, rate = [], [], []
+        motion = self._motion(every, drift)
+        h, G, rate, M = [], [], [], []
         for group in self._groups:
             z, moved = every[..., group.place, :], drift[..., group.place, :]
             value, gradient, change = group.barrier(z, sun)
             h.append(value)
             G.append(gradient[..., 3:] / q.mass)
+            if group.repeat > 1:
+                moved = np.repeat(moved, group.repeat, axis=-2)
             rate.append(dot(gradient, moved) + change)
+            if motion is not None:
+                M.append(curvature(group.barrier, z, sun, motion[group.place]))
         values = np.concatenate(h, axis=-1)
         bound = -np.concatenate(rate, axis=-1) - evaluate(values, *self._alpha)
+        if self.sampled is not None:
+            bound = self._tightened(values, bound, np.concatenate(M, axis=-1))
         return Rows(values, np.concatenate(G, axis=-2), bound)
+
+    def _motion(self, every: Array, drift: Array) -> Motion | None:
+        if self.sampled is None:
+            return None
+        q = self.inspection
+        thrust = np.full(every.shape[-2], np.sqrt(3) * q.thrust_max / q.mass)
+        thrust[q.deputies :] *= 2
+        return self.sampled.motion(every, drift, q.mean_motion, thrust)
+
+    def _tightened(self, h: Array, bound: Array, M: Array) -> Array:
+        """The larger of ``-L_f h - alpha(h)`` and ``-L_f h - share h / D``, plus ``M D / 2``."""
+        assert self.sampled is not None
+        alpha = evaluate(h, *self._alpha)
+        linear = np.maximum(h, 0.0) * (self.sampled.share / self.sampled.period)
+        return np.asarray(bound + np.maximum(alpha - linear, 0.0) * (h > 0) + M * (self.sampled.period / 2))
 
 
 def _checked(strengthening: str | Mapping[str, Strengthening]) -> dict[str, Strengthening]:
@@ -170,3 +221,11 @@ def _checked(strengthening: str | Mapping[str, Strengthening]) -> dict[str, Stre
     if missing:
         raise ScenarioError("strengthening", sorted(strengthening), f"{missing[0]} is missing")
     return {name: strengthening[name] for name in FAMILIES}
+
+
+_NUMBERS = dict(zip(FAMILIES, ("h1", "h2", "h3", "h4", "h5", "h6", "h7", "h8", "h9"), strict=True))
+
+
+def _label(family: str, first: int, second: int, variant: str) -> str:
+    number = f"h{9 + int(variant)}" if family == "velocity" else _NUMBERS[family] + variant.strip()
+    return f"{number}[{first},{second}]" if second >= 0 else f"{number}[{first}]"

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..errors import ScenarioError
 from ..system import Array
 from .families import Families, Rows
-from .projection import DESIRED, FAILED, FILTERED, SHORT, project, solve
+from .projection import DESIRED, FILTERED, SHORT, project, solve
 
 Sharing = Literal["coasting", "half", "consensus"]
 SHARINGS: tuple[Sharing, ...] = ("coasting", "half", "consensus")
@@ -81,7 +81,9 @@ class Centralized:
             wide = (spread[:, :, None] * (G[needed] * scale[:, None])[:, None, :]).reshape(len(needed), 3 * N)
             found, how = solve(wide, bound[needed] * scale, desired[r].ravel(), limit)
             u[r] = found.reshape(N, 3)
-            status[r] = how if how != FILTERED else np.where((u[r] == desired[r]).all(axis=1), DESIRED, FILTERED)
+            status[r] = (
+                how if how != FILTERED else np.where((u[r] == desired[r]).all(axis=1), DESIRED, FILTERED)
+            )
         return u, status
 
 

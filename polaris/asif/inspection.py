@@ -75,7 +75,7 @@ class Inspection:
     passive_time: float = 500.0
     speed_max: float = 1.0
     thrust_max: float = 1.0
-    smoothing: float = 0.01
+    smoothing: float = 0.1
 
     def __post_init__(self) -> None:
         whole("deputies", self.deputies, 1)

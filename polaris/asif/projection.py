@@ -114,7 +114,9 @@ def project(G: Array, bound: Array, desired: Array, limit: float) -> Projections
     return Projections(u, status)
 
 
-def _one_row(G: Array, bound: Array, desired: Array, limit: float, u: Array, todo: NDArray[np.intp]) -> NDArray[np.intp]:
+def _one_row(
+    G: Array, bound: Array, desired: Array, limit: float, u: Array, todo: NDArray[np.intp]
+) -> NDArray[np.intp]:
     """Project onto the row the desired input violates most; done where that satisfies all the others."""
     rows, want = G[todo], desired[todo]
     short = bound[todo] - np.einsum("kmv,kv->km", rows, want)

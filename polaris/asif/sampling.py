@@ -40,7 +40,11 @@ def initial_conditions(
     """
     q = families.inspection
     N = q.deputies
-    wide = np.tile([q.distance_max if position is None else position] * 3 + [q.speed_max if speed is None else speed] * 3, N)
+    wide = np.tile(
+        [q.distance_max if position is None else position] * 3
+        + [q.speed_max if speed is None else speed] * 3,
+        N,
+    )
     sampler = qmc.LatinHypercube(6 * N + 1, rng=np.random.default_rng(seed))
     states, suns, drawn = [], [], 0
     while sum(map(len, states)) < count:
