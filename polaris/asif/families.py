@@ -97,6 +97,7 @@ class Families:
         N, pairs = inspection.deputies, inspection.pairs
         who = np.concatenate([np.stack([np.arange(N), np.full(N, -1)], axis=1), pairs])[place]
         self.first, self.second = who[:, 0], who[:, 1]
+        self._pairs = np.flatnonzero(self.second >= 0)
         self.labels = tuple(map(_label, self.family, self.first, self.second, self._variants()))
         self._alpha = tuple(np.array([self.alpha[name].numbers for name in self.family]).T)
 
@@ -166,6 +167,12 @@ class Families:
             number = seen[key] = seen.get(key, -1) + 1
             out.append({"deputy_sun": "+-", "velocity": "012"}.get(key[0], " ")[number : number + 1])
         return out
+
+    def relative(self, u: Array) -> Array:
+        """``u_first - u_second`` for each row, shape (..., M, 3), of inputs of shape (..., N, 3)."""
+        relative = u[..., self.first, :]
+        relative[..., self._pairs, :] -= u[..., self.second[self._pairs], :]
+        return relative
 
     def stack(self, x: Array) -> Array:
         """States of the deputies, then of each pair relative to each other, shape (..., N + P, 6)."""

@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 from ..errors import ScenarioError
 from ..system import Array
 from .families import Families, Rows
-from .projection import DESIRED, FILTERED, SHORT, project, solve
+from .projection import DESIRED, FILTERED, SHORT, project, project_coupled
 
 Sharing = Literal["coasting", "half", "consensus"]
 SHARINGS: tuple[Sharing, ...] = ("coasting", "half", "consensus")
+Statuses = NDArray[np.int8]
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +36,7 @@ class Filtered:
     """
 
     u: Array
-    status: NDArray[np.int8]
+    status: Statuses
     rows: Rows
 
 
@@ -49,12 +50,6 @@ class Centralized:
 
     def __init__(self, families: Families) -> None:
         self.families = families
-        N, first, second = families.inspection.deputies, families.first, families.second
-        M = len(first)
-        self._spread = np.zeros((M, N))
-        self._spread[np.arange(M), first] = 1.0
-        pair = second >= 0
-        self._spread[np.flatnonzero(pair), second[pair]] = -1.0
 
     def batch(self, x: Array, sun: Array, desired: Array) -> Filtered:
         """Filter inputs of shape (R, N, 3) at states (R, N, 6) and sun angles (R,) [rad]."""
@@ -62,27 +57,21 @@ class Centralized:
         u, status = self.project(rows, desired)
         return Filtered(u, status, rows)
 
-    def project(self, rows: Rows, desired: Array) -> tuple[Array, NDArray[np.int8]]:
+    def project(self, rows: Rows, desired: Array) -> tuple[Array, Statuses]:
         """Nearest inputs that satisfy all rows, shapes (R, N, 3) and (R, N)."""
-        limit = self.families.inspection.thrust_max
-        R, N = desired.shape[:2]
+        families = self.families
+        limit = families.inspection.thrust_max
         u = np.clip(desired, -limit, limit)
-        kept = (u == desired).all(axis=2)
-        status = np.where(kept, DESIRED, FILTERED).astype(np.int8)
-        given = np.einsum("rnv,mn->rmv", u, self._spread)
-        broken = np.einsum("rmv,rmv->rm", rows.G, given) < rows.bound
-        for r in np.flatnonzero(broken.any(axis=1)):
-            G, bound = rows.G[r], rows.bound[r]
-            reach = limit * np.abs(G).sum(axis=1) * np.abs(self._spread).sum(axis=1)
-            needed = np.flatnonzero(bound > -reach)
-            spread = self._spread[needed]
-            length = np.sqrt(np.einsum("mv,mv,mn->m", G[needed], G[needed], spread * spread))
-            scale = 1 / np.maximum(length, 1e-300)
-            wide = (spread[:, :, None] * (G[needed] * scale[:, None])[:, None, :]).reshape(len(needed), 3 * N)
-            found, how = solve(wide, bound[needed] * scale, desired[r].ravel(), limit)
-            u[r] = found.reshape(N, 3)
-            status[r] = (
-                how if how != FILTERED else np.where((u[r] == desired[r]).all(axis=1), DESIRED, FILTERED)
+        status = _unchanged(u, desired)
+        broken = np.einsum("rmv,rmv->rm", rows.G, families.relative(u)) < rows.bound
+        runs = np.flatnonzero(broken.any(axis=1))
+        if len(runs):
+            found = project_coupled(
+                rows.G[runs], rows.bound[runs], desired[runs], limit, families.first, families.second
+            )
+            u[runs] = found.u
+            status[runs] = np.where(
+                found.status[:, None] > FILTERED, SHORT, _unchanged(found.u, desired[runs])
             )
         return u, status
 
@@ -106,51 +95,45 @@ class Decentralized:
         if sharing not in SHARINGS:
             raise ScenarioError("sharing", sharing, f"must be one of {', '.join(SHARINGS)}")
         self.families, self.sharing = families, sharing
-        self._central = Centralized(families) if sharing == "consensus" else None
         N, first, second = families.inspection.deputies, families.first, families.second
-        mine = [np.flatnonzero((first == i) | (second == i)) for i in range(N)]
-        self._mine = np.array(mine)
-        self._sign = np.where(second[self._mine] == np.arange(N)[:, None], -1.0, 1.0)
+        self._mine = np.array([np.flatnonzero((first == i) | (second == i)) for i in range(N)])
+        self._as_second = second[self._mine] == np.arange(N)[:, None]
+        self._sign = np.where(self._as_second, -1.0, 1.0)
         self._pair = second >= 0
-        self._second = np.where(self._pair, second, 0)
 
     def batch(self, x: Array, sun: Array, desired: Array) -> Filtered:
         """Filter inputs of shape (R, N, 3) at states (R, N, 6) and sun angles (R,) [rad]."""
         rows = self.families(x, sun)
-        R, N = desired.shape[:2]
         limit = self.families.inspection.thrust_max
-        share, failed = self._shares(rows)
+        first, second, unmet = self._shares(rows, desired.shape[1])
         u = np.clip(desired, -limit, limit)
-        status = np.where((u == desired).all(axis=2), DESIRED, FILTERED).astype(np.int8)
-        first = np.einsum("rmv,rmv->rm", rows.G, u[:, self.families.first]) < share[0]
-        broken = first
-        if self._pair.any():
-            second = np.einsum("rmv,rmv->rm", rows.G, u[:, self._second]) > -share[1]
-            broken = np.where(self._sign > 0, first[:, self._mine], second[:, self._mine])
-        else:
-            broken = first[:, self._mine]
-        run, who = np.nonzero(broken.any(axis=2))
+        status = _unchanged(u, desired)
+        # Row by row, as the deputies see it: their rows, signs and bounds, shapes (R, N, m, ...).
+        bound = np.where(self._as_second, second[:, self._mine], first[:, self._mine])
+        G = rows.G[:, self._mine]
+        met = np.einsum("rnmv,rnv->rnm", G, u) * self._sign
+        run, who = np.nonzero((met < bound).any(axis=2))
         if len(run):
-            mine, sign = self._mine[who], self._sign[who]
-            G = rows.G[run[:, None], mine] * sign[..., None]
-            bound = np.where(sign > 0, share[0][run[:, None], mine], share[1][run[:, None], mine])
-            found = project(G, bound, desired[run, who], limit)
+            signed = G[run, who] * self._sign[who][..., None]
+            found = project(signed, bound[run, who], desired[run, who], limit)
             u[run, who], status[run, who] = found.u, found.status
-        if failed is not None:
-            status = np.where(failed[:, None], np.maximum(status, SHORT), status)
+        status[unmet] = np.maximum(status[unmet], SHORT)
         return Filtered(u, status, rows)
 
-    def _shares(self, rows: Rows) -> tuple[tuple[Array, Array], NDArray[np.bool_] | None]:
-        """Bounds for the first and for the second deputy of each row, shapes (R, M)."""
-        bound = rows.bound
+    def _shares(self, rows: Rows, deputies: int) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """Bounds for the first and for the second deputy of each row, (R, M); where they cannot be met, (R,)."""
+        bound, met = rows.bound, np.zeros(len(rows.bound), dtype=bool)
         if self.sharing == "coasting":
-            return (bound, bound), None
+            return bound, bound, met
         if self.sharing == "half":
             half = np.where(self._pair, bound / 2, bound)
-            return (half, half), None
-        assert self._central is not None
-        agreed, status = self._central.project(rows, np.zeros((*bound.shape[:1], len(self._mine), 3)))
+            return half, half, met
+        agreed, status = Centralized(self.families).project(rows, np.zeros((len(bound), deputies, 3)))
         first = np.einsum("rmv,rmv->rm", rows.G, agreed[:, self.families.first])
-        second = -np.einsum("rmv,rmv->rm", rows.G, agreed[:, self._second])
+        second = -np.einsum("rmv,rmv->rm", rows.G, agreed[:, self.families.second])
         spare = np.maximum(first + second - bound, 0.0) / 2
-        return (np.where(self._pair, first - spare, bound), second - spare), (status >= SHORT).any(axis=1)
+        return np.where(self._pair, first - spare, bound), second - spare, (status >= SHORT).any(axis=1)
+
+
+def _unchanged(u: Array, desired: Array) -> Statuses:
+    return np.where((u == desired).all(axis=-1), DESIRED, FILTERED).astype(np.int8)

@@ -17,9 +17,14 @@ PRIMAL = 1e-11
 SHORTAGE_WEIGHT = 1e6
 """Weight of the squared shortage [N] against the squared deviation where no input satisfies all rows."""
 
+FEW = 3
+"""Up to so many coupled programs are handed to the solver at once; more are first tried in closed form."""
+
 DESIRED, FILTERED, SHORT, FAILED = range(4)
 """How an input came about: as desired; nearest that satisfies all rows; nearest that violates them least,
 where none satisfies all; no input at all."""
+
+Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +33,7 @@ class Projections:
 
     Attributes
     ----------
-    u : ndarray, shape (K, v)
+    u : ndarray, shape (K, ...)
         Inputs [N]; nan where failed.
     status : ndarray of int, shape (K,)
         DESIRED, FILTERED, SHORT or FAILED.
@@ -39,8 +44,11 @@ class Projections:
 
 
 @cache
-def _identity(size: int) -> Array:
-    return np.eye(size)
+def _cost(size: int, weight: float = 1.0) -> Array:
+    """Identity, its last entry replaced by a weight."""
+    cost = np.eye(size)
+    cost[-1, -1] = weight
+    return cost
 
 
 def solve(G: Array, bound: Array, desired: Array, limit: float) -> tuple[Array, int]:
@@ -63,28 +71,36 @@ def solve(G: Array, bound: Array, desired: Array, limit: float) -> tuple[Array, 
     status : int
         FILTERED, SHORT or FAILED.
     """
-    size = len(desired)
-    lower = np.full(size + len(bound), -limit)
+    size, rows = len(desired), len(bound)
+    lower, upper = np.full(size + rows, -limit), np.full(size + rows, 1e30)
     lower[size:] = bound
-    upper = np.full(size + len(bound), 1e30)
     upper[:size] = limit
-    u, _, flag, _ = daqp.solve(_identity(size), -desired, G, upper, lower, primal_tol=PRIMAL)
+    u, _, flag, _ = daqp.solve(_cost(size), -desired, G, upper, lower, primal_tol=PRIMAL)
     if flag > 0:
         return np.clip(u, -limit, limit), FILTERED
-    # One more variable, the shortage s >= 0 [N] of the worst row.
-    hessian = np.eye(size + 1)
-    hessian[-1, -1] = SHORTAGE_WEIGHT
-    rows = np.column_stack([G, np.ones(len(bound))])
+    return _least_short(G, bound, desired, limit)
+
+
+def _least_short(G: Array, bound: Array, desired: Array, limit: float) -> tuple[Array, int]:
+    """No input satisfies all rows: one more variable s >= 0, the shortage [N] of the worst row."""
+    size, rows = len(desired), len(bound)
+    if not np.isfinite(bound).all():  # a row that nothing can satisfy does not decide between inputs
+        kept = np.isfinite(bound)
+        G, bound, rows = G[kept], bound[kept], int(kept.sum())
+    wide = np.ones((rows, size + 1))
+    wide[:, :size] = G
     lower = np.concatenate([np.full(size, -limit), [0.0], bound])
-    upper = np.concatenate([np.full(size, limit), np.full(1 + len(bound), 1e30)])
-    u, _, flag, _ = daqp.solve(hessian, np.append(-desired, 0.0), rows, upper, lower, primal_tol=1e-9)
+    upper = np.full(size + 1 + rows, 1e30)
+    upper[:size] = limit
+    cost = _cost(size + 1, SHORTAGE_WEIGHT)
+    u, _, flag, _ = daqp.solve(cost, -np.append(desired, 0.0), wide, upper, lower, primal_tol=1e-9)
     if flag > 0:
-        return np.clip(u[:-1], -limit, limit), SHORT
+        return np.clip(u[:size], -limit, limit), SHORT
     return np.full(size, np.nan), FAILED
 
 
 def project(G: Array, bound: Array, desired: Array, limit: float) -> Projections:
-    """Project K inputs, each with its own M rows; exact, and in closed form where one row decides.
+    """Project K inputs, each with its own M rows; in closed form where one row decides.
 
     Parameters
     ----------
@@ -96,35 +112,102 @@ def project(G: Array, bound: Array, desired: Array, limit: float) -> Projections
     limit : float
         ``|u_i| <= limit`` [N].
     """
-    length = np.sqrt(np.einsum("kmv,kmv->km", G, G))
-    reach = limit * np.abs(G).sum(axis=2)
-    needed = bound > -reach  # the other rows hold for every admissible input
-    scale = 1 / np.maximum(length, 1e-300)
+    alone = np.zeros(G.shape[1], dtype=np.intp)
+    return project_coupled(G, bound, desired[:, None], limit, alone, alone - 1, flat=True)
+
+
+def project_coupled(
+    G: Array, bound: Array, desired: Array, limit: float, first: Index, second: Index, flat: bool = False
+) -> Projections:
+    """Project the inputs of K runs of N deputies: ``G (u_first - u_second) >= bound``.
+
+    Parameters
+    ----------
+    G : ndarray, shape (K, M, v)
+    bound : ndarray, shape (K, M)
+    desired : ndarray, shape (K, N, v)
+        [N]
+    limit : float
+        ``|u_i| <= limit`` [N].
+    first, second : ndarray of int, shape (M,)
+        Deputies of a row; second is -1 where there is one only.
+    flat : bool
+        Drop the axis of deputies from the result (N is 1).
+    """
+    pair = second >= 0
+    several = np.where(pair, 2.0, 1.0)
+    needed = bound > -limit * np.abs(G).sum(axis=2) * several  # the others hold for every admissible input
+    scale = 1 / np.maximum(np.sqrt(np.einsum("kmv,kmv->km", G, G) * several), 1e-300)
     G, bound = G * scale[..., None], np.where(needed, bound * scale, -np.inf)
     u = np.clip(desired, -limit, limit)
     status = np.full(len(u), FILTERED, dtype=np.int8)
-    left = np.einsum("kmv,kv->km", G, u) < bound
-    status[~left.any(axis=1) & (u == desired).all(axis=1)] = DESIRED
-    todo = np.flatnonzero(left.any(axis=1))
-    if len(todo):
-        todo = _one_row(G, bound, desired, limit, u, todo)
+    todo = np.arange(len(u))
+    if len(u) > FEW:
+        todo = _separate_rows(G, bound, desired, limit, first, second, u)
     for k in todo:
-        rows = needed[k]
-        u[k], status[k] = solve(G[k, rows], bound[k, rows], desired[k], limit)
-    return Projections(u, status)
+        u[k], status[k] = _coupled(
+            G[k], bound[k], desired[k], limit, first, second, np.flatnonzero(needed[k])
+        )
+    return Projections(u[:, 0] if flat else u, status)
 
 
-def _one_row(
-    G: Array, bound: Array, desired: Array, limit: float, u: Array, todo: NDArray[np.intp]
-) -> NDArray[np.intp]:
-    """Project onto the row the desired input violates most; done where that satisfies all the others."""
-    rows, want = G[todo], desired[todo]
-    short = bound[todo] - np.einsum("kmv,kv->km", rows, want)
-    worst = short.argmax(axis=1)
-    every = np.arange(len(todo))
-    nearest = want + short[every, worst, None] * rows[every, worst]
-    gap = bound[todo] - np.einsum("kmv,kv->km", rows, nearest)
-    gap[every, worst] = 0.0
-    good = (np.abs(nearest) <= limit).all(axis=1) & (gap <= 0).all(axis=1)
-    u[todo[good]] = nearest[good]
-    return todo[~good]
+def _coupled(
+    G: Array, bound: Array, desired: Array, limit: float, first: Index, second: Index, rows: Index
+) -> tuple[Array, int]:
+    """One run, through the solver: only the rows that count."""
+    N, v = desired.shape
+    if N == 1:
+        found, status = solve(G[rows], bound[rows], desired[0], limit)
+        return found[None], status
+    wide = np.zeros((len(rows), N, v))
+    every, pair = np.arange(len(rows)), np.flatnonzero(second[rows] >= 0)
+    wide[every, first[rows]] = G[rows]
+    wide[pair, second[rows[pair]]] = -G[rows[pair]]
+    found, status = solve(wide.reshape(-1, N * v), bound[rows], desired.ravel(), limit)
+    return found.reshape(N, v), status
+
+
+def _separate_rows(
+    G: Array, bound: Array, desired: Array, limit: float, first: Index, second: Index, u: Array
+) -> Index:
+    """Try rows that share no deputy: the worst, the worst of those that do not meet it, and so on.
+
+    Projecting onto each of them alone projects onto all of them together, their deputies being different.
+    Where the result satisfies every other row and the limits, it is the projection sought. Writes those
+    into `u` and returns the other runs.
+    """
+    K, N = desired.shape[:2]
+    every, pair = np.arange(K), second >= 0
+    short = bound - np.einsum("kmv,kmv->km", G, _relative(desired, first, second))
+    free = np.ones((K, N), dtype=bool)
+    nearest, left = desired.copy(), short.copy()
+    for _ in range(N):
+        worst = left.argmax(axis=1)
+        push = np.maximum(left[every, worst], 0.0)
+        if not push.any():
+            break
+        chosen = push > 0
+        at, row = every[chosen], worst[chosen]
+        step = push[chosen, None] * G[at, row]
+        nearest[at, first[row]] += step
+        free[at, first[row]] = False
+        both = pair[row]
+        nearest[at[both], second[row[both]]] -= step[both]
+        free[at[both], second[row[both]]] = False
+        left = np.where(free[:, first] & (free[:, second] | ~pair), short, 0.0)
+    gap = bound - np.einsum("kmv,kmv->km", G, _relative(nearest, first, second))
+    # A chosen row holds with equality, up to rounding.
+    good = (np.abs(nearest) <= limit).all(axis=(1, 2)) & (gap <= 1e-14 * np.abs(bound).clip(1.0, 1e3)).all(
+        axis=1
+    )
+    u[good] = nearest[good]
+    return np.flatnonzero(~good)
+
+
+def _relative(u: Array, first: Index, second: Index) -> Array:
+    """``u_first - u_second`` for each row, shape (K, M, v); u_second is 0 where there is none."""
+    relative = u[:, first]
+    pairs = np.flatnonzero(second >= 0)
+    if len(pairs):
+        relative[:, pairs] -= u[:, second[pairs]]
+    return relative
