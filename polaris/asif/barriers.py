@@ -47,7 +47,10 @@ class Evaluation(NamedTuple):
 class Barrier(Protocol):
     """A control-invariant constraint ``h(t, z) >= 0``."""
 
-    name: str
+    @property
+    def name(self) -> str:
+        """What it is called."""
+        ...
 
     def __call__(self, z: Array, sun: ArrayLike) -> Evaluation:
         """Evaluate at states of shape (..., 6) and sun angles [rad] that broadcast against (...)."""

@@ -20,7 +20,7 @@ from .braking import Braking
 from .closest import ClosestApproach
 from .inspection import Inspection
 from .passive import Passive
-from .sampled import Motion, PassiveSegments, SampledData, SpeedInSquares, curvature
+from .sampled import Motion, PassiveSegments, SampledData, SpeedInSquares, VelocitySide, curvature
 from .strengthening import FAMILIES, PRESETS, Strengthening, evaluate
 
 Index = NDArray[np.intp]
@@ -43,6 +43,10 @@ class Rows:
     h: Array
     G: Array
     bound: Array
+
+
+_Member = tuple[str, Index, float, float, float]
+"""Family, places, radius [m], acceleration [m/s^2], side."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +90,8 @@ class Families:
         sampled: SampledData | None = None,
     ) -> None:
         self.sampled = sampled
+        if sampled is not None:
+            sampled.growth(inspection.mean_motion)  # refuses periods that are too long
         self.inspection = inspection
         self.alpha = _checked(strengthening)
         for name in without:
@@ -107,14 +113,12 @@ class Families:
         alone = np.arange(q.deputies)
         pairs = q.deputies + np.arange(len(q.pairs))
 
-        def stack(
-            *members: tuple[str, Index, float, float, float],
-        ) -> tuple[list[str], Index, Array, Array, Array]:
-            kept = [m for m in members if m[0] not in without]
-            names = [m[0] for m in kept for _ in m[1]]
-            values = (np.concatenate([np.full(len(m[1]), m[k]) for m in kept] or [[]]) for k in (2, 3, 4))
-            place = np.concatenate([m[1] for m in kept] or [alone[:0]])
-            return names, place, *values
+        def stack(*members: _Member) -> tuple[list[str], Index, Array, Array, Array]:
+            kept = [member for member in members if member[0] not in without]
+            names = [member[0] for member in kept for _ in member[1]]
+            place = np.concatenate([alone[:0], *(member[1] for member in kept)])
+            values = np.array([member[2:] for member in kept for _ in member[1]]).reshape(-1, 3)
+            return names, place, values[:, 0], values[:, 1], values[:, 2]
 
         apart = 2 * q.deputy_radius
         names, place, radius, a, side = stack(
@@ -141,8 +145,9 @@ class Families:
             segments = PassiveSegments("passive", radius, approach)
             groups.append(_Group(segments, names, place, segments.rows))
             speed = SpeedInSquares("speed", q.docking_speed, q.nu_1)
-        single = [("speed", speed)]
-        single += [("velocity", Velocity("velocity", axis, q.speed_max)) for axis in range(3)]
+        single: list[tuple[str, Barrier]] = [("speed", speed)]
+        limit = Velocity if self.sampled is None else VelocitySide
+        single += [("velocity", limit("velocity", axis, q.speed_max)) for axis in range(3)]
         for name, barrier in single:
             if name not in without:
                 groups.append(_Group(barrier, [name] * q.deputies, alone))
@@ -172,7 +177,7 @@ class Families:
         """``u_first - u_second`` for each row, shape (..., M, 3), of inputs of shape (..., N, 3)."""
         relative = u[..., self.first, :]
         relative[..., self._pairs, :] -= u[..., self.second[self._pairs], :]
-        return relative
+        return np.asarray(relative)
 
     def stack(self, x: Array) -> Array:
         """States of the deputies, then of each pair relative to each other, shape (..., N + P, 6)."""

@@ -130,9 +130,10 @@ class Decentralized:
             return half, half, met
         agreed, status = Centralized(self.families).project(rows, np.zeros((len(bound), deputies, 3)))
         first = np.einsum("rmv,rmv->rm", rows.G, agreed[:, self.families.first])
-        second = -np.einsum("rmv,rmv->rm", rows.G, agreed[:, self.families.second])
+        second = np.asarray(-np.einsum("rmv,rmv->rm", rows.G, agreed[:, self.families.second]))
         spare = np.maximum(first + second - bound, 0.0) / 2
-        return np.where(self._pair, first - spare, bound), second - spare, (status >= SHORT).any(axis=1)
+        unmet = np.asarray((status >= SHORT).any(axis=1))
+        return np.where(self._pair, first - spare, bound), second - spare, unmet
 
 
 def _unchanged(u: Array, desired: Array) -> Statuses:

@@ -112,7 +112,7 @@ class Outcome:
     @property
     def violated(self) -> NDArray[np.bool_]:
         """Runs in which a constraint became negative, shape (R,)."""
-        return np.any([values < 0 for values in self.least.values()], axis=0)
+        return np.asarray(np.any([values < 0 for values in self.least.values()], axis=0))
 
     @property
     def success(self) -> NDArray[np.bool_]:
@@ -122,13 +122,13 @@ class Outcome:
     def failures(self) -> list[dict[str, object]]:
         """Every failure: run, what, deputies, time [s], value (nan for a program without solution)."""
         rows: list[dict[str, object]] = []
-        for run in np.flatnonzero(~self.success):
+        for run in np.flatnonzero(~self.success).tolist():
             if not np.isnan(self.short[run]):
                 who = self.short_deputies[run]
                 rows.append(_failure(run, "no solution", who, self.short[run], np.nan))
             for name, values in self.least.items():
                 if values[run] < 0:
-                    who = tuple(int(i) for i in self.where[name][run] if i >= 0)
+                    who = tuple(i for i in self.where[name][run].tolist() if i >= 0)
                     rows.append(_failure(run, name, who, self.when[name][run], values[run]))
         return rows
 

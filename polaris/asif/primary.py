@@ -102,4 +102,4 @@ class Phases:
 
 def clipped(u: ArrayLike, limit: float) -> Array:
     """Thrust within ``|u_i| <= limit``."""
-    return np.clip(np.asarray(u, dtype=float), -limit, limit)
+    return np.asarray(np.clip(np.asarray(u, dtype=float), -limit, limit))

@@ -46,8 +46,10 @@ def initial_conditions(
         N,
     )
     sampler = qmc.LatinHypercube(6 * N + 1, rng=np.random.default_rng(seed))
-    states, suns, drawn = [], [], 0
-    while sum(map(len, states)) < count:
+    states: list[Array] = []
+    suns: list[Array] = []
+    drawn = 0
+    while sum(len(part) for part in states) < count:
         sample = sampler.random(block)
         x = (wide * (2 * sample[:, :-1] - 1)).reshape(block, N, 6)
         sun = 2 * np.pi * sample[:, -1]
