@@ -88,9 +88,9 @@ class Radial:
     """
 
     name: str
-    radius: ArrayLike
+    radius: Array | float
     braking: Braking
-    side: ArrayLike = 1.0
+    side: Array | float = 1.0
 
     def __call__(self, z: Array, sun: ArrayLike = 0.0) -> Evaluation:
         """Evaluate at states of shape (..., 6)."""
@@ -164,7 +164,7 @@ class SunCone:
     half_angle: float
     mean_motion: float
     braking: Braking
-    side: ArrayLike = 1.0
+    side: Array | float = 1.0
 
     def approach(self, z: Array, sun: ArrayLike) -> tuple[Array, Array, Array]:
         """Signed distance [m], its rate [m/s] and the distance from the axis [m], each of shape (...)."""

@@ -27,7 +27,7 @@ class Braking:
         d [m], > 0.
     """
 
-    acceleration: Array
+    acceleration: Array | float
     depth: float
 
     def __call__(self, delta: ArrayLike) -> tuple[Array, Array]:

@@ -14,6 +14,7 @@ from ..checks import number, positive, whole
 from ..errors import ScenarioError
 from ..hill import clohessy_wiltshire
 from ..system import Array
+from .barriers import CENTRE
 
 MOST_DEPUTIES = 50
 """Most deputies of one problem: 50 of them have 1,225 pairs and 5,750 constraints."""
@@ -59,7 +60,8 @@ class Inspection:
     ------
     ScenarioError
         If a value is out of range, or eq. 28, 32 or 37 does not hold: the thrust is then too weak for
-        the constraints to be control invariant.
+        the constraints to be control invariant. If a collision radius or the field of view is so small
+        that a boundary lies within `polaris.asif.barriers.CENTRE` of a centre or an axis.
     """
 
     deputies: int = 5
@@ -107,23 +109,37 @@ class Inspection:
         if self.passive_time * self.mean_motion > np.pi:
             rule = "must be at most half an orbit"
             raise ScenarioError("passive_time", self.passive_time, f"{rule}, {np.pi / self.mean_motion:g} s")
+        self._check_directions()
         self._check_authority()
 
+    def _check_directions(self) -> None:
+        """Directions fade below `CENTRE`: no boundary may come as near to a centre or an axis."""
+        least = min(self.separation, 2 * self.deputy_radius)
+        if least <= CENTRE:
+            rule = f"two deputies, or one and the chief, must be more than {CENTRE:g} m apart"
+            raise ScenarioError("deputy_radius", self.deputy_radius, rule)
+        if least * np.sin(self.field_of_view / 2) <= CENTRE:
+            widest = 2 * np.arcsin(CENTRE / least)
+            rule = f"must exceed {widest:.4g} rad, so that the cone is wider than {CENTRE:g} m at {least:g} m"
+            raise ScenarioError("field_of_view", self.field_of_view, rule)
+
     def _check_authority(self) -> None:
-        """Eqs. 28, 32 and 37: is there thrust enough against the natural motion?"""
+        """Refuse thrust too weak against the natural motion (eqs. 28, 32 and 37)."""
         n, v, r = self.mean_motion, self.speed_max, self.distance_max
         fastest = np.sqrt(3) * v
         slow_down = self.nu_1 * fastest + 3 * n**2 * (fastest - self.docking_speed) / self.nu_1 + 2 * n * v
-        for name, needed in (
-            ("28 (braking before a boundary)", 3 * n**2 * r + 2 * n * v),
-            ("32 (dynamic speed limit)", slow_down),
-            ("37 (velocity limit, radial)", 3 * n**2 * r + 2 * n * v),
-            ("37 (velocity limit, along-track)", 2 * n * v),
-            ("37 (velocity limit, cross-track)", n**2 * r),
-        ):
-            if needed * self.mass >= self.thrust_max:
-                rule = f"must exceed {needed * self.mass:.4g} N for eq. {name} to hold"
-                raise ScenarioError("thrust_max", self.thrust_max, rule)
+        equations = {
+            "eq. 28 (braking before a boundary)": 3 * n**2 * r + 2 * n * v,
+            "eq. 32 (dynamic speed limit)": slow_down,
+            "eq. 37 (velocity limit, radial)": 3 * n**2 * r + 2 * n * v,
+            "eq. 37 (velocity limit, along-track)": 2 * n * v,
+            "eq. 37 (velocity limit, cross-track)": n**2 * r,
+        }
+        broken = [name for name, needed in equations.items() if needed * self.mass >= self.thrust_max]
+        if broken:
+            least = max(equations.values()) * self.mass
+            rule = f"must exceed {least:.4g} N; too weak for {', '.join(broken)}"
+            raise ScenarioError("thrust_max", self.thrust_max, rule)
 
     @property
     def nu_1(self) -> float:

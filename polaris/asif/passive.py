@@ -27,7 +27,7 @@ class Passive:
     """
 
     name: str
-    radius: ArrayLike
+    radius: Array | float
     approach: ClosestApproach
     beyond: float = np.inf
 

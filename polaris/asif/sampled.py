@@ -1,27 +1,33 @@
 """Sampled-data safety: barrier conditions that hold between samples, not only at them.
 
 The filter holds its input for a period D. If ``d^2 h / dt^2 >= -M`` over the period whatever the admissible
-input, then ``h(t) >= h + t dh/dt - M t^2 / 2``, which is concave in t; so
+input, then ``h(t) >= h + t dh/dt - M t^2 / 2``. So
 
     dh/dt >= -share h / D + M D / 2,    0 < share <= 1,
 
-at the sample keeps ``h >= (1 - share) h >= 0`` over the whole period. This module bounds M for each barrier
-from the state at the sample. A row that no admissible input can break within the period gets ``-inf``.
+at the sample gives ``h(t) >= (1 - share t / D) h + M t (D - t) / 2 >= (1 - share) h`` over the whole period.
+This module bounds M for each barrier from the state at the sample. A row that no admissible input can make
+negative within the period gets ``-inf``: it may be dropped. One for which there is no bound gets ``inf``: no
+input satisfies it. The proofs are in ``docs/inspection-theory.md``.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from ..checks import positive
+from ..checks import number, positive
 from ..errors import ScenarioError
 from ..system import Array
-from .barriers import CENTRE, STANDSTILL, Evaluation, Radial, SunCone, Velocity, dot, rounded_length
+from .barriers import CENTRE, STANDSTILL, Evaluation, Radial, SunCone, dot, rounded_length
 from .braking import Braking
-from .closest import ClosestApproach
+from .closest import ClosestApproach, circle_map, map_norms
+
+BOW = 0.01
+"""Least distance [m] by which a free flight is assumed to stray from its chords."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +40,11 @@ class SampledData:
         Control period D [s].
     share : float
         Part of h that may be lost in one period, in (0, 1]. Less is calmer.
+
+    Raises
+    ------
+    ScenarioError
+        If a number is out of range.
     """
 
     period: float
@@ -41,18 +52,46 @@ class SampledData:
 
     def __post_init__(self) -> None:
         positive("period", self.period, "s")
-        if not 0 < self.share <= 1:
+        if not 0 < number("share", self.share) <= 1:
             raise ScenarioError("share", self.share, "must be in (0, 1]")
 
+    def growth(self, n: float) -> float:
+        """How much larger than at its start the acceleration may be within a period.
+
+        Raises
+        ------
+        ScenarioError
+            If the period is so long that there is no bound: ``2 n D + 3 (n D)^2 >= 1``, D above n / 3.
+        """
+        D = self.period
+        rest = 1 - 2 * n * D - 3 * n**2 * D**2
+        if rest <= 0:
+            raise ScenarioError(
+                "period", D, f"must be below {1 / (3 * n):.6g} s, a third over the mean motion"
+            )
+        return 1 / rest
+
     def motion(self, z: Array, drift: Array, n: float, thrust: Array) -> Motion:
-        """Bounds over the period for states with the natural rates `drift` and thrust below a bound [m/s^2]."""
+        """Bounds over the period.
+
+        Parameters
+        ----------
+        z : ndarray, shape (..., 6)
+            States of deputies, or of deputies relative to each other, at the sample.
+        drift : ndarray, shape (..., 6)
+            Their natural rates.
+        n : float
+            Mean motion [rad/s].
+        thrust : ndarray, shape (...)
+            Largest acceleration by thrust [m/s^2].
+        """
         D = self.period
         speed = np.sqrt(dot(z[..., 3:], z[..., 3:]))
         natural = np.sqrt(dot(drift[..., 3:], drift[..., 3:]))
         # a <= natural + thrust + 3 n^2 (speed + a D) D + 2 n a D, solved for a.
-        a = (natural + thrust + 3 * n**2 * speed * D) / (1 - 2 * n * D - 3 * n**2 * D**2)
+        a = (natural + thrust + 3 * n**2 * speed * D) * self.growth(n)
         fastest = speed + a * D
-        return Motion(D, fastest, a, 3 * n**2 * fastest + 2 * n * a)
+        return Motion(D, fastest, a, 3 * n**2 * fastest + 2 * n * a, np.asarray(thrust, dtype=float))
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,19 +102,20 @@ class Motion:
     ----------
     period : float
         [s]
-    speed, acceleration, jerk : ndarray
-        [m/s], [m/s^2], [m/s^3]
+    speed, acceleration, jerk, thrust : ndarray
+        [m/s], [m/s^2], [m/s^3]; thrust is the part of the acceleration that is held [m/s^2].
     """
 
     period: float
     speed: Array
     acceleration: Array
     jerk: Array
+    thrust: Array
 
     def __getitem__(self, place: object) -> Motion:
         """The bounds of some states."""
-        at = (..., place)
-        return Motion(self.period, self.speed[at], self.acceleration[at], self.jerk[at])  # type: ignore[index]
+        parts = (self.speed, self.acceleration, self.jerk, self.thrust)
+        return Motion(self.period, *(part[..., place] for part in parts))  # type: ignore[index]
 
 
 def curvature(barrier: object, z: Array, sun: ArrayLike, motion: Motion) -> Array:
@@ -84,9 +124,7 @@ def curvature(barrier: object, z: Array, sun: ArrayLike, motion: Motion) -> Arra
         return _radial(barrier, z, motion)
     if isinstance(barrier, SunCone):
         return _cone(barrier, z, sun, motion)
-    if isinstance(barrier, Velocity):
-        return 2 * motion.acceleration**2 + 2 * motion.speed * motion.jerk
-    if isinstance(barrier, (SpeedInSquares, PassiveSegments)):
+    if isinstance(barrier, (SpeedInSquares, VelocitySide, PassiveSegments)):
         return barrier.curvature(z, motion)
     raise TypeError(f"no bound for {type(barrier).__name__}")
 
@@ -101,7 +139,8 @@ def _radial(barrier: Radial, z: Array, motion: Motion) -> Array:
     high = motion.acceleration + np.where(side > 0, around, 0.0)
     # third derivative: 3 v_t a_t / r - 3 r' v_t^2 / r^2 + jerk, and r' v_t^2 <= 2 / sqrt(27) speed^3
     third = 3 * motion.speed * motion.acceleration / near + 1.155 * motion.speed**3 / near**2 + motion.jerk
-    delta, rate = side * (distance - barrier.radius), side * dot(outward, z[..., 3:])
+    delta = np.asarray(side * (distance - np.asarray(barrier.radius)))
+    rate = np.asarray(side * dot(outward, z[..., 3:]))
     return _braked(barrier.braking, delta, rate, low, high, third, nearest > CENTRE, motion.period)
 
 
@@ -127,7 +166,7 @@ def _braked(
     low: Array,
     high: Array,
     third: Array,
-    smooth: Array,
+    smooth: NDArray[np.bool_],
     D: float,
 ) -> Array:
     """M of ``s(delta) + delta'`` where ``-low <= delta'' <= high`` and ``delta''' >= -third``."""
@@ -184,13 +223,51 @@ class SpeedInSquares:
 
 
 @dataclass(frozen=True, eq=False)
-class PassiveSegments:
-    """Passively safe manoeuvres as linear conditions: two per stretch of each free flight.
+class VelocitySide:
+    """phi9 to phi11 on the nearer side: ``(v_max - |v_axis|) w``, with ``w = v_max + |v_axis|`` held fixed.
 
-    Over a stretch of the flight the position stays within a bound ``bow`` of the chord. A direction is
-    chosen per stretch (towards the chord's point nearest to the origin); the flight stays clear there if
-    both ends of the chord lie beyond ``radius + bow`` along that direction. Every instant of the flight is
-    covered, not only the closest approach, whose place may jump within a period.
+    Linear in the velocity, so that its curvature is the jerk's, and its gradient never vanishes.
+
+    Parameters
+    ----------
+    name : str
+    axis : int
+        0, 1 or 2.
+    limit : float
+        v_max [m/s].
+    """
+
+    name: str
+    axis: int
+    limit: float
+
+    def __call__(self, z: Array, sun: ArrayLike = 0.0) -> Evaluation:
+        """Evaluate at states of shape (..., 6)."""
+        along = z[..., 3 + self.axis]
+        gradient = np.zeros(z.shape)
+        gradient[..., 3 + self.axis] = -np.copysign(self.limit + np.abs(along), along)
+        return Evaluation(self.limit**2 - along**2, gradient, 0.0)
+
+    def curvature(self, z: Array, motion: Motion) -> Array:
+        """Bound M; ``-inf`` where the limit cannot be reached within the period, ``inf`` where both can."""
+        speed = np.abs(z[..., 3 + self.axis])
+        # Thrust is within a box whose half-diagonal is motion.thrust; the rest is natural motion.
+        change = (motion.acceleration - (1 - 1 / np.sqrt(3)) * motion.thrust) * motion.period
+        M = np.where(change < self.limit + speed, (self.limit + speed) * motion.jerk, np.inf)
+        return np.where(speed + change <= self.limit, -np.inf, M)
+
+
+@dataclass(frozen=True, eq=False)
+class PassiveSegments:
+    """Passively safe manoeuvres as conditions on chords: two per stretch of each free flight.
+
+    Over a stretch of length L the flight leaves its chord by at most ``L^2 / 8`` times its acceleration,
+    hence by less than ``bow = n^2 L^2 / 8 (amplitude^2 + margin^2)^(1/2)`` (see `circle_map`; the margin
+    makes it smooth). A direction is chosen per stretch, towards the chord's point nearest to the origin; the
+    flight stays clear there if both ends of the chord lie beyond ``radius + bow`` along that direction.
+    Every instant of the flight is covered, not only the closest approach, whose place may jump within a
+    period. The directions at the next sample are the best for the chords then, and the bow is a function of
+    the state: h at the next sample is no less than what was left of it.
 
     Parameters
     ----------
@@ -201,13 +278,22 @@ class PassiveSegments:
     """
 
     name: str
-    radius: ArrayLike
+    radius: Array | float
     approach: ClosestApproach
 
     @property
     def rows(self) -> int:
         """Rows per flight."""
         return 2 * (len(self.approach.times) - 1)
+
+    @cached_property
+    def _reach(self) -> tuple[Array, Array, float, float, Array]:
+        """Gains of acceleration and jerk for each row; bow per amplitude; margin [m]; map to the circle."""
+        gain_a, gain_j = map_norms(self.approach.place_maps)
+        n = self.approach.mean_motion
+        per_amplitude = float(n * self.approach.times[1]) ** 2 / 8
+        ends = np.repeat(np.arange(len(gain_a)), 2)[1:-1]
+        return gain_a[ends], gain_j[ends], per_amplitude, BOW / per_amplitude, circle_map(n)
 
     def __call__(self, z: Array, sun: ArrayLike = 0.0) -> Evaluation:
         """Evaluate K flights, shape (..., K, 6); the rows of a flight follow each other, (..., K rows)."""
@@ -216,8 +302,10 @@ class PassiveSegments:
         part = np.clip(-dot(start, chord) / np.maximum(dot(chord, chord), 1e-30), 0.0, 1.0)
         outward = rounded_length(start + part[..., None] * chord, 1e-9)[1]
         first = dot(outward, start)
+        _, _, per_amplitude, _, to_circle = self._reach
+        amplitude, circle = self._amplitude(z)
         h = np.stack([first, first + dot(outward, chord)], axis=-1)
-        h = h - (np.asarray(self.radius) + self._bow(z))[..., None, None]
+        h = h - (np.asarray(self.radius) + per_amplitude * amplitude)[..., None, None]
         Phi = self.approach.place_maps
         gradient = np.stack(
             [
@@ -226,17 +314,22 @@ class PassiveSegments:
             ],
             axis=-2,
         )
+        growth = (per_amplitude / amplitude)[..., None] * (circle @ to_circle)
+        gradient -= growth[..., None, None, :]
         shape = (*z.shape[:-2], z.shape[-2] * self.rows)
         return Evaluation(h.reshape(shape), gradient.reshape(*shape, 6), 0.0)
 
-    def _bow(self, z: Array) -> Array:
-        """How far a flight strays from its chords [m], also after a period's change of the state."""
-        gain_p, gain_v = self.approach.acceleration_gain
-        p, v = (np.sqrt(dot(z[..., part], z[..., part])) for part in (np.s_[:3], np.s_[3:]))
-        return 1.05 * (gain_p * (p + 20.0) + gain_v * (v + 1.0)) * self.approach.times[1] ** 2 / 8
+    def _amplitude(self, z: Array) -> tuple[Array, Array]:
+        """Amplitude with its margin [m], and the vectors it is the length of."""
+        circle = z @ self._reach[4].T
+        return np.sqrt(dot(circle, circle) + self._reach[3] ** 2), circle
 
     def curvature(self, z: Array, motion: Motion) -> Array:
         """Bound M, for each row."""
-        gain_a, gain_j = self.approach.place_gain
-        M = gain_a * motion.acceleration + gain_j * motion.jerk
-        return np.repeat(M, self.rows, axis=-1)
+        gain_a, gain_j, per_amplitude, margin, to_circle = self._reach
+        M = motion.acceleration[..., None] * gain_a + motion.jerk[..., None] * gain_j
+        # In free flight the amplitude does not change; thrust moves the turning vectors at this rate.
+        rate = np.linalg.norm(to_circle[:, 3:], 2) * motion.thrust
+        least = np.maximum(self._amplitude(z)[0] - rate * motion.period, margin)
+        M += (per_amplitude * (rate**2 / least + self.approach.mean_motion * rate))[..., None]
+        return M.reshape(*M.shape[:-2], -1)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..checks import number
 from ..errors import ScenarioError
 from ..system import Array
 
@@ -27,7 +28,7 @@ FAMILIES = (
 
 @dataclass(frozen=True)
 class Strengthening:
-    """``alpha(h) = c_1 s + c_2 |s| s + c_3 s^3`` with ``s = h - bias``: strictly increasing, zero at the bias.
+    """Strictly increasing and zero at the bias: ``c_1 s + c_2 |s| s + c_3 s^3`` with ``s = h - bias``.
 
     Where ``s < 0`` the state is outside (or within the bias of the boundary) and the condition asks for
     recovery: ``recovery * alpha - push``.
@@ -55,13 +56,16 @@ class Strengthening:
     push: float = 0.0
 
     def __post_init__(self) -> None:
-        values = self.coefficients
-        if len(values) != 3 or not all(np.isfinite(c) and c >= 0 for c in values) or not any(values):
-            raise ScenarioError("coefficients", values, "must be three numbers >= 0, not all zero")
+        rule = "must be three numbers >= 0, not all zero"
+        if not isinstance(self.coefficients, (tuple, list)) or len(self.coefficients) != 3:
+            raise ScenarioError("coefficients", self.coefficients, rule)
+        values = tuple(number("coefficients", c, rule) for c in self.coefficients)
+        if min(values) < 0 or not any(values):
+            raise ScenarioError("coefficients", self.coefficients, rule)
         for name, least in (("bias", 0.0), ("recovery", 1.0), ("push", 0.0)):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value >= least):
-                raise ScenarioError(name, value, f"must be a finite number >= {least:g}")
+            rule = f"must be a finite number >= {least:g}"
+            if number(name, getattr(self, name), rule) < least:
+                raise ScenarioError(name, getattr(self, name), rule)
 
     def __call__(self, h: ArrayLike) -> Array:
         """The values alpha(h), same shape as h."""
@@ -82,12 +86,12 @@ class Strengthening:
 
 def evaluate(
     h: Array,
-    c1: ArrayLike,
-    c2: ArrayLike,
-    c3: ArrayLike,
-    bias: ArrayLike,
-    recovery: ArrayLike,
-    push: ArrayLike,
+    c1: Array | float,
+    c2: Array | float,
+    c3: Array | float,
+    bias: Array | float,
+    recovery: Array | float,
+    push: Array | float,
 ) -> Array:
     """Many strengthening functions at once; the parameters broadcast against h."""
     s = h - bias
