@@ -25,7 +25,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -50,6 +50,19 @@ DATA_FILES = (
 )
 
 
+class Written(Protocol):
+    """What a scenario's copy is written from."""
+
+    @property
+    def text(self) -> str | None:
+        """The file's text; None once a value has been overridden."""
+        ...
+
+    def to_toml(self) -> str:
+        """All values as TOML."""
+        ...
+
+
 @dataclass(frozen=True, eq=False)
 class RunFolder:
     """A run folder on disk.
@@ -68,12 +81,12 @@ class RunFolder:
     @property
     def summary(self) -> dict[str, Any]:
         """Contents of ``summary.json``."""
-        return _read_json(self.path / "summary.json")
+        return read_json(self.path / "summary.json")
 
     @property
     def schedule(self) -> dict[str, Any]:
         """Contents of ``schedule.json``."""
-        return _read_json(self.path / "schedule.json")
+        return read_json(self.path / "schedule.json")
 
     def picture(self) -> Picture:
         """What the figures are drawn from, read from the files.
@@ -88,7 +101,7 @@ class RunFolder:
         from .figures.picture import Picture
 
         schedule, system = self.schedule, self.scenario.system()
-        with _readable(self.path):
+        with readable(self.path):
             steps = schedule["steps"]
             return Picture(
                 self.scenario.model.title,
@@ -175,7 +188,7 @@ def write_run(
         note = progress or (lambda what: None)
         note("files")
         begun = time.perf_counter()
-        files.write_text(folder / "scenario.toml", _scenario_text(scenario, overrides))
+        files.write_text(folder / "scenario.toml", scenario_text(scenario, overrides))
         files.write_schedule(folder, schedule, rules, guarantee(schedule))
         files.write_reference(folder / "reference.csv", schedule.safety.reference)
         files.write_text(folder / "gains.json", files.json_text(files.gains(schedule)))
@@ -194,7 +207,8 @@ def write_run(
     return RunFolder(target, scenario)
 
 
-def _scenario_text(scenario: Scenario, overrides: Sequence[str]) -> str:
+def scenario_text(scenario: Written, overrides: Sequence[str]) -> str:
+    """Text of a scenario as it was run, with the overrides noted at the top."""
     text = scenario.text if scenario.text is not None else scenario.to_toml()
     if not overrides:
         return text
@@ -223,8 +237,9 @@ def read_run(path: str | Path) -> RunFolder:
     return RunFolder(folder, load_scenario(folder / "scenario.toml"))
 
 
-def _read_json(path: Path) -> dict[str, Any]:
-    with _readable(path):
+def read_json(path: Path) -> dict[str, Any]:
+    """Read an object from a JSON file."""
+    with readable(path):
         data = json.loads(path.read_text(encoding="utf-8"))
         if not isinstance(data, dict):
             raise ValueError("not an object")
@@ -232,7 +247,7 @@ def _read_json(path: Path) -> dict[str, Any]:
 
 
 @contextmanager
-def _readable(path: Path) -> Iterator[None]:
+def readable(path: Path) -> Iterator[None]:
     """Turn whatever a damaged file causes into one message."""
     import zipfile
 

@@ -33,6 +33,9 @@ if TYPE_CHECKING:
     from .problem import Problem
     from .synthesis import SwitchingRules
 
+INSPECTION_KINDS = ("inspection", "fuel_limit", "monte_carlo")
+"""What `polaris.asif.scenario` loads, by the key ``kind`` at the top of the file."""
+
 
 @dataclass(frozen=True, eq=False)
 class Scenario:
@@ -236,9 +239,33 @@ def scenario_folder() -> Path:
     return beside if (package.parent / "pyproject.toml").is_file() else package / "bundled_scenarios"
 
 
-def bundled_scenarios() -> tuple[str, ...]:
-    """Names of the scenarios that come with the package, sorted."""
+def bundled_files() -> tuple[str, ...]:
+    """Names of all scenario files that come with the package, of every kind, sorted."""
     return tuple(sorted(path.stem for path in scenario_folder().glob("*.toml")))
+
+
+def bundled_scenarios() -> tuple[str, ...]:
+    """Names of the scenarios of switching schedules that come with the package, sorted.
+
+    Those of the inspection problem have a key ``kind`` at the top; `polaris.asif.scenario` loads them.
+    """
+    paths = ((name, scenario_folder() / f"{name}.toml") for name in bundled_files())
+    return tuple(name for name, path in paths if "kind" not in read_document(path)[0])
+
+
+def locate(name_or_path: str | Path) -> Path:
+    """Path of a bundled scenario, or of one's own; a name wins over a file of the same name."""
+    text = str(name_or_path)
+    if isinstance(name_or_path, str) and text in bundled_files():
+        return scenario_folder() / f"{text}.toml"
+    _refuse_unknown(text)
+    return Path(name_or_path)
+
+
+def read_scenario_file(path: Path) -> tuple[dict[str, Any], str, str]:
+    """Data and text of a file, and its name for messages."""
+    document, written = read_document(path)
+    return document, written, printable(path.name)
 
 
 def load_scenario(name_or_path: str | Path, overrides: Mapping[str, Any] | None = None) -> Scenario:
@@ -257,14 +284,10 @@ def load_scenario(name_or_path: str | Path, overrides: Mapping[str, Any] | None 
     ScenarioError
         If there is no such scenario, or it is not valid: names the field, what was given, the rule.
     """
-    text = str(name_or_path)
-    if isinstance(name_or_path, str) and text in bundled_scenarios():
-        path = scenario_folder() / f"{text}.toml"
-    else:
-        path = Path(name_or_path)
-        _refuse_unknown(text)
-    document, written = read_document(path)
-    where = printable(path.name)
+    document, written, where = read_scenario_file(locate(name_or_path))
+    if document.get("kind") in INSPECTION_KINDS:
+        rule = "is no switching schedule; `polaris.asif.scenario.load_inspection` loads it"
+        raise ScenarioError("kind", document["kind"], rule, where)
     for key, value in (overrides or {}).items():
         put(document, key, copy.deepcopy(value), where)
     return Scenario(validate(document, where), where, None if overrides else written)
@@ -278,7 +301,7 @@ def _refuse_unknown(text: str) -> None:
         there = False
     if there or not re.fullmatch(r"[\w-]+", text):
         return
-    names = bundled_scenarios()
+    names = bundled_files()
     near = difflib.get_close_matches(text, names, n=1)
     hint = f"; did you mean {near[0]}?" if near else ""
     rule = f"is neither a file nor a bundled scenario ({', '.join(names)}){hint}"

@@ -8,7 +8,7 @@ import re
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
@@ -19,6 +19,8 @@ from .scenario_types import LARGEST, NAME_PATTERN
 
 MAX_BYTES = 1_000_000
 """Largest scenario file read; the largest sensible one is a hundred times smaller."""
+
+Model = TypeVar("Model", bound=BaseModel)
 
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]{1,60}")
 
@@ -102,6 +104,11 @@ def parse_toml(text: str, where: str) -> dict[str, Any]:
 
 
 def validate(document: Mapping[str, Any], where: str | None = None) -> ScenarioModel:
+    """Validate the fields of a switching scenario; see `validate_as`."""
+    return validate_as(ScenarioModel, document, where)
+
+
+def validate_as(model: type[Model], document: Mapping[str, Any], where: str | None = None) -> Model:
     """Validate the fields of a document one by one (no rules that join several fields).
 
     Raises
@@ -110,18 +117,21 @@ def validate(document: Mapping[str, Any], where: str | None = None) -> ScenarioM
         Naming the field as in the TOML, what was given, and the rule.
     """
     try:
-        return ScenarioModel.model_validate(document)
+        return model.model_validate(document)
     except ValidationError as error:
-        raise explain(error.errors(include_url=False), document, where) from None
+        raise explain(error.errors(include_url=False), document, where, model) from None
     except RecursionError:
         raise ScenarioError("file", NOTHING, "must have fewer nested brackets", where) from None
 
 
 def explain(
-    problems: Sequence[ErrorDetails], document: Mapping[str, Any], where: str | None
+    problems: Sequence[ErrorDetails],
+    document: Mapping[str, Any],
+    where: str | None,
+    model: type[BaseModel] = ScenarioModel,
 ) -> ScenarioError:
     """Turn pydantic's list of problems into one error: the likeliest cause first."""
-    found = [one for one in (_locate(problem, document) for problem in problems) if one]
+    found = [one for one in (_locate(problem, document, model) for problem in problems) if one]
     # An unknown key explains a missing one (a slip of the pen), so it comes first.
     found.sort(key=lambda one: not one[2].startswith("unknown key"))
     path, given, rule = found[0]
@@ -141,7 +151,9 @@ def _safe(given: Any) -> Any:
     return given
 
 
-def _locate(problem: ErrorDetails, document: Mapping[str, Any]) -> tuple[str, Any, str] | None:
+def _locate(
+    problem: ErrorDetails, document: Mapping[str, Any], model: type[BaseModel]
+) -> tuple[str, Any, str] | None:
     """Location in the document (union tags dropped), the value there, and the rule; None if spurious."""
     location, kind = problem["loc"], problem["type"]
     context: Mapping[str, Any] = problem.get("ctx") or {}
@@ -157,11 +169,11 @@ def _locate(problem: ErrorDetails, document: Mapping[str, Any]) -> tuple[str, An
     if kind == "missing":
         return join_path([*path, location[-1]]), NOTHING, "is required"
     if kind == "extra_forbidden":
-        return join_path(path), value, _unknown_key(location)
+        return join_path(path), value, _unknown_key(location, model)
     if kind in ("union_tag_not_found", "union_tag_invalid"):
         if not isinstance(value, Mapping):
             return join_path(path), value, "must be a table with a key 'kind'"
-        kinds = [word for table in _tables(location) for word in _kinds(table)]
+        kinds = [word for table in _tables(location, model) for word in _kinds(table)]
         rule = "must be one of " + ", ".join(repr(word) for word in kinds)
         return join_path([*path, "kind"]), value.get("kind", NOTHING), rule
     if kind == "too_short" and len(value) >= context["min_length"]:
@@ -211,15 +223,16 @@ def _rule(kind: str, context: Mapping[str, Any], value: Any, message: str) -> st
             return printable(message[:1].lower() + message[1:])
 
 
-def _unknown_key(location: Sequence[str | int]) -> str:
-    known = list(dict.fromkeys(name for table in _tables(location[:-1]) for name in table.model_fields))
+def _unknown_key(location: Sequence[str | int], model: type[BaseModel]) -> str:
+    tables = _tables(location[:-1], model)
+    known = list(dict.fromkeys(name for table in tables for name in table.model_fields))
     near = difflib.get_close_matches(str(location[-1]), known, n=1, cutoff=0.5)
     return "unknown key; " + (f"did you mean {near[0]}?" if near else f"known here: {', '.join(known)}")
 
 
-def _tables(location: Sequence[str | int]) -> list[type[BaseModel]]:
+def _tables(location: Sequence[str | int], model: type[BaseModel]) -> list[type[BaseModel]]:
     """Table classes a location may hold: a union's members until its tag has been read."""
-    tables: list[type[BaseModel]] = [ScenarioModel]
+    tables = [model]
     for part in location:
         if not isinstance(part, str):
             continue

@@ -1,0 +1,323 @@
+"""Scenarios of the inspection problem: load one by name or path, override a value, build its objects.
+
+>>> from polaris.asif.scenario import load_inspection
+>>> load_inspection("inspection").inspection().deputies
+5
+"""
+
+from __future__ import annotations
+
+import copy
+import difflib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..errors import ScenarioError
+from ..scenario import locate, read_scenario_file
+from ..scenario_build import whole_parts
+from ..scenario_overrides import parse_assignment, put
+from ..scenario_reading import NOTHING, validate_as, write_toml
+from . import scenario_model as models
+from .inspection import Inspection
+from .strengthening import PRESETS, Strengthening
+
+if TYPE_CHECKING:
+    from ..system import Array
+    from .families import Families
+    from .filters import Centralized, Decentralized
+    from .primary import Primary
+
+Model = models.InspectionModel | models.MonteCarloModel
+
+KINDS: dict[str, type[Model]] = {
+    "inspection": models.InspectionModel,
+    "monte_carlo": models.MonteCarloModel,
+}
+"""Kinds of scenario by the key ``kind`` at the top of the file."""
+
+_PARAMETERS = {
+    "mass": "mass_kg",
+    "mean_motion": "mean_motion_rad_s",
+    "deputy_radius": "deputy_radius_m",
+    "chief_radius": "chief_radius_m",
+    "docking_speed": "docking_speed_m_s",
+    "speed_slope": "speed_slope_1_s",
+    "delta_v_max": "delta_v_max_m_s",
+    "distance_max": "distance_max_m",
+    "passive_time": "passive_time_s",
+    "speed_max": "speed_max_m_s",
+    "thrust_max": "thrust_max_N",
+    "smoothing": "smoothing_m",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class InspectionScenario:
+    """A validated scenario of the inspection problem and the builders of what it describes.
+
+    Parameters
+    ----------
+    model : InspectionModel or another of `KINDS`
+        The fields as in the file.
+    source : str or None
+        Where it came from, for messages.
+    text : str or None
+        The file's text; None once a value has been overridden.
+
+    Raises
+    ------
+    ScenarioError
+        If a rule that joins several fields is broken.
+    """
+
+    model: Model
+    source: str | None = None
+    text: str | None = None
+
+    def __post_init__(self) -> None:
+        try:
+            self._check()
+        except ScenarioError as error:
+            given = NOTHING if error.given is None else error.given
+            raise ScenarioError(error.field, given, error.rule, error.where or self.source) from error
+
+    @classmethod
+    def from_dict(cls, document: Mapping[str, Any], source: str | None = None) -> InspectionScenario:
+        """Validate nested data shaped like the TOML file."""
+        return cls(validate_as(model_of(document, source), document, source), source)
+
+    # -- overrides and data ---------------------------------------------------------------------
+
+    def with_overrides(self, values: Mapping[str, Any]) -> InspectionScenario:
+        """Return a copy with several values replaced together, as in `polaris.scenario.Scenario.set`."""
+        if not values:
+            return self
+        document = self.to_dict()
+        for key, value in values.items():
+            put(document, key, copy.deepcopy(value), self.source)
+        return self.from_dict(document, self.source)
+
+    def with_assignments(self, assignments: Iterable[str]) -> InspectionScenario:
+        """Return a copy changed by texts ``key=value`` as given to ``--set``."""
+        return self.with_overrides(dict(parse_assignment(text) for text in assignments))
+
+    @property
+    def name(self) -> str:
+        """Short name."""
+        return self.model.name
+
+    @property
+    def kind(self) -> str:
+        """One of `KINDS`."""
+        return self.model.kind
+
+    def to_dict(self) -> dict[str, Any]:
+        """All values, defaults included, as nested plain data."""
+        return self.model.model_dump(mode="json", exclude_none=True)
+
+    def to_toml(self) -> str:
+        """All values, defaults included, as TOML that loads back to the same scenario."""
+        return write_toml(self.to_dict())
+
+    # -- the domain's objects -------------------------------------------------------------------
+
+    def inspection(self) -> Inspection:
+        """The problem."""
+        given = self.model.parameters
+        values = {name: getattr(given, field) for name, field in _PARAMETERS.items()}
+        try:
+            return Inspection(self.deputies, field_of_view=np.radians(given.field_of_view_deg), **values)
+        except ScenarioError as error:
+            field = f"parameters.{_PARAMETERS.get(error.field, error.field)}"
+            raise ScenarioError(field, error.given, error.rule) from error
+
+    @property
+    def deputies(self) -> int:
+        """Number N of deputies."""
+        if isinstance(self.model, models.MonteCarloModel):
+            return self.model.campaign.deputies
+        initial = self.model.initial
+        return len(initial.states) if isinstance(initial, models.InitialStates) else initial.deputies
+
+    def strengthening(self) -> dict[str, Strengthening]:
+        """The functions alpha, for every family."""
+        table = self.model.strengthening
+        if table.preset not in PRESETS:
+            near = difflib.get_close_matches(table.preset, PRESETS, n=1)
+            hint = f"; did you mean {near[0]}?" if near else ""
+            rule = f"must be one of {', '.join(map(repr, PRESETS))}{hint}"
+            raise ScenarioError("strengthening.preset", table.preset, rule)
+        chosen = dict(PRESETS[table.preset])
+        for family in chosen:
+            given: models.Alpha | None = getattr(table, family)
+            if given is not None:
+                c1, c2, c3 = given.coefficients
+                try:
+                    chosen[family] = Strengthening((c1, c2, c3), given.bias, given.recovery, given.push)
+                except ScenarioError as error:
+                    raise ScenarioError(
+                        f"strengthening.{family}.{error.field}", error.given, error.rule
+                    ) from error
+        return chosen
+
+    def families(self) -> Families:
+        """All constraints, nothing tightened: the judge of a flight."""
+        from .families import Families
+
+        return Families(self.inspection(), self.strengthening())
+
+    def filter(self, spec: models.Filter, period: float) -> Centralized | Decentralized:
+        """The filter that a table describes."""
+        from .families import Families
+        from .filters import Centralized, Decentralized
+        from .sampled import SampledData
+
+        sampled = SampledData(period, spec.sampled_data_share) if spec.sampled_data else None
+        families = Families(self.inspection(), self.strengthening(), spec.without, sampled)
+        if isinstance(spec, models.DecentralizedFilter):
+            return Decentralized(families, spec.sharing)
+        return Centralized(families)
+
+    def initial(self) -> tuple[Array, float]:
+        """States of the deputies, shape (N, 6), and the angle of the sun [rad]."""
+        from .sampling import initial_conditions
+
+        assert isinstance(self.model, models.InspectionModel)
+        given = self.model.initial
+        if isinstance(given, models.InitialStates):
+            return np.array(given.states, dtype=float), float(np.radians(given.sun_angle_deg))
+        x, sun, _ = initial_conditions(self.families(), 1, given.seed, block=1024)
+        return x[0], float(sun[0])
+
+    def primary(self) -> Primary:
+        """The primary controller, phase by phase."""
+        from .primary import LQR, NoInput, Phases
+
+        assert isinstance(self.model, models.InspectionModel)
+        q = self.inspection()
+        controllers: list[Primary] = []
+        for phase in self.model.primary:
+            if isinstance(phase, models.NoThrust):
+                controllers.append(NoInput())
+                continue
+            distance = phase.distance_m if isinstance(phase, models.ToDistance) else 0.0
+            controllers.append(
+                LQR(
+                    q,
+                    distance,
+                    phase.position_weight_1_m2,
+                    phase.velocity_weight_s2_m2,
+                    phase.thrust_weight_1_N2,
+                )
+            )
+        return Phases([phase.start_s for phase in self.model.primary], controllers)
+
+    # -- rules that join several fields ---------------------------------------------------------
+
+    def _check(self) -> None:
+        model = self.model
+        if isinstance(model, models.MonteCarloModel):
+            _check_time("campaign", model.campaign.duration_s, model.campaign.period_s)
+            _check_studies(model)
+        else:
+            _check_time("flight", model.flight.duration_s, model.flight.period_s)
+            _check_states(model)
+            _check_phases(model)
+        self.inspection()
+        self.strengthening()
+        if isinstance(model, models.InspectionModel) and isinstance(model.initial, models.InitialStates):
+            _check_start(self.families(), model.initial)
+
+
+def _check_time(table: str, duration: float, period: float) -> None:
+    count = whole_parts(duration, period)
+    if not count:
+        raise ScenarioError(f"{table}.period_s", period, f"must divide duration_s = {duration:g} s")
+    if count > models.MOST_PERIODS:
+        rule = f"must give at most {models.MOST_PERIODS} periods, not {count}"
+        raise ScenarioError(f"{table}.period_s", period, rule)
+
+
+def _check_studies(model: models.MonteCarloModel) -> None:
+    names = [study.name for study in model.studies]
+    for k, name in enumerate(names):
+        if name in names[:k]:
+            raise ScenarioError(f"studies[{k}].name", name, "must differ from those before it")
+
+
+def _check_states(model: models.InspectionModel) -> None:
+    if isinstance(model.initial, models.InitialStates):
+        for k, state in enumerate(model.initial.states):
+            if len(state) != 6:
+                raise ScenarioError(f"initial.states[{k}]", list(state), "must have 6 numbers")
+
+
+def _check_phases(model: models.InspectionModel) -> None:
+    starts = [phase.start_s for phase in model.primary]
+    if starts[0] != 0:
+        raise ScenarioError("primary[0].start_s", starts[0], "must be 0")
+    for k in range(1, len(starts)):
+        if starts[k] <= starts[k - 1]:
+            rule = f"must be later than the phase before it, {starts[k - 1]:g} s"
+            raise ScenarioError(f"primary[{k}].start_s", starts[k], rule)
+
+
+def _check_start(families: Families, given: models.InitialStates) -> None:
+    """Every constraint must hold at the start: a filter keeps a flight safe, it does not make it so."""
+    x = np.array(given.states, dtype=float)
+    h = families(x[None], np.array([np.radians(given.sun_angle_deg)])).h[0]
+    worst = int(h.argmin())
+    if not h[worst] >= 0:
+        rule = f"must satisfy every constraint; {families.labels[worst]} ({families.family[worst]})"
+        where = f"initial.states[{families.first[worst]}]"
+        raise ScenarioError(
+            where, list(given.states[families.first[worst]]), f"{rule} is {h[worst]:.3g} at the start"
+        )
+
+
+# -- loading ----------------------------------------------------------------------------------------
+
+
+def model_of(document: Mapping[str, Any], where: str | None = None) -> type[Model]:
+    """Model of a document by its key ``kind``.
+
+    Raises
+    ------
+    ScenarioError
+        If there is no such kind.
+    """
+    kind = document.get("kind", NOTHING)
+    if isinstance(kind, str) and kind in KINDS:
+        return KINDS[kind]
+    near = difflib.get_close_matches(kind, KINDS, n=1, cutoff=0.5) if isinstance(kind, str) else []
+    hint = f"; did you mean {near[0]}?" if near else ""
+    words = ", ".join(map(repr, KINDS))
+    raise ScenarioError("kind", kind, f"must be one of {words}, or left out for a schedule{hint}", where)
+
+
+def load_inspection(
+    name_or_path: str | Path, overrides: Mapping[str, Any] | None = None
+) -> InspectionScenario:
+    """Load a bundled scenario of the inspection problem by its name, or one's own by its path.
+
+    Parameters
+    ----------
+    name_or_path : str or Path
+        A name listed by ``polaris scenarios`` or the path of a TOML file.
+    overrides : mapping, optional
+        Values to replace before validation.
+
+    Raises
+    ------
+    ScenarioError
+        If there is no such scenario, or it is not valid: names the field, what was given, the rule.
+    """
+    document, written, where = read_scenario_file(locate(name_or_path))
+    for key, value in (overrides or {}).items():
+        put(document, key, copy.deepcopy(value), where)
+    model = validate_as(model_of(document, where), document, where)
+    return InspectionScenario(model, where, None if overrides else written)

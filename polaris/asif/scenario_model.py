@@ -1,0 +1,290 @@
+"""Models of the scenario files of the inspection problem: one class per table, units in the names.
+
+These models know the rules of a single field. Rules that join several fields are in
+`polaris.asif.scenario`. Defaults are the paper's Table 1 where it gives a value.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from ..scenario_types import (
+    Flag,
+    Name,
+    NonNegative,
+    Number,
+    Positive,
+    Real,
+    ScenarioPart,
+    Text,
+    Vector,
+    VersionOne,
+    Whole,
+    unit,
+)
+
+MOST_PERIODS = 200_000
+"""Most control periods of one flight."""
+
+Family = Literal[
+    "chief_separation",
+    "deputy_separation",
+    "speed",
+    "sun",
+    "deputy_sun",
+    "keep_in",
+    "passive",
+    "deputy_passive",
+    "velocity",
+]
+
+Seed = Annotated[Whole, Field(ge=0, le=2**63 - 1)]
+
+
+class Parameters(ScenarioPart):
+    """The spacecraft and the limits of Table 1."""
+
+    mass_kg: Real = unit("kg", "Mass m of a deputy.", default=12.0, ge=1e-3, le=1e7)
+    mean_motion_rad_s: Real = unit(
+        "rad/s", "Mean motion n of the chief's orbit.", default=0.001027, gt=0, le=0.01
+    )
+    deputy_radius_m: Positive = unit("m", "Collision radius r_d of a deputy.", default=5.0)
+    chief_radius_m: Positive = unit("m", "Collision radius r_c of the chief.", default=5.0)
+    docking_speed_m_s: Positive = unit("m/s", "Speed nu_0 allowed at the chief itself.", default=0.2)
+    speed_slope_1_s: Positive | None = unit(
+        "1/s", "Rate nu_1 at which the allowed speed grows with distance; twice n without it.", default=None
+    )
+    delta_v_max_m_s: Positive = unit("m/s", "Fuel limit.", default=20.0)
+    field_of_view_deg: Real = unit(
+        "deg", "Full opening angle alpha_FOV of the sensor.", default=60.0, gt=0, lt=180
+    )
+    distance_max_m: Positive = unit("m", "Largest distance r_max from the chief.", default=1000.0)
+    passive_time_s: Positive = unit(
+        "s", "Time T for which free flight must stay clear; at most half an orbit.", default=500.0
+    )
+    speed_max_m_s: Positive = unit("m/s", "Largest speed v_max along each axis.", default=1.0)
+    thrust_max_N: Positive = unit("N", "Thrust limit u_max per axis.", default=1.0)
+    smoothing_m: Positive = unit(
+        "m",
+        "Depth of the layer beside each boundary in which the square roots of eqs. 29, 30, 35 and 36 become "
+        "a line; costs half of it in distance.",
+        default=0.1,
+    )
+
+
+# -- strengthening ----------------------------------------------------------------------------------
+
+Coefficients = Annotated[tuple[NonNegative, ...], Field(min_length=3, max_length=3)]
+
+
+class Alpha(ScenarioPart):
+    """One strengthening function, `c1 s + c2 |s| s + c3 s^3` with `s = h - bias`."""
+
+    coefficients: Coefficients = unit("1/s, ...", "c1, c2 and c3, >= 0 and not all zero.")
+    bias: NonNegative = unit("unit of h", "Distance kept of the boundary h = 0.", default=0.0)
+    recovery: Real = unit("-", "Factor where s < 0.", default=1.0, ge=1, le=1e6)
+    push: NonNegative = unit("unit of h per second", "Least growth of h asked for where s < 0.", default=0.0)
+
+
+def _alpha(name: str) -> Alpha | None:
+    """Field of one family of constraints."""
+    field: Alpha | None = unit("-", f"For {name}; the preset's without it.", default=None)
+    return field
+
+
+class StrengtheningTable(ScenarioPart):
+    """The functions alpha of eq. 7: a named set, and what replaces it for single kinds of constraint."""
+
+    preset: Text = unit(
+        "-", "Named set; `afrl` is that of the library the paper's authors published.", default="afrl"
+    )
+    chief_separation: Alpha | None = _alpha("h1, separation from the chief")
+    deputy_separation: Alpha | None = _alpha("h2, separation of two deputies")
+    speed: Alpha | None = _alpha("h3, dynamic speed limit")
+    sun: Alpha | None = _alpha("h4, sun keep-out cone")
+    deputy_sun: Alpha | None = _alpha("h5, sun keep-out cones of two deputies")
+    keep_in: Alpha | None = _alpha("h6, keep-in zone")
+    passive: Alpha | None = _alpha("h7, free flight past the chief")
+    deputy_passive: Alpha | None = _alpha("h8, free flight of two deputies")
+    velocity: Alpha | None = _alpha("h9 to h11, velocity limits")
+
+
+# -- the filter -------------------------------------------------------------------------------------
+
+
+class _Filter(ScenarioPart):
+    """What both kinds of filter share."""
+
+    without: tuple[Family, ...] = unit("-", "Kinds of constraint that are left out.", default=())
+    sampled_data: Flag = unit(
+        "-",
+        "Tighten the conditions so that, where the program has a solution, they hold for the whole control "
+        "period and not only at its start.",
+        default=True,
+    )
+    sampled_data_share: Real = unit(
+        "-",
+        "Part of a constraint's value that may be lost in one period; less is calmer.",
+        default=0.5,
+        gt=0,
+        le=1,
+    )
+
+
+class CentralizedFilter(_Filter):
+    """One quadratic program for the thrust of all deputies."""
+
+    kind: Literal["centralized"] = unit("-", "One filter for all deputies.")
+
+
+class DecentralizedFilter(_Filter):
+    """One quadratic program per deputy: it knows where the others are, not what they will do."""
+
+    kind: Literal["decentralized"] = unit("-", "A filter for each deputy.")
+    sharing: Literal["coasting", "half", "consensus"] = unit(
+        "-",
+        "Who answers for a condition on a pair. `coasting`: each alone, as if the other did not thrust (the "
+        "paper's). `half`: each for half. `consensus`: each for its part of a solution all can compute.",
+        default="coasting",
+    )
+
+
+Filter = Annotated[CentralizedFilter | DecentralizedFilter, Field(discriminator="kind")]
+
+
+# -- start, time, primary controllers ---------------------------------------------------------------
+
+
+class InitialStates(ScenarioPart):
+    """Given states."""
+
+    kind: Literal["states"] = unit("-", "Given states.")
+    states: Annotated[tuple[Vector, ...], Field(min_length=1, max_length=50)] = unit(
+        "m, m/s", "One list `[r_x, r_y, r_z, v_x, v_y, v_z]` per deputy, in Hill's frame."
+    )
+    sun_angle_deg: Number = unit(
+        "deg", "Angle of the sun from the x axis at the start; it turns at -n.", default=0.0
+    )
+
+
+class InitialSample(ScenarioPart):
+    """Drawn by Latin hypercube sampling, again until every constraint holds."""
+
+    kind: Literal["latin_hypercube"] = unit("-", "Drawn states and sun angle.")
+    deputies: Whole = unit("-", "Number N of deputies.", default=5, ge=1, le=50)
+    seed: Seed = unit("-", "The same seed gives the same states.", default=0)
+
+
+Initial = Annotated[InitialStates | InitialSample, Field(discriminator="kind")]
+
+
+class FlightTime(ScenarioPart):
+    """How long, and in what steps."""
+
+    duration_s: Positive = unit("s", "Length of the flight.", default=3000.0)
+    period_s: Positive = unit(
+        "s",
+        f"Control period: the thrust is held for it. Must divide duration_s; at most {MOST_PERIODS} periods.",
+        default=1.0,
+    )
+    between: Whole = unit(
+        "-",
+        "Instants inside each period at which the constraints are evaluated, too.",
+        default=4,
+        ge=0,
+        le=99,
+    )
+
+
+class NoThrust(ScenarioPart):
+    """No thrust."""
+
+    kind: Literal["none"] = unit("-", "No thrust.")
+    start_s: NonNegative = unit("s", "When it takes over.", default=0.0)
+
+
+class _Regulator(ScenarioPart):
+    """A linear-quadratic regulator; the larger its weight of position, the more aggressive."""
+
+    start_s: NonNegative = unit("s", "When it takes over.", default=0.0)
+    position_weight_1_m2: Positive = unit("1/m^2", "Weight of the position.", default=1.0)
+    velocity_weight_s2_m2: NonNegative = unit("s^2/m^2", "Weight of the velocity.", default=1.0)
+    thrust_weight_1_N2: Positive = unit("1/N^2", "Weight of the thrust.", default=1.0)
+
+
+class ToChief(_Regulator):
+    """A linear-quadratic regulator that draws every deputy to the chief."""
+
+    kind: Literal["to_chief"] = unit("-", "To the chief.")
+
+
+class ToDistance(_Regulator):
+    """A linear-quadratic regulator that drives every deputy straight out (or in) to a distance."""
+
+    kind: Literal["to_distance"] = unit("-", "To a distance from the chief, in the direction it is in.")
+    distance_m: Positive = unit("m", "That distance.")
+
+
+Primary = Annotated[NoThrust | ToChief | ToDistance, Field(discriminator="kind")]
+Phases = Annotated[tuple[Primary, ...], Field(min_length=1, max_length=100)]
+
+
+# -- the kinds of scenario --------------------------------------------------------------------------
+
+
+class _Scene(ScenarioPart):
+    """Head of every scenario."""
+
+    schema_version: VersionOne = unit("-", "Version of this format.")
+    name: Name = unit("-", "Short name; the run folder is called after it.")
+    title: Text = unit("-", "One line for figures and tables.", min_length=1, max_length=200)
+    description: Text = unit("-", "What the scenario shows.", default="", max_length=5000)
+
+
+class InspectionModel(_Scene):
+    """Deputies about a chief, one flight under a barrier filter."""
+
+    kind: Literal["inspection"] = unit("-", "One flight of N deputies under a filter.")
+    parameters: Parameters = unit("-", "Table 1.", default_factory=Parameters)
+    strengthening: StrengtheningTable = unit(
+        "-", "The functions alpha of eq. 7.", default_factory=StrengtheningTable
+    )
+    filter: Filter = unit("-", "Who filters the primary controller's thrust.")
+    initial: Initial = unit("-", "Where it starts.")
+    flight: FlightTime = unit("-", "Length and control period.", default_factory=FlightTime)
+    primary: Phases = unit("-", "Primary controllers, one after another.")
+
+
+class Study(ScenarioPart):
+    """One filter, flown from every initial condition."""
+
+    name: Name = unit("-", "Short name, each different.")
+    filter: Filter = unit("-", "The filter.")
+
+
+class Campaign(ScenarioPart):
+    """Runs from drawn initial conditions, without thrust of the primary controller."""
+
+    deputies: Whole = unit("-", "Number N of deputies.", default=5, ge=1, le=50)
+    runs: Whole = unit(
+        "-", "Initial conditions; every study flies all of them.", default=2000, ge=1, le=1_000_000
+    )
+    seed: Seed = unit("-", "The same seed gives the same initial conditions.", default=0)
+    duration_s: Positive = unit("s", "Length of each flight.", default=500.0)
+    period_s: Positive = unit("s", "Control period. Must divide duration_s.", default=1.0)
+
+
+class MonteCarloModel(_Scene):
+    """Many flights from drawn initial conditions, for one or more filters (`polaris campaign`)."""
+
+    kind: Literal["monte_carlo"] = unit("-", "Many flights.")
+    parameters: Parameters = unit("-", "Table 1.", default_factory=Parameters)
+    strengthening: StrengtheningTable = unit(
+        "-", "The functions alpha of eq. 7.", default_factory=StrengtheningTable
+    )
+    campaign: Campaign = unit("-", "How many runs, how long.", default_factory=Campaign)
+    studies: Annotated[tuple[Study, ...], Field(min_length=1, max_length=20)] = unit(
+        "-", "What is compared on the same initial conditions."
+    )
