@@ -6,6 +6,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from ..system import Array
+from .allowable import allowable
 from .families import Families
 
 
@@ -22,7 +23,7 @@ def initial_conditions(
     Parameters
     ----------
     families : Families
-        ``h >= 0`` is asked for all of them.
+        ``h >= 0`` and ``phi >= 0`` are asked for all of them.
     count : int
     seed : int
     position, speed : float, optional
@@ -57,6 +58,8 @@ def initial_conditions(
         for k in range(0, block, 128):
             part = slice(k, k + 128)
             good = (families(x[part], sun[part]).h >= 0).all(axis=1)
+            for values in allowable(q, x[part], sun[part]).values():
+                good &= (values >= 0).all(axis=1)  # h >= 0 also holds outside, on a fast way back
             states.append(x[part][good])
             suns.append(sun[part][good])
     found = np.concatenate(states)

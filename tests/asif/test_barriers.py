@@ -1,0 +1,310 @@
+"""h1 to h6 and h9 to h11 against the paper's formulas, differentiated by complex steps."""
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from polaris.asif.allowable import allowable
+from polaris.asif.barriers import CENTRE, Radial, Speed, SunCone, Velocity, rounded_length
+from polaris.asif.braking import Braking
+from polaris.asif.families import Families
+from polaris.asif.inspection import Inspection
+
+from . import oracle
+
+Q = Inspection()
+N_, A_, DEPTH = Q.mean_motion, Q.a_max, Q.smoothing
+HALF = Q.field_of_view / 2
+BRAKING = Braking(A_, DEPTH)
+
+
+def forms():
+    """Name, barrier, and the paper's formula as a function of state and sun angle."""
+    yield (
+        "h1",
+        Radial("h1", 10.0, BRAKING),
+        lambda z, sun: oracle.h_outside(z, 10.0, A_, DEPTH),
+    )
+    yield (
+        "h2",
+        Radial("h2", 10.0, Braking(2 * A_, DEPTH)),
+        lambda z, sun: oracle.h_outside(z, 10.0, 2 * A_, DEPTH),
+    )
+    yield "h3", Speed("h3", 0.2, 2 * N_), lambda z, sun: oracle.h_speed(z, 0.2, 2 * N_)
+    for side in (1.0, -1.0):
+        yield (
+            f"h4{side:+.0f}",
+            SunCone("h4", HALF, N_, BRAKING, side),
+            lambda z, sun, side=side: oracle.h_cone(z, sun, HALF, N_, A_, DEPTH, side),
+        )
+    yield (
+        "h6",
+        Radial("h6", 1000.0, BRAKING, -1.0),
+        lambda z, sun: oracle.h_inside(z, 1000.0, A_, DEPTH),
+    )
+    for axis in range(3):
+        yield (
+            f"h{9 + axis}",
+            Velocity("v", axis, 1.0),
+            lambda z, sun, axis=axis: oracle.h_velocity(z, axis, 1.0),
+        )
+
+
+FORMS = list(forms())
+coordinate = st.floats(-1500, 1500)
+component = st.floats(-2, 2)
+states = st.tuples(*[coordinate] * 3, *[component] * 3).map(np.array)
+angles = st.floats(-7, 7)
+
+
+def compare(barrier, formula, z, sun, n, tolerance=1e-9):
+    found = barrier(z, sun)
+    change = np.broadcast_to(found.change, np.shape(found.h))
+    assert found.h == pytest.approx(formula(z, sun), rel=1e-9, abs=tolerance)
+    expected = oracle.gradient(lambda at: formula(at, sun), z)
+    np.testing.assert_allclose(found.gradient, expected, rtol=1e-7, atol=tolerance)
+    # The sun turns at -n, so that the partial derivative with respect to time is -n d/d(sun).
+    by_time = -n * oracle.slope(lambda at: formula(z, at), sun)
+    assert float(change) == pytest.approx(by_time, rel=1e-7, abs=tolerance)
+
+
+@pytest.mark.parametrize(("name", "barrier", "formula"), FORMS, ids=[f[0] for f in FORMS])
+@given(z=states, sun=angles)
+@settings(max_examples=100)
+def test_value_gradient_and_change_are_those_of_the_formula(name, barrier, formula, z, sun):
+    p, axis = z[:3], oracle.sun_direction(sun)
+    assume(np.linalg.norm(p) > 1 and np.linalg.norm(z[3:]) > 1e-3)
+    off_axis = np.linalg.norm(p - (p @ axis) * axis)
+    along = -getattr(barrier, "side", 0) * (p @ axis) if name.startswith("h4") else 0.0
+    if name.startswith("h4"):
+        assume(off_axis > 1 and abs(np.cos(HALF) * off_axis - np.sin(HALF) * along) > 1e-3)
+    compare(barrier, formula, z, sun, N_)
+
+
+@pytest.mark.parametrize(("name", "barrier", "formula"), FORMS, ids=[f[0] for f in FORMS])
+def test_thousands_of_states_near_and_far(name, barrier, formula):
+    rng = np.random.default_rng(7)
+    scale = 10 ** rng.uniform(0, 3.2, (250, 1))
+    p = rng.standard_normal((250, 3))
+    p = np.maximum(scale, 0.5) * p / np.linalg.norm(p, axis=1, keepdims=True)
+    z = np.concatenate([p, rng.standard_normal((250, 3)) * 10 ** rng.uniform(-3, 0.5, (250, 1))], axis=1)
+    sun = rng.uniform(-np.pi, np.pi, 250)
+    for state, angle in zip(z, sun, strict=True):
+        axis = oracle.sun_direction(angle)
+        off_axis = np.linalg.norm(state[:3] - (state[:3] @ axis) * axis)
+        if name.startswith("h4") and off_axis < 2 * CENTRE:
+            continue
+        compare(barrier, formula, state, angle, N_)
+
+
+@pytest.mark.parametrize("name", ["h1", "h4+1", "h4-1", "h6"])
+def test_deep_in_the_layer(name):
+    """States a hair from the boundary, where the printed square root has no slope."""
+    barrier, formula = next((b, f) for label, b, f in FORMS if label == name)
+    rng = np.random.default_rng(3)
+    for delta in (1e-3, 0.03, DEPTH * (1 - 1e-9), DEPTH * (1 + 1e-9), 0.3, -1e-3, -0.5):
+        sun = rng.uniform(-3, 3)
+        if name.startswith("h4"):
+            axis = -barrier.side * oracle.sun_direction(sun)
+            across = np.cross(axis, rng.standard_normal(3))
+            across /= np.linalg.norm(across)
+            along = 200.0
+            p = along * axis + (delta + np.sin(HALF) * along) / np.cos(HALF) * across
+        else:
+            p = rng.standard_normal(3)
+            p *= (barrier.radius + float(np.asarray(barrier.side)) * delta) / np.linalg.norm(p)
+        z = np.r_[p, rng.uniform(-0.5, 0.5, 3)]
+        compare(barrier, formula, z, sun, N_, tolerance=1e-7)
+
+
+def along_the_motion(barrier, z, sun, u):
+    """dh/dt by the chain rule and by finite differences of the barrier itself."""
+    found = barrier(z, sun)
+    rate = oracle.motion(z, N_) + np.r_[0, 0, 0, u]
+    chain = found.gradient @ rate + float(np.asarray(found.change))
+    step = 1e-3
+    ends = [float(barrier(z + sign * step * rate, sun - sign * N_ * step).h) for sign in (1, -1)]
+    return chain, (ends[0] - ends[1]) / (2 * step)
+
+
+@pytest.mark.parametrize(("name", "barrier", "formula"), FORMS, ids=[f[0] for f in FORMS])
+@given(z=states, sun=angles, u=st.tuples(*[st.floats(-0.1, 0.1)] * 3))
+@settings(max_examples=60)
+def test_rate_along_the_motion_includes_the_turning_sun(name, barrier, formula, z, sun, u):
+    axis = oracle.sun_direction(sun)
+    assume(np.linalg.norm(z[:3]) > 5 and np.linalg.norm(z[3:]) > 0.01)
+    assume(np.linalg.norm(z[:3] - (z[:3] @ axis) * axis) > 5)
+    chain, finite = along_the_motion(barrier, z, sun, u)
+    assert chain == pytest.approx(finite, abs=2e-4, rel=2e-3)
+
+
+# --- the braking layer -------------------------------------------------------------------------------
+
+
+@given(st.floats(1e-6, 1e4), st.floats(1e-4, 1.0), st.floats(1e-3, 10.0))
+@settings(max_examples=100)
+def test_layer_never_exceeds_the_printed_speed(delta, a, depth):
+    speed, slope = Braking(a, depth)(np.array(delta))
+    assert 0 <= speed <= np.sqrt(2 * a * delta) * (1 + 1e-12)
+    # Braking at the speed s takes the deceleration s s', at most a.
+    assert speed * slope <= a * (1 + 1e-12)
+    # It costs half the depth in distance, no more.
+    assert speed >= np.sqrt(2 * a * max(delta - depth / 2, 0.0)) * (1 - 1e-12)
+
+
+@given(st.floats(-20, 1e3), st.floats(1e-4, 1.0), st.floats(1e-2, 10.0))
+@settings(max_examples=100)
+def test_layer_slope_and_bend(delta, a, depth):
+    braking = Braking(a, depth)
+    speed, slope = braking(np.array(delta))
+    assert slope == pytest.approx(oracle.slope(lambda at: oracle.braked(at, a, depth), delta), rel=1e-9)
+    assert speed == pytest.approx(oracle.braked(delta, a, depth), rel=1e-9, abs=1e-12)
+    # The slope falls from here to anywhere further by no more than the bend times the way.
+    for further in (1e-3, 0.1, 1.0, 30.0):
+        later = braking(np.array(delta + further))[1]
+        assert -1e-12 <= slope - later <= braking.bend(delta) * further * (1 + 1e-9) + 1e-9
+
+
+def test_layer_is_smooth_where_it_joins():
+    a, depth = 0.05, 0.1
+    braking = Braking(a, depth)
+    below, above = (braking(np.array(depth * (1 + side * 1e-12))) for side in (-1, 1))
+    np.testing.assert_allclose(below, above, rtol=1e-9)
+    assert braking(np.array(0.0))[0] == 0.0
+
+
+# --- special places ----------------------------------------------------------------------------------
+
+
+def special_places():
+    axis = -oracle.sun_direction(0.7)
+    across = np.cross(axis, [0.0, 0.0, 1.0])
+    rest = np.zeros(3)
+    slow, fast = np.array([0.1, -0.2, 0.05]), np.array([1.0, 1.0, -1.0])
+    for velocity in (rest, slow, fast):
+        yield "centre", np.r_[0.0, 0.0, 0.0, velocity]
+        yield "almost the centre", np.r_[1e-12, 0.0, -1e-13, velocity]
+        yield "axis", np.r_[300 * axis, velocity]
+        yield "axis, rounded", np.r_[300 * axis + 1e-14 * across, velocity]
+        yield "far behind the cone", np.r_[-900 * axis, velocity]
+        yield "inside the cone", np.r_[200 * axis + 20 * across, velocity]
+        yield "on the cone", np.r_[200 * axis + 200 * np.tan(HALF) * across, velocity]
+        yield "r_max", np.r_[1000.0, 0.0, 0.0, velocity]
+        yield "beyond r_max", np.r_[0.0, -5000.0, 0.0, velocity]
+        yield "inside the chief", np.r_[0.0, 2.0, 1.0, velocity]
+        yield "on the chief", np.r_[0.0, 0.0, 10.0, velocity]
+        yield "edge of the rounding", np.r_[0.0, CENTRE, 0.0, velocity]
+
+
+SPECIAL = list(special_places())
+
+
+@pytest.mark.parametrize(("place", "z"), SPECIAL, ids=[s[0] for s in SPECIAL])
+def test_defined_and_continuous_at_special_places(place, z):
+    """Along lines through the place: no jump larger than a Lipschitz constant allows."""
+    rng = np.random.default_rng(11)
+    speed = np.linalg.norm(z[3:])
+    for name, barrier, _ in FORMS:
+        with np.errstate(all="raise", under="ignore"):
+            found = barrier(z, 0.7)
+        assert np.isfinite(found.h) and np.isfinite(found.gradient).all() and np.isfinite(found.change)
+        steps = np.linspace(-2e-3, 2e-3, 401)
+        for _ in range(4):
+            direction = rng.standard_normal(6) * [1, 1, 1, 0.01, 0.01, 0.01]
+            direction /= np.linalg.norm(direction)
+            values = barrier(z + steps[:, None] * direction, 0.7).h
+            # The slope of the braking, the turning of a direction near a centre, and of the speed.
+            bound = np.sqrt(A_ * 2 / DEPTH) + 3 * (speed + 0.01 + N_ * 6000) / CENTRE + 2
+            assert np.abs(np.diff(values)).max() <= bound * (steps[1] - steps[0]), name
+
+
+def test_many_deputies_in_special_places_give_finite_rows():
+    """Deputies on top of each other, at the chief, on the axis: one call, finite rows, no warning."""
+    q = Inspection(deputies=6)
+    axis = -oracle.sun_direction(0.7)
+    x = np.zeros((6, 6))
+    x[1, :3] = 100 * axis
+    x[2, :3] = 100 * axis  # overlaps with the one before
+    x[3] = [50.0, 20.0, 0.0, 0.1, 0.0, 0.0]
+    x[4] = x[3]  # the same state
+    x[5, :3] = [0.0, 0.0, 1000.0]
+    with np.errstate(all="raise", under="ignore"):
+        rows = Families(q)(x[None], np.array([0.7]))
+    assert np.isfinite(rows.h).all() and np.isfinite(rows.G).all() and np.isfinite(rows.bound).all()
+
+
+@given(st.tuples(*[st.floats(-2, 2)] * 3).map(np.array), st.floats(1e-6, 1.0))
+def test_rounded_length_is_never_too_small(vector, least):
+    rounded, direction = rounded_length(vector, least)
+    length = np.linalg.norm(vector)
+    assert length <= rounded * (1 + 1e-15) and rounded <= max(length, least) + least / 2
+    assert np.linalg.norm(direction) <= 1 + 1e-12
+    if length >= least:
+        assert rounded == pytest.approx(length, rel=1e-15)
+
+
+# --- the allowable set -------------------------------------------------------------------------------
+
+
+@given(st.integers(0, 10**6))
+@settings(max_examples=100)
+def test_allowable_is_the_papers(seed):
+    rng = np.random.default_rng(seed)
+    x = rng.uniform(-1, 1, (5, 6)) * np.r_[[10 ** rng.uniform(0, 3)] * 3, 1.5, 1.5, 1.5]
+    sun = rng.uniform(-7, 7)
+    found = allowable(Q, x, sun)
+    for name, values in oracle.phi(Q, x, sun).items():
+        np.testing.assert_allclose(found[name], values, rtol=1e-9, atol=1e-7, err_msg=name)
+
+
+def test_both_orders_of_a_pair_count():
+    """Deputy 0 sees the sun behind deputy 1, or the other way round: phi5 is negative either way."""
+    q = Inspection(deputies=2)
+    sun = 0.4
+    direction = oracle.sun_direction(sun)
+    for sign in (1, -1):
+        x = np.zeros((2, 6))
+        x[0, :3], x[1, :3] = 200 * sign * direction, -100 * sign * direction + [0, 0, 50]
+        assert allowable(q, x, sun)["phi5"][0] < 0
+
+
+def test_angles_at_the_chief_and_of_overlapping_deputies_are_defined():
+    q = Inspection(deputies=2)
+    found = allowable(q, np.zeros((2, 6)), 0.3)
+    assert all(np.isfinite(values).all() for values in found.values())
+
+
+INSIDE = {"h1": "phi1", "h2": "phi2", "h3": "phi3", "h4": "phi4", "h5": "phi5", "h6": "phi6"}
+
+
+@given(st.integers(0, 10**6))
+@settings(max_examples=60)
+def test_keeping_h_keeps_phi(seed):
+    """Where h >= 0 the boundary cannot be crossed: on phi = 0, h >= 0 means phi does not decrease.
+
+    h >= 0 and phi < 0 together mean: outside, and on the way back faster than the layer asks. A safe set is
+    therefore {h >= 0 and phi >= 0}, which is what initial conditions are drawn from.
+    """
+    rng = np.random.default_rng(seed)
+    q = Inspection(deputies=2)
+    families = Families(q)
+    x = rng.uniform(-1, 1, (200, 2, 6)) * np.r_[[10 ** rng.uniform(1, 3)] * 3, 1.0, 1.0, 1.0]
+    sun = rng.uniform(-np.pi, np.pi, 200)
+    h = families(x, sun).h
+    later = 1e-2
+    drifted = x + later * (x @ q.A.T)
+    now, then = allowable(q, x, sun), allowable(q, drifted, sun - q.mean_motion * later)
+    names = np.array([label.split("[")[0].rstrip("+-") for label in families.labels])
+    for name, of in INSIDE.items():
+        held = h[:, names == name]
+        if name == "h5":  # two cones a pair
+            held = held.reshape(200, 2, -1).min(axis=1)
+        outside = now[of] < 0
+        if name == "h3":
+            assert not (outside & (held >= 1e-6)).any()
+            continue
+        back = then[of] - now[of]
+        assert (back[outside & (held >= 0)] > 0).all(), name
+    for name in ("h9", "h10", "h11"):
+        assert not ((now["phi" + name[1:]] < 0) & (h[:, names == name] >= 0)).any()
