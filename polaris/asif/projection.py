@@ -20,6 +20,9 @@ SHORTAGE_WEIGHT = 1e6
 FEW = 3
 """Up to so many coupled programs are handed to the solver at once; more are first tried in closed form."""
 
+BEYOND_REACH = 1e6
+"""Bounds on rows of length 1 count as no more than this times the limit: more is as far out of reach."""
+
 DESIRED, FILTERED, SHORT, FAILED = range(4)
 """How an input came about: as desired; nearest that satisfies all rows; nearest that violates them least,
 where none satisfies all; no input at all."""
@@ -83,10 +86,11 @@ def solve(G: Array, bound: Array, desired: Array, limit: float) -> tuple[Array, 
 
 def _least_short(G: Array, bound: Array, desired: Array, limit: float) -> tuple[Array, int]:
     """No input satisfies all rows: one more variable s >= 0, the shortage [N] of the worst row."""
-    size, rows = len(desired), len(bound)
-    if not np.isfinite(bound).all():  # a row that nothing can satisfy does not decide between inputs
-        kept = np.isfinite(bound)
-        G, bound, rows = G[kept], bound[kept], int(kept.sum())
+    size = len(desired)
+    # A row that no input changes, or that nothing can satisfy, does not decide between inputs.
+    kept = np.isfinite(bound) & G.any(axis=1)
+    G, bound = G[kept], np.minimum(bound[kept], BEYOND_REACH * limit)
+    rows = len(bound)
     wide = np.ones((rows, size + 1))
     wide[:, :size] = G
     lower = np.concatenate([np.full(size, -limit), [0.0], bound])
