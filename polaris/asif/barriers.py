@@ -8,10 +8,11 @@ rows, so that one object evaluates a whole family at once.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from ..system import Array
 from .braking import Braking
@@ -220,19 +221,24 @@ class Velocity:
     Parameters
     ----------
     name : str
-    axis : int
+    axis : int or array of int
         0, 1 or 2.
     limit : float
         v_max [m/s].
     """
 
     name: str
-    axis: int
+    axis: int | NDArray[np.intp]
     limit: float
+
+    @cached_property
+    def direction(self) -> Array:
+        """Unit vector along the axis, shape (..., 3)."""
+        return np.asarray(np.eye(3)[self.axis])
 
     def __call__(self, z: Array, sun: ArrayLike = 0.0) -> Evaluation:
         """Evaluate at states of shape (..., 6)."""
-        along = z[..., 3 + self.axis]
+        along = dot(z[..., 3:], self.direction)
         gradient = np.zeros(z.shape)
-        gradient[..., 3 + self.axis] = -2 * along
+        gradient[..., 3:] = (-2 * along)[..., None] * self.direction
         return Evaluation(self.limit**2 - along**2, gradient, 0.0)

@@ -231,26 +231,31 @@ class VelocitySide:
     Parameters
     ----------
     name : str
-    axis : int
+    axis : int or array of int
         0, 1 or 2.
     limit : float
         v_max [m/s].
     """
 
     name: str
-    axis: int
+    axis: int | NDArray[np.intp]
     limit: float
+
+    @cached_property
+    def direction(self) -> Array:
+        """Unit vector along the axis, shape (..., 3)."""
+        return np.asarray(np.eye(3)[self.axis])
 
     def __call__(self, z: Array, sun: ArrayLike = 0.0) -> Evaluation:
         """Evaluate at states of shape (..., 6)."""
-        along = z[..., 3 + self.axis]
+        along = dot(z[..., 3:], self.direction)
         gradient = np.zeros(z.shape)
-        gradient[..., 3 + self.axis] = -np.copysign(self.limit + np.abs(along), along)
+        gradient[..., 3:] = -np.copysign(self.limit + np.abs(along), along)[..., None] * self.direction
         return Evaluation(self.limit**2 - along**2, gradient, 0.0)
 
     def curvature(self, z: Array, motion: Motion) -> Array:
         """Bound M; ``-inf`` where the limit cannot be reached within the period, ``inf`` where both can."""
-        speed = np.abs(z[..., 3 + self.axis])
+        speed = np.abs(dot(z[..., 3:], self.direction))
         # Thrust is within a box whose half-diagonal is motion.thrust; the rest is natural motion.
         change = (motion.acceleration - (1 - 1 / np.sqrt(3)) * motion.thrust) * motion.period
         M = np.where(change < self.limit + speed, (self.limit + speed) * motion.jerk, np.inf)

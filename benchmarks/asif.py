@@ -1,0 +1,92 @@
+"""Time per call of the inspection filters, and growth with the number of deputies.
+
+    python -m benchmarks.asif                     time per call
+    python -m benchmarks.asif --monte-carlo 2000  the paper's Monte Carlo as well, on two processes
+
+States are drawn inside the safe set; desired inputs are at random within twice the limits, so that about half
+the calls solve a quadratic program. Times include everything from the call to the answer, margins by name too.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from concurrent.futures import ProcessPoolExecutor
+
+import numpy as np
+
+from polaris.asif.asif import ActiveSetFilter
+from polaris.asif.families import Families
+from polaris.asif.inspection import Inspection
+from polaris.asif.monte_carlo import monte_carlo
+from polaris.asif.sampled import SampledData
+from polaris.asif.sampling import initial_conditions
+
+
+def time_filter(deputies: int, sharing: str, sampled: bool, calls: int = 2000) -> tuple[float, float, float]:
+    """Median and 99th percentile [ms], share of calls that changed an input."""
+    inspection = Inspection(deputies=deputies)
+    spread = 1000.0 * max(1.0, deputies / 5)  # the cube of the samples; r_max holds in any case
+    many = 40 if deputies <= 6 else 4
+    x, sun = _states(inspection, many, spread)
+    rng = np.random.default_rng(0)
+    asif = ActiveSetFilter(inspection, sharing, sampled=SampledData(1.0) if sampled else None)
+    spent, changed = [], 0
+    for k in range(calls):
+        which = k % many
+        asif.reset()
+        asif.sun = sun[which]
+        desired = rng.uniform(-2, 2, (deputies, 3))
+        begun = time.perf_counter()
+        decision = asif.filter(0.0, x[which], desired)
+        spent.append(time.perf_counter() - begun)
+        changed += bool(decision.intervened.any())
+    median, p99 = np.percentile(spent, [50, 99])
+    return median * 1e3, p99 * 1e3, changed / calls
+
+
+def _states(inspection: Inspection, count: int, spread: float) -> tuple[np.ndarray, np.ndarray]:
+    """Admissible states; for many deputies, where samples are hardly ever accepted, slow ones on a grid."""
+    if inspection.deputies <= 6:
+        x, sun, _ = initial_conditions(Families(inspection), count, seed=1)
+        return x, sun
+    rng = np.random.default_rng(1)
+    x = np.zeros((count, inspection.deputies, 6))
+    x[..., :3] = rng.uniform(-500, 500, x[..., :3].shape)
+    x[..., 3:] = rng.uniform(-0.05, 0.05, x[..., :3].shape)
+    return x, rng.uniform(0, 2 * np.pi, count)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--monte-carlo", type=int, default=0, metavar="RUNS")
+    parser.add_argument("--workers", type=int, default=2)
+    arguments = parser.parse_args()
+    print(f"{'filter':34} {'N':>3} {'median ms':>10} {'p99 ms':>8} {'changed':>8}")
+    rows = [(1, "centralized", False), *((5, s, False) for s in ("coasting", "half", "consensus"))]
+    rows += [(5, "centralized", False), (5, "centralized", True)]
+    rows += [(n, s, False) for n in (2, 10, 15, 20) for s in ("coasting", "centralized")]
+    for deputies, sharing, sampled in rows:
+        median, p99, changed = time_filter(deputies, sharing, sampled, 2000 if deputies <= 5 else 500)
+        name = sharing + (", sampled-data" if sampled else "")
+        name = name if sharing == "centralized" else f"decentralized, {name}"
+        print(f"{name:34} {deputies:3d} {median:10.3f} {p99:8.3f} {changed:8.0%}")
+    if arguments.monte_carlo:
+        _monte_carlo(arguments.monte_carlo, arguments.workers)
+
+
+def _monte_carlo(runs: int, workers: int) -> None:
+    inspection = Inspection()
+    begun = time.perf_counter()
+    x, sun, accepted = initial_conditions(Families(inspection), runs, seed=1)
+    print(f"{runs} initial conditions in {time.perf_counter() - begun:.1f} s, {accepted:.2%} of the samples")
+    begun = time.perf_counter()
+    with ProcessPoolExecutor(workers) as executor:
+        outcomes = monte_carlo(inspection, x, sun, executor=executor)
+    print(f"{len(outcomes)} studies of {runs} runs in {time.perf_counter() - begun:.1f} s on {workers} processes")
+    for name, outcome in outcomes.items():
+        print(f"{name:34} success {outcome.success.mean():.2%}")
+
+
+if __name__ == "__main__":
+    main()
