@@ -20,6 +20,7 @@ from typing import Annotated, Any, NoReturn
 import typer
 
 from .cli_attacks import add_commands
+from .cli_inspection import add_campaign, run_inspection, told_valid
 from .cli_verify import add_verify
 from .errors import PolarisError
 
@@ -105,13 +106,21 @@ def run(
     ] = False,
     quiet: Quiet = False,
 ) -> None:
-    """Synthesise a schedule, prove it, fly it in simulation, and write a run folder."""
+    """Synthesise a schedule, prove it, fly it in simulation, and write a run folder.
+
+    A scenario of the inspection problem is flown under its filter instead.
+    """
     overrides = list(assignments or [])
     if solver is not None:
         overrides.append(f"planner.solver={solver.value}")
     if recoverable is not None:
         overrides.append(f"recoverable.kind={recoverable.value}")
     with _answering():
+        from .scenario import kind_of
+
+        if kind_of(scenario) is not None:
+            run_inspection(scenario, out, overrides, figures, as_json, quiet)
+            return
         folder = _run(scenario, out, overrides, figures, quiet or as_json)
         claim, kind = folder.summary["guarantee"]["kind"], folder.summary["synthesis"]["recoverable"]
         if claim != "proved":  # even if asked to be quiet
@@ -177,8 +186,11 @@ def _run(name: str, out: str | None, overrides: list[str], figures: bool, quiet:
 def check(file: Name) -> None:
     """Validate a scenario without running it."""
     with _answering():
-        from .scenario import load_scenario
+        from .scenario import kind_of, load_scenario
 
+        if kind_of(file) is not None:
+            typer.echo(told_valid(file))
+            return
         scenario = load_scenario(file)
         system = scenario.system()
         sets = len(scenario.model.obstacles) + len(scenario.model.keep_in)
@@ -195,9 +207,9 @@ def scenarios() -> None:
     with _answering():
         import tomllib
 
-        from .scenario import bundled_scenarios, scenario_folder
+        from .scenario import bundled_files, scenario_folder
 
-        names = bundled_scenarios()
+        names = bundled_files()
         width = max(map(len, names), default=0)
         for name in names:
             text = (scenario_folder() / f"{name}.toml").read_text(encoding="utf-8")
@@ -210,11 +222,13 @@ def plot(
 ) -> None:
     """Redraw the figures of a run folder from its files alone."""
     with _answering():
+        from .asif.run_folder import is_inspection
+        from .asif.run_folder import read_run as read_inspection
         from .console import Stages
         from .runfolder import read_run
 
         with Stages(quiet).stage("figures"):
-            drawn = read_run(folder).draw()
+            drawn = read_inspection(folder).draw() if is_inspection(folder) else read_run(folder).draw()
         if not quiet:
             typer.echo("\n".join(str(path) for path in drawn))
 
@@ -263,6 +277,7 @@ def _fail(message: str, code: int) -> NoReturn:
 
 add_commands(app, _answering)
 add_verify(app, _answering)
+add_campaign(app, _answering)
 
 if __name__ == "__main__":
     app()

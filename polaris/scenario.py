@@ -262,6 +262,12 @@ def locate(name_or_path: str | Path) -> Path:
     return Path(name_or_path)
 
 
+def kind_of(name_or_path: str | Path) -> str | None:
+    """The key ``kind`` at the top of a scenario file, as text; None for a switching schedule."""
+    document = read_document(locate(name_or_path))[0]
+    return str(document["kind"]) if "kind" in document else None
+
+
 def read_scenario_file(path: Path) -> tuple[dict[str, Any], str, str]:
     """Data and text of a file, and its name for messages."""
     document, written = read_document(path)

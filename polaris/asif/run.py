@@ -208,7 +208,7 @@ class _Keeper:
         if sampled:
             self.at_samples = min(self.at_samples, worst)
         if worst < self.value:
-            self.value, self.time, self.deputies = worst, float(t[k]), self.who[place]
+            self.value, self.time, self.deputies = worst, float(t[k]), self.who[int(place)]
         self.bad += int((values < 0).any(axis=1).sum())
         self.seen += len(t)
 

@@ -36,6 +36,7 @@ from .simulation import InspectionRun
 
 DATA_FILES = {
     "inspection": ("scenario.toml", "constraints.csv", "flight.npz"),
+    "monte_carlo": ("scenario.toml", "failures.csv", "campaign.npz"),
 }
 """What a run folder holds besides the summary, by kind of scenario."""
 
@@ -79,8 +80,13 @@ class InspectionFolder:
         return [folder / name for name in names]
 
     def _draw(self, folder: Path) -> list[Path]:
-        from .figures import draw_flight
+        from .campaign import read_campaign
+        from .figures import draw_campaign, draw_flight
 
+        if self.scenario.kind == "monte_carlo":
+            with readable(self.path):
+                picture = read_campaign(self.path / "campaign.npz")
+            return draw_campaign(picture, folder)
         return draw_flight(self.flight(), folder)
 
 

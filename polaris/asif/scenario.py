@@ -123,6 +123,20 @@ class InspectionScenario:
         """All values, defaults included, as TOML that loads back to the same scenario."""
         return write_toml(self.to_dict())
 
+    def outline(self) -> str:
+        """What it describes, on one line."""
+        model = self.model
+        if isinstance(model, models.MonteCarloModel):
+            plan, studies = model.campaign, ", ".join(study.name for study in model.studies)
+            return (
+                f"{plan.runs} runs of {self.deputies} deputies for {plan.duration_s:g} s, studies: {studies}"
+            )
+        flight = model.flight
+        return (
+            f"{self.deputies} deputies, {flight.duration_s:g} s in periods of {flight.period_s:g} s,"
+            f" {model.filter.kind} filter"
+        )
+
     # -- the domain's objects -------------------------------------------------------------------
 
     def inspection(self) -> Inspection:

@@ -7,9 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..simulation import InspectionRun
+
+if TYPE_CHECKING:
+    from ..campaign import CampaignPicture
 
 FLIGHT_FIGURES = (
     "overview",
@@ -44,6 +47,30 @@ def draw_flight(run: InspectionRun, folder: Path) -> list[Path]:
             if not (alone and name in ("separation", "deputy_sun")):
                 written += save(_FIGURES[name](run), folder, name)
     return written
+
+
+def draw_campaign(picture: CampaignPicture, folder: Path) -> list[Path]:
+    """Draw and write the figures of a campaign, each as PDF and PNG.
+
+    Parameters
+    ----------
+    picture : CampaignPicture
+    folder : Path
+        Must exist.
+    """
+    from ...figures.style import WIDTH, new_figure, printing, save
+    from .monte_carlo import draw_failures, draw_initial_conditions
+
+    count = len(picture.studies)
+    columns = min(count, 2)
+    rows = -(-count // columns)
+    with printing():
+        wide = new_figure(0.7 + 2.0 * rows, WIDTH if columns == 1 else 1.35 * WIDTH)
+        axes = wide.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+        draw_initial_conditions(axes.ravel(), picture)
+        bars = new_figure(0.8 + 0.5 * count, 1.35 * WIDTH)
+        draw_failures(bars.add_subplot(), picture)
+        return [*save(wide, folder, "initial_conditions"), *save(bars, folder, "failures")]
 
 
 def _overview(run: InspectionRun) -> Any:

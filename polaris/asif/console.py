@@ -1,0 +1,77 @@
+"""What the command line shows of the inspection problem: tables of what a flight or a campaign came to."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from .report import MEANING
+
+
+def show_flight(summary: Mapping[str, Any], folder: str, console: Console | None = None) -> None:
+    """Print the least value of every constraint, the answers of the filter, and what is claimed."""
+    console = console or Console(highlight=False)
+    console.print(Text(str(summary["title"]), style="bold"))
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    table.add_column(f"{summary['deputies']} deputies, {summary['duration_s']:g} s")
+    for name in ("least", "at", "deputies"):
+        table.add_column(name, justify="right")
+    for row in summary["constraints"]:
+        bad = row["least"] < 0
+        table.add_row(
+            f"{row['constraint']:6} {MEANING[row['constraint']][0]}",
+            Text(f"{row['least']:.4g} {row['unit']}", style="bold red" if bad else ""),
+            f"{row['time_s']:g} s",
+            ", ".join(map(str, row["deputies"])),
+        )
+    console.print(table)
+    verdict = "No constraint is violated." if summary["safe"] else "CONSTRAINTS ARE VIOLATED."
+    console.print(Text(verdict, style="" if summary["safe"] else "bold red"))
+    steps, seconds = summary["steps"], summary["filter_seconds"]
+    total = sum(steps.values())
+    told = ", ".join(f"{name} {count / total:.1%}" for name, count in steps.items() if count)
+    console.print(Text(f"Filter ({summary['filter']['kind']}): {told} of {total} answers."))
+    console.print(
+        Text(f"Time of an answer: {1e3 * seconds['median']:.3g} ms, p99 {1e3 * seconds['p99']:.3g} ms.")
+    )
+    spent = ", ".join(f"{value:.4g}" for value in summary["delta_v_m_s"])
+    console.print(Text(f"Velocity change per deputy: {spent} m/s."))
+    show_claim(summary["guarantee"], console)
+    console.print(Text(f"Run folder: {folder}"), soft_wrap=True)
+
+
+def show_claim(claim: Mapping[str, Any], console: Console) -> None:
+    """Print what is claimed, and on what assumptions."""
+    kind = str(claim["kind"]).replace("_", " ")
+    console.print(Text(f"Guarantee: {kind}; {claim['reason']}.", style="bold"), soft_wrap=True)
+    if claim.get("periods") and claim["kind"] == "per_period":
+        solved = f"{claim['periods_solved']} of {claim['periods']} periods"
+        console.print(Text(f"That is {solved} of this flight, assuming that"), soft_wrap=True)
+    for assumption in claim["assumptions"]:
+        console.print(Text(f"  - {assumption}"), soft_wrap=True)
+
+
+def show_campaign(summary: Mapping[str, Any], folder: str, console: Console | None = None) -> None:
+    """Print the success of every study and what its failures were."""
+    console = console or Console(highlight=False)
+    console.print(Text(str(summary["title"]), style="bold"))
+    kinds = sorted({kind for study in summary["studies"] for kind in study["failures"]})
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    table.add_column(f"{summary['runs']} runs of {summary['duration_s']:g} s")
+    for name in ("success", "at least, 95%", *kinds):
+        table.add_column(name, justify="right")
+    for study in summary["studies"]:
+        failures = [study["failures"].get(kind, 0) for kind in kinds]
+        table.add_row(
+            study["name"],
+            f"{study['success_share']:.2%}",
+            f"{study['success_share_lower_95']:.2%}",
+            *(Text(str(count), style="red" if count else "") for count in failures),
+        )
+    console.print(table)
+    show_claim(summary["guarantee"], console)
+    console.print(Text(f"Run folder: {folder}"), soft_wrap=True)

@@ -1,0 +1,122 @@
+"""The commands of the inspection problem: its flights under ``polaris run``, and ``polaris campaign``."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from .errors import ScenarioError
+
+if TYPE_CHECKING:
+    from .asif.run_folder import InspectionFolder
+
+Guard = Callable[[], AbstractContextManager[None]]
+
+
+def run_inspection(
+    name: str, out: str | None, overrides: list[str], figures: bool, as_json: bool, quiet: bool
+) -> None:
+    """Fly a scenario of the inspection problem, write its run folder, and print what it came to."""
+    from .console import Stages
+
+    stages = Stages(quiet or as_json)
+    with stages.stage("load"):
+        from .asif.scenario import load_inspection
+        from .replacing import check_target
+
+        scenario = load_inspection(name).with_assignments(overrides)
+        target = str(check_target(out if out is not None else f"runs/{scenario.name}"))
+    if scenario.kind == "monte_carlo":
+        raise ScenarioError("scenario", name, "is a campaign of many flights: polaris campaign runs it")
+    with stages.stage("flight"):
+        from .asif.run import fly_scenario
+
+        flown = fly_scenario(
+            scenario, lambda done, total: stages.note(f"flight: {done} of {total} periods", done, total)
+        )
+    with stages.stage("run folder"):
+        from .asif.run_folder import write_run
+
+        folder = write_run(
+            target,
+            scenario,
+            flown,
+            overrides=overrides,
+            seconds=stages.seconds,
+            figures=figures,
+            progress=stages.note,
+        )
+    if not quiet:
+        from .asif.console import show_flight
+
+        _finish(folder, as_json, figures, show_flight)
+
+
+def _finish(folder: InspectionFolder, as_json: bool, figures: bool, show: Callable[[Any, str], None]) -> None:
+    if as_json:
+        sys.stdout.write((folder.path / "summary.json").read_text(encoding="utf-8"))
+        return
+    show(folder.summary, str(folder.path))
+    if not figures:
+        typer.echo(f"To draw the figures: polaris plot {shlex.quote(str(folder.path))}")
+
+
+def told_valid(name: str) -> str:
+    """One line on a scenario of the inspection problem that is valid."""
+    from .asif.scenario import load_inspection
+
+    scenario = load_inspection(name)
+    return f"{scenario.name} is valid: {scenario.outline()}"
+
+
+def add_campaign(app: typer.Typer, guard: Guard) -> None:
+    """Add the command to the application; `guard` turns errors into messages and exit codes."""
+
+    @app.command("campaign")
+    def campaign_command(
+        scenario: Annotated[
+            str, typer.Argument(metavar="NAME_OR_FILE", help="A bundled scenario of many flights, or a file.")
+        ],
+        runs: Annotated[int | None, typer.Option(min=1, help="Short for --set campaign.runs=...")] = None,
+        workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
+        out: Annotated[
+            str | None,
+            typer.Option("--out", metavar="DIR", help="Run folder; default runs/<name of the scenario>."),
+        ] = None,
+        assignments: Annotated[
+            list[str] | None,
+            typer.Option("--set", metavar="KEY=VALUE", help="Override a value; repeatable."),
+        ] = None,
+        figures: Annotated[
+            bool,
+            typer.Option("--figures/--no-figures", help="Draw the figures; `polaris plot` can do so later."),
+        ] = True,
+        as_json: Annotated[
+            bool, typer.Option("--json", help="Print the summary as JSON, and nothing else.")
+        ] = False,
+        quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
+    ) -> None:
+        """Fly many runs from drawn initial conditions under each filter, and count the failures."""
+        overrides = list(assignments or [])
+        if runs is not None:
+            overrides.append(f"campaign.runs={runs}")
+        with guard():
+            from .asif.campaign import run_campaign
+            from .asif.console import show_campaign
+            from .asif.scenario import load_inspection
+            from .console import Stages
+            from .replacing import check_target
+
+            stages = Stages(quiet or as_json)
+            loaded = load_inspection(scenario).with_assignments(overrides)
+            if loaded.kind != "monte_carlo":
+                raise ScenarioError("scenario", scenario, "is one flight: polaris run flies it")
+            target = str(check_target(out if out is not None else f"runs/{loaded.name}"))
+            folder = run_campaign(target, loaded, workers, overrides, figures, stages)
+            if not quiet:
+                _finish(folder, as_json, figures, show_campaign)
