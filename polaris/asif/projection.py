@@ -188,6 +188,7 @@ def _separate_rows(
     for _ in range(N):
         worst = left.argmax(axis=1)
         push = np.maximum(left[every, worst], 0.0)
+        push[np.isinf(push)] = 0.0  # nothing satisfies that row: left to the solver
         if not push.any():
             break
         chosen = push > 0

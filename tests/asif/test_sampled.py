@@ -76,11 +76,11 @@ class Attack:
         """How far h falls below ``(1 - share t / D) h`` (or below 0 for a dropped row), and how many flew."""
         h, G, need, M = self.rows(z, sun)
         a = self.just_enough(G, need, one, two)
-        flown = np.isfinite(a).all(-1) & (h >= 0) & (M < np.inf)
+        flown = np.isfinite(a).all(-1) & (h >= 0) & ~np.isposinf(M)
         path = self.fly(z, np.nan_to_num(a))
         values = self.values(path, sun, z)
         part = (self.times / self.data.period).reshape(-1, *[1] * h.ndim)
-        promised = np.where(M == -np.inf, 0.0, (1 - self.data.share * part) * h)
+        promised = np.where(np.isneginf(M), 0.0, (1 - self.data.share * part) * h)
         return np.where(flown, promised - values, -np.inf).max(axis=0), flown
 
     def values(self, path, sun, z):
@@ -381,7 +381,7 @@ def test_rows_below_zero_ask_for_recovery():
     """h < 0: within the period h grows at least as fast as the strengthening function asks."""
     recovery = Strengthening((0.05, 0.0, 0.0), 0.0, 2.0, 0.01)
     q = Inspection(deputies=1)
-    families = Families(q, {name: recovery for name in Families(q).alpha}, sampled=SampledData(1.0))
+    families = Families(q, dict.fromkeys(Families(q).alpha, recovery), sampled=SampledData(1.0))
     x = np.array([[[9.9, 0.0, 0.0, 0.05, 0.0, 0.0]]])
     rows = families(x, np.array([np.pi]))
     row = families.labels.index("h1[0]")
