@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from ..errors import ScenarioError
 from ..system import Array
 from .decision import Backup, Decision
 from .families import Families, Rows
 from .filters import Centralized, Decentralized, Sharing
 from .inspection import Inspection
 from .projection import DESIRED, FAILED, SHORT
+from .received import Received, Receiver
 from .sampled import SampledData
 from .strengthening import Strengthening
 
@@ -24,9 +24,9 @@ TIGHT = 1e-7
 class ActiveSetFilter:
     """Nearest input that keeps every constraint (eq. 5), with defined answers to bad input.
 
-    - A deputy whose state is not finite is taken to be where its last state and thrust lead; after `patience`
-      seconds without a state, or before the first, every deputy coasts (h7 and h8 keep coasting clear of
-      collisions for T).
+    - A deputy whose state is unknown is taken to be where its last state and thrust lead (see
+      `polaris.asif.received.Receiver`); where that is not known either, every deputy coasts, which h7 and h8
+      keep clear of collisions for T.
     - A missing or not finite desired input is replaced by the backup controller's, which is then filtered.
     - Where no input satisfies all conditions, the one that violates them least is used; should the program
       fail altogether, the backup controller's.
@@ -44,8 +44,6 @@ class ActiveSetFilter:
         Default: no thrust.
     sun : float
         Angle of the sun at t = 0 [rad].
-    patience : float
-        [s]
     """
 
     def __init__(
@@ -57,9 +55,8 @@ class ActiveSetFilter:
         sampled: SampledData | None = None,
         backup: Backup | None = None,
         sun: float = 0.0,
-        patience: float = 5.0,
     ) -> None:
-        self.inspection, self.backup, self.sun, self.patience = inspection, backup, sun, patience
+        self.inspection, self.backup, self.sun = inspection, backup, sun
         self.families = Families(inspection, strengthening, without, sampled)
         self.batch = (
             Centralized(self.families) if sharing == "centralized" else Decentralized(self.families, sharing)  # type: ignore[arg-type]
@@ -72,11 +69,7 @@ class ActiveSetFilter:
 
     def reset(self) -> None:
         """Forget the last states: a new flight begins."""
-        N = self.inspection.deputies
-        self._x = np.full((N, 6), np.nan)
-        self._seen = np.full(N, -np.inf)
-        self._u = np.zeros((N, 3))
-        self._t = -np.inf
+        self._receiver = Receiver(self.inspection)
 
     def filter(self, t: float, x: ArrayLike, u_des: ArrayLike | None) -> Decision:
         """Decide on the inputs of the next control period; see `polaris.asif.decision.RunTimeFilter`.
@@ -84,57 +77,17 @@ class ActiveSetFilter:
         Raises
         ------
         ScenarioError
-            If the shape of the states or of the desired input is wrong.
+            If the time is not a finite number, or the shape of the states or of the desired input is wrong.
         """
-        N = self.inspection.deputies
-        states = _shaped("x", x, (N, 6))
-        reasons: list[str] = []
-        if not (np.isfinite(t) and t >= self._t):
-            reasons.append(f"time {t} after {self._t}")
-            t = self._t if np.isfinite(self._t) else 0.0
-        states = self._known(t, states, reasons)
-        desired, replaced = self._desired(t, states, u_des, reasons)
-        if np.isfinite(states).all():
-            decision = self._filtered(t, states, desired, replaced, reasons)
+        got = self._receiver.receive(t, x, u_des)
+        missing = got.fallback()
+        if not got.estimated.all():
+            nothing = np.zeros_like(got.u)
+            decision = Decision(nothing, np.ones(len(nothing), dtype=bool), (), {}, "coast", missing)
         else:
-            decision = _plain(np.zeros((N, 3)), "coast", "; ".join(reasons))
-        self._t, self._u = t, decision.u
+            decision = self._filtered(got, u_des, [missing] if missing else [])
+        self._receiver.applied(decision.u)
         return decision
-
-    def _known(self, t: float, x: Array, reasons: list[str]) -> Array:
-        """States with the unknown ones predicted from the last known, as long as patience lasts."""
-        good = np.isfinite(x).all(axis=1)
-        if not good.all():
-            x = x.copy()
-            for i in np.flatnonzero(~good).tolist():
-                age = t - self._seen[i]
-                reasons.append(
-                    f"state of deputy {i} not finite" + (f" for {age:g} s" if age < np.inf else "")
-                )
-                x[i] = self._x[i] if age <= self.patience else np.nan
-                if age <= self.patience and t > self._t:
-                    Phi, Gamma = self.inspection.held(t - self._t)
-                    x[i] = Phi @ self._x[i] + Gamma @ self._u[i]
-        self._x = x
-        self._seen = np.where(good, t, self._seen)
-        return x
-
-    def _desired(
-        self, t: float, x: Array, u_des: ArrayLike | None, reasons: list[str]
-    ) -> tuple[Array, NDArray[np.bool_]]:
-        """Desired inputs, the backup's where there are none; and where that was."""
-        N = self.inspection.deputies
-        if u_des is None:
-            reasons.append("no desired input in time")
-            desired = np.full((N, 3), np.nan)
-        else:
-            desired = _shaped("u_des", u_des, (N, 3))
-        bad = ~np.isfinite(desired).all(axis=1)
-        if bad.any():
-            if u_des is not None:
-                reasons.append(f"desired input of deputy {np.flatnonzero(bad).tolist()} not finite")
-            desired = np.where(bad[:, None], self._backup(t, x), desired)
-        return desired, bad
 
     def _backup(self, t: float, x: Array) -> Array:
         """The backup controller's input; no thrust where it has none to give."""
@@ -144,12 +97,14 @@ class ActiveSetFilter:
         limit = self.inspection.thrust_max
         return np.where(np.isfinite(u), np.clip(u, -limit, limit), 0.0)
 
-    def _filtered(
-        self, t: float, x: Array, desired: Array, replaced: NDArray[np.bool_], reasons: list[str]
-    ) -> Decision:
-        sun = self.inspection.sun_angle([t], self.sun)
+    def _filtered(self, got: Received, u_des: ArrayLike | None, reasons: list[str]) -> Decision:
+        t, x, replaced = got.t, got.x, ~got.given
+        desired = got.u if u_des is None else np.asarray(u_des, dtype=float)
+        if replaced.any():
+            desired = np.where(replaced[:, None], self._backup(t, x), desired)
         # Commands beyond a million times the limit are as good as that; squares of huge ones overflow.
         most = 1e6 * self.inspection.thrust_max
+        sun = self.inspection.sun_angle([t], self.sun)
         found = self.batch.batch(x[None], sun, np.clip(desired, -most, most)[None])
         u, status, rows = found.u[0], found.status[0], found.rows
         name = "filtered" if (status > DESIRED).any() else "desired"
@@ -177,17 +132,3 @@ class ActiveSetFilter:
         limit = self.inspection.thrust_max
         at_limit = np.flatnonzero((np.abs(u) >= limit * (1 - 1e-12)).any(axis=1))
         return (*names, *(f"thrust[{i}]" for i in at_limit))
-
-
-def _plain(u: Array, status: str, reason: str) -> Decision:
-    return Decision(u, np.ones(len(u), dtype=bool), (), {}, status, reason)
-
-
-def _shaped(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
-    try:
-        array = np.asarray(value, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise ScenarioError(name, value, "must be numbers") from error
-    if array.shape != shape:
-        raise ScenarioError(name, array.shape, f"must have the shape {shape}")
-    return array
