@@ -23,6 +23,9 @@ FEW = 3
 BEYOND_REACH = 1e6
 """Bounds on rows of length 1 count as no more than this times the limit: more is as far out of reach."""
 
+TOGETHER = 8
+"""Up to so many independent programs are handed to the solver as one."""
+
 DESIRED, FILTERED, SHORT, FAILED = range(4)
 """How an input came about: as desired; nearest that satisfies all rows; nearest that violates them least,
 where none satisfies all; no input at all."""
@@ -54,7 +57,7 @@ def _cost(size: int, weight: float = 1.0) -> Array:
     return cost
 
 
-def solve(G: Array, bound: Array, desired: Array, limit: float) -> tuple[Array, int]:
+def solve(G: Array, bound: Array, desired: Array, limit: float, relax: bool = True) -> tuple[Array, int]:
     """Project one input: ``min norm(u - desired)`` subject to ``G u >= bound``, ``|u_i| <= limit``.
 
     Parameters
@@ -66,11 +69,13 @@ def solve(G: Array, bound: Array, desired: Array, limit: float) -> tuple[Array, 
         [N]
     limit : float
         [N]
+    relax : bool
+        Where no input satisfies all rows, find the one that violates them least.
 
     Returns
     -------
     u : ndarray, shape (v,)
-        [N]
+        [N]; nan if failed.
     status : int
         FILTERED, SHORT or FAILED.
     """
@@ -81,6 +86,8 @@ def solve(G: Array, bound: Array, desired: Array, limit: float) -> tuple[Array, 
     u, _, flag, _ = daqp.solve(_cost(size), -desired, G, upper, lower, primal_tol=PRIMAL)
     if flag > 0:
         return np.clip(u, -limit, limit), FILTERED
+    if not relax:
+        return np.full(size, np.nan), FAILED
     return _least_short(G, bound, desired, limit)
 
 
@@ -141,7 +148,7 @@ def project_coupled(
     pair = second >= 0
     several = np.where(pair, 2.0, 1.0)
     needed = bound > -limit * np.abs(G).sum(axis=2) * several  # the others hold for every admissible input
-    scale = 1 / np.maximum(np.sqrt(np.einsum("kmv,kmv->km", G, G) * several), 1e-300)
+    scale = 1 / np.maximum(np.sqrt(np.einsum("kmv,kmv->km", G, G) * several), 1e-100)
     G, bound = G * scale[..., None], np.where(needed, bound * scale, -np.inf)
     u = np.clip(desired, -limit, limit)
     status = np.full(len(u), FILTERED, dtype=np.int8)
@@ -156,19 +163,44 @@ def project_coupled(
 
 
 def _coupled(
-    G: Array, bound: Array, desired: Array, limit: float, first: Index, second: Index, rows: Index
+    G: Array,
+    bound: Array,
+    desired: Array,
+    limit: float,
+    first: Index,
+    second: Index,
+    rows: Index,
+    relax: bool = True,
 ) -> tuple[Array, int]:
     """One run, through the solver: only the rows that count."""
     N, v = desired.shape
     if N == 1:
-        found, status = solve(G[rows], bound[rows], desired[0], limit)
+        found, status = solve(G[rows], bound[rows], desired[0], limit, relax)
         return found[None], status
     wide = np.zeros((len(rows), N, v))
     every, pair = np.arange(len(rows)), np.flatnonzero(second[rows] >= 0)
     wide[every, first[rows]] = G[rows]
     wide[pair, second[rows[pair]]] = -G[rows[pair]]
-    found, status = solve(wide.reshape(-1, N * v), bound[rows], desired.ravel(), limit)
+    found, status = solve(wide.reshape(-1, N * v), bound[rows], desired.ravel(), limit, relax)
     return found.reshape(N, v), status
+
+
+def _together(
+    G: Array, bound: Array, desired: Array, limit: float, needed: Array, u: Array, todo: Index
+) -> Index:
+    """A few independent programs as one: a call of the solver costs more than their sizes.
+
+    Writes the solutions into `u` and returns the programs left to do: all, if one of them has no solution.
+    """
+    which, row = np.nonzero(needed[todo])
+    alone = np.full(len(which), -1, dtype=np.intp)
+    every = np.arange(len(which))
+    at = todo[which]
+    found, status = _coupled(G[at, row], bound[at, row], desired[todo, 0], limit, which, alone, every, False)
+    if status != FILTERED:
+        return todo
+    u[todo, 0] = found
+    return todo[:0]
 
 
 def _separate_rows(
