@@ -132,7 +132,7 @@ class Families:
         names, place, radius, a, side = stack(
             ("chief_separation", alone, q.separation, q.a_max, 1.0),
             ("deputy_separation", pairs, apart, 2 * q.a_max, 1.0),
-            ("keep_in", alone, q.distance_max, q.a_max, -1.0),
+            ("keep_in", alone, q.distance_max, q.a_inside, -1.0),
         )
         groups = [_Group(Radial("radial", radius, Braking(a, q.smoothing), side), names, place)]
         names, place, _, a, side = stack(

@@ -59,7 +59,7 @@ class Inspection:
     Raises
     ------
     ScenarioError
-        If a value is out of range, or eq. 28, 32 or 37 does not hold: the thrust is then too weak for
+        If a value is out of range, or eq. 28, 32, 36 or 37 does not hold: the thrust is then too weak for
         the constraints to be control invariant. If a collision radius or the field of view is so small
         that a boundary lies within `polaris.asif.barriers.CENTRE` of a centre or an axis.
     """
@@ -124,12 +124,15 @@ class Inspection:
             raise ScenarioError("field_of_view", self.field_of_view, rule)
 
     def _check_authority(self) -> None:
-        """Refuse thrust too weak against the natural motion (eqs. 28, 32 and 37)."""
+        """Refuse thrust too weak against the natural motion (eqs. 28, 32, 36 and 37)."""
         n, v, r = self.mean_motion, self.speed_max, self.distance_max
         fastest = np.sqrt(3) * v
         slow_down = self.nu_1 * fastest + 3 * n**2 * (fastest - self.docking_speed) / self.nu_1 + 2 * n * v
+        inside = r - self.smoothing
+        around = 3 * self.fastest**2 / inside if inside > 0 else np.inf  # half of a_max left: see a_inside
         equations = {
             "eq. 28 (braking before a boundary)": 3 * n**2 * r + 2 * n * v,
+            "eq. 36 (turning before r_max)": 3 * n**2 * r + 2 * n * v + around,
             "eq. 32 (dynamic speed limit)": slow_down,
             "eq. 37 (velocity limit, radial)": 3 * n**2 * r + 2 * n * v,
             "eq. 37 (velocity limit, along-track)": 2 * n * v,
@@ -157,6 +160,21 @@ class Inspection:
         n = self.mean_motion
         natural = 3 * n**2 * self.distance_max + 2 * n * self.speed_max
         return self.thrust_max / self.mass - natural
+
+    @property
+    def fastest(self) -> float:
+        """Largest speed that eqs. 14 and 23 allow anywhere [m/s]."""
+        return float(min(np.sqrt(3) * self.speed_max, self.docking_speed + self.nu_1 * self.distance_max))
+
+    @property
+    def a_inside(self) -> float:
+        """Acceleration left for braking before r_max [m/s^2]: `a_max` less what going round the sphere takes.
+
+        The distance's second derivative has a term ``v_t^2 / r`` that pushes outwards, which eq. 28 leaves
+        out. With half of a_max or more left, braking begins at most v^2 / a_max, and the layer, from r_max.
+        """
+        nearest = self.distance_max - self.smoothing - self.fastest**2 / self.a_max
+        return self.a_max - self.fastest**2 / nearest
 
     @cached_property
     def pairs(self) -> NDArray[np.intp]:

@@ -1,0 +1,257 @@
+"""What is refused, and that the message says why; names of rows; what conditions presuppose."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from polaris.asif.barriers import CENTRE
+from polaris.asif.families import Families
+from polaris.asif.filters import Decentralized
+from polaris.asif.inspection import Inspection
+from polaris.asif.strengthening import FAMILIES, PRESETS, Strengthening, evaluate
+from polaris.errors import ScenarioError
+
+Q = Inspection()
+
+NUMBERS = (
+    "mass",
+    "mean_motion",
+    "deputy_radius",
+    "chief_radius",
+    "docking_speed",
+    "speed_slope",
+    "delta_v_max",
+    "field_of_view",
+    "distance_max",
+    "passive_time",
+    "speed_max",
+    "thrust_max",
+    "smoothing",
+)
+
+
+def refused(field, **values):
+    with pytest.raises(ScenarioError) as caught:
+        Inspection(**values)
+    assert caught.value.field == field
+    return str(caught.value)
+
+
+def test_defaults_are_table_1():
+    assert (Q.mass, Q.mean_motion, Q.deputy_radius, Q.chief_radius) == (12.0, 0.001027, 5.0, 5.0)
+    assert (Q.docking_speed, Q.delta_v_max, Q.distance_max, Q.passive_time) == (0.2, 20.0, 1000.0, 500.0)
+    assert (Q.speed_max, Q.thrust_max) == (1.0, 1.0)
+    assert Q.nu_1 == 2 * Q.mean_motion and Q.field_of_view == pytest.approx(np.radians(60))
+    assert Q.a_max == pytest.approx(1 / 12 - 3 * 0.001027**2 * 1000 - 2 * 0.001027)
+
+
+@pytest.mark.parametrize("field", NUMBERS)
+@pytest.mark.parametrize("value", [np.nan, np.inf, -1.0, 0.0, "one", None])
+def test_numbers_must_be_positive(field, value):
+    if field == "speed_slope" and value is None:
+        return  # the default, 2 n
+    refused(field, **{field: value})
+
+
+@pytest.mark.parametrize("count", [0, -1, 51, 2.0, np.nan, True, "3", None])
+def test_number_of_deputies(count):
+    assert "must be" in refused("deputies", deputies=count)
+
+
+def test_fifty_deputies_are_allowed():
+    assert len(Inspection(deputies=50).pairs) == 1225
+
+
+@pytest.mark.parametrize("angle", [np.pi, 4.0])
+def test_field_of_view_below_half_a_turn(angle):
+    assert "below pi" in refused("field_of_view", field_of_view=angle)
+
+
+def test_distance_must_leave_room():
+    assert "collision radii" in refused("distance_max", distance_max=10.0)
+
+
+def test_passive_time_at_most_half_an_orbit():
+    assert "half an orbit" in refused("passive_time", passive_time=np.pi / Q.mean_motion + 1)
+
+
+def test_boundaries_nearer_to_a_centre_or_axis_than_directions_are_defined():
+    """Within `CENTRE` directions fade: a smaller sphere or a thinner cone would go unprotected."""
+    assert "apart" in refused("deputy_radius", deputy_radius=0.4 * CENTRE, chief_radius=1.0)
+    assert "apart" in refused("deputy_radius", deputy_radius=CENTRE / 2)
+    assert "wider" in refused("field_of_view", field_of_view=0.01)
+    # As small as allowed: the axis at the chief's surface is inside.
+    q = Inspection(deputies=1, field_of_view=2.001 * np.arcsin(CENTRE / 10))
+    x = np.zeros((1, 1, 6))
+    x[0, 0, :3] = [-10.5, 0, 0]
+    families = Families(q)
+    assert families(x, np.zeros(1)).h[0, families.labels.index("h4[0]")] < 0
+
+
+NATURAL = 3 * Q.mean_motion**2
+
+
+@pytest.mark.parametrize(
+    ("equation", "needed", "values"),
+    [
+        # thrust just too weak for the one equation
+        ("eq. 28", NATURAL * 1000 + 2 * Q.mean_motion, {"speed_slope": 1e-4, "docking_speed": 1.7}),
+        (
+            "eq. 32",
+            2 * Q.mean_motion * np.sqrt(3)
+            + NATURAL * (np.sqrt(3) - 0.2) / (2 * Q.mean_motion)
+            + 2 * Q.mean_motion,
+            {},
+        ),
+        ("eq. 37", NATURAL * 1000 + 2 * Q.mean_motion, {"speed_slope": 1e-4, "docking_speed": 1.7}),
+    ],
+)
+def test_weak_thrust_names_the_equation(equation, needed, values):
+    enough = needed * Q.mass
+    assert equation in refused("thrust_max", thrust_max=enough * 0.999, **values)
+    try:
+        Inspection(thrust_max=enough * 1.001, **values)
+    except ScenarioError as error:
+        assert equation not in str(error)  # too weak for others, which are named
+
+
+def test_the_thrust_asked_for_is_enough():
+    message = refused("thrust_max", thrust_max=0.01)
+    least = float(message.split("must exceed ")[1].split(" N")[0])
+    Inspection(thrust_max=least * 1.001)
+    refused("thrust_max", thrust_max=least * 0.999)
+
+
+def test_much_too_weak_thrust_names_all_of_them():
+    message = refused("thrust_max", thrust_max=0.001)
+    for part in ("eq. 28", "eq. 32", "radial", "along-track", "cross-track"):
+        assert part in message
+
+
+def test_a_max_follows_the_thrust():
+    """The published library keeps the acceleration of 1 N whatever the limit is set to."""
+    assert replace(Q, thrust_max=0.5).a_max == pytest.approx(Q.a_max - 0.5 / 12)
+
+
+def test_acceleration_inside_the_keep_in_sphere_leaves_room_for_the_turn():
+    fastest = np.sqrt(3) * Q.speed_max
+    assert Q.a_max / 2 <= Q.a_inside < Q.a_max - fastest**2 / Q.distance_max
+    # Where the speed limit allows no fast turn, little is lost.
+    slow = Inspection(docking_speed=0.01, speed_slope=0.001, distance_max=500.0, speed_max=0.2, deputies=1)
+    assert slow.a_inside == pytest.approx(slow.a_max, rel=0.01)
+    assert "eq. 36" in refused("thrust_max", distance_max=60.0, speed_max=3.0, docking_speed=3.0)
+    assert "eq. 36" in refused("thrust_max", distance_max=60.0, smoothing=60.0)
+
+
+# --- strengthening -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "coefficients",
+    [
+        (0.0, 0.0, 0.0),
+        (-1.0, 0.0, 1.0),
+        (np.nan, 0.0, 1.0),
+        (np.inf, 0.0, 0.0),
+        (1.0, 0.0),
+        (1.0, 0.0, 0.0, 1.0),  # a constant would make four
+        (),
+        None,
+        1.0,
+        "abc",
+        (None, 0.0, 1.0),
+        ("1", 0.0, 1.0),
+    ],
+)
+def test_bad_coefficients(coefficients):
+    with pytest.raises(ScenarioError, match="^coefficients"):
+        Strengthening(coefficients)
+
+
+@pytest.mark.parametrize(("field", "least"), [("bias", 0.0), ("recovery", 1.0), ("push", 0.0)])
+def test_bad_numbers(field, least):
+    for value in (least - 1e-9, np.nan, np.inf, "x", None):
+        with pytest.raises(ScenarioError, match=f"^{field}"):
+            Strengthening((1.0, 0.0, 0.0), **{field: value})
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_presets_are_increasing_and_zero_at_the_bias(family):
+    alpha = PRESETS["afrl"][family]
+    assert alpha(alpha.bias) == 0
+    inside = alpha(np.linspace(alpha.bias, 100, 1000))
+    assert (np.diff(inside) > 0).all()
+    outside = alpha(np.linspace(-100, alpha.bias - 1e-9, 1000))
+    assert (np.diff(outside) >= 0).all() and outside.max() <= -alpha.push
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize("rate", [1e-6, 0.01, 1.0, 50.0])
+def test_where_alpha_reaches_a_rate(family, rate):
+    alpha = PRESETS["afrl"][family]
+    at = alpha.reaches(rate)
+    assert alpha(at) >= rate and alpha(at - 1e-6 * (1 + at)) < rate * (1 + 1e-9)
+
+
+def test_evaluate_is_the_call_row_by_row():
+    h = np.linspace(-3, 3, 50)
+    for alpha in PRESETS["afrl"].values():
+        np.testing.assert_array_equal(alpha(h), evaluate(h, *np.array(alpha.numbers)[:, None]))
+
+
+def test_unknown_names():
+    with pytest.raises(ScenarioError, match="strengthening.*afrl"):
+        Families(Q, "nasa")
+    with pytest.raises(ScenarioError, match="without.*chief_separation"):
+        Families(Q, without=("sunshine",))
+    with pytest.raises(ScenarioError, match="speed is missing"):
+        Families(Q, {name: PRESETS["afrl"][name] for name in FAMILIES if name != "speed"})
+    with pytest.raises(ScenarioError, match="sharing.*consensus"):
+        Decentralized(Families(Q), "alone")  # type: ignore[arg-type]
+
+
+# --- rows ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("N", [1, 2, 5])
+def test_rows_and_labels(N):
+    families = Families(Inspection(deputies=N))
+    pairs = N * (N - 1) // 2
+    assert len(families.labels) == len(set(families.labels)) == 8 * N + 4 * pairs
+    for label, family, first, second in zip(
+        families.labels, families.family, families.first, families.second, strict=True
+    ):
+        assert label.endswith(f"[{first},{second}]" if second >= 0 else f"[{first}]")
+        assert (second >= 0) == family.startswith("deputy_")
+    kinds = {label.split("[")[0] for label in families.labels}
+    expected = {"h1", "h3", "h4", "h6", "h7", "h9", "h10", "h11"}
+    assert kinds == expected | ({"h2", "h5+", "h5-", "h8"} if N > 1 else set())
+
+
+@pytest.mark.parametrize("left_out", FAMILIES)
+def test_families_can_be_left_out(left_out):
+    q = Inspection(deputies=3)
+    every, some = Families(q), Families(q, without=(left_out,))
+    kept = [k for k, family in enumerate(every.family) if family != left_out]
+    assert [every.labels[k] for k in kept] == list(some.labels)
+    x = np.random.default_rng(0).uniform(-100, 100, (2, 3, 6)) * [1, 1, 1, 0.003, 0.003, 0.003]
+    all_rows, rows = every(x, np.zeros(2)), some(x, np.zeros(2))
+    np.testing.assert_allclose(rows.h, all_rows.h[:, kept], rtol=1e-9)
+    np.testing.assert_allclose(rows.bound, all_rows.bound[:, kept], rtol=1e-9, atol=1e-12)
+
+
+def test_held_motion_is_that_of_the_matrices():
+    Phi, Gamma = Q.held(7.0)
+    from scipy.integrate import solve_ivp
+
+    x, u = np.array([100.0, -30.0, 20.0, 0.1, 0.2, -0.1]), np.array([0.3, -1.0, 0.5])
+    push = np.r_[0, 0, 0, u / Q.mass]
+    flown = solve_ivp(lambda t, y: Q.A @ y + push, (0, 7), x, rtol=1e-12, atol=1e-12).y[:, -1]
+    np.testing.assert_allclose(Phi @ x + Gamma @ u, flown, rtol=1e-9)
+
+
+@pytest.mark.parametrize("duration", [np.nan, "x", None, np.inf])
+def test_held_refuses_what_is_no_time(duration):
+    with pytest.raises(ScenarioError, match="duration"):
+        Q.held(duration)
