@@ -74,8 +74,8 @@ class Law(Protocol):
         """Thrust of the next period [N], shape (N, 3), within the limits, and the memory after it."""
         ...
 
-    def settled(self, x: Array, memory: Array) -> NDArray[np.bool_]:
-        """Whether the loop is linear from here on, shape (N,); see `Outlook`."""
+    def settled(self, x: Array, memory: Array, share: float = 1.0) -> NDArray[np.bool_]:
+        """Whether the loop is linear from here on, shape (N,), with at most a share of the thrust."""
         ...
 
     def outlook(self, x: Array, memory: Array) -> Outlook:
@@ -106,6 +106,14 @@ class Memoryless:
         """Derivative of the thrust by the state, shape (N, 3, 6)."""
         raise NotImplementedError
 
+    def settled(self, x: Array, memory: Array, share: float = 1.0) -> NDArray[np.bool_]:
+        """Whether the loop is linear from here on, shape (N,), with at most a share of the thrust."""
+        raise NotImplementedError
+
+    def outlook(self, x: Array, memory: Array) -> Outlook:
+        """What is known about all the future."""
+        raise NotImplementedError
+
 
 class Coast(Memoryless):
     """No thrust.
@@ -128,7 +136,7 @@ class Coast(Memoryless):
         """Zeros, shape (N, 3, 6)."""
         return np.zeros((len(x), 3, 6))
 
-    def settled(self, x: Array, memory: Array) -> NDArray[np.bool_]:
+    def settled(self, x: Array, memory: Array, share: float = 1.0) -> NDArray[np.bool_]:
         """Always."""
         return np.ones(len(x), dtype=bool)
 
@@ -228,11 +236,12 @@ class Parking(Memoryless):
         e = self.ellipses
         return np.asarray((a >= e.least + moved) & (a <= e.largest - moved) & (c <= e.cross_track))
 
-    def settled(self, x: Array, memory: Array) -> NDArray[np.bool_]:
+    def settled(self, x: Array, memory: Array, share: float = 1.0) -> NDArray[np.bool_]:
         """Whether the loop is linear from here on, shape (N,)."""
         e = velocity_error(x, self.inspection.mean_motion)
         moved = 2 * self.period * self._errors.total_gain * np.sqrt((e * e).sum(axis=1))
-        return self._thrusts.never_above(e, self.inspection.thrust_max) & self._room(x, moved)
+        calm = self._thrusts.never_above(e, share * self.inspection.thrust_max)
+        return np.asarray(calm & self._room(x, moved))
 
     def outlook(self, x: Array, memory: Array) -> Outlook:
         """What is known about all the future.

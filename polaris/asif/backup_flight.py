@@ -42,7 +42,7 @@ class BackupFlight:
         return np.asarray(np.abs(self.u).sum(axis=(0, 2)) * (period / mass) + self.outlook.delta_v)
 
 
-def fly_backup(law: Law, x: Array, memory: Array, steps: int) -> BackupFlight:
+def fly_backup(law: Law, x: Array, memory: Array, steps: int, share: float = 1.0) -> BackupFlight:
     """Fly until all deputies have settled, at most `steps` periods.
 
     Parameters
@@ -53,11 +53,14 @@ def fly_backup(law: Law, x: Array, memory: Array, steps: int) -> BackupFlight:
     memory : ndarray, shape (N, m)
         As ``law.start(x)`` returns it, or what a flight has left.
     steps : int
+    share : float
+        Fly on until no more than this share of the thrust limit will be used. The smaller, the longer the
+        flight, and the nearer its end to the parking orbit.
     """
     Phi, Gamma = (matrix.T for matrix in law.motion)
     states, inputs = [x], []
     for k in range(steps):
-        if k % LOOK == 0 and law.settled(x, memory).all():
+        if k % LOOK == 0 and law.settled(x, memory, share).all():
             break
         u, memory = law.thrust(x, memory)
         x = x @ Phi + u @ Gamma

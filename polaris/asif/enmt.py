@@ -143,7 +143,9 @@ class Ellipses:
         n = self.mean_motion
         aim, across = self._aims(a, c)
         safe = np.where(a > 0, a, 1.0)
-        ring = _radial_slope(np.stack([x[..., 0], x[..., 1] / 2], axis=-1) / safe[..., None], aim, safe, aim != a)
+        ring = _radial_slope(
+            np.stack([x[..., 0], x[..., 1] / 2], axis=-1) / safe[..., None], aim, safe, aim != a
+        )
         safe = np.where(c > 0, c, 1.0)
         unit = np.stack([x[..., 2], x[..., 5] / n], axis=-1) / safe[..., None]
         wave = _radial_slope(unit, across, safe, across != c)

@@ -6,6 +6,7 @@ Bounds on infinite sums: the first terms exactly, the rest by a norm that has sh
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_lyapunov
 
 from ..errors import ScenarioError
@@ -60,7 +61,7 @@ class Decay:
         self.energy = solve_discrete_lyapunov(M.T, C.T @ C)
         """Matrix P with ``s' P s = sum over k of norm(C s_k)^2``."""
 
-    def never_above(self, s: Array, limit: float) -> Array:
+    def never_above(self, s: Array, limit: float) -> NDArray[np.bool_]:
         """Where surely no output ever exceeds a limit in size: ``s' P s <= limit^2``, shape (...).
 
         Sufficient only. It stays true along the loop, because ``s' P s`` decreases.

@@ -1,0 +1,135 @@
+"""What a filter is handed, made safe to compute with: unknown states, missing and impossible inputs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..checks import number
+from ..errors import ScenarioError
+from ..system import Array
+from .inspection import Inspection
+
+FARTHEST = 1e6
+"""Positions [m] and velocities [m/s] beyond this are taken for faults of the sensors, as nan is."""
+
+MEMORY = 60.0
+"""Time [s] for which the last good state is propagated in place of an unknown one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Received:
+    """One call of a filter.
+
+    Attributes
+    ----------
+    t : float
+        [s]
+    x : ndarray, shape (N, 6)
+        States, always finite: estimates where unknown, zeros where there is no estimate either.
+    known : ndarray of bool, shape (N,)
+        Whose state was measured.
+    estimated : ndarray of bool, shape (N,)
+        Whose state is known or was propagated from the last good one.
+    u : ndarray, shape (N, 3)
+        Desired thrust, clipped to the limits [N]; zero where not given.
+    given : ndarray of bool, shape (N,)
+        Whose desired thrust came in time and was finite.
+    clipped : ndarray of bool, shape (N,)
+        Whose desired thrust was beyond the limits.
+    """
+
+    t: float
+    x: Array
+    known: NDArray[np.bool_]
+    estimated: NDArray[np.bool_]
+    u: Array
+    given: NDArray[np.bool_]
+    clipped: NDArray[np.bool_]
+
+    def counted(self, first: NDArray[np.intp], second: NDArray[np.intp]) -> NDArray[np.bool_]:
+        """Constraints all of whose deputies have an estimate; `second` is -1 where there is one only."""
+        return np.asarray(self.estimated[first] & np.append(self.estimated, True)[second])
+
+    def fallback(self) -> str | None:
+        """What was missing, in words; None if nothing."""
+        parts = []
+        if not self.known.all():
+            parts.append(f"state not known: deputy {_listed(~self.known)}")
+        if not self.given.all():
+            parts.append(f"desired input missing or not finite: deputy {_listed(~self.given)}")
+        return "; ".join(parts) or None
+
+
+def _listed(chosen: NDArray[np.bool_]) -> str:
+    return ", ".join(map(str, np.flatnonzero(chosen)))
+
+
+class Receiver:
+    """Check what a filter is handed; remember the last good states and the thrusts since.
+
+    Parameters
+    ----------
+    inspection : Inspection
+    """
+
+    def __init__(self, inspection: Inspection) -> None:
+        self.inspection = inspection
+        N = inspection.deputies
+        self._x, self._t = np.zeros((N, 6)), np.nan
+        self._seen = np.full(N, -np.inf)  # when each state was last known
+        self._applied = np.zeros((N, 3))
+
+    def receive(self, t: float, x: ArrayLike, u_des: ArrayLike | None) -> Received:
+        """Take in one call; arguments as of `polaris.asif.decision.RunTimeFilter.filter`.
+
+        Raises
+        ------
+        ScenarioError
+            If the time is not a finite number, or an array has a wrong shape or is not numeric.
+        """
+        q = self.inspection
+        t = number("t", t, "must be a finite number [s]")
+        states = _array("x", x, (q.deputies, 6))
+        known = np.asarray((np.abs(states) <= FARTHEST).all(axis=1))  # false for nan and inf
+        seen, estimate = self._estimate(t)
+        seen = np.where(known, t, seen)
+        estimated = np.asarray(t - seen <= MEMORY)
+        states = np.where(known[:, None], states, np.where(estimated[:, None], estimate, 0.0))
+        self._x, self._t, self._seen = states, t, np.where(estimated, seen, -np.inf)
+        self._applied = np.zeros((q.deputies, 3))
+        if u_des is None:
+            wanted, given = np.zeros((q.deputies, 3)), np.zeros(q.deputies, dtype=bool)
+        else:
+            wanted = _array("u_des", u_des, (q.deputies, 3))
+            given = np.asarray(np.isfinite(wanted).all(axis=1))
+            wanted = np.where(given[:, None], wanted, 0.0)
+        u = np.clip(wanted, -q.thrust_max, q.thrust_max)
+        return Received(t, states, known, estimated, u, given, np.asarray((u != wanted).any(axis=1)))
+
+    def applied(self, u: Array) -> None:
+        """Note the thrust [N], shape (N, 3), that was answered to the last call."""
+        self._applied = np.array(u)
+
+    def _estimate(self, t: float) -> tuple[Array, Array]:
+        """Last good states, moved to the time t with the thrust held, and when they were known."""
+        passed = t - self._t
+        if not 0 <= passed <= MEMORY:  # also at the first call, and where the time has jumped
+            return np.full(len(self._x), -np.inf), self._x
+        if passed == 0 or (self._seen == -np.inf).all():
+            return self._seen, self._x
+        Phi, Gamma = self.inspection.held(passed)
+        return self._seen, self._x @ Phi.T + self._applied @ Gamma.T
+
+
+def _array(field: str, value: ArrayLike, shape: tuple[int, int]) -> Array:
+    rule = f"must be numbers of shape {shape}"
+    try:
+        array = np.array(value, dtype=float)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ScenarioError(field, value, rule) from error
+    if array.shape != shape:
+        raise ScenarioError(field, array.shape, rule)
+    return array
