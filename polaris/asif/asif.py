@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..system import Array
+from .barriers import dot
 from .decision import Backup, Decision
 from .families import Families, Rows
 from .filters import Centralized, Decentralized, Sharing
@@ -125,10 +126,9 @@ class ActiveSetFilter:
     def _active(self, rows: Rows, u: Array) -> tuple[str, ...]:
         """Constraints whose condition holds with equality, and thrust limits that are reached."""
         G, bound = rows.G[0], rows.bound[0]
-        length = np.sqrt(np.einsum("mv,mv->m", G, G))
-        gap = np.einsum("mv,mv->m", G, self.families.relative(u)) - bound
-        tight = gap <= TIGHT * length
-        names = dict.fromkeys(self.families.labels[k] for k in np.flatnonzero(tight))
+        gap = dot(G, self.families.relative(u)) - bound
+        tight = np.flatnonzero(gap <= TIGHT * np.abs(G).sum(axis=1))
+        names = dict.fromkeys(self.families.labels[k] for k in tight.tolist())
         limit = self.inspection.thrust_max
         at_limit = np.flatnonzero((np.abs(u) >= limit * (1 - 1e-12)).any(axis=1))
         return (*names, *(f"thrust[{i}]" for i in at_limit))

@@ -60,15 +60,29 @@ class Barrier(Protocol):
 
 def dot(a: Array, b: Array) -> Array:
     """Inner products along the last axis."""
-    return np.asarray(np.einsum("...i,...i->...", a, b))
+    # The first is quicker for a few vectors, the second for thousands.
+    return np.asarray(np.vecdot(a, b) if a.size < 1000 else np.einsum("...i,...i->...", a, b))
 
 
 def rounded_length(vectors: Array, least: float) -> tuple[Array, Array]:
     """Length and direction, both continuous: below `least` the length is a parabola (never too small)."""
     length = np.sqrt(dot(vectors, vectors))
+    if not (length < least).any():
+        return length, vectors / length[..., None]
     bounded = np.maximum(length, least)
     rounded = length + (bounded - length) ** 2 / (2 * least)
     return rounded, vectors / bounded[..., None]
+
+
+def _sideways(vectors: Array, outward: Array, along: Array, distance: Array) -> Array:
+    """Change of a direction for a motion along `vectors`: their part across it, over the distance.
+
+    Closer than `CENTRE` a direction is the position over `CENTRE`, and all of the motion changes it.
+    """
+    if (distance <= CENTRE).any():
+        along = np.where(distance > CENTRE, along, 0.0)
+        distance = np.maximum(distance, CENTRE)
+    return (vectors - along[..., None] * outward) / distance[..., None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,9 +113,8 @@ class Radial:
         distance, toward = rounded_length(p, CENTRE)
         speed, slope = self.braking(self.side * (distance - self.radius))
         away = dot(toward, v)
-        across = v - np.where(distance > CENTRE, away, 0.0)[..., None] * toward
         gradient = np.empty(z.shape)
-        gradient[..., :3] = slope[..., None] * toward + across / np.maximum(distance, CENTRE)[..., None]
+        gradient[..., :3] = slope[..., None] * toward + _sideways(v, toward, away, distance)
         gradient[..., 3:] = toward
         gradient *= np.asarray(self.side)[..., None]
         return Evaluation(speed + self.side * away, gradient, 0.0)
@@ -169,49 +182,45 @@ class SunCone:
 
     def approach(self, z: Array, sun: ArrayLike) -> tuple[Array, Array, Array]:
         """Signed distance [m], its rate [m/s] and the distance from the axis [m], each of shape (...)."""
-        delta, normal, _, radius = self._geometry(z[..., :3], sun)
-        return delta, dot(normal, z[..., 3:] - _turn(z[..., :3], self.mean_motion)), radius
+        delta, normal, _, _, radius = self._geometry(z[..., :3], sun)
+        return delta, dot(normal, z[..., 3:] - (z @ self._turn)[..., :3]), radius
 
-    def _geometry(self, p: Array, sun: ArrayLike) -> tuple[Array, Array, Array, Array]:
-        """Signed distance, its gradient (the normal), the axis and the distance from it."""
-        axis = np.empty(np.broadcast_shapes(p.shape, (*np.shape(sun), 3)))
-        axis[..., 0] = -self.side * np.cos(sun)
-        axis[..., 1] = -self.side * np.sin(sun)
-        axis[..., 2] = 0.0
+    @cached_property
+    def _turn(self) -> Array:
+        """``z @ turn = [w x p, w x v]`` with ``w = [0, 0, -n]``, shape (6, 6)."""
+        n = self.mean_motion
+        return np.asarray(np.kron(np.eye(2), [[0.0, -n, 0.0], [n, 0.0, 0.0], [0.0, 0.0, 0.0]]), dtype=float)
+
+    @cached_property
+    def _axes(self) -> tuple[Array, Array]:
+        """What the cosine and the sine of the sun's angle multiply in the axis."""
+        minus = -np.asarray(self.side, dtype=float)[..., None]
+        return minus * np.eye(3)[0], minus * np.eye(3)[1]
+
+    def _geometry(self, p: Array, sun: ArrayLike) -> tuple[Array, Array, Array, Array, Array]:
+        """Signed distance and its gradient (the normal); the axis, the direction and the distance from it."""
+        cosine, sine = np.cos(sun)[..., None], np.sin(sun)[..., None]
+        axis = cosine * self._axes[0] + sine * self._axes[1]
         along = dot(p, axis)
         radius, outward = rounded_length(p - along[..., None] * axis, CENTRE)
         c, s = np.cos(self.half_angle), np.sin(self.half_angle)
-        return c * radius - s * along, c * outward - s * axis, axis, radius
+        return c * radius - s * along, c * outward - s * axis, axis, outward, radius
 
     def __call__(self, z: Array, sun: ArrayLike) -> Evaluation:
         """Evaluate at states of shape (..., 6)."""
-        p, v = z[..., :3], z[..., 3:]
-        delta, normal, axis, radius = self._geometry(p, sun)
+        delta, normal, axis, outward, radius = self._geometry(z[..., :3], sun)
         speed, slope = self.braking(delta)
-        n = self.mean_motion
-        slip = v - _turn(p, n)  # velocity relative to the turning cone
-        rate = dot(normal, slip)
-        # Change of the normal with the position, along the slip.
-        across = slip - dot(slip, axis)[..., None] * axis
-        outward = (normal + np.sin(self.half_angle) * axis) / np.cos(self.half_angle)
-        far = radius > CENTRE
-        straight = np.where(far, dot(outward, across), 0.0)[..., None] * outward
-        bend = np.cos(self.half_angle) / np.maximum(radius, CENTRE)
-        gradient = np.empty(p.shape[:-1] + (6,))
-        gradient[..., :3] = (
-            slope[..., None] * normal + bend[..., None] * (across - straight) + _turn(normal, n)
-        )
+        turned = z @ self._turn
+        slip = z[..., 3:] - turned[..., :3]  # velocity relative to the turning cone
+        forward = dot(slip, axis)
+        across = slip - forward[..., None] * axis
+        away = dot(outward, across)
+        c, s = np.cos(self.half_angle), np.sin(self.half_angle)
+        gradient = np.empty(z.shape)
+        gradient[..., :3] = slope[..., None] * normal + normal @ self._turn[:3, :3]
+        gradient[..., :3] += c * _sideways(across, outward, away, radius)
         gradient[..., 3:] = normal
-        change = -dot(gradient[..., :3], _turn(p, n)) - dot(normal, _turn(v, n))
-        return Evaluation(speed + rate, gradient, change)
-
-
-def _turn(vectors: Array, n: float) -> Array:
-    """``[0, 0, -n] x vectors``."""
-    turned = np.zeros(vectors.shape)
-    turned[..., 0] = n * vectors[..., 1]
-    turned[..., 1] = -n * vectors[..., 0]
-    return turned
+        return Evaluation(speed + c * away - s * forward, gradient, -dot(gradient, turned))
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -30,13 +31,19 @@ class Braking:
     acceleration: Array | float
     depth: float
 
+    @cached_property
+    def _numbers(self) -> tuple[Array, Array]:
+        """``2 a`` and k."""
+        return np.asarray(2 * self.acceleration), np.sqrt(np.asarray(self.acceleration) / self.depth)
+
     def __call__(self, delta: ArrayLike) -> tuple[Array, Array]:
         """Speed [m/s] and its slope [1/s] at a signed distance [m]."""
-        delta = np.asarray(delta)
-        a, d = self.acceleration, self.depth
-        k = np.sqrt(a / d)
-        root = np.sqrt(2 * a * np.maximum(delta - d / 2, d / 2))
-        return np.where(delta > d, root, k * delta), np.minimum(a / root, k)
+        twice, k = self._numbers
+        half = self.depth / 2
+        delta = np.asarray(delta, dtype=float)
+        root = np.sqrt(twice * np.maximum(delta - half, half))
+        # The line is tangent to the root, and above it; inside the layer the root is held at k d.
+        return np.minimum(root, k * delta), self.acceleration / root
 
     def bend(self, delta: ArrayLike) -> Array:
         """Bound on ``-s''`` [1/(m s)] at all distances of at least delta."""

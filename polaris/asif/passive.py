@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -41,14 +42,17 @@ class Passive:
 
 def _carried_back(direction: Array, n: float, t: Array) -> Array:
     """``Phi_p(t)^T direction``: gradient of a position after free flight (eq. 20) by the state before."""
-    s, c = np.sin(n * t), np.cos(n * t)
-    turned = 2 / n * (1 - c)
-    x, y, z = direction[..., 0], direction[..., 1], direction[..., 2]
-    gradient = np.empty((*direction.shape[:-1], 6))
-    gradient[..., 0] = (4 - 3 * c) * x + 6 * (s - n * t) * y
-    gradient[..., 1] = y
-    gradient[..., 2] = c * z
-    gradient[..., 3] = s / n * x - turned * y
-    gradient[..., 4] = turned * x + (4 / n * s - 3 * t) * y
-    gradient[..., 5] = s / n * z
-    return gradient
+    still, drift, circle, across = (direction @ part for part in _parts(n))
+    angle = (n * t)[..., None]
+    return np.asarray(still + drift * t[..., None] + circle * np.cos(angle) + across * np.sin(angle))
+
+
+@cache
+def _parts(n: float) -> tuple[Array, ...]:
+    """The constant, linear, cosine and sine parts of eq. 20, each of shape (3, 6)."""
+    still, drift, circle, across = np.zeros((4, 3, 6))
+    still[0, [0, 4]], still[1, [1, 3]] = (4, 2 / n), (1, -2 / n)
+    drift[1, [0, 4]] = -6 * n, -3
+    circle[0, [0, 4]], circle[1, 3], circle[2, 2] = (-3, -2 / n), 2 / n, 1
+    across[0, 3], across[1, [0, 4]], across[2, 5] = 1 / n, (6, 4 / n), 1 / n
+    return still, drift, circle, across

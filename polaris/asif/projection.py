@@ -17,14 +17,12 @@ PRIMAL = 1e-11
 SHORTAGE_WEIGHT = 1e6
 """Weight of the squared shortage [N] against the squared deviation where no input satisfies all rows."""
 
-FEW = 3
-"""Up to so many coupled programs are handed to the solver at once; more are first tried in closed form."""
+FEW = 8
+"""Up to so many programs go to the solver at once, independent ones as one; more are first tried in
+closed form."""
 
 BEYOND_REACH = 1e6
 """Bounds on rows of length 1 count as no more than this times the limit: more is as far out of reach."""
-
-TOGETHER = 8
-"""Up to so many independent programs are handed to the solver as one."""
 
 DESIRED, FILTERED, SHORT, FAILED = range(4)
 """How an input came about: as desired; nearest that satisfies all rows; nearest that violates them least,
