@@ -14,6 +14,8 @@ from .errors import ScenarioError
 
 if TYPE_CHECKING:
     from .asif.run_folder import InspectionFolder
+    from .asif.scenario import InspectionScenario
+    from .console import Stages
 
 Guard = Callable[[], AbstractContextManager[None]]
 
@@ -33,6 +35,9 @@ def run_inspection(
         target = str(check_target(out if out is not None else f"runs/{scenario.name}"))
     if scenario.kind == "monte_carlo":
         raise ScenarioError("scenario", name, "is a campaign of many flights: polaris campaign runs it")
+    if scenario.kind == "fuel_limit":
+        _run_fuel(scenario, target, overrides, figures, as_json, quiet, stages)
+        return
     with stages.stage("flight"):
         from .asif.run import fly_scenario
 
@@ -55,6 +60,36 @@ def run_inspection(
         from .asif.console import show_flight
 
         _finish(folder, as_json, figures, show_flight)
+
+
+def _run_fuel(
+    scenario: InspectionScenario,
+    target: str,
+    overrides: list[str],
+    figures: bool,
+    as_json: bool,
+    quiet: bool,
+    stages: Stages,
+) -> None:
+    """Fly one deputy into its fuel limit."""
+    with stages.stage("flight"):
+        from .asif.fuel_scene import fly_fuel_scenario, write_fuel_run
+
+        flown = fly_fuel_scenario(scenario)
+    with stages.stage("run folder"):
+        folder = write_fuel_run(
+            target,
+            scenario,
+            flown,
+            overrides=overrides,
+            seconds=stages.seconds,
+            figures=figures,
+            progress=stages.note,
+        )
+    if not quiet:
+        from .asif.console import show_fuel
+
+        _finish(folder, as_json, figures, show_fuel)
 
 
 def _finish(folder: InspectionFolder, as_json: bool, figures: bool, show: Callable[[Any, str], None]) -> None:

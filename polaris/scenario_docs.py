@@ -1,4 +1,4 @@
-"""Write the scenario format's JSON Schema and its reference page from the models.
+"""Write the scenario formats' JSON Schemas and their reference page from the models.
 
 Run ``python -m polaris.scenario_docs`` after a change to the models; a test compares the files.
 """
@@ -11,9 +11,14 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from pydantic import TypeAdapter
+
+from .asif.scenario import KINDS
+from .asif.scenario import Model as InspectionModels
 from .scenario_model import ScenarioModel
 
 SCHEMA_FILE = "scenario.schema.json"
+INSPECTION_FILE = "inspection.schema.json"
 REFERENCE_FILE = "scenario-reference.md"
 
 _INTRODUCTION = """\
@@ -39,6 +44,16 @@ clearances are numbers well above 0.001. Nothing else depends on the unit.
 """
 
 
+_INSPECTION = """\
+# Scenarios of the inspection problem
+
+A file with a key `kind` at the top describes no switching schedule but deputies that inspect a chief
+([inspection](inspection.md)). States are those of Hill's frame. `polaris check`, `--set` and the errors are
+the same; the schema is [`inspection.schema.json`](inspection.schema.json). Defaults are the values of Table 1
+of Dunlap, van Wijk and Hobbs where the paper prints one.
+"""
+
+
 def schema() -> dict[str, Any]:
     """JSON Schema of the scenario format; every field carries its unit under ``unit``."""
     found: dict[str, Any] = _tidy(ScenarioModel.model_json_schema())
@@ -46,6 +61,17 @@ def schema() -> dict[str, Any]:
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         **found,
         "title": "Polaris scenario",
+    }
+
+
+def inspection_schema() -> dict[str, Any]:
+    """JSON Schema of the scenarios of the inspection problem, one model for each kind."""
+    found: dict[str, Any] = _tidy(TypeAdapter(InspectionModels).json_schema())
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "oneOf": found["anyOf"],
+        "$defs": found["$defs"],
+        "title": "Polaris inspection scenario",
     }
 
 
@@ -67,6 +93,11 @@ def _tidy(node: Any) -> Any:
 def schema_text() -> str:
     """The schema as it is written to the file."""
     return json.dumps(schema(), indent=2, ensure_ascii=False) + "\n"
+
+
+def inspection_schema_text() -> str:
+    """The schema of the inspection problem as it is written to the file."""
+    return json.dumps(inspection_schema(), indent=2, ensure_ascii=False) + "\n"
 
 
 # -- the reference page -----------------------------------------------------------------------------
@@ -92,7 +123,36 @@ def reference_text() -> str:
                 lines += ["", "#### `reference` of a controller"]
                 for choice in _members(reference, tables):
                     lines += _section(choice, tables, "reference")
-    return "\n".join(lines) + "\n"
+    return "\n".join([*lines, "", *_inspection_lines()]) + "\n"
+
+
+def _inspection_lines() -> Iterator[str]:
+    """The part on the inspection problem: top level by kind, then every table once."""
+    tables = inspection_schema()["$defs"]
+    yield _INSPECTION.rstrip("\n")
+    seen: dict[str, str] = {}
+    for kind, model in KINDS.items():
+        whole = tables[model.__name__]
+        yield from ("", f'## `kind = "{kind}"`', "", whole["description"], "")
+        yield from _fields(whole, tables, whole["required"])
+        for key, node in whole["properties"].items():
+            members = list(_members(node, tables))
+            heading = f"[[{key}]]" if node.get("type") == "array" else f"[{key}]"
+            names = json.dumps(members, sort_keys=True)
+            if not members:
+                continue
+            yield from ("", f"### `{heading}` of `{kind}`")
+            if names in seen:
+                yield from ("", f"As `{heading}` of `{seen[names]}`.")
+                continue
+            seen[names] = kind
+            if len(members) > 1:
+                yield from ("", node["description"])
+            for member in members:
+                yield from _section(member, tables, "reference")
+            if key == "strengthening":
+                yield from ("", "#### Function of one kind of constraint")
+                yield from _section(tables["Alpha"], tables, heading)
 
 
 def _section(member: dict[str, Any], tables: dict[str, Any], heading: str) -> Iterator[str]:
@@ -167,11 +227,12 @@ def _range(node: dict[str, Any]) -> str:
     return " " + ", ".join(bounds) if bounds else ""
 
 
-def write(folder: Path) -> tuple[Path, Path]:
-    """Write both files into a folder; return their paths."""
+def write(folder: Path) -> tuple[Path, Path, Path]:
+    """Write all files into a folder; return their paths."""
     folder.mkdir(parents=True, exist_ok=True)
-    paths = folder / SCHEMA_FILE, folder / REFERENCE_FILE
-    for path, text in zip(paths, (schema_text(), reference_text()), strict=True):
+    paths = folder / SCHEMA_FILE, folder / INSPECTION_FILE, folder / REFERENCE_FILE
+    texts = schema_text(), inspection_schema_text(), reference_text()
+    for path, text in zip(paths, texts, strict=True):
         path.write_text(text, encoding="utf-8", newline="\n")
     return paths
 

@@ -44,6 +44,40 @@ def show_flight(summary: Mapping[str, Any], folder: str, console: Console | None
     console.print(Text(f"Run folder: {folder}"), soft_wrap=True)
 
 
+def show_fuel(summary: Mapping[str, Any], folder: str, console: Console | None = None) -> None:
+    """Print what was spent, when the backup took over, and what is claimed."""
+    console = console or Console(highlight=False)
+    console.print(Text(str(summary["title"]), style="bold"))
+    latched, orbit = summary["latched_at_s"], summary["parking_orbit"]
+    rows = [
+        ("velocity change", f"{summary['delta_v_m_s']:.4g} of {summary['delta_v_max_m_s']:g} m/s"),
+        ("backup takes over", "never" if latched is None else f"at {latched:g} s"),
+    ]
+    if latched is not None:
+        rows.append(("spent by then", f"{summary['delta_v_at_latch_m_s']:.4g} m/s"))
+    last = summary["last_thrust_s"]
+    rows += [
+        ("last thrust", "none" if last is None else f"at {last:g} s"),
+        (
+            "least distance from the chief",
+            f"{summary['distance_least_m']:.4g} m at {summary['distance_least_time_s']:g} s",
+        ),
+        ("semi-minor axis at the end", f"{orbit['semi_minor_m']:.4g} m"),
+    ]
+    table = Table(box=None, pad_edge=False, show_header=False)
+    table.add_column()
+    table.add_column(justify="right")
+    for row in rows:
+        table.add_row(*row)
+    console.print(table)
+    if latched is not None:
+        console.print(Text(f"Why: {summary['latch_reason']}."), soft_wrap=True)
+    verdict = "The fuel limit is kept." if summary["safe"] else "THE FUEL LIMIT IS EXCEEDED."
+    console.print(Text(verdict, style="" if summary["safe"] else "bold red"))
+    show_claim(summary["guarantee"], console)
+    console.print(Text(f"Run folder: {folder}"), soft_wrap=True)
+
+
 def show_claim(claim: Mapping[str, Any], console: Console) -> None:
     """Print what is claimed, and on what assumptions."""
     kind = str(claim["kind"]).replace("_", " ")

@@ -36,6 +36,7 @@ from .simulation import InspectionRun
 
 DATA_FILES = {
     "inspection": ("scenario.toml", "constraints.csv", "flight.npz"),
+    "fuel_limit": ("scenario.toml", "fuel.npz"),
     "monte_carlo": ("scenario.toml", "failures.csv", "campaign.npz"),
 }
 """What a run folder holds besides the summary, by kind of scenario."""
@@ -81,8 +82,14 @@ class InspectionFolder:
 
     def _draw(self, folder: Path) -> list[Path]:
         from .campaign import read_campaign
-        from .figures import draw_campaign, draw_flight
+        from .figures import draw_campaign, draw_flight, draw_fuel_run
 
+        if self.scenario.kind == "fuel_limit":
+            from .fuel_scene import read_fuel
+
+            with readable(self.path):
+                flown = read_fuel(self.path / "fuel.npz", self.scenario)
+            return draw_fuel_run(flown, folder)
         if self.scenario.kind == "monte_carlo":
             with readable(self.path):
                 picture = read_campaign(self.path / "campaign.npz")

@@ -31,10 +31,11 @@ if TYPE_CHECKING:
     from .filters import Centralized, Decentralized
     from .primary import Primary
 
-Model = models.InspectionModel | models.MonteCarloModel
+Model = models.InspectionModel | models.FuelLimitModel | models.MonteCarloModel
 
 KINDS: dict[str, type[Model]] = {
     "inspection": models.InspectionModel,
+    "fuel_limit": models.FuelLimitModel,
     "monte_carlo": models.MonteCarloModel,
 }
 """Kinds of scenario by the key ``kind`` at the top of the file."""
@@ -132,6 +133,9 @@ class InspectionScenario:
                 f"{plan.runs} runs of {self.deputies} deputies for {plan.duration_s:g} s, studies: {studies}"
             )
         flight = model.flight
+        if isinstance(model, models.FuelLimitModel):
+            flown = f"1 deputy, {flight.duration_s:g} s in periods of {flight.period_s:g} s"
+            return f"{flown}, fuel limit {model.parameters.delta_v_max_m_s:g} m/s"
         return (
             f"{self.deputies} deputies, {flight.duration_s:g} s in periods of {flight.period_s:g} s,"
             f" {model.filter.kind} filter"
@@ -154,11 +158,14 @@ class InspectionScenario:
         """Number N of deputies."""
         if isinstance(self.model, models.MonteCarloModel):
             return self.model.campaign.deputies
+        if isinstance(self.model, models.FuelLimitModel):
+            return 1
         initial = self.model.initial
         return len(initial.states) if isinstance(initial, models.InitialStates) else initial.deputies
 
     def strengthening(self) -> dict[str, Strengthening]:
         """The functions alpha, for every family."""
+        assert not isinstance(self.model, models.FuelLimitModel)
         table = self.model.strengthening
         if table.preset not in PRESETS:
             near = difflib.get_close_matches(table.preset, PRESETS, n=1)
@@ -239,12 +246,50 @@ class InspectionScenario:
             _check_studies(model)
         else:
             _check_time("flight", model.flight.duration_s, model.flight.period_s)
+        q = self.inspection()
+        if isinstance(model, models.FuelLimitModel):
+            _check_fuel(self, model, q)
+            return
+        if isinstance(model, models.InspectionModel):
             _check_states(model)
             _check_phases(model)
-        self.inspection()
         self.strengthening()
+        self._check_filters()
         if isinstance(model, models.InspectionModel) and isinstance(model.initial, models.InitialStates):
             _check_start(self.families(), model.initial)
+
+    def _check_filters(self) -> None:
+        """Build every filter once: the conditions between samples bound the control period."""
+        model = self.model
+        if isinstance(model, models.MonteCarloModel):
+            named = [(f"studies[{k}].filter", study.filter) for k, study in enumerate(model.studies)]
+            table, period = "campaign", model.campaign.period_s
+        else:
+            assert isinstance(model, models.InspectionModel)
+            named, table, period = [("filter", model.filter)], "flight", model.flight.period_s
+        for path, spec in named:
+            if len(set(spec.without)) == len(models.FAMILY_NAMES):
+                raise ScenarioError(f"{path}.without", list(spec.without), "must leave something to enforce")
+            try:
+                self.filter(spec, period)
+            except ScenarioError as error:
+                field = f"{table}.period_s" if error.field == "period" else f"{path}.{error.field}"
+                raise ScenarioError(field, error.given, error.rule) from error
+
+
+def _check_fuel(scenario: InspectionScenario, model: models.FuelLimitModel, q: Inspection) -> None:
+    from .fuel_scene import backup_law
+
+    if len(model.initial_state) != 6:
+        raise ScenarioError("initial_state", list(model.initial_state), "must have 6 numbers")
+    distance = float(np.linalg.norm(model.initial_state[:3]))
+    if distance <= q.separation:
+        rule = f"must be farther from the chief than {q.separation:g} m, not {distance:.3g} m"
+        raise ScenarioError("initial_state", list(model.initial_state), rule)
+    if model.fuel.spent_m_s > q.delta_v_max:
+        rule = f"must not exceed the limit, {q.delta_v_max:g} m/s"
+        raise ScenarioError("fuel.spent_m_s", model.fuel.spent_m_s, rule)
+    backup_law(scenario)
 
 
 def _check_time(table: str, duration: float, period: float) -> None:
@@ -282,15 +327,21 @@ def _check_phases(model: models.InspectionModel) -> None:
 
 def _check_start(families: Families, given: models.InitialStates) -> None:
     """Every constraint must hold at the start: a filter keeps a flight safe, it does not make it so."""
-    x = np.array(given.states, dtype=float)
-    h = families(x[None], np.array([np.radians(given.sun_angle_deg)])).h[0]
-    worst = int(h.argmin())
-    if not h[worst] >= 0:
-        rule = f"must satisfy every constraint; {families.labels[worst]} ({families.family[worst]})"
-        where = f"initial.states[{families.first[worst]}]"
-        raise ScenarioError(
-            where, list(given.states[families.first[worst]]), f"{rule} is {h[worst]:.3g} at the start"
-        )
+    from .allowable import allowable
+
+    q = families.inspection
+    x, sun = np.array(given.states, dtype=float), np.radians(given.sun_angle_deg)
+    broken: list[tuple[str, int, float]] = []
+    for name, values in allowable(q, x, sun).items():
+        who = q.pairs[:, 0] if name in ("phi2", "phi5") else np.arange(len(x))
+        broken += [(name, int(i), float(v)) for i, v in zip(who, values, strict=True) if not v >= 0]
+    h = families(x[None], np.array([sun])).h[0]
+    rows = np.flatnonzero(~(h >= 0))
+    broken += [(f"{families.labels[k]} ({families.family[k]})", int(families.first[k]), h[k]) for k in rows]
+    if broken:
+        name, i, value = broken[0]
+        rule = f"must satisfy every constraint; {name} is {value:.3g} at the start"
+        raise ScenarioError(f"initial.states[{i}]", list(given.states[i]), rule)
 
 
 # -- loading ----------------------------------------------------------------------------------------

@@ -6,7 +6,7 @@ These models know the rules of a single field. Rules that join several fields ar
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 from pydantic import Field
 
@@ -39,6 +39,8 @@ Family = Literal[
     "deputy_passive",
     "velocity",
 ]
+
+FAMILY_NAMES: tuple[str, ...] = get_args(Family)
 
 Seed = Annotated[Whole, Field(ge=0, le=2**63 - 1)]
 
@@ -255,6 +257,62 @@ class InspectionModel(_Scene):
     initial: Initial = unit("-", "Where it starts.")
     flight: FlightTime = unit("-", "Length and control period.", default_factory=FlightTime)
     primary: Phases = unit("-", "Primary controllers, one after another.")
+
+
+class FuelTable(ScenarioPart):
+    """The latched switching filter of eq. 39 and its backup controller; the limit is `delta_v_max_m_s`."""
+
+    backup: Literal["parking", "tracker"] = unit(
+        "-",
+        "`parking`: feedback of the velocity error of eq. 41 alone. `tracker`: the paper's, with an integral "
+        "of the error (eq. 40), about a reference that moves on the ellipse.",
+        default="parking",
+    )
+    response_s: Positive = unit("s", "Time constant for which its weights are chosen.", default=20.0)
+    semi_minor_least_m: Positive | None = unit(
+        "m",
+        "Least semi-minor axis of a parking orbit; one and a half times r_d + r_c without it.",
+        default=None,
+    )
+    semi_minor_largest_m: Positive | None = unit(
+        "m", "Largest semi-minor axis; what keeps within the other limits without it.", default=None
+    )
+    cross_track_m: Positive | None = unit(
+        "m", "Largest amplitude cross-track; what keeps within the other limits without it.", default=None
+    )
+    keep_clear: Flag = unit(
+        "-", "The predicted flight must keep clear of the chief, too; eq. 39 has fuel only.", default=True
+    )
+    spent_m_s: NonNegative = unit("m/s", "Spent before the start.", default=0.0)
+    predictions: Whole = unit("-", "Backup flights that the figures show.", default=12, ge=0, le=200)
+
+
+class Wasteful(ScenarioPart):
+    """An aggressive regulator that flies outwards and back without end, to spend fuel."""
+
+    distance_m: Positive = unit("m", "Outer target; the inner is a quarter of it.", default=400.0)
+    swing_s: Real = unit("s", "Time between the changes of target.", default=400.0, ge=1, le=1e6)
+    position_weight_1_m2: Positive = unit("1/m^2", "Weight of the position.", default=1e-6)
+    velocity_weight_s2_m2: NonNegative = unit("s^2/m^2", "Weight of the velocity.", default=0.0)
+    thrust_weight_1_N2: Positive = unit("1/N^2", "Weight of the thrust.", default=1.0)
+
+
+class FuelFlight(ScenarioPart):
+    """How long, and in what steps."""
+
+    duration_s: Positive = unit("s", "Length of the flight.", default=7000.0)
+    period_s: Positive = unit("s", "Control period. Must divide duration_s.", default=1.0)
+
+
+class FuelLimitModel(_Scene):
+    """One deputy flown into its fuel limit, until the backup controller takes over for good."""
+
+    kind: Literal["fuel_limit"] = unit("-", "One deputy and its fuel limit.")
+    parameters: Parameters = unit("-", "Table 1.", default_factory=Parameters)
+    initial_state: Vector = unit("m, m/s", "`[r_x, r_y, r_z, v_x, v_y, v_z]` in Hill's frame.")
+    flight: FuelFlight = unit("-", "Length and control period.", default_factory=FuelFlight)
+    primary: Wasteful = unit("-", "The primary controller.", default_factory=Wasteful)
+    fuel: FuelTable = unit("-", "The switching filter and its backup.", default_factory=FuelTable)
 
 
 class Study(ScenarioPart):

@@ -13,6 +13,7 @@ from ..simulation import InspectionRun
 
 if TYPE_CHECKING:
     from ..campaign import CampaignPicture
+    from ..fuel_run import FuelRun
 
 FLIGHT_FIGURES = (
     "overview",
@@ -46,6 +47,31 @@ def draw_flight(run: InspectionRun, folder: Path) -> list[Path]:
         for name in FLIGHT_FIGURES:
             if not (alone and name in ("separation", "deputy_sun")):
                 written += save(_FIGURES[name](run), folder, name)
+    return written
+
+
+def draw_fuel_run(run: FuelRun, folder: Path) -> list[Path]:
+    """Draw and write the figures of a flight into the fuel limit, each as PDF and PNG.
+
+    Parameters
+    ----------
+    run : FuelRun
+    folder : Path
+        Must exist.
+    """
+    from ...figures.style import new_figure, printing, save
+    from .fuel import draw_fuel, draw_fuel_thrust, draw_path
+
+    written: list[Path] = []
+    with printing():
+        for name, draw, height in (
+            ("path", draw_path, 2.3),
+            ("fuel", draw_fuel, 2.6),
+            ("thrust", draw_fuel_thrust, 2.4),
+        ):
+            figure = new_figure(height)
+            draw(figure.add_subplot(), run)
+            written += save(figure, folder, name)
     return written
 
 

@@ -62,6 +62,7 @@ def draw_failures(ax: Any, picture: CampaignPicture) -> None:
     ax.set_yticks(rows, picture.studies)
     ax.set(xlabel="Runs", ylim=(-0.55, len(rows) - 0.45))
     ax.set_xlim(0, 1.15 * max(float(picture.counts.max(initial=0)), 1.0))
+    ax.xaxis.get_major_locator().set_params(integer=True)
     ax.grid(True, axis="x")
     ax.tick_params(axis="y", length=0)
     if picture.whats:

@@ -1,0 +1,122 @@
+"""Figures of the inspection problem: drawn from files alone, the same bytes, nothing outside the page."""
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from polaris import cli
+from polaris.asif import figures
+from polaris.asif.campaign import CampaignPicture
+from polaris.asif.figures.monte_carlo import draw_failures, draw_initial_conditions
+from polaris.asif.figures.paths import free_flights, nearest_deputy
+from polaris.asif.fuel_scene import fly_fuel_scenario
+from polaris.asif.run import fly_scenario
+from polaris.asif.scenario import load_inspection
+from polaris.figures.style import new_figure, style
+
+
+def invoke(*args):
+    return CliRunner().invoke(cli.app, list(map(str, args)))
+
+
+@pytest.fixture(scope="module")
+def run():
+    return fly_scenario(load_inspection("inspection").with_assignments(["flight.duration_s=30"])).run
+
+
+def inside(figure):
+    """Every label, tick and legend lies on the page."""
+    figure.draw_without_rendering()
+    page = figure.bbox
+    for ax in figure.axes:
+        box = ax.get_tightbbox()
+        if box is not None and ax.axison:
+            assert box.x0 >= page.x0 - 1 and box.x1 <= page.x1 + 1, (box, page)
+            assert box.y0 >= page.y0 - 1 and box.y1 <= page.y1 + 1, (box, page)
+
+
+@pytest.mark.parametrize("name", ["speed", "separation", "sun", "deputy_sun", "velocity", "delta_v"])
+def test_figure_fits_its_page(run, name):
+    with style():
+        inside(figures._FIGURES[name](run))
+
+
+def test_lines_are_the_data(run):
+    with style():
+        ax = figures._FIGURES["separation"](run).axes[0]
+    lines = [line for line in ax.get_lines() if len(line.get_xdata()) == len(run.t)]
+    assert len(lines) == len(run.inspection.pairs)
+    i, j = run.inspection.pairs[3]
+    apart = np.linalg.norm(run.x[:, i, :3] - run.x[:, j, :3], axis=1)
+    assert np.allclose(lines[3].get_ydata(), apart)
+
+
+def test_free_flights_are_those_of_the_deputy_that_comes_nearest(run):
+    least = [np.linalg.norm(free_flights(run, i)[2], axis=2).min() for i in range(5)]
+    assert nearest_deputy(run) == int(np.argmin(least))
+    start, after, flights = free_flights(run, 2)
+    k = int(np.searchsorted(run.t, start[0]))
+    assert np.allclose(flights[0, 0], run.x[k, 2, :3]) and after[-1] == 500.0
+
+
+def test_one_deputy_has_no_figures_of_pairs(tmp_path, monkeypatch):
+    lone = load_inspection("inspection").with_assignments(
+        ["flight.duration_s=5", "initial.states=[[0, -300, 0, 0, 0, 0]]"]
+    )
+    monkeypatch.setattr(figures, "FLIGHT_FIGURES", ("speed", "separation"))
+    drawn = figures.draw_flight(fly_scenario(lone).run, tmp_path)
+    assert [path.name for path in drawn] == ["speed.pdf", "speed.png"]
+
+
+def test_fuel_figures_are_drawn_with_and_without_a_switch(tmp_path):
+    for spent, switched in ((0.0, False), (19.0, True)):
+        scenario = load_inspection("fuel-limit").with_assignments(
+            ["flight.duration_s=200", f"fuel.spent_m_s={spent}", "fuel.predictions=3"]
+        )
+        flown = fly_fuel_scenario(scenario)
+        assert (flown.latched_at is not None) == switched
+        names = {path.name for path in figures.draw_fuel_run(flown, tmp_path)}
+        assert names == {f"{name}.{kind}" for name in ("path", "fuel", "thrust") for kind in ("pdf", "png")}
+
+
+@pytest.mark.parametrize("studies", [1, 3, 4])
+def test_campaign_shows_successes_and_failures(studies):
+    rng = np.random.default_rng(0)
+    x = rng.uniform(-900, 900, (6, 3, 6))
+    success = np.ones((studies, 6), dtype=bool)
+    failed = np.zeros((studies, 6, 3), dtype=bool)
+    success[0, 2], failed[0, 2, 1] = False, True
+    counts = np.zeros((studies, 1), dtype=int)
+    counts[0, 0] = 1
+    names = tuple(f"study-{k}" for k in range(studies))
+    picture = CampaignPicture(x, names, success, failed, ("phi5",), counts)
+    with style():
+        figure = new_figure(4.0, 4.7)
+        axes = figure.subplots(-(-studies // 2), min(studies, 2), squeeze=False).ravel()
+        draw_initial_conditions(axes, picture)
+        red = axes[0].collections[1].get_offsets()
+        assert np.allclose(red, x[2, 1, [1, 0]]) and "83.33% of 6" in axes[0].get_title()
+        inside(figure)
+        bars = new_figure(2.0, 4.7)
+        draw_failures(bars.add_subplot(), picture)
+        assert [patch.get_width() for patch in bars.axes[0].patches] == counts[:, 0].tolist()
+        inside(bars)
+
+
+def test_plot_redraws_the_same_bytes_from_the_files_alone(tmp_path, monkeypatch):
+    monkeypatch.setattr(figures, "FLIGHT_FIGURES", ("speed", "sun"))
+    assert invoke("run", "inspection", "--set", "flight.duration_s=5", "--out", tmp_path / "a").exit_code == 0
+    folder = tmp_path / "a" / "figures"
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    assert sorted(before) == ["speed.pdf", "speed.png", "sun.pdf", "sun.png"]
+    for path in folder.iterdir():
+        path.unlink()
+    done = invoke("plot", tmp_path / "a")
+    assert done.exit_code == 0 and "sun.png" in done.stdout
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+
+
+@pytest.mark.slow
+def test_every_figure_of_a_flight_is_drawn(run, tmp_path):
+    drawn = {path.name for path in figures.draw_flight(run, tmp_path)}
+    assert drawn == {f"{name}.{kind}" for name in figures.FLIGHT_FIGURES for kind in ("pdf", "png")}

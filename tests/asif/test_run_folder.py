@@ -1,0 +1,235 @@
+"""Run folders and commands of the inspection problem: what is written, that it repeats, how it fails."""
+
+import csv
+import json
+import shutil
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from polaris import cli
+from polaris.asif.campaign import lower_bound, read_campaign
+from polaris.asif.fuel_scene import read_fuel
+from polaris.asif.run_folder import is_inspection, read_run
+from polaris.asif.scenario import load_inspection
+from polaris.errors import ScenarioError
+
+SHORT = ("--set", "flight.duration_s=20")
+CAMPAIGN = ("campaign", "inspection-monte-carlo", "--runs", "2", "--set", "campaign.duration_s=5")
+ALONE = ("--set", "campaign.deputies=2")
+TIMES = ("created", "seconds", "filter_seconds")
+
+
+def invoke(*args):
+    return CliRunner().invoke(cli.app, list(map(str, args)))
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory):
+    """One run folder of each kind, without figures."""
+    place = tmp_path_factory.mktemp("runs")
+    made = {}
+    for kind, command in {
+        "inspection": ("run", "inspection", *SHORT),
+        "fuel_limit": ("run", "fuel-limit", *SHORT),
+        "monte_carlo": (*CAMPAIGN, *ALONE),
+    }.items():
+        made[kind] = place / kind
+        done = invoke(*command, "--out", made[kind], "--no-figures")
+        assert done.exit_code == 0, done.output
+        assert "Guarantee: " in done.stdout and "To draw the figures: polaris plot" in done.stdout
+    return made
+
+
+def summary(folder):
+    def refuse(name):
+        raise AssertionError(f"{name} is not strict JSON")
+
+    return json.loads((folder / "summary.json").read_text(encoding="utf-8"), parse_constant=refuse)
+
+
+# -- what is in them --------------------------------------------------------------------------------
+
+
+def test_flight_folder_holds_what_was_flown(folders):
+    folder = folders["inspection"]
+    run, told = read_run(folder).flight(), summary(folder)
+    assert run.x.shape == (21, 5, 6) and run.u.shape == (20, 5, 3)
+    assert np.array_equal(run.x[0], load_inspection("inspection").initial()[0])
+    Phi, Gamma = run.inspection.held(1.0)
+    assert np.allclose(run.x[1:], run.x[:-1] @ Phi.T + run.u @ Gamma.T, rtol=0, atol=1e-9)
+    assert np.abs(run.u).max() <= 1.0 and told["delta_v_m_s"] == pytest.approx(run.delta_v[-1])
+    assert sum(told["steps"].values()) == run.status.size
+    assert [row["constraint"] for row in told["constraints"]] == [f"phi{k}" for k in range(1, 12)]
+    assert told["safe"] and told["guarantee"]["kind"] == "per_period"
+    assert told["guarantee"]["periods_solved"] == told["guarantee"]["periods"] == 20
+    distance = np.linalg.norm(run.x[..., :3], axis=2)
+    assert told["constraints"][0]["least_at_samples"] == pytest.approx(distance.min() - 10.0)
+    with (folder / "constraints.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["constraint"] for row in rows[:2]] == ["phi1", "phi2"] and len(rows) == 11 + 9
+    assert float(rows[0]["least"]) == told["constraints"][0]["least"]
+
+
+@pytest.mark.parametrize(
+    ("settings", "word"),
+    [
+        (("filter.sampled_data=false",), "start of each period"),
+        (('filter.without=["sun"]',), "left out: sun"),
+        (('filter={ kind = "decentralized", sharing = "coasting" }',), "as if the other did not thrust"),
+    ],
+)
+def test_nothing_is_claimed_beyond_what_the_filter_gives(tmp_path, settings, word):
+    options = [part for text in settings for part in ("--set", text)]
+    done = invoke(
+        "run", "inspection", "--set", "flight.duration_s=3", *options, "--out", tmp_path / "a", "--no-figures"
+    )
+    assert done.exit_code == 0, done.output
+    claim = summary(tmp_path / "a")["guarantee"]
+    assert claim["kind"] == "none" and word in claim["reason"] and claim["assumptions"] == []
+
+
+def test_fuel_folder_holds_what_was_flown(folders):
+    folder, told = folders["fuel_limit"], summary(folders["fuel_limit"])
+    run = read_fuel(folder / "fuel.npz", read_run(folder).scenario)
+    assert run.x.shape == (21, 6) and told["latched_at_s"] is None and told["safe"]
+    spent = np.abs(run.u).sum() / run.inspection.mass
+    assert run.delta_v[-1] == pytest.approx(spent) == told["delta_v_m_s"]
+
+
+def test_fuel_limit_is_kept_by_the_backup(tmp_path):
+    settings = ("--set", "flight.duration_s=400", "--set", "fuel.spent_m_s=18")
+    done = invoke("run", "fuel-limit", *settings, "--out", tmp_path / "a", "--no-figures")
+    assert done.exit_code == 0 and "The fuel limit is kept." in done.stdout
+    told = summary(tmp_path / "a")
+    assert 0 < told["latched_at_s"] < 400 and 0 <= told["phi12_least_m_s"] < 2
+    assert told["guarantee"]["kind"] == "by_prediction" and told["last_thrust_s"] < 399
+
+
+def test_campaign_folder_holds_what_was_flown(folders):
+    told, picture = summary(folders["monte_carlo"]), read_campaign(folders["monte_carlo"] / "campaign.npz")
+    assert [study["name"] for study in told["studies"]] == list(picture.studies)
+    assert picture.x.shape == (2, 2, 6) and told["guarantee"]["kind"] == "statistical"
+    for study, success in zip(told["studies"], picture.success, strict=True):
+        assert study["successes"] == success.sum()
+        assert study["success_share_lower_95"] == lower_bound(int(success.sum()), 2)
+
+
+def test_lower_bound_is_clopper_and_pearsons():
+    assert lower_bound(0, 10) == 0.0
+    assert lower_bound(2000, 2000) == pytest.approx(0.05 ** (1 / 2000))
+    assert lower_bound(90, 100) < 0.9
+
+
+# -- repeating --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ["inspection", "fuel_limit", "monte_carlo"])
+def test_the_same_scenario_gives_the_same_bytes(folders, tmp_path, kind):
+    command = {
+        "inspection": ("run", "inspection", *SHORT),
+        "fuel_limit": ("run", "fuel-limit", *SHORT),
+        "monte_carlo": (*CAMPAIGN, *ALONE),
+    }[kind]
+    assert invoke(*command, "--out", tmp_path / "again", "--no-figures", "-q").exit_code == 0
+    names = sorted(path.name for path in folders[kind].iterdir() if path.is_file())
+    for name in names:
+        if name != "summary.json":
+            assert (tmp_path / "again" / name).read_bytes() == (folders[kind] / name).read_bytes(), name
+    one, other = summary(folders[kind]), summary(tmp_path / "again")
+    for key in one.keys() - set(TIMES):
+        assert one[key] == other[key], key
+
+
+@pytest.mark.slow
+def test_workers_do_not_change_a_campaign(folders, tmp_path):
+    done = invoke(*CAMPAIGN, *ALONE, "--workers", "2", "--out", tmp_path / "a", "--no-figures", "-q")
+    assert done.exit_code == 0, done.output
+    before = folders["monte_carlo"] / "campaign.npz"
+    assert (tmp_path / "a" / "campaign.npz").read_bytes() == before.read_bytes()
+
+
+def test_overrides_are_noted_and_read_back(folders):
+    text = (folders["inspection"] / "scenario.toml").read_text(encoding="utf-8")
+    assert "#   flight.duration_s=20" in text
+    assert read_run(folders["inspection"]).scenario.model.flight.duration_s == 20.0
+    assert is_inspection(folders["inspection"]) and not is_inspection(folders["inspection"].parent)
+
+
+# -- failing ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("damage", [b"", b"PK nonsense", None])
+def test_damaged_or_missing_file_is_one_readable_error(folders, tmp_path, damage):
+    folder = tmp_path / "broken"
+    shutil.copytree(folders["inspection"], folder)
+    (folder / "flight.npz").unlink()
+    if damage is not None:
+        (folder / "flight.npz").write_bytes(damage)
+    done = invoke("plot", folder)
+    assert done.exit_code == 2 and done.stderr.startswith("error: run folder")
+    assert len(done.stderr.strip().splitlines()) == 1
+
+
+def test_arrays_that_do_not_belong_together_are_refused(folders, tmp_path):
+    folder = tmp_path / "broken"
+    shutil.copytree(folders["inspection"], folder)
+    with np.load(folder / "flight.npz") as file:
+        arrays = {name: file[name] for name in file.files}
+    np.savez(folder / "flight.npz", **{**arrays, "states": arrays["states"][:-1]})
+    with pytest.raises(ScenarioError, match="wrong shape"):
+        read_run(folder).flight()
+    arrays["states"][3, 1, 2] = np.nan
+    np.savez(folder / "flight.npz", **arrays)
+    with pytest.raises(ScenarioError, match="not finite"):
+        read_run(folder).flight()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("run", "inspection-monte-carlo"), ("polaris campaign",)),
+        (("campaign", "inspection"), ("polaris run",)),
+        (("campaign", "static"), ("kind",)),
+        (("campaign", "nope"), ("nope",)),
+        (("run", "inspection", "--solver", "highs"), ("planner", "unknown key")),
+        (("run", "inspection", "--set", "flight.periode_s=1"), ("did you mean period_s",)),
+        (("run", "inspection", "--set", "initial.states[7][0]=1"), ("initial.states[7]",)),
+        (("falsify", "inspection"), ("load_inspection",)),
+        (("model-error", "fuel-limit"), ("load_inspection",)),
+    ],
+)
+def test_bad_input_is_one_message_and_exit_code_2(tmp_path, monkeypatch, arguments, words):
+    monkeypatch.chdir(tmp_path)
+    done = invoke(*arguments)
+    assert done.exit_code == 2, done.output
+    lines = [line for line in done.stderr.strip().splitlines() if line.startswith("error: ")]
+    assert len(lines) == 1 and all(word in lines[0] for word in words), done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["inspection", "fuel-limit", "inspection-monte-carlo"])
+def test_check_tells_what_a_scenario_is(name):
+    done = invoke("check", name)
+    assert done.exit_code == 0 and done.stdout.startswith(f"{name} is valid: ")
+
+
+def test_json_is_the_summary_and_nothing_else(tmp_path):
+    out = tmp_path / "a"
+    done = invoke("run", "inspection", "--set", "flight.duration_s=2", "--no-figures", "--out", out, "--json")
+    assert (done.exit_code, done.stderr) == (0, "")
+    assert json.loads(done.stdout) == summary(out)
+
+
+def test_a_run_that_fails_late_leaves_the_old_folder_whole(folders, tmp_path, monkeypatch):
+    folder = tmp_path / "run"
+    shutil.copytree(folders["inspection"], folder)
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+
+    def fail(*args):
+        raise RuntimeError("no ink")
+
+    monkeypatch.setattr("polaris.asif.figures.draw_flight", fail)
+    assert invoke("run", "inspection", "--set", "flight.duration_s=2", "--out", folder, "-q").exit_code == 1
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
