@@ -22,8 +22,9 @@ from ..runarrays import read_arrays
 from ..runfiles import write_csv
 from ..system import Array
 from ..version import versions
-from .monte_carlo import Outcome, monte_carlo
-from .monte_carlo import Study as Filtering
+from .monte_carlo import monte_carlo
+from .outcome import Outcome
+from .outcome import Study as Filtering
 from .run_folder import InspectionFolder, write_folder
 from .sampled import SampledData
 from .sampling import initial_conditions
