@@ -7,13 +7,31 @@ from pathlib import Path
 import jsonschema
 import pytest
 
+from polaris.asif.scenario import load_inspection
 from polaris.scenario import bundled_scenarios, load_scenario
-from polaris.scenario_docs import REFERENCE_FILE, SCHEMA_FILE, reference_text, schema, schema_text, write
+from polaris.scenario_docs import (
+    INSPECTION_FILE,
+    REFERENCE_FILE,
+    SCHEMA_FILE,
+    inspection_schema,
+    inspection_schema_text,
+    reference_text,
+    schema,
+    schema_text,
+    write,
+)
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 
 
-@pytest.mark.parametrize(("name", "text"), [(SCHEMA_FILE, schema_text), (REFERENCE_FILE, reference_text)])
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        (SCHEMA_FILE, schema_text),
+        (INSPECTION_FILE, inspection_schema_text),
+        (REFERENCE_FILE, reference_text),
+    ],
+)
 def test_committed_file_is_up_to_date(name, text):
     committed = (DOCS / name).read_text(encoding="utf-8")
     assert committed == text(), "run: python -m polaris.scenario_docs"
@@ -28,6 +46,7 @@ def _tables():
     found = schema()
     yield "top level", found
     yield from found["$defs"].items()
+    yield from inspection_schema()["$defs"].items()
 
 
 def test_every_field_has_description_and_unit():
@@ -47,6 +66,10 @@ UNITS = {
     "_m_s": "m/s",
     "_m_s2": "m/s^2",
     "_rad": "rad",
+    "_1_s": "1/s",
+    "_1_m2": "1/m^2",
+    "_s2_m2": "s^2/m^2",
+    "_1_N2": "1/N^2",
     "_deg": "deg",
 }
 
@@ -69,6 +92,21 @@ def test_schema_is_valid_and_accepts_the_bundled_scenarios():
     validator.check_schema(schema())
     for name in bundled_scenarios():
         validator.validate(load_scenario(name).to_dict())
+
+
+def test_inspection_schema_is_valid_and_refuses_what_the_models_refuse():
+    validator = jsonschema.Draft202012Validator(inspection_schema())
+    validator.check_schema(inspection_schema())
+    document = load_inspection("inspection").to_dict()
+    assert validator.is_valid(document)
+    for table, field, value in (
+        ("parameters", "mass_kg", -1),
+        ("parameters", "mass", 3),
+        ("filter", "kind", "moon"),
+        ("flight", "period_s", "1"),
+    ):
+        broken = {**document, table: {**document[table], field: value}}
+        assert not validator.is_valid(broken), field
 
 
 @pytest.mark.parametrize(
