@@ -1,0 +1,175 @@
+"""The explicit filter, call by call: what it answers to good input, and to bad."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from polaris.asif.asif import ActiveSetFilter
+from polaris.asif.families import Families
+from polaris.asif.filters import Centralized
+from polaris.asif.inspection import Inspection
+from polaris.asif.sampled import SampledData
+from polaris.asif.sampling import initial_conditions
+from polaris.errors import ScenarioError
+
+Q = Inspection()
+SHARINGS = ("centralized", "coasting", "half", "consensus")
+
+
+@pytest.fixture(scope="module")
+def drawn():
+    x, sun, _ = initial_conditions(Families(Q), 6, seed=4)
+    return x, sun
+
+
+@pytest.mark.parametrize("sharing", SHARINGS)
+def test_it_answers_as_the_batch_does(drawn, sharing):
+    x, sun = drawn
+    rng = np.random.default_rng(0)
+    for k in range(6):
+        asif = ActiveSetFilter(Q, sharing, sun=float(sun[k]))
+        u = rng.uniform(-1, 1, (5, 3))
+        decision = asif.filter(0.0, x[k], u)
+        batch = asif.batch.batch(x[k][None], sun[k : k + 1], u[None])
+        np.testing.assert_array_equal(decision.u, batch.u[0])
+        assert decision.status in ("desired", "filtered") and decision.fallback is None
+        np.testing.assert_array_equal(decision.intervened, (decision.u != u).any(axis=1))
+        assert bool(decision.active) == bool(decision.intervened.any())
+        assert len(decision.margins) == 80 and min(decision.margins.values()) >= 0
+
+
+def test_active_constraints_are_those_that_bind():
+    """One deputy that wants to leave: only the keep-in zone can hold it."""
+    q = Inspection(deputies=1)
+    asif = ActiveSetFilter(q, sun=np.pi)
+    x = np.array([[0.0, 0.0, 999.0, 0.0, 0.0, 0.2]])
+    decision = asif.filter(0.0, x, [[0.0, 0.0, 0.5]])
+    assert decision.intervened[0] and decision.u[0, 2] < 0.5
+    assert decision.active == ("h6[0]",)
+    assert decision.margins["h6[0]"] > 0
+
+
+def test_the_sun_turns_with_time(drawn):
+    x, _ = drawn
+    asif = ActiveSetFilter(Q, sun=1.0)
+    later = asif.filter(500.0, x[0], np.zeros((5, 3))).margins["h4[0]"]
+    other = ActiveSetFilter(Q, sun=1.0 - 500 * Q.mean_motion).filter(0.0, x[0], np.zeros((5, 3)))
+    assert later == other.margins["h4[0]"]
+
+
+def test_sampled_rows_are_summed_up_by_name(drawn):
+    x, sun = drawn
+    asif = ActiveSetFilter(Q, sampled=SampledData(1.0), sun=float(sun[0]))
+    decision = asif.filter(0.0, x[0], np.zeros((5, 3)))
+    assert len(decision.margins) == 80
+    rows = asif.families(x[0][None], sun[:1]).h[0]
+    labels = np.array(asif.families.labels)
+    assert decision.margins["h8[1,3]"] == rows[labels == "h8[1,3]"].min()
+
+
+def test_no_desired_input_means_the_backup_filtered(drawn):
+    x, sun = drawn
+    push = np.tile([0.0, 0.0, 0.7], (5, 1))
+    asif = ActiveSetFilter(Q, backup=lambda t, x: push, sun=float(sun[0]))
+    for missing in (None, np.full((5, 3), np.nan), np.full((5, 3), np.inf)):
+        decision = asif.filter(0.0, x[0], missing)
+        assert decision.status == "backup" and decision.intervened.all()
+        assert "desired input" in decision.fallback
+        expected = Centralized(asif.families).batch(x[0][None], sun[:1], push[None]).u[0]
+        np.testing.assert_allclose(decision.u, expected, atol=1e-12)
+    some = push.copy()
+    some[2, 1] = np.nan
+    assert "deputy 2" in asif.filter(0.0, x[0], some).fallback
+
+
+def test_backup_that_fails_is_no_thrust(drawn):
+    x, sun = drawn
+    asif = ActiveSetFilter(Q, backup=lambda t, x: np.full((5, 3), np.nan), sun=float(sun[0]))
+    reference = ActiveSetFilter(Q, sun=float(sun[0]))
+    np.testing.assert_array_equal(
+        asif.filter(0.0, x[0], None).u, reference.filter(0.0, x[0], np.zeros((5, 3))).u
+    )
+
+
+def test_an_unknown_state_is_predicted_then_given_up(drawn):
+    x, sun = drawn
+    asif = ActiveSetFilter(Q, sun=float(sun[0]))
+    u = asif.filter(0.0, x[0], np.full((5, 3), 0.3)).u
+    Phi, Gamma = Q.held(1.0)
+    moved = x[0] @ Phi.T + u @ Gamma.T
+    lost = moved.copy()
+    lost[3, 2] = np.nan
+    decision = asif.filter(1.0, lost, np.zeros((5, 3)))
+    assert "deputy 3" in decision.fallback
+    honest = ActiveSetFilter(Q, sun=float(sun[0])).filter(1.0, moved, np.zeros((5, 3)))
+    np.testing.assert_allclose(decision.u, honest.u, atol=1e-9)
+    gone = asif.filter(1000.0, np.full((5, 6), np.nan), np.ones((5, 3)))
+    assert gone.status == "coast" and not gone.u.any() and gone.intervened.all()
+    never = ActiveSetFilter(Q).filter(0.0, np.full((5, 6), np.inf), np.ones((5, 3)))
+    assert never.status == "coast" and not never.u.any()
+
+
+def test_no_solution_is_recorded_and_never_the_desired_input():
+    """Two deputies overlap, and both want to go on."""
+    q = Inspection(deputies=2)
+    x = np.zeros((2, 6))
+    x[:, 1] = [300.0, 304.0]
+    x[:, 4] = [0.5, -0.5]
+    desired = np.array([[0.0, 1.0, 0.0], [0.0, -1.0, 0.0]])
+    for sharing in SHARINGS:
+        decision = ActiveSetFilter(q, sharing, sun=np.pi / 2 + 0.1).filter(0.0, x, desired)
+        assert decision.status == "short" and "least violation" in decision.fallback
+        assert decision.intervened.all()
+        assert decision.u[0, 1] < 0 < decision.u[1, 1], "they part"
+
+
+@pytest.mark.parametrize("x", [np.zeros((4, 6)), np.zeros(30), "no numbers", [[1, 2], [3]]])
+def test_wrong_shapes_are_refused(x):
+    with pytest.raises(ScenarioError):
+        ActiveSetFilter(Q).filter(0.0, x, np.zeros((5, 3)))
+    with pytest.raises(ScenarioError):
+        ActiveSetFilter(Q).filter(0.0, np.zeros((5, 6)), np.zeros((3, 5)))
+
+
+def test_unknown_sharing_is_refused():
+    with pytest.raises(ScenarioError, match="sharing"):
+        ActiveSetFilter(Q, "shared")
+
+
+WILD = st.sampled_from([0.0, 1.0, -3.0, 1e3, 1e9, 1e300, -1e300, np.inf, -np.inf, np.nan, 1e-320])
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    sharing=st.sampled_from(SHARINGS),
+    x=st.lists(WILD, min_size=12, max_size=12),
+    u=st.one_of(st.none(), st.lists(WILD, min_size=6, max_size=6)),
+    sampled=st.booleans(),
+)
+def test_garbage_never_gets_through(sharing, x, u, sampled):
+    q = Inspection(deputies=2)
+    asif = ActiveSetFilter(q, sharing, sampled=SampledData(1.0) if sampled else None)
+    states = np.array(x).reshape(2, 6)
+    desired = None if u is None else np.array(u).reshape(2, 3)
+    with np.errstate(all="ignore"):
+        decision = asif.filter(0.0, states, desired)
+    assert np.isfinite(decision.u).all() and (np.abs(decision.u) <= q.thrust_max).all()
+    if decision.status == "desired":
+        np.testing.assert_array_equal(decision.u, desired)
+    elif decision.status in ("short", "coast", "backup"):
+        assert decision.fallback
+
+
+@pytest.mark.parametrize("deputies", [1, 2, 20, 50])
+def test_any_number_of_deputies(deputies):
+    q = Inspection(deputies=deputies)
+    rng = np.random.default_rng(1)
+    x = np.zeros((deputies, 6))
+    x[:, :3] = rng.uniform(-500, 500, (deputies, 3))
+    decision = ActiveSetFilter(q, "coasting").filter(0.0, x, rng.uniform(-1, 1, (deputies, 3)))
+    assert decision.u.shape == (deputies, 3) and np.isfinite(decision.u).all()
+    pairs = deputies * (deputies - 1) // 2
+    assert len(decision.margins) == 8 * deputies + 4 * pairs
