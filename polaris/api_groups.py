@@ -149,6 +149,6 @@ ASIF_INTRODUCTION = """\
 <!-- Generated from the docstrings by `python -m polaris.api_docs`. Do not edit. -->
 
 Everything below is imported from `polaris.asif`, as in `polaris.asif.ActiveSetFilter(...)`. Quantities are in
-SI units; states in Hill's frame are `[x, y, z, vx, vy, vz]` with x radial, y along-track and z cross-track, and
+SI units; states in Hill's frame are `[x, y, z, vx, vy, vz]`: x radial, y along-track, z cross-track, and
 the chief at the origin. Symbols are those of the inspection paper and of [its theory](inspection-theory.md).
 """

@@ -100,7 +100,8 @@ def test_a_clipped_controller_with_sampled_feedback_verifies():
     assert verify_document(data).outcome == "VERIFIED"
 
 
-@pytest.mark.parametrize("kind", ["time_varying_ball", pytest.param("ball", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["time_varying_ball", "ball"])
 def test_an_unclipped_controller_between_balls_verifies(kind):
     safety = small_safety(None, 1e-5, kind)
     other = small_controllers()["coasting"]

@@ -48,7 +48,7 @@ def flight_of(schedule, tail=False, substeps=1):
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=[pytest.mark.slow] * (n in ("hold_point", "robot"))) for n in BUNDLED]
+    "name", [pytest.param(n, marks=[pytest.mark.slow] * (n in ("dynamic", "hold_point", "robot"))) for n in BUNDLED]
 )
 def test_nothing_breaks_a_proven_schedule(name):
     found = falsify(synthesised(name)[1], 250, seed=1)
@@ -87,7 +87,7 @@ def test_same_seed_same_search():
 # -- the attacks ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["static", "hold_point"])
+@pytest.mark.parametrize("name", ["static", pytest.param("hold_point", marks=pytest.mark.slow)])
 def test_adjoint_reaches_what_the_tube_of_s_allows(name):
     """No run goes further along a row than the tube, and the closed-form worst case nearly gets there."""
     schedule = synthesised(name)[1]
