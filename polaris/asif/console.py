@@ -95,7 +95,7 @@ def show_campaign(summary: Mapping[str, Any], folder: str, console: Console | No
     console.print(Text(str(summary["title"]), style="bold"))
     kinds = sorted({kind for study in summary["studies"] for kind in study["failures"]})
     table = Table(box=None, pad_edge=False, header_style="bold")
-    table.add_column(f"{summary['runs']} runs of {summary['duration_s']:g} s")
+    table.add_column(f"{summary['runs']} runs of {summary['duration_s']:g} s", no_wrap=True)
     for name in ("success", "at least, 95%", *kinds):
         table.add_column(name, justify="right")
     for study in summary["studies"]:

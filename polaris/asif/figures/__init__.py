@@ -65,7 +65,7 @@ def draw_fuel_run(run: FuelRun, folder: Path) -> list[Path]:
     written: list[Path] = []
     with printing():
         for name, draw, height in (
-            ("path", draw_path, 2.3),
+            ("path", draw_path, 2.0),
             ("fuel", draw_fuel, 2.6),
             ("thrust", draw_fuel_thrust, 2.4),
         ):

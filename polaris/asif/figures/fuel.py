@@ -55,7 +55,7 @@ def draw_path(ax: Any, run: FuelRun) -> None:
     ax.set_aspect("equal")
     ax.grid(True)
     ax.legend(handles=handles, loc="lower left", bbox_to_anchor=(-0.02, 1.0), ncols=3, columnspacing=0.9)
-    ax.figure.colorbar(lines, ax=ax, label="Time (s)", aspect=25, shrink=0.75)
+    ax.figure.colorbar(lines, ax=ax, label="Time (s)", aspect=20, pad=0.03)
 
 
 def draw_fuel(ax: Any, run: FuelRun) -> None:
