@@ -28,9 +28,9 @@ def draw_initial_conditions(axes: Any, picture: CampaignPicture) -> None:
     for ax, name, success, failed in zip(
         axes, picture.studies, picture.success, picture.failed, strict=False
     ):
-        for chosen, shown, level in ((~failed, tint(SKY, 0.75), 2), (failed, RED, 3)):
+        for chosen, shown, wide, level in ((~failed, tint(SKY, 0.75), size, 2), (failed, RED, 4 * size, 3)):
             p = order[chosen]
-            ax.scatter(p[:, 1], p[:, 0], s=size, marker="*", color=shown, lw=0, zorder=level, rasterized=True)
+            ax.scatter(p[:, 1], p[:, 0], s=wide, marker="*", color=shown, lw=0, zorder=level, rasterized=True)
         ax.plot([0], [0], "o", color=BLACK, ms=3, zorder=4)
         share = f"{name}\n{success.mean():.2%} of {len(success)} runs safe"
         ax.set_title(share, fontsize=7)
