@@ -1,0 +1,62 @@
+"""What no filter may stumble over, and what every answer must satisfy."""
+
+import numpy as np
+from hypothesis import strategies as st
+
+ODD = [np.nan, np.inf, -np.inf, 0.0, -0.0, 1e308, -1e308, 1e-308, 1e7, -1e6, 1.0]
+
+
+def numbers(size):
+    return st.floats(-size, size) | st.sampled_from(ODD)
+
+
+def tables(rows, columns, size):
+    row = st.lists(numbers(size), min_size=columns, max_size=columns)
+    return st.lists(row, min_size=rows, max_size=rows).map(np.array)
+
+
+def calls(deputies, most=4):
+    """Sequences of (time step, states, desired inputs)."""
+    call = st.tuples(
+        st.sampled_from([1.0, 0.0, 0.5, 30.0, 1e5, -10.0]),
+        tables(deputies, 6, 1000.0),
+        st.none() | tables(deputies, 3, 3.0),
+    )
+    return st.lists(call, min_size=1, max_size=most)
+
+
+def answers(filtering, sequence):
+    """Ask one after another; what every answer must satisfy."""
+    q = filtering.inspection
+    t, out = 0.0, []
+    for step, x, u in sequence:
+        t += step
+        decision = filtering.filter(t, x, u)
+        assert decision.u.shape == (q.deputies, 3)
+        assert np.isfinite(decision.u).all()
+        assert (np.abs(decision.u) <= q.thrust_max).all()
+        assert decision.intervened.shape == (q.deputies,)
+        assert decision.status in {"desired", "filtered", "short", "backup", "coast"}
+        known = np.isfinite(x).all(axis=1) & (np.abs(x) <= 1e6).all(axis=1)
+        assert not decision.u[~known].any()
+        if not known.all() or u is None or not np.isfinite(u).all():
+            assert decision.fallback
+        given = np.zeros(q.deputies, dtype=bool) if u is None else np.isfinite(u).all(axis=1)
+        assert decision.intervened[~given | ~known].all()
+        if u is not None:
+            same = ~decision.intervened
+            np.testing.assert_array_equal(decision.u[same], u[same])
+        out.append(decision)
+    return out
+
+
+WRONG = [
+    (0.0, np.zeros((1, 6)), np.zeros((2, 3))),
+    (0.0, np.zeros(6), np.zeros((2, 3))),
+    (0.0, np.zeros((2, 6)), np.zeros((3, 3))),
+    (0.0, np.zeros((2, 6)), np.zeros(3)),
+    (0.0, [["a"] * 6] * 2, np.zeros((2, 3))),
+    (0.0, None, np.zeros((2, 3))),
+    (np.nan, np.zeros((2, 6)), np.zeros((2, 3))),
+    (None, np.zeros((2, 6)), np.zeros((2, 3))),
+]

@@ -1,0 +1,244 @@
+"""Backup flights judged, and the implicit barrier filter."""
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+
+from polaris.asif.allowable import allowable
+from polaris.asif.allowable_rows import AllowableRows
+from polaris.asif.backup import Coast, Parking
+from polaris.asif.backup_flight import fly_backup
+from polaris.asif.flight_check import FlightCheck, Inherited
+from polaris.asif.implicit import ImplicitASIF
+from polaris.asif.inspection import Inspection
+from polaris.asif.primary import LQR
+from polaris.errors import ScenarioError
+from polaris.hill import elliptical_nmt
+
+from .garbage import WRONG, answers, calls
+
+ONE, TWO, THREE = (Inspection(deputies=k) for k in (1, 2, 3))
+N = ONE.mean_motion
+
+
+def formation(q, seed=3):
+    """At rest, away from the sun's cone if the sun starts at pi."""
+    rng = np.random.default_rng(seed)
+    x = np.zeros((q.deputies, 6))
+    x[:, 0] = rng.uniform(-250, -120, q.deputies)
+    x[:, 1] = np.linspace(-150, 150, q.deputies) + rng.uniform(-20, 20, q.deputies)
+    x[:, 2] = rng.uniform(-60, 60, q.deputies)
+    return x
+
+
+# ---- the constraints as rows
+
+
+def test_rows_agree_with_the_allowable_set():
+    rng = np.random.default_rng(0)
+    x = np.concatenate([rng.uniform(-1100, 1100, (400, 3, 3)), rng.uniform(-1.2, 1.2, (400, 3, 3))], axis=2)
+    x[::2, :, :3] *= 0.03
+    sun = rng.uniform(0, 7, 400)
+    rows = AllowableRows(THREE)
+    ours, theirs = rows(x, sun).value, allowable(THREE, x, sun)
+    kinds = np.array(rows.kind)
+    for name in ("phi1", "phi2", "phi3", "phi6", "phi9", "phi10", "phi11"):
+        np.testing.assert_allclose(ours[:, kinds == name], theirs[name], atol=1e-9)
+    np.testing.assert_array_equal(ours[:, kinds == "phi4"] >= 0, theirs["phi4"] >= 0)
+    both = np.minimum(ours[:, kinds == "phi5+"], ours[:, kinds == "phi5-"])
+    np.testing.assert_array_equal(both >= 0, theirs["phi5"] >= 0)
+    assert all((value < 0).any() and (value > 0).any() for value in theirs.values())
+
+
+def test_gradients_and_changes_against_differences():
+    rng = np.random.default_rng(1)
+    x = np.concatenate([rng.uniform(-300, 300, (20, 3, 3)), rng.uniform(-1, 1, (20, 3, 3))], axis=2)
+    sun = rng.uniform(0, 7, 20)
+    rows = AllowableRows(THREE)
+    phi = rows(x, sun)
+    for i in range(3):
+        for k in range(6):
+            step = np.zeros((3, 6))
+            step[i, k] = 1e-5
+            numeric = (rows(x + step, sun).value - rows(x - step, sun).value) / 2e-5
+            sign = np.where(rows.first == i, 1.0, np.where(rows.second == i, -1.0, 0.0))
+            np.testing.assert_allclose(phi.gradient[..., k] * sign, numeric, atol=1e-5)
+    numeric = (rows(x, sun - N * 0.05).value - rows(x, sun + N * 0.05).value) / 0.1
+    np.testing.assert_allclose(phi.change, numeric, atol=1e-5)
+
+
+def test_kinds_left_out():
+    assert "phi5+" not in AllowableRows(TWO, ("phi5",)).kind
+    with pytest.raises(ScenarioError, match="without"):
+        AllowableRows(TWO, ("phi7",))
+
+
+def test_bounds_between_samples_hold():
+    rng = np.random.default_rng(5)
+    rows, D = AllowableRows(TWO), 5.0
+    for _ in range(30):
+        x = np.hstack([rng.uniform(-60, 60, (2, 3)), rng.uniform(-1, 1, (2, 3))])
+        u = rng.uniform(-1, 1, (2, 3))
+        taus = np.linspace(0, D, 51)
+        dense = np.stack([x @ P.T + u @ G.T for P, G in (TWO.held(float(tau)) for tau in taus)])
+        value = rows(dense, TWO.sun_angle(taus, 1.0)).value
+        ends = dense[[0, -1]]
+        bound = rows.between(value[[0, -1]], ends, D, np.sqrt(3) / TWO.mass)
+        assert (bound[0] <= value.min(axis=0) + 1e-12).all()
+
+
+# ---- flights judged
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_margins_bound_a_dense_flight_of_two_revolutions(seed):
+    law = Parking(TWO)
+    check = FlightCheck(law, 600.0, sun_start=np.pi)
+    x = formation(TWO, seed)
+    x[:, 3:] = np.random.default_rng(seed).uniform(-0.2, 0.2, (2, 3))
+    u = np.random.default_rng(seed).uniform(-1, 1, (2, 3))
+    judged = check(100.0, x, u)
+    P, G = TWO.held(0.5)
+    t, least, thrust, state = 100.0, np.full(len(judged.margin), np.inf), u, x
+    worst = []
+    for k in range(int(2 * 2 * np.pi / N / 0.5)):
+        if k and k % 2 == 0:
+            thrust = law(t, state)
+        worst.append(state)
+        state, t = state @ P.T + thrust @ G.T, t + 0.5
+    states = np.stack(worst)
+    sun = TWO.sun_angle(100.0 + 0.5 * np.arange(len(states)), np.pi)
+    least = check.rows(states, sun).value.min(axis=0)
+    assert np.isfinite(judged.margin).all()
+    assert (judged.margin <= least + 1e-9).all()
+    assert (least - judged.margin)[~check.rows.is_speed].max() < 12.0  # m: a bound worth having
+    assert (least - judged.margin)[check.rows.is_speed].max() < 0.05
+
+
+def test_flights_that_do_not_settle_are_not_proven():
+    x = np.array([[300.0, 0, 0, 1, 1, 0]])
+    assert not (FlightCheck(Parking(ONE), 3.0)(0.0, x).margin > -np.inf).any()
+    assert not (FlightCheck(Coast(ONE), 600.0)(0.0, x).margin > -np.inf).any()
+    on_orbit = elliptical_nmt(N, 100.0, 1.0)[None]
+    on_orbit[:, 3] = N / 2 * on_orbit[:, 1]
+    on_orbit[:, 4] = -2 * N * on_orbit[:, 0]
+    assert np.isfinite(FlightCheck(Coast(ONE), 600.0)(0.0, on_orbit).margin).all()
+
+
+def test_what_is_inherited():
+    proven = Inherited(2.0)
+    x = np.ones((1, 6))
+    assert not proven.holds(0.0, x)
+    proven.prove(10.0, x)
+    assert proven.holds(12.0, x)
+    assert not proven.holds(14.0, x)
+    assert not proven.holds(12.0, x + 1e-3)
+    proven.clear()
+    assert not proven.holds(12.0, x)
+
+
+# ---- the filter's conditions
+
+
+def test_conditions_against_differences_of_the_backup_flight():
+    """The rate of phi at the end of the flight while the state moves under some input."""
+    f = ImplicitASIF(TWO, sun_start=np.pi)
+    rows, law = f.check.rows, f.law
+    x = formation(TWO) + np.array([0, 0, 0, 0.1, -0.1, 0.05])
+    flight = fly_backup(law, x, law.start(x), 80)
+    count = len(flight.x)
+    G, bound, value = f.conditions(50.0, x, flight)
+    u = np.array([[0.3, -0.7, 0.2], [-0.4, 0.5, 0.9]])
+    rate = np.einsum("smnj,nj->sm", G, u) - bound - f.rate * value
+
+    def later(dt, k):
+        """phi after k periods of backup, dt after the present under u."""
+        P, Gm = TWO.held(dt)
+        state = x @ P.T + u @ Gm.T
+        for _ in range(k):
+            state = state @ law.motion[0].T + law(0, state) @ law.motion[1].T
+        return rows(state[None], TWO.sun_angle([50.0 + dt + k], np.pi)).value[0]
+
+    chosen = np.unique(np.linspace(0, count - 1, min(count, 40)).round().astype(int))
+    for row, k in enumerate(chosen):
+        if row % 6 == 0:
+            numeric = (later(1e-3, k) - later(-1e-3, k)) / 2e-3
+            np.testing.assert_allclose(rate[row], numeric, rtol=1e-3, atol=1e-5)
+    # The samples along the parking orbit continue where the flight ends.
+    np.testing.assert_allclose(value[len(chosen)], value[len(chosen) - 1], atol=10.0)
+
+
+@pytest.mark.parametrize(("q", "without"), [(ONE, ()), (THREE, ("phi5",))], ids=["one", "three"])
+def test_an_aggressive_primary_is_held_in_the_allowable_set(q, without):
+    f = ImplicitASIF(q, sun_start=np.pi, without=without)
+    primary, x = LQR(q), formation(q)
+    Phi, Gamma = f.law.motion
+    seen, least, states = set(), np.inf, []
+    for k in range(90):
+        d = f.filter(float(k), x, primary(k, x[None])[0])
+        seen.add(d.status)
+        assert d.fallback is None or "not proven" not in d.fallback
+        states.append(x)
+        x = x @ Phi.T + d.u @ Gamma.T
+    values = allowable(q, np.stack(states), q.sun_angle(np.arange(90), np.pi))
+    for name, value in values.items():
+        if name not in without and value.size:
+            least = min(least, value.min())
+    assert least >= 0
+    assert "filtered" in seen
+    # It is no mere brake: the deputies went where they were sent, at the speed that is allowed.
+    assert np.linalg.norm(x[0, :3]) < np.linalg.norm(formation(q)[0, :3]) - 8
+
+
+def test_harmless_input_passes_unchanged():
+    f = ImplicitASIF(ONE, sun_start=np.pi)
+    x = elliptical_nmt(N, 150.0, 4.9)[None]
+    u = np.array([[0.01, -0.02, 0.01]])
+    d = f.filter(0.0, x, u)
+    assert d.status == "desired"
+    assert d.fallback is None
+    assert not d.intervened.any()
+    np.testing.assert_array_equal(d.u, u)
+    assert min(d.margins.values()) >= 0
+
+
+def test_a_state_that_cannot_be_helped_is_recorded():
+    d = ImplicitASIF(ONE).filter(0.0, np.zeros((1, 6)), np.ones((1, 3)))
+    assert d.status == "backup"
+    assert "not proven" in d.fallback
+    assert np.isfinite(d.u).all()
+
+
+def test_missing_input_is_backup_and_unknown_state_coasts():
+    f = ImplicitASIF(TWO, sun_start=np.pi, without=("phi5",))
+    x = formation(TWO)
+    x[:, 3:] = f.law.ellipses.nearest(x)[:, 3:]
+    d = f.filter(0.0, x, None)
+    assert "desired input" in d.fallback
+    assert d.intervened.all()
+    lost = np.array(x)
+    lost[1] = np.nan
+    d = f.filter(1.0, lost, np.full((2, 3), 0.01))
+    assert "state not known: deputy 1" in d.fallback
+    assert not d.u[1].any()
+    assert np.isfinite(d.margins["phi2[0,1]"])  # from the last good state, propagated
+    fresh = ImplicitASIF(TWO, sun_start=np.pi)
+    d = fresh.filter(0.0, lost, np.full((2, 3), 0.01))
+    assert np.isnan(d.margins["phi2[0,1]"])
+    assert np.isfinite(d.margins["phi1[0]"])
+    assert fresh.filter(1.0, np.full((2, 6), np.inf), None).status == "coast"
+
+
+@pytest.mark.parametrize("call", WRONG)
+def test_wrong_shapes_are_refused(call):
+    with pytest.raises(ScenarioError):
+        ImplicitASIF(TWO).filter(*call)
+
+
+@given(calls(2, 2))
+@settings(max_examples=12, deadline=None, suppress_health_check=list(HealthCheck))
+def test_garbage(sequence):
+    answers(ImplicitASIF(TWO, PARKING_2, horizon=60.0), sequence)
+
+
+PARKING_2 = Parking(TWO)
