@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import event, given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
@@ -120,15 +120,26 @@ def test_coasting_is_the_projection_of_each_deputy(name, seed):
 def test_shares_add_up_to_the_whole_condition(sharing, name, seed):
     """Where both deputies of a pair meet their shares, the pair's condition holds, whatever was desired."""
     families = FAMILIES[name]
-    x, sun, desired = situation(seed)
+    x, sun, desired = situation(seed, spread=(100.0, 600.0))
     answer = Decentralized(families, sharing).batch(x, sun, desired)
     pair = families.second >= 0
     first, second = families.first, np.where(pair, families.second, families.first)
     met = (answer.status[:, first] < SHORT) & (answer.status[:, second] < SHORT)
     relative = answer.u[:, first] - np.where(pair[:, None], answer.u[:, second], 0.0)
     slack = np.einsum("rmv,rmv->rm", answer.rows.G, relative) - answer.rows.bound
-    assert slack[met].min() >= -1e-9
-    assert met[:, pair].sum() > 0
+    assert slack[met].min(initial=np.inf) >= -1e-9
+    event(f"{met[:, pair].any(axis=1).sum()} of {len(x)} met")
+
+
+@pytest.mark.parametrize("sharing", ["half", "consensus"])
+@pytest.mark.parametrize("name", list(FAMILIES))
+def test_shares_are_met_often_enough_to_be_tested(sharing, name):
+    met = 0
+    for seed in range(5):
+        x, sun, desired = situation(seed, spread=(100.0, 600.0))
+        answer = Decentralized(FAMILIES[name], sharing).batch(x, sun, desired)
+        met += (answer.status < SHORT).all(axis=1).sum()
+    assert met > 5
 
 
 def test_coasting_shares_do_not_add_up():
