@@ -35,7 +35,7 @@ def time_filter(deputies: int, sharing: str, sampled: bool, calls: int = 2000) -
     for k in range(calls):
         which = k % many
         asif.reset()
-        asif.sun = sun[which]
+        asif.sun_start = sun[which]
         desired = rng.uniform(-2, 2, (deputies, 3))
         begun = time.perf_counter()
         decision = asif.filter(0.0, x[which], desired)

@@ -43,7 +43,7 @@ class ActiveSetFilter:
         See `Families`.
     backup : Backup, optional
         Default: no thrust.
-    sun : float
+    sun_start : float
         Angle of the sun at t = 0 [rad].
     """
 
@@ -55,9 +55,9 @@ class ActiveSetFilter:
         without: Collection[str] = (),
         sampled: SampledData | None = None,
         backup: Backup | None = None,
-        sun: float = 0.0,
+        sun_start: float = 0.0,
     ) -> None:
-        self.inspection, self.backup, self.sun = inspection, backup, sun
+        self.inspection, self.backup, self.sun_start = inspection, backup, sun_start
         self.families = Families(inspection, strengthening, without, sampled)
         self.batch = (
             Centralized(self.families) if sharing == "centralized" else Decentralized(self.families, sharing)  # type: ignore[arg-type]
@@ -105,7 +105,7 @@ class ActiveSetFilter:
             desired = np.where(replaced[:, None], self._backup(t, x), desired)
         # Commands beyond a million times the limit are as good as that; squares of huge ones overflow.
         most = 1e6 * self.inspection.thrust_max
-        sun = self.inspection.sun_angle([t], self.sun)
+        sun = self.inspection.sun_angle([t], self.sun_start)
         found = self.batch.batch(x[None], sun, np.clip(desired, -most, most)[None])
         u, status, rows = found.u[0], found.status[0], found.rows
         name = "filtered" if (status > DESIRED).any() else "desired"

@@ -30,7 +30,7 @@ def test_it_answers_as_the_batch_does(drawn, sharing):
     x, sun = drawn
     rng = np.random.default_rng(0)
     for k in range(6):
-        asif = ActiveSetFilter(Q, sharing, sun=float(sun[k]))
+        asif = ActiveSetFilter(Q, sharing, sun_start=float(sun[k]))
         u = rng.uniform(-1, 1, (5, 3))
         decision = asif.filter(0.0, x[k], u)
         batch = asif.batch.batch(x[k][None], sun[k : k + 1], u[None])
@@ -44,7 +44,7 @@ def test_it_answers_as_the_batch_does(drawn, sharing):
 def test_active_constraints_are_those_that_bind():
     """One deputy that wants to leave: only the keep-in zone can hold it."""
     q = Inspection(deputies=1)
-    asif = ActiveSetFilter(q, sun=np.pi)
+    asif = ActiveSetFilter(q, sun_start=np.pi)
     x = np.array([[0.0, 0.0, 999.0, 0.0, 0.0, 0.2]])
     decision = asif.filter(0.0, x, [[0.0, 0.0, 0.5]])
     assert decision.intervened[0] and decision.u[0, 2] < 0.5
@@ -54,15 +54,15 @@ def test_active_constraints_are_those_that_bind():
 
 def test_the_sun_turns_with_time(drawn):
     x, _ = drawn
-    asif = ActiveSetFilter(Q, sun=1.0)
+    asif = ActiveSetFilter(Q, sun_start=1.0)
     later = asif.filter(500.0, x[0], np.zeros((5, 3))).margins["h4[0]"]
-    other = ActiveSetFilter(Q, sun=1.0 - 500 * Q.mean_motion).filter(0.0, x[0], np.zeros((5, 3)))
+    other = ActiveSetFilter(Q, sun_start=1.0 - 500 * Q.mean_motion).filter(0.0, x[0], np.zeros((5, 3)))
     assert later == other.margins["h4[0]"]
 
 
 def test_sampled_rows_are_summed_up_by_name(drawn):
     x, sun = drawn
-    asif = ActiveSetFilter(Q, sampled=SampledData(1.0), sun=float(sun[0]))
+    asif = ActiveSetFilter(Q, sampled=SampledData(1.0), sun_start=float(sun[0]))
     decision = asif.filter(0.0, x[0], np.zeros((5, 3)))
     assert len(decision.margins) == 80
     rows = asif.families(x[0][None], sun[:1]).h[0]
@@ -73,7 +73,7 @@ def test_sampled_rows_are_summed_up_by_name(drawn):
 def test_no_desired_input_means_the_backup_filtered(drawn):
     x, sun = drawn
     push = np.tile([0.0, 0.0, 0.7], (5, 1))
-    asif = ActiveSetFilter(Q, backup=lambda t, x: push, sun=float(sun[0]))
+    asif = ActiveSetFilter(Q, backup=lambda t, x: push, sun_start=float(sun[0]))
     for missing in (None, np.full((5, 3), np.nan), np.full((5, 3), np.inf)):
         decision = asif.filter(0.0, x[0], missing)
         assert decision.status == "backup" and decision.intervened.all()
@@ -87,8 +87,8 @@ def test_no_desired_input_means_the_backup_filtered(drawn):
 
 def test_backup_that_fails_is_no_thrust(drawn):
     x, sun = drawn
-    asif = ActiveSetFilter(Q, backup=lambda t, x: np.full((5, 3), np.nan), sun=float(sun[0]))
-    reference = ActiveSetFilter(Q, sun=float(sun[0]))
+    asif = ActiveSetFilter(Q, backup=lambda t, x: np.full((5, 3), np.nan), sun_start=float(sun[0]))
+    reference = ActiveSetFilter(Q, sun_start=float(sun[0]))
     np.testing.assert_array_equal(
         asif.filter(0.0, x[0], None).u, reference.filter(0.0, x[0], np.zeros((5, 3))).u
     )
@@ -96,7 +96,7 @@ def test_backup_that_fails_is_no_thrust(drawn):
 
 def test_an_unknown_state_is_predicted_then_given_up(drawn):
     x, sun = drawn
-    asif = ActiveSetFilter(Q, sun=float(sun[0]))
+    asif = ActiveSetFilter(Q, sun_start=float(sun[0]))
     u = asif.filter(0.0, x[0], np.full((5, 3), 0.3)).u
     Phi, Gamma = Q.held(1.0)
     moved = x[0] @ Phi.T + u @ Gamma.T
@@ -104,7 +104,7 @@ def test_an_unknown_state_is_predicted_then_given_up(drawn):
     lost[3, 2] = np.nan
     decision = asif.filter(1.0, lost, np.zeros((5, 3)))
     assert "deputy 3" in decision.fallback
-    honest = ActiveSetFilter(Q, sun=float(sun[0])).filter(1.0, moved, np.zeros((5, 3)))
+    honest = ActiveSetFilter(Q, sun_start=float(sun[0])).filter(1.0, moved, np.zeros((5, 3)))
     np.testing.assert_allclose(decision.u, honest.u, atol=1e-9)
     gone = asif.filter(1000.0, np.full((5, 6), np.nan), np.ones((5, 3)))
     assert gone.status == "coast" and not gone.u.any() and gone.intervened.all()
@@ -120,7 +120,7 @@ def test_no_solution_is_recorded_and_never_the_desired_input():
     x[:, 4] = [0.5, -0.5]
     desired = np.array([[0.0, 1.0, 0.0], [0.0, -1.0, 0.0]])
     for sharing in SHARINGS:
-        decision = ActiveSetFilter(q, sharing, sun=np.pi / 2 + 0.1).filter(0.0, x, desired)
+        decision = ActiveSetFilter(q, sharing, sun_start=np.pi / 2 + 0.1).filter(0.0, x, desired)
         assert decision.status == "short" and "least violation" in decision.fallback
         assert decision.intervened.all()
         assert decision.u[0, 1] < 0 < decision.u[1, 1], "they part"
