@@ -6,11 +6,24 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..checks import positive
+from ..errors import ScenarioError
 from ..system import Array
 from .backup import Law, Memoryless, Outlook
 
+LONGEST = 20_000
+"""Most periods of one predicted flight."""
+
 LOOK = 4
 """Every so many periods it is asked whether the flight has settled."""
+
+
+def periods(horizon: float, period: float) -> int:
+    """Whole periods [s] in a horizon [s]; a ScenarioError if there is none, or more than `LONGEST`."""
+    count = int(positive("horizon", horizon, "s") / period + 1e-9)
+    if not 1 <= count <= LONGEST:
+        raise ScenarioError("horizon", horizon, f"must be {period:g} s to {LONGEST * period:g} s")
+    return count
 
 
 @dataclass(frozen=True, eq=False)

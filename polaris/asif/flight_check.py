@@ -15,7 +15,7 @@ from ..hill import free_flight
 from ..system import Array
 from .allowable_rows import AllowableRows, dot
 from .backup import Memoryless, Outlook
-from .backup_flight import BackupFlight, fly_backup
+from .backup_flight import BackupFlight, fly_backup, periods
 from .enmt import semi_axes
 
 PHASES = 360
@@ -61,7 +61,7 @@ class FlightCheck:
         self.law, self.inspection = law, law.inspection
         self.rows = AllowableRows(law.inspection, without)
         self.sun_start = sun_start
-        self.steps = max(1, int(horizon / law.period))
+        self.steps = periods(horizon, law.period)
         revolution = 2 * np.pi / law.inspection.mean_motion
         self._times = np.linspace(0.0, revolution, PHASES + 1)
         self._orbit = free_flight(law.inspection.mean_motion, self._times)

@@ -30,11 +30,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import non_negative, whole
 from ..errors import ScenarioError
 from ..system import Array
 from .backup import Law, Parking
-from .backup_flight import BackupFlight, fly_backup
+from .backup_flight import BackupFlight, fly_backup, periods
 from .decision import Decision
 from .inspection import Inspection
 from .received import Received, Receiver
@@ -109,7 +108,7 @@ class FuelLimit:
         if self.law.inspection != q:
             raise ScenarioError("law", type(law).__name__, "must be for the same inspection problem")
         self.keep_clear = keep_clear
-        self.steps = whole("horizon", int(non_negative("horizon", horizon, "s") / self.law.period), 1)
+        self.steps = periods(horizon, self.law.period)
         before = np.asarray(spent, dtype=float)
         if before.shape not in ((), (q.deputies,)) or not (np.isfinite(before) & (before >= 0)).all():
             raise ScenarioError("spent", spent, f"must be one or {q.deputies} finite numbers >= 0 [m/s]")

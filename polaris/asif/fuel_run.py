@@ -113,6 +113,7 @@ def fly_fuel_limit(
     inspection : Inspection
         Of one deputy.
     primary : Primary
+        To keep the other constraints until the switch, hand over one whose output is a barrier filter's.
     x0 : array_like, shape (6,)
         Initial state [m, m/s].
     duration, period : float

@@ -83,7 +83,7 @@ class ImplicitASIF:
     ) -> None:
         self.inspection = inspection
         self.law: Memoryless = Parking(inspection) if law is None else law
-        self.check = FlightCheck(self.law, positive("horizon", horizon, "s"), sun_start, without)
+        self.check = FlightCheck(self.law, horizon, sun_start, without)
         self.rate = positive("rate", rate, "1/s")
         self._receiver = Receiver(inspection)
         self._proven = Inherited(self.law.period)
@@ -157,9 +157,10 @@ class ImplicitASIF:
             tried = self.check(got.t, got.x, u)
             if not inherited and (counted & ~(tried.margin >= 0)).any():
                 notes.append("the backup flight itself is not proven to stay allowable")
-                self._proven.clear()
-        if inherited or not (counted & ~(tried.margin >= 0)).any():
+        if got.known.all() and (inherited or (tried.margin >= 0).all()):
             self._proven.prove(got.t, tried.flight.x[0])
+        else:
+            self._proven.clear()
         self._receiver.applied(u)
         intervened = ~(got.known & got.given) | got.clipped | (np.abs(u - got.u).max(axis=1) > 0)
         if not got.known.any():

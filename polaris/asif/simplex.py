@@ -21,7 +21,7 @@ from collections.abc import Collection
 
 import numpy as np
 
-from ..checks import non_negative, positive, whole
+from ..checks import non_negative, whole
 from ..system import Array
 from .backup import Memoryless, Parking
 from .decision import Backup
@@ -147,7 +147,7 @@ class ImplicitSimplex(Latched):
         without: Collection[str] = (),
     ) -> None:
         law = Parking(inspection) if law is None else law
-        self.check = FlightCheck(law, positive("horizon", horizon, "s"), sun_start, without)
+        self.check = FlightCheck(law, horizon, sun_start, without)
         rows = self.check.rows
         self.first, self.second, self.labels = rows.first, rows.second, rows.labels
         release = np.where(
@@ -162,7 +162,7 @@ class ImplicitSimplex(Latched):
         return self.check(t, x, u).margin
 
     def _accepted(self, got: Received, u: Array, good: bool) -> bool:
-        proven = good or (self._proven.holds(got.t, got.x) and bool(got.known.all()))
+        proven = bool(got.known.all()) and (good or self._proven.holds(got.t, got.x))
         if proven:
             Phi, Gamma = self.check.law.motion
             self._proven.prove(got.t, got.x @ Phi.T + u @ Gamma.T)

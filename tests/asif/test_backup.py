@@ -93,7 +93,8 @@ def test_limits_for_a_problem_keep_in_and_slow():
 
 
 @pytest.mark.parametrize(
-    ("least", "largest", "cross"), [(0, 100, 1), (10, 12, 1), (10, 100, -1), (np.nan, 100, 1), (10, np.nan, 1)]
+    ("least", "largest", "cross"),
+    [(0, 100, 1), (10, 12, 1), (10, 100, -1), (np.nan, 100, 1), (10, np.nan, 1)],
 )
 def test_limits_without_room_are_refused(least, largest, cross):
     with pytest.raises(ScenarioError):
@@ -141,7 +142,9 @@ def test_totals_and_peaks_bound_what_is_put_out_and_are_sharp():
         assert (total <= decay.total(s) * (1 + 1e-12)).all()
         assert (decay.total(s) <= total * 1.02).all()
         assert (peak <= decay.peak(s) * (1 + 1e-12)).all()
-        assert np.linalg.norm(decay.total(s)) <= decay.total_gain * np.linalg.norm(s / [1, 2, 0.5, 1]) * (1 + 1e-9)
+        assert np.linalg.norm(decay.total(s)) <= decay.total_gain * np.linalg.norm(s / [1, 2, 0.5, 1]) * (
+            1 + 1e-9
+        )
         limit = np.sqrt(s @ decay.energy @ s)
         assert peak.max() <= limit
         assert decay.never_above(s, limit * 1.001)
@@ -179,9 +182,7 @@ def test_flights_settle_thrust_goes_to_zero_and_the_outlook_holds(law):
     assert (look.delta_v <= 1.05 * spent + 1e-3).all()
     distance = np.linalg.norm(xs[..., :3], axis=-1)
     assert (distance.min(axis=0) >= look.distance).all()
-    orbit = np.einsum(
-        "sij,nj->sni", free_flight(N, law.period * np.arange(len(xs))), look.ellipse
-    )
+    orbit = np.einsum("sij,nj->sni", free_flight(N, law.period * np.arange(len(xs))), look.ellipse)
     apart = xs - orbit
     assert (np.linalg.norm(apart[..., :3], axis=-1).max(axis=0) <= look.strays + 1e-6).all()
     assert (np.linalg.norm(apart[..., 3:], axis=-1).max(axis=0) <= look.slips + 1e-9).all()
@@ -211,7 +212,10 @@ def test_thrust_slope_against_differences_with_clipped_axes():
     clipped = 0
     for x in np.vstack([states(50, 6, 300.0, 0.6), states(30, 7, 300.0, 3.0)]):
         numeric = np.stack(
-            [(law(0, (x + h)[None]) - law(0, (x - h)[None]))[0] / (2 * step[k]) for k, h in enumerate(np.diag(step))],
+            [
+                (law(0, (x + h)[None]) - law(0, (x - h)[None]))[0] / (2 * step[k])
+                for k, h in enumerate(np.diag(step))
+            ],
             axis=1,
         )
         slope = law.thrust_slope(x[None])[0]

@@ -9,8 +9,10 @@ from polaris.asif.backup_flight import fly_backup
 from polaris.asif.enmt import velocity_error
 from polaris.asif.fuel import FuelLimit, clearance
 from polaris.asif.fuel_run import fly_fuel_limit, wasteful
+from polaris.asif.implicit import ImplicitASIF
 from polaris.asif.inspection import Inspection
 from polaris.asif.primary import LQR
+from polaris.asif.simplex import ImplicitSimplex
 from polaris.asif.tracker import Tracker
 from polaris.errors import ScenarioError
 from polaris.hill import elliptical_nmt
@@ -259,6 +261,16 @@ def test_garbage(sequence):
 
 
 PARKING_2 = Parking(TWO)
+
+
+@pytest.mark.parametrize("horizon", [0.0, 0.5, 1e9, np.nan, -1.0])
+def test_horizons_out_of_range(horizon):
+    with pytest.raises(ScenarioError, match="horizon"):
+        FuelLimit(ONE, horizon=horizon)
+    with pytest.raises(ScenarioError, match="horizon"):
+        ImplicitASIF(ONE, horizon=horizon)
+    with pytest.raises(ScenarioError, match="horizon"):
+        ImplicitSimplex(ONE, horizon=horizon)
 
 
 def test_arguments():
