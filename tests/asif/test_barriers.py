@@ -308,3 +308,69 @@ def test_keeping_h_keeps_phi(seed):
         assert (back[outside & (held >= 0)] > 0).all(), name
     for name in ("h9", "h10", "h11"):
         assert not ((now["phi" + name[1:]] < 0) & (h[:, names == name] >= 0)).any()
+
+
+# --- control invariance of each constraint alone -------------------------------------------------------
+
+
+def admissible(rng, K, q):
+    """States with r <= r_max and speeds at or below their limits, many of them right at them."""
+    way = rng.standard_normal((K, 3)) * rng.choice([0.0, 1.0], (K, 3), p=[0.3, 0.7])
+    way[~way.any(axis=1)] = [1.0, 0.0, 0.0]
+    way /= np.linalg.norm(way, axis=1, keepdims=True)
+    v = q.speed_max * rng.choice([-1.0, 1.0, 0.3], (K, 3))
+    return way, v
+
+
+@pytest.mark.parametrize("family", ["chief_separation", "keep_in", "speed", "sun", "velocity"])
+@pytest.mark.parametrize(
+    "q",
+    [
+        Inspection(deputies=1),
+        Inspection(deputies=1, mean_motion=3e-3, passive_time=100.0, thrust_max=2.5, speed_max=2.0),
+        Inspection(deputies=1, docking_speed=0.5, thrust_max=0.2),
+    ],
+    ids=["table 1", "low orbit, fast", "weak"],
+)
+def test_thrust_can_keep_each_constraint_where_it_is_zero(family, q):
+    """On h = 0, within r_max and the speed limits, some admissible input gives dh/dt >= 0."""
+    rng = np.random.default_rng(21)
+    K = 4000
+    families = Families(q)
+    sun = rng.uniform(-np.pi, np.pi, K)
+    way, v = admissible(rng, K, q)
+    distance = 10 ** rng.uniform(1, np.log10(q.distance_max), K)
+    if family == "keep_in":
+        distance = q.distance_max - 10 ** rng.uniform(-3, 1.5, K)
+    if family == "chief_separation":
+        distance = q.separation + 10 ** rng.uniform(-3, 1.5, K)
+    if family == "sun":
+        half = q.field_of_view / 2
+        axis = -np.stack([np.cos(sun), np.sin(sun), 0 * sun], axis=1)
+        across = np.cross(axis, way)
+        across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
+        along = rng.uniform(q.separation, 0.8 * q.distance_max, (K, 1))
+        delta = 10 ** rng.uniform(-3, 1.5, (K, 1))
+        way = along * axis + (delta + np.sin(half) * along) / np.cos(half) * across
+        distance = np.linalg.norm(way, axis=1)
+        way /= distance[:, None]
+    z = np.concatenate([way * distance[:, None], v], axis=1)
+    chosen = [m for m, name in enumerate(families.family) if name == family]
+    seen = 0
+    for row in chosen:
+        x = z.copy()
+        for _ in range(8 if family != "velocity" else 0):  # to the boundary, along the gradient in v
+            rows = families(x[:, None], sun)
+            G = rows.G[:, row] * q.mass
+            x[:, 3:] -= (rows.h[:, row] / np.maximum((G * G).sum(1), 1e-12))[:, None] * G
+        rows = families(x[:, None], sun)
+        limit = q.docking_speed + q.nu_1 * np.linalg.norm(x[:, :3], axis=1)
+        ok = (np.abs(x[:, 3:]) <= q.speed_max * (1 + 1e-9)).all(axis=1)
+        if family in ("speed", "keep_in"):
+            ok &= np.linalg.norm(x[:, 3:], axis=1) <= limit * (1 + 1e-9)
+        ok &= (distance <= q.distance_max) & (np.abs(rows.h[:, row]) < 1e-9)
+        alpha = families.alpha[family](rows.h[:, row])
+        growth = q.thrust_max * np.abs(rows.G[:, row]).sum(1) - rows.bound[:, row] - alpha
+        assert growth[ok].min() >= -1e-9
+        seen += ok.sum()
+    assert seen > 100
