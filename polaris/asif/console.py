@@ -83,8 +83,8 @@ def show_claim(claim: Mapping[str, Any], console: Console) -> None:
     kind = str(claim["kind"]).replace("_", " ")
     console.print(Text(f"Guarantee: {kind}; {claim['reason']}.", style="bold"), soft_wrap=True)
     if claim.get("periods") and claim["kind"] == "per_period":
-        solved = f"{claim['periods_solved']} of {claim['periods']} periods"
-        console.print(Text(f"That is {solved} of this flight, assuming that"), soft_wrap=True)
+        covered = f"{claim['periods_covered']} of {claim['periods']} periods"
+        console.print(Text(f"That is {covered} of this flight, assuming that"), soft_wrap=True)
     for assumption in claim["assumptions"]:
         console.print(Text(f"  - {assumption}"), soft_wrap=True)
 

@@ -7,12 +7,15 @@ from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..version import versions
+from .allowable import allowable
 from .projection import DESIRED, FAILED, FILTERED, SHORT
 from .run import JudgedRun, Least
 from .scenario import InspectionScenario
 from .scenario_model import DecentralizedFilter, InspectionModel
+from .simulation import InspectionRun
 
 MEANING = {
     "phi1": ("separation from the chief", "m"),
@@ -58,7 +61,6 @@ ASSUMPTIONS = (
     "the motion is that of the Clohessy-Wiltshire equations, without disturbance",
     "every deputy's state is known exactly and without delay",
     "the thrust is applied exactly, and held for the control period",
-    "no constraint was violated at the start of the period",
 )
 
 
@@ -131,18 +133,25 @@ def steps(status: Any) -> dict[str, int]:
     return {name: int((status == code).sum()) for name, code in names.items()}
 
 
+def covered_periods(run: InspectionRun) -> NDArray[np.bool_]:
+    """Periods that began with no constraint violated and for which every program had a solution."""
+    phi = allowable(run.inspection, run.x[:-1], run.sun[:-1])
+    safe = np.all([(values >= 0).all(axis=1) for values in phi.values()], axis=0)
+    return np.asarray(safe & (run.h >= 0).all(axis=1) & (run.status < SHORT).all(axis=1))
+
+
 def guarantee(scenario: InspectionScenario, flown: JudgedRun) -> dict[str, Any]:
     """What is claimed of one flight, and on what assumptions."""
     model = scenario.model
     assert isinstance(model, InspectionModel)
-    solved = np.asarray((flown.run.status < SHORT).all(axis=1))
-    unsolved = np.flatnonzero(~solved)
+    covered = covered_periods(flown.run)
+    missed = np.flatnonzero(~covered)
     shares = isinstance(model.filter, DecentralizedFilter) and model.filter.sharing == "coasting"
     told: dict[str, Any] = {
         "kind": "none",
-        "periods": len(solved),
-        "periods_solved": int(solved.sum()),
-        "first_unsolved_s": float(flown.run.t[unsolved[0]]) if len(unsolved) else None,
+        "periods": len(covered),
+        "periods_covered": int(covered.sum()),
+        "first_missed_s": float(flown.run.t[missed[0]]) if len(missed) else None,
         "assumptions": [],
     }
     if not model.filter.sampled_data:
@@ -154,8 +163,8 @@ def guarantee(scenario: InspectionScenario, flown: JudgedRun) -> dict[str, Any]:
     else:
         told["kind"] = "per_period"
         told["reason"] = (
-            "each period for which the program had a solution: no barrier becomes negative within it. "
-            "That the next program has one is not claimed"
+            "each period that began safe and for which the program had a solution: no barrier becomes "
+            "negative within it. That the next program has one is not claimed"
         )
         told["assumptions"] = list(ASSUMPTIONS)
     return told

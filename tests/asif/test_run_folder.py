@@ -3,6 +3,7 @@
 import csv
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from typer.testing import CliRunner
 from polaris import cli
 from polaris.asif.campaign import lower_bound, read_campaign
 from polaris.asif.fuel_scene import read_fuel
+from polaris.asif.report import covered_periods
 from polaris.asif.run_folder import is_inspection, read_run
 from polaris.asif.scenario import load_inspection
 from polaris.errors import ScenarioError
@@ -63,13 +65,22 @@ def test_flight_folder_holds_what_was_flown(folders):
     assert sum(told["steps"].values()) == run.status.size
     assert [row["constraint"] for row in told["constraints"]] == [f"phi{k}" for k in range(1, 12)]
     assert told["safe"] and told["guarantee"]["kind"] == "per_period"
-    assert told["guarantee"]["periods_solved"] == told["guarantee"]["periods"] == 20
+    assert told["guarantee"]["periods_covered"] == told["guarantee"]["periods"] == 20
     distance = np.linalg.norm(run.x[..., :3], axis=2)
     assert told["constraints"][0]["least_at_samples"] == pytest.approx(distance.min() - 10.0)
     with (folder / "constraints.csv").open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
     assert [row["constraint"] for row in rows[:2]] == ["phi1", "phi2"] and len(rows) == 11 + 9
     assert float(rows[0]["least"]) == told["constraints"][0]["least"]
+
+
+def test_periods_that_began_unsafe_or_had_no_solution_are_not_covered(folders):
+    run = read_run(folders["inspection"]).flight()
+    assert covered_periods(run).all()
+    status, h, x = run.status.copy(), run.h.copy(), run.x.copy()
+    status[3, 1], h[5, 0], x[7, 2, :3] = 2, -1e-9, 0.0
+    changed = replace(run, status=status, h=h, x=x)
+    assert np.flatnonzero(~covered_periods(changed)).tolist() == [3, 5, 7]
 
 
 @pytest.mark.parametrize(
