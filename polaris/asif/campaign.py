@@ -29,7 +29,8 @@ from .run_folder import InspectionFolder, write_folder
 from .sampled import SampledData
 from .sampling import initial_conditions
 from .scenario import InspectionScenario
-from .scenario_model import DecentralizedFilter, MonteCarloModel
+from .scenario_filters import DecentralizedFilter
+from .scenario_model import MonteCarloModel
 
 if TYPE_CHECKING:
     from ..console import Stages

@@ -14,7 +14,8 @@ from .allowable import allowable
 from .projection import DESIRED, FAILED, FILTERED, SHORT
 from .run import JudgedRun, Least
 from .scenario import InspectionScenario
-from .scenario_model import DecentralizedFilter, InspectionModel
+from .scenario_filters import DecentralizedFilter
+from .scenario_model import InspectionModel
 from .simulation import InspectionRun
 
 MEANING = {

@@ -11,7 +11,7 @@ import polaris
 from polaris.asif.inspection import Inspection
 from polaris.asif.run import CONSTRAINTS, fly_scenario, fly_unfiltered, judge
 from polaris.asif.scenario import KINDS, InspectionScenario, load_inspection
-from polaris.asif.scenario_model import FAMILY_NAMES
+from polaris.asif.scenario_filters import FAMILY_NAMES
 from polaris.asif.strengthening import FAMILIES, PRESETS
 from polaris.errors import ScenarioError
 from polaris.scenario import bundled_files, load_scenario, scenario_folder
