@@ -21,7 +21,8 @@ from .braking import Braking
 from .closest import ClosestApproach
 from .inspection import Inspection
 from .passive import Passive
-from .sampled import Motion, PassiveSegments, SampledData, SpeedInSquares, VelocitySide, curvature
+from .sampled import Motion, SampledData, SpeedInSquares, VelocitySide, curvature
+from .segments import PassiveSegments
 from .strengthening import FAMILIES, PRESETS, Strengthening, evaluate
 
 Index = NDArray[np.intp]

@@ -15,7 +15,8 @@ from polaris.asif.families import Families
 from polaris.asif.filters import Centralized, Decentralized
 from polaris.asif.inspection import Inspection
 from polaris.asif.projection import SHORT
-from polaris.asif.sampled import PassiveSegments, SampledData, SpeedInSquares, VelocitySide, curvature
+from polaris.asif.sampled import SampledData, SpeedInSquares, VelocitySide, curvature
+from polaris.asif.segments import PassiveSegments
 from polaris.asif.strengthening import Strengthening
 from polaris.errors import ScenarioError
 from polaris.hill import cw_matrix
