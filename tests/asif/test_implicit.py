@@ -168,7 +168,11 @@ def test_conditions_against_differences_of_the_backup_flight():
     np.testing.assert_allclose(value[len(chosen)], value[len(chosen) - 1], atol=10.0)
 
 
-@pytest.mark.parametrize(("q", "without"), [(ONE, ()), (THREE, ("phi5",))], ids=["one", "three"])
+@pytest.mark.parametrize(
+    ("q", "without"),
+    [(ONE, ()), pytest.param(THREE, ("phi5",), marks=pytest.mark.slow)],
+    ids=["one", "three"],
+)
 def test_an_aggressive_primary_is_held_in_the_allowable_set(q, without):
     f = ImplicitASIF(q, sun_start=np.pi, without=without)
     primary, x = LQR(q), formation(q)
