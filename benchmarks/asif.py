@@ -3,8 +3,8 @@
     python -m benchmarks.asif                     time per call
     python -m benchmarks.asif --monte-carlo 2000  the paper's Monte Carlo as well, on two processes
 
-States are drawn inside the safe set; desired inputs are at random within twice the limits, so that about half
-the calls solve a quadratic program. Times include everything from the call to the answer, margins by name too.
+States are drawn inside the safe set; desired inputs are at random within twice the limits, so that nearly all
+calls solve quadratic programs. Times are from the call to the answer, margins by name included.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ import numpy as np
 from polaris.asif.asif import ActiveSetFilter
 from polaris.asif.families import Families
 from polaris.asif.inspection import Inspection
-from polaris.asif.monte_carlo import monte_carlo
 from polaris.asif.sampled import SampledData
 from polaris.asif.sampling import initial_conditions
+from polaris.asif.studies import monte_carlo
 
 
 def time_filter(deputies: int, sharing: str, sampled: bool, calls: int = 2000) -> tuple[float, float, float]:
@@ -83,7 +83,9 @@ def _monte_carlo(runs: int, workers: int) -> None:
     begun = time.perf_counter()
     with ProcessPoolExecutor(workers) as executor:
         outcomes = monte_carlo(inspection, x, sun, executor=executor)
-    print(f"{len(outcomes)} studies of {runs} runs in {time.perf_counter() - begun:.1f} s on {workers} processes")
+    print(
+        f"{len(outcomes)} studies of {runs} runs in {time.perf_counter() - begun:.1f} s on {workers} processes"
+    )
     for name, outcome in outcomes.items():
         print(f"{name:34} success {outcome.success.mean():.2%}")
 

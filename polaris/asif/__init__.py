@@ -10,7 +10,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .allowable import allowable
+    from .allowable_set import allowable
     from .asif import ActiveSetFilter
     from .backup import Coast, Outlook, Parking
     from .decision import Backup, Decision, RunTimeFilter
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from .fuel_run import FuelRun, fly_fuel_limit
     from .implicit import ImplicitASIF
     from .inspection import Inspection
-    from .monte_carlo import monte_carlo
     from .outcome import Outcome, Study
     from .primary import LQR, NoInput, Phases
     from .sampled import SampledData
@@ -29,10 +28,11 @@ if TYPE_CHECKING:
     from .simplex import ExplicitSimplex, ImplicitSimplex
     from .simulation import InspectionRun, fly, fly_one
     from .strengthening import Strengthening
+    from .studies import monte_carlo
     from .tracker import Tracker
 
 _HOMES = {
-    ".allowable": ("allowable",),
+    ".allowable_set": ("allowable",),
     ".asif": ("ActiveSetFilter",),
     ".backup": ("Coast", "Outlook", "Parking"),
     ".decision": ("Backup", "Decision", "RunTimeFilter"),
@@ -42,7 +42,7 @@ _HOMES = {
     ".fuel_run": ("FuelRun", "fly_fuel_limit"),
     ".implicit": ("ImplicitASIF",),
     ".inspection": ("Inspection",),
-    ".monte_carlo": ("monte_carlo",),
+    ".studies": ("monte_carlo",),
     ".outcome": ("Outcome", "Study"),
     ".primary": ("LQR", "NoInput", "Phases"),
     ".sampled": ("SampledData",),

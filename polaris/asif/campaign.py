@@ -22,7 +22,6 @@ from ..runarrays import read_arrays
 from ..runfiles import write_csv
 from ..system import Array
 from ..version import versions
-from .monte_carlo import monte_carlo
 from .outcome import Outcome
 from .outcome import Study as Filtering
 from .run_folder import InspectionFolder, write_folder
@@ -31,6 +30,7 @@ from .sampling import initial_conditions
 from .scenario import InspectionScenario
 from .scenario_filters import DecentralizedFilter
 from .scenario_model import MonteCarloModel
+from .studies import monte_carlo
 
 if TYPE_CHECKING:
     from ..console import Stages

@@ -121,7 +121,7 @@ class Decentralized:
         return Filtered(u, status, rows)
 
     def _shares(self, rows: Rows, deputies: int) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """Bounds for the first and for the second deputy of each row, (R, M); where they cannot be met, (R,)."""
+        """Bounds for a row's first and second deputy, (R, M); where they cannot be met, (R,)."""
         bound, met = rows.bound, np.zeros(len(rows.bound), dtype=bool)
         if self.sharing == "coasting":
             return bound, bound, met

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..version import versions
-from .allowable import allowable
+from .allowable_set import allowable
 from .projection import DESIRED, FAILED, FILTERED, SHORT
 from .run import JudgedRun, Least
 from .scenario import InspectionScenario

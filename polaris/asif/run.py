@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..system import Array
-from .allowable import NAMES, allowable
+from .allowable_set import NAMES, allowable
 from .families import Families
 from .filters import Filtered
 from .inspection import Inspection

@@ -5,9 +5,14 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import qmc
 
+from ..checks import whole
+from ..errors import ScenarioError
 from ..system import Array
-from .allowable import allowable
+from .allowable_set import allowable
 from .families import Families
+
+PATIENCE = 200_000
+"""Samples after which a first one must have been accepted, and so on."""
 
 
 def initial_conditions(
@@ -38,7 +43,13 @@ def initial_conditions(
         Angle of the sun at the start [rad].
     acceptance : float
         Share of the samples that satisfied everything.
+
+    Raises
+    ------
+    ScenarioError
+        If hardly any sample satisfies every constraint (less than one in `PATIENCE`).
     """
+    whole("count", count, 1)
     q = families.inspection
     N = q.deputies
     wide = np.tile(
@@ -49,18 +60,24 @@ def initial_conditions(
     sampler = qmc.LatinHypercube(6 * N + 1, rng=np.random.default_rng(seed))
     states: list[Array] = []
     suns: list[Array] = []
-    drawn = 0
-    while sum(len(part) for part in states) < count:
+    drawn = accepted = 0
+    while accepted < count:
+        if drawn >= PATIENCE and accepted * PATIENCE < drawn:
+            rule = (
+                f"none or hardly any of {drawn} samples satisfied every constraint; fewer deputies, a slower"
+            )
+            raise ScenarioError("count", count, f"{rule} or smaller cube have room")
         sample = sampler.random(block)
         x = (wide * (2 * sample[:, :-1] - 1)).reshape(block, N, 6)
         sun = 2 * np.pi * sample[:, -1]
         drawn += block
-        for k in range(0, block, 128):
-            part = slice(k, k + 128)
-            good = (families(x[part], sun[part]).h >= 0).all(axis=1)
-            for values in allowable(q, x[part], sun[part]).values():
-                good &= (values >= 0).all(axis=1)  # h >= 0 also holds outside, on a fast way back
-            states.append(x[part][good])
-            suns.append(sun[part][good])
+        # What is quick to see first: h >= 0 alone would not do, it also holds outside, on a fast way back.
+        phi = allowable(q, x, sun).values()
+        inside = np.flatnonzero(np.all([(values >= 0).all(axis=1) for values in phi], axis=0))
+        for part in (inside[k : k + 128] for k in range(0, len(inside), 128)):
+            good = part[(families(x[part], sun[part]).h >= 0).all(axis=1)]
+            states.append(x[good])
+            suns.append(sun[good])
+            accepted += len(good)
     found = np.concatenate(states)
     return found[:count], np.concatenate(suns)[:count], len(found) / drawn

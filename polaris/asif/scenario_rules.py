@@ -113,7 +113,7 @@ def _check_phases(model: models.InspectionModel) -> None:
 
 def _check_start(families: Families, given: models.InitialStates) -> None:
     """Every constraint must hold at the start: a filter keeps a flight safe, it does not make it so."""
-    from .allowable import allowable
+    from .allowable_set import allowable
 
     q = families.inspection
     x, sun = np.array(given.states, dtype=float), np.radians(given.sun_angle_deg)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from polaris.asif.allowable import allowable
+from polaris.asif.allowable_set import allowable
 from polaris.asif.barriers import CENTRE, Radial, Speed, SunCone, Velocity, rounded_length
 from polaris.asif.braking import Braking
 from polaris.asif.families import Families

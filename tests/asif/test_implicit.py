@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 
-from polaris.asif.allowable import allowable
 from polaris.asif.allowable_rows import AllowableRows
+from polaris.asif.allowable_set import allowable
 from polaris.asif.backup import Coast, Parking
 from polaris.asif.backup_flight import fly_backup
 from polaris.asif.flight_check import FlightCheck, Inherited

@@ -7,15 +7,15 @@ from concurrent.futures import ProcessPoolExecutor
 import numpy as np
 import pytest
 
-from polaris.asif.allowable import allowable
+from polaris.asif.allowable_set import allowable
 from polaris.asif.families import Families
 from polaris.asif.filters import Centralized
 from polaris.asif.inspection import Inspection
-from polaris.asif.monte_carlo import BLOCK, fly_block, monte_carlo
 from polaris.asif.outcome import STUDIES, Study
 from polaris.asif.primary import LQR, NoInput
 from polaris.asif.sampling import initial_conditions
 from polaris.asif.simulation import fly_one
+from polaris.asif.studies import BLOCK, fly_block, monte_carlo
 from polaris.errors import ScenarioError
 
 Q = Inspection()
@@ -36,6 +36,14 @@ def test_initial_conditions_are_inside_and_reproducible(drawn):
     # With the cube of 1000 m and 1 m/s, the published library accepts 0.65 % of the samples.
     assert 0.003 < accepted < 0.012
     assert np.abs(x[..., :3]).max() > 400 and np.ptp(sun) > np.pi
+
+
+def test_sampling_gives_up_where_there_is_no_room(monkeypatch):
+    monkeypatch.setattr("polaris.asif.sampling.PATIENCE", 4000)
+    with pytest.raises(ScenarioError, match="hardly any of 4096 samples"):
+        initial_conditions(Families(Inspection(deputies=30)), 1)
+    with pytest.raises(ScenarioError, match="count"):
+        initial_conditions(Families(Q), 0)
 
 
 def test_least_values_are_those_of_the_flight_flown_alone(drawn):

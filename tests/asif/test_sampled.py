@@ -7,7 +7,7 @@ import pytest
 from scipy.linalg import expm
 from scipy.optimize import differential_evolution
 
-from polaris.asif.allowable import allowable
+from polaris.asif.allowable_set import allowable
 from polaris.asif.barriers import Radial, SunCone
 from polaris.asif.braking import Braking
 from polaris.asif.closest import ClosestApproach

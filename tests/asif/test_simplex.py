@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 
-from polaris.asif.allowable import allowable
+from polaris.asif.allowable_set import allowable
 from polaris.asif.backup import Parking
 from polaris.asif.families import Families
 from polaris.asif.filters import Centralized

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from polaris.asif.allowable import allowable
+from polaris.asif.allowable_set import allowable
 from polaris.asif.barriers import SunCone
 from polaris.asif.braking import Braking
 from polaris.asif.families import Families

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ...figures.style import RED
-from ..allowable import allowable
+from ..allowable_set import allowable
 from ..simulation import InspectionRun
 from .common import SAFE, UNSAFE, colour, deputy_handles, legend, pair_handles, pair_style, shade, tell
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..errors import ScenarioError
 from ..system import Array
-from .allowable import allowable
+from .allowable_set import allowable
 from .families import Families
 from .inspection import Inspection
 from .outcome import STUDIES, Outcome, Study, join
