@@ -153,6 +153,8 @@ def project_coupled(
     todo = np.arange(len(u))
     if len(u) > FEW:
         todo = _separate_rows(G, bound, desired, limit, first, second, u)
+    elif flat and len(u) > 1:
+        todo = _together(G, bound, desired, limit, needed, u, todo)
     for k in todo:
         u[k], status[k] = _coupled(
             G[k], bound[k], desired[k], limit, first, second, np.flatnonzero(needed[k])
