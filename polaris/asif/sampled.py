@@ -14,7 +14,6 @@ input satisfies it. The proofs are in ``docs/inspection-theory.md``.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..checks import number, positive
 from ..errors import ScenarioError
 from ..system import Array
-from .barriers import CENTRE, STANDSTILL, Evaluation, Radial, SunCone, dot, rounded_length
+from .barriers import CENTRE, STANDSTILL, Evaluation, Radial, SunCone, Velocity, dot, rounded_length
 from .braking import Braking
 from .segments import PassiveSegments
 
@@ -219,29 +218,11 @@ class SpeedInSquares:
         return np.where(motion.speed <= limit - change, -np.inf, M / (limit + speed))
 
 
-@dataclass(frozen=True, eq=False)
-class VelocitySide:
+class VelocitySide(Velocity):
     """phi9 to phi11 on the nearer side: ``(v_max - |v_axis|) w``, with ``w = v_max + |v_axis|`` held fixed.
 
     Linear in the velocity, so that its curvature is the jerk's, and its gradient never vanishes.
-
-    Parameters
-    ----------
-    name : str
-    axis : int or array of int
-        0, 1 or 2.
-    limit : float
-        v_max [m/s].
     """
-
-    name: str
-    axis: int | NDArray[np.intp]
-    limit: float
-
-    @cached_property
-    def direction(self) -> Array:
-        """Unit vector along the axis, shape (..., 3)."""
-        return np.asarray(np.eye(3)[self.axis])
 
     def __call__(self, z: Array, sun: ArrayLike = 0.0) -> Evaluation:
         """Evaluate at states of shape (..., 6)."""
