@@ -1,4 +1,4 @@
-"""The allowable set: phi1 to phi6 and phi9 to phi12 (eqs. 12 to 19, 23, 24), as the paper defines them.
+"""The allowable set: phi1 to phi6 and phi9 to phi11 (eqs. 12 to 19, 23, 24), as the paper defines them.
 
 phi7 and phi8 (passively safe manoeuvres) are h7 and h8; see `polaris.asif.passive`.
 """

@@ -28,7 +28,8 @@ class ActiveSetFilter:
     - A deputy whose state is unknown is taken to be where its last state and thrust lead (see
       `polaris.asif.received.Receiver`); where that is not known either, every deputy coasts, which h7 and h8
       keep clear of collisions for T.
-    - A missing or not finite desired input is replaced by the backup controller's, which is then filtered.
+    - The desired input of a deputy whose state is unknown, or that is missing or not finite itself, is
+      replaced by the backup controller's, which is then filtered.
     - Where no input satisfies all conditions, the one that violates them least is used; should the program
       fail altogether, the backup controller's.
 
@@ -51,7 +52,7 @@ class ActiveSetFilter:
         self,
         inspection: Inspection,
         sharing: Sharing | str = "centralized",
-        strengthening: str | Mapping[str, Strengthening] = "afrl",
+        strengthening: str | Mapping[str, Strengthening] = "polaris",
         without: Collection[str] = (),
         sampled: SampledData | None = None,
         backup: Backup | None = None,
@@ -71,6 +72,7 @@ class ActiveSetFilter:
     def reset(self) -> None:
         """Forget the last states: a new flight begins."""
         self._receiver = Receiver(self.inspection)
+        self._last = np.nan
 
     def filter(self, t: float, x: ArrayLike, u_des: ArrayLike | None) -> Decision:
         """Decide on the inputs of the next control period; see `polaris.asif.decision.RunTimeFilter`.
@@ -81,28 +83,40 @@ class ActiveSetFilter:
             If the time is not a finite number, or the shape of the states or of the desired input is wrong.
         """
         got = self._receiver.receive(t, x, u_des)
-        missing = got.fallback()
+        notes = [note for note in (got.fallback(), self._late(got.t)) if note]
         if not got.estimated.all():
             nothing = np.zeros_like(got.u)
-            decision = Decision(nothing, np.ones(len(nothing), dtype=bool), (), {}, "coast", missing)
+            decision = Decision(nothing, np.ones(len(nothing), dtype=bool), (), {}, "coast", "; ".join(notes))
         else:
-            decision = self._filtered(got, u_des, [missing] if missing else [])
+            decision = self._filtered(got, u_des, notes)
         self._receiver.applied(decision.u)
         return decision
 
-    def _backup(self, t: float, x: Array) -> Array:
-        """The backup controller's input; no thrust where it has none to give."""
-        if self.backup is None or not np.isfinite(x).all():
+    def _late(self, t: float) -> str | None:
+        """What to say if the last answer was held for longer than the conditions allow for."""
+        held, self._last = t - self._last, t
+        sampled = self.families.sampled
+        if sampled is None or not held > sampled.period * (1 + 1e-6):
+            return None
+        return f"called after {held:g} s: the conditions were for {sampled.period:g} s"
+
+    def _backup(self, t: float, x: Array, reasons: list[str]) -> Array:
+        """The backup controller's input; no thrust where it has none to give, which is recorded."""
+        if self.backup is None:
             return np.zeros((len(x), 3))
-        u = np.asarray(self.backup(t, x), dtype=float)
+        try:
+            u = np.broadcast_to(np.asarray(self.backup(t, x), dtype=float), (len(x), 3))
+        except Exception as error:  # whatever it is, the filter must answer
+            reasons.append(f"the backup controller failed: {type(error).__name__}")
+            return np.zeros((len(x), 3))
         limit = self.inspection.thrust_max
         return np.where(np.isfinite(u), np.clip(u, -limit, limit), 0.0)
 
     def _filtered(self, got: Received, u_des: ArrayLike | None, reasons: list[str]) -> Decision:
-        t, x, replaced = got.t, got.x, ~got.given
+        t, x, replaced = got.t, got.x, ~(got.given & got.known)
         desired = got.u if u_des is None else np.asarray(u_des, dtype=float)
         if replaced.any():
-            desired = np.where(replaced[:, None], self._backup(t, x), desired)
+            desired = np.where(replaced[:, None], self._backup(t, x, reasons), desired)
         # Commands beyond a million times the limit are as good as that; squares of huge ones overflow.
         most = 1e6 * self.inspection.thrust_max
         sun = self.inspection.sun_angle([t], self.sun_start)
@@ -117,7 +131,7 @@ class ActiveSetFilter:
         if (failed := status == FAILED).any():
             name = "backup"
             reasons.append("the program failed")
-            u = np.where(failed[:, None], self._backup(t, x), u)
+            u = np.where(failed[:, None], self._backup(t, x, reasons), u)
         margins = dict(zip(self._names, np.minimum.reduceat(rows.h[0], self._starts).tolist(), strict=True))
         intervened = (u != desired).any(axis=1) | replaced
         active = self._active(rows, u) if intervened.any() else ()

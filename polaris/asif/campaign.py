@@ -160,11 +160,13 @@ def summary(
             "reason": f"the lower bounds on the probability of success hold with {CONFIDENCE:.0%} confidence "
             "each, for initial conditions drawn as here and flights of this length, as far as the instants "
             "that were looked at show",
-            "assumptions": [],
+            "assumptions": [
+                "the initial conditions count as independent; Latin hypercube samples are so only nearly"
+            ],
         },
         "definitions": {
-            "success": "no constraint was negative, at the samples or between them, and every program had "
-            "a solution; constraints left out of the filter are left out of this",
+            "success": "no constraint was negative, at the samples, between them and at the end, and every "
+            "program had a solution; constraints left out of the filter are left out of this",
             "failures": "runs with that failure; a run may have several",
             "acceptance": "share of the drawn initial conditions that satisfied every constraint",
         },

@@ -80,6 +80,8 @@ class Families:
         Families left out.
     sampled : SampledData, optional
         Tighten the conditions so that they hold between samples.
+    exact : bool
+        h7 and h8 in full also where they allow every input; without it they may come out smaller there.
 
     Attributes
     ----------
@@ -94,11 +96,12 @@ class Families:
     def __init__(
         self,
         inspection: Inspection,
-        strengthening: str | Mapping[str, Strengthening] = "afrl",
+        strengthening: str | Mapping[str, Strengthening] = "polaris",
         without: Collection[str] = (),
         sampled: SampledData | None = None,
+        exact: bool = False,
     ) -> None:
-        self.sampled = sampled
+        self.sampled, self.exact = sampled, exact
         if sampled is not None:
             sampled.growth(inspection.mean_motion)  # refuses periods that are too long
         self.inspection = inspection
@@ -107,6 +110,8 @@ class Families:
             if name not in FAMILIES:
                 raise ScenarioError("without", name, f"must be one of {', '.join(FAMILIES)}")
         self._groups = [group for group in self._all_groups(frozenset(without)) if len(group.place)]
+        if not self._groups:
+            raise ScenarioError("without", sorted(without), "must leave a constraint")
         place = np.concatenate([np.repeat(group.place, group.repeat) for group in self._groups])
         self.family = tuple(name for g in self._groups for name in g.family for _ in range(g.repeat))
         N, pairs = inspection.deputies, inspection.pairs
@@ -149,7 +154,8 @@ class Families:
         approach = ClosestApproach(q.mean_motion, q.passive_time)
         speed: Barrier = Speed("speed", q.docking_speed, q.nu_1)
         if self.sampled is None:
-            groups.append(_Group(Passive("passive", radius, approach, self._beyond(approach)), names, place))
+            beyond = np.inf if self.exact else self._beyond(approach)
+            groups.append(_Group(Passive("passive", radius, approach, beyond), names, place))
         else:
             segments = PassiveSegments("passive", radius, approach)
             groups.append(_Group(segments, names, place, segments.rows))

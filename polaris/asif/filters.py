@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..errors import ScenarioError
 from ..system import Array
 from .families import Families, Rows
-from .projection import DESIRED, FILTERED, SHORT, project, project_coupled
+from .projection import DESIRED, FAILED, FILTERED, SHORT, project, project_coupled
 
 Sharing = Literal["coasting", "half", "consensus"]
 SHARINGS: tuple[Sharing, ...] = ("coasting", "half", "consensus")
@@ -70,9 +70,8 @@ class Centralized:
                 rows.G[runs], rows.bound[runs], desired[runs], limit, families.first, families.second
             )
             u[runs] = found.u
-            status[runs] = np.where(
-                found.status[:, None] > FILTERED, SHORT, _unchanged(found.u, desired[runs])
-            )
+            worse = found.status[:, None]
+            status[runs] = np.where(worse > FILTERED, worse, _unchanged(found.u, desired[runs]))
         return u, status
 
 
@@ -105,7 +104,7 @@ class Decentralized:
         """Filter inputs of shape (R, N, 3) at states (R, N, 6) and sun angles (R,) [rad]."""
         rows = self.families(x, sun)
         limit = self.families.inspection.thrust_max
-        first, second, unmet = self._shares(rows, desired.shape[1])
+        first, second, agreed = self._shares(rows, desired.shape[1])
         u = np.clip(desired, -limit, limit)
         status = _unchanged(u, desired)
         # Row by row, as the deputies see it: their rows, signs and bounds, shapes (R, N, m, ...).
@@ -117,23 +116,24 @@ class Decentralized:
             signed = G[run, who] * self._sign[who][..., None]
             found = project(signed, bound[run, who], desired[run, who], limit)
             u[run, who], status[run, who] = found.u, found.status
-        status[unmet] = np.maximum(status[unmet], SHORT)
+        status = np.maximum(status, np.where(agreed >= SHORT, agreed, DESIRED)[:, None]).astype(np.int8)
+        u[status == FAILED] = np.nan
         return Filtered(u, status, rows)
 
-    def _shares(self, rows: Rows, deputies: int) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """Bounds for a row's first and second deputy, (R, M); where they cannot be met, (R,)."""
-        bound, met = rows.bound, np.zeros(len(rows.bound), dtype=bool)
+    def _shares(self, rows: Rows, deputies: int) -> tuple[Array, Array, Statuses]:
+        """Bounds for a row's first and second deputy, (R, M); status of what was agreed on, (R,)."""
+        bound, met = rows.bound, np.zeros(len(rows.bound), dtype=np.int8)
         if self.sharing == "coasting":
             return bound, bound, met
         if self.sharing == "half":
             half = np.where(self._pair, bound / 2, bound)
             return half, half, met
         agreed, status = Centralized(self.families).project(rows, np.zeros((len(bound), deputies, 3)))
+        agreed = np.where(np.isfinite(agreed), agreed, 0.0)  # where it failed, the status says so
         first = np.einsum("rmv,rmv->rm", rows.G, agreed[:, self.families.first])
         second = np.asarray(-np.einsum("rmv,rmv->rm", rows.G, agreed[:, self.families.second]))
         spare = np.maximum(first + second - bound, 0.0) / 2
-        unmet = np.asarray((status >= SHORT).any(axis=1))
-        return np.where(self._pair, first - spare, bound), second - spare, unmet
+        return np.where(self._pair, first - spare, bound), second - spare, status.max(axis=1)
 
 
 def _unchanged(u: Array, desired: Array) -> Statuses:

@@ -138,7 +138,7 @@ class Inherited:
         self._due = np.nan
 
     def holds(self, t: float, x: Array) -> bool:
-        """Whether the flight from x at t is proven; states may differ by a millionth of their size."""
+        """Whether the flight from x at t is proven; states may differ by rounding."""
         if not abs(t - self._due) <= 1e-6 * self.period:
             return False
-        return bool((np.abs(x - self._x) <= 1e-6 * (1 + np.abs(x).max())).all())
+        return bool((np.abs(x - self._x) <= 1e-9 * (1 + np.abs(x))).all())

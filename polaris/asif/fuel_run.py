@@ -18,6 +18,9 @@ from .fuel import FuelLimit
 from .inspection import Inspection
 from .primary import LQR, Phases, Primary
 
+ENDED = 1e-4
+"""A predicted flight is followed until no more than this share of the thrust limit will be used."""
+
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
@@ -178,7 +181,7 @@ def fly_fuel_limit(
 
 def _predict(law: Law, t: float, x: Array, spent: float, steps: int) -> Prediction:
     state = x[None]
-    flight = fly_backup(law, state, law.start(state), steps)
+    flight = fly_backup(law, state, law.start(state), steps, ENDED)
     each = np.abs(flight.u).sum(axis=(1, 2)) * law.period / law.inspection.mass
     instants = np.asarray(t + np.arange(len(flight.x)) * law.period, dtype=float)
     return Prediction(instants, flight.x[:, 0], spent + np.append(0.0, np.cumsum(each)))

@@ -137,12 +137,13 @@ def summary(scenario: InspectionScenario, run: FuelRun, seconds: Mapping[str, fl
 
 def guarantee(model: FuelLimitModel, run: FuelRun) -> dict[str, Any]:
     """What is claimed of the fuel limit, and on what assumptions."""
+    nothing = None
     if run.exhausted:
-        return {
-            "kind": "none",
-            "reason": "thrust was cut where the fuel ended: the limit held, the parking orbit may be missed",
-            "assumptions": [],
-        }
+        nothing = "thrust was cut where the fuel ended: the limit held, the parking orbit may be missed"
+    elif run.latched_at is not None and run.latched_at <= run.t[0]:
+        nothing = f"the backup took over at once, and nothing was known of its flight before ({run.reason})"
+    if nothing:
+        return {"kind": "none", "reason": nothing, "assumptions": []}
     clear = ", and the deputy stays clear of the chief" if model.fuel.keep_clear else ""
     return {
         "kind": "by_prediction",

@@ -37,7 +37,7 @@ class Study:
     name: str
     sharing: Sharing | str = "centralized"
     without: tuple[str, ...] = ()
-    strengthening: str | Mapping[str, Strengthening] = "afrl"
+    strengthening: str | Mapping[str, Strengthening] = "polaris"
     sampled: SampledData | None = None
 
     def families(self, inspection: Inspection) -> Families:

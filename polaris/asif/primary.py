@@ -8,9 +8,8 @@ from typing import Protocol
 
 import control
 import numpy as np
-from numpy.typing import ArrayLike
 
-from ..checks import positive
+from ..checks import non_negative, positive
 from ..errors import ScenarioError
 from ..hill import clohessy_wiltshire
 from ..system import Array
@@ -41,8 +40,8 @@ class LQR:
     inspection : Inspection
     distance : float
         Each deputy is sent to this distance [m] in the direction it is in: 0 for the chief itself.
-    position_weight, thrust_weight : float
-        Diagonal weights of the position [1/m^2] and of the thrust [1/N^2]; velocities weigh nothing.
+    position_weight, velocity_weight, thrust_weight : float
+        Diagonal weights of the position [1/m^2], the velocity [s^2/m^2] (may be 0) and the thrust [1/N^2].
     """
 
     def __init__(
@@ -55,7 +54,10 @@ class LQR:
     ) -> None:
         q = inspection
         system = clohessy_wiltshire(q.mean_motion, q.mass, q.thrust_max)
-        Q = np.diag([positive("position_weight", position_weight, "1/m^2")] * 3 + [velocity_weight] * 3)
+        Q = np.diag(
+            [positive("position_weight", position_weight, "1/m^2")] * 3
+            + [non_negative("velocity_weight", velocity_weight, "s^2/m^2")] * 3
+        )
         R = np.eye(3) * positive("thrust_weight", thrust_weight, "1/N^2")
         self.gain = np.asarray(control.lqr(system.A, system.B, Q, R)[0])
         self.distance = distance
@@ -98,8 +100,3 @@ class Phases:
         """Desired thrust [N] of the controller on duty."""
         on_duty = int(np.searchsorted(self.starts, t, side="right")) - 1
         return self.controllers[max(on_duty, 0)](t, x)
-
-
-def clipped(u: ArrayLike, limit: float) -> Array:
-    """Thrust within ``|u_i| <= limit``."""
-    return np.asarray(np.clip(np.asarray(u, dtype=float), -limit, limit))

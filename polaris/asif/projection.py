@@ -15,14 +15,14 @@ PRIMAL = 1e-11
 """Violation [N] of a row of length 1 that the solver may leave."""
 
 SHORTAGE_WEIGHT = 1e6
-"""Weight of the squared shortage [N] against the squared deviation where no input satisfies all rows."""
+"""Weight of the squared shortage [N] against the squared deviation where no input satisfies all rows.
+
+Bounds on rows of length 1 then count as no more than this times the limit: more is as far out of reach.
+"""
 
 FEW = 8
 """Up to so many programs go to the solver at once, independent ones as one; more are first tried in
 closed form."""
-
-BEYOND_REACH = 1e6
-"""Bounds on rows of length 1 count as no more than this times the limit: more is as far out of reach."""
 
 DESIRED, FILTERED, SHORT, FAILED = range(4)
 """How an input came about: as desired; nearest that satisfies all rows; nearest that violates them least,
@@ -89,22 +89,26 @@ def solve(G: Array, bound: Array, desired: Array, limit: float, relax: bool = Tr
     return _least_short(G, bound, desired, limit)
 
 
-def _least_short(G: Array, bound: Array, desired: Array, limit: float) -> tuple[Array, int]:
+def _least_short(
+    G: Array, bound: Array, desired: Array, limit: float, weight: float = SHORTAGE_WEIGHT
+) -> tuple[Array, int]:
     """No input satisfies all rows: one more variable s >= 0, the shortage [N] of the worst row."""
     size = len(desired)
     # A row that no input changes, or that nothing can satisfy, does not decide between inputs.
     kept = np.isfinite(bound) & G.any(axis=1)
-    G, bound = G[kept], np.minimum(bound[kept], BEYOND_REACH * limit)
+    G, bound = G[kept], np.minimum(bound[kept], weight * limit)
     rows = len(bound)
     wide = np.ones((rows, size + 1))
     wide[:, :size] = G
     lower = np.concatenate([np.full(size, -limit), [0.0], bound])
     upper = np.full(size + 1 + rows, 1e30)
     upper[:size] = limit
-    cost = _cost(size + 1, SHORTAGE_WEIGHT)
+    cost = _cost(size + 1, weight)
     u, _, flag, _ = daqp.solve(cost, -np.append(desired, 0.0), wide, upper, lower, primal_tol=1e-9)
     if flag > 0:
         return np.clip(u[:size], -limit, limit), SHORT
+    if weight > 1:  # rows that are short by very much: the solver's numbers span too wide a range
+        return _least_short(G, bound, desired, limit, weight / 100)
     return np.full(size, np.nan), FAILED
 
 

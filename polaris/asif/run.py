@@ -203,6 +203,7 @@ class _Keeper:
 
     def see(self, t: Array, values: NDArray[np.float64], sampled: bool) -> None:
         """Take note of values of shape (instants, deputies or pairs)."""
+        values = np.where(np.isnan(values), -np.inf, values)
         k, place = np.unravel_index(int(values.argmin()), values.shape)
         worst = float(values[k, place])
         if sampled:

@@ -57,7 +57,7 @@ class SampledData:
         Raises
         ------
         ScenarioError
-            If the period is so long that there is no bound: ``2 n D + 3 (n D)^2 >= 1``, D above n / 3.
+            If the period is so long that there is no bound: ``2 n D + 3 (n D)^2 >= 1``, D above 1 / (3 n).
         """
         D = self.period
         rest = 1 - 2 * n * D - 3 * n**2 * D**2

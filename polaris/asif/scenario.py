@@ -190,7 +190,7 @@ class InspectionScenario:
         """All constraints, nothing tightened: the judge of a flight."""
         from .families import Families
 
-        return Families(self.inspection(), self.strengthening())
+        return Families(self.inspection(), self.strengthening(), exact=True)
 
     def filter(self, spec: Filter, period: float) -> Centralized | Decentralized:
         """The filter that a table describes."""

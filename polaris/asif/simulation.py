@@ -100,11 +100,13 @@ def fly(
         t = k * period
         angles = inspection.sun_angle(t, sun)
         desired = primary(t, x)
-        filtered = filtering.batch(x, angles, desired)
+        lost = np.asarray(~np.isfinite(desired).all(axis=2))
+        filtered = filtering.batch(x, angles, np.where(lost[..., None], 0.0, desired))
         u = filtered.u
         failed = filtered.status == FAILED
         if failed.any():
             u[failed] = 0.0
+        filtered.status[lost] = FAILED
         after = np.stack([x @ Phi.T + u @ Gamma.T for Phi, Gamma in moves])
         observe(Step(k, t, x, angles, desired, filtered, after[:-1]))
         x = after[-1]

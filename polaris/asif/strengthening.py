@@ -107,17 +107,25 @@ Preset = Mapping[str, Strengthening]
 
 _CUBIC = (0.01, 0.0, 0.001)
 _FAR = Strengthening(_CUBIC, 0.0, 10.0, 0.01)
-PRESETS: dict[str, dict[str, Strengthening]] = {
-    "afrl": {
-        "chief_separation": _FAR,
-        "deputy_separation": _FAR,
-        "speed": Strengthening((0.0, 0.0, 0.1), 2e-3, 10.0, 0.01),
-        "sun": Strengthening((0.001, 0.0, 0.0001), 1e-3, 10.0, 0.01),
-        "deputy_sun": Strengthening((0.0, 0.0, 0.1), 1e-3, 10.0, 0.01),
-        "keep_in": replace(_FAR, bias=1e-3),
-        "passive": _FAR,
-        "deputy_passive": _FAR,
-        "velocity": Strengthening((0.1, 0.0, 0.01), 1e-3, 10.0, 0.01),
-    },
+_AFRL = {
+    "chief_separation": _FAR,
+    "deputy_separation": _FAR,
+    "speed": Strengthening((0.0, 0.0, 0.1), 2e-3, 10.0, 0.01),
+    "sun": Strengthening((0.001, 0.0, 0.0001), 1e-3, 10.0, 0.01),
+    "deputy_sun": Strengthening((0.0, 0.0, 0.1), 1e-3, 10.0, 0.01),
+    "keep_in": replace(_FAR, bias=1e-3),
+    "passive": _FAR,
+    "deputy_passive": _FAR,
+    "velocity": Strengthening((0.1, 0.0, 0.01), 1e-3, 10.0, 0.01),
 }
-"""Named sets of strengthening functions; the paper prints none. ``afrl``: those of its authors' library."""
+PRESETS: dict[str, dict[str, Strengthening]] = {
+    "afrl": _AFRL,
+    "polaris": {**_AFRL, "velocity": Strengthening((0.5, 0.0, 0.01), 1e-3, 10.0, 0.01)},
+    "linear": {family: Strengthening((0.3, 0.0, 0.0)) for family in FAMILIES},
+}
+"""Named sets of strengthening functions; the paper prints none.
+
+``afrl``: those of its authors' library. ``polaris``: the same with quicker velocity limits; those of ``afrl``
+hold back thrust that other constraints need, at speeds far from the limit. ``linear``: ``0.3 h`` throughout,
+for conditions that hold between samples (`SampledData`), which need no bias.
+"""

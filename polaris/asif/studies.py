@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from ..errors import ScenarioError
 from ..system import Array
 from .allowable_set import allowable
+from .closest import ClosestApproach
 from .families import Families
 from .inspection import Inspection
 from .outcome import STUDIES, Outcome, Study, join
@@ -26,7 +27,23 @@ from .simulation import Step, fly
 BLOCK = 100
 """Runs flown together: what fits into fast memory."""
 
+NEAR = 60.0
+"""Closest approaches in free flight [m] up to which they are told exactly; beyond, a lower bound is told."""
+
 PAIRWISE = ("phi2", "phi5", "phi8")
+
+PHI = {
+    "chief_separation": ("phi1",),
+    "deputy_separation": ("phi2",),
+    "speed": ("phi3",),
+    "sun": ("phi4",),
+    "deputy_sun": ("phi5",),
+    "keep_in": ("phi6",),
+    "passive": ("phi7",),
+    "deputy_passive": ("phi8",),
+    "velocity": ("phi9", "phi10", "phi11"),
+}
+"""What is judged, by family."""
 
 
 @dataclass(eq=False)
@@ -48,26 +65,17 @@ class Recorder:
         self.changed = np.zeros(self.runs)
         self.delta_v = np.zeros((self.runs, q.deputies))
         self.steps = 0
-        # Exact closest approaches come with the rows already, unless the rows are tightened ones.
-        self.passive = {}
-        if self.study.sampled is None:
-            for name, kind in (("phi7", "passive"), ("phi8", "deputy_passive")):
-                rows = np.flatnonzero(np.array(self.families.family) == kind)
-                if len(rows):
-                    self.passive[name] = rows
+        self.approach = ClosestApproach(q.mean_motion, q.passive_time)
+        left_out = {name for family in self.study.without for name in PHI[family]}
+        self.judged = [name for names in PHI.values() for name in names if name not in left_out]
 
     def __call__(self, step: Step, period: float) -> None:
         """Take in one control period."""
         q = self.families.inspection
-        without = self.study.without
         for b, x in enumerate((step.x, *step.between)):
             t = step.t + period * b / (len(step.between) + 1)
             sun = step.sun - q.mean_motion * (t - step.t)
-            for name, values in allowable(q, x, sun).items():
-                if not (name == "phi5" and "deputy_sun" in without):
-                    self._note(name, values, t)
-        for name, rows in self.passive.items():
-            self._note(name, step.filtered.rows.h[:, rows], step.t)
+            self.judge(x, sun, t)
         status = step.filtered.status
         for run in np.flatnonzero((status >= SHORT).any(axis=1) & np.isnan(self.short)):
             self.short[run] = step.t
@@ -76,9 +84,21 @@ class Recorder:
         self.delta_v += np.abs(step.filtered.u).sum(axis=2) * (period / q.mass)
         self.steps += 1
 
+    def judge(self, x: Array, sun: Array, t: float) -> None:
+        """Look at all constraints, phi7 and phi8 included, at one instant."""
+        q = self.families.inspection
+        values = allowable(q, x, sun)
+        if "phi7" in self.judged or "phi8" in self.judged:
+            distance = self.approach(self.families.stack(x), NEAR).distance
+            values["phi7"] = distance[:, : q.deputies] - q.separation
+            values["phi8"] = distance[:, q.deputies :] - 2 * q.deputy_radius
+        for name in self.judged:
+            self._note(name, values[name], t)
+
     def _note(self, name: str, values: Array, t: float) -> None:
         if not values.shape[1]:
             return
+        values = np.where(np.isnan(values), -np.inf, values)  # what cannot be told is not safe
         places = self.families.inspection.pairs if name in PAIRWISE else self.alone
         least = values.min(axis=1)
         if name not in self.least:
@@ -116,9 +136,7 @@ def fly_block(
         between,
         lambda step: recorder(step, period),
     )
-    for name, values in allowable(inspection, final, inspection.sun_angle(duration, sun)).items():
-        if name in recorder.least:
-            recorder._note(name, values, duration)
+    recorder.judge(final, inspection.sun_angle(duration, sun), duration)
     return Outcome(
         study,
         recorder.least,

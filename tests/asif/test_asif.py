@@ -173,3 +173,82 @@ def test_any_number_of_deputies(deputies):
     assert decision.u.shape == (deputies, 3) and np.isfinite(decision.u).all()
     pairs = deputies * (deputies - 1) // 2
     assert len(decision.margins) == 8 * deputies + 4 * pairs
+
+
+def test_an_unknown_deputy_never_gets_its_desired_input(drawn):
+    """Not even while its state can be predicted: what is wanted of a state nobody knows is worth nothing."""
+    x, sun = drawn
+    for sharing in SHARINGS:
+        asif = ActiveSetFilter(Q, sharing, sun_start=float(sun[0]))
+        asif.filter(0.0, x[0], np.zeros((5, 3)))
+        lost = x[0].copy()
+        lost[[1, 4]] = np.nan
+        decision = asif.filter(1.0, lost, np.full((5, 3), 0.9))
+        assert decision.status == "backup" and decision.intervened[[1, 4]].all()
+        assert (decision.u[[1, 4]] != 0.9).any(axis=1).all()
+
+
+def test_sampled_conditions_held_for_too_long_are_recorded(drawn):
+    x, sun = drawn
+    asif = ActiveSetFilter(Q, sampled=SampledData(1.0), sun_start=float(sun[0]))
+    zero = np.zeros((5, 3))
+    assert asif.filter(0.0, x[0], zero).fallback is None
+    assert asif.filter(1.0, x[0], zero).fallback is None
+    assert "25 s" in asif.filter(26.0, x[0], zero).fallback
+    asif.reset()
+    assert asif.filter(90.0, x[0], zero).fallback is None
+
+
+def test_nearly_coincident_deputies_get_finite_thrust():
+    """So near that the numbers of the program span fifteen orders of magnitude."""
+    q = Inspection(deputies=3)
+    first = np.array([-18.80678, 1643.32782, -2168.62645, -0.52032, -0.82569, -0.67765])
+    apart = np.array([4.66e-5, -2.412e-5, -1.22e-4, 0.19349, -0.15129, -0.02066])
+    third = np.array([2016.3176, 1371.41478, 1732.06817, 0.69687, 0.21865, -0.02129])
+    rng = np.random.default_rng(0)
+    for _ in range(60):
+        x = np.stack([first, first + rng.uniform(0.5, 2) * apart, third])
+        for sharing in SHARINGS:
+            decision = ActiveSetFilter(q, sharing, "afrl").filter(0.0, x, rng.uniform(-1, 1, (3, 3)))
+            assert np.isfinite(decision.u).all() and (np.abs(decision.u) <= q.thrust_max).all()
+            assert decision.status in ("short", "backup") and decision.fallback
+
+
+@pytest.mark.parametrize("sharing", SHARINGS)
+def test_a_program_that_fails_is_answered_by_the_backup(drawn, sharing, monkeypatch):
+    x, sun = drawn
+    monkeypatch.setattr(
+        "polaris.asif.projection.daqp.solve", lambda H, f, *rest, **how: (np.full(len(f), np.nan), 0, -9, {})
+    )
+    push = np.tile([0.1, -0.2, 0.3], (5, 1))
+    asif = ActiveSetFilter(Q, sharing, backup=lambda t, z: push, sun_start=float(sun[0]))
+    x = x[0].copy()
+    x[1, :3] = x[0, :3] + [8.0, 0.0, 0.0]  # too near: no row alone decides
+    x[0, 3:], x[1, 3:] = [0.5, 0.0, 0.0], [-0.5, 0.0, 0.0]
+    decision = asif.filter(0.0, x, np.full((5, 3), 0.9))
+    assert decision.status == "backup" and "failed" in decision.fallback
+    np.testing.assert_array_equal(decision.u[:2], push[:2])
+    assert decision.intervened[:2].all()
+
+
+def test_a_backup_that_raises_is_recorded(drawn):
+    x, sun = drawn
+
+    def broken(t, z):
+        raise RuntimeError("no")
+
+    decision = ActiveSetFilter(Q, backup=broken, sun_start=float(sun[0])).filter(0.0, x[0], None)
+    assert "the backup controller failed: RuntimeError" in decision.fallback
+    assert np.isfinite(decision.u).all()
+    shape = ActiveSetFilter(Q, backup=lambda t, z: np.zeros((2, 2)), sun_start=float(sun[0]))
+    assert "the backup controller failed" in shape.filter(0.0, x[0], None).fallback
+
+
+def test_leaving_out_everything_is_refused():
+    from polaris.asif.strengthening import FAMILIES
+
+    with pytest.raises(ScenarioError, match="must leave a constraint"):
+        Families(Q, without=FAMILIES)
+    single = [name for name in FAMILIES if not name.startswith("deputy")]
+    with pytest.raises(ScenarioError, match="must leave a constraint"):
+        Families(Inspection(deputies=1), without=single)

@@ -13,6 +13,7 @@ from polaris.asif.filters import Centralized
 from polaris.asif.inspection import Inspection
 from polaris.asif.outcome import STUDIES, Study
 from polaris.asif.primary import LQR, NoInput
+from polaris.asif.sampled import SampledData
 from polaris.asif.sampling import initial_conditions
 from polaris.asif.simulation import fly_one
 from polaris.asif.studies import BLOCK, fly_block, monte_carlo
@@ -96,6 +97,37 @@ def test_what_is_left_out_is_not_judged(drawn):
     x, sun, _ = drawn
     found = fly_block(Q, Study("without", "coasting", ("deputy_sun",)), x[:2], sun[:2], 3.0)
     assert "phi5" not in found.least and "phi4" in found.least and "phi8" in found.least
+
+
+def test_left_out_families_and_sampled_studies_are_judged_alike():
+    """A fast deputy on its way past the chief: phi9 to phi11 count unless left out, phi7 always."""
+    q = Inspection(deputies=1)
+    x = np.array([[[0.0, -60.0, 0.0, 0.0, 1.2, 0.0]]])
+    sun = np.array([1.0])
+    plain = fly_block(q, Study("plain"), x, sun, 3.0)
+    assert plain.least["phi10"][0] < 0 and plain.least["phi7"][0] < 0
+    without = fly_block(q, Study("without", without=("velocity",)), x, sun, 3.0)
+    assert not {"phi9", "phi10", "phi11"} & set(without.least)
+    sampled = fly_block(q, Study("sampled", sampled=SampledData(1.0)), x, sun, 3.0)
+    assert sampled.least["phi7"][0] < 0 and "phi7" in {row["what"] for row in sampled.failures()}
+
+
+def test_what_cannot_be_told_is_a_failure(drawn):
+    """States that become nan, and a primary controller that does."""
+    x, sun, _ = drawn
+    lost = x[:1].copy()
+    lost[0, 2, 4] = np.nan
+    with np.errstate(invalid="ignore"):
+        found = fly_block(Q, Study("central"), lost, sun[:1], 2.0)
+    assert not found.success[0] and found.least["phi1"][0] == -np.inf
+
+    class Broken:
+        def __call__(self, t, states):
+            return np.full((*states.shape[:-1], 3), np.nan if t >= 1 else 0.0)
+
+    found = fly_block(Q, Study("central"), x[:2], sun[:2], 3.0, primary=Broken())
+    assert not found.success.any() and (found.short == 1.0).all()
+    assert np.isfinite(found.least["phi1"]).all() and not found.violated.any()
 
 
 def test_a_primary_controller_that_attacks_is_filtered(drawn):

@@ -118,6 +118,24 @@ def test_fuel_limit_is_kept_by_the_backup(tmp_path):
     assert told["guarantee"]["kind"] == "by_prediction" and told["last_thrust_s"] < 399
 
 
+@pytest.mark.parametrize(
+    "settings",
+    [
+        ("initial_state=[0,60,0,0,-4,0]", "flight.duration_s=200"),  # too fast to turn before the chief
+        ("initial_state=[0,400,0,0,3,0]", "fuel.spent_m_s=19", "flight.duration_s=20"),  # too little fuel
+    ],
+)
+def test_nothing_is_claimed_of_a_flight_that_begins_on_backup(tmp_path, settings):
+    words = [word for setting in settings for word in ("--set", setting)]
+    done = invoke("run", "fuel-limit", *words, "--out", tmp_path / "a", "--no-figures")
+    told = summary(tmp_path / "a")
+    assert done.exit_code == 0 and told["latched_at_s"] == 0
+    assert told["guarantee"]["kind"] == "none"
+    assert ("fuel ended" if "fuel.spent_m_s=19" in settings else "took over at once") in told["guarantee"][
+        "reason"
+    ]
+
+
 def test_campaign_folder_holds_what_was_flown(folders):
     told, picture = summary(folders["monte_carlo"]), read_campaign(folders["monte_carlo"] / "campaign.npz")
     assert [study["name"] for study in told["studies"]] == list(picture.studies)

@@ -57,10 +57,10 @@ def test_families_of_the_models_are_those_of_the_filters():
 
 def test_strengthening_takes_the_preset_where_nothing_else_is_given():
     scenario = load_inspection("inspection-monte-carlo")
-    assert scenario.strengthening() == PRESETS["afrl"]
+    assert scenario.strengthening() == PRESETS["polaris"]
     changed = scenario.with_assignments(["strengthening.speed={ coefficients = [0.5, 0, 0], bias = 0.01 }"])
     assert changed.strengthening()["speed"].numbers == (0.5, 0.0, 0.0, 0.01, 1.0, 0.0)
-    assert changed.strengthening()["sun"] == PRESETS["afrl"]["sun"]
+    assert changed.strengthening()["sun"] == PRESETS["polaris"]["sun"]
 
 
 def test_filter_is_what_the_table_says():
