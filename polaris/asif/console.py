@@ -97,7 +97,7 @@ def show_campaign(summary: Mapping[str, Any], folder: str, console: Console | No
     table = Table(box=None, pad_edge=False, header_style="bold")
     table.add_column(f"{summary['runs']} runs of {summary['duration_s']:g} s", no_wrap=True)
     for name in ("success", "at least, 95%", *kinds):
-        table.add_column(name, justify="right")
+        table.add_column(name, justify="right", no_wrap=True)
     for study in summary["studies"]:
         failures = [study["failures"].get(kind, 0) for kind in kinds]
         table.add_row(
@@ -106,6 +106,8 @@ def show_campaign(summary: Mapping[str, Any], folder: str, console: Console | No
             f"{study['success_share_lower_95']:.2%}",
             *(Text(str(count), style="red" if count else "") for count in failures),
         )
-    console.print(table)
+    # Wide tables are not squeezed: numbers that are cut off say nothing.
+    wide = Console(file=console.file, highlight=False, width=max(console.width, 60 + 8 * len(kinds)))
+    wide.print(table)
     show_claim(summary["guarantee"], console)
     console.print(Text(f"Run folder: {folder}"), soft_wrap=True)

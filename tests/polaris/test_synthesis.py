@@ -58,7 +58,9 @@ def attack(name, n, seed):
         assert np.all(errors[:, k * q] @ D.T <= start.support(D) + 1e-6 * (1 + np.abs(start.support(D))))
 
 
-@pytest.mark.parametrize("name", FEASIBLE)
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=[pytest.mark.slow] * (n == "hold_point")) for n in FEASIBLE]
+)
 def test_no_run_breaks_the_claim(name):
     attack(name, 500, 1)
 
