@@ -15,7 +15,7 @@ BAR_COLOURS = (RED, ORANGE, PURPLE, SKY, BLACK, BLUE, VERMILION, GREY)
 
 
 def draw_initial_conditions(axes: Any, picture: CampaignPicture) -> None:
-    """Draw where every deputy of every run starts, one panel per study: cyan safe, red failed.
+    """Draw where every deputy of every run starts, one panel per study: red where it failed, else cyan.
 
     Of a run that failed, the deputies that the failures concern are red.
     """
@@ -40,7 +40,7 @@ def draw_initial_conditions(axes: Any, picture: CampaignPicture) -> None:
     for ax in axes[len(picture.studies) :]:
         ax.set_axis_off()
     handles = [
-        Line2D([], [], ls="none", marker="*", color=tint(SKY, 0.75), ms=5, label="safe"),
+        Line2D([], [], ls="none", marker="*", color=tint(SKY, 0.75), ms=5, label="not concerned"),
         Line2D([], [], ls="none", marker="*", color=RED, ms=5, label="failed"),
         Line2D([], [], ls="none", marker="o", color=BLACK, ms=3, label="chief"),
     ]
