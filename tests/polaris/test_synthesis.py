@@ -59,7 +59,11 @@ def attack(name, n, seed):
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=[pytest.mark.slow] * (n == "hold_point")) for n in FEASIBLE]
+    "name",
+    [
+        pytest.param(n, marks=[pytest.mark.slow] * (n in ("hold_point", "keep_out", "dynamic")))
+        for n in FEASIBLE
+    ],
 )
 def test_no_run_breaks_the_claim(name):
     attack(name, 500, 1)
