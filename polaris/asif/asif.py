@@ -11,7 +11,7 @@ from ..system import Array
 from .barriers import dot
 from .decision import Backup, Decision
 from .families import Families, Rows
-from .filters import Centralized, Decentralized, Sharing
+from .filters import CENTRALIZED, make_filter
 from .inspection import Inspection
 from .projection import DESIRED, FAILED, SHORT
 from .received import Received, Receiver
@@ -51,7 +51,7 @@ class ActiveSetFilter:
     def __init__(
         self,
         inspection: Inspection,
-        sharing: Sharing | str = "centralized",
+        sharing: str = CENTRALIZED,
         strengthening: str | Mapping[str, Strengthening] = "polaris",
         without: Collection[str] = (),
         sampled: SampledData | None = None,
@@ -60,9 +60,7 @@ class ActiveSetFilter:
     ) -> None:
         self.inspection, self.backup, self.sun_start = inspection, backup, sun_start
         self.families = Families(inspection, strengthening, without, sampled)
-        self.batch = (
-            Centralized(self.families) if sharing == "centralized" else Decentralized(self.families, sharing)  # type: ignore[arg-type]
-        )
+        self.batch = make_filter(self.families, sharing)
         labels = np.array(self.families.labels)
         # Several rows may stand for one constraint; they follow each other.
         self._starts = np.flatnonzero(np.append(True, labels[1:] != labels[:-1]))

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -83,10 +84,10 @@ class Law(Protocol):
         ...
 
 
-class Memoryless:
+class Memoryless(ABC):
     """A law that depends on the state alone: a flight's rest is the flight from where it has come to."""
 
-    def __init__(self, inspection: Inspection, period: float) -> None:
+    def __init__(self, inspection: Inspection, period: float = 1.0) -> None:
         self.inspection, self.period = inspection, positive("period", period, "s")
         self.motion = inspection.held(self.period)
 
@@ -98,21 +99,21 @@ class Memoryless:
         """Thrust of the next period [N], shape (N, 3), and the memory."""
         return self(0.0, x), memory
 
+    @abstractmethod
     def __call__(self, t: float, x: Array) -> Array:
         """Thrust [N]."""
-        raise NotImplementedError
 
+    @abstractmethod
     def thrust_slope(self, x: Array) -> Array:
         """Derivative of the thrust by the state, shape (N, 3, 6)."""
-        raise NotImplementedError
 
+    @abstractmethod
     def settled(self, x: Array, memory: Array, share: float = 1.0) -> NDArray[np.bool_]:
         """Whether the loop is linear from here on, shape (N,), with at most a share of the thrust."""
-        raise NotImplementedError
 
+    @abstractmethod
     def outlook(self, x: Array, memory: Array) -> Outlook:
         """What is known about all the future."""
-        raise NotImplementedError
 
 
 class Coast(Memoryless):
@@ -124,9 +125,6 @@ class Coast(Memoryless):
     period : float
         [s]
     """
-
-    def __init__(self, inspection: Inspection, period: float = 1.0) -> None:
-        super().__init__(inspection, period)
 
     def __call__(self, t: float, x: Array) -> Array:
         """Zeros, shape (N, 3)."""

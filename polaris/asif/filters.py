@@ -6,7 +6,6 @@ A batch holds R independent runs; a single call is a batch of one.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +15,8 @@ from ..system import Array
 from .families import Families, Rows
 from .projection import DESIRED, FAILED, FILTERED, SHORT, project, project_coupled
 
-Sharing = Literal["coasting", "half", "consensus"]
-SHARINGS: tuple[Sharing, ...] = ("coasting", "half", "consensus")
+CENTRALIZED = "centralized"
+SHARINGS = ("coasting", "half", "consensus")
 Statuses = NDArray[np.int8]
 
 
@@ -90,7 +89,7 @@ class Decentralized:
         can be met whenever the centralized program can.
     """
 
-    def __init__(self, families: Families, sharing: Sharing = "coasting") -> None:
+    def __init__(self, families: Families, sharing: str = "coasting") -> None:
         if sharing not in SHARINGS:
             raise ScenarioError("sharing", sharing, f"must be one of {', '.join(SHARINGS)}")
         self.families, self.sharing = families, sharing
@@ -134,6 +133,17 @@ class Decentralized:
         second = np.asarray(-np.einsum("rmv,rmv->rm", rows.G, agreed[:, self.families.second]))
         spare = np.maximum(first + second - bound, 0.0) / 2
         return np.where(self._pair, first - spare, bound), second - spare, status.max(axis=1)
+
+
+def make_filter(families: Families, sharing: str) -> Centralized | Decentralized:
+    """The filter called ``centralized``, or the decentralized one that shares as its name says.
+
+    Raises
+    ------
+    ScenarioError
+        If there is no such way to share.
+    """
+    return Centralized(families) if sharing == CENTRALIZED else Decentralized(families, sharing)
 
 
 def _unchanged(u: Array, desired: Array) -> Statuses:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,7 +36,7 @@ class Switch:
     reason: str
 
 
-class Latched:
+class Latched(ABC):
     """Latching, handing back, the log, unknown states; see `polaris.asif.simplex`.
 
     A subclass provides the constraints: `first`, `second`, `labels`, and `_try`.
@@ -65,9 +66,9 @@ class Latched:
         self._clear_since = np.full(inspection.deputies, np.nan)
         self._receiver = Receiver(inspection)
 
+    @abstractmethod
     def _try(self, t: float, x: Array, u: Array) -> Array:
         """Least value of each constraint if the thrust u (N, 3) is held for the coming period, shape (M,)."""
-        raise NotImplementedError
 
     def filter(self, t: float, x: ArrayLike, u_des: ArrayLike | None) -> Decision:
         """Decide on the thrust of the next period; see `polaris.asif.decision.RunTimeFilter.filter`.

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..system import Array
 from .families import Families
-from .filters import Centralized, Decentralized, Sharing
+from .filters import CENTRALIZED, make_filter
 from .inspection import Inspection
 from .sampled import SampledData
 from .simulation import BatchFilter
@@ -35,7 +36,7 @@ class Study:
     """
 
     name: str
-    sharing: Sharing | str = "centralized"
+    sharing: str = CENTRALIZED
     without: tuple[str, ...] = ()
     strengthening: str | Mapping[str, Strengthening] = "polaris"
     sampled: SampledData | None = None
@@ -46,10 +47,7 @@ class Study:
 
     def filtering(self, inspection: Inspection) -> BatchFilter:
         """The filter itself."""
-        families = self.families(inspection)
-        if self.sharing == "centralized":
-            return Centralized(families)
-        return Decentralized(families, self.sharing)  # type: ignore[arg-type]
+        return make_filter(self.families(inspection), self.sharing)
 
 
 PAPER = (
@@ -127,13 +125,13 @@ def join(outcomes: Sequence[Outcome]) -> Outcome:
     """Results of all blocks of one study, in order."""
     first = outcomes[0]
 
-    def joined(name: str) -> dict[str, Array]:
+    def joined(name: str) -> dict[str, Any]:
         return {key: np.concatenate([getattr(o, name)[key] for o in outcomes]) for key in first.least}
 
     return Outcome(
         first.study,
         joined("least"),
-        joined("where"),  # type: ignore[arg-type]
+        joined("where"),
         joined("when"),
         np.concatenate([o.short for o in outcomes]),
         tuple(who for o in outcomes for who in o.short_deputies),

@@ -108,10 +108,10 @@ class Motion:
     jerk: Array
     thrust: Array
 
-    def __getitem__(self, place: object) -> Motion:
+    def __getitem__(self, place: NDArray[np.intp] | slice) -> Motion:
         """The bounds of some states."""
         parts = (self.speed, self.acceleration, self.jerk, self.thrust)
-        return Motion(self.period, *(part[..., place] for part in parts))  # type: ignore[index]
+        return Motion(self.period, *(part[..., place] for part in parts))
 
 
 def curvature(barrier: object, z: Array, sun: ArrayLike, motion: Motion) -> Array:
