@@ -22,6 +22,7 @@ DEFINITIONS = {
     "runs": "closed-loop runs from random and extreme initial states, under random and worst disturbances",
     "min_distance_m": "least signed distance to any true unsafe set over all runs and times; negative inside",
     "min_distance_mean_m": "mean over runs of each run's least distance",
+    "mean_distance_m": "mean over runs and times of the signed distance to the nearest unsafe set",
     "min_ttc_s": "least time, over all runs and times, until a straight line at the present velocity "
     "enters an unsafe set; null if none ever does",
     "min_ttc_free_drift_s": "the same with thrusters off from the start of each step, looking ahead for "
@@ -54,8 +55,10 @@ class Metrics:
         [s]
     min_distance : ndarray, shape (R,)
         Least signed distance to a true unsafe set [m]; inf without any.
+    mean_distance : ndarray, shape (R,)
+        Mean over the instants of the distance to the nearest of them [m]; inf without any.
     closest_time : ndarray, shape (R,)
-        When [s]; nan without unsafe sets.
+        When it was least [s]; nan without unsafe sets.
     closest_set : ndarray of int, shape (R,)
         Which unsafe set; -1 without any.
     min_ttc, min_ttc_free_drift : ndarray, shape (R,)
@@ -82,6 +85,7 @@ class Metrics:
     names: tuple[str, ...]
     times: Array
     min_distance: Array
+    mean_distance: Array
     closest_time: Array
     closest_set: NDArray[np.int64]
     min_ttc: Array
@@ -124,6 +128,7 @@ class Metrics:
             "runs": len(self.min_distance),
             "min_distance_m": _finite(self.min_distance.min()),
             "min_distance_mean_m": _finite(self.min_distance.mean()),
+            "mean_distance_m": _finite(self.mean_distance.mean()),
             "min_ttc_s": _finite(self.min_ttc.min()),
             "min_ttc_free_drift_s": _finite(self.min_ttc_free_drift.min()),
             "drift_horizon_s": self.drift_horizon,
@@ -142,6 +147,7 @@ class Metrics:
         """One array per metric, one entry per run; units in the names."""
         return {
             "min_distance_m": self.min_distance,
+            "mean_distance_m": self.mean_distance,
             "closest_time_s": self.closest_time,
             "closest_set": np.array([*self.names, ""])[self.closest_set],
             "min_ttc_s": self.min_ttc,
@@ -205,6 +211,7 @@ def evaluate(runs: Runs, seed: int = 0, controller: str | None = None) -> Metric
         names=tuple(obstacle.name for obstacle in obstacles),
         times=runs.times,
         min_distance=joined("distance"),
+        mean_distance=distances.mean(axis=1),
         closest_time=joined("when"),
         closest_set=joined("which").astype(np.int64),
         min_ttc=joined("ttc"),
