@@ -21,6 +21,7 @@ import typer
 
 from .cli_attacks import add_commands
 from .cli_inspection import add_campaign, run_inspection, told_valid
+from .cli_traces import add_traces
 from .cli_verify import add_verify
 from .errors import PolarisError
 
@@ -278,6 +279,7 @@ def _fail(message: str, code: int) -> NoReturn:
 add_commands(app, _answering)
 add_verify(app, _answering)
 add_campaign(app, _answering)
+add_traces(app, _answering)
 
 if __name__ == "__main__":
     app()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,7 +13,6 @@ from reach.linear import growth, powers
 
 from .checks import positive
 from .errors import ScenarioError
-from .obstacles import Obstacle
 from .shapes import Shape
 from .system import Array, LinearSystem
 
@@ -23,8 +23,28 @@ MOST_HALVINGS = 12
 """Most halvings of a coarse interval."""
 
 
+class Drifting(Protocol):
+    """What is asked of an obstacle; every `polaris.Obstacle` has it."""
+
+    @property
+    def name(self) -> str:
+        """What `states` calls it."""
+        ...
+
+    @property
+    def shape(self) -> Shape:
+        """The true set, relative to its origin."""
+        ...
+
+    def relative_drift(
+        self, t: ArrayLike, x: Array, system: LinearSystem, state: ArrayLike | None = None
+    ) -> tuple[Array, Array, Array]:
+        """See `polaris.Obstacle.relative_drift`."""
+        ...
+
+
 def drift_ttc(
-    obstacles: Sequence[Obstacle],
+    obstacles: Sequence[Drifting],
     system: LinearSystem,
     t: ArrayLike,
     x: ArrayLike,

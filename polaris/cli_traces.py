@@ -1,0 +1,149 @@
+"""The commands for traces of RTAEval: evaluate, export."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from enum import StrEnum
+from typing import Annotated
+
+import typer
+
+from .errors import ScenarioError
+
+Guard = Callable[[], AbstractContextManager[None]]
+
+
+class Controller(StrEnum):
+    """Who flies in a run folder."""
+
+    polaris = "polaris"
+    safety = "safety"
+    experimental = "experimental"
+
+
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
+
+
+def add_traces(app: typer.Typer, guard: Guard) -> None:
+    """Add the commands to the application; `guard` turns errors into messages and exit codes."""
+
+    @app.command("evaluate")
+    def evaluate_command(
+        trace: Annotated[str, typer.Argument(metavar="TRACE", help="A trace, as JSON.")],
+        legacy: Annotated[
+            bool, typer.Option("--legacy", help="The numbers RTAEval itself gives, defects included.")
+        ] = False,
+        restamp: Annotated[
+            bool, typer.Option("--restamp", help="Undo the stamps of RTAEval's simulator first.")
+        ] = False,
+        dims: Annotated[
+            int | None, typer.Option(min=1, max=3, help="Axes of position; default as the sets have.")
+        ] = None,
+        velocity: Annotated[
+            str | None,
+            typer.Option(
+                metavar="ENTRIES",
+                help="Entries of the states that are the velocity, as in 3,4,5 (from 0), or 'differences' of"
+                " positions. Default: what follows the position in 4 or 6 states, else differences.",
+            ),
+        ] = None,
+        mean_motion: Annotated[
+            float | None,
+            typer.Option(
+                metavar="RAD_S", help="The frame is Hill's: time to collision along free drift too."
+            ),
+        ] = None,
+        agent_radius: Annotated[
+            float, typer.Option(metavar="M", help="Agents count as having met within this distance.")
+        ] = 0.0,
+        as_json: Annotated[
+            bool, typer.Option("--json", help="Print the metrics as JSON, and nothing else.")
+        ] = False,
+        quiet: Quiet = False,
+    ) -> None:
+        """Measure a trace: distances, times to collision, usage of modes, switches."""
+        with guard():
+            from .checks import positive
+            from .hill import clohessy_wiltshire
+            from .runfiles import json_text
+            from .traces.console import show_legacy, show_trace
+            from .traces.evaluation import evaluate_trace
+            from .traces.reading import read_trace
+
+            system = None
+            if mean_motion is not None:
+                eta = positive("--mean-motion", mean_motion, "rad/s")
+                system = clohessy_wiltshire(eta, mass=1.0, u_max=1.0)
+            loaded, entries = read_trace(trace), _entries(velocity)
+            if legacy:
+                if agent_radius:
+                    raise ScenarioError("--agent-radius", agent_radius, "cannot be combined with --legacy")
+                old = evaluate_trace(
+                    loaded,
+                    dims=dims,
+                    velocity=entries,
+                    restamp=restamp,
+                    system=system,
+                    legacy_rtaeval=True,
+                )
+                text, show = json_text(old.summary()), lambda: show_legacy(old)
+            else:
+                found = evaluate_trace(
+                    loaded,
+                    dims=dims,
+                    velocity=entries,
+                    restamp=restamp,
+                    system=system,
+                    agent_radius=agent_radius,
+                )
+                text, show = json_text(found.summary()), lambda: show_trace(found)
+            if as_json:
+                sys.stdout.write(text)
+            elif not quiet:
+                show()
+
+    @app.command("export")
+    def export_command(
+        run: Annotated[str, typer.Argument(metavar="RUN", help="A run folder.")],
+        trace: Annotated[str, typer.Argument(metavar="TRACE", help="The trace to write, as JSON.")],
+        controller: Annotated[Controller, typer.Option(help="Whose run.")] = Controller.polaris,
+        label: Annotated[
+            str, typer.Option("--run", metavar="LABEL", help="Which run: closest, nominal, 'run 0', ...")
+        ] = "closest",
+        nominal: Annotated[
+            bool,
+            typer.Option(
+                "--nominal",
+                help="Other satellites as balls about where they are nominally, not as polytopes.",
+            ),
+        ] = False,
+        quiet: Quiet = False,
+    ) -> None:
+        """Write one run of a run folder, with its unsafe sets, as a trace that RTAEval can read."""
+        with guard():
+            from .traces.export import export_run
+            from .traces.writing import write_trace
+
+            found = export_run(run, controller.value, label, nominal=nominal)
+            path = write_trace(trace, found.trace)
+            if not quiet:
+                agent = next(iter(found.trace.agents.values()))
+                typer.echo(
+                    f"{path}: run {found.label!r} of {controller.value}, {len(agent.times)} samples over"
+                    f" {agent.times[-1] - agent.times[0]:g} s, unsafe sets: {len(found.trace.unsafe)}"
+                )
+                for note in found.notes:
+                    typer.echo(f"note: {note}")
+
+
+def _entries(velocity: str | None) -> list[int] | str | None:
+    """Entries of the states out of a text like ``3,4,5``."""
+    if velocity is None or velocity == "differences":
+        return velocity
+    try:
+        return [int(part) for part in velocity.split(",")]
+    except ValueError as error:
+        rule = "must be whole numbers with commas between, or 'differences'"
+        raise ScenarioError("--velocity", velocity, rule) from error

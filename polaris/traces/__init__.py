@@ -1,0 +1,49 @@
+"""Traces of RTAEval, in and out: read and write them, measure them, export runs as such."""
+
+from __future__ import annotations
+
+from .evaluation import AgentMetrics, Separation, Spread, TraceMetrics, evaluate_trace
+from .export import Export, export_run, to_trace
+from .legacy import LegacyMetrics
+from .model import (
+    NORMAL,
+    SAFETY,
+    UNTRUSTED,
+    AgentTrace,
+    BallTrace,
+    PointTrace,
+    PolytopeTrace,
+    RectangleTrace,
+    Trace,
+    UnsafeTrace,
+)
+from .reading import parse_trace, read_trace
+from .restamping import restamp
+from .writing import trace_data, write_trace
+
+__all__ = [
+    "NORMAL",
+    "SAFETY",
+    "UNTRUSTED",
+    "AgentMetrics",
+    "AgentTrace",
+    "BallTrace",
+    "Export",
+    "LegacyMetrics",
+    "PointTrace",
+    "PolytopeTrace",
+    "RectangleTrace",
+    "Separation",
+    "Spread",
+    "Trace",
+    "TraceMetrics",
+    "UnsafeTrace",
+    "evaluate_trace",
+    "export_run",
+    "parse_trace",
+    "read_trace",
+    "restamp",
+    "to_trace",
+    "trace_data",
+    "write_trace",
+]

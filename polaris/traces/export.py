@@ -1,0 +1,225 @@
+"""Runs as traces: from bare arrays, and from run folders."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..errors import ScenarioError
+from ..obstacle_base import Obstacle, RigidObstacle
+from ..obstacles import BallObstacle, BoxObstacle
+from ..satellite import SatelliteObstacle
+from ..system import Array, LinearSystem
+from ..tolerances import TIME
+from ..unsafe import TimedPolytope
+from .model import (
+    SAFETY,
+    UNTRUSTED,
+    AgentTrace,
+    AnySet,
+    BallTrace,
+    Modes,
+    PolytopeTrace,
+    RectangleTrace,
+    Trace,
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Export:
+    """A run as a trace.
+
+    Attributes
+    ----------
+    trace : Trace
+    label : str
+        Which run it is.
+    notes : tuple of str
+        What is not represented as it is, and on which side it errs.
+    """
+
+    trace: Trace
+    label: str
+    notes: tuple[str, ...]
+
+
+def trace_modes(modes: ArrayLike) -> Modes:
+    """Modes of a trace for those of Polaris: 0 is SAFETY, 1 and above UNTRUSTED, below 0 unknown."""
+    given = np.asarray(modes)
+    if given.ndim != 1 or not np.issubdtype(given.dtype, np.integer):
+        raise ScenarioError("modes", given.shape, "must be a list of whole numbers")
+    return np.where(given > 0, UNTRUSTED, np.where(given == 0, SAFETY, given)).astype(np.int64)
+
+
+def to_trace(
+    times: ArrayLike,
+    states: ArrayLike,
+    modes: ArrayLike,
+    obstacles: Sequence[Obstacle],
+    system: LinearSystem,
+    *,
+    name: str = "chaser",
+    running_times: ArrayLike = (),
+    nominal: bool = False,
+) -> tuple[Trace, tuple[str, ...]]:
+    """One run as a trace with its unsafe sets, all stamped alike.
+
+    Parameters
+    ----------
+    times : array_like, shape (N+1,)
+        [s]
+    states : array_like, shape (N+1, n)
+        Their first entries must be the position.
+    modes : array_like of int, shape (N,)
+        Mode of Polaris from every time on to the next: 0 is S, 1 and above are experimental; the last is
+        repeated for the last state.
+    obstacles : sequence of Obstacle
+        Boxes, balls and polytopes become what they are; another satellite its timed polytope; a keep-in
+        set one unbounded polytope per facet, called ``name[f]``.
+    system : LinearSystem
+    name : str
+        Of the agent.
+    running_times : array_like, optional
+        Wall time of each decision [s].
+    nominal : bool
+        Make other satellites balls about where they are nominally, instead of their timed polytopes.
+
+    Returns
+    -------
+    tuple
+        The trace, and what is not represented as it is.
+
+    Raises
+    ------
+    ScenarioError
+        On shapes that do not fit, or states that do not begin with the position.
+    """
+    if not np.array_equal(system.position, np.eye(system.d, system.n)):
+        raise ScenarioError(
+            "system.C", system.position.tolist(), "a trace's states must begin with the position"
+        )
+    given = trace_modes(modes)
+    agent = AgentTrace(
+        np.asarray(times, dtype=float),
+        np.asarray(states, dtype=float),
+        np.r_[given, given[-1:]],
+        np.asarray(running_times, dtype=float),
+        where=f"agents.{name}",
+    )
+    if agent.n != system.n:
+        raise ScenarioError(
+            "states", agent.states.shape, f"must have {system.n} columns, as the system has states"
+        )
+    unsafe: dict[str, AnySet] = {}
+    notes: list[str] = []
+    for obstacle in obstacles:
+        found, note = _sets(obstacle, agent.times, system, nominal)
+        notes += [note] if note else []
+        for key, item in found.items():
+            if key in unsafe:
+                raise ScenarioError(f"{obstacle.path}.name", key, "must differ from the names of other sets")
+            unsafe[key] = item
+    return Trace({name: agent}, unsafe), tuple(notes)
+
+
+def _sets(
+    obstacle: Obstacle, t: Array, system: LinearSystem, nominal: bool
+) -> tuple[dict[str, AnySet], str | None]:
+    """Sets of a trace for one obstacle, and what to say about them."""
+    name = obstacle.name
+    if isinstance(obstacle, SatelliteObstacle) and nominal:
+        ball = BallTrace(t, obstacle.centre(t, system), np.full(len(t), obstacle.radius))
+        return {name: ball}, f"{name}: another satellite, as a ball about where it is nominally"
+    if isinstance(obstacle, (BallObstacle, BoxObstacle)):
+        centers = obstacle.centre(t)
+        if isinstance(obstacle, BallObstacle):
+            return {name: BallTrace(t, centers, np.full(len(t), obstacle.radius))}, None
+        lengths = 2 * np.asarray(obstacle.half_widths)
+        return {name: RectangleTrace(t, centers, np.broadcast_to(lengths, centers.shape))}, None
+    if isinstance(obstacle, RigidObstacle):
+        shape, moved = obstacle.cover, obstacle.centre(t)
+        return {name: PolytopeTrace(t, shape.H[None], shape.b + moved @ shape.H.T)}, None
+    found: dict[str, AnySet] = {
+        part.name: PolytopeTrace(t, part.normals[None], offsets)
+        for part, offsets in _covers(obstacle, t, system)
+    }
+    if isinstance(obstacle, SatelliteObstacle):
+        return found, f"{name}: another satellite, as the polytope it is certain to be in (over-approximated)"
+    if len(found) == 1:
+        return found, None
+    return found, (
+        f"{name}: a keep-in set, as one set beyond each of its {len(found)} facets; a cone is cut by its"
+        " facets (over-approximated), and depth is measured facet by facet"
+    )
+
+
+def _covers(obstacle: Obstacle, t: Array, system: LinearSystem) -> list[tuple[TimedPolytope, Array]]:
+    """Timed polytopes and their offsets (N+1, F) at the times, which begin at 0 s.
+
+    Cells are as long as the shortest gap, so that what holds for a cell holds between its ends; at the
+    border of two cells the larger offset counts.
+    """
+    gaps = np.diff(t)
+    if t[0] != 0 or len(gaps) == 0 or np.ptp(gaps) > TIME * t[-1]:
+        raise ScenarioError(
+            "times", t[:3].tolist(), f"must begin at 0 and be evenly spaced for {obstacle.name}"
+        )
+    out = []
+    for part in obstacle.timed_polytopes(system, float(t[-1] / len(gaps)), len(gaps)):
+        ends = np.full((2, len(t), part.normals.shape[0]), -np.inf)
+        ends[0, :-1], ends[1, 1:] = part.offsets[:, 0], part.offsets[:, 1]
+        out.append((part, ends.max(axis=0)))
+    return out
+
+
+def export_run(
+    folder: str | Path,
+    controller: str = "polaris",
+    label: str | None = None,
+    *,
+    nominal: bool = False,
+) -> Export:
+    """One run of a run folder, as a trace.
+
+    Parameters
+    ----------
+    folder : path
+        A folder that ``polaris run`` wrote.
+    controller : {"polaris", "safety", "experimental"}
+        Whose run.
+    label : str, optional
+        Which of its runs: ``closest`` (default), ``nominal``, ``run 0``, ...
+    nominal : bool
+        As in `to_trace`.
+
+    Raises
+    ------
+    ScenarioError
+        If the folder is none, is damaged, or has no such run.
+    """
+    from ..runarrays import read_flights
+    from ..runfolder import read_run, readable
+
+    run = read_run(folder)
+    with readable(run.path):
+        flights = read_flights(run.path / "trajectories.npz")
+    if controller not in flights:
+        raise ScenarioError("--controller", controller, f"must be one of {', '.join(flights)}")
+    flown = flights[controller]
+    wanted = "closest" if label is None else label
+    if wanted not in flown.labels:
+        raise ScenarioError("--run", wanted, f"must be one of {', '.join(flown.labels)}")
+    modes = np.repeat(flown.modes, (len(flown.times) - 1) // len(flown.modes))
+    trace, notes = to_trace(
+        flown.times,
+        flown.states[flown.labels.index(wanted)],
+        modes,
+        run.scenario.obstacles(),
+        run.scenario.system(),
+        nominal=nominal,
+    )
+    return Export(trace, wanted, notes)

@@ -1,0 +1,279 @@
+"""What a trace holds, in memory: the stamped states and modes of agents, the stamped unsafe sets."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..checks import MOST_ROWS
+from ..errors import ScenarioError
+from ..metrics import UNKNOWN
+from ..system import Array, as_finite
+
+NORMAL, UNTRUSTED, SAFETY = 1, 2, 3
+"""Mode numbers of a trace; all others are unknown."""
+
+MODE_NAMES = {NORMAL: "NORMAL", UNTRUSTED: "UNTRUSTED", SAFETY: "SAFETY"}
+
+Modes = NDArray[np.int64]
+
+
+def _stamps(where: str, times: ArrayLike) -> Array:
+    array = as_finite(f"{where}.times", times, 1)
+    if len(array) == 0:
+        raise ScenarioError(where, [], "must hold at least one row")
+    back = np.flatnonzero(np.diff(array) < 0)
+    if back.size:
+        row = int(back[0]) + 1
+        rule = f"must not be earlier than the row before it ({array[row - 1]:g} s)"
+        raise ScenarioError(f"{where}[{row}]", float(array[row]), f"its time {rule}")
+    return array
+
+
+def _rows(where: str, name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Array:
+    """A finite array of the given shape (None: any length)."""
+    array = as_finite(f"{where}.{name}", value, len(shape))
+    if any(want is not None and want != got for want, got in zip(shape, array.shape, strict=True)):
+        wanted = " x ".join("any" if want is None else str(want) for want in shape)
+        raise ScenarioError(f"{where}.{name}", array.shape, f"must have the shape {wanted}")
+    return array
+
+
+@dataclass(frozen=True, eq=False)
+class AgentTrace:
+    """Where one agent was and who flew it.
+
+    Parameters
+    ----------
+    times : array_like, shape (N,)
+        Stamps [s], N >= 1, not running backwards.
+    states : array_like, shape (N, n)
+        SI units; the first entries are the position [m].
+    modes : array_like of int, shape (N,) or (N-1,), optional
+        In force from each stamp on: 1 NORMAL, 2 UNTRUSTED, 3 SAFETY, anything else unknown. Default unknown.
+    running_times : array_like, shape (R,), optional
+        Wall time of each decision [s].
+    where : str
+        What error messages call it.
+
+    Raises
+    ------
+    ScenarioError
+        On wrong shapes, numbers that are not finite, stamps that run backwards.
+    """
+
+    times: Array
+    states: Array
+    modes: Modes = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    running_times: Array = field(default_factory=lambda: np.empty(0))
+    where: str = field(default="agent", kw_only=True, repr=False)
+
+    def __post_init__(self) -> None:
+        put = object.__setattr__
+        put(self, "times", _stamps(f"{self.where}.state_trace", self.times))
+        N = len(self.times)
+        put(self, "states", _rows(f"{self.where}.state_trace", "states", self.states, (N, None)))
+        if self.states.shape[1] == 0:
+            raise ScenarioError(f"{self.where}.state_trace[0]", [], "must hold a state besides its time")
+        modes = np.asarray(self.modes)
+        if modes.size == 0:
+            modes = np.full(N, UNKNOWN)
+        if modes.ndim != 1 or not np.issubdtype(modes.dtype, np.integer) or len(modes) not in (N, N - 1):
+            rule = f"must be {N} whole numbers, one per state (or {N - 1}, without the last)"
+            raise ScenarioError(f"{self.where}.mode_trace", modes.shape, rule)
+        put(self, "modes", modes.astype(np.int64))
+        running = _rows(self.where, "running_times", self.running_times, (None,))
+        if np.any(running < 0):
+            row = int(np.argmax(running < 0))
+            raise ScenarioError(f"{self.where}.running_times[{row}]", float(running[row]), "must be >= 0 [s]")
+        put(self, "running_times", running)
+
+    @property
+    def n(self) -> int:
+        """Number of state entries."""
+        return int(self.states.shape[1])
+
+    @property
+    def known_modes(self) -> Modes:
+        """Modes with `polaris.metrics.UNKNOWN` for all that are not 1, 2 or 3."""
+        return np.where(np.isin(self.modes, list(MODE_NAMES)), self.modes, UNKNOWN)
+
+
+@dataclass(frozen=True, eq=False)
+class UnsafeTrace:
+    """One unsafe set at its stamps: the base of the four kinds.
+
+    Attributes
+    ----------
+    set_type : str
+        ``point``, ``ball``, ``rectangle`` or ``polytope``.
+    times : ndarray, shape (M,)
+        Stamps [s], M >= 1, not running backwards. One row holds for all times.
+    d : int
+        Axes of position, 1 to 3.
+    """
+
+    set_type: ClassVar[str]
+    times: Array
+    where: str = field(default="unsafe set", kw_only=True, repr=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "times", _stamps(f"{self.where}.state_trace", self.times))
+
+    @property
+    def _trace(self) -> str:
+        return f"{self.where}.state_trace"
+
+    def _positions(self, value: ArrayLike) -> Array:
+        rows = _rows(self._trace, "centers", value, (len(self.times), None))
+        if not 1 <= rows.shape[1] <= 3:
+            raise ScenarioError(f"{self._trace}[0]", rows[0].tolist(), "must have 1, 2 or 3 axes")
+        return rows
+
+    def _sizes(self, name: str, value: Array) -> None:
+        if np.any(value < 0):
+            row = int(np.argwhere(value < 0)[0][0])
+            raise ScenarioError(f"{self._trace}[{row}]", value[row].tolist(), f"its {name} must be >= 0 [m]")
+
+
+@dataclass(frozen=True, eq=False)
+class PointTrace(UnsafeTrace):
+    """A point to stay away from; `centers` has shape (M, d) [m]."""
+
+    set_type: ClassVar[str] = "point"
+    centers: Array
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        object.__setattr__(self, "centers", self._positions(self.centers))
+
+    @property
+    def d(self) -> int:
+        """Axes of position."""
+        return int(self.centers.shape[1])
+
+
+@dataclass(frozen=True, eq=False)
+class BallTrace(UnsafeTrace):
+    """A ball; `centers` has shape (M, d), `radii` (M,) [m], >= 0."""
+
+    set_type: ClassVar[str] = "ball"
+    centers: Array
+    radii: Array
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        object.__setattr__(self, "centers", self._positions(self.centers))
+        object.__setattr__(self, "radii", _rows(self._trace, "radii", self.radii, (len(self.times),)))
+        self._sizes("radius", self.radii)
+
+    @property
+    def d(self) -> int:
+        """Axes of position."""
+        return int(self.centers.shape[1])
+
+
+@dataclass(frozen=True, eq=False)
+class RectangleTrace(UnsafeTrace):
+    """An axis-aligned box; `centers` and full `lengths` have shape (M, d) [m], lengths >= 0."""
+
+    set_type: ClassVar[str] = "rectangle"
+    centers: Array
+    lengths: Array
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        object.__setattr__(self, "centers", self._positions(self.centers))
+        object.__setattr__(self, "lengths", _rows(self._trace, "lengths", self.lengths, self.centers.shape))
+        self._sizes("lengths", self.lengths)
+
+    @property
+    def d(self) -> int:
+        """Axes of position."""
+        return int(self.centers.shape[1])
+
+
+@dataclass(frozen=True, eq=False)
+class PolytopeTrace(UnsafeTrace):
+    """``A p <= b``, bounded or not.
+
+    `A` has shape (M, F, d), or (1, F, d) if it is the same at all stamps; `b` has shape (M, F). Rows
+    of `A` need not have unit length. Emptiness is refused where it is evaluated.
+    """
+
+    set_type: ClassVar[str] = "polytope"
+    A: Array
+    b: Array
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        put = object.__setattr__
+        A = as_finite(f"{self._trace}.A", self.A, 3)
+        count, F, d = A.shape
+        if count not in (1, len(self.times)):
+            raise ScenarioError(f"{self._trace}.A", A.shape, f"must hold 1 or {len(self.times)} matrices")
+        if not 1 <= d <= 3:
+            raise ScenarioError(f"{self._trace}[0]", A.shape[1:], "A must have 1, 2 or 3 columns")
+        if not 1 <= F <= MOST_ROWS:
+            raise ScenarioError(f"{self._trace}[0]", A.shape[1:], f"A must have 1 to {MOST_ROWS} rows")
+        flat = np.argwhere(np.abs(A).max(axis=-1) < 1e-150)
+        if flat.size:
+            row, facet = flat[0].tolist()
+            raise ScenarioError(
+                f"{self._trace}[{row}]", A[row].tolist(), f"row {facet} of A must not be zero"
+            )
+        if count > 1 and np.all(A[0] == A):
+            A = A[:1]
+        put(self, "A", A)
+        put(self, "b", _rows(self._trace, "b", self.b, (len(self.times), F)))
+
+    @property
+    def d(self) -> int:
+        """Axes of position."""
+        return int(self.A.shape[2])
+
+
+AnySet = PointTrace | BallTrace | RectangleTrace | PolytopeTrace
+
+
+@dataclass(frozen=True, eq=False)
+class Trace:
+    """Agents and unsafe sets, by name.
+
+    Attributes
+    ----------
+    agents : mapping of str to AgentTrace
+        At least one.
+    unsafe : mapping of str to PointTrace, BallTrace, RectangleTrace or PolytopeTrace
+        May be empty.
+    ignored : tuple of str
+        Places in the file that say nothing known, and were passed over.
+    """
+
+    agents: Mapping[str, AgentTrace]
+    unsafe: Mapping[str, AnySet] = field(default_factory=dict)
+    ignored: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not self.agents:
+            raise ScenarioError("agents", {}, "must hold at least one agent")
+
+    def same_as(self, other: Trace) -> bool:
+        """Whether both hold the same names, in the same order, and the same numbers."""
+        return _same(self.agents, other.agents) and _same(self.unsafe, other.unsafe)
+
+
+def _same(one: Mapping[str, object], other: Mapping[str, object]) -> bool:
+    if list(one) != list(other):
+        return False
+    for a, b in zip(one.values(), other.values(), strict=True):
+        if type(a) is not type(b):
+            return False
+        left, right = ({k: v for k, v in vars(item).items() if k != "where"} for item in (a, b))
+        if not all(np.array_equal(left[key], right[key]) for key in left):
+            return False
+    return True

@@ -1,0 +1,187 @@
+"""Reading traces: strict JSON in, one clear message for whatever is wrong with it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from enum import Enum
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+
+from ..errors import ScenarioError
+from ..metrics import UNKNOWN
+from .model import MODE_NAMES, AgentTrace, AnySet, Modes, Trace
+from .rows import Odd, numbers, set_trace, table
+
+MODE_NUMBERS = {name: number for number, name in MODE_NAMES.items()} | {"UNKNOWN": UNKNOWN}
+
+MODE_RULE = "must be 1 NORMAL, 2 UNTRUSTED, 3 SAFETY (as a number, a name or {value: number}), or null"
+
+
+def read_trace(path: str | Path) -> Trace:
+    """Read a trace from a JSON file, in RTAEval's form.
+
+    Parameters
+    ----------
+    path : path
+        Strict JSON in UTF-8: NaN, infinities and keys that occur twice are refused, nothing is evaluated.
+
+    Returns
+    -------
+    Trace
+
+    Raises
+    ------
+    ScenarioError
+        If it cannot be read or is malformed; the message names the place, as in
+        ``agents.chaser.state_trace[3]``.
+    """
+    try:
+        text = Path(path).read_bytes().decode("utf-8-sig")
+        data = json.loads(text, parse_constant=_no_constant, object_pairs_hook=_unique)
+    except OSError as error:
+        raise ScenarioError("trace", str(path), f"cannot be read: {error.strerror or error}") from error
+    except RecursionError as error:
+        raise ScenarioError("trace", str(path), "must not nest this deep") from error
+    except ValueError as error:
+        if isinstance(error, Odd):
+            raise ScenarioError("trace", str(path), str(error)) from error
+        raise ScenarioError("trace", str(path), f"must be JSON in UTF-8 ({error})") from error
+    return _trace(data)
+
+
+def parse_trace(data: Any) -> Trace:
+    """Make a trace of RTAEval's own objects in memory: dictionaries, lists, tuples, arrays, Enum members.
+
+    Raises
+    ------
+    ScenarioError
+        As `read_trace`.
+    """
+    return _trace(_plain(data))
+
+
+def _no_constant(name: str) -> NoReturn:
+    raise Odd(f"must be strict JSON, which has no {name}; leave out what is not a number")
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    out = dict(pairs)
+    if len(out) < len(pairs):
+        keys = [key for key, _ in pairs]
+        raise Odd(f"holds the key {next(key for key in keys if keys.count(key) > 1)!r} twice in one object")
+    return out
+
+
+def _plain(value: Any) -> Any:
+    """Lists for tuples and arrays, plain numbers for NumPy's."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (np.ndarray, np.generic)):
+        return _plain(value.tolist())
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    return value
+
+
+# -- the parts --------------------------------------------------------------------------------------
+
+
+def _object(where: str, value: Any, rule: str) -> dict[str, Any]:
+    if not isinstance(value, dict):
+        raise ScenarioError(where, value, rule)
+    return value
+
+
+def _trace(data: Any) -> Trace:
+    root = _object("trace", data, "must be an object with the keys agents and unsafe")
+    for key, rule in (
+        ("agents", "must be an object"),
+        ("unsafe", "must be an object, {} without unsafe sets"),
+    ):
+        _object(key, root.get(key), rule)
+    ignored = [key for key in root if key not in ("agents", "unsafe")]
+    agents, unsafe = {}, {}
+    for name, item in root["agents"].items():
+        where = f"agents.{name}"
+        agents[name] = _agent(where, _object(where, item, "must be an object"))
+        ignored += [f"{where}.{key}" for key in item if key not in AGENT_KEYS]
+    for name, item in root["unsafe"].items():
+        where = f"unsafe.{name}"
+        unsafe[name] = _set(where, _object(where, item, "must be an object"))
+        ignored += [f"{where}.{key}" for key in item if key not in ("set_type", "state_trace")]
+    return Trace(agents, unsafe, tuple(ignored))
+
+
+AGENT_KEYS = ("state_trace", "mode_trace", "running_times")
+
+
+def _list(where: str, item: dict[str, Any], key: str, rule: str) -> list[Any]:
+    value = item.get(key)
+    if not isinstance(value, list) or not value:
+        raise ScenarioError(f"{where}.{key}", value, rule)
+    return value
+
+
+def _agent(where: str, item: dict[str, Any]) -> AgentTrace:
+    place = f"{where}.state_trace"
+    rows = _list(where, item, "state_trace", "must be a list of rows [t, s0, s1, ...], at least one")
+    values = table(place, rows, _agent_row)
+    running = item.get("running_times") or []
+    if not isinstance(running, list):
+        raise ScenarioError(f"{where}.running_times", running, "must be a list of numbers [s]")
+    spent = numbers(f"{where}.running_times", [[value] for value in running], running) if running else None
+    return AgentTrace(
+        values[:, 0],
+        values[:, 1:],
+        _modes(where, item, len(rows)),
+        np.empty(0) if spent is None else spent[:, 0],
+        where=where,
+    )
+
+
+def _agent_row(row: Any) -> list[Any]:
+    if not isinstance(row, list) or len(row) < 2:
+        raise Odd("must be a row [t, s0, s1, ...] or [t, [s0, s1, ...]]")
+    if len(row) == 2 and isinstance(row[1], list):
+        return [row[0], *row[1]]
+    return row
+
+
+def _modes(where: str, item: dict[str, Any], count: int) -> Modes:
+    place = f"{where}.mode_trace"
+    if "mode_trace" in item and item["mode_trace"] is None:
+        return np.full(count, UNKNOWN)
+    rule = "must be a list of modes, one per row of state_trace, or null if none is known"
+    given = item.get("mode_trace")
+    if not isinstance(given, list) or len(given) not in (count, count - 1):
+        shown = given if not isinstance(given, list) else f"{len(given)} modes"
+        raise ScenarioError(place, shown, f"{rule} ({count}, or {count - 1} without the last)")
+    values = given if set(map(type, given)) <= {int} else [_mode(place, i, v) for i, v in enumerate(given)]
+    try:
+        return np.array(values, dtype=np.int64)
+    except OverflowError as error:
+        i = next(i for i, value in enumerate(values) if not -(2**63) <= value < 2**63)
+        raise ScenarioError(f"{place}[{i}]", given[i], MODE_RULE) from error
+
+
+def _mode(place: str, i: int, given: Any) -> int:
+    value = given
+    if isinstance(value, dict):
+        value = value.get("value", value.get("name", given))
+    if isinstance(value, Enum):
+        value = value.value
+    if value is None:
+        return UNKNOWN
+    if isinstance(value, str):
+        value = MODE_NUMBERS.get(value.rpartition(".")[2].upper())
+    if isinstance(value, bool) or not isinstance(value, int):
+        raise ScenarioError(f"{place}[{i}]", given, MODE_RULE)
+    return value
+
+
+def _set(where: str, item: dict[str, Any]) -> AnySet:
+    rows = _list(where, item, "state_trace", "must be a list of rows [t, def], at least one")
+    return set_trace(where, item.get("set_type"), rows)

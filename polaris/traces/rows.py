@@ -1,0 +1,149 @@
+"""Rows of a trace: from nested lists to tables of numbers, and where the first bad row is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import chain
+from typing import Any
+
+import numpy as np
+
+from ..errors import ScenarioError
+from ..system import Array
+from .model import AnySet, BallTrace, PointTrace, PolytopeTrace, RectangleTrace
+
+LARGEST = 1e300
+"""Numbers beyond are refused: their squares are not finite."""
+
+
+class Odd(ValueError):
+    """What is wrong with a row, as the rule of an error message."""
+
+
+def table(where: str, rows: list[Any], flat: Callable[[Any], list[Any]]) -> Array:
+    """All rows as one array, shape (rows, columns).
+
+    Parameters
+    ----------
+    where : str
+        What messages call the list.
+    rows : list
+    flat : callable
+        Turns a row into a flat list, or raises `Odd`.
+    """
+    try:
+        flattened = [flat(row) for row in rows]
+    except Odd as error:
+        for i, row in enumerate(rows):
+            try:
+                flat(row)
+            except Odd:
+                raise ScenarioError(f"{where}[{i}]", row, str(error)) from None
+        raise
+    return numbers(where, flattened, rows)
+
+
+def numbers(where: str, flat: list[list[Any]], rows: Sequence[Any]) -> Array:
+    """Flat lists of numbers as one array; `rows` is what messages show."""
+    width = len(flat[0])
+    if set(map(len, flat)) != {width}:
+        i = next(i for i, row in enumerate(flat) if len(row) != width)
+        raise ScenarioError(f"{where}[{i}]", rows[i], f"must be as long as the first row ({width} numbers)")
+    if not set(map(type, chain.from_iterable(flat))) <= {int, float}:
+        i = next(i for i, row in enumerate(flat) if not set(map(type, row)) <= {int, float})
+        raise ScenarioError(f"{where}[{i}]", rows[i], "must hold nothing but numbers")
+    try:
+        array = np.array(flat, dtype=float)
+        bad = np.flatnonzero(~np.all(np.abs(array) <= LARGEST, axis=1))
+        i = int(bad[0]) if bad.size else -1
+    except OverflowError:
+        i = next(i for i, row in enumerate(flat) if any(abs(value) > LARGEST for value in row))
+    if i >= 0:
+        raise ScenarioError(f"{where}[{i}]", rows[i], f"must hold finite numbers, at most {LARGEST:g}")
+    return array
+
+
+# -- unsafe sets ------------------------------------------------------------------------------------
+
+FORMS = {
+    "point": "must be a row [t, center]",
+    "ball": "must be a row [t, [center, r]]",
+    "rectangle": "must be a row [t, [center, dx, dy, dz]] with full lengths, as many as the center has axes",
+    "polytope": "must be a row [t, [A, b]] with A p <= b, A a matrix and b a list as long",
+}
+
+
+def set_trace(where: str, kind: Any, rows: list[Any]) -> AnySet:
+    """The stamped definitions of one unsafe set.
+
+    Raises
+    ------
+    ScenarioError
+        If the kind is none of the four, or a row is not of its form.
+    """
+    if not isinstance(kind, str) or kind not in FORMS:
+        raise ScenarioError(f"{where}.set_type", kind, f"must be one of {', '.join(FORMS)}")
+    place = f"{where}.state_trace"
+    if kind == "polytope":
+        return _polytopes(where, place, rows)
+    values = table(place, rows, lambda row: _centred(kind, row))
+    t, rest = values[:, 0], values[:, 1:]
+    d = {"point": rest.shape[1], "ball": rest.shape[1] - 1, "rectangle": rest.shape[1] // 2}[kind]
+    if not 1 <= d <= 3 or (kind == "rectangle" and rest.shape[1] != 2 * d):
+        raise ScenarioError(f"{place}[0]", rows[0], f"{FORMS[kind]}; a center has 1 to 3 axes")
+    if kind == "point":
+        return PointTrace(t, rest, where=where)
+    if kind == "ball":
+        return BallTrace(t, rest[:, :d], rest[:, d], where=where)
+    return RectangleTrace(t, rest[:, :d], rest[:, d:], where=where)
+
+
+def _definition(kind: str, row: Any) -> tuple[Any, Any]:
+    """Time and definition of ``[t, def]``; a definition of several parts may lie bare in the row."""
+    if not isinstance(row, list) or len(row) < 2:
+        raise Odd(FORMS[kind])
+    return row[0], row[1] if len(row) == 2 else row[1:]
+
+
+def _centred(kind: str, row: Any) -> list[Any]:
+    """``[t, *center, *sizes]`` of a point, ball or rectangle."""
+    if isinstance(row, list) and len(row) > 2 and not any(isinstance(item, list) for item in row):
+        return row  # all flat
+    t, given = _definition(kind, row)
+    if kind == "point":
+        return [t, *given] if isinstance(given, list) else [t, given]
+    if not isinstance(given, list) or len(given) < 2:
+        raise Odd(FORMS[kind])
+    center = given[0] if isinstance(given[0], list) else given[:1]
+    sizes = given[1] if len(given) == 2 and isinstance(given[1], list) else given[1:]
+    if len(sizes) != (1 if kind == "ball" else len(center)):
+        raise Odd(FORMS[kind])
+    return [t, *center, *sizes]
+
+
+def _polytopes(where: str, place: str, rows: list[Any]) -> PolytopeTrace:
+    shapes: list[tuple[int, int]] = []
+
+    def flat(row: Any) -> list[Any]:
+        t, given = _definition("polytope", row)
+        if not isinstance(given, list) or len(given) != 2:
+            raise Odd(FORMS["polytope"])
+        A, b = given
+        if not isinstance(A, list) or not A or not all(isinstance(facet, list) for facet in A):
+            raise Odd(FORMS["polytope"])
+        if not isinstance(b, list) or len(b) != len(A) or len(set(map(len, A))) != 1:
+            raise Odd(FORMS["polytope"])
+        if all(isinstance(item, list) and len(item) == 1 for item in b):
+            b = [item[0] for item in b]
+        shape = (len(A), len(A[0]))
+        if shapes and shape != shapes[0]:
+            raise Odd(f"A must be {shapes[0][0]} x {shapes[0][1]}, as in the first row")
+        shapes[:] = shapes or [shape]
+        return [t, *chain.from_iterable(A), *b]
+
+    values = table(place, rows, flat)
+    F, d = shapes[0]
+    if not 1 <= d <= 3:
+        raise ScenarioError(f"{place}[0]", rows[0], "A must have 1, 2 or 3 columns, one per axis")
+    A = values[:, 1 : 1 + F * d].reshape(-1, F, d)
+    return PolytopeTrace(values[:, 0], A, values[:, 1 + F * d :], where=where)
