@@ -20,7 +20,9 @@ from typing import Annotated, Any, NoReturn
 import typer
 
 from .cli_attacks import add_commands
-from .cli_inspection import add_campaign, run_inspection, told_valid
+from .cli_campaign import add_campaign
+from .cli_inspection import run_inspection, told_valid
+from .cli_report import add_report
 from .cli_traces import add_traces
 from .cli_verify import add_verify
 from .errors import PolarisError
@@ -279,6 +281,7 @@ def _fail(message: str, code: int) -> NoReturn:
 add_commands(app, _answering)
 add_verify(app, _answering)
 add_campaign(app, _answering)
+add_report(app, _answering)
 add_traces(app, _answering)
 
 if __name__ == "__main__":

@@ -1,12 +1,11 @@
-"""The commands of the inspection problem: its flights under ``polaris run``, and ``polaris campaign``."""
+"""What the commands ``polaris run`` and ``polaris campaign`` do for the inspection problem."""
 
 from __future__ import annotations
 
 import shlex
 import sys
 from collections.abc import Callable
-from contextlib import AbstractContextManager
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -16,8 +15,6 @@ if TYPE_CHECKING:
     from .asif.run_folder import InspectionFolder
     from .asif.scenario import InspectionScenario
     from .console import Stages
-
-Guard = Callable[[], AbstractContextManager[None]]
 
 
 def run_inspection(
@@ -109,49 +106,27 @@ def told_valid(name: str) -> str:
     return f"{scenario.name} is valid: {scenario.outline()}"
 
 
-def add_campaign(app: typer.Typer, guard: Guard) -> None:
-    """Add the command to the application; `guard` turns errors into messages and exit codes."""
+def campaign_inspection(
+    name: str,
+    workers: int,
+    out: str | None,
+    overrides: list[str],
+    figures: bool,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    """Fly the Monte Carlo of a scenario, write its run folder, and print what it came to."""
+    from .asif.campaign import run_campaign
+    from .asif.console import show_campaign
+    from .asif.scenario import load_inspection
+    from .console import Stages
+    from .replacing import check_target
 
-    @app.command("campaign")
-    def campaign_command(
-        scenario: Annotated[
-            str, typer.Argument(metavar="NAME_OR_FILE", help="A bundled scenario of many flights, or a file.")
-        ],
-        runs: Annotated[int | None, typer.Option(min=1, help="Short for --set campaign.runs=...")] = None,
-        workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
-        out: Annotated[
-            str | None,
-            typer.Option("--out", metavar="DIR", help="Run folder; default runs/<name of the scenario>."),
-        ] = None,
-        assignments: Annotated[
-            list[str] | None,
-            typer.Option("--set", metavar="KEY=VALUE", help="Override a value; repeatable."),
-        ] = None,
-        figures: Annotated[
-            bool,
-            typer.Option("--figures/--no-figures", help="Draw the figures; `polaris plot` can do so later."),
-        ] = True,
-        as_json: Annotated[
-            bool, typer.Option("--json", help="Print the summary as JSON, and nothing else.")
-        ] = False,
-        quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
-    ) -> None:
-        """Fly many runs from drawn initial conditions under each filter, and count the failures."""
-        overrides = list(assignments or [])
-        if runs is not None:
-            overrides.append(f"campaign.runs={runs}")
-        with guard():
-            from .asif.campaign import run_campaign
-            from .asif.console import show_campaign
-            from .asif.scenario import load_inspection
-            from .console import Stages
-            from .replacing import check_target
-
-            stages = Stages(quiet or as_json)
-            loaded = load_inspection(scenario).with_assignments(overrides)
-            if loaded.kind != "monte_carlo":
-                raise ScenarioError("scenario", scenario, "is one flight: polaris run flies it")
-            target = str(check_target(out if out is not None else f"runs/{loaded.name}"))
-            folder = run_campaign(target, loaded, workers, overrides, figures, stages)
-            if not quiet:
-                _finish(folder, as_json, figures, show_campaign)
+    stages = Stages(quiet or as_json)
+    loaded = load_inspection(name).with_assignments(overrides)
+    if loaded.kind != "monte_carlo":
+        raise ScenarioError("scenario", name, "is one flight: polaris run flies it")
+    target = str(check_target(out if out is not None else f"runs/{loaded.name}"))
+    folder = run_campaign(target, loaded, workers, overrides, figures, stages)
+    if not quiet:
+        _finish(folder, as_json, figures, show_campaign)

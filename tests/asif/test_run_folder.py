@@ -220,7 +220,6 @@ def test_arrays_that_do_not_belong_together_are_refused(folders, tmp_path):
     [
         (("run", "inspection-monte-carlo"), ("polaris campaign",)),
         (("campaign", "inspection"), ("polaris run",)),
-        (("campaign", "static"), ("kind",)),
         (("campaign", "nope"), ("nope",)),
         (("run", "inspection", "--solver", "highs"), ("planner", "unknown key")),
         (("run", "inspection", "--set", "flight.periode_s=1"), ("did you mean period_s",)),
