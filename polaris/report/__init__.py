@@ -1,0 +1,66 @@
+"""Interactive reports: one HTML file per run or comparison, which needs no network.
+
+>>> import polaris.report
+>>> polaris.report.write_report.__name__
+'write_report'
+"""
+
+from __future__ import annotations
+
+import os
+import secrets
+from pathlib import Path
+
+from ..errors import ScenarioError
+from ..runfolder import DATA_FILES, read_run, readable
+from .page import Page, page_html
+
+__all__ = ["report_page", "write_report"]
+
+
+def write_report(folder: str | Path, out: str | Path | None = None) -> Path:
+    """Write the report of a run folder or of a comparison.
+
+    Parameters
+    ----------
+    folder : path
+        A run folder, one of the inspection problem, or a comparison.
+    out : path, optional
+        The file, replaced once everything is written; default ``report.html`` in the folder.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    ScenarioError
+        If the folder is none of these or damaged, or the file cannot be written.
+    """
+    target = Path(folder) / "report.html" if out is None else Path(out)
+    if target.is_dir() or not target.parent.is_dir():
+        rule = "is a folder; must be a file" if target.is_dir() else f"there is no folder {target.parent}"
+        raise ScenarioError("--out", str(target), rule)
+    text = page_html(report_page(folder))
+    beside = target.with_name(f".{target.name}.new-{secrets.token_hex(4)}")
+    try:
+        beside.write_text(text, encoding="utf-8", newline="\n")
+        os.replace(beside, target)
+    except OSError as error:
+        raise ScenarioError("--out", str(target), f"cannot be written: {error.strerror or error}") from error
+    finally:
+        beside.unlink(missing_ok=True)
+    return target
+
+
+def report_page(folder: str | Path) -> Page:
+    """What the report of a folder says; see `write_report`."""
+    path = Path(folder)
+    with readable(path):
+        if all((path / name).is_file() for name in DATA_FILES):
+            from .run_report import run_page
+
+            return run_page(read_run(path))
+    what = "must be a run folder or a comparison" if path.is_dir() else "there is no such folder"
+    raise ScenarioError("report", str(folder), what)

@@ -1,0 +1,107 @@
+"""Pieces of HTML: tables, badges, lists. Every text from a file is escaped here."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from .numbers import escaped, shown
+
+BADGES = {
+    "proved": ("proved", "✓ proved"),
+    "statistical": ("limited", "≈ statistical"),
+    "per_period": ("limited", "≈ per period"),
+    "by_prediction": ("limited", "≈ by prediction"),
+    "none": ("nothing", "✕ nothing proven"),
+}
+"""Class and text of a badge, by kind of guarantee."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One cell of a table.
+
+    Attributes
+    ----------
+    html : str
+        Contents, escaped already.
+    sort : float, str or None
+        What the column is sorted by; None comes last, whichever way.
+    bad : bool
+        Whether it tells of something that must not happen.
+    text : bool
+        Whether it is a text, set to the left.
+    """
+
+    html: str
+    sort: float | str | None = None
+    bad: bool = False
+    text: bool = False
+
+
+def text_cell(text: Any) -> Cell:
+    """A cell with text from a file."""
+    return Cell(escaped(text), str(text), text=True)
+
+
+def number_cell(value: Any, key: str = "", form: str = ".4g", unit: str = "") -> Cell:
+    """A cell with a value of a file; see `numbers.shown`."""
+    plain = isinstance(value, (int, float)) and not isinstance(value, bool)
+    return Cell(shown(value, key, form, unit), value if plain and value == value else None)
+
+
+def table(caption: str, heads: Sequence[str], rows: Iterable[Sequence[Cell]], sort: bool = False) -> str:
+    """A table whose first column names the rows.
+
+    Parameters
+    ----------
+    caption, heads : str
+        Escaped here.
+    rows : iterable of sequences of Cell
+    sort : bool
+        Whether readers can sort it by each column.
+    """
+    told = []
+    for head in heads:
+        text = escaped(head)
+        told.append(
+            f'<th scope="col"><button type="button">{text}</button></th>'
+            if sort
+            else f'<th scope="col">{text}</th>'
+        )
+    body = "\n".join(
+        "<tr>" + "".join(_cell(cell, n == 0) for n, cell in enumerate(row)) + "</tr>" for row in rows
+    )
+    kind = ' class="sortable"' if sort else ""
+    return (
+        f'<div class="scroll" role="region" tabindex="0" aria-label="{escaped(caption)}">'
+        f"<table{kind}><caption>{escaped(caption)}</caption>"
+        f"<thead><tr>{''.join(told)}</tr></thead>\n<tbody>\n{body}\n</tbody></table></div>"
+    )
+
+
+def _cell(cell: Cell, first: bool) -> str:
+    sort = "" if cell.sort is None else escaped(cell.sort)
+    names = " ".join(name for name, wanted in (("bad", cell.bad), ("text", cell.text)) if wanted)
+    kind = f' class="{names}"' if names else ""
+    tag = "th" if first else "td"
+    scope = ' scope="row"' if first else ""
+    return f'<{tag}{scope}{kind} data-sort="{sort}">{cell.html}</{tag}>'
+
+
+def badge(kind: Any) -> str:
+    """The kind of a guarantee, by colour, sign and word."""
+    look, text = BADGES.get(str(kind), ("limited", escaped(kind)))
+    return f'<span class="badge {look}">{text}</span>'
+
+
+def items(texts: Iterable[Any]) -> str:
+    """A list of texts."""
+    return "<ul>" + "".join(f"<li>{escaped(text)}</li>" for text in texts) + "</ul>"
+
+
+def section(key: str, title: str, inner: str) -> str:
+    """A part of the page, under a heading."""
+    head = f'<h2 id="{key}-h">{escaped(title)}</h2>'
+    return f'<section id="{key}" aria-labelledby="{key}-h">\n{head}\n{inner}\n</section>'

@@ -1,0 +1,155 @@
+// What is chosen (time, run, pilots, layers), the controls that choose it, and keeping all of the page in step.
+
+const LAPSE = 24; // seconds in which playing shows a whole flight
+const GROUPS = { unsafe: "unsafe sets", goal: "goal", initial: "initial set", reference: "safe reference",
+  slice: "recoverable sets (slices)", tube: "reachable set", sun: "sun" };
+const SWATCH = { unsafe: "#C0202B", goal: "#009E73", initial: "#404040", reference: "#767676", slice: "#E3D63B",
+  tube: "#56B4E9", sun: "#E69F00" };
+
+const $ = (id) => document.getElementById(id);
+const short = (value) => (value === null || value === undefined ? "none" : String(Number(Number(value).toPrecision(4))));
+const runOf = (pilot, state) => Math.max(pilot.labels.indexOf(state.run), 0);
+
+function element(tag, properties, ...children) {
+  const made = Object.assign(document.createElement(tag), properties);
+  made.append(...children);
+  return made;
+}
+
+function start() {
+  document.querySelectorAll("table.sortable").forEach(sortable);
+  const data = JSON.parse($("data").textContent);
+  if (!data.scene) return;
+  const state = { t: 0, run: data.pilots[0].labels[0], shown: data.pilots.filter((one) => one.on), playing: false,
+    groups: new Set(data.scene.layers.map((layer) => layer.group)), wholeTube: false };
+  const scene = $("scene"), timelines = $("timelines");
+  const options = { responsive: true, displaylogo: false, modeBarButtonsToRemove: ["select2d", "lasso2d", "resetCameraLastSave3d"] };
+  const layout = sceneLayout(data);
+  let wanted = false, drawing = false;
+
+  // The scene is drawn at most once per frame, and not again before the last drawing is done.
+  function drawScene() {
+    wanted = true;
+    if (drawing) return;
+    drawing = true;
+    requestAnimationFrame(async () => {
+      wanted = false;
+      await Plotly.react(scene, sceneTraces(data, state), layout, options);
+      drawing = false;
+      if (wanted) drawScene();
+    });
+  }
+
+  async function drawTimelines() {
+    const figure = timelineFigure(data, state);
+    await Plotly.react(timelines, figure.traces, figure.layout, { ...options, displayModeBar: false });
+  }
+
+  function setTime(t) {
+    state.t = Math.min(Math.max(t, 0), data.end);
+    $("time").value = state.t;
+    $("time").setAttribute("aria-valuetext", `${short(state.t)} seconds`);
+    $("now").textContent = `${state.t.toFixed(data.end < 100 ? 2 : 0)} s`;
+    if (timelines.layout) Plotly.relayout(timelines, { "shapes[0].x0": state.t, "shapes[0].x1": state.t });
+    readout(data, state);
+    drawScene();
+  }
+
+  async function redraw() {
+    drawScene();
+    readout(data, state);
+    await drawTimelines();
+  }
+
+  function play(on) {
+    state.playing = on;
+    $("play").textContent = on ? "Pause" : "Play";
+    $("play").setAttribute("aria-pressed", String(on));
+    if (!on) return;
+    if (state.t >= data.end) state.t = 0;
+    let before = performance.now();
+    const next = (now) => {
+      if (!state.playing) return;
+      if (!drawing) {
+        setTime(state.t + ((now - before) / 1000) * (data.end / LAPSE));
+        before = now;
+      }
+      if (state.t >= data.end) play(false); else requestAnimationFrame(next);
+    };
+    requestAnimationFrame(next);
+  }
+
+  controls(data, state, redraw);
+  Object.assign($("time"), { min: 0, max: data.end, step: data.end / 1000, value: 0 });
+  $("time").addEventListener("input", () => { play(false); setTime(Number($("time").value)); });
+  $("play").addEventListener("click", () => play(!state.playing));
+  setTime(0);
+  drawTimelines().then(() => {
+    const at = (event) => event.xvals ? event.xvals[0] : event.points[0].x;
+    timelines.on("plotly_hover", (event) => { if (!state.playing) setTime(at(event)); });
+    timelines.on("plotly_click", (event) => { play(false); setTime(at(event)); });
+  });
+}
+
+function controls(data, state, redraw) {
+  const tick = (name, checked, colour, change) => {
+    const box = element("input", { type: "checkbox", checked });
+    box.addEventListener("change", () => change(box));
+    const swatch = element("span", { className: "swatch" });
+    swatch.style.background = colour;
+    return element("label", {}, box, swatch, name);
+  };
+  data.pilots.forEach((pilot) => $("pilots").append(tick(pilot.name, pilot.on, pilot.colour, (box) => {
+    pilot.on = box.checked;
+    if (!data.pilots.some((one) => one.on)) { pilot.on = box.checked = true; return; }
+    state.shown = data.pilots.filter((one) => one.on);
+    redraw();
+  })));
+  const labels = [...new Set(data.pilots.flatMap((pilot) => pilot.labels))];
+  labels.forEach((label) => $("run").append(element("option", { value: label, textContent: label })));
+  $("run").addEventListener("change", () => { state.run = $("run").value; redraw(); });
+  $("run").closest("label").hidden = labels.length < 2;
+  data.modes.forEach((mode) => {
+    const swatch = element("span", { className: "swatch" });
+    swatch.style.background = mode.colour;
+    $("modes").append(element("li", {}, swatch, mode.name));
+  });
+  [...state.groups].forEach((group) => $("groups").append(tick(GROUPS[group] || group, true, SWATCH[group] || "#767676", (box) => {
+    if (box.checked) state.groups.add(group); else state.groups.delete(group);
+    redraw();
+  })));
+  if (state.groups.has("tube")) {
+    $("groups").append(tick("at all times, not only now", false, SWATCH.tube, (box) => { state.wholeTube = box.checked; redraw(); }));
+  }
+}
+
+// The same in words: one row per pilot with all values at the time shown.
+function readout(data, state) {
+  const own = data.panels.filter((panel) => panel.series.some((one) => one.pilot !== null));
+  const head = element("tr", {}, ...["Shown", "Run", "Who flies", ...own.map((panel) => `${panel.title} (${panel.unit})`)]
+    .map((text) => element("th", { scope: "col", textContent: text })));
+  const rows = state.shown.map((pilot) => {
+    const run = runOf(pilot, state), [i, s] = place(pilot.t, state.t), who = pilot.runs[run].modes;
+    const mode = data.modes.find((one) => one.mode === who[Math.min(i, who.length - 1)]);
+    const cells = own.map((panel) => {
+      const series = panel.series.find((one) => one.pilot === pilot.key);
+      return series ? at(series, valuesOf(series, pilot, state), i, s) : "none";
+    });
+    return element("tr", {}, element("th", { scope: "row", textContent: pilot.name }),
+      ...[pilot.labels[run], mode.name, ...cells].map((text) => element("td", { textContent: text })));
+  });
+  $("readout").replaceChildren(element("thead", {}, head), element("tbody", {}, ...rows));
+  const notes = data.panels.flatMap((panel) => panel.series.filter((one) => one.pilot === null).map((series) => {
+    const [i, s] = place(series.t, series.bars ? state.t + series.width / 2 : state.t);
+    const text = series.text ? ` (${series.text[i]})` : "";
+    return `${panel.title}, ${series.name}: ${at(series, series.y, i, s)}${panel.unit ? " " + panel.unit : ""}${text}`;
+  }));
+  $("notes").replaceChildren(...notes.map((text) => element("li", { textContent: text })));
+}
+
+function at(series, values, i, s) {
+  const held = series.step || series.bars || s === 0 || values[i + 1] === null || values[i] === null;
+  return short(held ? values[i] : between(values, i, s));
+}
+
+start();

@@ -1,0 +1,141 @@
+// The scene at one instant: a list of plotly traces made anew from the page's data and what is chosen.
+
+const plain = (text) => String(text).replace(/&/g, "&amp;").replace(/</g, "&lt;").replace(/>/g, "&gt;");
+
+// Index of the last sample at or before t, and how far t is on the way to the next one.
+function place(times, t) {
+  let low = 0, high = times.length - 1;
+  if (t >= times[high]) return [high, 0];
+  while (high - low > 1) {
+    const middle = (low + high) >> 1;
+    if (times[middle] <= t) low = middle; else high = middle;
+  }
+  return [low, t <= times[low] ? 0 : (t - times[low]) / (times[low + 1] - times[low])];
+}
+
+const between = (values, i, s) => (s === 0 ? values[i] : values[i] * (1 - s) + values[i + 1] * s);
+
+// Coordinates and triangles of a layer at t; null while nothing of it is there.
+function shapeAt(layer, t) {
+  if (layer.frames) {
+    if (t < layer.t[0]) return null;
+    const frame = layer.frames[place(layer.t, t)[0]];
+    return frame.p.length ? frame : null;
+  }
+  if (!layer.shift) return layer;
+  const [i, s] = place(layer.t, t);
+  return { p: layer.p.map((axis, k) => axis.map((v) => v + between(layer.shift[k], i, s))), f: layer.f };
+}
+
+// All frames of a layer as one body, for a tube that is shown whole.
+function whole(layer) {
+  const p = [[], [], []].slice(0, (layer.frames.find((frame) => frame.p.length) || { p: [] }).p.length);
+  const f = [[], [], []];
+  for (const frame of layer.frames) {
+    if (!frame.p.length) continue;
+    const from = p[0].length;
+    frame.p.forEach((axis, k) => p[k].push(...axis, ...(frame.f ? [] : [null])));
+    if (frame.f) frame.f.forEach((corner, k) => f[k].push(...corner.map((v) => v + from)));
+  }
+  return p.length && p[0].length ? { p, f: f[0].length ? f : undefined } : null;
+}
+
+function traceOf(space, name, shape, look) {
+  const p = shape ? shape.p : [[], [], []];
+  const common = { uid: look.uid, name: plain(name), showlegend: false, opacity: look.opacity };
+  const hover = { hovertemplate: plain(name) + "<extra></extra>" };
+  if (look.kind === "mesh" || (look.kind === "area" && space === 3)) {
+    const count = p[0].length - 2;
+    const fan = [0, 1, 2].map((k) => Array.from({ length: Math.max(count, 0) }, (_, i) => (k ? i + k : 0)));
+    const [i, j, k] = (shape && shape.f) || (look.kind === "area" ? fan : [[], [], []]);
+    const lighting = { ambient: 0.75, diffuse: 0.5, specular: 0.05, fresnel: 0 };
+    return { type: "mesh3d", x: p[0], y: p[1], z: p[2] || [], i, j, k, color: look.colour, flatshading: true,
+      lighting, visible: p[0].length > 0, ...common, ...hover };
+  }
+  const trace = space === 3 ? { type: "scatter3d", z: p[2] || [] } : { type: "scatter" };
+  Object.assign(trace, { x: p[0], y: p[1] }, common, hover);
+  if (look.kind === "points" || look.kind === "text") {
+    trace.mode = look.kind === "text" ? "text" : "markers";
+    if (look.text) Object.assign(trace, { text: look.text.map(plain), textfont: { color: look.colour, size: 12 } });
+    trace.textposition = "top center";
+    trace.marker = { color: look.colour, size: look.size * (space === 3 ? 1 : 2), symbol: look.symbol,
+      line: { color: "#fff", width: 1 } };
+    if (look.kind === "text") trace.hoverinfo = "skip";
+    return trace;
+  }
+  trace.mode = "lines";
+  trace.line = { color: look.colour, width: look.width || 1, dash: look.dash || "solid" };
+  if (look.kind === "area") Object.assign(trace, { fill: "toself", fillcolor: faded(look.colour, look.opacity), opacity: 1 });
+  return trace;
+}
+
+function faded(colour, share) {
+  const [r, g, b] = [1, 3, 5].map((at) => parseInt(colour.slice(at, at + 2), 16));
+  return `rgba(${r},${g},${b},${share})`;
+}
+
+// What a pilot has flown by t, one path per mode with gaps, and where it is.
+function flown(pilot, run, modes, t) {
+  const { p, modes: who } = pilot.runs[run];
+  const [last, s] = place(pilot.t, t);
+  const paths = new Map(modes.map((one) => [one.mode, p.map(() => [])]));
+  const here = p.map((axis) => between(axis, last, s));
+  for (let i = 0; i <= last && i < who.length; i++) {
+    const path = paths.get(who[i]);
+    if (i === 0 || who[i - 1] !== who[i]) path.forEach((axis, k) => axis.push(p[k][i]));
+    if (i < last) path.forEach((axis, k) => axis.push(p[k][i + 1]));
+    else if (s > 0) path.forEach((axis, k) => axis.push(here[k]));
+    if (i < last && who[i + 1] !== who[i]) path.forEach((axis) => axis.push(null));
+  }
+  return { paths, here };
+}
+
+function sceneTraces(data, state) {
+  const { space, layers } = data.scene, traces = [], labels = { p: [[], [], []], text: [] };
+  layers.forEach((layer, n) => {
+    if (!state.groups.has(layer.group)) return;
+    const all = layer.group === "tube" && state.wholeTube;
+    const shape = all ? whole(layer) : shapeAt(layer, state.t);
+    traces.push(traceOf(space, layer.name, shape, { ...layer, uid: "layer" + n }));
+    if (layer.label && shape) {
+      shape.p.forEach((axis, k) => {
+        const low = Math.min(...axis), high = Math.max(...axis);
+        labels.p[k].push(k === space - 1 ? high : (low + high) / 2);
+      });
+      labels.text.push(layer.label);
+    }
+  });
+  const byPilot = data.by === "pilot" && state.shown.length > 1;
+  for (const pilot of state.shown) {
+    const run = runOf(pilot, state), { paths, here } = flown(pilot, run, data.modes, state.t);
+    const uid = "pilot" + pilot.key, wide = space === 3 ? 5 : 3;
+    traces.push(traceOf(space, pilot.name + ", all of the run", { p: pilot.runs[run].p },
+      { kind: "line", colour: byPilot ? pilot.colour : "#8A8A8A", opacity: 0.45, width: 1, dash: "solid", uid: uid + "all" }));
+    for (const mode of data.modes) {
+      const colour = byPilot ? pilot.colour : mode.colour;
+      traces.push(traceOf(space, `${pilot.name}: ${mode.name}`, { p: paths.get(mode.mode) },
+        { kind: "line", colour, opacity: 1, width: wide, dash: pilot.dash, uid: uid + mode.mode }));
+    }
+    const colour = pilot.colour;
+    traces.push(traceOf(space, pilot.name + " now", { p: here.map((v) => [v]) },
+      { kind: "points", colour, opacity: 1, size: 5, symbol: "circle", uid: uid + "now" }));
+  }
+  traces.push(traceOf(space, "names", labels, { kind: "text", colour: "#8E1620", opacity: 1, text: labels.text, size: 1, uid: "names" }));
+  return traces;
+}
+
+function sceneLayout(data) {
+  const { space, axes, range } = data.scene;
+  const axis = (k) => ({ title: { text: plain(axes[k]), font: { size: 12 } }, range: range[k], autorange: false,
+    gridcolor: "#E2E2E2", zeroline: false, tickfont: { size: 11 }, nticks: 6 });
+  const common = { margin: { l: 0, r: 0, t: 0, b: 0 }, paper_bgcolor: "#fff", uirevision: "keep", hovermode: "closest",
+    font: { family: "system-ui, sans-serif", color: "#222" } };
+  if (space === 2) {
+    return { ...common, margin: { l: 60, r: 10, t: 10, b: 46 }, plot_bgcolor: "#fff", xaxis: axis(0),
+      yaxis: { ...axis(1), scaleanchor: "x" } };
+  }
+  const size = range.map(([low, high]) => high - low), mean = Math.cbrt(size[0] * size[1] * size[2]);
+  const [x, y, z] = size.map((v) => v / mean);
+  return { ...common, scene: { xaxis: axis(0), yaxis: axis(1), zaxis: axis(2), aspectmode: "manual",
+    aspectratio: { x, y, z }, camera: { eye: { x: 0.95, y: -2.0, z: 1.25 }, center: { x: 0.05, y: 0, z: -0.1 } } } };
+}

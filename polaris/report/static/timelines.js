@@ -1,0 +1,115 @@
+// Diagrams over time, one above the other with one time axis, and the line that marks the time shown.
+
+const GAP = 40, PANEL = 104, ROW = 22;
+
+function rowsOf(data, state) {
+  return state.shown.map((pilot) => plain(pilot.name));
+}
+
+// Who flies when: a bar from each change of mode to the next.
+function modeTraces(data, state, yaxis) {
+  const bars = new Map(data.modes.map((one) => [one.mode, { x: [], base: [], y: [], text: [] }]));
+  for (const pilot of state.shown) {
+    const who = pilot.runs[runOf(pilot, state)].modes, t = pilot.t;
+    for (let i = 0, from = 0; i < who.length; i++) {
+      if (i + 1 < who.length && who[i + 1] === who[i]) continue;
+      const bar = bars.get(who[i]);
+      bar.base.push(t[from]);
+      bar.x.push(t[i + 1] - t[from]);
+      bar.y.push(plain(pilot.name));
+      bar.text.push(`${short(t[from])} to ${short(t[i + 1])} s`);
+      from = i + 1;
+    }
+  }
+  return data.modes.map((mode) => ({ type: "bar", orientation: "h", ...bars.get(mode.mode), textposition: "none",
+    name: plain(mode.name), marker: { color: mode.colour, line: { width: 0 } }, yaxis, xaxis: "x", width: 0.7,
+    hovertemplate: `%{y}: ${plain(mode.name)}<br>%{text}<extra></extra>` }));
+}
+
+function lineTraces(data, state, panel, yaxis) {
+  const traces = [];
+  for (const series of panel.series) {
+    const pilot = series.pilot === null ? null : state.shown.find((one) => one.key === series.pilot);
+    if (series.pilot !== null && !pilot) continue;
+    const x = series.t || pilot.t, name = plain(series.name || pilot.name), unit = plain(panel.unit || "");
+    const hover = `${name}: %{y:.4g} ${unit}<extra></extra>`;
+    if (series.bars) {
+      const colours = series.modes.map((mode) => (data.modes.find((one) => one.mode === mode) || {}).colour);
+      traces.push({ type: "bar", x, y: series.y, width: series.width, text: series.text.map(plain), textposition: "none",
+        marker: { color: colours, line: { color: "#fff", width: 0.3 } }, xaxis: "x", yaxis,
+        hovertemplate: "margin %{y:.3f}<br>%{text}<extra></extra>" });
+      continue;
+    }
+    const colour = series.colour || pilot.colour, dash = series.dash || (pilot ? pilot.dash : "solid");
+    const shape = series.step ? "hv" : "linear";
+    if (series.band) {
+      const rim = { type: "scatter", mode: "lines", x, line: { width: 0, shape }, xaxis: "x", yaxis, hoverinfo: "skip" };
+      traces.push({ ...rim, y: series.band[0] });
+      traces.push({ ...rim, y: series.band[1], fill: "tonexty", fillcolor: faded(colour, 0.16) });
+    }
+    traces.push({ type: "scatter", mode: "lines", x, y: valuesOf(series, pilot, state), name, xaxis: "x", yaxis,
+      line: { color: colour, width: series.fill ? 1.2 : 1.8, dash, shape }, hovertemplate: hover,
+      ...(series.fill ? { fill: "tozeroy", fillcolor: faded(colour, 0.14) } : {}) });
+  }
+  return traces;
+}
+
+const valuesOf = (series, pilot, state) => (series.runs ? series.runs[runOf(pilot, state)] : series.y);
+
+// The range of a panel: what is drawn, and its limits.
+function rangeOf(panel, traces) {
+  let low = Infinity, high = -Infinity;
+  const see = (v) => { if (v !== null && v !== undefined) { low = Math.min(low, v); high = Math.max(high, v); } };
+  for (const trace of traces) trace.y.forEach(see);
+  panel.limits.forEach((one) => see(one.y));
+  if (panel.series.some((one) => one.bars)) see(1);
+  if (low > high) return [0, 1];
+  const pad = 0.08 * (high - low) || 1;
+  return [low - pad, high + pad];
+}
+
+function timelineFigure(data, state) {
+  const rows = rowsOf(data, state), heights = [ROW * rows.length + 8, ...data.panels.map(() => PANEL)];
+  const total = heights.reduce((sum, h) => sum + h + GAP, 0), narrow = window.innerWidth < 600;
+  const layout = { height: total + 46, margin: { l: narrow ? 62 : 78, r: 12, t: 4, b: 44 }, barmode: "overlay", hovermode: "x",
+    hoverdistance: -1, showlegend: false, paper_bgcolor: "#fff", plot_bgcolor: "#fff", dragmode: narrow ? false : "zoom",
+    font: { family: "system-ui, sans-serif", size: 11, color: "#222" }, uirevision: "keep", annotations: [],
+    shapes: [{ type: "line", xref: "x", yref: "paper", x0: state.t, x1: state.t, y0: 0, y1: 1, line: { color: "#111", width: 1.5 } }],
+    xaxis: { title: { text: "Time (s)" }, range: [0, data.end], gridcolor: "#E6E6E6", zeroline: false } };
+  const traces = [];
+  let top = total;
+  ["Who flies", ...data.panels.map((panel) => panel.title + (panel.unit ? ` (${panel.unit})` : ""))].forEach((title, n) => {
+    const name = n ? "y" + (n + 1) : "y", yaxis = { gridcolor: "#E6E6E6", zeroline: false, nticks: 5, fixedrange: true };
+    top -= GAP - 14;
+    layout.annotations.push({ text: `<b>${plain(title)}</b>`, xref: "paper", yref: "paper", x: 0, y: top / total, xanchor: "left",
+      yanchor: "bottom", showarrow: false, font: { size: 12 }, borderpad: 2 });
+    yaxis.domain = [Math.max(top - heights[n], 0) / total, top / total];
+    top -= heights[n] + 14;
+    const own = n ? lineTraces(data, state, data.panels[n - 1], name) : modeTraces(data, state, name);
+    if (n) {
+      const panel = data.panels[n - 1];
+      yaxis.range = rangeOf(panel, own);
+      limitsOf(panel, yaxis.range, name, layout);
+    } else Object.assign(yaxis, { type: "category", categoryarray: [...rows].reverse(), range: [-0.6, rows.length - 0.4],
+      tickfont: { size: narrow ? 9 : 11 }, automargin: true, showgrid: false });
+    layout[n ? "yaxis" + (n + 1) : "yaxis"] = yaxis;
+    traces.push(...own);
+  });
+  layout.xaxis.anchor = data.panels.length ? "y" + (data.panels.length + 1) : "y";
+  return { traces, layout };
+}
+
+function limitsOf(panel, [low, high], yref, layout) {
+  for (const one of panel.limits) {
+    layout.shapes.push({ type: "line", xref: "paper", yref, x0: 0, x1: 1, y0: one.y, y1: one.y, layer: "below",
+      line: { color: one.unsafe ? "#C0202B" : "#555", width: 1 } });
+    if (one.unsafe) {
+      layout.shapes.push({ type: "rect", xref: "paper", yref, x0: 0, x1: 1, y0: one.y, y1: one.unsafe === "below" ? low : high,
+        layer: "below", line: { width: 0 }, fillcolor: "rgba(192,32,43,0.12)" });
+    }
+    if (one.text) {
+      layout.annotations.push({ text: plain(one.text), xref: "paper", yref, x: 1, y: one.y, xanchor: "right", showarrow: false,
+        yanchor: one.unsafe === "below" ? "top" : "bottom", font: { size: 10, color: one.unsafe ? "#A01822" : "#444" } });
+    }
+  }
+}
