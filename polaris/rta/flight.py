@@ -1,0 +1,254 @@
+"""Closed-loop flights of one method, all runs at once, under conditions that every method shares."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from math import ceil
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..checks import whole
+from ..disturbances import disturbances
+from ..integration import Integrator
+from ..simulation import initial_states
+from ..system import Array
+from .method import FILTERED, Method, Seen
+from .scene import Scene
+
+
+@dataclass(frozen=True, eq=False)
+class Conditions:
+    """What happens to every method alike.
+
+    Attributes
+    ----------
+    x0 : ndarray, shape (R, n)
+        Initial states.
+    w : ndarray, shape (N, R, p)
+        Disturbances held from node to node.
+    errors : ndarray, shape (D, R, n)
+        Errors of the state estimate at every decision.
+    seed : int
+        They were drawn from; other satellites' true states are too.
+    """
+
+    x0: Array
+    w: Array
+    errors: Array
+    seed: int
+
+    @classmethod
+    def draw(cls, scene: Scene, runs: int, seed: int) -> Conditions:
+        """Half of the runs under random disturbances, half under worst cases.
+
+        The worst cases are those of the flights of S alone, of U alone and of the schedule, in equal
+        shares, for a facet or thruster and an instant drawn at random, from the corner of Theta that
+        goes with them. The other runs start in corners and inside of Theta, half and half.
+        """
+        whole("runs", runs, 1)
+        rng = np.random.default_rng(whole("seed", seed, 0))
+        schedule, planned = scene.fine_schedule, scene.clearance.planned
+        alone = [np.full(planned, mode) for mode in range(min(len(scene.controllers), 2))]
+        plans = [schedule.modes, *alone]
+        x0 = initial_states(schedule, runs, rng, "mixed")
+        flights = [Integrator(schedule, modes, 1) for modes in plans]
+        theta = scene.schedule.safety.problem.initial_set
+        share, parts, first = runs // 2, [], 0
+        for number, flight in enumerate(flights):
+            count = (share + number) // len(plans)
+            if count:
+                w, adjoint = disturbances(flight, count, rng, "worst")
+                parts.append(w)
+                if len(adjoint):
+                    corner = np.where(adjoint @ theta.G < 0, -1.0, 1.0) @ theta.G.T
+                    x0[first : first + count] = theta.c + corner
+                first += count
+        parts.append(disturbances(flights[0], runs - first, rng, "random")[0])
+        errors = rng.uniform(-1, 1, (scene.decisions, runs, scene.system.n)) * scene.half_widths
+        return cls(x0, np.concatenate(parts, axis=1), errors, seed)
+
+    def only(self, run: int) -> Conditions:
+        """Those of one run."""
+        one = slice(run, run + 1)
+        return Conditions(self.x0[one], self.w[:, one], self.errors[:, one], self.seed)
+
+
+@dataclass(frozen=True, eq=False)
+class Flight:
+    """All runs of one method.
+
+    Attributes
+    ----------
+    times : ndarray, shape (N+1,)
+        The nodes [s].
+    states : ndarray, shape (R, N+1, n)
+    inputs : ndarray, shape (R, N, m)
+        Applied right after every node [N].
+    demanded : ndarray, shape (R, N)
+        Largest ratio of commanded to available thrust.
+    delta_v : ndarray, shape (R,)
+        [m/s]
+    modes : ndarray of int, shape (R, N)
+        What flew after every node.
+    margins, why : ndarray, shapes (R, D)
+        Of every decision, see `Choice`.
+    deviation : ndarray, shape (R,)
+        Mean over time of the 2-norm of applied minus desired input [N].
+    seconds : ndarray, shape (D,)
+        Wall time of each decision, for all runs together.
+    """
+
+    times: Array
+    states: Array
+    inputs: Array
+    demanded: Array
+    delta_v: Array
+    modes: NDArray[np.int_]
+    margins: Array
+    why: NDArray[np.int_]
+    deviation: Array
+    seconds: Array
+
+
+def fly(
+    scene: Scene,
+    method: Method,
+    conditions: Conditions,
+    progress: Callable[[int, int], None] | None = None,
+) -> Flight:
+    """Fly one method from the first decision to T.
+
+    Feedback laws are integrated by a fourth-order Runge-Kutta scheme between the nodes (continuous
+    feedback) or held exactly (sampled feedback); inputs of a filter are held for a decision period.
+    """
+    return _Engine(scene).fly(method, conditions, progress)
+
+
+class _Engine:
+    """Integration from node to node, every run under its own mode."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene, self.system = scene, scene.system
+        self.sampled = scene.tracking.feedback.sampled
+        loops = [self.system.A] + [
+            self.system.A - self.system.B @ law.gain for law in scene.controllers if hasattr(law, "gain")
+        ]
+        fastest = max(float(np.abs(np.linalg.eigvals(loop)).max()) for loop in loops)
+        self.parts = 1 if self.sampled else max(ceil(scene.h * fastest / 0.1), 1)
+        self.dt = scene.h / self.parts
+
+    @cached_property
+    def _arcs(self) -> dict[int, Array]:
+        """References at the half-steps of every cell, shape (cells, 2 q parts + 1, n), by mode."""
+        count = 2 * self.scene.clearance.q * self.parts
+        safe = self.scene.clearance.reference.fine(count)
+        own = {mode: self.scene.controllers[mode].own.fine(count) for mode in self.scene.own}  # type: ignore[attr-defined]
+        return {mode: own.get(mode, safe) for mode in range(len(self.scene.controllers))}
+
+    def fly(
+        self, method: Method, conditions: Conditions, progress: Callable[[int, int], None] | None
+    ) -> Flight:
+        scene, system = self.scene, self.system
+        R, D, c = len(conditions.x0), scene.decisions, scene.nodes
+        N = D * c
+        states, inputs = np.empty((N + 1, R, system.n)), np.empty((N, R, system.m))
+        demanded, modes = np.zeros((N, R)), np.zeros((N, R), dtype=int)
+        margins, why = np.full((D, R), np.nan), np.zeros((D, R), dtype=int)
+        seconds, delta_v, deviation = np.zeros(D), np.zeros(R), np.zeros(R)
+        flying, u = np.zeros(R, dtype=int), np.zeros((R, system.m))
+        preferred = min(1, len(scene.controllers) - 1)
+        method.start(R)
+        states[0] = x = conditions.x0
+        for k in range(D):
+            if progress and k % 50 == 0:
+                progress(k, D)
+            desired = scene.clipped(preferred, k * c, x)
+            seen = Seen(k, x + conditions.errors[k], desired, flying)
+            begun = time.perf_counter()
+            choice = method.decide(seen)
+            seconds[k] = time.perf_counter() - begun
+            margins[k], why[k] = choice.margin, choice.why
+            for i in range(c):
+                if i == scene.delay:
+                    flying = choice.mode
+                    u = u if choice.u is None else choice.u
+                node = k * c + i
+                if i:
+                    desired = scene.clipped(preferred, node, x)
+                x, inputs[node], demanded[node], spent = self.step(node, flying, u, x, conditions.w[node])
+                states[node + 1], modes[node] = x, flying
+                delta_v += spent * self.dt / system.mass
+                deviation += np.linalg.norm(inputs[node] - desired, axis=1)
+            if scene.delay == c:
+                flying = choice.mode
+                u = u if choice.u is None else choice.u
+        times = np.asarray(np.arange(N + 1) * scene.h, dtype=float)
+        return Flight(
+            times,
+            states.swapaxes(0, 1),
+            inputs.swapaxes(0, 1),
+            demanded.T,
+            delta_v,
+            modes.T,
+            margins.T,
+            why.T,
+            deviation / N,
+            seconds,
+        )
+
+    def step(
+        self, node: int, flying: NDArray[np.int_], u: Array, x: Array, w: Array
+    ) -> tuple[Array, Array, Array, Array]:
+        """States at the next node, inputs right after this one, demand, and sum of ``|u|`` over the parts."""
+        present = np.unique(flying)
+        if len(present) == 1:
+            return self._under(int(present[0]), node, u, x, w)
+        out = [np.empty_like(x), np.empty_like(u), np.empty(len(x)), np.empty(len(x))]
+        for mode in present.tolist():
+            chosen = flying == mode
+            for whole_, part in zip(
+                out, self._under(mode, node, u[chosen], x[chosen], w[chosen]), strict=True
+            ):
+                whole_[chosen] = part
+        return out[0], out[1], out[2], out[3]
+
+    def _under(self, mode: int, node: int, u: Array, x: Array, w: Array) -> tuple[Array, Array, Array, Array]:
+        Ad, Bd, Dd = self.scene.held
+        limit = self.system.u_max
+        if mode == FILTERED or self.sampled:
+            raw = u if mode == FILTERED else self.scene.command(mode, node, x)
+            applied = np.clip(raw, -limit, limit)
+            demand = (np.abs(raw) / limit).max(axis=1)
+            following = x @ Ad.T + applied @ Bd.T + w @ Dd.T
+            return following, applied, demand, np.abs(applied).sum(axis=1) * self.parts
+        k, place = divmod(node, self.scene.clearance.q)
+        force = w @ self.system.D.T
+        first = np.zeros(0)
+        demand, spent = np.zeros(len(x)), np.zeros(len(x))
+        for part in range(self.parts):
+            half = 2 * (place * self.parts + part)
+            raw = self._command(mode, k, half, x)
+            now = np.clip(raw, -limit, limit)
+            if part == 0:
+                first = now
+            demand = np.maximum(demand, (np.abs(raw) / limit).max(axis=1))
+            spent += np.abs(now).sum(axis=1)
+            one = x @ self.system.A.T + now @ self.system.B.T + force
+            two = self._rate(mode, k, half + 1, x + self.dt / 2 * one, force)
+            three = self._rate(mode, k, half + 1, x + self.dt / 2 * two, force)
+            four = self._rate(mode, k, half + 2, x + self.dt * three, force)
+            x = x + self.dt / 6 * (one + 2 * two + 2 * three + four)
+        return x, first, demand, spent
+
+    def _command(self, mode: int, k: int, half: int, x: Array) -> Array:
+        law = self.scene.controllers[mode]
+        return law.command(k, self._arcs[0][k, half], self._arcs[mode][k, half], x)
+
+    def _rate(self, mode: int, k: int, half: int, x: Array, force: Array) -> Array:
+        limit = self.system.u_max
+        u = np.clip(self._command(mode, k, half, x), -limit, limit)
+        return np.asarray(x @ self.system.A.T + u @ self.system.B.T + force)

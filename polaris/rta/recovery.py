@@ -1,0 +1,209 @@
+"""Recoverable sets laid out for speed: one matrix for all times, one window of limits per decision.
+
+An error at a node is recoverable if S, taking over there, keeps clear of every unsafe set and of its
+thrust limits from there on. Every condition reads ``row phi^l e + booked <= limit(node + l)``, and neither
+the rows nor the bookings depend on time: a decision is one product of a tall matrix with the error, one
+with the reciprocals of the limits (a window of one array), and one maximum.
+
+The facets are drawn in by what any motion under any admissible input may stray from its chord between two
+nodes (`Recovery.bow`). So if two successive nodes meet the facets of the cell between them, the path from
+one to the other does, whoever flies.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reach.flow import LinearFlow
+from reach.zonotope import Zonotope
+
+from ..polytope_sets import PolytopeSets
+from ..system import Array
+from ..tolerances import ROUNDING
+from .scene import Scene
+
+NEVER = 1e300
+"""Reciprocal of a limit that leaves no room."""
+
+
+@dataclass(frozen=True, eq=False)
+class Recovery:
+    """Conditions under which S saves the day from a node on.
+
+    Parameters
+    ----------
+    scene : Scene
+    """
+
+    scene: Scene
+
+    @cached_property
+    def sets(self) -> PolytopeSets:
+        """The recoverable sets of `polaris.polytope_sets`, on the fine grid."""
+        return PolytopeSets(self.scene.clearance)
+
+    @cached_property
+    def rows(self) -> Array:
+        """Facets, then ``+Lambda`` and ``-Lambda``, shape (r, n)."""
+        gain = self.scene.tracking.gain
+        return np.vstack([self.scene.clearance.obstacle_rows[0], gain, -gain])
+
+    @property
+    def lags(self) -> int:
+        """Number L of nodes each set looks ahead to, its own included."""
+        return len(self.scene.tracking.transitions)
+
+    @cached_property
+    def matrix(self) -> Array:
+        """``[row phi^l, what is booked per unit of norm(W e)]``, shape (L r, n + 1), lag by lag."""
+        tracking = self.scene.tracking
+        carried = self.rows @ tracking.transitions
+        booked = tracking.curvature(self.rows) * tracking.decay_before[:, None]
+        booked[:, : len(self._bent)] += self._bent * tracking.decay_before[:, None]
+        booked += ROUNDING * np.abs(carried) @ np.linalg.norm(tracking.W_inverse, axis=1)
+        out = np.concatenate([carried, booked[..., None]], axis=-1)
+        return np.ascontiguousarray(out.reshape(-1, out.shape[-1]))
+
+    @cached_property
+    def booked(self) -> Array:
+        """What S's disturbance and the path between nodes need of every row, shape (L r,)."""
+        tracking = self.scene.tracking
+        out = tracking.disturbance(self.rows)[: self.lags].copy()
+        out[:, : len(self.bow)] += self.bow + self._bent * tracking.disturbance_radius
+        return np.asarray(out.reshape(-1) * (1 + ROUNDING))
+
+    # -- the path between two nodes -------------------------------------------------------------------
+
+    @cached_property
+    def open_flow(self) -> LinearFlow:
+        """Motion under a known input, from node to node."""
+        system = self.scene.system
+        return LinearFlow.continuous(system.A, system.D, system.w_max, self.scene.h)
+
+    @cached_property
+    def bow(self) -> Array:
+        """How far inputs and disturbance take any path off its chord between nodes, per facet [m]; (o,).
+
+        Where neither enters the position's rate at once, by ``h^2/8`` times the second derivative; else
+        by what they add within a period, and the same of the chord.
+        """
+        system, flow = self.scene.system, self.open_flow
+        rows = self.scene.clearance.obstacle_rows[0]
+        spread = 2 * system.u_max  # |u - mu|
+        pushed = LinearFlow.continuous(system.A, system.B * spread, 1.0, self.scene.h).period_box
+        within = pushed + flow.period_box
+        rate = rows @ system.A
+        bend = np.abs(rate @ system.A) @ within + np.abs(rate @ system.B) @ spread
+        bend = flow.h**2 / 8 * (bend + np.linalg.norm(rate @ system.D, axis=1) * system.w_max)
+        direct = np.any(rows @ system.B != 0, axis=1) | np.any(rows @ system.D != 0, axis=1)
+        return np.asarray(np.where(direct, 2 * np.abs(rows) @ within, bend))
+
+    @cached_property
+    def _bent(self) -> Array:
+        """The same by the error itself, per unit of ``norm(W e)`` at the start of the period, (o,)."""
+        flow, rows = self.open_flow, self.scene.clearance.obstacle_rows[0]
+        size = np.linalg.norm(self.scene.tracking.W_inverse, axis=1)
+        return np.asarray(flow.h**2 / 8 * np.abs(rows @ flow.A_x @ flow.A_x) @ flow.growth @ size)
+
+    # -- limits ---------------------------------------------------------------------------------------
+
+    @cached_property
+    def limits(self) -> Array:
+        """Least room of every row at every node (at a border, of both cells), shape (nodes + L + 1, r)."""
+        clearance, room = self.scene.clearance, self.sets.room
+        cells, q, index = clearance.cells, clearance.q, self._index
+        out = np.full((cells * q + 1 + self.lags, len(self.rows)), np.inf)
+        for places in (np.arange(q), np.array([q])):
+            at = np.arange(cells)[:, None] * q + places
+            np.minimum.at(out, (at[:, :, None], index[:, None, :]), room[:, places])
+        return out
+
+    @cached_property
+    def _index(self) -> NDArray[np.int_]:
+        """Row of every limit in every cell, shape (cells, limits)."""
+        clearance, m = self.scene.clearance, self.scene.system.m
+        rows, index = clearance.obstacle_rows
+        thrust = np.broadcast_to(len(rows) + np.arange(2 * m), (clearance.cells, 2 * m))
+        return np.hstack([index, thrust])
+
+    @cached_property
+    def reciprocals(self) -> Array:
+        """``1 / limits``, flat: node by node, row by row."""
+        with np.errstate(divide="ignore"):
+            return np.asarray(np.where(self.limits > 0, 1 / self.limits, NEVER).reshape(-1))
+
+    def window(self, node: int) -> Array:
+        """Reciprocals of the limits that a set at a node must meet, shape (L r,)."""
+        r = len(self.rows)
+        return self.reciprocals[node * r : (node + self.lags) * r]
+
+    def size(self, G: Array) -> float:
+        """Bound on ``norm(W e)`` over the set about zero with these generators (n, g)."""
+        return float(Zonotope(np.zeros(len(G)), G).norm_bound(self.scene.tracking.W))
+
+    def tall(self, G: Array) -> Array:
+        """`matrix` with what sets with these generators (n, g) need beside, shape (L r, n + 2).
+
+        Multiplied by ``[e, size, 1]`` it gives what the set about e needs of every row; `size` is a bound
+        on ``norm(W e)`` over the set.
+        """
+        booked = self.booked + np.abs(self.matrix[:, :-1] @ G).sum(axis=1) * (1 + ROUNDING)
+        return np.ascontiguousarray(np.hstack([self.matrix, booked[:, None]]))
+
+    def share(self, node: int, e: Array, size: Array, tall: Array) -> Array:
+        """Share of the available room that sets of errors need at the tightest place; above 1: too much.
+
+        Parameters
+        ----------
+        node : int
+        e : ndarray, shape (..., n)
+            Centres.
+        size : ndarray, shape (...)
+            Bounds on ``norm(W e)``.
+        tall : ndarray, shape (L r, n + 2)
+            From `tall`.
+        """
+        need = _extended(e, size) @ tall.T
+        need *= self.window(node)
+        return np.asarray(np.maximum(need.max(axis=-1), size * self._far_reciprocals[node]))
+
+    def facets_share(self, node: int, e: Array, size: Array, tall: Array) -> Array:
+        """The same of the facets at the node itself alone; 0 without unsafe sets."""
+        o, r = len(self.bow), len(self.rows)
+        need = _extended(e, size) @ tall[:o].T * self.reciprocals[node * r : node * r + o]
+        return np.asarray(need.max(axis=-1, initial=0.0))
+
+    @cached_property
+    def _far_reciprocals(self) -> Array:
+        """``1 / norm(W e)`` allowed by the limits beyond the memory, per node."""
+        far = self.sets._far
+        with np.errstate(divide="ignore"):
+            found = np.where(far > 0, 1 / far, NEVER)
+        return np.concatenate([found, np.full(self.lags, found[-1])])
+
+    def tightest(self, node: int, e: Array, size: float, tall: Array) -> str:
+        """Name of the limit that a set about e (n,) is nearest to, and when [s] S meets it."""
+        need = _extended(e, np.asarray(size)) @ tall.T * self.window(node)
+        lag, row = divmod(int(np.argmax(need)), len(self.rows))
+        return f"{self._names[row]} at t = {(node + lag) * self.scene.h:g} s"
+
+    @cached_property
+    def _names(self) -> list[str]:
+        names = [""] * len(self.rows)
+        for cell in self._index:
+            for limit, row in enumerate(cell):
+                if self.sets.names[limit] not in names[row].split(" or "):
+                    names[row] = " or ".join(filter(None, (names[row], self.sets.names[limit])))
+        return names
+
+
+def _extended(e: Array, size: Array) -> Array:
+    """``[e, size, 1]``, shape (..., n + 2)."""
+    out = np.ones((*e.shape[:-1], e.shape[-1] + 2))
+    out[..., :-2] = e
+    out[..., -2] = size
+    return out

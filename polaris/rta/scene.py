@@ -1,0 +1,215 @@
+"""The scene on which run-time assurance methods meet: one time grid, one reference, the same controllers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import ceil
+from typing import Any
+
+import numpy as np
+
+from reach.linear import discretize
+
+from ..checks import non_negative, positive
+from ..clearance import Clearance
+from ..controllers import AffineController, Controller
+from ..errors import ScenarioError
+from ..polytope_sets import PolytopeSets
+from ..schedule import Schedule
+from ..system import Array, LinearSystem
+from ..tracking import Feedback, Tracking
+from ..unsafe import TimedPolytope
+
+PERIOD = 1.0
+"""Longest decision period chosen by default [s]."""
+
+WHOLE = 1e-9
+"""Relative tolerance on "divides"."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A schedule's scene, on a grid fine enough for every decision.
+
+    Parameters
+    ----------
+    schedule : Schedule
+        As synthesised; its safety is on the planner's coarser grid.
+    period : float
+        Time between decisions [s]; divides the planning step.
+    latency : float
+        Time from a measurement to the moment the decision on it takes effect [s], at most the period.
+    half_widths : ndarray, shape (n,)
+        Largest error of the state estimate, per entry.
+    tracking : Tracking
+        S on the fine grid.
+    clearance : Clearance
+        Room around the reference on the fine grid.
+    nodes, delay : int
+        Nodes of the fine grid per decision, and per latency.
+    """
+
+    schedule: Schedule
+    period: float
+    latency: float
+    half_widths: Array
+    tracking: Tracking
+    clearance: Clearance
+    nodes: int
+    delay: int
+
+    @classmethod
+    def of(
+        cls,
+        schedule: Schedule,
+        period: float | None = None,
+        latency: float = 0.0,
+        half_widths: Any = 0.0,
+    ) -> Scene:
+        """Lay the fine grid.
+
+        Parameters
+        ----------
+        schedule : Schedule
+        period : float, optional
+            [s]; by default the control period of sampled feedback, else the longest part of the planning
+            step that is at most `PERIOD`.
+        latency : float
+            [s]
+        half_widths : array_like
+            Largest error of the state estimate, one number or one per state; 0 where it is exact.
+
+        Raises
+        ------
+        ScenarioError
+            If the period does not fit into the planning step (or is no multiple of the control period),
+            or the latency is longer than the period.
+        """
+        safety = schedule.safety
+        delta, feedback, n = safety.tracking.delta, safety.tracking.feedback, safety.problem.system.n
+        if period is None:
+            period = safety.tracking.flow.h if feedback.sampled else delta / ceil(delta / PERIOD - WHOLE)
+        positive("period", period, "s")
+        per_step = _parts("period", delta, period, f"must divide the planning step of {delta:g} s")
+        if not 0 <= non_negative("latency", latency, "s") <= period:
+            raise ScenarioError("latency", latency, f"must be at most the decision period of {period:g} s")
+        half = np.broadcast_to(np.asarray(half_widths, dtype=float), (n,))
+        if not (np.all(np.isfinite(half)) and np.all(half >= 0)):
+            raise ScenarioError("half_widths", half.tolist(), f"must be {n} finite numbers >= 0")
+        if feedback.sampled:
+            h = safety.tracking.flow.h
+            nodes = _parts("period", period, h, f"must be a multiple of the control period of {h:g} s")
+            delay = _parts("latency", latency, h, f"must be a multiple of the control period of {h:g} s")
+            q = feedback.nodes_per_cell
+        else:
+            nodes, delay = _split(period, latency, ceil(feedback.nodes_per_cell / per_step))
+            q = per_step * nodes
+        tracking = Tracking(safety.problem.system, safety.tracking.gain, Feedback(q, feedback.sampled), delta)
+        old = safety.clearance
+        clearance = Clearance(tracking, old.reference, old.unsafe, old.facets, old.planned, old.jump)
+        return cls(schedule, period, latency, np.array(half), tracking, clearance, nodes, delay)
+
+    # -- what it consists of ------------------------------------------------------------------------
+
+    @property
+    def system(self) -> LinearSystem:
+        """What is controlled."""
+        return self.tracking.system
+
+    @property
+    def controllers(self) -> tuple[Controller, ...]:
+        """Indexed by mode."""
+        return self.schedule.controllers
+
+    @property
+    def unsafe(self) -> tuple[TimedPolytope, ...]:
+        """What perception says must be avoided."""
+        return self.clearance.unsafe
+
+    @property
+    def h(self) -> float:
+        """Spacing of the nodes [s]."""
+        return self.tracking.flow.h
+
+    @property
+    def decisions(self) -> int:
+        """Number of decisions up to T."""
+        return self.clearance.planned * self.clearance.q // self.nodes
+
+    @cached_property
+    def fine_schedule(self) -> Schedule:
+        """The same schedule on the fine grid, for integration."""
+        safety = replace(
+            self.schedule.safety,
+            tracking=self.tracking,
+            clearance=self.clearance,
+            recoverable=PolytopeSets(self.clearance),
+        )
+        return replace(self.schedule, safety=safety)
+
+    # -- instants -------------------------------------------------------------------------------------
+
+    @cached_property
+    def xi(self) -> Array:
+        """The safe reference at every node up to the end of the tail, shape (nodes + 1, n)."""
+        return _at_nodes(self.clearance.nodes)
+
+    @cached_property
+    def mu(self) -> Array:
+        """The reference input over the period after every node, shape (nodes, m)."""
+        return np.repeat(self.clearance.reference.nu, self.clearance.q, axis=0)
+
+    @cached_property
+    def own(self) -> dict[int, Array]:
+        """The experimental controllers' own references at every node up to T, by mode."""
+        out = {}
+        for mode, law in enumerate(self.controllers):
+            if isinstance(law, AffineController) and law.own is not self.clearance.reference:
+                out[mode] = _at_nodes(law.own.fine(self.clearance.q))
+        return out
+
+    def offsets(self, node: int) -> Array:
+        """Offsets of all facets at one node [m], padded with those of the last; (sum of facets,)."""
+        return np.concatenate([b[min(node, len(b) - 1)] for b in self._facet_offsets])
+
+    @cached_property
+    def _facet_offsets(self) -> list[Array]:
+        return [_at_nodes(unsafe.fine(self.clearance.q)) for unsafe in self.unsafe]
+
+    def command(self, mode: int, node: int, x: Array) -> Array:
+        """Command of a controller at a node, before clipping, shape (..., m)."""
+        k = min(node // self.clearance.q, self.clearance.cells - 1)
+        own = self.own[mode][node] if mode in self.own else self.xi[node]
+        return self.controllers[mode].command(k, self.xi[node], own, x)
+
+    def clipped(self, mode: int, node: int, x: Array) -> Array:
+        """The same as the thrusters apply it."""
+        return np.asarray(np.clip(self.command(mode, node, x), -self.system.u_max, self.system.u_max))
+
+    @cached_property
+    def held(self) -> tuple[Array, Array, Array]:
+        """Transition from node to node, and what an input and a disturbance held meanwhile add."""
+        Ad, Bd = discretize(self.system.A, self.system.B, self.h)
+        return Ad, Bd, discretize(self.system.A, self.system.D, self.h)[1]
+
+
+def _at_nodes(arcs: Array) -> Array:
+    """Values at the nodes of every cell (cells, q+1, ...) in one row; at a border the later cell's."""
+    return np.concatenate([arcs[:, :-1].reshape(-1, *arcs.shape[2:]), arcs[-1, -1:]])
+
+
+def _parts(name: str, whole: float, part: float, rule: str) -> int:
+    count = round(whole / part)
+    if abs(count * part - whole) > WHOLE * max(whole, part):
+        raise ScenarioError(name, part if name == "period" else whole, rule)
+    return count
+
+
+def _split(period: float, latency: float, least: int) -> tuple[int, int]:
+    """Fewest nodes per period, at least so many, of which the latency takes a whole number."""
+    for nodes in range(max(least, 1), 101):
+        delay = round(latency / period * nodes)
+        if abs(delay * period - latency * nodes) <= WHOLE * period * nodes:
+            return nodes, delay
+    raise ScenarioError("latency", latency, f"must be a simple share of the period of {period:g} s")
