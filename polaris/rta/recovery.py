@@ -30,6 +30,31 @@ NEVER = 1e300
 """Reciprocal of a limit that leaves no room."""
 
 
+NEAR = 1500
+"""Limits per set that are always worked out; those further ahead are first bounded all at once."""
+
+
+@dataclass(frozen=True, eq=False)
+class Demand:
+    """What sets of errors of one shape need of every limit.
+
+    Attributes
+    ----------
+    tall : ndarray, shape (L r, n + 2)
+        ``[row phi^l, per unit of size, constant]``: applied to ``[e, size, 1]``, size a bound on
+        ``norm(W e)`` over the set.
+    near : int
+        Number of its first rows that are always worked out.
+    base, slope : float
+        The share of the room that the other rows need is at most ``base + slope size``.
+    """
+
+    tall: Array
+    near: int
+    base: float
+    slope: float
+
+
 @dataclass(frozen=True, eq=False)
 class Recovery:
     """Conditions under which S saves the day from a node on.
@@ -145,17 +170,31 @@ class Recovery:
         """Bound on ``norm(W e)`` over the set about zero with these generators (n, g)."""
         return float(Zonotope(np.zeros(len(G)), G).norm_bound(self.scene.tracking.W))
 
-    def tall(self, G: Array) -> Array:
-        """`matrix` with what sets with these generators (n, g) need beside, shape (L r, n + 2).
-
-        Multiplied by ``[e, size, 1]`` it gives what the set about e needs of every row; `size` is a bound
-        on ``norm(W e)`` over the set.
-        """
+    def demand(self, G: Array) -> Demand:
+        """What sets with generators G (n, g) need of the rows."""
         booked = self.booked + np.abs(self.matrix[:, :-1] @ G).sum(axis=1) * (1 + ROUNDING)
-        return np.ascontiguousarray(np.hstack([self.matrix, booked[:, None]]))
+        tall = np.hstack([self.matrix, booked[:, None]])
+        near = min(max(NEAR // len(self.rows), 1), self.lags) * len(self.rows)
+        size = np.linalg.norm(self.matrix[:, :-1] @ self.scene.tracking.W_inverse, axis=1)
+        slope = (size * (1 + ROUNDING) + self.matrix[:, -1]).reshape(self.lags, -1) * self._tightest_ever
+        base = booked.reshape(self.lags, -1) * self._tightest_ever
+        first = near // len(self.rows)
+        return Demand(
+            np.ascontiguousarray(tall),
+            near,
+            float(base[first:].max(initial=0.0)),
+            float(slope[first:].max(initial=0.0)),
+        )
 
-    def share(self, node: int, e: Array, size: Array, tall: Array) -> Array:
+    @cached_property
+    def _tightest_ever(self) -> Array:
+        """Largest reciprocal of every row over all nodes, shape (r,)."""
+        return np.asarray(self.reciprocals.reshape(-1, len(self.rows)).max(axis=0))
+
+    def share(self, node: int, e: Array, size: Array, demand: Demand) -> Array:
         """Share of the available room that sets of errors need at the tightest place; above 1: too much.
+
+        Where the bound on the far lags is all that matters, the result is that bound: never too small.
 
         Parameters
         ----------
@@ -164,17 +203,23 @@ class Recovery:
             Centres.
         size : ndarray, shape (...)
             Bounds on ``norm(W e)``.
-        tall : ndarray, shape (L r, n + 2)
-            From `tall`.
+        demand : Demand
         """
-        need = _extended(e, size) @ tall.T
-        need *= self.window(node)
-        return np.asarray(np.maximum(need.max(axis=-1), size * self._far_reciprocals[node]))
+        first, vector = node * len(self.rows), _extended(e, size)
+        need = vector @ demand.tall[: demand.near].T
+        need *= self.reciprocals[first : first + demand.near]
+        share = np.maximum(need.max(axis=-1), size * self._far_reciprocals[node])
+        later = demand.base + demand.slope * size
+        if (later > 1).any():
+            rest = vector @ demand.tall[demand.near :].T
+            rest *= self.reciprocals[first + demand.near : first + len(demand.tall)]
+            later = rest.max(axis=-1, initial=0.0)
+        return np.asarray(np.maximum(share, later))
 
-    def facets_share(self, node: int, e: Array, size: Array, tall: Array) -> Array:
+    def facets_share(self, node: int, e: Array, size: Array, demand: Demand) -> Array:
         """The same of the facets at the node itself alone; 0 without unsafe sets."""
-        o, r = len(self.bow), len(self.rows)
-        need = _extended(e, size) @ tall[:o].T * self.reciprocals[node * r : node * r + o]
+        o, first = len(self.bow), node * len(self.rows)
+        need = _extended(e, size) @ demand.tall[:o].T * self.reciprocals[first : first + o]
         return np.asarray(need.max(axis=-1, initial=0.0))
 
     @cached_property
@@ -185,9 +230,9 @@ class Recovery:
             found = np.where(far > 0, 1 / far, NEVER)
         return np.concatenate([found, np.full(self.lags, found[-1])])
 
-    def tightest(self, node: int, e: Array, size: float, tall: Array) -> str:
+    def tightest(self, node: int, e: Array, size: float, demand: Demand) -> str:
         """Name of the limit that a set about e (n,) is nearest to, and when [s] S meets it."""
-        need = _extended(e, np.asarray(size)) @ tall.T * self.window(node)
+        need = _extended(e, np.asarray(size)) @ demand.tall.T * self.window(node)
         lag, row = divmod(int(np.argmax(need)), len(self.rows))
         return f"{self._names[row]} at t = {(node + lag) * self.scene.h:g} s"
 

@@ -135,7 +135,12 @@ class Scene:
     @property
     def decisions(self) -> int:
         """Number of decisions up to T."""
-        return self.clearance.planned * self.clearance.q // self.nodes
+        return self.last // self.nodes
+
+    @property
+    def last(self) -> int:
+        """The node at T."""
+        return self.clearance.planned * self.clearance.q
 
     @cached_property
     def fine_schedule(self) -> Schedule:

@@ -1,0 +1,194 @@
+"""What may have become of an error when the next decision takes effect, and whether S can still take over.
+
+Everything that does not depend on the measurement is worked out beforehand.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from reach.flow import LinearFlow
+
+from ..controllers import AffineController
+from ..system import Array
+from ..tolerances import ROUNDING
+from .recovery import Recovery
+from .scene import Scene
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """Where a flight is some nodes after a measurement: ``e -> M e + offset(k) + G b, |b_i| <= 1``."""
+
+    M: Array
+    offset: Array
+    G: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Leg:
+    """How one controller moves errors from node to node: ``e -> phi e + steps[node] + G b``.
+
+    Attributes
+    ----------
+    flow : LinearFlow
+        Its motion, over the spacing of the nodes.
+    steps : ndarray, shape (nodes, n)
+    G : ndarray, shape (n, g)
+    law : AffineController or None
+        Whose declared, unclipped law this is.
+    zeta : ndarray, shape (nodes + 1, n)
+        Its own reference minus the safe one.
+    """
+
+    flow: LinearFlow
+    steps: Array
+    G: Array
+    law: AffineController | None = None
+    zeta: Array = field(default_factory=lambda: np.zeros((0, 0)))
+
+    @classmethod
+    def declared(cls, recovery: Recovery, mode: int) -> Leg:
+        """A controller at its declared law, unclipped."""
+        scene, law = recovery.scene, recovery.scene.controllers[mode]
+        assert isinstance(law, AffineController)
+        system, nodes = scene.system, scene.last
+        flow = scene.tracking.feedback.flow(system, law.gain, scene.tracking.delta)
+        zeta = np.zeros((nodes + 1, system.n))
+        if mode in scene.own:
+            zeta = scene.own[mode][: nodes + 1] - scene.xi[: nodes + 1]
+        return cls(flow, zeta[1:] - zeta[:-1] @ flow.phi.T, flow.period_zonotope.G, law, zeta)
+
+    @classmethod
+    def held(cls, recovery: Recovery) -> Leg:
+        """An input that is held from node to node, less what it does: ``input_map`` adds that."""
+        scene, flow = recovery.scene, recovery.open_flow
+        steps = -scene.mu[: scene.last] @ flow.input_map(scene.system.B).T
+        return cls(flow, steps, flow.period_zonotope.G)
+
+    @classmethod
+    def any_thrust(cls, recovery: Recovery) -> Leg:
+        """Anything within the thrust limits."""
+        system, held = recovery.scene.system, cls.held(recovery)
+        size = np.abs(system.B) @ system.u_max
+        push = held.flow.input_zonotope(system.B, np.diag(system.u_max), size)
+        return replace(held, G=np.hstack([push.G, held.G]))
+
+    def after(self, stage: Stage, shift: int) -> Stage:
+        """One node further; the stage is `shift` nodes after the measurement."""
+        steps = np.zeros_like(stage.offset)
+        available = self.steps[shift:]
+        steps[: len(available)] = available[: len(steps)]
+        phi = self.flow.phi
+        return Stage(phi @ stage.M, stage.offset @ phi.T + steps, np.hstack([phi @ stage.G, self.G]))
+
+
+class Prospect:
+    """What is checked before U may fly on: everything that does not depend on the measurement.
+
+    Parameters
+    ----------
+    recovery : Recovery
+    before : Leg or None
+        Who flies during the latency; None without one.
+    leg : Leg
+        Who flies afterwards.
+    half_widths : ndarray, shape (n,)
+        Of the measurement's error.
+    """
+
+    def __init__(self, recovery: Recovery, before: Leg | None, leg: Leg, half_widths: Array) -> None:
+        scene = recovery.scene
+        n, c = scene.system.n, scene.nodes
+        self.recovery, self.scene = recovery, scene
+        stages = [Stage(np.eye(n), np.zeros((scene.last, n)), np.diag(half_widths))]
+        for i in range(scene.delay + c):
+            flying = before if before is not None and i < scene.delay else leg
+            stages.append(flying.after(stages[-1], i))
+        self.inner, self.end = stages[scene.delay + 1 : -1], stages[-1]
+        self.command = _Command(scene, leg, stages[scene.delay :]) if leg.law is not None else None
+        # One product gives the end, what the norms need, and the commands.
+        W = scene.tracking.W
+        blocks = [self.end.M, *(W @ stage.M for stage in stages)]
+        known = [self.end.offset, *(stage.offset @ W.T for stage in stages)]
+        if self.command is not None:
+            blocks.append(self.command.matrix)
+            known.append(self.command.known)
+        self.stack, self.known = np.vstack(blocks).T.copy(), np.hstack(known)[::c].copy()
+        self.commands = n * (1 + len(stages))
+        self.radius = max(recovery.size(stage.G) for stage in stages) * (1 + ROUNDING)
+        self.demand = recovery.demand(self.end.G)
+        self.inner_demand = [recovery.demand(stage.G) for stage in self.inner]
+
+    def share(self, k: int, e: Array) -> tuple[Array, Any]:
+        """Share of the room needed if U flies on, and whether its law holds (its command is not clipped).
+
+        Parameters
+        ----------
+        k : int
+            Decision.
+        e : ndarray, shape (R, n) or (n,)
+            Errors as measured at it.
+        """
+        n, first = e.shape[-1], k * self.scene.nodes + self.scene.delay
+        if first + self.scene.nodes > self.scene.last:  # nothing is planned up to the next moment of effect
+            return np.full(e.shape[:-1], np.inf), np.ones(e.shape[:-1], dtype=bool)
+        moved = e @ self.stack
+        moved += self.known[k]
+        squares = (moved[..., n : self.commands] ** 2).reshape(*e.shape[:-1], -1, n)
+        size = np.sqrt(squares.sum(axis=-1).max(axis=-1)) + self.radius
+        share = self.recovery.share(first + self.scene.nodes, moved[..., :n], size, self.demand)
+        for j, (stage, demand) in enumerate(zip(self.inner, self.inner_demand, strict=True)):
+            there = e @ stage.M.T + stage.offset[k * self.scene.nodes]
+            share = np.maximum(share, self.recovery.facets_share(first + j + 1, there, size, demand))
+        if self.command is None:
+            return share, True
+        return share, self.command.holds(moved[..., self.commands :], size)
+
+    def tightest(self, k: int, e: Array) -> str:
+        """What an error (n,) measured at decision k comes nearest to."""
+        node = k * self.scene.nodes + self.scene.delay + self.scene.nodes
+        if node > self.scene.last:
+            return "the end of the plan"
+        moved = e @ self.end.M.T + self.end.offset[k * self.scene.nodes]
+        size = float(np.linalg.norm(self.scene.tracking.W @ moved)) + self.radius
+        return self.recovery.tightest(node, moved, size, self.demand)
+
+
+class _Command:
+    """Where the command of a declared law stays within the thrust limits over all of its periods."""
+
+    def __init__(self, scene: Scene, leg: Leg, stages: list[Stage]) -> None:
+        law, system, q = leg.law, scene.system, scene.clearance.q
+        assert law is not None
+        count = len(stages[0].offset)
+        W_size = np.linalg.norm(scene.tracking.W_inverse, axis=1)
+        sampled = scene.tracking.feedback.sampled
+        matrices, known, room, per_size = [], [], [], []
+        steps = np.repeat(law.own.nu[: scene.clearance.planned], q, axis=0)[:count]
+        for j in range(len(stages) - 1):
+            cells = np.minimum(np.arange(count) + scene.delay + j, count - 1)
+            for end in (0,) if sampled else (0, 1):
+                stage = stages[j + end]
+                zeta = leg.zeta[np.minimum(np.arange(count) + scene.delay + j + end, count)]
+                matrices.append(-law.gain @ stage.M)
+                known.append(steps[cells] + (zeta - stage.offset) @ law.gain.T)
+                spread = np.abs(law.gain @ stage.G).sum(axis=1)
+                bent = np.zeros((system.m, system.n))
+                if not sampled:
+                    spread = spread + 2 * np.abs(law.gain) @ leg.flow.period_box
+                    curve = np.abs(law.gain @ leg.flow.A_c @ leg.flow.A_c) @ leg.flow.growth
+                    bent = leg.flow.h**2 / 8 * curve
+                    spread = spread + bent @ np.abs(leg.zeta).max(axis=0)
+                room.append(system.u_max * (1 - ROUNDING) - spread)
+                per_size.append(bent @ W_size)
+        self.matrix, self.known = np.vstack(matrices), np.hstack(known)
+        self.room, self.per_size = np.concatenate(room), np.concatenate(per_size)
+
+    def holds(self, command: Array, size: Array) -> Any:
+        """Whether commands (..., rows) at the nodes are within the limits, from node to node too."""
+        room = self.room - np.multiply.outer(size, self.per_size)
+        return (np.abs(command) <= room).all(axis=-1)
