@@ -11,6 +11,8 @@ import os
 import secrets
 from pathlib import Path
 
+from ..asif.run_folder import is_inspection
+from ..asif.run_folder import read_run as read_inspection
 from ..errors import ScenarioError
 from ..runfolder import DATA_FILES, read_run, readable
 from .page import Page, page_html
@@ -58,9 +60,17 @@ def report_page(folder: str | Path) -> Page:
     """What the report of a folder says; see `write_report`."""
     path = Path(folder)
     with readable(path):
+        if (path / "comparison.json").is_file():
+            from .comparison_report import comparison_page
+
+            return comparison_page(path)
         if all((path / name).is_file() for name in DATA_FILES):
             from .run_report import run_page
 
             return run_page(read_run(path))
+        if is_inspection(path):
+            from .inspection_report import inspection_page
+
+            return inspection_page(read_inspection(path))
     what = "must be a run folder or a comparison" if path.is_dir() else "there is no such folder"
     raise ScenarioError("report", str(folder), what)

@@ -171,7 +171,7 @@ def _strip(inner: Array, outer: Array) -> Surface:
 
 
 def _slices(picture: Picture) -> list[Layer]:
-    """Recoverable positions in the plane of the figures: all outlines thin, the last one reached filled."""
+    """Recoverable positions in the plane of the figures, at rest relative to the reference."""
     if picture.slices is None:
         return []
     steps = shown_steps(picture.planned)
@@ -181,13 +181,15 @@ def _slices(picture: Picture) -> list[Layer]:
         third = (picture.reference.chi[steps] @ picture.system.position.T)[:, picture.frame.axes[2]]
         level = np.broadcast_to(third[:, None, None], (*outlines.shape[:2], 1))
         outlines = np.concatenate([outlines, level], axis=2)
-    rims = [layers.closed(outline) for outline in outlines]
-    gap = np.full((1, outlines.shape[2]), np.nan)
-    every = np.vstack([part for rim in rims for part in (rim, gap)])
-    thin = layers.line("recoverable sets, slices", every, "slice", "#B8A800", 1)
     name = "recoverable, last slice reached"
+    if picture.system.d == 3:
+        corner = np.arange(1, outlines.shape[1] - 1)
+        fan = np.stack([np.zeros_like(corner), corner, corner + 1], axis=1)  # a slice is convex
+        flat = [Surface(outline, fan) for outline in outlines]
+        model = layers.mesh(name, flat[0], "slice", SLICE, 0.5)
+        return [layers.framed(model, times, [layers.corners(one) for one in flat])]
     filled = layers.area(name, outlines[0], "slice", SLICE, 0.45)
-    return [thin, layers.framed(filled, times, [{"p": plain(rim.T)} for rim in rims])]
+    return [layers.framed(filled, times, [{"p": plain(layers.closed(one).T)} for one in outlines])]
 
 
 def _tube(picture: Picture) -> list[Layer]:

@@ -2,9 +2,9 @@
 
 const LAPSE = 24; // seconds in which playing shows a whole flight
 const GROUPS = { unsafe: "unsafe sets", goal: "goal", initial: "initial set", reference: "safe reference",
-  slice: "recoverable sets (slices)", tube: "reachable set", sun: "sun" };
+  slice: "recoverable sets (slices)", tube: "reachable set", sun: "sun", predicted: "predicted backup flights" };
 const SWATCH = { unsafe: "#C0202B", goal: "#009E73", initial: "#404040", reference: "#767676", slice: "#E3D63B",
-  tube: "#56B4E9", sun: "#E69F00" };
+  tube: "#56B4E9", sun: "#E69F00", predicted: "#56B4E9" };
 
 const $ = (id) => document.getElementById(id);
 const short = (value) => (value === null || value === undefined ? "none" : String(Number(Number(value).toPrecision(4))));
@@ -21,9 +21,12 @@ function start() {
   const data = JSON.parse($("data").textContent);
   if (!data.scene) return;
   const state = { t: 0, run: data.pilots[0].labels[0], shown: data.pilots.filter((one) => one.on), playing: false,
-    groups: new Set(data.scene.layers.map((layer) => layer.group)), wholeTube: false };
+    groups: new Set(data.scene.layers.map((layer) => layer.group)), always: false };
   const scene = $("scene"), timelines = $("timelines");
-  const options = { responsive: true, displaylogo: false, modeBarButtonsToRemove: ["select2d", "lasso2d", "resetCameraLastSave3d"] };
+  // Only these buttons: plotly has others that send data away.
+  const buttons = data.scene.space === 3 ? ["toImage", "zoom3d", "pan3d", "orbitRotation", "tableRotation", "resetCameraDefault3d"]
+    : ["toImage", "zoom2d", "pan2d", "zoomIn2d", "zoomOut2d", "resetScale2d"];
+  const options = { responsive: true, displaylogo: false, showSendToCloud: false, plotlyServerURL: "", modeBarButtons: [buttons] };
   const layout = sceneLayout(data);
   let wanted = false, drawing = false;
 
@@ -118,8 +121,8 @@ function controls(data, state, redraw) {
     if (box.checked) state.groups.add(group); else state.groups.delete(group);
     redraw();
   })));
-  if (state.groups.has("tube")) {
-    $("groups").append(tick("at all times, not only now", false, SWATCH.tube, (box) => { state.wholeTube = box.checked; redraw(); }));
+  if (state.groups.has("tube") || state.groups.has("slice")) {
+    $("groups").append(tick("both at all times, not only now", false, SWATCH.tube, (box) => { state.always = box.checked; redraw(); }));
   }
 }
 

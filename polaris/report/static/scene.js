@@ -27,7 +27,7 @@ function shapeAt(layer, t) {
   return { p: layer.p.map((axis, k) => axis.map((v) => v + between(layer.shift[k], i, s))), f: layer.f };
 }
 
-// All frames of a layer as one body, for a tube that is shown whole.
+// All frames of a layer as one body, for a tube that is shown at all times.
 function whole(layer) {
   const p = [[], [], []].slice(0, (layer.frames.find((frame) => frame.p.length) || { p: [] }).p.length);
   const f = [[], [], []];
@@ -44,10 +44,8 @@ function traceOf(space, name, shape, look) {
   const p = shape ? shape.p : [[], [], []];
   const common = { uid: look.uid, name: plain(name), showlegend: false, opacity: look.opacity };
   const hover = { hovertemplate: plain(name) + "<extra></extra>" };
-  if (look.kind === "mesh" || (look.kind === "area" && space === 3)) {
-    const count = p[0].length - 2;
-    const fan = [0, 1, 2].map((k) => Array.from({ length: Math.max(count, 0) }, (_, i) => (k ? i + k : 0)));
-    const [i, j, k] = (shape && shape.f) || (look.kind === "area" ? fan : [[], [], []]);
+  if (look.kind === "mesh") {
+    const [i, j, k] = (shape && shape.f) || [[], [], []];
     const lighting = { ambient: 0.75, diffuse: 0.5, specular: 0.05, fresnel: 0 };
     return { type: "mesh3d", x: p[0], y: p[1], z: p[2] || [], i, j, k, color: look.colour, flatshading: true,
       lighting, visible: p[0].length > 0, ...common, ...hover };
@@ -94,7 +92,7 @@ function sceneTraces(data, state) {
   const { space, layers } = data.scene, traces = [], labels = { p: [[], [], []], text: [] };
   layers.forEach((layer, n) => {
     if (!state.groups.has(layer.group)) return;
-    const all = layer.group === "tube" && state.wholeTube;
+    const all = state.always && (layer.group === "tube" || layer.group === "slice");
     const shape = all ? whole(layer) : shapeAt(layer, state.t);
     traces.push(traceOf(space, layer.name, shape, { ...layer, uid: "layer" + n }));
     if (layer.label && shape) {
@@ -137,5 +135,5 @@ function sceneLayout(data) {
   const size = range.map(([low, high]) => high - low), mean = Math.cbrt(size[0] * size[1] * size[2]);
   const [x, y, z] = size.map((v) => v / mean);
   return { ...common, scene: { xaxis: axis(0), yaxis: axis(1), zaxis: axis(2), aspectmode: "manual",
-    aspectratio: { x, y, z }, camera: { eye: { x: 0.95, y: -2.0, z: 1.25 }, center: { x: 0.05, y: 0, z: -0.1 } } } };
+    aspectratio: { x, y, z }, camera: { eye: { x: 0.8, y: -1.75, z: 1.05 }, center: { x: 0, y: 0, z: -0.1 } } } };
 }
