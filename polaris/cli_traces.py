@@ -68,7 +68,7 @@ def add_traces(app: typer.Typer, guard: Guard) -> None:
             from .checks import positive
             from .hill import clohessy_wiltshire
             from .runfiles import json_text
-            from .traces.console import show_legacy, show_trace
+            from .traces.console import show_metrics
             from .traces.evaluation import evaluate_trace
             from .traces.reading import read_trace
 
@@ -76,33 +76,19 @@ def add_traces(app: typer.Typer, guard: Guard) -> None:
             if mean_motion is not None:
                 eta = positive("--mean-motion", mean_motion, "rad/s")
                 system = clohessy_wiltshire(eta, mass=1.0, u_max=1.0)
-            loaded, entries = read_trace(trace), _entries(velocity)
-            if legacy:
-                if agent_radius:
-                    raise ScenarioError("--agent-radius", agent_radius, "cannot be combined with --legacy")
-                old = evaluate_trace(
-                    loaded,
-                    dims=dims,
-                    velocity=entries,
-                    restamp=restamp,
-                    system=system,
-                    legacy_rtaeval=True,
-                )
-                text, show = json_text(old.summary()), lambda: show_legacy(old)
-            else:
-                found = evaluate_trace(
-                    loaded,
-                    dims=dims,
-                    velocity=entries,
-                    restamp=restamp,
-                    system=system,
-                    agent_radius=agent_radius,
-                )
-                text, show = json_text(found.summary()), lambda: show_trace(found)
+            found = evaluate_trace(
+                read_trace(trace),
+                dims=dims,
+                velocity=_entries(velocity),
+                restamp=restamp,
+                system=system,
+                agent_radius=agent_radius,
+                legacy_rtaeval=legacy,
+            )
             if as_json:
-                sys.stdout.write(text)
+                sys.stdout.write(json_text(found.summary()))
             elif not quiet:
-                show()
+                show_metrics(found)
 
     @app.command("export")
     def export_command(
@@ -131,7 +117,7 @@ def add_traces(app: typer.Typer, guard: Guard) -> None:
             if not quiet:
                 agent = next(iter(found.trace.agents.values()))
                 typer.echo(
-                    f"{path}: run {found.label!r} of {controller.value}, {len(agent.times)} samples over"
+                    f"{path}: run {label!r} of {controller.value}, {len(agent.times)} samples over"
                     f" {agent.times[-1] - agent.times[0]:g} s, unsafe sets: {len(found.trace.unsafe)}"
                 )
                 for note in found.notes:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from .evaluation import AgentMetrics, Separation, Spread, TraceMetrics, evaluate_trace
+from .evaluation import evaluate_trace
 from .export import Export, export_run, to_trace
 from .legacy import LegacyMetrics
 from .model import (
@@ -19,6 +19,7 @@ from .model import (
 )
 from .reading import parse_trace, read_trace
 from .restamping import restamp
+from .results import AgentMetrics, Separation, Spread, TraceMetrics
 from .writing import trace_data, write_trace
 
 __all__ = [

@@ -10,13 +10,20 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from .evaluation import AgentMetrics, Separation, Spread, TraceMetrics
 from .legacy import LegacyMetrics, Raises
+from .results import AgentMetrics, Separation, Spread, TraceMetrics
 
 
-def show_trace(found: TraceMetrics, console: Console | None = None) -> None:
-    """Print the metrics of every agent, and what to know about them."""
+def show_metrics(found: TraceMetrics | LegacyMetrics, console: Console | None = None) -> None:
+    """Print what `polaris.traces.evaluate_trace` found, as tables."""
     console = console or Console(highlight=False)
+    if isinstance(found, LegacyMetrics):
+        _show_legacy(found, console)
+    else:
+        _show_metrics(found, console)
+
+
+def _show_metrics(found: TraceMetrics, console: Console) -> None:
     axes = "" if found.dims is None else f", {found.dims} axes"
     for name, agent in found.agents.items():
         heading = f"{name}: {agent.samples} samples over {agent.duration:.6g} s{axes}"
@@ -39,31 +46,31 @@ def _controllers(agent: AgentMetrics) -> str:
     return f"share of time: {shares}; switches: {agent.switches}"
 
 
-def _separations(rows: Iterable[Separation]) -> Table:
+QUANTITIES = (("distance", "distance [m]"), ("ttc", "TTC, straight [s]"), ("drift_ttc", "TTC, drift [s]"))
+
+
+def _separations(items: Iterable[Separation]) -> Table:
     table = Table(box=None, pad_edge=False, header_style="bold")
     table.add_column("to")
-    table.add_column("what")
-    heads = ("distance min", "mean", "max", "TTC min", "mean", "max", "drift TTC min", "mean", "max")
-    rows = list(rows)
-    drifting = any(row.drift_ttc is not None for row in rows)
-    for head in heads if drifting else heads[:6]:
-        table.add_column(head, justify="right")
-    for row in rows:
-        cells = [*_cells(row.distance, "m"), *_cells(row.ttc, "s")]
-        cells += _cells(row.drift_ttc, "s") if drifting else []
-        inside = row.distance is not None and row.distance.min < 0
-        table.add_row(Text(row.name, style="bold red" if inside else ""), row.kind, *cells)
+    table.add_column("quantity", no_wrap=True)
+    for head in ("min", "mean", "max", "min at [s]", "on course"):
+        table.add_column(Text(head), justify="right", no_wrap=True)
+    for item in items:
+        title = Text(f"{item.name} ({item.kind})")
+        if item.distance is None:
+            table.add_row(title, "never there at the same time")
+            continue
+        for key, quantity in QUANTITIES:
+            spread: Spread | None = getattr(item, key)
+            if spread is None:
+                continue
+            style = "bold red" if spread.min <= 0 else ""
+            values = (spread.min, spread.mean, spread.max, spread.at)
+            shown = ["-" if math.isnan(value) else f"{value:.5g}" for value in values]
+            course = "" if key == "distance" else f"{spread.share:.1%}"
+            table.add_row(title, Text(quantity), Text(shown[0], style=style), *shown[1:], course)
+            title = Text("")
     return table
-
-
-def _cells(spread: Spread | None, unit: str) -> list[str]:
-    if spread is None:
-        return ["-"] * 3
-    return [_number(value, unit) for value in (spread.min, spread.mean, spread.max)]
-
-
-def _number(value: float, unit: str) -> str:
-    return f"{value:.4g} {unit}" if math.isfinite(value) else str(value)
 
 
 # -- the numbers of RTAEval -------------------------------------------------------------------------
@@ -78,9 +85,8 @@ LEGACY_FORMS = {
 }
 
 
-def show_legacy(found: LegacyMetrics, console: Console | None = None) -> None:
+def _show_legacy(found: LegacyMetrics, console: Console) -> None:
     """Print what RTAEval's methods return, in their order."""
-    console = console or Console(highlight=False)
     for name, methods in found.agents.items():
         console.print(Text(f"{name}: as RTAEval computes it, defects included", style="bold"), soft_wrap=True)
         table = Table(box=None, pad_edge=False, header_style="bold")

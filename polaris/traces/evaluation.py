@@ -2,179 +2,52 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, Literal, overload
+from typing import Literal, TypedDict, Unpack, overload
 
 import numpy as np
 
 from ..checks import non_negative
 from ..errors import ScenarioError
 from ..metrics import UNKNOWN, count_switches, mode_shares
-from ..runfiles import strict
 from ..shapes import Ball
 from ..system import Array, LinearSystem
 from .drifting import Drift
 from .legacy import LegacyMetrics, legacy_metrics
 from .model import MODE_NAMES, AgentTrace, Trace
-from .motion import between, interpolate, weights
+from .motion import between, interpolate
 from .placing import place
 from .restamping import restamp as restamped
 from .restamping import stamped_by_simulator
+from .results import AgentMetrics, Separation, Spread, TraceMetrics
 from .settings import DIFFERENCES, Velocity, doubtful, find_dims, find_velocity
 
 
-@dataclass(frozen=True)
-class Spread:
-    """A quantity over the samples of a trace.
-
-    Attributes
-    ----------
-    min, mean, max : float
-        The mean is over time (trapezoidal); inf as soon as one value is.
-    at : float
-        When the least value was reached first [s]; nan if it is inf throughout.
-    share : float
-        Share of the time with a finite value.
-    """
-
-    min: float
-    mean: float
-    max: float
-    at: float
-    share: float
-
-    @classmethod
-    def of(cls, values: Array, t: Array) -> Spread:
-        """Of values (N,) at times t (N,), inf among them."""
-        finite, weight = np.isfinite(values), weights(t)
-        mean = float(np.sum(values * weight)) if finite.all() else np.inf
-        when = float(t[np.argmin(values)]) if finite.any() else np.nan
-        share = float(np.sum(weight[finite]))
-        return cls(float(values.min()), mean, float(values.max()), when, min(share, 1.0))
-
-
-@dataclass(frozen=True)
-class Separation:
-    """One agent against one unsafe set, or another agent.
-
-    Attributes
-    ----------
-    name, kind : str
-        Of the set; the kind of another agent is ``agent``.
-    distance : Spread or None
-        Signed distance [m], negative inside; None if the two were never there at the same time.
-    ttc : Spread or None
-        Time to collision [s] along a straight ray; None if a velocity is not known.
-    drift_ttc : Spread or None
-        The same along free drift; None if no system is given.
-    """
-
-    name: str
-    kind: str
-    distance: Spread | None
-    ttc: Spread | None
-    drift_ttc: Spread | None = None
-
-
-@dataclass(frozen=True)
-class AgentMetrics:
-    """Metrics of one agent.
-
-    Attributes
-    ----------
-    samples : int
-        Rows of its trace.
-    duration : float
-        From the first stamp to the last [s].
-    velocity : str
-        Where its velocity comes from.
-    unsafe, others : tuple of Separation
-        Against every unsafe set, and every other agent.
-    usage : dict
-        Share of time per mode: normal, untrusted, safety, unknown.
-    switches : int
-        Changes of a known mode inside the run.
-    running_times : tuple of float, or None
-        Mean, largest and smallest wall time of a decision [s].
-    """
-
-    samples: int
-    duration: float
-    velocity: str
-    unsafe: tuple[Separation, ...]
-    others: tuple[Separation, ...]
-    usage: dict[str, float]
-    switches: int
-    running_times: tuple[float, float, float] | None
-
-
-@dataclass(frozen=True)
-class TraceMetrics:
-    """Metrics of a trace.
-
-    Attributes
-    ----------
-    dims : int or None
-        Axes of position.
-    agents : dict of str to AgentMetrics
-    notes : tuple of str
-        What a reader of the numbers should know.
-    """
+class Options(TypedDict, total=False):
+    """Options of `evaluate_trace` but for the one that says what it returns."""
 
     dims: int | None
-    agents: dict[str, AgentMetrics]
-    notes: tuple[str, ...]
-
-    def summary(self) -> dict[str, Any]:
-        """All numbers as plain data for strict JSON; times to collision that are inf are null."""
-        agents = {name: _plain(agent) for name, agent in self.agents.items()}
-        out: dict[str, Any] = strict({"dims": self.dims, "agents": agents, "notes": list(self.notes)})
-        return out
-
-
-def _plain(agent: AgentMetrics) -> dict[str, Any]:
-    spent = agent.running_times
-    return {
-        "samples": agent.samples,
-        "duration_s": agent.duration,
-        "velocity": agent.velocity,
-        "unsafe": {item.name: _separation(item) for item in agent.unsafe},
-        "agents": {item.name: _separation(item) for item in agent.others},
-        "usage": agent.usage,
-        "switches": agent.switches,
-        "running_time_s": None if spent is None else dict(zip(("mean", "max", "min"), spent, strict=True)),
-    }
-
-
-def _separation(item: Separation) -> dict[str, Any]:
-    spreads = {"distance_m": item.distance, "ttc_s": item.ttc, "drift_ttc_s": item.drift_ttc}
-    return {"kind": item.kind} | {key: None if of is None else vars(of) for key, of in spreads.items()}
+    velocity: Velocity
+    restamp: bool
+    system: LinearSystem | None
+    agent_radius: float
 
 
 @overload
 def evaluate_trace(
-    trace: Trace,
-    *,
-    dims: int | None = ...,
-    velocity: Velocity = ...,
-    restamp: bool = ...,
-    system: LinearSystem | None = ...,
-    agent_radius: float = ...,
-    legacy_rtaeval: Literal[False] = ...,
+    trace: Trace, *, legacy_rtaeval: Literal[False] = ..., **options: Unpack[Options]
 ) -> TraceMetrics: ...
 
 
 @overload
 def evaluate_trace(
-    trace: Trace,
-    *,
-    dims: int | None = ...,
-    velocity: Velocity = ...,
-    restamp: bool = ...,
-    system: LinearSystem | None = ...,
-    agent_radius: float = ...,
-    legacy_rtaeval: Literal[True],
+    trace: Trace, *, legacy_rtaeval: Literal[True], **options: Unpack[Options]
 ) -> LegacyMetrics: ...
+
+
+@overload
+def evaluate_trace(
+    trace: Trace, *, legacy_rtaeval: bool, **options: Unpack[Options]
+) -> TraceMetrics | LegacyMetrics: ...
 
 
 def evaluate_trace(
@@ -213,8 +86,8 @@ def evaluate_trace(
         If the options do not fit the trace, or a set is empty.
     """
     if legacy_rtaeval:
-        if restamp or system is not None:
-            rule = "cannot be combined with --restamp or --mean-motion: RTAEval does neither"
+        if restamp or system is not None or agent_radius != 0:
+            rule = "excludes --restamp, --mean-motion and --agent-radius: RTAEval has none of them"
             raise ScenarioError("--legacy", True, rule)
         return legacy_metrics(trace, find_dims(trace, dims), velocity)
     non_negative("--agent-radius", agent_radius, "m")
@@ -257,7 +130,7 @@ def _measure(
             )
         unsafe = _against_sets(trace, agent, d, v, drift)
         others = tuple(
-            _against_agent(agent, v, other, trace.agents[other], d, wanted, radius, trace)
+            _against_agent(agent, v, other, trace.agents[other], d, wanted, radius)
             for other in trace.agents
             if other != name
         )
@@ -269,17 +142,13 @@ def _measure(
         unsafe,
         others,
         _usage(agent),
-        int(count_switches(_modes(agent), agent.times)) if len(_modes(agent)) else 0,
+        int(count_switches(agent.known_modes, agent.times)),
         (float(spent.mean()), float(spent.max()), float(spent.min())) if len(spent) else None,
     )
 
 
-def _modes(agent: AgentTrace) -> Any:
-    return agent.known_modes
-
-
 def _usage(agent: AgentTrace) -> dict[str, float]:
-    shares = mode_shares(agent.times, _modes(agent))
+    shares = mode_shares(agent.times, agent.known_modes)
     names = {number: name.lower() for number, name in MODE_NAMES.items()} | {UNKNOWN: "unknown"}
     return {name: float(shares.get(number, 0.0)) for number, name in names.items()}
 
@@ -309,19 +178,18 @@ def _against_agent(
     d: int,
     wanted: Velocity,
     radius: float,
-    trace: Trace,
 ) -> Separation:
     """Against another agent, where it is interpolated linearly, at times when both are there."""
     t = agent.times
     both = (t >= other.times[0]) & (t <= other.times[-1])
     if not both.any():
         return Separation(name, "agent", None, None)
-    rows = tuple(part[both] for part in between(other.times, t))
-    left, right, share = rows
-    apart = agent.states[both, :d] - interpolate(other.states[:, :d], (left, right, share))
+    left, right, share = between(other.times, t)
+    rows = left[both], right[both], share[both]
+    apart = agent.states[both, :d] - interpolate(other.states[:, :d], rows)
     distance = Spread.of(np.linalg.norm(apart, axis=1), t[both])
     w, _ = find_velocity(name, other, d, wanted)
     if v is None or w is None:
         return Separation(name, "agent", distance, None)
-    relative = v[both] - interpolate(w, (left, right, share))
+    relative = v[both] - interpolate(w, rows)
     return Separation(name, "agent", distance, Spread.of(Ball(radius).entry_time(apart, relative), t[both]))

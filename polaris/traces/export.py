@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -36,14 +36,11 @@ class Export:
     Attributes
     ----------
     trace : Trace
-    label : str
-        Which run it is.
     notes : tuple of str
         What is not represented as it is, and on which side it errs.
     """
 
     trace: Trace
-    label: str
     notes: tuple[str, ...]
 
 
@@ -64,8 +61,9 @@ def to_trace(
     *,
     name: str = "chaser",
     running_times: ArrayLike = (),
+    satellites: Mapping[str, ArrayLike] | None = None,
     nominal: bool = False,
-) -> tuple[Trace, tuple[str, ...]]:
+) -> Export:
     """One run as a trace with its unsafe sets, all stamped alike.
 
     Parameters
@@ -74,9 +72,9 @@ def to_trace(
         [s]
     states : array_like, shape (N+1, n)
         Their first entries must be the position.
-    modes : array_like of int, shape (N,)
-        Mode of Polaris from every time on to the next: 0 is S, 1 and above are experimental; the last is
-        repeated for the last state.
+    modes : array_like of int, shape (N,) or (N+1,)
+        Mode of Polaris from every time on to the next: 0 is S, 1 and above are experimental, below 0 unknown.
+        Given N, the last is repeated for the last state.
     obstacles : sequence of Obstacle
         Boxes, balls and polytopes become what they are; another satellite its timed polytope; a keep-in
         set one unbounded polytope per facet, called ``name[f]``.
@@ -85,13 +83,14 @@ def to_trace(
         Of the agent.
     running_times : array_like, optional
         Wall time of each decision [s].
+    satellites : mapping, optional
+        True states (N+1, n) of other satellites, by name, which become balls about them instead.
     nominal : bool
-        Make other satellites balls about where they are nominally, instead of their timed polytopes.
+        Take all others for balls about where they are nominally.
 
     Returns
     -------
-    tuple
-        The trace, and what is not represented as it is.
+    Export
 
     Raises
     ------
@@ -106,7 +105,7 @@ def to_trace(
     agent = AgentTrace(
         np.asarray(times, dtype=float),
         np.asarray(states, dtype=float),
-        np.r_[given, given[-1:]],
+        given if len(given) == np.size(times) else np.r_[given, given[-1:]],
         np.asarray(running_times, dtype=float),
         where=f"agents.{name}",
     )
@@ -117,23 +116,30 @@ def to_trace(
     unsafe: dict[str, AnySet] = {}
     notes: list[str] = []
     for obstacle in obstacles:
-        found, note = _sets(obstacle, agent.times, system, nominal)
+        found, note = _sets(obstacle, agent.times, system, satellites or {}, nominal)
         notes += [note] if note else []
         for key, item in found.items():
             if key in unsafe:
                 raise ScenarioError(f"{obstacle.path}.name", key, "must differ from the names of other sets")
             unsafe[key] = item
-    return Trace({name: agent}, unsafe), tuple(notes)
+    return Export(Trace({name: agent}, unsafe), tuple(notes))
 
 
 def _sets(
-    obstacle: Obstacle, t: Array, system: LinearSystem, nominal: bool
+    obstacle: Obstacle, t: Array, system: LinearSystem, satellites: Mapping[str, ArrayLike], nominal: bool
 ) -> tuple[dict[str, AnySet], str | None]:
     """Sets of a trace for one obstacle, and what to say about them."""
     name = obstacle.name
-    if isinstance(obstacle, SatelliteObstacle) and nominal:
-        ball = BallTrace(t, obstacle.centre(t, system), np.full(len(t), obstacle.radius))
-        return {name: ball}, f"{name}: another satellite, as a ball about where it is nominally"
+    if isinstance(obstacle, SatelliteObstacle) and (nominal or name in satellites):
+        ball = BallTrace(
+            t, obstacle.centre(t, system, satellites.get(name)), np.full(len(t), obstacle.radius)
+        )
+        told = (
+            None
+            if name in satellites
+            else f"{name}: another satellite, as a ball about where it is nominally"
+        )
+        return {name: ball}, told
     if isinstance(obstacle, (BallObstacle, BoxObstacle)):
         centers = obstacle.centre(t)
         if isinstance(obstacle, BallObstacle):
@@ -179,7 +185,7 @@ def _covers(obstacle: Obstacle, t: Array, system: LinearSystem) -> list[tuple[Ti
 def export_run(
     folder: str | Path,
     controller: str = "polaris",
-    label: str | None = None,
+    label: str = "closest",
     *,
     nominal: bool = False,
 ) -> Export:
@@ -191,8 +197,8 @@ def export_run(
         A folder that ``polaris run`` wrote.
     controller : {"polaris", "safety", "experimental"}
         Whose run.
-    label : str, optional
-        Which of its runs: ``closest`` (default), ``nominal``, ``run 0``, ...
+    label : str
+        Which of its runs: ``closest``, ``nominal``, ``run 0``, ...
     nominal : bool
         As in `to_trace`.
 
@@ -210,16 +216,14 @@ def export_run(
     if controller not in flights:
         raise ScenarioError("--controller", controller, f"must be one of {', '.join(flights)}")
     flown = flights[controller]
-    wanted = "closest" if label is None else label
-    if wanted not in flown.labels:
-        raise ScenarioError("--run", wanted, f"must be one of {', '.join(flown.labels)}")
+    if label not in flown.labels:
+        raise ScenarioError("--run", label, f"must be one of {', '.join(flown.labels)}")
     modes = np.repeat(flown.modes, (len(flown.times) - 1) // len(flown.modes))
-    trace, notes = to_trace(
+    return to_trace(
         flown.times,
-        flown.states[flown.labels.index(wanted)],
+        flown.states[flown.labels.index(label)],
         modes,
         run.scenario.obstacles(),
         run.scenario.system(),
         nominal=nominal,
     )
-    return Export(trace, wanted, notes)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from itertools import combinations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..shapes import CHUNK, Polytope
 from ..system import Array
@@ -39,28 +40,36 @@ def facet_distance(H: Array, b: Array, p: Array) -> Array:
     out = np.empty(len(p))
     _, F, d = H.shape
     sets = [np.array(list(combinations(range(F), s))) for s in range(2, min(F, d) + 1)]
+    shared = [_inverses(H, index) for index in sets] if len(H) == 1 else None
     step = max(1, CHUNK // (F + sum(index.size for index in sets) * d))
     for i in range(0, len(p), step):
         part = slice(i, i + step)
-        own = H[part] if len(H) > 1 else H
-        r = np.einsum("nfd,nd->nf", np.broadcast_to(own, (len(p[part]), F, d)), p[part]) - b[part]
-        out[part] = r.max(axis=1)
-        outside = np.flatnonzero(out[part] > 0)
+        rows = np.broadcast_to(H, (len(p), F, d))[part]
+        r = np.einsum("nfd,nd->nf", rows, p[part]) - b[part]
+        worst = r.max(axis=1)
+        outside = np.flatnonzero(worst > 0)
         if outside.size:
-            rows = own[outside] if len(H) > 1 else own
-            square = [_square(rows[:, index], r[outside][:, index]) for index in sets]
-            out[i + outside] = np.sqrt(np.maximum.reduce([out[i + outside] ** 2, *square]))
+            inverses = shared or [_inverses(rows[outside], index) for index in sets]
+            pairs = zip(sets, inverses, strict=True)
+            square = [_square(inverse, r[outside][:, index]) for index, inverse in pairs]
+            worst[outside] = np.sqrt(np.maximum.reduce([worst[outside] ** 2, *square]))
+        out[part] = worst
     return out
 
 
-def _square(rows: Array, r: Array) -> Array:
-    """Largest ``r' (H H')^-1 r`` with multipliers >= 0; rows (n or 1, C, s, d), r (n, C, s)."""
+def _inverses(H: Array, index: NDArray[np.int64]) -> Array:
+    """``(H_S H_S')^-1`` of sets S of facets, shape (n, C, s, s); nan where they are not independent."""
+    rows = H[:, index]
     gram = rows @ np.swapaxes(rows, -1, -2)
-    fit = np.linalg.eigvalsh(gram)[..., 0] > 1e-11
-    gram = np.where(fit[..., None, None], gram, np.eye(gram.shape[-1]))
-    multipliers = (np.linalg.inv(gram) @ r[..., None])[..., 0]
+    fit = (np.linalg.eigvalsh(gram)[..., 0] > 1e-11)[..., None, None]
+    return np.where(fit, np.linalg.inv(np.where(fit, gram, np.eye(gram.shape[-1]))), np.nan)
+
+
+def _square(inverse: Array, r: Array) -> Array:
+    """Largest ``r_S' (H_S H_S')^-1 r_S`` with multipliers >= 0, shape (n,); r is (n, C, s)."""
+    multipliers = (inverse @ r[..., None])[..., 0]
     value = np.sum(multipliers * r, axis=-1)
-    return np.asarray(np.where(fit & np.all(multipliers >= 0, axis=-1), value, 0.0).max(axis=1))
+    return np.asarray(np.where(np.all(multipliers >= 0, axis=-1), value, 0.0).max(axis=1))
 
 
 def facet_entry(H: Array, b: Array, p: Array, v: Array) -> Array:

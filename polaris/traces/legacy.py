@@ -173,7 +173,7 @@ class _Agent:
             if isinstance(item, (BallTrace, RectangleTrace)):
                 line = interpolate(item.centers[:, : self.d], between(item.times, self.agent.times)) - p
                 along = np.abs(np.sum(v * line, axis=1)) / np.linalg.norm(line, axis=1)
-                found[name] = np.where(along > 0, distance / along, np.nan)
+                found[name] = np.where(np.any(v != 0, axis=1), distance / along, np.nan)
                 ball = found[name] if isinstance(item, BallTrace) else ball
             elif ball is None:
                 raise _Stop("a polytope has no center")
@@ -188,7 +188,7 @@ class _Agent:
             w = interpolate(self._velocity(name, other), between(other.times, self.agent.times))
             per_axis = -p / (self._velocity(self.name, self.agent) - w)
             same = np.all(per_axis == per_axis[:, :1], axis=1) & (per_axis[:, 0] >= 0)
-            found[name] = np.where(same if self.d > 1 else False, per_axis[:, 0], NEVER)
+            found[name] = np.where(same, per_axis[:, 0], NEVER)
         return _least(found), _most(found), _mean(found)
 
     def running_times(self) -> tuple[float, float, float]:

@@ -12,6 +12,7 @@ import numpy as np
 
 from ..errors import ScenarioError
 from ..metrics import UNKNOWN
+from .memory import uncollected
 from .model import MODE_NAMES, AgentTrace, AnySet, Modes, Trace
 from .rows import Odd, numbers, set_trace, table
 
@@ -38,9 +39,15 @@ def read_trace(path: str | Path) -> Trace:
         If it cannot be read or is malformed; the message names the place, as in
         ``agents.chaser.state_trace[3]``.
     """
+    with uncollected():
+        return _trace(_parsed(path))
+
+
+def _parsed(path: str | Path) -> Any:
+    """What the file says, as plain data."""
     try:
         text = Path(path).read_bytes().decode("utf-8-sig")
-        data = json.loads(text, parse_constant=_no_constant, object_pairs_hook=_unique)
+        return json.loads(text, parse_constant=_no_constant, object_pairs_hook=_unique)
     except OSError as error:
         raise ScenarioError("trace", str(path), f"cannot be read: {error.strerror or error}") from error
     except RecursionError as error:
@@ -49,7 +56,6 @@ def read_trace(path: str | Path) -> Trace:
         if isinstance(error, Odd):
             raise ScenarioError("trace", str(path), str(error)) from error
         raise ScenarioError("trace", str(path), f"must be JSON in UTF-8 ({error})") from error
-    return _trace(data)
 
 
 def parse_trace(data: Any) -> Trace:

@@ -12,6 +12,7 @@ import numpy as np
 
 from ..errors import ScenarioError
 from ..metrics import UNKNOWN
+from .memory import uncollected
 from .model import AgentTrace, AnySet, BallTrace, PointTrace, RectangleTrace, Trace
 
 
@@ -55,7 +56,8 @@ def write_trace(path: str | Path, trace: Trace) -> Path:
     beside = target.with_name(f".{target.name}.new-{secrets.token_hex(4)}")
     try:
         try:
-            text = json.dumps(trace_data(trace), allow_nan=False, ensure_ascii=False) + "\n"
+            with uncollected():
+                text = json.dumps(trace_data(trace), allow_nan=False, ensure_ascii=False) + "\n"
             beside.write_text(text, encoding="utf-8", newline="\n")
             os.replace(beside, target)
         finally:
