@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..checks import whole
+from ..controllers import AffineController
 from ..disturbances import disturbances
 from ..integration import Integrator
 from ..simulation import initial_states
@@ -134,11 +135,7 @@ class _Engine:
     def __init__(self, scene: Scene) -> None:
         self.scene, self.system = scene, scene.system
         self.sampled = scene.tracking.feedback.sampled
-        loops = [self.system.A] + [
-            self.system.A - self.system.B @ law.gain for law in scene.controllers if hasattr(law, "gain")
-        ]
-        fastest = max(float(np.abs(np.linalg.eigvals(loop)).max()) for loop in loops)
-        self.parts = 1 if self.sampled else max(ceil(scene.h * fastest / 0.1), 1)
+        self.parts = 1 if self.sampled else max(ceil(scene.h * scene.fastest / 0.1), 1)
         self.dt = scene.h / self.parts
 
     @cached_property
@@ -146,8 +143,10 @@ class _Engine:
         """References at the half-steps of every cell, shape (cells, 2 q parts + 1, n), by mode."""
         count = 2 * self.scene.clearance.q * self.parts
         safe = self.scene.clearance.reference.fine(count)
-        own = {mode: self.scene.controllers[mode].own.fine(count) for mode in self.scene.own}  # type: ignore[attr-defined]
-        return {mode: own.get(mode, safe) for mode in range(len(self.scene.controllers))}
+        out = {}
+        for mode, law in enumerate(self.scene.controllers):
+            out[mode] = law.own.fine(count) if isinstance(law, AffineController) else safe
+        return out
 
     def fly(
         self, method: Method, conditions: Conditions, progress: Callable[[int, int], None] | None

@@ -138,8 +138,7 @@ class Prospect:
             return np.full(e.shape[:-1], np.inf), np.ones(e.shape[:-1], dtype=bool)
         moved = e @ self.stack
         moved += self.known[k]
-        squares = (moved[..., n : self.commands] ** 2).reshape(*e.shape[:-1], -1, n)
-        size = np.sqrt(squares.sum(axis=-1).max(axis=-1)) + self.radius
+        size = self._size(moved, n)
         share = self.recovery.share(first + self.scene.nodes, moved[..., :n], size, self.demand)
         for j, (stage, demand) in enumerate(zip(self.inner, self.inner_demand, strict=True)):
             there = e @ stage.M.T + stage.offset[k * self.scene.nodes]
@@ -147,6 +146,14 @@ class Prospect:
         if self.command is None:
             return share, True
         return share, self.command.holds(moved[..., self.commands :], size)
+
+    def size(self, k: int, e: Array) -> Array:
+        """Bound on ``norm(W e)`` at every node until the next decision takes effect, shape (...)."""
+        return self._size(e @ self.stack + self.known[k], e.shape[-1])
+
+    def _size(self, moved: Array, n: int) -> Array:
+        squares = (moved[..., n : self.commands] ** 2).reshape(*moved.shape[:-1], -1, n)
+        return np.asarray(np.sqrt(squares.sum(axis=-1).max(axis=-1)) + self.radius)
 
     def tightest(self, k: int, e: Array) -> str:
         """What an error (n,) measured at decision k comes nearest to."""

@@ -222,6 +222,11 @@ class Recovery:
         need = _extended(e, size) @ demand.tall[:o].T * self.reciprocals[first : first + o]
         return np.asarray(need.max(axis=-1, initial=0.0))
 
+    def far(self, node: int) -> float:
+        """Largest ``norm(W e)`` at a node with which all limits beyond the memory are met."""
+        found = self.sets._far
+        return float(found[min(node, len(found) - 1)])
+
     @cached_property
     def _far_reciprocals(self) -> Array:
         """``1 / norm(W e)`` allowed by the limits beyond the memory, per node."""

@@ -8,6 +8,7 @@ from math import ceil
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from reach.linear import discretize
 
@@ -174,23 +175,49 @@ class Scene:
                 out[mode] = _at_nodes(law.own.fine(self.clearance.q))
         return out
 
-    def offsets(self, node: int) -> Array:
-        """Offsets of all facets at one node [m], padded with those of the last; (sum of facets,)."""
-        return np.concatenate([b[min(node, len(b) - 1)] for b in self._facet_offsets])
-
     @cached_property
-    def _facet_offsets(self) -> list[Array]:
-        return [_at_nodes(unsafe.fine(self.clearance.q)) for unsafe in self.unsafe]
+    def facets(self) -> tuple[Array, Array, NDArray[np.intp]]:
+        """All facets of all perceived unsafe sets.
+
+        Returns
+        -------
+        normals : ndarray, shape (F, d)
+        offsets : ndarray, shape (nodes + 1, F)
+            At every node [m].
+        first : ndarray of int, shape (o,)
+            Where each set's facets begin.
+        """
+        if not self.unsafe:
+            empty = np.zeros((len(self.xi), 0))
+            return np.zeros((0, self.system.d)), empty, np.zeros(0, dtype=np.intp)
+        offsets = [_at_nodes(unsafe.fine(self.clearance.q)) for unsafe in self.unsafe]
+        first = np.cumsum([0, *(len(unsafe.normals) for unsafe in self.unsafe)])[:-1]
+        normals = np.vstack([unsafe.normals for unsafe in self.unsafe])
+        return normals, np.hstack(offsets), first.astype(np.intp)
+
+    def nearest(self, room: Array) -> Array:
+        """Distance to the nearest unsafe set, by its farthest facet, from those to all facets (..., F)."""
+        if not self.unsafe:
+            return np.full(room.shape[:-1], np.inf)
+        return np.asarray(np.maximum.reduceat(room, self.facets[2], axis=-1).min(axis=-1))
 
     def command(self, mode: int, node: int, x: Array) -> Array:
         """Command of a controller at a node, before clipping, shape (..., m)."""
-        k = min(node // self.clearance.q, self.clearance.cells - 1)
+        cells = self.clearance.cells if mode == 0 else self.clearance.planned
+        k = min(node // self.clearance.q, cells - 1)
         own = self.own[mode][node] if mode in self.own else self.xi[node]
         return self.controllers[mode].command(k, self.xi[node], own, x)
 
     def clipped(self, mode: int, node: int, x: Array) -> Array:
         """The same as the thrusters apply it."""
         return np.asarray(np.clip(self.command(mode, node, x), -self.system.u_max, self.system.u_max))
+
+    @cached_property
+    def fastest(self) -> float:
+        """Fastest rate [1/s] of the free motion and of the closed loops."""
+        A, B = self.system.A, self.system.B
+        loops = [A, *(A - B @ law.gain for law in self.controllers if isinstance(law, AffineController))]
+        return max(float(np.abs(np.linalg.eigvals(loop)).max()) for loop in loops)
 
     @cached_property
     def held(self) -> tuple[Array, Array, Array]:

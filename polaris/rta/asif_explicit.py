@@ -1,0 +1,176 @@
+"""Explicit ASIF: control barrier functions of the scene's obstacles, at rest or moving.
+
+For every unsafe set one barrier: the closing speed must not exceed that from which full thrust can brake,
+``h = d' + s(d)`` with ``s(d) = sqrt(2 a d)`` but for a smooth layer at d = 0. For a ball d is the distance to
+it; for any other set, and for what perception says of satellites, that to the facet with the largest h. The
+filtered input is the nearest to the desired one with ``h' >= -alpha h`` for every set, the worst disturbance
+included. Where inputs move the position at once, ``h = d``.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..asif.projection import FILTERED as SOLVED
+from ..asif.projection import project
+from ..checks import positive
+from ..errors import ScenarioError
+from ..obstacles import BallObstacle
+from ..system import Array
+from .method import FILTERED, Choice, Claim, Memoryless, Seen
+from .scene import Scene
+
+
+UNCHANGED = 1e-9
+"""Share of the thrust limits by which an input may differ and still count as the desired one."""
+
+
+class ExplicitASIF(Memoryless):
+    """The filter.
+
+    Parameters
+    ----------
+    scene : Scene
+    alpha : float, optional
+        Slope of the class-K function [1/s]; default a tenth per decision period.
+
+    Raises
+    ------
+    ScenarioError
+        If the thrust cannot brake along some facet, or it takes more than two derivatives of the position
+        to meet the input.
+    """
+
+    key = "asif_explicit"
+    name = "Explicit ASIF"
+    reasons = ("desired input", "filtered", "no input satisfies all conditions: S")
+
+    def __init__(self, scene: Scene, alpha: float | None = None) -> None:
+        super().__init__(scene)
+        self.alpha = 0.1 / scene.period if alpha is None else positive("alpha", alpha, "1/s")
+        system = scene.system
+        C, A = system.position, system.A
+        self.direct = bool(np.any(C @ system.B))
+        rate = C if self.direct else C @ A
+        self.push, self.kick, self.drift = rate @ system.B, rate @ system.D, rate @ A
+        if not np.any(self.push):
+            raise ScenarioError(
+                "method", self.key, "the input moves the position only by its third derivative"
+            )
+        self.balls = {o.name: o for o in scene.schedule.safety.problem.unsafe if isinstance(o, BallObstacle)}
+        self.sets = [unsafe for unsafe in scene.unsafe if unsafe.name not in self.balls]
+        self.normals = [unsafe.normals for unsafe in self.sets]
+        parts = np.split(scene.facets[1], scene.facets[2][1:], axis=1)
+        self.offsets = [
+            part for part, u in zip(parts, scene.unsafe, strict=False) if u.name not in self.balls
+        ]
+        span = float(np.abs(scene.xi @ self.drift.T).max(initial=0.0))
+        self.brakes = [
+            self._brake(unsafe.name, n, span) for unsafe, n in zip(self.sets, self.normals, strict=True)
+        ]
+        # Along the direction in which the thrusters push least a ball must be met too.
+        self.ball_brake = self._brake("balls", _directions(system.d), span).min() if self.balls else 0.0
+
+    def _brake(self, name: str, normals: Array, span: float) -> Array:
+        """Deceleration [m/s^2] by full thrust along normals (F, d), against drift and disturbance."""
+        system = self.scene.system
+        found = np.abs(normals @ self.push) @ system.u_max - span
+        found -= np.linalg.norm(normals @ self.kick, axis=1) * system.w_max
+        if np.any(found <= 0) and not self.direct:
+            raise ScenarioError("method", self.key, f"full thrust cannot brake before every side of {name}")
+        return np.asarray(found)
+
+    @property
+    def claim(self) -> Claim:
+        """None: conditions at the decisions only, and programs that may have no solution."""
+        return Claim(
+            "none",
+            f"barrier conditions hold at the instants of decision, every {self.scene.period:g} s, if the"
+            " programs have solutions; neither is proven",
+        )
+
+    def decide(self, seen: Seen) -> Choice:
+        """Solve one program for every run."""
+        x, scene = seen.estimate, self.scene
+        R = len(x)
+        if not scene.unsafe:
+            return Choice(np.full(R, FILTERED), np.full(R, np.inf), np.zeros(R, dtype=int), seen.desired)
+        node = seen.k * scene.nodes
+        p, v = x @ scene.system.position.T, x @ scene.system.velocity.T
+        found = [self._facets(i, node, x, p, v) for i in range(len(self.sets))]
+        found += [self._ball(ball, node, x, p, v) for ball in self.balls.values()]
+        h = np.stack([one[0] for one in found], axis=1)
+        rows, bound = np.stack([one[1] for one in found], axis=1), np.stack([one[2] for one in found], axis=1)
+        rows = rows * scene.system.u_max
+        length = np.maximum(np.linalg.norm(rows, axis=2), 1e-12)
+        answer = project(rows / length[..., None], bound / length, seen.desired / scene.system.u_max, 1.0)
+        lost = answer.status > SOLVED
+        u = np.where(lost[:, None], 0.0, answer.u) * scene.system.u_max
+        return Choice(
+            np.where(lost, 0, FILTERED),
+            h.min(axis=1),
+            np.where(lost, 2, (np.abs(u - seen.desired) > UNCHANGED * scene.system.u_max).any(axis=1)),
+            u,
+        )
+
+    def _facets(self, i: int, node: int, x: Array, p: Array, v: Array) -> tuple[Array, Array, Array]:
+        """Barrier (R,), row (R, m) and bound (R,) of one polytope: of its facet with the largest barrier."""
+        offsets, normals = self.offsets[i], self.normals[i]
+        here, after = offsets[node], offsets[min(node + 1, len(offsets) - 1)]
+        speed = (after - here) / self.scene.h
+        d = p @ normals.T - here - np.abs(normals @ self.scene.system.position) @ self.scene.half_widths
+        error = np.abs(normals @ self.scene.system.velocity) @ self.scene.half_widths
+        closing = v @ normals.T - speed - (0.0 if self.direct else error)
+        allowed, slope = self._allowed(d, self.brakes[i])
+        h = d if self.direct else closing + allowed
+        best = h.argmax(axis=1)
+        run = np.arange(len(x))
+        chosen = normals[best]
+        known = ((x @ self.drift.T) * chosen).sum(axis=1)
+        known -= np.linalg.norm(chosen @ self.kick, axis=1) * self.scene.system.w_max
+        if self.direct:
+            known = known - speed[best]
+        else:
+            known = known + slope[run, best] * closing[run, best]
+        return h[run, best], chosen @ self.push, -self.alpha * h[run, best] - known
+
+    def _ball(
+        self, ball: BallObstacle, node: int, x: Array, p: Array, v: Array
+    ) -> tuple[Array, Array, Array]:
+        """The same of a ball."""
+        system, half = self.scene.system, self.scene.half_widths
+        t = node * self.scene.h
+        away = p - ball.centre(t)
+        distance = np.maximum(np.linalg.norm(away, axis=1), 1e-9)
+        normal = away / distance[:, None]
+        relative = v - ball.velocity_at(t)
+        d = distance - ball.radius - np.linalg.norm(np.abs(system.position) @ half)
+        closing = (relative * normal).sum(axis=1)
+        known = ((x @ self.drift.T) * normal).sum(axis=1)
+        known -= np.linalg.norm(normal @ self.kick, axis=1) * system.w_max
+        if self.direct:
+            moving = (normal * ball.velocity_at(t)).sum(axis=1)
+            return d, normal @ self.push, -self.alpha * d - known + moving
+        closing = closing - np.linalg.norm(np.abs(system.velocity) @ half)
+        allowed, slope = self._allowed(d, np.array(self.ball_brake))
+        h = closing + allowed
+        turning = ((relative**2).sum(axis=1) - (relative * normal).sum(axis=1) ** 2) / distance
+        return h, normal @ self.push, -self.alpha * h - known - turning - slope * closing
+
+    def _allowed(self, d: Array, brake: Array) -> tuple[Array, Array]:
+        """Closing speed from which braking ends in time, and its slope; linear in a layer about d = 0.
+
+        The layer is what the brake makes good within about four decision periods from rest. Half of it is
+        kept as a distance, for what happens between the instants at which the conditions hold.
+        """
+        depth = 10 * np.maximum(brake, 1e-300) * self.scene.period**2
+        d = d - depth / 2
+        root = np.sqrt(2 * brake * np.maximum(d - depth / 2, depth / 2))
+        steep = np.sqrt(brake / depth)
+        thick = d > depth
+        return np.where(thick, root, steep * d), np.where(thick, brake / np.maximum(root, 1e-300), steep)
+
+
+def _directions(d: int) -> Array:
+    """Directions in which the sum of the thrusters' shares is least or largest: axes and diagonals."""
+    return np.vstack([np.eye(d), np.ones((1, d)) / np.sqrt(d)])

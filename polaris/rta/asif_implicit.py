@@ -1,0 +1,123 @@
+"""Implicit ASIF: the input nearest to the desired one from which S can still take over.
+
+The safe set is implied by the backup controller: the states from which S keeps every limit to the end.
+In error coordinates S's flight is linear, so the condition that the state at the next decision is in the
+set is a set of linear rows in the input held until then, exact in discrete time: one quadratic program per
+decision. Estimate error, disturbance and the path between nodes are booked as in the online monitor,
+and where no input satisfies all rows S itself flies. That makes it a proof, by the same argument.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..asif.projection import FILTERED as SOLVED
+from ..asif.projection import project
+from ..system import Array
+from ..tolerances import ROUNDING
+from .method import FILTERED, Choice, Claim, Memoryless, Seen
+from .prospect import Leg, Prospect
+from .recovery import Recovery
+from .scene import Scene
+
+SLACK = 1e-6
+"""Share of the room kept free for what the solver leaves unsatisfied."""
+
+
+UNLIMITED = 1e200
+"""Room of a row that nothing limits."""
+
+
+class ImplicitASIF(Memoryless):
+    """The filter.
+
+    Parameters
+    ----------
+    scene : Scene
+    """
+
+    key = "asif_implicit"
+    name = "Implicit ASIF"
+    reasons = ("desired input", "filtered", "no input is recoverable: S")
+
+    def __init__(self, scene: Scene) -> None:
+        super().__init__(scene)
+        self.recovery = Recovery(scene)
+        before = Leg.any_thrust(self.recovery) if scene.delay else None
+        self.prospect = Prospect(self.recovery, before, Leg.held(self.recovery), scene.half_widths)
+        # What an input of full thrust (per axis) held until the next moment of effect adds at its end.
+        phi, step = self.recovery.open_flow.phi, self.recovery.open_flow.input_map(scene.system.B)
+        moved = np.zeros_like(step)
+        self.moves = []
+        for _ in range(scene.nodes):
+            moved = phi @ moved + step
+            self.moves.append(moved * scene.system.u_max)
+        self.moved = self.moves[-1]
+        demand = self.prospect.demand
+        self.rows = demand.tall[: demand.near, :-2] @ self.moved
+        self.most = np.abs(self.rows).sum(axis=1)
+        W = scene.tracking.W
+        self.pushed = max(float(np.linalg.norm(np.abs(W @ m).sum(axis=1))) for m in self.moves) * (
+            1 + ROUNDING
+        )
+
+    @property
+    def claim(self) -> Claim:
+        """Proved."""
+        end = self.scene.schedule.safety.end.reason
+        return Claim("proved", f"state estimate within its error bound; {end}")
+
+    def decide(self, seen: Seen) -> Choice:
+        """Solve one program for every run whose desired input is not recoverable."""
+        scene, recovery, demand = self.scene, self.recovery, self.prospect.demand
+        k, R = seen.k, len(seen.estimate)
+        node = k * scene.nodes + scene.delay + scene.nodes
+        if node > scene.last:
+            return Choice(np.zeros(R, dtype=int), np.full(R, -np.inf), np.full(R, 2), seen.desired)
+        e = seen.estimate - scene.xi[k * scene.nodes]
+        moved = e @ self.prospect.end.M.T + self.prospect.end.offset[k * scene.nodes]
+        size = self.prospect.size(k, e) + self.pushed
+        first = node * len(recovery.rows)
+        window = recovery.reciprocals[first : first + demand.near]
+        need = np.concatenate([moved, size[:, None], np.ones((R, 1))], axis=1) @ demand.tall[: demand.near].T
+        limit = np.divide(1 - SLACK, window, out=np.full(len(window), UNLIMITED), where=window > 0)
+        room = limit - need
+        desired = seen.desired / scene.system.u_max
+        left = (room - desired @ self.rows.T) * window
+        margin, u = left.min(axis=1), desired.copy()
+        later = np.maximum(demand.base + demand.slope * size, size / max(recovery.far(node), 1e-300))
+        lost = later > 1
+        for run in np.flatnonzero((margin < 0) & ~lost):
+            near = room[run] < self.most
+            found = _nearest(self.rows[near], room[run, near], desired[run])
+            if found is None:
+                lost[run] = True
+            else:
+                u[run] = found
+        # Whatever the solver says, what it found is checked; what cannot be worked out is not met.
+        lost |= ~(((room - u @ self.rows.T) * window).min(axis=1) >= -SLACK)
+        lost |= ~(self._inner(k, e, size, u) <= 1)
+        mode = np.where(lost, 0, FILTERED)
+        why = np.where(lost, 2, np.where(margin < 0, 1, 0))
+        return Choice(mode, margin, why, u * scene.system.u_max)
+
+    def _inner(self, k: int, e: Array, size: Array, u: Array) -> Array:
+        """Share of the room needed at facets at the nodes before the next moment of effect."""
+        out = np.zeros(len(e))
+        pairs = zip(self.prospect.inner, self.prospect.inner_demand, self.moves[:-1], strict=True)
+        for j, (stage, demand, moved) in enumerate(pairs):
+            there = e @ stage.M.T + stage.offset[k * self.scene.nodes] + u @ moved.T
+            node = k * self.scene.nodes + self.scene.delay + j + 1
+            out = np.maximum(out, self.recovery.facets_share(node, there, size, demand))
+        return out
+
+
+def _nearest(rows: Array, room: Array, desired: Array) -> Array | None:
+    """Input v with ``rows v <= room``, ``|v_i| <= 1`` nearest to the desired one; None if there is none."""
+    length = np.linalg.norm(rows, axis=1)
+    if np.any(room[length == 0] < 0):
+        return None
+    kept = length > 0
+    G, bound = -rows[kept] / length[kept, None], -room[kept] / length[kept]
+    found = project(G[None], bound[None], desired[None], 1.0)
+    return np.asarray(found.u[0]) if found.status[0] <= SOLVED else None
