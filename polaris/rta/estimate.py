@@ -1,0 +1,211 @@
+"""A box around the true state: what all accepted measurements allow together.
+
+The box is moved by the dynamics under any input within given bounds and any admissible disturbance, and cut
+with the box of the next measurement. If nothing is left, that measurement or an earlier one was further
+from the truth than its error bound.
+
+A box is one vector ``[hi, -lo]``, so that moving it is a product with a non-negative matrix and cutting it
+is one minimum.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import factorial
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..errors import ScenarioError
+from ..system import Array, LinearSystem
+from ..tolerances import ROUNDING, TIME
+
+FARTHEST_MOTION = 20.0
+"""Largest ``norm(A, 1)`` times duration over which boxes are moved: beyond it they bound nothing."""
+
+KEPT = 32
+"""Motions over so many different durations are kept."""
+
+
+@dataclass(frozen=True, eq=False)
+class Measurement:
+    """A state estimate as it arrives; nothing is checked here.
+
+    Attributes
+    ----------
+    stamp : float
+        When the state was like this [s], counted from the start of the plan.
+    state : array_like, shape (n,)
+    half_widths : array_like, shape (n,), or None
+        Bound on the error, entry by entry; None: the scene's.
+    """
+
+    stamp: float
+    state: ArrayLike
+    half_widths: ArrayLike | None = None
+
+
+class BoxMotion:
+    """How boxes of states move in a given time, whatever flies and whatever disturbs.
+
+    With ``x(t) = e^{At} x + int e^{As} (B u + D w)``, every entry of the transition is a power series in
+    t, and so are the bounds ``sum |A^i B| t^{i+1}/(i+1)!`` and ``sum norm(A^i D) t^{i+1}/(i+1)!`` on what
+    inputs about their mean and the disturbance add.
+
+    Parameters
+    ----------
+    system : LinearSystem
+    period : float
+        Durations are rounded to multiples of ``TIME period`` [s]; the rounding is booked.
+    longest : float
+        Longest duration [s].
+
+    Raises
+    ------
+    ScenarioError
+        If the motion over the longest duration cannot be bounded usefully.
+    """
+
+    def __init__(self, system: LinearSystem, period: float, longest: float) -> None:
+        self.system, self.longest, self._grain = system, longest, TIME * period
+        size = float(np.linalg.norm(system.A, 1)) * longest
+        if not size <= FARTHEST_MOTION:
+            rule = (
+                f"must be at most {FARTHEST_MOTION * longest / size:.3g} s, the motion is too fast for more"
+            )
+            raise ScenarioError("memory", longest, rule)
+        terms = [np.eye(system.n)]
+        while len(terms) < 100 and np.abs(terms[-1]).max() * longest ** len(terms) > 1e-30:
+            terms.append(system.A @ terms[-1] / len(terms))  # A^i / i!
+        self._state = np.array(terms)
+        integrated = self._state / np.arange(1, len(terms) + 1)[:, None, None]  # A^i / (i+1)!
+        self._input, self._spread = integrated @ system.B, np.abs(integrated @ system.B)
+        self._disturbance = np.linalg.norm(integrated @ system.D, axis=2) * system.w_max
+        self._rest = np.linalg.norm(system.A, 1) ** len(terms) / factorial(len(terms)) * np.exp(size)
+        self._slip = ROUNDING * (np.eye(system.n) + np.abs(system.A) * period)
+        self._known: dict[int, Array] = {}
+
+    def over(self, duration: float) -> Array:
+        """The matrix that maps ``[hi, -lo, bound on |x|, u high, -u low, 1]`` to ``[hi, -lo]`` later.
+
+        Shape (2 n, 3 n + 2 m + 1); the duration [s] is at most the longest.
+        """
+        grains = round(duration / self._grain)
+        found = self._known.get(grains)
+        if found is None:
+            if len(self._known) >= KEPT:
+                self._known.clear()
+            found = self._known[grains] = self._matrix(grains * self._grain)
+        return found
+
+    def _matrix(self, t: float) -> Array:
+        n, m = self.system.n, self.system.m
+        weights = t ** np.arange(len(self._state))
+        Phi = np.tensordot(weights, self._state, 1)
+        push, spread = t * np.tensordot(weights, self._input, 1), t * np.tensordot(weights, self._spread, 1)
+        rest = self._rest * t ** len(weights)
+        slip = self._slip @ np.abs(Phi) + rest
+        spread = spread * (1 + ROUNDING) + rest * np.abs(self.system.B).sum(axis=0)
+        const = t * (weights @ self._disturbance) * (1 + ROUNDING)
+        const += rest * self.system.w_max * np.abs(self.system.D).sum()
+        const += 2 * ROUNDING * (spread @ self.system.u_max)
+        out = np.zeros((2 * n, 3 * n + 2 * m + 1))
+        for first, sign in ((0, 1.0), (n, -1.0)):
+            mine = slice(first, first + n)
+            out[mine, :n], out[mine, n : 2 * n] = np.maximum(sign * Phi, 0), np.maximum(-sign * Phi, 0)
+            out[mine, 2 * n : 3 * n] = slip
+            out[mine, 3 * n : 3 * n + m] = (spread + sign * push) / 2
+            out[mine, 3 * n + m : -1] = (spread - sign * push) / 2
+            out[mine, -1] = const
+        return out
+
+
+class BoxFilter:
+    """The box of states that all accepted measurements allow, and its instant.
+
+    Parameters
+    ----------
+    motion : BoxMotion
+    low, high : ndarray, shape (n,)
+        Of the states at the time zero.
+    """
+
+    def __init__(self, motion: BoxMotion, low: Array, high: Array) -> None:
+        self.motion, system = motion, motion.system
+        self.n, self.m = system.n, system.m
+        self.t = 0.0
+        self._z = np.ones(3 * self.n + 2 * self.m + 1)  # what BoxMotion.over applies to
+        self._box, self._size = self._z[: 2 * self.n], self._z[2 * self.n : 3 * self.n]
+        self._inputs = self._z[3 * self.n : -1]
+        self._moved, self._measured = np.empty(2 * self.n), np.empty(2 * self.n)
+        self._width = np.empty(self.n)
+        self._any_input = np.concatenate([system.u_max, system.u_max])
+        self._inputs[:] = self._any_input
+        self._box[: self.n], self._box[self.n :] = high, -low
+
+    @property
+    def low(self) -> Array:
+        """Lower ends at the instant of the last accepted measurement, shape (n,)."""
+        return -self._box[self.n :]
+
+    @property
+    def high(self) -> Array:
+        """Upper ends, shape (n,)."""
+        return self._box[: self.n].copy()
+
+    def flown(self, low: Array | None, high: Array | None, fresh: bool) -> None:
+        """Note bounds (m,) on the input since the last call; None where only its limits are known.
+
+        Parameters
+        ----------
+        low, high : ndarray, shape (m,), or None
+        fresh : bool
+            Whether the box is not older than the last call, so that earlier inputs no longer matter.
+        """
+        if low is None or high is None:
+            self._inputs[:] = self._any_input
+            return
+        given = np.minimum(np.concatenate([high, -low]), self._any_input)
+        self._inputs[:] = given if fresh else np.maximum(self._inputs, given)
+
+    def reaches(self, t: float) -> bool:
+        """Whether the box can be moved to the time t [s]."""
+        return 0 <= t - self.t <= self.motion.longest
+
+    def moved(self, t: float) -> Array:
+        """``[hi, -lo]`` at a time that it `reaches`; overwritten by the next call."""
+        np.maximum(self._box[: self.n], self._box[self.n :], out=self._size)
+        return np.dot(self.motion.over(t - self.t), self._z, out=self._moved)
+
+    def cut(self, t: float, x: Array, half: Array) -> int:
+        """Take in a measurement at a time that the box `reaches`.
+
+        Returns
+        -------
+        int
+            -1 if it agrees; else the state that disagrees most, and the box stays as it was.
+        """
+        moved, measured, n, width = self.moved(t), self._boxed(x, half), self.n, self._width
+        np.minimum(moved, measured, out=moved)
+        np.add(moved[:n], moved[n:], out=width)
+        if not width.min() >= 0:
+            return int(width.argmin())
+        self._box[:], self.t = moved, t
+        return -1
+
+    def ahead(self, x: Array, half: Array, duration: float) -> tuple[Array, Array]:
+        """Lower and upper ends, from one measurement alone, so much later [s]."""
+        z = self._z.copy()
+        z[: 2 * self.n] = self._boxed(x, half)
+        z[2 * self.n : 3 * self.n] = np.maximum(z[: self.n], z[self.n : 2 * self.n])
+        moved = self.motion.over(duration) @ z
+        return -moved[self.n :], moved[: self.n]
+
+    def restart(self, t: float, x: Array, half: Array) -> None:
+        """Forget everything but this measurement."""
+        self._box[:], self.t = self._boxed(x, half), t
+
+    def _boxed(self, x: Array, half: Array) -> Array:
+        np.add(half, x, out=self._measured[: self.n])
+        np.subtract(half, x, out=self._measured[self.n :])
+        return self._measured

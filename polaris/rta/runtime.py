@@ -1,0 +1,171 @@
+"""The online monitor in flight: one call per decision that never raises, and always has an answer.
+
+`polaris.rta.monitor` proves that U may fly if the measured state is within its error bound and the decision
+is made in time. Here that is made sure of as far as it can be: measurements, clock, the experimental
+controller and the monitor itself are checked, and whatever is wrong with one of them, S flies. The page
+"Online monitor" of the documentation says why the proof survives, and what cannot be caught.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..system import Array
+from .decision_clock import DecisionClock
+from .decision_log import DecisionLog, plain
+from .estimate import Measurement
+from .faults import Fault
+from .guard import Guard
+from .monitor import Monitor
+from .observer import Observer
+from .runtime_options import Answer, RuntimeOptions
+
+
+class OnlineMonitor:
+    """The online monitor behind checks of everything that it is told.
+
+    Parameters
+    ----------
+    monitor : Monitor
+    options : RuntimeOptions, optional
+    log : DecisionLog, optional
+    timer : callable
+        Monotonic wall clock [s] by which budgets are measured.
+
+    Raises
+    ------
+    ScenarioError
+        If an option does not fit the scene.
+    """
+
+    def __init__(
+        self,
+        monitor: Monitor,
+        options: RuntimeOptions | None = None,
+        log: DecisionLog | None = None,
+        timer: Callable[[], float] = time.perf_counter,
+    ) -> None:
+        self.monitor, self.scene = monitor, monitor.scene
+        self.options = options or RuntimeOptions()
+        self.limits = self.options.limits(self.scene)
+        self._log, self._timer = log, timer
+        self.clock = DecisionClock(self.scene.period, self.limits.tolerance, self.limits.drift)
+        self.observer = Observer(self.scene, self.limits, self.options.farthest, self.options.reacquire)
+        self.guard = Guard(self.scene.system.u_max, self.limits.budget, timer)
+        self._flown, self._dwelt, self._strikes = 0, self.options.min_dwell, 0
+        self._unwritten: list[Fault] = []  # of the log
+        self._asked: object = None
+
+    def command(self, law: Callable[..., Any], *arguments: Any) -> Array | None:
+        """Command of U, clipped to the limits [N]; None if it is at fault: see `Guard.command`."""
+        return self.guard.command(law, *arguments)
+
+    def resynchronise(self, now: float) -> None:
+        """Say what the clock will read at the next call [s], after it was found wrong."""
+        self.clock.resynchronise(now)
+        self._asked = now
+
+    def step(
+        self,
+        now: float,
+        measurement: Measurement | None = None,
+        applied: ArrayLike | None = None,
+        reference: float | None = None,
+    ) -> Answer:
+        """Decide who flies from the moment of effect on; never raises.
+
+        Parameters
+        ----------
+        now : float
+            The clock [s], counted from the start of the plan.
+        measurement : Measurement or None
+            The newest there is, not newer than the decision's instant.
+        applied : array_like, shape (m,) or (2, m), optional
+            Input since the instant of the last call: held, or its least and largest values [N]. By
+            default nothing but the limits is known.
+        reference : float, optional
+            Second clock [s], from any origin; in all calls or in none.
+        """
+        begun = self._timer()
+        noted = self.guard.taken()
+        self._strikes += len(noted)
+        faults = list(noted)
+        k, mode, margin, reason = -1, 0, np.nan, ""
+        try:
+            k, mode, margin, reason = self._decide(now, measurement, applied, reference, faults)
+        except Exception as error:  # whatever is wrong with the monitor itself, S flies
+            self._own_fault(f"raised {type(error).__name__}", faults)
+        if self._timer() - begun > self.limits.deadline:
+            self._own_fault("deadline missed", faults)
+        answer = self._answer(k, 0 if faults else mode, margin, reason, faults)
+        if self._log is not None:
+            self._record(self._log, answer, noted, (now, measurement, applied, reference))
+        return answer
+
+    def _own_fault(self, text: str, faults: list[Fault]) -> None:
+        self._strikes += 1
+        faults.insert(0, Fault("monitor", text))
+
+    def _decide(
+        self, now: object, measurement: object, applied: object, reference: object, faults: list[Fault]
+    ) -> tuple[int, int, float, str]:
+        k, wrong = self.clock.read(now, reference)
+        if wrong is not None:
+            faults.append(wrong)
+        wrong = self.observer.note_inputs(applied)
+        if wrong is not None:
+            faults.append(wrong)
+        state = None if k is None else self.observer.observe(measurement, k * self.scene.period, faults)
+        self._latched(faults)
+        if k is None or state is None:
+            return -1 if k is None else k, 0, np.nan, ""
+        if k >= self.scene.decisions:
+            return k, 0, np.nan, "the plan has ended"
+        e = state - self.scene.xi[k * self.scene.nodes]
+        mode, margin = self.monitor.judge_one(k, e, self._flown)
+        if mode and not self._flown and self._dwelt < self.options.min_dwell:
+            faults.append(Fault("rule", f"dwell: {self._dwelt} of {self.options.min_dwell} decisions in S"))
+        return k, mode, margin, f"nearest limit: {self.monitor.cautious[0].tightest(k, e)}"
+
+    def _latched(self, faults: list[Fault]) -> None:
+        o, agreed, conflicts = self.options, self.observer.agreed, self.observer.conflicts
+        if o.latch is not None and self._strikes >= o.latch:
+            faults.append(Fault("rule", f"latched: {self._strikes} faults of U or of the monitor"))
+        if o.latch_conflicts is not None and conflicts >= o.latch_conflicts:
+            faults.append(Fault("rule", f"latched: {conflicts} conflicts between measurements"))
+        if agreed < o.reacquire:
+            faults.append(Fault("rule", f"re-acquiring: {agreed} of {o.reacquire} measurements agree"))
+
+    def _answer(self, k: int, mode: int, margin: float, reason: str, faults: list[Fault]) -> Answer:
+        until = -np.inf
+        if mode:
+            until, self._dwelt = (k + 1) * self.scene.period + self.scene.latency, self.options.min_dwell
+        else:
+            self._dwelt = 1 if self._flown else self._dwelt + 1
+        self._flown = mode
+        if faults:
+            reason = str(faults[0])
+        unwritten, self._unwritten = self._unwritten, []
+        return Answer(k, mode, margin, until, reason, (*faults, *unwritten))
+
+    def _record(self, log: DecisionLog, answer: Answer, noted: list[Fault], told: tuple[object, ...]) -> None:
+        try:
+            record = {
+                "k": answer.k,
+                "mode": answer.mode,
+                "margin": plain(answer.margin),
+                "reason": answer.reason,
+                "faults": [str(fault) for fault in answer.faults],
+                "controller": [fault.text for fault in noted],
+            }
+            names = ("now", "measurement", "applied", "reference", "resynchronised")
+            asked, self._asked = self._asked, None
+            record |= dict(zip(names, map(plain, (*told, asked)), strict=True))
+            log.write(record)
+        except Exception:  # whatever is wrong with a log must not end the flight
+            self._unwritten.append(Fault("log", "the line before could not be written"))
