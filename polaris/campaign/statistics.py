@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..asif.campaign import lower_bound
 from ..system import Array
 
 if TYPE_CHECKING:
@@ -60,6 +59,8 @@ def violation_interval(violations: int, runs: int, confidence: float = CONFIDENC
     confidence : float
         In (0, 1).
     """
+    from ..asif.campaign import lower_bound  # with all that it brings, once the runs are flown
+
     side = (1 + confidence) / 2
     return lower_bound(violations, runs, side), 1.0 - lower_bound(runs - violations, runs, side)
 

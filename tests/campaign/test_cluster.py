@@ -1,0 +1,99 @@
+"""Campaigns on a real Dask scheduler with two worker processes, one of which is killed."""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+
+from polaris.campaign import cluster
+from polaris.errors import PolarisError, ScenarioError
+from tests.campaign.scene import await_parts, fly, table
+
+distributed = pytest.importorskip("distributed")
+ROOT = Path(__file__).parents[2]
+
+
+def start(*arguments):
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    return subprocess.Popen([sys.executable, "-m", *arguments], env=environment, **quiet)
+
+
+@pytest.fixture
+def nodes():
+    """Address of a scheduler, and its process and those of two workers."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    address = f"tcp://127.0.0.1:{port}"
+    options = ("--host", "127.0.0.1", "--no-dashboard")
+    processes = [start("distributed.cli.dask_scheduler", "--port", str(port), *options)]
+    # No nanny: what is killed here stays dead.
+    worker = ("distributed.cli.dask_worker", address, "--nthreads", "1", "--no-nanny", *options)
+    processes += [start(*worker), start(*worker)]
+    try:
+        with distributed.Client(address, timeout=120, set_as_default=False) as client:
+            client.wait_for_workers(2, timeout=120)
+        yield address, processes
+    finally:
+        for process in processes:
+            process.kill()
+            process.wait()
+
+
+def test_a_worker_killed_in_mid_run_loses_nothing_and_counts_nothing_twice(flown, nodes, tmp_path):
+    address, (_, _, victim) = nodes
+    out = tmp_path / "c"
+
+    def kill():
+        await_parts(out, 1)
+        victim.send_signal(signal.SIGKILL)
+
+    killer = threading.Thread(target=kill)
+    killer.start()
+    with cluster(address) as workers:
+        fly(out, workers)
+    killer.join()
+    assert victim.wait() == -signal.SIGKILL
+    assert table(out) == table(flown.path)
+
+
+@pytest.mark.slow
+def test_a_scheduler_that_dies_is_told_and_parts_are_kept(flown, nodes, tmp_path):
+    address, (scheduler, *_) = nodes
+    out = tmp_path / "c"
+
+    def kill():
+        await_parts(out, 1)
+        scheduler.send_signal(signal.SIGKILL)
+
+    killer = threading.Thread(target=kill)
+    killer.start()
+    with pytest.raises(PolarisError, match=r"no longer answers|lost"), cluster(address) as workers:
+        fly(out, workers)
+    killer.join()
+    assert table(out).items() < table(flown.path).items()
+    assert table(fly(out).path) == table(flown.path)
+
+
+def test_addresses_where_no_scheduler_is_are_refused(monkeypatch):
+    monkeypatch.setattr("polaris.campaign.workers.PATIENCE", 0.2)
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
+        with pytest.raises(ScenarioError, match="no scheduler answers there"), cluster(address):
+            pass
+    for bad in ("here", "127.0.0.1:8786", "tcp://127.0.0.1"):
+        with pytest.raises(ScenarioError, match="address like"), cluster(bad):
+            pass
+
+
+def test_without_distributed_the_extra_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(ScenarioError, match="cluster"), cluster("tcp://127.0.0.1:8786"):
+        pass
