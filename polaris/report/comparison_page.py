@@ -43,14 +43,13 @@ def comparison_data(folder: Path, run: RunFolder, methods: Sequence[Mapping[str,
         states, modes, times = (arrays[f"{key}_{name}"] for name in ("states", "modes", "t_s"))
         chosen = timelines.kept(len(times), modes, [int(np.argmin(arrays[f"{key}_distance_m"][0]))])
         held = np.minimum(chosen, modes.shape[1] - 1)
-        position = states @ picture.system.position.T
         pilots.append(
             timelines.pilot(
                 key,
                 str(method["name"]),
                 [str(label) for label in arrays[f"{key}_labels"].tolist()],
                 times[chosen],
-                position[:, chosen][..., list(picture.frame.axes)],
+                timelines.paths_of(picture, times[chosen], states[:, chosen]),
                 modes[:, held[:-1]],
                 on=place < FIRST,
                 **timelines.style_of(place),
@@ -58,7 +57,7 @@ def comparison_data(folder: Path, run: RunFolder, methods: Sequence[Mapping[str,
         )
         distances += _distance(picture, key, arrays, chosen)
         inputs.append((key, arrays[f"{key}_inputs"][:, held], None))
-        paths.append(position[0])
+        paths.append(states[0] @ picture.system.position.T)
         present.append(modes.ravel())
     if run.summary["guarantee"]["kind"] == "proved":
         bound = proven_distance(picture)
@@ -68,6 +67,7 @@ def comparison_data(folder: Path, run: RunFolder, methods: Sequence[Mapping[str,
         "scene": scene_of(picture, paths),
         "end": plain(max((one["t"][-1] for one in pilots), default=picture.duration)),
         "modes": timelines.mode_names(picture, np.concatenate(present)),
+        "modes_title": timelines.WHO,
         "by": "pilot",
         "pilots": pilots,
         "panels": [

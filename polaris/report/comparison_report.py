@@ -111,7 +111,7 @@ def _paired(paired: Iterable[Mapping[str, Any]], methods: Methods) -> str:
                 Cell(escaped(names.get(one["method"], one["method"]))),
                 text_cell(names.get(one["against"], one["against"])),
                 text_cell(measure.head),
-                measure.cell({"mean": one["difference"], "low": low, "high": high}),
+                measure.cell({"mean": one["difference"], "low": low, "high": high}, judged=False),
                 text_cell(differs),
             ]
         )

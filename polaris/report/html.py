@@ -62,14 +62,12 @@ def table(caption: str, heads: Sequence[str], rows: Iterable[Sequence[Cell]], so
     sort : bool
         Whether readers can sort it by each column.
     """
+    rows = list(rows)
     told = []
-    for head in heads:
-        text = escaped(head)
-        told.append(
-            f'<th scope="col"><button type="button">{text}</button></th>'
-            if sort
-            else f'<th scope="col">{text}</th>'
-        )
+    for column, head in enumerate(heads):
+        text = f'<button type="button">{escaped(head)}</button>' if sort else escaped(head)
+        left = ' class="text"' if rows and rows[0][column].text else ""
+        told.append(f'<th scope="col"{left}>{text}</th>')
     body = "\n".join(
         "<tr>" + "".join(_cell(cell, n == 0) for n, cell in enumerate(row)) + "</tr>" for row in rows
     )

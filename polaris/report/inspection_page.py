@@ -72,6 +72,7 @@ def flight_data(folder: InspectionFolder) -> dict[str, Any]:
         "scene": _scene(q, [run.x[:, i] for i in range(q.deputies)], _sun(run, chosen)),
         "end": plain(run.t[-1]),
         "modes": [one for one in ANSWERS if one["mode"] in run.status],
+        "modes_title": "Answers of the filter",
         "by": "pilot",
         "pilots": pilots,
         "panels": [*_margins(t, margins), *_thrusts(q, run.u[held])],
@@ -107,6 +108,7 @@ def fuel_data(run: FuelRun) -> dict[str, Any]:
             {"mode": 0, "name": "primary controller", "colour": ORANGE},
             {"mode": 1, "name": "backup controller", "colour": BLUE},
         ],
+        "modes_title": timelines.WHO,
         "by": "mode",
         "pilots": [
             timelines.pilot(
@@ -121,17 +123,16 @@ def _margins(t: Array, found: Mapping[str, Array]) -> list[timelines.Panel]:
     """One panel per unit, one line per constraint: the least over deputies or pairs."""
     panels = []
     for unit in dict.fromkeys(unit for _, unit in MEANING.values()):
-        series = []
+        series: list[dict[str, Any]] = []
         for name, (meaning, own) in MEANING.items():
             if own == unit and name in found and found[name].shape[1]:
                 line = {"t": plain(t), "y": plain(found[name].min(axis=1)), "colour": LINES[len(series) % 7]}
-                series.append({"pilot": None, "name": f"{name}: {meaning}"} | line)
+                series.append({"pilot": None, "name": name, "meaning": meaning} | line)
         if series:
-            names = ", ".join(str(one["name"]).split(":")[0] for one in series)
             panels.append(
                 {
                     "key": f"margin-{unit}",
-                    "title": f"Least margin of {names}",
+                    "title": "Least margin over all deputies",
                     "unit": unit,
                     "limits": [timelines.limit(0.0, "violated", "below")],
                     "series": series,
@@ -172,10 +173,10 @@ def _scene(q: Inspection, paths: list[Array], more: list[Layer]) -> dict[str, An
     named = {"label": "chief"}
     found = [
         layers.mesh("chief: keep-out sphere", Surface(chief.points, chief.faces), "unsafe", RED, 0.6) | named,
-        layers.line(f"keep-in sphere, {q.distance_max:g} m", rings, "unsafe", GREY, 1.5, "dash"),
+        layers.line(f"keep-in sphere, {q.distance_max:g} m", rings, "keep", GREY, 1),
         *more,
     ]
-    return {"space": 3, "axes": AXES, "range": [plain([-edge, edge])] * 3, "layers": found}
+    return {"space": 3, "equal": True, "axes": AXES, "range": [plain([-edge, edge])] * 3, "layers": found}
 
 
 def _sun(run: InspectionRun, chosen: Any) -> list[Layer]:

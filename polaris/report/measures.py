@@ -84,20 +84,20 @@ class Measure:
             return shown(100.0 * value, self.key, ".1f", "%" if unit else "")
         return shown(value, self.key, ".4g", self.unit if unit else "")
 
-    def cell(self, value: Any, unit: bool = True) -> Cell:
-        """A value, or a mean with its confidence bounds, as a cell."""
+    def cell(self, value: Any, unit: bool = True, judged: bool = True) -> Cell:
+        """A value, or a mean with its bounds, as a cell; `judged` marks what tells of a collision."""
         if isinstance(value, Mapping):
-            return self._bounded(value)
-        return Cell(self.text(value, unit), number_cell(value).sort, self._bad(value))
+            return self._bounded(value, judged)
+        return Cell(self.text(value, unit), number_cell(value).sort, judged and self._bad(value))
 
-    def _bounded(self, value: Mapping[str, Any]) -> Cell:
+    def _bounded(self, value: Mapping[str, Any], judged: bool) -> Cell:
         mean, low, high, worst = (value.get(name) for name in ("mean", "low", "high", "worst"))
         told = self.text(mean, unit=False)
         if low is not None or high is not None:
             told += f'<span class="range">{self.text(low, False)} to {self.text(high, False)}</span>'
         if worst is not None:
             told += f'<span class="range">worst {self.text(worst, False)}</span>'
-        return Cell(told, number_cell(mean).sort, self._bad(worst if worst is not None else mean))
+        return Cell(told, number_cell(mean).sort, judged and self._bad(worst if worst is not None else mean))
 
     def _bad(self, value: Any) -> bool:
         if self.key not in BAD or value is None:

@@ -35,7 +35,7 @@ def run_data(folder: RunFolder) -> dict[str, Any]:
     for key, item in flights.items():
         chosen = _kept(item)
         who = _modes(item)[chosen[:-1]]
-        paths = (item.states[:, chosen] @ picture.system.position.T)[..., list(picture.frame.axes)]
+        paths = timelines.paths_of(picture, item.times[chosen], item.states[:, chosen])
         runs = len(item.labels)
         style = {"colour": mode_colour({"safety": 0, "experimental": 1}.get(key, 6)), "on": key == "polaris"}
         if key == "polaris":
@@ -61,6 +61,7 @@ def run_data(folder: RunFolder) -> dict[str, Any]:
         "scene": scene_of(picture, [picture.positions(item) for item in flights.values()]),
         "end": plain(picture.duration),
         "modes": timelines.mode_names(picture, np.concatenate(present)),
+        "modes_title": timelines.WHO,
         "by": "mode",
         "pilots": pilots,
         "panels": panels,

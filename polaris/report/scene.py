@@ -19,6 +19,7 @@ from ..planning.goals import Box, EllipticalNMT, Goal, LinearNMT, StationaryPoin
 from ..system import Array
 from . import layers
 from .layers import Layer
+from .line_scene import line_scene
 from .numbers import plain
 from .solids import Surface, polyhedron
 from .unsafe_layers import unsafe_layers
@@ -76,15 +77,16 @@ def scene_of(picture: Picture, paths: Sequence[Array]) -> dict[str, Any]:
     Parameters
     ----------
     picture : Picture
-        Of a system that moves in the plane or in space.
     paths : sequence of ndarray, shape (N, d)
         Positions flown [m]; the scene is widened for those that stay near it.
 
     Returns
     -------
     dict
-        ``space`` (2 or 3), ``axes``, ``range`` and ``layers``.
+        ``space`` (2 or 3 axes), ``equal`` (whether one scale serves all), ``axes``, ``range``, ``layers``.
     """
+    if picture.system.d == 1:
+        return line_scene(picture, paths)
     bounds = Bounds.of(picture, paths)
     low, high = bounds.own(picture)
     found = [
@@ -97,6 +99,7 @@ def scene_of(picture: Picture, paths: Sequence[Array]) -> dict[str, Any]:
     ]
     return {
         "space": picture.system.d,
+        "equal": True,
         "axes": list(picture.frame.labels),
         "range": plain(np.stack([bounds.low, bounds.high], axis=1)),
         "layers": found,
@@ -154,9 +157,11 @@ def _goal(picture: Picture) -> list[Layer]:
         place = (picture.system.position @ np.asarray(goal.state))[axes]
         return [layers.markers("goal", place[None], "goal", GREEN, "diamond", 5)]
     if isinstance(goal, Box):
-        body = picture.system.position @ Zonotope.box(np.asarray(goal.center), np.asarray(goal.half_widths))
-        if not np.isfinite(body.G).all():  # any position will do along some axis
+        C, half = picture.system.position, np.asarray(goal.half_widths)
+        known = np.isfinite(half)
+        if np.any(C[:, ~known]):  # any position will do along some axis
             return []
+        body = C @ Zonotope.box(np.asarray(goal.center), np.where(known, half, 0.0))
         drawn = _body("goal", body, axes, "goal", GREEN, 0.2)
         return [drawn] if drawn else []
     return []

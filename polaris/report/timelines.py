@@ -29,6 +29,8 @@ MOST = 400
 COLOURS = (BLACK, BLUE, ORANGE, GREEN, PURPLE, VERMILION, SKY, "#8C6D1F", "#5B5B5B", "#A6761D")
 DASHES = ("solid", "dash", "dot", "dashdot", "longdash")
 
+WHO = "Who flies"
+
 Panel = dict[str, Any]
 Pilot = dict[str, Any]
 
@@ -80,6 +82,14 @@ def pilot(
     """
     runs = [{"p": plain(path.T), "modes": plain(who)} for path, who in zip(paths, modes, strict=True)]
     return {"key": key, "name": name, "labels": list(labels), "t": plain(times), "runs": runs} | style
+
+
+def paths_of(picture: Picture, times: Array, states: Array) -> Array:
+    """Positions of runs in the axes of the scene, from states (r, N, n); on the line, over time."""
+    positions = (states @ picture.system.position.T)[..., list(picture.frame.axes)]
+    if picture.system.d > 1:
+        return np.asarray(positions)
+    return np.stack([np.broadcast_to(times, positions.shape[:2]), positions[..., 0]], axis=-1)
 
 
 def mode_names(picture: Picture, present: ArrayLike) -> list[dict[str, Any]]:

@@ -114,13 +114,26 @@ def write_comparison(target, run, flights, methods=4):
         "definitions": {"min_distance_m": "least signed distance"},
         "methods": told,
         "paired": [
-            {"method": key, "against": "schedule", "metric": "min_distance_m", "difference": -1.0, "low": -1.5, "high": -0.5}
+            {
+                "method": key,
+                "against": "schedule",
+                "metric": "min_distance_m",
+                "difference": -1.0,
+                "low": -1.5,
+                "high": -0.5,
+            }
             for key in keys[1:]
         ],
     }
     (target / "comparison.json").write_text(json.dumps(comparison), encoding="utf-8")
     lines = [
-        {"method": "filter_0", "t": float(t), "mode": int(t > 20), "margin": 0.5 - t / 100, "reason": f"{EVIL} {int(t > 20)}"}
+        {
+            "method": "filter_0",
+            "t": float(t),
+            "mode": int(t > 20),
+            "margin": 0.5 - t / 100,
+            "reason": f"{EVIL} {int(t > 20)}",
+        }
         for t in range(40)
     ]
     (target / "decisions.jsonl").write_text("\n".join(map(json.dumps, lines)) + "\n", encoding="utf-8")

@@ -2,9 +2,9 @@
 
 const LAPSE = 24; // seconds in which playing shows a whole flight
 const GROUPS = { unsafe: "unsafe sets", goal: "goal", initial: "initial set", reference: "safe reference",
-  slice: "recoverable sets (slices)", tube: "reachable set", sun: "sun", predicted: "predicted backup flights" };
+  slice: "recoverable sets (slices)", tube: "reachable set", sun: "sun", keep: "keep-in sphere", predicted: "predicted backup flights" };
 const SWATCH = { unsafe: "#C0202B", goal: "#009E73", initial: "#404040", reference: "#767676", slice: "#E3D63B",
-  tube: "#56B4E9", sun: "#E69F00", predicted: "#56B4E9" };
+  tube: "#56B4E9", sun: "#E69F00", keep: "#767676", predicted: "#56B4E9" };
 
 const $ = (id) => document.getElementById(id);
 const short = (value) => (value === null || value === undefined ? "none" : String(Number(Number(value).toPrecision(4))));
@@ -129,7 +129,7 @@ function controls(data, state, redraw) {
 // The same in words: one row per pilot with all values at the time shown.
 function readout(data, state) {
   const own = data.panels.filter((panel) => panel.series.some((one) => one.pilot !== null));
-  const head = element("tr", {}, ...["Shown", "Run", "Who flies", ...own.map((panel) => `${panel.title} (${panel.unit})`)]
+  const head = element("tr", {}, ...["Shown", "Run", data.modes_title, ...own.map((panel) => `${panel.title} (${panel.unit})`)]
     .map((text) => element("th", { scope: "col", textContent: text })));
   const rows = state.shown.map((pilot) => {
     const run = runOf(pilot, state), [i, s] = place(pilot.t, state.t), who = pilot.runs[run].modes;
@@ -145,7 +145,7 @@ function readout(data, state) {
   const notes = data.panels.flatMap((panel) => panel.series.filter((one) => one.pilot === null).map((series) => {
     const [i, s] = place(series.t, series.bars ? state.t + series.width / 2 : state.t);
     const text = series.text ? ` (${series.text[i]})` : "";
-    return `${panel.title}, ${series.name}: ${at(series, series.y, i, s)}${panel.unit ? " " + panel.unit : ""}${text}`;
+    return `${panel.title}, ${series.name}${series.meaning ? ", " + series.meaning : ""}: ${at(series, series.y, i, s)}${panel.unit ? " " + panel.unit : ""}${text}`;
   }));
   $("notes").replaceChildren(...notes.map((text) => element("li", { textContent: text })));
 }

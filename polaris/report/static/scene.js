@@ -130,10 +130,11 @@ function sceneLayout(data) {
     font: { family: "system-ui, sans-serif", color: "#222" } };
   if (space === 2) {
     return { ...common, margin: { l: 60, r: 10, t: 10, b: 46 }, plot_bgcolor: "#fff", xaxis: axis(0),
-      yaxis: { ...axis(1), scaleanchor: "x" } };
+      yaxis: { ...axis(1), ...(data.scene.equal ? { scaleanchor: "x" } : {}) } };
   }
   const size = range.map(([low, high]) => high - low), mean = Math.cbrt(size[0] * size[1] * size[2]);
   const [x, y, z] = size.map((v) => v / mean);
+  const far = (1.4 + 0.65 * Math.max(x, y, z)) / 2.2, eye = { x: 0.84 * far, y: -1.74 * far, z: 1.06 * far };
   return { ...common, scene: { xaxis: axis(0), yaxis: axis(1), zaxis: axis(2), aspectmode: "manual",
-    aspectratio: { x, y, z }, camera: { eye: { x: 0.8, y: -1.75, z: 1.05 }, center: { x: 0, y: 0, z: -0.1 } } } };
+    aspectratio: { x, y, z }, camera: { eye, center: { x: 0, y: 0, z: -0.1 } } } };
 }

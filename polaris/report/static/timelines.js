@@ -1,6 +1,6 @@
 // Diagrams over time, one above the other with one time axis, and the line that marks the time shown.
 
-const GAP = 40, PANEL = 104, ROW = 22;
+const PANEL = 104, ROW = 22;
 
 function rowsOf(data, state) {
   return state.shown.map((pilot) => plain(pilot.name));
@@ -32,7 +32,7 @@ function lineTraces(data, state, panel, yaxis) {
     const pilot = series.pilot === null ? null : state.shown.find((one) => one.key === series.pilot);
     if (series.pilot !== null && !pilot) continue;
     const x = series.t || pilot.t, name = plain(series.name || pilot.name), unit = plain(panel.unit || "");
-    const hover = `${name}: %{y:.4g} ${unit}<extra></extra>`;
+    const hover = `${name}${series.meaning ? ", " + plain(series.meaning) : ""}: %{y:.4g} ${unit}<extra></extra>`;
     if (series.bars) {
       const colours = series.modes.map((mode) => (data.modes.find((one) => one.mode === mode) || {}).colour);
       traces.push({ type: "bar", x, y: series.y, width: series.width, text: series.text.map(plain), textposition: "none",
@@ -68,9 +68,17 @@ function rangeOf(panel, traces) {
   return [low - pad, high + pad];
 }
 
+// Names of the lines that belong to no pilot, in their colours.
+function linesOf(panel) {
+  const own = panel.series.filter((one) => one.pilot === null && !one.bars);
+  return own.map((one) => `<span style="color:${one.colour}">${plain(one.name)}</span>`).join(", ");
+}
+
 function timelineFigure(data, state) {
+  const narrow = window.innerWidth < 600, gap = 46;
   const rows = rowsOf(data, state), heights = [ROW * rows.length + 8, ...data.panels.map(() => PANEL)];
-  const total = heights.reduce((sum, h) => sum + h + GAP, 0), narrow = window.innerWidth < 600;
+  
+  const total = heights.reduce((sum, h) => sum + h + gap, 0);
   const layout = { height: total + 46, margin: { l: narrow ? 62 : 78, r: 12, t: 4, b: 44 }, barmode: "overlay", hovermode: "x",
     hoverdistance: -1, showlegend: false, paper_bgcolor: "#fff", plot_bgcolor: "#fff", dragmode: narrow ? false : "zoom",
     font: { family: "system-ui, sans-serif", size: 11, color: "#222" }, uirevision: "keep", annotations: [],
@@ -78,10 +86,10 @@ function timelineFigure(data, state) {
     xaxis: { title: { text: "Time (s)" }, range: [0, data.end], gridcolor: "#E6E6E6", zeroline: false } };
   const traces = [];
   let top = total;
-  ["Who flies", ...data.panels.map((panel) => panel.title + (panel.unit ? ` (${panel.unit})` : ""))].forEach((title, n) => {
+  [data.modes_title, ...data.panels.map((panel) => panel.title + (panel.unit ? ` (${panel.unit})` : ""))].forEach((title, n) => {
     const name = n ? "y" + (n + 1) : "y", yaxis = { gridcolor: "#E6E6E6", zeroline: false, nticks: 5, fixedrange: true };
-    top -= GAP - 14;
-    layout.annotations.push({ text: `<b>${plain(title)}</b>`, xref: "paper", yref: "paper", x: 0, y: top / total, xanchor: "left",
+    top -= gap - 14;
+    layout.annotations.push({ text: `<b>${plain(title)}</b>` + (n && linesOf(data.panels[n - 1]) ? `<br>${linesOf(data.panels[n - 1])}` : ""), align: "left", xref: "paper", yref: "paper", x: 0, y: top / total, xanchor: "left",
       yanchor: "bottom", showarrow: false, font: { size: 12 }, borderpad: 2 });
     yaxis.domain = [Math.max(top - heights[n], 0) / total, top / total];
     top -= heights[n] + 14;
@@ -90,7 +98,7 @@ function timelineFigure(data, state) {
       const panel = data.panels[n - 1];
       yaxis.range = rangeOf(panel, own);
       limitsOf(panel, yaxis.range, name, layout);
-    } else Object.assign(yaxis, { type: "category", categoryarray: [...rows].reverse(), range: [-0.6, rows.length - 0.4],
+    } else Object.assign(yaxis, { type: "category", categoryarray: [...rows].reverse(), range: [-0.6, rows.length - 0.4], nticks: 0, tickmode: "array", tickvals: rows,
       tickfont: { size: narrow ? 9 : 11 }, automargin: true, showgrid: false });
     layout[n ? "yaxis" + (n + 1) : "yaxis"] = yaxis;
     traces.push(...own);

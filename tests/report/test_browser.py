@@ -1,0 +1,248 @@
+"""Reports in a browser without a network: they draw, time moves all of the page, nothing is asked for."""
+
+import io
+import json
+import shutil
+import time
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from polaris import cli
+from polaris.report import write_report
+from polaris.runfolder import read_run
+
+from .folders import EVIL, rename, write_comparison, write_tiny
+
+CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
+
+pytestmark = pytest.mark.skipif(
+    not (CHROMIUM and DRIVER), reason="needs chromium and chromedriver, which are not installed"
+)
+
+FLAGS = (
+    "--headless=new",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--disable-quic",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--proxy-server=127.0.0.1:1",  # nobody answers there
+    "--window-size=900,700",
+    "about:blank",
+)
+
+
+@pytest.fixture(scope="module")
+def pages(tmp_path_factory):
+    """One report of each kind, as addresses."""
+    place = tmp_path_factory.mktemp("pages")
+    run = write_tiny(place / "run")
+    opened = read_run(run)
+    (place / "compared").mkdir()
+    shutil.copytree(run, place / "compared" / "run")
+    write_comparison(place / "compared", opened, opened.picture().flights)
+    rename(run, EVIL)
+    flight = place / "inspection"
+    command = [
+        "run",
+        "inspection",
+        "--set",
+        "flight.duration_s=20",
+        "--out",
+        str(flight),
+        "--no-figures",
+        "-q",
+    ]
+    assert CliRunner().invoke(cli.app, command).exit_code == 0
+    folders = {"run": run, "comparison": place / "compared", "inspection": flight}
+    return {kind: write_report(folder).as_uri() for kind, folder in folders.items()}
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory):
+    from selenium import webdriver
+    from selenium.webdriver.chrome.options import Options
+    from selenium.webdriver.chrome.service import Service
+
+    options = Options()
+    options.binary_location = CHROMIUM
+    for flag in (*FLAGS, f"--user-data-dir={tmp_path_factory.mktemp('profile')}"):
+        options.add_argument(flag)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+    driver = webdriver.Chrome(service=Service(DRIVER), options=options)
+    driver.set_page_load_timeout(300)
+    driver.set_script_timeout(120)
+    yield driver
+    driver.quit()
+
+
+def wait(browser, script, *args, most=120.0):
+    """Ask until the answer is true."""
+    until = time.monotonic() + most
+    while not (found := browser.execute_script(script, *args)):
+        assert time.monotonic() < until, script
+        time.sleep(0.1)
+    return found
+
+
+def open_page(browser, address):
+    browser.get_log("browser"), browser.get_log("performance")  # what came before
+    browser.get(address)
+    wait(browser, "return ['scene', 'timelines'].every((id) => document.getElementById(id)._fullLayout)")
+
+
+def move_slider(browser, share):
+    """Move the slider as a hand would, and wait until the scene has followed."""
+    script = """const slider = document.getElementById('time');
+    slider.value = slider.max * arguments[0];
+    slider.dispatchEvent(new Event('input'));
+    return Number(slider.value);"""
+    t = browser.execute_script(script, share)
+    wait(
+        browser,
+        "return Math.abs(document.getElementById('timelines').layout.shapes[0].x0 - arguments[0]) < 1e-9",
+        t,
+    )
+    return t
+
+
+def trace(browser, uid):
+    """Coordinates of one trace of the scene as plotly holds it."""
+    script = """const found = document.getElementById('scene').data.find((one) => one.uid === arguments[0]);
+    return found && [found.x, found.y];"""
+    return browser.execute_script(script, uid)
+
+
+def assert_quiet(browser):
+    """No error on the console, and no request but for the page itself and what it holds."""
+    assert [one for one in browser.get_log("browser") if one["level"] == "SEVERE"] == []
+    sent = [json.loads(one["message"])["message"] for one in browser.get_log("performance")]
+    urls = [one["params"]["request"]["url"] for one in sent if one["method"] == "Network.requestWillBeSent"]
+    assert all(url.startswith(("file:", "data:", "blob:")) for url in urls), urls
+    assert len({url for url in urls if url.startswith("file:")}) == 1
+
+
+def test_slider_moves_scene_cursor_and_table(browser, pages):
+    open_page(browser, pages["run"])
+    before, table = trace(browser, "pilotpolarisnow"), browser.execute_script(READOUT)
+    t = move_slider(browser, 0.5)
+    wait(
+        browser, "return document.getElementById('now').textContent.startsWith(arguments[0])", f"{t:.2f}"[:3]
+    )
+    wait(browser, MOVED, "pilotpolarisnow", before[0][0])
+    flown = trace(browser, "pilotpolaris1")
+    assert trace(browser, "pilotpolarisnow") != before and browser.execute_script(READOUT) != table
+    move_slider(browser, 1.0)
+    wait(browser, LONGER, "pilotpolaris1", len(flown[0]))
+    assert_quiet(browser)
+
+
+READOUT = "return document.getElementById('readout').textContent"
+MOVED = """const one = document.getElementById('scene').data.find((one) => one.uid === arguments[0]);
+return one.x[0] !== arguments[1];"""
+LONGER = """const one = document.getElementById('scene').data.find((one) => one.uid === arguments[0]);
+return one.x.length > arguments[1];"""
+
+
+def test_moving_sets_and_tubes_follow_the_time(browser, pages):
+    open_page(browser, pages["run"])
+    script = """return Object.fromEntries(document.getElementById('scene').data
+    .filter((one) => arguments[0].includes(one.name)).map((one) => [one.name, one.x]));"""
+    names = ["trolley", "reachable now", "recoverable, last slice reached", "pillar"]
+    early = browser.execute_script(script, names)
+    before = trace(browser, "pilotpolarisnow")
+    move_slider(browser, 0.75)
+    wait(browser, MOVED, "pilotpolarisnow", before[0][0])
+    late = browser.execute_script(script, names)
+    assert set(late) == set(names) and late["pillar"] == early["pillar"]
+    assert all(late[name] != early[name] for name in names[:3])
+    assert np.allclose(np.array(late["trolley"]) - early["trolley"], -0.05 * 9, atol=1e-4)
+
+
+def test_pointing_at_a_timeline_moves_the_scene(browser, pages):
+    from selenium.webdriver.common.action_chains import ActionChains
+    from selenium.webdriver.common.by import By
+
+    open_page(browser, pages["run"])
+    area = browser.find_element(By.CSS_SELECTOR, "#timelines .nsewdrag[data-subplot='xy2']")
+    browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", area)
+    ActionChains(browser).move_to_element_with_offset(area, 10, 0).move_by_offset(5, 0).perform()
+    wait(browser, "return Number(document.getElementById('time').value) > 0")
+    t = float(browser.execute_script("return document.getElementById('time').value"))
+    assert browser.execute_script(
+        "return document.getElementById('timelines').layout.shapes[0].x0"
+    ) == pytest.approx(t, abs=0.05)
+    assert 4 < t < 9  # a little to the right of the middle of 12 s
+
+
+def test_play_runs_and_pauses(browser, pages):
+    open_page(browser, pages["run"])
+    browser.execute_script("document.getElementById('play').click()")
+    wait(browser, "return Number(document.getElementById('time').value) > 0.1")
+    assert browser.execute_script("return document.getElementById('play').textContent") == "Pause"
+    browser.execute_script("document.getElementById('play').click()")
+    stopped = browser.execute_script("return document.getElementById('time').value")
+    time.sleep(0.3)
+    assert browser.execute_script("return document.getElementById('time').value") == stopped
+
+
+def test_run_and_controller_are_chosen(browser, pages):
+    open_page(browser, pages["run"])
+    move_slider(browser, 1.0)
+    nominal = trace(browser, "pilotpolarisall")
+    browser.execute_script(
+        "const run = document.getElementById('run'); run.value = 'closest'; run.dispatchEvent(new Event('change'));"
+    )
+    wait(browser, MOVED, "pilotpolarisall", nominal[0][0])
+    assert trace(browser, "pilotexperimentalall") is None
+    browser.execute_script("document.querySelectorAll('#pilots input')[2].click()")
+    wait(
+        browser,
+        "return document.getElementById('scene').data.some((one) => one.uid === 'pilotexperimentalall')",
+    )
+    assert browser.execute_script("return document.querySelectorAll('#readout tbody tr').length") == 2
+
+
+def test_title_is_inert_and_the_policy_holds(browser, pages):
+    open_page(browser, pages["run"])
+    assert browser.find_element("css selector", "h1").text == EVIL and EVIL in browser.title
+    script = """const done = arguments[0];
+    fetch('http://127.0.0.1:9/').then(() => done('asked'), () => done('refused'));"""
+    assert browser.execute_async_script(script) == "refused"
+    refused = [one["message"] for one in browser.get_log("browser")]
+    assert any("Content Security Policy" in message for message in refused)
+    inline = "const s = document.createElement('script'); s.textContent = 'window.ran = 1'; document.body.append(s); return window.ran"
+    assert browser.execute_script(inline) is None
+
+
+def test_methods_are_sorted_and_overlaid(browser, pages):
+    open_page(browser, pages["comparison"])
+    names = "return [...document.querySelectorAll('#methods table.sortable tbody th')].map((one) => one.textContent)"
+    assert browser.execute_script(names)[0] == "Polaris schedule"
+    browser.execute_script("document.querySelectorAll('#methods thead button')[2].click()")
+    ordered = browser.execute_script(names)
+    assert ordered[0] == "filter 0" and ordered[-1].startswith("needs a licence")  # without a value: last
+    shown = "return document.getElementById('timelines').data.filter((one) => one.type === 'scatter').map((one) => one.name)"
+    assert {"Polaris schedule", "S alone", "U alone", "filter 0"} <= set(browser.execute_script(shown))
+    assert_quiet(browser)
+
+
+def test_scene_in_space_is_not_blank(browser, pages):
+    from matplotlib import image
+
+    open_page(browser, pages["inspection"])
+    if not browser.execute_script("return !!document.createElement('canvas').getContext('webgl')"):
+        pytest.skip("this browser has no WebGL")
+    move_slider(browser, 0.9)
+    wait(browser, "return document.querySelector('#scene canvas') !== null")
+    time.sleep(1.0)
+    picture = image.imread(io.BytesIO(browser.find_element("css selector", "#scene").screenshot_as_png))
+    colours = np.unique((picture[..., :3] * 15).astype(int).reshape(-1, 3), axis=0)
+    assert len(colours) > 20
+    assert_quiet(browser)

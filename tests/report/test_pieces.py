@@ -1,0 +1,189 @@
+"""Numbers, surfaces and tables that reports are made of."""
+
+import json
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from polaris.report.comparison_report import stretches
+from polaris.report.html import Cell, badge, number_cell, table, text_cell
+from polaris.report.measures import Measure
+from polaris.report.numbers import escaped, plain, script_json, shown
+from polaris.report.solids import ball, cut_outline, cut_surface, hull, polyhedron
+from polaris.report.timelines import MOST, kept, style_of
+
+CUBE = np.vstack([np.eye(3), -np.eye(3)])
+
+
+# -- numbers ----------------------------------------------------------------------------------------
+
+
+def test_what_is_not_finite_becomes_null():
+    assert plain([[1.0, np.nan], [np.inf, -2.5]]) == [[1, None], [None, -2.5]]
+    assert plain(np.float64("inf")) is None and plain(np.array([True, False])) == [True, False]
+
+
+@given(st.lists(st.floats(allow_nan=False, allow_infinity=False, width=64), min_size=1))
+def test_numbers_keep_six_digits(values):
+    assert np.allclose(plain(values), values, rtol=5e-6, atol=0.0)
+
+
+@given(st.text())
+def test_no_text_leaves_its_script_or_its_attribute(text):
+    inert = script_json({"text": text})
+    assert not set("<>&") & set(inert) and json.loads(inert)["text"] == text
+    assert not set("<>\"'") & set(escaped(text))
+
+
+@pytest.mark.parametrize(
+    ("value", "key", "told"),
+    [
+        (None, "", "none"),
+        (None, "min_ttc_s", "∞"),
+        (None, "min_distance_m", "none"),
+        (float("inf"), "", "∞"),
+        (float("-inf"), "", "−∞"),
+        (float("nan"), "", "none"),
+        (1.23456, "", "1.235"),
+        (100, "", "100"),
+        (True, "", "yes"),
+        ("<b>", "", "&lt;b&gt;"),
+        ([1.0, None], "", "1, "),
+    ],
+)
+def test_values_in_words(value, key, told):
+    text = shown(value, key)
+    assert told in text
+    assert not any(raw in text.lower() for raw in ("nan", "null", ">inf"))
+    if told in ("none", "∞", "−∞"):
+        assert 'title="' in text
+
+
+def test_metrics_nobody_knows_are_shown_with_their_unit():
+    assert Measure.of("never_heard_of_m").head == "never heard of (m)"
+    assert Measure.of("decision_p99_us").unit == "µs" and Measure.of("deviation_m_s2").unit == "m/s²"
+    assert Measure.of("experimental_share").text(0.733) == "73.3 %"
+
+
+def test_means_have_their_bounds_and_collisions_stand_out():
+    distance = Measure.of("min_distance_m")
+    cell = distance.cell({"mean": 1.0, "low": 0.5, "high": 1.5, "worst": -0.25}, unit=False)
+    assert cell.sort == 1.0 and cell.bad and "0.5 to 1.5" in cell.html and "worst -0.25" in cell.html
+    assert not distance.cell({"mean": -1.0, "low": -2.0, "high": 0.0}, judged=False).bad
+    assert not distance.cell(None).bad and distance.cell(None).sort is None
+    assert Measure.of("collided").cell(True).bad and not Measure.of("collided_runs").cell(0).bad
+
+
+# -- tables -----------------------------------------------------------------------------------------
+
+
+class Tags(HTMLParser):
+    """Every start tag, and the texts."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.tags, self.texts = [], []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_data(self, data):
+        self.texts.append(data)
+
+
+def test_table_has_heads_scopes_and_inert_texts():
+    evil = '"><img src=x onerror=alert(1)>'
+    found = Tags(
+        table(
+            evil, [evil, "b"], [[Cell(escaped(evil)), text_cell(evil)], [Cell("x"), number_cell(2.5)]], True
+        )
+    )
+    assert not [tag for tag, _ in found.tags if tag == "img"]
+    assert found.texts.count(evil) == 4  # caption, head, two cells
+    assert [attrs["scope"] for tag, attrs in found.tags if tag == "th"] == ["col", "col", "row", "row"]
+    assert [attrs["data-sort"] for tag, attrs in found.tags if tag == "td"] == [evil, "2.5"]
+
+
+def test_badges_tell_by_word_and_not_only_by_colour():
+    assert "nothing proven" in badge("none") and "✓" in badge("proved")
+    assert "&lt;i&gt;" in badge("<i>")
+
+
+def test_decisions_are_joined_while_nothing_changes():
+    rows = [
+        {"method": "a", "t": 0, "mode": 1, "margin": 0.5, "reason": "inside"},
+        {"method": "b", "t": 0, "mode": 0, "margin": None, "reason": None},
+        {"method": "a", "t": 1, "mode": 1, "margin": 0.25, "reason": "inside"},
+        {"method": "a", "t": 2, "mode": 0, "margin": -0.1, "reason": "leaves"},
+    ]
+    found = stretches([*map(json.dumps, rows), "", "\n"])
+    told = [(one.mode, one.begin, one.end, one.count, one.margin) for one in found["a"]]
+    assert told == [(1, 0, 1, 2, 0.25), (0, 2, 2, 1, -0.1)]
+    assert found["b"][0].margin is None
+
+
+# -- thinning ---------------------------------------------------------------------------------------
+
+
+def test_thinning_keeps_ends_changes_and_what_must_be():
+    modes = np.zeros((2, 9999), dtype=int)
+    modes[1, 4321:] = 1
+    chosen = kept(10_000, modes, [1234])
+    assert {0, 4321, 1234, 9999} <= set(chosen.tolist()) and MOST <= len(chosen) <= MOST + 2
+    assert len(kept(10_000, np.arange(9999) % 2)) <= 2 * MOST + 1
+    assert kept(5).tolist() == [0, 1, 2, 3, 4]
+
+
+def test_no_two_of_fifty_pilots_look_alike():
+    assert len({tuple(style_of(i).values()) for i in range(50)}) == 50
+
+
+# -- surfaces ---------------------------------------------------------------------------------------
+
+
+def volume(surface):
+    """By cones from the middle: the surface is closed and convex."""
+    a, b, c = np.moveaxis(surface.points[surface.faces] - surface.points.mean(axis=0), 1, 0)
+    return float(np.abs(np.einsum("ij,ij->i", a, np.cross(b, c))).sum() / 6)
+
+
+def test_ball_is_round_and_nearly_full():
+    surface = ball(3.0)
+    assert np.allclose(np.linalg.norm(surface.points, axis=1), 3.0)
+    assert 0.95 < volume(surface) / (4 / 3 * np.pi * 27) < 1
+
+
+@given(
+    st.lists(st.floats(0.1, 50), min_size=6, max_size=6),
+    st.lists(st.floats(-100, 100), min_size=3, max_size=3),
+)
+def test_polyhedron_has_the_volume_of_its_box(half, centre):
+    support = CUBE @ np.array(centre) + np.array(half)
+    surface = polyhedron(CUBE, support, np.array(centre))
+    sizes = np.array(half[:3]) + np.array(half[3:])
+    assert volume(surface) == pytest.approx(float(np.prod(sizes)), rel=1e-6)
+    assert np.all(surface.points @ CUBE.T <= support + 1e-6)
+
+
+def test_sets_without_volume_have_no_surface():
+    assert hull(np.zeros((8, 3))) is None and hull(np.eye(3)) is None
+    assert polyhedron(CUBE, np.array([1.0, 1, 0, 1, 1, 0]), np.zeros(3)) is None
+
+
+def test_cone_is_cut_to_the_scene_and_stays_open():
+    H = np.array([[-1.0, 1, 0], [-1.0, -1, 0], [-1.0, 0, 1], [-1.0, 0, -1]]) / np.sqrt(2)
+    low, high = np.array([-1.0, -20, -20]), np.array([10.0, 20, 20])
+    closed, opened = (cut_surface(H, np.zeros(4), low, high, closed=shut) for shut in (True, False))
+    assert np.allclose(closed.points.max(axis=0), [10, 10, 10])
+    assert len(opened.faces) == 4 and len(closed.faces) == 6
+    assert cut_surface(H, np.zeros(4), high + 90 * np.array([0, 1, 1]), high + 100) is None
+
+
+def test_outline_is_cut_in_the_plane():
+    wall = cut_outline(np.array([[0.0, -1.0]]), np.array([-7.0]), np.zeros(2), np.array([5.0, 9.0]))
+    assert sorted(map(tuple, wall.round(9).tolist())) == [(0, 7), (0, 9), (5, 7), (5, 9)]
+    assert len(cut_outline(np.array([[0.0, -1.0]]), np.array([-70.0]), np.zeros(2), np.ones(2))) == 0

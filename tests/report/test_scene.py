@@ -1,0 +1,196 @@
+"""Layers of scenes: every kind of unsafe set, at rest and moving, in space, in the plane and on the line."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from polaris.figures.picture import Picture, TubePicture
+from polaris.hill import clohessy_wiltshire
+from polaris.obstacles import (
+    BallObstacle,
+    BoxObstacle,
+    KeepInCone,
+    KeepInPolytope,
+    PolytopeObstacle,
+    SatelliteObstacle,
+)
+from polaris.planning.goals import Box, EllipticalNMT, LinearNMT, StationaryPoint
+from polaris.reference import Reference
+from polaris.report.bounds import proven_distance
+from polaris.report.scene import scene_of
+from polaris.system import LinearSystem
+from reach.zonotope import Zonotope
+
+K, DELTA, Q = 6, 20.0, 2
+
+
+def integrator(d):
+    """A double integrator in d dimensions."""
+    zero, one = np.zeros((d, d)), np.eye(d)
+    A = np.block([[zero, one], [zero, zero]])
+    B = np.vstack([zero, one])
+    return LinearSystem(A, B, B, np.ones(d), 0.01)
+
+
+def picture(system, obstacles, goal):
+    """A drift from one corner, with a tube of 1 m about it."""
+    d = system.d
+    start = np.r_[np.full(d, -60.0), np.full(d, 1.0)]
+    reference = Reference.propagate(system, DELTA, start, np.zeros((K, system.m)))
+    centre = reference.fine(Q) @ system.position.T
+    generators = np.broadcast_to(np.eye(d), (K, Q + 1, d, d))
+    tube = TubePicture(centre, generators, np.full((K, Q, d), 0.1))
+    return Picture(
+        "drift",
+        system,
+        tuple(obstacles),
+        goal,
+        Zonotope.box(start, np.full(2 * d, 2.0)),
+        reference,
+        K,
+        tube=tube,
+    )
+
+
+def named(scene):
+    return {layer["name"]: layer for layer in scene["layers"]}
+
+
+@pytest.fixture(scope="module")
+def space():
+    hill = clohessy_wiltshire(0.00113, 12.0, 0.2)
+    obstacles = [
+        BallObstacle("ball", [0, 0, 0], 10.0, velocity=[0.5, 0, 0]),
+        BoxObstacle("box", [10, -30, 5], [4, 5, 6]),
+        PolytopeObstacle("wall", [[0, 1.0, 0]], [-80.0], unbounded=True),
+        PolytopeObstacle("shutter", [[0, -1.0, 0]], [-90.0], velocity=[0, -0.2, 0], unbounded=True),
+        SatelliteObstacle("visitor", [20, 40, 0, 0, -0.1, 0], [1, 1, 1, 0.01, 0.01, 0.01], 8.0),
+        KeepInCone("sight", [0, -100, 0], [0, 1, 0], 1.0),
+        KeepInPolytope("corridor", [[0, 0, 1.0], [0, 0, -1.0]], [90.0, 90.0]),
+    ]
+    return picture(hill, obstacles, EllipticalNMT(0.00113, 20.0, 40.0))
+
+
+@pytest.fixture(scope="module")
+def scene(space):
+    return scene_of(space, [])
+
+
+def test_every_set_is_in_the_scene(scene):
+    found = named(scene)
+    meshes = {"ball", "box", "wall", "shutter", "visitor", "visitor is within", "sight (stay inside)", "goal"}
+    assert {name for name, layer in found.items() if layer["kind"] == "mesh"} >= meshes
+    assert "corridor (stay inside)" not in found  # its faces are out of view
+    assert {"safe reference", "start", "initial set", "reachable now", "sight: its sides"} <= set(found)
+
+
+def test_axes_are_those_of_the_figures(scene):
+    assert scene["space"] == 3 and scene["axes"][0].startswith("Along-track")
+    box = np.array(named(scene)["box"]["p"])  # along-track, radial, cross-track
+    assert np.allclose(box.min(axis=1), [-35, 6, -1]) and np.allclose(box.max(axis=1), [-25, 14, 11])
+
+
+def test_moving_sets_are_where_they_are_at_each_time(scene):
+    found = named(scene)
+    ball = found["ball"]
+    middle = np.array(ball["p"]).mean(axis=1) + np.array(ball["shift"])[:, -1]
+    assert np.allclose(middle, [0, 0.5 * K * DELTA, 0], atol=1e-4) and ball["t"][-1] == K * DELTA
+    shutter = found["shutter"]["frames"]
+    edges = [min(frame["p"][0]) if frame["p"] else np.inf for frame in shutter]
+    assert edges[-1] == pytest.approx(90 - 0.2 * K * DELTA, abs=1e-3) and np.all(np.diff(edges) <= 1e-9)
+
+
+def test_timed_cover_holds_the_satellite_wherever_it_may_be(space, scene):
+    found = named(scene)
+    cover = found["visitor is within"]
+    visitor = space.obstacles[4]
+    for t, frame in zip(cover["t"], cover["frames"], strict=True):
+        points = np.array(frame["p"])
+        centre = visitor.centre(t, space.system)[[1, 0, 2]]
+        for axis in range(3):  # at least the ball and the half widths, to either side
+            assert points[axis].max() >= centre[axis] + 9 - 1e-3
+            assert points[axis].min() <= centre[axis] - 9 + 1e-3
+
+
+def test_surfaces_are_cut_to_the_scene(scene):
+    low, high = np.array(scene["range"]).T
+    for name in ("wall", "sight (stay inside)"):
+        points = np.array(named(scene)[name]["p"]).T
+        assert np.all(points >= low - 1e-3) and np.all(points <= high + 1e-3)
+
+
+def test_tube_contains_the_reference(space, scene):
+    tube = named(scene)["reachable now"]
+    assert tube["kind"] == "mesh" and len(tube["frames"]) == K * Q
+    centre = space.tube.centre.reshape(K, Q + 1, 3)[..., [1, 0, 2]]
+    for number, frame in enumerate(tube["frames"]):
+        points, (k, part) = np.array(frame["p"]).T, divmod(number, Q)
+        for node in centre[k, part : part + 2]:
+            assert np.all(points.min(axis=0) <= node - 1.09) and np.all(points.max(axis=0) >= node + 1.09)
+
+
+@pytest.mark.parametrize(
+    "goal",
+    [
+        LinearNMT(0.00113, 30.0, 10.0),
+        StationaryPoint(np.zeros(6)),
+        Box(np.zeros(6), np.full(6, 5.0)),
+        Box(np.zeros(6), np.r_[np.full(3, 5.0), np.full(3, np.inf)]),
+        Box(np.zeros(6), np.full(6, np.inf)),
+    ],
+)
+def test_other_goals_are_drawn_if_they_have_a_place(space, goal):
+    found = named(scene_of(picture(space.system, [], goal), []))
+    assert ("goal" in found) == (not np.isinf(getattr(goal, "half_widths", np.zeros(3))[:3]).any())
+
+
+def test_scene_in_the_plane_is_of_areas():
+    goal = StationaryPoint(np.zeros(4))
+    obstacles = [
+        BallObstacle("ball", [0, 0], 5.0, velocity=[0.1, 0]),
+        PolytopeObstacle("wall", [[0.0, -1.0]], [-70.0], unbounded=True),
+        SatelliteObstacle("other", [20, 20, 0, 0], [1, 1, 0, 0], 3.0),
+        KeepInCone("sight", [-100, -100], [1, 1], 0.5),
+    ]
+    found = named(scene_of(picture(integrator(2), obstacles, goal), []))
+    kinds = {name: layer["kind"] for name, layer in found.items()}
+    assert {kinds[name] for name in ("ball", "other", "other is within", "reachable now")} == {"area"}
+    assert kinds["sight (stay inside)"] == "line" and "mesh" not in kinds.values()
+
+
+def test_scene_on_the_line_is_drawn_over_time():
+    obstacles = [
+        BoxObstacle("door", [100.0], [5.0], velocity=[-0.1]),
+        KeepInPolytope("track", [[1.0], [-1.0]], [120.0, 90.0]),
+    ]
+    scene = scene_of(picture(integrator(1), obstacles, StationaryPoint(np.zeros(2))), [])
+    door = np.array(named(scene)["door"]["p"])
+    assert scene["axes"][0] == "Time (s)" and not scene["equal"] and scene["space"] == 2
+    assert door[0].max() == K * DELTA and door[1].max() <= scene["range"][1][1]
+
+
+def test_only_plain_numbers_are_in_a_scene(scene):
+    for layer in scene["layers"]:
+        for axis in itertools.chain.from_iterable(frame["p"] for frame in layer.get("frames", [layer])):
+            assert all(value is None or np.isfinite(value) for value in axis)
+
+
+# -- what is proven ---------------------------------------------------------------------------------
+
+
+def test_no_point_of_the_tube_is_nearer_than_what_is_proven(space):
+    rng = np.random.default_rng(0)
+    bound = proven_distance(space)
+    assert bound.shape == (K, Q) and np.all(bound >= 0) and bound.max() > 10
+    nodes = space.reference.fine(8)[:K] @ space.system.position.T
+    for k, part in itertools.product(range(K), range(Q)):
+        for step in range(part * 4, part * 4 + 5):
+            t = (k + step / 8) * DELTA
+            points = nodes[k, step] + rng.uniform(-1, 1, (50, 3))
+            near = [o.signed_distance(t, points, space.system).min() for o in space.obstacles]
+            assert min(near) >= bound[k, part] - 1e-9 or bound[k, part] == 0
+
+
+def test_nothing_to_avoid_nothing_proven(space):
+    assert proven_distance(picture(space.system, [], StationaryPoint(np.zeros(6)))) is None
