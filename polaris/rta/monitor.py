@@ -21,6 +21,7 @@ from ..errors import NotCertified, ScenarioError
 from ..system import Array
 from .method import Choice, Claim, Seen
 from .prospect import Leg, Prospect
+from .quick import QuickProspect
 from .recovery import Recovery
 from .scene import Scene
 
@@ -49,12 +50,14 @@ class Monitor:
 
     key = "monitor"
     name = "Polaris online monitor"
-    reasons = ("U is recoverable", "U is not recoverable", "dwell in S")
+    reasons: tuple[str, ...] = ("U is recoverable", "U is not recoverable", "dwell in S")
 
     def __init__(self, scene: Scene, trust: str = "declared", dwell: int = 1) -> None:
         if trust not in TRUST:
             raise ScenarioError("trust", trust, f"must be one of {', '.join(TRUST)}")
         self.dwell = whole("dwell", dwell, 1)
+        if trust == "thrust_limits":
+            self.key, self.name = "monitor_limits", "Polaris online monitor, U not trusted"
         self.scene, self.recovery, self.trust = scene, Recovery(scene), trust
         any_thrust, safe = Leg.any_thrust(self.recovery), Leg.declared(self.recovery, 0)
         befores = {0: safe, 1: any_thrust} if scene.delay else {0: None, 1: None}
@@ -68,6 +71,8 @@ class Monitor:
                 leg = Leg.declared(self.recovery, mode)
                 for flown, before in befores.items():
                     self.declared[mode, flown] = Prospect(self.recovery, before, leg, scene.half_widths)
+        every = {**self.declared, **{(0, flown): prospect for flown, prospect in self.cautious.items()}}
+        self._quick = {key: QuickProspect(prospect) for key, prospect in every.items()}
         self._since = np.zeros(0, dtype=int)
         start = scene.schedule.safety.start
         self.start_share = float(self._start(start.c, start.G))
@@ -139,15 +144,26 @@ class Monitor:
         return share
 
     def judge_one(self, k: int, e: Array, flown: int) -> tuple[int, float]:
-        """`judge` of one run, e of shape (n,): the quick way through."""
-        before = 1 if self.scene.delay and flown else 0
-        best = -np.inf
+        """`judge` of one run, e of shape (n,): the quick way through; not for several threads at once."""
+        mode, share, _ = self._quickest(k, e, flown)
+        return mode, 1 - share
+
+    def explained(self, k: int, e: Array, flown: int) -> tuple[int, float, str]:
+        """The same, and the tightest limit in words: its name, and when S would meet it."""
+        mode, share, prospect = self._quickest(k, e, flown)
+        return mode, 1 - share, prospect.limit() if prospect else "there is no experimental controller"
+
+    def _quickest(self, k: int, e: Array, flown: int) -> tuple[int, float, QuickProspect | None]:
+        """Mode; share of the room and prospect of the controller chosen, or of the best refused."""
+        before, best, nearest = 1 if self.scene.delay and flown else 0, np.inf, None
         for candidate in range(1, len(self.scene.controllers)):
-            prospect = self.declared.get((candidate, before), self.cautious[before])
-            share, holds = prospect.share(k, e)
-            if not holds:
-                share, _ = self.cautious[before].share(k, e)
+            prospect = self._quick.get((candidate, before), self._quick[0, before])
+            share = prospect.share(k, e)
+            if not prospect.holds:
+                prospect = self._quick[0, before]
+                share = prospect.share(k, e)
             if share <= 1:
-                return candidate, float(1 - share)
-            best = max(best, float(1 - share))
-        return 0, best
+                return candidate, share, prospect
+            if nearest is None or share < best:
+                best, nearest = share, prospect
+        return 0, best, nearest

@@ -26,8 +26,8 @@ from ..system import Array
 from ..tolerances import ROUNDING
 from .scene import Scene
 
-NEVER = 1e300
-"""Reciprocal of a limit that leaves no room."""
+NEVER = 1e200
+"""Reciprocal of a limit that leaves no room; times any error it is still a number."""
 
 
 NEAR = 1500

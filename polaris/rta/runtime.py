@@ -127,10 +127,10 @@ class OnlineMonitor:
         if k >= self.scene.decisions:
             return k, 0, np.nan, "the plan has ended"
         e = state - self.scene.xi[k * self.scene.nodes]
-        mode, margin = self.monitor.judge_one(k, e, self._flown)
+        mode, margin, limit = self.monitor.explained(k, e, self._flown)
         if mode and not self._flown and self._dwelt < self.options.min_dwell:
             faults.append(Fault("rule", f"dwell: {self._dwelt} of {self.options.min_dwell} decisions in S"))
-        return k, mode, margin, f"nearest limit: {self.monitor.cautious[0].tightest(k, e)}"
+        return k, mode, margin, f"nearest limit: {limit}"
 
     def _latched(self, faults: list[Fault]) -> None:
         o, agreed, conflicts = self.options, self.observer.agreed, self.observer.conflicts
