@@ -21,6 +21,7 @@ import typer
 
 from .cli_attacks import add_commands
 from .cli_campaign import add_campaign
+from .cli_compare import add_compare
 from .cli_inspection import run_inspection, told_valid
 from .cli_report import add_report
 from .cli_traces import add_traces
@@ -280,6 +281,7 @@ def _fail(message: str, code: int) -> NoReturn:
 
 add_commands(app, _answering)
 add_verify(app, _answering)
+add_compare(app, _answering)
 add_campaign(app, _answering)
 add_report(app, _answering)
 add_traces(app, _answering)

@@ -11,6 +11,9 @@ from pathlib import Path
 
 from .errors import ScenarioError
 
+MARKS = ("summary.json", "comparison.json")
+"""Files by which a folder is known for one of ours."""
+
 
 def check_target(out: str | Path) -> Path:
     """Whether a run folder may be written there; returns the absolute path.
@@ -27,7 +30,7 @@ def check_target(out: str | Path) -> Path:
         if target.exists():
             if not target.is_dir():
                 raise ScenarioError("--out", str(out), "is a file; must be a folder")
-            if any(target.iterdir()) and not (target / "summary.json").is_file():
+            if any(target.iterdir()) and not any((target / name).is_file() for name in MARKS):
                 raise ScenarioError(
                     "--out", str(out), "is a folder with other contents; it will not be replaced"
                 )

@@ -18,7 +18,7 @@ class Alone(Memoryless):
         0 is S.
     """
 
-    reasons = ("flies alone",)
+    reasons: tuple[str, ...] = ("flies alone",)
 
     def __init__(self, scene: Scene, mode: int) -> None:
         super().__init__(scene)
@@ -45,7 +45,7 @@ class Precomputed(Memoryless):
 
     key = "schedule"
     name = "Polaris schedule"
-    reasons = ("scheduled",)
+    reasons: tuple[str, ...] = ("scheduled",)
 
     @property
     def claim(self) -> Claim:

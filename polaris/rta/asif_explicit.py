@@ -20,7 +20,6 @@ from ..system import Array
 from .method import FILTERED, Choice, Claim, Memoryless, Seen
 from .scene import Scene
 
-
 UNCHANGED = 1e-9
 """Share of the thrust limits by which an input may differ and still count as the desired one."""
 
@@ -43,7 +42,7 @@ class ExplicitASIF(Memoryless):
 
     key = "asif_explicit"
     name = "Explicit ASIF"
-    reasons = ("desired input", "filtered", "no input satisfies all conditions: S")
+    reasons: tuple[str, ...] = ("desired input", "filtered", "no input satisfies all conditions: S")
 
     def __init__(self, scene: Scene, alpha: float | None = None) -> None:
         super().__init__(scene)

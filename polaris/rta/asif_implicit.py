@@ -38,7 +38,7 @@ class ImplicitASIF(Memoryless):
 
     key = "asif_implicit"
     name = "Implicit ASIF"
-    reasons = ("desired input", "filtered", "no input is recoverable: S")
+    reasons: tuple[str, ...] = ("desired input", "filtered", "no input is recoverable: S")
 
     def __init__(self, scene: Scene) -> None:
         super().__init__(scene)

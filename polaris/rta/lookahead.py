@@ -109,7 +109,10 @@ class Simulation(Memoryless):
 
     key = "simulation"
     name = "Look-ahead by simulation"
-    reasons = ("the predicted flight keeps clear", "the predicted flight enters an unsafe set")
+    reasons: tuple[str, ...] = (
+        "the predicted flight keeps clear",
+        "the predicted flight enters an unsafe set",
+    )
 
     def __init__(self, scene: Scene, horizon: float | None = None) -> None:
         super().__init__(scene)
@@ -146,7 +149,7 @@ class ForwardReachability(Memoryless):
 
     key = "reachability"
     name = "Forward reachability of U"
-    reasons = ("U's reachable set keeps clear", "U's reachable set touches an unsafe set")
+    reasons: tuple[str, ...] = ("U's reachable set keeps clear", "U's reachable set touches an unsafe set")
 
     def __init__(self, scene: Scene, horizon: float | None = None) -> None:
         super().__init__(scene)

@@ -17,7 +17,7 @@ from .scene import Scene
 class Latched:
     """U as long as `margin` has never been negative; then S to the end."""
 
-    reasons = ("inside", "leaving", "latched in S")
+    reasons: tuple[str, ...] = ("inside", "leaving", "latched in S")
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene

@@ -1,0 +1,119 @@
+"""Figures of a comparison: where every method flew, and what was gained and lost."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..figures.picture import Picture
+from ..figures.scene import under_mode
+from ..figures.style import BLUE, GREEN, GREY, ORANGE, RED, new_figure, printing, save
+from ..figures.unsafe import draw_unsafe
+from ..figures.view import View
+
+if TYPE_CHECKING:
+    from .arena import Shown
+    from .folder import ComparisonFolder
+
+MODES = ((1, ORANGE, "U's input"), (-1, GREY, "filtered input"), (0, BLUE, "S"))
+
+PANELS: tuple[tuple[str, str, bool], ...] = (
+    ("min_distance_m", "Least distance (m)", False),
+    ("experimental_share", "Share of U", False),
+    ("delta_v_m_s", "Delta-v (m/s)", False),
+    ("deviation", "Deviation from U's input", False),
+    ("decision_median_us", "Decision (µs)", True),
+)
+"""Metric, label, and whether its axis is logarithmic."""
+
+
+def draw_comparison(folder: ComparisonFolder, out: Path) -> list[Path]:
+    """Draw ``paths`` (every method's run that came closest) and ``tradeoffs`` (metrics with intervals).
+
+    Parameters
+    ----------
+    folder : ComparisonFolder
+    out : Path
+        Where PDF and PNG files go.
+    """
+    methods = [method for method in folder.table["methods"] if method["available"]]
+    drawn: list[Path] = []
+    with printing():
+        drawn += save(_tradeoffs(methods), out, "tradeoffs")
+        picture = folder.run.picture()
+        if picture.system.d > 1:
+            drawn += save(_paths(picture, methods, folder.shown()), out, "paths")
+    return drawn
+
+
+def _tradeoffs(methods: Sequence[Mapping[str, Any]]) -> Any:
+    figure = new_figure(0.6 + 0.22 * len(methods), 7.2)
+    axes = figure.subplots(1, len(PANELS), sharey=True)
+    y = -np.arange(len(methods))
+    for ax, (metric, label, logarithmic) in zip(axes, PANELS, strict=True):
+        for place, method in zip(y, methods, strict=True):
+            colour = GREEN if method["guarantee"] == "proved" else RED
+            told = method["metrics"][metric]
+            if not isinstance(told, dict):
+                ax.plot(told, place, "o", ms=3.2, color=colour)
+                continue
+            if told["mean"] is None:
+                continue
+            if told["low"] is not None:
+                ax.plot([told["low"], told["high"]], [place, place], color=colour, lw=1.4)
+            ax.plot(told["mean"], place, "o", ms=3.2, color=colour)
+            ax.plot(told["worst"], place, "|", ms=6, mew=1.0, color=colour)
+        if logarithmic:
+            ax.set_xscale("log")
+        elif metric == "min_distance_m":
+            ax.axvline(0, color=RED, lw=0.6, ls=":")
+        else:
+            ax.set_xlim(left=0)
+        ax.set_xlabel(label)
+        ax.grid(True, axis="x")
+        ax.tick_params(axis="y", length=0)
+    axes[0].set_yticks(y, [method["name"] for method in methods])
+    return figure
+
+
+def _paths(picture: Picture, methods: Sequence[Mapping[str, Any]], shown: Mapping[str, Shown]) -> Any:
+    from matplotlib.lines import Line2D
+
+    view = View.around(picture)
+    columns = 3 if view.aspect < 0.8 else 4
+    rows = -(-len(methods) // columns)
+    width = 7.2
+    figure = new_figure(rows * (width / columns * view.aspect + 0.28) + 0.5, width)
+    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    flat, frame = picture.frame.flat, picture.frame
+    for ax in grid.flat[len(methods) :]:
+        ax.set_axis_off()
+    for ax, method in zip(grid.flat, methods, strict=False):
+        ax.set_aspect("equal")
+        ax.set(xlim=view.x, ylim=view.y)
+        ax.set_title(method["name"], fontsize=7, color=GREEN if method["guarantee"] == "proved" else RED)
+        ax.tick_params(labelsize=6)
+        draw_unsafe(ax, picture, _Mute(view.x, view.y, view.points))
+        ax.plot(*picture.path()[0][:, flat].T, color=GREY, lw=0.6, ls=(0, (1, 1.4)), zorder=2)
+        one = shown.get(method["key"])
+        if one is not None:
+            flown = (one.states[0] @ picture.system.position.T)[:, flat]
+            for mode, colour, _ in MODES:
+                chosen = one.modes[0] > 0 if mode > 0 else one.modes[0] == mode
+                if chosen.any():
+                    ax.plot(*under_mode(flown, chosen).T, color=colour, lw=1.1, zorder=4)
+    figure.supxlabel(frame.labels[0], fontsize=7)
+    figure.supylabel(frame.labels[1], fontsize=7)
+    handles = [Line2D([], [], color=colour, lw=1.4, label=name) for _, colour, name in MODES]
+    figure.legend(handles=handles, loc="outside upper center", ncols=3, fontsize=7)
+    return figure
+
+
+class _Mute(View):
+    """A view in which no names are written."""
+
+    def label(self, ax: Any, text: str, outline: Any, colour: str) -> None:
+        """Write nothing."""

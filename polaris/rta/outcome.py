@@ -1,0 +1,178 @@
+"""What a method's flights amount to, and how two methods differ run by run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..campaign.statistics import mean_interval, violation_interval
+from ..evaluation import Metrics, evaluate
+from ..metrics import count_switches, mode_shares
+from ..simulation import Runs
+from ..system import Array
+from .flight import Conditions, Flight
+from .method import FILTERED, Claim
+from .scene import Scene
+
+UNCHANGED = 0
+"""Reason of a filter's decision that lets the desired input pass (`Method.reasons`)."""
+
+DEFINITIONS = {
+    "min_distance_m": "signed distance to the nearest true unsafe set, least over each run; negative inside",
+    "mean_distance_m": "the same, mean over time",
+    "min_ttc_s": "least time of each run until a straight line at the present velocity enters an unsafe set;"
+    " no mean if some run never heads for one",
+    "min_ttc_free_drift_s": "the same with thrusters off from the start of each planning step",
+    "experimental_share": "share of time in which the experimental controller's input is applied unchanged",
+    "switches": "changes between S, U and filtered inputs within a run",
+    "delta_v_m_s": "velocity change: integral of the 1-norm of the input over the mass",
+    "deviation": "mean over time of the 2-norm of applied minus desired input (N for a spacecraft)",
+    "violations": "runs that entered a true unsafe set; the interval is Clopper and Pearson's on its"
+    " probability, times the runs",
+    "decision_median_us": "wall time of one decision for one run, median over its decisions",
+    "decision_p99_us": "the same, 99th percentile",
+    "synthesis_s": "wall time before the flight: Algorithm 1 where the method needs S, Algorithm 2 for the"
+    " schedule, and what the method prepares",
+    "mean, low, high": "mean over runs and its 95 % interval (Student's t)",
+    "worst": "least distance, time to collision or share; largest of the others",
+}
+"""What each number of a comparison means."""
+
+LEAST = ("min_distance_m", "mean_distance_m", "min_ttc_s", "min_ttc_free_drift_s", "experimental_share")
+"""Metrics of which little is bad."""
+
+Times = tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """All flights of one method.
+
+    Attributes
+    ----------
+    key, name : str
+    claim : Claim
+    metrics : Metrics
+        Per run; shares and switches count filtered inputs as neither S nor U.
+    deviation : ndarray, shape (R,)
+    decision_s : (float, float)
+        Median and 99th percentile of the time of one decision [s].
+    synthesis_s : float
+        Wall time before the flight.
+    reasons : mapping
+        How many decisions were taken for each reason.
+    """
+
+    key: str
+    name: str
+    claim: Claim
+    metrics: Metrics
+    deviation: Array
+    decision_s: Times
+    synthesis_s: float
+    reasons: dict[str, int]
+
+    @property
+    def columns(self) -> dict[str, Array]:
+        """One number per run, by metric."""
+        m = self.metrics
+        return {
+            "min_distance_m": m.min_distance,
+            "mean_distance_m": m.mean_distance,
+            "min_ttc_s": m.min_ttc,
+            "min_ttc_free_drift_s": m.min_ttc_free_drift,
+            "experimental_share": m.experimental_share,
+            "switches": m.switches.astype(float),
+            "delta_v_m_s": m.delta_v,
+            "deviation": self.deviation,
+        }
+
+    def summary(self) -> dict[str, Any]:
+        """The numbers of a comparison; null where there is none."""
+        out: dict[str, Any] = {}
+        for name, values in self.columns.items():
+            worst = values.min() if name in LEAST else values.max()
+            mean, low, high = _interval(values)
+            out[name] = {"mean": mean, "low": low, "high": high, "worst": _finite(worst)}
+        collided, runs = int(self.metrics.collided.sum()), len(self.metrics.collided)
+        bounds = violation_interval(collided, runs)
+        out["violations"] = {
+            "mean": collided,
+            "low": bounds[0] * runs,
+            "high": bounds[1] * runs,
+            "worst": collided,
+        }
+        out["decision_median_us"], out["decision_p99_us"] = (1e6 * part for part in self.decision_s)
+        out["synthesis_s"] = self.synthesis_s
+        return out
+
+    def against(self, other: Outcome) -> list[dict[str, Any]]:
+        """Differences to another method, run by run, with 95 % intervals of their means."""
+        rows = []
+        mine, theirs = self.columns, other.columns
+        for name in mine:
+            with np.errstate(invalid="ignore"):  # of two infinite times there is no difference
+                mean, low, high = _interval(mine[name] - theirs[name])
+            rows.append(
+                {
+                    "method": self.key,
+                    "against": other.key,
+                    "metric": name,
+                    "difference": mean,
+                    "low": low,
+                    "high": high,
+                }
+            )
+        return rows
+
+
+def measure(scene: Scene, flight: Flight, conditions: Conditions, name: str) -> Metrics:
+    """Metrics of the flights of one method against the true unsafe sets."""
+    planned = np.zeros(scene.clearance.planned, dtype=int)  # modes differ from run to run: counted below
+    runs = Runs(
+        scene.schedule,
+        flight.times,
+        flight.states,
+        flight.inputs,
+        flight.demanded,
+        flight.delta_v,
+        planned,
+    )
+    found = evaluate(runs, conditions.seed, name)
+    who = flown(scene, flight)
+    share = mode_shares(flight.times, who)
+    experimental = sum((part for mode, part in share.items() if mode > 0), np.zeros(len(who)))
+    return replace(
+        found,
+        experimental_share=np.asarray(experimental),
+        switches=count_switches(who),
+        max_thrust_ratio_safety=_largest(flight.demanded, who == 0),
+        max_thrust_ratio_experimental=_largest(flight.demanded, who > 0),
+    )
+
+
+def flown(scene: Scene, flight: Flight) -> NDArray[np.int_]:
+    """Who flew after every node, shape (R, N): filtered inputs that are the desired ones count as U's."""
+    why = np.repeat(flight.why, scene.nodes, axis=1)
+    if scene.delay:
+        why = np.concatenate([why[:, :1].repeat(scene.delay, axis=1), why[:, : -scene.delay]], axis=1)
+    return np.where((flight.modes == FILTERED) & (why == UNCHANGED), 1, flight.modes)
+
+
+def _largest(demanded: Array, chosen: NDArray[np.bool_]) -> Array:
+    least = np.where(chosen, demanded, -np.inf).max(axis=1)
+    return np.where(np.isfinite(least), least, np.nan)
+
+
+def _interval(values: Array) -> tuple[float | None, float | None, float | None]:
+    if not np.all(np.isfinite(values)):
+        return None, None, None
+    mean, low, high = mean_interval(values)
+    return mean, low, high
+
+
+def _finite(value: Any) -> float | None:
+    return float(value) if np.isfinite(value) else None
