@@ -48,14 +48,14 @@ class Drift:
     """
 
     def __init__(self, trace: Trace, system: LinearSystem, d: int | None) -> None:
-        if d is not None and not np.array_equal(system.position, np.eye(d, system.n)):
-            given = f"{d} axes of position"
-            raise ScenarioError("--dims", given, "must be the first states of the system that drifts")
         for name, agent in trace.agents.items():
             if agent.n != system.n:
                 place = f"agents.{name}.state_trace[0]"
                 rule = f"must be the {system.n} states of the system that drifts (--mean-motion)"
                 raise ScenarioError(place, f"{agent.n} states", rule)
+        if d is not None and not np.array_equal(system.position, np.eye(d, system.n)):
+            given = f"{d} axes of position"
+            raise ScenarioError("--dims", given, "must be the first states of the system that drifts")
         longest = max(float(np.ptp(agent.times)) for agent in trace.agents.values())
         self.system = system
         self.horizon = drift_horizon(system, longest)

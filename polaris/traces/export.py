@@ -101,11 +101,13 @@ def to_trace(
         raise ScenarioError(
             "system.C", system.position.tolist(), "a trace's states must begin with the position"
         )
-    given = trace_modes(modes)
+    given, count = trace_modes(modes), np.size(times)
+    if len(given) not in (count - 1, count):
+        raise ScenarioError("modes", given.shape, f"must be {count - 1}, one per step, or {count}")
     agent = AgentTrace(
         np.asarray(times, dtype=float),
         np.asarray(states, dtype=float),
-        given if len(given) == np.size(times) else np.r_[given, given[-1:]],
+        given if len(given) == count else np.r_[given, given[-1:]],
         np.asarray(running_times, dtype=float),
         where=f"agents.{name}",
     )

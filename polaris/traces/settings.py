@@ -91,4 +91,4 @@ def doubtful(agent: AgentTrace, d: int, velocity: Array) -> bool:
         return False
     apart = np.linalg.norm(moved - velocity, axis=1)
     size = np.linalg.norm(moved, axis=1) + np.linalg.norm(velocity, axis=1)
-    return bool(np.median(apart) > 0.5 * np.median(size))
+    return bool(np.median(apart) > 0.2 * np.median(size))

@@ -1,0 +1,213 @@
+"""Runs as traces: what they say is what the run folder's summary says."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from polaris.comparison import compare
+from polaris.errors import ScenarioError
+from polaris.experimental import build_controllers
+from polaris.hill import clohessy_wiltshire, elliptical_nmt
+from polaris.metrics import UNKNOWN, ray_ttc, signed_distances
+from polaris.obstacles import (
+    BallObstacle,
+    BoxObstacle,
+    KeepInCone,
+    KeepInPolytope,
+    PolytopeObstacle,
+    SatelliteObstacle,
+)
+from polaris.runfolder import write_run
+from polaris.safety import get_safety
+from polaris.scenario import load_scenario
+from polaris.synthesis import synthesize
+from polaris.traces import (
+    AgentTrace,
+    Trace,
+    evaluate_trace,
+    export_run,
+    read_trace,
+    to_trace,
+    write_trace,
+)
+from polaris.truth import true_states
+
+SYSTEM = clohessy_wiltshire(0.0012, 10.0, 0.2)
+T = np.arange(0.0, 301.0, 10.0)
+STATES = elliptical_nmt(0.0012, 100.0, 0.0012 * T)
+MODES = np.repeat([0, 1, 2], 10)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Makes the run folder of a bundled scenario, with one run of each controller."""
+
+    @cache
+    def make(name):
+        scenario = load_scenario(name).with_assignments(["simulation.runs=1"])
+        safety = get_safety(scenario.problem())
+        schedule = synthesize(scenario, safety, build_controllers(scenario, safety))
+        out = tmp_path_factory.mktemp(name) / "run"
+        return write_run(out, scenario, schedule, compare(schedule, 1, 0), figures=False)
+
+    return make
+
+
+@pytest.mark.parametrize("controller", ["safety", "experimental", "polaris"])
+@pytest.mark.parametrize("name", ["static", pytest.param("dynamic", marks=pytest.mark.slow)])
+def test_exported_run_agrees_with_the_summary(name, controller, folder, tmp_path):
+    run = folder(name)
+    told, system = run.summary[controller], run.scenario.system()
+    exported = export_run(run.path, controller).trace
+    assert read_trace(write_trace(tmp_path / "t.json", exported)).same_as(exported)
+    agent = exported.agents["chaser"]
+    obstacles = run.scenario.obstacles()
+    if name == "dynamic":  # the summary knows where the visitor really was
+        assert exported.unsafe["visitor"].set_type == "polytope"
+        truth = true_states(obstacles, system, agent.times, 1, np.random.default_rng(0))
+        modes = np.where(agent.modes == 3, 0, 1)
+        true = to_trace(
+            agent.times,
+            agent.states,
+            modes,
+            obstacles,
+            system,
+            satellites={k: v[0] for k, v in truth.items()},
+        )
+        cover = evaluate_trace(exported).agents["chaser"].unsafe[0].distance
+        exported = true.trace
+        assert cover.min <= told["min_distance_m"] + 1e-6  # over-approximated
+    found = evaluate_trace(exported, system=system).agents["chaser"]
+    assert found.usage["untrusted"] == pytest.approx(told["experimental_share"])
+    assert found.usage["unknown"] == found.usage["normal"] == 0
+    assert found.switches == told["switches"]
+    (item,) = found.unsafe
+    position = agent.states[:, :3] - next(iter(exported.unsafe.values())).centers
+    step = np.linalg.norm(np.diff(position, axis=0), axis=1).max()
+    assert told["min_distance_m"] - 1e-9 <= item.distance.min <= told["min_distance_m"] + step / 2
+    ttc = np.inf if told["min_ttc_s"] is None else told["min_ttc_s"]
+    assert item.ttc.min == pytest.approx(ttc, rel=1e-6)
+    if name == "static":  # another satellite drifts, a set of a trace keeps its velocity
+        every = (len(agent.times) - 1) // len(run.schedule["modes"])  # the summary asks at starts of steps
+        starts = AgentTrace(agent.times[::every], agent.states[::every])
+        asked = evaluate_trace(Trace({"chaser": starts}, exported.unsafe), system=system)
+        drift = np.inf if told["min_ttc_free_drift_s"] is None else told["min_ttc_free_drift_s"]
+        assert asked.agents["chaser"].unsafe[0].drift_ttc.min == pytest.approx(drift, rel=1e-3)
+        assert item.drift_ttc.min <= drift + 0.1
+
+
+def test_runs_are_chosen_by_name(folder):
+    run = folder("static")
+    nominal = export_run(run.path, "safety", "nominal").trace
+    assert nominal.agents["chaser"].states[0] == pytest.approx([0, 400, 0, 0.24, 0, 0])
+    assert not nominal.same_as(export_run(run.path, "safety").trace)
+    for wrong, match in ((("safety", "run 7"), "--run"), (("nobody", "nominal"), "--controller")):
+        with pytest.raises(ScenarioError, match=match):
+            export_run(run.path, *wrong)
+
+
+def test_damaged_and_missing_folders(tmp_path):
+    with pytest.raises(ScenarioError, match="run folder"):
+        export_run(tmp_path)
+    with pytest.raises(ScenarioError, match="no such folder"):
+        export_run(tmp_path / "none")
+
+
+# -- bare arrays --------------------------------------------------------------------------------------
+
+
+def test_true_sets_are_themselves():
+    """Boxes, balls and polytopes, at rest and moving: the distances of a trace are the true ones."""
+    H = np.vstack([np.eye(3), -np.eye(3), [[1, 1, 1]]])
+    obstacles = [
+        BoxObstacle("box", [50, 50, 0], [10, 20, 30], [0.1, 0, 0.2]),
+        BallObstacle("ball", [-50, 100, 10], 15, [0, -0.3, 0]),
+        PolytopeObstacle("polytope", H, [5, 6, 7, 8, 9, 10, 11], [0.2, 0.1, 0]),
+        PolytopeObstacle("wall", [[1, 0, 0]], [-150], unbounded=True),
+    ]
+    exported = to_trace(T, STATES, MODES, obstacles, SYSTEM)
+    assert exported.notes == ()
+    kinds = [item.set_type for item in exported.trace.unsafe.values()]
+    assert kinds == ["rectangle", "ball", "polytope", "polytope"]
+    found = evaluate_trace(exported.trace).agents["chaser"]
+    distances = signed_distances(obstacles, T, STATES[:, :3])
+    times = ray_ttc(obstacles, T, STATES[:, :3], STATES[:, 3:])
+    for item, distance, ttc in zip(found.unsafe, distances, times, strict=True):
+        assert item.distance.min == pytest.approx(distance.min(), rel=1e-9)
+        assert item.distance.max == pytest.approx(distance.max(), rel=1e-9)
+        assert item.ttc.min == pytest.approx(ttc.min(), rel=1e-6)
+
+
+def test_modes_are_translated():
+    exported = to_trace(T, STATES, MODES, [], SYSTEM).trace.agents["chaser"]
+    assert exported.modes.tolist() == [3] * 10 + [2] * 21
+    full = to_trace(T, STATES, np.r_[MODES, 0], [], SYSTEM).trace.agents["chaser"]
+    assert full.modes.tolist() == [3] * 10 + [2] * 20 + [3]
+    unknown = to_trace(T, STATES, np.full(30, UNKNOWN), [], SYSTEM).trace.agents["chaser"]
+    assert set(unknown.modes.tolist()) == {UNKNOWN}
+
+
+def test_keep_in_sets_go_facet_by_facet():
+    corridor = KeepInPolytope("corridor", np.vstack([np.eye(3), -np.eye(3)]), [300.0] * 6)
+    cone = KeepInCone("cone", [0, -900, 0], [0, 1, 0], 0.7)
+    exported = to_trace(T, STATES, MODES, [corridor, cone], SYSTEM)
+    assert list(exported.trace.unsafe)[:2] == ["corridor[0]", "corridor[1]"]
+    assert len(exported.trace.unsafe) == 6 + 12 and len(exported.notes) == 2
+    found = evaluate_trace(exported.trace).agents["chaser"].unsafe
+    truth = signed_distances([corridor, cone], T, STATES[:, :3]).min(axis=1)
+    assert min(item.distance.min for item in found[:6]) == pytest.approx(truth[0])
+    leaving = min(item.distance.min for item in found[6:])
+    assert 0.9 * truth[1] < leaving <= truth[1]
+
+
+def test_satellite_is_covered_known_or_nominal():
+    x0 = elliptical_nmt(0.0012, 150.0, 0.1)
+    visitor = SatelliteObstacle("visitor", x0, [2, 2, 2, 0.01, 0.01, 0.01], 20.0)
+    cover = to_trace(T, STATES, MODES, [visitor], SYSTEM)
+    nominal = to_trace(T, STATES, MODES, [visitor], SYSTEM, nominal=True)
+    truth = visitor.nominal(T, SYSTEM) + [1, 0, 0, 0, 0, 0]
+    known = to_trace(T, STATES, MODES, [visitor], SYSTEM, satellites={"visitor": truth})
+    assert [len(item.notes) for item in (cover, nominal, known)] == [1, 1, 0]
+    least = {
+        key: evaluate_trace(item.trace).agents["chaser"].unsafe[0].distance.min
+        for key, item in (("cover", cover), ("nominal", nominal), ("known", known))
+    }
+    assert least["cover"] < least["nominal"] - 2
+    true = signed_distances([visitor], T, STATES[:, :3], SYSTEM, {"visitor": truth})
+    assert least["known"] == pytest.approx(true.min())
+    true = signed_distances([visitor], T, STATES[:, :3], SYSTEM)
+    assert least["nominal"] == pytest.approx(true.min())
+    drifting = evaluate_trace(cover.trace, system=SYSTEM).agents["chaser"].unsafe[0].drift_ttc
+    assert drifting is not None and drifting.min >= 0
+
+
+def test_cover_holds_between_the_stamps_too():
+    """The polytope interpolated between stamps contains the ball wherever the visitor may be."""
+    from polaris.traces.placing import place
+
+    visitor = SatelliteObstacle(
+        "visitor", elliptical_nmt(0.0012, 150.0, 0.1), [2, 2, 2, 0.01, 0.01, 0.01], 20.0
+    )
+    item = to_trace(T, STATES, MODES, [visitor], SYSTEM).trace.unsafe["visitor"]
+    fine = np.linspace(0, T[-1], 301)
+    truth = true_states([visitor], SYSTEM, fine, 20, np.random.default_rng(0))["visitor"]
+    for states in truth:
+        for direction in ([20.0, 0, 0], [0, -20.0, 0], [0, 12.0, 16.0]):
+            assert place(item, fine, 3).signed_distance(states[:, :3] + direction).max() <= 1e-9
+
+
+def test_arrays_that_do_not_fit():
+    ball = BallObstacle("ball", [0, 0, 0], 1)
+    cases = [
+        ((T[:-1], STATES, MODES, [ball], SYSTEM), "state_trace"),
+        ((T, STATES[:, :5], MODES, [ball], SYSTEM), "states"),
+        ((T, STATES, MODES[:-1], [ball], SYSTEM), "modes"),
+        ((T, STATES, MODES * 1.0, [ball], SYSTEM), "modes"),
+        ((T[::-1], STATES, MODES, [ball], SYSTEM), "state_trace"),
+        ((T, STATES, MODES, [ball, ball], SYSTEM), "name"),
+        ((T + 5, STATES, MODES, [SatelliteObstacle("s", STATES[0], [0] * 6, 1)], SYSTEM), "times"),
+    ]
+    for arguments, match in cases:
+        with pytest.raises(ScenarioError, match=match):
+            to_trace(*arguments)

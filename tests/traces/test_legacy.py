@@ -1,0 +1,206 @@
+"""The numbers of RTAEval, defect by defect, beside the right ones. docs/traces.md has the same table."""
+
+import numpy as np
+import pytest
+
+from polaris.errors import ScenarioError
+from polaris.traces import (
+    AgentTrace,
+    BallTrace,
+    PointTrace,
+    PolytopeTrace,
+    RectangleTrace,
+    Trace,
+    evaluate_trace,
+    parse_trace,
+)
+
+from .traces import agent, entry, trace
+
+CUBE = np.array([[[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]]])
+T = np.arange(3.0)
+
+
+def both(found, **options):
+    """(ours, what RTAEval's methods return) of agent a; velocities are differences, as defect 9 demands."""
+    ours = evaluate_trace(found, velocity="differences", **options).agents["a"]
+    legacy = evaluate_trace(found, velocity="differences", legacy_rtaeval=True, **options).agents["a"]
+    return ours, legacy
+
+
+def flown(p, v, n=6, **sets):
+    """Three seconds from p at v; n states, 0 after the position."""
+    states = np.zeros((3, n))
+    states[:, : len(p)] = np.asarray(p, dtype=float) + T[:, None] * np.asarray(v, dtype=float)
+    return Trace({"a": AgentTrace(T, states, np.array([2, 2, 2]))}, sets)
+
+
+def ball(center, radius):
+    return BallTrace(np.zeros(1), np.array([center], dtype=float), np.array([radius], dtype=float))
+
+
+def test_1_distances_use_the_wrong_entries():
+    """A true 8 m from a ball, and from a box, read 0: (y, z, 4th state) is the origin."""
+    box = RectangleTrace(np.zeros(1), np.zeros((1, 3)), np.full((1, 3), 4.0))
+    cube = PolytopeTrace(np.zeros(1), CUBE, np.full((1, 6), 2.0))
+    for item in (ball([0, 0, 0], 2), box):
+        ours, legacy = both(flown([10, 0, 0], [0, 0, 0], s=item))
+        assert ours.unsafe[0].distance.min == 8
+        assert legacy["compute_dists"] == (0, 0, {"s": 0})
+    ours, legacy = both(flown([10, 0, 0], [0, 0, 0], s=cube))  # polytopes are right
+    assert ours.unsafe[0].distance.min == pytest.approx(8)
+    assert legacy["compute_dists"] == (pytest.approx(8), pytest.approx(8), {"s": pytest.approx(8)})
+
+
+def test_1_what_is_read_instead():
+    """Centre (0, 0, 0), state (10, 3, 4, 12): 13 m from (3, 4, 12)."""
+    a = AgentTrace(T, np.broadcast_to([10.0, 3, 4, 12], (3, 4)))
+    _, legacy = both(Trace({"a": a}, {"s": ball([0, 0, 0], 1)}))
+    assert legacy["compute_dists"][:2] == (12, 12)
+
+
+def test_1_too_few_states():
+    _, legacy = both(Trace({"a": AgentTrace(T, np.ones((3, 3)))}, {"s": ball([0, 0, 0], 1)}))
+    assert legacy["compute_dists"].startswith("raises: fewer states")
+
+
+def test_2_ttc_has_no_sign_no_miss_and_no_zero():
+    """In one axis with the offset of defect 1 made harmless: the second state repeats the first."""
+
+    def case(x, v, other=0.0):
+        p = x + T * v
+        states = np.column_stack([p, p, np.full(3, other)])
+        found = Trace({"a": AgentTrace(T, states)}, {"s": ball([0], 1)})
+        ours, legacy = both(found, dims=1)
+        return ours.unsafe[0].ttc, tuple(part["s"] for part in legacy["compute_unsafe_TTC"])
+
+    ours, legacy = case(10, -2)  # approaching: 4.5 s, and right
+    assert (ours.max, legacy[1]) == (4.5, 4.5)
+    ours, legacy = case(10, 2)  # moving away: inf, and yet 4.5 s
+    assert (ours.min, legacy[0]) == (np.inf, 4.5)
+    ours, legacy = case(10, 0)  # at rest: inf, and nan
+    assert ours.min == np.inf and all(np.isnan(value) for value in legacy)
+
+
+def test_2_a_miss_gets_a_time():
+    """In two axes, past the ball by 5 m."""
+    p = np.column_stack([10 - T, np.full(3, 6.0)])
+    found = Trace({"a": AgentTrace(T, np.column_stack([p, np.zeros(3)]))}, {"s": ball([0, 0], 1)})
+    ours, legacy = both(found)
+    assert ours.unsafe[0].ttc.min == np.inf
+    assert np.isfinite(legacy["compute_unsafe_TTC"][0]["s"])
+    # 5 m of (6, 0), over 1 m/s projected on the line from (10, 6)
+    assert legacy["compute_unsafe_TTC"][1]["s"] == pytest.approx(
+        max(5 / ((10 - t) / np.hypot(10 - t, 6)) for t in T)
+    )
+
+
+def test_3_polytopes_have_no_ttc_or_that_of_the_ball_before():
+    cube = PolytopeTrace(np.zeros(1), CUBE, np.full((1, 6), 2.0))
+    ours, legacy = both(flown([10, 0, 0], [-2, 0, 0], s=cube))
+    assert ours.unsafe[0].ttc.max == pytest.approx(4)
+    assert legacy["compute_unsafe_TTC"] == "raises: a polytope has no center"
+    ours, legacy = both(flown([10, 0, 0], [-2, 0, 0], b=ball([100, 50, 0], 1), s=cube))
+    assert ours.unsafe[1].ttc.max == pytest.approx(4)
+    for part in legacy["compute_unsafe_TTC"]:
+        assert part["s"] == part["b"] and part["b"] > 4
+
+
+def two(p, v, q, w):
+    """Agents a and b, at p and q with velocities v and w."""
+    agents = {name: flown(*where).agents["a"] for name, where in (("a", (p, v)), ("b", (q, w)))}
+    return both(Trace(agents), dims=len(p))
+
+
+def test_4_agents_lose_z():
+    ours, legacy = two([0, 0, 0], [0, 0, 0], [3, 4, 12], [0, 0, 0])
+    assert ours.others[0].distance.min == 13
+    assert legacy["compute_agent_dists"] == (5, 5, {"b": 5})
+
+
+@pytest.mark.parametrize(
+    "case, true",
+    [(([0, 0], [1, 0], [10, 0], [-1, 0]), 5), (([0, 0, 0], [2, 0, 0], [12, 0, 0], [-1, 0, 0]), 4)],
+)
+def test_5_agents_head_on_never_meet(case, true):
+    ours, legacy = two(*case)
+    assert ours.others[0].ttc.max == pytest.approx(true)
+    assert legacy["compute_agent_TTC"] == ({"b": 1e20}, {"b": 1e20}, {"b": 1e20})
+
+
+@pytest.mark.parametrize(
+    "modes, legacy, shares, switches",
+    [
+        ([1, 1, 1, 1], (0, 1, 4), {"normal": 1}, 0),
+        ([3, 3, 3, 3], (0, 1, 1), {"safety": 1}, 0),
+        ([2, 2, 2, 2], (1, 0, 0), {"untrusted": 1}, 0),
+        ([2, 2, 3, 3], (0.5, 0.5, 1), {"untrusted": 2 / 3, "safety": 1 / 3}, 1),
+        ([3, 2, 3, 3], (0.25, 0.75, 3), {"untrusted": 1 / 3, "safety": 2 / 3}, 2),
+        ([2, 1, 1, 2], (0.5, 0.5, 3), {"untrusted": 1 / 3, "normal": 2 / 3}, 2),
+    ],
+)
+def test_6_normal_is_safety_and_a_switch(modes, legacy, shares, switches):
+    ours, old = both(parse_trace(trace({"a": agent([[t, 0.0] for t in range(4)], modes)})))
+    assert old["controllerUsage"] == legacy
+    assert {name: share for name, share in ours.usage.items() if share} == pytest.approx(shares)
+    assert ours.switches == switches
+
+
+def test_7_depth_is_lost():
+    cube = PolytopeTrace(np.zeros(1), CUBE, np.full((1, 6), 2.0))
+    ours, legacy = both(flown([0.5, 0, 0], [0, 0, 0], s=cube))
+    assert ours.unsafe[0].distance.min == pytest.approx(-1.5)
+    assert legacy["compute_dists"][0] == 0
+
+
+def test_8_points_are_ignored_and_nothing_raises():
+    point = PointTrace(np.zeros(1), np.array([[2.0, 0, 0]]))
+    ours, legacy = both(flown([10, 0, 0], [0, 0, 0], s=point, b=ball([0, 0, 0], 2)))
+    assert ours.unsafe[0].distance.min == 8
+    assert list(legacy["compute_dists"][2]) == ["b"]
+    ours, legacy = both(flown([10, 0, 0], [0, 0, 0], s=point))
+    assert len(ours.unsafe) == 1
+    for method in ("compute_dists", "compute_unsafe_TTC"):
+        assert legacy[method] == "raises: no unsafe sets"
+    for method in ("compute_agent_dists", "compute_agent_TTC"):
+        assert legacy[method] == "raises: no other agents"
+    once = AgentTrace(np.zeros(1), np.array([[10.0, 0, 0, 0, 0, 0]]))
+    ours, legacy = both(Trace({"a": once, "b": once}, {"s": ball([0, 0, 0], 2)}))
+    assert ours.unsafe[0].distance.min == 8 and ours.others[0].distance.min == 0
+    for method in ("compute_dists", "compute_unsafe_TTC", "compute_agent_dists", "compute_agent_TTC"):
+        assert legacy[method] == "raises: one sample"
+
+
+def test_9_velocity_vectors_are_unsupported():
+    states = np.column_stack([10 - T, T * 0, T * 0, -np.ones(3), T * 0, T * 0])
+    found = Trace({"a": AgentTrace(T, states)}, {"s": ball([0, 0, 0], 2)})
+    assert evaluate_trace(found).agents["a"].unsafe[0].ttc.max == 8
+    legacy = evaluate_trace(found, legacy_rtaeval=True).agents["a"]
+    assert legacy["compute_unsafe_TTC"] == "raises: the states have no heading"
+
+
+def test_10_stamps_and_modes_lag():
+    """x = 10 - t, S from 2 s on: half of the time, where RTAEval counts the initial row in."""
+    rows = [[0, 10.0], [0, 9.0], [1, 8.0], [2, 7.0], [3, 6.0]]
+    found = parse_trace(trace({"a": agent(rows, [2, 2, 2, 3, 3])}, s=entry("point", [0, 0])))
+    legacy = evaluate_trace(found, legacy_rtaeval=True).agents["a"]
+    assert legacy["controllerUsage"] == (0.6, 0.4, 1)
+    ours = evaluate_trace(found, restamp=True).agents["a"]
+    assert (ours.usage["untrusted"], ours.usage["safety"]) == (0.5, 0.5)
+    assert (ours.duration, ours.unsafe[0].distance.at, ours.unsafe[0].ttc.max) == (4, 4, 10)
+    assert evaluate_trace(found).agents["a"].duration == 3
+
+
+def test_running_times_come_in_an_order_of_their_own():
+    a = AgentTrace(T, np.zeros((3, 1)), running_times=np.array([0.1, 0.3, 0.2]))
+    _, legacy = both(Trace({"a": a}))
+    assert legacy["running_times"] == (pytest.approx(0.2), 0.3, 0.1)
+    _, legacy = both(flown([1, 0, 0], [0, 0, 0]))
+    assert legacy["running_times"] == "raises: no running times"
+
+
+def test_options_that_rtaeval_does_not_have():
+    found = flown([1, 0, 0], [0, 0, 0], s=ball([0, 0, 0], 1))
+    for options in ({"restamp": True}, {"agent_radius": 1.0}):
+        with pytest.raises(ScenarioError, match="--legacy"):
+            evaluate_trace(found, legacy_rtaeval=True, **options)
