@@ -1,5 +1,7 @@
 """The commands evaluate and export, and the page about traces, as a user meets them."""
 
+import contextlib
+import io
 import json
 import re
 import shutil
@@ -10,12 +12,11 @@ import pytest
 from typer.testing import CliRunner
 
 from polaris import cli
-from polaris.comparison import compare
 from polaris.runfolder import write_run
 from polaris.traces import AgentTrace, BallTrace, Trace, evaluate_trace, read_trace, write_trace
 
-from ..polaris.tiny import synthesised
-from ..test_docs import DOCS, Shell, blocks
+from ..polaris.tiny import flown, synthesised
+from ..test_docs import DOCS, Shell, assert_shown, blocks
 from .traces import agent, entry, save, trace
 
 PAGE = DOCS / "traces.md"
@@ -33,9 +34,7 @@ def path(tmp_path):
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     scenario, schedule = synthesised()
-    return write_run(
-        tmp_path_factory.mktemp("run") / "tiny", scenario, schedule, compare(schedule, 2, 0), figures=False
-    )
+    return write_run(tmp_path_factory.mktemp("run") / "tiny", scenario, schedule, flown(), figures=False)
 
 
 def test_evaluate_prints_a_table(path):
@@ -181,11 +180,6 @@ def test_a_million_rows_take_seconds(tmp_path):
 
 def run_page(folder, slow):
     """Run the blocks of the page, the slow ones or the others, as the tests of the other pages do."""
-    import contextlib
-    import io
-
-    from ..test_docs import assert_shown
-
     shell, namespace, printed = Shell(folder), {"__name__": "traces"}, None
     ran = 0
     for block in blocks(PAGE):

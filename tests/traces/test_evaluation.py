@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize
 
@@ -471,6 +471,7 @@ def polytopes(draw):
     return H, rng.uniform(0.1, 2, (N, F)), rng.normal(size=(N, d)) * 3, rng.normal(size=(N, d))
 
 
+@settings(max_examples=50)
 @given(polytopes())
 def test_facets_agree_with_fixed_polytopes(case):
     H, b, p, v = case

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from polaris.errors import ScenarioError
@@ -71,6 +71,7 @@ TRACES = st.builds(
 )
 
 
+@settings(max_examples=60)
 @given(TRACES)
 def test_written_and_read_is_the_same(tmp_path_factory, found):
     path = write_trace(tmp_path_factory.getbasetemp() / "round.json", found)
