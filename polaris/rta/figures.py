@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..comparison import Flights
 from ..figures.picture import Picture
 from ..figures.scene import under_mode
 from ..figures.style import BLUE, GREEN, GREY, ORANGE, RED, new_figure, printing, save
@@ -21,11 +23,11 @@ if TYPE_CHECKING:
 MODES = ((1, ORANGE, "U's input"), (-1, GREY, "filtered input"), (0, BLUE, "S"))
 
 PANELS: tuple[tuple[str, str, bool], ...] = (
-    ("min_distance_m", "Least distance (m)", False),
-    ("experimental_share", "Share of U", False),
-    ("delta_v_m_s", "Delta-v (m/s)", False),
-    ("deviation", "Deviation from U's input", False),
-    ("decision_median_us", "Decision (µs)", True),
+    ("min_distance_m", "Least distance\n(m)", False),
+    ("experimental_share", "Share of time\nunder U", False),
+    ("delta_v_m_s", "Delta-v\n(m/s)", False),
+    ("deviation", "Deviation from\nU's input", False),
+    ("decision_median_us", "Decision\n(µs)", True),
 )
 """Metric, label, and whether its axis is logarithmic."""
 
@@ -96,9 +98,10 @@ def _paths(picture: Picture, methods: Sequence[Mapping[str, Any]], shown: Mappin
         ax.set(xlim=view.x, ylim=view.y)
         ax.set_title(method["name"], fontsize=7, color=GREEN if method["guarantee"] == "proved" else RED)
         ax.tick_params(labelsize=6)
-        draw_unsafe(ax, picture, _Mute(view.x, view.y, view.points))
         ax.plot(*picture.path()[0][:, flat].T, color=GREY, lw=0.6, ls=(0, (1, 1.4)), zorder=2)
         one = shown.get(method["key"])
+        own = {} if one is None else {"polaris": _flights(method["name"], one)}
+        draw_unsafe(ax, replace(picture, flights=own), _Mute(view.x, view.y, view.points))
         if one is not None:
             flown = (one.states[0] @ picture.system.position.T)[:, flat]
             for mode, colour, _ in MODES:
@@ -110,6 +113,22 @@ def _paths(picture: Picture, methods: Sequence[Mapping[str, Any]], shown: Mappin
     handles = [Line2D([], [], color=colour, lw=1.4, label=name) for _, colour, name in MODES]
     figure.legend(handles=handles, loc="outside upper center", ncols=3, fontsize=7)
     return figure
+
+
+def _flights(name: str, shown: Shown) -> Flights:
+    """The run that came closest, as the other figures know flights."""
+    first = slice(0, 1)
+    ranges = np.stack([shown.inputs.min(axis=0), shown.inputs.max(axis=0)])
+    return Flights(
+        name,
+        shown.labels[:1],
+        shown.times,
+        shown.states[first],
+        shown.inputs[first],
+        shown.modes[0],
+        shown.nearest,
+        ranges,
+    )
 
 
 class _Mute(View):
