@@ -74,7 +74,8 @@ function start() {
     const next = (now) => {
       if (!state.playing) return;
       if (!drawing) {
-        setTime(state.t + ((now - before) / 1000) * (data.end / LAPSE));
+        const passed = Math.min((now - before) / 1000, 0.25); // a slow machine slows the flight down instead of leaping
+        setTime(state.t + passed * (data.end / LAPSE));
         before = now;
       }
       if (state.t >= data.end) play(false); else requestAnimationFrame(next);
