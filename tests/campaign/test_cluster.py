@@ -46,6 +46,16 @@ def nodes():
             process.wait()
 
 
+def test_a_scheduler_in_this_process_gives_the_same_table(flown, tmp_path):
+    options = {"processes": False, "protocol": "tcp", "host": "127.0.0.1", "dashboard_address": None}
+    with (
+        distributed.LocalCluster(n_workers=1, threads_per_worker=2, **options) as here,
+        cluster(here.scheduler_address) as workers,
+    ):
+        assert table(fly(tmp_path / "c", workers).path) == table(flown.path)
+
+
+@pytest.mark.slow
 def test_a_worker_killed_in_mid_run_loses_nothing_and_counts_nothing_twice(flown, nodes, tmp_path):
     address, (_, _, victim) = nodes
     out = tmp_path / "c"
