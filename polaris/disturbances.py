@@ -33,14 +33,23 @@ def disturbances(
         w[:, :worst], adjoint = _worst_case(flight, worst, rng)
     count = n - worst
     if count:
-        holds = rng.integers(1, max(2, flight.steps_per_cell * 4), count)
-        for run in range(count):
-            pieces = -(-steps // holds[run])
-            raw = rng.normal(size=(pieces, system.p))
-            raw /= np.maximum(np.linalg.norm(raw, axis=1, keepdims=True), 1e-300)
-            raw *= np.where(rng.random((pieces, 1)) < 0.5, 1.0, rng.random((pieces, 1)))
-            w[:, worst + run] = np.repeat(raw, holds[run], axis=0)[:steps] * system.w_max
+        w[:, worst:] = _piecewise(steps, count, system.p, flight.steps_per_cell * 4, rng) * system.w_max
     return w, adjoint
+
+
+def _piecewise(steps: int, n: int, p: int, longest: int, rng: np.random.Generator) -> Array:
+    """Random directions, each held for a number of steps that the run keeps; shape (steps, n, p).
+
+    Half of the pieces have norm 1, the others less. Drawn run by run, worked out for all at once.
+    """
+    holds = rng.integers(1, max(2, longest), n)
+    pieces = -(-steps // holds)
+    drawn = [(rng.normal(size=(k, p)), rng.random((k, 1)), rng.random((k, 1))) for k in pieces]
+    raw, chance, smaller = (np.concatenate(parts) for parts in zip(*drawn, strict=True))
+    raw /= np.maximum(np.linalg.norm(raw, axis=1, keepdims=True), 1e-300)
+    raw *= np.where(chance < 0.5, 1.0, smaller)
+    first = np.concatenate([[0], np.cumsum(pieces)[:-1]])
+    return np.asarray(raw[first + np.arange(steps)[:, None] // holds])
 
 
 def _worst_case(flight: Integrator, n: int, rng: np.random.Generator) -> tuple[Array, Array]:

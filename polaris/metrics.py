@@ -33,6 +33,9 @@ __all__ = [
 UNKNOWN = -1
 """Mode number of samples whose mode is not known."""
 
+TOGETHER = 4000
+"""Points of whose rays the entries are worked out at a time: what fits into fast memory."""
+
 States = Mapping[str, ArrayLike]
 
 
@@ -92,9 +95,27 @@ def ray_ttc(
     """
     shape = np.broadcast_shapes(np.shape(t), np.shape(p)[:-1], np.shape(v)[:-1])
     out = np.empty((len(obstacles), *shape))
+    t, p, v = (np.asarray(given, dtype=float) for given in (t, p, v))
     for o, obstacle in enumerate(obstacles):
-        out[o] = obstacle.entry_time(t, p, v, system, _state(states, obstacle))
+        state = _state(states, obstacle)
+        known = None if state is None else np.asarray(state, dtype=float)
+        for part in _parts(shape):
+            out[(o, *part)] = obstacle.entry_time(
+                t if t.ndim < len(shape) else t[part],
+                p if p.ndim <= len(shape) else p[part],
+                v if v.ndim <= len(shape) else v[part],
+                system,
+                known if known is None or known.ndim <= len(shape) else known[part],
+            )
     return out
+
+
+def _parts(shape: tuple[int, ...]) -> list[tuple[slice, ...]]:
+    """Parts of the first axis (if there are others) of at most `TOGETHER` points, or of one entry."""
+    if len(shape) < 2 or shape[0] == 0:
+        return [()]
+    step = max(1, TOGETHER // max(1, int(np.prod(shape[1:]))))
+    return [(slice(first, first + step),) for first in range(0, shape[0], step)]
 
 
 def _state(states: States | None, obstacle: Obstacle) -> ArrayLike | None:
