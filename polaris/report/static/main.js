@@ -90,7 +90,13 @@ function start() {
   setTime(0);
   drawTimelines().then(() => {
     const at = (event) => event.xvals ? event.xvals[0] : event.points[0].x;
-    timelines.on("plotly_hover", (event) => { if (!state.playing) setTime(at(event)); });
+    // Moving the line makes plotly report the resting pointer again: only a new place counts.
+    let pointed = null;
+    timelines.on("plotly_hover", (event) => {
+      if (state.playing || at(event) === pointed) return;
+      pointed = at(event);
+      setTime(pointed);
+    });
     timelines.on("plotly_click", (event) => { play(false); setTime(at(event)); });
   });
 }

@@ -134,7 +134,7 @@ function sceneLayout(data) {
   }
   const size = range.map(([low, high]) => high - low), mean = Math.cbrt(size[0] * size[1] * size[2]);
   const [x, y, z] = size.map((v) => v / mean);
-  const far = (1.4 + 0.65 * Math.max(x, y, z)) / 2.2, eye = { x: 0.84 * far, y: -1.74 * far, z: 1.06 * far };
+  const far = (1.55 + 0.65 * Math.max(x, y, z)) / 2.2, eye = { x: 0.84 * far, y: -1.74 * far, z: 1.06 * far };
   return { ...common, scene: { xaxis: axis(0), yaxis: axis(1), zaxis: axis(2), aspectmode: "manual",
     aspectratio: { x, y, z }, camera: { eye, center: { x: 0, y: 0, z: -0.1 } } } };
 }

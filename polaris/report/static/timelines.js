@@ -68,10 +68,10 @@ function rangeOf(panel, traces) {
   return [low - pad, high + pad];
 }
 
-// Names of the lines that belong to no pilot, in their colours.
+// Names of the lines that belong to no pilot, each beside a piece of its line.
 function linesOf(panel) {
   const own = panel.series.filter((one) => one.pilot === null && !one.bars);
-  return own.map((one) => `<span style="color:${one.colour}">${plain(one.name)}</span>`).join(", ");
+  return own.map((one) => `<span style="color:${one.colour}">━━</span> ${plain(one.name)}`).join("   ");
 }
 
 function timelineFigure(data, state) {
