@@ -100,7 +100,7 @@ def ray_ttc(
         state = _state(states, obstacle)
         known = None if state is None else np.asarray(state, dtype=float)
         for part in _parts(shape):
-            out[(o, *part)] = obstacle.entry_time(
+            out[o][part] = obstacle.entry_time(
                 t if t.ndim < len(shape) else t[part],
                 p if p.ndim <= len(shape) else p[part],
                 v if v.ndim <= len(shape) else v[part],
