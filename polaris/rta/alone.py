@@ -19,6 +19,7 @@ class Alone(Memoryless):
     """
 
     reasons: tuple[str, ...] = ("flies alone",)
+    delayed = False
 
     def __init__(self, scene: Scene, mode: int) -> None:
         super().__init__(scene)
@@ -46,6 +47,7 @@ class Precomputed(Memoryless):
     key = "schedule"
     name = "Polaris schedule"
     reasons: tuple[str, ...] = ("scheduled",)
+    delayed = False
 
     @property
     def claim(self) -> Claim:
@@ -56,7 +58,6 @@ class Precomputed(Memoryless):
     def decide(self, seen: Seen) -> Choice:
         """Look the mode up."""
         R, schedule = len(seen.estimate), self.scene.schedule
-        step = (seen.k * self.scene.nodes + self.scene.delay) // self.scene.clearance.q
-        mode = int(schedule.modes[min(step, len(schedule.modes) - 1)])
-        margin = float(schedule.margins[min(step, len(schedule.modes) - 1)])
+        step = seen.k * self.scene.nodes // self.scene.clearance.q
+        mode, margin = int(schedule.modes[step]), float(schedule.margins[step])
         return Choice(np.full(R, mode), np.full(R, margin), np.zeros(R, dtype=int))

@@ -80,47 +80,32 @@ class DecisionLog:
 
 
 def plain(value: object) -> Any:
-    """What arrived, for strict JSON; never raises."""
-    kind = type(value)
-    if kind is float:
-        return value if isfinite(value) else str(value)  # type: ignore[arg-type]
-    if value is None or kind is int:
-        return value
-    if kind is np.ndarray and value.ndim and value.size <= LONGEST and value.dtype.kind in "iuf":  # type: ignore[attr-defined]
-        listed = value.tolist()  # type: ignore[attr-defined]
-        return _finite(listed)
+    """What arrived, for strict JSON."""
+    if isinstance(value, np.ndarray) and value.size <= LONGEST and value.dtype.kind in "iuf":
+        return plain(value.tolist())
     if isinstance(value, (np.floating, np.integer)):
-        return plain(value.item())
+        value = value.item()
+    if isinstance(value, float):
+        return value if isfinite(value) else str(value)
+    if value is None or isinstance(value, int):
+        return value
     if isinstance(value, (list, tuple)) and len(value) <= LONGEST:
         return [plain(entry) for entry in value]
     if isinstance(value, Measurement):
-        return {
-            "stamp": plain(value.stamp),
-            "state": plain(value.state),
-            "half_widths": plain(value.half_widths),
-        }
-    return {"unreadable": kind.__name__}
-
-
-def _finite(listed: list[Any]) -> list[Any]:
-    return [_finite(v) if type(v) is list else v if isfinite(v) else str(v) for v in listed]
+        parts = (value.stamp, value.state, value.half_widths)
+        return dict(zip(("stamp", "state", "half_widths"), map(plain, parts), strict=True))
+    return {"unreadable": type(value).__name__}
 
 
 def restored(value: Any) -> Any:
-    """What `plain` was given, as far as decisions depend on it."""
+    """What `plain` was given, as far as decisions depend on it: arrays as lists."""
     if isinstance(value, list):
-        entries = [restored(entry) for entry in value]
-        return np.array(entries, dtype=float) if _numeric(entries) else entries
+        return [restored(entry) for entry in value]
     if isinstance(value, str):
         return float(value)
     if isinstance(value, dict) and "stamp" in value:
         return Measurement(*(restored(value[name]) for name in ("stamp", "state", "half_widths")))
     return value
-
-
-def _numeric(entries: list[Any]) -> bool:
-    shapes = {np.shape(entry) for entry in entries if isinstance(entry, (int, float, np.ndarray))}
-    return len(shapes) == 1 and all(isinstance(entry, (int, float, np.ndarray)) for entry in entries)
 
 
 def read_log(path: str | Path) -> list[dict[str, Any]]:

@@ -34,13 +34,13 @@ def real(value: object) -> float | None:
     """A number as a float, nan and infinities included; None for anything else."""
     if type(value) is float:
         return value
-    if isinstance(value, (bool, np.bool_, str, bytes)):
-        return None
-    if isinstance(value, np.ndarray) and value.ndim:
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value[()]
+    if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, float, np.integer, np.floating)):
         return None
     try:
-        return float(value)  # type: ignore[arg-type]
-    except (TypeError, ValueError, OverflowError):
+        return float(value)
+    except OverflowError:
         return None
 
 

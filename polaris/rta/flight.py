@@ -153,6 +153,7 @@ class _Engine:
     ) -> Flight:
         scene, system = self.scene, self.system
         R, D, c = len(conditions.x0), scene.decisions, scene.nodes
+        delay = scene.delay if method.delayed else 0
         N = D * c
         states, inputs = np.empty((N + 1, R, system.n)), np.empty((N, R, system.m))
         demanded, modes = np.zeros((N, R)), np.zeros((N, R), dtype=int)
@@ -172,7 +173,7 @@ class _Engine:
             seconds[k] = time.perf_counter() - begun
             margins[k], why[k] = choice.margin, choice.why
             for i in range(c):
-                if i == scene.delay:
+                if i == delay:
                     flying = choice.mode
                     u = u if choice.u is None else choice.u
                 node = k * c + i
@@ -182,7 +183,7 @@ class _Engine:
                 states[node + 1], modes[node] = x, flying
                 delta_v += spent * self.dt / system.mass
                 deviation += np.linalg.norm(inputs[node] - desired, axis=1)
-            if scene.delay == c:
+            if delay == c:
                 flying = choice.mode
                 u = u if choice.u is None else choice.u
         times = np.asarray(np.arange(N + 1) * scene.h, dtype=float)

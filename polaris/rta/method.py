@@ -80,6 +80,8 @@ class Method(Protocol):
     key: str
     name: str
     reasons: tuple[str, ...]
+    delayed: bool
+    """Whether it decides on a measurement, so that the latency passes before a decision takes effect."""
 
     @property
     def claim(self) -> Claim:
@@ -97,6 +99,8 @@ class Method(Protocol):
 
 class Memoryless:
     """A method that remembers nothing from one decision to the next."""
+
+    delayed = True
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene

@@ -51,6 +51,7 @@ class Monitor:
     key = "monitor"
     name = "Polaris online monitor"
     reasons: tuple[str, ...] = ("U is recoverable", "U is not recoverable", "dwell in S")
+    delayed = True
 
     def __init__(self, scene: Scene, trust: str = "declared", dwell: int = 1) -> None:
         if trust not in TRUST:

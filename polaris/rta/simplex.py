@@ -18,6 +18,7 @@ class Latched:
     """U as long as `margin` has never been negative; then S to the end."""
 
     reasons: tuple[str, ...] = ("inside", "leaving", "latched in S")
+    delayed = True
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene

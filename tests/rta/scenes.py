@@ -1,0 +1,57 @@
+"""Scenes for the tests of run-time methods, each made once."""
+
+from functools import cache
+
+import numpy as np
+
+from polaris.controllers import AffineController, AnyThrust
+from polaris.obstacles import BoxObstacle
+from polaris.planning import Box
+from polaris.problem import Problem
+from polaris.reference import Reference
+from polaris.rta.scene import Scene
+from polaris.safety import get_safety
+from polaris.scenario import load_scenario
+from polaris.synthesis import synthesize
+from polaris.system import LinearSystem
+from polaris.tracking import lqr_gain
+from reach.zonotope import Zonotope
+
+
+@cache
+def robot():
+    """The bundled scenario of a robot in the plane: sampled feedback, an obstacle at rest, one in motion."""
+    return synthesize(load_scenario("robot"))
+
+
+@cache
+def corridor(period=None, unknown=False):
+    """A point mass in the plane that passes a box; U heads straight through it, or may do anything."""
+    zero, eye = np.zeros((2, 2)), np.eye(2)
+    A = np.block([[zero, eye], [zero, zero]])
+    B = np.vstack([zero, eye])
+    system = LinearSystem(A, B, B, [0.4, 0.4], 0.01)
+    goal = Box([7.5, -0.5, -0.1, -0.1], [8.5, 0.5, 0.1, 0.1])
+    Q, R = [1.0, 1.0, 1.0, 1.0], [20.0, 20.0]
+    start = Zonotope.box([0.0, 0.0, 0.0, 0.0], [0.1, 0.1, 0.02, 0.02])
+    box = BoxObstacle("crate", [4.0, -0.2], [0.8, 0.8])
+    problem = Problem(
+        system, start, (box,), 40, 0.5, Q, R, goal, period=period, extra_margin=0.3, thrust_reserve=0.3
+    )
+    safety = get_safety(problem)
+    if unknown:
+        laws = [AnyThrust("anything", system, safety.reference, safety.tracking)]
+    else:
+        t = np.linspace(0.0, 1.0, 41)[:, None]
+        chi = np.hstack([8 * t, 0 * t, np.full_like(t, 0.4), 0 * t])  # 8 m in 20 s, straight through the box
+        own = Reference(system, 0.5, chi, np.zeros((40, 2)))
+        gain = lqr_gain(system, Q, [5.0, 5.0])
+        laws = [AffineController("straight", system, gain, safety.reference, own, safety.tracking, True)]
+    return synthesize(safety, experimental=laws)
+
+
+@cache
+def scene(name="corridor", period=None, latency=0.0, half=0.0, feedback=None, unknown=False):
+    """A scene on which methods fly."""
+    schedule = robot() if name == "robot" else corridor(feedback, unknown)
+    return Scene.of(schedule, period, latency, half)

@@ -1,0 +1,142 @@
+"""Every method on the same scenes: what is proven holds under worst cases, and the tests can fail."""
+
+import numpy as np
+import pytest
+
+from polaris.errors import ScenarioError
+from polaris.rta.arena import METHODS
+from polaris.rta.asif_explicit import ExplicitASIF
+from polaris.rta.flight import Conditions, fly
+from polaris.rta.method import FILTERED
+from polaris.rta.monitor import Monitor
+from polaris.rta.outcome import measure
+from tests.rta.scenes import scene
+
+PROVED = ("safety", "schedule", "monitor", "monitor_limits", "simplex_explicit", "asif_implicit")
+SETTINGS = {
+    "continuous": {},
+    "sampled": {"feedback": 0.1, "period": 0.5},
+    "anything": {"unknown": True, "period": 0.1},
+    "late": {"period": 0.25, "latency": 0.125},
+    "whole period late, estimated": {"period": 0.25, "latency": 0.25, "half": 0.01},
+    "slow": {"period": 0.5, "half": (0.02, 0.02, 0.005, 0.005)},
+    "robot": {"name": "robot"},
+    "robot late, estimated": {"name": "robot", "period": 0.25, "latency": 0.05, "half": 0.005},
+}
+
+
+def flights(setting, keys, runs=24, seed=3):
+    made = scene(**SETTINGS[setting])
+    conditions = Conditions.draw(made, runs, seed)
+    for key in keys:
+        method = METHODS[key](made)
+        flight = fly(made, method, conditions)
+        yield key, method, flight, measure(made, flight, conditions, method.name)
+
+
+@pytest.mark.parametrize("setting", SETTINGS)
+def test_what_is_proved_keeps_clear_and_within_the_thrust_limits(setting):
+    for key, method, _, metrics in flights(setting, PROVED):
+        assert method.claim.kind == "proved", key
+        assert not metrics.collided.any(), key
+        assert metrics.min_distance.min() > 0, key
+        # S must never be asked for more than there is: that is what recoverable means.
+        asked = metrics.max_thrust_ratio_safety
+        assert np.nanmax(np.append(asked, 0.0)) <= 1 + 1e-9, key
+
+
+def test_u_alone_does_collide():
+    for setting in ("continuous", "robot"):
+        (_, method, _, metrics), *_ = flights(setting, ["experimental"])
+        assert method.claim.kind == "none"
+        assert metrics.collided.all() and metrics.min_distance.max() < 0
+
+
+def test_look_ahead_asks_too_much_of_s_where_the_monitor_does_not():
+    found = {key: metrics for key, _, _, metrics in flights("late", ["simulation", "monitor"])}
+    assert np.nanmax(found["simulation"].max_thrust_ratio_safety) > 1.2
+    assert np.nanmax(found["monitor"].max_thrust_ratio_safety) <= 1
+
+
+def test_monitor_uses_u_more_than_the_schedule_and_far_more_than_the_explicit_simplex():
+    keys = ["schedule", "monitor", "simplex_explicit"]
+    share = {key: metrics.experimental_share.mean() for key, _, _, metrics in flights("robot", keys)}
+    assert share["monitor"] > share["schedule"] > 2 * share["simplex_explicit"] > 0
+
+
+def test_monitor_without_its_limits_lets_u_collide():
+    made = scene("robot")
+    monitor = Monitor(made)
+    monitor.recovery.reciprocals[:] = 0.0  # nothing limits any more
+    monitor.recovery._far_reciprocals[:] = 0.0
+    for prospect in (*monitor.cautious.values(), *monitor.declared.values()):
+        object.__setattr__(prospect.demand, "base", 0.0)
+        object.__setattr__(prospect.demand, "slope", 0.0)
+    conditions = Conditions.draw(made, 4, 0)
+    flight = fly(made, monitor, conditions)
+    assert measure(made, flight, conditions, "broken").collided.all()
+
+
+def test_simplex_latches():
+    for key, _, flight, _ in flights("robot", ["simplex_explicit", "simplex_implicit"]):
+        under_s = flight.modes == 0
+        assert (np.diff(under_s.astype(int), axis=1) >= 0).all(), key
+        assert under_s.any() and not under_s.all(), key
+
+
+def test_filters_answer_within_the_limits_and_change_as_little_as_they_can():
+    for key, method, flight, _ in flights("robot", ["asif_explicit", "asif_implicit"]):
+        made = scene("robot")
+        limit = made.system.u_max
+        assert (np.abs(flight.inputs) <= limit * (1 + 1e-12)).all(), key
+        passed = (np.repeat(flight.why, made.nodes, axis=1) == 0) & (flight.modes == FILTERED)
+        assert passed.any(), key
+        run, node = (int(one) for one in np.argwhere(passed)[0])
+        desired = made.clipped(1, node, flight.states[run, node])
+        assert flight.inputs[run, node] == pytest.approx(desired, abs=1e-8), key
+        assert method.reasons[0] == "desired input"
+
+
+def test_dwell_keeps_s_in_control():
+    made = scene("robot")
+    conditions = Conditions.draw(made, 8, 1)
+    quick, slow = (fly(made, Monitor(made, dwell=dwell), conditions).modes for dwell in (1, 20))
+    for modes in slow:
+        lengths = _stretches(modes[:-1])
+        assert min(lengths, default=20) >= 20
+    assert np.abs(np.diff(slow)).sum() < np.abs(np.diff(quick)).sum()
+
+
+def _stretches(modes):
+    """Lengths of the stretches under S that end before the flight does."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[1], modes])))
+    return [int(b - a) for a, b in zip(edges[::2], edges[1::2], strict=False)]
+
+
+def test_options_are_checked():
+    made = scene("robot")
+    with pytest.raises(ScenarioError, match="trust"):
+        Monitor(made, trust="blind")
+    with pytest.raises(ScenarioError, match="dwell"):
+        Monitor(made, dwell=0)
+    with pytest.raises(ScenarioError, match="alpha"):
+        ExplicitASIF(made, alpha=-1.0)
+
+
+def test_same_conditions_give_the_same_flights():
+    made = scene("robot")
+    conditions = Conditions.draw(made, 6, 5)
+    for key, make in METHODS.items():
+        first, again = (fly(made, make(made), conditions) for _ in range(2))
+        assert np.array_equal(first.states, again.states), key
+    other = Conditions.draw(made, 6, 6)
+    assert not np.array_equal(conditions.w, other.w)
+
+
+def test_a_run_does_not_depend_on_its_neighbours():
+    made = scene("robot", half=0.005)
+    conditions = Conditions.draw(made, 6, 5)
+    for key, make in METHODS.items():
+        together = fly(made, make(made), conditions)
+        alone = fly(made, make(made), conditions.only(4))
+        assert np.allclose(together.states[4], alone.states[0], atol=1e-7), key
