@@ -33,6 +33,8 @@ class Observer:
         theta = scene.schedule.safety.problem.initial_set
         half = np.abs(theta.G).sum(axis=1)
         motion = BoxMotion(scene.system, scene.period, limits.memory + self._same)
+        for usual in (0.0, scene.period):  # worked out before the flight
+            motion.over(usual)
         self.filter = BoxFilter(motion, theta.c - half, theta.c + half)
         self.agreed, self.conflicts = trusted, 0
         self._called = 0.0

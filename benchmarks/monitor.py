@@ -1,0 +1,88 @@
+"""Time per decision of the online monitor in flight.
+
+    python -m benchmarks.monitor                   bundled scenarios
+    python -m benchmarks.monitor static --turns 50
+
+One flight of U under random disturbances and errors is decided over and over: the bare condition, the whole
+step with all checks of measurement, clock and history, and the step with its log line. Two numbers each:
+median and 99th percentile over the decisions of a block, then the median over all blocks and, as the machine
+may be busy with other things, the best block.
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from polaris.rta.alone import Alone
+from polaris.rta.decision_log import DecisionLog
+from polaris.rta.estimate import Measurement
+from polaris.rta.flight import Conditions, fly
+from polaris.rta.monitor import Monitor
+from polaris.rta.runtime import OnlineMonitor
+from polaris.rta.scene import Scene
+from polaris.scenario import load_scenario
+from polaris.synthesis import synthesize
+
+BLOCK = 300
+"""Decisions per block."""
+
+
+def blocks(way: Callable[[], Callable[[int], object]], turns: int) -> np.ndarray:
+    """Median and 99th percentile of every block [us], shape (turns, 2)."""
+    out, spent = np.empty((turns, 2)), np.empty(BLOCK)
+    for turn in range(turns):
+        decide = way()
+        for k in range(BLOCK):
+            begun = time.perf_counter()
+            decide(k)
+            spent[k] = time.perf_counter() - begun
+        out[turn] = np.percentile(spent, [50, 99]) * 1e6
+    return out
+
+
+def ways(monitor: Monitor) -> dict[str, Callable[[], Callable[[int], object]]]:
+    """What is timed, by name; each makes a new decider that is asked for k = 0, 1 ... in turn."""
+    scene = monitor.scene
+    conditions = Conditions.draw(scene, 2, 0).only(1)
+    flight = fly(scene, Alone(scene, 0), conditions)
+    seen = flight.states[0, :: scene.nodes][: len(conditions.errors)] + conditions.errors[:, 0]
+    errors = seen - scene.xi[: len(seen) * scene.nodes : scene.nodes]
+    told = [(k * scene.period, Measurement(k * scene.period, x)) for k, x in enumerate(seen)]
+    inputs = [None, *flight.inputs[0, :: scene.nodes]]
+
+    def bare() -> Callable[[int], object]:
+        return lambda k: monitor.judge_one(k, errors[k], 1)
+
+    def step(log: DecisionLog | None = None, known: bool = False) -> Callable[[int], object]:
+        online = OnlineMonitor(monitor, log=log)
+        return lambda k: online.step(*told[k], inputs[k] if known else None)
+
+    return {
+        "judge_one": bare,
+        "step": step,
+        "step, input known": lambda: step(known=True),
+        "step and log": lambda: step(DecisionLog(io.StringIO())),
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("scenarios", nargs="*", default=["static", "robot"])
+    parser.add_argument("--turns", type=int, default=30, help="blocks of 300 decisions each")
+    arguments = parser.parse_args()
+    print(f"{'[us]':10}{'':20}{'median':>10}{'p99':>10}{'best':>12}{'p99':>10}")
+    for name in arguments.scenarios:
+        monitor = Monitor(Scene.of(synthesize(load_scenario(name)), half_widths=0.005))
+        for what, way in ways(monitor).items():
+            found = blocks(way, arguments.turns)
+            middle, best = np.median(found, axis=0), found.min(axis=0)
+            print(f"{name:10}{what:20}{middle[0]:10.1f}{middle[1]:10.1f}{best[0]:12.1f}{best[1]:10.1f}")
+
+
+if __name__ == "__main__":
+    main()
