@@ -139,19 +139,22 @@ class BoxFilter:
         self._inputs = self._z[3 * self.n : -1]
         self._moved, self._measured = np.empty(2 * self.n), np.empty(2 * self.n)
         self._width = np.empty(self.n)
+        parts = [(whole[: self.n], whole[self.n :]) for whole in (self._box, self._moved, self._measured)]
+        (self._high, self._low), (self._moved_high, self._moved_low) = parts[:2]  # _low: lower ends, negated
+        self._measured_high, self._measured_low = parts[2]
         self._any_input = np.concatenate([system.u_max, system.u_max])
         self._inputs[:] = self._any_input
-        self._box[: self.n], self._box[self.n :] = high, -low
+        self._high[:], self._low[:] = high, -low
 
     @property
     def low(self) -> Array:
         """Lower ends at the instant of the last accepted measurement, shape (n,)."""
-        return -self._box[self.n :]
+        return -self._low
 
     @property
     def high(self) -> Array:
         """Upper ends, shape (n,)."""
-        return self._box[: self.n].copy()
+        return self._high.copy()
 
     def flown(self, low: Array | None, high: Array | None, fresh: bool) -> None:
         """Note bounds (m,) on the input since the last call; None where only its limits are known.
@@ -174,7 +177,7 @@ class BoxFilter:
 
     def moved(self, t: float) -> Array:
         """``[hi, -lo]`` at a time that it `reaches`; overwritten by the next call."""
-        np.maximum(self._box[: self.n], self._box[self.n :], out=self._size)
+        np.maximum(self._high, self._low, out=self._size)
         return np.dot(self.motion.over(t - self.t), self._z, out=self._moved)
 
     def cut(self, t: float, x: Array, half: Array) -> int:
@@ -185,10 +188,10 @@ class BoxFilter:
         int
             -1 if it agrees; else the state that disagrees most, and the box stays as it was.
         """
-        moved, measured, n, width = self.moved(t), self._boxed(x, half), self.n, self._width
-        np.minimum(moved, measured, out=moved)
-        np.add(moved[:n], moved[n:], out=width)
-        if not width.min() >= 0:
+        moved = self.moved(t)
+        np.minimum(moved, self._boxed(x, half), out=moved)
+        width = np.add(self._moved_high, self._moved_low, out=self._width)
+        if not min(width.tolist()) >= 0:
             return int(width.argmin())
         self._box[:], self.t = moved, t
         return -1
@@ -206,6 +209,6 @@ class BoxFilter:
         self._box[:], self.t = self._boxed(x, half), t
 
     def _boxed(self, x: Array, half: Array) -> Array:
-        np.add(half, x, out=self._measured[: self.n])
-        np.subtract(half, x, out=self._measured[self.n :])
+        np.add(half, x, out=self._measured_high)
+        np.subtract(half, x, out=self._measured_low)
         return self._measured

@@ -23,7 +23,7 @@ class Observer:
     farthest : float
         Entries of the state beyond this are taken for faults.
     trusted : int
-        Number of measurements taken to agree at the start, where the initial set vouches for the state.
+        Number of consecutive measurements that must agree; at the start the initial set vouches for them.
     """
 
     def __init__(self, scene: Scene, limits: Limits, farthest: float, trusted: int) -> None:
@@ -36,7 +36,8 @@ class Observer:
         for usual in (0.0, scene.period):  # worked out before the flight
             motion.over(usual)
         self.filter = BoxFilter(motion, theta.c - half, theta.c + half)
-        self.agreed, self.conflicts = trusted, 0
+        self.agreed = self._enough = trusted
+        self.conflicts = 0  # since so many agreed
         self._called = 0.0
 
     def note_inputs(self, applied: object) -> Fault | None:
@@ -89,17 +90,14 @@ class Observer:
         elif not self.filter.reaches(stamp):
             text = "nothing to compare with: the last measurement is too long ago"
             faults.append(Fault("estimate", text))
-            self._restart(reading)
+            self.filter.restart(*reading)
+            self.agreed = 1
         else:
             conflict = self.filter.cut(stamp, reading.state, reading.half_widths)
             if conflict < 0:
                 self.agreed += 1
+                self.conflicts *= self.agreed < self._enough
                 return
             name = self.scene.system.state_names[conflict]
             faults.append(Fault("estimate", f"conflict: {name} contradicts earlier measurements"))
-            self.conflicts += 1
-            self._restart(reading)
-
-    def _restart(self, reading: Reading) -> None:
-        self.filter.restart(*reading)
-        self.agreed = 1
+            self.conflicts, self.agreed = self.conflicts + 1, 0  # the box stays: what lied is not let in

@@ -59,6 +59,7 @@ class OnlineMonitor:
         self.guard = Guard(self.scene.system.u_max, self.limits.budget, timer)
         self._flown, self._dwelt, self._strikes = 0, self.options.min_dwell, 0
         self._unwritten: list[Fault] = []  # of the log
+        self._latch: list[Fault] = []  # why S flies for good
         self._asked: object = None
 
     def command(self, law: Callable[..., Any], *arguments: Any) -> Array | None:
@@ -100,12 +101,18 @@ class OnlineMonitor:
             k, mode, margin, reason = self._decide(now, measurement, applied, reference, faults)
         except Exception as error:  # whatever is wrong with the monitor itself, S flies
             self._own_fault(f"raised {type(error).__name__}", faults)
-        if self._timer() - begun > self.limits.deadline:
+        if self._timer() - begun > self._left(k, now):
             self._own_fault("deadline missed", faults)
         answer = self._answer(k, 0 if faults else mode, margin, reason, faults)
         if self._log is not None:
             self._record(self._log, answer, noted, (now, measurement, applied, reference))
         return answer
+
+    def _left(self, k: int, now: Any) -> float:
+        """Wall time [s] for a call at this reading: the deadline, but not beyond the moment of effect."""
+        if not self.scene.latency or k < 0:
+            return self.limits.deadline
+        return min(self.limits.deadline, k * self.scene.period + self.scene.latency - float(now))
 
     def _own_fault(self, text: str, faults: list[Fault]) -> None:
         self._strikes += 1
@@ -134,10 +141,11 @@ class OnlineMonitor:
 
     def _latched(self, faults: list[Fault]) -> None:
         o, agreed, conflicts = self.options, self.observer.agreed, self.observer.conflicts
-        if o.latch is not None and self._strikes >= o.latch:
-            faults.append(Fault("rule", f"latched: {self._strikes} faults of U or of the monitor"))
-        if o.latch_conflicts is not None and conflicts >= o.latch_conflicts:
-            faults.append(Fault("rule", f"latched: {conflicts} conflicts between measurements"))
+        if not self._latch and o.latch is not None and self._strikes >= o.latch:
+            self._latch.append(Fault("rule", f"latched: {self._strikes} faults of U or of the monitor"))
+        if not self._latch and o.latch_conflicts is not None and conflicts >= o.latch_conflicts:
+            self._latch.append(Fault("rule", f"latched: {conflicts} conflicts between measurements"))
+        faults += self._latch
         if agreed < o.reacquire:
             faults.append(Fault("rule", f"re-acquiring: {agreed} of {o.reacquire} measurements agree"))
 

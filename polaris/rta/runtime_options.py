@@ -29,8 +29,8 @@ class RuntimeOptions:
     drift : float, optional
         By how much clock and second clock may differ [s]; default a hundredth of the period.
     deadline : float, optional
-        Wall time that one call of `OnlineMonitor.step` may take [s]; default the scene's latency, or the
-        period where it has none.
+        Wall time that one call of `OnlineMonitor.step` may take [s], never beyond the moment of effect;
+        default the scene's latency, or the period where it has none.
     budget : float, optional
         Wall time that one call of U may take [s]; default one period.
     reacquire : int
@@ -40,7 +40,7 @@ class RuntimeOptions:
     latch : int or None
         After so many faults of U or of the monitor itself S flies for good; None: never.
     latch_conflicts : int or None
-        The same for measurements that contradict each other.
+        The same for measurements that contradict earlier ones, if `reacquire` never agreed in between.
 
     Raises
     ------
@@ -58,7 +58,7 @@ class RuntimeOptions:
     reacquire: int = 3
     min_dwell: int = 1
     latch: int | None = 3
-    latch_conflicts: int | None = None
+    latch_conflicts: int | None = 5
 
     def __post_init__(self) -> None:
         for name in ("max_age", "memory", "tolerance", "drift", "deadline", "budget"):

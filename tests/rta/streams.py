@@ -33,6 +33,7 @@ class Delivery:
     now: float
     stamp: object
     state: object
+    planned: np.ndarray
     half: object = None
     missing: bool = False
     call: bool = True
@@ -176,6 +177,20 @@ class Drifting(Operator):
         delivery.state = delivery.state + self.rate * (k - self.first + 1)
 
 
+class Flattering(Operator):
+    """Tells that the flight is on the reference, where U is always welcome."""
+
+    family, certain = "estimate", False
+
+    def set_up(self):
+        self.first = int(self.rng.integers(10, 130))
+        self.last = self.first + 170
+
+    def corrupt(self, k, delivery, past):
+        delivery.state = delivery.planned + self.rng.uniform(-HALF, HALF, self.n)
+        delivery.families.clear()
+
+
 class ClockStep(Operator):
     family = "clock"
 
@@ -214,7 +229,7 @@ class Skipped(Operator):
 
 OPERATORS = [
     Missing, Delayed, Reordered, Duplicated, Frozen, FrozenWithNoise, Spiking, NanFilled, Absurd, Malformed,
-    WrongWidths, WrongStamps, Drifting, ClockStep, ClockGone, Jitter, Skipped,
+    WrongWidths, WrongStamps, Drifting, Flattering, ClockStep, ClockGone, Jitter, Skipped,
 ]  # fmt: skip
 
 
@@ -260,7 +275,7 @@ def fly_streams(monitor, operators, deciders, seed, second_clock=(), applied=())
             instant = k * scene.period
             honest = x[run] + conditions.errors[k, run]
             past[run].append((instant, honest))
-            delivery = Delivery(instant, instant, honest)
+            delivery = Delivery(instant, instant, honest, scene.xi[k * c])
             for operator in operators[run]:
                 operator(k, delivery, past[run])
             if not delivery.call:

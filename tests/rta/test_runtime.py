@@ -139,7 +139,7 @@ def test_a_jump_means_s_until_enough_measurements_agree():
     flight.steps(0, 5)
     answer = flight.step(5, flight.honest(5, state=flight.at(5) + [0, 5.0, 0, 0, 0, 0]))
     assert answer.mode == 0 and answer.reason.startswith("estimate: conflict: ")
-    assert [a.mode for a in flight.steps(6, 10)] == [0, 0, 1, 1]  # a conflict again, then 2 and 3 agree
+    assert [a.mode for a in flight.steps(6, 10)] == [0, 0, 1, 1]  # 1, 2 and 3 agree
 
 
 def test_the_first_measurement_is_compared_with_the_initial_set():
@@ -294,6 +294,13 @@ def test_the_monitors_own_exceptions_and_deadline_mean_s(monkeypatch):
     assert flight.step(4).mode == 1
 
 
+def test_a_call_that_ends_after_the_moment_of_effect_is_too_late():
+    ticks = iter([0.0, 0.3, 1.0, 1.3])
+    flight = Flight(monitor(latency=0.5), timer=lambda: next(ticks))
+    assert flight.step(0, now=0.1).mode == 1
+    assert flight.step(1, now=1.3, reference=None).reason == "monitor: deadline missed"
+
+
 def test_dwell():
     flight = Flight(min_dwell=4)
     flight.steps(0, 3)
@@ -303,10 +310,11 @@ def test_dwell():
     assert answers[0].reason == "rule: dwell: 1 of 4 decisions in S" and answers[0].margin > 0
 
 
-def test_conflicts_latch_if_asked_to():
-    flight = Flight(latch_conflicts=2, reacquire=1)
-    for k in range(20):
-        flight.step(k, flight.honest(k, state=flight.at(k) + [0, 5.0 * (k == 3), 0, 0, 0, 0]))
+def test_conflicts_in_a_row_latch():
+    flight = Flight(latch_conflicts=2)
+    for k in range(20):  # the one at 3 is forgiven, three have agreed since; 10 and 12 are in a row
+        flight.step(k, flight.honest(k, state=flight.at(k) + [0, 5.0 * (k in (3, 10, 12)), 0, 0, 0, 0]))
+        assert k != 9 or not flight.online.observer.conflicts
     assert flight.step(20).reason == "rule: latched: 2 conflicts between measurements"
 
 
