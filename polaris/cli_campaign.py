@@ -127,7 +127,9 @@ def add_campaign(app: typer.Typer, guard: Guard) -> None:
             folder = _fly(
                 scenarios, grid or [], overrides, runs or 1000, out, workers, scheduler, options, stages
             )
-            _finish(folder, as_json, quiet)
+            code = _finish(folder, as_json, quiet)
+        if code:
+            raise typer.Exit(code)
 
     @app.command("campaign-replay")
     def replay_command(
@@ -220,8 +222,8 @@ def _only_inspection(scenarios: Sequence[str], name: str, own: dict[str, Any]) -
             )
 
 
-def _finish(folder: CampaignFolder, as_json: bool, quiet: bool) -> None:
-    """Print the summary; ends with the error of the first case if no case has a schedule."""
+def _finish(folder: CampaignFolder, as_json: bool, quiet: bool) -> int:
+    """Print the summary; returns the exit code: that of the first case if no case has a schedule."""
     summary = folder.summary
     if as_json:
         sys.stdout.write((folder.path / "summary.json").read_text(encoding="utf-8"))
@@ -232,6 +234,8 @@ def _finish(folder: CampaignFolder, as_json: bool, quiet: bool) -> None:
         if summary["flown"]:
             command = f"polaris campaign-replay {shlex.quote(str(folder.path))} --worst 1 --out worst.csv"
             typer.echo(f"The closest approach in detail: {command}")
-    if not summary["flown"]:
-        typer.echo("error: no case has a schedule", err=True)
-        raise typer.Exit(summary["cases"][0]["exit_code"])
+    if summary["flown"]:
+        return 0
+    first = summary["cases"][0]
+    typer.echo(f"error: no case has a schedule; {first['label']}: {first['failure']}", err=True)
+    return int(first["exit_code"])

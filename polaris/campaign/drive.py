@@ -16,7 +16,7 @@ from ..simulation import Initial
 from .batch import Batch, Task, fly_batch
 from .cases import Case
 from .folder import CampaignFolder, open_campaign
-from .plan import BATCH, Plan, check_modes
+from .plan import BATCH, Plan
 from .statistics import summarise
 from .workers import Workers, given, local
 
@@ -207,7 +207,6 @@ def run_campaign(
         If workers are lost again and again or disagree; what was finished is kept.
     """
     plan = Plan(tuple(cases), runs, seed, batch, tuple(modes), initial, disturbance)
-    check_modes(plan)
     folder = open_campaign(out, plan, fresh)
     workers = executor if isinstance(executor, Workers) else given(executor) if executor else local(1)
     Flight(folder, workers, progress).fly()

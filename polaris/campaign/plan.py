@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, cast
@@ -12,7 +11,6 @@ from typing import Any, cast
 from ..checks import whole
 from ..disturbances import Disturbance
 from ..errors import ScenarioError
-from ..scenario import Scenario
 from ..simulation import DISTURBANCES, INITIALS, Initial
 from ..version import version
 from .batch import MODES, Task
@@ -144,12 +142,3 @@ class Plan:
             cast(Initial, data["initial"]),
             cast(Disturbance, data["disturbance"]),
         )
-
-
-def check_modes(plan: Plan) -> None:
-    """Refuse the mode ``experimental`` for scenarios that have no such controller."""
-    if "experimental" not in plan.modes:
-        return
-    for case in plan.cases:
-        if not Scenario.from_dict(tomllib.loads(case.text)).experimental_specs():
-            raise ScenarioError("--mode", "experimental", f"{case.label} has no experimental controller")

@@ -360,10 +360,3 @@ def test_a_worker_of_another_version_refuses(flown, monkeypatch):
     monkeypatch.setattr("polaris.campaign.batch.version", lambda: "99.0")
     with pytest.raises(PolarisError, match=r"version 99\.0"):
         batch.fly_batch(task)
-
-
-def test_mode_experimental_needs_such_a_controller(tmp_path):
-    alone = load_scenario(TINY).set("experimental", [])
-    with pytest.raises(ScenarioError, match="no experimental controller"):
-        run_campaign(make_cases([alone]), 3, tmp_path / "c", modes=["experimental"])
-    assert not (tmp_path / "c").exists()
