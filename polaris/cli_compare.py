@@ -118,18 +118,18 @@ def _numbers(text: str | None) -> Any:
 
 
 SAFETY = (
-    ("violations", "runs that\nviolate"),
-    ("min_distance_m", "least\ndistance m"),
-    ("mean_distance_m", "mean\ndistance m"),
+    ("violations", "viola-\ntions"),
+    ("min_distance_m", "least\ndist. m"),
+    ("mean_distance_m", "mean\ndist. m"),
     ("min_ttc_s", "least\nTTC s"),
-    ("min_ttc_free_drift_s", "least TTC\nby drift s"),
+    ("min_ttc_free_drift_s", "drift\nTTC s"),
 )
 COST = (
     ("experimental_share", "share\nof U"),
-    ("switches", "switches"),
+    ("switches", "swit-\nches"),
     ("delta_v_m_s", "delta-v\nm/s"),
-    ("deviation", "deviation"),
-    ("decision_median_us", "decision\nµs"),
+    ("deviation", "devia-\ntion"),
+    ("decision_median_us", "deci-\nsion µs"),
     ("decision_p99_us", "p99\nµs"),
     ("synthesis_s", "offline\ns"),
 )
@@ -150,7 +150,7 @@ def show_comparison(table: Mapping[str, Any], folder: str) -> None:
     flown = [method for method in table["methods"] if method["available"]]
     for columns in (SAFETY, COST):
         shown = Table(pad_edge=False, padding=(0, 1, 0, 0), box=SIMPLE)
-        shown.add_column("method", max_width=26)
+        shown.add_column("method", min_width=22, max_width=24)
         if columns is SAFETY:
             shown.add_column("guarantee", no_wrap=True)
         for _, head in columns:
@@ -171,9 +171,14 @@ def show_comparison(table: Mapping[str, Any], folder: str) -> None:
 
 def _cell(key: str, told: Any) -> str:
     if not isinstance(told, dict):
-        return "-" if told is None else f"{told:.3g}"
+        return "-" if told is None else _number(told)
     if key in LEAST:
-        return "none" if told["worst"] is None else f"{told['worst']:.3g}"
+        return "none" if told["worst"] is None else _number(told["worst"])
     if key == "violations":
         return str(told["mean"])
-    return "-" if told["mean"] is None else f"{told['mean']:.3g}"
+    return "-" if told["mean"] is None else _number(told["mean"])
+
+
+def _number(value: float) -> str:
+    """Three digits, whole thousands written out."""
+    return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.3g}"

@@ -95,9 +95,9 @@ class Scene:
         per_step = _parts("period", delta, period, f"must divide the planning step of {delta:g} s")
         if not 0 <= non_negative("latency", latency, "s") <= period:
             raise ScenarioError("latency", latency, f"must be at most the decision period of {period:g} s")
-        half = np.broadcast_to(np.asarray(half_widths, dtype=float), (n,))
-        if not (np.all(np.isfinite(half)) and np.all(half >= 0)):
-            raise ScenarioError("half_widths", half.tolist(), f"must be {n} finite numbers >= 0")
+        half = np.asarray(half_widths, dtype=float)
+        if half.shape not in ((), (n,)) or not (np.all(np.isfinite(half)) and np.all(half >= 0)):
+            raise ScenarioError("half_widths", half.tolist(), f"must be one or {n} finite numbers >= 0")
         if feedback.sampled:
             h = safety.tracking.flow.h
             nodes = _parts("period", period, h, f"must be a multiple of the control period of {h:g} s")
@@ -109,7 +109,16 @@ class Scene:
         tracking = Tracking(safety.problem.system, safety.tracking.gain, Feedback(q, feedback.sampled), delta)
         old = safety.clearance
         clearance = Clearance(tracking, old.reference, old.unsafe, old.facets, old.planned, old.jump)
-        return cls(schedule, period, latency, np.array(half), tracking, clearance, nodes, delay)
+        return cls(
+            schedule,
+            period,
+            latency,
+            np.array(np.broadcast_to(half, (n,))),
+            tracking,
+            clearance,
+            nodes,
+            delay,
+        )
 
     # -- what it consists of ------------------------------------------------------------------------
 

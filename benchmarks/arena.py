@@ -1,0 +1,64 @@
+"""Decision time of the online monitor against that of the filters, interleaved in one run.
+
+    python -m benchmarks.arena [SCENARIO ...]
+
+Every method decides on the states of one flight under the schedule, one run at a time, and the methods take
+turns at each state, so that whatever else the machine does falls on all of them. The ratio is the median of
+the other method over that of the monitor.
+"""
+
+import sys
+import time
+
+import numpy as np
+
+from polaris.rta.alone import Precomputed
+from polaris.rta.arena import METHODS
+from polaris.rta.flight import Conditions, fly
+from polaris.rta.method import Seen
+from polaris.rta.scene import Scene
+from polaris.scenario import load_scenario
+from polaris.synthesis import synthesize
+
+TIMED = ("monitor", "monitor_limits", "simplex_explicit", "asif_explicit", "asif_implicit")
+WARM = 20
+
+
+def decisions(scene):
+    """What is seen at every decision of a flight under the schedule."""
+    flight = fly(scene, Precomputed(scene), Conditions.draw(scene, 1, 0))
+    for k in range(scene.decisions):
+        x = flight.states[:, k * scene.nodes]
+        mode = flight.modes[:, max(k * scene.nodes - 1, 0)]
+        yield Seen(k, x, scene.clipped(1, k * scene.nodes, x), mode)
+
+
+def main(names):
+    for name in names:
+        scene = Scene.of(synthesize(load_scenario(name)))
+        methods = {key: METHODS[key](scene) for key in TIMED}
+        seen = list(decisions(scene))
+        spent = {key: np.empty(len(seen)) for key in TIMED}
+        for method in methods.values():
+            method.start(1)
+            for one in seen[:WARM]:
+                method.decide(one)
+        for i, one in enumerate(seen):
+            for key, method in methods.items():
+                begun = time.perf_counter()
+                method.decide(one)
+                spent[key][i] = time.perf_counter() - begun
+        own = np.median(spent["monitor"])
+        print(
+            f"{name}: {len(seen)} decisions every {scene.period:g} s, {len(methods['monitor'].recovery.matrix)} limits"
+        )
+        print(f"  {'method':18} {'median us':>10} {'p99 us':>10} {'least us':>10} {'ratio':>7}")
+        for key, times in spent.items():
+            median, p99 = 1e6 * np.median(times), 1e6 * np.percentile(times, 99)
+            print(
+                f"  {key:18} {median:10.1f} {p99:10.1f} {1e6 * times.min():10.1f} {np.median(times) / own:7.1f}"
+            )
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:] or ["static", "dynamic", "robot"])
