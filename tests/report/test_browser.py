@@ -3,6 +3,7 @@
 import io
 import json
 import shutil
+import socket
 import time
 
 import numpy as np
@@ -16,6 +17,8 @@ from polaris.runfolder import read_run
 from .folders import EVIL, rename, write_comparison, write_tiny
 
 CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
+MOST = 60.0
+"""Seconds that any one wait may take: far more than it needs, and an end if the browser hangs."""
 
 pytestmark = pytest.mark.skipif(
     not (CHROMIUM and DRIVER), reason="needs chromium and chromedriver, which are not installed"
@@ -39,50 +42,58 @@ FLAGS = (
 
 
 @pytest.fixture(scope="module")
-def pages(tmp_path_factory):
-    """One report of each kind, as addresses."""
-    place = tmp_path_factory.mktemp("pages")
-    run = write_tiny(place / "run")
-    opened = read_run(run)
-    (place / "compared").mkdir()
-    shutil.copytree(run, place / "compared" / "run")
-    write_comparison(place / "compared", opened, opened.picture().flights)
-    rename(run, EVIL)
-    flight = place / "inspection"
-    command = [
-        "run",
-        "inspection",
-        "--set",
-        "flight.duration_s=20",
-        "--out",
-        str(flight),
-        "--no-figures",
-        "-q",
-    ]
-    assert CliRunner().invoke(cli.app, command).exit_code == 0
-    folders = {"run": run, "comparison": place / "compared", "inspection": flight}
-    return {kind: write_report(folder).as_uri() for kind, folder in folders.items()}
+def folder(tmp_path_factory):
+    """A small run in the plane, with a title that tries to run a script."""
+    made = write_tiny(tmp_path_factory.mktemp("pages") / "run")
+    rename(made, EVIL)
+    return made
+
+
+@pytest.fixture(scope="module")
+def page(folder):
+    """The address of its report."""
+    return write_report(folder).as_uri()
+
+
+@pytest.fixture(scope="module")
+def comparison(folder, tmp_path_factory):
+    """The address of a report of a comparison."""
+    place = tmp_path_factory.mktemp("compared")
+    shutil.copytree(folder, place / "run")
+    opened = read_run(place / "run")
+    return write_report(write_comparison(place, opened, opened.picture().flights)).as_uri()
+
+
+@pytest.fixture(scope="module")
+def in_space(tmp_path_factory):
+    """The address of a report with a scene in space."""
+    place = tmp_path_factory.mktemp("space") / "flight"
+    command = f"run inspection --set flight.duration_s=20 --out {place} --no-figures -q"
+    assert CliRunner().invoke(cli.app, command.split()).exit_code == 0
+    return write_report(place).as_uri()
 
 
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory):
-    from selenium import webdriver
-    from selenium.webdriver.chrome.options import Options
-    from selenium.webdriver.chrome.service import Service
-
-    options = Options()
+    webdriver = pytest.importorskip("selenium.webdriver")
+    options = webdriver.ChromeOptions()
     options.binary_location = CHROMIUM
     for flag in (*FLAGS, f"--user-data-dir={tmp_path_factory.mktemp('profile')}"):
         options.add_argument(flag)
     options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
-    driver = webdriver.Chrome(service=Service(DRIVER), options=options)
-    driver.set_page_load_timeout(300)
-    driver.set_script_timeout(120)
+    before = socket.getdefaulttimeout()
+    socket.setdefaulttimeout(2 * MOST)  # selenium takes it over for all that it asks the driver
+    try:
+        driver = webdriver.Chrome(service=webdriver.ChromeService(DRIVER), options=options)
+    finally:
+        socket.setdefaulttimeout(before)
+    driver.set_page_load_timeout(MOST)
+    driver.set_script_timeout(MOST)
     yield driver
     driver.quit()
 
 
-def wait(browser, script, *args, most=120.0):
+def wait(browser, script, *args, most=MOST):
     """Ask until the answer is true."""
     until = time.monotonic() + most
     while not (found := browser.execute_script(script, *args)):
@@ -128,8 +139,8 @@ def assert_quiet(browser):
     assert len({url for url in urls if url.startswith("file:")}) == 1
 
 
-def test_slider_moves_scene_cursor_and_table(browser, pages):
-    open_page(browser, pages["run"])
+def test_slider_moves_scene_cursor_and_table(browser, page):
+    open_page(browser, page)
     before, table = trace(browser, "pilotpolarisnow"), browser.execute_script(READOUT)
     t = move_slider(browser, 0.5)
     wait(
@@ -150,8 +161,9 @@ LONGER = """const one = document.getElementById('scene').data.find((one) => one.
 return one.x.length > arguments[1];"""
 
 
-def test_moving_sets_and_tubes_follow_the_time(browser, pages):
-    open_page(browser, pages["run"])
+@pytest.mark.slow
+def test_moving_sets_and_tubes_follow_the_time(browser, page):
+    open_page(browser, page)
     script = """return Object.fromEntries(document.getElementById('scene').data
     .filter((one) => arguments[0].includes(one.name)).map((one) => [one.name, one.x]));"""
     names = ["trolley", "reachable now", "recoverable, last slice reached", "pillar"]
@@ -165,11 +177,12 @@ def test_moving_sets_and_tubes_follow_the_time(browser, pages):
     assert np.allclose(np.array(late["trolley"]) - early["trolley"], -0.05 * 9, atol=1e-4)
 
 
-def test_pointing_at_a_timeline_moves_the_scene(browser, pages):
+@pytest.mark.slow
+def test_pointing_at_a_timeline_moves_the_scene(browser, page):
     from selenium.webdriver.common.action_chains import ActionChains
     from selenium.webdriver.common.by import By
 
-    open_page(browser, pages["run"])
+    open_page(browser, page)
     area = browser.find_element(By.CSS_SELECTOR, "#timelines .nsewdrag[data-subplot='xy2']")
     browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", area)
     ActionChains(browser).move_to_element_with_offset(area, 10, 0).move_by_offset(5, 0).perform()
@@ -193,15 +206,17 @@ const seen = [play.textContent];
 })();"""
 
 
-def test_play_runs_and_pauses(browser, pages):
-    open_page(browser, pages["run"])
+@pytest.mark.slow
+def test_play_runs_and_pauses(browser, page):
+    open_page(browser, page)
     pause, play, stopped, later = browser.execute_async_script(PLAY)
     assert (pause, play) == ("Pause", "Play") and stopped == later
     assert 0.1 < float(stopped) < 12
 
 
-def test_run_and_controller_are_chosen(browser, pages):
-    open_page(browser, pages["run"])
+@pytest.mark.slow
+def test_run_and_controller_are_chosen(browser, page):
+    open_page(browser, page)
     move_slider(browser, 1.0)
     nominal = trace(browser, "pilotpolarisall")
     choose = "const run = document.getElementById('run'); run.value = 'closest';"
@@ -216,8 +231,9 @@ def test_run_and_controller_are_chosen(browser, pages):
     assert browser.execute_script("return document.querySelectorAll('#readout tbody tr').length") == 2
 
 
-def test_title_is_inert_and_the_policy_holds(browser, pages):
-    open_page(browser, pages["run"])
+@pytest.mark.slow
+def test_title_is_inert_and_the_policy_holds(browser, page):
+    open_page(browser, page)
     assert browser.find_element("css selector", "h1").text == EVIL and EVIL in browser.title
     script = """const done = arguments[0];
     fetch('http://127.0.0.1:9/').then(() => done('asked'), () => done('refused'));"""
@@ -231,8 +247,9 @@ def test_title_is_inert_and_the_policy_holds(browser, pages):
     assert browser.execute_script(inline) is None
 
 
-def test_methods_are_sorted_and_overlaid(browser, pages):
-    open_page(browser, pages["comparison"])
+@pytest.mark.slow
+def test_methods_are_sorted_and_overlaid(browser, comparison):
+    open_page(browser, comparison)
     names = """return [...document.querySelectorAll('#methods table.sortable tbody th')]
     .map((one) => one.textContent)"""
     assert browser.execute_script(names)[0] == "Polaris schedule"
@@ -245,10 +262,11 @@ def test_methods_are_sorted_and_overlaid(browser, pages):
     assert_quiet(browser)
 
 
-def test_scene_in_space_is_not_blank(browser, pages):
+@pytest.mark.slow
+def test_scene_in_space_is_not_blank(browser, in_space):
     from matplotlib import image
 
-    open_page(browser, pages["inspection"])
+    open_page(browser, in_space)
     if not browser.execute_script("return !!document.createElement('canvas').getContext('webgl')"):
         pytest.skip("this browser has no WebGL")
     move_slider(browser, 0.9)
