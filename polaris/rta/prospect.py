@@ -40,15 +40,16 @@ class Leg:
     G : ndarray, shape (n, g)
     law : AffineController or None
         Whose declared, unclipped law this is.
-    zeta : ndarray, shape (nodes + 1, n)
-        Its own reference minus the safe one.
+    zeta : ndarray, shape (nodes, 2, n)
+        Its own reference minus the safe one, at both ends of every period: waypoints of a reference need
+        not join.
     """
 
     flow: LinearFlow
     steps: Array
     G: Array
     law: AffineController | None = None
-    zeta: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    zeta: Array = field(default_factory=lambda: np.zeros((0, 2, 0)))
 
     @classmethod
     def declared(cls, recovery: Recovery, mode: int) -> Leg:
@@ -57,10 +58,12 @@ class Leg:
         assert isinstance(law, AffineController)
         system, nodes = scene.system, scene.last
         flow = scene.tracking.feedback.flow(system, law.gain, scene.tracking.delta)
-        zeta = np.zeros((nodes + 1, system.n))
+        zeta = np.zeros((nodes, 2, system.n))
         if mode in scene.own:
-            zeta = scene.own[mode][: nodes + 1] - scene.xi[: nodes + 1]
-        return cls(flow, zeta[1:] - zeta[:-1] @ flow.phi.T, flow.period_zonotope.G, law, zeta)
+            clearance = scene.clearance
+            arcs = law.own.fine(clearance.q)[: clearance.planned] - clearance.nodes[: clearance.planned]
+            zeta = np.stack([arcs[:, :-1], arcs[:, 1:]], axis=2).reshape(nodes, 2, system.n)
+        return cls(flow, zeta[:, 1] - zeta[:, 0] @ flow.phi.T, flow.period_zonotope.G, law, zeta)
 
     @classmethod
     def held(cls, recovery: Recovery) -> Leg:
@@ -180,7 +183,7 @@ class _Command:
             cells = np.minimum(np.arange(count) + scene.delay + j, count - 1)
             for end in (0,) if sampled else (0, 1):
                 stage = stages[j + end]
-                zeta = leg.zeta[np.minimum(np.arange(count) + scene.delay + j + end, count)]
+                zeta = leg.zeta[cells, end]
                 matrices.append(-law.gain @ stage.M)
                 known.append(steps[cells] + (zeta - stage.offset) @ law.gain.T)
                 spread = np.abs(law.gain @ stage.G).sum(axis=1)
@@ -189,7 +192,7 @@ class _Command:
                     spread = spread + 2 * np.abs(law.gain) @ leg.flow.period_box
                     curve = np.abs(law.gain @ leg.flow.A_c @ leg.flow.A_c) @ leg.flow.growth
                     bent = leg.flow.h**2 / 8 * curve
-                    spread = spread + bent @ np.abs(leg.zeta).max(axis=0)
+                    spread = spread + bent @ np.abs(leg.zeta).max(axis=(0, 1))
                 room.append(system.u_max * (1 - ROUNDING) - spread)
                 per_size.append(bent @ W_size)
         self.matrix, self.known = np.vstack(matrices), np.hstack(known)
