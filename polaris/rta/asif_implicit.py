@@ -34,6 +34,11 @@ class ImplicitASIF(Memoryless):
     Parameters
     ----------
     scene : Scene
+
+    Raises
+    ------
+    NotCertified
+        If the initial set is not inside the first recoverable set.
     """
 
     key = "asif_implicit"
@@ -43,6 +48,7 @@ class ImplicitASIF(Memoryless):
     def __init__(self, scene: Scene) -> None:
         super().__init__(scene)
         self.recovery = Recovery(scene)
+        self.recovery.require_start()
         before = Leg.any_thrust(self.recovery) if scene.delay else None
         self.prospect = Prospect(self.recovery, before, Leg.held(self.recovery), scene.half_widths)
         # What an input of full thrust (per axis) held until the next moment of effect adds at its end.

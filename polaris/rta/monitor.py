@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ..checks import whole
 from ..controllers import AffineController
-from ..errors import NotCertified, ScenarioError
+from ..errors import ScenarioError
 from ..system import Array
 from .method import Choice, Claim, Seen
 from .prospect import Leg, Prospect
@@ -75,18 +75,8 @@ class Monitor:
         every = {**self.declared, **{(0, flown): prospect for flown, prospect in self.cautious.items()}}
         self._quick = {key: QuickProspect(prospect) for key, prospect in every.items()}
         self._since = np.zeros(0, dtype=int)
-        start = scene.schedule.safety.start
-        self.start_share = float(self._start(start.c, start.G))
-        if not self.start_share <= 1:
-            raise NotCertified(
-                "the initial set is not inside the first recoverable set of the online monitor:"
-                f" it needs {self.start_share:.4g} of the room there"
-            )
-
-    def _start(self, c: Array, G: Array) -> Array:
-        recovery = self.recovery
-        size = np.asarray(np.linalg.norm(self.scene.tracking.W @ c) + recovery.size(G))
-        return recovery.share(0, c, size, recovery.demand(G))
+        self.recovery.require_start()
+        self.start_share = self.recovery.start_share
 
     @property
     def claim(self) -> Claim:

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from reach.flow import LinearFlow
 from reach.zonotope import Zonotope
 
+from ..errors import NotCertified
 from ..polytope_sets import PolytopeSets
 from ..system import Array
 from ..tolerances import ROUNDING
@@ -70,6 +71,27 @@ class Recovery:
     def sets(self) -> PolytopeSets:
         """The recoverable sets of `polaris.polytope_sets`, on the fine grid."""
         return PolytopeSets(self.scene.clearance)
+
+    @cached_property
+    def start_share(self) -> float:
+        """Share of the room that the initial set needs at the first node."""
+        start = self.scene.schedule.safety.start
+        size = np.asarray(np.linalg.norm(self.scene.tracking.W @ start.c) + self.size(start.G))
+        return float(self.share(0, start.c, size, self.demand(start.G)))
+
+    def require_start(self) -> None:
+        """Refuse a scene in which S cannot be relied on from the beginning.
+
+        Raises
+        ------
+        NotCertified
+            If the initial set is not inside the first recoverable set.
+        """
+        if not self.start_share <= 1:
+            raise NotCertified(
+                "the initial set is not inside the first recoverable set of the run-time methods:"
+                f" it needs {self.start_share:.4g} of the room there"
+            )
 
     @cached_property
     def rows(self) -> Array:
@@ -224,16 +246,34 @@ class Recovery:
 
     def far(self, node: int) -> float:
         """Largest ``norm(W e)`` at a node with which all limits beyond the memory are met."""
-        found = self.sets._far
-        return float(found[min(node, len(found) - 1)])
+        return float(self._far[min(node, len(self._far) - 1)])
+
+    @cached_property
+    def _far(self) -> Array:
+        """The same at all nodes, shape (nodes + L + 1,).
+
+        What `bow` and `_bent` book is booked here too: U may take over when S has flown for longer than
+        the memory, and the facets of the node where it does were met by this condition alone.
+        """
+        tracking, clearance = self.scene.tracking, self.scene.clearance
+        weight = np.linalg.norm(self.rows @ tracking.W_inverse, axis=1) + tracking.curvature(self.rows)
+        need = tracking.disturbance(self.rows)[-1].copy()
+        need[: len(self.bow)] += self.bow + self._bent * tracking.disturbance_radius
+        weight[: len(self.bow)] += self._bent
+        tail = (clearance.cells - clearance.planned) * clearance.q
+        # The tail repeats itself for ever: an error is at least as old as one tail when that begins.
+        left = tracking.decay[min(tail, len(tracking.decay) - 1) if tail else -1]
+        spare = self.limits - need * (1 + ROUNDING)
+        allowed = np.min(spare / np.maximum(weight * left, 1e-300), axis=1)
+        suffix = np.minimum.accumulate(np.where(np.isnan(allowed), -np.inf, allowed)[::-1])[::-1]
+        last = self.scene.last if tail else len(suffix) - 1
+        return np.asarray(suffix[np.minimum(np.arange(len(suffix)) + tracking.memory, last)])
 
     @cached_property
     def _far_reciprocals(self) -> Array:
         """``1 / norm(W e)`` allowed by the limits beyond the memory, per node."""
-        far = self.sets._far
         with np.errstate(divide="ignore"):
-            found = np.where(far > 0, 1 / far, NEVER)
-        return np.concatenate([found, np.full(self.lags, found[-1])])
+            return np.asarray(np.where(self._far > 0, 1 / self._far, NEVER))
 
     def tightest(self, node: int, e: Array, size: float, demand: Demand) -> str:
         """Name of the limit that a set about e (n,) is nearest to, and when [s] S meets it."""

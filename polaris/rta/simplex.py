@@ -35,7 +35,7 @@ class Latched:
     def decide(self, seen: Seen) -> Choice:
         """Switch once."""
         margin = self.margin(seen)
-        leaving = margin < 0
+        leaving = ~(margin >= 0)  # what cannot be worked out is not inside
         why = np.where(self._latched, 2, np.where(leaving, 1, 0))
         self._latched = self._latched | leaving
         return Choice(np.where(self._latched, 0, 1), margin, why)
@@ -50,6 +50,11 @@ class ExplicitSimplex(Latched):
     Parameters
     ----------
     scene : Scene
+
+    Raises
+    ------
+    NotCertified
+        If the initial set is not inside the first recoverable set.
     """
 
     key = "simplex_explicit"
@@ -58,6 +63,7 @@ class ExplicitSimplex(Latched):
     def __init__(self, scene: Scene) -> None:
         super().__init__(scene)
         self.recovery = Recovery(scene)
+        self.recovery.require_start()
         leg = Leg.any_thrust(self.recovery)
         self.prospect = Prospect(self.recovery, leg if scene.delay else None, leg, scene.half_widths)
 
