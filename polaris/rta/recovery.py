@@ -30,7 +30,6 @@ from .scene import Scene
 NEVER = 1e200
 """Reciprocal of a limit that leaves no room; times any error it is still a number."""
 
-
 NEAR = 1500
 """Limits per set that are always worked out; those further ahead are first bounded all at once."""
 
@@ -80,13 +79,7 @@ class Recovery:
         return float(self.share(0, start.c, size, self.demand(start.G)))
 
     def require_start(self) -> None:
-        """Refuse a scene in which S cannot be relied on from the beginning.
-
-        Raises
-        ------
-        NotCertified
-            If the initial set is not inside the first recoverable set.
-        """
+        """Raise `NotCertified` if the initial set is not inside the first recoverable set."""
         if not self.start_share <= 1:
             raise NotCertified(
                 "the initial set is not inside the first recoverable set of the run-time methods:"
@@ -161,12 +154,15 @@ class Recovery:
     @cached_property
     def limits(self) -> Array:
         """Least room of every row at every node (at a border, of both cells), shape (nodes + L + 1, r)."""
-        clearance, room = self.scene.clearance, self.sets.room
-        cells, q, index = clearance.cells, clearance.q, self._index
+        q = self.scene.clearance.q
+        return np.minimum(self._limits(np.arange(q)), self._limits(np.array([q])))
+
+    def _limits(self, places: NDArray[np.int_]) -> Array:
+        """The same at some of every cell's nodes, infinite elsewhere."""
+        cells, q, room = self.scene.clearance.cells, self.scene.clearance.q, self.sets.room
         out = np.full((cells * q + 1 + self.lags, len(self.rows)), np.inf)
-        for places in (np.arange(q), np.array([q])):
-            at = np.arange(cells)[:, None] * q + places
-            np.minimum.at(out, (at[:, :, None], index[:, None, :]), room[:, places])
+        at = np.arange(cells)[:, None] * q + places
+        np.minimum.at(out, (at[:, :, None], self._index[:, None, :]), room[:, places])
         return out
 
     @cached_property
@@ -256,16 +252,19 @@ class Recovery:
         the memory, and the facets of the node where it does were met by this condition alone.
         """
         tracking, clearance = self.scene.tracking, self.scene.clearance
+        tail, o = (clearance.cells - clearance.planned) * clearance.q, len(self.bow)
+        # Of every period: what its cell allows where it begins, and where it ends.
+        ends = np.stack([self._limits(np.arange(clearance.q) + end) for end in (0, 1)])
+        ends -= tracking.disturbance(self.rows)[-1] * (1 + ROUNDING)
+        path = (self.bow + self._bent * tracking.disturbance_radius) * (1 + ROUNDING)
+        ends[:, : self.scene.last + 1, :o] -= path  # after T nobody but S flies
         weight = np.linalg.norm(self.rows @ tracking.W_inverse, axis=1) + tracking.curvature(self.rows)
-        need = tracking.disturbance(self.rows)[-1].copy()
-        need[: len(self.bow)] += self.bow + self._bent * tracking.disturbance_radius
-        weight[: len(self.bow)] += self._bent
-        tail = (clearance.cells - clearance.planned) * clearance.q
+        weight[:o] += self._bent
         # The tail repeats itself for ever: an error is at least as old as one tail when that begins.
-        left = tracking.decay[min(tail, len(tracking.decay) - 1) if tail else -1]
-        spare = self.limits - need * (1 + ROUNDING)
-        allowed = np.min(spare / np.maximum(weight * left, 1e-300), axis=1)
-        suffix = np.minimum.accumulate(np.where(np.isnan(allowed), -np.inf, allowed)[::-1])[::-1]
+        weight *= tracking.decay[min(tail, len(tracking.decay) - 1) if tail else -1]
+        begins, done = np.min(ends / np.maximum(weight, 1e-300), axis=2)
+        allowed = np.minimum(begins, np.append(done[1:], np.inf))
+        suffix = np.minimum.accumulate(allowed[::-1])[::-1]
         last = self.scene.last if tail else len(suffix) - 1
         return np.asarray(suffix[np.minimum(np.arange(len(suffix)) + tracking.memory, last)])
 
