@@ -92,9 +92,18 @@ def add_traces(app: typer.Typer, guard: Guard) -> None:
 
     @app.command("export")
     def export_command(
-        run: Annotated[str, typer.Argument(metavar="RUN", help="A run folder.")],
+        run: Annotated[str, typer.Argument(metavar="RUN", help="A run folder, or a comparison folder.")],
         trace: Annotated[str, typer.Argument(metavar="TRACE", help="The trace to write, as JSON.")],
-        controller: Annotated[Controller, typer.Option(help="Whose run.")] = Controller.polaris,
+        controller: Annotated[
+            Controller | None, typer.Option(help="Whose run of a run folder; default polaris.")
+        ] = None,
+        method: Annotated[
+            str | None,
+            typer.Option(
+                metavar="KEY",
+                help="Whose flight of a comparison folder: schedule (default), monitor, asif_implicit, ...",
+            ),
+        ] = None,
         label: Annotated[
             str, typer.Option("--run", metavar="LABEL", help="Which run: closest, nominal, 'run 0', ...")
         ] = "closest",
@@ -107,17 +116,26 @@ def add_traces(app: typer.Typer, guard: Guard) -> None:
         ] = False,
         quiet: Quiet = False,
     ) -> None:
-        """Write one run of a run folder, with its unsafe sets, as a trace that RTAEval can read."""
+        """Write one flight of a folder, with its unsafe sets, as a trace that RTAEval can read."""
         with guard():
-            from .traces.export import export_run
+            from .rta.folder import is_comparison
+            from .traces.export import export_method, export_run
             from .traces.writing import write_trace
 
-            found = export_run(run, controller.value, label, nominal=nominal)
+            if method is None and not is_comparison(run):
+                pilot = (controller or Controller.polaris).value
+                found = export_run(run, pilot, label, nominal=nominal)
+            elif controller is not None:
+                rule = "must be left out for a comparison, which has methods"
+                raise ScenarioError("--controller", controller.value, rule)
+            else:
+                pilot = method or "schedule"
+                found = export_method(run, pilot, label, nominal=nominal)
             path = write_trace(trace, found.trace)
             if not quiet:
                 agent = next(iter(found.trace.agents.values()))
                 typer.echo(
-                    f"{path}: run {label!r} of {controller.value}, {len(agent.times)} samples over"
+                    f"{path}: run {label!r} of {pilot}, {len(agent.times)} samples over"
                     f" {agent.times[-1] - agent.times[0]:g} s, unsafe sets: {len(found.trace.unsafe)}"
                 )
                 for note in found.notes:

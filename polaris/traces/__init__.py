@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from .evaluation import evaluate_trace
-from .export import Export, export_run, to_trace
+from .export import Export, export_method, export_run, to_trace
 from .legacy import LegacyMetrics
 from .model import (
     NORMAL,
@@ -40,6 +40,7 @@ __all__ = [
     "TraceMetrics",
     "UnsafeTrace",
     "evaluate_trace",
+    "export_method",
     "export_run",
     "parse_trace",
     "read_trace",

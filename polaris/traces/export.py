@@ -1,10 +1,11 @@
-"""Runs as traces: from bare arrays, and from run folders."""
+"""Runs as traces: from bare arrays, run folders and comparison folders."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -215,17 +216,72 @@ def export_run(
     run = read_run(folder)
     with readable(run.path):
         flights = read_flights(run.path / "trajectories.npz")
-    if controller not in flights:
-        raise ScenarioError("--controller", controller, f"must be one of {', '.join(flights)}")
-    flown = flights[controller]
-    if label not in flown.labels:
-        raise ScenarioError("--run", label, f"must be one of {', '.join(flown.labels)}")
+    flown, row = _chosen(flights, "--controller", controller, label)
     modes = np.repeat(flown.modes, (len(flown.times) - 1) // len(flown.modes))
     return to_trace(
         flown.times,
-        flown.states[flown.labels.index(label)],
+        flown.states[row],
         modes,
         run.scenario.obstacles(),
         run.scenario.system(),
+        nominal=nominal,
+    )
+
+
+class _Labelled(Protocol):
+    @property
+    def labels(self) -> tuple[str, ...]: ...
+
+
+Kept = TypeVar("Kept", bound=_Labelled)
+
+
+def _chosen(kept: Mapping[str, Kept], option: str, key: str, label: str) -> tuple[Kept, int]:
+    """The flights that an option names, and the row of the one with the label."""
+    if key not in kept:
+        raise ScenarioError(option, key, f"must be one of {', '.join(kept)}")
+    labels = kept[key].labels
+    if label not in labels:
+        raise ScenarioError("--run", label, f"must be one of {', '.join(labels)}")
+    return kept[key], labels.index(label)
+
+
+def export_method(
+    folder: str | Path,
+    method: str = "schedule",
+    label: str = "closest",
+    *,
+    nominal: bool = False,
+) -> Export:
+    """One flight of a comparison folder, as a trace.
+
+    Parameters
+    ----------
+    folder : path
+        A folder that ``polaris compare`` wrote.
+    method : str
+        Whose flight: ``schedule``, ``monitor``, ``asif_implicit``, ... While an input is filtered, the mode
+        is unknown.
+    label : str
+        Which of its flights: ``closest``, ``run 0``, ...
+    nominal : bool
+        As in `to_trace`.
+
+    Raises
+    ------
+    ScenarioError
+        If the folder is none, is damaged, or has no such flight.
+    """
+    from ..rta.folder import read_comparison
+
+    comparison = read_comparison(folder)
+    flown, row = _chosen(comparison.shown(), "--method", method, label)
+    scenario = comparison.run.scenario
+    return to_trace(
+        flown.times,
+        flown.states[row],
+        flown.modes[row],
+        scenario.obstacles(),
+        scenario.system(),
         nominal=nominal,
     )

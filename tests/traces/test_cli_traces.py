@@ -12,6 +12,8 @@ import pytest
 from typer.testing import CliRunner
 
 from polaris import cli
+from polaris.rta.arena import compare_methods
+from polaris.rta.folder import write_comparison
 from polaris.runfolder import write_run
 from polaris.traces import AgentTrace, BallTrace, Trace, evaluate_trace, read_trace, write_trace
 
@@ -162,6 +164,45 @@ def test_export_of_no_run_folder(run, tmp_path):
     done = invoke("export", damaged, tmp_path / "t.json")
     assert done.exit_code == 2 and "damaged" in done.stderr
     assert invoke("export", run.path, tmp_path).exit_code == 2
+
+
+@pytest.fixture(scope="module")
+def compared(tmp_path_factory):
+    scenario, schedule = synthesised()
+    found = compare_methods(schedule, 4, 0, methods=("experimental", "schedule", "asif_implicit"))
+    out = tmp_path_factory.mktemp("compared") / "tiny"
+    return write_comparison(out, scenario, found, figures=False)
+
+
+@pytest.mark.parametrize("method", ["experimental", "schedule", "asif_implicit"])
+def test_export_of_a_method_has_its_least_distance(compared, tmp_path, method):
+    """The run shown as closest, against the envelope of all runs that comparison.npz keeps."""
+    path, shown = tmp_path / "t.json", compared.shown()[method]
+    done = invoke("export", compared.path, path, "--method", method, "--run", "closest")
+    assert done.exit_code == 0 and f"run 'closest' of {method}, {len(shown.times)} samples" in done.stdout
+    found = evaluate_trace(read_trace(path)).agents["chaser"]
+    least = min(item.distance.min for item in found.unsafe)
+    step = np.abs(np.diff(shown.nearest[0])).max()
+    assert least == pytest.approx(shown.nearest[0].min(), abs=step)
+    flown = np.bincount(shown.modes[0] + 1, minlength=3) / shown.modes.shape[1]
+    told = [found.usage[mode] for mode in ("unknown", "safety", "untrusted")]
+    assert told == pytest.approx([flown[0], flown[1], flown[2:].sum()])
+    assert (told[0] > 0) == (method == "asif_implicit")  # only that one changes inputs
+
+
+def test_export_of_a_comparison_takes_its_own_options(compared, run, tmp_path):
+    path = tmp_path / "t.json"
+    assert "of schedule" in invoke("export", compared.path, path).stdout
+    path.unlink()
+    for folder, arguments, told in (
+        (compared.path, ["--method", "nobody"], "--method"),
+        (compared.path, ["--method", "schedule", "--run", "run 77"], "--run"),
+        (compared.path, ["--controller", "polaris"], "--controller"),
+        (run.path, ["--method", "schedule"], "comparison folder"),
+    ):
+        done = invoke("export", folder, path, *arguments)
+        assert done.exit_code == 2 and told in done.stderr and done.stderr.count("\n") == 1
+        assert not path.exists()
 
 
 @pytest.mark.slow
