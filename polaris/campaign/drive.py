@@ -23,6 +23,9 @@ from .workers import Workers, given, local
 RECOVERIES = 3
 """Times in a row that lost workers are replaced without a batch being finished."""
 
+TICK = 2.0
+"""Seconds without a result after which the workers are asked whether there are any."""
+
 Progress = Callable[[int, int], None]
 
 
@@ -95,7 +98,10 @@ class Flight:
                         flying[executor.submit(fly_batch, task)] = task
                     except self.workers.lost:
                         lost.append(task)
-                ready, _ = wait(flying, return_when=FIRST_COMPLETED)
+                ready, _ = wait(flying, TICK, FIRST_COMPLETED)
+                trouble = "" if ready else self.workers.trouble()
+                if trouble:
+                    raise PolarisError(f"{trouble}; {self._kept_so_far()}")
                 for future in ready:
                     task = flying.pop(future)
                     try:
@@ -204,7 +210,7 @@ def run_campaign(
     ScenarioError
         If an argument is not allowed or the folder holds something else.
     PolarisError
-        If workers are lost again and again or disagree; what was finished is kept.
+        If workers are lost again and again, stay away or disagree; what was finished is kept.
     """
     plan = Plan(tuple(cases), runs, seed, batch, tuple(modes), initial, disturbance)
     folder = open_campaign(out, plan, fresh)

@@ -7,6 +7,7 @@ import os
 import re
 import signal
 import threading
+import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor
 from contextlib import contextmanager
@@ -17,6 +18,12 @@ from ..errors import PolarisError, ScenarioError
 
 PATIENCE = 5.0
 """Seconds a scheduler may take to answer."""
+
+DESERTED = 60.0
+"""Seconds a cluster may be without any worker before the campaign ends."""
+
+ASKED = 1.0
+"""Seconds for which a cluster's answer about its workers is taken to hold."""
 
 AHEAD = 4
 """Tasks handed out per worker: enough to keep it busy, few enough to bound the memory."""
@@ -36,12 +43,15 @@ class Workers:
         Errors of a future whose worker was lost: its task is to be done again.
     again : bool
         Whether a broken executor is to be replaced by a new one.
+    trouble : callable
+        Why nothing can come back any more; empty if nothing speaks against it.
     """
 
     make: Callable[[], Executor]
     window: Callable[[], int]
     lost: tuple[type[BaseException], ...] = (BrokenExecutor, CancelledError)
     again: bool = True
+    trouble: Callable[[], str] = lambda: ""
 
 
 class InProcess(Executor):
@@ -112,14 +122,43 @@ def cluster(address: str) -> Iterator[Workers]:
         told = " ".join(str(error).split())
         rule = f"no scheduler answers there within {PATIENCE:g} s ({told})"
         raise ScenarioError("--scheduler", address, rule) from error
+    crew = _Crew(client, address)
     try:
         yield Workers(
             lambda: _answering(client, address).get_executor(pure=False),
-            lambda: AHEAD * max(sum(client.nthreads().values()), 4),
+            lambda: AHEAD * max(crew.threads(), 4),
             lost=(BrokenExecutor, CancelledError, distributed.KilledWorker),
+            trouble=crew.trouble,
         )
     finally:
         client.close(timeout=PATIENCE)
+
+
+class _Crew:
+    """How many threads the workers of a cluster have, and since when there are none."""
+
+    def __init__(self, client: Any, address: str) -> None:
+        self.client, self.address = client, address
+        self.known, self.asked, self.seen = 0, -ASKED, time.monotonic()
+
+    def threads(self) -> int:
+        """Threads of all workers, as told a moment ago at most."""
+        now = time.monotonic()
+        if now - self.asked >= ASKED:
+            try:
+                self.known = sum(self.client.nthreads().values())
+            except OSError:  # a lost scheduler shows in the futures
+                self.known = 0
+            self.asked = time.monotonic()
+            if self.known:
+                self.seen = self.asked
+        return self.known
+
+    def trouble(self) -> str:
+        """Whether there has been no worker for too long."""
+        if self.threads() or time.monotonic() - self.seen < DESERTED:
+            return ""
+        return f"the cluster at {self.address} has had no worker for {DESERTED:g} s"
 
 
 def _answering(client: Any, address: str) -> Any:

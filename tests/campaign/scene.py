@@ -48,9 +48,9 @@ def await_parts(out, count, process=None):
 
 
 def suicidal(task, real=batch.fly_batch):
-    """Kills its process in the middle of one batch, once."""
+    """Kills its process in the middle of the batch that a file names, once."""
     flag = Path(os.environ["POLARIS_TEST_FLAG"])
-    if (task.case, task.batch) == (0, 3) and flag.exists():
+    if flag.exists() and flag.read_text(encoding="utf-8") == f"{task.case} {task.batch}":
         flag.unlink()
         os.kill(os.getpid(), signal.SIGKILL)
     return real(task)

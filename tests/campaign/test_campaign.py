@@ -91,13 +91,17 @@ def test_summary_is_that_of_the_table(flown):
 
 
 def test_executor_and_order_do_not_change_a_bit(flown, tmp_path):
-    assert table(fly(tmp_path / "pool", local(2)).path) == table(flown.path)
     backwards = Lazy()
     assert table(fly(tmp_path / "backwards", Workers(lambda: backwards, lambda: 5)).path) == table(flown.path)
     assert backwards.order[:5] == [(0, batch) for batch in (4, 3, 2, 1, 0)]
     with ThreadPoolExecutor(3) as threads:
         assert table(fly(tmp_path / "threads", threads).path) == table(flown.path)
         assert threads.submit(int).result() == 0, "somebody else's executor is not closed"
+
+
+@pytest.mark.slow
+def test_a_pool_gives_the_same_table(flown, tmp_path):
+    assert table(fly(tmp_path / "c", local(2)).path) == table(flown.path)
 
 
 class Lazy(Executor):
@@ -294,13 +298,27 @@ def test_a_pool_that_only_breaks_is_given_up_and_parts_are_kept(flown, tmp_path)
     assert table(fly(tmp_path / "c").path) == table(flown.path)
 
 
-def test_a_process_of_the_pool_that_is_killed_loses_nothing(flown, tmp_path, monkeypatch):
+@pytest.fixture
+def victim(tmp_path, monkeypatch):
+    """Names the batch in which a process kills itself."""
     flag = tmp_path / "flag"
-    flag.touch()
     monkeypatch.setenv("POLARIS_TEST_FLAG", str(flag))
     monkeypatch.setattr("polaris.campaign.drive.fly_batch", scene.suicidal)
-    assert table(fly(tmp_path / "c", local(2)).path) == table(flown.path)
+    yield lambda name: flag.write_text(name, encoding="utf-8")
     assert not flag.exists()
+
+
+@pytest.mark.slow
+def test_a_process_of_the_pool_that_is_killed_loses_nothing(flown, tmp_path, victim):
+    victim("0 3")
+    assert table(fly(tmp_path / "c", local(2)).path) == table(flown.path)
+
+
+def test_the_only_process_of_a_pool_is_killed_and_another_takes_its_place(tmp_path, victim):
+    one = cases()[:1]  # a single task: the pool starts a single process
+    whole = run_campaign(one, 4, tmp_path / "here")
+    victim("0 0")
+    assert table(run_campaign(one, 4, tmp_path / "c", executor=local(2)).path) == table(whole.path)
 
 
 def test_interruption_keeps_what_is_finished_and_says_how_to_go_on(flown, tmp_path, monkeypatch):

@@ -91,6 +91,20 @@ def test_a_scheduler_that_dies_is_told_and_parts_are_kept(flown, nodes, tmp_path
     assert table(fly(out).path) == table(flown.path)
 
 
+def test_a_cluster_without_workers_is_told_and_goes_on_with_some(flown, tmp_path, monkeypatch):
+    monkeypatch.setattr("polaris.campaign.workers.DESERTED", 1.5)
+    monkeypatch.setattr("polaris.campaign.drive.TICK", 0.2)
+    options = {"processes": False, "protocol": "tcp", "host": "127.0.0.1", "dashboard_address": None}
+    with distributed.LocalCluster(n_workers=0, **options) as here:
+        told = r"has had no worker for 1\.5 s; 0 runs are kept in .*the same command goes on"
+        with cluster(here.scheduler_address) as workers, pytest.raises(PolarisError, match=told):
+            fly(tmp_path / "c", workers)
+        assert table(tmp_path / "c") == {}
+        here.scale(1)
+        with cluster(here.scheduler_address) as workers:
+            assert table(fly(tmp_path / "c", workers).path) == table(flown.path)
+
+
 def test_addresses_where_no_scheduler_is_are_refused(monkeypatch):
     monkeypatch.setattr("polaris.campaign.workers.PATIENCE", 0.2)
     with socket.socket() as free:
