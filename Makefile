@@ -17,9 +17,11 @@ help: ## List the targets
 	@grep -E '^[a-z-]+:.*## ' $(firstword $(MAKEFILE_LIST)) | sed -E 's/^([a-z-]+):.*## /\1|/' | \
 	  while IFS='|' read -r name text; do printf '  make %-10s %s\n' "$$name" "$$text"; done
 
-demo: $(BASE) ## Run the static scenario and say where its results lie
+demo: $(BASE) ## Run the static scenario and say where its report lies
 	@$(BIN)/polaris run static --out $(RUN)
+	@$(BIN)/polaris report $(RUN) --quiet
 	@echo "Run folder: $(CURDIR)/$(RUN)"
+	@echo "Report: $(CURDIR)/$(RUN)/report.html"
 
 test: $(TEST) ## Run the quick tests
 	$(BIN)/python -m pytest -q -n 2 --dist loadfile $(ARGS)

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from reach.zonotope import Zonotope
 
+    from .campaign import CampaignFolder, make_cases, read_campaign, run_campaign
     from .clearance import Clearance
     from .comparison import Flights, Flown, compare
     from .controllers import AffineController, AnyThrust, Controller, Flight
@@ -48,6 +49,16 @@ if TYPE_CHECKING:
     from .problem import Problem
     from .recoverable import Margin, RecoverableSet
     from .reference import Reference
+    from .report import write_report
+    from .rta.arena import Comparison, compare_methods
+    from .rta.estimate import Measurement
+    from .rta.folder import ComparisonFolder, read_comparison, write_comparison
+    from .rta.method import Choice, Claim, Method, Seen
+    from .rta.monitor import Monitor
+    from .rta.outcome import Outcome
+    from .rta.runtime import OnlineMonitor
+    from .rta.runtime_options import RuntimeOptions
+    from .rta.scene import Scene
     from .runfolder import RunFolder, read_run, write_run
     from .safety import Safety, get_safety
     from .scenario import Scenario, bundled_scenarios, load_scenario
@@ -55,6 +66,7 @@ if TYPE_CHECKING:
     from .simulation import Runs, simulate
     from .synthesis import SwitchingRules, synthesize
     from .system import LinearSystem
+    from .traces import TraceMetrics, evaluate_trace, read_trace, write_trace
     from .tracking import Feedback, Tracking
     from .unsafe import TimedPolytope
 
@@ -158,6 +170,18 @@ _HOMES = {
         "Tracking",
     ),
     ".unsafe": ("TimedPolytope",),
+    ".campaign": ("CampaignFolder", "make_cases", "read_campaign", "run_campaign"),
+    ".report": ("write_report",),
+    ".rta.arena": ("Comparison", "compare_methods"),
+    ".rta.estimate": ("Measurement",),
+    ".rta.folder": ("ComparisonFolder", "read_comparison", "write_comparison"),
+    ".rta.method": ("Choice", "Claim", "Method", "Seen"),
+    ".rta.monitor": ("Monitor",),
+    ".rta.outcome": ("Outcome",),
+    ".rta.runtime": ("OnlineMonitor",),
+    ".rta.runtime_options": ("RuntimeOptions",),
+    ".rta.scene": ("Scene",),
+    ".traces": ("TraceMetrics", "evaluate_trace", "read_trace", "write_trace"),
     "reach.zonotope": ("Zonotope",),
 }
 """Module of every public name."""
@@ -170,7 +194,12 @@ __all__ = [
     "BallObstacle",
     "Box",
     "BoxObstacle",
+    "CampaignFolder",
+    "Choice",
+    "Claim",
     "Clearance",
+    "Comparison",
+    "ComparisonFolder",
     "Controller",
     "EllipticalNMT",
     "EndCondition",
@@ -188,10 +217,15 @@ __all__ = [
     "LinearNMT",
     "LinearSystem",
     "Margin",
+    "Measurement",
+    "Method",
     "Metrics",
     "ModelError",
+    "Monitor",
     "NotCertified",
     "Obstacle",
+    "OnlineMonitor",
+    "Outcome",
     "Plan",
     "PlannerOptions",
     "PolarisError",
@@ -202,16 +236,20 @@ __all__ = [
     "Reference",
     "RunFolder",
     "Runs",
+    "RuntimeOptions",
     "Safety",
     "SatelliteObstacle",
     "Scenario",
     "ScenarioError",
+    "Scene",
     "Schedule",
+    "Seen",
     "StationaryPoint",
     "Step",
     "SwitchingRules",
     "SynthesisInfeasible",
     "TimedPolytope",
+    "TraceMetrics",
     "Tracking",
     "TrueFlights",
     "Zonotope",
@@ -219,22 +257,32 @@ __all__ = [
     "bundled_scenarios",
     "clohessy_wiltshire",
     "compare",
+    "compare_methods",
     "elliptical_nmt",
     "evaluate",
+    "evaluate_trace",
     "falsify",
     "fly_true",
     "free_flight",
     "get_safety",
     "load_scenario",
+    "make_cases",
     "model_error",
     "plot_reference",
     "plot_schedule",
+    "read_campaign",
+    "read_comparison",
     "read_run",
+    "read_trace",
     "replay",
+    "run_campaign",
     "simulate",
     "synthesize",
     "write_case",
+    "write_comparison",
+    "write_report",
     "write_run",
+    "write_trace",
 ]
 
 

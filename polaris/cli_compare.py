@@ -150,7 +150,7 @@ def show_comparison(table: Mapping[str, Any], folder: str) -> None:
     flown = [method for method in table["methods"] if method["available"]]
     for columns in (SAFETY, COST):
         shown = Table(pad_edge=False, padding=(0, 1, 0, 0), box=SIMPLE)
-        shown.add_column("method", min_width=22, max_width=24)
+        shown.add_column("method", min_width=20, max_width=22)
         if columns is SAFETY:
             shown.add_column("guarantee", no_wrap=True)
         for _, head in columns:
@@ -180,5 +180,7 @@ def _cell(key: str, told: Any) -> str:
 
 
 def _number(value: float) -> str:
-    """Three digits, whole thousands written out."""
+    """Three digits; thousands written out, less than a thousandth as 0."""
+    if abs(value) < 1e-3:
+        return "0"
     return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.3g}"

@@ -159,10 +159,10 @@ class ExplicitASIF(Memoryless):
     def _allowed(self, d: Array, brake: Array) -> tuple[Array, Array]:
         """Closing speed from which braking ends in time, and its slope; linear in a layer about d = 0.
 
-        The layer is what the brake makes good within about four decision periods from rest. Half of it is
+        The layer is what the brake makes good within about three decision periods from rest. Half of it is
         kept as a distance, for what happens between the instants at which the conditions hold.
         """
-        depth = 10 * np.maximum(brake, 1e-300) * self.scene.period**2
+        depth = 4 * np.maximum(brake, 1e-300) * self.scene.period**2
         d = d - depth / 2
         root = np.sqrt(2 * brake * np.maximum(d - depth / 2, depth / 2))
         steep = np.sqrt(brake / depth)
