@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -71,7 +71,9 @@ def _methods(methods: Methods) -> str:
         rows.append(
             [Cell(name, str(method["name"])), Cell(told, str(method["guarantee"]), text=True), *cells]
         )
-    caption = "Mean over runs, with 95 % confidence bounds of the mean; select a head to sort"
+    caption = (
+        "Mean over runs, of violations the number of runs, with 95 % confidence bounds; select a head to sort"
+    )
     return table(caption, ["method", "guarantee", *(one.head for one in measures)], rows, sort=True)
 
 
@@ -96,29 +98,43 @@ def _claims(methods: Methods) -> str:
         ]
         for method in methods
     ]
-    return table("How far each claim goes", ["method", "guarantee", "reach", "note"], rows)
+    return table("How far each claim goes", ["method", "guarantee", "reach", "decisions by reason"], rows)
 
 
 def _paired(paired: Iterable[Mapping[str, Any]], methods: Methods) -> str:
-    names = {method["key"]: str(method["name"]) for method in methods}
-    rows = []
+    """One table for each method that others are compared with: a row per method, a column per metric."""
+    found: dict[str, dict[str, dict[str, Cell]]] = {}
     for one in paired:
-        measure = Measure.of(one["metric"])
-        low, high = one["low"], one["high"]
-        differs = "not known" if low is None or high is None else "yes" if low > 0 or high < 0 else "no"
-        rows.append(
-            [
-                Cell(escaped(names.get(one["method"], one["method"]))),
-                text_cell(names.get(one["against"], one["against"])),
-                text_cell(measure.head),
-                measure.cell({"mean": one["difference"], "low": low, "high": high}, judged=False),
-                text_cell(differs),
-            ]
-        )
-    if not rows:
-        return "<p>None were computed.</p>"
-    caption = "Method less the one it is compared with, in the same runs; mean and 95 % confidence bounds"
-    return table(caption, ["method", "against", "metric", "difference", "differs from 0"], rows, sort=True)
+        cells = found.setdefault(one["against"], {}).setdefault(one["method"], {})
+        cells[one["metric"]] = _difference(one)
+    names = {method["key"]: str(method["name"]) for method in methods}
+    return "\n".join(_differences(against, rows, names) for against, rows in found.items()) or (
+        "<p>None were computed.</p>"
+    )
+
+
+def _differences(against: str, found: Mapping[str, Mapping[str, Cell]], names: Mapping[str, str]) -> str:
+    measures = [Measure.of(key) for key in dict.fromkeys(key for cells in found.values() for key in cells)]
+    rows = [
+        [
+            Cell(escaped(names.get(key, key)), names.get(key, key)),
+            *(cells.get(one.key, Cell("")) for one in measures),
+        ]
+        for key, cells in found.items()
+    ]
+    caption = (
+        f"Method less {names.get(against, against)}, in the same runs; mean and 95 % confidence bounds;"
+        " differences that could as well be 0 say so"
+    )
+    return table(caption, ["method", *(one.head for one in measures)], rows, sort=True)
+
+
+def _difference(one: Mapping[str, Any]) -> Cell:
+    low, high = one["low"], one["high"]
+    cell = Measure.of(one["metric"]).cell({"mean": one["difference"], "low": low, "high": high}, judged=False)
+    if low is None or high is None or low > 0 or high < 0 or low == high:
+        return cell
+    return replace(cell, html=f'{cell.html}<span class="range">perhaps 0</span>')
 
 
 # -- decisions --------------------------------------------------------------------------------------

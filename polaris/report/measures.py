@@ -21,6 +21,7 @@ TITLES = {
     "switches": "switches",
     "delta_v_m_s": "velocity change, mean",
     "delta_v_max_m_s": "velocity change, largest",
+    "deviation": "input other than U's, mean",
     "collided": "any run collides",
     "collided_runs": "runs that collide",
     "violations": "violations",
@@ -95,7 +96,7 @@ class Measure:
         told = self.text(mean, unit=False)
         if low is not None or high is not None:
             told += f'<span class="range">{self.text(low, False)} to {self.text(high, False)}</span>'
-        if worst is not None:
+        if worst is not None and self.key != "violations":  # a count over all runs: there is no worst one
             told += f'<span class="range">worst {self.text(worst, False)}</span>'
         return Cell(told, number_cell(mean).sort, judged and self._bad(worst if worst is not None else mean))
 

@@ -26,7 +26,21 @@ from .numbers import plain
 MOST = 400
 """Most samples of a run that are drawn, besides changes of controller."""
 
-COLOURS = (BLACK, BLUE, ORANGE, GREEN, PURPLE, VERMILION, SKY, "#8C6D1F", "#5B5B5B", "#A6761D")
+# S alone and U alone come first, in the colours of S and U.
+COLOURS = (
+    BLUE,
+    ORANGE,
+    BLACK,
+    GREEN,
+    PURPLE,
+    VERMILION,
+    SKY,
+    "#6B4A0F",
+    "#8A8A8A",
+    "#B8860B",
+    "#7A1FA2",
+    "#4D7A00",
+)
 DASHES = ("solid", "dash", "dot", "dashdot", "longdash")
 
 WHO = "Who flies"

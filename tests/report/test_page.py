@@ -222,7 +222,7 @@ def test_every_method_is_in_the_tables_and_in_the_scene(comparison, tmp_path):
     for name in ("Polaris schedule", "S alone", "U alone", "filter 0", "needs a licence"):
         assert name in told
     assert "4.5 to 5.5" in told and "worst 4" in told and "never heard of (m)" in told
-    assert "-1.5 to -0.5" in told and "differs from 0" in told
+    assert "-1.5 to -0.5" in told and "Method less Polaris schedule" in told
     assert {one["mode"] for one in data["modes"]} == {-1, 0, 1}
     assert (
         "40 decisions in 2 stretches" in told

@@ -471,7 +471,7 @@ def polytopes(draw):
     return H, rng.uniform(0.1, 2, (N, F)), rng.normal(size=(N, d)) * 3, rng.normal(size=(N, d))
 
 
-@settings(max_examples=50)
+@settings(max_examples=20)
 @given(polytopes())
 def test_facets_agree_with_fixed_polytopes(case):
     H, b, p, v = case

@@ -71,7 +71,7 @@ TRACES = st.builds(
 )
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(TRACES)
 def test_written_and_read_is_the_same(tmp_path_factory, found):
     path = write_trace(tmp_path_factory.getbasetemp() / "round.json", found)

@@ -119,6 +119,8 @@ function controls(data, state, redraw) {
   labels.forEach((label) => $("run").append(element("option", { value: label, textContent: label })));
   $("run").addEventListener("change", () => { state.run = $("run").value; redraw(); });
   $("run").closest("label").hidden = labels.length < 2;
+  const where = data.by === "pilot" && data.pilots.length > 1 ? " (first diagram)" : "";
+  $("modes").append(element("li", { className: "quiet", textContent: `${data.modes_title}${where}:` }));
   data.modes.forEach((mode) => {
     const swatch = element("span", { className: "swatch" });
     swatch.style.background = mode.colour;
