@@ -17,7 +17,7 @@ from polaris.runfolder import read_run
 from .folders import EVIL, rename, write_comparison, write_tiny
 
 CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
-MOST = 60.0
+MOST = 120.0
 """Seconds that any one wait may take: far more than it needs, and an end if the browser hangs."""
 
 pytestmark = pytest.mark.skipif(

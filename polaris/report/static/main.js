@@ -138,7 +138,7 @@ function controls(data, state, redraw) {
 // The same in words: one row per pilot with all values at the time shown.
 function readout(data, state) {
   const own = data.panels.filter((panel) => panel.series.some((one) => one.pilot !== null));
-  const head = element("tr", {}, ...["Shown", "Run", data.modes_title, ...own.map((panel) => `${panel.title} (${panel.unit})`)]
+  const head = element("tr", {}, ...["Shown", "Run", data.modes_title, ...own.map((panel) => panel.title + (panel.unit ? ` (${panel.unit})` : ""))]
     .map((text) => element("th", { scope: "col", textContent: text })));
   const rows = state.shown.map((pilot) => {
     const run = runOf(pilot, state), [i, s] = place(pilot.t, state.t), who = pilot.runs[run].modes;
