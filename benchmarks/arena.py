@@ -49,15 +49,13 @@ def main(names):
                 method.decide(one)
                 spent[key][i] = time.perf_counter() - begun
         own = np.median(spent["monitor"])
-        print(
-            f"{name}: {len(seen)} decisions every {scene.period:g} s, {len(methods['monitor'].recovery.matrix)} limits"
-        )
+        limits = len(methods["monitor"].recovery.matrix)
+        print(f"{name}: {len(seen)} decisions every {scene.period:g} s, {limits} limits")
         print(f"  {'method':18} {'median us':>10} {'p99 us':>10} {'least us':>10} {'ratio':>7}")
         for key, times in spent.items():
             median, p99 = 1e6 * np.median(times), 1e6 * np.percentile(times, 99)
-            print(
-                f"  {key:18} {median:10.1f} {p99:10.1f} {1e6 * times.min():10.1f} {np.median(times) / own:7.1f}"
-            )
+            ratio, least = np.median(times) / own, 1e6 * times.min()
+            print(f"  {key:18} {median:10.1f} {p99:10.1f} {least:10.1f} {ratio:7.1f}")
 
 
 if __name__ == "__main__":

@@ -100,14 +100,16 @@ def ray_ttc(
         state = _state(states, obstacle)
         known = None if state is None else np.asarray(state, dtype=float)
         for part in _parts(shape):
-            out[o][part] = obstacle.entry_time(
-                t if t.ndim < len(shape) else t[part],
-                p if p.ndim <= len(shape) else p[part],
-                v if v.ndim <= len(shape) else v[part],
-                system,
-                known if known is None or known.ndim <= len(shape) else known[part],
-            )
+            cut = [_cut(given, n, len(shape), part) for given, n in ((t, 0), (p, 1), (v, 1))]
+            moved = None if known is None else _cut(known, 1, len(shape), part)
+            out[o][part] = obstacle.entry_time(*cut, system, moved)
     return out
+
+
+def _cut(given: Array, inner: int, outer: int, part: tuple[slice, ...]) -> Array:
+    """A part along the first of `outer` axes of an array that is broadcast against them."""
+    whole = given.ndim < outer + inner or given.shape[0] == 1
+    return given if whole else given[part]
 
 
 def _parts(shape: tuple[int, ...]) -> list[tuple[slice, ...]]:

@@ -92,12 +92,23 @@ class Monitor:
     def decide(self, seen: Seen) -> Choice:
         """The first controller that is recoverable, in order of preference; else S."""
         e = seen.estimate - self.scene.xi[seen.k * self.scene.nodes]
+        if len(e) == 1:
+            return self._decide_one(seen.k, e[0], int(seen.mode[0]))
         mode, margin = self.judge(seen.k, e, seen.mode)
         why = np.where(mode > 0, 0, 1)
         waiting = (mode > 0) & (seen.mode == 0) & (self._since < self.dwell)
         mode, why = np.where(waiting, 0, mode), np.where(waiting, 2, why)
         self._since = np.where(mode > 0, self.dwell, np.where(seen.mode > 0, 1, self._since + 1))
         return Choice(mode, margin, why)
+
+    def _decide_one(self, k: int, e: Array, flown: int) -> Choice:
+        """`decide` of one run: the same without arrays, which take longer than the decision itself."""
+        mode, margin = self.judge_one(k, e, flown)
+        since, why = int(self._since[0]), 0 if mode else 1
+        if mode and flown == 0 and since < self.dwell:
+            mode, why = 0, 2
+        self._since[0] = self.dwell if mode else (1 if flown else since + 1)
+        return Choice(np.array([mode]), np.array([margin]), np.array([why]))
 
     def judge(self, k: int, e: Array, flown: NDArray[np.int_]) -> tuple[NDArray[np.int_], Array]:
         """Mode and margin (least share of room left, of the controller chosen or the best refused).
@@ -110,9 +121,6 @@ class Monitor:
         flown : ndarray of int, shape (R,)
             Modes that fly until the decision takes effect.
         """
-        if len(e) == 1:
-            chosen, left = self.judge_one(k, e[0], int(flown[0]))
-            return np.array([chosen]), np.array([left])
         R = len(e)
         mode, margin = np.zeros(R, dtype=int), np.full(R, -np.inf)
         for candidate in range(1, len(self.scene.controllers)):

@@ -36,7 +36,8 @@ DEFINITIONS = {
     "decision_p99_us": "the same, 99th percentile",
     "synthesis_s": "wall time before the flight: Algorithm 1 where the method needs S, Algorithm 2 for the"
     " schedule, and what the method prepares",
-    "mean, low, high": "mean over runs and its 95 % interval (Student's t)",
+    "mean, low, high": "mean over runs and its 95 % interval (Student's t); of runs drawn as here, half of"
+    " them under worst cases, not of flights in nature",
     "worst": "least distance, time to collision or share; largest of the others",
 }
 """What each number of a comparison means."""
@@ -148,7 +149,8 @@ def measure(scene: Scene, flight: Flight, conditions: Conditions, name: str) -> 
     return replace(
         found,
         experimental_share=np.asarray(experimental),
-        switches=count_switches(who),
+        # A filtered input is not an unknown mode: changes to it and from it count.
+        switches=count_switches(np.where(who == FILTERED, len(scene.controllers), who)),
         max_thrust_ratio_safety=_largest(flight.demanded, who == 0),
         max_thrust_ratio_experimental=_largest(flight.demanded, who > 0),
     )

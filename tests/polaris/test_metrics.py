@@ -241,3 +241,11 @@ def test_bad_input_is_refused(call, field):
     with pytest.raises(ScenarioError) as caught:
         call()
     assert caught.value.field == field
+
+
+def test_rays_of_one_time_against_many_positions():
+    ball = BallObstacle("ball", [0.0, 0.0], 1.0)
+    p = np.random.default_rng(0).uniform(2, 9, (3, 5000, 2))
+    v = -p / 10
+    t = np.zeros((1, 5000))
+    assert np.array_equal(ray_ttc([ball], t, p, v), ray_ttc([ball], np.zeros((3, 5000)), p, v))

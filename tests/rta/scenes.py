@@ -31,7 +31,7 @@ def corridor(period=None, unknown=False):
     A = np.block([[zero, eye], [zero, zero]])
     B = np.vstack([zero, eye])
     system = LinearSystem(A, B, B, [0.4, 0.4], 0.01)
-    goal = Box([7.5, -0.5, -0.1, -0.1], [8.5, 0.5, 0.1, 0.1])
+    goal = Box([8.0, 0.0, 0.0, 0.0], [0.5, 0.5, 0.1, 0.1])
     Q, R = [1.0, 1.0, 1.0, 1.0], [20.0, 20.0]
     start = Zonotope.box([0.0, 0.0, 0.0, 0.0], [0.1, 0.1, 0.02, 0.02])
     box = BoxObstacle("crate", [4.0, -0.2], [0.8, 0.8])

@@ -69,6 +69,17 @@ def test_switches_and_shares_by_hand():
     assert found.mean_distance[0] >= found.min_distance[0]
 
 
+def test_changes_to_a_filtered_input_and_back_are_switches():
+    made = scene("robot")
+    conditions = Conditions.draw(made, 2, 0)
+    flight = fly(made, METHODS["asif_implicit"](made), conditions)
+    who = flown(made, flight)
+    assert (who == -1).any() and (who == 1).any()
+    found = measure(made, flight, conditions, "filter")
+    assert found.switches.tolist() == np.count_nonzero(np.diff(who, axis=1), axis=1).tolist()
+    assert found.switches.min() > 0
+
+
 def test_deviation_is_that_from_what_u_wants():
     made = scene("robot")
     conditions = Conditions.draw(made, 2, 0)

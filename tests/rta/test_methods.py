@@ -24,8 +24,10 @@ SETTINGS = {
     "robot late, estimated": {"name": "robot", "period": 0.25, "latency": 0.05, "half": 0.005},
 }
 
+DEFAULT = ("sampled", "anything", "whole period late, estimated", "robot late, estimated")
 
-def flights(setting, keys, runs=24, seed=3):
+
+def flights(setting, keys, runs=12, seed=3):
     made = scene(**SETTINGS[setting])
     conditions = Conditions.draw(made, runs, seed)
     for key in keys:
@@ -34,7 +36,10 @@ def flights(setting, keys, runs=24, seed=3):
         yield key, method, flight, measure(made, flight, conditions, method.name)
 
 
-@pytest.mark.parametrize("setting", SETTINGS)
+@pytest.mark.parametrize(
+    "setting",
+    [pytest.param(one, marks=[pytest.mark.slow] * (one not in DEFAULT)) for one in SETTINGS],
+)
 def test_what_is_proved_keeps_clear_and_within_the_thrust_limits(setting):
     for key, method, _, metrics in flights(setting, PROVED):
         assert method.claim.kind == "proved", key
@@ -52,10 +57,10 @@ def test_u_alone_does_collide():
         assert metrics.collided.all() and metrics.min_distance.max() < 0
 
 
-def test_look_ahead_asks_too_much_of_s_where_the_monitor_does_not():
-    found = {key: metrics for key, _, _, metrics in flights("late", ["simulation", "monitor"])}
-    assert np.nanmax(found["simulation"].max_thrust_ratio_safety) > 1.2
-    assert np.nanmax(found["monitor"].max_thrust_ratio_safety) <= 1
+def test_look_ahead_notices_too_late_where_the_monitor_does_not():
+    found = {key: metrics for key, _, _, metrics in flights("robot", ["simulation", "monitor"], runs=12)}
+    assert found["simulation"].collided.any()
+    assert not found["monitor"].collided.any()
 
 
 def test_monitor_uses_u_more_than_the_schedule_and_far_more_than_the_explicit_simplex():
