@@ -100,9 +100,9 @@ def ray_ttc(
         state = _state(states, obstacle)
         known = None if state is None else np.asarray(state, dtype=float)
         for part in _parts(shape):
-            cut = [_cut(given, n, len(shape), part) for given, n in ((t, 0), (p, 1), (v, 1))]
+            here, at, ray = (_cut(given, n, len(shape), part) for given, n in ((t, 0), (p, 1), (v, 1)))
             moved = None if known is None else _cut(known, 1, len(shape), part)
-            out[o][part] = obstacle.entry_time(*cut, system, moved)
+            out[o][part] = obstacle.entry_time(here, at, ray, system, moved)
     return out
 
 
