@@ -103,10 +103,15 @@ class ActiveSetFilter:
         if self.backup is None:
             return np.zeros((len(x), 3))
         try:
-            u = np.broadcast_to(np.asarray(self.backup(t, x), dtype=float), (len(x), 3))
+            u = np.asarray(self.backup(t, x), dtype=float)
         except Exception as error:  # whatever it is, the filter must answer
             reasons.append(f"the backup controller failed: {type(error).__name__}")
             return np.zeros((len(x), 3))
+        if u.shape != (len(x), 3):
+            reasons.append(f"the backup controller failed: an answer of shape {u.shape}")
+            return np.zeros((len(x), 3))
+        if not np.isfinite(u).all():
+            reasons.append("the backup controller failed: an answer that is not finite")
         limit = self.inspection.thrust_max
         return np.where(np.isfinite(u), np.clip(u, -limit, limit), 0.0)
 

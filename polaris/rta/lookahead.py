@@ -118,6 +118,7 @@ class Simulation(Memoryless):
         super().__init__(scene)
         horizon = default_horizon(scene) if horizon is None else positive("horizon", horizon, "s")
         self.predictor = Predictor(scene, horizon)
+        self.spread: Array | None = None
 
     @property
     def claim(self) -> Claim:
@@ -130,11 +131,11 @@ class Simulation(Memoryless):
 
     def decide(self, seen: Seen) -> Choice:
         """Predict, and look at the least distance [m]."""
-        room = self.predictor.room(1, seen.k * self.scene.nodes, seen.estimate)
+        room = self.predictor.room(1, seen.k * self.scene.nodes, seen.estimate, self.spread)
         return accept(room > 0, room)
 
 
-class ForwardReachability(Memoryless):
+class ForwardReachability(Simulation):
     """Naive forward reachability: U flies if its reachable set over a while keeps clear.
 
     The set is that of U's unclipped law about its clipped prediction, for every measured state within
@@ -152,9 +153,7 @@ class ForwardReachability(Memoryless):
     reasons: tuple[str, ...] = ("U's reachable set keeps clear", "U's reachable set touches an unsafe set")
 
     def __init__(self, scene: Scene, horizon: float | None = None) -> None:
-        super().__init__(scene)
-        horizon = default_horizon(scene) if horizon is None else positive("horizon", horizon, "s")
-        self.predictor = Predictor(scene, horizon)
+        super().__init__(scene, horizon)
         self.spread = self._spread()
 
     def _spread(self) -> Array:
@@ -180,8 +179,3 @@ class ForwardReachability(Memoryless):
             f"U's reachable set over {self.predictor.horizon:g} s; nothing says that S can still take over"
             " where that set ends, or once it touches an unsafe set",
         )
-
-    def decide(self, seen: Seen) -> Choice:
-        """Predict, and look at the least distance of the sets [m]."""
-        room = self.predictor.room(1, seen.k * self.scene.nodes, seen.estimate, self.spread)
-        return accept(room > 0, room)

@@ -94,6 +94,16 @@ def test_backup_that_fails_is_no_thrust(drawn):
     )
 
 
+@pytest.mark.parametrize("answer", [0.2, np.full(3, 0.2), np.full((4, 3), 0.2), np.full((5, 3), np.inf)])
+def test_backup_with_a_wrong_answer_is_no_thrust_and_recorded(drawn, answer):
+    x, sun = drawn
+    asif = ActiveSetFilter(Q, backup=lambda t, x: answer, sun_start=float(sun[0]))
+    reference = ActiveSetFilter(Q, sun_start=float(sun[0]))
+    decision = asif.filter(0.0, x[0], None)
+    np.testing.assert_array_equal(decision.u, reference.filter(0.0, x[0], np.zeros((5, 3))).u)
+    assert "the backup controller failed" in decision.fallback
+
+
 def test_an_unknown_state_is_predicted_then_given_up(drawn):
     x, sun = drawn
     asif = ActiveSetFilter(Q, sun_start=float(sun[0]))

@@ -31,7 +31,7 @@ def test_item_15_riccati_equation_of_the_whole_error_has_no_stabilising_solution
     A, B = augmented(PROBLEM, whole_error=True)
     try:
         gain = np.asarray(control.lqr(A, B, np.eye(12), np.eye(3))[0])
-    except Exception:  # what the solver raises differs from one version to the next
+    except (np.linalg.LinAlgError, control.ControlArgument):
         return
     assert np.linalg.eigvals(A - B @ gain).real.max() > -1e-9
 
