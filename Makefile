@@ -62,9 +62,10 @@ $(BASE): pyproject.toml | $(BIN)/python
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
 	@touch $@
 
-$(TEST): $(BASE)
+# What the tests need includes the rest, so that one resolution does for both.
+$(TEST): pyproject.toml | $(BIN)/python
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[test]'
-	@touch $@
+	@touch $(BASE) $@
 
 $(DOCS): $(BASE)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'

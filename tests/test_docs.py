@@ -144,7 +144,13 @@ def shell(tmp_path_factory):
     return Shell(tmp_path_factory.mktemp("docs"))
 
 
-@pytest.mark.parametrize("path", RUN, ids=lambda path: path.name)
+@pytest.mark.parametrize(
+    "path",
+    [
+        pytest.param(path, marks=[pytest.mark.slow] * (path.name == "tutorial.md"), id=path.name)
+        for path in RUN
+    ],
+)
 def test_page_does_what_it_shows(path, shell, monkeypatch):
     monkeypatch.chdir(shell.folder)
     monkeypatch.setenv("MPLBACKEND", "agg")

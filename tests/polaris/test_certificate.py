@@ -66,7 +66,7 @@ def verify_bundled(name, folder):
     return verdict
 
 
-@pytest.mark.parametrize("name", ["static", "robot"])
+@pytest.mark.parametrize("name", ["static", pytest.param("robot", marks=pytest.mark.slow)])
 def test_bundled_scenarios_verify(name, tmp_path):
     verdict = verify_bundled(name, tmp_path)
     assert {"separation", "recoverable", "end", "unsafe_sets", "goal"} <= {

@@ -61,7 +61,7 @@ def attack(name, n, seed):
 @pytest.mark.parametrize(
     "name",
     [
-        pytest.param(n, marks=[pytest.mark.slow] * (n in ("hold_point", "keep_out", "dynamic")))
+        pytest.param(n, marks=[pytest.mark.slow] * (n in ("hold_point", "keep_out", "dynamic", "robot")))
         for n in FEASIBLE
     ],
 )
