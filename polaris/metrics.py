@@ -108,7 +108,7 @@ def ray_ttc(
 
 def _cut(given: Array, inner: int, outer: int, part: tuple[slice, ...]) -> Array:
     """A part along the first of `outer` axes of an array that is broadcast against them."""
-    whole = given.ndim < outer + inner or given.shape[0] == 1
+    whole = not part or given.ndim < outer + inner or given.shape[0] == 1
     return given if whole else given[part]
 
 
