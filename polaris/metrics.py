@@ -102,7 +102,7 @@ def ray_ttc(
         for part in _parts(shape):
             here, at, ray = (_cut(given, n, len(shape), part) for given, n in ((t, 0), (p, 1), (v, 1)))
             moved = None if known is None else _cut(known, 1, len(shape), part)
-            out[(o, *part)] = obstacle.entry_time(here, at, ray, system, moved)
+            out[(slice(o, o + 1), *part)] = obstacle.entry_time(here, at, ray, system, moved)
     return out
 
 
