@@ -58,15 +58,12 @@ class ExplicitASIF(Memoryless):
             )
         self.balls = {o.name: o for o in scene.schedule.safety.problem.unsafe if isinstance(o, BallObstacle)}
         self.sets = [unsafe for unsafe in scene.unsafe if unsafe.name not in self.balls]
-        self.normals = [unsafe.normals for unsafe in self.sets]
         parts = np.split(scene.facets[1], scene.facets[2][1:], axis=1)
         self.offsets = [
             part for part, u in zip(parts, scene.unsafe, strict=False) if u.name not in self.balls
         ]
         span = float(np.abs(scene.xi @ self.drift.T).max(initial=0.0))
-        self.brakes = [
-            self._brake(unsafe.name, n, span) for unsafe, n in zip(self.sets, self.normals, strict=True)
-        ]
+        self.brakes = [self._brake(unsafe.name, unsafe.normals, span) for unsafe in self.sets]
         # Along the direction in which the thrusters push least a ball must be met too.
         self.ball_brake = self._brake("balls", _directions(system.d), span).min() if self.balls else 0.0
 
@@ -114,7 +111,7 @@ class ExplicitASIF(Memoryless):
 
     def _facets(self, i: int, node: int, x: Array, p: Array, v: Array) -> tuple[Array, Array, Array]:
         """Barrier (R,), row (R, m) and bound (R,) of one polytope: of its facet with the largest barrier."""
-        offsets, normals = self.offsets[i], self.normals[i]
+        offsets, normals = self.offsets[i], self.sets[i].normals
         here, after = offsets[node], offsets[min(node + 1, len(offsets) - 1)]
         speed = (after - here) / self.scene.h
         d = p @ normals.T - here - np.abs(normals @ self.scene.system.position) @ self.scene.half_widths

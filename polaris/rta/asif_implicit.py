@@ -47,8 +47,7 @@ class ImplicitASIF(Memoryless):
 
     def __init__(self, scene: Scene) -> None:
         super().__init__(scene)
-        self.recovery = Recovery(scene)
-        self.recovery.require_start()
+        self.recovery = Recovery.certified(scene)
         before = Leg.any_thrust(self.recovery) if scene.delay else None
         self.prospect = Prospect(self.recovery, before, Leg.held(self.recovery), scene.half_widths)
         # What an input of full thrust (per axis) held until the next moment of effect adds at its end.

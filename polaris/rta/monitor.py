@@ -59,7 +59,7 @@ class Monitor:
         self.dwell = whole("dwell", dwell, 1)
         if trust == "thrust_limits":
             self.key, self.name = "monitor_limits", "Polaris online monitor, U not trusted"
-        self.scene, self.recovery, self.trust = scene, Recovery(scene), trust
+        self.scene, self.recovery, self.trust = scene, Recovery.certified(scene), trust
         any_thrust, safe = Leg.any_thrust(self.recovery), Leg.declared(self.recovery, 0)
         befores = {0: safe, 1: any_thrust} if scene.delay else {0: None, 1: None}
         self.cautious = {
@@ -75,7 +75,6 @@ class Monitor:
         every = {**self.declared, **{(0, flown): prospect for flown, prospect in self.cautious.items()}}
         self._quick = {key: QuickProspect(prospect) for key, prospect in every.items()}
         self._since = np.zeros(0, dtype=int)
-        self.recovery.require_start()
         self.start_share = self.recovery.start_share
 
     @property

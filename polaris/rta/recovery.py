@@ -66,6 +66,23 @@ class Recovery:
 
     scene: Scene
 
+    @classmethod
+    def certified(cls, scene: Scene) -> Recovery:
+        """The conditions, if the initial set meets them at the first node: what every proof starts from.
+
+        Raises
+        ------
+        NotCertified
+            If it does not.
+        """
+        found = cls(scene)
+        if not found.start_share <= 1:
+            raise NotCertified(
+                "the initial set is not inside the first recoverable set of the run-time methods:"
+                f" it needs {found.start_share:.4g} of the room there"
+            )
+        return found
+
     @cached_property
     def sets(self) -> PolytopeSets:
         """The recoverable sets of `polaris.polytope_sets`, on the fine grid."""
@@ -77,14 +94,6 @@ class Recovery:
         start = self.scene.schedule.safety.start
         size = np.asarray(np.linalg.norm(self.scene.tracking.W @ start.c) + self.size(start.G))
         return float(self.share(0, start.c, size, self.demand(start.G)))
-
-    def require_start(self) -> None:
-        """Raise `NotCertified` if the initial set is not inside the first recoverable set."""
-        if not self.start_share <= 1:
-            raise NotCertified(
-                "the initial set is not inside the first recoverable set of the run-time methods:"
-                f" it needs {self.start_share:.4g} of the room there"
-            )
 
     @cached_property
     def rows(self) -> Array:

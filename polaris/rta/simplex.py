@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from functools import cached_property
 
 import numpy as np
@@ -14,7 +15,7 @@ from .recovery import Recovery
 from .scene import Scene
 
 
-class Latched:
+class Latched(ABC):
     """U as long as `margin` has never been negative; then S to the end."""
 
     reasons: tuple[str, ...] = ("inside", "leaving", "latched in S")
@@ -28,9 +29,9 @@ class Latched:
         """Nobody is latched."""
         self._latched = np.zeros(runs, dtype=bool)
 
+    @abstractmethod
     def margin(self, seen: Seen) -> Array:
         """What is judged by, shape (R,)."""
-        raise AssertionError("a subclass says by what it judges")
 
     def decide(self, seen: Seen) -> Choice:
         """Switch once."""
@@ -62,8 +63,7 @@ class ExplicitSimplex(Latched):
 
     def __init__(self, scene: Scene) -> None:
         super().__init__(scene)
-        self.recovery = Recovery(scene)
-        self.recovery.require_start()
+        self.recovery = Recovery.certified(scene)
         leg = Leg.any_thrust(self.recovery)
         self.prospect = Prospect(self.recovery, leg if scene.delay else None, leg, scene.half_widths)
 
