@@ -46,8 +46,18 @@ def add_traces(app: typer.Typer, guard: Guard) -> None:
             typer.Option(
                 metavar="ENTRIES",
                 help="Entries of the states that are the velocity, as in 3,4,5 (from 0), or 'differences' of"
-                " positions. Default: what follows the position in 4 or 6 states, else differences.",
+                " positions. Default: what follows the position in 2, 4 or 6 states, if the position changes"
+                " so, else differences.",
             ),
+        ] = None,
+        heading: Annotated[
+            str | None,
+            typer.Option(
+                metavar="ENTRIES", help="Entries that are heading, or heading and pitch [rad], as in 3,4."
+            ),
+        ] = None,
+        speed: Annotated[
+            int | None, typer.Option(metavar="ENTRY", min=0, help="The entry that is the speed [m/s].")
         ] = None,
         mean_motion: Annotated[
             float | None,
@@ -71,6 +81,7 @@ def add_traces(app: typer.Typer, guard: Guard) -> None:
             from .traces.console import show_metrics
             from .traces.evaluation import evaluate_trace
             from .traces.reading import read_trace
+            from .traces.settings import parse_velocity
 
             system = None
             if mean_motion is not None:
@@ -79,7 +90,7 @@ def add_traces(app: typer.Typer, guard: Guard) -> None:
             found = evaluate_trace(
                 read_trace(trace),
                 dims=dims,
-                velocity=_entries(velocity),
+                velocity=parse_velocity(velocity, heading, speed),
                 restamp=restamp,
                 system=system,
                 agent_radius=agent_radius,
@@ -140,14 +151,3 @@ def add_traces(app: typer.Typer, guard: Guard) -> None:
                 )
                 for note in found.notes:
                     typer.echo(f"note: {note}")
-
-
-def _entries(velocity: str | None) -> list[int] | str | None:
-    """Entries of the states out of a text like ``3,4,5``."""
-    if velocity is None or velocity == "differences":
-        return velocity
-    try:
-        return [int(part) for part in velocity.split(",")]
-    except ValueError as error:
-        rule = "must be whole numbers with commas between, or 'differences'"
-        raise ScenarioError("--velocity", velocity, rule) from error

@@ -20,6 +20,7 @@ from .model import (
 from .reading import parse_trace, read_trace
 from .restamping import restamp
 from .results import AgentMetrics, Separation, Spread, TraceMetrics
+from .settings import Heading
 from .writing import trace_data, write_trace
 
 __all__ = [
@@ -30,6 +31,7 @@ __all__ = [
     "AgentTrace",
     "BallTrace",
     "Export",
+    "Heading",
     "LegacyMetrics",
     "PointTrace",
     "PolytopeTrace",

@@ -19,7 +19,7 @@ from .placing import place
 from .restamping import restamp as restamped
 from .restamping import stamped_by_simulator
 from .results import AgentMetrics, Separation, Spread, TraceMetrics
-from .settings import DIFFERENCES, Velocity, doubtful, find_dims, find_velocity
+from .settings import Velocity, doubtful, find_dims, find_velocity
 
 
 class Options(TypedDict, total=False):
@@ -68,9 +68,10 @@ def evaluate_trace(
         From `read_trace` or `to_trace`.
     dims : int, optional
         Axes of position, 1 to 3; default as the unsafe sets have, else half of 4 or 6 states.
-    velocity : sequence of int or "differences", optional
-        Entries of the states (from 0) that are the velocity, or differences of positions over time. Default:
-        the entries after the position where there are just as many (4 or 6 states), else differences.
+    velocity : sequence of int, Heading or "differences", optional
+        Entries of the states (from 0) that are the velocity, or its direction and size, or differences of
+        positions over time. Default: the entries after the position where there are just as many and the
+        position changes as they say, else differences; with `legacy_rtaeval` angles and speed there, if so.
     restamp : bool
         Undo the stamps of RTAEval's simulator first.
     system : LinearSystem, optional
@@ -123,11 +124,8 @@ def _measure(
     others: tuple[Separation, ...] = ()
     if d is not None:
         v, source = find_velocity(name, agent, d, wanted)
-        if v is not None and source != DIFFERENCES and doubtful(agent, d, v):
-            notes.append(
-                f"{name}: {source} do not change its position as a velocity would;"
-                " --velocity says which entries do, or takes differences"
-            )
+        if v is not None and wanted not in (None, "differences") and doubtful(agent, d, v):
+            notes.append(f"{name}: its position does not change as a velocity of {source} would have it")
         unsafe = _against_sets(trace, agent, d, v, drift)
         others = tuple(
             _against_agent(agent, v, other, trace.agents[other], d, wanted, radius)

@@ -1,23 +1,24 @@
 """The numbers RTAEval gives, defects included: for comparison with results obtained there.
 
-Written from a description of what it computes; docs/traces.md lists the defects, and what the
-description leaves open. Every deviation from the right number here is on purpose.
+Written from a description of what it computes, and held against what its own evaluator printed
+(tests/traces/data); docs/traces.md lists the defects. Every deviation from the right number is on purpose.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
+import daqp
 import numpy as np
 
 from ..runfiles import strict
 from ..system import Array
-from .model import SAFETY, UNTRUSTED, AgentTrace, BallTrace, PointTrace, RectangleTrace, Trace
-from .motion import between, interpolate
+from .facets import turned, unit_rows
+from .model import SAFETY, UNTRUSTED, AgentTrace, AnySet, BallTrace, PointTrace, PolytopeTrace, Trace
 from .placing import place
-from .settings import DIFFERENCES, Velocity, find_velocity
+from .settings import DIFFERENCES, Heading, Velocity, find_velocity, guess_heading
 
 NEVER = 1e20
 """What stands for no collision between agents there."""
@@ -67,7 +68,7 @@ def legacy_metrics(trace: Trace, d: int | None, velocity: Velocity) -> LegacyMet
     for name, agent in trace.agents.items():
         one = _Agent(trace, name, agent, d or 1, velocity)
         agents[name] = {
-            "controllerUsage": controller_usage(agent.modes.tolist()),
+            "controllerUsage": attempt(one.usage),
             "compute_dists": attempt(one.dists),
             "compute_agent_dists": attempt(one.agent_dists),
             "compute_unsafe_TTC": attempt(one.unsafe_ttc),
@@ -80,55 +81,79 @@ def legacy_metrics(trace: Trace, d: int | None, velocity: Velocity) -> LegacyMet
 def controller_usage(modes: list[int]) -> tuple[float, float, int]:
     """Shares of samples under UNTRUSTED and otherwise, and switches (defect 6).
 
-    The mode before the run is UNTRUSTED. Whatever is not UNTRUSTED counts as safety, but only SAFETY
-    itself is remembered as such: every sample of another mode is one more switch.
+    The mode before the run is UNTRUSTED. Whatever is not UNTRUSTED counts, and is remembered, as SAFETY:
+    every sample of any other mode differs from what is remembered, and is one more switch.
     """
+    if len(modes) < 2:
+        raise _Stop("one sample")
     switches, last = 0, UNTRUSTED
     for mode in modes:
-        switches += last != (UNTRUSTED if mode == UNTRUSTED else SAFETY)
-        last = mode
-    untrusted = modes.count(UNTRUSTED) / len(modes)
-    return untrusted, 1 - untrusted, switches
+        switches += mode != last
+        last = UNTRUSTED if mode == UNTRUSTED else SAFETY
+    untrusted = modes.count(UNTRUSTED)
+    return untrusted / len(modes), (len(modes) - untrusted) / len(modes), switches
 
 
 class _Agent:
-    """The methods, for one agent."""
+    """The methods, for one agent. Rows of others belong to its own by their place, whatever their stamps."""
 
     def __init__(self, trace: Trace, name: str, agent: AgentTrace, d: int, wanted: Velocity) -> None:
         self.trace, self.name, self.agent, self.d, self.wanted = trace, name, agent, d, wanted
 
+    def _paired(self, times: Array, *values: Array) -> list[Array]:
+        """The first rows of others, as many as the agent has; one row alone is repeated."""
+        N = len(self.agent.times)
+        if 1 < len(times) < N:
+            raise _Stop("fewer rows than the agent's")
+        return [
+            np.broadcast_to(item, (N, *item.shape[1:])) if len(item) == 1 else item[:N] for item in values
+        ]
+
+    def usage(self) -> tuple[float, float, int]:
+        """See `controller_usage`."""
+        return controller_usage(self.agent.modes.tolist())
+
     # -- distances --------------------------------------------------------------------------------
 
     def dists(self) -> tuple[float, float, dict[str, float]]:
-        """(min, max, {set: mean}) over the sets that count."""
-        return _joined(self._set_distances())
+        """(min, max, {set: mean}) over the sets."""
+        if any(isinstance(item, PointTrace) for item in self.trace.unsafe.values()):
+            raise _Stop("a point gets no distances")  # defect 8
+        return _joined({name: self._distance(item)[0] for name, item in self.trace.unsafe.items()})
 
-    def _set_distances(self) -> dict[str, Array]:
-        if len(self.agent.times) < 2:
-            raise _Stop("one sample")
-        found = {
-            name: self._distance(name)
-            for name, item in self.trace.unsafe.items()
-            if not isinstance(item, PointTrace)  # defect 8
-        }
-        if not found:
-            raise _Stop("no unsafe sets")
-        return found
-
-    def _distance(self, name: str) -> Array:
-        item, t, d = self.trace.unsafe[name], self.agent.times, self.d
-        if not isinstance(item, (BallTrace, RectangleTrace)):
-            true = place(item, t, d).signed_distance(self.agent.states[:, :d])
-            return np.asarray(np.maximum(true, 0.0))  # defect 7
-        p = self.agent.states[:, 1 : d + 1]  # defect 1: the rows have lost their time already
-        if p.shape[1] < d:
+    def _distance(self, item: AnySet) -> tuple[Array, Array]:
+        """Distances (N,), and lines (N, d) to the centre or, for a polytope, to its nearest point."""
+        if isinstance(item, PolytopeTrace):
+            return self._polytope(item)
+        assert not isinstance(item, PointTrace)  # both callers have ruled it out
+        sizes = item.radii if isinstance(item, BallTrace) else item.lengths
+        centers, sizes = self._paired(item.times, item.centers, sizes)
+        p = self.agent.states[:, 1 : item.d + 1]  # defect 1: the rows have lost their time already
+        if p.shape[1] < item.d:
             raise _Stop("fewer states than axes after the first")
-        rows = between(item.times, t)
-        off = p - interpolate(item.centers[:, :d], rows)
+        off = p - centers
         if isinstance(item, BallTrace):
-            return np.asarray(np.maximum(np.linalg.norm(off, axis=1) - interpolate(item.radii, rows), 0.0))
-        gaps = np.maximum(np.abs(off) - interpolate(item.lengths[:, :d], rows) / 2, 0.0)
-        return np.asarray(np.linalg.norm(gaps, axis=1))
+            found = np.maximum(np.linalg.norm(off, axis=1) - sizes, 0.0)
+        else:
+            found = np.linalg.norm(np.maximum(np.abs(off) - sizes / 2, 0.0), axis=1)
+        return np.asarray(found), centers[:, : self.d] - self.agent.states[:, : self.d]
+
+    def _polytope(self, item: PolytopeTrace) -> tuple[Array, Array]:
+        if self.d == 1:
+            raise _Stop("polytopes need two axes or three")
+        A, b = self._paired(item.times, item.A, item.b)
+        held = replace(item, times=self.agent.times, A=A if len(item.A) > 1 else item.A, b=b)
+        p = self.agent.states[:, : self.d]
+        distance = np.maximum(place(held, self.agent.times, self.d).signed_distance(p), 0.0)  # defect 7
+        H, offsets = unit_rows(held.A, held.b)
+        lines = np.zeros_like(p)
+        for i in np.flatnonzero(distance):
+            rows = turned(H, int(i))
+            slack = offsets[i] - rows @ p[i]
+            lines[i] = daqp.solve(np.eye(self.d), np.zeros(self.d), rows, slack, np.full(len(slack), -1e30))[
+                0
+            ]
+        return np.asarray(distance), lines
 
     def agent_dists(self) -> tuple[float, float, dict[str, float]]:
         """(min, max, {agent: mean}), without z in three axes (defect 4)."""
@@ -136,60 +161,65 @@ class _Agent:
         return _joined({name: np.linalg.norm(p[:, :axes], axis=1) for name, p, _ in self._others()})
 
     def _others(self) -> list[tuple[str, Array, AgentTrace]]:
-        """Name, position relative to it, and trace of every other agent."""
-        if len(self.agent.times) < 2:
-            raise _Stop("one sample")
+        """Name, position relative to the agent's, and trace of every other agent."""
         found = []
         for name, other in self.trace.agents.items():
             if name != self.name:
-                p = interpolate(other.states, between(other.times, self.agent.times))
-                found.append((name, self.agent.states[:, : self.d] - p[:, : self.d], other))
-        if not found:
-            raise _Stop("no other agents")
+                (states,) = self._paired(other.times, other.states)
+                found.append((name, states[:, : self.d] - self.agent.states[:, : self.d], other))
         return found
 
     # -- times to collision -----------------------------------------------------------------------
 
     def _velocity(self, name: str, agent: AgentTrace) -> Array:
-        v, source = find_velocity(name, agent, self.d, self.wanted)
+        wanted = guess_heading(agent, self.d) if self.wanted is None else self.wanted
+        if wanted is None:
+            raise _Stop("the states have no heading")  # defect 9
+        v, source = find_velocity(name, agent, self.d, wanted)
         if v is None:
             raise _Stop("one sample")
-        if source != DIFFERENCES and self.d > 1:
-            raise _Stop("the states have no heading")  # defect 9
+        if source != DIFFERENCES and not isinstance(wanted, Heading) and self.d > 1:
+            raise _Stop("the states have no heading")
         return v
 
     def unsafe_ttc(self) -> tuple[dict[str, float], dict[str, float], dict[str, float]]:
         """({set: min}, {set: max}, {set: mean}) of distance over speed along the line to the centre.
 
-        The line has no sign, and no width (defect 2). A polytope has no centre: it gets what the ball
-        before it got (defect 3).
+        The line has no sign, and no width (defect 2). A polytope gets the last distance of the ball or
+        rectangle before it, and a point its line as well (defects 3 and 8).
         """
-        distances = self._set_distances()
-        v, p = self._velocity(self.name, self.agent), self.agent.states[:, : self.d]
+        v = self._velocity(self.name, self.agent)
         found: dict[str, Array] = {}
-        ball: Array | None = None
-        for name, distance in distances.items():
-            item = self.trace.unsafe[name]
-            if isinstance(item, (BallTrace, RectangleTrace)):
-                line = interpolate(item.centers[:, : self.d], between(item.times, self.agent.times)) - p
-                along = np.abs(np.sum(v * line, axis=1)) / np.linalg.norm(line, axis=1)
-                found[name] = np.where(np.any(v != 0, axis=1), distance / along, np.nan)
-                ball = found[name] if isinstance(item, BallTrace) else ball
-            elif ball is None:
-                raise _Stop("a polytope has no center")
-            else:
-                found[name] = ball
+        distance: Array | float | None = None
+        line: Array | None = None
+        for name, item in self.trace.unsafe.items():
+            if isinstance(item, PolytopeTrace):
+                if self.d == 2:
+                    raise _Stop("a polytope's line has no third axis")
+                _, line = self._distance(item)
+            elif not isinstance(item, PointTrace):
+                distance, line = self._distance(item)
+            if distance is None or line is None:
+                raise _Stop("no distance before it")
+            along = np.abs(np.sum(v * line, axis=1)) / np.linalg.norm(line, axis=1)
+            found[name] = distance / along
+            distance, line = float(np.atleast_1d(distance)[-1]), np.broadcast_to(line[-1], line.shape)
         return _least(found), _most(found), _mean(found)
 
     def agent_ttc(self) -> tuple[dict[str, float], dict[str, float], dict[str, float]]:
-        """({agent: min}, ...): the time at which all axes meet, if the axes' floats are equal (defect 5)."""
+        """({agent: min}, ...): when the first axes meet, if the others do then as floats (defect 5)."""
         found: dict[str, Array] = {}
+        own = self._velocity(self.name, self.agent)
         for name, p, other in self._others():
-            w = interpolate(self._velocity(name, other), between(other.times, self.agent.times))
-            per_axis = -p / (self._velocity(self.name, self.agent) - w)
-            same = np.all(per_axis == per_axis[:, :1], axis=1) & (per_axis[:, 0] >= 0)
-            found[name] = np.where(same, per_axis[:, 0], NEVER)
-        return _least(found), _most(found), _mean(found)
+            (w,) = self._paired(other.times, self._velocity(name, other))
+            t = p[:, 0] / -(w - own)[:, 0]
+            meet = np.all(np.isfinite(t)[:, None] & (p[:, 1:] == -(w - own)[:, 1:] * t[:, None]), axis=1)
+            found[name] = np.where(meet & np.isfinite(t) & ~(t < 0), t, NEVER)
+        mean = {
+            name: float(values[values != NEVER].mean()) if np.any(values != NEVER) else NEVER
+            for name, values in found.items()
+        }
+        return _least(found), _most(found), mean
 
     def running_times(self) -> tuple[float, float, float]:
         """(avg, max, min): not the order its documentation gives."""
@@ -200,11 +230,12 @@ class _Agent:
 
 
 def _least(found: dict[str, Array]) -> dict[str, float]:
-    return {name: float(values.min()) for name, values in found.items()}
+    """Python's ``min``, for which every comparison with nan is false."""
+    return {name: min(values.tolist()) for name, values in found.items()}
 
 
 def _most(found: dict[str, Array]) -> dict[str, float]:
-    return {name: float(values.max()) for name, values in found.items()}
+    return {name: max(values.tolist()) for name, values in found.items()}
 
 
 def _mean(found: dict[str, Array]) -> dict[str, float]:
@@ -212,4 +243,6 @@ def _mean(found: dict[str, Array]) -> dict[str, float]:
 
 
 def _joined(found: dict[str, Array]) -> tuple[float, float, dict[str, float]]:
+    if not found:
+        raise _Stop("nothing to measure to")
     return min(_least(found).values()), max(_most(found).values()), _mean(found)

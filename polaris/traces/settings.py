@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,7 +12,25 @@ from ..system import Array
 from .model import AgentTrace, Trace
 from .motion import rates
 
-Velocity = str | Sequence[int] | None
+
+@dataclass(frozen=True)
+class Heading:
+    """A velocity given by its size and its direction.
+
+    Parameters
+    ----------
+    speed : int
+        Entry of the states (from 0) that is the speed [m/s]; signed in one axis.
+    angles : tuple of int
+        Entries that are angles [rad], one less than there are axes: heading, from x towards y, and pitch,
+        from there towards z.
+    """
+
+    speed: int
+    angles: tuple[int, ...] = ()
+
+
+Velocity = str | Sequence[int] | Heading | None
 
 DIFFERENCES = "differences of positions"
 
@@ -62,26 +81,57 @@ def _told(trace: Trace) -> int | None:
 def find_velocity(name: str, agent: AgentTrace, d: int, wanted: Velocity) -> tuple[Array | None, str]:
     """Velocities (N, d) [m/s], None if they cannot be known, and where they come from.
 
-    By default the entries after the position where there are as many of them, in 2 or 3 axes (4 or 6
-    states); else `motion.rates` of the positions.
+    By default the entries after the position where there are as many of them (2, 4 or 6 states) and the
+    position changes as they say; else `motion.rates` of the positions.
 
     Raises
     ------
     ScenarioError
-        If entries are named that the states do not have, or not d of them.
+        If entries are named that the states do not have, or not as many as the axes ask for.
     """
-    if wanted is None and d in (2, 3) and agent.n == 2 * d:
-        wanted = range(d, 2 * d)
+    if isinstance(wanted, Heading):
+        return _by_heading(name, agent, d, wanted)
+    refused = ""
+    if wanted is None and agent.n == 2 * d:
+        given = agent.states[:, d:]
+        shown = f"states {', '.join(map(str, range(d, 2 * d)))}"
+        if not doubtful(agent, d, given):
+            return given, shown
+        refused = f" ({shown} do not change its position as a velocity would)"
     if wanted is None or isinstance(wanted, str):
         if wanted not in (None, "differences"):
             raise ScenarioError("--velocity", wanted, "must be 'differences' or the entries of the states")
         found = rates(agent.times, agent.states[:, :d])
-        return found, DIFFERENCES if found is not None else "unknown (one instant only)"
+        return found, DIFFERENCES + refused if found is not None else "unknown (one instant only)"
     entries = list(wanted)
     if len(entries) != d or any(not 0 <= entry < agent.n for entry in entries):
         rule = f"must be {d} entries of the {agent.n} states of agents.{name}, counted from 0"
         raise ScenarioError("--velocity", entries, rule)
     return agent.states[:, entries], f"states {', '.join(map(str, entries))}"
+
+
+def _by_heading(name: str, agent: AgentTrace, d: int, wanted: Heading) -> tuple[Array, str]:
+    entries = [*wanted.angles, wanted.speed]
+    if len(entries) != d or any(not 0 <= entry < agent.n for entry in entries):
+        angles = ("no --heading", "a --heading", "--heading with pitch")[d - 1]
+        rule = f"must be entries of the {agent.n} states of agents.{name}, from 0; {d} axes need {angles}"
+        raise ScenarioError("--speed, --heading", entries, rule)
+    speed, angles = agent.states[:, [wanted.speed]], agent.states[:, list(wanted.angles)]
+    if d == 1:
+        return speed, f"speed in state {wanted.speed}"
+    level = np.column_stack([np.cos(angles[:, 0]), np.sin(angles[:, 0])])
+    if d == 3:
+        level = np.column_stack([level * np.cos(angles[:, 1:]), np.sin(angles[:, 1])])
+    shown = ", ".join(map(str, wanted.angles))
+    return speed * level, f"speed in state {wanted.speed}, direction in {shown}"
+
+
+def guess_heading(agent: AgentTrace, d: int) -> Heading | None:
+    """Angles and speed as the entries after the position, if the position changes as they say."""
+    if agent.n != 2 * d:
+        return None
+    guess = Heading(2 * d - 1, tuple(range(d, 2 * d - 1)))
+    return None if doubtful(agent, d, _by_heading("", agent, d, guess)[0]) else guess
 
 
 def doubtful(agent: AgentTrace, d: int, velocity: Array) -> bool:
@@ -92,3 +142,27 @@ def doubtful(agent: AgentTrace, d: int, velocity: Array) -> bool:
     apart = np.linalg.norm(moved - velocity, axis=1)
     size = np.linalg.norm(moved, axis=1) + np.linalg.norm(velocity, axis=1)
     return bool(np.median(apart) > 0.2 * np.median(size))
+
+
+def parse_velocity(velocity: str | None, heading: str | None, speed: int | None) -> Velocity:
+    """What the options ``--velocity``, ``--heading`` and ``--speed`` say together.
+
+    Raises
+    ------
+    ScenarioError
+        If they contradict each other, or do not name entries.
+    """
+    if heading is None and speed is None:
+        return velocity if velocity in (None, "differences") else _entries("--velocity", velocity)
+    if velocity is not None or speed is None:
+        raise ScenarioError("--heading", heading, "goes with --speed, and neither goes with --velocity")
+    return Heading(speed, () if heading is None else tuple(_entries("--heading", heading)))
+
+
+def _entries(option: str, text: str) -> list[int]:
+    """Entries of the states out of a text like ``3,4,5``."""
+    try:
+        return [int(part) for part in text.split(",")]
+    except ValueError as error:
+        rule = "must be whole numbers with commas between" + ", or 'differences'" * (option == "--velocity")
+        raise ScenarioError(option, text, rule) from error

@@ -75,6 +75,8 @@ def test_evaluate_with_every_option(path):
     assert "differences of positions" in invoke("evaluate", path, "--velocity", "differences").stdout
     assert "velocity: states 5, 4, 3" in invoke("evaluate", path, "--velocity", "5,4,3").stdout
     assert "on course" in invoke("evaluate", path, "--agent-radius", 1).stdout
+    headed = invoke("evaluate", path, "--heading", "3,4", "--speed", 5).stdout
+    assert "speed in state 5, direction in 3, 4" in headed
 
 
 def test_legacy_prints_what_rtaeval_would(path):
@@ -91,6 +93,11 @@ def test_legacy_prints_what_rtaeval_would(path):
         (["--velocity", "x"], "--velocity"),
         (["--velocity", "1"], "--velocity"),
         (["--velocity", ""], "--velocity"),
+        (["--heading", "3,4"], "--heading"),
+        (["--heading", "x", "--speed", "5"], "--heading"),
+        (["--velocity", "3,4,5", "--speed", "5"], "--heading"),
+        (["--speed", "5"], "--heading"),
+        (["--speed", "6", "--heading", "3,4"], "--speed"),
         (["--mean-motion", "0"], "--mean-motion"),
         (["--mean-motion", "nan"], "--mean-motion"),
         (["--agent-radius", "-1"], "--agent-radius"),

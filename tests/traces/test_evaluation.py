@@ -1,5 +1,7 @@
 """Metrics of traces against cases computed by hand."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -12,6 +14,7 @@ from polaris.shapes import Polytope
 from polaris.traces import (
     AgentTrace,
     BallTrace,
+    Heading,
     PointTrace,
     PolytopeTrace,
     RectangleTrace,
@@ -271,14 +274,46 @@ def test_velocity_entries_can_be_named():
             evaluate_trace(Trace(a, sets), velocity=wrong)
 
 
-def test_four_states_with_a_heading_are_noticed():
-    """(x, y, heading, speed) is not (position, velocity): the motion tells."""
+def test_entries_that_are_no_velocity_are_not_taken_for_one():
+    """(x, y, heading, speed) is not (position, velocity): the motion tells, and differences serve."""
     t = np.arange(5.0)
     states = np.column_stack([t * 0, 3 * t, np.full(5, np.pi / 2), np.full(5, 3.0)])
-    found = measured(Trace({"a": AgentTrace(t, states)}), s=still(BallTrace, [0, 50], 1))
-    assert any("do not change its position as a velocity would" in note for note in found.notes)
+    flown = Trace({"a": AgentTrace(t, states)})
+    found = measured(flown, s=still(BallTrace, [0, 50], 1))
+    assert found.agents["a"].velocity.startswith("differences of positions (states 2, 3 do not change")
+    assert against(found).ttc.min == pytest.approx(37 / 3)
     fine = measured(moving([0, 0], [0, 3]), s=still(BallTrace, [0, 50], 1))
-    assert fine.notes == ()
+    assert fine.notes == () and fine.agents["a"].velocity == "states 2, 3"
+    sets = {"s": still(BallTrace, [0, 50], 1)}
+    named = evaluate_trace(replace(flown, unsafe=sets), velocity=[2, 3])  # insisted on: done, and said
+    assert any("does not change as a velocity of states 2, 3" in note for note in named.notes)
+    headed = evaluate_trace(replace(flown, unsafe=sets), velocity=Heading(3, (2,)))
+    assert headed.notes == () and against(headed).ttc.min == pytest.approx(37 / 3)
+    for wrong in (Heading(3), Heading(4, (2,)), Heading(3, (-1,)), Heading(3, (2, 2))):
+        with pytest.raises(ScenarioError, match="--heading"):
+            evaluate_trace(replace(flown, unsafe=sets), velocity=wrong)
+
+
+@pytest.mark.parametrize("d", [1, 2, 3])
+def test_headings_at_random(d):
+    """Random smooth flights told as angles and speed, and as vectors, have the same times to collision."""
+    random = np.random.default_rng(d)
+    t = np.linspace(0, 3, 61)
+    for _ in range(20):
+        v = np.cumsum(random.normal(size=(61, d)), axis=0) * 0.1 + random.normal(size=d)
+        p = (
+            random.normal(size=d) * 5
+            + np.vstack([np.zeros(d), np.cumsum((v[1:] + v[:-1]) / 2, axis=0)]) * 0.05
+        )
+        speed = v[:, 0] if d == 1 else np.linalg.norm(v, axis=1)
+        angles = [] if d == 1 else [np.arctan2(v[:, 1], v[:, 0])]
+        angles += [np.arcsin(v[:, 2] / speed)] if d == 3 else []
+        sets = {"s": still(BallTrace, np.zeros(d).tolist(), 1)}
+        told = Trace({"a": AgentTrace(t, np.column_stack([p, *angles, speed]))}, sets)
+        vector = Trace({"a": AgentTrace(t, np.column_stack([p, v]))}, sets)
+        one = against(evaluate_trace(told, velocity=Heading(2 * d - 1, tuple(range(d, 2 * d - 1))))).ttc
+        other = against(evaluate_trace(vector, velocity=list(range(d, 2 * d)))).ttc
+        assert (one.min, one.share) == pytest.approx((other.min, other.share))
 
 
 def test_one_sample_without_velocity():

@@ -1,5 +1,9 @@
 """The numbers of RTAEval, defect by defect, beside the right ones. docs/traces.md has the same table."""
 
+import gzip
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -7,6 +11,7 @@ from polaris.errors import ScenarioError
 from polaris.traces import (
     AgentTrace,
     BallTrace,
+    Heading,
     PointTrace,
     PolytopeTrace,
     RectangleTrace,
@@ -78,8 +83,10 @@ def test_2_ttc_has_no_sign_no_miss_and_no_zero():
     assert (ours.max, legacy[1]) == (4.5, 4.5)
     ours, legacy = case(10, 2)  # moving away: inf, and yet 4.5 s
     assert (ours.min, legacy[0]) == (np.inf, 4.5)
-    ours, legacy = case(10, 0)  # at rest: inf, and nan
-    assert ours.min == np.inf and all(np.isnan(value) for value in legacy)
+    ours, legacy = case(10, 0)  # at rest: inf, both
+    assert ours.min == np.inf and legacy == (np.inf, np.inf, np.inf)
+    ours, legacy = case(0, 0)  # at rest inside, at the centre: now, and nan
+    assert ours.max == 0 and all(np.isnan(value) for value in legacy)
 
 
 def test_2_a_miss_gets_a_time():
@@ -95,15 +102,29 @@ def test_2_a_miss_gets_a_time():
     )
 
 
-def test_3_polytopes_have_no_ttc_or_that_of_the_ball_before():
+def test_3_polytopes_get_a_distance_of_the_set_before():
+    """Its last distance there, at all instants, over the speed towards the polytope's nearest point."""
     cube = PolytopeTrace(np.zeros(1), CUBE, np.full((1, 6), 2.0))
     ours, legacy = both(flown([10, 0, 0], [-2, 0, 0], s=cube))
     assert ours.unsafe[0].ttc.max == pytest.approx(4)
-    assert legacy["compute_unsafe_TTC"] == "raises: a polytope has no center"
-    ours, legacy = both(flown([10, 0, 0], [-2, 0, 0], b=ball([100, 50, 0], 1), s=cube))
-    assert ours.unsafe[1].ttc.max == pytest.approx(4)
-    for part in legacy["compute_unsafe_TTC"]:
-        assert part["s"] == part["b"] and part["b"] > 4
+    assert legacy["compute_unsafe_TTC"] == "raises: no distance before it"
+    for before in (ball([100, 50, 0], 1), RectangleTrace(np.zeros(1), np.zeros((1, 3)), np.ones((1, 3)))):
+        ours, legacy = both(flown([10, 5, 0], [-2, 0, 0], b=before, s=cube))
+        assert legacy["compute_unsafe_TTC"][0]["s"] < legacy["compute_unsafe_TTC"][1]["s"]
+        # The entries read for the last distance are (y, z, 0) = (5, 0, 0); the nearest point is (2, 2, 0).
+        last = np.hypot(95, 50) - 1 if isinstance(before, BallTrace) else 4.5
+        speeds = [2 * (8 - 2 * t) / np.hypot(8 - 2 * t, 3) for t in T]
+        times = [last / speed for speed in speeds]
+        assert [part["s"] for part in legacy["compute_unsafe_TTC"]] == pytest.approx(
+            [min(times), max(times), np.mean(times)]
+        )
+    square = PolytopeTrace(np.zeros(1), CUBE[:, :4, :2], np.full((1, 4), 2.0))
+    _, legacy = both(flown([10, 0], [-2, 0], b=ball([0, 0], 1), s=square))
+    assert legacy["compute_unsafe_TTC"].startswith("raises: a polytope's line")
+    line = PolytopeTrace(np.zeros(1), CUBE[:, :2, :1], np.full((1, 2), 2.0))
+    _, legacy = both(flown([10], [-2], b=ball([0], 1), s=line))
+    for method in ("compute_dists", "compute_unsafe_TTC"):
+        assert legacy[method].startswith("raises: polytopes need")
 
 
 def two(p, v, q, w):
@@ -118,14 +139,27 @@ def test_4_agents_lose_z():
     assert legacy["compute_agent_dists"] == (5, 5, {"b": 5})
 
 
-@pytest.mark.parametrize(
-    "case, true",
-    [(([0, 0], [1, 0], [10, 0], [-1, 0]), 5), (([0, 0, 0], [2, 0, 0], [12, 0, 0], [-1, 0, 0]), 4)],
-)
-def test_5_agents_head_on_never_meet(case, true):
-    ours, legacy = two(*case)
+@pytest.mark.parametrize("gap, speeds, true", [(10, (1, 1), 5), (12, (2, 1), 4)])
+def test_5_agents_head_on_never_meet(gap, speeds, true):
+    """The one that flies at a heading of pi has sin(pi) = 1e-16 of its speed to the side."""
+
+    def flying(x, heading, speed):
+        states = np.column_stack([x + T * speed * np.cos(heading), T * 0, T * 0 + heading, T * 0 + speed])
+        return AgentTrace(T, states)
+
+    found = Trace({"a": flying(0, 0.0, speeds[0]), "b": flying(gap, np.pi, speeds[1])})
+    velocity = Heading(3, (2,))
+    ours = evaluate_trace(found, dims=2, velocity=velocity, agent_radius=1e-9).agents["a"]
+    legacy = evaluate_trace(found, dims=2, velocity=velocity, legacy_rtaeval=True).agents["a"]
     assert ours.others[0].ttc.max == pytest.approx(true)
     assert legacy["compute_agent_TTC"] == ({"b": 1e20}, {"b": 1e20}, {"b": 1e20})
+
+
+def test_5_means_leave_out_what_never_meets():
+    """Head-on along x, exactly: met after 1, 0 and never again."""
+    ours, legacy = two([0], [1], [2], [-1])
+    assert ours.others[0].ttc.share < 1
+    assert legacy["compute_agent_TTC"] == ({"b": 0}, {"b": 1e20}, {"b": 0.5})
 
 
 @pytest.mark.parametrize(
@@ -137,6 +171,8 @@ def test_5_agents_head_on_never_meet(case, true):
         ([2, 2, 3, 3], (0.5, 0.5, 1), {"untrusted": 2 / 3, "safety": 1 / 3}, 1),
         ([3, 2, 3, 3], (0.25, 0.75, 3), {"untrusted": 1 / 3, "safety": 2 / 3}, 2),
         ([2, 1, 1, 2], (0.5, 0.5, 3), {"untrusted": 1 / 3, "normal": 2 / 3}, 2),
+        ([2, 1, 3, 3], (0.25, 0.75, 1), {"untrusted": 1 / 3, "normal": 1 / 3, "safety": 1 / 3}, 2),
+        ([3, 1, 3, 1], (0, 1, 3), {"safety": 2 / 3, "normal": 1 / 3}, 3),
     ],
 )
 def test_6_normal_is_safety_and_a_switch(modes, legacy, shares, switches):
@@ -153,22 +189,34 @@ def test_7_depth_is_lost():
     assert legacy["compute_dists"][0] == 0
 
 
-def test_8_points_are_ignored_and_nothing_raises():
+def test_8_points_and_nothing_to_measure_raise():
     point = PointTrace(np.zeros(1), np.array([[2.0, 0, 0]]))
-    ours, legacy = both(flown([10, 0, 0], [0, 0, 0], s=point, b=ball([0, 0, 0], 2)))
-    assert ours.unsafe[0].distance.min == 8
-    assert list(legacy["compute_dists"][2]) == ["b"]
+    ours, legacy = both(flown([10, 0, 0], [-1, 0, 0], b=ball([0, 0, 0], 2), s=point))
+    assert ours.unsafe[1].distance.max == 8
+    assert legacy["compute_dists"] == "raises: a point gets no distances"
+    # Its time to collision is that of the ball's last instant, held.
+    assert legacy["compute_unsafe_TTC"][0]["s"] == legacy["compute_unsafe_TTC"][1]["s"] == 0
     ours, legacy = both(flown([10, 0, 0], [0, 0, 0], s=point))
-    assert len(ours.unsafe) == 1
-    for method in ("compute_dists", "compute_unsafe_TTC"):
-        assert legacy[method] == "raises: no unsafe sets"
-    for method in ("compute_agent_dists", "compute_agent_TTC"):
-        assert legacy[method] == "raises: no other agents"
+    assert len(ours.unsafe) == 1 and legacy["compute_unsafe_TTC"] == "raises: no distance before it"
+    ours, legacy = both(flown([10, 0, 0], [0, 0, 0]), dims=3)
+    assert legacy["compute_dists"] == legacy["compute_agent_dists"] == "raises: nothing to measure to"
+    assert legacy["compute_unsafe_TTC"] == legacy["compute_agent_TTC"] == ({}, {}, {})
     once = AgentTrace(np.zeros(1), np.array([[10.0, 0, 0, 0, 0, 0]]))
     ours, legacy = both(Trace({"a": once, "b": once}, {"s": ball([0, 0, 0], 2)}))
     assert ours.unsafe[0].distance.min == 8 and ours.others[0].distance.min == 0
-    for method in ("compute_dists", "compute_unsafe_TTC", "compute_agent_dists", "compute_agent_TTC"):
+    for method in ("controllerUsage", "compute_unsafe_TTC", "compute_agent_TTC"):
         assert legacy[method] == "raises: one sample"
+
+
+def test_rows_are_paired_by_their_place():
+    """Whatever their stamps; too few raise, one is repeated."""
+    centers = np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0], [99, 0, 0]])
+    item = BallTrace(np.array([0.0, 10, 20, 30]), centers, np.ones(4))
+    _, legacy = both(flown([0, 5, 0], [0, 0, 0], s=item))
+    assert legacy["compute_dists"] == (2, 4, {"s": 3})  # (y, z, 0) = (5, 0, 0), centres 0, 1, 2
+    few = BallTrace(np.array([0.0, 2]), centers[:2], np.ones(2))
+    _, legacy = both(flown([0, 5, 0], [0, 0, 0], s=few))
+    assert legacy["compute_dists"].startswith("raises: fewer rows")
 
 
 def test_9_velocity_vectors_are_unsupported():
@@ -177,6 +225,37 @@ def test_9_velocity_vectors_are_unsupported():
     assert evaluate_trace(found).agents["a"].unsafe[0].ttc.max == 8
     legacy = evaluate_trace(found, legacy_rtaeval=True).agents["a"]
     assert legacy["compute_unsafe_TTC"] == "raises: the states have no heading"
+
+
+DATA = Path(__file__).parent / "data"
+
+
+@pytest.mark.parametrize("stated", [False, True])
+@pytest.mark.parametrize("kind", ["sim", "eval"])
+@pytest.mark.parametrize("name, heading", [("acc_sim", Heading(1)), ("simpleDubins", Heading(5, (3, 4)))])
+def test_equal_to_what_rtaeval_printed(name, heading, kind, stated):
+    """For traces its own simulator and evaluator wrote; heading, pitch and speed are found without a word."""
+    file = DATA / f"{name}_{kind if kind == 'sim' else 'eval_ego1'}.json.gz"
+    found = parse_trace(json.loads(gzip.decompress(file.read_bytes())))
+    velocity = heading if stated else None
+    agents = evaluate_trace(found, legacy_rtaeval=True, velocity=velocity).summary()["agents"]
+    printed = json.loads((DATA / f"{name}_rtaeval_results.json").read_text())["ego1"]
+    wanted = {key.split("@")[0]: value for key, value in printed.items() if key.endswith(kind)}
+    assert len(wanted) == 5
+    for method, value in wanted.items():
+        for got, want in zip(agents["ego1"][method], value, strict=True):
+            assert got == pytest.approx(want, rel=1e-13, abs=0), method
+
+
+@pytest.mark.parametrize("kind", ["sim", "eval_ego1"])
+@pytest.mark.parametrize("velocity, rel", [(None, 1e-3), (Heading(5, (3, 4)), 1e-2)])
+def test_dubins_traces_of_rtaeval_measured_right(kind, velocity, rel):
+    """Heading, pitch and speed are no velocity: 1.09 s from the building, on course for 8.5 %."""
+    found = parse_trace(json.loads(gzip.decompress((DATA / f"simpleDubins_{kind}.json.gz").read_bytes())))
+    ego = evaluate_trace(found, velocity=velocity).agents["ego1"]
+    building = next(item for item in ego.unsafe if item.name == "building")
+    assert building.ttc.min == pytest.approx(1.093, rel=rel)
+    assert building.ttc.share == pytest.approx(0.085, abs=3e-3)
 
 
 def test_10_stamps_and_modes_lag():
