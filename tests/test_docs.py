@@ -18,6 +18,7 @@ import json
 import math
 import os
 import re
+import shutil
 import stat
 import subprocess
 import sys
@@ -272,3 +273,62 @@ def test_every_page_is_in_the_navigation():
 def test_version_is_the_same_everywhere():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     assert f"version: {project['version']}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+
+
+# -- the built pages ---------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """The documentation, built as `make docs` builds it."""
+    place = tmp_path_factory.mktemp("site")
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(place)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, encoding="utf-8", timeout=300, check=False)
+    assert done.returncode == 0, done.stderr
+    return place
+
+
+FORMULA = re.compile(r'<(div|span) class="arithmatex">(.*?)</\1>', re.S)
+UNREAD = re.compile(r"<(pre|code|script|title|head)\b.*?</\1>", re.S)
+
+
+def formulas(text, kind):
+    """Formulas of a built page: ``div`` on display, ``span`` within a line."""
+    return [found[2] for found in FORMULA.finditer(UNREAD.sub("", text)) if found[1] == kind]
+
+
+@pytest.mark.parametrize("path", sorted(DOCS.glob("*.md")), ids=lambda path: path.name)
+def test_every_formula_is_one(path, site):
+    """No dollar and no command of TeX is left outside of what MathJax sets; display stays on display."""
+    source = re.sub(r"```.*?```|`[^`\n]*`", "", path.read_text(encoding="utf-8"), flags=re.S)
+    text = (site / path.with_suffix(".html").name).read_text(encoding="utf-8")
+    assert len(formulas(text, "div")) == len(re.findall(r"\$\$", source)) / 2
+    rest = FORMULA.sub("", UNREAD.sub("", text))
+    stray = [rest[max(0, at.start() - 60) : at.end() + 60] for at in re.finditer(r"\$|\\[A-Za-z]+", rest)]
+    assert not stray
+
+
+def test_pages_need_no_network(site):
+    """Scripts and styles come with the pages; links may lead elsewhere."""
+    for page in site.glob("*.html"):
+        text = page.read_text(encoding="utf-8")
+        assert not re.findall(
+            r'<script[^>]+src="(?:https?:)?//|<link[^>]+stylesheet[^>]+href="https?://', text
+        )
+    assert (site / "javascripts" / "mathjax" / "tex-svg.js").stat().st_size > 10**6
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not shutil.which("chromium"), reason="needs chromium, which is not installed")
+@pytest.mark.parametrize(
+    "name", ["theory", "inspection-theory", "model-error", "certificate", "falsification"]
+)
+def test_formulas_are_set_in_a_browser(name, site):
+    page = site / f"{name}.html"
+    command = ["chromium", "--headless=new", "--no-sandbox", "--disable-gpu", "--proxy-server=127.0.0.1:1"]
+    command += ["--virtual-time-budget=60000", "--dump-dom", page.as_uri()]
+    done = subprocess.run(command, capture_output=True, encoding="utf-8", timeout=300, check=True)
+    text = page.read_text(encoding="utf-8")
+    expected = sum(len(formulas(text, kind)) for kind in ("div", "span"))
+    assert done.stdout.count("<mjx-container") == expected > 0
+    assert not re.findall(r'<g [^>]*data-mml-node="merror"', done.stdout)

@@ -1,5 +1,5 @@
 // Formulas arrive as \(...\) and \[...\] inside elements of class "arithmatex".
 window.MathJax = {
-  tex: { inlineMath: [["\\(", "\\)"]], displayMath: [["\\[", "\\]"]], processEscapes: true },
-  options: { ignoreHtmlClass: ".*", processHtmlClass: "arithmatex" },
+  tex: { inlineMath: [["\\(", "\\)"]], displayMath: [["\\[", "\\]"]], processEscapes: true, tags: "none" },
+  options: { ignoreHtmlClass: ".*", processHtmlClass: "arithmatex", enableMenu: false },
 };
