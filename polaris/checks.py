@@ -80,3 +80,8 @@ def halfspaces(field: str, H: ArrayLike, b: ArrayLike) -> tuple[Array, Array]:
     if not np.all(np.isfinite(scaled)):
         raise ScenarioError(f"{field}.b", offsets.tolist(), "must be finite once the rows of H have length 1")
     return np.asarray(rows / peak / length), np.asarray(scaled)
+
+
+def counted(number: int, noun: str, many: str | None = None) -> str:
+    """``1 input``, ``3 inputs``; `many` where an s is not enough."""
+    return f"{number} {noun if number == 1 else many or noun + 's'}"

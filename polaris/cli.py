@@ -34,7 +34,7 @@ app = typer.Typer(
     epilog="Exit codes: 0 done, 2 bad input, 3 no safe synthesis, 4 not certified in the time given,"
     " 5 a counterexample, a bound or a certificate that does not hold, 6 a certificate not decided."
     " Code 0 with a warning on standard error: done, but nothing is proven (recoverable kind paper_ball).",
-    add_completion=False,
+    rich_markup_mode=None,  # markup swallows [m/s] or <scenario>
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )
@@ -56,9 +56,38 @@ class Kind(StrEnum):
     paper_ball = "paper_ball"
 
 
+def complete_scenario(incomplete: str) -> list[str]:
+    """Names of bundled scenarios and of files that a shell may complete a word to."""
+    from .scenario import bundled_files
+
+    names = [name for name in bundled_files() if name.startswith(incomplete)]
+    folder, _, start = incomplete.rpartition("/")
+    try:
+        here = sorted(
+            os.scandir(folder or ("/" if incomplete.startswith("/") else ".")), key=lambda one: one.name
+        )
+    except OSError:
+        return names
+    prefix = incomplete[: len(incomplete) - len(start)]
+    files = [
+        f"{prefix}{one.name}{'/' if one.is_dir() else ''}"
+        for one in here
+        if one.name.startswith(start) and (one.is_dir() or one.name.endswith(".toml")) and one.name[0] != "."
+    ]
+    return names + files
+
+
 Name = Annotated[
     str,
-    typer.Argument(metavar="NAME_OR_FILE", help="A bundled scenario (see `polaris scenarios`) or a file."),
+    typer.Argument(
+        metavar="NAME_OR_FILE",
+        help="A bundled scenario (see `polaris scenarios`) or a file.",
+        autocompletion=complete_scenario,
+    ),
+]
+Assignments = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Override a value, as in planner.gap=0.01; repeatable."),
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
 
@@ -91,12 +120,7 @@ def run(
         str | None,
         typer.Option("--out", metavar="DIR", help="Run folder; default runs/<name of the scenario>."),
     ] = None,
-    assignments: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set", metavar="KEY=VALUE", help="Override a value, as in planner.gap=0.01; repeatable."
-        ),
-    ] = None,
+    assignments: Assignments = None,
     solver: Annotated[Solver | None, typer.Option(help="Short for --set planner.solver=...")] = None,
     recoverable: Annotated[
         Kind | None,
@@ -125,7 +149,7 @@ def run(
         if kind_of(scenario) is not None:
             run_inspection(scenario, out, overrides, figures, as_json, quiet)
             return
-        folder = _run(scenario, out, overrides, figures, quiet or as_json)
+        folder = _run(scenario, out, overrides, figures, quiet, quiet or as_json)
         claim, kind = folder.summary["guarantee"]["kind"], folder.summary["synthesis"]["recoverable"]
         if claim != "proved":  # even if asked to be quiet
             warning = "NOTHING IS PROVEN by this run, whatever its simulation shows"
@@ -140,11 +164,11 @@ def run(
                 typer.echo(f"To draw the figures: polaris plot {shlex.quote(str(folder.path))}")
 
 
-def _run(name: str, out: str | None, overrides: list[str], figures: bool, quiet: bool) -> Any:
+def _run(name: str, out: str | None, overrides: list[str], figures: bool, quiet: bool, silent: bool) -> Any:
     """All stages, from the scenario file to the run folder."""
     from .console import Stages
 
-    stages = Stages(quiet)
+    stages = Stages(silent)
     with stages.stage("load"):
         from dataclasses import replace
 
@@ -154,6 +178,8 @@ def _run(name: str, out: str | None, overrides: list[str], figures: bool, quiet:
 
         scenario = load_scenario(name).with_assignments(overrides)
         target = check_target(out if out is not None else f"runs/{scenario.name}")
+        if not quiet:
+            _tell_doubts(scenario, err=True)
     with stages.stage("safety controller"):
         from .comparison import compare
         from .experimental import build_controllers
@@ -187,22 +213,32 @@ def _run(name: str, out: str | None, overrides: list[str], figures: bool, quiet:
 
 
 @app.command()
-def check(file: Name) -> None:
-    """Validate a scenario without running it."""
+def check(file: Name, assignments: Assignments = None) -> None:
+    """Validate a scenario without running it, and say what looks like a slip of units or scale."""
     with _answering():
+        from .checks import counted
         from .scenario import kind_of, load_scenario
 
+        overrides = list(assignments or [])
         if kind_of(file) is not None:
-            typer.echo(told_valid(file))
+            typer.echo(told_valid(file, overrides))
             return
-        scenario = load_scenario(file)
+        scenario = load_scenario(file).with_assignments(overrides)
         system = scenario.system()
         sets = len(scenario.model.obstacles) + len(scenario.model.keep_in)
         typer.echo(
-            f"{scenario.name} is valid: {system.n} states, {system.m} inputs, {scenario.steps} steps of"
-            f" {scenario.step:g} s, unsafe sets: {sets}, experimental controllers:"
-            f" {len(scenario.experimental_specs())}"
+            f"{scenario.name} is valid: {counted(system.n, 'state')}, {counted(system.m, 'input')},"
+            f" {counted(scenario.steps, 'step')} of {scenario.step:g} s, unsafe sets: {sets},"
+            f" experimental controllers: {len(scenario.experimental_specs())}"
         )
+        _tell_doubts(scenario)
+
+
+def _tell_doubts(scenario: Any, err: bool = False) -> None:
+    from .plausibility import doubts
+
+    for doubt in doubts(scenario):
+        typer.echo(f"note: {doubt}", err=err)
 
 
 @app.command()

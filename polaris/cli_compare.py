@@ -144,9 +144,11 @@ def show_comparison(table: Mapping[str, Any], folder: str) -> None:
     from rich.table import Table
     from rich.text import Text
 
+    from .checks import counted
+
     console = Console(highlight=False)
     protocol = table["protocol"]
-    console.print(Text(f"{table['title']}: {protocol['runs']} runs per method", style="bold"))
+    console.print(Text(f"{table['title']}: {counted(protocol['runs'], 'run')} per method", style="bold"))
     flown = [method for method in table["methods"] if method["available"]]
     for columns in (SAFETY, COST):
         shown = Table(pad_edge=False, padding=(0, 1, 0, 0), box=SIMPLE)

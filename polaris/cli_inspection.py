@@ -98,11 +98,11 @@ def _finish(folder: InspectionFolder, as_json: bool, figures: bool, show: Callab
         typer.echo(f"To draw the figures: polaris plot {shlex.quote(str(folder.path))}")
 
 
-def told_valid(name: str) -> str:
+def told_valid(name: str, overrides: list[str]) -> str:
     """One line on a scenario of the inspection problem that is valid."""
     from .asif.scenario import load_inspection
 
-    scenario = load_inspection(name)
+    scenario = load_inspection(name).with_assignments(overrides)
     return f"{scenario.name} is valid: {scenario.outline()}"
 
 

@@ -129,6 +129,7 @@ def add_traces(app: typer.Typer, guard: Guard) -> None:
     ) -> None:
         """Write one flight of a folder, with its unsafe sets, as a trace that RTAEval can read."""
         with guard():
+            from .checks import counted
             from .rta.folder import is_comparison
             from .traces.export import export_method, export_run
             from .traces.writing import write_trace
@@ -146,7 +147,7 @@ def add_traces(app: typer.Typer, guard: Guard) -> None:
             if not quiet:
                 agent = next(iter(found.trace.agents.values()))
                 typer.echo(
-                    f"{path}: run {label!r} of {pilot}, {len(agent.times)} samples over"
+                    f"{path}: run {label!r} of {pilot}, {counted(len(agent.times), 'sample')} over"
                     f" {agent.times[-1] - agent.times[0]:g} s, unsafe sets: {len(found.trace.unsafe)}"
                 )
                 for note in found.notes:

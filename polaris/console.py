@@ -12,6 +12,8 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from .checks import counted
+
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
 
@@ -156,7 +158,7 @@ def _metrics_table(summary: Mapping[str, Any]) -> Table:
     titles = {"safety": "S alone", "experimental": "U alone", "polaris": "Polaris"}
     table = Table(box=None, pad_edge=False, header_style="bold")
     runs = summary[shown[-1]]["runs"]
-    table.add_column(f"{runs} simulated runs each")
+    table.add_column(f"{counted(runs, 'simulated run')} each")
     for key in shown:
         table.add_column(titles[key], justify="right")
     rows = (
@@ -174,6 +176,7 @@ def _metrics_table(summary: Mapping[str, Any]) -> Table:
         table.add_row(title, *(absent if value is None else form.format(value) for value in values))
     hits = [int(summary[who]["collided_runs"]) for who in shown]
     table.add_row(
-        "runs that collide", *(Text(str(count), style="bold red" if count else "") for count in hits)
+        "runs that enter an unsafe set",
+        *(Text(str(count), style="bold red" if count else "") for count in hits),
     )
     return table

@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from ..checks import counted
 from .report import MEANING
 
 
@@ -17,7 +18,7 @@ def show_flight(summary: Mapping[str, Any], folder: str, console: Console | None
     console = console or Console(highlight=False)
     console.print(Text(str(summary["title"]), style="bold"))
     table = Table(box=None, pad_edge=False, header_style="bold")
-    table.add_column(f"{summary['deputies']} deputies, {summary['duration_s']:g} s")
+    table.add_column(f"{counted(summary['deputies'], 'deputy', 'deputies')}, {summary['duration_s']:g} s")
     for name in ("least", "at", "deputies"):
         table.add_column(name, justify="right")
     for row in summary["constraints"]:
@@ -95,7 +96,7 @@ def show_campaign(summary: Mapping[str, Any], folder: str, console: Console | No
     console.print(Text(str(summary["title"]), style="bold"))
     kinds = sorted({kind for study in summary["studies"] for kind in study["failures"]})
     table = Table(box=None, pad_edge=False, header_style="bold")
-    table.add_column(f"{summary['runs']} runs of {summary['duration_s']:g} s", no_wrap=True)
+    table.add_column(f"{counted(summary['runs'], 'run')} of {summary['duration_s']:g} s", no_wrap=True)
     for name in ("success", "at least, 95%", *kinds):
         table.add_column(name, justify="right", no_wrap=True)
     for study in summary["studies"]:

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..checks import counted
 from ..errors import ScenarioError
 from ..scenario import locate, read_scenario_file
 from ..scenario_overrides import parse_assignment, put
@@ -127,19 +128,16 @@ class InspectionScenario:
 
     def outline(self) -> str:
         """What it describes, on one line."""
-        model = self.model
+        model, crew = self.model, counted(self.deputies, "deputy", "deputies")
         if isinstance(model, models.MonteCarloModel):
             plan, studies = model.campaign, ", ".join(study.name for study in model.studies)
-            return (
-                f"{plan.runs} runs of {self.deputies} deputies for {plan.duration_s:g} s, studies: {studies}"
-            )
+            return f"{counted(plan.runs, 'run')} of {crew} for {plan.duration_s:g} s, studies: {studies}"
         flight = model.flight
         if isinstance(model, models.FuelLimitModel):
             flown = f"1 deputy, {flight.duration_s:g} s in periods of {flight.period_s:g} s"
             return f"{flown}, fuel limit {model.parameters.delta_v_max_m_s:g} m/s"
         return (
-            f"{self.deputies} deputies, {flight.duration_s:g} s in periods of {flight.period_s:g} s,"
-            f" {model.filter.kind} filter"
+            f"{crew}, {flight.duration_s:g} s in periods of {flight.period_s:g} s, {model.filter.kind} filter"
         )
 
     # -- the domain's objects -------------------------------------------------------------------

@@ -111,7 +111,7 @@ def cluster(address: str) -> Iterator[Workers]:
     try:
         import distributed
     except ImportError as error:
-        rule = "needs the package distributed: pip install 'polaris-rta[cluster]'"
+        rule = "needs the package distributed: pip install distributed"
         raise ScenarioError("--scheduler", address, rule) from error
     if not re.fullmatch(r"\w+://[^\s/]+:\d+", address):
         raise ScenarioError("--scheduler", address, "must be an address like tcp://host:8786")

@@ -34,7 +34,7 @@ def main(arguments: list[str]) -> int:
     return verdict.exit_code
 
 
-MISSING = "error: checking a certificate needs python-flint: pip install 'polaris-rta[verify]'"
+MISSING = "error: checking a certificate needs the package python-flint: pip install python-flint"
 
 if __name__ == "__main__":
     sys.exit(main(sys.argv[1:]))

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NoReturn
 
 import numpy as np
 
+from ..checks import counted
 from ..errors import SynthesisInfeasible
 from ..system import Array
 from .lp import GrowingLP
@@ -30,8 +31,9 @@ def unreachable(planner: Planner) -> NoReturn:
     goal = problem.goal
     miss, factor = _miss(rows), _thrust_factor(rows)
     condition = (
-        f"The goal ({goal.describe()}) cannot be reached in {problem.K} steps of {problem.delta:g} s within "
-        f"the input limits, even without unsafe sets: it is missed by {miss:.3g} m at best."
+        f"The goal ({goal.describe()}) cannot be reached in {counted(problem.K, 'step')} of"
+        f" {problem.delta:g} s within the input limits, even without unsafe sets:"
+        f" it is missed by {miss:.3g} m at best."
     )
     relax = "no input limits would do; change the goal or the number of steps."
     if factor is not None:

@@ -7,6 +7,7 @@ from typing import Any
 
 from ..asif.report import MEANING
 from ..asif.run_folder import InspectionFolder
+from ..checks import counted
 from ..runfolder import readable
 from . import claims
 from .html import Cell, badge, number_cell, table, text_cell
@@ -139,4 +140,4 @@ def _studies(summary: Mapping[str, Any]) -> str:
         for study in summary["studies"]
     ]
     heads = ["study", "safe runs", "share", "at least, 95 %", "interventions", "velocity change", *kinds]
-    return table(f"{summary['runs']} runs each", heads, rows, sort=True)
+    return table(f"{counted(summary['runs'], 'run')} each", heads, rows, sort=True)

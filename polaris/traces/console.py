@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from ..checks import counted
 from .legacy import LegacyMetrics, Raises
 from .results import AgentMetrics, Separation, Spread, TraceMetrics
 
@@ -24,9 +25,9 @@ def show_metrics(found: TraceMetrics | LegacyMetrics, console: Console | None = 
 
 
 def _show_metrics(found: TraceMetrics, console: Console) -> None:
-    axes = "" if found.dims is None else f", {found.dims} axes"
+    axes = "" if found.dims is None else f", {counted(found.dims, 'axis', 'axes')}"
     for name, agent in found.agents.items():
-        heading = f"{name}: {agent.samples} samples over {agent.duration:.6g} s{axes}"
+        heading = f"{name}: {counted(agent.samples, 'sample')} over {agent.duration:.6g} s{axes}"
         console.print(Text(heading, style="bold"), soft_wrap=True)
         if agent.unsafe or agent.others:
             console.print(_separations((*agent.unsafe, *agent.others)))

@@ -6,18 +6,22 @@ import re
 import signal
 import subprocess
 import sys
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import typer
 from typer.testing import CliRunner
 
 import polaris
 import reach
 from polaris import cli
+from polaris.checks import counted
 from polaris.errors import NotCertified, ScenarioError, SynthesisInfeasible
 from polaris.figures import draw_figures
 from polaris.planning.problem import Progress
+from polaris.plausibility import doubts
 from polaris.scenario import bundled_files, load_scenario
 
 from .tiny import TINY, flown, synthesised
@@ -160,6 +164,109 @@ def test_check_and_scenarios(invoke):
     assert done.exit_code == 0 and "static is valid: 6 states" in done.output
     listed = invoke("scenarios").output
     assert [line.split()[0] for line in listed.splitlines()] == list(bundled_files())
+
+
+@pytest.mark.parametrize("name", ["static", "inspection"])
+def test_check_takes_overrides(invoke, name):
+    assert invoke("check", name, "--set", "title=Another").exit_code == 0
+    is_one_message(invoke("check", name, "--set", "nonsense=1"), 2, "nonsense", "unknown key")
+
+
+@pytest.mark.parametrize(
+    "setting, told",
+    [
+        ("system.thrust_max_N=200", "mN"),
+        ("horizon={ duration_s = 540000, step_s = 30 }", "18000 steps"),
+        ("system.mean_motion_rad_s=0.0066", "faster than any orbit"),
+        ("system.disturbance_max_m_s2=3", "full thrust no more than"),
+    ],
+)
+def test_slips_of_units_and_scale_are_noted(setting, told):
+    done = CliRunner().invoke(cli.app, ["check", "static", "--set", setting])
+    assert done.exit_code == 0 and re.search(f"^note: .*{told}", done.stdout, re.M), done.output
+
+
+def test_no_bundled_scenario_looks_like_a_slip():
+    for name in polaris.bundled_scenarios():
+        assert doubts(load_scenario(name)) == []
+
+
+def test_a_run_notes_slips_on_standard_error(invoke):
+    slip = "system.disturbance_max=50"
+    assert "note: disturbance" in invoke("run", TINY, "--set", slip, "--json").stderr
+    assert invoke("run", TINY, "--set", slip, "--quiet").stderr == ""
+
+
+def test_one_is_not_many():
+    assert counted(1, "input") == "1 input" and counted(0, "input") == "0 inputs"
+    assert counted(2, "axis", "axes") == "2 axes"
+    system = "system={ kind = 'linear', A = [[0, 1], [0, 0]], B = [[0], [1]], D = [[0], [1]], input_max = 1,"
+    one = system + " disturbance_max = 0, position_states = [0] }"
+    rest = [
+        "initial_set={ kind = 'box', center = [0, 0], half_widths = [0.1, 0.1] }",
+        "obstacles=[{ kind = 'box', name = 'o', center_m = [5], half_widths_m = [1] }]",
+    ]
+    rest += [
+        "goal={ kind = 'stationary', state = [1, 0] }",
+        "tracking={ Q = [1, 1], R = [1] }",
+        "experimental=[{ kind = 'any_thrust', name = 'u' }]",
+        "keep_in=[]",
+    ]
+    settings = [part for text in (one, *rest) for part in ("--set", text)]
+    assert "2 states, 1 input," in CliRunner().invoke(cli.app, ["check", "robot", *settings]).stdout
+
+
+def commands():
+    """Every command of the application, by its name."""
+    return typer.main.get_command(cli.app).commands
+
+
+@pytest.mark.parametrize("name", commands())
+def test_help_shows_every_word_of_itself(name, monkeypatch):
+    """Units and tables in brackets too, which markup would take for styles."""
+    monkeypatch.setenv("COLUMNS", "400")
+    shown = " ".join(CliRunner().invoke(cli.app, [name, "--help"]).output.split())
+    for parameter in commands()[name].params:
+        help = " ".join((getattr(parameter, "help", None) or "").split())
+        plain = help.replace("`", "").replace("*", "")
+        assert plain in shown.replace("`", ""), f"{name} {parameter.name}"
+
+
+@pytest.mark.parametrize(
+    "typed, expected",
+    [
+        ("polaris run sta", "static"),
+        ("polaris check in", "inspection"),
+        ("polaris run ./", "./own.toml"),
+        ("polaris ver", "verify"),
+        ("polaris run static --no", "--no-figures"),
+    ],
+)
+def test_a_shell_can_complete(typed, expected, tmp_path, monkeypatch):
+    (tmp_path / "own.toml").touch()
+    monkeypatch.chdir(tmp_path)
+    words = {"_POLARIS_COMPLETE": "complete_bash", "COMP_WORDS": typed, "COMP_CWORD": str(typed.count(" "))}
+    done = CliRunner().invoke(cli.app, [], env=words, prog_name="polaris")
+    assert expected in done.stdout.split()
+
+
+def test_hints_name_packages_that_exist():
+    """Whatever a message tells to install is a dependency, or an extra of a copy of the repository."""
+    root = Path(polaris.__file__).resolve().parent
+    project = tomllib.loads((root.parent / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    named = [
+        *project["dependencies"],
+        *(x for extra in project["optional-dependencies"].values() for x in extra),
+    ]
+    known = {re.split(r"[<>=\[]", package)[0] for package in named}
+    pages = [*root.rglob("*.py"), root.parent / "README.md", *(root.parent / "docs").glob("*.md")]
+    hints = [hint for page in pages for hint in re.findall(r"pip install ([^\n`]+)", page.read_text("utf-8"))]
+    assert hints
+    for hint in hints:
+        for word in re.findall(r"[\w.\[\],'\"-]+", hint.split("#")[0]):
+            word = word.strip("'\"),")
+            extra = re.fullmatch(r"\.\[(\w+)\]", word)
+            assert word in {*known, "."} or (extra and extra[1] in project["optional-dependencies"]), hint
 
 
 def test_plot_redraws_the_same_bytes_from_the_files_alone(invoke, tmp_path, monkeypatch):
