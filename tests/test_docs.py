@@ -3,7 +3,8 @@
 Blocks of ``python`` are executed in one namespace per page, blocks of ``console`` by a shell, in the
 order of the page and in one folder. Lines of a console block that begin with ``$ `` are commands, the
 others output; a ``text`` block right after a ``python`` block is its output. Output is compared with white
-space set aside and numbers within 20 per cent, ``...`` standing for anything. A comment before a block changes that::
+space set aside and numbers within 20 per cent; ``...`` stands for anything. A comment before a block
+changes that::
 
     <!-- check: words -->        numbers may differ (times of the machine)
     <!-- check: file NAME -->    the block is the contents of a file
