@@ -108,11 +108,11 @@ def field(K, count, seed=0):
     return problem(boxes, NMT, K=K, delta=delta, margin=5.0, extra=5.0)
 
 
-def run(task, solver, branching, limit):
+def run(task, solver, limit):
     """Wall time, processor time and result of one solve."""
     begun, cpu = perf_counter(), process_time()
     try:
-        answer = plan(task, PlannerOptions(solver=solver, time_limit=limit, threads=1, branching=branching))
+        answer = plan(task, PlannerOptions(solver=solver, time_limit=limit))
         error = None
     except Exception as problem_found:  # a benchmark reports, it does not stop
         answer, error = None, problem_found
@@ -147,14 +147,14 @@ def main() -> None:
     if args.part != "growth":
         print(head)
         print("tree: the planner's default, linear programs by HiGHS; the others: the back end branches")
-        ways = {"tree": ("highs", "facets"), "HiGHS": ("highs", "solver"), "Gurobi": ("gurobi", "solver")}
+        ways = {"tree": "facets", "HiGHS": "highs", "Gurobi": "gurobi"}
         ratios = {}
         for name, task in scenes().items():
             if args.only not in name:
                 continue
             spent = {}
-            for way, (solver, branching) in ways.items():
-                result = run(task, solver, branching, args.limit)
+            for way, solver in ways.items():
+                result = run(task, solver, args.limit)
                 show(name, way, *result)
                 done = result[2] is None and result[3].status == "optimal"
                 spent[way] = result[1] if done else float("nan")
@@ -170,7 +170,7 @@ def main() -> None:
                 show(
                     f"K={K} obstacles={count}",
                     "tree",
-                    *run(field(K, count), "highs", "facets", args.limit),
+                    *run(field(K, count), "facets", args.limit),
                 )
 
 

@@ -25,7 +25,14 @@ if TYPE_CHECKING:
     from .controllers import AffineController, AnyThrust, Controller, Flight
     from .end_condition import EndCondition
     from .error_bounds import ErrorBounds
-    from .errors import NotCertified, PolarisError, ScenarioError, SynthesisInfeasible
+    from .errors import (
+        ClockWarning,
+        NotCertified,
+        OutOfTime,
+        PolarisError,
+        ScenarioError,
+        SynthesisInfeasible,
+    )
     from .evaluation import Metrics, evaluate
     from .falsification.case import replay, write_case
     from .falsification.search import Failure, Falsification, falsify
@@ -45,7 +52,7 @@ if TYPE_CHECKING:
     from .orbit.truth import TrueFlights, fly_true
     from .planning.conditions import Goal
     from .planning.goals import Box, EllipticalNMT, LinearNMT, StationaryPoint
-    from .planning.problem import Plan, PlannerOptions, Progress
+    from .planning.problem import Plan, PlannerOptions, Progress, Stage
     from .problem import Problem
     from .recoverable import Margin, RecoverableSet
     from .reference import Reference
@@ -88,7 +95,9 @@ _HOMES = {
     ".end_condition": ("EndCondition",),
     ".error_bounds": ("ErrorBounds",),
     ".errors": (
+        "ClockWarning",
         "NotCertified",
+        "OutOfTime",
         "PolarisError",
         "ScenarioError",
         "SynthesisInfeasible",
@@ -131,6 +140,7 @@ _HOMES = {
         "Plan",
         "PlannerOptions",
         "Progress",
+        "Stage",
     ),
     ".problem": ("Problem",),
     ".recoverable": (
@@ -198,6 +208,7 @@ __all__ = [
     "Choice",
     "Claim",
     "Clearance",
+    "ClockWarning",
     "Comparison",
     "ComparisonFolder",
     "Controller",
@@ -225,6 +236,7 @@ __all__ = [
     "NotCertified",
     "Obstacle",
     "OnlineMonitor",
+    "OutOfTime",
     "Outcome",
     "Plan",
     "PlannerOptions",
@@ -244,6 +256,7 @@ __all__ = [
     "Scene",
     "Schedule",
     "Seen",
+    "Stage",
     "StationaryPoint",
     "Step",
     "SwitchingRules",

@@ -32,6 +32,7 @@ GROUPS = {
         "EndCondition",
         "Reference",
         "Plan",
+        "Stage",
         "RecoverableSet",
         "Clearance",
         "Tracking",
@@ -79,7 +80,14 @@ GROUPS = {
     "Scenario files": ("load_scenario", "bundled_scenarios", "Scenario"),
     "Run folders and figures": ("write_run", "read_run", "RunFolder", "plot_reference", "plot_schedule"),
     "Hill's frame": ("free_flight", "elliptical_nmt"),
-    "Errors": ("PolarisError", "ScenarioError", "SynthesisInfeasible", "NotCertified"),
+    "Errors": (
+        "PolarisError",
+        "ScenarioError",
+        "SynthesisInfeasible",
+        "NotCertified",
+        "OutOfTime",
+        "ClockWarning",
+    ),
 }
 """Every public name of `polaris` but ``__version__``, in the order of the page."""
 

@@ -12,6 +12,7 @@ import os
 import shlex
 import signal
 import sys
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from enum import StrEnum
@@ -26,7 +27,7 @@ from .cli_inspection import run_inspection, told_valid
 from .cli_report import add_report
 from .cli_traces import add_traces
 from .cli_verify import add_verify
-from .errors import PolarisError
+from .errors import ClockWarning, PolarisError
 
 app = typer.Typer(
     name="polaris",
@@ -41,8 +42,9 @@ app = typer.Typer(
 
 
 class Solver(StrEnum):
-    """Back ends of the planner."""
+    """Who decides in the planner."""
 
+    facets = "facets"
     highs = "highs"
     gurobi = "gurobi"
 
@@ -121,7 +123,9 @@ def run(
         typer.Option("--out", metavar="DIR", help="Run folder; default runs/<name of the scenario>."),
     ] = None,
     assignments: Assignments = None,
-    solver: Annotated[Solver | None, typer.Option(help="Short for --set planner.solver=...")] = None,
+    solver: Annotated[
+        Solver | None, typer.Option(help="Short for --set planner.solver=...; default facets.")
+    ] = None,
     recoverable: Annotated[
         Kind | None,
         typer.Option(help="Short for --set recoverable.kind=...; with paper_ball nothing is proven."),
@@ -278,10 +282,13 @@ def plot(
 
 @contextmanager
 def _answering() -> Iterator[None]:
-    """Turn everything that can go wrong into one message and an exit code."""
-    before = signal.signal(signal.SIGTERM, _terminated)
+    """Turn everything that can go wrong into one message and an exit code; tell of a clock that struck."""
+    ends = [signal.SIGTERM, *([signal.SIGHUP] if hasattr(signal, "SIGHUP") else [])]
+    heard = [number for number in ends if signal.getsignal(number) != signal.SIG_IGN]  # nohup
+    before = {number: signal.signal(number, _terminated) for number in heard}
     try:
-        yield
+        with _warning():
+            yield
     except PolarisError as error:
         _fail(str(error), error.exit_code)
     except KeyboardInterrupt:
@@ -295,7 +302,30 @@ def _answering() -> Iterator[None]:
     except Exception as error:  # a fault of the program: still one message, with where it happened
         _fail(f"internal fault ({_where(error)}): {type(error).__name__}: {error}", 1)
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, known in before.items():
+            signal.signal(number, known)
+
+
+@contextmanager
+def _warning() -> Iterator[None]:
+    """Warnings of the planner's clock on standard error, each once, even if asked to be quiet."""
+    with warnings.catch_warnings():
+        told: list[str] = []
+        known = warnings.showwarning
+
+        def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+            if not issubclass(category, ClockWarning):
+                known(message, category, *where, **more)
+            elif str(message) not in told:
+                told.append(str(message))
+
+        warnings.simplefilter("always", ClockWarning)
+        warnings.showwarning = show
+        try:
+            yield
+        finally:
+            for text in told:
+                typer.echo(f"warning: {text}", err=True)
 
 
 def _terminated(number: int, frame: Any) -> NoReturn:

@@ -129,7 +129,7 @@ def show_summary(summary: Mapping[str, Any], folder: str, console: Console | Non
         if name in seconds
     )
     reached = f"{plan['delta_v_m_s']:.4g} m/s, clearance {plan['margin_m']:.4g} m beyond the tube"
-    console.print(Text(f"Plan: {plan['status']} ({plan['solver']}), {reached}."))
+    console.print(Text(f"Plan: {_planned(plan)}, {reached}."), soft_wrap=True)
     start, limit = synthesis["start_margin"], synthesis["start_limit"]
     if start is not None:
         console.print(Text(f"Start: {start:.1%} of the room is left, least at {limit}."))
@@ -140,6 +140,17 @@ def show_summary(summary: Mapping[str, Any], folder: str, console: Console | Non
     for assumption in claim["assumptions"] if proved else ():
         console.print(Text(f"  - {assumption}"), soft_wrap=True)
     console.print(Text(f"Run folder: {folder}"), soft_wrap=True)
+
+
+def _planned(plan: Mapping[str, Any]) -> str:
+    """How the planner ended, and who solved it."""
+    gap = "" if plan["gap"] is None else f" with a gap of {plan['gap']:.2g}"
+    ended = {
+        "optimal": "optimal",
+        "effort_limit": f"stopped at the limit of its effort{gap}",
+        "time_limit": f"stopped by the clock{gap}",
+    }[plan["status"]]
+    return f"{ended} ({plan['solver_name']})"
 
 
 def _claim(claim: Mapping[str, Any]) -> str:

@@ -49,6 +49,14 @@ class SynthesisInfeasible(PolarisError):
 
 
 class NotCertified(PolarisError):
-    """No answer: nothing was found in the time given, or what was found failed its re-check."""
+    """No answer: nothing was found with the effort given, or what was found failed its re-check."""
 
     exit_code = 4
+
+
+class OutOfTime(NotCertified):
+    """Nothing was found before the planner's wall clock ran out; with more time there may be an answer."""
+
+
+class ClockWarning(UserWarning):
+    """The planner's wall clock ended a search early: elsewhere, or again, the result may be another."""

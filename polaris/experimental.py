@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .controllers import AffineController, AnyThrust, Controller
-from .errors import ScenarioError
+from .errors import OutOfTime, ScenarioError
 from .hill import elliptical_nmt
 from .planning import PlanProblem, plan
 from .problem import Problem
@@ -79,7 +79,13 @@ def own_reference(spec: Any, gain: Array, safety: Safety, path: str) -> Referenc
         return _settled(system, gain, as_finite(f"{path}.state", spec.state, 1), K, delta, path)
     limit = np.broadcast_to(system.u_max * (1 - SOLVER_BOOK_INPUT), (K, system.m))
     asked = PlanProblem(system, problem.initial_set.c, K, delta, (), (), limit, problem.goal, "fuel")
-    return Reference.propagate(system, delta, problem.initial_set.c, plan(asked, problem.planner).nu)
+    found = plan(asked, problem.planner)
+    if found.cut_by_clock:
+        raise OutOfTime(
+            f"{path}: the cheapest plan of this reference was not found in the time given "
+            f"(planner.time_limit_s = {problem.planner.time_limit:g})"
+        )
+    return Reference.propagate(system, delta, problem.initial_set.c, found.nu)
 
 
 def _settled(system: LinearSystem, gain: Array, state: Array, K: int, delta: float, path: str) -> Reference:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
@@ -16,7 +17,7 @@ from .clearance import Clearance, best_facets, error_tube
 from .controllers import AffineController, construct_s
 from .end_condition import EndCondition, coast, judge_end, tail_length
 from .error_bounds import ErrorBounds, get_err_bounds
-from .errors import NotCertified, SynthesisInfeasible
+from .errors import ClockWarning, NotCertified, OutOfTime, SynthesisInfeasible
 from .planning import Plan, PlannerOptions, PlanProblem, plan
 from .planning.goals import Goal
 from .problem import Problem
@@ -56,6 +57,9 @@ class Safety:
         What is proven after T.
     seconds : mapping
         Wall time by stage.
+    cut_by_clock : tuple of str
+        Stages of the planning that the wall clock ended early (`Plan.cut_by_clock`); on another machine,
+        or again, the result may be another.
     """
 
     problem: Problem
@@ -70,6 +74,7 @@ class Safety:
     start_margin: Margin
     end: EndCondition
     seconds: Mapping[str, float] = field(default_factory=dict)
+    cut_by_clock: tuple[str, ...] = ()
 
     @property
     def guarantee(self) -> str:
@@ -133,12 +138,18 @@ def get_safety(
     found = _find_plan(asked, problem.planner)  # line 4
     clock.lap("plan")
     safety = _complete(problem, tracking, bounds, sets, found, tail)  # lines 5 to 10
+    cut = found.cut_by_clock
     if safety.end.retry:
         clock.lap("recoverable")
         try:
             found = plan(replace(asked, tail_cells=tail), problem.planner)
+            cut += tuple(f"{stage} with coasting" for stage in found.cut_by_clock)
             clock.lap("plan")
             safety = _complete(problem, tracking, bounds, sets, found, tail)
+        except OutOfTime as error:
+            cut += ("plan with coasting",)
+            warnings.warn(f"safe coasting after the end: {error}", ClockWarning, stacklevel=2)
+            clock.lap("plan")
         except (SynthesisInfeasible, NotCertified):
             clock.lap("plan")
     if not safety.start_margin.inside and safety.guarantee == "proved":
@@ -150,7 +161,7 @@ def get_safety(
             + ("." if problem.recoverable == "polytope" else ", or use recoverable kind 'polytope'."),
         )
     clock.lap("recoverable")
-    return replace(safety, seconds=clock.laps)
+    return replace(safety, seconds=clock.laps, cut_by_clock=cut)
 
 
 def _as_problem(
@@ -265,7 +276,7 @@ def _find_plan(asked: PlanProblem, options: PlannerOptions) -> Plan:
         if isinstance(error, SynthesisInfeasible):
             relax = f"{error.relax.rstrip('.')}, or {hint}" if error.relax else hint
             raise SynthesisInfeasible(error.condition, error.shortfall, relax) from error
-        raise NotCertified(f"{str(error).rstrip('.')}. It may take {hint}") from error
+        raise type(error)(f"{str(error).rstrip('.')}. It may take {hint}") from error
 
 
 def _complete(

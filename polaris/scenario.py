@@ -195,7 +195,13 @@ class Scenario:
             objective=planner.objective,
             extra_margin=planner.extra_margin_m,
             thrust_reserve=planner.thrust_reserve,
-            planner=PlannerOptions(solver=planner.solver, time_limit=planner.time_limit_s, gap=planner.gap),
+            planner=PlannerOptions(
+                solver=planner.solver,
+                max_linear_programs=planner.max_linear_programs,
+                max_nodes=planner.max_nodes,
+                time_limit=planner.time_limit_s,
+                gap=planner.gap,
+            ),
             gains=gains_of(self.experimental_specs(), system),
         )
 

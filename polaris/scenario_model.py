@@ -209,10 +209,31 @@ class Planner(ScenarioPart):
         ge=0,
         lt=1,
     )
-    solver: Literal["highs", "gurobi"] = unit(
-        "-", "Back end; gurobi needs the extra of that name.", default="highs"
+    solver: Literal["facets", "highs", "gurobi"] = unit(
+        "-",
+        "Who chooses the side on which to pass: `facets`, the planner's own branch and bound, whose linear "
+        "programs HiGHS solves; or `highs` or `gurobi` on the same program with binary variables "
+        "(gurobi needs the extra of that name).",
+        default="facets",
     )
-    time_limit_s: Real = unit("s", "Wall time for all of the planning.", default=60.0, gt=0, le=1e6)
+    max_linear_programs: Whole = unit(
+        "-", "Most linear programs that `facets` solves, in all stages.", default=10_000, ge=1, le=10**9
+    )
+    max_nodes: Whole = unit(
+        "-",
+        "Most branch-and-bound nodes of `highs` or `gurobi`, in all stages.",
+        default=100_000,
+        ge=1,
+        le=10**9,
+    )
+    time_limit_s: Real = unit(
+        "s",
+        "Wall time for each plan, the last resort: what it cuts short depends on the machine, and the run "
+        "says so.",
+        default=600.0,
+        gt=0,
+        le=1e6,
+    )
     gap: Real = unit("-", "Relative optimality gap at which the search stops.", default=1e-3, ge=0, lt=1)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from datetime import UTC, datetime
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 
 from .comparison import Flown
 from .evaluation import DEFINITIONS
+from .planning.problem import SOLVERS
 from .scenario import Scenario
 from .schedule import Schedule
 from .version import versions
@@ -35,6 +37,9 @@ def summary(
             "planner": {
                 "status": found.status,
                 "solver": found.solver,
+                "solver_name": SOLVERS[found.solver],
+                "cut_by_clock": list(safety.cut_by_clock),
+                "stages": [asdict(stage) for stage in found.stages],
                 "gap": found.gap,
                 "delta_v_m_s": found.delta_v,
                 "margin_m": found.margin,

@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import threading
 import tomllib
+import warnings
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
@@ -15,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..disturbances import Disturbance
-from ..errors import PolarisError
+from ..errors import ClockWarning, OutOfTime, PolarisError
 from ..evaluation import evaluate
 from ..simulation import Initial, Runs, simulate
 from ..system import Array
@@ -164,9 +165,15 @@ def _made(text: str) -> Made:
     from ..synthesis import synthesize
 
     try:
-        schedule = synthesize(Scenario.from_dict(tomllib.loads(text)))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ClockWarning)  # told below
+            schedule = synthesize(Scenario.from_dict(tomllib.loads(text)))
     except PolarisError as error:
         return Made(None, failure=str(error), code=error.exit_code)
     except np.linalg.LinAlgError as error:
         return Made(None, failure=f"the numbers of this case defeat the linear algebra: {error}", code=3)
+    if schedule.safety.cut_by_clock:
+        cut = ", ".join(schedule.safety.cut_by_clock)
+        rule = f"the wall clock ended the planner's search early ({cut}), and a campaign must be repeatable"
+        return Made(None, failure=f"{rule}: raise planner.time_limit_s", code=OutOfTime.exit_code)
     return Made(schedule, digest(schedule))

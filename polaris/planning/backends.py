@@ -1,8 +1,9 @@
-"""The two back ends of PuLP, in process: HiGHS with a warm start, and Gurobi."""
+"""Two back ends of PuLP, in process: HiGHS with a warm start, and Gurobi; same limits and tolerances."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from importlib.util import find_spec
 from typing import Any
 
@@ -15,37 +16,67 @@ from .problem import PlannerOptions
 Listen = Callable[[float, float], None]
 
 
+@dataclass(frozen=True)
+class Limits:
+    """How long a back end may search.
+
+    Attributes
+    ----------
+    nodes : int
+        Branch-and-bound nodes.
+    seconds : float
+        Wall time, the last resort.
+    patience_nodes, patience_seconds : float
+        The same while it has found nothing.
+    """
+
+    nodes: int
+    seconds: float
+    patience_nodes: float = np.inf
+    patience_seconds: float = np.inf
+
+    def given_up(self, found: bool, nodes: float, seconds: float) -> str:
+        """Why to stop a search that has found nothing, or an empty string."""
+        if found:
+            return ""
+        if nodes >= self.patience_nodes:
+            return "effort_limit"
+        return "time_limit" if seconds >= self.patience_seconds else ""
+
+
 def require(solver: str) -> None:
     """Refuse a back end that is not installed."""
     if solver == "gurobi" and find_spec("gurobipy") is None:
         raise ScenarioError(
             "planner.solver",
             "gurobi",
-            "needs the package gurobipy: install the extra 'gurobi', or use the solver highs",
+            "needs the package gurobipy: install the extra 'gurobi', or use another solver",
         )
 
 
 def run(
-    lp: Any, options: PlannerOptions, seconds: float, warm: bool, listen: Listen | None
-) -> tuple[str, float, float]:
+    lp: Any, options: PlannerOptions, limits: Limits, warm: bool, listen: Listen | None
+) -> tuple[str, bool, float, float]:
     """Solve a PuLP model in place.
 
     Returns
     -------
     status : str
-        "optimal", "time" (stopped with a solution), "none" (stopped without) or "infeasible".
+        "optimal", "infeasible", or what stopped it: "effort_limit" (nodes) or "time_limit".
+    solved : bool
+        Whether there is a solution.
     bound : float
         Proven lower bound on the objective.
     nodes : float
         Branch-and-bound nodes.
     """
-    solve = _highs if options.solver == "highs" else _gurobi
-    return solve(lp, options, max(seconds, 0.05), warm, listen)
+    solve = _gurobi if options.solver == "gurobi" else _highs
+    return solve(lp, options, limits, warm, listen)
 
 
 def _highs(
-    lp: Any, options: PlannerOptions, seconds: float, warm: bool, listen: Listen | None
-) -> tuple[str, float, float]:
+    lp: Any, options: PlannerOptions, limits: Limits, warm: bool, listen: Listen | None
+) -> tuple[str, bool, float, float]:
     import highspy
     import pulp
 
@@ -62,18 +93,25 @@ def _highs(
                     )
             lp.solverModel.run()
 
+    gave_up: list[str] = []
+
     def hear(kind: Any, message: str, data: Any, answer: Any, user: Any) -> None:
         if listen is not None:
             listen(data.mip_primal_bound, data.mip_dual_bound)
+        found = bool(data.mip_primal_bound < highspy.kHighsInf)
+        why = limits.given_up(found, data.mip_node_count, data.running_time)
+        if why:
+            gave_up.append(why)
+            answer.user_interrupt = True
 
-    kinds = [highspy.cb.HighsCallbackType.kCallbackMipInterrupt] if listen is not None else None
     solver = WarmHiGHS(
         msg=False,
         gapRel=options.gap / 2,
-        timeLimit=seconds,
+        timeLimit=max(limits.seconds, 0.05),
         threads=options.threads,
-        callbackTuple=(hear, None) if listen is not None else None,
-        callbacksToActivate=kinds,
+        callbackTuple=(hear, None),
+        callbacksToActivate=[highspy.cb.HighsCallbackType.kCallbackMipInterrupt],
+        mip_max_nodes=limits.nodes,
         primal_feasibility_tolerance=SOLVER_FEASIBILITY,
         mip_feasibility_tolerance=SOLVER_FEASIBILITY,
     )
@@ -85,47 +123,75 @@ def _highs(
     if not np.isfinite(bound) or info.mip_node_count < 0:
         bound = float(info.objective_function_value) if status == kind.kOptimal else -np.inf
     if status in (kind.kInfeasible, kind.kUnboundedOrInfeasible):
-        return "infeasible", np.inf, nodes
-    if info.primal_solution_status != 2:  # kSolutionStatusFeasible
-        return "none", bound, nodes
-    return ("optimal" if status == kind.kOptimal else "time"), bound, nodes
+        return "infeasible", False, np.inf, nodes
+    solved = info.primal_solution_status == 2  # kSolutionStatusFeasible
+    if status == kind.kOptimal:
+        return "optimal", solved, bound, nodes
+    ended = "time_limit" if status == kind.kTimeLimit else "effort_limit"
+    return (gave_up[0] if gave_up else ended), solved, bound, nodes
 
 
 def _gurobi(
-    lp: Any, options: PlannerOptions, seconds: float, warm: bool, listen: Listen | None
-) -> tuple[str, float, float]:
+    lp: Any, options: PlannerOptions, limits: Limits, warm: bool, listen: Listen | None
+) -> tuple[str, bool, float, float]:
     import gurobipy as gp
     import pulp
 
+    gave_up: list[str] = []
+
     def hear(model: Any, where: int) -> None:
-        if listen is not None and where == gp.GRB.Callback.MIP:
-            listen(model.cbGet(gp.GRB.Callback.MIP_OBJBST), model.cbGet(gp.GRB.Callback.MIP_OBJBND))
+        if where != gp.GRB.Callback.MIP:
+            return
+        best, bound, nodes, seconds = (
+            model.cbGet(what)
+            for what in (
+                gp.GRB.Callback.MIP_OBJBST,
+                gp.GRB.Callback.MIP_OBJBND,
+                gp.GRB.Callback.MIP_NODCNT,
+                gp.GRB.Callback.RUNTIME,
+            )
+        )
+        if listen is not None:
+            listen(best, bound)
+        why = limits.given_up(best < gp.GRB.INFINITY, nodes, seconds)
+        if why:
+            gave_up.append(why)
+            model.terminate()
 
     more = {} if options.threads is None else {"Threads": options.threads}
-    solver = pulp.GUROBI(
-        msg=False,
-        gapRel=options.gap / 2,
-        timeLimit=seconds,
-        warmStart=warm,
-        FeasibilityTol=SOLVER_FEASIBILITY * 10,
-        IntFeasTol=SOLVER_FEASIBILITY * 10,
-        **more,
-    )
     try:
-        lp.solve(solver, callback=hear if listen is not None else None)
+        # an environment of its own: the default one writes its licence to standard output
+        with gp.Env(params={"OutputFlag": 0}) as env:
+            solver = pulp.GUROBI(
+                msg=False,
+                env=env,
+                timeLimit=max(limits.seconds, 0.05),
+                warmStart=warm,
+                MIPGap=options.gap / 2,  # PuLP's own argument passes a gap of 0 over
+                NodeLimit=limits.nodes,
+                FeasibilityTol=SOLVER_FEASIBILITY,
+                IntFeasTol=SOLVER_FEASIBILITY,
+                **more,
+            )
+            try:
+                lp.solve(solver, callback=hear)
+                return _gurobi_answer(lp.solverModel, gp.GRB, gave_up)
+            finally:
+                solver.close()
     except gp.GurobiError as error:
         raise ScenarioError(
             "planner.solver",
             "gurobi",
-            f"Gurobi refused the model ({error}); use the solver highs, or a licence without size limit",
+            f"Gurobi refused the model ({error}); use another solver, or a licence without size limit",
         ) from error
-    model, grb = lp.solverModel, gp.GRB
+
+
+def _gurobi_answer(model: Any, grb: Any, gave_up: list[str]) -> tuple[str, bool, float, float]:
     bound = float(model.ObjBound) if model.IsMIP else -np.inf
     nodes = float(model.NodeCount) if model.IsMIP else 0.0
     if model.Status in (grb.INFEASIBLE, grb.INF_OR_UNBD):
-        return "infeasible", np.inf, nodes
-    if model.SolCount == 0:
-        return "none", bound, nodes
+        return "infeasible", False, np.inf, nodes
     if model.Status == grb.OPTIMAL:
-        return "optimal", bound if model.IsMIP else float(model.ObjVal), nodes
-    return "time", bound, nodes
+        return "optimal", True, bound if model.IsMIP else float(model.ObjVal), nodes
+    ended = "time_limit" if model.Status == grb.TIME_LIMIT else "effort_limit"
+    return (gave_up[0] if gave_up else ended), model.SolCount > 0, bound, nodes

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -19,11 +19,9 @@ def certified(
     value: float,
     bound: float,
     status: str,
-    solver: str,
-    seconds: Mapping[str, float],
-    stats: Mapping[str, float],
+    **found: Any,
 ) -> Plan:
-    """Re-check inputs and make a `Plan` of them.
+    """Re-check inputs and make a `Plan` of them, with `found` for its remaining fields.
 
     Raises
     ------
@@ -54,9 +52,7 @@ def certified(
         objective=float(value),
         bound=float(bound),
         gap=float(relative_gap(value, bound)),
-        seconds=dict(seconds),
-        solver=solver,
-        stats=dict(stats),
+        **found,
     )
 
 

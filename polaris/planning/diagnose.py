@@ -14,22 +14,22 @@ from ..system import Array
 from .lp import GrowingLP
 from .problem import PlanProblem
 from .rows import Rows
-from .search import Levels, PathSearch
+from .search import Candidate, Levels, PathSearch
 from .tree import branch
 
 if TYPE_CHECKING:
     from .solve import Planner
 
 FACTORS = (1.25, 1.5, 2.0, 3.0, 5.0, 10.0)
-EFFORT = 5.0
-"""Longest time [s] spent on explaining a failure."""
+EFFORT = 1000
+"""Most linear programs solved to find by how much margins must give way."""
 
 
 def unreachable(planner: Planner) -> NoReturn:
     """The goal is out of reach even without unsafe sets."""
     problem, rows = planner.problem, planner.rows
     goal = problem.goal
-    miss, factor = _miss(rows), _thrust_factor(rows)
+    miss, factor = _miss(rows, planner.left), _thrust_factor(rows, planner.left)
     condition = (
         f"The goal ({goal.describe()}) cannot be reached in {counted(problem.K, 'step')} of"
         f" {problem.delta:g} s within the input limits, even without unsafe sets:"
@@ -46,7 +46,7 @@ def unreachable(planner: Planner) -> NoReturn:
 def blocked(planner: Planner) -> NoReturn:
     """The goal can be reached, but not clear of the unsafe sets."""
     problem = planner.problem
-    stop = min(planner.deadline, perf_counter() + EFFORT)
+    stop = planner.deadline
     _start(problem)
     short, proven = _shortfall(planner, stop)
     helpful = _droppable(problem, stop)
@@ -63,9 +63,10 @@ def blocked(planner: Planner) -> NoReturn:
         ways.append("without " + " or without ".join(helpful))
     if factor is not None:
         ways.append(f"input limits {factor:g} times as large")
-    raise SynthesisInfeasible(
-        condition, short, (", or ".join(ways) or "a longer horizon or another goal") + "."
-    )
+    relax = (", or ".join(ways) or "a longer horizon or another goal") + "."
+    if perf_counter() > stop:
+        relax += " (The time given ran out while this was looked for.)"
+    raise SynthesisInfeasible(condition, short, relax)
 
 
 def _start(problem: PlanProblem) -> None:
@@ -89,8 +90,12 @@ def _shortfall(planner: Planner, stop: float) -> tuple[float | None, bool]:
     search = PathSearch(planner.rows, stop)
     search.set_prices(Levels(0.0, 0.0), short=1e3, fuel=1e-3)
     found = search.first()
-    half = perf_counter() + 0.5 * max(stop - perf_counter(), 0.0)
-    outcome = branch(search, found, 0.02, lambda best, cells, lps: lps > 2000 or perf_counter() > half)
+    half, most = perf_counter() + 0.5 * max(stop - perf_counter(), 0.0), search.solves + EFFORT
+
+    def spent(best: Candidate | None) -> str:
+        return "effort_limit" if search.solves >= most else "time_limit" if perf_counter() > half else ""
+
+    outcome = branch(search, found, 0.02, spent)
     if outcome.best is None:
         return None, False
     return outcome.best.short, outcome.status == "optimal"
@@ -105,10 +110,7 @@ def _works(problem: PlanProblem, stop: float) -> bool:
     search = PathSearch(Rows(problem), stop)
     search.set_prices(Levels(0.0, 0.0), short=1e4)
     path = search.first()
-    if path is None or path.short > 0:
-        return False
-    check = search.recheck(path)
-    return all(np.min(s.max(axis=1)) >= 0 for s in check.surplus)
+    return path is not None and path.short == 0
 
 
 def _droppable(problem: PlanProblem, stop: float) -> list[str]:
@@ -133,7 +135,7 @@ def _wide(a: Array, extra: Array | float) -> Array:
     return np.hstack([a, -a, np.broadcast_to(np.asarray(extra, dtype=float), (len(a), 1))])
 
 
-def _miss(rows: Rows) -> float:
+def _miss(rows: Rows, seconds: float) -> float:
     """Smallest residual [m] of the goal within the input limits."""
     goal, K = rows.problem.goal.conditions, rows.problem.K
     free = rows.free[K]
@@ -143,11 +145,11 @@ def _miss(rows: Rows) -> float:
     G = np.vstack([goal.G, goal.E, -goal.E])
     g = np.r_[goal.g, goal.e, -goal.e]
     lp.add(_wide(rows.state_rows(G, K) / rows.length, -1.0), -np.inf, (g - G @ free) / rows.length)
-    answer = lp.solve(EFFORT)
+    answer = lp.solve(seconds)
     return np.inf if answer is None else answer[0] * rows.length
 
 
-def _thrust_factor(rows: Rows) -> float | None:
+def _thrust_factor(rows: Rows, seconds: float) -> float | None:
     """Smallest factor on the input limits with which the goal is reached, without unsafe sets."""
     goal, K, N = rows.problem.goal.conditions, rows.problem.K, rows.N
     free, unit = rows.free[K], rows.length
@@ -156,5 +158,5 @@ def _thrust_factor(rows: Rows) -> float | None:
     lp.add(_wide(rows.state_rows(goal.G, K) / unit, 0.0), -np.inf, (goal.g - goal.G @ free) / unit)
     limits = np.hstack([np.eye(2 * N), -np.r_[rows.limit, rows.limit][:, None]])
     lp.add(limits, -np.inf, 0.0)
-    answer = lp.solve(EFFORT)
+    answer = lp.solve(seconds)
     return None if answer is None else answer[0]

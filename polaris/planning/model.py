@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
-from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -24,7 +23,7 @@ class Answer:
     Attributes
     ----------
     status : str
-        "optimal", "infeasible" or "time".
+        "optimal", "infeasible", "effort_limit" or "time_limit".
     path : Candidate or None
         Best solution, if any.
     value, bound : float
@@ -50,7 +49,7 @@ class Model:
     cells : collection of (int, int)
         Disjunctions to state; what is not among them is left out.
     budget : float
-        Upper bound on the velocity change [m/s].
+        Upper bound on the velocity change [m/s] that some optimal path is known to keep.
     """
 
     def __init__(self, search: PathSearch, cells: Collection[Key], budget: float = np.inf) -> None:
@@ -156,26 +155,24 @@ class Model:
     def solve(
         self,
         options: PlannerOptions,
-        seconds: float,
+        limits: backends.Limits,
         start: Candidate | None = None,
         listen: Callable[[float, float], None] | None = None,
     ) -> Answer:
         """Run the back end, from a start if there is one."""
         if self.impossible:
-            return Answer("infeasible", None, np.inf, np.inf, {})
+            return Answer("infeasible", None, np.inf, np.inf, {"nodes": 0.0})
         if start is not None:
             self._warm(start)
-        begun = perf_counter()
-        status, bound, nodes = backends.run(self.lp, options, seconds, start is not None, listen)
+        status, solved, bound, nodes = backends.run(self.lp, options, limits, start is not None, listen)
         stats = {
             "rows": float(self.lp.numConstraints()),
             "cols": float(self.lp.numVariables()),
             "binaries": float(sum(v is not None for v in self.z.values())),
             "nodes": nodes,
-            "solver_seconds": perf_counter() - begun,
         }
-        if status in ("infeasible", "none"):
-            return Answer("infeasible" if status == "infeasible" else "time", None, np.inf, bound, stats)
+        if not solved:
+            return Answer(status, None, np.inf, bound, stats)
         z = np.array(
             [(p.varValue or 0.0) - (q.varValue or 0.0) for p, q in zip(self.plus, self.minus, strict=True)]
         )
@@ -194,7 +191,7 @@ class Model:
         for (key, j), var in self.z.items():
             if var is not None and key in path.choice:
                 var.setInitialValue(float(path.choice[key] == j), check=False)
-        states = self.search.recheck(path).reference.chi[1:] @ self.frame.T
+        states = self.search.look(path).states[1:] @ self.frame.T
         for variables, state in zip(self.x, states, strict=True):
             for var, value in zip(variables, state, strict=True):
                 var.setInitialValue(float(value), check=False)
@@ -219,7 +216,7 @@ def goal_floor(G: Array, g: Array, N: Array) -> Array:
         for j, row in enumerate(N):
             lp = GrowingLP(row, np.full(n, -np.inf), np.full(n, np.inf))
             lp.add(G, -np.inf, g)
-            answer = lp.solve(1.0)
+            answer = lp.solve(np.inf)
             if answer is not None:
                 out[j] = answer[0]
     return out

@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 
+from ..checks import whole
 from ..errors import ScenarioError
 from ..system import Array, LinearSystem, as_finite
 from ..unsafe import TimedPolytope
@@ -15,7 +16,12 @@ from .goals import Goal
 
 Objective = Literal["margin_then_fuel", "distance", "fuel"]
 OBJECTIVES = ("margin_then_fuel", "distance", "fuel")
-SOLVERS = ("highs", "gurobi")
+SOLVERS = {
+    "facets": "facet search, linear programs by HiGHS",
+    "highs": "mixed-integer program by HiGHS",
+    "gurobi": "mixed-integer program by Gurobi",
+}
+"""Who decides the separating facets, and what summaries call it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,38 +149,67 @@ class PlannerOptions:
 
     Parameters
     ----------
-    solver : {"highs", "gurobi"}
-        Back end of the mixed-integer program; the model is the same. It is called for what the tree
-        leaves open (see `branching`).
+    solver : {"facets", "highs", "gurobi"}
+        Who decides the separating facets: the planner's own branch and bound (`tree`), or a back end
+        that gets the same program with binary variables. Good first paths come from linear programs
+        by HiGHS in any case.
+    max_linear_programs : int
+        Most linear programs the facet search solves, in all stages together.
+    max_nodes : int
+        Most branch-and-bound nodes of a back end, in all stages together.
     time_limit : float
-        Wall time [s] for everything the planner does.
+        Wall time [s] for everything the planner does: a last resort, for what it cuts short depends on
+        the machine. `Plan.cut_by_clock` tells, and a `ClockWarning`.
     gap : float
         Relative optimality gap at which the search stops.
     threads : int or None
-        Threads for the back end; None leaves it to the back end.
+        Threads of a back end; None leaves their number to it, and the plan to the machine.
     progress : callable, optional
         Called with a `Progress`, at most a few times a second.
-    branching : {"facets", "solver"}
-        Who decides the binaries first: the planner's own branch and bound on separating facets
-        (`tree`; the back end gets what that leaves), or the back end alone.
     """
 
-    solver: str = "highs"
-    time_limit: float = 60.0
+    solver: str = "facets"
+    max_linear_programs: int = 10_000
+    max_nodes: int = 100_000
+    time_limit: float = 600.0
     gap: float = 1e-3
-    threads: int | None = None
+    threads: int | None = 1
     progress: Callable[[Progress], None] | None = None
-    branching: Literal["facets", "solver"] = "facets"
 
     def __post_init__(self) -> None:
         if self.solver not in SOLVERS:
             raise ScenarioError("planner.solver", self.solver, f"must be one of {', '.join(SOLVERS)}")
-        if self.branching not in ("facets", "solver"):
-            raise ScenarioError("planner.branching", self.branching, "must be facets or solver")
+        whole("planner.max_linear_programs", self.max_linear_programs, 1)
+        whole("planner.max_nodes", self.max_nodes, 1)
         if not (np.isfinite(self.time_limit) and self.time_limit > 0):
             raise ScenarioError("planner.time_limit", self.time_limit, "must be a finite number > 0")
         if not 0 <= self.gap < 1:
             raise ScenarioError("planner.gap", self.gap, "must be in [0, 1)")
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One stage of the search.
+
+    Attributes
+    ----------
+    name : str
+        "path search", "fuel" (least velocity change at the full margin), "margin" (largest margin), or
+        "fuel at the margin found".
+    by : str
+        Who did it: out of `SOLVERS`, or plain linear programs.
+    status : str
+        "optimal" (to the gap), "infeasible", "found" or "none" for the path search, or what stopped it:
+        "effort_limit" (counted, the same everywhere) or "time_limit" (the wall clock).
+    linear_programs, nodes : int
+        Linear programs solved by the planner itself; nodes of the branch and bound, whoever did it.
+    """
+
+    name: str
+    by: str
+    status: str
+    linear_programs: int
+    nodes: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,14 +236,18 @@ class Plan:
     delta_v : float
         Velocity change [m/s].
     status : str
-        "optimal" (to the gap) or "time_limit".
+        "optimal" (to the gap), "effort_limit" or "time_limit", as in `Stage`.
     objective, bound, gap : float
         Objective of the last phase: `delta_v` [m/s], or the extra clearance [m] for `distance` and where
         `extra_margin` is out of reach; its proven bound for the model solved; the relative gap.
     seconds : mapping
         Wall time by part [s].
     solver : str
-        Back end that was called; "highs", which solves the linear programs, where none had to be.
+        Who decided the separating facets, out of `SOLVERS`.
+    stages : tuple of Stage
+        What was done, by whom, and how it ended.
+    cut_by_clock : tuple of str
+        Stages that the wall clock ended early: if there are any, another machine may find another plan.
     stats : mapping
         Linear programs solved (lps), nodes, calls of the back end (rounds), size of its largest model
         (rows, cols, binaries).
@@ -227,5 +266,7 @@ class Plan:
     bound: float
     gap: float
     seconds: Mapping[str, float] = field(default_factory=dict)
-    solver: str = "highs"
+    solver: str = "facets"
     stats: Mapping[str, float] = field(default_factory=dict)
+    stages: tuple[Stage, ...] = ()
+    cut_by_clock: tuple[str, ...] = ()

@@ -8,11 +8,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from reach.linear import discretize, growth, powers
 
+from ..reference import Reference
 from ..system import Array
 from ..tolerances import SOLVER_BOOK_INPUT, SOLVER_BOOK_M
 from .problem import PlanProblem
@@ -66,7 +68,7 @@ class Rows:
         self._offsets = [problem.offsets(i) for i in range(len(problem.unsafe))]
         self._required = [problem.required(i) for i in range(len(problem.unsafe))]
         self.extra = [np.zeros((problem.cells, 1)) for _ in problem.unsafe]
-        self.booking = [np.full(r.shape, SOLVER_BOOK_M) for r in self._required]
+        self.booking = [np.zeros(r.shape) for r in self._required]
         self._cache: dict[Key, Options] = {}
 
     def state_rows(self, g: Array, k: int) -> Array:
@@ -125,9 +127,35 @@ class Rows:
         known, (i, k) = self._cache[key], key
         if i < 0:
             return known
-        booked = self.booking[i][k] + np.abs(self.problem.unsafe[i].normals) @ self._book
         slope = float(self.extra[i][k, 0]) / self.length
-        return replace(known, need=known.need + booked[:, None] / self.length, slope=slope)
+        return replace(known, need=known.need + self._booked(i, [k])[0].T / self.length, slope=slope)
+
+    def _booked(self, i: int, cells: Any) -> Array:
+        """Length [m] booked on the rows of some cells of unsafe set i, shape (cells, R, F).
+
+        Control points that no input moves are known exactly: only what a re-check asked for is booked.
+        """
+        asked = self.booking[i][cells][:, None]
+        moved = np.any(self.control_points[1] != 0, axis=(1, 2)) | (np.asarray(cells)[:, None] > 0)
+        model = SOLVER_BOOK_M + np.abs(self.problem.unsafe[i].normals) @ self._book
+        return np.asarray(asked + np.where(moved[:, :, None], model, 0.0))
+
+    def surplus(self, path: Reference) -> tuple[Array, ...]:
+        """Room [m] of a path, coasting included, beyond what the rows of a cell ask for without extra.
+
+        Shapes (cells, F), one per unsafe set. A facet with room keeps all of its rows: `options` with
+        the states known.
+        """
+        P, Q, share = self.control_points
+        cells = self.problem.cells
+        points = np.einsum("rdn,kn->krd", P, path.chi[:cells]) + np.einsum("rdm,km->krd", Q, path.nu[:cells])
+        found = []
+        for i, body in enumerate(self.problem.unsafe):
+            b = self._offsets[i]
+            offset = b[:, 0, None] * (1 - share[:, None]) + b[:, 1, None] * share[:, None]
+            need = offset + self._required[i][:, None] + self._booked(i, np.arange(cells))
+            found.append(np.min(points @ body.normals.T - need, axis=1))
+        return tuple(found)
 
     def _options(self, key: Key) -> Options:
         problem, (i, k) = self.problem, key

@@ -13,13 +13,18 @@ from typing import Any
 
 import numpy as np
 
+from ..reference import Reference
 from ..system import Array
+from ..tolerances import SOLVER_FEASIBILITY
 from .lp import GrowingLP
-from .recheck import Recheck, recheck
+from .recheck import recheck
 from .rows import Key, Rows
 
 GOAL_SLACK = 1e-9
 """Share of the goal's scale by which a disjunction of the goal may be missed unnoticed."""
+
+ROW_SLACK = 10 * SOLVER_FEASIBILITY
+"""Length, in units of `Rows.length`, by which a path may miss rows that its program did not state."""
 
 
 @dataclass(eq=False)
@@ -45,6 +50,22 @@ class Candidate:
     short: float
     fuel: float
     choice: dict[Key, int] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """A path against all rows of the program, stated or not.
+
+    Attributes
+    ----------
+    states : ndarray, shape (K+1, n)
+        At the waypoints.
+    surplus : tuple of ndarray, each of shape (cells, F)
+        Room [m] beyond what the rows ask for without extra margin (`Rows.surplus`).
+    """
+
+    states: Array
+    surplus: tuple[Array, ...]
 
 
 @dataclass(frozen=True)
@@ -145,33 +166,41 @@ class PathSearch:
         parts = np.split(value + cost, np.cumsum(sizes)[:-1])
         return dict(zip(keys, parts, strict=True))
 
-    def recheck(self, path: Candidate) -> Recheck:
-        """Exact re-check of a candidate."""
+    def look(self, path: Candidate) -> Seen:
+        """A candidate against all rows of the program."""
         problem = self.rows.problem
-        return recheck(problem, path.z.reshape(problem.K, -1) * problem.system.u_max)
+        nu = path.z.reshape(problem.K, -1) * problem.system.u_max
+        flown = Reference.propagate(problem.system, problem.delta, problem.x0, nu)
+        return Seen(flown.chi, self.rows.surplus(flown.extend(problem.tail_cells)))
 
-    def lacking(self, path: Candidate, check: Recheck) -> dict[Key, float]:
-        """Cells whose best certified clearance falls short of what was asked, with the shortfall [m].
+    def lacking(self, path: Candidate, seen: Seen) -> dict[Key, float]:
+        """Disjunctions not stated yet of which the path keeps no alternative, with the shortfall [m].
 
-        So do the disjunctions of the goal of which no row holds, unless one was chosen already.
+        This is the program itself, whoever solves it: a path that lacks nothing is feasible in it.
         """
         out: dict[Key, float] = {}
-        for i, surplus in enumerate(check.surplus):
+        for i, surplus in enumerate(seen.surplus):
             gap = surplus.max(axis=1) - self.rows.extra[i][:, 0] * path.level + path.short
-            out |= {(i, int(k)): -float(gap[k]) for k in np.nonzero(gap < 0)[0]}
-        goal, last = self.rows.problem.goal.conditions, check.reference.chi[-1]
+            short = np.nonzero(gap < -ROW_SLACK * self.rows.length)[0].tolist()
+            out |= {(i, k): -float(gap[k]) for k in short if (i, k) not in path.choice}
+        goal, last = self.rows.problem.goal.conditions, seen.states[-1]
         for group, (N, c) in enumerate(goal.one_of):
             room = float(np.max(N @ last - c))
             if room < -GOAL_SLACK * goal.scale and (-1, group) not in path.choice:
                 out[-1, group] = -room
         return out
 
-    def book(self, lacking: Mapping[Key, float], choice: Mapping[Key, int]) -> bool:
-        """Book more length for constrained cells that still came out short in the re-check, if any."""
-        stale = [key for key in lacking if key in choice]
-        for i, k in stale:
-            self.rows.booking[i][k, choice[i, k]] += 1.5 * lacking[i, k] + 1e-4
-        return bool(stale)
+    def confirmed(self, path: Candidate, seen: Seen) -> bool:
+        """Exact re-check of a path that lacks nothing. Where it fails, more length is booked."""
+        problem, fine = self.rows.problem, True
+        check = recheck(problem, path.z.reshape(problem.K, -1) * problem.system.u_max)
+        for i, surplus in enumerate(check.surplus):
+            gap = surplus.max(axis=1) - self.rows.extra[i][:, 0] * path.level + path.short
+            for k in np.nonzero(gap < 0)[0].tolist():
+                facet = path.choice.get((i, k), int(np.argmax(seen.surplus[i][k])))
+                self.rows.booking[i][k, facet] += 1.5 * -float(gap[k]) + 1e-4
+                fine = False
+        return fine
 
     def dive(self, start: Mapping[Key, int], rounds: int = 12) -> Candidate | None:
         """Add cells as they are found lacking until none is; None if it does not settle.
@@ -183,26 +212,25 @@ class PathSearch:
             path = self.solve(choice)
             if path is None or perf_counter() > self.deadline:
                 return None
-            check = self.recheck(path)
-            lacking = self.lacking(path, check)
-            if not lacking:
+            seen = self.look(path)
+            lacking = self.lacking(path, seen)
+            if not lacking and self.confirmed(path, seen):
                 return path
-            self.book(lacking, choice)
-            choice |= {key: self.pick(key, check) for key in lacking if key not in choice}
+            choice |= {key: self.pick(key, seen) for key in lacking}
         return None
 
-    def pick(self, key: Key, check: Recheck) -> int:
-        """The alternative with most room in a re-checked path."""
+    def pick(self, key: Key, seen: Seen) -> int:
+        """The alternative with most room."""
         if key[0] < 0:
             N, c = self.rows.problem.goal.conditions.one_of[key[1]]
-            return int(np.argmax(N @ check.reference.chi[-1] - c))
-        return int(np.argmax(check.surplus[key[0]][key[1]]))
+            return int(np.argmax(N @ seen.states[-1] - c))
+        return int(np.argmax(seen.surplus[key[0]][key[1]]))
 
     def improve(self, path: Candidate, rounds: int = 6) -> Candidate:
         """Re-choose facets where the path has most room, and solve again, while it pays."""
         for _ in range(rounds):
-            check = self.recheck(path)
-            better = self.dive({key: self.pick(key, check) for key in path.choice}, rounds=4)
+            seen = self.look(path)
+            better = self.dive({key: self.pick(key, seen) for key in path.choice}, rounds=4)
             if better is None or self.value(better) > self.value(path) - 1e-5 * abs(path.fuel):
                 break
             path = better

@@ -1,7 +1,8 @@
-"""`plan`: the reference trajectory, by a mixed-integer program over the cells that matter."""
+"""`plan`: the reference trajectory, by branch and bound over separating facets."""
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from time import perf_counter
@@ -9,29 +10,22 @@ from typing import NoReturn
 
 import numpy as np
 
-from ..errors import NotCertified
+from ..errors import ClockWarning, NotCertified, OutOfTime
 from . import backends, diagnose
 from .certify import certified, relative_gap
-from .model import Answer, Model
-from .problem import Plan, PlannerOptions, PlanProblem, Progress
-from .rows import Key, Rows
+from .lazy import Allowance, Spare, by_back_end
+from .problem import SOLVERS, Plan, PlannerOptions, PlanProblem, Progress, Stage
+from .rows import Rows
 from .search import Candidate, Levels, PathSearch
 from .targets import set_targets
 from .tree import Outcome, branch
 
-MAX_ROUNDS = 60
-MAX_BOOKINGS = 4
-MAX_NODES = 20_000
-TREE_SHARE = 0.7
-"""Share of the time left that the tree may use before what is open goes to the back end."""
-
-SECONDS_PER_ROW = 5e-4
-"""Rough time to build a row of the model; a program that would take more than a tenth of the time
-left to write down is not handed to the back end."""
-
 SPARE_SHARE = 0.25
-"""Share of the time left for a phase that can be given up: looking for a first path with the full
+"""Share of the effort left for a stage that can be given up: looking for a first path with the full
 margin, and proving that no larger margin exists once a path is known."""
+
+MARGIN_SHARE = 0.75
+"""Share of the effort left that the largest margin may take in all, so that least fuel gets its own."""
 
 BOOKED_MOST = 0.05
 """Largest length [m] booked on any row for which "no solution exists" is still said."""
@@ -44,23 +38,38 @@ large as that of the cheapest transfer without obstacles."""
 def plan(problem: PlanProblem, options: PlannerOptions | None = None) -> Plan:
     """Find a certified reference (safeConstraints, section III-C).
 
+    The effort is limited by counts, so the same problem gives the same plan on any machine, unless the
+    wall clock has to step in: then the plan says so, and a `ClockWarning` is issued.
+
     Raises
     ------
     SynthesisInfeasible
         No solution exists; the message names what to relax and by how much.
     NotCertified
-        Nothing was found in the time given, or what was found failed its re-check.
+        Nothing was found with the effort given (`OutOfTime`: in the time given), or what was found
+        failed its re-check.
     ScenarioError
         The solver asked for is not installed, or refuses a model of this size.
     """
-    return Planner(problem, options or PlannerOptions()).run()
+    options = options or PlannerOptions()
+    found = Planner(problem, options).run()
+    if found.cut_by_clock:
+        warnings.warn(
+            f"the planner's wall clock (planner.time_limit_s = {options.time_limit:g}) ended its search"
+            f" early ({', '.join(found.cut_by_clock)}): another machine, or another run, may find another"
+            " plan; allow more time, or less effort",
+            ClockWarning,
+            stacklevel=2,
+        )
+    return found
 
 
 class Planner:
     """One run of `plan`. Lazy: cells enter the program when a relaxed solution lacks clearance there.
 
-    Every relaxation bounds the optimum from below; the run ends when the relaxed solution passes the
-    exact re-check in all cells, or when the best certified path is within the gap of the bound.
+    Every relaxation bounds the optimum from below; the run ends when the relaxed solution keeps all
+    rows of the program and passes the exact re-check, or when the best certified path is within the
+    gap of the bound.
     """
 
     def __init__(self, problem: PlanProblem, options: PlannerOptions) -> None:
@@ -71,6 +80,7 @@ class Planner:
         self.search = PathSearch(self.rows, self.begun + options.time_limit)
         self.seconds: dict[str, float] = {}
         self.stats = dict.fromkeys(("rows", "cols", "binaries", "nodes", "rounds", "lps"), 0.0)
+        self.stages: list[Stage] = []
         self._last_report = -np.inf
 
     @property
@@ -83,6 +93,23 @@ class Planner:
         """Seconds left."""
         return self.deadline - perf_counter()
 
+    @property
+    def used(self) -> float:
+        """Effort so far: linear programs, or nodes of the back end."""
+        return self.search.solves if self.options.solver == "facets" else self.stats["nodes"]
+
+    @property
+    def cut_by_clock(self) -> tuple[str, ...]:
+        """Stages that the clock ended early; past the deadline, any linear program may have been."""
+        cut = tuple(stage.name for stage in self.stages if stage.status == "time_limit")
+        return cut or (("path search",) if self.left <= 0 else ())
+
+    def _allow(self, share: float) -> Allowance:
+        """A share of what is left."""
+        options, used = self.options, self.used
+        most = options.max_linear_programs if options.solver == "facets" else options.max_nodes
+        return Allowance(used + share * max(most - used, 0.0), perf_counter() + share * self.left)
+
     def report(self, stage: str, incumbent: float = np.inf, bound: float = -np.inf) -> None:
         """Tell the progress callback, a few times a second at most."""
         now = perf_counter()
@@ -92,7 +119,7 @@ class Planner:
             self.options.progress(Progress(stage, now - self.begun, incumbent, bound, gap))
 
     def run(self) -> Plan:
-        """All phases: least fuel at the full margin; where that is out of reach, the largest margin."""
+        """All stages: least fuel at the full margin; where that is out of reach, at the largest margin."""
         self.report("path search")
         base = self.search.solve({})
         if base is None:
@@ -113,29 +140,47 @@ class Planner:
                 return self._certify(found.best, found.best.fuel, found.bound, found.status)
             if top == 0:
                 self._none(found.status)
-        found = self._minimise(
-            "margin", some, Levels(0.0, top), price, lambda path: not furthest and path is not None
+        reached = self._minimise(
+            "margin",
+            some,
+            Levels(0.0, top),
+            price,
+            lambda path: not furthest and path is not None,
+            1.0 if furthest else MARGIN_SHARE,
         )
-        best = found.best
+        best = reached.best
         if best is None:
-            self._none(found.status)
+            self._none(reached.status)
         assert best is not None
-        if not furthest and best.level >= top * (1 - 1e-6):  # the first phase gave up too early
-            full = replace(best, level=top)
-            found = self._minimise("fuel", full, Levels(top, top), 0.0, lambda path: False)
-            assert found.best is not None
-            return self._certify(found.best, found.best.fuel, found.bound, found.status)
         unit = 1.0 if furthest else self.problem.extra_margin
-        most = min(best.level + (self.search.value(best) - found.bound) / price, top)
-        return self._certify(best, best.level * unit, most * unit, found.status)
+        most = min(best.level + (self.search.value(best) - reached.bound) / price, top)
+        if furthest:
+            return self._certify(best, best.level * unit, most * unit, reached.status)
+        full_margin = best.level >= top * (1 - 1e-6)
+        level = top if full_margin else best.level
+        found = self._minimise(
+            "fuel at the margin found",
+            replace(best, level=level),
+            Levels(level, level),
+            0.0,
+            lambda path: False,
+        )
+        assert found.best is not None
+        if full_margin:  # the first stage gave up too early
+            return self._certify(found.best, found.best.fuel, found.bound, found.status)
+        status = reached.status if reached.status != "optimal" else found.status
+        return self._certify(found.best, level * unit, most * unit, status)
 
     def _first(self, levels: Levels, margin_price: float, short_price: float) -> Candidate | None:
         """A path found without branching, by way of paths that lack clearance; None if it still does."""
         begun = perf_counter()
         self.search.set_prices(levels, margin_price, short_price)
         path = self.search.first()
-        self._add_time("path_search", begun)
-        return path if path is not None and path.short == 0 else None
+        self.add_time("path_search", begun)
+        usable = path is not None and path.short == 0
+        by, status = "linear programs by HiGHS", "found" if usable else "none"
+        self.stages.append(Stage("path search", by, status, self.search.solves, 0))
+        return path if usable else None
 
     def _minimise(
         self,
@@ -143,124 +188,53 @@ class Planner:
         best: Candidate | None,
         levels: Levels,
         margin_price: float,
-        spare: Callable[[Candidate | None], bool],
+        spare: Spare,
+        share: float = 1.0,
     ) -> Outcome:
-        """Least objective with all cells certified.
+        """Least objective with all cells certified, with a share of the effort left.
 
-        `spare` says whether the phase may be given up early with the path known by then.
+        `spare` says whether the stage may be given up early with the path known by then.
         """
-        search = self.search
-        search.set_prices(levels, margin_price)
-        begun, most = perf_counter(), self._max_cells()
-        early, hand_over = begun + SPARE_SHARE * self.left, begun + TREE_SHARE * self.left
-        if self.options.branching == "solver":
-            cells = frozenset(best.choice if best is not None else ())
-            return self._lazy(stage, best, -np.inf, cells, early if spare(best) else self.deadline)
+        self.search.set_prices(levels, margin_price)
+        begun, solves = perf_counter(), self.search.solves
+        early, late = self._allow(SPARE_SHARE), self._allow(share)
+        if self.options.solver == "facets":
+            found = branch(
+                self.search,
+                best,
+                self.options.gap,
+                lambda path: (early if spare(path) else late).spent(self.used),
+                lambda top, bound: self.report(stage, top, bound),
+            )
+            self.add_time(stage.replace(" ", "_"), begun)
+            self.stats["nodes"] += found.nodes
+        else:
+            found = by_back_end(self, stage, best, early, late, spare)
+        by, solves = SOLVERS[self.options.solver], self.search.solves - solves
+        self.stages.append(Stage(stage, by, found.status, solves, int(found.nodes)))
+        return found
 
-        def stop(path: Candidate | None, cells: int, lps: int) -> bool:
-            now = perf_counter()
-            if lps > MAX_NODES or now > self.deadline:
-                return True
-            return now > early if spare(path) else now > hand_over and cells <= most
-
-        found = branch(
-            search, best, self.options.gap, stop, lambda top, bound: self.report(stage, top, bound)
-        )
-        self.stats["nodes"] += found.nodes
-        self._add_time(stage, begun)
-        if found.status != "time_limit" or spare(found.best):
-            return found
-        cells = found.cells
-        if len(cells) > most:
-            cells = frozenset(found.best.choice if found.best is not None else ())
-        return self._lazy(stage, found.best, found.bound, cells, self.deadline)
-
-    def _max_cells(self) -> int:
-        """Constrained cells a model may have to be built in a tenth of the time left."""
-        facets = max((len(body.normals) for body in self.problem.unsafe), default=1)
-        rows = facets * len(self.rows.control_points[2])
-        return int(0.1 * self.left / (SECONDS_PER_ROW * rows))
-
-    def _lazy(
-        self, stage: str, best: Candidate | None, bound: float, cells: frozenset[Key], until: float
-    ) -> Outcome:
-        """The back end decides the binaries; cells enter when its solution lacks clearance there."""
-        search, gap = self.search, self.options.gap
-
-        def within() -> bool:
-            value = search.value(best) if best is not None else np.inf
-            return value - bound <= gap * abs(value) + 1e-9
-
-        for _ in range(MAX_ROUNDS):
-            if (best is not None and within()) or perf_counter() > until:
-                break
-            self.stats["rounds"] += 1
-            begun = perf_counter()
-            by_fuel = best is not None and search.margin_price == 0
-            budget = best.fuel * (1 + 1e-6) + 1e-9 if best is not None and by_fuel else np.inf
-            model = Model(search, cells, budget)
-            self._add_time("model", begun)
-            answer = self._run(model, stage, best, until - perf_counter())
-            if answer.status == "infeasible":
-                if best is None:
-                    return Outcome(None, np.inf, "infeasible")
-                return Outcome(best, search.value(best), "optimal")
-            bound = max(bound, answer.bound)
-            path, lacking = self._polished(answer.path) if answer.path is not None else (None, {})
-            if path is not None and not lacking and (best is None or search.value(path) < search.value(best)):
-                best = path
-            if answer.status == "time" or not lacking:
-                break
-            cells = cells | lacking.keys()
-        return Outcome(best, bound, "optimal" if best is not None and within() else "time_limit")
-
-    def _run(self, model: Model, stage: str, best: Candidate | None, seconds: float) -> Answer:
-        begun = perf_counter()
-        top = self.search.value(best) if best is not None else np.inf
-
-        def listen(incumbent: float, bound: float) -> None:
-            self.report(stage, min(top, incumbent), bound)
-
-        start = None
-        if best is not None:
-            check = self.search.recheck(best)
-            facets = {key: self.search.pick(key, check) for key, _ in model.z}
-            start = replace(best, choice=facets | best.choice)
-        answer = model.solve(self.options, seconds, start, listen if self.options.progress else None)
-        self._add_time("solver", begun)
-        for name in ("rows", "cols", "binaries"):
-            self.stats[name] = max(self.stats[name], answer.stats.get(name, 0))
-        self.stats["nodes"] += answer.stats.get("nodes", 0)
-        return answer
-
-    def _polished(self, path: Candidate) -> tuple[Candidate | None, dict[Key, float]]:
-        """Solve again with the facets fixed, so that no big-M and no integer tolerance is left.
-
-        Returns the path and the cells where it lacks clearance.
-        """
-        search = self.search
-        for _ in range(MAX_BOOKINGS):
-            clean = search.solve(path.choice)
-            if clean is None:
-                break
-            lacking = search.lacking(clean, search.recheck(clean))
-            if not search.book(lacking, path.choice):
-                return clean, lacking
-        return None, {}
-
-    def _add_time(self, part: str, begun: float) -> None:
+    def add_time(self, part: str, begun: float) -> None:
+        """Add the wall time since `begun` to a part."""
         self.seconds[part] = self.seconds.get(part, 0.0) + perf_counter() - begun
 
     def _out_of_time(self) -> NoReturn:
-        raise NotCertified(
+        raise OutOfTime(
             f"none found in the time given ({self.options.time_limit:g} s): the planner neither found a plan "
             "nor proved that there is none"
         )
 
     def _none(self, status: str) -> NoReturn:
-        if status != "infeasible":
+        if status == "infeasible":
+            self._none_because(diagnose.blocked)
+        if self.cut_by_clock:
             self._out_of_time()
-        self._none_because(diagnose.blocked)
+        facets = self.options.solver == "facets"
+        name = "max_linear_programs" if facets else "max_nodes"
+        raise NotCertified(
+            f"none found with the effort given (planner.{name} = {getattr(self.options, name)}): the planner "
+            "neither found a plan nor proved that there is none"
+        )
 
     def _none_because(self, explain: Callable[[Planner], NoReturn]) -> NoReturn:
         if self.left <= 0:
@@ -287,7 +261,9 @@ class Planner:
             value,
             bound,
             status,
-            self.options.solver if self.stats["rounds"] else "highs",
-            self.seconds,
-            self.stats,
+            solver=self.options.solver,
+            seconds=self.seconds,
+            stats=self.stats,
+            stages=tuple(self.stages),
+            cut_by_clock=self.cut_by_clock,
         )

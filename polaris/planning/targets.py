@@ -22,7 +22,7 @@ def set_targets(search: PathSearch, base: Candidate) -> float | None:
         Top of the margin variable s; None if some cell cannot be kept clear by any path to the goal.
     """
     problem, extras = search.rows.problem, search.rows.extra
-    surplus, want = search.recheck(base).surplus, problem.extra_margin
+    surplus, want = search.look(base).surplus, problem.extra_margin
     if problem.objective == "distance":
         for extra in extras:
             extra[: problem.K] = 1.0

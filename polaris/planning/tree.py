@@ -42,20 +42,22 @@ class Node:
 
 @dataclass(eq=False)
 class Outcome:
-    """Best path or None, bound, "optimal", "infeasible" or "time_limit", nodes solved, cells touched."""
+    """Best path or None, bound, how it ended, nodes solved.
+
+    It ended "optimal", "infeasible", or with what told it to stop ("effort_limit", "time_limit").
+    """
 
     best: Candidate | None
     bound: float
     status: str
     nodes: int = 0
-    cells: frozenset[Key] = frozenset()
 
 
 def branch(
     search: PathSearch,
     best: Candidate | None,
     gap: float,
-    stop: Callable[[Candidate | None, int, int], bool],
+    stop: Callable[[Candidate | None], str],
     listen: Callable[[float, float], None] = lambda top, bound: None,
 ) -> Outcome:
     """Minimise the search's objective over all facet choices.
@@ -69,12 +71,10 @@ def branch(
     gap : float
         Relative gap at which to stop.
     stop : callable
-        Asked before every linear program, given the best path so far and the numbers of cells touched
-        and of programs solved, whether to stop with the tree open.
+        Asked before every node, given the best path so far: why to stop with the tree open, or "".
     listen : callable
         Told the incumbent and the bound.
     """
-    touched: set[Key] = set(best.choice) if best is not None else set()
     top = search.value(best) if best is not None else np.inf
     heap = [Node(-np.inf, 0, {}, None)]
     count, splits, bound, dropped = 0, 0, -np.inf, np.inf
@@ -83,15 +83,16 @@ def branch(
         return top - gap * abs(top) if np.isfinite(top) else np.inf
 
     def outcome(status: str) -> Outcome:
-        return Outcome(best, min(bound, dropped, top), status, count, frozenset(touched))
+        return Outcome(best, min(bound, dropped, top), status, count)
 
     while heap:
         bound = max(bound, min(heap[0].bound, top))
         listen(top, bound)
         if heap[0].bound >= cut():
             return outcome("optimal")
-        if stop(best, len(touched), count):
-            return outcome("time_limit")
+        why = stop(best)
+        if why:
+            return outcome(why)
         node = heapq.heappop(heap)
         path = search.solve(node.choice, node.start)
         count += 1
@@ -103,20 +104,19 @@ def branch(
         if heap and value > heap[0].bound and not node.solved:
             heapq.heappush(heap, Node(value, count, node.choice, start, True))
             continue
-        check = search.recheck(path)
-        lacking = search.lacking(path, check)
+        seen = search.look(path)
+        lacking = search.lacking(path, seen)
         if not lacking:
             if value < top:
-                best, top = path, search.value(path)
+                if search.confirmed(path, seen):
+                    best, top = path, search.value(path)
+                else:
+                    heapq.heappush(heap, Node(value, count, node.choice, start))  # solve it again
             continue
         # the goal's disjunctions first, then the cells where most is lacking
-        new = sorted(set(lacking) - set(path.choice), key=lambda key: (key[0] >= 0, -lacking[key]))
+        new = sorted(lacking, key=lambda key: (key[0] >= 0, -lacking[key]))
         bounds = search.bounds(path, new[:LOOK_AT])
-        if search.book(lacking, path.choice) and not new:
-            heapq.heappush(heap, Node(value, count, node.choice, start))  # solve it again
-            continue
         splits += 1
-        touched |= lacking.keys()
         children, least = split(bounds, value, cut())
         dropped = min(dropped, least)
         for at_least, more in children:
@@ -126,7 +126,6 @@ def branch(
             found = search.improve(found) if found is not None else None
             if found is not None and found.short == 0 and search.value(found) < top:
                 best, top = found, search.value(found)
-                touched |= found.choice.keys()
     bound = top
     return outcome("infeasible" if best is None else "optimal")
 

@@ -73,7 +73,7 @@ def synthesis(summary: Mapping[str, Any]) -> str:
     start = Measure.of("start_share")
     rows = [
         ("recoverable sets", escaped(found["recoverable"])),
-        ("plan", f"{escaped(plan['status'])} ({escaped(plan['solver'])})"),
+        ("plan", f"{escaped(plan['status'])} ({escaped(plan.get('solver_name', plan['solver']))})"),
         ("clearance of the plan beyond the tube", Measure.of("margin_m").text(plan["margin_m"])),
         ("velocity change of the plan", Measure.of("delta_v_m_s").text(plan["delta_v_m_s"])),
         (

@@ -193,7 +193,7 @@ BROKEN = {
     "weight unknown": ({"tracking.weight": "best"}, "tracking.weight", "'auto' or 'identity'"),
     "bound unknown": ({"tracking.bound": "guess"}, "tracking.bound", "'envelope' or 'lyapunov'"),
     "recoverable unknown": ({"recoverable.kind": "cube"}, "recoverable.kind", "'polytope'"),
-    "solver unknown": ({"planner.solver": "cplex"}, "planner.solver", "'highs' or 'gurobi'"),
+    "solver unknown": ({"planner.solver": "cplex"}, "planner.solver", "'facets', 'highs' or 'gurobi'"),
     "gap of one": ({"planner.gap": 1.0}, "planner.gap", "< 1"),
     "no time": ({"planner.time_limit_s": 0}, "planner.time_limit_s", "> 0"),
     "goal inside out": ({"goal.inner_semi_minor_m": 90.0}, "goal.inner_semi_minor_m", "must be below"),

@@ -279,7 +279,7 @@ def test_plot_redraws_the_same_bytes_from_the_files_alone(invoke, tmp_path, monk
         path.unlink()
     done = invoke("plot", "here")
     assert done.exit_code == 0 and "margin.png" in done.output
-    assert {path.name: path.read_bytes() for path in figures.iterdir()} == before
+    assert {path.name: path.read_bytes() for path in figures.glob("[!.]*")} == before
 
 
 # -- how it ends ------------------------------------------------------------------------------------
@@ -353,6 +353,50 @@ def test_infeasible_and_out_of_time_for_real(tmp_path, monkeypatch):
     late = CliRunner().invoke(cli.app, ["run", str(TINY), "--set", "planner.time_limit_s=1e-9", "--json"])
     is_one_message(late, 4)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_clock_that_struck_is_told_whatever_is_asked(tmp_path, monkeypatch):
+    """On standard error, quiet or not, in summary.json, and in what Python returns."""
+    from polaris.errors import ClockWarning
+    from polaris.planning.solve import Planner
+    from polaris.synthesis import synthesize
+
+    options = ["--no-figures", "--set", "simulation.runs=2"]
+    CliRunner().invoke(cli.app, ["run", str(TINY), "--out", str(tmp_path / "in time"), "-q", *options])
+    told = json.loads((tmp_path / "in time" / "summary.json").read_text(encoding="utf-8"))
+    planner = told["synthesis"]["planner"]
+    assert planner["cut_by_clock"] == [] and planner["status"] == "optimal"
+    assert [(stage["name"], stage["status"]) for stage in planner["stages"]][-1] == ("fuel", "optimal")
+    assert all("HiGHS" in stage["by"] for stage in planner["stages"])
+
+    # not in the plan of the unaware reference, which is not used then
+    struck = property(lambda self: ("fuel",) if self.problem.unsafe else ())
+    monkeypatch.setattr(Planner, "cut_by_clock", struck)
+    out = tmp_path / "late"
+    for quiet in ("-q", "--json"):
+        done = CliRunner().invoke(cli.app, ["run", str(TINY), "--out", str(out), quiet, *options])
+        lines = [line for line in done.stderr.splitlines() if line.startswith("warning: ")]
+        assert done.exit_code == 0 and len(lines) == 1
+        assert "planner.time_limit_s" in lines[0] and "fuel" in lines[0]
+        assert json.loads((out / "summary.json").read_text(encoding="utf-8"))["synthesis"]["planner"][
+            "cut_by_clock"
+        ] == ["fuel"]
+    with pytest.warns(ClockWarning):
+        assert synthesize(load_scenario(TINY)).safety.cut_by_clock == ("fuel",)
+
+
+def test_a_reference_that_the_clock_cut_short_is_not_used(monkeypatch):
+    """The unaware reference is the cheapest plan; half-way to it is something else each time."""
+    from polaris.errors import ClockWarning, OutOfTime
+    from polaris.experimental import build_controllers
+    from polaris.planning.solve import Planner
+    from polaris.safety import get_safety
+
+    scenario = load_scenario("static")
+    safety = get_safety(scenario)
+    monkeypatch.setattr(Planner, "cut_by_clock", property(lambda self: ("fuel",)))
+    with pytest.warns(ClockWarning), pytest.raises(OutOfTime, match="time_limit_s"):
+        build_controllers(scenario, safety)
 
 
 @pytest.mark.parametrize("error", [RuntimeError("no ink"), KeyboardInterrupt(), SystemExit(143)])
