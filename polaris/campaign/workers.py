@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import multiprocessing
 import os
 import re
@@ -24,6 +25,9 @@ DESERTED = 60.0
 
 ASKED = 1.0
 """Seconds for which a cluster's answer about its workers is taken to hold."""
+
+LOGGERS = ("distributed", "tornado", "asyncio")
+"""Roots of the loggers of Dask's client."""
 
 AHEAD = 4
 """Tasks handed out per worker: enough to keep it busy, few enough to bound the memory."""
@@ -115,23 +119,39 @@ def cluster(address: str) -> Iterator[Workers]:
         raise ScenarioError("--scheduler", address, rule) from error
     if not re.fullmatch(r"\w+://[^\s/]+:\d+", address):
         raise ScenarioError("--scheduler", address, "must be an address like tcp://host:8786")
+    with _unlogged():
+        try:
+            make: Any = distributed.Client
+            client = make(address, timeout=PATIENCE, set_as_default=False)
+        except (OSError, ValueError, TypeError) as error:
+            told = " ".join(str(error).split())
+            rule = f"no scheduler answers there within {PATIENCE:g} s ({told})"
+            raise ScenarioError("--scheduler", address, rule) from error
+        crew = _Crew(client, address)
+        try:
+            yield Workers(
+                lambda: _answering(client, address).get_executor(pure=False),
+                lambda: AHEAD * max(crew.threads(), 4),
+                lost=(BrokenExecutor, CancelledError, distributed.KilledWorker),
+                trouble=crew.trouble,
+            )
+        finally:
+            client.close(timeout=PATIENCE)
+
+
+@contextmanager
+def _unlogged() -> Iterator[None]:
+    """Keep what Dask logs of lost connections, tracebacks included, off the terminal: `Flight` tells."""
+    known = [*logging.root.manager.loggerDict, *LOGGERS]
+    names = dict.fromkeys(name for name in known if name.partition(".")[0] in LOGGERS)
+    levels = {name: logging.getLogger(name).level for name in names}
+    for name in names:
+        logging.getLogger(name).setLevel(logging.CRITICAL + 1)
     try:
-        make: Any = distributed.Client
-        client = make(address, timeout=PATIENCE, set_as_default=False)
-    except (OSError, ValueError, TypeError) as error:
-        told = " ".join(str(error).split())
-        rule = f"no scheduler answers there within {PATIENCE:g} s ({told})"
-        raise ScenarioError("--scheduler", address, rule) from error
-    crew = _Crew(client, address)
-    try:
-        yield Workers(
-            lambda: _answering(client, address).get_executor(pure=False),
-            lambda: AHEAD * max(crew.threads(), 4),
-            lost=(BrokenExecutor, CancelledError, distributed.KilledWorker),
-            trouble=crew.trouble,
-        )
+        yield
     finally:
-        client.close(timeout=PATIENCE)
+        for name, level in levels.items():
+            logging.getLogger(name).setLevel(level)
 
 
 class _Crew:

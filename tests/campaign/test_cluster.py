@@ -1,5 +1,6 @@
 """Campaigns on a real Dask scheduler with two worker processes, one of which is killed."""
 
+import logging
 import os
 import signal
 import socket
@@ -10,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from polaris.campaign import cluster
+from polaris.campaign import cluster, workers
 from polaris.errors import PolarisError, ScenarioError
 from tests.campaign.scene import await_parts, fly, table
 
@@ -50,9 +51,9 @@ def test_a_scheduler_in_this_process_gives_the_same_table(flown, tmp_path):
     options = {"processes": False, "protocol": "tcp", "host": "127.0.0.1", "dashboard_address": None}
     with (
         distributed.LocalCluster(n_workers=1, threads_per_worker=2, **options) as here,
-        cluster(here.scheduler_address) as workers,
+        cluster(here.scheduler_address) as crew,
     ):
-        assert table(fly(tmp_path / "c", workers).path) == table(flown.path)
+        assert table(fly(tmp_path / "c", crew).path) == table(flown.path)
 
 
 @pytest.mark.slow
@@ -66,15 +67,15 @@ def test_a_worker_killed_in_mid_run_loses_nothing_and_counts_nothing_twice(flown
 
     killer = threading.Thread(target=kill)
     killer.start()
-    with cluster(address) as workers:
-        fly(out, workers)
+    with cluster(address) as crew:
+        fly(out, crew)
     killer.join()
     assert victim.wait() == -signal.SIGKILL
     assert table(out) == table(flown.path)
 
 
 @pytest.mark.slow
-def test_a_scheduler_that_dies_is_told_and_parts_are_kept(flown, nodes, tmp_path):
+def test_a_scheduler_that_dies_is_told_and_parts_are_kept(flown, nodes, tmp_path, capfd):
     address, (scheduler, *_) = nodes
     out = tmp_path / "c"
 
@@ -84,9 +85,11 @@ def test_a_scheduler_that_dies_is_told_and_parts_are_kept(flown, nodes, tmp_path
 
     killer = threading.Thread(target=kill)
     killer.start()
-    with pytest.raises(PolarisError, match=r"no longer answers|lost"), cluster(address) as workers:
-        fly(out, workers)
+    told = r"(no longer answers|lost).* runs are kept in .*the same command goes on"
+    with pytest.raises(PolarisError, match=told), cluster(address) as crew:
+        fly(out, crew)
     killer.join()
+    assert capfd.readouterr() == ("", "")  # no traceback of Dask's
     assert table(out).items() < table(flown.path).items()
     assert table(fly(out).path) == table(flown.path)
 
@@ -97,12 +100,22 @@ def test_a_cluster_without_workers_is_told_and_goes_on_with_some(flown, tmp_path
     options = {"processes": False, "protocol": "tcp", "host": "127.0.0.1", "dashboard_address": None}
     with distributed.LocalCluster(n_workers=0, **options) as here:
         told = r"has had no worker for 1\.5 s; 0 runs are kept in .*the same command goes on"
-        with cluster(here.scheduler_address) as workers, pytest.raises(PolarisError, match=told):
-            fly(tmp_path / "c", workers)
+        with cluster(here.scheduler_address) as crew, pytest.raises(PolarisError, match=told):
+            fly(tmp_path / "c", crew)
         assert table(tmp_path / "c") == {}
         here.scale(1)
-        with cluster(here.scheduler_address) as workers:
-            assert table(fly(tmp_path / "c", workers).path) == table(flown.path)
+        with cluster(here.scheduler_address) as crew:
+            assert table(fly(tmp_path / "c", crew).path) == table(flown.path)
+
+
+def test_what_dask_logs_of_lost_connections_stays_off_the_terminal(caplog):
+    levels = [logging.getLogger(name).level for name in ("distributed.client", "tornado.application")]
+    with workers._unlogged():
+        for name in ("distributed.client", "distributed.core", "tornado.application", "asyncio"):
+            logging.getLogger(name).error("Traceback", exc_info=OSError("refused"))
+        logging.getLogger("mine").error("still heard")
+    assert [record.name for record in caplog.records] == ["mine"]
+    assert levels == [logging.getLogger(name).level for name in ("distributed.client", "tornado.application")]
 
 
 def test_addresses_where_no_scheduler_is_are_refused(monkeypatch):
@@ -119,5 +132,5 @@ def test_addresses_where_no_scheduler_is_are_refused(monkeypatch):
 
 def test_without_distributed_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(ScenarioError, match="cluster"), cluster("tcp://127.0.0.1:8786"):
+    with pytest.raises(ScenarioError, match="needs the package distributed"), cluster("tcp://127.0.0.1:8786"):
         pass
