@@ -67,8 +67,12 @@ def add_commands(app: typer.Typer, guard: Guard) -> None:
             from .falsification.case import write_case
             from .falsification.load import load_target
             from .falsification.search import falsify
+            from .replacing import check_file
 
+            if out is not None:
+                check_file(out)
             scenario, schedule = load_target(target)
+            check_file(out or f"{scenario.name}.case.json")
             found = falsify(schedule, runs, seed)
             if as_json:
                 _print_json(found.summary())

@@ -151,9 +151,11 @@ def add_campaign(app: typer.Typer, guard: Guard) -> None:
         with guard():
             from .campaign.console import show_run
             from .campaign.folder import read_campaign
-            from .campaign.replay import find_worst, replay_run
+            from .campaign.replay import check_trajectory, find_worst, replay_run
             from .runfiles import json_text
 
+            if out is not None:
+                check_trajectory(out)
             folder = read_campaign(campaign)
             who = folder.plan.modes[0] if mode is None else mode.value
             if worst is not None:

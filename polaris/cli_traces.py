@@ -130,10 +130,12 @@ def add_traces(app: typer.Typer, guard: Guard) -> None:
         """Write one flight of a folder, with its unsafe sets, as a trace that RTAEval can read."""
         with guard():
             from .checks import counted
+            from .replacing import check_file
             from .rta.folder import is_comparison
             from .traces.export import export_method, export_run
             from .traces.writing import write_trace
 
+            check_file(trace, "trace")
             if method is None and not is_comparison(run):
                 pilot = (controller or Controller.polaris).value
                 found = export_run(run, pilot, label, nominal=nominal)

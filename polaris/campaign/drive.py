@@ -12,6 +12,7 @@ from typing import Any
 
 from ..disturbances import Disturbance
 from ..errors import PolarisError
+from ..replacing import CannotWrite
 from ..simulation import Initial
 from .batch import Batch, Task, fly_batch
 from .cases import Case
@@ -64,7 +65,7 @@ class Flight:
         executor: Executor | None = None
         try:
             while missing:
-                executor = executor or self.workers.make()
+                executor = executor or self._make()
                 before = self.done
                 lost = self._until_broken(executor, missing)
                 losses = losses + 1 if self.done == before else 1
@@ -80,9 +81,17 @@ class Flight:
                     )
         except KeyboardInterrupt:
             raise Interrupted(f"interrupted; {self._kept_so_far()}") from None
+        except CannotWrite as error:
+            raise PolarisError(f"{error}; {self._kept_so_far()}") from error
         finally:
             if executor is not None:
                 self._close(executor)
+
+    def _make(self) -> Executor:
+        try:
+            return self.workers.make()
+        except PolarisError as error:
+            raise PolarisError(f"{error}; {self._kept_so_far()}") from error
 
     def _until_broken(self, executor: Executor, missing: deque[Task]) -> list[Task]:
         """Hand out tasks until all are done or workers are lost; returns the tasks lost."""
@@ -142,7 +151,7 @@ class Flight:
             label = self.folder.plan.cases[task.case].label
             raise PolarisError(
                 f"{label}: workers (or an earlier part of this campaign) found different schedules: other"
-                " processors, other versions of the solver, or a planner stopped by its time limit;"
+                " processors, or other versions of the solver;"
                 f" {self._kept_so_far()}"
             )
 

@@ -11,15 +11,14 @@ summary.json    per case and mode: violations, means with intervals, worst runs
 from __future__ import annotations
 
 import json
-import os
-import secrets
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from ..errors import NotCertified, ScenarioError
-from ..replacing import check_target, replacing
+from ..ownership import RESULTS, tidy_all
+from ..replacing import check_file, check_target, replacing, replacing_file
 from ..runfiles import json_text, write_text
 from ..runfolder import read_json
 from ..version import version, versions
@@ -81,6 +80,11 @@ class CampaignFolder:
             if told["exit_code"] == NotCertified.exit_code:
                 self._failure(case).unlink()
 
+    def clear(self) -> None:
+        """Remove what killed processes left half written."""
+        for folder in (self.path, self.path / "runs", self.path / "failed"):
+            tidy_all(folder)
+
     def write_summary(self, summary: dict[str, Any]) -> None:
         """Write ``summary.json``."""
         write_beside(self.path / "summary.json", json_text(summary))
@@ -104,8 +108,10 @@ def open_campaign(out: str | Path, plan: Plan, fresh: bool = False) -> CampaignF
             raise ScenarioError("--out", str(out), "is a run folder; a campaign needs one of its own")
         return _new(path, plan)
     if fresh:
-        check_target(out) if (path / "summary.json").is_file() else _manifest(path)
+        check_target(out, campaign=True)
+        _manifest(path)
         return _new(path, plan)
+    check_file(path / "summary.json")
     known = _manifest(path)
     if known.get("digest") != plan.digest:
         rule = f"holds another campaign ({_difference(known, plan)}); --fresh replaces it"
@@ -118,7 +124,7 @@ def open_campaign(out: str | Path, plan: Plan, fresh: bool = False) -> CampaignF
         (path / name).mkdir(exist_ok=True)
     if known["runs"] < plan.runs:
         _write_manifest(path, plan)
-    folder.parts.clear()
+    folder.clear()
     folder.forget_undecided()
     return folder
 
@@ -149,17 +155,12 @@ def read_campaign(path: str | Path) -> CampaignFolder:
 
 def write_beside(path: Path, text: str) -> None:
     """Write a file: whole, or not at all."""
-    beside = path.with_name(f".{path.name}.new-{secrets.token_hex(4)}")
-    try:
+    with replacing_file(path) as beside:
         write_text(beside, text)
-        os.replace(beside, path)
-    except BaseException:
-        beside.unlink(missing_ok=True)
-        raise
 
 
 def _new(path: Path, plan: Plan) -> CampaignFolder:
-    with replacing(path) as beside:
+    with replacing(path, RESULTS) as beside:
         for name in ("runs", "failed"):
             (beside / name).mkdir()
         _write_manifest(beside, plan)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import secrets
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +12,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from ..replacing import replacing_file
 from .batch import Batch, Task
 from .plan import Plan
 
@@ -43,14 +42,8 @@ class Parts:
 
     def write(self, task: Task, batch: Batch) -> None:
         """Write a batch: whole, or not at all."""
-        target = self.path(task)
-        beside = target.with_name(f".{target.name}.new-{secrets.token_hex(4)}")
-        try:
+        with replacing_file(self.path(task)) as beside:
             pq.write_table(self._table(task, batch), beside, write_page_checksum=True)
-            os.replace(beside, target)
-        except BaseException:
-            beside.unlink(missing_ok=True)
-            raise
 
     def check(self, task: Task) -> str | None:
         """Schedule (its SHA-256) of a part that is whole and belongs here; None if it must be flown again.
@@ -80,11 +73,6 @@ class Parts:
         table = pq.read_table(self.path(task))
         row: dict[str, Any] = table.slice(task.modes.index(mode) * task.runs + run, 1).to_pylist()[0]
         return row
-
-    def clear(self) -> None:
-        """Remove what a killed campaign left half written."""
-        for left in self.folder.glob(".*.parquet.new-*"):
-            left.unlink(missing_ok=True)
 
     def _table(self, task: Task, batch: Batch) -> pa.Table:
         count = task.runs * len(task.modes)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import secrets
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,6 +12,7 @@ from numpy.typing import NDArray
 from ..errors import PolarisError, ScenarioError
 from ..evaluation import PART
 from ..metrics import signed_distances
+from ..replacing import check_file, replacing_file
 from ..runfiles import columns, write_csv
 from ..simulation import Runs
 from ..system import Array, LinearSystem
@@ -59,18 +58,11 @@ class Replayed:
         Raises
         ------
         ScenarioError
-            If the name ends otherwise.
+            If the name ends otherwise, or the file cannot be written.
         """
-        target = Path(path)
-        if target.suffix not in (".csv", ".npz"):
-            raise ScenarioError("--out", str(path), "must end with .csv or .npz")
-        beside = target.with_name(f".{target.stem}.new-{secrets.token_hex(4)}{target.suffix}")
-        try:
+        target = check_trajectory(path)
+        with replacing_file(target) as beside:
             self._write_csv(beside) if target.suffix == ".csv" else self._write_npz(beside)
-            os.replace(beside, target)
-        except BaseException:
-            beside.unlink(missing_ok=True)
-            raise
         return target
 
     def _write_csv(self, path: Path) -> None:
@@ -96,6 +88,19 @@ class Replayed:
             distances_m=self.distances,
             names=np.array(self.names, dtype=str),
         )
+
+
+def check_trajectory(path: str | Path) -> Path:
+    """Whether a trajectory may be written there.
+
+    Raises
+    ------
+    ScenarioError
+        If the name does not end with ``.csv`` or ``.npz``, or the file cannot be written.
+    """
+    if Path(path).suffix not in (".csv", ".npz"):
+        raise ScenarioError("--out", str(path), "must end with .csv or .npz")
+    return check_file(path)
 
 
 def find_worst(

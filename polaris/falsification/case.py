@@ -13,6 +13,7 @@ import numpy as np
 from ..controllers import AffineController
 from ..errors import ScenarioError
 from ..integration import Integrator
+from ..replacing import replacing_file
 from ..runfiles import json_text, write_text
 from ..scenario import Scenario
 from ..schedule import Schedule
@@ -69,7 +70,8 @@ def write_case(path: str | Path, scenario: Scenario, found: Falsification) -> Pa
         "inputs": None if attack.free is None else _packed(attack.free[:, 0]),
     }
     target = Path(path)
-    write_text(target, json_text(data))
+    with replacing_file(target) as beside:
+        write_text(beside, json_text(data))
     return target
 
 

@@ -7,13 +7,12 @@
 
 from __future__ import annotations
 
-import os
-import secrets
 from pathlib import Path
 
 from ..asif.run_folder import is_inspection
 from ..asif.run_folder import read_run as read_inspection
 from ..errors import ScenarioError
+from ..replacing import check_file, replacing_file
 from ..runfolder import DATA_FILES, read_run, readable
 from .page import Page, page_html
 
@@ -41,18 +40,10 @@ def write_report(folder: str | Path, out: str | Path | None = None) -> Path:
         If the folder is none of these or damaged, or the file cannot be written.
     """
     target = Path(folder) / "report.html" if out is None else Path(out)
-    if target.is_dir() or not target.parent.is_dir():
-        rule = "is a folder; must be a file" if target.is_dir() else f"there is no folder {target.parent}"
-        raise ScenarioError("--out", str(target), rule)
+    check_file(target)
     text = page_html(report_page(folder))
-    beside = target.with_name(f".{target.name}.new-{secrets.token_hex(4)}")
-    try:
+    with replacing_file(target) as beside:
         beside.write_text(text, encoding="utf-8", newline="\n")
-        os.replace(beside, target)
-    except OSError as error:
-        raise ScenarioError("--out", str(target), f"cannot be written: {error.strerror or error}") from error
-    finally:
-        beside.unlink(missing_ok=True)
     return target
 
 

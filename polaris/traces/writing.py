@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import secrets
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +10,7 @@ import numpy as np
 
 from ..errors import ScenarioError
 from ..metrics import UNKNOWN
+from ..replacing import check_file, replacing_file
 from .memory import uncollected
 from .model import AgentTrace, AnySet, BallTrace, PointTrace, RectangleTrace, Trace
 
@@ -51,20 +50,15 @@ def write_trace(path: str | Path, trace: Trace) -> Path:
         If `path` is a folder, or cannot be written.
     """
     target = Path(path)
-    if target.is_dir():
-        raise ScenarioError("trace", str(path), "is a folder; must be a file")
-    beside = target.with_name(f".{target.name}.new-{secrets.token_hex(4)}")
+    check_file(target, "trace")
     try:
-        try:
-            with uncollected():
-                text = json.dumps(trace_data(trace), allow_nan=False, ensure_ascii=False) + "\n"
-            beside.write_text(text, encoding="utf-8", newline="\n")
-            os.replace(beside, target)
-        finally:
-            beside.unlink(missing_ok=True)
-    except (OSError, ValueError) as error:
-        told = getattr(error, "strerror", None) or str(error)
-        raise ScenarioError("trace", str(path), f"cannot be written: {told}") from error
+        with uncollected():
+            text = json.dumps(trace_data(trace), allow_nan=False, ensure_ascii=False) + "\n"
+        data = text.encode("utf-8")
+    except ValueError as error:
+        raise ScenarioError("trace", str(path), f"cannot be written: {error}") from error
+    with replacing_file(target, "trace") as beside:
+        beside.write_bytes(data)
     return target
 
 

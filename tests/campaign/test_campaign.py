@@ -22,6 +22,7 @@ from polaris.simulation import simulate
 from polaris.synthesis import synthesize
 from tests.campaign import scene
 from tests.campaign.scene import GRID, MODES, RUNS, TINY, cases, fly, rows, table
+from tests.leftovers import left_by_a_dead_process
 
 ROOT = Path(__file__).parents[2]
 
@@ -134,10 +135,10 @@ def test_few_tasks_are_handed_out_at_a_time(tmp_path):
 def test_finished_parts_are_not_flown_again(flown, tmp_path, monkeypatch):
     out = fly(tmp_path / "c").path
     (out / "runs" / "case-0001-batch-00002.parquet").unlink()
-    (out / "runs" / ".case-0000-batch-00000.parquet.new-abcd").write_bytes(b"half")
+    left = left_by_a_dead_process(out / "runs" / "case-0000-batch-00000.parquet")
     seen = counting(monkeypatch)
     fly(out)
-    assert seen == [(1, 2)] and table(out) == table(flown.path)
+    assert seen == [(1, 2)] and table(out) == table(flown.path) and not left.exists()
     del seen[:]
     fly(out)
     assert seen == []
@@ -150,7 +151,14 @@ def corrupt(path, kind):
     elif kind == "cut":
         content = content[: len(content) // 2]
     elif kind == "bit":
-        content[len(content) // 5] ^= 4
+        group = pq.ParquetFile(path).metadata.row_group(0)
+        column = next(
+            group.column(i)
+            for i in range(group.num_columns)
+            if group.column(i).path_in_schema == "min_distance_m"
+        )
+        first = column.dictionary_page_offset or column.data_page_offset
+        content[first + column.total_compressed_size - 1] ^= 4  # of a number, not of a page's header
     elif kind == "footer":
         content[-20] ^= 255
     path.write_bytes(bytes(content))
@@ -201,7 +209,8 @@ def test_another_campaign_is_refused_unless_asked_to_be_replaced(tmp_path):
 
 def test_other_folders_are_not_touched(tmp_path):
     (tmp_path / "full").mkdir()
-    (tmp_path / "full" / "summary.json").write_text("{}", encoding="utf-8")
+    told = '{"schema_version": 1, "scenario": "tiny"}'
+    (tmp_path / "full" / "summary.json").write_text(told, encoding="utf-8")
     for fresh in (False, True):
         with pytest.raises(ScenarioError, match="run folder"):
             run_campaign(make_cases([TINY]), 3, tmp_path / "full", fresh=fresh)
@@ -359,6 +368,50 @@ def test_a_case_that_was_not_decided_in_time_is_tried_again(tmp_path, monkeypatc
     seen = counting(monkeypatch)
     run_campaign(late, 3, folder.path)
     assert seen == [(0, 0)]
+
+
+def test_a_schedule_that_hangs_on_the_clock_is_not_flown(tmp_path, monkeypatch):
+    """Another machine might fly another one."""
+    from polaris.planning.solve import Planner
+
+    batch._made.cache_clear()
+    with monkeypatch.context() as late:
+        struck = property(lambda self: ("fuel",) if self.problem.unsafe else ())
+        late.setattr(Planner, "cut_by_clock", struck)
+        found = run_campaign(make_cases([TINY]), 3, tmp_path / "c").summary
+    assert found["flown"] == 0 and "raise planner.time_limit_s" in found["cases"][0]["failure"]
+    assert found["cases"][0]["exit_code"] == 4
+    batch._made.cache_clear()
+    assert run_campaign(make_cases([TINY]), 3, tmp_path / "c").summary["flown"] == 3
+
+
+def test_a_full_disk_names_the_path_keeps_the_parts_and_goes_on(flown, tmp_path, monkeypatch):
+    out, real = tmp_path / "c", pq.write_table
+
+    def write(table, path, **options):
+        if len(list((out / "runs").glob("*.parquet"))) == 2:
+            raise OSError(28, "No space left on device", str(path))
+        real(table, path, **options)
+
+    monkeypatch.setattr(pq, "write_table", write)
+    told = r"case-.*\.parquet.*No space left on device.*Free some space.* runs are kept in .*goes on"
+    with pytest.raises(PolarisError, match=told):
+        fly(out)
+    assert table(out).items() < table(flown.path).items()
+    assert not [path for path in out.rglob("*") if ".new-" in path.name]
+    monkeypatch.setattr(pq, "write_table", real)
+    assert table(fly(out).path) == table(flown.path)
+
+
+def test_replacing_a_campaign_leaves_what_it_did_not_write(tmp_path):
+    out = run_campaign(make_cases([TINY]), 3, tmp_path / "c").path
+    (out / "notes.txt").write_text("mine", encoding="utf-8")
+    (out / "runs" / "plot.py").write_text("mine too", encoding="utf-8")
+    (out / "runs" / "case-0007-batch-00000.parquet").write_bytes(b"of the older campaign")
+    run_campaign(make_cases([TINY]), 2, out, seed=1, fresh=True)
+    left = {path.relative_to(out).as_posix() for path in out.rglob("*") if path.is_file()}
+    parts = {"runs/case-0000-batch-00000.parquet"}
+    assert left == {"manifest.json", "summary.json", ".polaris.json", "notes.txt", "runs/plot.py"} | parts
 
 
 def test_schedules_that_differ_between_workers_are_an_error(tmp_path, monkeypatch):

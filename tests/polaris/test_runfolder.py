@@ -28,7 +28,7 @@ def load_strict(path):
 
 def test_all_files_are_there_and_nothing_else(folder):
     names = {path.name for path in folder.path.iterdir()}
-    assert names == {*DATA_FILES, "certificate.json", "summary.json", "figures"}
+    assert names == {*DATA_FILES, "certificate.json", "summary.json", "figures", ".polaris.json"}
     assert len(list((folder.path / "figures").iterdir())) == 10
     assert [path.name for path in folder.path.parent.iterdir()] == ["tiny"]
 
@@ -149,14 +149,15 @@ def test_sets_hold_the_radius_of_every_node(folder):
 # -- replacing and reading ----------------------------------------------------------------------------
 
 
-def test_a_newer_run_replaces_the_older_one_whole(tmp_path):
+def test_a_newer_run_replaces_the_older_one(tmp_path):
     scenario, schedule = synthesised()
     target = tmp_path / "deep" / "er"
     write_run(target, scenario, schedule, flown(), figures=False)
     (target / "note.txt").write_text("mine", encoding="utf-8")
     other, noted = scenario.set("simulation.seed", 5), ["simulation.seed=5"]
     write_run(target, other, schedule, flown(), overrides=noted, figures=False)
-    assert not (target / "note.txt").exists() and read_run(target).scenario.simulation.seed == 5
+    assert (target / "note.txt").read_text(encoding="utf-8") == "mine"
+    assert read_run(target).scenario.simulation.seed == 5
     assert [path.name for path in target.parent.iterdir()] == ["er"]
 
 
