@@ -12,8 +12,10 @@ from reach.zonotope import Zonotope
 from .checks import positive, whole
 from .controllers import Controller, Flight
 from .errors import ScenarioError
+from .problem import Problem
 from .recoverable import Margin, contains_flight
 from .safety import Safety, get_safety
+from .same_system import check_controller, check_flight, check_safety
 from .schedule import Schedule, Step, describe_guarantee
 
 SAFETY = 0
@@ -117,7 +119,7 @@ def synthesize(
         experimental = build_controllers(scenario, safety)
     if rules is None:
         rules = scenario.switching_rules() if hasattr(scenario, "switching_rules") else SwitchingRules()
-    _check(safety, experimental, rules)
+    _check(scenario, safety, experimental, rules)
     started = time.perf_counter()
     controllers: tuple[Controller, ...] = (safety.controller, *experimental)
     search = _Search(safety, controllers, rules)
@@ -203,7 +205,8 @@ class _Search:
         K = self.safety.problem.K
         for _ in range(min(steps, K - branch.k)):
             k, controller = branch.k, self.controllers[mode]
-            flight = controller.fly(branch.reached, k)  # GetReach, lines 3 and 12
+            flown = controller.fly(branch.reached, k)  # GetReach, lines 3 and 12
+            flight = check_flight(controller, branch.reached, flown, self.safety)
             if mode != SAFETY and flight.refused:
                 return None
             if mode != SAFETY:
@@ -230,18 +233,12 @@ class _Search:
         return self.rules.weights[mode - 1] if mode - 1 < len(self.rules.weights) else 1.0
 
 
-def _check(safety: Safety, experimental: Sequence[Controller], rules: SwitchingRules) -> None:
-    """Refuse controllers that do not belong to this safe reference: their tubes would mean nothing."""
+def _check(scenario: Any, safety: Safety, experimental: Sequence[Controller], rules: SwitchingRules) -> None:
+    """Refuse what does not belong together: its tubes would mean nothing."""
+    problem = scenario.problem() if callable(getattr(scenario, "problem", None)) else scenario
+    check_safety(safety, problem if isinstance(problem, Problem) else safety.problem)
     for controller in experimental:
-        reference = getattr(controller, "reference", safety.reference)
-        tracking = getattr(controller, "tracking", safety.tracking)
-        if reference is not safety.reference or tracking is not safety.tracking:
-            rule = "was built on the reference of another Safety; build it on this one's"
-            raise ScenarioError("experimental", controller.name, rule)
-        own = getattr(controller, "own", reference)
-        if own.cells < safety.problem.K:
-            rule = f"must cover {safety.problem.K} steps"
-            raise ScenarioError(f"{controller.name}.own", f"{own.cells} steps", rule)
+        check_controller(controller, safety)
     if len(rules.weights) > len(experimental):
         given = f"{len(rules.weights)} weights"
         raise ScenarioError(
