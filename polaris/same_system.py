@@ -10,7 +10,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from reach.zonotope import Zonotope
 
@@ -64,11 +63,11 @@ def check_safety(safety: Safety, problem: Problem) -> None:
     _same("safety.start", safety.start.G, theta.G, "initial set of the problem, about the reference")
     sets = perceive_unsafe(problem, reference.cells)
     _same("safety.clearance.unsafe", [u.name for u in clearance.unsafe], [u.name for u in sets], "problem's")
-    for given, wanted in zip(clearance.unsafe, sets, strict=True):
-        _same(f"the normals of {given.name}", given.normals, wanted.normals, "problem's")
-        cells = min(len(given.offsets), reference.cells)
+    for given, asked in zip(clearance.unsafe, sets, strict=True):
+        _same(f"the normals of {given.name}", given.normals, asked.normals, "problem's")
+        cells = min(given.cells, reference.cells)
         _same(f"the cells of {given.name}", cells, reference.cells, "reference's")
-        _same(f"the offsets of {given.name}", given.offsets[:cells], wanted.offsets, "problem's")
+        _same(f"the offsets of {given.name}", given.offsets[:cells], asked.offsets, "problem's")
 
 
 def check_controller(controller: Controller, safety: Safety) -> None:
@@ -99,7 +98,7 @@ def check_flight(controller: Controller, start: Zonotope, flight: Any, safety: S
     ScenarioError
         If it is no tube from that start over one step.
     """
-    if type(controller) in (AffineController, AnyThrust):
+    if type(controller) in (AffineController, AnyThrust) and isinstance(flight, Flight):
         return flight
     name, n, q = f"{controller.name}.fly", safety.problem.system.n, safety.tracking.feedback.nodes_per_cell
     if not isinstance(flight, Flight):
@@ -137,7 +136,7 @@ def _check_reference(field: str, reference: Reference, problem: Problem) -> None
         raise ScenarioError(field, "nan or inf", "must be finite numbers")
 
 
-def _same(field: str, found: ArrayLike | None, wanted: ArrayLike | None, whose: str) -> None:
+def _same(field: str, found: Any, wanted: Any, whose: str) -> None:
     if np.array_equal(np.asarray(found, dtype=object), np.asarray(wanted, dtype=object)):
         return
     a, b = (np.asarray(value).tolist() if np.size(value) <= 12 else "an array" for value in (found, wanted))

@@ -14,6 +14,7 @@ import numpy as np
 from . import scenario_model as models
 from . import scenario_scene as scene
 from .errors import ScenarioError
+from .satellite import SatelliteObstacle
 from .scenario_build import (
     build_goal,
     build_initial_set,
@@ -220,7 +221,9 @@ def check_scene(model: models.ScenarioModel, system: LinearSystem) -> None:
         if isinstance(part, scene.SatelliteObstacle):
             velocity, field = tuple(system.velocity @ np.array(part.state)), f"{path}.state"
             try:
-                build_obstacle(part, path).pushes(system)
+                other = build_obstacle(part, path)
+                assert isinstance(other, SatelliteObstacle)
+                other.pushes(system)
             except ScenarioError as error:
                 raise in_file_terms(error, path, part) from error
         if velocity is not None and np.linalg.norm(velocity) > MAX_SPEED_M_S:

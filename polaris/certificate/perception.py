@@ -28,9 +28,15 @@ def check_unsafe(document: Document, scenario: dict[str, Any]) -> int:
     Raises
     ------
     Rejected
-        Naming the claim ``unsafe_sets``.
+        Naming the claim ``unsafe_sets``, or ``assumptions`` if what is assumed of other satellites is missing.
     """
     left = list(document.unsafe)
+    others = any(spec["kind"] == "satellite" for spec in scenario.get("obstacles", ()))
+    if document.satellites != others:
+        told = "nothing is assumed of them" if others else "something is assumed of them"
+        raise Rejected(
+            "assumptions", f"the scenario has {'' if others else 'no '}other satellites, but {told}"
+        )
     for spec in scenario.get("obstacles", ()):
         if not left or left[0].name != spec["name"] or left[0].keep_in:
             raise Rejected("unsafe_sets", f"{spec['name']} is missing")

@@ -43,7 +43,7 @@ class Corruptor:
         """Another disturbance bound, the assumptions saying so too."""
         data = self.changed("system", "disturbance_max", to=lambda x: scaled(x, factor))
         bound = float.fromhex(data["system"]["disturbance_max"])
-        data["assumptions"] = assumptions(bound, None)
+        data["assumptions"][0] = assumptions(bound, None)[0]
         data["digest"] = digest(data)
         return data
 
@@ -256,7 +256,8 @@ def opposite(normals, facet):
 def sampled(change):
     data = change("sampling", "kind", to="sampled")
     period = float.fromhex(data["sampling"]["step"]) / data["sampling"]["nodes_per_step"]
-    data["assumptions"] = assumptions(float.fromhex(data["system"]["disturbance_max"]), period)
+    told = [line for line in assumptions(0.0, period) if line.startswith("sampling")]
+    data["assumptions"] = [told[0] if line.startswith("sampling") else line for line in data["assumptions"]]
     data["digest"] = digest(data)
     return data
 
