@@ -28,7 +28,7 @@ def check_unsafe(document: Document, scenario: dict[str, Any]) -> int:
     Raises
     ------
     Rejected
-        Naming the claim ``unsafe_sets``, or ``assumptions`` if what is assumed of other satellites is missing.
+        Naming the claim ``unsafe_sets``, or ``assumptions`` if they and the scenario differ about satellites.
     """
     left = list(document.unsafe)
     others = any(spec["kind"] == "satellite" for spec in scenario.get("obstacles", ()))

@@ -1,4 +1,4 @@
-"""What a proof rests on is said in one list: on the screen, in the summary, in the report, in the certificate."""
+"""What a proof rests on is said in one list: on the screen, in the summary, the report, the certificate."""
 
 import json
 import tomllib

@@ -9,11 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
+from polaris.clearance import error_tube
 from polaris.comparison import compare
 from polaris.errors import ScenarioError, SynthesisInfeasible
 from polaris.hill import clohessy_wiltshire
 from polaris.obstacles import SatelliteObstacle
 from polaris.runfolder import write_run
+from polaris.safety import get_safety
 from polaris.scenario import Scenario
 from polaris.synthesis import synthesize
 from polaris.system import LinearSystem
@@ -285,3 +287,51 @@ def test_the_checker_refuses_thrust_of_others_where_it_has_no_meaning(name):
     (sat,), system = free.obstacles(), free.system()
     assert checked(system, sat, 0.5, 3, 0.0) == "holds"
     assert "has thrust, but" in checked(system, sat, 0.5, 3, 0.01)
+
+
+# -- units ----------------------------------------------------------------------------------------------
+
+
+def in_other_units(data, state, inputs, disturbance):
+    """The same scene with states, inputs and disturbances counted in other units (numbers times these)."""
+    S, system = np.array(state), data["system"]
+    A, B, D = (np.array(system[key], dtype=float) for key in "ABD")
+    system["A"] = (S[:, None] * A / S).tolist()
+    system["B"] = (S[:, None] * B / inputs).tolist()
+    system["D"] = (S[:, None] * D / disturbance).tolist()
+    system["input_max"] *= inputs
+    system["disturbance_max"] *= disturbance
+    system["mass_kg"] = inputs
+    data["initial_set"]["half_widths"] = (S * data["initial_set"]["half_widths"]).tolist()
+    data["goal"]["state"] = (S * data["goal"]["state"]).tolist()
+    data["tracking"]["Q"] = (data["tracking"]["Q"] / S**2).tolist()
+    data["tracking"]["R"] = (np.array(data["tracking"]["R"]) / inputs**2).tolist()
+    other = data["obstacles"][0]
+    other["state"] = (S * other["state"]).tolist()
+    other["state_half_widths"] = (S * other["state_half_widths"]).tolist()
+    return data
+
+
+@pytest.mark.parametrize(
+    ("state", "inputs", "disturbance"),
+    [
+        ([1, 1, 1024, 1024], 1, 1),
+        ([1, 1, 1, 1], 1024, 1),
+        ([1, 1, 1, 1], 1, 1 / 64),
+        ([1, 1, 8, 8], 64, 512),
+    ],
+    ids=["velocity", "input", "disturbance", "all"],
+)
+def test_nothing_depends_on_the_units_of_velocities_inputs_and_disturbances(state, inputs, disturbance):
+    """Whatever is declared in m or m/s^2 stays the same number, and so does everything proven with it."""
+    plain = scene(state_half_widths=[0.1, 0.05, 0.01, 0.02], state=[5.6, 2.2, 0.01, -0.02])
+    other = in_other_units(tomllib.loads(Scenario.from_dict(plain).to_toml()), state, inputs, disturbance)
+    one, two = (get_safety(Scenario.from_dict(data)) for data in (plain, other))
+    for a, b in zip(one.clearance.unsafe, two.clearance.unsafe, strict=True):
+        np.testing.assert_allclose(a.offsets, b.offsets, rtol=1e-9)
+    assert two.plan.delta_v == pytest.approx(one.plan.delta_v, rel=1e-3)
+    np.testing.assert_allclose(two.tracking.gain * state / inputs, one.tracking.gain, rtol=1e-6)
+    C = one.problem.system.position
+    tubes = [error_tube(safety.tracking, safety.start, np.vstack([C, -C])).need for safety in (one, two)]
+    count = min(map(len, tubes)) - 1  # the last is for all later time, and each has its own norm for it
+    np.testing.assert_allclose(tubes[1][:count], tubes[0][:count], rtol=0.02)
