@@ -12,6 +12,7 @@ from polaris.synthesis import SwitchingRules, synthesize
 
 from .conftest import small_controllers, small_safety
 from .conftest import synthesised as bundled
+from .tiny import synthesised as tiny
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -163,11 +164,12 @@ def share(safety, laws, *rules, **options):
 
 
 def test_looser_rules_are_never_worse_in_a_real_scene():
-    schedule = bundled("static")[1]
+    schedule = tiny()[1]
     safety, laws = schedule.safety, schedule.controllers[1:]
-    rules = ((20, 2), (20, 4), (14, 4))
-    found = [share(safety, laws, "look_ahead", *strict, beam=1) for strict in rules]
-    assert found == sorted(found) and found[0] >= share(safety, laws, "greedy", *rules[0])
+    found = np.array([[share(safety, laws, "look_ahead", d, c) for c in (1, 2, 4)] for d in (1, 3)])
+    plain = np.array([[share(safety, laws, "greedy", d, c) for c in (1, 2, 4)] for d in (1, 3)])
+    assert np.all(found >= plain) and found.max() > 0
+    assert np.all(np.diff(found, axis=0) <= 0) and np.all(np.diff(found, axis=1) >= 0)
 
 
 @pytest.mark.slow
