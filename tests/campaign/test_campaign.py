@@ -150,7 +150,9 @@ def corrupt(path, kind):
     elif kind == "cut":
         content = content[: len(content) // 2]
     elif kind == "bit":
-        content[len(content) // 5] ^= 4
+        column = pq.read_metadata(path).row_group(0).column(3)
+        first = column.dictionary_page_offset or column.data_page_offset
+        content[first + column.total_compressed_size - 1] ^= 4  # values; in headers some bits mean nothing
     elif kind == "footer":
         content[-20] ^= 255
     path.write_bytes(bytes(content))
