@@ -93,6 +93,7 @@ REQUIREMENTS = (
         (
             "polaris/test_obstacles.py::test_rigid_sets_are_inside_their_polytopes",
             "polaris/test_obstacles.py::test_satellite_is_inside_its_polytope_at_every_instant",
+            "polaris/test_satellites.py::test_the_worst_motion_never_leaves_the_polytope_and_touches_it",
         ),
     ),
     Requirement(
@@ -149,7 +150,27 @@ MISSION = (
         "The unsafe sets are where the scenario puts them",
         "perception, with its own error bounds inflated into the sets",
     ),
+    (
+        "Unsafe sets at rest stay at rest, for as long as safety is claimed",
+        "perception, or a schedule made anew in time",
+    ),
+    (
+        "The controlled body is a point",
+        "its own size, and that of what it carries, added to every unsafe set",
+    ),
+    (
+        "Other satellites obey the same linear equations, within the same disturbance bound",
+        "`thrust_accel_max_m_s2` covers their own thrust and the model's error where they are (R7)",
+    ),
     ("Control periods are kept and commands arrive", "timing analysis of the flight computer"),
+    (
+        "Clocks are exact: schedule, reference and unsafe sets count from one instant",
+        "time synchronisation; an error of time is one of position along the motion: inflate sets by it",
+    ),
+    (
+        "There is fuel for every command, for as long as safety is claimed",
+        "propellant budget, S's flight after T included",
+    ),
     (
         "The state that controllers use is exact",
         "navigation error: inflate sets, or add it to the disturbance",
@@ -195,9 +216,13 @@ def page_text() -> str:
         "",
         "## What the certificate rests on",
         "",
-        "Every certificate carries these assumptions in words (here for 1e-5 m/s² and a period of 2 s):",
+        "Every certificate, and every run, carries those of these assumptions that apply, in words (here for "
+        "1e-5 m/s², a period of 2 s and a claim up to 3600 s):",
         "",
-        *(f"- {text}" for text in assumptions(1e-5, 2.0)),
+        *(
+            f"- {text}"
+            for text in assumptions(1e-5, 2.0, satellites=True, horizon="one_period", until=3600.0)
+        ),
         "",
         "## What a mission must discharge itself",
         "",

@@ -25,11 +25,12 @@ MOST_PARTS = 256
 
 @dataclass(frozen=True, eq=False)
 class SatelliteObstacle(Obstacle):
-    """A ball around another spacecraft, which obeys ``x' = A x + D a``.
+    """A ball around another spacecraft, which obeys ``x' = A x + D w + E a``.
 
-    The timed polytope holds for every initial state in the box and every acceleration with
-    ``norm(a, 2) <= thrust_accel_max + system.w_max``. The true set, by which runs are judged, is the
-    ball about the true centre (given as `state`), or about the nominal one.
+    E adds the acceleration a [m/s^2] to that of the position (`LinearSystem.acceleration_input`). The timed
+    polytope holds for every initial state in the box, every disturbance within the system's bound and
+    every acceleration with ``norm(a, 2) <= thrust_accel_max``. The true set, by which runs are judged, is
+    the ball about the true centre (given as `state`), or about the nominal one.
 
     Parameters
     ----------
@@ -40,7 +41,8 @@ class SatelliteObstacle(Obstacle):
     radius : float
         Combined radius [m] within which the two must not come, > 0.
     thrust_accel_max : float
-        Largest acceleration by its own thrust [m/s^2]; 0 for free motion.
+        Largest acceleration by its own thrust [m/s^2], which needs a system whose position has one (of
+        second order); 0 for free motion.
     facets : int, optional
         See `directions`.
     path : str
@@ -100,7 +102,8 @@ class SatelliteObstacle(Obstacle):
         """Offsets (cells, 2, F) [m] that hold over whole cells, and the largest allowance for bend.
 
         With ``c = C' n``, the support of the position set at t is
-        ``c' e^{At} x0 + |c' e^{At}| dx + a int_0^t norm(c' e^{As} D) ds + radius``.
+        ``c' e^{At} x0 + |c' e^{At}| dx + radius`` and, for every input M with its bound a (`pushes`),
+        ``a int_0^t norm(c' e^{As} M) ds``.
         Between nodes h apart, each term is at most its chord plus: ``h^2/8`` times the largest
         second derivative of the (vector inside the) first two; for the integral, whose integrand g
         is at most its own chord plus ``h^2/8 sup norm(v'')``, ``h max(g_j - g_{j+1}, 0)/8`` plus
@@ -108,7 +111,6 @@ class SatelliteObstacle(Obstacle):
         chord of its nodes, lifted until it is above them all.
         """
         A, h = system.A, delta / parts
-        accel = self.thrust_accel_max + system.w_max
         far, near = powers(expm(A * delta), cells - 1), powers(expm(A * h), parts)
         rows = (normals @ system.position) @ far[:, None] @ near  # (cells, parts+1, F, n)
         half, grown = np.asarray(self.state_half_widths), growth(A, h)
@@ -118,9 +120,9 @@ class SatelliteObstacle(Obstacle):
         bow = h**2 / 8 * (bent @ half + nominal @ (np.abs(normals @ system.position @ A @ A) @ grown).T)
         node = middle + np.abs(rows) @ half + self.radius
         size = np.abs(rows) @ (np.abs(self._x0) + half) + self.radius
-        if accel > 0:
-            rate = accel * np.linalg.norm(rows @ system.D, axis=-1)
-            excess = h**3 / 12 * accel * np.linalg.norm(bent @ np.abs(system.D), axis=-1)
+        for M, accel in self.pushes(system):
+            rate = accel * np.linalg.norm(rows @ M, axis=-1)
+            excess = h**3 / 12 * accel * np.linalg.norm(bent @ np.abs(M), axis=-1)
             gained = np.cumsum(
                 (h / 2 * (rate[:, :-1] + rate[:, 1:]) + excess).reshape(-1, len(normals)), axis=0
             )
@@ -136,6 +138,23 @@ class SatelliteObstacle(Obstacle):
         chord = lifted[:, :1] * (1 - s) + lifted[:, -1:] * s
         lift = np.maximum((lifted - chord).max(axis=1), 0.0)
         return np.stack([lifted[:, 0] + lift, lifted[:, -1] + lift], axis=1), float(bow.max())
+
+    def pushes(self, system: LinearSystem) -> tuple[tuple[Array, float], ...]:
+        """Inputs that move it, each with the bound on its 2-norm: the disturbance, and its own thrust.
+
+        Raises
+        ------
+        ScenarioError
+            If it has thrust, but the system no acceleration of the position.
+        """
+        found = [(system.D, system.w_max)] if system.w_max > 0 else []
+        if self.thrust_accel_max > 0:
+            try:
+                found.append((system.acceleration_input, self.thrust_accel_max))
+            except ScenarioError as error:
+                rule = f"must be 0 in this system: the position {error.rule}"
+                raise ScenarioError(f"{self.path}.thrust_accel_max", self.thrust_accel_max, rule) from error
+        return tuple(found)
 
     # -- the true set -----------------------------------------------------------------------------
 

@@ -211,7 +211,7 @@ class Scenario:
 
         rules = self.schedule
         weights = tuple(spec.weight for spec in self.experimental_specs())
-        return SwitchingRules(rules.strategy, rules.min_dwell_steps, rules.max_switches, weights)
+        return SwitchingRules(rules.strategy, rules.min_dwell_steps, rules.max_switches, weights, rules.beam)
 
     @property
     def recoverable(self) -> Recoverable:

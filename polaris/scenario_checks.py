@@ -14,11 +14,14 @@ import numpy as np
 from . import scenario_model as models
 from . import scenario_scene as scene
 from .errors import ScenarioError
+from .satellite import SatelliteObstacle
 from .scenario_build import (
     build_goal,
     build_initial_set,
+    build_obstacle,
     build_obstacles,
     build_system,
+    in_file_terms,
     whole_parts,
 )
 from .scenario_geometry import check_start_and_goal
@@ -217,6 +220,12 @@ def check_scene(model: models.ScenarioModel, system: LinearSystem) -> None:
         field = f"{path}.velocity_m_s"
         if isinstance(part, scene.SatelliteObstacle):
             velocity, field = tuple(system.velocity @ np.array(part.state)), f"{path}.state"
+            try:
+                other = build_obstacle(part, path)
+                assert isinstance(other, SatelliteObstacle)
+                other.pushes(system)
+            except ScenarioError as error:
+                raise in_file_terms(error, path, part) from error
         if velocity is not None and np.linalg.norm(velocity) > MAX_SPEED_M_S:
             speed = f"{np.linalg.norm(velocity):.4g} m/s"
             raise ScenarioError(field, speed, f"must move at most at {MAX_SPEED_M_S:g} m/s")

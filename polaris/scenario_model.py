@@ -253,6 +253,14 @@ class Schedule(ScenarioPart):
         "steps", "Fewest steps between two switches.", default=1, ge=1, le=MAX_STEPS
     )
     max_switches: Whole | None = unit("-", "Most switches in the run; no cap without it.", default=None, ge=0)
+    beam: Whole = unit(
+        "-",
+        "Schedules that `look_ahead` keeps at every step for each number of switches and controller. More "
+        "find better ones, in as much more time.",
+        default=1,
+        ge=1,
+        le=1000,
+    )
 
 
 class Simulation(ScenarioPart):

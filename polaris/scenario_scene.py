@@ -129,7 +129,11 @@ class PolytopeObstacle(ScenarioPart):
 
 
 class SatelliteObstacle(ScenarioPart):
-    """Another spacecraft: an uncertain state carried forward by the same dynamics, with or without thrust."""
+    """Another spacecraft: an uncertain state carried forward by the same dynamics, with or without thrust.
+
+    It obeys ``x' = A x + D w`` with the system's own A, D and bound on w; its own acceleration, if it has
+    any, is added to that of its position.
+    """
 
     kind: Literal["satellite"] = unit("-", "Another body that obeys the system's dynamics.")
     name: Name = _name()
@@ -139,7 +143,10 @@ class SatelliteObstacle(ScenarioPart):
     )
     radius_m: Positive = unit("m", "Distance from its centre that counts as a collision.")
     thrust_accel_max_m_s2: NonNegative = unit(
-        "m/s^2", "2-norm of the acceleration it may apply; 0 for free motion.", default=0.0
+        "m/s^2",
+        "2-norm of the acceleration it may apply; 0 for free motion. Needs a system whose position obeys an "
+        "equation of second order.",
+        default=0.0,
     )
     facets: Whole | None = _facets()
 

@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 
 from reach.zonotope import Zonotope
 
+from .certificate.document import assumptions
 from .controllers import Controller, Flight
 from .recoverable import Margin
 from .safety import Safety
+from .satellite import SatelliteObstacle
 from .system import Array
 
 
@@ -112,19 +114,19 @@ class Schedule:
 
 def describe_guarantee(schedule: Schedule) -> tuple[str, tuple[str, ...]]:
     """The kind of the claim and what it assumes; how far it reaches is in `Safety.end`."""
-    safety = schedule.safety
-    problem, feedback = safety.problem, safety.tracking.feedback
-    if feedback.sampled:
-        period = safety.tracking.flow.h
-        law = f"every controller renews its input each {period:g} s, in time and with the exact state"
-    else:
-        law = "every controller acts continuously on the exact state"
-    assumptions = (
-        f"the motion obeys x' = A x + B u + D w with |u_i| <= u_max and norm(w) <= {problem.system.w_max:g}",
-        "the initial state lies in the initial set",
-        "every unsafe set lies in its timed polytope (perception)",
-        law,
-        "the experimental controllers obey their declared models",
-        "arithmetic in double precision, its round-off covered by booked tolerances",
+    arithmetic = "arithmetic: in double precision, its round-off covered by booked tolerances"
+    return schedule.safety.guarantee, (*assumed(schedule.safety), arithmetic)
+
+
+def assumed(safety: Safety) -> list[str]:
+    """What run and certificate both rest on, in words."""
+    problem, tracking, cells = safety.problem, safety.tracking, safety.reference.cells
+    offsets = [unsafe.offsets[:cells] for unsafe in safety.clearance.unsafe]
+    return assumptions(
+        problem.system.w_max,
+        problem.delta / safety.clearance.q if tracking.feedback.sampled else None,
+        resting=any(bool(np.all(b == b[0, 0])) for b in offsets),
+        satellites=any(isinstance(unsafe, SatelliteObstacle) for unsafe in problem.unsafe),
+        horizon=safety.end.horizon,
+        until=safety.end.until if np.isfinite(safety.end.until) else None,
     )
-    return safety.guarantee, assumptions

@@ -12,8 +12,10 @@ from reach.zonotope import Zonotope
 from .checks import positive, whole
 from .controllers import Controller, Flight
 from .errors import ScenarioError
+from .problem import Problem
 from .recoverable import Margin, contains_flight
 from .safety import Safety, get_safety
+from .same_system import check_controller, check_flight, check_safety
 from .schedule import Schedule, Step, describe_guarantee
 
 SAFETY = 0
@@ -28,7 +30,8 @@ class SwitchingRules:
     ----------
     strategy : {"greedy", "look_ahead"}
         ``greedy`` is Algorithm 2 as printed: U whenever it is contained. ``look_ahead`` searches for
-        the schedule with most (weighted) use of U, and is never worse than greedy.
+        the schedule with most (weighted) use of U. It is never worse than greedy, nor than itself under
+        stricter rules (dwell times above 8 steps: those of `polaris.look_ahead.rungs`).
     min_dwell : int
         Steps a controller keeps, once switched to.
     max_switches : int or None
@@ -37,14 +40,14 @@ class SwitchingRules:
     weights : tuple of float
         Worth of one step under each experimental controller, in their order of preference.
     beam : int
-        Schedules kept in parallel by ``look_ahead``.
+        Schedules that ``look_ahead`` keeps at every step for each number of switches and controller.
     """
 
     strategy: str = "greedy"
     min_dwell: int = 1
     max_switches: int | None = None
     weights: tuple[float, ...] = ()
-    beam: int = 8
+    beam: int = 1
 
     def __post_init__(self) -> None:
         if self.strategy not in ("greedy", "look_ahead"):
@@ -71,10 +74,6 @@ class _Branch:
     @property
     def k(self) -> int:
         return len(self.steps)
-
-    def merit(self) -> tuple[float, int]:
-        """What a finished schedule is chosen by: most worth, then fewest switches."""
-        return self.worth, -self.switches
 
 
 def synthesize(
@@ -117,14 +116,11 @@ def synthesize(
         experimental = build_controllers(scenario, safety)
     if rules is None:
         rules = scenario.switching_rules() if hasattr(scenario, "switching_rules") else SwitchingRules()
-    _check(safety, experimental, rules)
+    _check(scenario, safety, experimental, rules)
     started = time.perf_counter()
     controllers: tuple[Controller, ...] = (safety.controller, *experimental)
     search = _Search(safety, controllers, rules)
-    if rules.strategy == "look_ahead":
-        branch = max(search.greedy(), search.look_ahead(progress), key=_Branch.merit)
-    else:
-        branch = search.greedy(progress)
+    branch = search.look_ahead(progress) if rules.strategy == "look_ahead" else search.greedy(progress)
     steps = with_margins(safety, branch.steps)
     seconds = {**safety.seconds, "schedule": time.perf_counter() - started}
     schedule = Schedule(safety, controllers, steps, branch.reached, "", (), seconds)
@@ -149,28 +145,28 @@ class _Search:
         return branch
 
     def look_ahead(self, progress: Callable[[int, int], None] | None = None) -> _Branch:
-        """Beam search over the same steps: keeps the most worthy schedules that reach each step."""
-        K = self.safety.problem.K
-        waiting: list[list[_Branch]] = [[] for _ in range(K + 1)]
-        waiting[0] = [_Branch(self.safety.start)]
-        for k in range(K):
-            for branch in self._best(waiting[k]):
-                for following in self.options(branch):
-                    waiting[following.k].append(following)
-            if progress:
-                progress(k + 1, K)
-        return max(waiting[K], key=_Branch.merit)
+        """The best of many schedules, each proven step by step as the greedy one (`polaris.look_ahead`)."""
+        from .look_ahead import LookAhead
 
-    def _best(self, branches: list[_Branch]) -> list[_Branch]:
-        """The beam: most worth first, and of equal worth the set with most room left to it."""
-        ranked = sorted(
-            branches, key=lambda b: (-b.worth, float(b.reached.norm_bound(self.safety.tracking.W)))
+        def prove(start: Zonotope, k: int, mode: int) -> Zonotope | None:
+            flown = self.step(start, k, mode)
+            return None if flown is None else flown[0].end
+
+        W, modes = self.safety.tracking.W, range(len(self.controllers))
+        search = LookAhead(
+            self.safety.start,
+            self.safety.problem.K,
+            prove,
+            lambda reached: float(reached.norm_bound(W)),
+            tuple(self.worth(mode) for mode in modes),
+            self.rules.beam,
         )
-        # Half of the beam is kept for branches under S, which have paid already and may harvest later.
-        under = {flag: [b for b in ranked if (b.mode == SAFETY) == flag] for flag in (True, False)}
-        share = -(-self.rules.beam // 2)
-        kept = under[False][:share] + under[True][: self.rules.beam - min(share, len(under[False]))]
-        return kept or ranked[:1]
+        branch = _Branch(self.safety.start)
+        for mode in search.best(self.rules.min_dwell, self.rules.max_switches, progress):
+            found = self.fly(branch, mode, 1)
+            assert found is not None  # it was proven before, and nothing here is random
+            branch = found
+        return branch
 
     def options(self, branch: _Branch) -> Iterable[_Branch]:
         """Ways to go on from a branch, the preferred one first; S last, and always possible."""
@@ -202,16 +198,10 @@ class _Search:
         """Let one controller fly the next steps; None if it is not proven recoverable throughout."""
         K = self.safety.problem.K
         for _ in range(min(steps, K - branch.k)):
-            k, controller = branch.k, self.controllers[mode]
-            flight = controller.fly(branch.reached, k)  # GetReach, lines 3 and 12
-            if mode != SAFETY and flight.refused:
+            flown = self.step(branch.reached, branch.k, mode)
+            if flown is None:
                 return None
-            if mode != SAFETY:
-                margin = contains_flight(self.safety.recoverable, k, flight)  # line 13
-                if not margin.inside:
-                    return None
-            else:
-                margin = None  # S stays safe from where it took over: `with_margins` says by how much
+            flight, margin = flown
             switched = branch.k > 0 and mode != branch.mode
             branch = _Branch(
                 flight.end,
@@ -223,6 +213,17 @@ class _Search:
             )
         return branch
 
+    def step(self, start: Zonotope, k: int, mode: int) -> tuple[Flight, Margin | None] | None:
+        """Lines 12 and 13: the tube of one controller over step k, if it is proven recoverable."""
+        controller = self.controllers[mode]
+        flight = check_flight(controller, start, controller.fly(start, k), self.safety)  # GetReach
+        if mode == SAFETY:
+            return flight, None  # S stays safe from where it took over: `with_margins` says by how much
+        if flight.refused:
+            return None
+        margin = contains_flight(self.safety.recoverable, k, flight)
+        return (flight, margin) if margin.inside else None
+
     def worth(self, mode: int) -> float:
         """Worth of one step under a mode; S is worth nothing."""
         if mode == SAFETY:
@@ -230,18 +231,12 @@ class _Search:
         return self.rules.weights[mode - 1] if mode - 1 < len(self.rules.weights) else 1.0
 
 
-def _check(safety: Safety, experimental: Sequence[Controller], rules: SwitchingRules) -> None:
-    """Refuse controllers that do not belong to this safe reference: their tubes would mean nothing."""
+def _check(scenario: Any, safety: Safety, experimental: Sequence[Controller], rules: SwitchingRules) -> None:
+    """Refuse what does not belong together: its tubes would mean nothing."""
+    problem = scenario.problem() if callable(getattr(scenario, "problem", None)) else scenario
+    check_safety(safety, problem if isinstance(problem, Problem) else safety.problem)
     for controller in experimental:
-        reference = getattr(controller, "reference", safety.reference)
-        tracking = getattr(controller, "tracking", safety.tracking)
-        if reference is not safety.reference or tracking is not safety.tracking:
-            rule = "was built on the reference of another Safety; build it on this one's"
-            raise ScenarioError("experimental", controller.name, rule)
-        own = getattr(controller, "own", reference)
-        if own.cells < safety.problem.K:
-            rule = f"must cover {safety.problem.K} steps"
-            raise ScenarioError(f"{controller.name}.own", f"{own.cells} steps", rule)
+        check_controller(controller, safety)
     if len(rules.weights) > len(experimental):
         given = f"{len(rules.weights)} weights"
         raise ScenarioError(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from fractions import Fraction
 from functools import cached_property
 from typing import Any
 
@@ -140,6 +141,41 @@ class LinearSystem:
         """``C A``, shape (d, n): the rate of the position when ``C B = 0`` (mechanical systems)."""
         return self.position @ self.A
 
+    @cached_property
+    def acceleration_input(self) -> Array:
+        """How an acceleration [m/s^2] of the position enters the state: E with ``C E = 0``, ``C A E = I``.
+
+        Shape (n, d). Decided in exact arithmetic, and the same for the motion of the position whichever
+        solution E is.
+
+        Raises
+        ------
+        ScenarioError
+            If the position does not obey an equation of second order, ``p'' = f(p, p') + a``: its rate is
+            no free part of the state (first order), or its acceleration depends on more than position
+            and rate (third order and higher).
+        """
+        A, C = _exact(self.A), _exact(self.position)
+        velocity = _product(C, A)
+        known = [*C, *velocity]
+        ones = [[Fraction(int(i == j)) for j in range(2 * self.d)] for i in range(2 * self.d)]
+        pivots, rows, made = _eliminated(known, ones)
+        if len(pivots) < 2 * self.d:
+            rule = "has no acceleration: the rate of the position, C A x, is no free part of the state"
+            raise ScenarioError("system.C", self.position.tolist(), rule)
+        for row in _product(velocity, A):
+            if any(x != y for x, y in zip(_product([[row[j] for j in pivots]], rows)[0], row, strict=True)):
+                rule = "has an acceleration that depends on more states than the position and its rate"
+                raise ScenarioError("system.C", self.position.tolist(), rule)
+        E = np.zeros((self.n, self.d))
+        try:
+            for j, row in zip(pivots, made, strict=True):
+                E[j] = [float(x) for x in row[self.d :]]
+        except OverflowError as error:
+            rule = "has a rate too small to compute with: an acceleration would move states without bound"
+            raise ScenarioError("system.C", self.position.tolist(), rule) from error
+        return E
+
     @classmethod
     def from_statespace(
         cls, sys: Any, u_max: ArrayLike, w_max: float = 0.0, D: ArrayLike | None = None, **kwargs: Any
@@ -162,3 +198,41 @@ class LinearSystem:
         if D is None:
             D = B / np.maximum(np.linalg.norm(B, axis=0), np.finfo(float).tiny)
         return cls(A, B, np.asarray(D, dtype=float), np.asarray(u_max, dtype=float), float(w_max), **kwargs)
+
+
+# -- exact arithmetic: whether a position has an acceleration must not depend on rounding ----------------
+
+
+def _exact(M: Array) -> list[list[Fraction]]:
+    return [[Fraction(x) for x in row] for row in M.tolist()]
+
+
+def _product(M: list[list[Fraction]], N: list[list[Fraction]]) -> list[list[Fraction]]:
+    columns = list(zip(*N, strict=True))
+    return [
+        [sum((x * y for x, y in zip(row, column, strict=True) if x and y), Fraction(0)) for column in columns]
+        for row in M
+    ]
+
+
+def _eliminated(
+    rows: list[list[Fraction]], beside: list[list[Fraction]]
+) -> tuple[list[int], list[list[Fraction]], list[list[Fraction]]]:
+    """Gauss-Jordan elimination with the largest pivots: pivot columns, reduced rows, and what is beside.
+
+    Rows that vanish are left out, so that there are as many as pivots.
+    """
+    width = len(rows[0])
+    left = [[*row, *more] for row, more in zip(rows, beside, strict=True)]
+    done: list[tuple[int, list[Fraction]]] = []
+    while left:
+        size, i, j = max((abs(row[j]), -i, -j) for i, row in enumerate(left) for j in range(width))
+        if size == 0:
+            break
+        row = left.pop(-i)
+        row = [x / row[-j] for x in row]
+        left = [[x - other[-j] * y for x, y in zip(other, row, strict=True)] for other in left]
+        done = [(at, [x - other[-j] * y for x, y in zip(other, row, strict=True)]) for at, other in done]
+        done.append((-j, row))
+    done.sort(key=lambda item: item[0])
+    return [j for j, _ in done], [row[:width] for _, row in done], [row[width:] for _, row in done]

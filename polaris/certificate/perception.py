@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from flint import arb, arb_mat
+from flint import arb
 
-from .balls import absolute, column, exponential, exponential_over, magnitude, matrix, norms, require
+from .balls import require
 from .document import Document, UnsafeSet
-from .plants import plant_of
+from .satellites import Satellite
 from .verdict import Rejected
 
 SLACK = 1e-9
@@ -21,9 +21,6 @@ SLACK = 1e-9
 SLOPE = 1e-6
 """Least sine of the angle of a cone, and of the angle between two of its facets."""
 
-MOST_PARTS = 256
-"""Most parts into which a step is divided to follow another satellite."""
-
 
 def check_unsafe(document: Document, scenario: dict[str, Any]) -> int:
     """Check every unsafe set of the certificate, in the scenario's order; returns their number.
@@ -31,9 +28,15 @@ def check_unsafe(document: Document, scenario: dict[str, Any]) -> int:
     Raises
     ------
     Rejected
-        Naming the claim ``unsafe_sets``.
+        Naming the claim ``unsafe_sets``, or ``assumptions`` if they and the scenario differ about satellites.
     """
     left = list(document.unsafe)
+    others = any(spec["kind"] == "satellite" for spec in scenario.get("obstacles", ()))
+    if document.satellites != others:
+        told = "nothing is assumed of them" if others else "something is assumed of them"
+        raise Rejected(
+            "assumptions", f"the scenario has {'' if others else 'no '}other satellites, but {told}"
+        )
     for spec in scenario.get("obstacles", ()):
         if not left or left[0].name != spec["name"] or left[0].keep_in:
             raise Rejected("unsafe_sets", f"{spec['name']} is missing")
@@ -64,7 +67,7 @@ def _beyond(item: UnsafeSet, cell: int, place: int, facet: int, support: arb, si
 def _check_obstacle(document: Document, item: UnsafeSet, spec: dict[str, Any]) -> None:
     if spec["kind"] == "satellite":
         _check_count(item, _directions(document, spec))
-        _Satellite(document, item, spec).check()
+        Satellite(document, item, spec).check()
         return
     d, kind = len(document.C), spec["kind"]
     v = [float(x) for x in spec.get("velocity_m_s") or [0.0] * d]
@@ -204,85 +207,3 @@ def _edges(rows: list[list[float]], axis: list[arb], name: str) -> list[list[arb
         require("unsafe_sets", sign * forward - SLOPE**2, f"facets of {name} are out of order at {f}")
     require("unsafe_sets", 3 * arb.pi() - abs(angle), f"the facets of {name} go around more than once")
     return [[sign * x for x in edge] for edge, _ in edges3]
-
-
-# -- another satellite ------------------------------------------------------------------------------
-
-
-class _Satellite:
-    """Support of every place where another satellite may be, and a ball around it, over each step.
-
-    ``c(t) z_0 + |c(t)| dz + a int_0^t norm(c(s) D) ds + radius`` with ``c(t) = n C e^{A t}``. Between
-    two instants each term is at most its chord plus what its bend allows.
-    """
-
-    def __init__(self, document: Document, item: UnsafeSet, spec: dict[str, Any]) -> None:
-        self.document, self.item = document, item
-        plant = plant_of(document)
-        self.A, self.D = plant.A, plant.D
-        self.rows = matrix(item.normals) * matrix(document.C)
-        self.state = column([float(x) for x in spec["state"]])
-        self.half = column([float(x) for x in spec["state_half_widths"]])
-        self.radius = [_length([arb(x) for x in n]) * float(spec["radius_m"]) for n in item.normals]
-        self.accel = arb(float(spec.get("thrust_accel_max_m_s2", 0.0))) + document.w_max
-
-    def check(self) -> None:
-        """Check all steps; each is divided until its polytope is shown to do, or no further."""
-        step = exponential(self.A, arb(self.document.delta))[0]
-        carried, at = self.rows, self.state
-        gained, parts = [arb(0)] * self.rows.nrows(), 1
-        for cell in range(self.document.cells):
-            while True:
-                final = parts >= MOST_PARTS
-                after = self._step(cell, parts, carried, at, gained, final)
-                if after is not None:
-                    break
-                parts *= 2
-            gained, carried, at = after, carried * step, step * at
-
-    def _step(
-        self, cell: int, parts: int, carried: arb_mat, at: arb_mat, gained: list[arb], final: bool
-    ) -> list[arb] | None:
-        """Check one step in parts; the integral so far at its end, or None if it needs more parts."""
-        h = arb(self.document.delta) / parts
-        small = exponential(self.A, h)[0]
-        over = self.A * self.A * exponential_over(self.A, h)
-        first, last = self.item.start[cell], self.item.end[cell]
-        size = [abs(a) + abs(b) for a, b in zip(map(arb, first), map(arb, last), strict=True)]
-        values, margins = [], []
-        now = norms(carried * self.D)
-        for part in range(parts + 1):
-            spread = (absolute(carried) * self.half).entries()
-            middle = (carried * self.state).entries()
-            values.append(
-                [a + b + g + r for a, b, g, r in zip(middle, spread, gained, self.radius, strict=True)]
-            )
-            if part == parts:
-                break
-            second, following = carried * over, carried * small
-            bend = (absolute(second * self.state) + absolute(second) * self.half) * (h**2 / 8)
-            later, lifts = norms(following * self.D), norms(magnitude(second * self.D))
-            margins.append(
-                [
-                    b + self.accel * (h / 8 * max(x - y, arb(0)) + h**3 / 12 * z)
-                    for b, x, y, z in zip(bend.entries(), now, later, lifts, strict=True)
-                ]
-            )
-            gained = [
-                g + self.accel * (h / 2 * (x + y) + h**3 / 12 * z)
-                for g, x, y, z in zip(gained, now, later, lifts, strict=True)
-            ]
-            carried, now = following, later
-        for part, value in enumerate(values):
-            near = margins[max(part - 1, 0) : part + 1]
-            s = arb(part) / parts
-            for f, support in enumerate(value):
-                spare = first[f] * (1 - s) + last[f] * s - support + size[f] * SLACK
-                for margin in near:
-                    if spare - margin[f] >= 0:
-                        continue
-                    if not final:
-                        return None
-                    where = f"{self.item.name}, facet {f}, in step {cell}"
-                    require("unsafe_sets", spare - margin[f], where)
-        return gained

@@ -14,11 +14,11 @@ from reach.linear import growth
 from ..clearance import error_tube
 from ..controllers import AffineController, Controller, Flight
 from ..safety import Safety
-from ..schedule import Schedule
+from ..schedule import Schedule, assumed
 from ..system import Array
 from ..tolerances import ROUNDING
 from ..unsafe import TimedPolytope
-from .document import FORMAT, VERSION, assumptions, canonical, digest
+from .document import FORMAT, VERSION, canonical, digest
 
 
 def hexadecimal(values: Any) -> Any:
@@ -107,9 +107,7 @@ def certificate(schedule: Schedule, name: str, files: Iterable[Path] = ()) -> di
             "reason": safety.end.reason,
         },
         "guarantee": schedule.guarantee,
-        "assumptions": assumptions(
-            system.w_max, safety.problem.delta / safety.clearance.q if tracking.feedback.sampled else None
-        ),
+        "assumptions": assumed(safety),
     }
     data["digest"] = digest(data)
     return data

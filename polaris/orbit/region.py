@@ -110,10 +110,13 @@ def satellite_region(satellite: SatelliteObstacle, system: LinearSystem, delta: 
     """Where another satellite may be, by what is known of it, for each of a number of cells."""
     carried = powers(expm(system.A * delta), cells - 1)
     middle = carried @ np.asarray(satellite.state)
-    accel = satellite.thrust_accel_max + system.w_max
     within = growth(system.A, delta)
     # What an acceleration adds by the end of a cell, then carried on: summed over the cells passed.
-    push = delta * within @ np.abs(system.D).sum(axis=1) * accel
+    push = (
+        delta
+        * within
+        @ sum((np.abs(M).sum(axis=1) * bound for M, bound in satellite.pushes(system)), np.zeros(system.n))
+    )
     pushed = np.abs(carried) @ push
     reached = np.concatenate([np.zeros((1, system.n)), np.cumsum(pushed, axis=0)[:-1]])
     width = np.abs(carried) @ np.asarray(satellite.state_half_widths) + reached

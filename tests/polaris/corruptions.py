@@ -2,6 +2,7 @@
 
 import copy
 import math
+from contextlib import suppress
 
 from polaris.certificate.document import assumptions, digest
 
@@ -21,6 +22,20 @@ def scaled(value, factor):
     return (float.fromhex(value) * factor).hex()
 
 
+def restate(data):
+    """The assumptions that the format prescribes for changed data: whoever forges it can write them too."""
+    end, sampling, offsets = data["end"], data["sampling"], [item["offsets"] for item in data["unsafe_sets"]]
+    period = float.fromhex(sampling["step"]) / sampling["nodes_per_step"]
+    data["assumptions"] = assumptions(
+        float.fromhex(data["system"]["disturbance_max"]),
+        period if sampling["kind"] == "sampled" else None,
+        resting=any(all(b == pairs[0][0] for pair in pairs for b in pair) for pairs in offsets),
+        satellites=any(line.startswith("other satellites") for line in data["assumptions"]),
+        horizon=end["horizon"],
+        until=None if end["until"] is None else float.fromhex(end["until"]),
+    )
+
+
 class Corruptor:
     """Makes changed copies of one certificate, their digest recomputed."""
 
@@ -36,14 +51,16 @@ class Corruptor:
         for key in path[:-1]:
             place = place[key]
         place[path[-1]] = to(place[path[-1]]) if callable(to) else to
+        if path[0] in ("end", "unsafe_sets"):
+            with suppress(TypeError, ValueError, KeyError, IndexError, AttributeError):  # malformed
+                restate(data)
         data["digest"] = digest(data)
         return data
 
     def with_bound(self, factor):
         """Another disturbance bound, the assumptions saying so too."""
         data = self.changed("system", "disturbance_max", to=lambda x: scaled(x, factor))
-        bound = float.fromhex(data["system"]["disturbance_max"])
-        data["assumptions"] = assumptions(bound, None)
+        restate(data)
         data["digest"] = digest(data)
         return data
 
@@ -255,8 +272,7 @@ def opposite(normals, facet):
 
 def sampled(change):
     data = change("sampling", "kind", to="sampled")
-    period = float.fromhex(data["sampling"]["step"]) / data["sampling"]["nodes_per_step"]
-    data["assumptions"] = assumptions(float.fromhex(data["system"]["disturbance_max"]), period)
+    restate(data)
     data["digest"] = digest(data)
     return data
 

@@ -130,9 +130,9 @@ def pulses(modes):
 @pytest.mark.parametrize("dwell", [1, 3])
 def test_dwell_and_cap_are_kept(strategy, dwell):
     scenario, schedule = synthesised("static")
-    rules = SwitchingRules(strategy, dwell, 6, (1.0,), beam=4)
+    rules = SwitchingRules(strategy, dwell, 2, (1.0,))
     other = synthesize(scenario, schedule.safety, schedule.controllers[1:], rules)
-    assert other.switches <= 6
+    assert other.switches <= 2
     assert all(length >= dwell for length in pulses(other.modes)[:-1])
     assert other.margins[other.modes > 0].min() >= 0
     assert other.share() > 0
@@ -166,22 +166,6 @@ def test_mode_at_a_time():
     assert schedule.mode_at(switch * delta) == schedule.modes[switch]
     assert [schedule.mode_at((k + 0.5) * delta) for k in range(60)] == schedule.modes.tolist()
     assert schedule.mode_at(schedule.times[-1]) == schedule.mode_at(1e9) == 0
-
-
-def test_look_ahead_is_never_worse_than_greedy():
-    scenario, schedule = synthesised("static")
-    for cap in (2, 5):
-        greedy = synthesize(
-            scenario, schedule.safety, schedule.controllers[1:], SwitchingRules(max_switches=cap)
-        )
-        ahead = synthesize(
-            scenario,
-            schedule.safety,
-            schedule.controllers[1:],
-            SwitchingRules("look_ahead", max_switches=cap, beam=4),
-        )
-        assert ahead.share() >= greedy.share()
-        assert ahead.switches <= cap
 
 
 def test_preference_decides_between_several_controllers():

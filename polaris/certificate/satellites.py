@@ -1,0 +1,130 @@
+"""Another satellite: every place where it may be, against the timed polytope that stands for it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from flint import arb, arb_mat, fmpq, fmpq_mat
+
+from .balls import absolute, column, exponential, exponential_over, magnitude, matrix, norms, require
+from .document import Document, UnsafeSet
+from .plants import plant_of
+from .verdict import Rejected
+
+ROUNDED = 1e-9
+"""Rounding of offsets, relative to the numbers they are made from."""
+
+MOST_PARTS = 256
+"""Most parts into which a step is divided to follow it."""
+
+
+class Satellite:
+    """Support of every place where another satellite may be, and a ball around it, over each step.
+
+    ``c(t) z_0 + |c(t)| dz + radius`` and, for every input M with its bound a (the disturbance, and its own
+    acceleration), ``a int_0^t norm(c(s) M) ds``, with ``c(t) = n C e^{A t}``. Between two instants each term
+    is at most its chord plus what its bend allows.
+    """
+
+    def __init__(self, document: Document, item: UnsafeSet, spec: dict[str, Any]) -> None:
+        self.document, self.item = document, item
+        plant = plant_of(document)
+        self.A = plant.A
+        self.rows = matrix(item.normals) * matrix(document.C)
+        self.state = column([float(x) for x in spec["state"]])
+        self.half = column([float(x) for x in spec["state_half_widths"]])
+        self.radius = [length * float(spec["radius_m"]) for length in norms(matrix(item.normals))]
+        self.pushes = [(plant.D, arb(document.w_max))]
+        thrust = float(spec.get("thrust_accel_max_m_s2", 0.0))
+        if thrust:
+            self.pushes.append((_acceleration_input(document, item.name), arb(thrust)))
+
+    def check(self) -> None:
+        """Check all steps; each is divided until its polytope is shown to do, or no further."""
+        step = exponential(self.A, arb(self.document.delta))[0]
+        carried, at = self.rows, self.state
+        gained, parts = [arb(0)] * self.rows.nrows(), 1
+        for cell in range(self.document.cells):
+            while True:
+                final = parts >= MOST_PARTS
+                after = self._step(cell, parts, carried, at, gained, final)
+                if after is not None:
+                    break
+                parts *= 2
+            gained, carried, at = after, carried * step, step * at
+
+    def _step(
+        self, cell: int, parts: int, carried: arb_mat, at: arb_mat, gained: list[arb], final: bool
+    ) -> list[arb] | None:
+        """Check one step in parts; the integral so far at its end, or None if it needs more parts."""
+        h = arb(self.document.delta) / parts
+        small = exponential(self.A, h)[0]
+        over = self.A * self.A * exponential_over(self.A, h)
+        first, last = self.item.start[cell], self.item.end[cell]
+        size = [abs(a) + abs(b) for a, b in zip(map(arb, first), map(arb, last), strict=True)]
+        values, margins, gained = [], [], list(gained)
+        now = [norms(carried * M) for M, _ in self.pushes]
+        for part in range(parts + 1):
+            spread = (absolute(carried) * self.half).entries()
+            middle = (carried * self.state).entries()
+            values.append(
+                [a + b + g + r for a, b, g, r in zip(middle, spread, gained, self.radius, strict=True)]
+            )
+            if part == parts:
+                break
+            second, following = carried * over, carried * small
+            bend = (absolute(second * self.state) + absolute(second) * self.half) * (h**2 / 8)
+            margin = bend.entries()
+            later = [norms(following * M) for M, _ in self.pushes]
+            for (M, accel), g, after in zip(self.pushes, now, later, strict=True):
+                for f, (x, y, z) in enumerate(zip(g, after, norms(magnitude(second * M)), strict=True)):
+                    margin[f] += accel * (h / 8 * max(x - y, arb(0)) + h**3 / 12 * z)
+                    gained[f] += accel * (h / 2 * (x + y) + h**3 / 12 * z)
+            margins.append(margin)
+            carried, now = following, later
+        for part, value in enumerate(values):
+            near = margins[max(part - 1, 0) : part + 1]
+            s = arb(part) / parts
+            for f, support in enumerate(value):
+                spare = first[f] * (1 - s) + last[f] * s - support + size[f] * ROUNDED
+                for margin in near:
+                    if spare - margin[f] >= 0:
+                        continue
+                    if not final:
+                        return None
+                    where = f"{self.item.name}, facet {f}, in step {cell}"
+                    require("unsafe_sets", spare - margin[f], where)
+        return gained
+
+
+def _acceleration_input(document: Document, name: str) -> arb_mat:
+    """How an acceleration of the position enters the state: E with ``C E = 0`` and ``C A E = I``.
+
+    In rational arithmetic, on the stored matrices; in Hill's frame they tell nothing else than the exact.
+
+    Raises
+    ------
+    Rejected
+        If the position obeys no equation of second order.
+    """
+    n, d = len(document.A), len(document.C)
+    A, C = _rational(document.A), _rational(document.C)
+    velocity = C * A
+    known = [*C.tolist(), *velocity.tolist()]
+    unit = [[fmpq(int(i == j)) for j in range(2 * d)] for i in range(2 * d)]
+    reduced, _ = fmpq_mat([[*row, *more] for row, more in zip(known, unit, strict=True)]).rref()
+    rows = reduced.tolist()
+    pivots = [next(j for j, x in enumerate(row) if x != 0) for row in rows]
+    if max(pivots) >= n:
+        raise Rejected("unsafe_sets", f"{name} has thrust, but the position of this system no acceleration")
+    if fmpq_mat([*known, *(velocity * A).tolist()]).rank() > 2 * d:
+        told = "the acceleration of this system's position depends on more than position and rate"
+        raise Rejected("unsafe_sets", f"{name} has thrust, but {told}")
+    E = [[arb(0)] * d for _ in range(n)]
+    for j, row in zip(pivots, rows, strict=True):
+        E[j] = [arb(x) for x in row[n + d :]]
+    return matrix(E)
+
+
+def _rational(rows: list[list[float]]) -> fmpq_mat:
+    return fmpq_mat([[fmpq(*x.as_integer_ratio()) for x in row] for row in rows])
