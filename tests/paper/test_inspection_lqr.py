@@ -31,8 +31,8 @@ def test_item_15_riccati_equation_of_the_whole_error_has_no_stabilising_solution
     A, B = augmented(PROBLEM, whole_error=True)
     try:
         gain = np.asarray(control.lqr(A, B, np.eye(12), np.eye(3))[0])
-    except (np.linalg.LinAlgError, control.ControlArgument):
-        return
+    except (np.linalg.LinAlgError, control.ControlArgument, ValueError):
+        return  # which of them, the linear algebra library and the processor decide
     assert np.linalg.eigvals(A - B @ gain).real.max() > -1e-9
 
 

@@ -277,11 +277,15 @@ def test_cone_distance_against_a_solver():
     for _ in range(12):
         q = rng.normal(size=3) * 8
         value = cone.signed_distance(0.0, q + 1)
-        best = minimize(
-            lambda x, q=q: np.sum((x - q) ** 2), 5 * axis, constraints=rules, options={"ftol": 1e-14}
-        )
-        if value < 0:
-            assert -value == pytest.approx(np.sqrt(best.fun), rel=1e-4, abs=1e-4)
+        if value < 0:  # the solver stalls near the tip from some starts: the best of several counts
+            found = [
+                minimize(
+                    lambda x, q=q: np.sum((x - q) ** 2), start, constraints=rules, options={"ftol": 1e-14}
+                )
+                for start in (5 * axis, 9 * axis + 0.1, axis, 0.1 * axis + 0.01 * q)
+            ]
+            best = min(one.fun for one in found if min(rule["fun"](one.x) for rule in rules) > -1e-6)
+            assert -value == pytest.approx(np.sqrt(best), rel=1e-4, abs=1e-4)
     on_axis = np.array([1.0, 1, 1]) + np.outer([-2.0, 0, 5, 9.9, 12], axis)
     expected = [-2, 0, 5 * np.sin(0.4), 0.1, -2]
     np.testing.assert_allclose(cone.signed_distance(0.0, on_axis), expected, atol=1e-12)
