@@ -133,6 +133,15 @@ class SetOperators(ABC):
     def __contains__(self, point: ArrayLike) -> bool:
         return bool(self.contains(as_vector(point, self.dim)))
 
+    def __and__(self, other: Any) -> Any:
+        """Intersection with another set: a polytope where both are given by inequalities, else lazy.
+
+        See `reach.Intersection`; a lazy one is bounded from outside where it is evaluated.
+        """
+        from .meet import intersect
+
+        return intersect(self, other)
+
     def __le__(self, other: Any) -> bool:
         """Whether this set is proved to lie in the other one; see `reach.contains`."""
         from .containment import contains
@@ -230,9 +239,21 @@ def weighed(rows: Array, extent: Array) -> Array:
     return np.asarray(np.where(rows != 0, np.abs(rows) * np.where(rows != 0, extent, 0.0), 0.0).sum(axis=-1))
 
 
+def as_numbers(name: str, value: Any) -> Array:
+    """An array of floats, or one clear error."""
+    if isinstance(value, np.ndarray) and value.dtype == float:
+        return value
+    try:
+        if np.iscomplexobj(value):
+            raise TypeError("they are complex")
+        return np.asarray(value, dtype=float)
+    except (TypeError, ValueError, OverflowError) as exc:
+        raise ReachError(f"{name} must be numbers, got {type(value).__name__}: {exc}") from None
+
+
 def as_vector(value: ArrayLike, n: int) -> Array:
     """A finite vector (or stack of them) of n entries, or one clear error."""
-    vector = np.asarray(value, dtype=float)
+    vector = as_numbers("a vector", value)
     if vector.ndim == 0 or vector.shape[-1] != n:
         raise ReachError(f"expected vectors of {n} entries, got shape {vector.shape}")
     if not np.all(np.isfinite(vector)):
@@ -240,9 +261,17 @@ def as_vector(value: ArrayLike, n: int) -> Array:
     return vector
 
 
+def as_one_vector(value: ArrayLike, n: int) -> Array:
+    """A finite vector of n entries, or one clear error."""
+    vector = as_vector(value, n)
+    if vector.ndim != 1:
+        raise ReachError(f"expected one vector of {n} entries, got shape {vector.shape}")
+    return vector
+
+
 def as_map(value: ArrayLike, n: int) -> Array:
     """A finite matrix (or stack of them) that acts on dimension n, or one clear error."""
-    M = np.asarray(value, dtype=float)
+    M = as_numbers("a map", value)
     if M.ndim < 2 or M.shape[-1] != n:
         raise ReachError(f"cannot apply a map of shape {M.shape} to a set of dimension {n}")
     if not np.all(np.isfinite(M)):
@@ -250,17 +279,41 @@ def as_map(value: ArrayLike, n: int) -> Array:
     return M
 
 
+def as_matrix(value: ArrayLike, n: int) -> Array:
+    """A finite matrix with n columns, or one clear error."""
+    M = as_map(value, n)
+    if M.ndim != 2:
+        raise ReachError(f"a map of a single set must be one matrix, got shape {M.shape}")
+    return M
+
+
 def as_factor(value: float) -> float:
     """A finite number, or one clear error."""
-    if np.ndim(value) != 0 or not np.isfinite(value):
-        raise ReachError(f"a set is scaled by one finite number, got {value!r}")
-    return float(value)
+    number = as_numbers("a factor", value)
+    if number.ndim != 0 or not np.isfinite(number):
+        raise ReachError(f"one finite number is needed, got {value!r}")
+    return float(number)
+
+
+def as_count(name: str, value: Any) -> int:
+    """A whole number >= 0, or one clear error."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 0:
+        raise ReachError(f"{name} must be a whole number >= 0, got {value!r}")
+    return int(value)
 
 
 def require_same_dim(a: ConvexSet | SetOperators, b: ConvexSet | SetOperators) -> None:
-    """Refuse sets of different dimensions."""
+    """Refuse what is no set, and sets of different dimensions."""
+    require_sets(a, b)
     if a.dim != b.dim:
         raise ReachError(f"sets of dimensions {a.dim} and {b.dim} do not go together")
+
+
+def require_sets(*values: Any) -> None:
+    """Refuse what is not a convex set."""
+    for value in values:
+        if not (hasattr(type(value), "support") and hasattr(type(value), "interval_hull")):
+            raise ReachError(f"a convex set is needed, got {type(value).__name__}")
 
 
 def require_single(X: Any, what: str) -> None:

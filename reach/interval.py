@@ -176,14 +176,16 @@ class Interval(SetOperators):
         ends = (a * self.lo, a * self.hi)
         return Interval(*(ends if a >= 0 else ends[::-1]))
 
-    def __and__(self, other: Interval) -> Interval:
-        """Intersection with another box.
+    def __and__(self, other: Any) -> Any:
+        """Intersection: a box with another box, else as for all sets (see `SetOperators`).
 
         Raises
         ------
         ReachError
-            If the boxes have no point in common.
+            If two boxes have no point in common.
         """
+        if not isinstance(other, Interval):
+            return super().__and__(other)
         require_same_dim(self, other)
         lo, hi = np.maximum(self.lo, other.lo), np.minimum(self.hi, other.hi)
         if np.any(lo > hi):
