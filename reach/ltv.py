@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from .adjoint import attained_support, extent
 from .convex import ConvexSet
 from .errors import ReachError
+from .march import warn_if_wide
 from .rows import ROUNDING
 from .systems import numbers, single_set
 from .tube_support import SupportTube
@@ -125,6 +126,7 @@ def ltv_support_tube(
     upper, bow = (run.first + run.upper)[:, :r], run.bow[:, :r]
     attained = run.lower[:, :r]
     interval = np.maximum(upper[1:], upper[:-1]) + bow
+    warn_if_wide(interval.max(axis=0), attained.max(axis=0), np.abs(upper).max(axis=0))
     return SupportTube(sweep.times, D, upper, attained, interval, bow)
 
 
@@ -172,6 +174,8 @@ def ltv_zonotope_tube(
     widths = (high + low) / 2 + ROUNDING * n * size @ (np.abs(inverse) @ np.abs(F)).T
     G = np.concatenate([image.G, F * widths[:, None, :]], axis=-1)
     bow = np.maximum(run.bow[:, :n], run.bow[:, n:])
+    nodes = run.first + run.upper
+    warn_if_wide(nodes.max(axis=0) + run.bow.max(axis=0), nodes.max(axis=0), np.abs(nodes).max(axis=0))
     return ZonotopeTube(sweep.times, Zonotope(image.c + (high - low) / 2 @ F.T, G), bow, F)
 
 

@@ -12,7 +12,7 @@ from .adjoint import Adjoint
 from .centering import centered
 from .convex import ConvexSet
 from .errors import ReachError
-from .march import march, substeps
+from .march import march, substeps, warn_if_wide
 from .systems import LinearSystem, numbers
 
 Array = NDArray[np.float64]
@@ -119,11 +119,13 @@ def support_tube(
     around, start = (system, initial) if system.discrete else centered(system, initial)
     rows = np.hstack([D, np.zeros((len(D), around.dim - system.dim))])
     adjoint = Adjoint(around, start)
-    parts = substeps(adjoint, step)
+    parts = substeps(adjoint, step, horizon, len(D))
     run = march(adjoint, rows, horizon, step, tolerance, limit, substeps=parts, deadline=deadline)
     upper, lower = run.first + run.upper + run.rounding, run.attained + run.lower - run.rounding
     interval = np.maximum(upper[1:], upper[:-1]) + run.bow + run.bend
     interval = interval.reshape(-1, parts, len(D)).max(axis=1)
+    if step is not None and not system.discrete:
+        warn_if_wide(interval.max(axis=0), lower.max(axis=0), np.abs(upper).max(axis=0))
     coarse = run.every(parts)
     return SupportTube(coarse.times, D, upper[::parts], lower[::parts], interval, coarse.bow + coarse.bend)
 

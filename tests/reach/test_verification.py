@@ -195,7 +195,7 @@ def test_stiff_sparse_systems_refuse_long_steps_at_once():
 
 @pytest.mark.parametrize("step", [1.0, 5.0])
 def test_useless_bounds_are_refused(step):
-    fast = LinearSystem([[0.0, 400.0], [-400.0, 0.0]])
+    fast = LinearSystem([[0.0, 4e10], [-4e10, 0.0]])
     with pytest.raises(Unresolved, match="too long"):
         support_tube(fast, Interval([-1, -1], [1, 1]), 10.0, [[1.0, 0.0]], step=step)
 
