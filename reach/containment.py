@@ -8,6 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from .arguments import checked
 from .answer import Answer
 from .convex import as_count, require_same_dim, require_single, weighed
 from .ellipsoid import Ellipsoid
@@ -33,6 +34,7 @@ MOST = 20_000
 TOUCHING = "the sets touch to within rounding"
 
 
+@checked
 def contains(outer: Any, inner: Any, method: Method = "auto", most: int = MOST) -> Answer:
     """Whether `inner` lies in `outer`.
 

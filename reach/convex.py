@@ -131,7 +131,7 @@ class SetOperators(ABC):
         return self + (-as_vector(vector, self.dim))  # type: ignore[no-any-return]
 
     def __contains__(self, point: ArrayLike) -> bool:
-        return bool(self.contains(as_vector(point, self.dim)))
+        return bool(self.contains(as_one_vector(point, self.dim)))
 
     def __and__(self, other: Any) -> Any:
         """Intersection with another set: a polytope where both are given by inequalities, else lazy.
@@ -150,6 +150,7 @@ class SetOperators(ABC):
 
     def product(self, other: Any) -> Any:
         """Cartesian product: this set's coordinates, then the other's (exact)."""
+        require_sets(other)
         n, m = self.dim, other.dim
         return np.eye(n + m)[:, :n] @ self + np.eye(n + m)[:, n:] @ other
 
@@ -175,7 +176,7 @@ class SetOperators(ABC):
             return cast("Zonotope", same())
         from .interval import Interval
 
-        F = as_map(frame, self.dim)
+        F = as_matrix(frame, self.dim)
         if F.shape != (self.dim, self.dim) or not np.linalg.cond(F) < 1e12:
             raise ReachError(f"frame must be an invertible {self.dim} x {self.dim} matrix")
         R = np.linalg.inv(F)
@@ -244,9 +245,10 @@ def as_numbers(name: str, value: Any) -> Array:
     if isinstance(value, np.ndarray) and value.dtype == float:
         return value
     try:
-        if np.iscomplexobj(value):
-            raise TypeError("they are complex")
-        return np.asarray(value, dtype=float)
+        found = np.asarray(value)
+        if found.dtype.kind not in "biufO":
+            raise TypeError("they are not real numbers")
+        return np.asarray(found, dtype=float)
     except (TypeError, ValueError, OverflowError) as exc:
         raise ReachError(f"{name} must be numbers, got {type(value).__name__}: {exc}") from None
 
@@ -259,6 +261,14 @@ def as_vector(value: ArrayLike, n: int) -> Array:
     if not np.all(np.isfinite(vector)):
         raise ReachError("a vector must have finite entries, got nan or inf")
     return vector
+
+
+def as_rows(value: ArrayLike, n: int, batch: tuple[int, ...]) -> Array:
+    """Finite rows (..., r, n), or one vector (n,), that go together with a stack of sets."""
+    D = as_vector(value, n)
+    if batch and D.ndim > 2:
+        require_alike(D.shape[:-2], batch)
+    return D
 
 
 def as_one_vector(value: ArrayLike, n: int) -> Array:
@@ -287,11 +297,11 @@ def as_matrix(value: ArrayLike, n: int) -> Array:
     return M
 
 
-def as_factor(value: float) -> float:
+def as_factor(value: float, name: str = "a factor") -> float:
     """A finite number, or one clear error."""
-    number = as_numbers("a factor", value)
+    number = as_numbers(name, value)
     if number.ndim != 0 or not np.isfinite(number):
-        raise ReachError(f"one finite number is needed, got {value!r}")
+        raise ReachError(f"{name} must be one finite number, got {value!r}")
     return float(number)
 
 
@@ -316,6 +326,41 @@ def require_sets(*values: Any) -> None:
             raise ReachError(f"a convex set is needed, got {type(value).__name__}")
 
 
+def as_alike(first: str, a: ArrayLike, second: str, b: ArrayLike) -> tuple[Array, Array]:
+    """Two arrays of numbers broadcast with each other, at least vectors."""
+    one, other = as_numbers(first, a), as_numbers(second, b)
+    try:
+        one, other = np.broadcast_arrays(one, other)
+    except ValueError:
+        raise ReachError(
+            f"{first} and {second} do not go together: shapes {one.shape}, {other.shape}"
+        ) from None
+    return one, other
+
+
+def require_alike(*shapes: tuple[int, ...]) -> None:
+    """Refuse stacks that do not broadcast with each other."""
+    try:
+        np.broadcast_shapes(*shapes)
+    except ValueError:
+        raise ReachError(f"stacks of shapes {', '.join(map(str, shapes))} do not go together") from None
+
+
+def require_stackable(parts: Any, kind: type) -> None:
+    """Refuse what is not a sequence of sets of one kind and shape."""
+    good = isinstance(parts, list | tuple) and parts and all(isinstance(part, kind) for part in parts)
+    if not good or len({(part.dim, part.batch) for part in parts}) > 1:
+        raise ReachError(f"a stack needs a sequence of {kind.__name__} of one dimension and shape")
+
+
+def stacked(values: Array, index: Any) -> Array:
+    """What an index selects from a stack, or one clear error."""
+    try:
+        return np.asarray(values[index])
+    except (IndexError, TypeError, ValueError) as exc:
+        raise ReachError(f"an index selects from the batch axes: {exc}") from None
+
+
 def require_single(X: Any, what: str) -> None:
     """Refuse a stack of sets."""
     if getattr(X, "batch", ()):
@@ -324,7 +369,10 @@ def require_single(X: Any, what: str) -> None:
 
 def selector(dims: Sequence[int], n: int) -> Array:
     """Rows of the identity that pick coordinates, shape (len(dims), n)."""
-    picked = list(dims)
+    try:
+        picked = [as_count("an entry of dims", i) for i in dims]
+    except TypeError:
+        raise ReachError(f"dims must be a sequence of numbers, got {dims!r}") from None
     if not picked or len(set(picked)) != len(picked) or not all(0 <= i < n for i in picked):
         raise ReachError(f"dims must be different numbers from 0 to {n - 1}, got {picked}")
     return np.asarray(np.eye(n)[picked])

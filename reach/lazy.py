@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .arguments import checked
 from .convex import (
     SetOperators,
     as_factor,
-    as_map,
     as_matrix,
     as_one_vector,
     as_vector,
@@ -102,20 +102,21 @@ class AffineImage(SetOperators):
         eye = np.eye(self.dim)
         return Interval(-self.support_up(-eye), self.support_up(eye))
 
+    @checked
     def contains(self, points: ArrayLike, slack: float = 1e-9) -> NDArray[np.bool_]:
         """Whether each point lies in the set, to `slack` times its size; shape (...) for (..., m)."""
         return contains_by_distance(self, points, slack)
 
     def __rmatmul__(self, M: ArrayLike) -> AffineImage:
         """Linear image."""
-        M = as_map(M, self.dim)
+        M = as_matrix(M, self.dim)
         return AffineImage(M @ self.M, self.base, M @ self.v)
 
     def __add__(self, other: Any) -> Any:
         """Minkowski sum with another set, or translation by a vector."""
         if isinstance(other, SetOperators):
             return minkowski_sum(self, other)
-        return AffineImage(self.M, self.base, self.v + as_vector(other, self.dim))
+        return AffineImage(self.M, self.base, self.v + as_one_vector(other, self.dim))
 
     def __mul__(self, factor: float) -> AffineImage:
         """Scaled copy ``{a x}``."""
@@ -225,19 +226,20 @@ class MinkowskiSum(SetOperators):
             total = total + part.interval_hull()
         return total  # type: ignore[no-any-return]
 
+    @checked
     def contains(self, points: ArrayLike, slack: float = 1e-9) -> NDArray[np.bool_]:
         """Whether each point lies in the set, to `slack` times its size; shape (...) for (..., n)."""
         return contains_by_distance(self, points, slack)
 
     def __rmatmul__(self, M: ArrayLike) -> MinkowskiSum:
         """Linear image: the sum of the images."""
-        return MinkowskiSum(tuple(as_map(M, self.dim) @ part for part in self.parts))
+        return MinkowskiSum(tuple(as_matrix(M, self.dim) @ part for part in self.parts))
 
     def __add__(self, other: Any) -> MinkowskiSum:
         """Minkowski sum with another set, or translation by a vector."""
         if isinstance(other, SetOperators):
             return minkowski_sum(self, other)
-        return MinkowskiSum((self.parts[0] + as_vector(other, self.dim), *self.parts[1:]))
+        return MinkowskiSum((self.parts[0] + as_one_vector(other, self.dim), *self.parts[1:]))
 
     def __mul__(self, factor: float) -> MinkowskiSum:
         """Scaled copy ``{a x}``."""

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .arguments import checked
 from .adjoint import attained_support, extent
 from .convex import ConvexSet
 from .errors import ReachError
@@ -84,6 +85,7 @@ class LTVSystem:
         return 0 if self.U is None else int(self.U.dim)
 
 
+@checked
 def ltv_support_tube(
     system: LTVSystem,
     initial: ConvexSet,
@@ -130,6 +132,7 @@ def ltv_support_tube(
     return SupportTube(sweep.times, D, upper, attained, interval, bow)
 
 
+@checked
 def ltv_zonotope_tube(
     system: LTVSystem,
     initial: ConvexSet,

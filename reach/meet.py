@@ -9,7 +9,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .convex import SetOperators, as_factor, as_map, as_vector, require_same_dim, require_single, weighed
+from .arguments import checked
+from .convex import (
+    SetOperators,
+    as_factor,
+    as_matrix,
+    as_one_vector,
+    as_vector,
+    require_same_dim,
+    require_single,
+    weighed,
+)
 from .errors import ReachError
 from .interval import Interval
 from .polytope import HPolytope
@@ -165,6 +175,7 @@ class Intersection(SetOperators):
         """Box around the set, rounded outwards."""
         return self._hull
 
+    @checked
     def contains(self, points: ArrayLike, slack: float = 1e-9) -> NDArray[np.bool_]:
         """Whether each point is in all parts, each judged with this slack, shape (...) for (..., n)."""
         return np.asarray(np.all([part.contains(points, slack) for part in self.parts], axis=0))
@@ -175,7 +186,7 @@ class Intersection(SetOperators):
         """Linear image, lazy: the image of an intersection is smaller than that of the images."""
         from .lazy import AffineImage
 
-        M = as_map(M, self.dim)
+        M = as_matrix(M, self.dim)
         return AffineImage(M, self, np.zeros(M.shape[0]))
 
     def __add__(self, other: Any) -> Any:
@@ -184,7 +195,7 @@ class Intersection(SetOperators):
 
         if isinstance(other, SetOperators):
             return minkowski_sum(self, other)
-        return AffineImage(np.eye(self.dim), self, as_vector(other, self.dim))
+        return AffineImage(np.eye(self.dim), self, as_one_vector(other, self.dim))
 
     def __mul__(self, factor: float) -> Any:
         """Scaled copy ``{a x}``, lazy."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from .arguments import checked
 from .convex import SetOperators, require_single
 from .ellipsoid import Ellipsoid
 from .interval import Interval
@@ -33,6 +34,7 @@ class NormBracket:
     point: Array
 
 
+@checked
 def largest_norm(X: SetOperators, most: int = 20_000, level: float | None = None) -> NormBracket:
     """Bracket of the largest Euclidean norm over a single set.
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .arguments import checked
 from .bases import Bases
 from .convex import SetOperators, as_factor, as_matrix, as_numbers, as_one_vector, as_vector, weighed
 from .errors import ReachError
@@ -83,6 +84,7 @@ class HPolytope(SetOperators):
         """Whether no point satisfies all rows (thinner than `FLATNESS` counts as flat, not empty)."""
         return self._ball[1] < -FLATNESS
 
+    @checked
     def is_empty_within(self, sizes: Array) -> bool:
         """Whether it is proved that no point with ``|x| <= sizes``, shape (n,), is in the set (Farkas)."""
         if not self.is_empty:
@@ -305,6 +307,7 @@ class HPolytope(SetOperators):
         ends = level + residual @ self.extent
         return Interval(np.minimum(-ends[n:], ends[:n]), ends[:n])
 
+    @checked
     def contains(self, points: ArrayLike, slack: float = 1e-9) -> NDArray[np.bool_]:
         """Whether each point satisfies all rows to `slack` times the sizes of their terms, shape (...)."""
         x = as_vector(points, self.dim)
@@ -363,7 +366,7 @@ class HPolytope(SetOperators):
     def intersect_halfspace(self, normal: ArrayLike, offset: float) -> HPolytope:
         """Part of the set with ``normal . x <= offset`` (exact)."""
         row = as_one_vector(normal, self.dim)
-        return HPolytope(np.vstack([self.A, row]), np.r_[self.b, as_factor(offset)])
+        return HPolytope(np.vstack([self.A, row]), np.r_[self.b, as_factor(offset, "offset")])
 
     # -- other descriptions -----------------------------------------------------------------------
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from .arguments import checked
 from .answer import Answer
 from .convex import require_same_dim, require_single, weighed
 from .distance import nearest, unit_sizes
@@ -25,6 +26,7 @@ COMMON = 1e-9
 CLOSER = "the sets are closer than rounding can tell"
 
 
+@checked
 def disjoint(X: Any, Y: Any) -> Answer:
     """Whether two sets have no point in common.
 

@@ -60,6 +60,10 @@ class LinearSystem:
     nominal: Signal | None = None
 
     def __post_init__(self) -> None:
+        if not isinstance(self.discrete, bool | np.bool_):
+            raise ReachError(f"discrete must be true or false, got {self.discrete!r}")
+        if self.nominal is not None and not isinstance(self.nominal, Signal):
+            raise ReachError(f"nominal must be a Signal, got {type(self.nominal).__name__}")
         A = _matrix("A", self.A)
         n = A.shape[0]
         if A.shape != (n, n) or n == 0:

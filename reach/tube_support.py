@@ -8,9 +8,10 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .arguments import checked
 from .adjoint import Adjoint
 from .centering import centered
-from .convex import ConvexSet
+from .convex import ConvexSet, as_numbers
 from .errors import ReachError
 from .march import march, substeps, warn_if_wide
 from .systems import LinearSystem, numbers
@@ -69,6 +70,7 @@ class SupportTube:
         return np.asarray(self.attained.max(axis=0))
 
 
+@checked
 def support_tube(
     system: LinearSystem,
     initial: ConvexSet,
@@ -130,6 +132,7 @@ def support_tube(
     return SupportTube(coarse.times, D, upper[::parts], lower[::parts], interval, coarse.bow + coarse.bend)
 
 
+@checked
 def locate(times: Array, t: ArrayLike) -> tuple[NDArray[np.intp], Array]:
     """Interval of every time and its place in it from 0 to 1.
 
@@ -138,7 +141,9 @@ def locate(times: Array, t: ArrayLike) -> tuple[NDArray[np.intp], Array]:
     ReachError
         If a time lies outside the nodes, or is not a number.
     """
-    t = np.atleast_1d(np.asarray(t, dtype=float))
+    t = np.atleast_1d(as_numbers("t", t))
+    if t.ndim != 1:
+        raise ReachError(f"times must be a number or a vector of them, got shape {t.shape}")
     if not np.all((t >= times[0]) & (t <= times[-1])):
         raise ReachError(f"times must lie in [{times[0]:g}, {times[-1]:g}]")
     k = np.clip(np.searchsorted(times, t, side="right") - 1, 0, len(times) - 2)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .arguments import checked
 from .adjoint import Adjoint, is_symmetric
 from .bounds import March
 from .centering import centered
@@ -84,6 +85,7 @@ class ZonotopeTube:
         )
 
 
+@checked
 def zonotope_tube(
     system: LinearSystem,
     initial: ConvexSet,
