@@ -139,7 +139,9 @@ def _finite(value: Any) -> Any:
 
 
 def _sequence(value: Any) -> Any:
-    return value if isinstance(value, Sequence | np.ndarray) and not isinstance(value, str | bytes) else _WRONG
+    return (
+        value if isinstance(value, Sequence | np.ndarray) and not isinstance(value, str | bytes) else _WRONG
+    )
 
 
 def _specs(value: Any) -> Any:

@@ -117,7 +117,7 @@ class Bases:
         return values, points, multipliers
 
     def basis(self, found: Maximum) -> NDArray[np.intp]:
-        """n independent rows that meet in the solution of a linear program, those with multipliers first."""
+        """N independent rows that meet in the solution of a linear program, those with multipliers first."""
         n = self.A.shape[1]
         gap = self.b / self.norms - self.rows @ (found.point * self.columns)
         room = 1e-9 * (np.abs(self.b) / self.norms + np.abs(self.rows) @ np.abs(found.point * self.columns))

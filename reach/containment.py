@@ -8,8 +8,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from .arguments import checked
 from .answer import Answer
+from .arguments import checked
 from .convex import as_count, require_same_dim, require_single, weighed
 from .ellipsoid import Ellipsoid
 from .errors import ReachError
@@ -73,11 +73,12 @@ def contains(outer: Any, inner: Any, method: Method = "auto", most: int = MOST) 
         require_single(one, "contains")
     if getattr(inner, "is_empty", False):
         return Answer(True, np.inf) if inner.proved_empty else Answer(None, 0.0, reason=TOUCHING)
+    body: Any = outer
     for kind, inside in INSIDE.items():
         if isinstance(outer, kind):
             if isinstance(inner, HPolytope) and not inner.is_bounded and kind not in OPEN:
-                outer, inside = outer.interval_hull().to_polytope(), _in_polytope  # it leaves this one too
-            return inside(outer, inner, method, most)
+                body, inside = body.interval_hull().to_polytope(), _in_polytope  # it leaves this one too
+            return inside(body, inner, method, most)
     raise ReachError(f"containment in a {type(outer).__name__} is not offered: enclose or convert it first")
 
 

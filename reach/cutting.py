@@ -18,10 +18,10 @@ from .zonotope import Zonotope
 
 Array = NDArray[np.float64]
 
-CUTS = 60
+CUTS = 30
 """Supporting planes that a round part is given, one after the other, in the search along one direction."""
 
-CLOSE = 1e-10
+CLOSE = 1e-8
 """Distance from a round part, in sizes of the sets, at which the search ends."""
 
 DEPTH = 1e-7
@@ -40,7 +40,9 @@ class Search:
     def __init__(self, parts: tuple[Any, ...]) -> None:
         self.parts, self.n = parts, parts[0].dim
         hulls = [
-            part.interval_hull() for part in parts if not (isinstance(part, HPolytope) and not part.is_bounded)
+            part.interval_hull()
+            for part in parts
+            if not (isinstance(part, HPolytope) and not part.is_bounded)
         ]
         lo, hi = np.max([hull.lo for hull in hulls], axis=0), np.min([hull.hi for hull in hulls], axis=0)
         smallest = np.min([unit_sizes(hull.half_widths) for hull in hulls], axis=0)
@@ -49,6 +51,8 @@ class Search:
         self.flat = [lifted(part, self.middle, self.size) for part in parts]
         axes = np.vstack([np.eye(self.n), -np.eye(self.n)]) / self.size
         self.planes = [axes if flat is None else np.zeros((0, self.n)) for flat in self.flat]
+        # Of other sets with flat faces the program itself gives the coefficients of a point.
+        self._asked = [p for p, flat in zip(parts, self.flat, strict=True) if flat is None or _is_rows(p)]
         self._known: dict[bytes, tuple[Array, Array]] = {}
 
     def split(self, direction: Array) -> tuple[Array, Array]:
@@ -84,7 +88,7 @@ class Search:
             if flat is None:
                 blocks.append((planes * size, np.zeros((len(planes), 0))))
                 offsets.append(part.support(planes) - planes @ self.middle)
-            elif isinstance(part, HPolytope):
+            elif _is_rows(part):
                 blocks.append((flat.A, np.zeros((len(flat.A), flat.G.shape[1]))))
                 offsets.append(flat.b)
             else:
@@ -93,12 +97,18 @@ class Search:
                 shift = (flat.c - self.middle) / size
                 blocks.append((np.vstack([same, -same, none]), np.vstack([-own, own, flat.A])))
                 offsets.append(np.r_[shift, -shift, flat.b])
-        A = np.hstack([np.vstack([block[0] for block in blocks]), block_diag(*(block[1] for block in blocks))])
+        A = np.hstack(
+            [np.vstack([block[0] for block in blocks]), block_diag(*(block[1] for block in blocks))]
+        )
         b = np.hstack(offsets)
         equal = np.hstack([self._equal(*one) for one in zip(self.parts, self.flat, self.planes, strict=True)])
         room = np.where(equal, 0.0, np.linalg.norm(A, axis=1))[:, None] * float(depth)
         A = np.vstack([np.hstack([A, room]), np.eye(A.shape[1] + 1)[-1:]])
-        goal = np.r_[np.zeros(A.shape[1] - 1), 1.0] if depth else np.r_[direction * size, np.zeros(A.shape[1] - n)]
+        goal = (
+            np.r_[np.zeros(A.shape[1] - 1), 1.0]
+            if depth
+            else np.r_[direction * size, np.zeros(A.shape[1] - n)]
+        )
         found = maximise(goal, A, np.r_[b, 1.0])
         if not np.isfinite(found.value):
             raise ReachError("the intersection has no point, or none that was found")
@@ -107,7 +117,7 @@ class Search:
         for block, flat, part in zip(blocks, self.flat, self.parts, strict=True):
             weights = found.multipliers[at : at + len(block[0])]
             at += len(block[0])
-            exact = part.A if flat is not None and isinstance(part, HPolytope) else block[0] / size
+            exact = part.A if flat is not None and _is_rows(part) else block[0] / size
             rows.append(weights @ exact)
         return point, np.array(rows), float(found.point[-1])
 
@@ -115,9 +125,9 @@ class Search:
         """Which rows of a part say that two points are the same."""
         if flat is None:
             return np.zeros(len(planes), dtype=bool)
-        if isinstance(part, HPolytope):
+        if _is_rows(part):
             return np.zeros(len(flat.A), dtype=bool)
-        return np.arange(2 * self.n + len(flat.A)) < 2 * self.n
+        return np.asarray(np.arange(2 * self.n + len(flat.A)) < 2 * self.n)
 
     @cached_property
     def inner(self) -> tuple[Array, float]:
@@ -131,8 +141,13 @@ class Search:
         if not deep > DEPTH:
             return np.full(self.n, np.nan)
         point = self.split(direction)[0]
-        for share in (1e-9, 1e-8, 1e-6, 1e-4):
+        for share in (1e-8, 1e-6, 1e-4):
             pulled = point + min(share / deep, 1.0) * (middle - point)
-            if all(bool(part.contains(pulled, 1e-10)) for part in self.parts):
+            if all(bool(part.contains(pulled, 1e-10)) for part in self._asked):
                 return np.asarray(pulled)
         return np.full(self.n, np.nan)
+
+
+def _is_rows(part: Any) -> bool:
+    """Whether a part is given by inequalities in the coordinates of the whole."""
+    return isinstance(part, HPolytope)

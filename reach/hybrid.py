@@ -103,7 +103,7 @@ def hybrid_tube(
 
 
 def _positive(name: str, given: Any, whole: bool) -> None:
-    """Refuse what is not positive, one number (or for a tolerance several) or a mapping from names to such."""
+    """Refuse what is not positive: a number (of a tolerance several), or a mapping from names to such."""
     for value in given.values() if isinstance(given, Mapping) else (given,):
         if value is None:
             continue
@@ -111,6 +111,8 @@ def _positive(name: str, given: Any, whole: bool) -> None:
             good = as_count(name, value) >= 1
         else:
             numbers = as_numbers(name, value)
-            good = bool(np.all((numbers > 0) & np.isfinite(numbers))) and numbers.ndim <= (name == "tolerance")
+            good = bool(np.all((numbers > 0) & np.isfinite(numbers))) and numbers.ndim <= (
+                name == "tolerance"
+            )
         if not good or isinstance(value, bool):
             raise ReachError(f"the {name} must be finite and > 0, got {value!r}")

@@ -106,7 +106,7 @@ def simulate_hybrid(
         raise ReachError("the policy 'random' needs a random generator")
     if not (0 < dt < np.inf and 0 <= horizon < np.inf) or horizon / dt > MOST_SAMPLES:
         raise ReachError(
-            f"dt and horizon must be finite and > 0, at most {MOST_SAMPLES:,} samples, got {dt!r}, {horizon!r}"
+            f"dt and horizon must be > 0 and give at most {MOST_SAMPLES:,} samples, got {dt!r}, {horizon!r}"
         )
     assert automaton.start is not None
     x, t, name = np.asarray(x0, dtype=float), 0.0, automaton.start

@@ -8,6 +8,7 @@ from scipy.linalg import expm
 
 from .arguments import checked
 from .errors import ReachError
+
 Array = NDArray[np.float64]
 
 

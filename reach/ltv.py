@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .arguments import checked
 from .adjoint import attained_support, extent
+from .arguments import checked
 from .convex import ConvexSet
 from .errors import ReachError
 from .march import warn_if_wide

@@ -121,8 +121,8 @@ def warn_if_wide(bounds: Array, attained: Array, sizes: Array) -> None:
     ratio = float(np.max(np.divide(bounds - attained, level, out=np.zeros_like(level), where=level > 0)))
     if ratio > WIDE:
         warnings.warn(
-            f"bounds between nodes exceed what is attained by a factor of up to {ratio:.2g}: the step is long "
-            "for a system this stiff; take a shorter one, or a tolerance instead",
+            f"bounds between nodes exceed what is attained by a factor of up to {ratio:.2g}: the step is "
+            "long for a system this stiff; take a shorter one, or a tolerance instead",
             ReachWarning,
             stacklevel=3,
         )
@@ -240,7 +240,9 @@ def foreseen(adjoint: Adjoint, rows: Array, horizon: float) -> Array:
             path = np.array([rows, *some, *adjoint.rows.carry(rows, horizon / AHEAD, AHEAD)[1:]])
             times = np.r_[0.0, early if some else [], horizon / AHEAD * np.arange(1, AHEAD + 1)]
             start, rate = adjoint.values(path)
-            value = start.max(axis=0) + (np.diff(times)[:, None] * np.minimum(rate[1:], rate[:-1])).sum(axis=0)
+            value = start.max(axis=0) + (np.diff(times)[:, None] * np.minimum(rate[1:], rate[:-1])).sum(
+                axis=0
+            )
     except Unresolved:
         return np.zeros(len(rows))
     return np.where(np.isfinite(value), value, 0.0)

@@ -27,6 +27,7 @@ from .rounding import gamma
 
 Array = NDArray[np.float64]
 
+
 def intersect(first: Any, second: Any) -> Any:
     """The points of both sets: an `HPolytope` where both are given by inequalities, else lazy.
 
@@ -54,7 +55,7 @@ class Intersection(SetOperators):
     Its support is an upper bound: any way to write ``d = d_1 + ... + d_k`` bounds it by the sum of the
     supports of the parts, and the split is sought by linear programs in which round parts are cut by
     their supporting planes. For parts with flat faces it is exact to rounding, with round ones mostly
-    to 1e-9 of the size. A point that `support_vector` returns is as close to all parts as that.
+    to 1e-8 of the size. A point that `support_vector` returns is as close to all parts as that.
 
     Parameters
     ----------

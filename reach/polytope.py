@@ -116,7 +116,7 @@ class HPolytope(SetOperators):
         """
         if self.dim > EXACT_MOST:
             return False
-        same = np.all(self.A == row, axis=1) & (self.b <= offset)
+        same = np.all(row == self.A, axis=1) & (self.b <= offset)
         if same.any():
             return True
         found = self._program(np.asarray(row, dtype=float).tobytes())
@@ -133,7 +133,7 @@ class HPolytope(SetOperators):
 
     @cached_property
     def frame(self) -> tuple[Array, Array]:
-        """A point and sizes to measure the set with, each (n,); those of its offsets where it has no bounds."""
+        """A point and sizes to measure with, each (n,); those of the offsets if it has no bounds."""
         if self.is_bounded and not self.is_empty:
             hull = self.interval_hull()
             half = hull.half_widths
@@ -327,7 +327,7 @@ class HPolytope(SetOperators):
         lazy = AffineImage(M, self, np.zeros(M.shape[0]))
         if M.shape != (self.dim, self.dim) or not np.linalg.cond(M) < 1 / np.finfo(float).eps:
             return lazy
-        rows = np.linalg.solve(M.T, self.A.T).T
+        rows = np.asarray(np.linalg.solve(M.T, self.A.T).T, dtype=np.float64)
         if not np.all(np.isfinite(rows)):
             return lazy
         whole, times, old, one = integers(rows, M, self.A, np.ones(1))

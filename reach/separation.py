@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from .arguments import checked
 from .answer import Answer
+from .arguments import checked
 from .convex import require_same_dim, require_single, weighed
 from .distance import nearest, unit_sizes
 from .exact import integers
@@ -76,9 +76,7 @@ def disjoint(X: Any, Y: Any) -> Answer:
 
 def _frame(X: Any, Y: Any) -> tuple[Array, Array, Array]:
     """Where polytopes are to be looked at, and sizes in which a distance of the two sets is measured."""
-    known = [
-        one.interval_hull() for one in (X, Y) if not (isinstance(one, HPolytope) and not one.is_bounded)
-    ]
+    known = [one.interval_hull() for one in (X, Y) if not (isinstance(one, HPolytope) and not one.is_bounded)]
     if not known:
         sizes = np.maximum(X.frame[1], Y.frame[1])
         return np.zeros(X.dim), sizes, sizes
@@ -109,9 +107,7 @@ def _stands(X: Any, point: Array, grain: Array) -> bool:
     if parts is not None and hasattr(X, "is_empty"):
         return all(_stands(part, point, grain) for part in parts)
     hull = X.interval_hull()
-    if np.any(point < hull.lo - grain) or np.any(point > hull.hi + grain):
-        return False
-    return True
+    return not (np.any(point < hull.lo - grain) or np.any(point > hull.hi + grain))
 
 
 def _by_program(X: Any, Y: Any, first: Lifted, second: Lifted, units: Array) -> Answer:

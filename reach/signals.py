@@ -70,4 +70,6 @@ class Signal:
         rise = np.diff(self.values, axis=0)
         inner = np.divide(rise, length[:, None], out=np.zeros_like(rise), where=length[:, None] > 0)
         slopes = np.vstack([np.zeros((1, self.dim)), inner, np.zeros((1, self.dim))])
-        return np.asarray(slopes[np.searchsorted(self.times, np.atleast_1d(as_numbers("t", t)), side="right")])
+        return np.asarray(
+            slopes[np.searchsorted(self.times, np.atleast_1d(as_numbers("t", t)), side="right")]
+        )

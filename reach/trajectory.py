@@ -12,8 +12,8 @@ from scipy import sparse
 from scipy.linalg import expm
 from scipy.sparse.linalg import expm_multiply
 
-from .arguments import checked
 from .adjoint import Adjoint
+from .arguments import checked
 from .centering import centered
 from .convex import ConvexSet
 from .errors import ReachError

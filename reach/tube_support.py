@@ -8,8 +8,8 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .arguments import checked
 from .adjoint import Adjoint
+from .arguments import checked
 from .centering import centered
 from .convex import ConvexSet, as_numbers
 from .errors import ReachError

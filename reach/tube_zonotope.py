@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .arguments import checked
 from .adjoint import Adjoint, is_symmetric
+from .arguments import checked
 from .bounds import March
 from .centering import centered
 from .convex import ConvexSet

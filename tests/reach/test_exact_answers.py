@@ -1,4 +1,4 @@
-"""No answer is refuted by exact arithmetic: all kinds of sets, ill-conditioned maps, units from 1e-12 to 1e15."""
+"""No answer is refuted by exact arithmetic: all kinds of sets, ill-conditioned maps, all units."""
 
 from fractions import Fraction
 from itertools import product
@@ -20,7 +20,18 @@ from reach import (
 
 from .rational import exact, inside, refuted, rows, shared, solve
 
-KINDS = ("interval", "zonotope", "polytope", "ellipsoid", "ball", "image", "round image", "sum", "meet", "round meet")
+KINDS = (
+    "interval",
+    "zonotope",
+    "polytope",
+    "ellipsoid",
+    "ball",
+    "image",
+    "round image",
+    "sum",
+    "meet",
+    "round meet",
+)
 OUTER = tuple(kind for kind in KINDS if kind != "sum")
 UNITS = (1e-12, 1e-6, 1.0, 1e6, 1e10, 1e12, 1e15)
 
@@ -62,7 +73,7 @@ def body(kind, rng, unit=1.0, middle=None):
     return Intersection((body("ball", rng, unit, c / unit), body("polytope", rng, unit, c / unit)))
 
 
-def shrunk(X, factor, about, rng):
+def shrunk(X, factor, about):
     """A scaled copy of a set about one of its points, lazily: nothing is rounded."""
     return AffineImage(factor * np.eye(2), X, about - factor * about)
 
@@ -77,7 +88,7 @@ def check_contains(outer, inner):
     return answer.holds
 
 
-def check_disjoint(X, Y, unit=1.0):
+def check_disjoint(X, Y):
     answer = disjoint(X, Y)
     if answer.holds:
         assert shared(X, Y) is None
@@ -101,59 +112,56 @@ def near(X, witness, share=Fraction(1, 10**6)):
 
 
 def sweep(seed, count):
-    """Random pairs of every two kinds; one inner set is a copy of the outer one that hardly fits."""
+    """Random pairs of kinds; then inner sets that are copies of the outer one and hardly fit."""
     rng, said = np.random.default_rng(seed), []
-    for (a, b), _ in product(product(OUTER, KINDS), range(count)):
+    for a, b in rng.choice(list(product(OUTER, KINDS)), count):
         outer = body(a, rng)
-        inner = body(b, rng, 10.0 ** rng.uniform(-3, 0), outer.center)
-        said.append(check_contains(outer, inner))
-    for a, _ in product(OUTER, range(4 * count)):
+        said.append(check_contains(outer, body(b, rng, 10.0 ** rng.uniform(-3, 0), outer.center)))
+    for a in rng.choice(OUTER, count):
         X = body(a, rng)
         slack = rng.choice([-1.0, 1.0]) * 10.0 ** rng.uniform(-16, -1)
-        said.append(check_contains(X, shrunk(X, 1 - slack, X.center, rng)))
+        said.append(check_contains(X, shrunk(X, 1 - slack, X.center)))
     return said
 
 
 def sweep_apart(seed, count):
     rng, said = np.random.default_rng(seed), []
-    for (a, b), _ in product(product(KINDS, KINDS), range(count)):
+    for a, b in rng.choice(list(product(KINDS, KINDS)), count):
         unit = float(rng.choice(UNITS))
         X, Y = body(a, rng, unit), body(b, rng, unit)
         Y = AffineImage(np.eye(2), Y, unit * rng.normal(size=2) * rng.choice([0.1, 3.0]))
-        said.append(check_disjoint(X, Y, unit))
+        said.append(check_disjoint(X, Y))
     return said
 
 
 @pytest.mark.parametrize("seed", [1])
-def test_no_proof_is_refuted(seed):
-    said = sweep(seed, 1)
-    assert said.count(True) > len(said) / 5 and said.count(False) > len(said) / 20
-    said = sweep_apart(seed, 1)
-    assert said.count(True) > len(said) / 5 and said.count(False) > len(said) / 5
-    assert said.count(None) < len(said) / 10
+def test_no_answer_is_refuted(seed):
+    said = sweep(seed, 15)
+    assert said.count(True) > 3 and said.count(False) > 3
+    said = sweep_apart(seed, 15)
+    assert said.count(True) > 2 and said.count(False) > 2 and said.count(None) < 4
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2, 10))
-def test_no_proof_is_refuted_in_many_more(seed):
-    sweep(seed, 3)
-    sweep_apart(seed, 3)
+def test_no_answer_is_refuted_in_many_more(seed):
+    sweep(seed, 150)
+    sweep_apart(seed, 150)
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_images_of_polytopes_prove_nothing_about_other_sets(seed):
     """Along the facets of the exact image the bound is never below it, and what fits hardly is decided."""
     rng = np.random.default_rng(seed)
-    for _ in range(20):
+    for _ in range(8):
         M, P = matrix(rng), body("polytope", rng)
         image = M @ P
         back = [solve(exact(M), e) for e in exact(np.eye(2))]
         facets = exact(P.A) @ np.stack(back, axis=1)
-        for a, b in zip(facets, exact(P.b), strict=True):
+        for a in facets:
             row = np.array([float(v) for v in a])
-            most = max(exact(row) @ (exact(M) @ p) for p in _corners(P))
+            most = max(exact(row) @ exact(M) @ p for p in _corners(P))
             assert Fraction(float(image.support_up(row))) >= most
-            del b
         written = image.to_polytope()
         assert all(inside(written, exact(M) @ p) for p in _corners(P))
 
@@ -181,42 +189,50 @@ def test_unbounded_sets_lie_in_unbounded_ones():
     assert contains(half, HPolytope([[0.6, 0.2]], [1.5])) and contains(half, half)
     assert contains(half, HPolytope([[0.6, 0.2]], [2.5])).holds is False
     wedge = HPolytope([[1.0, 1.0], [1.0, -1.0]], [1.0, 1.0])
-    for outer in (HPolytope([[1.0, 0.5]], [1.0]), HPolytope([[1.0, 0.0]], [1.0]), HPolytope([[0.3, 0.1]], [0.5])):
+    for outer in (
+        HPolytope([[1.0, 0.5]], [1.0]),
+        HPolytope([[1.0, 0.0]], [1.0]),
+        HPolytope([[0.3, 0.1]], [0.5]),
+    ):
         assert contains(outer, wedge)
     answer = contains(HPolytope([[1.0, 1.1]], [1.0]), wedge)
     assert answer.holds is False and wedge.contains(answer.witness)
     assert answer.witness @ [1.0, 1.1] > 1.0
     strip = HPolytope([[1.0, 2.0], [-1.0, -2.0]], [1.0, 1.0])
-    assert contains(HPolytope([[1.0, 2.0]], [1.0]), strip) and contains(strip, HPolytope([[1.0, 2.0]], [1.0])).holds is False
+    assert (
+        contains(HPolytope([[1.0, 2.0]], [1.0]), strip)
+        and contains(strip, HPolytope([[1.0, 2.0]], [1.0])).holds is False
+    )
 
 
 def test_random_unbounded_polytopes_against_fractions():
+    """Rows that are mixtures of the inner ones by small whole numbers, in exact arithmetic."""
     rng, said = np.random.default_rng(4), []
-    for _ in range(60):
-        inner = HPolytope(rng.normal(size=(2, 3)), rng.normal(size=2))
-        weights = rng.uniform(0, 1, (2, 2))
-        outer = HPolytope(weights @ inner.A, weights @ inner.b + rng.choice([0.1, -0.1], 2))
+    for _ in range(20):
+        A, b = rng.integers(-9, 10, (2, 3)) / 8.0, rng.integers(-9, 10, 2) / 8.0
+        if not (A.any(axis=1).all() and np.linalg.matrix_rank(A) == 2):
+            continue
+        inner, weights = HPolytope(A, b), rng.integers(-1, 4, (2, 2)).astype(float)
+        room = rng.choice([0.0, 0.5, -0.5], 2)
+        if not (weights @ A).any(axis=1).all():
+            continue
+        outer = HPolytope(weights @ A, weights @ b + room)
         answer = contains(outer, inner)
         said.append(answer.holds)
-        if answer.holds:  # the row must be a mixture of the inner ones, without rounding: here by chance only
-            for row, offset in zip(exact(outer.A), exact(outer.b), strict=True):
-                mix = solve(exact(inner.A[:, :2]).T, row[:2])
-                assert mix is not None and min(mix) >= 0 and mix @ exact(inner.b) <= offset
-                assert mix @ exact(inner.A[:, 2]) == row[2]
-    assert True not in said or said.count(True) < 5
+        assert answer.holds == bool(np.all(weights >= 0) and np.all(room >= 0))
+    assert True in said and False in said
 
 
 def test_intersections_of_every_two_kinds():
     rng = np.random.default_rng(7)
-    D = rng.normal(size=(24, 2))
-    for a, b in product(KINDS, KINDS):
+    D = rng.normal(size=(3, 2))
+    pairs = [pair for pair in product(KINDS, KINDS) if pair[0] <= pair[1] and "image" not in str(pair)]
+    for a, b in [("interval", "interval"), ("interval", "polytope"), *rng.choice(pairs, 6)]:
         middle = rng.normal(size=2)
         X, Y = body(a, rng, 1.0, middle), body(b, rng, 1.0, middle)
-        if a == "image" or b == "image" or "round image" in (a, b):
-            continue  # their centres lie anywhere
         both = X & Y
-        flat = {a, b} <= {"interval", "polytope"}
-        assert isinstance(both, Interval if (a, b) == ("interval",) * 2 else HPolytope if flat else Intersection)
+        if {a, b} <= {"interval", "polytope"}:
+            assert isinstance(both, Interval if a == b == "interval" else HPolytope)
         upper, lower = both.support_up(D), both.support_down(D)
         assert np.all(upper <= np.minimum(X.support_up(D), Y.support_up(D)) + 1e-9)
         assert np.all(upper - lower <= 1e-3 * (1 + np.abs(upper)))
@@ -224,4 +240,4 @@ def test_intersections_of_every_two_kinds():
         assert np.all(X.contains(some, 1e-6) & Y.contains(some, 1e-6))
         point = both.center
         assert disjoint(both, Zonotope.point(point)).holds is False
-        assert contains(both, Zonotope.point(point)) or "sum" in (a, b) or both.is_empty
+        assert "sum" in (a, b) or contains(both, Zonotope.point(point))
