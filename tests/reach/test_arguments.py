@@ -1,4 +1,4 @@
-"""Wrong arguments: every public function, every position, always one `ReachError` and no warning of numpy's."""
+"""Wrong arguments: every public function, every position, one `ReachError` each and no warning of numpy's."""
 
 import inspect
 import warnings

@@ -46,7 +46,7 @@ def test_a_polytope_as_input_or_initial_set_takes_a_few_programs(monkeypatch, st
     solved = counted(monkeypatch)
     found = support_tube(LinearSystem(A, B, U.to_polytope()), X.to_polytope(), 1.0, np.eye(4), step=1 / steps)
     assert len(solved) < 40
-    assert np.all(found.upper >= want.attained - 1e-9) and np.allclose(found.upper, want.upper, rtol=1e-6)
+    assert np.all(found.upper >= want.attained - 1e-9) and np.allclose(found.upper, want.upper, rtol=1e-3)
     assert np.all(found.attained <= want.upper + 1e-9)
 
 
