@@ -16,6 +16,8 @@ MOST_BASES = 4096
 """Bases kept; and most that Qhull may be expected to return."""
 INSIDE = 1e-11
 """A multiplier above minus this, rows scaled alike, counts as not negative."""
+OUTSIDE = 1e-10
+"""A vertex may break a row by this share of the sizes of its terms."""
 ENTRIES = 2_000_000
 """Numbers handled at once."""
 
@@ -32,7 +34,7 @@ class Bases:
     A : ndarray, shape (m, n)
     b : ndarray, shape (m,)
     inside : ndarray, shape (n,), or None
-        A point well inside a bounded set: all bases are then found at once by Qhull, where they are few.
+        A point in the middle of a bounded set: all bases are then found at once by Qhull, where they are few.
     """
 
     def __init__(self, A: Array, b: Array, inside: Array | None) -> None:
@@ -51,8 +53,10 @@ class Bases:
         from scipy.spatial import ConvexHull, QhullError
 
         room = self.b / self.norms - self.rows @ (inside * self.columns)
-        n = self.A.shape[1]
-        if not np.all(room > 0):
+        n, most = self.A.shape[1], float(np.abs(room).max(initial=0.0))
+        if np.any(room < 1e-6 * most):  # a flat set: the bases of one slightly thicker, if they are its own
+            room = np.maximum(room, 0.0) + 1e-6 * most
+        if not most > 0:
             return np.zeros((0, n), dtype=np.intp)
         try:
             return np.asarray(ConvexHull(self.rows / room[:, None]).simplices, dtype=np.intp)
@@ -70,6 +74,10 @@ class Bases:
         inverses = np.linalg.inv(squares)
         offsets = (self.b / self.norms)[members]
         points = (inverses @ offsets[..., None])[..., 0] / self.columns
+        beyond = (points * self.columns) @ self.rows.T - self.b / self.norms
+        grain = np.abs(points * self.columns) @ np.abs(self.rows).T + np.abs(self.b) / self.norms
+        good = np.all(beyond <= OUTSIDE * grain, axis=1)
+        members, inverses, points = members[good], inverses[good], points[good]
         self.members = np.vstack([self.members, members])
         self.inverses = np.concatenate([self.inverses, inverses])
         self.points = np.vstack([self.points, points])

@@ -255,7 +255,7 @@ class HPolytope(SetOperators):
 
     @cached_property
     def _bases(self) -> Bases:
-        return Bases(self.A, self.b, self.center if self.is_bounded and self._ball[1] > FLATNESS else None)
+        return Bases(self.A, self.b, self.center if self.is_bounded else None)
 
     def _answers(self, D: Array) -> tuple[Array, Array, Array]:
         """Values (...), points (..., n) and multipliers (..., m) of the largest along directions.
