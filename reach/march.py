@@ -124,7 +124,7 @@ def warn_if_wide(bounds: Array, attained: Array, sizes: Array) -> None:
             f"bounds between nodes exceed what is attained by a factor of up to {ratio:.2g}: the step is "
             "long for a system this stiff; take a shorter one, or a tolerance instead",
             ReachWarning,
-            stacklevel=3,
+            stacklevel=4,
         )
 
 
