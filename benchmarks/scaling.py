@@ -7,7 +7,9 @@ last fixed, each pushed by an unknown force; positions within 1 of rest at the s
 two rows (the first and the middle mass), `zonotope` encloses all states; `sparse` takes the sparse
 matrix instead of the dense one. `seconds` is the tube alone, the first call (nothing warm but the
 imports), on one thread; `MB` what the process took at its most beyond what it took before. `gap` is
-the largest distance of bound and attained value at a node, relative to the bound.
+the largest distance of bound and attained value at a node, relative to the bound. `polytope` gives
+the set of the forces by inequalities; `filled` and `full` are the sparse and the dense container of
+one random matrix, half of whose entries are not zero, over a twentieth of the time.
 """
 
 from __future__ import annotations
@@ -46,6 +48,15 @@ def chain(n: int, dense: bool) -> tuple[reach.LinearSystem, reach.Interval]:
     return system, start
 
 
+def filled(n: int, dense: bool) -> tuple[reach.LinearSystem, reach.Interval]:
+    """A random matrix of norm about one, half of its entries not zero."""
+    rng = np.random.default_rng(0)
+    A = rng.normal(size=(n, n)) * (rng.random((n, n)) < 0.5) / np.sqrt(n / 2) - np.eye(n)
+    U = reach.Interval(np.full(2, -1.0), np.full(2, 1.0))
+    start = reach.Interval(-np.ones(n), np.ones(n))
+    return reach.LinearSystem(A if dense else sparse.csr_matrix(A), np.eye(n)[:, :2], U), start
+
+
 def memory() -> float:
     """Most memory that this process has had, in MB."""
     size = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
@@ -54,16 +65,19 @@ def memory() -> float:
 
 def case(kind: str, n: int, steps: int) -> dict[str, float | int | str]:
     """One tube, in this process."""
-    system, start = chain(n, dense=kind != "sparse")
+    system, start = filled(n, kind == "full") if kind in ("filled", "full") else chain(n, kind != "sparse")
+    if kind == "polytope":
+        system = reach.LinearSystem(system.A, system.B, system.U[0].to_polytope())
+    horizon = HORIZON / 20 if kind in ("filled", "full") else HORIZON
     rows = np.zeros((2, n))
     rows[0, 0] = rows[1, n // 4] = 1.0
     reach.support_tube(*chain(2, dense=True), 1.0, [[1.0, 0.0]], step=0.5)  # imports
     before, begun = memory(), perf_counter()
     gap = float("nan")
     if kind == "zonotope":
-        reach.zonotope_tube(system, start, HORIZON, step=HORIZON / steps)
+        reach.zonotope_tube(system, start, horizon, step=horizon / steps)
     else:
-        tube = reach.support_tube(system, start, HORIZON, rows, step=HORIZON / steps)
+        tube = reach.support_tube(system, start, horizon, rows, step=horizon / steps)
         gap = float(np.max((tube.upper - tube.attained) / tube.upper))
     seconds = perf_counter() - begun
     return {
@@ -81,6 +95,7 @@ def cases(quick: bool) -> list[tuple[str, int, int]]:
     found = [(kind, n, FIXED_STEPS) for n in STATES for kind in ("support", "sparse", "zonotope")]
     found += [(kind, FIXED_STATES, k) for k in STEPS for kind in ("support", "zonotope") if k != FIXED_STEPS]
     found = [(kind, n, 100 if kind == "zonotope" and n > 200 else k) for kind, n, k in found]
+    found += [("polytope", FIXED_STATES, FIXED_STEPS), ("filled", 400, 100), ("full", 400, 100)]
     return [one for one in found if not quick or one[1] * one[2] <= 60_000]
 
 

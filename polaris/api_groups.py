@@ -102,7 +102,16 @@ REACH_GROUPS = {
         "ltv_zonotope_tube",
     ),
     "Verification": ("verify", "Always", "Never", "Verdict", "Trajectory", "simulate", "worst_case"),
-    "Sets": ("Interval", "Zonotope", "HPolytope", "Ellipsoid", "AffineImage", "MinkowskiSum", "ConvexSet"),
+    "Sets": (
+        "Interval",
+        "Zonotope",
+        "HPolytope",
+        "Ellipsoid",
+        "AffineImage",
+        "MinkowskiSum",
+        "Intersection",
+        "ConvexSet",
+    ),
     "Questions about sets": ("contains", "disjoint", "Answer", "largest_norm", "NormBracket"),
     "Enclosures": (
         "reduce",
@@ -130,7 +139,7 @@ REACH_GROUPS = {
         "Visit",
     ),
     "Closed loops and exponentials": ("LinearFlow", "state_scale", "discretize", "growth", "powers"),
-    "Errors": ("ReachError", "Unresolved"),
+    "Errors": ("ReachError", "Unresolved", "ReachWarning"),
 }
 """Every public name of `reach`, in the order of the page."""
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from .containment import contains
     from .convex import ConvexSet
     from .ellipsoid import Ellipsoid
-    from .errors import ReachError, Unresolved
+    from .errors import ReachError, ReachWarning, Unresolved
     from .fan import Fan
     from .flow import LinearFlow, state_scale
     from .hulls import enclosing_hull
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from .lazy import AffineImage, MinkowskiSum
     from .linear import discretize, growth, powers
     from .ltv import LTVSystem, ltv_support_tube, ltv_zonotope_tube
+    from .meet import Intersection
     from .norms import NormBracket, largest_norm
     from .outlines import outline
     from .polytope import HPolytope
@@ -52,7 +53,7 @@ _HOMES = {
     ".containment": ("contains",),
     ".convex": ("ConvexSet",),
     ".ellipsoid": ("Ellipsoid",),
-    ".errors": ("ReachError", "Unresolved"),
+    ".errors": ("ReachError", "ReachWarning", "Unresolved"),
     ".fan": ("Fan",),
     ".flow": ("LinearFlow", "state_scale"),
     ".hulls": ("enclosing_hull",),
@@ -65,6 +66,7 @@ _HOMES = {
     ".lazy": ("AffineImage", "MinkowskiSum"),
     ".ltv": ("LTVSystem", "ltv_support_tube", "ltv_zonotope_tube"),
     ".linear": ("discretize", "growth", "powers"),
+    ".meet": ("Intersection",),
     ".norms": ("NormBracket", "largest_norm"),
     ".outlines": ("outline",),
     ".polytope": ("HPolytope",),
@@ -98,6 +100,7 @@ __all__ = [
     "HybridTrajectory",
     "HybridTube",
     "HybridVerdict",
+    "Intersection",
     "Interval",
     "LTVSystem",
     "LinearFlow",
@@ -107,6 +110,7 @@ __all__ = [
     "Never",
     "NormBracket",
     "ReachError",
+    "ReachWarning",
     "Segment",
     "Signal",
     "SupportTube",

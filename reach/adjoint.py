@@ -141,14 +141,17 @@ class Adjoint:
             return np.asarray(np.abs(along[..., -1]))
         return np.asarray(_magnitude(self.inputs[piece], along[..., :-1], along[..., -1]))
 
-    def sizes(self, rows: Array, h: float) -> tuple[Array, Array]:
-        """Largest absolute values over a block: of the first part, and about what the inputs add, (r,)."""
+    def values(self, rows: Array) -> tuple[Array, Array]:
+        """Largest absolute values along rows (m, r, n): of the first part, and the rate of inputs, (m, r)."""
         rate, along = np.zeros(rows.shape[:2]), self.along(rows)[0]
         for i in range(self.pieces):
             rate += self.magnitudes(i, along)
-        gained = h * np.minimum(rate[1:], rate[:-1]).sum(axis=0)
-        rows = rows if self._shrink is None else rows / self._shrink
-        return _magnitude(self.initial, rows).max(axis=0), gained
+        return _magnitude(self.initial, rows if self._shrink is None else rows / self._shrink), rate
+
+    def sizes(self, rows: Array, h: float) -> tuple[Array, Array]:
+        """Largest absolute values over a block: of the first part, and about what the inputs add, (r,)."""
+        first, rate = self.values(rows)
+        return first.max(axis=0), h * np.minimum(rate[1:], rate[:-1]).sum(axis=0)
 
     def block(self, start: Array, h: float, count: int) -> Block:
         """Carry rows (balanced, shape (r, n)) over `count` steps of length h.

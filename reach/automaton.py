@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .convex import ConvexSet
+from .arguments import check_fields
+from .convex import ConvexSet, as_numbers
 from .errors import ReachError
 from .polytope import HPolytope
 from .systems import LinearSystem
@@ -42,6 +43,7 @@ class Mode:
     invariant: HPolytope | None = None
 
     def __post_init__(self) -> None:
+        check_fields(self)
         if self.system.discrete:
             raise ReachError(f"mode {self.name!r} needs a system in continuous time")
         if len(self.system.U) > 1:
@@ -94,6 +96,7 @@ class Transition:
     urgent: bool = False
 
     def __post_init__(self) -> None:
+        check_fields(self)
         where = f"the transition {self.source!r} -> {self.target!r}"
         if self.guard is None and self.window is None and self.dwell is None:
             raise ReachError(f"{where} needs a guard, a window or a dwell time")
@@ -103,7 +106,7 @@ class Transition:
             value = getattr(self, name)
             if value is None:
                 continue
-            ends = np.asarray(value, dtype=float)
+            ends = as_numbers(name, value)
             if ends.shape != (2,) or not (np.all(np.isfinite(ends)) and 0 <= ends[0] <= ends[1]):
                 raise ReachError(f"the {name} of {where} must be two times 0 <= t0 <= t1, got {value!r}")
             object.__setattr__(self, name, (float(ends[0]), float(ends[1])))
@@ -135,12 +138,17 @@ class HybridAutomaton:
     start: str | None = None
 
     def __post_init__(self) -> None:
+        for what, given, kind in (("modes", self.modes, Mode), ("transitions", self.transitions, Transition)):
+            if not isinstance(given, list | tuple) or not all(isinstance(one, kind) for one in given):
+                raise ReachError(f"{what} must be a sequence of {kind.__name__}, got {given!r}")
         if not self.modes:
             raise ReachError("an automaton needs a mode")
         object.__setattr__(self, "modes", tuple(self.modes))
         names = [mode.name for mode in self.modes]
         if len(set(names)) < len(names):
             raise ReachError(f"modes need different names, got {names}")
+        if not isinstance(self.start, str | None):
+            raise ReachError(f"start must be the name of a mode, got {self.start!r}")
         if self.start is None:
             object.__setattr__(self, "start", names[0])
         asked = [self.start, *(name for t in self.transitions for name in (t.source, t.target))]
@@ -154,8 +162,8 @@ class HybridAutomaton:
         n, m = self[t.source].system.dim, self[t.target].system.dim
         _fits(f"the guard of {t}", t.guard, n)
         _fits(f"the uncertain part of {t}", t.uncertain, m)
-        R = np.eye(n) if t.R is None else np.asarray(t.R, dtype=float)
-        r = np.zeros(m) if t.r is None else np.asarray(t.r, dtype=float)
+        R = np.eye(n) if t.R is None else as_numbers("R", t.R)
+        r = np.zeros(m) if t.r is None else as_numbers("r", t.r)
         if R.shape != (m, n) or r.shape != (m,):
             raise ReachError(
                 f"the reset of {t} needs R of shape {(m, n)} and r of {(m,)}, got {R.shape} and {r.shape}"

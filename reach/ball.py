@@ -7,11 +7,13 @@ from itertools import combinations, product
 import numpy as np
 from numpy.typing import NDArray
 
+from .arguments import checked
 from .errors import ReachError
 
 Array = NDArray[np.float64]
 
 
+@checked
 def ball_generators(p: int, radius: float) -> Array:
     """Generators of a centred zonotope that encloses the ball of a radius, shape (p, g).
 

@@ -9,12 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .answer import Answer
-from .convex import require_same_dim, require_single
+from .arguments import checked
+from .convex import as_count, require_same_dim, require_single, weighed
 from .ellipsoid import Ellipsoid
 from .errors import ReachError
 from .exact import Whole, floats, integers
 from .facets import FLAT, combination_count, facet_normals
 from .interval import Interval
+from .lazy import AffineImage, inverse
+from .meet import Intersection
 from .norms import largest_norm
 from .polytope import HPolytope
 from .rounding import gamma
@@ -31,13 +34,14 @@ MOST = 20_000
 TOUCHING = "the sets touch to within rounding"
 
 
+@checked
 def contains(outer: Any, inner: Any, method: Method = "auto", most: int = MOST) -> Answer:
     """Whether `inner` lies in `outer`.
 
     Parameters
     ----------
-    outer : Interval, HPolytope, Zonotope or Ellipsoid
-        A single set; an ellipsoid must not be flat.
+    outer : Interval, HPolytope, Zonotope, Ellipsoid, or AffineImage or Intersection of such
+        A single set; an ellipsoid must not be flat, the map of an image must have an inverse.
     inner : set of this library
         A single set. An empty polytope lies in everything.
     method : {"auto", "exact", "sufficient"}
@@ -62,38 +66,73 @@ def contains(outer: Any, inner: Any, method: Method = "auto", most: int = MOST) 
         ``method="exact"`` would take more than `most`.
     """
     require_same_dim(outer, inner)
-    if method not in ("auto", "exact", "sufficient"):
+    if not isinstance(method, str) or method not in ("auto", "exact", "sufficient"):
         raise ReachError(f"method must be 'auto', 'exact' or 'sufficient', got {method!r}")
+    most = as_count("most", most)
     for one in (outer, inner):
         require_single(one, "contains")
-    if isinstance(outer, Interval):
-        outer = outer.to_polytope()
-    if isinstance(inner, HPolytope):
-        if inner.is_empty:
-            return Answer(True, np.inf)
-        if not inner.is_bounded and not isinstance(outer, HPolytope):
-            outer = outer.interval_hull().to_polytope()  # the unbounded direction leaves this one too
-    if isinstance(outer, HPolytope):
-        return _in_polytope(outer, inner)
-    if isinstance(outer, Ellipsoid):
-        return _in_ellipsoid(outer, inner, method, most)
-    if isinstance(outer, Zonotope):
-        if method == "exact":
-            return _in_facets(outer, inner, facet_normals(outer.G, most))
-        proved = _in_zonotope(outer, inner)
-        if proved.holds is not None or method == "sufficient" or combination_count(outer.G) > most:
-            return proved
-        return _in_facets(outer, inner, facet_normals(outer.G, most))
+    if getattr(inner, "is_empty", False):
+        return Answer(True, np.inf) if inner.proved_empty else Answer(None, 0.0, reason=TOUCHING)
+    body: Any = outer
+    for kind, inside in INSIDE.items():
+        if isinstance(outer, kind):
+            if isinstance(inner, HPolytope) and not inner.is_bounded and kind not in OPEN:
+                body, inside = body.interval_hull().to_polytope(), _in_polytope  # it leaves this one too
+            return inside(body, inner, method, most)
     raise ReachError(f"containment in a {type(outer).__name__} is not offered: enclose or convert it first")
 
 
-def _in_polytope(outer: HPolytope, inner: Any) -> Answer:
+def _in_interval(outer: Interval, inner: Any, method: Method, most: int) -> Answer:
+    return _in_polytope(outer.to_polytope(), inner, method, most)
+
+
+def _in_intersection(outer: Intersection, inner: Any, method: Method, most: int) -> Answer:
+    """Inside every part."""
+    answers = [contains(part, inner, method, most) for part in outer.parts]
+    for wanted in (False, None):
+        found = [answer for answer in answers if answer.holds is wanted]
+        if found:
+            return found[0]
+    return min(answers, key=lambda answer: answer.margin)
+
+
+def _in_image(outer: AffineImage, inner: Any, method: Method, most: int) -> Answer:
+    """The inner set drawn back through the map, what that can be wrong by booked on every axis.
+
+    With W close to the inverse of M and ``F = 1 - W M``, the x with ``M x + v = y`` differs from
+    ``W (y - v)`` by ``F x``, and ``|F| s <= t s`` with ``|W (y - v)| <= s`` shows ``|x| <= s / (1 - t)``.
+    """
+    M, v, n = outer.M, outer.v, outer.dim
+    W = inverse(M)
+    if not np.all(np.isfinite(inner.extent)):
+        return Answer(None, -np.inf, reason="an unbounded set in an affine image is not decided")
+    reach = inner.extent * (1 + gamma(n)) + np.abs(v)
+    F = np.abs(np.eye(n) - W @ M) + gamma(n) * (np.abs(W) @ np.abs(M) + np.eye(n))
+    size = np.abs(W) @ reach * (1 + gamma(n))
+    size = np.maximum(size, 1e-9 * size.max(initial=0.0)) + np.finfo(float).tiny
+    turn = float(np.max(F @ size / size))
+    if not turn < 0.5:
+        return Answer(None, -np.inf, reason="the map is too ill-conditioned to be drawn back through")
+    booked = (F @ size / (1 - turn) + gamma(2 * n) * np.abs(W) @ reach) * (1 + gamma(n))
+    back = W @ (inner + (-v)) if isinstance(inner, Zonotope | Ellipsoid) else AffineImage(W, inner, -(W @ v))
+    proved = contains(outer.base, back + Interval(-booked, booked), method, most)
+    if proved:
+        return proved
+    found = contains(outer.base, back, method, most)
+    if found.holds is False and found.direction is not None:
+        d, base = found.direction, outer.base
+        excess = float(back.support_down(d)) - float(base.support_up(d)) - float(weighed(d, booked))
+        if excess > 0:
+            return Answer(False, found.margin, inner.support_vector(d @ W), d @ W)
+    return Answer(None, found.margin if found.holds is None else 0.0, reason=found.reason or TOUCHING)
+
+
+def _in_polytope(outer: HPolytope, inner: Any, method: Method, most: int) -> Answer:
     """Every row against the support of the inner set."""
 
     def settle(left: NDArray[np.intp]) -> list[bool | None]:
         if isinstance(inner, HPolytope):
-            same = (np.all(outer.A[i] == inner.A, axis=1) & (inner.b <= outer.b[i]) for i in left)
-            return [True if found.any() else None for found in same]
+            return [True if inner.proved_below(outer.A[i], outer.b[i]) else None for i in left]
         if not isinstance(inner, Zonotope | Interval):
             return [None]
         rows, offsets = integers(outer.A[left], outer.b[left])
@@ -135,7 +174,11 @@ def _by_rows(rows: Array, least: Array, largest: Array, units: Array, inner: Any
     excess = (inner.support_down(rows[left]) - largest[left]) / units[left]
     if excess.max() > 0:
         worst = left[np.argmax(excess)]
-        return Answer(False, margin, _beyond(inner, rows[worst], largest[worst]), rows[worst])
+        point = _beyond(inner, rows[worst], largest[worst])
+        booked = gamma(len(point)) * (np.abs(rows[worst]) @ np.abs(point) + abs(largest[worst]))
+        if not rows[worst] @ point - largest[worst] > booked:
+            return Answer(None, margin, reason=TOUCHING)
+        return Answer(False, margin, point, rows[worst])
     for i, held in zip(left, settle(left), strict=False):
         if held is None:
             return Answer(None, margin, reason=TOUCHING)
@@ -195,7 +238,17 @@ def _in_ellipsoid(outer: Ellipsoid, inner: Any, method: Method, most: int) -> An
     return Answer(None, 1 - upper, reason=TOUCHING if upper < 1 + 1e-6 else "the norm is only bracketed")
 
 
-def _in_zonotope(outer: Zonotope, inner: Any) -> Answer:
+def _in_zonotope(outer: Zonotope, inner: Any, method: Method, most: int) -> Answer:
+    """All facets, or one linear program, as the method says."""
+    if method == "exact":
+        return _in_facets(outer, inner, facet_normals(outer.G, most))
+    proved = _by_program(outer, inner)
+    if proved.holds is not None or method == "sufficient" or combination_count(outer.G) > most:
+        return proved
+    return _in_facets(outer, inner, facet_normals(outer.G, most))
+
+
+def _by_program(outer: Zonotope, inner: Any) -> Answer:
     """One linear program that proves it, or some directions that refute it."""
     image = inner if isinstance(inner, Zonotope) else inner.enclosing_zonotope()
     scale = scale_to_hold(outer, image)
@@ -208,3 +261,17 @@ def _in_zonotope(outer: Zonotope, inner: Any) -> Answer:
         worst = D[np.argmax(excess)]
         return Answer(False, 1 - scale, np.asarray(inner.support_vector(worst)), worst)
     return Answer(None, 1 - scale, reason="the linear program is only sufficient")
+
+
+INSIDE: dict[type, Callable[[Any, Any, Method, int], Answer]] = {
+    Interval: _in_interval,
+    HPolytope: _in_polytope,
+    Zonotope: _in_zonotope,
+    Ellipsoid: _in_ellipsoid,
+    AffineImage: _in_image,
+    Intersection: _in_intersection,
+}
+"""How containment is asked, by the kind of the outer set."""
+
+OPEN = (HPolytope, AffineImage, Intersection)
+"""Kinds of outer sets that may be unbounded."""

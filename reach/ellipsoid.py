@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import gamma as gamma_function
 
+from .arguments import checked
 from .ball import ball_generators
-from .convex import SetOperators, as_factor, as_map, as_vector
+from .convex import SetOperators, as_factor, as_matrix, as_numbers, as_one_vector, as_vector
 from .errors import ReachError
 from .interval import Interval
 from .rounding import gamma
@@ -40,7 +41,7 @@ class Ellipsoid(SetOperators):
     L: Array
 
     def __post_init__(self) -> None:
-        c, L = np.asarray(self.c, dtype=float), np.asarray(self.L, dtype=float)
+        c, L = as_numbers("c", self.c), as_numbers("L", self.L)
         if c.ndim != 1 or L.ndim != 2 or len(L) != len(c):
             raise ReachError(f"c must have shape (n,) and L shape (n, k), got {c.shape} and {L.shape}")
         if not (np.all(np.isfinite(c)) and np.all(np.isfinite(L))):
@@ -51,7 +52,7 @@ class Ellipsoid(SetOperators):
     @classmethod
     def ball(cls, center: ArrayLike, radius: float) -> Ellipsoid:
         """Euclidean ball; a radius below zero is refused."""
-        center = np.asarray(center, dtype=float)
+        center, radius = as_numbers("center", center), as_factor(radius, "radius")
         if not radius >= 0:
             raise ReachError(f"radius must be >= 0, got {radius:g}")
         return cls(center, radius * np.eye(len(np.atleast_1d(center))))
@@ -66,7 +67,7 @@ class Ellipsoid(SetOperators):
             If Q is not square, not symmetric or has an eigenvalue below zero (to rounding).
         """
         values, vectors = _spectrum("Q", Q)
-        return cls(np.asarray(center, dtype=float), vectors * np.sqrt(np.maximum(values, 0)))
+        return cls(as_numbers("center", center), vectors * np.sqrt(np.maximum(values, 0)))
 
     @classmethod
     def sublevel(cls, center: ArrayLike, P: ArrayLike, level: float = 1.0) -> Ellipsoid:
@@ -77,12 +78,13 @@ class Ellipsoid(SetOperators):
         ReachError
             If P is not square, not symmetric or not positive definite, or the level is negative.
         """
+        level = as_factor(level, "level")
         if not level >= 0:
             raise ReachError(f"level must be >= 0, got {level:g}")
         values, vectors = _spectrum("P", P)
         if not values.min() > 0:
             raise ReachError(f"P must be positive definite, got an eigenvalue {values.min():.3g}")
-        return cls(np.asarray(center, dtype=float), vectors * np.sqrt(level / values))
+        return cls(as_numbers("center", center), vectors * np.sqrt(level / values))
 
     # -- facts ----------------------------------------------------------------------------------
 
@@ -116,12 +118,12 @@ class Ellipsoid(SetOperators):
     def support(self, directions: ArrayLike) -> Array:
         """Largest value of each direction over the set, shape (..., r) for rows (..., r, n)."""
         D = as_vector(directions, self.dim)
-        return np.asarray(D @ self.c + np.linalg.norm(D @ self.L, axis=-1))
+        return np.asarray(D @ self.c + _lengths(D @ self.L)[..., 0])
 
     def support_vector(self, directions: ArrayLike) -> Array:
         """Points of the set that attain the support, shape of `directions`."""
         inner = as_vector(directions, self.dim) @ self.L
-        norms = np.linalg.norm(inner, axis=-1, keepdims=True)
+        norms = _lengths(inner)
         return np.asarray(self.c + (inner / np.where(norms > 0, norms, 1.0)) @ self.L.T)
 
     def interval_hull(self) -> Interval:
@@ -129,6 +131,7 @@ class Ellipsoid(SetOperators):
         half = np.linalg.norm(self.L, axis=1)
         return Interval.ball(self.c, half * (1 + gamma(self.L.shape[1])))
 
+    @checked
     def contains(self, points: ArrayLike, slack: float = 1e-9) -> NDArray[np.bool_]:
         """Whether each point is reached with ``norm(u, 2) <= 1 + slack``, shape (...) for (..., n)."""
         gap = as_vector(points, self.dim) - self.c
@@ -143,7 +146,7 @@ class Ellipsoid(SetOperators):
 
     def __rmatmul__(self, M: ArrayLike) -> Ellipsoid:
         """Linear image ``M @ X``."""
-        M = as_map(M, self.dim)
+        M = as_matrix(M, self.dim)
         return Ellipsoid(M @ self.c, M @ self.L)
 
     def __add__(self, other: Any) -> Any:
@@ -152,7 +155,7 @@ class Ellipsoid(SetOperators):
 
         if isinstance(other, SetOperators):
             return minkowski_sum(self, other)
-        return Ellipsoid(self.c + as_vector(other, self.dim), self.L)
+        return Ellipsoid(self.c + as_one_vector(other, self.dim), self.L)
 
     def __mul__(self, factor: float) -> Ellipsoid:
         """Scaled copy ``{a x}``."""
@@ -187,9 +190,16 @@ class Ellipsoid(SetOperators):
         return float(np.prod(sizes) * np.pi ** (self.dim / 2) / gamma_function(self.dim / 2 + 1))
 
 
+def _lengths(rows: Array) -> Array:
+    """Euclidean norms, shape (..., 1), of rows whose squares may be beyond floating point."""
+    size = np.abs(rows).max(axis=-1, keepdims=True, initial=0.0)
+    size = np.where(size > 0, size, 1.0)
+    return np.asarray(size * np.linalg.norm(rows / size, axis=-1, keepdims=True))
+
+
 def _spectrum(name: str, matrix: ArrayLike) -> tuple[Array, Array]:
     """Eigenvalues and vectors of a symmetric matrix with no eigenvalue below zero."""
-    Q = np.asarray(matrix, dtype=float)
+    Q = as_numbers(name, matrix)
     if Q.ndim != 2 or Q.shape[0] != Q.shape[1]:
         raise ReachError(f"{name} must be square, got shape {Q.shape}")
     if not np.all(np.isfinite(Q)):

@@ -7,3 +7,7 @@ class ReachError(ValueError):
 
 class Unresolved(ReachError):
     """What was asked for is well posed, but steps, time or floating point do not suffice for it."""
+
+
+class ReachWarning(UserWarning):
+    """A result is sound but of little use: the message says why, and what would help."""

@@ -6,6 +6,7 @@ integers, on which numpy's object arrays compute without rounding.
 
 from __future__ import annotations
 
+from fractions import Fraction
 from itertools import combinations
 from typing import Any
 
@@ -64,3 +65,29 @@ def cross(columns: NDArray[Any]) -> NDArray[Any]:
         }
     every = tuple(range(n))
     return np.stack([(-1) ** i * minors[every[:i] + every[i + 1 :]] for i in range(n)])
+
+
+def mixture(rows: Array, target: Array) -> list[Fraction] | None:
+    """Exact weights of rows (k, n), k <= n, whose sum is a target (n,); None if there are none, or many.
+
+    Gauss elimination on fractions.
+    """
+    k = len(rows)
+    whole, wanted = integers(rows, target)
+    system = [
+        [Fraction(int(v)) for v in column] + [Fraction(int(t))]
+        for column, t in zip(whole.T, wanted, strict=True)
+    ]
+    for j in range(k):
+        at = next((i for i in range(j, len(system)) if system[i][j]), None)
+        if at is None:
+            return None
+        system[j], system[at] = system[at], system[j]
+        pivot = system[j]
+        for i in range(len(system)):
+            if i != j and system[i][j]:
+                share = system[i][j] / pivot[j]
+                system[i] = [a - share * p for a, p in zip(system[i], pivot, strict=True)]
+    if any(line[k] for line in system[k:]):
+        return None
+    return [system[j][k] / system[j][j] for j in range(k)]

@@ -30,6 +30,8 @@ FLUSHED = 1e-15
 """Share of the sizes of all states that is booked along with each row for what was cut off."""
 FULL = 500
 """Entries a row up to which products with a sparse exponential are cheaper than its action."""
+THIN = 1 / 4
+"""Share of all entries up to which an exponential counts as sparse: of a fuller one products are slow."""
 PROBES = 3
 """Rows from which it is seen how many entries such an exponential has."""
 OVERHEAD = 20_000
@@ -88,7 +90,9 @@ def thin_exponential(A: Any, h: float, action: Action, half: Any = None) -> Any:
     some = np.zeros((PROBES, n))
     some[np.arange(PROBES), np.random.default_rng(0).integers(n, size=PROBES)] = 1.0
     fill = int(np.count_nonzero(action(some, h, 1)[-1], axis=-1).max())
-    if fill > FULL or n * fill > _degree(min(norm, REACH)) * max(norm / REACH, 1.0) * (A.nnz + OVERHEAD):
+    if fill > min(FULL, THIN * n) or n * fill > _degree(min(norm, REACH)) * max(norm / REACH, 1.0) * (
+        A.nnz + OVERHEAD
+    ):
         return None
     halvings = 1 if half is not None else max(int(np.ceil(np.log2(max(norm, 1e-300)))) + 2, 0)
     out = half if half is not None else _sparse_series(sparse.csr_matrix(A * (h / 2.0**halvings)))

@@ -13,7 +13,7 @@ from .adjoint import Adjoint
 from .centering import centered
 from .errors import ReachError
 from .exponentials import times
-from .march import MAX_STEPS, substeps
+from .march import MAX_STEPS, per_row, substeps
 from .rows import ROUNDING
 from .systems import LinearSystem
 from .zonotope import Zonotope
@@ -141,9 +141,7 @@ def fan(
     if horizon / step > MAX_STEPS:
         raise ReachError(f"more than {MAX_STEPS:,} steps: horizon {horizon:g}, step {step:g}")
     march = _Marcher(carrier, start, offset, step, horizon)
-    limit = (
-        None if tolerance is None else np.broadcast_to(np.asarray(tolerance, float), (carrier.system.dim,))
-    )
+    limit = None if tolerance is None else per_row("tolerance", tolerance, carrier.system.dim)
     if limit is not None and not np.all(limit > 0):
         raise ReachError(f"the tolerance must be > 0, got {tolerance!r}")
     blocks: list[Fan] = []

@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm, matrix_balance, solve_continuous_lyapunov, solve_discrete_lyapunov
 
+from .arguments import checked
 from .ball import ball_generators
 from .errors import ReachError
-from .linear import discretize, growth, powers
+from .linear import discretize, growth, powers, require_square
 from .zonotope import Zonotope
 
 Array = NDArray[np.float64]
@@ -51,15 +52,27 @@ class LinearFlow:
     phi: Array
 
     @classmethod
+    @checked
     def continuous(cls, A_c: Array, D: Array, w_max: float, h: float) -> LinearFlow:
         """Continuous feedback, closed-loop matrix A_c."""
+        require_square("A_c", A_c)
         return cls(A_c, A_c, D, w_max, h, np.asarray(expm(A_c * h)))
 
     @classmethod
+    @checked
     def sampled(cls, A: Array, B: Array, K: Array, D: Array, w_max: float, h: float) -> LinearFlow:
         """Zero-order-hold feedback ``u = -K e(t_j)`` renewed every h."""
         Ah, Bh = discretize(A, B, h)
+        if K.shape != B.shape[::-1]:
+            raise ReachError(f"K must have shape {B.shape[::-1]}, got {K.shape}")
         return cls(A, A - B @ K, D, w_max, h, Ah - Bh @ K)
+
+    def __post_init__(self) -> None:
+        require_square("A_c", self.A_c)
+        if self.D.ndim != 2 or len(self.D) != len(self.A_c):
+            raise ReachError(f"D must have {len(self.A_c)} rows, got shape {self.D.shape}")
+        if not (self.h > 0 and self.w_max >= 0 and np.isfinite(self.h) and np.isfinite(self.w_max)):
+            raise ReachError(f"h must be > 0 and w_max >= 0, both finite, got {self.h!r} and {self.w_max!r}")
 
     # -- what happens between two nodes -----------------------------------------------------------
 
@@ -79,10 +92,12 @@ class LinearFlow:
         # the integral is an upper bound either way.
         return np.asarray(reached.sum(axis=1) * self.w_max)
 
+    @checked
     def input_map(self, B: Array) -> Array:
         """``int_0^h e^{A_x s} ds B``: what an input held over one period adds, shape (n, m)."""
         return self._integral @ B
 
+    @checked
     def input_zonotope(self, B: Array, inputs: Array, size: Array) -> Zonotope:
         """Zonotope enclosing ``{int_0^h e^{A_x s} B v(s) ds}`` for measurable v in a set about zero.
 
@@ -104,6 +119,7 @@ class LinearFlow:
     def _integral(self) -> Array:
         return discretize(self.A_x, np.eye(len(self.phi)), self.h)[1]
 
+    @checked
     def bow(self, nodes: Zonotope) -> Array:
         """Elementwise bound on ``|e(t) - chord|`` over the period after each node, shape (..., n).
 
@@ -164,20 +180,26 @@ class LinearFlow:
             raise ReachError("the Lyapunov norm found does not contract to working precision")
         return np.asarray(W), factor, slack
 
+    @checked
     def norms(self, count: int) -> Array:
         """``norm(W phi^l W^-1, 2)`` for l = 0..count, shape (count+1,); never increasing."""
+        if count < 0:
+            raise ReachError(f"count must be at least 0, got {count}")
         W, _, slack = self._contraction
         stack = W @ powers(self.phi, count) @ np.linalg.inv(W)
         return np.asarray(np.linalg.norm(stack, 2, axis=(-2, -1)) * (1 + slack))
 
     # -- responses to the disturbance, along rows -----------------------------------------------------
 
+    @checked
     def disturbance_support(self, rows: Array, count: int) -> Array:
         """``sum_{l<L} sup_w rows phi^l int_0^h e^{A_x s} D w ds`` for L = 0..count, shape (count+1, r).
 
         The tight gain of theory item 3, per direction. Each period's integral of the smooth norm
         is bounded by the trapezoid plus ``h^3/12 sup |second derivative|``.
         """
+        if rows.ndim != 2 or rows.shape[1] != len(self.phi):
+            raise ReachError(f"rows must have shape (r, {len(self.phi)}), got {rows.shape}")
         images = rows @ powers(self.phi, count)  # (count+1, r, n)
         end = np.asarray(expm(self.A_x * self.h)) @ self.D
         left = np.linalg.norm(images[:-1] @ self.D, axis=-1)
@@ -195,6 +217,7 @@ class LinearFlow:
         ball = ball_generators(self.D.shape[1], self.w_max)
         return self.input_zonotope(self.D, ball, np.linalg.norm(self.D, axis=1) * self.w_max)
 
+    @checked
     def disturbance_nodes(self, count: int, order: float = 30.0) -> Zonotope:
         """Zonotopes enclosing the response to the disturbance at nodes 0..count from a rest start.
 
@@ -210,6 +233,7 @@ class LinearFlow:
         return Zonotope.stack(parts)
 
 
+@checked
 def state_scale(A_c: Array) -> Array:
     """Positive sizes of the states that make ``A_c`` balanced, shape (n,): a diagonal similarity.
 
@@ -218,6 +242,7 @@ def state_scale(A_c: Array) -> Array:
     ReachError
         If the closed loop is not stable.
     """
+    require_square("A_c", A_c)
     if np.max(np.linalg.eigvals(A_c).real) >= 0:
         slowest = np.max(np.linalg.eigvals(A_c).real)
         raise ReachError(f"the closed loop is not stable: largest real part of an eigenvalue {slowest:.6g}")

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from .convex import require_same_dim
+from .arguments import checked
+from .convex import require_alike, require_same_dim
 from .zonotope import Zonotope
 
 
+@checked
 def enclosing_hull(first: Zonotope, second: Zonotope) -> Zonotope:
     """Zonotope around the convex hull of two zonotopes; stacks broadcast.
 
@@ -22,6 +24,7 @@ def enclosing_hull(first: Zonotope, second: Zonotope) -> Zonotope:
     from scipy.optimize import linear_sum_assignment
 
     require_same_dim(first, second)
+    require_alike(first.batch, second.batch)
     shape = np.broadcast_shapes(first.batch, second.batch)
     width = first.order_count + second.order_count
     a, b = (Zonotope(z.c + np.zeros((*shape, 1)), z.G + np.zeros((*shape, 1, 1))) for z in (first, second))

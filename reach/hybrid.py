@@ -9,13 +9,15 @@ was entered is kept as an interval.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .arguments import checked
 from .automaton import HybridAutomaton
 from .clipping import clip, strips
-from .convex import ConvexSet
+from .convex import ConvexSet, as_count, as_numbers
 from .errors import ReachError
 from .segments import HybridTube, Segment, Starts
 from .waves import Waves
@@ -25,6 +27,7 @@ JUMPS = 50
 """Most transitions of one trajectory, if nothing else is said."""
 
 
+@checked
 def hybrid_tube(
     automaton: HybridAutomaton,
     initial: ConvexSet,
@@ -69,6 +72,10 @@ def hybrid_tube(
     ReachError
         If a number is not positive and finite, a mode has no step, or dimensions differ.
     """
+    for name, value in (("step", step), ("tolerance", tolerance), ("clusters", clusters)):
+        _positive(name, value, whole=name == "clusters")
+    if jumps < 0:
+        raise ReachError(f"jumps must be at least 0, got {jumps}")
     if not (np.isfinite(horizon) and horizon > 0):
         raise ReachError(f"the horizon must be a finite number > 0, got {horizon!r}")
     assert automaton.start is not None
@@ -93,3 +100,19 @@ def hybrid_tube(
         if not wave:
             return HybridTube(tuple(segments), float(horizon), True)
     return HybridTube(tuple(segments), float(horizon), False)
+
+
+def _positive(name: str, given: Any, whole: bool) -> None:
+    """Refuse what is not positive: a number (of a tolerance several), or a mapping from names to such."""
+    for value in given.values() if isinstance(given, Mapping) else (given,):
+        if value is None:
+            continue
+        if whole:
+            good = as_count(name, value) >= 1
+        else:
+            numbers = as_numbers(name, value)
+            good = bool(np.all((numbers > 0) & np.isfinite(numbers))) and numbers.ndim <= (
+                name == "tolerance"
+            )
+        if not good or isinstance(value, bool):
+            raise ReachError(f"the {name} must be finite and > 0, got {value!r}")

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from .arguments import checked
 from .automaton import HybridAutomaton
+from .errors import ReachError
 from .hybrid_simulation import REPLAYED, HybridTrajectory, inside, longest_stay
 
 
+@checked
 def replay_hybrid(automaton: HybridAutomaton, trajectory: HybridTrajectory, rtol: float = 1e-10) -> float:
     """Integrate a trajectory again, independently, and check that it is admissible.
 
@@ -23,6 +26,9 @@ def replay_hybrid(automaton: HybridAutomaton, trajectory: HybridTrajectory, rtol
     """
     from scipy.integrate import solve_ivp  # slow to import
 
+    if not 0 < rtol < 1:
+        raise ReachError(f"rtol must lie between 0 and 1, got {rtol!r}")
+    rtol = max(rtol, 1e-13)
     worst, x = 0.0, trajectory.visits[0].states[0]
     if trajectory.visits[0].mode != automaton.start:
         return float("inf")

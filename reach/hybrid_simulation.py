@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import expm
 
+from .arguments import checked
 from .automaton import HybridAutomaton, Mode, Transition
 from .errors import ReachError
 from .polytope import HPolytope
@@ -21,6 +22,7 @@ REPLAYED = 1e-6
 """The same for a trajectory that is integrated again."""
 BISECTIONS = 40
 
+MOST_SAMPLES = 10_000_000
 Policy = Literal["first", "last", "random"]
 
 
@@ -65,6 +67,7 @@ class HybridTrajectory:
     deadlock: bool = False
 
 
+@checked
 def simulate_hybrid(
     automaton: HybridAutomaton,
     x0: ArrayLike,
@@ -101,6 +104,10 @@ def simulate_hybrid(
         raise ReachError(f"policy must be 'first', 'last' or 'random', got {policy!r}")
     if policy == "random" and rng is None:
         raise ReachError("the policy 'random' needs a random generator")
+    if not (0 < dt < np.inf and 0 <= horizon < np.inf) or horizon / dt > MOST_SAMPLES:
+        raise ReachError(
+            f"dt and horizon must be > 0 and give at most {MOST_SAMPLES:,} samples, got {dt!r}, {horizon!r}"
+        )
     assert automaton.start is not None
     x, t, name = np.asarray(x0, dtype=float), 0.0, automaton.start
     if x.shape != (automaton[name].system.dim,):

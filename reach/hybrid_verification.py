@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .arguments import checked
 from .automaton import HybridAutomaton
 from .clipping import clip, strips
-from .convex import ConvexSet
+from .convex import ConvexSet, as_count, require_single
 from .errors import ReachError
 from .hybrid import JUMPS, hybrid_tube
 from .hybrid_replay import replay_hybrid
@@ -61,6 +62,7 @@ class HybridVerdict:
         return self.status == "proven"
 
 
+@checked
 def verify_hybrid(
     automaton: HybridAutomaton,
     initial: ConvexSet,
@@ -98,6 +100,8 @@ def verify_hybrid(
         If a mode is unknown or a region does not fit; also as `hybrid_tube`.
     """
     begun = perf_counter()
+    require_single(initial, "verify_hybrid")
+    seed = as_count("seed", seed)
     for name, asked in specs.items():
         for spec in asked:
             if spec.region.dim != automaton[name].system.dim:
@@ -184,6 +188,7 @@ def _implied(invariant: HPolytope | None, rows: Array, limits: Array) -> NDArray
     return np.asarray(np.any(same & (invariant.b[None] <= limits[:, None]), axis=1))
 
 
+@checked
 def falsify_hybrid(
     automaton: HybridAutomaton,
     initial: ConvexSet,
@@ -208,6 +213,7 @@ def falsify_hybrid(
     jumps : int
         Most transitions of one trajectory.
     """
+    require_single(initial, "falsify_hybrid")
     rng = np.random.default_rng(0) if rng is None else rng
     corners = initial.support_vector(rng.normal(size=(max(runs, CORNERS), initial.dim)))
     plans: list[tuple[Array, Policy]] = [(x, "random") for x in corners]

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .convex import as_vector, weighed
+from .arguments import checked
+from .convex import as_vector, require_alike, weighed
 from .errors import ReachError
 from .rounding import gamma
 from .zonotope import Zonotope
@@ -13,6 +14,7 @@ from .zonotope import Zonotope
 Array = NDArray[np.float64]
 
 
+@checked
 def meet_halfspace(zonotope: Zonotope, normal: ArrayLike, offset: ArrayLike) -> Zonotope:
     """Enclose the part of a zonotope with ``normal . x <= offset``.
 
@@ -41,6 +43,7 @@ def meet_halfspace(zonotope: Zonotope, normal: ArrayLike, offset: ArrayLike) -> 
     a, b = as_vector(normal, zonotope.dim), np.asarray(offset, dtype=float)
     if not np.all(np.isfinite(b)):
         raise ReachError("offset must be finite")
+    require_alike(a.shape[:-1], b.shape, zonotope.batch)
     shape = np.broadcast_shapes(a.shape[:-1], b.shape, zonotope.batch)
     n, g = zonotope.dim, zonotope.order_count
     c, G = np.broadcast_to(zonotope.c, (*shape, n)), np.broadcast_to(zonotope.G, (*shape, n, g))

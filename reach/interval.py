@@ -9,7 +9,22 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .convex import SetOperators, as_factor, as_map, as_vector, require_same_dim, require_single, selector
+from .arguments import checked
+from .convex import (
+    SetOperators,
+    as_alike,
+    as_factor,
+    as_map,
+    as_numbers,
+    as_rows,
+    as_vector,
+    require_alike,
+    require_same_dim,
+    require_single,
+    require_stackable,
+    selector,
+    stacked,
+)
 from .errors import ReachError
 from .rounding import add_down, add_up, gamma
 
@@ -39,7 +54,7 @@ class Interval(SetOperators):
     hi: Array
 
     def __post_init__(self) -> None:
-        lo, hi = np.asarray(self.lo, dtype=float), np.asarray(self.hi, dtype=float)
+        lo, hi = as_numbers("lo", self.lo), as_numbers("hi", self.hi)
         if lo.ndim == 0 or lo.shape != hi.shape:
             raise ReachError(f"lo and hi must be vectors of the same shape, got {lo.shape} and {hi.shape}")
         if not (np.all(np.isfinite(lo)) and np.all(np.isfinite(hi))):
@@ -53,15 +68,17 @@ class Interval(SetOperators):
     @classmethod
     def ball(cls, center: ArrayLike, radius: ArrayLike) -> Interval:
         """Box around a centre with half-widths `radius` (a number or one per axis), rounded outwards."""
-        c, r = np.broadcast_arrays(np.asarray(center, float), np.asarray(radius, float))
-        if np.any(r < 0):
+        c, r = as_alike("center", center, "radius", radius)
+        if not np.all(r >= 0):
             raise ReachError(f"radius must be >= 0, got {r.min():g}")
+        if not (np.all(np.isfinite(c)) and np.all(np.isfinite(r))):
+            raise ReachError("centre and radius must be finite numbers")
         return cls(add_down(c, -r), add_up(c, r))
 
     @classmethod
     def around(cls, points: ArrayLike) -> Interval:
         """Smallest box that holds points, shape (..., k, n)."""
-        points = np.asarray(points, dtype=float)
+        points = as_numbers("points", points)
         if points.ndim < 2 or points.shape[-2] == 0:
             raise ReachError(f"points must have shape (..., k, n) with k >= 1, got {points.shape}")
         return cls(points.min(axis=-2), points.max(axis=-2))
@@ -69,6 +86,7 @@ class Interval(SetOperators):
     @classmethod
     def stack(cls, parts: Sequence[Interval]) -> Interval:
         """Stack boxes along a new leading axis."""
+        require_stackable(parts, cls)
         return cls(np.stack([part.lo for part in parts]), np.stack([part.hi for part in parts]))
 
     # -- facts ----------------------------------------------------------------------------------
@@ -102,7 +120,7 @@ class Interval(SetOperators):
         """Select from the batch axes."""
         if not self.batch:
             raise ReachError("a single interval cannot be indexed")
-        lo, hi = self.lo[index], self.hi[index]
+        lo, hi = stacked(self.lo, index), stacked(self.hi, index)
         if lo.ndim == 0 or lo.shape[-1] != self.dim:
             raise ReachError(f"an index selects from the batch axes {self.batch} only, got {index!r}")
         return Interval(lo, hi)
@@ -126,13 +144,13 @@ class Interval(SetOperators):
 
     def support(self, directions: ArrayLike) -> Array:
         """Largest value of each direction over the set, shape (..., r) for rows (..., r, n)."""
-        D = as_vector(directions, self.dim)
+        D = as_rows(directions, self.dim, self.batch)
         up, down = np.maximum(D, 0), np.minimum(D, 0)
         return np.asarray((up @ self.hi[..., None] + down @ self.lo[..., None])[..., 0])
 
     def support_vector(self, directions: ArrayLike) -> Array:
         """Corners that attain the support, shape of `directions` broadcast with the batch."""
-        D = as_vector(directions, self.dim)
+        D = as_rows(directions, self.dim, self.batch)
         lo, hi = (self.lo, self.hi) if D.ndim == 1 else (self.lo[..., None, :], self.hi[..., None, :])
         return np.where(D >= 0, hi, lo)
 
@@ -140,12 +158,14 @@ class Interval(SetOperators):
         """The box itself."""
         return self
 
+    @checked
     def contains(self, points: ArrayLike, slack: float = 1e-9) -> NDArray[np.bool_]:
         """Whether each point lies in the box, shape (...) for points (..., n).
 
         Batch axes broadcast with the points'. Each half-width is taken ``1 + slack`` times, and the
         rounding of the points forgiven.
         """
+        require_alike(np.shape(points)[:-1], self.batch)
         x, extra = as_vector(points, self.dim), slack * (self.hi - self.lo) / 2 + gamma(1) * self.extent
         return np.asarray(np.all((self.lo - extra <= x) & (x <= self.hi + extra), axis=-1))
 
@@ -166,8 +186,10 @@ class Interval(SetOperators):
             return minkowski_sum(self, other)
         if isinstance(other, Interval):
             require_same_dim(self, other)
+            require_alike(self.batch, other.batch)
             return Interval(add_down(self.lo, other.lo), add_up(self.hi, other.hi))
         v = as_vector(other, self.dim)
+        require_alike(v.shape[:-1], self.batch)
         return Interval(add_down(self.lo, v), add_up(self.hi, v))
 
     def __mul__(self, factor: float) -> Interval:
@@ -176,14 +198,16 @@ class Interval(SetOperators):
         ends = (a * self.lo, a * self.hi)
         return Interval(*(ends if a >= 0 else ends[::-1]))
 
-    def __and__(self, other: Interval) -> Interval:
-        """Intersection with another box.
+    def __and__(self, other: Any) -> Any:
+        """Intersection: a box with another box, else as for all sets (see `SetOperators`).
 
         Raises
         ------
         ReachError
-            If the boxes have no point in common.
+            If two boxes have no point in common.
         """
+        if not isinstance(other, Interval):
+            return super().__and__(other)
         require_same_dim(self, other)
         lo, hi = np.maximum(self.lo, other.lo), np.minimum(self.hi, other.hi)
         if np.any(lo > hi):
@@ -195,6 +219,7 @@ class Interval(SetOperators):
         selector(dims, self.dim)
         return Interval(self.lo[..., list(dims)], self.hi[..., list(dims)])
 
+    @checked
     def hull(self, other: Interval) -> Interval:
         """Smallest box that holds both."""
         require_same_dim(self, other)
@@ -216,6 +241,7 @@ class Interval(SetOperators):
         eye = np.eye(self.dim)
         return HPolytope(np.vstack([eye, -eye]), np.r_[self.hi, -self.lo])
 
+    @checked
     def meet_halfspace(self, normal: ArrayLike, offset: ArrayLike) -> Interval:
         """Smallest box around the part with ``normal . x <= offset``, rounded outwards.
 
@@ -230,7 +256,10 @@ class Interval(SetOperators):
         ReachError
             If no point of (one of) the set(s) is left.
         """
-        a, b = as_vector(normal, self.dim), np.asarray(offset, dtype=float)[..., None]
+        a, b = as_vector(normal, self.dim), as_numbers("offset", offset)[..., None]
+        require_alike(a.shape[:-1], b.shape[:-1], self.batch)
+        if not np.all(np.isfinite(b)):
+            raise ReachError("offset must be finite")
         # The least the other coordinates can contribute leaves this much for each one.
         least = np.minimum(a * self.lo, a * self.hi)
         booked = gamma(2 * self.dim) * (np.abs(a) * self.extent).sum(axis=-1, keepdims=True)
@@ -238,8 +267,9 @@ class Interval(SetOperators):
         if np.any(total - booked > b):
             raise ReachError("no point of the interval satisfies normal . x <= offset")
         room = b - (total - least) + booked + gamma(1) * np.abs(b)
-        ratio = np.divide(room, a, out=np.zeros(np.broadcast_shapes(room.shape, a.shape)), where=a != 0)
-        ratio = ratio + gamma(1) * np.sign(a) * np.abs(ratio)
+        with np.errstate(over="ignore"):  # of a row that hardly depends on a coordinate: no limit
+            ratio = np.divide(room, a, out=np.zeros(np.broadcast_shapes(room.shape, a.shape)), where=a != 0)
+            ratio = ratio + gamma(1) * np.sign(a) * np.abs(ratio)
         lo, hi = np.broadcast_arrays(self.lo, ratio)[0], np.broadcast_arrays(self.hi, ratio)[0]
         cut = np.where(a > 0, np.clip(ratio, lo, hi), hi)
         return Interval(np.where(a < 0, np.clip(ratio, lo, hi), lo), cut)

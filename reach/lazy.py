@@ -3,16 +3,30 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .convex import SetOperators, as_factor, as_map, as_vector, require_same_dim, require_single, weighed
+from .arguments import checked
+from .convex import (
+    SetOperators,
+    as_factor,
+    as_matrix,
+    as_one_vector,
+    as_vector,
+    require_same_dim,
+    require_sets,
+    require_single,
+    weighed,
+)
 from .errors import ReachError
 from .interval import Interval
 from .membership import contains_by_distance
 from .rounding import gamma
+
+if TYPE_CHECKING:
+    from .polytope import HPolytope
 
 Array = NDArray[np.float64]
 
@@ -34,11 +48,11 @@ class AffineImage(SetOperators):
     v: Array
 
     def __post_init__(self) -> None:
-        M = as_map(self.M, self.base.dim)
-        if M.ndim != 2:
-            raise ReachError(f"M must be one matrix, got shape {M.shape}")
+        require_sets(self.base)
+        require_single(self.base, "an affine image")
+        M = as_matrix(self.M, self.base.dim)
         object.__setattr__(self, "M", M)
-        object.__setattr__(self, "v", as_vector(self.v, len(M)))
+        object.__setattr__(self, "v", as_one_vector(self.v, len(M)))
 
     @property
     def dim(self) -> int:
@@ -88,25 +102,61 @@ class AffineImage(SetOperators):
         eye = np.eye(self.dim)
         return Interval(-self.support_up(-eye), self.support_up(eye))
 
+    @checked
     def contains(self, points: ArrayLike, slack: float = 1e-9) -> NDArray[np.bool_]:
         """Whether each point lies in the set, to `slack` times its size; shape (...) for (..., m)."""
         return contains_by_distance(self, points, slack)
 
     def __rmatmul__(self, M: ArrayLike) -> AffineImage:
         """Linear image."""
-        M = as_map(M, self.dim)
+        M = as_matrix(M, self.dim)
         return AffineImage(M @ self.M, self.base, M @ self.v)
 
     def __add__(self, other: Any) -> Any:
         """Minkowski sum with another set, or translation by a vector."""
         if isinstance(other, SetOperators):
             return minkowski_sum(self, other)
-        return AffineImage(self.M, self.base, self.v + as_vector(other, self.dim))
+        return AffineImage(self.M, self.base, self.v + as_one_vector(other, self.dim))
 
     def __mul__(self, factor: float) -> AffineImage:
         """Scaled copy ``{a x}``."""
         a = as_factor(factor)
         return AffineImage(a * self.M, self.base, a * self.v)
+
+    def to_polytope(self) -> HPolytope:
+        """Inequalities around the image of a bounded polytope, its offsets rounded up.
+
+        With ``R M`` close to A, ``R (y - v) <= b + |R M - A| |x|`` for the images y of all x with
+        ``A x <= b``.
+
+        Raises
+        ------
+        ReachError
+            If the map has no inverse to working precision, or the base set is no polytope or unbounded.
+        """
+        from .polytope import HPolytope
+
+        base = self.base.to_polytope() if isinstance(self.base, Interval) else self.base
+        if not isinstance(base, HPolytope) or not base.is_bounded:
+            raise ReachError("only the image of a bounded polytope or box is written by inequalities")
+        W = inverse(self.M)
+        R, n = base.A @ W, self.dim
+        left = np.abs(R @ self.M - base.A) + gamma(n) * (np.abs(R) @ np.abs(self.M) + np.abs(base.A))
+        booked = left @ base.extent + gamma(n) * (np.abs(R) @ np.abs(self.v) + np.abs(base.b))
+        return HPolytope(R, base.b + R @ self.v + booked * (1 + gamma(n)))
+
+
+def inverse(M: Array) -> Array:
+    """Approximate inverse of a square matrix.
+
+    Raises
+    ------
+    ReachError
+        If there is none to working precision.
+    """
+    if M.shape[0] != M.shape[1] or not np.linalg.cond(M) < 1e15:
+        raise ReachError(f"the map must have an inverse to working precision, its shape is {M.shape}")
+    return np.asarray(np.linalg.inv(M))
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,10 +172,12 @@ class MinkowskiSum(SetOperators):
     parts: tuple[Any, ...]
 
     def __post_init__(self) -> None:
-        if not self.parts:
-            raise ReachError("a Minkowski sum needs at least one set")
-        for part in self.parts[1:]:
+        if not isinstance(self.parts, tuple | list) or not self.parts:
+            raise ReachError("a Minkowski sum needs a tuple of at least one set")
+        object.__setattr__(self, "parts", tuple(self.parts))
+        for part in self.parts:
             require_same_dim(self.parts[0], part)
+            require_single(part, "a lazy Minkowski sum")
 
     @property
     def dim(self) -> int:
@@ -174,19 +226,20 @@ class MinkowskiSum(SetOperators):
             total = total + part.interval_hull()
         return total  # type: ignore[no-any-return]
 
+    @checked
     def contains(self, points: ArrayLike, slack: float = 1e-9) -> NDArray[np.bool_]:
         """Whether each point lies in the set, to `slack` times its size; shape (...) for (..., n)."""
         return contains_by_distance(self, points, slack)
 
     def __rmatmul__(self, M: ArrayLike) -> MinkowskiSum:
         """Linear image: the sum of the images."""
-        return MinkowskiSum(tuple(as_map(M, self.dim) @ part for part in self.parts))
+        return MinkowskiSum(tuple(as_matrix(M, self.dim) @ part for part in self.parts))
 
     def __add__(self, other: Any) -> MinkowskiSum:
         """Minkowski sum with another set, or translation by a vector."""
         if isinstance(other, SetOperators):
             return minkowski_sum(self, other)
-        return MinkowskiSum((self.parts[0] + as_vector(other, self.dim), *self.parts[1:]))
+        return MinkowskiSum((self.parts[0] + as_one_vector(other, self.dim), *self.parts[1:]))
 
     def __mul__(self, factor: float) -> MinkowskiSum:
         """Scaled copy ``{a x}``."""

@@ -6,9 +6,19 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
+from .arguments import checked
+from .errors import ReachError
+
 Array = NDArray[np.float64]
 
 
+def require_square(name: str, M: Array) -> None:
+    """Refuse what is not one square matrix."""
+    if M.ndim != 2 or M.shape[0] != M.shape[1] or len(M) == 0:
+        raise ReachError(f"{name} must be a square matrix, got shape {M.shape}")
+
+
+@checked
 def discretize(A: Array, B: Array, h: float) -> tuple[Array, Array]:
     """Exact zero-order-hold pair ``(e^{A h}, int_0^h e^{A s} ds B)``.
 
@@ -18,6 +28,9 @@ def discretize(A: Array, B: Array, h: float) -> tuple[Array, Array]:
     h : float
         Step, >= 0.
     """
+    require_square("A", A)
+    if B.ndim != 2 or len(B) != len(A):
+        raise ReachError(f"B must have {len(A)} rows as A has, got shape {B.shape}")
     n, m = B.shape
     block = np.zeros((n + m, n + m))
     block[:n, :n] = A
@@ -26,13 +39,19 @@ def discretize(A: Array, B: Array, h: float) -> tuple[Array, Array]:
     return E[:n, :n], E[:n, n:]
 
 
+@checked
 def growth(A: Array, h: float) -> Array:
     """Elementwise bound ``|e^{A s}| <= e^{|A| h}`` valid for every s in [0, h], shape (n, n)."""
+    require_square("A", A)
     return np.asarray(expm(np.abs(A) * h))
 
 
+@checked
 def powers(M: Array, count: int) -> Array:
     """``M^0 ... M^count`` stacked, shape (count+1, n, n)."""
+    require_square("M", M)
+    if count < 0:
+        raise ReachError(f"count must be at least 0, got {count}")
     out = np.empty((count + 1, *M.shape))
     out[0] = np.eye(len(M))
     for i in range(count):

@@ -20,8 +20,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .adjoint import attained_support, extent
+from .arguments import checked
 from .convex import ConvexSet
 from .errors import ReachError
+from .march import warn_if_wide
 from .rows import ROUNDING
 from .systems import numbers, single_set
 from .tube_support import SupportTube
@@ -83,6 +85,7 @@ class LTVSystem:
         return 0 if self.U is None else int(self.U.dim)
 
 
+@checked
 def ltv_support_tube(
     system: LTVSystem,
     initial: ConvexSet,
@@ -125,9 +128,11 @@ def ltv_support_tube(
     upper, bow = (run.first + run.upper)[:, :r], run.bow[:, :r]
     attained = run.lower[:, :r]
     interval = np.maximum(upper[1:], upper[:-1]) + bow
+    warn_if_wide(interval.max(axis=0), attained.max(axis=0), np.abs(upper).max(axis=0))
     return SupportTube(sweep.times, D, upper, attained, interval, bow)
 
 
+@checked
 def ltv_zonotope_tube(
     system: LTVSystem,
     initial: ConvexSet,
@@ -172,6 +177,8 @@ def ltv_zonotope_tube(
     widths = (high + low) / 2 + ROUNDING * n * size @ (np.abs(inverse) @ np.abs(F)).T
     G = np.concatenate([image.G, F * widths[:, None, :]], axis=-1)
     bow = np.maximum(run.bow[:, :n], run.bow[:, n:])
+    nodes = run.first + run.upper
+    warn_if_wide(nodes.max(axis=0) + run.bow.max(axis=0), nodes.max(axis=0), np.abs(nodes).max(axis=0))
     return ZonotopeTube(sweep.times, Zonotope(image.c + (high - low) / 2 @ F.T, G), bow, F)
 
 

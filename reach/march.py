@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .adjoint import Adjoint, Block, Overflow
 from .bounds import March, collect
-from .errors import ReachError, Unresolved
+from .convex import as_numbers
+from .errors import ReachError, ReachWarning, Unresolved
 from .known import Ahead
 from .rows import ROUNDING
 
@@ -23,6 +26,14 @@ ENTRIES = 50_000
 """Entries of all rows that are carried together when it does not."""
 SHARE = 0.01
 """Tolerance if none is given, as a share of the largest support."""
+AHEAD = 64
+"""Instants, and halvings of the first of them, at which it is looked at what a row will come to."""
+PARTS = 16
+"""Parts that a step of the user may be carried in whatever that costs."""
+CHEAP = 1_000_000
+"""Entries of all rows of a run up to which a step is carried in as many parts as it needs."""
+WIDE = 10.0
+"""Bounds between nodes that exceed what is attained by this factor are warned of."""
 USELESS = 1e9
 """Bounds between nodes may exceed the size of what is bounded by this; more is an error, not a bound."""
 FINEST = 2.0**-40
@@ -62,8 +73,13 @@ def march(
     return collect(adjoint, D, horizon, adaptive(adjoint, D, horizon, goal, ceiling, deadline), keep)
 
 
+def _positive(value: Any) -> bool:
+    real = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
+    return bool(real and 0 < value < np.inf)
+
+
 def _is_number(name: str, value: float) -> None:
-    if not (isinstance(value, int | float | np.number) and np.isfinite(value) and value > 0):
+    if not _positive(value):
         raise ReachError(f"the {name} must be a finite number > 0, got {value!r}")
 
 
@@ -80,17 +96,36 @@ def in_time(deadline: float) -> None:
 
 def per_row(name: str, value: ArrayLike, r: int) -> Array:
     """One number for each of r rows."""
-    numbers = np.asarray(value, dtype=float)
+    numbers = as_numbers(f"the {name}", value)
     if numbers.shape not in ((), (1,), (r,)) or np.any(np.isnan(numbers)):
         raise ReachError(f"the {name} must be a number or {r} of them, got {value!r}")
     return np.broadcast_to(numbers, (r,))
 
 
-def substeps(adjoint: Adjoint, step: float | None) -> int:
-    """Parts, a power of two up to 16, that a given step is carried in so that little turns in one."""
-    if step is None or adjoint.system.discrete or not step > 0:
+def substeps(adjoint: Adjoint, step: float | None, horizon: float = 0.0, rows: int = 1) -> int:
+    """Parts, a power of two, that a given step is carried in so that little turns in one.
+
+    Up to `PARTS`; more where the whole run, if its horizon is given, stays `CHEAP`.
+    """
+    if step is None or adjoint.system.discrete or not _positive(step):
         return 1
-    return int(2 ** np.clip(np.ceil(np.log2(max(2 * step * adjoint.rows.norm, 1.0))), 0, 4))
+    most = np.log2(PARTS)
+    if _positive(horizon):
+        most = max(most, np.floor(np.log2(CHEAP / max(rows * adjoint.system.dim * horizon / step, 1.0))))
+    return int(2 ** np.clip(np.ceil(np.log2(max(2 * step * adjoint.rows.norm, 1.0))), 0, most))
+
+
+def warn_if_wide(bounds: Array, attained: Array, sizes: Array) -> None:
+    """Say so where bounds between nodes are far above what is attained at nodes, each (r,)."""
+    level = np.maximum(np.abs(attained), sizes)
+    ratio = float(np.max(np.divide(bounds - attained, level, out=np.zeros_like(level), where=level > 0)))
+    if ratio > WIDE:
+        warnings.warn(
+            f"bounds between nodes exceed what is attained by a factor of up to {ratio:.2g}: the step is "
+            "long for a system this stiff; take a shorter one, or a tolerance instead",
+            ReachWarning,
+            stacklevel=4,
+        )
 
 
 def regular(
@@ -141,6 +176,8 @@ def adaptive(
     adjoint.watch(adjoint.rows.lags(horizon * 2.0**-level, horizon), 0.0 if ahead is None else ahead.states)
     done, patience, steps = 0.0, 0, 0
     reached, spent, known, sums = np.zeros((4, len(D)))
+    if goal is None:
+        known = foreseen(adjoint, rows, horizon)
     while done < 1:
         in_time(deadline)
         h = 2.0**-level
@@ -158,8 +195,11 @@ def adaptive(
         if goal is None:
             start, gained = adjoint.sizes(block.rows, h * horizon)
             met = np.maximum(known, start + sums + gained)
-        tolerance = SHARE * met if goal is None else goal
-        if np.any(tolerance < ROUNDING * adjoint.system.dim * block.size[0, 0]):
+        least = ROUNDING * adjoint.system.dim * block.size[0, 0]
+        if goal is None:  # no finer than what is booked for rounding
+            least = ROUNDING * adjoint.system.dim * (block.size[0] + horizon * block.size[1]).max(axis=0)
+        tolerance = np.maximum(SHARE * met, least) if goal is None else goal
+        if np.any(tolerance < least):
             raise Unresolved(f"the tolerance {tolerance} is below the rounding of the bounds")
         gain = block.upper.sum(axis=1)
         with np.errstate(invalid="ignore"):
@@ -185,6 +225,27 @@ def adaptive(
         easy = error < 0.01 or (error < 0.1 and patience <= 0)
         if easy and level > 0 and (done * 2.0 ** (level - 1)).is_integer():
             level -= 1
+
+
+def foreseen(adjoint: Adjoint, rows: Array, horizon: float) -> Array:
+    """About what rows will come to over the horizon, from rates at a few instants, shape (r,).
+
+    From rest nothing is met in the first step, and a hundredth of nothing is no tolerance. Nothing but
+    the default tolerance rests on this: integrals are taken with the lesser rate at the ends of each part.
+    """
+    early = [horizon / AHEAD * 2.0**-i for i in range(AHEAD // 2, 0, -1)]
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):
+            some = [adjoint.rows.carry(rows, t, 1)[1] for t in early] if adjoint.rows.action is None else []
+            path = np.array([rows, *some, *adjoint.rows.carry(rows, horizon / AHEAD, AHEAD)[1:]])
+            times = np.r_[0.0, early if some else [], horizon / AHEAD * np.arange(1, AHEAD + 1)]
+            start, rate = adjoint.values(path)
+            value = start.max(axis=0) + (np.diff(times)[:, None] * np.minimum(rate[1:], rate[:-1])).sum(
+                axis=0
+            )
+    except Unresolved:
+        return np.zeros(len(rows))
+    return np.where(np.isfinite(value), value, 0.0)
 
 
 def _most(values: Array, allowed: Array) -> float:

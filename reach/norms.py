@@ -7,9 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from .arguments import checked
 from .convex import SetOperators, require_single
 from .ellipsoid import Ellipsoid
 from .interval import Interval
+from .lazy import AffineImage, MinkowskiSum
 from .rounding import gamma
 from .zonotope import Zonotope
 
@@ -33,6 +35,7 @@ class NormBracket:
     point: Array
 
 
+@checked
 def largest_norm(X: SetOperators, most: int = 20_000, level: float | None = None) -> NormBracket:
     """Bracket of the largest Euclidean norm over a single set.
 
@@ -57,6 +60,14 @@ def largest_norm(X: SetOperators, most: int = 20_000, level: float | None = None
         return _over_signs(X, most, np.inf if level is None else level, level)
     if isinstance(X, Ellipsoid):
         return _s_lemma(X)
+    if isinstance(X, AffineImage) and isinstance(X.base, Ellipsoid | Zonotope):
+        found = largest_norm(X.M @ X.base + X.v, most, level)  # but for the rounding of the image
+        booked = gamma(2 * X.terms) * float(np.linalg.norm(X.extent))
+        return NormBracket(found.lower - booked, found.upper + booked, found.point)
+    if isinstance(X, MinkowskiSum):
+        total = sum(largest_norm(part, most).upper for part in X.parts)
+        found = _bracket(X, _climb(X, X.center), float(np.linalg.norm(X.interval_hull().extent)))
+        return NormBracket(found.lower, min(found.upper, total * (1 + gamma(len(X.parts)))), found.point)
     return _bracket(X, _climb(X, X.center), float(np.linalg.norm(X.interval_hull().extent)))
 
 

@@ -7,10 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .convex import require_sets
 from .ellipsoid import Ellipsoid
 from .errors import ReachError
 from .interval import Interval
 from .lazy import AffineImage, MinkowskiSum
+from .meet import Intersection
 from .zonotope import Zonotope
 
 Array = NDArray[np.float64]
@@ -28,12 +30,22 @@ def is_round(X: Any) -> bool:
         return is_round(X.base)
     if isinstance(X, MinkowskiSum):
         return any(is_round(part) for part in X.parts)
+    if isinstance(X, Intersection):
+        return any(is_round(part) for part in X.parts)
     return isinstance(X, Ellipsoid)
 
 
 def outline(X: Any) -> Array:
     """Polygon around a planar set, counter-clockwise, shape (k, 2): exact unless the set is round."""
+    require_sets(X)
+    require_planar(X)
     return round_outline(X) if is_round(X) else np.asarray(X.vertices_2d())
+
+
+def require_planar(X: Any) -> None:
+    """Refuse what is not planar."""
+    if X.dim != 2:
+        raise ReachError(f"an outline asks a planar set, got dimension {X.dim}")
 
 
 def vertices_2d(X: Any) -> Array:

@@ -4,22 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from fractions import Fraction
 from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .convex import SetOperators, as_factor, as_map, as_vector, require_same_dim, weighed
+from .arguments import checked
+from .bases import Bases
+from .convex import SetOperators, as_factor, as_matrix, as_numbers, as_one_vector, as_vector, weighed
 from .errors import ReachError
+from .exact import integers, mixture
 from .interval import Interval
 from .programs import Maximum, maximise
 from .rounding import gamma
 
 Array = NDArray[np.float64]
 
-CONDITION_LIMIT = 1e8
-"""A map worse conditioned than this is not inverted; its image stays lazily evaluated."""
+EXACT_MOST = 24
+"""Largest dimension in which inequalities are mixed without rounding."""
+
+FEW = 4
+"""Directions up to which each is one linear program."""
 
 FLATNESS = 1e-9
 """An inscribed radius above minus this, relative to the offsets, counts as 'not empty'."""
@@ -45,7 +52,7 @@ class HPolytope(SetOperators):
     b: Array
 
     def __post_init__(self) -> None:
-        A, b = np.asarray(self.A, dtype=float), np.asarray(self.b, dtype=float)
+        A, b = as_numbers("A", self.A), as_numbers("b", self.b)
         if A.ndim != 2 or A.shape[1] == 0 or b.shape != A.shape[:1]:
             raise ReachError(f"A must have shape (m, n) and b shape (m,), got {A.shape} and {b.shape}")
         if not (np.all(np.isfinite(A)) and np.all(np.isfinite(b))):
@@ -77,12 +84,64 @@ class HPolytope(SetOperators):
         """Whether no point satisfies all rows (thinner than `FLATNESS` counts as flat, not empty)."""
         return self._ball[1] < -FLATNESS
 
+    @checked
     def is_empty_within(self, sizes: Array) -> bool:
         """Whether it is proved that no point with ``|x| <= sizes``, shape (n,), is in the set (Farkas)."""
         if not self.is_empty:
             return False
         level, residual = self.weak_duality(np.zeros((1, self.dim)), self._ball[2][None])
         return bool(level[0] + (1 + gamma(self.dim)) * float(residual[0] @ sizes) < 0)
+
+    @cached_property
+    def proved_empty(self) -> bool:
+        """Whether rows, mixed without rounding, leave ``0 <= negative`` (Farkas)."""
+        if not self.is_empty or self.dim > EXACT_MOST:
+            return False
+        used = np.argsort(-self._ball[2] * np.linalg.norm(self.A, axis=1), kind="stable")[: self.dim + 1]
+        used = used[self._ball[2][used] > 0]
+        sizes = np.exp2(np.round(np.log2(np.linalg.norm(self.A[used], axis=1))))
+        rows = np.c_[self.A[used] / sizes[:, None], np.ones(len(used))]
+        weights = mixture(rows, np.eye(self.dim + 1)[-1])
+        if weights is None or min(weights) < 0:
+            return False
+        levels = self.b[used] / sizes
+        if not np.all(np.isfinite(levels)):
+            return False
+        return sum(w * Fraction(b) for w, b in zip(weights, levels, strict=True)) < 0
+
+    def proved_below(self, row: Array, offset: float) -> bool:
+        """Whether rows, mixed without rounding, show ``row . x <= offset`` for all points (Farkas).
+
+        Decides what rounding leaves open, and sets without bounds.
+        """
+        if self.dim > EXACT_MOST:
+            return False
+        same = np.all(row == self.A, axis=1) & (self.b <= offset)
+        if same.any():
+            return True
+        found = self._program(np.asarray(row, dtype=float).tobytes())
+        if not np.isfinite(found.value):
+            return False
+        sets = [*self._bases.basis(found), np.flatnonzero(found.multipliers > 0)]
+        for used in sets:
+            weights = mixture(self.A[used], row) if len(used) <= self.dim else None
+            if weights is not None and min(weights, default=0) >= 0:
+                level = sum(w * Fraction(b) for w, b in zip(weights, self.b[used], strict=True))
+                if level <= Fraction(offset):
+                    return True
+        return False
+
+    @cached_property
+    def frame(self) -> tuple[Array, Array]:
+        """A point and sizes to measure with, each (n,); those of the offsets if it has no bounds."""
+        if self.is_bounded and not self.is_empty:
+            hull = self.interval_hull()
+            half = hull.half_widths
+            return hull.center, np.where(half > 0, half, float(half.max()) or 1.0)
+        columns = np.abs(self.A).max(axis=0, initial=0.0)
+        columns = 1 / np.where(columns > 0, columns, 1.0)
+        level = np.abs(self.b) / np.linalg.norm(self.A * columns, axis=1)
+        return np.zeros(self.dim), columns * (float(level.max(initial=0.0)) or 1.0)
 
     @property
     def center(self) -> Array:
@@ -164,9 +223,8 @@ class HPolytope(SetOperators):
         empty set is refused.
         """
         D = as_vector(directions, self.dim)
-        found = self._programs(D)
-        proved = self._proved(D, found)
-        values = np.array([one.value for one in found]).reshape(D.shape[:-1])
+        values, _, multipliers = self._answers(D)
+        proved = self._proved(D, values, multipliers)
         return np.where(np.isfinite(proved), proved, values)
 
     def support_up(self, directions: ArrayLike) -> Array:
@@ -175,17 +233,16 @@ class HPolytope(SetOperators):
         Of a bounded set there always is one.
         """
         D = as_vector(directions, self.dim)
-        return self._proved(D, self._programs(D))
+        values, _, multipliers = self._answers(D)
+        return self._proved(D, values, multipliers)
 
     def support_down(self, directions: ArrayLike) -> Array:
         """Value at the solver's point less its tolerance, shape (..., r); inf if unbounded."""
         D = as_vector(directions, self.dim)
-        found = self._programs(D)
-        values = np.array([one.value for one in found]).reshape(D.shape[:-1])
-        points = np.array([one.point for one in found]).reshape(D.shape)
-        room = np.nan_to_num(np.abs(D) * np.abs(points)).sum(axis=-1) + np.abs(
-            np.nan_to_num(values, posinf=0)
-        )
+        values, points, _ = self._answers(D)
+        known = np.isfinite(values)
+        sizes = np.where(known[..., None], points, 0.0), np.where(known, values, 0.0)
+        room = (np.abs(D) * np.abs(sizes[0])).sum(axis=-1) + np.abs(sizes[1])
         return np.asarray(values - FLATNESS * room)
 
     @cached_property
@@ -196,21 +253,42 @@ class HPolytope(SetOperators):
         self._refuse_empty()
         return [self._program(d.tobytes()) for d in D.reshape(-1, self.dim)]
 
-    def _proved(self, D: Array, found: list[Maximum]) -> Array:
-        values = np.full(len(found), np.inf)
-        for i, one in enumerate(found):
-            if np.isfinite(one.value):
-                level, residual = self.weak_duality(D.reshape(-1, self.dim)[i : i + 1], one.multipliers[None])
-                values[i] = level[0] + weighed(residual, self.extent)[0]
-        return values.reshape(D.shape[:-1])
+    @cached_property
+    def _bases(self) -> Bases:
+        return Bases(self.A, self.b, self.center if self.is_bounded else None)
+
+    def _answers(self, D: Array) -> tuple[Array, Array, Array]:
+        """Values (...), points (..., n) and multipliers (..., m) of the largest along directions.
+
+        A few directions go through a linear program each. Of many, those whose maximum lies at a vertex
+        that is known already need none.
+        """
+        rows = D.reshape(-1, self.dim)
+        if len(rows) > FEW:
+            self._refuse_empty()
+            found = self._bases.maxima(rows, self._program)
+        else:
+            solved = self._programs(D)
+            found = (
+                np.array([one.value for one in solved]).reshape(-1),
+                np.array([one.point for one in solved]).reshape(-1, self.dim),
+                np.array([one.multipliers for one in solved]).reshape(-1, len(self.b)),
+            )
+        values, points, multipliers = found
+        shape = D.shape[:-1]
+        return values.reshape(shape), points.reshape(D.shape), multipliers.reshape((*shape, len(self.b)))
+
+    def _proved(self, D: Array, values: Array, multipliers: Array) -> Array:
+        level, residual = self.weak_duality(D, np.where(np.isfinite(multipliers), multipliers, 0.0))
+        return np.where(np.isfinite(values), level + weighed(residual, self.extent), np.inf)
 
     def support_vector(self, directions: ArrayLike) -> Array:
         """Points of the set that attain the support, shape of `directions`; refused where unbounded."""
         D = as_vector(directions, self.dim)
-        points = np.array([found.point for found in self._programs(D)])
+        points = self._answers(D)[1]
         if np.any(np.isnan(points)):
             raise ReachError("the polytope is unbounded in a direction asked for")
-        return points.reshape(D.shape)
+        return points
 
     def interval_hull(self) -> Interval:
         """Smallest box around the set, by 2 n linear programs, rounded outwards.
@@ -229,6 +307,7 @@ class HPolytope(SetOperators):
         ends = level + residual @ self.extent
         return Interval(np.minimum(-ends[n:], ends[:n]), ends[:n])
 
+    @checked
     def contains(self, points: ArrayLike, slack: float = 1e-9) -> NDArray[np.bool_]:
         """Whether each point satisfies all rows to `slack` times the sizes of their terms, shape (...)."""
         x = as_vector(points, self.dim)
@@ -238,37 +317,56 @@ class HPolytope(SetOperators):
     # -- operations, all exact ------------------------------------------------------------------
 
     def __rmatmul__(self, M: ArrayLike) -> Any:
-        """Linear image: a polytope for a well-conditioned square map, else a lazy `AffineImage`."""
+        """Linear image: a polytope where its inequalities are free of rounding, else a lazy `AffineImage`.
+
+        `AffineImage.to_polytope` encloses that by inequalities, where the map has an inverse.
+        """
         from .lazy import AffineImage
 
-        M = as_map(M, self.dim)
-        if M.shape != (self.dim, self.dim) or not np.linalg.cond(M) < CONDITION_LIMIT:
-            return AffineImage(M, self, np.zeros(M.shape[0]))
-        return HPolytope(np.asarray(np.linalg.solve(M.T, self.A.T).T, dtype=float), self.b)
+        M = as_matrix(M, self.dim)
+        lazy = AffineImage(M, self, np.zeros(M.shape[0]))
+        if M.shape != (self.dim, self.dim) or not np.linalg.cond(M) < 1 / np.finfo(float).eps:
+            return lazy
+        rows = np.asarray(np.linalg.solve(M.T, self.A.T).T, dtype=np.float64)
+        if not np.all(np.isfinite(rows)):
+            return lazy
+        whole, times, old, one = integers(rows, M, self.A, np.ones(1))
+        exact = np.array_equal(whole @ times, old * one[0])
+        return HPolytope(rows, self.b) if exact else lazy
 
     def __add__(self, other: Any) -> Any:
-        """Translation by a vector, or the (lazy) Minkowski sum with a set."""
-        from .lazy import minkowski_sum
+        """Translation by a vector, or the (lazy) Minkowski sum with a set.
+
+        A translation that cannot be written without rounding stays a lazy `AffineImage` as well.
+        """
+        from .lazy import AffineImage, minkowski_sum
 
         if isinstance(other, SetOperators):
             return minkowski_sum(self, other)
-        return HPolytope(self.A, self.b + self.A @ as_vector(other, self.dim))
+        v = as_one_vector(other, self.dim)
+        b = self.b + self.A @ v
+        A, old, new, whole, one = integers(self.A, self.b, b, v, np.ones(1))
+        if np.all(np.isfinite(b)) and np.array_equal(old * one[0] + A @ whole, new * one[0]):
+            return HPolytope(self.A, b)
+        return AffineImage(np.eye(self.dim), self, v)
 
     def __mul__(self, factor: float) -> Any:
-        """Scaled copy ``{a x}``."""
+        """Scaled copy ``{a x}``; as for translations."""
+        from .lazy import AffineImage
+
         a = as_factor(factor)
         if a == 0:
             return np.zeros((self.dim, self.dim)) @ self
-        return HPolytope(np.sign(a) * self.A, abs(a) * self.b)
-
-    def __and__(self, other: HPolytope) -> HPolytope:
-        """Intersection; rows are kept, redundant ones too. May be empty, see `is_empty`."""
-        require_same_dim(self, other)
-        return HPolytope(np.vstack([self.A, other.A]), np.r_[self.b, other.b])
+        b = abs(a) * self.b
+        old, new, whole, one = integers(self.b, b, np.abs([a]), np.ones(1))
+        if np.all(np.isfinite(b)) and np.array_equal(old * whole[0], new * one[0]):
+            return HPolytope(np.sign(a) * self.A, b)
+        return AffineImage(a * np.eye(self.dim), self, np.zeros(self.dim))
 
     def intersect_halfspace(self, normal: ArrayLike, offset: float) -> HPolytope:
         """Part of the set with ``normal . x <= offset`` (exact)."""
-        return self & HPolytope(as_vector(normal, self.dim)[None], np.asarray([float(offset)]))
+        row = as_one_vector(normal, self.dim)
+        return HPolytope(np.vstack([self.A, row]), np.r_[self.b, as_factor(offset, "offset")])
 
     # -- other descriptions -----------------------------------------------------------------------
 

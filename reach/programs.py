@@ -14,6 +14,9 @@ Array = NDArray[np.float64]
 TOLERANCE = 1e-10
 """Feasibility asked of the solver, on equilibrated data. Whatever is proved is re-checked without it."""
 
+SWEEPS = 6
+"""Passes over rows and columns while a program is equilibrated."""
+
 
 @dataclass(frozen=True)
 class Maximum:
@@ -34,6 +37,23 @@ class Maximum:
     multipliers: Array
 
 
+def equilibrated(A: Array) -> tuple[Array, Array]:
+    """Sizes r and c with which ``A c / r`` has entries up to about 1 in every row and column.
+
+    Powers of two (Ruiz 2001), so that the scaled numbers are those given.
+    """
+    size, rows, columns = np.abs(A), np.ones(A.shape[0]), np.ones(A.shape[1])
+    if not size.size:
+        return rows, columns
+    for _ in range(SWEEPS):
+        for axis, scale in ((1, rows), (0, columns)):
+            most = size.max(axis=axis)
+            step = np.exp2(np.round(np.log2(np.where(most > 0, most, 1.0)) / (1 if axis else 2)))
+            size = size / np.expand_dims(step, axis)
+            scale *= step
+    return rows, 1 / columns
+
+
 def maximise(objective: Array, A: Array, b: Array) -> Maximum:
     """Solve ``max objective . x`` subject to ``A x <= b``.
 
@@ -45,10 +65,7 @@ def maximise(objective: Array, A: Array, b: Array) -> Maximum:
     from scipy.optimize import linprog
 
     m, n = A.shape
-    columns = np.abs(A).max(axis=0, initial=0.0)
-    columns = np.where(columns > 0, 1 / np.where(columns > 0, columns, 1), 1.0)
-    rows = np.linalg.norm(A * columns, axis=1)
-    rows = np.where(rows > 0, rows, 1.0)
+    rows, columns = equilibrated(A)
     level = float(np.max(np.abs(b) / rows, initial=0.0)) or 1.0
     size = float(np.abs(objective * columns).max(initial=0.0)) or 1.0
     solved = linprog(

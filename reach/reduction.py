@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .convex import require_same_dim
+from .arguments import checked
+from .convex import require_alike, require_same_dim
 from .errors import ReachError
 from .rounding import gamma
 from .zonotope import Zonotope
@@ -20,6 +21,7 @@ CONDITION_LIMIT = 1e8
 """Where the generators that Scott's method builds on are worse conditioned, "pca" stands in."""
 
 
+@checked
 def reduce(zonotope: Zonotope, order: float, method: str = "pca") -> Zonotope:
     """Enclose zonotopes by ones with at most ``order * n`` generators each, rounding booked.
 
@@ -47,7 +49,7 @@ def reduce(zonotope: Zonotope, order: float, method: str = "pca") -> Zonotope:
     """
     if method != "auto" and method not in METHODS:
         raise ReachError(f"method must be 'auto' or one of {', '.join(map(repr, METHODS))}, got {method!r}")
-    if not order >= 1:
+    if not 1 <= order < np.inf:
         raise ReachError(f"order must be at least 1, got {order}")
     budget = int(order * zonotope.dim)
     if zonotope.order_count <= budget:
@@ -75,6 +77,7 @@ def mean_width(G: Array) -> Array:
     return np.asarray(np.abs(D @ G).sum(axis=-1).mean(axis=-1))
 
 
+@checked
 def reduction_loss(before: Zonotope, after: Zonotope) -> Array:
     """Half-widths of a box whose Minkowski sum with `before` contains `after`, shape (..., n).
 
@@ -89,6 +92,7 @@ def reduction_loss(before: Zonotope, after: Zonotope) -> Array:
         If the dimensions differ.
     """
     require_same_dim(before, after)
+    require_alike(before.batch, after.batch)
     shape = np.broadcast_shapes(before.batch, after.batch)
     n, g, k = before.dim, before.order_count, after.order_count
     B, A = np.broadcast_to(before.G, (*shape, n, g)), np.broadcast_to(after.G, (*shape, n, k))

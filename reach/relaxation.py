@@ -5,11 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .arguments import checked
+from .convex import require_alike
 from .errors import ReachError
 
 Array = NDArray[np.float64]
 
 
+@checked
 def clip_relaxation(
     lo: ArrayLike, hi: ArrayLike, limit: ArrayLike, slopes: int | None = None
 ) -> tuple[Array, Array, Array]:
@@ -36,7 +39,11 @@ def clip_relaxation(
     ReachError
         If an interval is empty, a limit negative, or a number not finite.
     """
-    lo, hi, limit = np.broadcast_arrays(*(np.asarray(v, dtype=float) for v in (lo, hi, limit)))
+    given = [np.asarray(v, dtype=float) for v in (lo, hi, limit)]
+    require_alike(*(v.shape for v in given))
+    lo, hi, limit = np.broadcast_arrays(*given)
+    if slopes is not None and slopes < 1:
+        raise ReachError(f"slopes must be at least 1, got {slopes}")
     if not np.all(np.isfinite(lo) & np.isfinite(hi) & np.isfinite(limit)):
         raise ReachError("interval and limit must be finite")
     if np.any(lo > hi) or np.any(limit < 0):

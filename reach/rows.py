@@ -92,7 +92,9 @@ class Rows:
         None where A is large and sparse and its exponential is not.
         """
         if h not in self._maps:
-            half = self._maps.get(h / 2)
+            # Squaring what is close to the identity loses its digits, and no series needs it.
+            long = self.discrete or self.norm * h > 0.5
+            half = self._maps.get(h / 2) if long else None
             with np.errstate(over="ignore", invalid="ignore"):
                 if self.action is not None:
                     self._maps[h] = thin_exponential(self.A, h, self.action, half)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,27 +9,31 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from .answer import Answer
+from .arguments import checked
 from .convex import require_same_dim, require_single, weighed
 from .distance import nearest, unit_sizes
 from .exact import integers
-from .interval import Interval
-from .lazy import AffineImage, MinkowskiSum
+from .lifted import Lifted, lifted
 from .polytope import HPolytope
 from .programs import maximise
-from .zonotope import Zonotope
+from .rounding import gamma
 
 Array = NDArray[np.float64]
 
 COMMON = 1e-9
 """Points of the two sets this close, in sizes of the sets, count as a common point."""
 
+CLOSER = "the sets are closer than rounding can tell"
 
+
+@checked
 def disjoint(X: Any, Y: Any) -> Answer:
     """Whether two sets have no point in common.
 
     Sets with flat faces go through one linear program, sets with an ellipsoid in them through
     Wolfe's nearest points (`reach.distance`). Either finds a direction; a "yes" is said only if the
-    supports of both sets along it, rounding booked, really leave a gap.
+    supports of both sets along it, rounding booked, really leave a gap, a "no" only if the point
+    found passes the inequalities of both sets when they are asked again.
 
     Parameters
     ----------
@@ -52,11 +55,12 @@ def disjoint(X: Any, Y: Any) -> Answer:
     require_same_dim(X, Y)
     for one in (X, Y):
         require_single(one, "disjoint")
-        if isinstance(one, HPolytope) and one.is_empty:
-            return Answer(True, np.inf)
-    first, second = _lifted(X), _lifted(Y)
+        if getattr(one, "is_empty", False):
+            return Answer(True, np.inf) if one.proved_empty else Answer(None, 0.0, reason=CLOSER)
+    middle, size, units = _frame(X, Y)
+    first, second = lifted(X, middle, size), lifted(Y, middle, size)
     if first is not None and second is not None:
-        return _by_program(X, Y, first, second)
+        return _by_program(X, Y, first, second, units)
     for one, other in ((X, Y), (Y, X)):
         if isinstance(one, HPolytope) and not one.is_bounded:
             box = other.interval_hull()
@@ -65,58 +69,52 @@ def disjoint(X: Any, Y: Any) -> Answer:
             return (
                 apart if apart or within.is_empty else disjoint(*((within, Y) if one is X else (X, within)))
             )
-    found = nearest(X, Y)
+    found = nearest(X, Y, units)
     room = -float(X.support_up(found.direction) + Y.support_up(-found.direction))
-    return _answer(found.direction, room, found.x, found.gap)
+    return _answer(X, Y, found.direction, room, found.x, found.y, units)
 
 
-def _answer(direction: Array, room: float, point: Array, gap: float) -> Answer:
+def _frame(X: Any, Y: Any) -> tuple[Array, Array, Array]:
+    """Where polytopes are to be looked at, and sizes in which a distance of the two sets is measured."""
+    known = [one.interval_hull() for one in (X, Y) if not (isinstance(one, HPolytope) and not one.is_bounded)]
+    if not known:
+        sizes = np.maximum(X.frame[1], Y.frame[1])
+        return np.zeros(X.dim), sizes, sizes
+    half = unit_sizes(np.max([hull.half_widths for hull in known], axis=0))
+    lo, hi = np.min([hull.lo for hull in known], axis=0), np.max([hull.hi for hull in known], axis=0)
+    return (lo + hi) / 2, unit_sizes((hi - lo) / 2), half
+
+
+def _answer(X: Any, Y: Any, direction: Array, room: float, x: Array, y: Array, units: Array) -> Answer:
+    """What the direction proves; or the points, one of each set, if they are close and stand."""
     length = float(np.linalg.norm(direction))
     if length > 0 and room > 0:
         return Answer(True, room / length, direction=direction)
-    if gap <= COMMON:
-        return Answer(False, 0.0, point)
-    return Answer(None, 0.0, reason="the sets are closer than rounding can tell")
+    # Points far from the origin are known to the rounding of their coordinates only.
+    grain = units + gamma(X.dim) / COMMON * (np.abs(x) + np.abs(y))
+    if np.all(np.isfinite(x) & np.isfinite(y)) and np.all(np.abs(x - y) <= 4 * COMMON * grain):
+        for point in (x / 2 + y / 2, x, y):
+            if all(_stands(one, point, 8 * COMMON * grain) for one in (X, Y)):
+                return Answer(False, 0.0, point)
+    return Answer(None, 0.0, reason=CLOSER)
 
 
-@dataclass(frozen=True)
-class _Lifted:
-    """``{c + G z : A z <= b}``."""
-
-    c: Array
-    G: Array
-    A: Array
-    b: Array
-
-
-def _lifted(X: Any) -> _Lifted | None:
-    """A set with flat faces as the image of a polytope; None for any other set."""
-    if isinstance(X, Interval):
-        X = X.to_zonotope()
-    if isinstance(X, Zonotope):
-        eye = np.eye(X.order_count)
-        return _Lifted(X.c, X.G, np.vstack([eye, -eye]), np.ones(2 * len(eye)))
+def _stands(X: Any, point: Array, grain: Array) -> bool:
+    """Whether a point is at most so far, axis by axis, from what the set's own description allows."""
     if isinstance(X, HPolytope):
-        return _Lifted(np.zeros(X.dim), np.eye(X.dim), X.A, X.b)
-    if isinstance(X, AffineImage):
-        base = _lifted(X.base)
-        return base and _Lifted(X.M @ base.c + X.v, X.M @ base.G, base.A, base.b)
-    if isinstance(X, MinkowskiSum):
-        parts = [_lifted(part) for part in X.parts]
-        known = [part for part in parts if part is not None]
-        if len(known) == len(parts):
-            A = block_diag(*(part.A for part in known))
-            c = np.sum([part.c for part in known], axis=0)
-            return _Lifted(c, np.hstack([part.G for part in known]), A, np.hstack([part.b for part in known]))
-    return None
+        return bool(np.all(X.A @ point - X.b <= np.abs(X.A) @ grain))
+    parts = getattr(X, "parts", None)
+    if parts is not None and hasattr(X, "is_empty"):
+        return all(_stands(part, point, grain) for part in parts)
+    hull = X.interval_hull()
+    return not (np.any(point < hull.lo - grain) or np.any(point > hull.hi + grain))
 
 
-def _by_program(X: Any, Y: Any, first: _Lifted, second: _Lifted) -> Answer:
-    """``min sum |x - y|_i / size_i``; the multipliers are the direction (Farkas)."""
-    n, sizes = X.dim, [np.where(np.isfinite(one.extent), one.extent, 0.0) for one in (X, Y)]
-    size = unit_sizes(np.maximum(*sizes))
-    gaps = np.hstack([first.G, -second.G]) / size[:, None]
-    offset = (first.c - second.c) / size
+def _by_program(X: Any, Y: Any, first: Lifted, second: Lifted, units: Array) -> Answer:
+    """``min sum |x - y|_i / unit_i``; the multipliers are the direction (Farkas)."""
+    n = X.dim
+    gaps = np.hstack([first.G, -second.G]) / units[:, None]
+    offset = (first.c - second.c) / units
     rows = block_diag(first.A, second.A)
     A = np.block([[gaps, -np.eye(n)], [-gaps, -np.eye(n)], [rows, np.zeros((len(rows), n))]])
     b = np.r_[-offset, offset, first.b, second.b]
@@ -124,7 +122,7 @@ def _by_program(X: Any, Y: Any, first: _Lifted, second: _Lifted) -> Answer:
     if not np.isfinite(found.value):
         return Answer(None, 0.0, reason="the linear program has no finite answer")
     over, under, mine, theirs = np.split(found.multipliers, np.cumsum([n, n, len(first.A)]))
-    direction = (under - over) / size
+    direction = (under - over) / units
     if isinstance(X, HPolytope):
         direction = mine @ X.A
     elif isinstance(Y, HPolytope):
@@ -136,8 +134,13 @@ def _by_program(X: Any, Y: Any, first: _Lifted, second: _Lifted) -> Answer:
     # Only points of both sets need be refuted, so a polytope may borrow the other set's bounds.
     common = np.minimum(X.extent, Y.extent)
     top = _top(X, direction, mine, common) + _top(Y, -direction, theirs, common)
-    x = first.c + first.G @ found.point[: first.G.shape[1]]
-    return _answer(direction, -top, x, -found.value)
+    z, w = np.split(found.point[: gaps.shape[1]], [first.G.shape[1]])
+    stands = all(
+        np.all(one.A @ at - one.b <= 8 * COMMON * np.abs(one.A).sum(axis=1))
+        for one, at in ((first, z), (second, w))
+    )
+    x, y = first.c + first.G @ z, second.c + second.G @ w
+    return _answer(X, Y, direction, -top, x if stands else np.full(n, np.nan), y, units)
 
 
 def _top(X: Any, direction: Array, multipliers: Array, common: Array) -> float:

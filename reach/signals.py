@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .convex import as_numbers
 from .errors import ReachError
 
 Array = NDArray[np.float64]
@@ -32,10 +33,7 @@ class Signal:
     values: Array
 
     def __post_init__(self) -> None:
-        try:
-            t, values = np.asarray(self.times, dtype=float), np.asarray(self.values, dtype=float)
-        except (TypeError, ValueError) as exc:
-            raise ReachError(f"a signal must be made of numbers: {exc}") from None
+        t, values = as_numbers("times", self.times), as_numbers("values", self.values)
         if t.ndim != 1 or len(t) == 0 or values.ndim != 2 or len(values) != len(t):
             raise ReachError(f"a signal needs times (k,) and values (k, m), got {t.shape} and {values.shape}")
         if not (np.all(np.isfinite(t)) and np.all(np.isfinite(values))):
@@ -49,7 +47,9 @@ class Signal:
     @classmethod
     def constant_pieces(cls, times: ArrayLike, values: ArrayLike) -> Signal:
         """Each value holds from its time to the next."""
-        t, v = np.asarray(times, dtype=float), np.asarray(values, dtype=float)
+        t, v = as_numbers("times", times), as_numbers("values", values)
+        if t.ndim != 1 or len(t) == 0 or v.ndim != 2 or len(v) != len(t):
+            raise ReachError(f"a signal needs times (k,) and values (k, m), got {t.shape} and {v.shape}")
         return cls(np.r_[t[:1], np.repeat(t[1:], 2)], np.repeat(v, 2, axis=0)[:-1])
 
     @property
@@ -59,7 +59,7 @@ class Signal:
 
     def __call__(self, t: ArrayLike) -> Array:
         """Values at given times, the later one at a jump, shape (len(t), m)."""
-        t = np.atleast_1d(np.asarray(t, dtype=float))
+        t = np.atleast_1d(as_numbers("t", t))
         k = np.searchsorted(self.times, t, side="right") - 1
         since = np.where(k < 0, 0.0, t - self.times[np.maximum(k, 0)])
         return np.asarray(self.values[np.maximum(k, 0)] + since[:, None] * self.slope(t))
@@ -70,4 +70,6 @@ class Signal:
         rise = np.diff(self.values, axis=0)
         inner = np.divide(rise, length[:, None], out=np.zeros_like(rise), where=length[:, None] > 0)
         slopes = np.vstack([np.zeros((1, self.dim)), inner, np.zeros((1, self.dim))])
-        return np.asarray(slopes[np.searchsorted(self.times, np.atleast_1d(t), side="right")])
+        return np.asarray(
+            slopes[np.searchsorted(self.times, np.atleast_1d(as_numbers("t", t)), side="right")]
+        )

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from .convex import as_numbers
+from .errors import ReachError
 from .polytope import HPolytope
 from .trajectory import Trajectory
 
@@ -29,6 +31,9 @@ class Always:
     region: HPolytope
     during: tuple[float, float] | None = None
 
+    def __post_init__(self) -> None:
+        _checked(self)
+
 
 @dataclass(frozen=True, eq=False)
 class Never:
@@ -44,6 +49,18 @@ class Never:
 
     region: HPolytope
     during: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        _checked(self)
+
+
+def _checked(spec: Always | Never) -> None:
+    """Refuse what is no region, and what are no two times."""
+    if not isinstance(spec.region, HPolytope):
+        given = type(spec.region).__name__
+        raise ReachError(f"its region must be an HPolytope, got {given}; use its to_polytope()")
+    if spec.during is not None and as_numbers("during", spec.during).shape != (2,):
+        raise ReachError(f"`during` must be two times, got {spec.during!r}")
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,11 +9,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
-from .convex import ConvexSet
+from .convex import ConvexSet, as_numbers
 from .errors import ReachError
 from .signals import Signal
 
 Array = NDArray[np.float64]
+
+FILLED = 0.25
+"""Share of entries from which a matrix in a sparse container is handled as a dense one."""
+FILLED_MOST = 1000
+"""Most states for which it is: beyond, exponentials cost more than they save."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +30,8 @@ class LinearSystem:
     Parameters
     ----------
     A : array_like or scipy sparse matrix, shape (n, n)
-        A sparse matrix stays sparse, and above 300 states no exponential is formed of it.
+        A sparse matrix stays sparse, and above 300 states no exponential is formed of it; one of up to
+        1,000 states with a quarter of all entries or more is made dense.
     B : array_like or scipy sparse matrix, shape (n, m), optional
         Input map; the identity if only U is given.
     U : ConvexSet of dimension m, or sequence of them, optional
@@ -54,10 +60,16 @@ class LinearSystem:
     nominal: Signal | None = None
 
     def __post_init__(self) -> None:
+        if not isinstance(self.discrete, bool | np.bool_):
+            raise ReachError(f"discrete must be true or false, got {self.discrete!r}")
+        if self.nominal is not None and not isinstance(self.nominal, Signal):
+            raise ReachError(f"nominal must be a Signal, got {type(self.nominal).__name__}")
         A = _matrix("A", self.A)
         n = A.shape[0]
         if A.shape != (n, n) or n == 0:
             raise ReachError(f"A must be square, got shape {A.shape}")
+        if sparse.issparse(A) and n <= FILLED_MOST and A.nnz >= FILLED * n**2:
+            A = A.toarray()
         pieces = self._pieces()
         B, driven = self.B, pieces or self.nominal is not None
         if B is None:
@@ -148,10 +160,7 @@ def _matrix(name: str, value: ArrayLike) -> Any:
 
 def numbers(name: str, value: ArrayLike) -> Array:
     """An array of floats, or one clear error."""
-    try:
-        return np.asarray(value, dtype=float)
-    except (TypeError, ValueError) as exc:
-        raise ReachError(f"{name} must be numbers: {exc}") from None
+    return as_numbers(name, value)
 
 
 def single_set(name: str, value: Any) -> None:

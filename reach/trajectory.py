@@ -13,6 +13,7 @@ from scipy.linalg import expm
 from scipy.sparse.linalg import expm_multiply
 
 from .adjoint import Adjoint
+from .arguments import checked
 from .centering import centered
 from .convex import ConvexSet
 from .errors import ReachError
@@ -47,6 +48,7 @@ class Trajectory:
     inputs: Array
 
 
+@checked
 def simulate(system: LinearSystem, x0: ArrayLike, instants: ArrayLike, inputs: ArrayLike) -> Trajectory:
     """Run a system under inputs that are held between given instants.
 
@@ -115,6 +117,7 @@ def _sparse(system: LinearSystem, states: Array, t: Array, u: Array) -> None:
         k += count
 
 
+@checked
 def worst_case(
     system: LinearSystem,
     initial: ConvexSet,

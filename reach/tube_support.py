@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .adjoint import Adjoint
+from .arguments import checked
 from .centering import centered
-from .convex import ConvexSet
+from .convex import ConvexSet, as_numbers
 from .errors import ReachError
-from .march import march, substeps
+from .march import march, substeps, warn_if_wide
 from .systems import LinearSystem, numbers
 
 Array = NDArray[np.float64]
@@ -69,6 +70,7 @@ class SupportTube:
         return np.asarray(self.attained.max(axis=0))
 
 
+@checked
 def support_tube(
     system: LinearSystem,
     initial: ConvexSet,
@@ -119,15 +121,18 @@ def support_tube(
     around, start = (system, initial) if system.discrete else centered(system, initial)
     rows = np.hstack([D, np.zeros((len(D), around.dim - system.dim))])
     adjoint = Adjoint(around, start)
-    parts = substeps(adjoint, step)
+    parts = substeps(adjoint, step, horizon, len(D))
     run = march(adjoint, rows, horizon, step, tolerance, limit, substeps=parts, deadline=deadline)
     upper, lower = run.first + run.upper + run.rounding, run.attained + run.lower - run.rounding
     interval = np.maximum(upper[1:], upper[:-1]) + run.bow + run.bend
     interval = interval.reshape(-1, parts, len(D)).max(axis=1)
+    if step is not None and not system.discrete:
+        warn_if_wide(interval.max(axis=0), lower.max(axis=0), np.abs(upper).max(axis=0))
     coarse = run.every(parts)
     return SupportTube(coarse.times, D, upper[::parts], lower[::parts], interval, coarse.bow + coarse.bend)
 
 
+@checked
 def locate(times: Array, t: ArrayLike) -> tuple[NDArray[np.intp], Array]:
     """Interval of every time and its place in it from 0 to 1.
 
@@ -136,7 +141,9 @@ def locate(times: Array, t: ArrayLike) -> tuple[NDArray[np.intp], Array]:
     ReachError
         If a time lies outside the nodes, or is not a number.
     """
-    t = np.atleast_1d(np.asarray(t, dtype=float))
+    t = np.atleast_1d(as_numbers("t", t))
+    if t.ndim != 1:
+        raise ReachError(f"times must be a number or a vector of them, got shape {t.shape}")
     if not np.all((t >= times[0]) & (t <= times[-1])):
         raise ReachError(f"times must lie in [{times[0]:g}, {times[-1]:g}]")
     k = np.clip(np.searchsorted(times, t, side="right") - 1, 0, len(times) - 2)

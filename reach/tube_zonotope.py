@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .adjoint import Adjoint, is_symmetric
+from .arguments import checked
 from .bounds import March
 from .centering import centered
 from .convex import ConvexSet
 from .errors import ReachError
-from .march import march, per_row, substeps
+from .march import march, per_row, substeps, warn_if_wide
 from .rows import ROUNDING
 from .systems import LinearSystem, numbers, single_set
 from .tube_support import locate
@@ -84,6 +85,7 @@ class ZonotopeTube:
         )
 
 
+@checked
 def zonotope_tube(
     system: LinearSystem,
     initial: ConvexSet,
@@ -135,9 +137,13 @@ def zonotope_tube(
         rows = np.vstack([rows, -rows])
         tolerance = None if tolerance is None else np.tile(tolerance, 2)
     adjoint = Adjoint(around, start)
-    parts = substeps(adjoint, step)
+    parts = substeps(adjoint, step, horizon, len(rows))
     run = march(adjoint, rows, horizon, step, tolerance, keep=True, substeps=parts)
-    return _enclose(run.every(parts), generated, F, inverse)
+    coarse = run.every(parts)
+    if step is not None and not system.discrete:
+        nodes = (run.first + run.upper + run.rounding).max(axis=0)
+        warn_if_wide(nodes + (coarse.bow + coarse.bend).max(axis=0, initial=0.0), nodes, np.abs(nodes))
+    return _enclose(coarse, generated, F, inverse)
 
 
 def _enclose(run: March, start: Zonotope, F: Array, inverse: Array) -> ZonotopeTube:

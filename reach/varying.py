@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import expm
 
+from .arguments import check_fields
 from .errors import ReachError
 from .systems import numbers
 
@@ -46,6 +47,7 @@ class Varying:
     bend: Bound = None
 
     def __post_init__(self) -> None:
+        check_fields(self)
         if self.slope is None and self.bend is None:
             raise ReachError("a matrix that varies needs a bound on its first or second derivative")
 
@@ -101,7 +103,10 @@ def sample(name: str, M: Any, shape: tuple[int, ...], times: Array) -> Sampled:
         value = _checked(name, M, shape).reshape(column)
         zero = np.zeros((count - 1, *column))
         return Sampled(np.tile(value, (count, 1, 1)), zero, zero, zero, zero, zero)
-    nodes = np.stack([_checked(f"{name}({t:g})", M.value(float(t)), shape).reshape(column) for t in times])
+    with np.errstate(all="ignore"):  # what is not finite is refused with its name and time
+        values = [M.value(float(t)) for t in times]
+    named = zip(values, times, strict=True)
+    nodes = np.stack([_checked(f"{name}({t:g})", value, shape).reshape(column) for value, t in named])
     step = h[:, None, None]
     chord = np.diff(nodes, axis=0) / step
     slope = _bound(f"slope of {name}", M.slope, shape, times).reshape(count - 1, *column)

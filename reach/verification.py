@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .arguments import checked
 from .convex import ConvexSet
 from .errors import ReachError, Unresolved
 from .polytope import HPolytope
@@ -30,6 +31,7 @@ GRID = 10_000
 """Most steps that a first grid takes to have every change of the input set on a node."""
 
 
+@checked
 def verify(
     system: LinearSystem,
     initial: ConvexSet,
@@ -80,9 +82,6 @@ def _window(system: LinearSystem, spec: Any, horizon: float) -> tuple[float, flo
     """First and last time that a specification speaks of."""
     if not isinstance(spec, Always | Never):
         raise ReachError(f"the specification must be Always or Never, got {type(spec).__name__}")
-    if not isinstance(spec.region, HPolytope):
-        given = type(spec.region).__name__
-        raise ReachError(f"its region must be an HPolytope, got {given}; use its to_polytope()")
     if spec.region.dim != system.dim:
         raise ReachError(f"the region has dimension {spec.region.dim}, the system {system.dim} states")
     if not (numbers("horizon", horizon).shape == () and 0 <= horizon < np.inf):

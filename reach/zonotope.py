@@ -10,7 +10,23 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .convex import SetOperators, as_factor, as_map, as_vector, require_same_dim, require_single, selector
+from .arguments import checked
+from .convex import (
+    SetOperators,
+    as_alike,
+    as_count,
+    as_factor,
+    as_map,
+    as_numbers,
+    as_rows,
+    as_vector,
+    require_alike,
+    require_same_dim,
+    require_single,
+    require_stackable,
+    selector,
+    stacked,
+)
 from .errors import ReachError
 from .facets import facet_normals, unit_columns, volume
 from .interval import Interval
@@ -41,8 +57,8 @@ class Zonotope(SetOperators):
     G: Array
 
     def __post_init__(self) -> None:
-        c, G = np.asarray(self.c, dtype=float), np.asarray(self.G, dtype=float)
-        if G.ndim != c.ndim + 1 or G.shape[:-1] != c.shape:
+        c, G = as_numbers("c", self.c), as_numbers("G", self.G)
+        if c.ndim == 0 or G.ndim != c.ndim + 1 or G.shape[:-1] != c.shape:
             raise ReachError(f"generators must have shape {c.shape} + (g,), got {G.shape}")
         if not (np.all(np.isfinite(c)) and np.all(np.isfinite(G))):
             raise ReachError("centre and generators must be finite numbers")
@@ -54,20 +70,23 @@ class Zonotope(SetOperators):
     @classmethod
     def box(cls, center: ArrayLike, half_widths: ArrayLike) -> Zonotope:
         """Axis-aligned box (exact). Batches allowed; a half-width below zero is refused."""
-        center, half = np.broadcast_arrays(np.asarray(center, float), np.asarray(half_widths, float))
-        if np.any(half < 0):
+        center, half = as_alike("center", center, "half-widths", half_widths)
+        if not np.all(half >= 0):
             raise ReachError(f"half-widths must be >= 0, got {half.min()}")
+        if not np.all(np.isfinite(half)):
+            raise ReachError("half-widths must be finite numbers")
         return cls(center.copy(), half[..., :, None] * np.eye(half.shape[-1]))
 
     @classmethod
     def point(cls, c: ArrayLike) -> Zonotope:
         """A single point (no generators)."""
-        c = np.asarray(c, dtype=float)
+        c = as_numbers("c", c)
         return cls(c, np.zeros((*c.shape, 0)))
 
     @classmethod
     def stack(cls, parts: Sequence[Zonotope]) -> Zonotope:
         """Stack sets along a new leading axis, padding with zero generators."""
+        require_stackable(parts, cls)
         width = max(part.order_count for part in parts)
         padded = [part._pad(width) for part in parts]
         return cls(np.stack([part.c for part in padded]), np.stack([part.G for part in padded]))
@@ -125,7 +144,7 @@ class Zonotope(SetOperators):
         """Select from the batch axes."""
         if not self.batch:
             raise ReachError("a single zonotope cannot be indexed")
-        return Zonotope(self.c[index], self.G[index])
+        return Zonotope(stacked(self.c, index), stacked(self.G, index))
 
     def __len__(self) -> int:
         if not self.batch:
@@ -137,6 +156,7 @@ class Zonotope(SetOperators):
     def __rmatmul__(self, M: ArrayLike) -> Zonotope:
         """Linear image ``M @ Z``; M may carry batch axes that broadcast with the set's."""
         M = as_map(M, self.dim)
+        require_alike(M.shape[:-2], self.batch)
         c = (M @ self.c[..., None])[..., 0]
         G = M @ self.G
         return Zonotope(c, np.broadcast_to(G, (*c.shape, self.order_count)))
@@ -156,6 +176,7 @@ class Zonotope(SetOperators):
             other = other.to_zonotope()
         if isinstance(other, Zonotope):
             require_same_dim(self, other)
+            require_alike(self.batch, other.batch)
             c = self.c + other.c
             parts = [np.broadcast_to(z.G, (*c.shape, z.order_count)) for z in (self, other)]
             return Zonotope(c, np.concatenate(parts, axis=-1))
@@ -163,7 +184,9 @@ class Zonotope(SetOperators):
             from .lazy import minkowski_sum
 
             return minkowski_sum(self, other)
-        c = self.c + as_vector(other, self.dim)
+        v = as_vector(other, self.dim)
+        require_alike(v.shape[:-1], self.batch)
+        c = self.c + v
         return Zonotope(c, np.broadcast_to(self.G, (*c.shape, self.order_count)))
 
     def __mul__(self, factor: float) -> Zonotope:
@@ -176,9 +199,14 @@ class Zonotope(SetOperators):
         selector(dims, self.dim)
         return Zonotope(self.c[..., list(dims)], self.G[..., list(dims), :])
 
+    @checked
     def inflate(self, half_widths: ArrayLike) -> Zonotope:
         """Minkowski sum with a centred box."""
-        half = np.broadcast_to(np.asarray(half_widths, dtype=float), self.c.shape)
+        half = np.asarray(half_widths, dtype=float)
+        if half.shape[-1:] not in ((), (1,), (self.dim,)) or not np.all(np.isfinite(half)):
+            raise ReachError(f"half-widths must be {self.dim} finite numbers, got shape {half.shape}")
+        require_alike(half.shape[:-1], self.batch)
+        half = np.broadcast_to(half, (*np.broadcast_shapes(half.shape[:-1], self.batch), self.dim))
         return self + Zonotope.box(np.zeros_like(half), half)
 
     def support(self, directions: ArrayLike) -> Array:
@@ -193,12 +221,12 @@ class Zonotope(SetOperators):
         -------
         ndarray, shape (..., r)
         """
-        D = as_vector(directions, self.dim)
+        D = as_rows(directions, self.dim, self.batch)
         return np.asarray((D @ self.c[..., None])[..., 0] + np.abs(D @ self.G).sum(axis=-1))
 
     def support_vector(self, directions: ArrayLike) -> Array:
         """Corners that attain the support, shape of `directions` broadcast with the batch."""
-        D = as_vector(directions, self.dim)
+        D = as_rows(directions, self.dim, self.batch)
         signs = np.where(D @ self.G < 0, -1.0, 1.0)
         if D.ndim == 1:
             return np.asarray(self.c + (self.G @ signs[..., None])[..., 0])
@@ -206,18 +234,22 @@ class Zonotope(SetOperators):
 
     def corners(self, most: int = 4096) -> Array:
         """All points ``c + G b``, b in {-1, 1}^g: at most `most`, vertices among them, shape (2^g, n)."""
+        require_single(self, "corners")
         G = self.G[:, np.any(self.G != 0, axis=0)]
-        if 2 ** G.shape[1] > most:
+        if 2 ** G.shape[1] > as_count("most", most):
             raise ReachError(f"{G.shape[1]} generators have more than {most} corners")
         signs = np.array(list(product((-1.0, 1.0), repeat=G.shape[1]))).reshape(2 ** G.shape[1], G.shape[1])
         return np.asarray(self.c + signs @ G.T)
 
+    @checked
     def sample(self, rng: np.random.Generator, count: int) -> Array:
         """Points of the (single) set, a third of them corners; not uniform. Shape (count, n)."""
-        b = rng.uniform(-1, 1, (count, self.order_count))
+        require_single(self, "sample")
+        b = rng.uniform(-1, 1, (as_count("count", count), self.order_count))
         b[: count // 3] = np.sign(b[: count // 3])
         return np.asarray(self.c + b @ self.G.T)
 
+    @checked
     def contains(self, points: ArrayLike, slack: float = 1e-9) -> NDArray[np.bool_]:
         """Whether each point lies in the (single) set, by one linear program each, shape (...).
 
@@ -236,6 +268,7 @@ class Zonotope(SetOperators):
 
     # -- enclosures -----------------------------------------------------------------------------
 
+    @checked
     def hull(self, other: Zonotope) -> Zonotope:
         """Enclosure of the convex hull of two sets whose generators correspond one to one.
 
@@ -244,28 +277,32 @@ class Zonotope(SetOperators):
         unrelated sets. The last n generators carry the rounding.
         """
         require_same_dim(self, other)
+        require_alike(self.batch, other.batch)
         width = max(self.order_count, other.order_count)
         a, b = self._pad(width), other._pad(width)
         G = np.concatenate([(a.G + b.G) / 2, (a.G - b.G) / 2, ((a.c - b.c) / 2)[..., None]], axis=-1)
         return Zonotope((a.c + b.c) / 2, G).inflate(gamma(width) * (a.extent + b.extent))
 
+    @checked
     def norm_bound(self, W: ArrayLike) -> Array:
         """Upper bound on ``max ||W x||_2`` over the set (fast, sufficient), shape (...).
 
         The least of two bounds: the norm of the interval hull of ``W Z`` and the sum of the norms
         of the generators of ``W Z``. Exact for a point and for one generator.
         """
-        image = np.asarray(W, dtype=float) @ self
+        image = as_map(W, self.dim) @ self
         hull = np.linalg.norm(np.abs(image.c) + image.half_widths, axis=-1)
         total = np.linalg.norm(image.c, axis=-1) + np.linalg.norm(image.G, axis=-2).sum(axis=-1)
         return np.asarray(np.minimum(hull, total))
 
+    @checked
     def reduce(self, order: float, method: str = "pca") -> Zonotope:
         """Enclosing zonotope with at most ``order * n`` generators; see `reach.reduction`."""
         from .reduction import reduce
 
         return reduce(self, order, method)
 
+    @checked
     def meet_halfspace(self, normal: ArrayLike, offset: ArrayLike) -> Zonotope:
         """Enclosure of the part with ``normal . x <= offset``; see `reach.intersection`."""
         from .intersection import meet_halfspace
@@ -289,10 +326,10 @@ class Zonotope(SetOperators):
             If more than `most` groups of n - 1 generators would have to be looked at.
         """
         require_single(self, "to_polytope")
-        rows = np.unique(unit_columns(facet_normals(self.G, most)).T, axis=0)
+        rows = np.unique(unit_columns(facet_normals(self.G, as_count("most", most))).T, axis=0)
         rows = np.vstack([rows, -rows])
         return HPolytope(rows, self.support_up(rows))
 
     def volume(self, most: int = 1_000_000) -> Array:
         """Volume, by ``comb(g, n)`` determinants (at most `most` of them), shape (...)."""
-        return volume(self.G, most)
+        return volume(self.G, as_count("most", most))

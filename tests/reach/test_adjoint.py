@@ -139,10 +139,10 @@ def test_thin_exponentials_are_those_of_scipy(length):
         thin_exponential(A, length, Action(A)),
         None if half is None else thin_exponential(A, length, Action(A), half),
     ]
-    assert length > 2 or found[0] is not None
+    assert length > 0.3 or found[0] is not None
     for one in found:
         if one is not None:
-            assert sparse.issparse(one) and one.nnz < A.shape[0] ** 2 * (0.2 if length < 1 else 1.1)
+            assert sparse.issparse(one) and one.nnz < A.shape[0] ** 2 * (0.2 if length < 1 else 0.6)
             assert np.abs(one.toarray() - want).max() < 1e-13 * (1 + 4 * length)
 
 

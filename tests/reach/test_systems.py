@@ -15,7 +15,7 @@ def test_what_is_left_out_is_nothing():
     assert (system.dim, system.inputs, system.U) == (2, 0, ())
     assert np.array_equal(system.c, [0.0, 0.0])
     assert LinearSystem(A, U=Interval([-1.0, 0.0], [1.0, 0.0])).inputs == 2
-    assert LinearSystem(sparse.csr_matrix(A), U=Interval([0.0, 0.0], [1.0, 1.0])).sparse
+    assert LinearSystem(sparse.identity(9), U=Interval(np.zeros(9), np.ones(9))).sparse
 
 
 @pytest.mark.parametrize("make", [np.asarray, sparse.csr_matrix])

@@ -1,0 +1,312 @@
+"""Wrong arguments: every public function, every position, one `ReachError` each and no warning of numpy's."""
+
+import inspect
+import warnings
+from dataclasses import fields
+
+import numpy as np
+import pytest
+from scipy import sparse
+
+import reach
+from reach import (
+    AffineImage,
+    Always,
+    Ellipsoid,
+    HPolytope,
+    HybridAutomaton,
+    Intersection,
+    Interval,
+    LinearFlow,
+    LinearSystem,
+    LTVSystem,
+    MinkowskiSum,
+    Mode,
+    Never,
+    ReachError,
+    Signal,
+    Transition,
+    Varying,
+    Zonotope,
+)
+
+BOX = Interval([-1.0, -1.0], [1.0, 1.0])
+ZONOTOPE = Zonotope([0.0, 1.0], [[1.0, 0.5, 0.0], [0.0, 0.5, 1.0]])
+STACK = Zonotope.stack([ZONOTOPE, ZONOTOPE])
+POLYTOPE = BOX.to_polytope()
+ROUND = Ellipsoid.ball([0.0, 0.0], 1.0)
+A = np.array([[0.0, 1.0], [-1.0, -0.5]])
+B = np.array([[0.0], [1.0]])
+SYSTEM = LinearSystem(A, B, Interval([-1.0], [1.0]))
+VARYING = LTVSystem(Varying(lambda t: A * (1 + t), slope=np.abs(A)), B, Interval([-1.0], [1.0]))
+AUTOMATON = HybridAutomaton(
+    [Mode("a", LinearSystem(A)), Mode("b", LinearSystem(A))],
+    [Transition("a", "b", guard=HPolytope([[1.0, 0.0]], [0.5]))],
+)
+TRAJECTORY = reach.simulate_hybrid(AUTOMATON, [0.0, 1.0], 1.0, dt=0.1)
+FLOW = LinearFlow.continuous(A, B, 0.1, 0.1)
+TUBE = reach.support_tube(SYSTEM, BOX, 1.0, np.eye(2), step=0.5)
+SETS = {
+    "interval": BOX,
+    "zonotope": ZONOTOPE,
+    "polytope": POLYTOPE,
+    "half-space": HPolytope([[1.0, 0.5]], [1.0]),
+    "ellipsoid": ROUND,
+    "image": AffineImage([[1.0, 0.3], [0.1, 1.0]], POLYTOPE, [0.0, 0.1]),
+    "sum": MinkowskiSum((ROUND, POLYTOPE)),
+    "intersection": Intersection((ROUND, POLYTOPE)),
+    "stack": STACK,
+}
+
+CALLS = {
+    "AffineImage": (AffineImage, (np.eye(2), BOX, [0.0, 0.0])),
+    "Always": (Always, (POLYTOPE, (0.0, 1.0))),
+    "Ellipsoid": (Ellipsoid, ([0.0, 0.0], np.eye(2))),
+    "Ellipsoid.ball": (Ellipsoid.ball, ([0.0, 0.0], 1.0)),
+    "Ellipsoid.from_shape": (Ellipsoid.from_shape, ([0.0, 0.0], np.eye(2))),
+    "Ellipsoid.sublevel": (Ellipsoid.sublevel, ([0.0, 0.0], np.eye(2), 2.0)),
+    "HPolytope": (HPolytope, (np.eye(2), [1.0, 1.0])),
+    "HybridAutomaton": (HybridAutomaton, (AUTOMATON.modes, AUTOMATON.transitions, "a")),
+    "Intersection": (Intersection, ((BOX, ROUND),)),
+    "Interval": (Interval, ([0.0, 0.0], [1.0, 1.0])),
+    "Interval.around": (Interval.around, ([[0.0, 0.0], [1.0, 1.0]],)),
+    "Interval.ball": (Interval.ball, ([0.0, 0.0], [1.0, 1.0])),
+    "LTVSystem": (LTVSystem, (A, B, Interval([-1.0], [1.0]), [0.0, 0.0])),
+    "LinearSystem": (LinearSystem, (A, B, Interval([-1.0], [1.0]), [0.0, 0.0], (), False, None)),
+    "LinearFlow.continuous": (LinearFlow.continuous, (A, B, 0.1, 0.1)),
+    "LinearFlow.sampled": (LinearFlow.sampled, (A, B, np.ones((1, 2)), B, 0.1, 0.1)),
+    "LinearFlow.disturbance_support": (FLOW.disturbance_support, (np.eye(2), 3)),
+    "LinearFlow.disturbance_nodes": (FLOW.disturbance_nodes, (3, 5.0)),
+    "LinearFlow.norms": (FLOW.norms, (3,)),
+    "MinkowskiSum": (MinkowskiSum, ((BOX, ROUND),)),
+    "Mode": (Mode, ("a", LinearSystem(A), POLYTOPE)),
+    "Never": (Never, (POLYTOPE, (0.0, 1.0))),
+    "Signal": (Signal, ([0.0, 1.0], [[0.0], [1.0]])),
+    "Signal.constant_pieces": (Signal.constant_pieces, ([0.0, 1.0], [[0.0], [1.0]])),
+    "Transition": (
+        Transition,
+        ("a", "b", POLYTOPE, (0.0, 1.0), (0.0, 1.0), np.eye(2), [0.0, 0.0], BOX, True),
+    ),
+    "Varying": (Varying, (lambda t: A, np.abs(A), np.abs(A))),
+    "Zonotope": (Zonotope, ([0.0, 0.0], np.eye(2))),
+    "Zonotope.box": (Zonotope.box, ([0.0, 0.0], [1.0, 1.0])),
+    "Zonotope.point": (Zonotope.point, ([0.0, 0.0],)),
+    "Zonotope.stack": (Zonotope.stack, ([ZONOTOPE, ZONOTOPE],)),
+    "Interval.stack": (Interval.stack, ([BOX, BOX],)),
+    "ball_generators": (reach.ball_generators, (2, 1.0)),
+    "clip_relaxation": (reach.clip_relaxation, (-1.0, 2.0, 1.0, 4)),
+    "contains": (reach.contains, (BOX, ZONOTOPE, "auto", 100)),
+    "discretize": (reach.discretize, (A, B, 0.1)),
+    "disjoint": (reach.disjoint, (BOX, ROUND)),
+    "enclosing_hull": (reach.enclosing_hull, (ZONOTOPE, ZONOTOPE)),
+    "growth": (reach.growth, (A, 0.1)),
+    "hybrid_tube": (
+        reach.hybrid_tube,
+        (AUTOMATON, BOX, 0.5),
+        {"step": 0.1, "tolerance": 0.1, "jumps": 2, "order": 5.0, "reduction": "pca", "clusters": 2},
+    ),
+    "largest_norm": (reach.largest_norm, (ZONOTOPE, 100, 1.0)),
+    "ltv_support_tube": (reach.ltv_support_tube, (VARYING, BOX, 0.5, np.eye(2)), {"step": 0.1, "begin": 0.0}),
+    "ltv_zonotope_tube": (
+        reach.ltv_zonotope_tube,
+        (VARYING, BOX, 0.5),
+        {"step": 0.1, "begin": 0.0, "frame": np.eye(2)},
+    ),
+    "meet_halfspace": (reach.meet_halfspace, (ZONOTOPE, [1.0, 0.0], 0.5)),
+    "outline": (reach.outline, (ZONOTOPE,)),
+    "powers": (reach.powers, (A, 3)),
+    "reduce": (reach.reduce, (ZONOTOPE, 1.0, "pca")),
+    "reduction_loss": (reach.reduction_loss, (ZONOTOPE, ZONOTOPE)),
+    "replay_hybrid": (reach.replay_hybrid, (AUTOMATON, TRAJECTORY, 1e-8)),
+    "simulate": (reach.simulate, (SYSTEM, [0.0, 0.0], [0.0, 1.0], [[0.5]])),
+    "simulate_hybrid": (
+        reach.simulate_hybrid,
+        (AUTOMATON, [0.0, 1.0], 0.5),
+        {"dt": 0.1, "policy": "random", "rng": np.random.default_rng(0), "jumps": 3},
+    ),
+    "falsify_hybrid": (
+        reach.falsify_hybrid,
+        (AUTOMATON, BOX, {"a": [Always(POLYTOPE)]}, 0.3),
+        {"dt": 0.1, "runs": 1, "rng": np.random.default_rng(0), "jumps": 2},
+    ),
+    "verify_hybrid": (
+        reach.verify_hybrid,
+        (AUTOMATON, BOX, {"a": [Always(POLYTOPE)]}, 0.3),
+        {"dt": 0.1, "runs": 1, "seed": 0, "step": 0.1},
+    ),
+    "state_scale": (reach.state_scale, (A - np.eye(2),)),
+    "support_tube": (
+        reach.support_tube,
+        (SYSTEM, BOX, 0.5, np.eye(2)),
+        {"tolerance": 0.1, "limit": [1.0, 1.0], "max_seconds": 5.0},
+    ),
+    "support_tube, steps": (reach.support_tube, (SYSTEM, BOX, 0.5, np.eye(2)), {"step": 0.1}),
+    "verify": (reach.verify, (SYSTEM, BOX, Always(POLYTOPE), 0.2), {"max_seconds": 2.0}),
+    "worst_case": (reach.worst_case, (SYSTEM, BOX, 0.5, [1.0, 0.0]), {"step": 0.1}),
+    "worst_case, tolerance": (reach.worst_case, (SYSTEM, BOX, 0.5, [1.0, 0.0]), {"tolerance": 0.1}),
+    "zonotope_tube": (reach.zonotope_tube, (SYSTEM, BOX, 0.5), {"tolerance": 0.1, "frame": np.eye(2)}),
+    "SupportTube.at": (TUBE.at, ([0.1],)),
+}
+METHODS = {
+    "support": ([[1.0, 0.5]],),
+    "support_up": ([[1.0, 0.5]],),
+    "support_down": ([[1.0, 0.5]],),
+    "support_vector": ([1.0, 0.5],),
+    "contains": ([0.0, 0.0], 1e-9),
+    "__rmatmul__": (np.eye(2),),
+    "__add__": ([1.0, 0.0],),
+    "__mul__": (2.0,),
+    "__sub__": ([1.0, 0.0],),
+    "__and__": (BOX,),
+    "__le__": (BOX,),
+    "__contains__": ([0.0, 0.0],),
+    "__getitem__": (0,),
+    "product": (BOX,),
+    "project": ([0],),
+    "hull": (ZONOTOPE,),
+    "enclosing_zonotope": (np.eye(2),),
+    "norm_bound": (np.eye(2),),
+    "reduce": (1.0, "pca"),
+    "meet_halfspace": ([1.0, 0.0], 0.5),
+    "intersect_halfspace": ([1.0, 0.0], 0.5),
+    "corners": (100,),
+    "sample": (np.random.default_rng(0), 3),
+    "to_polytope": (100,),
+    "volume": (100,),
+    "inflate": ([0.1, 0.1],),
+    "is_empty_within": ([1.0, 1.0],),
+    "vertices": (),
+    "vertices_2d": (),
+}
+WRONG = [
+    None,
+    "text",
+    b"bytes",
+    True,
+    0,
+    -1,
+    2.5,
+    -2.5,
+    np.nan,
+    np.inf,
+    1 + 2j,
+    [],
+    [1.0],
+    [np.nan, 0.0],
+    ["a", "b"],
+    [1.0, 2.0, 3.0],
+    [[1.0], [2.0, 3.0]],
+    [[np.inf, 1.0], [0.0, 1.0]],
+    np.zeros((0, 2)),
+    np.zeros((2, 0)),
+    np.ones((2, 3)),
+    np.ones((3, 2, 2)),
+    np.array([object(), None]),
+    np.array(["x", "y"]),
+    {},
+    {"a": 1},
+    {1, 2},
+    object(),
+    len,
+    Interval,
+    (1.0, 0.0),
+    (0.0, np.nan),
+    sparse.identity(2),
+    sparse.identity(3),
+    BOX,
+    STACK,
+    Interval([0.0], [1.0]),
+    Interval([0.0] * 3, [1.0] * 3),
+    HPolytope([[1.0, 0.0], [-1.0, 0.0]], [-1.0, 0.0]),
+    HPolytope([[1.0, 0.0]], [0.0]),
+    LinearSystem([[1.0]]),
+    LinearSystem(A, discrete=True),
+    SYSTEM,
+    VARYING,
+    AUTOMATON,
+    Always(POLYTOPE),
+    range(2),
+    1e300,
+    [1e300, 1e300],
+    [1e-320, 0.0],
+    np.datetime64("2020-01-01"),
+    [BOX, None],
+]
+
+
+def _first(X):
+    """What the set, or the first of a stack, is made of."""
+    one = X[0] if getattr(X, "batch", ()) else X
+    return [getattr(one, field.name) for field in fields(one)]
+
+
+def attempt(call, args, more):
+    """What went wrong other than by a `ReachError`."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", reach.ReachWarning)
+        warnings.simplefilter("error", RuntimeWarning)
+        try:
+            call(*args, **more)
+        except ReachError:
+            return None
+        except Exception as error:
+            return f"{type(error).__name__}: {error}"
+    return None
+
+
+def faults(name, call, args, more=None):
+    """Every wrong value in every place."""
+    found, more = [], more or {}
+    good = attempt(call, args, more)
+    if good is not None:
+        found.append(f"{name}: {good}")
+    places = [*range(len(args)), *more]
+    for place in places:
+        for wrong in WRONG:
+            given, named = list(args), dict(more)
+            (given if isinstance(place, int) else named)[place] = wrong
+            fault = attempt(call, given, named)
+            if fault is not None:
+                found.append(f"{name}, argument {place} = {str(wrong)[:40]!r}: {fault[:150]}")
+    return found
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_wrong_arguments_are_one_error(name):
+    assert not faults(name, *CALLS[name])
+
+
+@pytest.mark.parametrize("kind", SETS)
+def test_wrong_arguments_of_methods_are_one_error(kind):
+    X = SETS[kind]
+    found = []
+    for method, args in METHODS.items():
+        if hasattr(X, method):
+            call = getattr(X, method)
+            count = len(inspect.signature(call).parameters)
+            args = (type(X)(*_first(X)),) if method == "hull" else args[:count]
+            found += faults(f"{kind}.{method}", call, args)
+    assert not found
+
+
+def test_every_public_function_is_tried():
+    values = (
+        "Answer",
+        "ConvexSet",
+        "Fan",
+        "HybridTrajectory",
+        "HybridTube",
+        "HybridVerdict",
+        "LinearFlow",
+        "NormBracket",
+        "ReachError",
+        "ReachWarning",
+        "Segment",
+        "SupportTube",
+        "Trajectory",
+        "Unresolved",
+        "Verdict",
+        "Visit",
+        "ZonotopeTube",
+    )
+    assert set(reach.__all__) - {name.split(".")[0] for name in CALLS} <= set(values)
