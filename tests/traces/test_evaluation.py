@@ -122,6 +122,18 @@ def test_true_relative_velocity():
     assert (same.distance.min, same.distance.max) == (pytest.approx(8), pytest.approx(9))
 
 
+def test_known_velocities_of_a_ball_are_used_instead_of_differences():
+    """A ball on a circle, stamped every 10 s: differences of its centres are short by a sixth of the angle squared."""
+    t, n, v = np.arange(0.0, 601.0, 10.0), 2 * np.pi / 600, 0.5
+    centers = np.stack([np.sin(n * t), -np.cos(n * t), 0 * t], axis=1) * v / n
+    rates = np.stack([np.cos(n * t), np.sin(n * t), 0 * t], axis=1) * v
+    a = Trace({"a": AgentTrace(t, np.hstack([centers + [200.0, 0.0, 0.0], rates - [2.0, 0.0, 0.0]]))})
+    known = against(measured(a, s=BallTrace(t, centers, np.ones(len(t)), rates)))
+    assert known.ttc.min == pytest.approx(199 / 2, rel=1e-9)
+    assert known.ttc.max == pytest.approx(199 / 2, rel=1e-9)
+    assert against(measured(a, s=BallTrace(t, centers, np.ones(len(t))))).ttc.min < 199 / 2 - 0.01
+
+
 def test_mean_is_over_time():
     """1 m away for 9 s, 3 m at the end of the tenth: the trapezoid, not a third of 1 + 1 + 3."""
     t = np.array([0.0, 9.0, 10.0])
