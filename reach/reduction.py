@@ -113,7 +113,7 @@ def reduction_loss(before: Zonotope, after: Zonotope) -> Array:
 
 
 def _ranks(keys: Array, axis: int = -1) -> Array:
-    """Keys to choose by, without their last digits: what is equal but for rounding is a tie, and the first wins.
+    """Keys to choose by, without their last digits: equal but for rounding is a tie, and the first wins.
 
     Rounding differs from processor to processor; the choice, and all that is computed from it, must not.
     """

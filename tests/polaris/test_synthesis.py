@@ -324,8 +324,8 @@ def test_schedule_is_the_same_on_every_processor():
         "print(s.modes.tolist())"
     )
     found = set()
-    for kernels in ("Prescott", "Haswell", "Zen", "SkylakeX"):
-        environment = {**os.environ, "OPENBLAS_CORETYPE": kernels}
+    for kernels in ({}, {"OPENBLAS_CORETYPE": "Prescott"}, {"OPENBLAS_CORETYPE": "Haswell"}):
+        environment = {**os.environ, **kernels}
         found.add(
             subprocess.run(
                 [sys.executable, "-c", program], env=environment, capture_output=True, check=True

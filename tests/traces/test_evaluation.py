@@ -123,7 +123,7 @@ def test_true_relative_velocity():
 
 
 def test_known_velocities_of_a_ball_are_used_instead_of_differences():
-    """A ball on a circle, stamped every 10 s: differences of its centres are short by a sixth of the angle squared."""
+    """A ball on a circle, stamped every 10 s: differences of its centres are too short."""
     t, n, v = np.arange(0.0, 601.0, 10.0), 2 * np.pi / 600, 0.5
     centers = np.stack([np.sin(n * t), -np.cos(n * t), 0 * t], axis=1) * v / n
     rates = np.stack([np.cos(n * t), np.sin(n * t), 0 * t], axis=1) * v
