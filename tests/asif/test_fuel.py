@@ -225,7 +225,7 @@ def test_late_calls_are_counted_and_recorded():
     np.testing.assert_allclose(f.spent, 0.1)
     d = f.filter(3.0, x, np.zeros((1, 3)))
     np.testing.assert_allclose(f.spent, 0.3)
-    assert "2 s late" in d.fallback
+    assert "called after 3 s: the last answer was for 1 s" in d.fallback
 
 
 def test_lost_state_coasts_and_comes_back():

@@ -153,7 +153,7 @@ def near_the_boundary(kind, barrier, rng, K, a):
 
 def attacks(kind, n, period, thrust, share=0.5):
     a = 0.8 * thrust
-    braking = Braking(a, 0.1)
+    braking = Braking(a, 0.1, 0.2)
     if kind == "outside":
         return Attack(Radial("h1", 10.0, braking), n, period, thrust, share)
     if kind == "inside":
