@@ -5,6 +5,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from polaris.asif.allowable_rows import AllowableRows
 from polaris.asif.allowable_set import allowable
 from polaris.asif.barriers import CENTRE, Radial, Speed, SunCone, Velocity, rounded_length
 from polaris.asif.braking import Braking
@@ -180,7 +181,7 @@ def test_the_way_back_is_never_asked_to_be_faster_than_its_limit(outside, a, dep
     speed, slope = Braking(a, depth, back)(np.array(-outside))
     assert -back <= speed <= 0 <= slope
     further = Braking(a, depth, back)(np.array(-outside - 1.0))
-    assert further[0] <= speed and further[1] <= slope
+    assert further[0] <= speed * (1 - 1e-12) and further[1] <= slope
 
 
 def test_layer_is_smooth_where_it_joins():
@@ -314,16 +315,21 @@ def test_keeping_h_keeps_phi(seed):
     later = 1e-2
     drifted = x + later * (x @ q.A.T)
     now, then = allowable(q, x, sun), allowable(q, drifted, sun - q.mean_motion * later)
+    # The way back across a cone is one of the signed distance: on it the angle may turn a little further in.
+    rows = AllowableRows(q)
+    signed = [rows(x, sun).value, rows(drifted, sun - q.mean_motion * later).value]
     names = np.array([label.split("[")[0].rstrip("+-") for label in families.labels])
     for name, of in INSIDE.items():
         held = h[:, names == name]
-        if name == "h5":  # two cones a pair
-            held = held.reshape(200, 2, -1).min(axis=1)
         outside = now[of] < 0
         if name == "h3":
             assert not (outside & (held >= 1e-6)).any()
             continue
         back = then[of] - now[of]
+        if name in ("h4", "h5"):
+            held = h[:, names == name]
+            apart = np.array([kind.rstrip("+-") == of for kind in rows.kind])
+            back, outside = (signed[1] - signed[0])[:, apart], signed[0][:, apart] < 0
         assert (back[outside & (held >= 0)] > 0).all(), name
     for name in ("h9", "h10", "h11"):
         assert not ((now["phi" + name[1:]] < 0) & (h[:, names == name] >= 0)).any()
