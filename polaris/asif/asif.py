@@ -156,4 +156,6 @@ def _told(missed: dict[str, float], most: int = 5) -> str:
     """The conditions missed by most, in words."""
     worst = sorted(missed.items(), key=lambda item: -item[1])
     told = ", ".join(f"{name} by {value:.3g} N" for name, value in worst[:most])
-    return f"{told} and {len(worst) - most} more" if len(worst) > most else told or "none by more than rounding"
+    return (
+        f"{told} and {len(worst) - most} more" if len(worst) > most else told or "none by more than rounding"
+    )

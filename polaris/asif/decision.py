@@ -52,7 +52,7 @@ class RunTimeFilter(Protocol):
         Parameters
         ----------
         t : float
-            Time [s]. Whatever it is, there is an answer: a time that is no number, stands still, runs backwards
+            Time [s]. Whatever it is, there is an answer: that it is no number, stands still, runs backwards
             or jumps is noted in the decision (see `polaris.asif.received.Receiver`).
         x : array_like, shape (N, 6)
             States in Hill's frame [m, m/s]; not finite where unknown.

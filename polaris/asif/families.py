@@ -39,8 +39,8 @@ RANKS = {
     "sun": 4,
     "deputy_sun": 4,
 }
-"""What gives way last where no input satisfies all conditions: not to collide, not to collide should the thrusters
-fail, speeds, the zone, the sun."""
+"""What gives way last where no input satisfies all conditions: not to collide, not to collide should the
+thrusters fail, speeds, the zone, the sun."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,13 +156,17 @@ class Families:
             ("deputy_separation", pairs, apart, 2 * q.a_max, 1.0),
             ("keep_in", alone, q.distance_max, q.a_inside, -1.0),
         )
-        groups = [_Group(Radial("radial", radius, Braking(a, q.smoothing, q.return_speed), side), names, place)]
+        groups = [
+            _Group(Radial("radial", radius, Braking(a, q.smoothing, q.return_speed), side), names, place)
+        ]
         names, place, _, a, side = stack(
             ("sun", alone, 0.0, q.a_max, 1.0),
             ("deputy_sun", pairs, 0.0, q.a_max, 1.0),
             ("deputy_sun", pairs, 0.0, q.a_max, -1.0),
         )
-        cone = SunCone("cone", q.field_of_view / 2, q.mean_motion, Braking(a, q.smoothing, q.return_speed), side)
+        cone = SunCone(
+            "cone", q.field_of_view / 2, q.mean_motion, Braking(a, q.smoothing, q.return_speed), side
+        )
         groups.append(_Group(cone, names, place))
         names, place, radius, _, _ = stack(
             ("passive", alone, q.separation, 0.0, 0.0), ("deputy_passive", pairs, apart, 0.0, 0.0)

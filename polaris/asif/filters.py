@@ -20,7 +20,7 @@ SHARINGS = ("coasting", "half", "consensus")
 Statuses = NDArray[np.int8]
 
 AGREED = 1e-9
-"""What each deputy may miss its part of an agreed solution by where that violates a row [units of h per s]."""
+"""By how much a deputy may miss its part of an agreed solution that violates a row [units of h per s]."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -205,9 +205,7 @@ class FuelLimit:
         left = np.maximum(q.delta_v_max - self.spent, 0.0) * (1 - 1e-12)
         return np.where(cost > left, left / np.where(cost > 0, cost, 1.0), 1.0)
 
-    def _decision(
-        self, got: Received, u: Array, reserve: Array, exhausted: NDArray[np.bool_]
-    ) -> Decision:
+    def _decision(self, got: Received, u: Array, reserve: Array, exhausted: NDArray[np.bool_]) -> Decision:
         q = self.inspection
         passed = got.known & got.given & ~self.latched
         intervened = ~passed | got.clipped | exhausted

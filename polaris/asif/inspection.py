@@ -178,7 +178,7 @@ class Inspection:
 
     @property
     def return_speed(self) -> float:
-        """Fastest way back across a boundary that is asked for from outside [m/s]; see `polaris.asif.braking.Braking`.
+        """Fastest way back that is asked for from outside [m/s]; see `polaris.asif.braking.Braking`.
 
         The least speed allowed anywhere, so that going back breaks no other speed limit.
         """

@@ -83,9 +83,7 @@ def solve(
     return (np.full(size, np.nan), FAILED) if least is None else (least, SHORT)
 
 
-def project(
-    G: Array, bound: Array, desired: Array, limit: float, rank: Index | None = None
-) -> Projections:
+def project(G: Array, bound: Array, desired: Array, limit: float, rank: Index | None = None) -> Projections:
     """Project K inputs, each with its own M rows; in closed form where one row decides.
 
     Parameters

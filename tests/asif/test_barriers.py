@@ -167,7 +167,7 @@ def test_layer_slope_and_bend(delta, a, depth, back):
     assert slope == pytest.approx(oracle.slope(exact, delta), rel=1e-9, abs=1e-15)
     assert speed == pytest.approx(exact(delta), rel=1e-9, abs=1e-12)
     for further in (1e-3, 0.1, 1.0, 30.0):
-        # The slope falls from here to further on by no more than the bend times the way; it never exceeds the bound.
+        # The slope falls from here to there by no more than the bend times the way, and has a bound.
         later = braking(np.array(delta + further))[1]
         assert slope - later <= braking.bend(delta, delta + further) * further * (1 + 1e-9) + 1e-9
         between = braking(np.linspace(delta, delta + further, 41))[1]

@@ -10,7 +10,7 @@ from polaris.asif.priorities import SPARE, least_violation
 from polaris.asif.projection import FILTERED, SHORT, solve
 
 CLOSE = 5e-3
-"""Of the limit: what a spare of 1e-7 on rows that cannot be met may grow to where rows are nearly parallel."""
+"""Of the limit: what a spare of 1e-7 on rows that cannot be met may grow to between near-parallel rows."""
 
 
 def random_program(rng):
@@ -82,7 +82,7 @@ def test_many_random_programs():
 @given(st.integers(0, 10**6))
 @settings(max_examples=40, deadline=None)
 def test_whatever_later_ranks_ask_a_rank_that_can_be_met_is_met(seed):
-    """Ranks from the first on, as long as all of them together can be met: met to a billionth of the limit."""
+    """Ranks from the first on, as long as they can be met together, are met to a billionth of the limit."""
     rng = np.random.default_rng(seed)
     G, bound, desired, limit, rank = random_program(rng)
     G, bound = G[G.any(axis=1)], bound[G.any(axis=1)]

@@ -91,7 +91,7 @@ def test_optimality_conditions(seed, M):
                 np.r_[0, 0, 0, 1], -np.c_[rows, np.ones(M)], -need, bounds=[(-1, 1)] * 3 + [(None, None)]
             )
             assert answer.fun > -1e-9, "called infeasible, but is not"
-            # The worst violation is the least possible, and what full thrust cannot give counts as full thrust.
+            # The worst violation is the least possible; what full thrust cannot give counts as full thrust.
             reach = np.minimum(need, np.abs(rows).sum(axis=1))
             least = linprog(
                 np.r_[0, 0, 0, 1], -np.c_[rows, np.ones(M)], -reach, bounds=[(-1, 1)] * 3 + [(None, None)]

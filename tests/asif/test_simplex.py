@@ -213,7 +213,9 @@ def test_a_jump_of_the_clock_is_no_time_in_which_all_was_well():
         for t in (0.0, 1.0, 2.0, 40.0, 41.0, 10.0, np.nan, 12.0):
             f.filter(t, x, np.zeros((2, 3)))
             assert f.latched.all(), t
-        for t in range(13, 11 + int(f.dwell)):  # the time that is none stands for 11 s, where the count begins
+        for t in range(
+            13, 11 + int(f.dwell)
+        ):  # the time that is none stands for 11 s, where the count begins
             f.filter(float(t), x, np.zeros((2, 3)))
             assert f.latched.all(), t
         f.filter(11.0 + f.dwell, x, np.zeros((2, 3)))
