@@ -1,7 +1,7 @@
 """What gives way where no input satisfies all conditions: rank by rank, in each the largest shortage first.
 
-Each rank's rows come as near to being met as the ranks before it leave room for. No row loses to one of a later
-rank; rows that can be met together with all of their own rank and of the ranks before it are met.
+Each rank's rows come as near to being met as the ranks before it leave room for. No row loses to one of a
+later rank; rows that can be met together with all of their own rank and of the ranks before it are met.
 """
 
 from __future__ import annotations

@@ -58,7 +58,7 @@ def test_two_deputies_at_rest_inside_a_sun_cone_leave_it_without_a_collision(pre
 
 
 def outside(q, K, rng):
-    """States that violate any constraint but separations: places, speeds, at rest and not, near each other."""
+    """States that violate any constraint but separations, in place or speed, near each other."""
     out = []
     while len(out) < K:
         kind, spread = rng.integers(0, 5), 10 ** rng.uniform(0.9, 1.7)
