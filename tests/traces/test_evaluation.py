@@ -128,10 +128,16 @@ def test_known_velocities_of_a_ball_are_used_instead_of_differences():
     centers = np.stack([np.sin(n * t), -np.cos(n * t), 0 * t], axis=1) * v / n
     rates = np.stack([np.cos(n * t), np.sin(n * t), 0 * t], axis=1) * v
     a = Trace({"a": AgentTrace(t, np.hstack([centers + [200.0, 0.0, 0.0], rates - [2.0, 0.0, 0.0]]))})
-    known = against(measured(a, s=BallTrace(t, centers, np.ones(len(t)), rates)))
-    assert known.ttc.min == pytest.approx(199 / 2, rel=1e-9)
-    assert known.ttc.max == pytest.approx(199 / 2, rel=1e-9)
-    assert against(measured(a, s=BallTrace(t, centers, np.ones(len(t))))).ttc.min < 199 / 2 - 0.01
+
+    def ttc(*velocities):
+        ball = BallTrace(t, centers, np.ones(len(t)), *velocities)
+        found = evaluate_trace(Trace(a.agents, {"s": ball}), velocity=(3, 4, 5))
+        return found.agents["a"].unsafe[0].ttc
+
+    known = ttc(rates)
+    assert known.min == pytest.approx(199 / 2, rel=1e-9)
+    assert known.max == pytest.approx(199 / 2, rel=1e-9)
+    assert ttc().min < 199 / 2 - 0.01
 
 
 def test_mean_is_over_time():
