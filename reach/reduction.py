@@ -65,7 +65,9 @@ def reduce(zonotope: Zonotope, order: float, method: str = "pca") -> Zonotope:
         return Zonotope(zonotope.c, METHODS[method](G, budget) * size)
     found = [one(G, budget) for one in METHODS.values()]
     widths = np.stack([mean_width(one) for one in found])
-    best = np.take_along_axis(np.stack(found), widths.argmin(axis=0)[None, ..., None, None], axis=0)[0]
+    best = np.take_along_axis(
+        np.stack(found), _ranks(widths, 0).argmin(axis=0)[None, ..., None, None], axis=0
+    )[0]
     return Zonotope(zonotope.c, best * size)
 
 
@@ -114,9 +116,21 @@ def reduction_loss(before: Zonotope, after: Zonotope) -> Array:
     return np.asarray((best + np.abs(after.c - before.c)) * (1 + gamma(k)))
 
 
+def _ranks(keys: Array, axis: int = -1) -> Array:
+    """Keys to choose by, without their last digits: equal but for rounding is a tie, and the first wins.
+
+    Rounding differs from processor to processor; the choice, and all that is computed from it, must not.
+    """
+    known = np.isfinite(keys)
+    most = np.abs(np.where(known, keys, 0.0)).max(axis=axis, keepdims=True, initial=0.0)
+    mantissa, exponent = np.frexp(np.where(known, keys, 0.0) / np.where(most > 0, most, 1.0))
+    coarse = np.ldexp(np.rint(mantissa * 2.0**24), exponent - 24)
+    return np.asarray(np.where(known, np.where(np.abs(coarse) < 2.0**-40, 0.0, coarse), keys))
+
+
 def _split(G: Array, lengths: Array, kept: int) -> tuple[Array, Array]:
     """The longest generators, and the others."""
-    order = np.argsort(-lengths, axis=-1, kind="stable")[..., None, :]
+    order = np.argsort(-_ranks(lengths), axis=-1, kind="stable")[..., None, :]
     return (
         np.take_along_axis(G, order[..., :kept], axis=-1),
         np.take_along_axis(G, order[..., kept:], axis=-1),
@@ -168,8 +182,10 @@ def scott(G: Array, budget: int) -> Array:
     stretch, alive = np.ones((*G.shape[:-2], n)), np.ones((*V.shape[:-2], V.shape[-1]), dtype=bool)
     for _ in range(V.shape[-1] - (budget - n)):
         r = np.abs(R)
-        cost = np.where(alive, np.prod(1 + r, axis=-2) - 1 - r.sum(axis=-2), np.inf)
-        worst = cost.argmin(axis=-1)[..., None]
+        volume = np.prod(1 + r, axis=-2)
+        cost = volume - 1 - r.sum(axis=-2)
+        cost = np.where(alive, np.where(cost > 1e-12 * volume, cost, 0.0), np.inf)
+        worst = _ranks(cost).argmin(axis=-1)[..., None]
         grown = 1 + np.take_along_axis(r, worst[..., None], axis=-1)[..., 0]
         stretch = stretch * grown
         R = R / grown[..., None]
@@ -193,7 +209,7 @@ def _independent_first(G: Array) -> Order:
         lengths = np.linalg.norm(rest, axis=-2)
         if taken:
             np.put_along_axis(lengths, np.concatenate(taken, axis=-1), -1.0, axis=-1)
-        pivot = lengths.argmax(axis=-1)[..., None]
+        pivot = _ranks(lengths).argmax(axis=-1)[..., None]
         taken.append(pivot)
         q = np.take_along_axis(rest, pivot[..., None], axis=-1)
         q = q / np.maximum(np.linalg.norm(q, axis=-2, keepdims=True), 1e-300)

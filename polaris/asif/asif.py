@@ -30,7 +30,8 @@ class ActiveSetFilter:
       keep clear of collisions for T.
     - The desired input of a deputy whose state is unknown, or that is missing or not finite itself, is
       replaced by the backup controller's, which is then filtered.
-    - Where no input satisfies all conditions, the one that violates them least is used; should the program
+    - Where no input satisfies all conditions, the one that violates them least is used, separations before
+      speeds, speeds before the zone, the zone before the sun (`polaris.asif.priorities`); should the program
       fail altogether, the backup controller's.
 
     The desired input is never passed on in any of these cases, and `Decision.fallback` says which it was.
@@ -69,8 +70,8 @@ class ActiveSetFilter:
 
     def reset(self) -> None:
         """Forget the last states: a new flight begins."""
-        self._receiver = Receiver(self.inspection)
-        self._last = np.nan
+        sampled = self.families.sampled
+        self._receiver = Receiver(self.inspection, None if sampled is None else sampled.period)
 
     def filter(self, t: float, x: ArrayLike, u_des: ArrayLike | None) -> Decision:
         """Decide on the inputs of the next control period; see `polaris.asif.decision.RunTimeFilter`.
@@ -78,10 +79,10 @@ class ActiveSetFilter:
         Raises
         ------
         ScenarioError
-            If the time is not a finite number, or the shape of the states or of the desired input is wrong.
+            If the shape of the states or of the desired input is wrong.
         """
         got = self._receiver.receive(t, x, u_des)
-        notes = [note for note in (got.fallback(), self._late(got.t)) if note]
+        notes = [note for note in (got.fallback(),) if note]
         if not got.estimated.all():
             nothing = np.zeros_like(got.u)
             decision = Decision(nothing, np.ones(len(nothing), dtype=bool), (), {}, "coast", "; ".join(notes))
@@ -89,14 +90,6 @@ class ActiveSetFilter:
             decision = self._filtered(got, u_des, notes)
         self._receiver.applied(decision.u)
         return decision
-
-    def _late(self, t: float) -> str | None:
-        """What to say if the last answer was held for longer than the conditions allow for."""
-        held, self._last = t - self._last, t
-        sampled = self.families.sampled
-        if sampled is None or not held > sampled.period * (1 + 1e-6):
-            return None
-        return f"called after {held:g} s: the conditions were for {sampled.period:g} s"
 
     def _backup(self, t: float, x: Array, reasons: list[str]) -> Array:
         """The backup controller's input; no thrust where it has none to give, which is recorded."""
@@ -130,7 +123,6 @@ class ActiveSetFilter:
             name = "backup"
         if (status >= SHORT).any():
             name = "short"
-            reasons.append("no input satisfies all conditions: least violation")
         if (failed := status == FAILED).any():
             name = "backup"
             reasons.append("the program failed")
@@ -138,7 +130,16 @@ class ActiveSetFilter:
         margins = dict(zip(self._names, np.minimum.reduceat(rows.h[0], self._starts).tolist(), strict=True))
         intervened = (u != desired).any(axis=1) | replaced
         active = self._active(rows, u) if intervened.any() else ()
-        return Decision(u, intervened, active, margins, name, "; ".join(reasons) or None)
+        missed = self._missed(rows, u) if (status >= SHORT).any() else {}
+        if name == "short":
+            reasons.append(f"no input satisfies all conditions: least violation, misses {_told(missed)}")
+        return Decision(u, intervened, active, margins, name, "; ".join(reasons) or None, missed)
+
+    def _missed(self, rows: Rows, u: Array) -> dict[str, float]:
+        """Constraints whose condition is not met, and by how much [N]."""
+        gap = np.maximum.reduceat(self.families.missed(rows, u[None])[0], self._starts)
+        short = np.flatnonzero(gap > TIGHT)
+        return {self._names[k]: float(gap[k]) for k in short.tolist()}
 
     def _active(self, rows: Rows, u: Array) -> tuple[str, ...]:
         """Constraints whose condition holds with equality, and thrust limits that are reached."""
@@ -149,3 +150,12 @@ class ActiveSetFilter:
         limit = self.inspection.thrust_max
         at_limit = np.flatnonzero((np.abs(u) >= limit * (1 - 1e-12)).any(axis=1))
         return (*names, *(f"thrust[{i}]" for i in at_limit))
+
+
+def _told(missed: dict[str, float], most: int = 5) -> str:
+    """The conditions missed by most, in words."""
+    worst = sorted(missed.items(), key=lambda item: -item[1])
+    told = ", ".join(f"{name} by {value:.3g} N" for name, value in worst[:most])
+    return (
+        f"{told} and {len(worst) - most} more" if len(worst) > most else told or "none by more than rounding"
+    )

@@ -27,9 +27,11 @@ class Decision:
         Values of the constraints, by name (``h2[0,3]``), nan where not known.
     status : str
         ``desired``, ``filtered``, ``short`` (no input satisfies all conditions: the one that violates them
-        least), ``backup`` (the backup controller's), ``coast`` (no thrust).
+        least, see `polaris.asif.priorities`), ``backup`` (the backup controller's), ``coast`` (no thrust).
     fallback : str or None
         Why the answer is not the filter's regular one; None if it is.
+    missed : dict of str to float
+        Conditions that the answer does not meet, by name, and by how much [N]; inf where no input changes it.
     """
 
     u: Array
@@ -38,6 +40,7 @@ class Decision:
     margins: dict[str, float] = field(repr=False)
     status: str
     fallback: str | None = None
+    missed: dict[str, float] = field(default_factory=dict, repr=False)
 
 
 class RunTimeFilter(Protocol):
@@ -49,7 +52,8 @@ class RunTimeFilter(Protocol):
         Parameters
         ----------
         t : float
-            Time [s].
+            Time [s]. Whatever it is, there is an answer: that it is no number, stands still, runs backwards
+            or jumps is noted in the decision (see `polaris.asif.received.Receiver`).
         x : array_like, shape (N, 6)
             States in Hill's frame [m, m/s]; not finite where unknown.
         u_des : array_like, shape (N, 3), or None

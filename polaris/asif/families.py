@@ -28,6 +28,21 @@ from .strengthening import FAMILIES, PRESETS, Strengthening, evaluate
 Index = NDArray[np.intp]
 
 
+RANKS = {
+    "chief_separation": 0,
+    "deputy_separation": 0,
+    "passive": 1,
+    "deputy_passive": 1,
+    "speed": 2,
+    "velocity": 2,
+    "keep_in": 3,
+    "sun": 4,
+    "deputy_sun": 4,
+}
+"""What gives way last where no input satisfies all conditions: not to collide, not to collide should the
+thrusters fail, speeds, the zone, the sun."""
+
+
 @dataclass(frozen=True, eq=False)
 class Rows:
     """Barrier conditions at some states; the leading axes are runs.
@@ -120,6 +135,7 @@ class Families:
         self._pairs = np.flatnonzero(self.second >= 0)
         self.labels = tuple(map(_label, self.family, self.first, self.second, self._variants()))
         self._alpha = tuple(np.array([self.alpha[name].numbers for name in self.family]).T)
+        self._rank = np.array([RANKS[name] for name in self.family], dtype=np.intp)
 
     def _all_groups(self, without: frozenset[str]) -> list[_Group]:
         """Stack what shares a formula."""
@@ -140,13 +156,17 @@ class Families:
             ("deputy_separation", pairs, apart, 2 * q.a_max, 1.0),
             ("keep_in", alone, q.distance_max, q.a_inside, -1.0),
         )
-        groups = [_Group(Radial("radial", radius, Braking(a, q.smoothing), side), names, place)]
+        groups = [
+            _Group(Radial("radial", radius, Braking(a, q.smoothing, q.return_speed), side), names, place)
+        ]
         names, place, _, a, side = stack(
             ("sun", alone, 0.0, q.a_max, 1.0),
             ("deputy_sun", pairs, 0.0, q.a_max, 1.0),
             ("deputy_sun", pairs, 0.0, q.a_max, -1.0),
         )
-        cone = SunCone("cone", q.field_of_view / 2, q.mean_motion, Braking(a, q.smoothing), side)
+        cone = SunCone(
+            "cone", q.field_of_view / 2, q.mean_motion, Braking(a, q.smoothing, q.return_speed), side
+        )
         groups.append(_Group(cone, names, place))
         names, place, radius, _, _ = stack(
             ("passive", alone, q.separation, 0.0, 0.0), ("deputy_passive", pairs, apart, 0.0, 0.0)
@@ -194,6 +214,24 @@ class Families:
         relative = u[..., self.first, :]
         relative[..., self._pairs, :] -= u[..., self.second[self._pairs], :]
         return np.asarray(relative)
+
+    def rank(self, h: Array) -> Index:
+        """Which row gives way to which, least last; shape (..., M) as h.
+
+        In the order of `RANKS`; within each, rows that keep what holds (``h >= 0``) before rows that ask for
+        the way back.
+        """
+        return np.asarray(2 * self._rank + (h < 0))
+
+    def missed(self, rows: Rows, u: Array) -> Array:
+        """By how much inputs of shape (..., N, 3) miss each row [N], 0 where they meet it; shape (..., M).
+
+        Along the row, per newton of its deputies' thrust; inf where no input changes the row.
+        """
+        length = np.sqrt(dot(rows.G, rows.G) * np.where(self.second >= 0, 2.0, 1.0))
+        gap = np.maximum(rows.bound - dot(rows.G, self.relative(u)), 0.0)
+        out = np.divide(gap, length, out=np.where(gap > 0, np.inf, 0.0), where=length > 0)
+        return np.asarray(out)
 
     def stack(self, x: Array) -> Array:
         """States of the deputies, then of each pair relative to each other, shape (..., N + P, 6)."""

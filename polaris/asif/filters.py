@@ -19,6 +19,9 @@ CENTRALIZED = "centralized"
 SHARINGS = ("coasting", "half", "consensus")
 Statuses = NDArray[np.int8]
 
+AGREED = 1e-9
+"""By how much a deputy may miss its part of an agreed solution that violates a row [units of h per s]."""
+
 
 @dataclass(frozen=True, eq=False)
 class Filtered:
@@ -66,7 +69,13 @@ class Centralized:
         runs = np.flatnonzero(broken.any(axis=1))
         if len(runs):
             found = project_coupled(
-                rows.G[runs], rows.bound[runs], desired[runs], limit, families.first, families.second
+                rows.G[runs],
+                rows.bound[runs],
+                desired[runs],
+                limit,
+                families.first,
+                families.second,
+                families.rank(rows.h[runs]),
             )
             u[runs] = found.u
             worse = found.status[:, None]
@@ -113,7 +122,8 @@ class Decentralized:
         run, who = np.nonzero((met < bound).any(axis=2))
         if len(run):
             signed = G[run, who] * self._sign[who][..., None]
-            found = project(signed, bound[run, who], desired[run, who], limit)
+            rank = self.families.rank(rows.h)[:, self._mine][run, who]
+            found = project(signed, bound[run, who], desired[run, who], limit, rank)
             u[run, who], status[run, who] = found.u, found.status
         status = np.maximum(status, np.where(agreed >= SHORT, agreed, DESIRED)[:, None]).astype(np.int8)
         u[status == FAILED] = np.nan
@@ -131,8 +141,13 @@ class Decentralized:
         agreed = np.where(np.isfinite(agreed), agreed, 0.0)  # where it failed, the status says so
         first = np.einsum("rmv,rmv->rm", rows.G, agreed[:, self.families.first])
         second = np.asarray(-np.einsum("rmv,rmv->rm", rows.G, agreed[:, self.families.second]))
+        status = status.max(axis=1)
         spare = np.maximum(first + second - bound, 0.0) / 2
-        return np.where(self._pair, first - spare, bound), second - spare, status.max(axis=1)
+        # Where the agreed solution itself falls short of a row, nobody is asked for more than its part of it.
+        short = (status == SHORT)[:, None]
+        alone = np.where(short, np.minimum(bound, first - AGREED), bound)
+        spare = spare + np.where(short, AGREED, 0.0)
+        return np.where(self._pair, first - spare, alone), second - spare, status
 
 
 def make_filter(families: Families, sharing: str) -> Centralized | Decentralized:

@@ -116,7 +116,7 @@ class FuelLimit:
         self.latched = np.zeros(q.deputies, dtype=bool)
         self.log: list[Latch] = []
         self.predicted: BackupFlight | None = None
-        self._receiver = Receiver(q)
+        self._receiver = Receiver(q, self.law.period)
         self._memory: list[Array | None] = [None] * q.deputies
         self._due = np.inf
         self._applied = np.zeros((q.deputies, 3))
@@ -127,10 +127,10 @@ class FuelLimit:
         Raises
         ------
         ScenarioError
-            If a shape is wrong or the time is not finite.
+            If a shape is wrong.
         """
         got = self._receiver.receive(t, x, u_des)
-        late = self._count_delay(got.t)
+        self._count_delay(got.t)
         reserve = np.full(len(got.x), np.nan)
         asked = np.flatnonzero(~self.latched & got.known & got.given)
         if len(asked):
@@ -146,7 +146,7 @@ class FuelLimit:
         self.spent = self.spent + np.abs(u).sum(axis=1) * self.law.period / self.inspection.mass
         self._receiver.applied(u)
         self._applied = u
-        return self._decision(got, u, reserve, exhausted, late)
+        return self._decision(got, u, reserve, exhausted)
 
     def _look_ahead(self, got: Received, asked: NDArray[np.intp]) -> tuple[Array, list[str]]:
         """Condition (*) for some: reserves [m/s], and why the backup must take over ('' if it need not)."""
@@ -174,7 +174,7 @@ class FuelLimit:
                 reasons.append("")
         return reserve, reasons
 
-    def _count_delay(self, t: float) -> float:
+    def _count_delay(self, t: float) -> None:
         """Fuel of the time [s] by which this call is late; an early one was counted in full."""
         D = self.law.period
         late = t - self._due if self._due < np.inf else 0.0
@@ -183,7 +183,6 @@ class FuelLimit:
         if abs(late) > 1e-6 * D:
             self._memory = [None] * len(self._memory)
         self._due = t + D
-        return late if late > 1e-6 * D else 0.0
 
     def _thrust(self, got: Received) -> Array:
         """Desired, backup, or none where the state is not known."""
@@ -206,9 +205,7 @@ class FuelLimit:
         left = np.maximum(q.delta_v_max - self.spent, 0.0) * (1 - 1e-12)
         return np.where(cost > left, left / np.where(cost > 0, cost, 1.0), 1.0)
 
-    def _decision(
-        self, got: Received, u: Array, reserve: Array, exhausted: NDArray[np.bool_], late: float
-    ) -> Decision:
+    def _decision(self, got: Received, u: Array, reserve: Array, exhausted: NDArray[np.bool_]) -> Decision:
         q = self.inspection
         passed = got.known & got.given & ~self.latched
         intervened = ~passed | got.clipped | exhausted
@@ -223,8 +220,6 @@ class FuelLimit:
         active = tuple(f"latched[{i}]" for i in np.flatnonzero(self.latched))
         active += tuple(f"phi12[{i}]" for i in np.flatnonzero(exhausted))
         notes = [got.fallback()] if got.fallback() else []
-        if late:
-            notes.append(f"called {late:.3g} s late")
         if exhausted.any():
             notes.append(f"fuel exhausted: deputy {', '.join(map(str, np.flatnonzero(exhausted)))}")
         return Decision(u, intervened, active, margins, status, "; ".join(map(str, notes)) or None)

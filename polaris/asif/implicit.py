@@ -85,7 +85,7 @@ class ImplicitASIF:
         self.law: Memoryless = Parking(inspection) if law is None else law
         self.check = FlightCheck(self.law, horizon, sun_start, without)
         self.rate = positive("rate", rate, "1/s")
-        self._receiver = Receiver(inspection)
+        self._receiver = Receiver(inspection, self.law.period)
         self._proven = Inherited(self.law.period)
         times = np.linspace(0.0, 2 * np.pi / inspection.mean_motion, ORBIT, endpoint=False)
         self._times, self._orbit = times, free_flight(inspection.mean_motion, times)
@@ -137,7 +137,7 @@ class ImplicitASIF:
         Raises
         ------
         ScenarioError
-            If a shape is wrong or the time is not finite.
+            If a shape is wrong.
         """
         got = self._receiver.receive(t, x, u_des)
         backup = np.where(got.known[:, None], self.law(got.t, got.x), 0.0)

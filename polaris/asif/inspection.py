@@ -176,6 +176,14 @@ class Inspection:
         nearest = self.distance_max - self.smoothing - self.fastest**2 / self.a_max
         return self.a_max - self.fastest**2 / nearest
 
+    @property
+    def return_speed(self) -> float:
+        """Fastest way back that is asked for from outside [m/s]; see `polaris.asif.braking.Braking`.
+
+        The least speed allowed anywhere, so that going back breaks no other speed limit.
+        """
+        return self.docking_speed
+
     @cached_property
     def pairs(self) -> NDArray[np.intp]:
         """Unordered pairs of deputies, shape (N (N-1) / 2, 2)."""

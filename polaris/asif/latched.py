@@ -64,7 +64,7 @@ class Latched(ABC):
         self.latched = np.zeros(inspection.deputies, dtype=bool)
         self.log: list[Switch] = []
         self._clear_since = np.full(inspection.deputies, np.nan)
-        self._receiver = Receiver(inspection)
+        self._receiver = Receiver(inspection, self.period)
 
     @abstractmethod
     def _try(self, t: float, x: Array, u: Array) -> Array:
@@ -76,7 +76,7 @@ class Latched(ABC):
         Raises
         ------
         ScenarioError
-            If a shape is wrong or the time is not finite.
+            If a shape is wrong.
         """
         got = self._receiver.receive(t, x, u_des)
         counted = got.counted(self.first, self.second)
@@ -84,6 +84,8 @@ class Latched(ABC):
         if not np.isfinite(backup).all():
             backup = np.where(np.isfinite(backup), backup, 0.0)
         able = got.known & got.given
+        if not got.steady:
+            self._clear_since[:] = np.nan  # nothing has lasted across a break of the clock
         self._hand_back(got, able, backup, counted)
         u, value, notes, active = self._decide(got, able, backup, counted)
         self._receiver.applied(u)

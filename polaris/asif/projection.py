@@ -10,15 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..system import Array
+from .priorities import least_violation
 
 PRIMAL = 1e-11
 """Violation [N] of a row of length 1 that the solver may leave."""
-
-SHORTAGE_WEIGHT = 1e6
-"""Weight of the squared shortage [N] against the squared deviation where no input satisfies all rows.
-
-Bounds on rows of length 1 then count as no more than this times the limit: more is as far out of reach.
-"""
 
 FEW = 8
 """Up to so many programs go to the solver at once, independent ones as one; more are first tried in
@@ -26,7 +21,7 @@ closed form."""
 
 DESIRED, FILTERED, SHORT, FAILED = range(4)
 """How an input came about: as desired; nearest that satisfies all rows; nearest that violates them least,
-where none satisfies all; no input at all."""
+where none satisfies all (see `polaris.asif.priorities`); no input at all."""
 
 Index = NDArray[np.intp]
 
@@ -48,14 +43,13 @@ class Projections:
 
 
 @cache
-def _cost(size: int, weight: float = 1.0) -> Array:
-    """Identity, its last entry replaced by a weight."""
-    cost = np.eye(size)
-    cost[-1, -1] = weight
-    return cost
+def _cost(size: int) -> Array:
+    return np.eye(size)
 
 
-def solve(G: Array, bound: Array, desired: Array, limit: float, relax: bool = True) -> tuple[Array, int]:
+def solve(
+    G: Array, bound: Array, desired: Array, limit: float, rank: Index | None = None
+) -> tuple[Array, int]:
     """Project one input: ``min norm(u - desired)`` subject to ``G u >= bound``, ``|u_i| <= limit``.
 
     Parameters
@@ -67,8 +61,9 @@ def solve(G: Array, bound: Array, desired: Array, limit: float, relax: bool = Tr
         [N]
     limit : float
         [N]
-    relax : bool
-        Where no input satisfies all rows, find the one that violates them least.
+    rank : ndarray of int, shape (M,), optional
+        Where no input satisfies all rows, find the one that violates them least, rank by rank (see
+        `polaris.asif.priorities`); without it there is no answer then.
 
     Returns
     -------
@@ -84,35 +79,11 @@ def solve(G: Array, bound: Array, desired: Array, limit: float, relax: bool = Tr
     u, _, flag, _ = daqp.solve(_cost(size), -desired, G, upper, lower, primal_tol=PRIMAL)
     if flag > 0:
         return np.clip(u, -limit, limit), FILTERED
-    if not relax:
-        return np.full(size, np.nan), FAILED
-    return _least_short(G, bound, desired, limit)
+    least = None if rank is None else least_violation(G, bound, desired, limit, rank)
+    return (np.full(size, np.nan), FAILED) if least is None else (least, SHORT)
 
 
-def _least_short(
-    G: Array, bound: Array, desired: Array, limit: float, weight: float = SHORTAGE_WEIGHT
-) -> tuple[Array, int]:
-    """No input satisfies all rows: one more variable s >= 0, the shortage [N] of the worst row."""
-    size = len(desired)
-    # A row that no input changes, or that nothing can satisfy, does not decide between inputs.
-    kept = np.isfinite(bound) & G.any(axis=1)
-    G, bound = G[kept], np.minimum(bound[kept], weight * limit)
-    rows = len(bound)
-    wide = np.ones((rows, size + 1))
-    wide[:, :size] = G
-    lower = np.concatenate([np.full(size, -limit), [0.0], bound])
-    upper = np.full(size + 1 + rows, 1e30)
-    upper[:size] = limit
-    cost = _cost(size + 1, weight)
-    u, _, flag, _ = daqp.solve(cost, -np.append(desired, 0.0), wide, upper, lower, primal_tol=1e-9)
-    if flag > 0:
-        return np.clip(u[:size], -limit, limit), SHORT
-    if weight > 1:  # rows that are short by very much: the solver's numbers span too wide a range
-        return _least_short(G, bound, desired, limit, weight / 100)
-    return np.full(size, np.nan), FAILED
-
-
-def project(G: Array, bound: Array, desired: Array, limit: float) -> Projections:
+def project(G: Array, bound: Array, desired: Array, limit: float, rank: Index | None = None) -> Projections:
     """Project K inputs, each with its own M rows; in closed form where one row decides.
 
     Parameters
@@ -124,13 +95,22 @@ def project(G: Array, bound: Array, desired: Array, limit: float) -> Projections
         [N]
     limit : float
         ``|u_i| <= limit`` [N].
+    rank : ndarray of int, shape (K, M), optional
+        See `solve`.
     """
     alone = np.zeros(G.shape[1], dtype=np.intp)
-    return project_coupled(G, bound, desired[:, None], limit, alone, alone - 1, flat=True)
+    return project_coupled(G, bound, desired[:, None], limit, alone, alone - 1, rank, flat=True)
 
 
 def project_coupled(
-    G: Array, bound: Array, desired: Array, limit: float, first: Index, second: Index, flat: bool = False
+    G: Array,
+    bound: Array,
+    desired: Array,
+    limit: float,
+    first: Index,
+    second: Index,
+    rank: Index | None = None,
+    flat: bool = False,
 ) -> Projections:
     """Project the inputs of K runs of N deputies: ``G (u_first - u_second) >= bound``.
 
@@ -144,6 +124,8 @@ def project_coupled(
         ``|u_i| <= limit`` [N].
     first, second : ndarray of int, shape (M,)
         Deputies of a row; second is -1 where there is one only.
+    rank : ndarray of int, shape (K, M), optional
+        See `solve`.
     flat : bool
         Drop the axis of deputies from the result (N is 1).
     """
@@ -161,7 +143,14 @@ def project_coupled(
         todo = _together(G, bound, desired, limit, needed, u, todo)
     for k in todo:
         u[k], status[k] = _coupled(
-            G[k], bound[k], desired[k], limit, first, second, np.flatnonzero(needed[k])
+            G[k],
+            bound[k],
+            desired[k],
+            limit,
+            first,
+            second,
+            np.flatnonzero(needed[k]),
+            None if rank is None else rank[k],
         )
     return Projections(u[:, 0] if flat else u, status)
 
@@ -174,18 +163,19 @@ def _coupled(
     first: Index,
     second: Index,
     rows: Index,
-    relax: bool = True,
+    rank: Index | None = None,
 ) -> tuple[Array, int]:
     """One run, through the solver: only the rows that count."""
     N, v = desired.shape
+    ranks = None if rank is None else rank[rows]
     if N == 1:
-        found, status = solve(G[rows], bound[rows], desired[0], limit, relax)
+        found, status = solve(G[rows], bound[rows], desired[0], limit, ranks)
         return found[None], status
     wide = np.zeros((len(rows), N, v))
     every, pair = np.arange(len(rows)), np.flatnonzero(second[rows] >= 0)
     wide[every, first[rows]] = G[rows]
     wide[pair, second[rows[pair]]] = -G[rows[pair]]
-    found, status = solve(wide.reshape(-1, N * v), bound[rows], desired.ravel(), limit, relax)
+    found, status = solve(wide.reshape(-1, N * v), bound[rows], desired.ravel(), limit, ranks)
     return found.reshape(N, v), status
 
 
@@ -200,7 +190,7 @@ def _together(
     alone = np.full(len(which), -1, dtype=np.intp)
     every = np.arange(len(which))
     at = todo[which]
-    found, status = _coupled(G[at, row], bound[at, row], desired[todo, 0], limit, which, alone, every, False)
+    found, status = _coupled(G[at, row], bound[at, row], desired[todo, 0], limit, which, alone, every)
     if status != FILTERED:
         return todo
     u[todo, 0] = found

@@ -39,6 +39,10 @@ class Received:
         Whose desired thrust came in time and was finite.
     clipped : ndarray of bool, shape (N,)
         Whose desired thrust was beyond the limits.
+    clock : str or None
+        What was wrong with the time; None if nothing.
+    steady : bool
+        Whether the time went on from the last call's without a break: what lasted till then lasts.
     """
 
     t: float
@@ -48,6 +52,8 @@ class Received:
     u: Array
     given: NDArray[np.bool_]
     clipped: NDArray[np.bool_]
+    clock: str | None = None
+    steady: bool = True
 
     def counted(self, first: NDArray[np.intp], second: NDArray[np.intp]) -> NDArray[np.bool_]:
         """Constraints all of whose deputies have an estimate; `second` is -1 where there is one only."""
@@ -55,7 +61,7 @@ class Received:
 
     def fallback(self) -> str | None:
         """What was missing, in words; None if nothing."""
-        parts = []
+        parts = [self.clock] if self.clock else []
         if not self.known.all():
             parts.append(f"state not known: deputy {_listed(~self.known)}")
         if not self.given.all():
@@ -70,13 +76,24 @@ def _listed(chosen: NDArray[np.bool_]) -> str:
 class Receiver:
     """Check what a filter is handed; remember the last good states and the thrusts since.
 
+    Times are taken as they come, and what is odd about one is said in `Received.clock`:
+
+    - one that is not a finite number is replaced by the last plus the last step (0 at the first call);
+    - one that stands still is the same instant again;
+    - one that runs backwards, or is more than `MEMORY` later than the last, is taken for the new time, and
+      what was remembered is forgotten: no state is propagated across it;
+    - one later than the period for which the last answer was made is told, and by two periods is a break.
+
     Parameters
     ----------
     inspection : Inspection
+    period : float, optional
+        Longest time [s] for which an answer may be held; default any.
     """
 
-    def __init__(self, inspection: Inspection) -> None:
-        self.inspection = inspection
+    def __init__(self, inspection: Inspection, period: float | None = None) -> None:
+        self.inspection, self.period = inspection, period
+        self._step = 0.0
         N = inspection.deputies
         self._x, self._t = np.zeros((N, 6)), np.nan
         self._seen = np.full(N, -np.inf)  # when each state was last known
@@ -88,10 +105,10 @@ class Receiver:
         Raises
         ------
         ScenarioError
-            If the time is not a finite number, or an array has a wrong shape or is not numeric.
+            If an array has a wrong shape or is not numeric.
         """
         q = self.inspection
-        t = number("t", t, "must be a finite number [s]")
+        t, clock, steady = self._time(t)
         states = _array("x", x, (q.deputies, 6))
         known = np.asarray((np.abs(states) <= FARTHEST).all(axis=1))  # false for nan and inf
         seen, estimate = self._estimate(t)
@@ -107,11 +124,34 @@ class Receiver:
             given = np.asarray(np.isfinite(wanted).all(axis=1))
             wanted = np.where(given[:, None], wanted, 0.0)
         u = np.clip(wanted, -q.thrust_max, q.thrust_max)
-        return Received(t, states, known, estimated, u, given, np.asarray((u != wanted).any(axis=1)))
+        clipped = np.asarray((u != wanted).any(axis=1))
+        return Received(t, states, known, estimated, u, given, clipped, clock, steady)
 
     def applied(self, u: Array) -> None:
         """Note the thrust [N], shape (N, 3), that was answered to the last call."""
         self._applied = np.array(u)
+
+    def _time(self, t: object) -> tuple[float, str | None, bool]:
+        """The time to go by [s], what is wrong with the one given, whether it goes on steadily."""
+        try:
+            now = number("t", t)
+        except Exception:  # whatever it is, the filter must answer
+            now = 0.0 if np.isnan(self._t) else self._t + self._step
+            return now, f"the time is not a finite number: taken for {now:g} s", False
+        passed = now - self._t
+        if np.isnan(passed):  # the first call
+            return now, None, True
+        if passed < 0:
+            return now, f"the time runs backwards by {-passed:g} s", False
+        if passed == 0:
+            return now, "the time stands still", True
+        if passed > MEMORY:
+            return now, f"the time jumps by {passed:g} s", False
+        self._step = passed
+        if self.period is None or passed <= self.period * (1 + 1e-6):
+            return now, None, True
+        told = f"called after {passed:g} s: the last answer was for {self.period:g} s"
+        return now, told, passed < 2 * self.period
 
     def _estimate(self, t: float) -> tuple[Array, Array]:
         """Last good states, moved to the time t with the thrust held, and when they were known."""

@@ -167,11 +167,12 @@ def _braked(
 ) -> Array:
     """M of ``s(delta) + delta'`` where ``-low <= delta'' <= high`` and ``delta''' >= -third``."""
     slowest = rate - low * D
+    quickest = rate + high * D
     closest = delta + np.minimum(slowest, 0.0) * D
-    speed, slope = braking(closest)
-    bend = braking.bend(closest)
-    fastest = np.maximum(np.abs(slowest), np.abs(rate + high * D))
-    M = bend * fastest**2 + slope * low + third
+    farthest = delta + np.maximum(quickest, 0.0) * D
+    fastest = np.maximum(np.abs(slowest), np.abs(quickest))
+    M = braking.bend(closest, farthest) * fastest**2 + braking.steepest(closest, farthest) * low + third
+    speed = braking(closest)[0]
     M = np.where(smooth, M, np.inf)  # the direction may turn at once: no bound
     return np.where((speed + slowest >= 0) & (closest >= 0), -np.inf, M)
 

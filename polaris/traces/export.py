@@ -134,8 +134,12 @@ def _sets(
     """Sets of a trace for one obstacle, and what to say about them."""
     name = obstacle.name
     if isinstance(obstacle, SatelliteObstacle) and (nominal or name in satellites):
+        true = satellites.get(name)
         ball = BallTrace(
-            t, obstacle.centre(t, system, satellites.get(name)), np.full(len(t), obstacle.radius)
+            t,
+            obstacle.centre(t, system, true),
+            np.full(len(t), obstacle.radius),
+            obstacle.velocity_at(t, system, true),
         )
         told = (
             None

@@ -159,17 +159,25 @@ class PointTrace(UnsafeTrace):
 
 @dataclass(frozen=True, eq=False)
 class BallTrace(UnsafeTrace):
-    """A ball; `centers` has shape (M, d), `radii` (M,) [m], >= 0."""
+    """A ball; `centers` has shape (M, d), `radii` (M,) [m], >= 0.
+
+    `velocities` (M, d) [m/s], where they are known, are those of the centres at their stamps. Without them
+    differences of the centres stand for them, wrong by their spacing squared where a motion is curved.
+    """
 
     set_type: ClassVar[str] = "ball"
     centers: Array
     radii: Array
+    velocities: Array | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
         object.__setattr__(self, "centers", self._positions(self.centers))
         object.__setattr__(self, "radii", _rows(self._trace, "radii", self.radii, (len(self.times),)))
         self._sizes("radius", self.radii)
+        if self.velocities is not None:
+            given = _rows(f"{self.where}.velocity_trace", "velocities", self.velocities, self.centers.shape)
+            object.__setattr__(self, "velocities", given)
 
     @property
     def d(self) -> int:

@@ -192,9 +192,10 @@ def place(item: AnySet, t: Array, d: int) -> Placed:
 
 
 def _moved(item: AnySet, centers: Array, t: Array) -> tuple[Array, Array]:
-    """Centres (N, d) and their rates; at rest before the first stamp and after the last."""
+    """Centres (N, d) and rates, known or differences; at rest before the first stamp and after the last."""
     rows = between(item.times, t)
-    speeds = rates(item.times, centers)
+    known = item.velocities if isinstance(item, BallTrace) else None
+    speeds = rates(item.times, centers) if known is None else known[:, : centers.shape[1]]
     centre = interpolate(centers, rows)
     if speeds is None:
         return centre, np.zeros_like(centre)

@@ -117,11 +117,13 @@ def _trace(data: Any) -> Trace:
     for name, item in root["unsafe"].items():
         where = f"unsafe.{name}"
         unsafe[name] = _set(where, _object(where, item, "must be an object"))
-        ignored += [f"{where}.{key}" for key in item if key not in ("set_type", "state_trace")]
+        known = SET_KEYS if item.get("set_type") == "ball" else SET_KEYS[:2]
+        ignored += [f"{where}.{key}" for key in item if key not in known]
     return Trace(agents, unsafe, tuple(ignored))
 
 
 AGENT_KEYS = ("state_trace", "mode_trace", "running_times")
+SET_KEYS = ("set_type", "state_trace", "velocity_trace")
 
 
 def _list(where: str, item: dict[str, Any], key: str, rule: str) -> list[Any]:
@@ -190,4 +192,4 @@ def _mode(place: str, i: int, given: Any) -> int:
 
 def _set(where: str, item: dict[str, Any]) -> AnySet:
     rows = _list(where, item, "state_trace", "must be a list of rows [t, def], at least one")
-    return set_trace(where, item.get("set_type"), rows)
+    return set_trace(where, item.get("set_type"), rows, item.get("velocity_trace"))

@@ -73,8 +73,8 @@ FORMS = {
 }
 
 
-def set_trace(where: str, kind: Any, rows: list[Any]) -> AnySet:
-    """The stamped definitions of one unsafe set.
+def set_trace(where: str, kind: Any, rows: list[Any], velocities: Any = None) -> AnySet:
+    """The stamped definitions of one unsafe set; velocities are read for a ball only.
 
     Raises
     ------
@@ -94,8 +94,24 @@ def set_trace(where: str, kind: Any, rows: list[Any]) -> AnySet:
     if kind == "point":
         return PointTrace(t, rest, where=where)
     if kind == "ball":
-        return BallTrace(t, rest[:, :d], rest[:, d], where=where)
+        return BallTrace(t, rest[:, :d], rest[:, d], _velocities(where, velocities, len(rows)), where=where)
     return RectangleTrace(t, rest[:, :d], rest[:, d:], where=where)
+
+
+def _velocities(where: str, given: Any, count: int) -> Array | None:
+    """The velocities of a ball's centre, one row per stamp; None if none are given."""
+    if given is None:
+        return None
+    place, rule = f"{where}.velocity_trace", f"must be a list of rows [vx, vy, vz], {count} as in state_trace"
+    if not isinstance(given, list) or len(given) != count:
+        raise ScenarioError(place, given if not isinstance(given, list) else f"{len(given)} rows", rule)
+
+    def flat(row: Any) -> list[Any]:
+        if not isinstance(row, list):
+            raise Odd("must be a row [vx, vy, vz]")
+        return row
+
+    return table(place, given, flat)
 
 
 def _definition(kind: str, row: Any) -> tuple[Any, Any]:

@@ -19,14 +19,12 @@ def trace_data(trace: Trace) -> dict[str, Any]:
     """The trace as plain lists and numbers, as RTAEval lays it out.
 
     Agents' rows are flat, ``[t, s0, s1, ...]``; those of sets nested, ``[t, def]``; modes are whole
-    numbers, null where unknown. ``running_times`` is there only if the agent has any.
+    numbers, null where unknown. ``running_times`` is there only if the agent has any, ``velocity_trace``
+    only if a ball's velocities are known.
     """
     return {
         "agents": {name: _agent(agent) for name, agent in trace.agents.items()},
-        "unsafe": {
-            name: {"set_type": item.set_type, "state_trace": _set_rows(item)}
-            for name, item in trace.unsafe.items()
-        },
+        "unsafe": {name: _set(item) for name, item in trace.unsafe.items()},
     }
 
 
@@ -69,6 +67,13 @@ def _agent(agent: AgentTrace) -> dict[str, Any]:
     }
     if len(agent.running_times):
         out["running_times"] = agent.running_times.tolist()
+    return out
+
+
+def _set(item: AnySet) -> dict[str, Any]:
+    out: dict[str, Any] = {"set_type": item.set_type, "state_trace": _set_rows(item)}
+    if isinstance(item, BallTrace) and item.velocities is not None:
+        out["velocity_trace"] = item.velocities.tolist()
     return out
 
 

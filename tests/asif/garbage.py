@@ -57,6 +57,43 @@ WRONG = [
     (0.0, np.zeros((2, 6)), np.zeros(3)),
     (0.0, [["a"] * 6] * 2, np.zeros((2, 3))),
     (0.0, None, np.zeros((2, 3))),
-    (np.nan, np.zeros((2, 6)), np.zeros((2, 3))),
-    (None, np.zeros((2, 6)), np.zeros((2, 3))),
 ]
+
+
+class Unreadable:
+    """A time whose conversion raises what no one expects."""
+
+    def __float__(self):
+        raise RuntimeError("needs a gradient")
+
+
+ODD_TIMES = [np.nan, np.inf, -np.inf, None, "now", "3.0", 10**400, 1j, [1.0, 2.0], Unreadable()]
+"""No time at all; whatever is handed over, a filter answers."""
+
+
+def odd_times(filtering, x, u):
+    """Times that are none, stand still, run backwards and jump: answered, and each is told."""
+
+    def ask(t):
+        decision = filtering.filter(t, x, u)
+        assert np.isfinite(decision.u).all() and (np.abs(decision.u) <= filtering.inspection.thrust_max).all()
+        return decision.fallback or ""
+
+    def told(t):
+        """What is said of the clock."""
+        return [part for part in ask(t).split("; ") if part.startswith(("the time", "called after"))]
+
+    for first in (np.nan, None):
+        assert told(first) == ["the time is not a finite number: taken for 0 s"]
+    assert told(5.0) in (["called after 5 s: the last answer was for 1 s"], [])  # where a period is known
+    assert told(6.0) == []
+    assert told(6.0) == ["the time stands still"]
+    assert told(7.0) == []
+    for k, odd in enumerate(ODD_TIMES):
+        assert told(odd) == [f"the time is not a finite number: taken for {8 + k} s"]
+    assert told(8.0 + len(ODD_TIMES)) == []
+    assert told(3.5) == [f"the time runs backwards by {4.5 + len(ODD_TIMES):g} s"]
+    assert told(4.5) == []
+    assert told(1e9) == [f"the time jumps by {1e9 - 4.5:g} s"]
+    assert told(-1e300)[0].startswith("the time runs backwards")
+    assert told(1e300)[0].startswith("the time jumps")

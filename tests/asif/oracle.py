@@ -65,10 +65,13 @@ def motion(z, n):
     return np.array([vx, vy, vz, 3 * n**2 * x + 2 * n * vy, -2 * n * vx, -(n**2) * zz])
 
 
-def braked(delta, a, depth):
-    """``sqrt(2 a delta)`` of eqs. 29, 30, 35 and 36, with the layer."""
+def braked(delta, a, depth, back=0.2):
+    """``sqrt(2 a delta)`` of eqs. 29, 30, 35 and 36, with the layer, and the way back from outside."""
+    k = np.sqrt(a / depth)
+    if np.real(delta) < 0:
+        return k * delta / (1 - k * delta / back)
     if np.real(delta) <= depth:
-        return np.sqrt(a / depth) * delta
+        return k * delta
     return np.sqrt(2 * a * (delta - depth / 2))
 
 

@@ -15,6 +15,8 @@ from polaris.asif.sampled import SampledData
 from polaris.asif.sampling import initial_conditions
 from polaris.errors import ScenarioError
 
+from .garbage import odd_times
+
 Q = Inspection()
 SHARINGS = ("centralized", "coasting", "half", "consensus")
 
@@ -262,3 +264,49 @@ def test_leaving_out_everything_is_refused():
     single = [name for name in FAMILIES if not name.startswith("deputy")]
     with pytest.raises(ScenarioError, match="must leave a constraint"):
         Families(Inspection(deputies=1), without=single)
+
+
+def test_odd_times_are_answered_and_told(drawn):
+    x, sun = drawn
+    for sampled in (None, SampledData(1.0)):
+        odd_times(ActiveSetFilter(Q, sampled=sampled, sun_start=float(sun[0])), x[0], np.zeros((5, 3)))
+
+
+@pytest.mark.parametrize("then", [9.0, np.nextafter(10.0, 0.0), 71.0, -1e6])
+def test_no_state_is_propagated_across_a_break_of_the_clock(drawn, then):
+    x, sun = drawn
+    asif = ActiveSetFilter(Q, sun_start=float(sun[0]))
+    asif.filter(10.0, x[0], np.zeros((5, 3)))
+    decision = asif.filter(then, np.full((5, 6), np.nan), np.zeros((5, 3)))
+    assert decision.status == "coast" and "the time" in decision.fallback
+    known = ActiveSetFilter(Q, sun_start=float(sun[0]))
+    known.filter(10.0, x[0], np.zeros((5, 3)))
+    again = known.filter(then, x[0], np.full((5, 3), 0.1))
+    fresh = ActiveSetFilter(Q, sun_start=float(sun[0])).filter(then, x[0], np.full((5, 3), 0.1))
+    np.testing.assert_array_equal(again.u, fresh.u)
+
+
+@pytest.mark.parametrize("sharing", SHARINGS)
+def test_what_is_missed_is_recorded(sharing):
+    """By name and in newtons, as the rows at the answer say; nothing is missed where all can be met."""
+    q = Inspection(deputies=2)
+    x = np.zeros((2, 6))
+    x[:, 1] = [300.0, 304.0]
+    x[:, 4] = [0.5, -0.5]
+    asif = ActiveSetFilter(q, sharing, sun_start=np.pi / 2 + 0.1)
+    decision = asif.filter(0.0, x, np.zeros((2, 3)))
+    rows = asif.families(x[None], q.sun_angle([0.0], asif.sun_start))
+    expected = {}
+    for k, label in enumerate(asif.families.labels):
+        i, j = asif.families.first[k], asif.families.second[k]
+        push = decision.u[i] - (decision.u[j] if j >= 0 else 0.0)
+        gap = rows.bound[0, k] - rows.G[0, k] @ push
+        if gap > 0:
+            gap /= np.linalg.norm(rows.G[0, k]) * (np.sqrt(2) if j >= 0 else 1)
+            expected |= {label: max(gap, expected.get(label, 0.0))} if gap > 1e-7 else {}
+    assert decision.status == "short" and decision.missed == pytest.approx(expected) and expected
+    assert all(name in decision.fallback for name in sorted(expected, key=expected.get)[-3:])
+    fine = ActiveSetFilter(q, sharing, sun_start=np.pi / 2 + 0.1)
+    x[1, :3] = [60.0, 340.0, 200.0]
+    x[:, 3:] = 0.0
+    assert fine.filter(0.0, x, np.zeros((2, 3))).missed == {}

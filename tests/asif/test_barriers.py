@@ -5,6 +5,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from polaris.asif.allowable_rows import AllowableRows
 from polaris.asif.allowable_set import allowable
 from polaris.asif.barriers import CENTRE, Radial, Speed, SunCone, Velocity, rounded_length
 from polaris.asif.braking import Braking
@@ -16,7 +17,8 @@ from . import oracle
 Q = Inspection()
 N_, A_, DEPTH = Q.mean_motion, Q.a_max, Q.smoothing
 HALF = Q.field_of_view / 2
-BRAKING = Braking(A_, DEPTH)
+BACK = Q.return_speed
+BRAKING = Braking(A_, DEPTH, BACK)
 
 
 def forms():
@@ -28,7 +30,7 @@ def forms():
     )
     yield (
         "h2",
-        Radial("h2", 10.0, Braking(2 * A_, DEPTH)),
+        Radial("h2", 10.0, Braking(2 * A_, DEPTH, BACK)),
         lambda z, sun: oracle.h_outside(z, 10.0, 2 * A_, DEPTH),
     )
     yield "h3", Speed("h3", 0.2, 2 * N_), lambda z, sun: oracle.h_speed(z, 0.2, 2 * N_)
@@ -145,7 +147,7 @@ def test_rate_along_the_motion_includes_the_turning_sun(name, barrier, formula, 
 @given(st.floats(1e-6, 1e4), st.floats(1e-4, 1.0), st.floats(1e-3, 10.0))
 @settings(max_examples=100)
 def test_layer_never_exceeds_the_printed_speed(delta, a, depth):
-    speed, slope = Braking(a, depth)(np.array(delta))
+    speed, slope = Braking(a, depth, BACK)(np.array(delta))
     assert 0 <= speed <= np.sqrt(2 * a * delta) * (1 + 1e-12)
     # Braking at the speed s takes the deceleration s s', at most a.
     assert speed * slope <= a * (1 + 1e-12)
@@ -153,24 +155,42 @@ def test_layer_never_exceeds_the_printed_speed(delta, a, depth):
     assert speed >= np.sqrt(2 * a * max(delta - depth / 2, 0.0)) * (1 - 1e-12)
 
 
-@given(st.floats(-20, 1e3), st.floats(1e-4, 1.0), st.floats(1e-2, 10.0))
+@given(st.floats(-200, 1e3), st.floats(1e-4, 1.0), st.floats(1e-2, 10.0), st.floats(1e-3, 1.0))
 @settings(max_examples=100)
-def test_layer_slope_and_bend(delta, a, depth):
-    braking = Braking(a, depth)
+def test_layer_slope_and_bend(delta, a, depth, back):
+    braking = Braking(a, depth, back)
+
+    def exact(at):
+        return oracle.braked(at, a, depth, back)
+
     speed, slope = braking(np.array(delta))
-    assert slope == pytest.approx(oracle.slope(lambda at: oracle.braked(at, a, depth), delta), rel=1e-9)
-    assert speed == pytest.approx(oracle.braked(delta, a, depth), rel=1e-9, abs=1e-12)
-    # The slope falls from here to anywhere further by no more than the bend times the way.
+    assert slope == pytest.approx(oracle.slope(exact, delta), rel=1e-9, abs=1e-15)
+    assert speed == pytest.approx(exact(delta), rel=1e-9, abs=1e-12)
     for further in (1e-3, 0.1, 1.0, 30.0):
+        # The slope falls from here to there by no more than the bend times the way, and has a bound.
         later = braking(np.array(delta + further))[1]
-        assert -1e-12 <= slope - later <= braking.bend(delta) * further * (1 + 1e-9) + 1e-9
+        assert slope - later <= braking.bend(delta, delta + further) * further * (1 + 1e-9) + 1e-9
+        between = braking(np.linspace(delta, delta + further, 41))[1]
+        assert between.max() <= braking.steepest(delta, delta + further) * (1 + 1e-12)
+        assert braking.steepest(delta, delta + further) <= np.sqrt(a / depth) * (1 + 1e-12)
+
+
+@given(st.floats(0, 1e9), st.floats(1e-4, 1.0), st.floats(1e-2, 10.0), st.floats(1e-3, 1.0))
+def test_the_way_back_is_never_asked_to_be_faster_than_its_limit(outside, a, depth, back):
+    """The line went on without end: 65 m outside it asked for 53 m/s."""
+    speed, slope = Braking(a, depth, back)(np.array(-outside))
+    assert -back <= speed <= 0 <= slope
+    further = Braking(a, depth, back)(np.array(-outside - 1.0))
+    assert further[0] <= speed * (1 - 1e-12) and further[1] <= slope
 
 
 def test_layer_is_smooth_where_it_joins():
     a, depth = 0.05, 0.1
-    braking = Braking(a, depth)
+    braking = Braking(a, depth, BACK)
     below, above = (braking(np.array(depth * (1 + side * 1e-12))) for side in (-1, 1))
     np.testing.assert_allclose(below, above, rtol=1e-9)
+    outside, inside = (braking(np.array(side * 1e-13)) for side in (-1, 1))
+    np.testing.assert_allclose(outside[1], inside[1], rtol=1e-9)
     assert braking(np.array(0.0))[0] == 0.0
 
 
@@ -295,16 +315,21 @@ def test_keeping_h_keeps_phi(seed):
     later = 1e-2
     drifted = x + later * (x @ q.A.T)
     now, then = allowable(q, x, sun), allowable(q, drifted, sun - q.mean_motion * later)
+    # The way back across a cone is one of the signed distance: on it the angle may turn a little further in.
+    rows = AllowableRows(q)
+    signed = [rows(x, sun).value, rows(drifted, sun - q.mean_motion * later).value]
     names = np.array([label.split("[")[0].rstrip("+-") for label in families.labels])
     for name, of in INSIDE.items():
         held = h[:, names == name]
-        if name == "h5":  # two cones a pair
-            held = held.reshape(200, 2, -1).min(axis=1)
         outside = now[of] < 0
         if name == "h3":
             assert not (outside & (held >= 1e-6)).any()
             continue
         back = then[of] - now[of]
+        if name in ("h4", "h5"):
+            held = h[:, names == name]
+            apart = np.array([kind.rstrip("+-") == of for kind in rows.kind])
+            back, outside = (signed[1] - signed[0])[:, apart], signed[0][:, apart] < 0
         assert (back[outside & (held >= 0)] > 0).all(), name
     for name in ("h9", "h10", "h11"):
         assert not ((now["phi" + name[1:]] < 0) & (h[:, names == name] >= 0)).any()

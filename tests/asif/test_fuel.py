@@ -17,7 +17,7 @@ from polaris.asif.tracker import Tracker
 from polaris.errors import ScenarioError
 from polaris.hill import elliptical_nmt
 
-from .garbage import WRONG, answers, calls
+from .garbage import WRONG, answers, calls, odd_times
 
 ONE, TWO = Inspection(deputies=1), Inspection(deputies=2)
 START = [300.0, -200.0, 100.0, 0.0, 0.0, 0.0]
@@ -225,7 +225,7 @@ def test_late_calls_are_counted_and_recorded():
     np.testing.assert_allclose(f.spent, 0.1)
     d = f.filter(3.0, x, np.zeros((1, 3)))
     np.testing.assert_allclose(f.spent, 0.3)
-    assert "2 s late" in d.fallback
+    assert "called after 3 s: the last answer was for 1 s" in d.fallback
 
 
 def test_lost_state_coasts_and_comes_back():
@@ -285,3 +285,8 @@ def test_arguments():
         fly_fuel_limit(ONE, wasteful(ONE), START, 10.0, 3.0)
     with pytest.raises(ScenarioError, match="period"):
         fly_fuel_limit(ONE, wasteful(ONE), START, 10.0, 2.0, Parking(ONE))
+
+
+def test_odd_times_are_answered_and_told():
+    x = elliptical_nmt(ONE.mean_motion, 100.0, 1.0)[None]
+    odd_times(FuelLimit(ONE), x, np.zeros((1, 3)))

@@ -15,7 +15,7 @@ from polaris.asif.primary import LQR
 from polaris.errors import ScenarioError
 from polaris.hill import elliptical_nmt
 
-from .garbage import WRONG, answers, calls
+from .garbage import WRONG, answers, calls, odd_times
 
 ONE, TWO, THREE = (Inspection(deputies=k) for k in (1, 2, 3))
 N = ONE.mean_motion
@@ -246,3 +246,8 @@ def test_garbage(sequence):
 
 
 PARKING_2 = Parking(TWO)
+
+
+def test_odd_times_are_answered_and_told():
+    q = TWO
+    odd_times(ImplicitASIF(q, sun_start=np.pi), formation(q), np.zeros((2, 3)))

@@ -153,7 +153,7 @@ def near_the_boundary(kind, barrier, rng, K, a):
 
 def attacks(kind, n, period, thrust, share=0.5):
     a = 0.8 * thrust
-    braking = Braking(a, 0.1)
+    braking = Braking(a, 0.1, 0.2)
     if kind == "outside":
         return Attack(Radial("h1", 10.0, braking), n, period, thrust, share)
     if kind == "inside":
@@ -183,6 +183,53 @@ def test_no_input_that_satisfies_a_row_breaks_its_promise(kind):
                 assert worst.max() <= 1e-10, (period, n, thrust)
                 flown += flew.sum()
     assert flown > 1000
+
+
+def outside_and_near(kind, barrier, rng, K):
+    """States from deep outside to just inside the boundary, at any speed."""
+    sun = rng.uniform(-np.pi, np.pi, K)
+    delta = rng.choice([-1.0, 1.0], K, p=[0.8, 0.2]) * 10 ** rng.uniform(-3, 2.3, K)
+    way, v = rng.standard_normal((2, K, 3))
+    way /= np.linalg.norm(way, axis=1, keepdims=True)
+    if kind == "cone":
+        axis = -barrier.side * np.stack([np.cos(sun), np.sin(sun), 0 * sun], axis=1)
+        across = np.cross(axis, way)
+        across /= np.linalg.norm(across, axis=1, keepdims=True)
+        along = rng.uniform(5, 900, (K, 1))
+        s, c = np.sin(barrier.half_angle), np.cos(barrier.half_angle)
+        p = along * axis + np.abs(delta[:, None] + s * along) / c * across
+    else:
+        side = 1.0 if kind == "outside" else -1.0
+        p = np.abs(barrier.radius + side * delta)[:, None] * way
+    return np.concatenate([p, v * 10 ** rng.uniform(-3, 0.5, (K, 1))], axis=1), sun
+
+
+@pytest.mark.parametrize("kind", ["outside", "inside", "cone"])
+@pytest.mark.parametrize("factor", [1.0, 0.3])
+def test_curvature_bounds_hold_from_outside_too(kind, factor):
+    """``h(t) >= h + t dh/dt - M t^2 / 2`` for any admissible input held; a part of M is found out."""
+    rng = np.random.default_rng(7)
+    found_out, bounded = 0, 0
+    for period in PERIODS:
+        attack = attacks(kind, 1.027e-3, period, 1 / 12)
+        K = 300
+        z, sun = outside_and_near(kind, attack.barrier, rng, K)
+        h, G, _, M = attack.rows(z, sun)
+        found = attack.barrier(z, sun)
+        a = rng.choice([-1 / 12, 0.0, 1 / 12], (K, 3))
+        rate = np.einsum("ki,ki->k", found.gradient, z @ cw_matrix(attack.n).T) + found.change
+        rate = rate + (G * a).sum(axis=1)
+        t = attack.times[:, None]
+        path = attack.barrier(attack.fly(z, a), sun - attack.n * t).h
+        some = np.isfinite(M)
+        bounded += (some & (h < 0)).sum()
+        short = path - (h + t * rate - factor * np.where(some, M, 0.0) * t**2 / 2)
+        found_out += (short[:, some] < -1e-9).any(axis=0).sum()
+        if factor == 1.0:
+            assert short[:, some].min() >= -1e-9, period
+            assert path[:, np.isneginf(M)].min(initial=0.0) >= -1e-12
+    assert bounded > 500
+    assert (found_out > 0) == (factor < 1)
 
 
 def test_the_attack_finds_what_the_curvature_is_for(monkeypatch):

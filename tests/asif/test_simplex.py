@@ -14,7 +14,7 @@ from polaris.asif.simplex import ExplicitSimplex, Guarded, ImplicitSimplex
 from polaris.errors import ScenarioError
 from polaris.hill import elliptical_nmt
 
-from .garbage import WRONG, answers, calls
+from .garbage import WRONG, answers, calls, odd_times
 from .test_implicit import formation
 
 ONE, TWO, THREE = (Inspection(deputies=k) for k in (1, 2, 3))
@@ -198,3 +198,25 @@ def test_garbage_guarded(sequence):
 
 
 GUARDED_2 = Guarded(Centralized(FAMILIES_2), PARKING_2)
+
+
+def test_odd_times_are_answered_and_told():
+    for f in both(TWO):
+        odd_times(f, formation(TWO), np.zeros((2, 3)))
+
+
+def test_a_jump_of_the_clock_is_no_time_in_which_all_was_well():
+    """Thirty seconds without trouble hand back; two calls thirty seconds apart show nothing of the kind."""
+    x = formation(TWO)
+    for f in both(TWO):
+        f.latched[:] = True
+        for t in (0.0, 1.0, 2.0, 40.0, 41.0, 10.0, np.nan, 12.0):
+            f.filter(t, x, np.zeros((2, 3)))
+            assert f.latched.all(), t
+        for t in range(
+            13, 11 + int(f.dwell)
+        ):  # the time that is none stands for 11 s, where the count begins
+            f.filter(float(t), x, np.zeros((2, 3)))
+            assert f.latched.all(), t
+        f.filter(11.0 + f.dwell, x, np.zeros((2, 3)))
+        assert not f.latched.any()

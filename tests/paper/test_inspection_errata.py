@@ -36,7 +36,7 @@ def test_note_14_eq_34_is_undefined_on_the_axis():
     axis = np.array([-1.0, 0.0, 0.0])
     with np.errstate(invalid="ignore"):
         assert np.isnan(printed_projection(200 * axis, axis, np.pi / 6)).all()
-    cone = SunCone("h4", np.pi / 6, n, Braking(Q.a_max, 0.1))
+    cone = SunCone("h4", np.pi / 6, n, Braking(Q.a_max, 0.1, Q.return_speed))
     on, beside = (cone(np.r_[200 * axis + [0, off, 0], 0.1, 0.2, 0.0], 0.0) for off in (0.0, 1e-9))
     assert np.isfinite(on.gradient).all() and on.h == pytest.approx(beside.h, abs=1e-6)
     # Elsewhere it is the printed projection: its distance is the signed distance used here.
@@ -83,7 +83,7 @@ def test_note_16_the_printed_cone_turns_the_wrong_way():
     as_printed = gap @ (v - np.cross([0, 0, n], p_c))
     assert abs(as_printed) > 0.5  # half a metre per second of error
     assert gap @ (v - np.cross([0, 0, -n], p_c)) == pytest.approx(0.0, abs=1e-12)
-    cone = SunCone("h4", half, n, Braking(Q.a_max, Q.smoothing))
+    cone = SunCone("h4", half, n, Braking(Q.a_max, Q.smoothing, Q.return_speed))
     assert cone.approach(np.r_[p, v], sun)[1] == pytest.approx(0.0, abs=1e-12)
     # Being one with the cone, the barrier's explicit change with time cancels the motion's part.
     found = cone(np.r_[p, v], sun)
@@ -139,5 +139,5 @@ def test_eq_29_as_printed_has_an_infinite_slope_at_the_boundary():
     """Held for any time at all, an input that meets the printed condition overshoots; ours has a slope."""
     delta = 1e-12
     assert np.sqrt(Q.a_max / (2 * delta)) > 1e4  # [1/s]
-    braking = Braking(Q.a_max, Q.smoothing)
+    braking = Braking(Q.a_max, Q.smoothing, Q.return_speed)
     assert braking(np.array(delta))[1] == pytest.approx(np.sqrt(Q.a_max / Q.smoothing))

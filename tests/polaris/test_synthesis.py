@@ -1,5 +1,9 @@
 """Algorithm 2 on the bundled scenes and with every option; closed loops that try to break the claim."""
 
+import os
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -307,3 +311,24 @@ def test_controllers_of_another_reference_are_refused():
     )
     with pytest.raises(ScenarioError, match="another Safety"):
         synthesize(safety, experimental=[stranger])
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(
+    "openblas" not in np.show_config("dicts")["Build Dependencies"]["blas"]["name"], reason="OpenBLAS"
+)
+def test_schedule_is_the_same_on_every_processor():
+    """Rounding differs with the kernels that a processor gets; what is chosen by it must not."""
+    program = (
+        "from polaris import load_scenario, synthesize; s = synthesize(load_scenario('robot'));"
+        "print(s.modes.tolist())"
+    )
+    found = set()
+    for kernels in ({}, {"OPENBLAS_CORETYPE": "Prescott"}, {"OPENBLAS_CORETYPE": "Haswell"}):
+        environment = {**os.environ, **kernels}
+        found.add(
+            subprocess.run(
+                [sys.executable, "-c", program], env=environment, capture_output=True, check=True
+            ).stdout
+        )
+    assert len(found) == 1

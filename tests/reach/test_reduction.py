@@ -46,6 +46,20 @@ def test_a_stack_is_reduced_member_by_member(method):
     assert np.all(reduction_loss(stack, small) >= 0)
 
 
+@pytest.mark.parametrize("method", ["girard", "combastel", "scott"])  # principal axes of a cube are any
+@pytest.mark.parametrize("order", [1.5, 2, 3])
+def test_last_digits_decide_nothing(method, order):
+    """Generators that are equally long but for rounding: another processor's rounding gives the same set."""
+    rng = np.random.default_rng(4)
+    for n in (2, 4):
+        half = rng.normal(size=(n // 2, 5 * n))
+        G = np.kron(np.eye(2), half)  # a planar plant that is the same along both axes
+        a = Zonotope(np.zeros(n), G)
+        b = Zonotope(np.zeros(n), G * (1 + rng.choice([-1, 0, 1], G.shape) * 2.0**-50))
+        one, other = reduce(a, order, method), reduce(b, order, method)
+        assert np.abs(one.G - other.G).max() < 1e-9
+
+
 @pytest.mark.parametrize("method", ["girard", "combastel", "scott", "pca"])
 def test_aligned_generators_are_merged_without_loss(method):
     z = Zonotope([0.0, 0.0], [[1.0, 0.5, 0.0, 0.25], [0.0, 0.0, 2.0, 0.0]])
@@ -60,7 +74,7 @@ def test_auto_is_never_wider_than_a_single_method():
     size = np.exp2(np.round(np.log2(stack.half_widths)))[..., None]
     widths = {name: mean_width(reduce(stack, 2, name).G / size) for name in EVERY}
     for name in METHODS:
-        assert np.all(widths["auto"] <= widths[name] * (1 + 1e-12))
+        assert np.all(widths["auto"] <= widths[name] * (1 + 2.0**-23))  # nearer is a tie
 
 
 def test_what_is_not_reduced_loses_nothing_and_a_bigger_set_loses_what_it_added():

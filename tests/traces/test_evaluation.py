@@ -122,6 +122,24 @@ def test_true_relative_velocity():
     assert (same.distance.min, same.distance.max) == (pytest.approx(8), pytest.approx(9))
 
 
+def test_known_velocities_of_a_ball_are_used_instead_of_differences():
+    """A ball on a circle, stamped every 10 s: differences of its centres are too short."""
+    t, n, v = np.arange(0.0, 601.0, 10.0), 2 * np.pi / 600, 0.5
+    centers = np.stack([np.sin(n * t), -np.cos(n * t), 0 * t], axis=1) * v / n
+    rates = np.stack([np.cos(n * t), np.sin(n * t), 0 * t], axis=1) * v
+    a = Trace({"a": AgentTrace(t, np.hstack([centers + [200.0, 0.0, 0.0], rates - [2.0, 0.0, 0.0]]))})
+
+    def ttc(*velocities):
+        ball = BallTrace(t, centers, np.ones(len(t)), *velocities)
+        found = evaluate_trace(Trace(a.agents, {"s": ball}), velocity=(3, 4, 5))
+        return found.agents["a"].unsafe[0].ttc
+
+    known = ttc(rates)
+    assert known.min == pytest.approx(199 / 2, rel=1e-9)
+    assert known.max == pytest.approx(199 / 2, rel=1e-9)
+    assert ttc().min < 199 / 2 - 0.01
+
+
 def test_mean_is_over_time():
     """1 m away for 9 s, 3 m at the end of the tenth: the trapezoid, not a third of 1 + 1 + 3."""
     t = np.array([0.0, 9.0, 10.0])

@@ -317,3 +317,25 @@ def test_many_rows_are_read_in_linear_time(tmp_path):
     found = read(tmp_path, data)
     assert found.agents["a"].states.shape == (20_000, 3)
     assert found.unsafe["s"].centers.shape == (20_000, 3)
+
+
+def ball(velocities, kind="ball"):
+    rows = [[0, [[1, 2, 3], 1]], [1, [[1, 2, 4], 1]]] if kind == "ball" else [[0, [1, 2, 3]], [1, [1, 2, 4]]]
+    item = {"set_type": kind, "state_trace": rows, "velocity_trace": velocities}
+    return {"agents": {"a": agent([[0, 0, 0, 0], [1, 0, 0, 0]])}, "unsafe": {"b": item}}
+
+
+def test_velocities_of_a_ball(tmp_path):
+    found = read(tmp_path, ball([[0, 0, 1], [0, 0, 2.5]]))
+    assert found.unsafe["b"].velocities.tolist() == [[0, 0, 1], [0, 0, 2.5]] and not found.ignored
+    assert read(tmp_path, ball(None)).unsafe["b"].velocities is None
+    assert read(tmp_path, ball([[0, 0, 1]] * 2, "point")).ignored == ("unsafe.b.velocity_trace",)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [[], [[0, 0, 1]], 3, "no", [[0, 0], [0, 0]], [[0, 0, 1], [0, 0]], [[0, 0, 1], 2], [[0, 0, "1"]] * 2],
+)
+def test_malformed_velocities_are_refused(tmp_path, given):
+    with pytest.raises(ScenarioError, match=r"^unsafe\.b\.velocity_trace"):
+        read(tmp_path, ball(given))

@@ -60,7 +60,8 @@ def sets(draw):
     if kind is PointTrace:
         return PointTrace(t, centers)
     if kind is BallTrace:
-        return BallTrace(t, centers, table(draw, M, 1, SIZES)[:, 0])
+        velocities = table(draw, M, d) if draw(st.booleans()) else None
+        return BallTrace(t, centers, table(draw, M, 1, SIZES)[:, 0], velocities)
     return RectangleTrace(t, centers, table(draw, M, d, SIZES))
 
 
@@ -89,6 +90,7 @@ def test_same_as_sees_differences():
         Trace({"a": AgentTrace(t, np.array([[1.0, 1, 1], [1, 1, 1 + 1e-15]]))}, one.unsafe),
         Trace(one.agents, {"b": BallTrace(t, np.zeros((2, 3)), np.array([1, 2.0]))}),
         Trace(one.agents, {"b": PointTrace(t, np.zeros((2, 3)))}),
+        Trace(one.agents, {"b": BallTrace(t, np.zeros((2, 3)), np.ones(2), np.zeros((2, 3)))}),
     ):
         assert not one.same_as(other)
 
