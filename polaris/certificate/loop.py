@@ -13,7 +13,7 @@ from .motion import Motion
 from .verdict import Undecided
 from .zonotopes import Zonotope
 
-FORGOTTEN = 1e-3
+FORGOTTEN = 1e-6
 """What is left of an error once the loop counts as having forgotten it."""
 
 LONGEST = 20000

@@ -96,9 +96,12 @@ def certificate(schedule: Schedule, name: str, files: Iterable[Path] = ()) -> di
         "recoverable": {
             "kind": safety.recoverable.kind,
             "weight": hexadecimal(tracking.W),
-            "radius": hexadecimal(
-                [safety.recoverable.radius(k * safety.clearance.q) for k in range(safety.problem.K + 1)]
-            ),
+            "radius": [
+                None if np.isinf(radius) else hexadecimal(radius)  # where nothing is claimed from there on
+                for radius in (
+                    safety.recoverable.radius(k * safety.clearance.q) for k in range(safety.problem.K + 1)
+                )
+            ],
         },
         "enclosures": _enclosures(schedule),
         "end": {
