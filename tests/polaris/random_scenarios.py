@@ -93,7 +93,7 @@ def _plane(rng: Random, name: str) -> Table:
         "B": plant.B,
         "D": plant.D,
         "input_max": plant.limit if m > 1 or rng.random() < 0.5 else float(plant.limit[0]),
-        "disturbance_max": float(rng.choice([0.0, 0.005, 0.01, 0.02])),
+        "disturbance_max": float(rng.choice([0.0, 0.005, 0.01, 0.02, 0.04])),
     }
     if plant.C is not None:
         document["system"]["C"] = plant.C
@@ -104,8 +104,8 @@ def _plane(rng: Random, name: str) -> Table:
     document["initial_set"] = _initial_set(rng, plant.at(start), size, d, plant.C is None)
     document["horizon"] = {"duration_s": steps * step, "step_s": step}
     if sampled:
-        document["feedback"] = {"kind": "sampled", "period_s": step / int(rng.integers(2, 6))}
-    soft = rng.uniform(1, 6)
+        document["feedback"] = {"kind": "sampled", "period_s": step / int(rng.integers(1, 6))}
+    soft = rng.uniform(1, 6) if rng.random() < 0.9 else rng.uniform(20, 60)  # slow to forget
     document["tracking"] = {"Q": plant.weights, "R": np.full(m, soft), **_norm(rng, n)}
     if rests or rng.random() < 0.4:
         document["goal"] = {"kind": "stationary", "state": plant.at(aim if plant.rests else 0 * aim)}
@@ -303,7 +303,7 @@ def _spacecraft(rng: Random, name: str) -> Table:
     if rng.random() < 0.5:
         document["feedback"] = {"kind": "sampled", "period_s": step / int(rng.integers(2, 5))}
     rate = rng.uniform(12, 20) / pace
-    soft = 1 / (push * mass) ** 2 * rng.uniform(0.3, 2)
+    soft = 1 / (push * mass) ** 2 * (rng.uniform(0.3, 2) if rng.random() < 0.85 else rng.uniform(100, 3000))
     near = 16 / size**2
     weights = np.r_[np.full(3, near), np.full(3, near / rate**2)]
     document["tracking"] = {"Q": weights, "R": np.full(3, soft), **_norm(rng, 6)}
@@ -388,6 +388,7 @@ def _aside(rng: Random, ahead: np.ndarray) -> np.ndarray:
 def _initial_set(rng: Random, center: np.ndarray, size: np.ndarray, d: int, choice: bool) -> Table:
     """A box, a ball or a zonotope of about the given half-widths; a ball needs C to be a choice of states."""
     kind = str(rng.choice(["box", "ball", "zonotope"] if choice else ["box", "zonotope"]))
+    size = size * rng.choice([1.0] * 8 + [0.0, 1e-7])
     found: Table = {"kind": kind, "center": center}
     if kind == "box":
         found["half_widths"] = size * (rng.random(len(size)) < 0.9)
