@@ -93,7 +93,9 @@ class BallSets:
         share = left(need, room)
         j, limit = np.unravel_index(int(np.argmin(share)), share.shape)
         time = float((first + j) * self.clearance.tracking.flow.h)
-        return Margin(float(share[j, limit]), names[limit], time, float(need[j, limit]), float(room[j, limit]))
+        return Margin(
+            float(share[j, limit]), names[limit], time, float(need[j, limit]), float(room[j, limit])
+        )
 
     def margin(self, k: int, nodes: Zonotope, bow: Array) -> Margin:
         """Margin of a flight over cell k."""

@@ -74,7 +74,9 @@ class PolytopeSets:
         """What each row needs of an error beyond the memory, per unit of ``norm(W e)`` now, shape (r,)."""
         tracking = self.clearance.tracking
         _, _, curvature, rows = self._rows
-        return np.asarray((np.linalg.norm(rows @ tracking.W_inverse, axis=-1) + curvature) * tracking.decay[-1])
+        return np.asarray(
+            (np.linalg.norm(rows @ tracking.W_inverse, axis=-1) + curvature) * tracking.decay[-1]
+        )
 
     @cached_property
     def _ahead(self) -> Array:

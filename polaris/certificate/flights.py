@@ -77,10 +77,7 @@ class Period:
         """Bound on how far ``row d`` exceeds the chord of its undisturbed end values within the period."""
         bent = self.motion.bow(rows, d.image(self.motion.closed).moved(self.g))
         pushed = self.motion.input_gain(rows, self.V, self.bounds) if self.bounds else [arb(0)] * rows.nrows()
-        return [
-            a + b + c
-            for a, b, c in zip(bent, pushed, self.motion.disturbance_gain(rows), strict=True)
-        ]
+        return [a + b + c for a, b, c in zip(bent, pushed, self.motion.disturbance_gain(rows), strict=True)]
 
 
 @dataclass(frozen=True, eq=False)

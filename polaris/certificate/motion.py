@@ -105,9 +105,9 @@ class Motion:
         return magnitude(rows * self.X * self.over * (self.plant.h**2 / 8))
 
     def bow(self, rows: arb_mat, rate: Zonotope) -> list[arb]:
-        """Bound on how far ``row x(s)`` leaves the chord of its end values, from the set of ``A_c x(0) + g``.
+        """Bound on how far ``row x(s)`` leaves the chord of its end values; `rate` is ``A_c x(0) + g``.
 
-        The lesser of ``|row X e^{X s}| |rate|`` and ``|row e^{X s}| |X rate|``: X commutes with its exponential.
+        The lesser of ``|row X e^{X s}| |rate|`` and ``|row e^{X s}| |X rate|``: X commutes with ``e^{X s}``.
         """
         first = self.bend(rows) * rate.size()
         second = magnitude(rows * self.over * (self.plant.h**2 / 8)) * rate.image(self.X).size()

@@ -66,7 +66,7 @@ class Recovery:
 
     @cached_property
     def _least(self) -> list[dict[int, Target]]:
-        """For every cell the limit of least room, of every row, among those of that cell and all later ones."""
+        """For every cell the limit of least room, by row, among those of that cell and all later ones."""
         found: list[dict[int, Target]] = [{}]
         for nodes in reversed(self.limits.targets):
             least = dict(found[-1])
@@ -92,6 +92,7 @@ class Recovery:
             Set of errors at the start of a step.
         margins : dict of int to float
             Share of the room claimed to be left.
+
         Returns
         -------
         float

@@ -9,7 +9,6 @@ from flint import arb, arb_mat
 
 from .balls import beside, column, diagonal, largest, magnitude, matrix, row_sums, smallest
 
-
 NOTHING = 1e-8
 """Share of a set's extent that generators may come to which are merged whatever their number."""
 

@@ -133,7 +133,9 @@ def _plant(rng: Random) -> Plant:
         A = rng.uniform(-0.1, 0.15) * eye + rng.uniform(-0.05, 0.05, (d, d)) if rng.random() < 0.7 else zero
         B = eye + 0.2 * rng.uniform(-1, 1, (d, d))
         D = eye if rng.random() < 0.5 else rng.uniform(-1, 1, (d, 1))
-        return Plant(kind, A, B, D, None, eye, d, 1, not A.any(), np.full(d, rng.uniform(0.5, 2)), 1.3 * limit)
+        return Plant(
+            kind, A, B, D, None, eye, d, 1, not A.any(), np.full(d, rng.uniform(0.5, 2)), 1.3 * limit
+        )
     stiff = float(rng.choice([0.0, 0.0, 0.02, -0.03, -0.06])) * eye  # negative: unstable
     drag = float(rng.choice([0.0, 0.0, 0.1, -0.05])) * eye
     if rng.random() < 0.2 and d > 1:
@@ -439,9 +441,7 @@ def _restated(rng: Random, document: Table, plant: Plant) -> Table:
     return document
 
 
-def _of_length_and_time(
-    document: Table, plant: Plant, length: float, time: float, thrust: float
-) -> Table:
+def _of_length_and_time(document: Table, plant: Plant, length: float, time: float, thrust: float) -> Table:
     n, d = len(plant.A), plant.d
     if plant.C is None and plant.order > 1:
         state = np.full(n, length)
@@ -498,7 +498,9 @@ def _of_length_and_time(
 def _plain(value: Any) -> Any:
     """The same data without numpy."""
     if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items() if key == "schema_version" or item is not None}
+        return {
+            key: _plain(item) for key, item in value.items() if key == "schema_version" or item is not None
+        }
     if isinstance(value, np.ndarray):
         return value.tolist()
     if isinstance(value, (list, tuple)):

@@ -108,8 +108,8 @@ def judge(found):
 
 
 def test_margins_of_random_scenes(tmp_path):
-    found = list(examined((2, 26, 33, 95), tmp_path))
-    assert len(found) >= 10 and {kind for kind, *_ in found} == {"polytope", "time_varying_ball"}
+    found = list(examined((2, 10, 33, 43), tmp_path))
+    assert len(found) >= 10 and len({kind for kind, *_ in found}) == 3
     judge(found)
 
 
