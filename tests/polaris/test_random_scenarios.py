@@ -20,7 +20,7 @@ from polaris.scenario import load_scenario
 from .random_scenarios import random_scenario, synthesised
 from .test_margins import worst_share
 
-FEW = (2, 10, 26, 33, 36, 38, 43)
+FEW = (2, 26, 33, 36, 38, 43, 68)
 """Among them: nothing claimed after T, a tail shorter than the memory, clipped laws, balls."""
 
 MANY = 160
