@@ -10,7 +10,7 @@ from .balls import above, column, largest, magnitude, matrix, require
 from .document import Document, UnsafeSet
 from .flights import Flown, Pilot, fly
 from .limits import Barrier, Limits
-from .loop import Memory, Needs, resting_box
+from .loop import Memory, Needs, resting_rates
 from .path import Arc, Kinematics, Path
 from .plants import plant_of
 from .recovery import Recovery
@@ -145,7 +145,7 @@ class Argument:
         """
         doc, q, C = self.document, self.document.q, self.plant.C
         needs = Needs(self.loop, memory, above(C, -C, self.gain, -self.gain))
-        disturbed = needs.disturbed(resting_box(self.loop, memory))
+        disturbed = needs.disturbed(resting_rates(self.loop, memory))
         tube = needs.tube(start)
         names = [f"position {i}" for i in range(C.nrows())] * 2 + doc.input_names * 2
         d = 2 * C.nrows()
@@ -180,7 +180,9 @@ class Argument:
         limits = Limits.of(doc, path, self.gain, chosen)
         needs = Needs(self.loop, memory, limits.rows)
         forever = doc.horizon == "infinite"
-        recovery = Recovery(limits.less_jump(needs, path), needs, doc.q, self.K, doc.delta, forever)
+        recovery = Recovery(
+            limits.less_jump(needs, path), needs, doc.q, self.K, doc.delta, forever, doc.cells
+        )
         switches = {0, *(k + 1 for k, mode in enumerate(doc.modes) if mode > 0)}
         claimed: dict[int, float] = {}
         for k, mode in enumerate(doc.modes):

@@ -14,7 +14,7 @@ from .verdict import Rejected
 from .zonotopes import Zonotope
 
 ORDER = 40
-"""Generators per dimension that are kept at the end of a step."""
+"""Generators per dimension that are kept at the start of a step."""
 
 ROUNDS = 5
 """How often the range of a clipped command is narrowed by the thrust that it allows."""
@@ -125,7 +125,7 @@ def fly(pilot: Pilot, start: Zonotope, k: int, path: Path, barrier: Barrier | No
     rows, room = axes, []
     if barrier is not None:
         rows, room = above(axes, barrier.rows), kinematics.room(barrier.rows, barrier.offsets, base)
-    d = start.moved(path.starts[k] - base.nodes[0])
+    d = start.reduced(ORDER * n).moved(path.starts[k] - base.nodes[0])
     lows: list[list[arb]] = [[] for _ in range(n)]
     highs: list[list[arb]] = [[] for _ in range(n)]
     for i in range(kinematics.q):
@@ -149,7 +149,7 @@ def fly(pilot: Pilot, start: Zonotope, k: int, path: Path, barrier: Barrier | No
         if d.G.ncols() > 2 * ORDER * n:
             d = d.reduced(ORDER * n)
     leave = d.moved(base.nodes[-1] - path.starts[k + 1])
-    return Flown(leave.reduced(ORDER * n), [smallest(x) for x in lows], [largest(x) for x in highs])
+    return Flown(leave, [smallest(x) for x in lows], [largest(x) for x in highs])
 
 
 def _base(pilot: Pilot, k: int, path: Path) -> tuple[Arc, arb_mat]:

@@ -109,8 +109,12 @@ class Motion:
 
         The lesser of ``|row X e^{X s}| |rate|`` and ``|row e^{X s}| |X rate|``: X commutes with ``e^{X s}``.
         """
-        first = self.bend(rows) * rate.size()
-        second = magnitude(rows * self.over * (self.plant.h**2 / 8)) * rate.image(self.X).size()
+        return self.lesser_bow(rows, rate.size(), rate.image(self.X).size())
+
+    def lesser_bow(self, rows: arb_mat, rate: arb_mat, turned: arb_mat) -> list[arb]:
+        """The same from bounds on ``|rate|`` and ``|X rate|``, shapes (n, 1)."""
+        first = self.bend(rows) * rate
+        second = magnitude(rows * self.over * (self.plant.h**2 / 8)) * turned
         return [a if a <= b else b for a, b in zip(first.entries(), second.entries(), strict=True)]
 
     # -- uncertain inputs ---------------------------------------------------------------------------

@@ -9,7 +9,7 @@ from flint import arb, arb_mat
 
 from .balls import above, absolute, beside, largest, matrix, require
 from .limits import Limits, Target
-from .loop import Needs, resting_box
+from .loop import Needs, resting_rates
 from .verdict import Rejected
 from .zonotopes import Zonotope
 
@@ -32,6 +32,8 @@ class Recovery:
         Step [s], for messages.
     forever : bool
         Whether the tail repeats: then all of it lies ahead of every set.
+    stored : int
+        Number of steps that the certificate stores: shares of the room refer to their limits.
     """
 
     limits: Limits
@@ -40,11 +42,12 @@ class Recovery:
     planned: int
     delta: float
     forever: bool
+    stored: int
 
     @cached_property
     def disturbed(self) -> list[list[arb]]:
         """The disturbance's share, see `Needs.disturbed`."""
-        return self.needs.disturbed(resting_box(self.needs.motion, self.needs.memory))
+        return self.needs.disturbed(resting_rates(self.needs.motion, self.needs.memory))
 
     @property
     def nodes(self) -> int:
@@ -68,7 +71,7 @@ class Recovery:
     def _least(self) -> list[dict[int, Target]]:
         """For every cell the limit of least room, by row, among those of that cell and all later ones."""
         found: list[dict[int, Target]] = [{}]
-        for nodes in reversed(self.limits.targets):
+        for nodes in reversed(self.limits.targets[: self.stored]):
             least = dict(found[-1])
             for target in (target for met in nodes for target in met):
                 if target.row not in least or not least[target.row].room <= target.room:
@@ -79,7 +82,7 @@ class Recovery:
     def _far_cell(self, step: int) -> int:
         """First cell whose limits lie beyond the memory, seen from the start of a step."""
         first = step + self.needs.memory.periods // self.q
-        return min(first, self.planned if self.forever else len(self.limits.targets))
+        return min(first, self.planned if self.forever else self.stored)
 
     def check_sets(self, reached: dict[int, Zonotope], margins: dict[int, float]) -> float:
         """Check that each set is recoverable, and inside by the share of the room that is claimed.
@@ -111,13 +114,17 @@ class Recovery:
             for lag in range(self.lags(k) + 1):
                 for target in self.limits.at(k * self.q + lag, first=lag == 0):
                     room = target.room - self.disturbed[lag][target.row]
-                    if not room - coarse[lag][target.row, place] >= share * target.room:
+                    if not room - coarse[lag][target.row, place] >= self._of(share, k, lag) * target.room:
                         close.setdefault((lag, target.row), []).append(target)
             if close:
                 worst = min(worst, self._check_close(k, reached[k], close, share))
             if share > 0:
                 self._check_late(k, reached[k], share)
         return worst
+
+    def _of(self, share: float, step: int, lag: int) -> float:
+        """The share claimed of limits some periods after the start of a step: none of those flown on to."""
+        return share if step * self.q + lag <= self.stored * self.q else 0.0
 
     def _check_late(self, k: int, z: Zonotope, share: float) -> None:
         """The share claimed at a set is left of all limits beyond the memory, too."""
@@ -150,16 +157,18 @@ class Recovery:
             close.items(), z.support(rows), booked.entries(), strict=True
         ):
             lag, row = key
-            disturbance = self.disturbed[lag][row]
+            disturbance, of = self.disturbed[lag][row], self._of(share, k, lag)
             for target in targets:
                 need, room = support + extra + disturbance, target.room
+                if not room - need >= of * room:  # what is booked between nodes can be had more exactly
+                    need = support + self.needs.booked(z, lag)[row] + disturbance
                 where = (
                     f"the set at the start of step {k}, {target.name} at t = {self.time(k, lag)} under the "
                     "safety controller"
                 )
                 require("recoverable", room - need, f"{where}: needs {_plain(need)} of {_plain(room)}")
                 worst = min(worst, float(((room - need) / room).mid()) if room > 0 else 0.0)
-                self._leaves(share, room, need, where)
+                self._leaves(of, room, need, where)
         return worst
 
     def check_far(self) -> None:

@@ -15,7 +15,7 @@ from flint import arb, arb_mat
 from polaris.certificate.argument import Argument
 from polaris.certificate.balls import column, exponential_over, matrix, norms, require
 from polaris.certificate.document import Document
-from polaris.certificate.loop import Memory, Needs, resting_box
+from polaris.certificate.loop import Memory, Needs, resting_rates
 from polaris.certificate.motion import Plant
 from polaris.certificate.verdict import Record, Rejected, Undecided
 from polaris.certificate.writer import certificate
@@ -78,7 +78,7 @@ def test_needs_of_the_safety_controller_cover_what_it_flies(name):
     sets, _ = argument.tubes(path)
     memory = Memory.of(argument.loop, widest(sets), argument.document.q)
     needs = Needs(argument.loop, memory, argument.gain)
-    disturbed = needs.disturbed(resting_box(argument.loop, memory))
+    disturbed = needs.disturbed(resting_rates(argument.loop, memory))
     tube, gain = needs.tube(sets[0]), values(argument.gain)
     runs = simulate(schedule, 300, 5, mode=0)
     reference = schedule.safety.reference.fine(argument.document.q)[: argument.K, :-1].reshape(-1, argument.n)
