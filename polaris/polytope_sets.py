@@ -11,9 +11,12 @@ from numpy.typing import NDArray
 from reach.zonotope import Zonotope
 
 from .clearance import Clearance
-from .recoverable import Margin, grow_bow
+from .recoverable import Margin, grow_bow, left
 from .system import Array
 from .tolerances import ROUNDING
+
+COARSE = (0.5, 0.05)
+"""Shares of the room up to which a bound by the norm stands for what a set needs, tried in this order."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,23 +70,54 @@ class PolytopeSets:
         return [*(u.name for u in self.clearance.unsafe), *axes, *axes]
 
     @cached_property
-    def _far(self) -> Array:
-        """Ball that covers all limits beyond the memory: allowed norm at every node, (nodes + 1,)."""
+    def _reach(self) -> Array:
+        """What each row needs of an error beyond the memory, per unit of ``norm(W e)`` now, shape (r,)."""
         tracking = self.clearance.tracking
-        _, disturbance, curvature, rows = self._rows
-        reach = (np.linalg.norm(rows @ tracking.W_inverse, axis=-1) + curvature) * tracking.decay[-1]
-        spare = self.room - disturbance[-1][self._index][:, None, :]
-        allowed = np.min(
-            np.where(np.isposinf(spare), np.inf, spare / reach[self._index][:, None, :]), axis=-1
+        _, _, curvature, rows = self._rows
+        return np.asarray(
+            (np.linalg.norm(rows @ tracking.W_inverse, axis=-1) + curvature) * tracking.decay[-1]
         )
-        allowed = np.where(np.isnan(allowed), -np.inf, allowed)
-        per_node = allowed[:, :-1].reshape(-1)
-        per_node = np.append(np.minimum(per_node, allowed[:, 1:].reshape(-1)), np.inf)
-        suffix = np.minimum.accumulate(per_node[::-1])[::-1]
+
+    @cached_property
+    def _ahead(self) -> Array:
+        """Least room of every distinct row from a node on, shape (nodes + 1, r)."""
+        cells, q, r = self.clearance.cells, self.clearance.q, len(self._rows[3])
+        least = np.full((cells, q, r), np.inf)
+        both = np.minimum(self.room[:, :-1], self.room[:, 1:])
+        at = np.arange(cells)[:, None], np.arange(q)[None, :]
+        for limit in range(both.shape[-1]):
+            np.minimum.at(least, (*at, self._index[:, limit, None]), both[:, :, limit])
+        ahead = np.vstack([least.reshape(-1, r), np.full((1, r), np.inf)])
+        return np.asarray(np.minimum.accumulate(ahead[::-1])[::-1])
+
+    @cached_property
+    def _beyond(self) -> NDArray[np.int_]:
+        """Node from which on limits lie beyond the memory, seen from every node, shape (nodes + 1,)."""
         # After the tail the reference repeats it: whatever the node, the whole tail lies ahead again.
         tail = self.clearance.planned * self.clearance.q
-        first = np.minimum(np.arange(len(per_node)) + tracking.memory, tail)
-        return np.asarray(suffix[first])
+        return np.minimum(np.arange(len(self._ahead)) + self.clearance.tracking.memory, tail)
+
+    @cached_property
+    def _far(self) -> Array:
+        """Ball that covers all limits beyond the memory: allowed norm at every node, (nodes + 1,)."""
+        spare = self._ahead[self._beyond] - self._rows[1][-1]
+        allowed = np.where(np.isposinf(spare), np.inf, spare / self._reach).min(axis=1, initial=np.inf)
+        return np.asarray(np.where(np.isnan(allowed), -np.inf, allowed))
+
+    def _far_margin(self, node: int, radius: float) -> Margin:
+        """Tightest limit beyond the memory for errors up to a norm at a node."""
+        start = self._beyond[min(node, len(self._beyond) - 1)]
+        room, need = self._ahead[start], (self._rows[1][-1] + self._reach * radius) * (1 + ROUNDING)
+        share = left(need, room)
+        row = int(np.argmin(share))
+        # Where that row has its least room: which of the limits it is, and when.
+        cells = np.arange(start // self.clearance.q, self.clearance.cells)
+        found = np.where(self._index[cells] == row, self.room[cells].min(axis=1), np.inf)
+        if not np.isfinite(room[row]):
+            return Margin(np.inf, "", np.inf, 0.0, np.inf)
+        at, limit = np.unravel_index(int(np.argmin(found)), found.shape)
+        time = float(cells[at] * self.clearance.tracking.delta)
+        return Margin(float(share[row]), self.names[limit], time, float(need[row]), float(room[row]))
 
     def _targets(self, node: int) -> tuple[NDArray[np.int_], NDArray[np.int_], NDArray[np.int_]]:
         """Lags, cells and places in the cell of the limits that a node must meet from there on."""
@@ -108,17 +142,17 @@ class PolytopeSets:
             np.minimum.at(floor, (np.arange(len(floor)), self._index[:, limit]), least[:, limit])
         return np.asarray(np.minimum.accumulate(floor[::-1], axis=0)[::-1])
 
-    def _need(self, cell: int, nodes: Zonotope, bow: Array, radius: float) -> Array:
+    def _need(self, cell: int, nodes: Zonotope, bow: Array, radius: float, spare: float) -> Array:
         """What each node needs of every row at every lag, shape (count, memory + 2, r).
 
-        Rows that a bound by the norm shows to be met with half of the room to spare keep that
-        bound; only the others are worked out exactly.
+        Rows that a bound by the norm shows to need no more than a share `spare` of the room keep
+        that bound; only the others are worked out exactly.
         """
         tracking = self.clearance.tracking
         carried, disturbance, curvature, _ = self._rows
         booked = curvature * tracking.decay_before[:, None] * radius + disturbance[: len(carried)]
         coarse = self._weights * radius + booked
-        keep = coarse > 0.5 * np.maximum(self._floor[cell], 0)
+        keep = coarse > spare * np.maximum(self._floor[cell], 0)
         exact = carried[keep]
         centre = exact @ nodes.c.T
         spread = np.stack([np.abs(exact @ G).sum(axis=-1) for G in nodes.G], axis=1)
@@ -140,9 +174,18 @@ class PolytopeSets:
 
     def _margins(self, first: int, nodes: Zonotope, bow: Array, radius: float) -> Margin:
         """Tightest limit over a stack of nodes that starts at node `first` of the grid."""
-        tracking, q, cells = self.clearance.tracking, self.clearance.q, self.clearance.cells
+        far = self._far_margin(first, radius)
+        for spare in COARSE:
+            near = self._near_margin(first, nodes, bow, radius, spare)
+            if near.value < 1 - spare or far.value < near.value:
+                break  # the tightest was worked out exactly: the bound by the norm would have done better
+        return min(near, far, key=lambda found: found.value)
+
+    def _near_margin(self, first: int, nodes: Zonotope, bow: Array, radius: float, spare: float) -> Margin:
+        """The same within the memory; see `_need` for `spare`."""
+        q, cells = self.clearance.q, self.clearance.cells
         count, lags = len(nodes), len(self._rows[0])
-        need = self._need(min(first // q, cells - 1), nodes, bow, radius)
+        need = self._need(min(first // q, cells - 1), nodes, bow, radius, spare)
         # Every target lies in the cell to its right; those at a cell's end also in the one to their left.
         target = first + np.arange(count)[:, None] + np.arange(lags)
         worst, where, found = np.inf, (0, 0, 0), (0.0, np.inf)
@@ -153,19 +196,14 @@ class PolytopeSets:
             at = cell[i, lag]
             room = self.room[at, target[i, lag] - at * q]
             needed = np.take_along_axis(need[i, lag], self._index[at], axis=1)
-            share = np.where(room > 0, 1 - needed / np.where(room > 0, room, 1), -np.inf)
-            share = np.where(np.isnan(share), -np.inf, share)  # what cannot be worked out is not met
+            share = left(needed, room)
             if share.size and share.min() < worst:
                 j, limit = np.unravel_index(int(np.argmin(share)), share.shape)
                 worst, where = float(share[j, limit]), (int(i[j]), int(lag[j]), int(limit))
                 found = float(needed[j, limit]), float(room[j, limit])
-        h = tracking.flow.h
-        far = float(self._far[min(first, len(self._far) - 1)])
-        if np.isfinite(far) and (1 - radius / far if far > 0 else -np.inf) < worst:
-            value = 1 - radius / far if far > 0 else -np.inf
-            return Margin(value, "limits beyond the loop's memory", first * h, radius, far)
         i0, lag0, limit0 = where
-        return Margin(worst, self.names[limit0], (first + i0 + lag0) * h, *found)
+        time = (first + i0 + lag0) * self.clearance.tracking.flow.h
+        return Margin(worst, self.names[limit0], time, *found)
 
     def margin(self, k: int, nodes: Zonotope, bow: Array) -> Margin:
         """Margin of a flight over cell k."""

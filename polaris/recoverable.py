@@ -33,9 +33,10 @@ class Margin:
     limit : str
         Name of the unsafe set that limits it, or of the input (`LinearSystem.input_names`).
     time : float
-        Time [s] at which the limit bites, under S.
+        Time [s] at which the limit bites, under S; for a limit beyond the loop's memory, the start of
+        its step.
     need, room : float
-        What the set needs there and what there is, in m or N (norm units for a ball).
+        What the set needs there and what there is, disturbance included, in m or N.
     """
 
     value: float
@@ -101,6 +102,13 @@ def get_recover(kind: str, clearance: Clearance, bounds: ErrorBounds) -> Recover
     if kind in ("ball", "time_varying_ball", "paper_ball"):
         return BallSets(clearance, bounds, kind)
     raise ValueError(f"unknown kind of recoverable set: {kind}")
+
+
+def left(need: Array, room: Array) -> Array:
+    """Share of the room that is left over, ``1 - need / room``; minus infinity where there is no room."""
+    some = room > 0
+    share = np.where(some, 1 - need / np.where(some, room, 1), -np.inf)
+    return np.asarray(np.where(np.isnan(share), -np.inf, share))  # what cannot be worked out is not met
 
 
 def grow_bow(bow: Array) -> Array:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from flint import arb, arb_mat
 
 from .balls import above, column, largest, magnitude, matrix, require
-from .document import Document
+from .document import Document, UnsafeSet
 from .flights import Flown, Pilot, fly
 from .limits import Barrier, Limits
-from .loop import Memory, Needs, resting_box
-from .path import Kinematics, Path
+from .loop import Memory, Needs, resting_rates
+from .path import Arc, Kinematics, Path
 from .plants import plant_of
 from .recovery import Recovery
 from .verdict import Record, Rejected
@@ -59,7 +61,7 @@ class Argument:
         memory = Memory.of(self.loop, widest(sets), self.document.q)
         self.error_bounds(memory, sets[0])
         self.recoverability(path, memory, sets)
-        self.end(path, memory)
+        self.end(path)
         if self.document.guarantee != "proved" or self.document.recoverable == "paper_ball":
             told = f"recoverable kind {self.document.recoverable}, guarantee {self.document.guarantee}"
             raise Rejected("guarantee", f"the certificate itself claims nothing ({told})")
@@ -109,7 +111,7 @@ class Argument:
         ]
         sets, flown = [start], []
         for k, mode in enumerate(doc.modes):
-            barrier = Barrier.of(doc, self.plant.C, k) if mode else None
+            barrier = Barrier.of(doc, self.plant.C, k, doc.facets[k]) if mode else None
             flown.append(fly(pilots[mode], sets[-1], k, path, barrier))
             sets.append(flown[-1].end)
         share = sum(mode > 0 for mode in doc.modes) / self.K
@@ -143,7 +145,7 @@ class Argument:
         """
         doc, q, C = self.document, self.document.q, self.plant.C
         needs = Needs(self.loop, memory, above(C, -C, self.gain, -self.gain))
-        disturbed = needs.disturbed(resting_box(self.loop, memory))
+        disturbed = needs.disturbed(resting_rates(self.loop, memory))
         tube = needs.tube(start)
         names = [f"position {i}" for i in range(C.nrows())] * 2 + doc.input_names * 2
         d = 2 * C.nrows()
@@ -174,9 +176,13 @@ class Argument:
     def recoverability(self, path: Path, memory: Memory, sets: list[Zonotope]) -> None:
         """S keeps to every limit to the end if it takes over before or after any experimental step."""
         doc = self.document
-        limits = Limits.of(doc, path, self.gain)
+        path, chosen = self._prolonged(path, memory)
+        limits = Limits.of(doc, path, self.gain, chosen)
         needs = Needs(self.loop, memory, limits.rows)
-        recovery = Recovery(limits.less_jump(needs, path), needs, doc.q, self.K, doc.delta)
+        forever = doc.horizon == "infinite"
+        recovery = Recovery(
+            limits.less_jump(needs, path), needs, doc.q, self.K, doc.delta, forever, doc.cells
+        )
         switches = {0, *(k + 1 for k, mode in enumerate(doc.modes) if mode > 0)}
         claimed: dict[int, float] = {}
         for k, mode in enumerate(doc.modes):
@@ -184,10 +190,9 @@ class Argument:
                 for at in (k, k + 1):
                     claimed[at] = max(claimed.get(at, 0.0), doc.margins[k])
         switches |= set(claimed)
-        ball = doc.recoverable != "polytope"
         reached = {k: sets[k] for k in switches if k * doc.q < recovery.nodes}
-        least = recovery.check_sets(reached, claimed, ball)
-        recovery.check_far(forever=doc.horizon == "infinite")
+        least = recovery.check_sets(reached, claimed)
+        recovery.check_far()
         ahead = f"{memory.periods} periods ahead and beyond, tightest share {least:.3g}"
         self.record.holds("recoverable", f"{len(reached)} instants of switching, {ahead}")
         claims = sum(margin > 0 for margin in claimed.values())
@@ -197,12 +202,37 @@ class Argument:
             "recoverable_sets", f"balls inside the sets of kind {doc.recoverable}, {self.K} instants"
         )
 
-    def end(self, path: Path, memory: Memory) -> None:
+    def _prolonged(self, path: Path, memory: Memory) -> tuple[Path, list[list[int]]]:
+        """The path and its facets; for a claim for ever, until the loop has forgotten what it was at T.
+
+        Where the tail is shorter than that, the reference coasts on as it would, past sets at rest: any
+        facet will do, and the one with most room is taken.
+        """
+        doc, chosen = self.document, list(self.document.facets)
+        missing = self.K * doc.q + memory.periods - doc.cells * doc.q
+        if doc.horizon != "infinite" or missing <= 0:
+            return path, chosen
+        starts, inputs, rest = list(path.starts), list(path.inputs), column([0] * self.m)
+        for _ in range(-(-missing // doc.q)):
+            arc = self.kinematics.arc(starts[-1], rest)
+            chosen.append([self._widest_facet(item, arc) for item in doc.unsafe])
+            starts.append(arc.nodes[-1])
+            inputs.append(rest)
+        return replace(path, starts=starts, inputs=inputs), chosen
+
+    def _widest_facet(self, item: UnsafeSet, arc: Arc) -> int:
+        """The facet of a set at rest that leaves an arc most room."""
+        rows, offsets = -(matrix(item.normals) * self.plant.C), [(arb(b), arb(b)) for b in item.end[-1]]
+        room = self.kinematics.room(rows, offsets, arc)
+        least = [min(float(node[f].mid()) for node in room) for f in range(len(offsets))]
+        return least.index(max(least))
+
+    def end(self, path: Path) -> None:
         """What is claimed about the time after T follows from what has been shown."""
         doc, tail = self.document, self.document.cells - self.K
         last = arb(doc.cells) * doc.delta
         if doc.horizon == "infinite":
-            self._closes(path, memory, tail)
+            self._closes(path, tail)
             if doc.until is not None:
                 raise Rejected("end", "an infinite claim has no last instant")
         else:
@@ -220,7 +250,7 @@ class Argument:
             "end", doc.horizon if doc.until is None else f"{doc.horizon}, until {doc.until:.6g} s"
         )
 
-    def _closes(self, path: Path, memory: Memory, tail: int) -> None:
+    def _closes(self, path: Path, tail: int) -> None:
         """The coasting motion repeats, and one turn of it lies in the tail with all sets at rest."""
         doc = self.document
         moving = [item.name for item in doc.unsafe if not item.resting]
@@ -235,7 +265,6 @@ class Argument:
             rate = self.plant.A * path.starts[self.K] if tail else column([1])
             if any(not x.is_zero() for x in rate.entries()):
                 raise Rejected("end", "the reference does not come to rest exactly")
-        require("end", arb(tail * doc.q - memory.periods), "the tail is shorter than the memory of the loop")
 
 
 def _axis(n: int, i: int, sign: int) -> arb_mat:

@@ -13,6 +13,7 @@ from .artefacts import check_artefacts, has_artefacts
 from .balls import PRECISION
 from .document import Document, read
 from .inputs import check_inputs
+from .plants import precision_for
 from .verdict import REJECTED, UNKNOWN, VERIFIED, Record, Rejected, Undecided, Verdict
 
 NAME = "certificate.json"
@@ -72,6 +73,7 @@ def _judge(check: Callable[[Record], list[str]]) -> Verdict:
 
 
 def _check(document: Document, folder: Path | None, record: Record, whole: bool = False) -> list[str]:
+    flint.ctx.prec = precision_for(document)  # `_judge` puts it back
     record.holds("digest", f"scenario {document.scenario}, {document.steps} steps of {document.delta:g} s")
     trusted = list(document.assumptions)
     if folder is None or not (whole or has_artefacts(document, folder)):
@@ -84,6 +86,6 @@ def _check(document: Document, folder: Path | None, record: Record, whole: bool 
         trusted.append(f"the references of their own, of {', '.join(own)}, are those that are meant")
     Argument(document, record).run()
     trusted.append(
-        f"python-flint {flint.__version__} (ball arithmetic, {PRECISION} bit), SHA-256, and this checker"
+        f"python-flint {flint.__version__} (ball arithmetic, {flint.ctx.prec} bit), SHA-256, and this checker"
     )
     return trusted

@@ -221,7 +221,8 @@ class Document:
         self.recoverable = _one_of(
             sets["kind"], ("polytope", "time_varying_ball", "ball", "paper_ball"), plain=True
         )
-        self.weight, self.radius = table(sets["weight"], n, n), vector(sets["radius"], K + 1)
+        self.weight = table(sets["weight"], n, n)
+        self.radius = _radii(sets["radius"], K, self.cells > K)
         self.box_center, self.box_half = (
             table(boxes["center"], K + 1, n),
             table(boxes["half_widths"], K + 1, n),
@@ -301,6 +302,15 @@ def table(rows: Any, height: int | None = None, width: int | None = None) -> lis
     if height is not None and len(values) != height:
         raise ValueError(f"{len(values)} rows where {height} are needed")
     return values
+
+
+def _radii(items: Any, steps: int, tail: bool) -> list[float]:
+    """Radii at the start of every step and at T; the last is null if nothing follows T."""
+    if not tail and len(items) == steps + 1 and items[-1] is None:
+        items = items[:-1]
+    else:
+        steps += 1
+    return vector(items, steps)
 
 
 def _name(value: Any) -> str:

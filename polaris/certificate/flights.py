@@ -13,8 +13,11 @@ from .path import Arc, Path
 from .verdict import Rejected
 from .zonotopes import Zonotope
 
-ORDER = 10
-"""Generators per dimension that are kept at the end of a step."""
+ORDER = 40
+"""Generators per dimension that are kept at the start of a step."""
+
+ROUNDS = 5
+"""How often the range of a clipped command is narrowed by the thrust that it allows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,12 +75,9 @@ class Period:
 
     def extra(self, rows: arb_mat, d: Zonotope) -> list[arb]:
         """Bound on how far ``row d`` exceeds the chord of its undisturbed end values within the period."""
-        bent = self.motion.bend(rows) * d.image(self.motion.closed).moved(self.g).size()
+        bent = self.motion.bow(rows, d.image(self.motion.closed).moved(self.g))
         pushed = self.motion.input_gain(rows, self.V, self.bounds) if self.bounds else [arb(0)] * rows.nrows()
-        return [
-            a + b + c
-            for a, b, c in zip(bent.entries(), pushed, self.motion.disturbance_gain(rows), strict=True)
-        ]
+        return [a + b + c for a, b, c in zip(bent, pushed, self.motion.disturbance_gain(rows), strict=True)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +125,7 @@ def fly(pilot: Pilot, start: Zonotope, k: int, path: Path, barrier: Barrier | No
     rows, room = axes, []
     if barrier is not None:
         rows, room = above(axes, barrier.rows), kinematics.room(barrier.rows, barrier.offsets, base)
-    d = start.moved(path.starts[k] - base.nodes[0])
+    d = start.reduced(ORDER * n).moved(path.starts[k] - base.nodes[0])
     lows: list[list[arb]] = [[] for _ in range(n)]
     highs: list[list[arb]] = [[] for _ in range(n)]
     for i in range(kinematics.q):
@@ -149,7 +149,7 @@ def fly(pilot: Pilot, start: Zonotope, k: int, path: Path, barrier: Barrier | No
         if d.G.ncols() > 2 * ORDER * n:
             d = d.reduced(ORDER * n)
     leave = d.moved(base.nodes[-1] - path.starts[k + 1])
-    return Flown(leave.reduced(ORDER * n), [smallest(x) for x in lows], [largest(x) for x in highs])
+    return Flown(leave, [smallest(x) for x in lows], [largest(x) for x in highs])
 
 
 def _base(pilot: Pilot, k: int, path: Path) -> tuple[Arc, arb_mat]:
@@ -211,18 +211,16 @@ def _clipped(pilot: Pilot, d: Zonotope, u: arb_mat) -> Period:
     at_node = d.support(rows)
     ranges = _ranges(u, at_node)
     if not plant.sampled:
-        free = Period(plant.open, arb_mat(d.c.nrows(), 1), plant.B, [])
-        drift = [
-            largest((a, b)) + c
-            for a, b, c in zip(at_node, free.ends(d).support(rows), free.extra(rows, d), strict=True)
-        ]
-        push = [top + abs(u[i, 0]) for i, top in enumerate(plant.u_max)]
-        for _ in range(3):
-            pushed = plant.open.input_gain(rows, plant.B, push)
-            ranges = _ranges(u, [a + b for a, b in zip(drift, pushed, strict=True)])
-            push = [
-                largest((abs(_clip(lo, top) - u[i, 0]), abs(_clip(hi, top) - u[i, 0])))
-                for i, ((lo, hi), top) in enumerate(zip(ranges, plant.u_max, strict=True))
+        pushes = [(-top - x, top - x) for top, x in zip(plant.u_max, u.entries(), strict=True)]
+        for _ in range(ROUNDS):
+            middle = [((lo + hi) / 2).mid() for lo, hi in pushes]
+            spread = [largest((hi - x, x - lo)) for (lo, hi), x in zip(pushes, middle, strict=True)]
+            free = Period(plant.open, plant.B * column(middle), plant.B, spread)
+            ends, extra = free.ends(d).support(rows), free.extra(rows, d)
+            ranges = _ranges(u, [largest(x) + c for *x, c in zip(at_node, ends, extra, strict=True)])
+            pushes = [
+                (_clip(lo, top) - x, _clip(hi, top) - x)
+                for (lo, hi), top, x in zip(ranges, plant.u_max, u.entries(), strict=True)
             ]
     slopes, middles, bands = [], [], []
     for (lo, hi), top in zip(ranges, plant.u_max, strict=True):

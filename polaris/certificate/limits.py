@@ -50,14 +50,16 @@ class Barrier:
     offsets: list[tuple[arb, arb]]
 
     @classmethod
-    def of(cls, document: Document, position: arb_mat, cell: int) -> Barrier:
-        """Facets that the certificate names for a cell."""
-        sets, chosen = document.unsafe, document.facets[cell]
+    def of(cls, document: Document, position: arb_mat, cell: int, chosen: list[int]) -> Barrier:
+        """Some facets, one of every unsafe set, in a cell; beyond the last one sets are as at its end."""
+        sets = document.unsafe
         normals = [item.normals[f] for item, f in zip(sets, chosen, strict=True)]
         rows = -(matrix(normals) * position) if normals else arb_mat(0, position.ncols())
-        offsets = [
-            (arb(item.start[cell][f]), arb(item.end[cell][f])) for item, f in zip(sets, chosen, strict=True)
+        ends = [
+            (item.start[cell], item.end[cell]) if cell < document.cells else (item.end[-1], item.end[-1])
+            for item in sets
         ]
+        offsets = [(arb(a[f]), arb(b[f])) for (a, b), f in zip(ends, chosen, strict=True)]
         return cls([item.name for item in sets], rows, offsets)
 
 
@@ -77,10 +79,10 @@ class Limits:
     targets: list[list[list[Target]]]
 
     @classmethod
-    def of(cls, document: Document, path: Path, gain: arb_mat) -> Limits:
-        """Limits around a path, one facet per cell and unsafe set as the certificate names them."""
+    def of(cls, document: Document, path: Path, gain: arb_mat, chosen: list[list[int]]) -> Limits:
+        """Limits around a path, with one facet per cell and unsafe set."""
         plant, q = path.kinematics.plant, path.kinematics.q
-        sets, chosen = document.unsafe, document.facets
+        sets = document.unsafe
         pairs = sorted({(o, row[o]) for row in chosen for o in range(len(sets))})
         index = {pair: i for i, pair in enumerate(pairs)}
         normals = [sets[o].normals[f] for o, f in pairs]
@@ -89,7 +91,7 @@ class Limits:
         inputs = document.input_names * 2
         targets = []
         for cell, (arc, u) in enumerate(zip(path.arcs, path.inputs, strict=True)):
-            barrier = Barrier.of(document, plant.C, cell)
+            barrier = Barrier.of(document, plant.C, cell, chosen[cell])
             places = [index[o, f] for o, f in enumerate(chosen[cell])]
             room = path.kinematics.room(barrier.rows, barrier.offsets, arc)
             thrust = [top + x for top, x in zip(plant.u_max, u.entries(), strict=True)]

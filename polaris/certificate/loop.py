@@ -13,7 +13,7 @@ from .motion import Motion
 from .verdict import Undecided
 from .zonotopes import Zonotope
 
-FORGOTTEN = 1e-3
+FORGOTTEN = 1e-6
 """What is left of an error once the loop counts as having forgotten it."""
 
 LONGEST = 20000
@@ -121,15 +121,15 @@ class Needs:
         """Bound on the disturbance's share at every node, however late."""
         return [(a + b).upper() for a, b in zip(self._sums[-1], self._late, strict=True)]
 
-    def disturbed(self, resting: arb_mat) -> list[list[arb]]:
+    def disturbed(self, resting: tuple[arb_mat, arb_mat]) -> list[list[arb]]:
         """The disturbance's share until the end of the period after node l, for l = 0 ... N, then for ever.
 
         Parameters
         ----------
-        resting : arb_mat, shape (n, 1)
-            Bound on what the disturbance adds to each state at any node: `settled` along the axes.
+        resting : (arb_mat, arb_mat), shapes (n, 1)
+            What the disturbance adds to a rate, see `resting_rates`.
         """
-        curved = (self.motion.bend(self.rows) * magnitude(self.motion.closed) * resting).entries()
+        curved = self.motion.lesser_bow(self.rows, *resting)
         first = self._sums[1]
         until = [
             [_most(a + f, b) + k for a, b, f, k in zip(now, following, first, curved, strict=True)]
@@ -149,18 +149,23 @@ class Needs:
 
     def tube(self, start: Zonotope) -> list[list[arb]]:
         """What one set needs at lag l = 0 ... N, disturbance apart: exact support and what is booked."""
-        booked, size = self.bend, start.size()
         support = start.support(above(*self.carried))
         count = self.rows.nrows()
         return [
             [
                 a + b
                 for a, b in zip(
-                    support[lag * count : (lag + 1) * count], (booked[lag] * size).entries(), strict=True
+                    support[lag * count : (lag + 1) * count], self.booked(start, lag), strict=True
                 )
             ]
             for lag in range(self.memory.periods + 1)
         ]
+
+    def booked(self, start: Zonotope, lag: int) -> list[arb]:
+        """What is booked between nodes for one set, for the periods next to node l: no more than `bend`."""
+        later = [start.image(self.motion.closed * self.memory.powers[at]) for at in {lag, max(lag - 1, 0)}]
+        bows = [self.motion.bow(self.rows, rate) for rate in later]
+        return [largest(each) for each in zip(*bows, strict=True)]
 
     def per_norm(self, inverse: arb_mat) -> list[list[arb]]:
         """What a unit ball of ``norm(V e, 2)`` needs at lag l, given ``V^-1``."""
@@ -177,9 +182,10 @@ class Needs:
         ]
 
 
-def resting_box(motion: Motion, memory: Memory) -> arb_mat:
-    """Bound on what the disturbance adds to each state at any node, shape (n, 1)."""
-    return magnitude(column(Needs(motion, memory, identity(motion.X.nrows())).settled))
+def resting_rates(motion: Motion, memory: Memory) -> tuple[arb_mat, arb_mat]:
+    """Bounds on what the disturbance adds to ``A_c e`` and ``X A_c e`` at any node, shapes (n, 1)."""
+    rate, second = (Needs(motion, memory, M).settled for M in (motion.closed, motion.X * motion.closed))
+    return magnitude(column(rate)), magnitude(column(second))
 
 
 def _larger(a: arb_mat, b: arb_mat) -> arb_mat:

@@ -13,7 +13,7 @@ from functools import cached_property
 from flint import arb, arb_mat
 
 from .balls import exponential, exponential_over, magnitude, norms, row_sums
-from .zonotopes import ball_cover
+from .zonotopes import Zonotope, ball_cover
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,6 +103,19 @@ class Motion:
         the size of ``A_c x(0) + g``.
         """
         return magnitude(rows * self.X * self.over * (self.plant.h**2 / 8))
+
+    def bow(self, rows: arb_mat, rate: Zonotope) -> list[arb]:
+        """Bound on how far ``row x(s)`` leaves the chord of its end values; `rate` is ``A_c x(0) + g``.
+
+        The lesser of ``|row X e^{X s}| |rate|`` and ``|row e^{X s}| |X rate|``: X commutes with ``e^{X s}``.
+        """
+        return self.lesser_bow(rows, rate.size(), rate.image(self.X).size())
+
+    def lesser_bow(self, rows: arb_mat, rate: arb_mat, turned: arb_mat) -> list[arb]:
+        """The same from bounds on ``|rate|`` and ``|X rate|``, shapes (n, 1)."""
+        first = self.bend(rows) * rate
+        second = magnitude(rows * self.over * (self.plant.h**2 / 8)) * turned
+        return [a if a <= b else b for a, b in zip(first.entries(), second.entries(), strict=True)]
 
     # -- uncertain inputs ---------------------------------------------------------------------------
 

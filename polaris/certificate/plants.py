@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import math
+
 from flint import arb, arb_mat
 
-from .balls import matrix, require
+from .balls import PRECISION, exponential, identity, largest, magnitude, matrix, require
 from .document import Document
 from .motion import Plant
-from .verdict import Rejected
+from .verdict import Rejected, Undecided
+
+MOST_BITS = 4096
+"""Most bits that are added to follow a reference."""
 
 
 def plant_of(document: Document) -> Plant:
@@ -30,6 +35,33 @@ def plant_of(document: Document) -> Plant:
     h = arb(document.delta) / document.q
     u_max = [arb(x) for x in document.u_max]
     return Plant(A, B, D, matrix(document.C), u_max, arb(document.w_max), h, document.sampled)
+
+
+def precision_for(document: Document) -> int:
+    """Bits of the midpoints with which the reference can be followed to its end.
+
+    Step by step every ball takes in the corners of the one before: its radius grows like the powers of
+    ``|e^{A delta}|``, and the bits that are lost to that are added.
+
+    Raises
+    ------
+    Undecided
+        If that would take more than `MOST_BITS`.
+    """
+    plant = plant_of(document)
+    step = magnitude(exponential(plant.A, arb(document.delta))[0])
+    grown, rest, power = identity(step.nrows()), document.cells, step
+    while rest:
+        grown, power, rest = (
+            magnitude(grown * power) if rest & 1 else grown,
+            magnitude(power * power),
+            rest // 2,
+        )
+    most = largest(grown.entries())
+    bits = float(most.log().mid()) / math.log(2) if most.is_finite() and most > 1 else 0.0
+    if not (most.is_finite() and bits <= MOST_BITS):
+        raise Undecided("reference", f"it takes more than {MOST_BITS} bits to follow it to its end")
+    return PRECISION + math.ceil(bits)
 
 
 def _hill(document: Document) -> tuple[arb_mat, arb_mat, arb_mat]:

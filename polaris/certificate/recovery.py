@@ -7,9 +7,9 @@ from functools import cached_property
 
 from flint import arb, arb_mat
 
-from .balls import above, absolute, beside, matrix, require
+from .balls import above, absolute, beside, largest, matrix, require
 from .limits import Limits, Target
-from .loop import Needs, resting_box
+from .loop import Needs, resting_rates
 from .verdict import Rejected
 from .zonotopes import Zonotope
 
@@ -30,6 +30,10 @@ class Recovery:
         Number of steps before the tail.
     delta : float
         Step [s], for messages.
+    forever : bool
+        Whether the tail repeats: then all of it lies ahead of every set.
+    stored : int
+        Number of steps that the certificate stores: shares of the room refer to their limits.
     """
 
     limits: Limits
@@ -37,11 +41,13 @@ class Recovery:
     q: int
     planned: int
     delta: float
+    forever: bool
+    stored: int
 
     @cached_property
     def disturbed(self) -> list[list[arb]]:
         """The disturbance's share, see `Needs.disturbed`."""
-        return self.needs.disturbed(resting_box(self.needs.motion, self.needs.memory))
+        return self.needs.disturbed(resting_rates(self.needs.motion, self.needs.memory))
 
     @property
     def nodes(self) -> int:
@@ -56,7 +62,29 @@ class Recovery:
         """Number of periods after the start of a step that are looked at one by one."""
         return min(self.needs.memory.periods, self.nodes - step * self.q)
 
-    def check_sets(self, reached: dict[int, Zonotope], margins: dict[int, float], ball: bool) -> float:
+    @cached_property
+    def forgotten(self) -> list[arb]:
+        """What errors within the memory's extent still need beyond the memory, see `Needs.forgotten`."""
+        return self.needs.forgotten()
+
+    @cached_property
+    def _least(self) -> list[dict[int, Target]]:
+        """For every cell the limit of least room, by row, among those of that cell and all later ones."""
+        found: list[dict[int, Target]] = [{}]
+        for nodes in reversed(self.limits.targets[: self.stored]):
+            least = dict(found[-1])
+            for target in (target for met in nodes for target in met):
+                if target.row not in least or not least[target.row].room <= target.room:
+                    least[target.row] = target
+            found.append(least)
+        return found[::-1]
+
+    def _far_cell(self, step: int) -> int:
+        """First cell whose limits lie beyond the memory, seen from the start of a step."""
+        first = step + self.needs.memory.periods // self.q
+        return min(first, self.planned if self.forever else self.stored)
+
+    def check_sets(self, reached: dict[int, Zonotope], margins: dict[int, float]) -> float:
         """Check that each set is recoverable, and inside by the share of the room that is claimed.
 
         A bound from the extents of the set comes first; only where it does not do, the exact support.
@@ -67,8 +95,6 @@ class Recovery:
             Set of errors at the start of a step.
         margins : dict of int to float
             Share of the room claimed to be left.
-        ball : bool
-            Whether shares refer to the room that the disturbance leaves, as those of balls do.
 
         Returns
         -------
@@ -88,12 +114,33 @@ class Recovery:
             for lag in range(self.lags(k) + 1):
                 for target in self.limits.at(k * self.q + lag, first=lag == 0):
                     room = target.room - self.disturbed[lag][target.row]
-                    of = room if ball else target.room
-                    if not room - coarse[lag][target.row, place] >= share * of:
+                    if not room - coarse[lag][target.row, place] >= self._of(share, k, lag) * target.room:
                         close.setdefault((lag, target.row), []).append(target)
             if close:
-                worst = min(worst, self._check_close(k, reached[k], close, share, ball))
+                worst = min(worst, self._check_close(k, reached[k], close, share))
+            if share > 0:
+                self._check_late(k, reached[k], share)
         return worst
+
+    def _of(self, share: float, step: int, lag: int) -> float:
+        """The share claimed of limits some periods after the start of a step: none of those flown on to."""
+        return share if step * self.q + lag <= self.stored * self.q else 0.0
+
+    def _check_late(self, k: int, z: Zonotope, share: float) -> None:
+        """The share claimed at a set is left of all limits beyond the memory, too."""
+        extent = self.needs.memory.z.entries()
+        part = largest(a / b for a, b in zip(z.size().entries(), extent, strict=True))
+        for row, target in self._least[self._far_cell(k)].items():
+            need = part * self.forgotten[row] + self.disturbed[-1][row]
+            where = f"the set at the start of step {k}, {target.name} beyond the memory of the loop"
+            self._leaves(share, target.room, need, where)
+
+    def _leaves(self, share: float, room: arb, need: arb, where: str) -> None:
+        """A need leaves a share of the room, up to rounding of the stored share."""
+        if not room - need >= share * room * (1 - MARGIN_SLACK) - room * MARGIN_SLACK:
+            left = float(((room - need) / room).mid()) if room > 0 else 0.0
+            told = f"share {left:.6g} left, {share:.6g} claimed, for {where}"
+            raise Rejected("margins", f"{told}: needs {_plain(need)} of {_plain(room)}", share - left)
 
     def _check_close(
         self,
@@ -101,7 +148,6 @@ class Recovery:
         z: Zonotope,
         close: dict[tuple[int, int], list[Target]],
         share: float,
-        ball: bool,
     ) -> float:
         n, carried, worst = self.limits.rows.ncols(), self.needs.carried, 1.0
         rows = matrix([[carried[lag][row, j] for j in range(n)] for lag, row in close], n)
@@ -111,37 +157,24 @@ class Recovery:
             close.items(), z.support(rows), booked.entries(), strict=True
         ):
             lag, row = key
-            disturbance = self.disturbed[lag][row]
+            disturbance, of = self.disturbed[lag][row], self._of(share, k, lag)
             for target in targets:
-                need, room = support + extra, target.room - disturbance
+                need, room = support + extra + disturbance, target.room
+                if not room - need >= of * room:  # what is booked between nodes can be had more exactly
+                    need = support + self.needs.booked(z, lag)[row] + disturbance
                 where = (
                     f"the set at the start of step {k}, {target.name} at t = {self.time(k, lag)} under the "
-                    f"safety controller: needs {_plain(need + disturbance)} of {_plain(target.room)}"
+                    "safety controller"
                 )
-                require("recoverable", room - need, where)
-                of = room if ball else target.room
-                left = float(((room - need) / of).mid()) if of > 0 else 0.0
-                worst = min(worst, left)
-                if not (room - need) >= share * of * (1 - MARGIN_SLACK) - of * MARGIN_SLACK:
-                    told = f"share {left:.6g} left, {share:.6g} claimed, for {where}"
-                    raise Rejected("margins", told, share - left)
+                require("recoverable", room - need, f"{where}: needs {_plain(need)} of {_plain(room)}")
+                worst = min(worst, float(((room - need) / room).mid()) if room > 0 else 0.0)
+                self._leaves(of, room, need, where)
         return worst
 
-    def check_far(self, forever: bool) -> None:
-        """Check the limits that lie beyond the memory of the loop, for every set within the memory's extent.
-
-        Parameters
-        ----------
-        forever : bool
-            Whether the tail repeats: then all of it lies beyond.
-        """
-        late = self.needs.forgotten()
-        need = [a + b for a, b in zip(late, self.disturbed[-1], strict=True)]
-        first = self.needs.memory.periods // self.q
-        cells = set(range(first, len(self.limits.targets)))
-        if forever:
-            cells |= set(range(self.planned, len(self.limits.targets)))
-        for cell in sorted(cells):
+    def check_far(self) -> None:
+        """Check the limits beyond the memory of the loop, for every set within the memory's extent."""
+        need = [a + b for a, b in zip(self.forgotten, self.disturbed[-1], strict=True)]
+        for cell in range(self._far_cell(0), len(self.limits.targets)):
             for i, met in enumerate(self.limits.targets[cell]):
                 for t in met:
                     where = (

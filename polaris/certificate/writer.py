@@ -96,9 +96,12 @@ def certificate(schedule: Schedule, name: str, files: Iterable[Path] = ()) -> di
         "recoverable": {
             "kind": safety.recoverable.kind,
             "weight": hexadecimal(tracking.W),
-            "radius": hexadecimal(
-                [safety.recoverable.radius(k * safety.clearance.q) for k in range(safety.problem.K + 1)]
-            ),
+            "radius": [
+                None if np.isinf(radius) else hexadecimal(radius)  # where nothing is claimed from there on
+                for radius in (
+                    safety.recoverable.radius(k * safety.clearance.q) for k in range(safety.problem.K + 1)
+                )
+            ],
         },
         "enclosures": _enclosures(schedule),
         "end": {
@@ -167,11 +170,17 @@ def _enclosures(schedule: Schedule) -> dict[str, Any]:
     sets = [safety.start, *(step.flight.end for step in schedule.steps)]
     arcs = safety.reference.fine(safety.clearance.q)
     hulls = [_hull(step.flight, arcs[k], safety, k) for k, step in enumerate(schedule.steps)]
+    center, half = np.array([z.c for z in sets]), np.array([z.half_widths for z in sets])
+    lower, upper = np.array([low for low, _ in hulls]), np.array([high for _, high in hulls])
+    # Errors are differences of states: they are rounded as the states are, however small they are.
+    states = np.abs(safety.reference.chi).max(axis=0)
+    booked = ROUNDING * (states + 1e-6 * states.max())
+    beyond = ROUNDING * (np.abs(lower) + np.abs(upper)) + booked
     return {
-        "center": hexadecimal(np.array([z.c for z in sets])),
-        "half_widths": hexadecimal(np.array([z.half_widths for z in sets])),
-        "lower": hexadecimal(np.array([low for low, _ in hulls])),
-        "upper": hexadecimal(np.array([high for _, high in hulls])),
+        "center": hexadecimal(center),
+        "half_widths": hexadecimal(half + ROUNDING * (np.abs(center) + half) + booked),
+        "lower": hexadecimal(lower - beyond),
+        "upper": hexadecimal(upper + beyond),
     }
 
 

@@ -9,6 +9,9 @@ from flint import arb, arb_mat
 
 from .balls import beside, column, diagonal, largest, magnitude, matrix, row_sums, smallest
 
+NOTHING = 1e-8
+"""Share of a set's extent that generators may come to which are merged whatever their number."""
+
 
 @dataclass(frozen=True)
 class Zonotope:
@@ -51,15 +54,21 @@ class Zonotope:
         """Enclosing set with exact centre and at most `most` exact generators.
 
         The generators that come closest to an axis or are shortest, measured against the set's own
-        extent, are replaced by the box around their sum; so are the radii of all balls.
+        extent, are replaced by the box around their sum; so are the radii of all balls, and all that
+        together is next to nothing.
         """
         n, count = self.G.nrows(), self.G.ncols()
         table = self.G.tolist()
         extent = [max(float(x.mid()), 1e-300) for x in row_sums(self.G)]
         kept: list[int] = list(range(count))
-        if count > most - n:
+        if count > n:
             sizes = [[abs(float(table[i][j].mid())) / extent[i] for i in range(n)] for j in range(count)]
-            ranked = sorted(range(count), key=lambda j: max(sizes[j]) - sum(sizes[j]))
+            longest = [max(size) for size in sizes]
+            ranked = sorted(range(count), key=lambda j: -longest[j])
+            total = 0.0
+            while ranked and total + longest[ranked[-1]] <= NOTHING:
+                total += longest[ranked.pop()]
+            ranked.sort(key=lambda j: longest[j] - sum(sizes[j]))
             kept = sorted(ranked[: most - n])
         merged = set(range(count)) - set(kept)
         box = [

@@ -15,7 +15,7 @@ from flint import arb, arb_mat
 from polaris.certificate.argument import Argument
 from polaris.certificate.balls import column, exponential_over, matrix, norms, require
 from polaris.certificate.document import Document
-from polaris.certificate.loop import Memory, Needs, resting_box
+from polaris.certificate.loop import Memory, Needs, resting_rates
 from polaris.certificate.motion import Plant
 from polaris.certificate.verdict import Record, Rejected, Undecided
 from polaris.certificate.writer import certificate
@@ -78,7 +78,7 @@ def test_needs_of_the_safety_controller_cover_what_it_flies(name):
     sets, _ = argument.tubes(path)
     memory = Memory.of(argument.loop, widest(sets), argument.document.q)
     needs = Needs(argument.loop, memory, argument.gain)
-    disturbed = needs.disturbed(resting_box(argument.loop, memory))
+    disturbed = needs.disturbed(resting_rates(argument.loop, memory))
     tube, gain = needs.tube(sets[0]), values(argument.gain)
     runs = simulate(schedule, 300, 5, mode=0)
     reference = schedule.safety.reference.fine(argument.document.q)[: argument.K, :-1].reshape(-1, argument.n)
@@ -114,6 +114,34 @@ def test_gains_along_rows_are_upper_bounds_and_tight(sampled):
     assert exact * (1 - 1e-6) <= held <= exact * 1.05
 
 
+@pytest.mark.parametrize("sampled", [False, True])
+def test_motion_leaves_its_chord_by_no_more_than_its_bow(sampled):
+    rng = np.random.default_rng(4)
+    A, B = rng.normal(size=(4, 4)), rng.normal(size=(4, 2))
+    plant = Plant(
+        *map(matrix, (A.tolist(), B.tolist(), B.tolist())),
+        matrix([[1, 0, 0, 0]]),
+        [],
+        arb(0),
+        arb(0.2),
+        sampled,
+    )
+    K, rows = rng.normal(size=(2, 4)), rng.normal(size=(5, 4))
+    motion, X = plant.loop(matrix(K.tolist())), A if sampled else A - B @ K
+    start = Zonotope(column(rng.normal(size=4).tolist()), matrix((0.1 * rng.normal(size=(4, 3))).tolist()))
+    bound = np.array([float(x) for x in motion.bow(matrix(rows.tolist()), start.image(motion.closed))])
+    furthest = np.zeros(5)
+    for b in rng.choice([-1.0, 1.0], (20, 3)):
+        x = values(start.c)[:, 0] + values(start.G) @ b
+        rate, fine = (A - B @ K) @ x, np.linspace(0, 0.2, 101)
+        # x' = e^{X s} A_c x(0), held or not.
+        block = np.block([[X, rate[:, None]], [np.zeros((1, 5))]])
+        path = np.array([x + expm(block * s)[:4, 4] for s in fine])
+        chord = path[0] + (path[-1] - path[0]) * (fine / 0.2)[:, None]
+        furthest = np.maximum(furthest, np.abs((path - chord) @ rows.T).max(axis=0))
+    assert np.all(furthest <= bound) and np.any(furthest > 0.3 * bound)
+
+
 @pytest.mark.parametrize("p", [1, 2, 3, 5])
 def test_covers_contain_the_ball_and_are_tight(p):
     G = values(ball_cover(p, arb(2)))
@@ -134,6 +162,10 @@ def test_reduced_sets_contain_the_set():
     assert small.G.ncols() <= 12 and small.c.entries()[0].is_exact()
     rows = matrix(rng.normal(size=(500, 3)).tolist())
     assert all(a <= b for a, b in zip(full.support(rows), small.support(rows), strict=True))
+    faded = Zonotope(full.c, matrix((G * np.where(np.arange(40) < 5, 1, 1e-12)).tolist()))
+    few = faded.reduced(120)
+    assert few.G.ncols() == 5 + 3  # what has faded is merged, however many generators there may be
+    assert all(a <= b for a, b in zip(faded.support(rows), few.support(rows), strict=True))
 
 
 def test_norms_of_balls_about_zero_are_not_lost():

@@ -1,0 +1,150 @@
+"""Random scenarios from the file to the verdict: proved, or refused in one message; proofs verify."""
+
+import json
+from collections import Counter
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import pytest
+
+pytest.importorskip("flint")
+
+from polaris.certificate.checker import verify, verify_document
+from polaris.certificate.document import digest
+from polaris.certificate.writer import certificate
+from polaris.errors import PolarisError
+from polaris.runfolder import write_run
+from polaris.scenario import load_scenario
+
+from .random_scenarios import random_scenario, synthesised
+from .test_margins import worst_share
+
+FEW = (2, 26, 33, 36, 38, 43, 68)
+"""Among them: nothing claimed after T, a tail shorter than the memory, clipped laws, balls."""
+
+MANY = 160
+"""Scenes of the slow test."""
+
+
+def verdicts(seeds, folder):
+    """Seed, schedule and verdict of every scene that ends in a run folder; refusals are counted."""
+    for seed in seeds:
+        try:
+            scenario, schedule = synthesised(seed, folder)
+        except PolarisError as error:
+            assert error.exit_code in (2, 3, 4), seed
+            yield seed, None, error
+            continue
+        yield (
+            seed,
+            schedule,
+            verify(write_run(folder / f"run-{seed}", scenario, schedule, figures=False).path),
+        )
+
+
+def judge(found):
+    """Every proved run is verified."""
+    refused = {seed: verdict.text() for seed, schedule, verdict in found if schedule and verdict.exit_code}
+    assert not refused, "\n".join(f"random-{seed}:\n{text}" for seed, text in refused.items())
+
+
+def test_a_seed_gives_one_scene():
+    assert random_scenario(5) == random_scenario(5) != random_scenario(6)
+
+
+def test_random_scenes_are_valid_files(tmp_path):
+    seen = Counter()
+    for seed in range(40):
+        path = tmp_path / "scene.toml"
+        path.write_text(random_scenario(seed), encoding="utf-8")
+        model = load_scenario(path).model
+        seen.update(
+            [f"system {model.system.kind}", f"start {model.initial_set.kind}", f"goal {model.goal.kind}"]
+        )
+        seen.update([model.feedback.kind, model.recoverable.kind, model.schedule.strategy])
+        seen.update(f"unsafe {part.kind}" for part in (*model.obstacles, *model.keep_in))
+        seen.update(f"law {part.kind}" for part in model.experimental)
+    assert len(seen) >= 22 and min(seen.values()) >= 1, seen
+
+
+def changed(data, change):
+    """A copy of a certificate, changed in place by a function, with its digest."""
+    copy = json.loads(json.dumps(data))
+    change(copy)
+    copy["digest"] = digest(copy)
+    return verify_document(copy)
+
+
+@cache
+def document(seed):
+    """(schedule, certificate) of a random scene."""
+    with TemporaryDirectory() as folder:
+        scenario, schedule = synthesised(seed, Path(folder))
+    return schedule, certificate(schedule, scenario.name)
+
+
+def test_a_radius_is_unlimited_only_at_the_end_of_everything_claimed():
+    schedule, data = document(36)
+    assert schedule.safety.end.horizon == "none" and data["recoverable"]["radius"][-1] is None
+    assert verify_document(data).outcome == "VERIFIED"
+    for other, place in ((data, 3), (document(38)[1], -1)):
+        verdict = changed(other, lambda copy, at=place: copy["recoverable"]["radius"].__setitem__(at, None))
+        assert (verdict.outcome, verdict.claim) == ("REJECTED", "format")
+
+
+def test_a_reference_at_rest_may_end_sooner_than_the_loop_forgets_but_must_rest():
+    schedule, data = document(38)
+    assert schedule.safety.end.horizon == "infinite"
+    K = schedule.safety.problem.K
+
+    def cut(tail):
+        def change(copy):
+            copy["reference"]["states"] = copy["reference"]["states"][: K + tail + 1]
+            copy["reference"]["inputs"] = copy["reference"]["inputs"][: K + tail]
+            copy["facets"] = copy["facets"][: K + tail]
+            for item in copy["unsafe_sets"]:
+                item["offsets"] = item["offsets"][: K + tail]
+
+        return changed(data, change)
+
+    assert cut(1).outcome == "VERIFIED"
+    assert (cut(0).outcome, cut(0).claim) == ("REJECTED", "end")
+
+
+def test_no_margin_beyond_what_is_left_is_accepted_however_late_its_limit():
+    schedule, data = document(10)
+    late = [k for k, step in enumerate(schedule.steps) if step.mode and is_late(schedule, k, step.margin)]
+    assert late
+    k = late[0]
+    claimed = worst_share(schedule, k, 1) + 0.01
+    raise_to = {"margins": [*data["schedule"]["margins"]], "modes": data["schedule"]["modes"]}
+    raise_to["margins"][k] = float(claimed).hex()
+    verdict = changed(data, lambda copy: copy.__setitem__("schedule", raise_to))
+    assert 0 < claimed < 1 and (verdict.outcome, verdict.claim) == ("REJECTED", "margins")
+
+
+def is_late(schedule, k, margin):
+    """Whether what limits a step lies beyond the loop's memory."""
+    tracking = schedule.safety.tracking
+    return margin.time > (k + 1) * tracking.delta + tracking.memory * tracking.flow.h
+
+
+def test_a_few_random_proofs_verify(tmp_path):
+    found = list(verdicts(FEW, tmp_path))
+    assert sum(schedule is not None and schedule.guarantee == "proved" for _, schedule, _ in found) >= 5
+    judge(found)
+
+
+@pytest.mark.slow
+def test_a_hundred_random_proofs_verify(tmp_path):
+    found = list(verdicts(range(MANY), tmp_path))
+    judge(found)
+    proved = [schedule for _, schedule, _ in found if schedule and schedule.guarantee == "proved"]
+    assert len(proved) >= 100
+    mixed = sum(0 < schedule.share() < 1 for schedule in proved)
+    assert mixed >= len(proved) / 3, "U flies a part of the time in many of them"
+    plants = Counter(schedule.safety.problem.system.n for schedule in proved)
+    ends = Counter(schedule.safety.end.horizon for schedule in proved)
+    kinds = Counter(schedule.safety.recoverable.kind for schedule in proved)
+    assert len(plants) >= 6 and set(ends) == {"infinite", "one_period", "none"} and len(kinds) == 3
