@@ -11,7 +11,8 @@ import numpy as np
 
 from ..comparison import Flights
 from ..figures.picture import Picture
-from ..figures.scene import under_mode
+from ..figures.paths import under_mode
+from ..figures.space import Space
 from ..figures.style import BLUE, GREEN, GREY, ORANGE, RED, new_figure, printing, save
 from ..figures.unsafe import draw_unsafe
 from ..figures.view import View
@@ -84,7 +85,7 @@ def _tradeoffs(methods: Sequence[Mapping[str, Any]]) -> Any:
 def _paths(picture: Picture, methods: Sequence[Mapping[str, Any]], shown: Mapping[str, Shown]) -> Any:
     from matplotlib.lines import Line2D
 
-    view = View.around(picture)
+    view = View.of(Space.of(picture))
     columns = 3 if view.aspect < 0.8 else 4
     rows = -(-len(methods) // columns)
     width = 7.2
@@ -101,7 +102,7 @@ def _paths(picture: Picture, methods: Sequence[Mapping[str, Any]], shown: Mappin
         ax.plot(*picture.path()[0][:, flat].T, color=GREY, lw=0.6, ls=(0, (1, 1.4)), zorder=2)
         one = shown.get(method["key"])
         own = {} if one is None else {"polaris": _flights(method["name"], one)}
-        draw_unsafe(ax, replace(picture, flights=own), _Mute(view.x, view.y, view.points))
+        draw_unsafe(ax, Space.of(replace(picture, flights=own)), _Mute(view.x, view.y, view.points))
         if one is not None:
             flown = (one.states[0] @ picture.system.position.T)[:, flat]
             for mode, colour, _ in MODES:
