@@ -6,6 +6,7 @@ to its centre.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,6 +23,10 @@ from .style import BLACK, RED, shortened, tint
 
 MOST = 6
 """Most close-ups of a figure: those that are passed nearest."""
+
+
+FLAT = 0.05
+"""Motion out of the plane that nobody would see, as a share of its size."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,14 +84,22 @@ def closeups(picture: Picture) -> list[CloseUp]:
     return sorted(nearest, key=lambda one: one.time)
 
 
-def is_flat(picture: Picture) -> bool:
-    """Whether the plane of the figures shows all there is to see: motion within it, past all sets."""
+def is_flat(picture: Picture, paths: Sequence[Array] = ()) -> bool:
+    """Whether the plane of the figures shows all there is to see: motion within it, past all sets.
+
+    Parameters
+    ----------
+    picture : Picture
+    paths : sequence of ndarray, shape (N, d)
+        Further positions flown [m].
+    """
     if picture.system.d < 3:
         return True
     space = Space.of(picture)
-    third = np.concatenate([path[:, picture.frame.axes[2]] for path in (*picture.path(), picture.safe_path()[1])])
+    shown = (*picture.path(), picture.safe_path()[1], *paths)
+    third = np.concatenate([path[:, picture.frame.axes[2]] for path in shown])
     size = float(np.max((space.high - space.low)[picture.frame.flat]))
-    return bool(np.ptp(third) <= 0.05 * size) and not closeups(picture)
+    return bool(np.ptp(third) <= FLAT * size) and not closeups(picture)
 
 
 def draw_closeup(ax: Any, picture: Picture, one: CloseUp, letter: str, aspect: float, width: float) -> None:

@@ -170,12 +170,12 @@ def shades(ends: tuple[str, str], count: int) -> list[tuple[float, float, float]
 
 
 def text_width(text: str, size: float = 7.0) -> float:
-    """Width of a text [in]."""
+    """Width of a text [in], with what fitting letters to pixels may add."""
     from matplotlib.font_manager import FontProperties
     from matplotlib.textpath import text_to_path
 
     font = FontProperties(size=size)
-    return float(text_to_path.get_text_width_height_descent(text, font, False)[0]) / 72
+    return 1.05 * float(text_to_path.get_text_width_height_descent(text, font, False)[0]) / 72
 
 
 def shortened(text: str, width: float, size: float = 7.0) -> str:
@@ -205,8 +205,9 @@ def legend_above(ax: Any, handles: Any, columns: int = 2) -> float:
     """Put the legend above the axes, where it covers nothing, in as many columns as fit; its height [in]."""
     if not handles:
         return 0.0
-    # What is beside the axes takes some 0.8 in of a column, in proportion if there are several columns.
-    width = ax.get_position().width / 0.775 * (ax.figure.get_figwidth() - 0.8)
+    ticks = ax.yaxis.get_major_formatter().format_ticks(ax.get_yticks())
+    beside = 0.4 + max((text_width(text) for text in ticks), default=0.0)  # ticks and label of the axis
+    width = ax.get_position().width / 0.775 * ax.figure.get_figwidth() - beside
     columns, names = legend_rows(handles, width, columns)
     ax.legend(
         handles, names, loc="lower left", bbox_to_anchor=(0.0, 1.01), ncols=columns, labelspacing=0.3

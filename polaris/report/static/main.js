@@ -27,8 +27,8 @@ function start() {
   const buttons = data.scene.space === 3 ? ["toImage", "zoom3d", "pan3d", "orbitRotation", "tableRotation", "resetCameraDefault3d"]
     : ["toImage", "zoom2d", "pan2d", "zoomIn2d", "zoomOut2d", "resetScale2d"];
   const options = { responsive: true, displaylogo: false, showSendToCloud: false, plotlyServerURL: "", modeBarButtons: [buttons] };
-  const layout = sceneLayout(data);
-  let wanted = false, drawing = false;
+  const layout = sceneLayout(data, scene);
+  let wanted = false, drawing = false, untouched = true;
 
   // The scene is drawn at most once per frame, and not again before the last drawing is done.
   function drawScene() {
@@ -49,6 +49,7 @@ function start() {
   }
 
   function setTime(t) {
+    untouched = false;
     state.t = Math.min(Math.max(t, 0), data.end);
     $("time").value = state.t;
     $("time").setAttribute("aria-valuetext", `${short(state.t)} seconds`);
@@ -69,7 +70,7 @@ function start() {
     $("play").textContent = on ? "Pause" : "Play";
     $("play").setAttribute("aria-pressed", String(on));
     if (!on) return;
-    if (state.t >= data.end) state.t = 0;
+    if (state.t >= data.end || untouched) setTime(0); // from the start, not from where the page opens
     let before = performance.now();
     const next = (now) => {
       if (!state.playing) return;
@@ -87,7 +88,8 @@ function start() {
   Object.assign($("time"), { min: 0, max: data.end, step: data.end / 1000, value: 0 });
   $("time").addEventListener("input", () => { play(false); setTime(Number($("time").value)); });
   $("play").addEventListener("click", () => play(!state.playing));
-  setTime(0);
+  setTime(data.open || 0);
+  untouched = true;
   drawTimelines().then(() => {
     const at = (event) => event.xvals ? event.xvals[0] : event.points[0].x;
     // Moving the line makes plotly report the resting pointer again: only a new place counts.
