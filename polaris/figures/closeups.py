@@ -106,7 +106,8 @@ def draw_closeup(ax: Any, picture: Picture, one: CloseUp, letter: str, aspect: f
     """Draw one close-up, wholly within `width` [in], as high as `aspect` times that."""
     apart = f"{one.distance:.3g}" if one.distance < 1000 else f"{one.distance:.0f}"
     told = f"at {seconds(one.time)} s: {apart} m apart"
-    lines = (shortened(line, width) for line in (f"({letter}) {one.obstacle.name}", told))
+    lines = (shortened(line, 0.9 * width) for line in (f"({letter}) {one.obstacle.name}", told))
+    ax.locator_params(nbins=4)
     ax.set_title("\n".join(lines), fontsize=7, loc="left", linespacing=1.1, pad=3)
     if one.axes is None:
         _over_time(ax, picture, one)
@@ -132,7 +133,7 @@ def draw_closeup(ax: Any, picture: Picture, one: CloseUp, letter: str, aspect: f
     ax.plot(*path[at, axes], marker="o", mfc="white", mec=BLACK, mew=0.7, ms=3, zorder=6)
     labels = [picture.frame.labels[picture.frame.axes.index(axis)] for axis in axes]
     if moving:
-        labels = [f"Relative {label[0].lower()}{label[1:]}" for label in labels]
+        labels = [f"Rel. {label[0].lower()}{label[1:]}" for label in labels]
     ax.set_xlabel(labels[0], fontsize=7)
     ax.set_ylabel(labels[1], fontsize=7)
     ax.grid(True)

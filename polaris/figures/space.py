@@ -17,7 +17,7 @@ from ..satellite import SatelliteObstacle
 from ..shapes import Ball, Polytope
 from ..system import Array
 from .geometry import ball, boxed, directions, flat_outline
-from .picture import Picture
+from .picture import Approach, Picture
 
 NEAR = 0.35
 """How far a flight may stray beyond the safe path, in widths of it, and still widen the view."""
@@ -73,9 +73,12 @@ class Space:
         for obstacle in picture.obstacles:
             if isinstance(obstacle, KeepIn):
                 continue
-            outline = cls(picture, low - reach, high + reach).corners(obstacle, picture.approach(obstacle).time)
-            if len(outline):
-                seen.append(np.clip(outline, low - reach, high + reach))
+            near = picture.approach(obstacle)
+            if isinstance(obstacle.shape, Polytope) and not obstacle.shape.bounded:
+                outline = _within(obstacle, picture, near, reach)
+            else:
+                outline = cls(picture, low, high).corners(obstacle, near.time)
+            seen.append(np.clip(outline, low - reach, high + reach))
         points = np.vstack(seen)
         low, high = points.min(axis=0), points.max(axis=0)
         pad = 0.05 * float(np.max((high - low)[flat])) + 1e-9 * (1 + float(np.abs(points).max()))
@@ -165,6 +168,16 @@ class Space:
 def position_set(picture: Picture) -> Zonotope:
     """Initial positions."""
     return picture.system.position @ picture.initial_set
+
+
+def _within(obstacle: Obstacle, picture: Picture, near: Approach, depth: float) -> Array:
+    """A point some way within an unbounded set, past where the path comes closest to it; none if it is far."""
+    if near.distance > depth:
+        return np.zeros((0, picture.system.d))
+    probes = near.place + 1e-3 * depth * np.vstack([np.eye(picture.system.d), -np.eye(picture.system.d)])
+    ahead, behind = np.split(obstacle.signed_distance(near.time, probes, picture.system), 2)
+    away = (ahead - behind) / max(float(np.linalg.norm(ahead - behind)), 1e-300)
+    return np.asarray((near.place - (near.distance + 0.5 * depth) * away)[None])
 
 
 def moves(obstacle: Obstacle, picture: Picture) -> bool:

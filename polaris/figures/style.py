@@ -61,7 +61,7 @@ _STYLE: Any = {
     "axes.spines.right": False,
     "axes.axisbelow": True,
     # A power of ten apart from the ticks would stand in the legend.
-    "axes.formatter.limits": (-4, 7),
+    "axes.formatter.limits": (-6, 7),
     "axes.formatter.useoffset": False,
     "grid.color": "#E4E4E4",
     "grid.linewidth": 0.4,
@@ -207,7 +207,7 @@ def legend_above(ax: Any, handles: Any, columns: int = 2) -> float:
         return 0.0
     ticks = ax.yaxis.get_major_formatter().format_ticks(ax.get_yticks())
     beside = 0.4 + max((text_width(text) for text in ticks), default=0.0)  # ticks and label of the axis
-    width = ax.get_position().width / 0.775 * ax.figure.get_figwidth() - beside
+    width = ax.get_position(original=True).width / 0.775 * ax.figure.get_figwidth() - beside
     columns, names = legend_rows(handles, width, columns)
     ax.legend(
         handles, names, loc="lower left", bbox_to_anchor=(0.0, 1.01), ncols=columns, labelspacing=0.3

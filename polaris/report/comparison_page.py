@@ -66,7 +66,7 @@ def comparison_data(folder: Path, run: RunFolder, methods: Sequence[Mapping[str,
             distances.append(timelines.proven_series(bound, picture.reference.delta))
     return {
         "scene": scene_of(picture, paths, axes),
-        "open": plain(picture.closest),
+        "open": plain(_closest(flown[:FIRST], arrays, picture.closest)),
         "end": plain(max((one["t"][-1] for one in pilots), default=picture.duration)),
         "modes": timelines.mode_names(picture, np.concatenate(present)),
         "modes_title": timelines.WHO,
@@ -78,6 +78,13 @@ def comparison_data(folder: Path, run: RunFolder, methods: Sequence[Mapping[str,
             *timelines.input_panels(picture, inputs),
         ],
     }
+
+
+def _closest(flown: Sequence[Mapping[str, Any]], arrays: Arrays, without: float) -> float:
+    """When any run of the methods shown at first comes closest to an unsafe set [s]."""
+    found = [(arrays[f"{one['key']}_distance_m"][0], arrays[f"{one['key']}_t_s"]) for one in flown]
+    least = [(float(near.min()), float(t[np.argmin(near)])) for near, t in found if np.isfinite(near).all()]
+    return min(least)[1] if least else without
 
 
 def _distance(picture: Picture, key: str, arrays: Arrays, chosen: Any) -> list[dict[str, Any]]:

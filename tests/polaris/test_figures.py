@@ -271,7 +271,7 @@ def random_picture(seed):
         Zonotope.box(chi0, np.r_[np.full(d, 0.01 * size), np.zeros(n - d)]), reference, steps,
         ("safety", "a learned policy whose name is far too long for any legend", "other"), modes,
         rng.uniform(-0.1, 1, steps), tuple(limits[i] for i in rng.integers(0, 6, steps)),
-        {"polaris": flights, "experimental": flights},
+        {"polaris": flights, "experimental": replace(flights, states=flights.states + 0.03 * size)},
     )  # fmt: skip
 
 

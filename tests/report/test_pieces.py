@@ -8,11 +8,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from polaris.figures.geometry import boxed
 from polaris.report.comparison_report import stretches
 from polaris.report.html import Cell, badge, number_cell, table, text_cell
 from polaris.report.measures import Measure
 from polaris.report.numbers import escaped, plain, script_json, shown
-from polaris.report.solids import ball, cut_outline, cut_surface, hull, polyhedron
+from polaris.report.solids import ball, cut_surface, hull, polyhedron
 from polaris.report.timelines import MOST, kept, style_of
 
 CUBE = np.vstack([np.eye(3), -np.eye(3)])
@@ -184,6 +185,6 @@ def test_cone_is_cut_to_the_scene_and_stays_open():
 
 
 def test_outline_is_cut_in_the_plane():
-    wall = cut_outline(np.array([[0.0, -1.0]]), np.array([-7.0]), np.zeros(2), np.array([5.0, 9.0]))
+    wall = boxed(np.array([[0.0, -1.0]]), np.array([-7.0]), np.zeros(2), np.array([5.0, 9.0])).vertices()
     assert sorted(map(tuple, wall.round(9).tolist())) == [(0, 7), (0, 9), (5, 7), (5, 9)]
-    assert len(cut_outline(np.array([[0.0, -1.0]]), np.array([-70.0]), np.zeros(2), np.ones(2))) == 0
+    assert boxed(np.array([[0.0, -1.0]]), np.array([-70.0]), np.zeros(2), np.ones(2)).depth < 0

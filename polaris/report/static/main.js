@@ -140,8 +140,8 @@ function controls(data, state, redraw) {
 // The same in words: one row per pilot with all values at the time shown.
 function readout(data, state) {
   const own = data.panels.filter((panel) => panel.series.some((one) => one.pilot !== null));
-  const head = element("tr", {}, ...["Shown", "Run", data.modes_title, ...own.map((panel) => panel.title + (panel.unit ? ` (${panel.unit})` : ""))]
-    .map((text) => element("th", { scope: "col", textContent: text })));
+  const heads = ["Shown", "Run", data.modes_title, ...own.map((panel) => panel.title + (panel.unit ? ` (${panel.unit})` : ""))];
+  const head = element("tr", {}, ...heads.map((text) => element("th", { scope: "col", textContent: text })));
   const rows = state.shown.map((pilot) => {
     const run = runOf(pilot, state), [i, s] = place(pilot.t, state.t), who = pilot.runs[run].modes;
     const mode = data.modes.find((one) => one.mode === who[Math.min(i, who.length - 1)]);
@@ -149,8 +149,9 @@ function readout(data, state) {
       const series = panel.series.find((one) => one.pilot === pilot.key);
       return series ? at(series, valuesOf(series, pilot, state), i, s) : "none";
     });
-    return element("tr", {}, element("th", { scope: "row", textContent: pilot.name }),
-      ...[pilot.labels[run], mode.name, ...cells].map((text) => element("td", { textContent: text })));
+    const values = [pilot.labels[run], mode.name, ...cells].map((text) => element("td", { textContent: text }));
+    values.forEach((cell, k) => { cell.dataset.head = heads[k + 1]; });
+    return element("tr", {}, element("th", { scope: "row", textContent: pilot.name }), ...values);
   });
   $("readout").replaceChildren(element("thead", {}, head), element("tbody", {}, ...rows));
   const notes = data.panels.flatMap((panel) => panel.series.filter((one) => one.pilot === null).map((series) => {
