@@ -158,7 +158,9 @@ def _told(columns: dict[str, Array], worst: int) -> dict[str, Any]:
     for name in MEANS:
         values = np.asarray(columns[name], dtype=float)
         if np.isfinite(values).all():
-            means[name] = dict(zip(("mean", "low", "high"), mean_interval(values, within=possible(name)), strict=True))
+            means[name] = dict(
+                zip(("mean", "low", "high"), mean_interval(values, within=possible(name)), strict=True)
+            )
         else:
             means[name] = dict.fromkeys(("mean", "low", "high"))
     order = np.lexsort((columns["run"], columns["batch"], columns["min_distance_m"]))[:worst]

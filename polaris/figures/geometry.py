@@ -25,7 +25,9 @@ def ball(radius: float, d: int) -> Array:
         return radius * directions(64)
     angle = np.pi * np.arange(1, 12) / 12
     round_, up = directions(24), np.cos(angle)
-    rings = np.concatenate([np.c_[np.sin(a) * round_, np.full(24, z)] for a, z in zip(angle, up, strict=True)])
+    rings = np.concatenate(
+        [np.c_[np.sin(a) * round_, np.full(24, z)] for a, z in zip(angle, up, strict=True)]
+    )
     return np.asarray(radius * np.vstack([rings, [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]]))
 
 

@@ -45,7 +45,9 @@ class LineSpace:
         shown = [start.c - reach, start.c + reach, picture.path()[0][:, 0], picture.safe_path()[1][:, 0]]
         points = np.concatenate(shown)
         size = float(np.ptp(points))
-        shown += [path[:, 0] for path in paths if np.ptp(np.append(path[:, 0], points)) < (1 + 2 * WIDEN) * size]
+        shown += [
+            path[:, 0] for path in paths if np.ptp(np.append(path[:, 0], points)) < (1 + 2 * WIDEN) * size
+        ]
         points = np.concatenate(shown)
         low, high = float(points.min()) - WIDEN * size, float(points.max()) + WIDEN * size
         whole = cls(picture, -np.inf, np.inf)
@@ -63,7 +65,10 @@ class LineSpace:
         """Ends of a set (of the inside, if it is to be kept) at `times`, shape (T, 2) [m]; perhaps infinite."""
         system = self.picture.system
         if isinstance(obstacle, KeepIn):
-            H, b = obstacle.inside.H[:, 0], np.broadcast_to(obstacle.inside.b, (INSTANTS, len(obstacle.inside.b)))
+            H, b = (
+                obstacle.inside.H[:, 0],
+                np.broadcast_to(obstacle.inside.b, (INSTANTS, len(obstacle.inside.b))),
+            )
         else:
             centre = np.asarray(obstacle.centre(self.times, system))[:, 0]
             H = getattr(obstacle.shape, "H", np.array([[1.0], [-1.0]]))[:, 0]
@@ -122,14 +127,34 @@ def draw_line_scene(ax: Any, picture: Picture) -> float:
             foot, top = tube[chosen].T
             ax.bar(np.flatnonzero(chosen) * delta, top - foot, delta, foot, align="edge", color=colour, lw=0)
             if np.max(top - foot) > 0.03 * (space.high - space.low):
-                handles.append(Patch(facecolor=colour, label=f"reachable under {picture.mode_name(int(mode))}"))
+                handles.append(
+                    Patch(facecolor=colour, label=f"reachable under {picture.mode_name(int(mode))}")
+                )
     for obstacle in picture.obstacles:
         _set(ax, space, view, obstacle)
     goal = space.goal()
     if goal and space.low < min(goal) and max(goal) < space.high:
         end = picture.duration
-        ax.plot([end] * len(goal), goal, color=GREEN, lw=3, marker="*" if len(goal) == 1 else "_", ms=8, clip_on=False, zorder=6)
-        handles.append(Line2D([], [], color=GREEN, lw=3 if len(goal) == 2 else 0, marker="*" if len(goal) == 1 else "", label="goal"))
+        ax.plot(
+            [end] * len(goal),
+            goal,
+            color=GREEN,
+            lw=3,
+            marker="*" if len(goal) == 1 else "_",
+            ms=8,
+            clip_on=False,
+            zorder=6,
+        )
+        handles.append(
+            Line2D(
+                [],
+                [],
+                color=GREEN,
+                lw=3 if len(goal) == 2 else 0,
+                marker="*" if len(goal) == 1 else "",
+                label="goal",
+            )
+        )
     start = position_set(picture)
     reach = float(np.abs(start.G).sum())
     ax.plot([0, 0], [start.c[0] - reach, start.c[0] + reach], color=BLACK, lw=3, clip_on=False, zorder=6)

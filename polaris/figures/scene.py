@@ -129,7 +129,9 @@ def _goal(ax: Any, space: Space, view: View) -> list[Any]:
         else:
             if part.kind == "body":
                 flat = flat_outline(flat)
-                ax.add_patch(Polygon(flat, facecolor="none", edgecolor=GREEN, lw=0.7, ls=GOAL_DASHES, zorder=2.5))
+                ax.add_patch(
+                    Polygon(flat, facecolor="none", edgecolor=GREEN, lw=0.7, ls=GOAL_DASHES, zorder=2.5)
+                )
             else:
                 ax.plot(*flat.T, **line, zorder=2.5)
             seen, own = len(view.seen(flat)) > 0, line

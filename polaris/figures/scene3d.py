@@ -95,7 +95,9 @@ def _goal(ax: Any, space: Space, low: Array, high: Array) -> None:
         if part.kind == "body":
             drawn = faces(points) if d == 3 else [points[np.argsort(_angle(points))]]
             points = np.vstack([np.vstack([face, face[:1], np.full((1, 3), np.nan)]) for face in drawn])
-        look: dict[str, Any] = {"lw": 0.8, "ls": (0, (4, 2))} if len(points) > 1 else {"marker": "*", "ls": "none"}
+        look: dict[str, Any] = (
+            {"lw": 0.8, "ls": (0, (4, 2))} if len(points) > 1 else {"marker": "*", "ls": "none"}
+        )
         ax.plot(*points.T, color=GREEN, label=label, **look)
         label = "_"
 
@@ -128,7 +130,9 @@ def _solids(ax: Any, space: Space, low: Array, high: Array) -> None:
             ax.text(*top[np.argmax(top[:, 2])], f" {obstacle.name}", color=RED, fontsize=7, va="bottom")
 
 
-def _prisms(obstacle: Obstacle, space: Space, times: list[float], low: Array, high: Array) -> list[list[Array]]:
+def _prisms(
+    obstacle: Obstacle, space: Space, times: list[float], low: Array, high: Array
+) -> list[list[Array]]:
     """What a set in the plane covers from one instant to the next, with time as third axis."""
     flat = space.picture.frame.flat
     ends = [0.0, space.picture.duration] if len(times) == 1 else times
@@ -153,7 +157,9 @@ def _fill(ax: Any, polygons: list[Array], strength: float, edges: bool) -> None:
 
     edge = (*tint(RED, strength), 0.8) if edges else "none"
     face = (*tint(RED, 0.7), 0.28 * strength)
-    ax.add_collection3d(Poly3DCollection(polygons, linewidth=0.35, facecolor=face, edgecolor=edge), autolim=False)
+    ax.add_collection3d(
+        Poly3DCollection(polygons, linewidth=0.35, facecolor=face, edgecolor=edge), autolim=False
+    )
 
 
 def _edges(ax: Any, polygons: list[Array], low: Array, high: Array) -> Array:

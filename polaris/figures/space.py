@@ -63,7 +63,9 @@ class Space:
         reach = np.abs(start.G).sum(axis=-1)
         points = np.vstack([*picture.path(), picture.safe_path()[1], start.c - reach, start.c + reach])
         size = float(np.max(np.ptp(points[:, flat], axis=0)))
-        for path in [picture.positions(item) for item in picture.flights.values()] if paths is None else paths:
+        for path in (
+            [picture.positions(item) for item in picture.flights.values()] if paths is None else paths
+        ):
             beyond = np.maximum(points.min(axis=0) - path, path - points.max(axis=0))[:, flat]
             if np.all(beyond < NEAR * size):
                 points = np.vstack([points, path])

@@ -70,7 +70,9 @@ def _set(ax: Any, space: Space, view: View, obstacle: Obstacle, times: list[floa
             view.avoid(view.seen(rim))
         name = shortened(obstacle.name, 1.5) if order == 0 else ""
         told = f"{seconds(t)} s" if moving else ""
-        view.label(ax, ", ".join(filter(None, (name, told))) + (note if order == 0 else ""), view.clip(outline), RED)
+        view.label(
+            ax, ", ".join(filter(None, (name, told))) + (note if order == 0 else ""), view.clip(outline), RED
+        )
     if moving:
         way = obstacle.centre(np.linspace(0, space.picture.duration, 201), space.picture.system)[:, axes]
         ax.plot(*way.T, color=tint(RED, 0.6), lw=0.6, ls=(0, (1, 2)), zorder=1.4)

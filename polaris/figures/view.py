@@ -24,7 +24,9 @@ class View:
         Of the axes [in].
     """
 
-    def __init__(self, x: tuple[float, float], y: tuple[float, float], points: Array, width: float = 2.8) -> None:
+    def __init__(
+        self, x: tuple[float, float], y: tuple[float, float], points: Array, width: float = 2.8
+    ) -> None:
         self.x, self.y, self.points, self.width = x, y, points, width
         self.taken: list[tuple[float, float, float, float]] = []
 

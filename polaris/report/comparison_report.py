@@ -148,7 +148,9 @@ def _differences(against: str, found: Mapping[str, Mapping[str, Cell]], names: M
 
 def _difference(one: Mapping[str, Any]) -> Cell:
     low, high = one["low"], one["high"]
-    cell = Measure.of(one["metric"]).cell({"mean": one["difference"], "low": low, "high": high}, difference=True)
+    cell = Measure.of(one["metric"]).cell(
+        {"mean": one["difference"], "low": low, "high": high}, difference=True
+    )
     if low is None or high is None or low > 0 or high < 0 or low == high:
         return cell
     return replace(cell, html=f'{cell.html}<span class="range">perhaps 0</span>')

@@ -123,7 +123,11 @@ def fuel_data(run: FuelRun) -> dict[str, Any]:
 
 def _closest(t: Array, margins: Mapping[str, Array]) -> float:
     """When a deputy has least room of all to a limit of a distance [s]."""
-    own = [found.min(axis=1) for name, found in margins.items() if found.shape[1] and MEANING.get(name, ("", ""))[1] == "m"]
+    own = [
+        found.min(axis=1)
+        for name, found in margins.items()
+        if found.shape[1] and MEANING.get(name, ("", ""))[1] == "m"
+    ]
     return float(t[np.argmin(np.min(own, axis=0))]) if own else float(t[-1])
 
 

@@ -71,9 +71,7 @@ def _at(obstacle: Obstacle, space: Space, axes: list[int], t: float) -> Layer | 
     name = obstacle.name
     if len(axes) == 2:
         outline = space.outline(obstacle, t, axes)
-        return (
-            layers.area(name, outline, "unsafe", RED, 0.4) | {"label": name} if len(outline) else None
-        )
+        return layers.area(name, outline, "unsafe", RED, 0.4) | {"label": name} if len(outline) else None
     if isinstance(obstacle.shape, Ball):
         own = ball(obstacle.shape.radius)
         surface: Surface | None = Surface(own.points + obstacle.centre(t, space.picture.system), own.faces)

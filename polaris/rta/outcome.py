@@ -169,9 +169,7 @@ def _largest(demanded: Array, chosen: NDArray[np.bool_]) -> Array:
     return np.where(np.isfinite(least), least, np.nan)
 
 
-def _interval(
-    values: Array, within: tuple[float, float]
-) -> tuple[float | None, float | None, float | None]:
+def _interval(values: Array, within: tuple[float, float]) -> tuple[float | None, float | None, float | None]:
     if not np.all(np.isfinite(values)):
         return None, None, None
     mean, low, high = mean_interval(values, within=within)

@@ -250,10 +250,19 @@ def random_picture(seed):
     at = path[rng.integers(len(path), size=4), :d] + rng.normal(size=(4, d)) * size / 5
     sets = [
         BallObstacle("ball", at[0], 0.05 * size, velocity=rng.normal(size=d) * size / (steps * delta)),
-        BoxObstacle("a box with a very long name that nobody would read", at[1], rng.uniform(0.02, 0.1, d) * size),
-        SatelliteObstacle("visitor", np.r_[at[2], np.zeros(n - d)], np.r_[np.full(d, 0.02 * size), np.zeros(n - d)], 0.03 * size),
+        BoxObstacle(
+            "a box with a very long name that nobody would read", at[1], rng.uniform(0.02, 0.1, d) * size
+        ),
+        SatelliteObstacle(
+            "visitor",
+            np.r_[at[2], np.zeros(n - d)],
+            np.r_[np.full(d, 0.02 * size), np.zeros(n - d)],
+            0.03 * size,
+        ),
         PolytopeObstacle("wall", [rng.normal(size=d)], [-2.0 * float(np.abs(path).max())], unbounded=True),
-        KeepInPolytope("corridor", np.vstack([np.eye(d), -np.eye(d)]), np.full(2 * d, 1.5 * np.abs(path[:, :d]).max())),
+        KeepInPolytope(
+            "corridor", np.vstack([np.eye(d), -np.eye(d)]), np.full(2 * d, 1.5 * np.abs(path[:, :d]).max())
+        ),
     ]
     half = np.where(rng.random(n) < 0.4, np.inf, rng.uniform(0, 0.2, n) * size)
     goals = [StationaryPoint(reference.chi[-1]), Box(reference.chi[-1], half)]
@@ -293,7 +302,9 @@ def assert_well_drawn(figure):
         for line in ax.lines:
             data = np.column_stack(line.get_data())
             assert np.isfinite(data).any() and not np.isinf(data.astype(float)).any()
-            assert np.array_equal(np.isnan(data).any(axis=1), np.isnan(data).all(axis=1))  # gaps, nothing else
+            assert np.array_equal(
+                np.isnan(data).any(axis=1), np.isnan(data).all(axis=1)
+            )  # gaps, nothing else
         for patch in ax.patches:
             assert np.isfinite(patch.get_path().vertices).all()
         for many in ax.collections:
@@ -315,7 +326,9 @@ def assert_legend_is_seen(figure):
         x0, y0, x1, y1 = (int(v) for v in ax.get_window_extent().extents)
         seen = image[y0:y1, x0:x1].reshape(-1, 3)
         for handle, text in zip(legend.legend_handles, legend.get_texts(), strict=True):
-            colour = to_rgb(handle.get_facecolor() if hasattr(handle, "get_facecolor") else handle.get_color())
+            colour = to_rgb(
+                handle.get_facecolor() if hasattr(handle, "get_facecolor") else handle.get_color()
+            )
             count = np.count_nonzero(np.abs(seen - colour).max(axis=1) < 0.02)
             assert count >= 2, (text.get_text(), count)
 
@@ -377,7 +390,9 @@ def drawn_gap(picture, obstacle, times, path, axes):
     return np.array(gaps)
 
 
-@pytest.mark.parametrize("seed", [5, 11, 2, 8, *(pytest.param(i, marks=pytest.mark.slow) for i in range(14, 300, 3))])
+@pytest.mark.parametrize(
+    "seed", [5, 11, 2, 8, *(pytest.param(i, marks=pytest.mark.slow) for i in range(14, 300, 3))]
+)
 def test_some_panel_shows_every_passage_of_a_set_that_is_not_entered(seed):
     picture = random_picture(seed)
     times, path = picture.safe_path()
@@ -404,7 +419,9 @@ def over(height, radius=40.0):
     at = np.array([0.0, 0.0, 0.0])
     A = np.block([[np.zeros((3, 3)), np.eye(3)], [np.zeros((3, 6))]])
     system = LinearSystem(A, np.eye(6)[:, 3:], np.eye(6)[:, 3:], np.ones(3))
-    return bare(system, [BallObstacle("ball", at, radius)], StationaryPoint(np.zeros(6)), [-300, 0, height, 1, 0, 0])
+    return bare(
+        system, [BallObstacle("ball", at, radius)], StationaryPoint(np.zeros(6)), [-300, 0, height, 1, 0, 0]
+    )
 
 
 def test_a_set_passed_above_has_a_close_up_that_shows_the_gap():
@@ -415,7 +432,10 @@ def test_a_set_passed_above_has_a_close_up_that_shows_the_gap():
     assert len(figure.axes) == 2
     main, close = figure.axes
     assert "ball (see a)" in [text.get_text() for text in main.texts]
-    assert close.get_title(loc="left") == "(a) ball\nat 300 s: 20 m apart" and close.get_ylabel() == "Position z (m)"
+    assert (
+        close.get_title(loc="left") == "(a) ball\nat 300 s: 20 m apart"
+        and close.get_ylabel() == "Position z (m)"
+    )
     assert_well_drawn(figure)
 
 
@@ -428,7 +448,9 @@ def test_a_set_that_is_entered_is_drawn_as_such_and_a_free_path_needs_no_close_u
 
 def test_moving_sets_and_the_chaser_bear_the_same_times(picture):
     texts = [text.get_text() for text in drawn("scene", picture).axes[0].texts]
-    times = [float(text.removeprefix("trolley, ").removesuffix(" s")) for text in texts if text.endswith(" s")]
+    times = [
+        float(text.removeprefix("trolley, ").removesuffix(" s")) for text in texts if text.endswith(" s")
+    ]
     assert 2 <= len(times) <= 6 and all(times.count(t) == 2 for t in times)
     trolley = picture.obstacles[1]
     closest = picture.approach(trolley)
