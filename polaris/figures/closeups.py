@@ -1,4 +1,4 @@
-"""Close-ups: where the plane of motion shows the safe path within an unsafe set, a view that shows them apart.
+"""Close-ups: where the plane of motion shows the safe path within an unsafe set, a view of the gap.
 
 A set may be passed above or below. What is drawn is how the path lies to the set: of a moving set, relative
 to its centre.

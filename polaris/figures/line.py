@@ -62,7 +62,7 @@ class LineSpace:
         return np.linspace(0, self.picture.duration, INSTANTS)
 
     def edges(self, obstacle: Obstacle) -> Array:
-        """Ends of a set (of the inside, if it is to be kept) at `times`, shape (T, 2) [m]; perhaps infinite."""
+        """Ends of a set (of a keep-in set's inside) at `times`, shape (T, 2) [m]; perhaps infinite."""
         system = self.picture.system
         if isinstance(obstacle, KeepIn):
             H, b = (

@@ -118,7 +118,8 @@ def _goal(ax: Any, space: Space, view: View) -> list[Any]:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Polygon
 
-    axes, handles = space.picture.frame.flat, []
+    axes = space.picture.frame.flat
+    handles: list[Any] = []
     line: dict[str, Any] = {"color": GREEN, "lw": 0.7, "ls": GOAL_DASHES}
     star: dict[str, Any] = {"marker": "*", "color": GREEN, "ls": "none"}
     for part in space.goal():

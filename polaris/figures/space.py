@@ -1,4 +1,4 @@
-"""What a scene holds, whoever draws it: the part of space that is shown, sets and goal in it, how near it gets."""
+"""What a scene holds, whoever draws it: the part of space that is shown, and the sets and the goal in it."""
 
 from __future__ import annotations
 
@@ -173,7 +173,7 @@ def position_set(picture: Picture) -> Zonotope:
 
 
 def _within(obstacle: Obstacle, picture: Picture, near: Approach, depth: float) -> Array:
-    """A point some way within an unbounded set, past where the path comes closest to it; none if it is far."""
+    """A point within an unbounded set, past where the path comes closest to it; none if it is far."""
     if near.distance > depth:
         return np.zeros((0, picture.system.d))
     probes = near.place + 1e-3 * depth * np.vstack([np.eye(picture.system.d), -np.eye(picture.system.d)])

@@ -69,7 +69,7 @@ def draw_input(ax: Any, picture: Picture) -> None:
     scale = np.ones_like(limit) if same else limit
     top = float(limit[0]) if same else 1.0
     handles = []
-    colours = shades((BLACK, "#8C8C8C"), len(names)) if len(names) > 1 else [BLACK]
+    colours = shades((BLACK, "#8C8C8C"), len(names))
     for axis, (name, colour) in enumerate(zip(names, colours, strict=True)):
         dashes = INPUT_DASHES[axis % 3]
         low, high = (step_edges(bound[:, axis]) / scale[axis] for bound in flights.input_range)
@@ -135,13 +135,13 @@ def draw_margin(ax: Any, picture: Picture) -> float:
         [name for name in dict.fromkeys(names) if (name in picture.system.input_names) == wanted]
         for wanted in (True, False)
     )
-    colours = dict(zip(thrust, shades(INPUT_SHADES, len(thrust)), strict=True))
-    colours |= dict(zip(sets, shades(SET_SHADES, len(sets)), strict=True))
-    for name, colour in colours.items():
+    told = dict(zip(thrust, shades(INPUT_SHADES, len(thrust)), strict=True))
+    told |= dict(zip(sets, shades(SET_SHADES, len(sets)), strict=True))
+    for name, shade in told.items():
         chosen = np.array([other == name for other in names])
         spans = [(a * delta, (b - a) * delta) for a, b in stretches(chosen)]
-        ax.broken_barh(spans, (place, height), facecolor=colour, lw=0)
-        handles.append(Patch(facecolor=colour, label=name))
+        ax.broken_barh(spans, (place, height), facecolor=shade, lw=0)
+        handles.append(Patch(facecolor=shade, label=name))
     ax.text(
         -0.015,
         place + height / 2,

@@ -57,7 +57,7 @@ def draw_unsafe(
 
 def _set(ax: Any, space: Space, view: View, obstacle: Obstacle, times: list[float], note: str) -> None:
     """One set at some instants, the most important one first."""
-    axes, moving = picture_axes(space), moves(obstacle, space.picture)
+    axes, moving = space.picture.frame.flat, moves(obstacle, space.picture)
     for order, t in enumerate(times if moving else times[:1]):
         outline = space.wider(1.0).outline(obstacle, t, axes)
         if not len(outline) or not (len(view.seen(outline)) or (not note and _around(outline, view))):
@@ -85,14 +85,9 @@ def _around(outline: Array, view: View) -> bool:
     return bool(low[0] < view.x[0] and low[1] < view.y[0] and high[0] > view.x[1] and high[1] > view.y[1])
 
 
-def picture_axes(space: Space) -> list[int]:
-    """The plane of the figures."""
-    return space.picture.frame.flat
-
-
 def instants(obstacle: Obstacle, space: Space) -> list[float]:
-    """When a set is drawn: at the closest approach, and if it moves once before and after, as far as in view."""
-    picture, axes = space.picture, picture_axes(space)
+    """When a set is drawn: at the closest approach, and if it moves once before and after, if in view."""
+    picture, axes = space.picture, space.picture.frame.flat
     closest = picture.approach(obstacle).time
     if not moves(obstacle, picture):
         return [0.0]
@@ -136,7 +131,7 @@ def _chaser(ax: Any, space: Space, view: View, times: list[float]) -> None:
     """Where the chaser is at the instants at which a moving set is drawn."""
     known, path = space.picture.safe_path()
     for t in times:
-        spot = path[int(np.argmin(np.abs(known - t)))][picture_axes(space)]
+        spot = path[int(np.argmin(np.abs(known - t)))][space.picture.frame.flat]
         if view.contains(spot):
             ax.plot(*spot, "o", ms=3, mfc="white", mec=RED, mew=0.7, zorder=6)
             view.label(ax, f"{seconds(t)} s", spot[None], RED)
@@ -144,7 +139,7 @@ def _chaser(ax: Any, space: Space, view: View, times: list[float]) -> None:
 
 def _keep_in(ax: Any, space: Space, view: View, obstacle: KeepIn) -> None:
     """Draw a keep-in set and write its name at the end of its edge that is in view."""
-    rim = flat_outline(space.wider(1.0).corners(obstacle, 0.0)[:, picture_axes(space)])
+    rim = flat_outline(space.wider(1.0).corners(obstacle, 0.0)[:, space.picture.frame.flat])
     seen = view.seen(rim) if len(rim) else rim
     if len(seen):
         _outline(ax, rim, 0.8, DASHES)

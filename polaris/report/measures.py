@@ -87,7 +87,17 @@ class Measure:
         return shown(value, self.key, ".4g", self.unit if unit else "")
 
     def cell(self, value: Any, unit: bool = True, difference: bool = False) -> Cell:
-        """A value, or a mean with its bounds, as a cell; marked if it tells of a collision, unless a difference."""
+        """A value, or a mean with its bounds, as a cell; marked if it tells of a collision.
+
+        Parameters
+        ----------
+        value : any
+            Of a file.
+        unit : bool
+            Whether to write the unit after it.
+        difference : bool
+            Whether it is a difference of two methods: it has other limits, and tells of no collision.
+        """
         judged = not difference
         if isinstance(value, Mapping):
             return self._bounded(value, judged)

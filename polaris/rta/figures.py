@@ -11,8 +11,8 @@ import numpy as np
 
 from ..comparison import Flights
 from ..figures.closeups import closeups
-from ..figures.picture import Picture
 from ..figures.paths import under_mode
+from ..figures.picture import Picture
 from ..figures.space import Space
 from ..figures.style import BLUE, GREEN, GREY, ORANGE, RED, new_figure, printing, save, shortened
 from ..figures.unsafe import draw_unsafe

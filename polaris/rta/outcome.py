@@ -36,8 +36,8 @@ DEFINITIONS = {
     "decision_p99_us": "the same, 99th percentile",
     "synthesis_s": "wall time before the flight: Algorithm 1 where the method needs S, Algorithm 2 for the"
     " schedule, and what the method prepares",
-    "mean, low, high": "mean over runs and its 95 % interval (Student's t, cut to what is possible); of runs drawn as here, half of"
-    " them under worst cases, not of flights in nature",
+    "mean, low, high": "mean over runs and its 95 % interval (Student's t, cut to what is possible); of"
+    " runs drawn as here, half of them under worst cases, not of flights in nature",
     "worst": "least distance, time to collision or share; largest of the others",
 }
 """What each number of a comparison means."""

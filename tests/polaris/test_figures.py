@@ -12,8 +12,8 @@ from polaris.comparison import Flights
 from polaris.figures import _FIGURES, NAMES, draw_figures, plot_reference, plot_schedule
 from polaris.figures.closeups import MOST, closeups
 from polaris.figures.geometry import directions, faces, flat_outline, polygon, stretches, tube_polygons
-from polaris.figures.picture import Picture, picture_of, picture_of_safety, recoverable_slices, tube_of
 from polaris.figures.paths import under_mode
+from polaris.figures.picture import Picture, picture_of, picture_of_safety, recoverable_slices, tube_of
 from polaris.figures.space import Space
 from polaris.figures.style import (
     GREEN,
@@ -276,7 +276,8 @@ def random_picture(seed):
     )  # fmt: skip
     limits = [system.input_names[0], "corridor[0]", "corridor[1]", "visitor", "wall", sets[1].name]
     return Picture(
-        "random", system, tuple(sets[i] for i in range(5) if rng.random() < 0.8), goals[rng.integers(len(goals))],
+        "random", system, tuple(sets[i] for i in range(5) if rng.random() < 0.8),
+        goals[rng.integers(len(goals))],
         Zonotope.box(chi0, np.r_[np.full(d, 0.01 * size), np.zeros(n - d)]), reference, steps,
         ("safety", "a learned policy whose name is far too long for any legend", "other"), modes,
         rng.uniform(-0.1, 1, steps), tuple(limits[i] for i in rng.integers(0, 6, steps)),
