@@ -38,8 +38,8 @@ DEFINITIONS = {
     "violations": "runs that entered a true unsafe set",
     "violation_probability": "of a run drawn as here: share of the runs, and the two-sided 95 % interval of"
     " Clopper and Pearson",
-    "mean": "over runs, with the two-sided 95 % interval of Student's t, cut to what is possible; null if a run"
-    " has no finite value",
+    "mean": "over runs, with the two-sided 95 % interval of Student's t, cut to what is possible; null if a"
+    " run has no finite value",
     "worst": "largest over runs for switches, delta_v_m_s and max_thrust_ratio, least for the others",
     "worst_runs": "those that came closest to an unsafe set, nearest first",
 }

@@ -105,8 +105,8 @@ def is_flat(picture: Picture, paths: Sequence[Array] = ()) -> bool:
 def draw_closeup(ax: Any, picture: Picture, one: CloseUp, letter: str, aspect: float, width: float) -> None:
     """Draw one close-up, wholly within `width` [in], as high as `aspect` times that."""
     apart = f"{one.distance:.3g}" if one.distance < 1000 else f"{one.distance:.0f}"
-    told = f"at {seconds(one.time)} s: {apart} m apart"
-    lines = (shortened(line, 0.9 * width) for line in (f"({letter}) {one.obstacle.name}", told))
+    told = f"{seconds(one.time)} s: {apart} m apart"
+    lines = (shortened(line, 0.85 * width) for line in (f"({letter}) {one.obstacle.name}", told))
     ax.locator_params(nbins=4)
     ax.set_title("\n".join(lines), fontsize=7, loc="left", linespacing=1.1, pad=3)
     if one.axes is None:
