@@ -18,8 +18,8 @@ from ..system import Array
 from .geometry import flat_outline, stretches
 from .paths import draw_safe_path
 from .picture import Picture
-from .space import Space, moves, plane_gap
-from .style import BLACK, RED, shortened, tint
+from .space import Space, moves, outline_gap, plane_gap
+from .style import BLACK, RED, shortened, text_width, tint
 
 MOST = 6
 """Most close-ups of a figure: those that are passed nearest."""
@@ -74,11 +74,19 @@ def closeups(picture: Picture) -> list[CloseUp]:
         while hidden.any():
             at = int(np.flatnonzero(hidden)[np.argmin(distance[hidden])])
             best = int(np.argmax([gap[at] for gap in gaps]))
-            shows = gaps[best] > 0 if gaps[best][at] > 0 else distance > 0
             axes = planes[best] if gaps[best][at] > 0 else None
+            shows = distance > 0 if axes is None else gaps[best] > 0
+            cover = space.cover(obstacle, float(times[at]))
+            if axes is not None and cover is not None:  # the one that is drawn, for all of the stretch
+                flat = (
+                    path - obstacle.centre(times, picture.system) + obstacle.centre(times[at], picture.system)
+                )
+                shows &= outline_gap(flat_outline(cover[:, axes]), flat[:, axes]) > 0
+                shows[at] = True
             span = next((a, b) for a, b in stretches(shows) if a <= at < b)
             hidden[slice(*span)] = False
-            at = span[0] + int(np.argmin(distance[slice(*span)]))
+            if cover is None:
+                at = span[0] + int(np.argmin(distance[slice(*span)]))
             found.append(CloseUp(obstacle, float(times[at]), float(distance[at]), axes, span))
     nearest = sorted(found, key=lambda one: one.distance)[:MOST]
     return sorted(nearest, key=lambda one: one.time)
@@ -105,10 +113,11 @@ def is_flat(picture: Picture, paths: Sequence[Array] = ()) -> bool:
 def draw_closeup(ax: Any, picture: Picture, one: CloseUp, letter: str, aspect: float, width: float) -> None:
     """Draw one close-up, wholly within `width` [in], as high as `aspect` times that."""
     apart = f"{one.distance:.3g}" if one.distance < 1000 else f"{one.distance:.0f}"
-    told = f"{seconds(one.time)} s: {apart} m apart"
-    lines = (shortened(line, 0.85 * width) for line in (f"({letter}) {one.obstacle.name}", told))
+    told = f"{seconds(one.time)} s: {apart} m"
+    told += " apart" if text_width(told + " apart") < width else ""
+    name = shortened(f"({letter}) {one.obstacle.name}", 0.9 * width)
     ax.locator_params(nbins=4)
-    ax.set_title("\n".join(lines), fontsize=7, loc="left", linespacing=1.1, pad=3)
+    ax.set_title(f"{name}\n{told}", fontsize=7, loc="left", linespacing=1.1, pad=3)
     if one.axes is None:
         _over_time(ax, picture, one)
         return

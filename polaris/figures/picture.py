@@ -150,9 +150,10 @@ class Picture:
 
     @property
     def closest(self) -> float:
-        """When the safe path comes closest to any unsafe set [s]; the horizon without any."""
+        """When the safe path comes closest to any unsafe set [s]; the horizon if that is where it starts."""
         found = [self.approach(obstacle) for obstacle in self.obstacles]
-        return min(found, key=lambda one: one.distance).time if found else self.duration
+        least = min(found, key=lambda one: one.distance).time if found else 0.0
+        return least or self.duration
 
     def mode_name(self, mode: int) -> str:
         """How legends call a controller."""

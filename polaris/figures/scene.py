@@ -98,16 +98,19 @@ def _sets(ax: Any, picture: Picture, view: View) -> list[Any]:
         polygons = tube_polygons(
             tube.centre[..., axes], tube.generators[..., axes, :], tube.bow[..., axes], parts=4
         )
+        line = 4 / 72 / view.width * (view.x[1] - view.x[0])  # else hidden under the path
+        seen: dict[int, Any] = {}
         for mode in np.unique(picture.modes):
             chosen = polygons[picture.modes == mode].reshape(-1, *polygons.shape[-2:])
             colour = tint(mode_colour(int(mode)), 0.3)
             together = Path.make_compound_path_from_polys(chosen)
             patch = PathPatch(together, facecolor=colour, edgecolor=colour, lw=0.2, zorder=2)
             ax.add_artist(patch)  # not add_patch, which would go through every corner for its limits
-            line = 4 / 72 / view.width * (view.x[1] - view.x[0])  # else hidden under the path
-            if np.any(np.min(np.ptp(chosen, axis=1), axis=1) > line):
-                name = f"reachable under {picture.mode_name(int(mode))}"
-                handles.append(Patch(facecolor=colour, label=name))
+            wide = int(np.sum(np.min(np.ptp(chosen, axis=1), axis=1) > line))
+            if wide:
+                seen[wide] = Patch(facecolor=colour, label="reachable tube, by mode")
+        if seen:
+            handles.append(seen[max(seen)])
     theta = zonotope_outline(position_set(picture), axes)
     ax.add_patch(Polygon(theta, closed=True, facecolor="none", edgecolor=BLACK, lw=0.6, zorder=5))
     return handles
@@ -138,7 +141,7 @@ def _goal(ax: Any, space: Space, view: View) -> list[Any]:
             seen, own = len(view.seen(flat)) > 0, line
         if seen and not handles:
             rings = len(space.goal()) == 2
-            handles.append(Line2D([], [], label="goal (between ellipses)" if rings else "goal", **own))
+            handles.append(Line2D([], [], label="goal ring" if rings else "goal", **own))
     return handles
 
 

@@ -218,11 +218,15 @@ def plane_gap(obstacle: Obstacle, picture: Picture, axes: Sequence[int]) -> Arra
     assert isinstance(obstacle.shape, Polytope)  # there are no others
     if not obstacle.shape.bounded:
         return _edge_on(obstacle.shape.H, obstacle.shape.b[None], path, axes)
-    corners = flat_outline(obstacle.shape.vertices()[:, axes])
-    edge = np.roll(corners, -1, axis=0) - corners
+    return outline_gap(flat_outline(obstacle.shape.vertices()[:, axes]), path[:, axes])
+
+
+def outline_gap(outline: Array, points: Array) -> Array:
+    """How far points (N, 2) are from the convex set within an outline (V, 2), at least; negative inside."""
+    edge = np.roll(outline, -1, axis=0) - outline
     normal = np.stack([edge[:, 1], -edge[:, 0]], axis=1)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    return np.asarray((path[:, axes] @ normal.T - np.sum(normal * corners, axis=1)).max(axis=1))
+    return np.asarray((points @ normal.T - np.sum(normal * outline, axis=1)).max(axis=1))
 
 
 def _edge_on(normals: Array, offsets: Array, path: Array, axes: list[int]) -> Array:

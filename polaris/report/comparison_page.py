@@ -81,10 +81,10 @@ def comparison_data(folder: Path, run: RunFolder, methods: Sequence[Mapping[str,
 
 
 def _closest(flown: Sequence[Mapping[str, Any]], arrays: Arrays, without: float) -> float:
-    """When any run of the methods shown at first comes closest to an unsafe set [s]."""
+    """When any run of the methods shown at first comes closest to an unsafe set [s]; not at the start."""
     found = [(arrays[f"{one['key']}_distance_m"][0], arrays[f"{one['key']}_t_s"]) for one in flown]
     least = [(float(near.min()), float(t[np.argmin(near)])) for near, t in found if np.isfinite(near).all()]
-    return min(least)[1] if least else without
+    return (min(least)[1] if least else 0.0) or without
 
 
 def _distance(picture: Picture, key: str, arrays: Arrays, chosen: Any) -> list[dict[str, Any]]:

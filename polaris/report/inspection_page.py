@@ -128,7 +128,7 @@ def _closest(t: Array, margins: Mapping[str, Array]) -> float:
         for name, found in margins.items()
         if found.shape[1] and MEANING.get(name, ("", ""))[1] == "m"
     ]
-    return float(t[np.argmin(np.min(own, axis=0))]) if own else float(t[-1])
+    return float(t[np.argmin(np.min(own, axis=0))] if own else 0.0) or float(t[-1])
 
 
 def _margins(t: Array, found: Mapping[str, Array]) -> list[timelines.Panel]:

@@ -14,7 +14,7 @@ from polaris.figures.closeups import MOST, closeups
 from polaris.figures.geometry import directions, faces, flat_outline, polygon, stretches, tube_polygons
 from polaris.figures.paths import under_mode
 from polaris.figures.picture import Picture, picture_of, picture_of_safety, recoverable_slices, tube_of
-from polaris.figures.space import Space
+from polaris.figures.space import Space, outline_gap
 from polaris.figures.style import (
     GREEN,
     INPUT_SHADES,
@@ -409,6 +409,11 @@ def test_some_panel_shows_every_passage_of_a_set_that_is_not_entered(seed):
         for one in own:
             a, b = one.span
             assert times[a] <= one.time <= times[b - 1]
+            cover = Space.of(picture).cover(obstacle, one.time)
+            if one.axes is not None and cover is not None:  # nor does the path cross the cover that is drawn
+                centres = obstacle.centre(times[a:b], picture.system)
+                beside = path[a:b] - centres + obstacle.centre(one.time, picture.system)
+                assert np.all(outline_gap(flat_outline(cover[:, one.axes]), beside[:, one.axes]) > 0)
             if one.axes is not None:
                 assert np.all(drawn_gap(picture, obstacle, times[a:b], path[a:b], one.axes) > 0)
             shown[a:b] = True
