@@ -114,7 +114,7 @@ def draw_closeup(ax: Any, picture: Picture, one: CloseUp, letter: str, aspect: f
     """Draw one close-up, wholly within `width` [in], as high as `aspect` times that."""
     apart = f"{one.distance:.3g}" if one.distance < 1000 else f"{one.distance:.0f}"
     told = f"{seconds(one.time)} s: {apart} m"
-    told += " apart" if text_width(told + " apart") < width else ""
+    told += " apart" if one.distance < 1000 and text_width(told + " apart") < width else ""
     name = shortened(f"({letter}) {one.obstacle.name}", 0.9 * width)
     ax.locator_params(nbins=4)
     ax.set_title(f"{name}\n{told}", fontsize=7, loc="left", linespacing=1.1, pad=3)

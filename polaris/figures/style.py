@@ -206,7 +206,7 @@ def legend_above(ax: Any, handles: Any, columns: int = 2) -> float:
     if not handles:
         return 0.0
     ticks = ax.yaxis.get_major_formatter().format_ticks(ax.get_yticks())
-    beside = 0.4 + max((text_width(text) for text in ticks), default=0.0)  # ticks and label of the axis
+    beside = 0.46 + max((text_width(text) for text in ticks), default=0.0)  # ticks and label of the axis
     width = ax.get_position(original=True).width / 0.775 * ax.figure.get_figwidth() - beside
     columns, names = legend_rows(handles, width, columns)
     ax.legend(handles, names, loc="lower left", bbox_to_anchor=(0.0, 1.01), ncols=columns, labelspacing=0.3)
