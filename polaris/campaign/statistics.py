@@ -29,11 +29,17 @@ WORST: dict[str, Callable[[Array], Any]] = {
 }
 """Columns whose worst value over runs is told, and which one that is."""
 
+POSSIBLE = {"experimental_share": (0.0, 1.0)} | dict.fromkeys(
+    ("min_ttc_s", "min_ttc_free_drift_s", "switches", "delta_v_m_s", "deviation", "violations"), (0.0, np.inf)
+)
+"""Least and largest value of metrics that cannot have any; no confidence bound lies outside."""
+
 DEFINITIONS = {
     "violations": "runs that entered a true unsafe set",
     "violation_probability": "of a run drawn as here: share of the runs, and the two-sided 95 % interval of"
     " Clopper and Pearson",
-    "mean": "over runs, with the two-sided 95 % interval of Student's t; null if a run has no finite value",
+    "mean": "over runs, with the two-sided 95 % interval of Student's t, cut to what is possible; null if a"
+    " run has no finite value",
     "worst": "largest over runs for switches, delta_v_m_s and max_thrust_ratio, least for the others",
     "worst_runs": "those that came closest to an unsafe set, nearest first",
 }
@@ -65,7 +71,15 @@ def violation_interval(violations: int, runs: int, confidence: float = CONFIDENC
     return lower_bound(violations, runs, side), 1.0 - lower_bound(runs - violations, runs, side)
 
 
-def mean_interval(values: Array, confidence: float = CONFIDENCE) -> tuple[float, float | None, float | None]:
+def possible(metric: str, difference: bool = False) -> tuple[float, float]:
+    """Least and largest value that a metric, or a difference of two, can have."""
+    low, high = POSSIBLE.get(metric, (-np.inf, np.inf))
+    return (low - high, high - low) if difference else (low, high)
+
+
+def mean_interval(
+    values: Array, confidence: float = CONFIDENCE, within: tuple[float, float] = (-np.inf, np.inf)
+) -> tuple[float, float | None, float | None]:
     """Mean of some runs and Student's t interval about it; no interval for a single run.
 
     Parameters
@@ -74,6 +88,8 @@ def mean_interval(values: Array, confidence: float = CONFIDENCE) -> tuple[float,
         Finite.
     confidence : float
         In (0, 1).
+    within : (float, float)
+        Values that are possible at all (`possible`): the interval is cut to them.
     """
     from scipy.stats import t
 
@@ -81,7 +97,7 @@ def mean_interval(values: Array, confidence: float = CONFIDENCE) -> tuple[float,
     if len(values) < 2:
         return mean, None, None
     half = float(t.ppf((1 + confidence) / 2, len(values) - 1) * values.std(ddof=1) / np.sqrt(len(values)))
-    return mean, mean - half, mean + half
+    return mean, max(mean - half, within[0]), min(mean + half, within[1])
 
 
 def summarise(folder: CampaignFolder, worst: int = 5) -> dict[str, Any]:
@@ -143,7 +159,9 @@ def _told(columns: dict[str, Array], worst: int) -> dict[str, Any]:
     for name in MEANS:
         values = np.asarray(columns[name], dtype=float)
         if np.isfinite(values).all():
-            means[name] = dict(zip(("mean", "low", "high"), mean_interval(values), strict=True))
+            means[name] = dict(
+                zip(("mean", "low", "high"), mean_interval(values, within=possible(name)), strict=True)
+            )
         else:
             means[name] = dict.fromkeys(("mean", "low", "high"))
     order = np.lexsort((columns["run"], columns["batch"], columns["min_distance_m"]))[:worst]

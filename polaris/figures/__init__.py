@@ -58,16 +58,17 @@ def plot_schedule(schedule: Schedule, ax: Any = None) -> Any:
 
 
 def _plot(picture: Picture, ax: Any) -> Any:
-    from .scene import draw_scene
-    from .style import axes_of, fit_height, style
+    from .scene import draw_scene, scene_figure
+    from .style import WIDTH, style
 
     with style():
-        own = ax is None
-        ax = axes_of(ax)
-        draw_scene(ax, picture)
-        if own:
-            fit_height(ax)
-    return ax
+        if ax is not None:
+            draw_scene(ax, picture)
+            return ax
+        from matplotlib import pyplot
+
+        shown = lambda height: pyplot.figure(figsize=(WIDTH, height), layout="constrained")  # noqa: E731
+        return scene_figure(shown, picture)[1]
 
 
 def draw_figures(picture: Picture, folder: Path) -> list[Path]:
@@ -93,18 +94,14 @@ def draw_figures(picture: Picture, folder: Path) -> list[Path]:
 
 
 def _scene(picture: Picture, new_figure: Any) -> Any:
-    from .scene import draw_scene
-    from .style import fit_height
+    from .scene import scene_figure
 
-    figure = new_figure(3.0)
-    ax = figure.add_subplot()
-    draw_scene(ax, picture)
-    fit_height(ax)
-    return figure
+    return scene_figure(new_figure, picture)[0]
 
 
 def _scene_3d(picture: Picture, new_figure: Any) -> Any:
     from .scene3d import draw_scene_3d
+    from .style import legend_rows
 
     space = picture.system.d == 3
     figure = new_figure(2.5 if space else 3.0)
@@ -113,7 +110,9 @@ def _scene_3d(picture: Picture, new_figure: Any) -> Any:
     place = (-0.1, -0.07, 1.1, 1.08) if space else (-0.05, 0.03, 1.0, 0.93)
     ax = figure.add_axes(place, projection="3d", computed_zorder=False)
     draw_scene_3d(ax, picture)
-    figure.legend(*ax.get_legend_handles_labels(), loc="upper left", ncols=2)
+    handles, _ = ax.get_legend_handles_labels()
+    columns, names = legend_rows(handles, figure.get_figwidth(), 2)
+    figure.legend(handles, names, loc="upper left", ncols=columns)
     return figure
 
 
@@ -140,7 +139,7 @@ def _margin(picture: Picture, new_figure: Any) -> Any:
     from .timelines import draw_margin
 
     figure = new_figure(2.4)
-    draw_margin(figure.add_subplot(), picture)
+    figure.set_figheight(2.1 + draw_margin(figure.add_subplot(), picture))
     return figure
 
 

@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike
 
 from reach.zonotope import Zonotope
 
+from ..shapes import Polytope
 from ..system import Array
 
 
@@ -14,6 +15,26 @@ def directions(count: int = 32) -> Array:
     """Unit vectors all round, shape (count, 2)."""
     angle = 2 * np.pi * np.arange(count) / count
     return np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+
+def ball(radius: float, d: int) -> Array:
+    """Points all over a ball's surface about the origin, shape (V, d)."""
+    if d == 1:
+        return np.array([[-radius], [radius]])
+    if d == 2:
+        return radius * directions(64)
+    angle = np.pi * np.arange(1, 12) / 12
+    round_, up = directions(24), np.cos(angle)
+    rings = np.concatenate(
+        [np.c_[np.sin(a) * round_, np.full(24, z)] for a, z in zip(angle, up, strict=True)]
+    )
+    return np.asarray(radius * np.vstack([rings, [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]]))
+
+
+def boxed(H: Array, b: Array, low: Array, high: Array) -> Polytope:
+    """The polytope ``H p <= b`` cut to a box [m]."""
+    eye = np.eye(len(low))
+    return Polytope(np.vstack([H, eye, -eye]), np.concatenate([b, high, -low]))
 
 
 def polygon(support: ArrayLike, rays: Array) -> Array:

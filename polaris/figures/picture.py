@@ -60,6 +60,15 @@ class SlicePicture:
 
 
 @dataclass(frozen=True, eq=False)
+class Approach:
+    """Where the safe path is closest to one unsafe set: time [s], distance [m] and position (d,) [m]."""
+
+    time: float
+    distance: float
+    place: Array
+
+
+@dataclass(frozen=True, eq=False)
 class Picture:
     """One synthesis, to be drawn.
 
@@ -121,6 +130,30 @@ class Picture:
     def positions(self, flights: Flights, run: int = 0) -> Array:
         """Positions of one run [m], shape (N+1, d)."""
         return np.asarray(flights.states[run] @ self.system.position.T)
+
+    def safe_path(self) -> tuple[Array, Array]:
+        """Times [s] and positions [m] of the first run under Polaris, or of the reference: (N,), (N, d)."""
+        flights = self.flights.get("polaris")
+        if flights is not None:
+            return flights.times, self.positions(flights)
+        before, _ = self.path()
+        parts = len(before) // self.planned
+        steps = np.arange(self.planned)[:, None] + np.linspace(0, 1, parts)
+        return steps.ravel() * self.reference.delta, before
+
+    def approach(self, obstacle: Obstacle) -> Approach:
+        """When the safe path comes closest to an unsafe set (of another satellite, where it is nominally)."""
+        times, path = self.safe_path()
+        found = obstacle.signed_distance(times, path, self.system)
+        least = int(np.argmin(found))
+        return Approach(float(times[least]), float(found[least]), path[least])
+
+    @property
+    def closest(self) -> float:
+        """When the safe path comes closest to any unsafe set [s]; the horizon if that is where it starts."""
+        found = [self.approach(obstacle) for obstacle in self.obstacles]
+        least = min(found, key=lambda one: one.distance).time if found else 0.0
+        return least or self.duration
 
     def mode_name(self, mode: int) -> str:
         """How legends call a controller."""

@@ -1,4 +1,4 @@
-"""The scene in the plane of motion: the paper's Figure 2."""
+"""The scene in the plane of motion: the paper's Figure 2, and close-ups where the plane does not tell."""
 
 from __future__ import annotations
 
@@ -6,40 +6,78 @@ from typing import Any
 
 import numpy as np
 
-from ..keep_in import KeepIn
-from ..planning.goals import Box, EllipticalNMT, StationaryPoint
-from ..system import Array
-from .geometry import stretches, tube_polygons, zonotope_outline
+from .closeups import CloseUp, closeups, draw_closeup
+from .geometry import flat_outline, tube_polygons, zonotope_outline
+from .line import draw_line_scene
+from .paths import DASHES, DOTS, draw_safe_path
 from .picture import Picture
-from .style import BLACK, GREEN, GREY, ORANGE, RED, YELLOW, legend_above, mode_colour, tint
+from .space import Space, position_set
+from .style import BLACK, GREEN, GREY, ORANGE, WIDTH, YELLOW, legend_above, mode_colour, tint
 from .unsafe import draw_unsafe
-from .view import View, position_set
+from .view import View
+
+GOAL_DASHES = (0, (4, 2))
 
 
-def draw_scene(ax: Any, picture: Picture) -> None:
-    """Draw everything in the plane of motion; on the line, position over time."""
+def scene_figure(new_figure: Any, picture: Picture) -> tuple[Any, Any]:
+    """A figure of the scene with the close-ups it needs, no higher than they ask for; and its main axes."""
+    found = closeups(picture)
+    wide = 1 if len(found) == 1 else 2
+    rows = -(-len(found) // wide)
+    figure = new_figure(3.0)
+    # One close-up is as wide as the figure.
+    panel = 1.15 if wide == 2 else 1.3
+    heights = [3.0, *[panel] * rows]
+    grid = figure.add_gridspec(1 + rows, wide, height_ratios=heights)
+    ax = figure.add_subplot(grid[0, :])
+    top = draw_scene(ax, picture, found)
+    for i, one in enumerate(found):
+        last = wide == 2 and i == len(found) - 1 and i % 2 == 0
+        place = grid[1 + i // wide, :] if last else grid[1 + i // wide, i % wide]
+        across = 2.8 if wide == 1 or last else 1.25
+        draw_closeup(figure.add_subplot(place), picture, one, LETTERS[i], panel / across, across)
+    (x0, x1), (y0, y1) = ax.get_xlim(), ax.get_ylim()
+    main = 2.9 / 3.5 * WIDTH * ((y1 - y0) / (x1 - x0) if ax.get_aspect() == 1.0 else 0.6)
+    grid.set_height_ratios([main + 0.45 + top, *[panel + 0.75] * rows])
+    figure.set_figheight(main + 0.58 + top + rows * (panel + 0.75))
+    return figure, ax
+
+
+LETTERS = "abcdef"
+
+
+def draw_scene(ax: Any, picture: Picture, found: list[CloseUp] | None = None) -> float:
+    """Draw everything in the plane of motion; on the line, position over time. Height of the legend [in].
+
+    Parameters
+    ----------
+    ax : matplotlib axes
+    picture : Picture
+    found : list of CloseUp, optional
+        Close-ups drawn beside it, in the order of their letters; by default there are none.
+    """
     if picture.system.d == 1:
-        _line_scene(ax, picture)
-        return
-    frame = picture.frame
-    view = View.around(picture)
+        return draw_line_scene(ax, picture)
+    frame, space = picture.frame, Space.of(picture)
+    view = View.of(space)
     ax.set_aspect("equal")
     ax.set(xlim=view.x, ylim=view.y, xlabel=frame.labels[0], ylabel=frame.labels[1])
     ax.grid(True)
-    handles = [*_sets(ax, picture), *_goal(ax, picture), *_paths(ax, picture)]
-    draw_unsafe(ax, picture, view)
+    handles = [*_sets(ax, picture, view), *_goal(ax, space, view), *_paths(ax, picture, view)]
+    letters = None if found is None else {id(one): LETTERS[i] for i, one in enumerate(found)}
+    draw_unsafe(ax, space, view, closeups(picture) if found is None else found, letters)
     if picture.system.mean_motion is not None:
         ax.plot(0, 0, marker="+", color=BLACK, ms=5, mew=0.8, zorder=6)
-        distances = [
-            obstacle.signed_distance(0.0, np.zeros(3), picture.system) for obstacle in picture.obstacles
-        ]
-        if np.all(np.array(distances) > 0):  # else an unsafe set round the target has its own name there
+        origin = np.zeros(picture.system.d)
+        near = [obstacle.signed_distance(0.0, origin, picture.system) for obstacle in picture.obstacles]
+        # Else an unsafe set round the target has its own name there.
+        if np.all(np.array(near) > 0) and view.contains(np.zeros(2)):
             view.label(ax, "target", np.zeros((1, 2)), BLACK)
-    legend_above(ax, handles, 2)
+    return legend_above(ax, handles, 2)
 
 
-def _sets(ax: Any, picture: Picture) -> list[Any]:
-    """Recoverable sets, tube, initial set: drawn lightly."""
+def _sets(ax: Any, picture: Picture, view: View) -> list[Any]:
+    """Recoverable sets, tube, initial set: drawn lightly. Handles of those that can be seen."""
     from matplotlib.collections import PolyCollection
     from matplotlib.patches import Patch, PathPatch, Polygon
     from matplotlib.path import Path
@@ -53,135 +91,80 @@ def _sets(ax: Any, picture: Picture) -> list[Any]:
         ax.add_collection(
             PolyCollection(list(outlines), facecolor="none", edgecolor=edge, lw=0.35, zorder=1.1)
         )
-        handles.append(Patch(facecolor=colour, edgecolor=edge, lw=0.35, label="recoverable sets (slices)"))
+        if any(len(view.seen(outline)) for outline in outlines):
+            handles.append(Patch(facecolor=colour, edgecolor=edge, lw=0.35, label="recoverable sets"))
     if picture.tube is not None:
         tube = picture.tube
         polygons = tube_polygons(
             tube.centre[..., axes], tube.generators[..., axes, :], tube.bow[..., axes], parts=4
         )
+        line = 4 / 72 / view.width * (view.x[1] - view.x[0])  # else hidden under the path
+        seen: dict[int, Any] = {}
         for mode in np.unique(picture.modes):
             chosen = polygons[picture.modes == mode].reshape(-1, *polygons.shape[-2:])
             colour = tint(mode_colour(int(mode)), 0.3)
             together = Path.make_compound_path_from_polys(chosen)
             patch = PathPatch(together, facecolor=colour, edgecolor=colour, lw=0.2, zorder=2)
             ax.add_artist(patch)  # not add_patch, which would go through every corner for its limits
-        handles.append(Patch(facecolor=tint(GREY, 0.3), label="reachable tube (by mode)"))
+            wide = int(np.sum(np.min(np.ptp(chosen, axis=1), axis=1) > line))
+            if wide:
+                seen[wide] = Patch(facecolor=colour, label="reachable tube, by mode")
+        if seen:
+            handles.append(seen[max(seen)])
     theta = zonotope_outline(position_set(picture), axes)
     ax.add_patch(Polygon(theta, closed=True, facecolor="none", edgecolor=BLACK, lw=0.6, zorder=5))
     return handles
 
 
-def _goal(ax: Any, picture: Picture) -> list[Any]:
+def _goal(ax: Any, space: Space, view: View) -> list[Any]:
+    """The goal as far as it is in view; a handle if it is."""
     from matplotlib.lines import Line2D
-    from matplotlib.patches import Ellipse, Polygon
+    from matplotlib.patches import Polygon
 
-    goal, axes = picture.goal, picture.frame.flat
-    drawn: dict[str, Any] = {
-        "edgecolor": GREEN,
-        "facecolor": "none",
-        "lw": 0.7,
-        "ls": (0, (4, 2)),
-        "zorder": 2.5,
-    }
-    line: dict[str, Any] = {"color": GREEN, "lw": 0.7, "ls": (0, (4, 2))}
-    if isinstance(goal, EllipticalNMT):
-        for b in {goal.inner_semi_minor, goal.outer_semi_minor} - {0.0}:
-            ax.add_patch(Ellipse((0, 0), 4 * b, 2 * b, **drawn))
-        return [Line2D([], [], label="goal (between ellipses)", **line)]
-    if isinstance(goal, StationaryPoint):
-        x, y = (picture.system.position @ np.asarray(goal.state))[axes]
-        ax.plot(x, y, marker="*", color=GREEN, ms=9, mec="white", mew=0.4, zorder=3.8, ls="none")
-        return [Line2D([], [], marker="*", color=GREEN, ls="none", ms=6, label="goal")]
-    if isinstance(goal, Box):
-        from reach.zonotope import Zonotope
-
-        box = picture.system.position @ Zonotope.box(np.asarray(goal.center), np.asarray(goal.half_widths))
-        ax.add_patch(Polygon(zonotope_outline(box, axes), closed=True, **drawn))
-        return [Line2D([], [], label="goal", **line)]
-    return []
+    axes = space.picture.frame.flat
+    handles: list[Any] = []
+    line: dict[str, Any] = {"color": GREEN, "lw": 0.7, "ls": GOAL_DASHES}
+    star: dict[str, Any] = {"marker": "*", "color": GREEN, "ls": "none"}
+    for part in space.goal():
+        flat = part.points[:, axes]
+        if part.kind == "point" or np.all(np.ptp(flat, axis=0) == 0):  # a line seen end on, too
+            ax.plot(*flat[0], **star, ms=12, mec="white", mew=0.4, zorder=5.5)
+            seen, own = view.contains(flat[0]), star | {"ms": 6}
+        else:
+            if part.kind == "body":
+                flat = flat_outline(flat)
+                ax.add_patch(
+                    Polygon(flat, facecolor="none", edgecolor=GREEN, lw=0.7, ls=GOAL_DASHES, zorder=2.5)
+                )
+            else:
+                ax.plot(*flat.T, **line, zorder=2.5)
+            seen, own = len(view.seen(flat)) > 0, line
+        if seen and not handles:
+            rings = len(space.goal()) == 2
+            handles.append(Line2D([], [], label="goal ring" if rings else "goal", **own))
+    return handles
 
 
-def _paths(ax: Any, picture: Picture) -> list[Any]:
+def _paths(ax: Any, picture: Picture, view: View) -> list[Any]:
     """Reference, U alone, and the trajectory under Polaris coloured by mode."""
     from matplotlib.lines import Line2D
 
     axes = picture.frame.flat
     before, after = (path[:, axes] for path in picture.path())
-    dots = (0, (1, 1.4))
-    ax.plot(*before.T, color=GREY, lw=1.1, ls=dots, zorder=4.5)
-    handles = [Line2D([], [], color=GREY, lw=1.1, ls=dots, label="reference")]
+    ax.plot(*before.T, color=GREY, lw=1.1, ls=DOTS, zorder=4.5)
+    handles = [Line2D([], [], color=GREY, lw=1.1, ls=DOTS, label="reference")]
     if len(after):
-        ax.plot(*after.T, color=tint(GREY, 0.6), lw=0.7, ls=dots, zorder=2.6)
+        ax.plot(*after.T, color=tint(GREY, 0.6), lw=0.7, ls=DOTS, zorder=2.6)
     if "experimental" in picture.flights:
         alone = picture.positions(picture.flights["experimental"])[:, axes]
-        dashes = (0, (3, 1.2))
-        ax.plot(*alone.T, color=ORANGE, lw=0.9, ls=dashes, zorder=3.5)
-        handles.append(Line2D([], [], color=ORANGE, lw=0.9, ls=dashes, label="U alone"))
-    if "polaris" in picture.flights:
-        flights = picture.flights["polaris"]
-        flown = picture.positions(flights)[:, axes]
-        per_node = np.repeat(flights.modes, (len(flown) - 1) // len(flights.modes))
-        for mode in np.unique(flights.modes):
-            colour = mode_colour(int(mode))
-            ax.plot(
-                *under_mode(flown, per_node == mode).T, color=colour, lw=1.5, zorder=4, solid_capstyle="round"
-            )
-            handles.append(
-                Line2D([], [], color=colour, lw=1.5, label=f"under {picture.mode_name(int(mode))}")
-            )
-        ax.plot(*flown[-1], marker="s", color=BLACK, ms=2.6, zorder=6)
-    else:
-        ax.plot(*before[-1], marker="s", color=BLACK, ms=2.6, zorder=6)
-    ax.plot(*before[0], marker="o", color=BLACK, ms=2.6, zorder=6)
+        ax.plot(*alone.T, color=ORANGE, lw=0.9, ls=DASHES, zorder=3.5)
+        if view.contains(alone).sum() > 1:
+            handles.append(Line2D([], [], color=ORANGE, lw=0.9, ls=DASHES, label="U alone"))
+    flown = picture.safe_path()[1][:, axes]
+    for mode in draw_safe_path(ax, picture, flown):
+        handles.append(
+            Line2D([], [], color=mode_colour(mode), lw=1.5, label=f"under {picture.mode_name(mode)}")
+        )
+    ax.plot(*flown[-1], marker="s", color=BLACK, ms=2.6, zorder=6)
+    ax.plot(*flown[0], marker="o", color=BLACK, ms=2.6, zorder=6)
     return handles
-
-
-def under_mode(flown: Array, flags: Any) -> Array:
-    """The stretches of a path flown under one mode, gaps between them: one line to draw.
-
-    Parameters
-    ----------
-    flown : ndarray, shape (N+1, d)
-    flags : ndarray of bool, shape (N,)
-        Whether the mode flies from each point to the next.
-    """
-    gap = np.full((1, flown.shape[1]), np.nan)
-    return np.vstack([part for a, b in stretches(flags) for part in (flown[a : b + 1], gap)])
-
-
-def _line_scene(ax: Any, picture: Picture) -> None:
-    """Position over time, for a system that moves on a line."""
-    from matplotlib.lines import Line2D
-
-    delta, parts = picture.reference.delta, 8
-    before, _ = picture.path(parts)
-    t = (np.arange(picture.planned)[:, None] + np.linspace(0, 1, parts + 1)).ravel() * delta
-    ax.plot(t, before[:, 0], color=GREY, lw=1.1, ls=(0, (1, 1.4)), zorder=4.5)
-    handles = [Line2D([], [], color=GREY, lw=1.1, ls=(0, (1, 1.4)), label="reference")]
-    if "polaris" in picture.flights:
-        flights = picture.flights["polaris"]
-        flown = picture.positions(flights)[:, 0]
-        per_node = np.repeat(flights.modes, (len(flown) - 1) // len(flights.modes))
-        for mode in np.unique(flights.modes):
-            shown = under_mode(np.column_stack([flights.times, flown]), per_node == mode)
-            ax.plot(*shown.T, color=mode_colour(int(mode)), zorder=4)
-            handles.append(
-                Line2D([], [], color=mode_colour(int(mode)), label=f"under {picture.mode_name(int(mode))}")
-            )
-    low, high = np.min(before), np.max(before)
-    pad = 0.3 * (high - low) + 1e-9
-    times = np.linspace(0, picture.duration, 101)
-    for obstacle in picture.obstacles:
-        spans = [obstacle.outline(float(s), picture.system, 1e6)[:, 0] for s in times]
-        edges = np.array([[span.min(), span.max()] for span in spans])
-        if isinstance(obstacle, KeepIn):
-            ax.plot(times, edges, color=RED, lw=0.8, ls=(0, (5, 1.5)))
-        else:
-            ax.fill_between(times, edges[:, 0], edges[:, 1], color=tint(RED, 0.45), lw=0, zorder=3)
-    ax.set(
-        xlabel="Time (s)",
-        ylabel=picture.frame.labels[0],
-        xlim=(0, picture.duration),
-        ylim=(low - pad, high + pad),
-    )
-    legend_above(ax, handles, 2)

@@ -7,15 +7,18 @@ from typing import Any
 import numpy as np
 
 from ..keep_in import KeepIn
-from ..obstacle_base import directions
 from ..obstacles import Obstacle
-from ..shapes import Ball, Polytope
+from ..shapes import Ball
 from ..system import Array
 from .geometry import faces
+from .paths import by_mode
 from .picture import Picture
-from .style import BLACK, GREY, ORANGE, RED, mode_colour, tint
-from .unsafe import DASHES
-from .view import INSTANTS, moves
+from .space import Space, moves
+from .style import BLACK, GREEN, GREY, ORANGE, RED, mode_colour, tint
+from .unsafe import DASHES, instants
+
+PRISMS = 5
+"""Instants between which a set that moves in the plane is drawn as a prism."""
 
 
 def draw_scene_3d(ax: Any, picture: Picture) -> None:
@@ -52,7 +55,10 @@ def draw_scene_3d(ax: Any, picture: Picture) -> None:
         size = np.maximum(size, 0.4 * size.max())
     middle, size = (low + high) / 2, size * 1.12 + 1e-9
     low, high = middle - size / 2, middle + size / 2
-    _solids(ax, picture, low, high)
+    place = np.argsort(frame.axes)  # what is cut is cut to these axes
+    own = Space(picture, low[place], high[place]) if space else Space.of(picture)
+    _solids(ax, own, low, high)
+    _goal(ax, own, low, high)
     ax.scatter(*reference[0], color=BLACK, s=8, depthshade=False)
     labels = [*frame.labels] if space else [*frame.labels, "Time (s)"]
     ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
@@ -71,25 +77,46 @@ def draw_scene_3d(ax: Any, picture: Picture) -> None:
 def _flown(ax: Any, picture: Picture, lift: Any) -> Array:
     flights = picture.flights["polaris"]
     flown: Array = lift(picture.positions(flights), flights.times)
-    per_node = np.repeat(flights.modes, (len(flown) - 1) // len(flights.modes))
-    changes = np.flatnonzero(np.diff(per_node)) + 1
-    seen: set[int] = set()
-    for piece in np.split(np.arange(len(per_node)), changes):
-        mode = int(per_node[piece[0]])
-        label = None if mode in seen else f"under {picture.mode_name(mode)}"
-        seen.add(mode)
-        ax.plot(*flown[piece[0] : piece[-1] + 2].T, color=mode_colour(mode), lw=1.5, label=label)
+    for mode, piece in by_mode(picture, flown).items():
+        ax.plot(*piece.T, color=mode_colour(mode), lw=1.5, label=f"under {picture.mode_name(mode)}")
     return flown
 
 
-def _solids(ax: Any, picture: Picture, low: Array, high: Array) -> None:
+def _goal(ax: Any, space: Space, low: Array, high: Array) -> None:
+    """The goal: over the plane it stands at the end of the time."""
+    picture, label = space.picture, "goal"
+    axes, d = list(picture.frame.axes), picture.system.d
+    for part in space.goal():
+        points = part.points[:, axes]
+        if d == 2:
+            points = np.column_stack([points, np.full(len(points), picture.duration)])
+        if not _seen(points, low, high):
+            continue
+        if part.kind == "body":
+            drawn = faces(points) if d == 3 else [points[np.argsort(_angle(points))]]
+            points = np.vstack([np.vstack([face, face[:1], np.full((1, 3), np.nan)]) for face in drawn])
+        look: dict[str, Any] = (
+            {"lw": 0.8, "ls": (0, (4, 2))} if len(points) > 1 else {"marker": "*", "ls": "none"}
+        )
+        ax.plot(*points.T, color=GREEN, label=label, **look)
+        label = "_"
+
+
+def _angle(points: Array) -> Array:
+    x, y = (points - points.mean(axis=0)).T[:2]
+    return np.asarray(np.arctan2(y, x))
+
+
+def _solids(ax: Any, space: Space, low: Array, high: Array) -> None:
     """Unsafe sets as solids (in space) or as prisms along time (in the plane)."""
+    picture = space.picture
     for obstacle in picture.obstacles:
-        instants = _instants(obstacle, picture, low, high)
         if picture.system.d == 3:
-            drawn = [faces(_solid(obstacle, picture, float(t), low, high)) for t in instants]
+            times = instants(obstacle, space)[::-1]
+            drawn = [faces(space.corners(obstacle, t)[:, list(picture.frame.axes)]) for t in times]
         else:
-            drawn = _prisms(obstacle, picture, instants, low, high)
+            times = list(np.linspace(0, picture.duration, PRISMS)) if moves(obstacle, picture) else [0.0]
+            drawn = _prisms(obstacle, space, times, low, high)
         drawn = [polygons for polygons in drawn if polygons and _seen(np.vstack(polygons), low, high)]
         if not drawn:
             continue
@@ -97,48 +124,27 @@ def _solids(ax: Any, picture: Picture, low: Array, high: Array) -> None:
             top = _edges(ax, drawn[0], low, high)
         else:
             for strength, polygons in zip(np.linspace(1 / len(drawn), 1, len(drawn)), drawn, strict=True):
-                _fill(ax, polygons, float(strength))
+                _fill(ax, polygons, float(strength), not isinstance(obstacle.shape, Ball))
             top = np.vstack(drawn[-1])
         if len(top):
             ax.text(*top[np.argmax(top[:, 2])], f" {obstacle.name}", color=RED, fontsize=7, va="bottom")
 
 
-def _instants(obstacle: Obstacle, picture: Picture, low: Array, high: Array) -> Array:
-    """When a set is drawn: once if it rests; in space, evenly over the time its centre is in view."""
-    if not moves(obstacle, picture):
-        return np.zeros(1)
-    if picture.system.d < 3:
-        return np.linspace(0, picture.duration, INSTANTS)
-    times = np.linspace(0, picture.duration, 201)
-    centres = obstacle.centre(times, picture.system)[:, list(picture.frame.axes)]
-    seen = times[np.all((centres > low) & (centres < high), axis=1)]
-    return seen if len(seen) == 0 else seen[np.unique(np.linspace(0, len(seen) - 1, INSTANTS).astype(int))]
-
-
-def _solid(obstacle: Obstacle, picture: Picture, t: float, low: Array, high: Array) -> Array:
-    """Corners of the true set; balls as polytopes about them."""
-    axes = list(picture.frame.axes)
-    if isinstance(obstacle.shape, Ball):
-        normals = directions(3)
-        around = Polytope(normals, np.full(len(normals), obstacle.shape.radius)).vertices()
-        return np.asarray((around + obstacle.centre(t, picture.system))[:, axes])
-    extent = float(np.max(np.abs(np.concatenate([low, high]))))
-    return obstacle.outline(t, picture.system, extent)[:, axes]
-
-
 def _prisms(
-    obstacle: Obstacle, picture: Picture, instants: Array, low: Array, high: Array
+    obstacle: Obstacle, space: Space, times: list[float], low: Array, high: Array
 ) -> list[list[Array]]:
     """What a set in the plane covers from one instant to the next, with time as third axis."""
-    ends = [0.0, picture.duration] if len(instants) == 1 else list(instants)
-    extent = float(np.max(np.abs(np.concatenate([low[:2], high[:2]]))))
+    flat = space.picture.frame.flat
+    ends = [0.0, space.picture.duration] if len(times) == 1 else times
     out = []
     for pair in zip(ends[:-1], ends[1:], strict=True):
-        layers = []
-        for t in pair:
-            flat = obstacle.outline(float(t), picture.system, extent)[:, picture.frame.flat]
-            layers.append(np.column_stack([np.clip(flat, low[:2], high[:2]), np.full(len(flat), t)]))
-        out.append(faces(np.vstack(layers)))
+        outlines = [(space.wider(1.0).outline(obstacle, float(t), flat), t) for t in pair]
+        sides = [
+            np.column_stack([np.clip(outline, low[:2], high[:2]), np.full(len(outline), t)])
+            for outline, t in outlines
+            if len(outline)
+        ]
+        out.append(faces(np.vstack(sides)) if sides else [])
     return out
 
 
@@ -146,11 +152,14 @@ def _seen(points: Array, low: Array, high: Array) -> bool:
     return bool(np.all(points.max(axis=0) > low) and np.all(points.min(axis=0) < high))
 
 
-def _fill(ax: Any, polygons: list[Array], strength: float) -> None:
+def _fill(ax: Any, polygons: list[Array], strength: float, edges: bool) -> None:
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
-    colours = {"facecolor": (*tint(RED, 0.7), 0.28 * strength), "edgecolor": (*tint(RED, strength), 0.8)}
-    ax.add_collection3d(Poly3DCollection(polygons, linewidth=0.35, **colours), autolim=False)
+    edge = (*tint(RED, strength), 0.8) if edges else "none"
+    face = (*tint(RED, 0.7), 0.28 * strength)
+    ax.add_collection3d(
+        Poly3DCollection(polygons, linewidth=0.35, facecolor=face, edgecolor=edge), autolim=False
+    )
 
 
 def _edges(ax: Any, polygons: list[Array], low: Array, high: Array) -> Array:

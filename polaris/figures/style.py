@@ -27,7 +27,13 @@ RED = "#C0202B"
 """Unsafe sets: darker than the orange, so that they differ in grey too."""
 GREY = "#767676"
 
-MODE_COLOURS = (BLUE, ORANGE, PURPLE, GREEN, SKY, BLACK, YELLOW, VERMILION)
+# No two kinds of thing share a colour: controllers have hues of their own, unsafe sets are red, inputs grey
+# or black, goals green, recoverable sets yellow.
+MODE_COLOURS = (BLUE, ORANGE, "#7A1FA2", SKY, "#6B4A0F", "#8FB93A", "#1F3A93", "#4D7A00")
+SET_SHADES = ("#9A141D", "#F3A6AB")
+"""Darkest and lightest of unsafe sets that are told apart."""
+INPUT_SHADES = ("#3C3C3C", "#D4D4D4")
+"""The same of inputs."""
 
 _STYLE: Any = {
     "font.family": "sans-serif",
@@ -54,6 +60,9 @@ _STYLE: Any = {
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.axisbelow": True,
+    # A power of ten apart from the ticks would stand in the legend.
+    "axes.formatter.limits": (-6, 7),
+    "axes.formatter.useoffset": False,
     "grid.color": "#E4E4E4",
     "grid.linewidth": 0.4,
     "savefig.dpi": 300,
@@ -125,24 +134,6 @@ def new_figure(height: float, width: float = WIDTH) -> Any:
     return Figure(figsize=(width, height), dpi=_STYLE["savefig.dpi"], layout="constrained")
 
 
-def fit_height(ax: Any) -> None:
-    """Make the figure as high as axes of equal scale need: no blank bands above or below them."""
-    legend = ax.get_legend()
-    rows = 0 if legend is None else -(-len(legend.get_texts()) // legend._ncols)
-    (x0, x1), (y0, y1) = ax.get_xlim(), ax.get_ylim()
-    aspect = (y1 - y0) / (x1 - x0) if ax.get_aspect() == 1.0 else 0.6
-    ax.figure.set_figheight(2.9 / 3.5 * ax.figure.get_figwidth() * aspect + 0.58 + 0.145 * rows)
-
-
-def axes_of(ax: Any, height: float = 3.0) -> Any:
-    """The axes given, or those of a new figure that ``pyplot.show()`` shows."""
-    if ax is not None:
-        return ax
-    from matplotlib import pyplot
-
-    return pyplot.subplots(figsize=(WIDTH, height), layout="constrained")[1]
-
-
 def save(figure: Any, folder: Path, name: str) -> tuple[Path, Path]:
     """Write one figure as PDF and PNG with nothing in them that changes from run to run."""
     pdf, png = folder / f"{name}.pdf", folder / f"{name}.png"
@@ -169,16 +160,57 @@ def tint(colour: str, share: float) -> tuple[float, float, float]:
     return r, g, b
 
 
-def legend_above(ax: Any, handles: Any, columns: int = 2) -> None:
-    """Put the legend above the axes, where it covers nothing."""
-    if handles:
-        ax.legend(
-            handles=handles,
-            loc="lower left",
-            bbox_to_anchor=(0.0, 1.01),
-            ncols=columns,
-            labelspacing=0.3,
-        )
+def shades(ends: tuple[str, str], count: int) -> list[tuple[float, float, float]]:
+    """As many colours between two, so that things of one kind differ; the middle one if there is one only."""
+    from matplotlib.colors import to_rgb
+
+    dark, light = (np.array(to_rgb(colour)) for colour in ends)
+    places = [0.35] if count == 1 else np.linspace(0, 1, count)
+    return [tuple(float(v) for v in dark + s * (light - dark)) for s in places]  # type: ignore[misc]
+
+
+def text_width(text: str, size: float = 7.0) -> float:
+    """Width of a text [in], with what fitting letters to pixels may add."""
+    from matplotlib.font_manager import FontProperties
+    from matplotlib.textpath import text_to_path
+
+    font = FontProperties(size=size)
+    return 1.05 * float(text_to_path.get_text_width_height_descent(text, font, False)[0]) / 72
+
+
+def shortened(text: str, width: float, size: float = 7.0) -> str:
+    """A text, its end cut off if it is wider than this [in]."""
+    if text_width(text, size) <= width:
+        return text
+    while len(text) > 1 and text_width(text + "\N{HORIZONTAL ELLIPSIS}", size) > width:
+        text = text[:-1]
+    return text + "\N{HORIZONTAL ELLIPSIS}"
+
+
+def legend_rows(handles: Any, width: float, most: int) -> tuple[int, list[str]]:
+    """Columns, at most this many, in which handles fit into a width [in], and their labels."""
+    point = _STYLE["legend.fontsize"] / 72
+    own = (_STYLE["legend.handlelength"] + _STYLE["legend.handletextpad"]) * point
+    names = [str(handle.get_label()) for handle in handles]
+    for columns in range(min(most, len(names)), 0, -1):
+        rows = -(-len(names) // columns)
+        parts = [names[i : i + rows] for i in range(0, len(names), rows)]
+        gaps = (len(parts) - 1) * _STYLE["legend.columnspacing"] * point + point
+        if sum(own + max(map(text_width, part)) for part in parts) + gaps <= width:
+            return columns, names
+    return 1, [shortened(name, width - own - point) for name in names]
+
+
+def legend_above(ax: Any, handles: Any, columns: int = 2) -> float:
+    """Put the legend above the axes, where it covers nothing, in as many columns as fit; its height [in]."""
+    if not handles:
+        return 0.0
+    ticks = ax.yaxis.get_major_formatter().format_ticks(ax.get_yticks())
+    beside = 0.46 + max((text_width(text) for text in ticks), default=0.0)  # ticks and label of the axis
+    width = ax.get_position(original=True).width / 0.775 * ax.figure.get_figwidth() - beside
+    columns, names = legend_rows(handles, width, columns)
+    ax.legend(handles, names, loc="lower left", bbox_to_anchor=(0.0, 1.01), ncols=columns, labelspacing=0.3)
+    return 0.145 * -(-len(names) // columns)
 
 
 @dataclass(frozen=True)

@@ -11,23 +11,18 @@ from .geometry import stretches
 from .picture import Picture
 from .style import (
     BLACK,
-    GREEN,
     GREY,
-    PURPLE,
+    INPUT_SHADES,
     RED,
-    SKY,
-    VERMILION,
-    YELLOW,
+    SET_SHADES,
     input_labels,
     legend_above,
     mode_colour,
+    shades,
     step_edges,
     tint,
 )
 
-SET_COLOURS = (RED, PURPLE, BLACK, VERMILION)
-THRUST_COLOURS = (SKY, GREEN, YELLOW, GREY)
-INPUT_COLOURS = (BLACK, SKY, PURPLE, GREEN, YELLOW, VERMILION)
 INPUT_DASHES: tuple[Any, ...] = ("-", (0, (4, 1.2)), (0, (1.2, 1)))
 
 
@@ -74,10 +69,11 @@ def draw_input(ax: Any, picture: Picture) -> None:
     scale = np.ones_like(limit) if same else limit
     top = float(limit[0]) if same else 1.0
     handles = []
-    for axis, name in enumerate(names):
-        colour, dashes = INPUT_COLOURS[axis % 6], INPUT_DASHES[axis % 3]
+    colours = shades((BLACK, "#8C8C8C"), len(names))
+    for axis, (name, colour) in enumerate(zip(names, colours, strict=True)):
+        dashes = INPUT_DASHES[axis % 3]
         low, high = (step_edges(bound[:, axis]) / scale[axis] for bound in flights.input_range)
-        ax.fill_between(flights.times, low, high, step="post", color=tint(colour, 0.2), lw=0, zorder=2)
+        ax.fill_between(flights.times, low, high, step="post", color=tint(GREY, 0.25), lw=0, zorder=2)
         nominal = step_edges(flights.inputs[0][:, axis]) / scale[axis]
         ax.step(flights.times, nominal, where="post", color=colour, ls=dashes, lw=1.0, zorder=3)
         handles.append(Line2D([], [], color=colour, ls=dashes, lw=1.0, label=name))
@@ -118,8 +114,8 @@ def draw_modes(ax: Any, picture: Picture) -> None:
     ax.spines["left"].set_visible(False)
 
 
-def draw_margin(ax: Any, picture: Picture) -> None:
-    """Draw the containment margin of every step, and below it what limits the step."""
+def draw_margin(ax: Any, picture: Picture) -> float:
+    """Draw the containment margin of every step, and below it what limits it; height of the legend [in]."""
     from matplotlib.patches import Patch
 
     modes, delta = picture.modes, picture.reference.delta
@@ -135,15 +131,17 @@ def draw_margin(ax: Any, picture: Picture) -> None:
     ax.axhline(0, color=BLACK, lw=0.6)
     names = [limit_group(name) for name in picture.limits]
     place, height = floor - 0.17, 0.12
-    counts = {True: 0, False: 0}
-    for name in dict.fromkeys(names):
-        thrust = name in picture.system.input_names
-        colour = (THRUST_COLOURS if thrust else SET_COLOURS)[counts[thrust] % 4]
-        counts[thrust] += 1
+    thrust, sets = (
+        [name for name in dict.fromkeys(names) if (name in picture.system.input_names) == wanted]
+        for wanted in (True, False)
+    )
+    told = dict(zip(thrust, shades(INPUT_SHADES, len(thrust)), strict=True))
+    told |= dict(zip(sets, shades(SET_SHADES, len(sets)), strict=True))
+    for name, shade in told.items():
         chosen = np.array([other == name for other in names])
         spans = [(a * delta, (b - a) * delta) for a, b in stretches(chosen)]
-        ax.broken_barh(spans, (place, height), facecolor=colour, lw=0)
-        handles.append(Patch(facecolor=colour, label=name))
+        ax.broken_barh(spans, (place, height), facecolor=shade, lw=0)
+        handles.append(Patch(facecolor=shade, label=name))
     ax.text(
         -0.015,
         place + height / 2,
@@ -161,7 +159,7 @@ def draw_margin(ax: Any, picture: Picture) -> None:
     )
     ax.set_yticks([0, 0.25, 0.5, 0.75, 1.0])
     ax.grid(True, axis="y")
-    legend_above(ax, handles, 2 if max(map(len, names), default=0) > 18 else 3)
+    return legend_above(ax, handles, 3)
 
 
 def mode_strip(ax: Any, picture: Picture) -> None:

@@ -1,4 +1,4 @@
-"""The part of the plane a scene shows, and where names are written in it."""
+"""The plane that is drawn, and where in it there is room for names."""
 
 from __future__ import annotations
 
@@ -6,54 +6,37 @@ from typing import Any
 
 import numpy as np
 
-from ..keep_in import KeepIn
-from ..obstacles import Obstacle
 from ..system import Array
-from .geometry import zonotope_outline
-from .picture import Picture
-
-INSTANTS = 5
-"""Instants at which a moving obstacle is drawn."""
+from .space import Space
+from .style import text_width
 
 
 class View:
-    """The part of the plane that is shown, and where in it there is room for labels."""
+    """A rectangle of the plane, and what is in it already.
 
-    def __init__(self, x: tuple[float, float], y: tuple[float, float], points: Array) -> None:
-        self.x, self.y, self.points = x, y, points
+    Parameters
+    ----------
+    x, y : (float, float)
+        [m]
+    points : ndarray, shape (N, 2)
+        What names should not cover.
+    width : float
+        Of the axes [in].
+    """
+
+    def __init__(
+        self, x: tuple[float, float], y: tuple[float, float], points: Array, width: float = 2.8
+    ) -> None:
+        self.x, self.y, self.points, self.width = x, y, points, width
         self.taken: list[tuple[float, float, float, float]] = []
 
     @classmethod
-    def around(cls, picture: Picture) -> View:
-        """All of the reference, the flights under Polaris, and what rests near them."""
-        axes = picture.frame.flat
-        before, after = picture.path()
-        paths = [before[:, axes], after[:, axes]]
-        for name, flights in picture.flights.items():
-            shown = picture.positions(flights)[:, axes]
-            if name == "polaris" or _near(shown, paths[0]):
-                paths.append(shown)
-        points = np.vstack(paths)
-        low, high = points.min(axis=0), points.max(axis=0)
-        reach = 0.3 * np.max(high - low)
-        corners = [points, zonotope_outline(position_set(picture), axes)]
-        for obstacle in picture.obstacles:
-            if isinstance(obstacle, KeepIn):
-                continue
-            moving = moves(obstacle, picture)
-            for t in np.linspace(0, picture.duration, INSTANTS) if moving else (0.0,):
-                seen = np.clip(obstacle.outline(float(t), picture.system)[:, axes], low - reach, high + reach)
-                if np.all(np.ptp(seen, axis=0) > 0) and not (moving and np.any(np.ptp(seen, axis=0) > reach)):
-                    corners.append(seen)
-        everything = np.vstack(corners)
-        low, high = everything.min(axis=0), everything.max(axis=0)
-        pad = 0.05 * np.max(high - low) + 1e-9
-        low, high = low - pad, high + pad
-        # No figure is more than 2.2 times as wide as it is high, or higher than wide.
-        size, middle = high - low, (high + low) / 2
-        size = np.array([max(size[0], size[1]), max(size[1], size[0] / 2.2)])
-        low, high = middle - size / 2, middle + size / 2
-        return cls((low[0], high[0]), (low[1], high[1]), points)
+    def of(cls, space: Space, width: float = 2.8) -> View:
+        """The plane of the figures of a space."""
+        axes = space.picture.frame.flat
+        (x0, y0), (x1, y1) = space.low[axes], space.high[axes]
+        paths = [*space.picture.path(), *map(space.picture.positions, space.picture.flights.values())]
+        return cls((float(x0), float(x1)), (float(y0), float(y1)), np.vstack(paths)[:, axes], width)
 
     @property
     def aspect(self) -> float:
@@ -64,6 +47,12 @@ class View:
         """Which points lie in the view."""
         x, y = points[..., 0], points[..., 1]
         return (x > self.x[0]) & (x < self.x[1]) & (y > self.y[0]) & (y < self.y[1])
+
+    def seen(self, outline: Array) -> Array:
+        """Points along a closed outline that are in the view, shape (N, 2)."""
+        s = np.linspace(0, 1, 200)[:, None, None]
+        edge = ((1 - s) * outline + s * np.roll(outline, -1, axis=0)).reshape(-1, 2)
+        return np.asarray(edge[self.contains(edge)])
 
     def clip(self, outline: Array) -> Array:
         """Cut an outline to the view."""
@@ -77,9 +66,11 @@ class View:
         """Write a name beside an outline, or into it if it is large, where fewest lines pass."""
         from matplotlib.patheffects import withStroke
 
-        point = (self.x[1] - self.x[0]) / (2.8 * 72)  # metres per point of type
-        w, h = 3.9 * len(text) * point, 8.5 * point
-        low, high = outline.min(axis=0) - 3 * point, outline.max(axis=0) + 3 * point
+        per_inch = np.array([self.x[1] - self.x[0], self.y[1] - self.y[0]]) / self.width
+        per_inch[1] /= ax_aspect(ax, self.aspect)
+        w, h = np.array([text_width(text) + 0.04, 8.5 / 72]) * per_inch
+        gap = 3 / 72 * per_inch
+        low, high = outline.min(axis=0) - gap, outline.max(axis=0) + gap
         mid = (low + high) / 2
         places = [
             (mid[0] - w / 2, high[1]),
@@ -105,35 +96,14 @@ class View:
             return float(min(over, 20)) / 20 + 3 * (not inside) + 2 * clash
 
         x, y = min(places, key=cost)
-        x = min(max(x, self.x[0]), self.x[1] - w)
+        x = max(min(x, self.x[1] - w), self.x[0])
+        y = max(min(y, self.y[1] - h), self.y[0])
         self.taken.append((x, y, w, h))
-        drawn = ax.text(
-            x + w / 2,
-            y + h / 2,
-            text,
-            color=colour,
-            fontsize=7,
-            ha="center",
-            va="center",
-            zorder=8,
-            clip_on=True,
-        )
+        place = {"ha": "center", "va": "center", "zorder": 8, "clip_on": True}
+        drawn = ax.text(x + w / 2, y + h / 2, text, color=colour, fontsize=7, **place)
         drawn.set_path_effects([withStroke(linewidth=1.6, foreground="white")])
 
 
-def _near(shown: Array, path: Array) -> bool:
-    """Whether a flight stays about where the path is, so that it may widen the view."""
-    low, high = path.min(axis=0), path.max(axis=0)
-    reach = 0.35 * np.max(high - low)
-    return bool(np.all(shown > low - reach) and np.all(shown < high + reach))
-
-
-def position_set(picture: Picture) -> Any:
-    """Initial positions."""
-    return picture.system.position @ picture.initial_set
-
-
-def moves(obstacle: Obstacle, picture: Picture) -> bool:
-    """Whether an obstacle changes place within the horizon."""
-    times = np.linspace(0, picture.duration, 5)
-    return bool(np.ptp(obstacle.centre(times, picture.system), axis=0).max() > 0)
+def ax_aspect(ax: Any, aspect: float) -> float:
+    """Height over width of axes on paper, if one scale serves both they have the view's `aspect`."""
+    return aspect if ax.get_aspect() == 1.0 else 0.6

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -40,6 +41,7 @@ def comparison_page(folder: Path) -> Page:
     lead = f"<p>{len(methods)} methods flown under the same conditions. Scenario <code>{name}</code>.</p>"
     if not proved:
         lead += claims.loud(recoverable)
+    lead += tradeoffs(methods)
     return Page(
         f"{found['title']}: comparison",
         lead,
@@ -53,6 +55,21 @@ def comparison_page(folder: Path) -> Page:
         ),
         comparison_data(folder, run, methods),
         footer(summary),
+    )
+
+
+def tradeoffs(methods: Methods) -> str:
+    """The picture of what every method gains and loses, within the page."""
+    from ..rta.figures import tradeoffs_png
+
+    image = base64.b64encode(tradeoffs_png(methods)).decode()
+    told = (
+        "What each method gains and loses: means over all runs with 95 % confidence bounds, a stroke for the"
+        " worst run. Green: with a proof; red: without."
+    )
+    return (
+        f'<figure id="tradeoffs"><img src="data:image/png;base64,{image}" alt="Diagram of the table below">'
+        f"<figcaption>{told}</figcaption></figure>"
     )
 
 
@@ -131,7 +148,9 @@ def _differences(against: str, found: Mapping[str, Mapping[str, Cell]], names: M
 
 def _difference(one: Mapping[str, Any]) -> Cell:
     low, high = one["low"], one["high"]
-    cell = Measure.of(one["metric"]).cell({"mean": one["difference"], "low": low, "high": high}, judged=False)
+    cell = Measure.of(one["metric"]).cell(
+        {"mean": one["difference"], "low": low, "high": high}, difference=True
+    )
     if low is None or high is None or low > 0 or high < 0 or low == high:
         return cell
     return replace(cell, html=f'{cell.html}<span class="range">perhaps 0</span>')

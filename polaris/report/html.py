@@ -17,6 +17,9 @@ BADGES = {
 }
 """Class and text of a badge, by kind of guarantee."""
 
+MOST = 4
+"""Columns of a table that have room on any screen."""
+
 
 @dataclass(frozen=True)
 class Cell:
@@ -52,7 +55,7 @@ def number_cell(value: Any, key: str = "", form: str = ".4g", unit: str = "") ->
 
 
 def table(caption: str, heads: Sequence[str], rows: Iterable[Sequence[Cell]], sort: bool = False) -> str:
-    """A table whose first column names the rows.
+    """A table whose first column names the rows; where it has no room its rows become cards.
 
     Parameters
     ----------
@@ -69,9 +72,11 @@ def table(caption: str, heads: Sequence[str], rows: Iterable[Sequence[Cell]], so
         left = ' class="text"' if rows and rows[0][column].text else ""
         told.append(f'<th scope="col"{left}>{text}</th>')
     body = "\n".join(
-        "<tr>" + "".join(_cell(cell, n == 0) for n, cell in enumerate(row)) + "</tr>" for row in rows
+        "<tr>" + "".join(_cell(*one) for one in zip(row, heads, range(len(row)), strict=True)) + "</tr>"
+        for row in rows
     )
-    kind = ' class="sortable"' if sort else ""
+    kinds = [name for name, wanted in (("sortable", sort), ("wide", len(heads) > MOST)) if wanted]
+    kind = f' class="{" ".join(kinds)}"' if kinds else ""
     return (
         f'<div class="scroll" role="region" tabindex="0" aria-label="{escaped(caption)}">'
         f"<table{kind}><caption>{escaped(caption)}</caption>"
@@ -79,13 +84,13 @@ def table(caption: str, heads: Sequence[str], rows: Iterable[Sequence[Cell]], so
     )
 
 
-def _cell(cell: Cell, first: bool) -> str:
+def _cell(cell: Cell, head: str, column: int) -> str:
     sort = "" if cell.sort is None else escaped(cell.sort)
     names = " ".join(name for name, wanted in (("bad", cell.bad), ("text", cell.text)) if wanted)
     kind = f' class="{names}"' if names else ""
-    tag = "th" if first else "td"
-    scope = ' scope="row"' if first else ""
-    return f'<{tag}{scope}{kind} data-sort="{sort}">{cell.html}</{tag}>'
+    if column == 0:
+        return f'<th scope="row"{kind} data-sort="{sort}">{cell.html}</th>'
+    return f'<td{kind} data-sort="{sort}" data-head="{escaped(head)}">{cell.html}</td>'
 
 
 def badge(kind: Any) -> str:

@@ -71,6 +71,7 @@ def flight_data(folder: InspectionFolder) -> dict[str, Any]:
     return {
         "scene": _scene(q, [run.x[:, i] for i in range(q.deputies)], _sun(run, chosen)),
         "end": plain(run.t[-1]),
+        "open": plain(_closest(t, margins)),
         "modes": [one for one in ANSWERS if one["mode"] in run.status],
         "modes_title": "Answers of the filter",
         "by": "pilot",
@@ -104,6 +105,7 @@ def fuel_data(run: FuelRun) -> dict[str, Any]:
     return {
         "scene": _scene(q, [run.x], drawn if run.predictions else []),
         "end": plain(run.t[-1]),
+        "open": plain(run.t[-1] if run.latched_at is None else run.latched_at),
         "modes": [
             {"mode": 0, "name": "primary controller", "colour": ORANGE},
             {"mode": 1, "name": "backup controller", "colour": BLUE},
@@ -117,6 +119,16 @@ def fuel_data(run: FuelRun) -> dict[str, Any]:
         ],
         "panels": [fuel, *_thrusts(q, run.u[held][:, None])],
     }
+
+
+def _closest(t: Array, margins: Mapping[str, Array]) -> float:
+    """When a deputy has least room of all to a limit of a distance [s]."""
+    own = [
+        found.min(axis=1)
+        for name, found in margins.items()
+        if found.shape[1] and MEANING.get(name, ("", ""))[1] == "m"
+    ]
+    return float(t[np.argmin(np.min(own, axis=0))] if own else 0.0) or float(t[-1])
 
 
 def _margins(t: Array, found: Mapping[str, Array]) -> list[timelines.Panel]:

@@ -7,18 +7,15 @@ from typing import Any
 
 import numpy as np
 
+from ..figures.line import LineSpace
 from ..figures.picture import Picture
-from ..figures.style import GREY, RED
-from ..figures.view import position_set
+from ..figures.space import position_set
+from ..figures.style import GREEN, GREY, RED
 from ..keep_in import KeepIn
 from ..system import Array
 from . import layers
 from .layers import Layer
 from .numbers import plain
-
-INSTANTS = 121
-FAR = 1e6
-"""Where the outline of an unbounded set is cut [m], before it is cut to the scene."""
 
 
 def line_scene(picture: Picture, paths: Sequence[Array]) -> dict[str, Any]:
@@ -31,67 +28,61 @@ def line_scene(picture: Picture, paths: Sequence[Array]) -> dict[str, Any]:
     paths : sequence of ndarray, shape (N, 1)
         Positions flown [m].
     """
-    before, _ = picture.path(4)
-    delta = picture.reference.delta
-    times = ((np.arange(picture.planned)[:, None] + np.linspace(0, 1, 5)) * delta).ravel()
-    shown = np.concatenate([before[:, 0], *(path[:, 0] for path in paths)])
-    pad = 0.3 * float(np.ptp(shown)) + 1e-9
-    low, high = float(shown.min()) - pad, float(shown.max()) + pad
+    space = LineSpace.of(picture, paths)
+    before, end = picture.path(4)[0], picture.duration
+    steps = np.arange(picture.planned)[:, None] + np.linspace(0, 1, len(before) // picture.planned)
     start = position_set(picture)
     reach = float(np.abs(start.G).sum())
     ends = np.array([[0.0, start.c[0] - reach], [0.0, start.c[0] + reach]])
+    way = np.column_stack([steps.ravel() * picture.reference.delta, before[:, 0]])
     return {
         "space": 2,
         "equal": False,
         "axes": ["Time (s)", picture.frame.labels[0]],
-        "range": plain([[0.0, picture.duration], [low, high]]),
+        "range": plain([[0.0, end], [space.low, space.high]]),
         "layers": [
-            *_unsafe(picture, low, high),
+            *_unsafe(space),
+            *_goal(space, end),
             layers.line("initial set", ends, "initial", "#404040", 5),
-            layers.line(
-                "safe reference", np.column_stack([times, before[:, 0]]), "reference", GREY, 3, "dot"
-            ),
-            *_tube(picture),
+            layers.line("safe reference", way, "reference", GREY, 3, "dot"),
+            *_tube(space),
         ],
     }
 
 
-def _unsafe(picture: Picture, low: float, high: float) -> list[Layer]:
-    times = np.linspace(0, picture.duration, INSTANTS)
+def _unsafe(space: LineSpace) -> list[Layer]:
     found: list[Layer] = []
-    for obstacle in picture.obstacles:
-        ends = [obstacle.outline(float(t), picture.system, FAR)[:, 0] for t in times]
-        span = np.clip([[end.min(), end.max()] for end in ends], low, high)
-        rims = [np.column_stack([times, span[:, side]]) for side in (0, 1)]
+    for obstacle in space.picture.obstacles:
         if isinstance(obstacle, KeepIn):
             name = f"{obstacle.name} (stay inside)"
-            found += [layers.line(name, rim, "unsafe", RED, 1.5, "dash") for rim in rims]
-        else:
-            band = np.vstack([rims[0], rims[1][::-1]])
+            for edge in space.edges(obstacle)[0]:
+                if space.low < edge < space.high:
+                    rim = np.column_stack([space.times[[0, -1]], [edge, edge]])
+                    found.append(layers.line(name, rim, "unsafe", RED, 1.5, "dash"))
+            continue
+        low, high = space.band(obstacle).T
+        if np.any(high > low):
+            band = np.column_stack([np.r_[space.times, space.times[::-1]], np.r_[low, high[::-1]]])
             found.append(layers.area(obstacle.name, band, "unsafe", RED, 0.4) | {"label": obstacle.name})
     return found
 
 
-def _tube(picture: Picture) -> list[Layer]:
-    tube = picture.tube
-    if tube is None or not len(tube.bow):
+def _goal(space: LineSpace, end: float) -> list[Layer]:
+    goal = space.goal()
+    points = np.array([[end, value] for value in goal])
+    if len(goal) == 2:
+        return [layers.line("goal", points, "goal", GREEN, 6)]
+    return [layers.markers("goal", points, "goal", GREEN, "diamond", 5)] if goal else []
+
+
+def _tube(space: LineSpace) -> list[Layer]:
+    tube, delta = space.tube(), space.picture.reference.delta
+    if tube is None:
         return []
-    K, delta = len(tube.bow), picture.reference.delta
-    centre, reach = tube.centre[..., 0], np.abs(tube.generators[..., 0, :]).sum(axis=-1)
-    above, below = centre + reach, centre - reach
-    bow = tube.bow[..., 0]
-    top = (np.maximum(above[:, :-1], above[:, 1:]) + bow).max(axis=1)
-    foot = (np.minimum(below[:, :-1], below[:, 1:]) - bow).min(axis=1)
-    starts = np.arange(K) * delta
+    starts = np.arange(len(tube)) * delta
     frames = [
         {"p": plain([[t, t + delta, t + delta, t, t], [low, low, high, high, low]])}
-        for t, low, high in zip(starts, foot, top, strict=True)
+        for t, (low, high) in zip(starts, tube, strict=True)
     ]
-    model: Layer = {
-        "name": "reachable now",
-        "kind": "area",
-        "group": "tube",
-        "colour": "#56B4E9",
-        "opacity": 0.35,
-    }
-    return [layers.framed(model, starts, frames)]
+    look = {"kind": "area", "group": "tube", "colour": "#56B4E9", "opacity": 0.35}
+    return [layers.framed({"name": "reachable now"} | look, starts, frames)]

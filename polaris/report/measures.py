@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from ..campaign.statistics import possible
 from .html import Cell, number_cell
 from .numbers import shown
 
@@ -85,14 +86,27 @@ class Measure:
             return shown(100.0 * value, self.key, ".1f", "%" if unit else "")
         return shown(value, self.key, ".4g", self.unit if unit else "")
 
-    def cell(self, value: Any, unit: bool = True, judged: bool = True) -> Cell:
-        """A value, or a mean with its bounds, as a cell; `judged` marks what tells of a collision."""
+    def cell(self, value: Any, unit: bool = True, difference: bool = False) -> Cell:
+        """A value, or a mean with its bounds, as a cell; marked if it tells of a collision.
+
+        Parameters
+        ----------
+        value : any
+            Of a file.
+        unit : bool
+            Whether to write the unit after it.
+        difference : bool
+            Whether it is a difference of two methods: it has other limits, and tells of no collision.
+        """
+        judged = not difference
         if isinstance(value, Mapping):
             return self._bounded(value, judged)
         return Cell(self.text(value, unit), number_cell(value).sort, judged and self._bad(value))
 
     def _bounded(self, value: Mapping[str, Any], judged: bool) -> Cell:
         mean, low, high, worst = (value.get(name) for name in ("mean", "low", "high", "worst"))
+        least, most = possible(self.key, difference=not judged)  # folders of older versions know no limits
+        low, high = (None if v is None else min(max(v, least), most) for v in (low, high))
         told = self.text(mean, unit=False)
         if low is not None or high is not None:
             told += f'<span class="range">{self.text(low, False)} to {self.text(high, False)}</span>'

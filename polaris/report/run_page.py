@@ -14,7 +14,7 @@ from ..system import Array
 from . import timelines
 from .bounds import proven_distance
 from .numbers import plain
-from .scene import scene_of
+from .scene import scene_of, shown_axes
 
 NAMES = {"polaris": "Polaris (the schedule)", "safety": "S alone", "experimental": "U alone"}
 
@@ -31,11 +31,13 @@ def run_data(folder: RunFolder) -> dict[str, Any]:
     flights = {key: picture.flights[key] for key in NAMES if key in picture.flights}
     proved = folder.summary["guarantee"]["kind"] == "proved"
     present = [item.modes for item in flights.values()] + [picture.modes]
+    flown = [picture.positions(item) for item in flights.values()]
+    axes = shown_axes(picture, flown)
     pilots, distances, inputs = [], [], []
     for key, item in flights.items():
         chosen = _kept(item)
         who = _modes(item)[chosen[:-1]]
-        paths = timelines.paths_of(picture, item.times[chosen], item.states[:, chosen])
+        paths = timelines.paths_of(picture, item.times[chosen], item.states[:, chosen], axes)
         runs = len(item.labels)
         style = {"colour": mode_colour({"safety": 0, "experimental": 1}.get(key, 6)), "on": key == "polaris"}
         if key == "polaris":
@@ -58,8 +60,9 @@ def run_data(folder: RunFolder) -> dict[str, Any]:
         *timelines.input_panels(picture, inputs),
     ]
     return {
-        "scene": scene_of(picture, [picture.positions(item) for item in flights.values()]),
+        "scene": scene_of(picture, flown, axes),
         "end": plain(picture.duration),
+        "open": plain(picture.closest),
         "modes": timelines.mode_names(picture, np.concatenate(present)),
         "modes_title": timelines.WHO,
         "by": "mode",

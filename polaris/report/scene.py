@@ -3,25 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from reach.zonotope import Zonotope
 
-from ..figures.geometry import tube_polygons, zonotope_outline
+from ..figures.closeups import is_flat
+from ..figures.geometry import flat_outline, tube_polygons, zonotope_outline
 from ..figures.picture import Picture, shown_steps
+from ..figures.space import Part, Space, position_set
 from ..figures.style import GREEN, GREY, YELLOW
-from ..figures.view import View, position_set
 from ..obstacle_base import directions as directions_in_space
-from ..planning.goals import Box, EllipticalNMT, Goal, LinearNMT, StationaryPoint
 from ..system import Array
 from . import layers
 from .layers import Layer
 from .line_scene import line_scene
 from .numbers import plain
-from .solids import Surface, polyhedron
+from .solids import Surface, hull, polyhedron
 from .unsafe_layers import unsafe_layers
 
 MOST_FRAMES = 240
@@ -30,48 +29,13 @@ MOST_FRAMES = 240
 TUBE, SLICE, INITIAL = "#56B4E9", YELLOW, "#404040"
 
 
-@dataclass(frozen=True)
-class Bounds:
-    """The part of space that is shown, in the axes of the figures.
-
-    Attributes
-    ----------
-    low, high : ndarray, shape (d,)
-        [m]
-    """
-
-    low: Array
-    high: Array
-
-    @classmethod
-    def of(cls, picture: Picture, paths: Sequence[Array]) -> Bounds:
-        """What the figures show of the plane, and the heights of the paths (N, d) that stay in it."""
-        axes = list(picture.frame.axes)
-        view = View.around(picture)
-        low, high = np.array([view.x[0], view.y[0]]), np.array([view.x[1], view.y[1]])
-        near = [path for path in paths if _near(path[:, axes[:2]], low, high)]
-        for path in near:
-            low = np.minimum(low, path[:, axes[:2]].min(axis=0))
-            high = np.maximum(high, path[:, axes[:2]].max(axis=0))
-        if len(axes) == 2:
-            return cls(low, high)
-        third = np.concatenate([path[:, axes[2]] for path in (*picture.path(), *near)])
-        middle, size = (third.min() + third.max()) / 2, 1.15 * float(np.ptp(third))
-        size = max(size, 0.35 * float(np.max(high - low)))  # depth enough to see solids as such
-        return cls(np.append(low, middle - size / 2), np.append(high, middle + size / 2))
-
-    def own(self, picture: Picture) -> tuple[Array, Array]:
-        """The same box in the system's order of coordinates."""
-        place = np.argsort(picture.frame.axes)
-        return self.low[place], self.high[place]
+def shown_axes(picture: Picture, paths: Sequence[Array]) -> list[int]:
+    """Position coordinates that are drawn: the plane of motion if it shows all, else all of them."""
+    frame = picture.frame
+    return frame.flat if is_flat(picture, paths) else list(frame.axes)
 
 
-def _near(path: Array, low: Array, high: Array) -> bool:
-    reach = 0.25 * float(np.max(high - low))
-    return bool(np.all(path > low - reach) and np.all(path < high + reach))
-
-
-def scene_of(picture: Picture, paths: Sequence[Array]) -> dict[str, Any]:
+def scene_of(picture: Picture, paths: Sequence[Array], axes: list[int] | None = None) -> dict[str, Any]:
     """The scene of a run folder as the page's script reads it.
 
     Parameters
@@ -79,6 +43,8 @@ def scene_of(picture: Picture, paths: Sequence[Array]) -> dict[str, Any]:
     picture : Picture
     paths : sequence of ndarray, shape (N, d)
         Positions flown [m]; the scene is widened for those that stay near it.
+    axes : list of int, optional
+        Position coordinates to draw, two or three; default `shown_axes`.
 
     Returns
     -------
@@ -87,27 +53,26 @@ def scene_of(picture: Picture, paths: Sequence[Array]) -> dict[str, Any]:
     """
     if picture.system.d == 1:
         return line_scene(picture, paths)
-    bounds = Bounds.of(picture, paths)
-    low, high = bounds.own(picture)
+    axes = shown_axes(picture, paths) if axes is None else axes
+    space = Space.of(picture, paths)
     found = [
-        *unsafe_layers(picture, low, high),
-        *_goal(picture),
-        *_start(picture),
-        *_reference(picture),
-        *_slices(picture),
-        *_tube(picture),
+        *unsafe_layers(space, axes),
+        *_goal(space, axes),
+        *_start(picture, axes),
+        *_reference(picture, axes),
+        *_slices(picture, axes),
+        *_tube(picture, axes),
     ]
     return {
-        "space": picture.system.d,
+        "space": len(axes),
         "equal": True,
-        "axes": list(picture.frame.labels),
-        "range": plain(np.stack([bounds.low, bounds.high], axis=1)),
+        "axes": list(picture.frame.labels[: len(axes)]),
+        "range": plain(np.stack([space.low, space.high], axis=1)[axes]),
         "layers": found,
     }
 
 
-def _reference(picture: Picture) -> list[Layer]:
-    axes = list(picture.frame.axes)
+def _reference(picture: Picture, axes: list[int]) -> list[Layer]:
     before, after = picture.path(4)
     found = [layers.line("safe reference", before[:, axes], "reference", GREY, 3, "dot")]
     if len(after):
@@ -115,8 +80,7 @@ def _reference(picture: Picture) -> list[Layer]:
     return found
 
 
-def _start(picture: Picture) -> list[Layer]:
-    axes = list(picture.frame.axes)
+def _start(picture: Picture, axes: list[int]) -> list[Layer]:
     start = position_set(picture)
     centre = np.asarray(start.c)[axes][None]
     found = [layers.markers("start", centre, "initial", INITIAL, "circle", 4)]
@@ -137,34 +101,26 @@ def _body(
     return None if surface is None else layers.mesh(name, surface, group, colour, opacity)
 
 
-def _goal(picture: Picture) -> list[Layer]:
+def _goal(space: Space, axes: list[int]) -> list[Layer]:
     """The goal's positions: rings of ellipses, a stretch, a point or a box."""
-    goal: Goal = picture.goal
-    axes = list(picture.frame.axes)
-    if isinstance(goal, EllipticalNMT):
-        angle = np.linspace(0, 2 * np.pi, 121)
-        ring = np.stack([2 * np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=1)
-        rims = [b for b in (goal.inner_semi_minor, goal.outer_semi_minor) if b > 0]
-        found = [layers.line("goal: rim of the ring", rims[-1] * ring, "goal", GREEN, 2)]
-        if len(rims) == 2:
-            found.append(layers.line("goal: inner rim", rims[0] * ring, "goal", GREEN, 2))
-            found.append(layers.mesh("goal", _strip(rims[0] * ring, rims[1] * ring), "goal", GREEN, 0.12))
-        return found
-    if isinstance(goal, LinearNMT):
-        ends = np.array([[0.0, goal.along_track, z] for z in (-goal.amplitude_max, goal.amplitude_max)])
-        return [layers.line("goal", ends[:, axes], "goal", GREEN, 5)]
-    if isinstance(goal, StationaryPoint):
-        place = (picture.system.position @ np.asarray(goal.state))[axes]
-        return [layers.markers("goal", place[None], "goal", GREEN, "diamond", 5)]
-    if isinstance(goal, Box):
-        C, half = picture.system.position, np.asarray(goal.half_widths)
-        known = np.isfinite(half)
-        if np.any(C[:, ~known]):  # any position will do along some axis
-            return []
-        body = C @ Zonotope.box(np.asarray(goal.center), np.where(known, half, 0.0))
-        drawn = _body("goal", body, axes, "goal", GREEN, 0.2)
-        return [drawn] if drawn else []
-    return []
+    parts = space.goal()
+    found = [drawn for part in parts if (drawn := _part(part, axes))]
+    if len(parts) == 2 and len(axes) == 3:
+        rims = [part.points[:, axes] for part in parts]
+        found.append(layers.mesh("goal", _strip(*rims), "goal", GREEN, 0.12))
+    return found
+
+
+def _part(part: Part, axes: list[int]) -> Layer | None:
+    points = part.points[:, axes]
+    if part.kind == "point" or np.all(np.ptp(points, axis=0) == 0):  # a line seen end on, too
+        return layers.markers("goal", points[:1], "goal", GREEN, "diamond", 5)
+    if part.kind == "curve":
+        return layers.line("goal", points, "goal", GREEN, 2 if len(points) > 2 else 5)
+    if len(axes) == 2:
+        return layers.area("goal", flat_outline(points), "goal", GREEN, 0.2)
+    surface = hull(points)
+    return None if surface is None else layers.mesh("goal", surface, "goal", GREEN, 0.2)
 
 
 def _strip(inner: Array, outer: Array) -> Surface:
@@ -175,19 +131,19 @@ def _strip(inner: Array, outer: Array) -> Surface:
     return Surface(np.vstack([inner, outer]), faces)
 
 
-def _slices(picture: Picture) -> list[Layer]:
+def _slices(picture: Picture, axes: list[int]) -> list[Layer]:
     """Recoverable positions in the plane of the figures, at rest relative to the reference."""
     if picture.slices is None:
         return []
     steps = shown_steps(picture.planned)
     times = steps * picture.reference.delta
     outlines = picture.slices.centre[:, None] + picture.slices.outline
-    if picture.system.d == 3:
+    if len(axes) == 3:
         third = (picture.reference.chi[steps] @ picture.system.position.T)[:, picture.frame.axes[2]]
         level = np.broadcast_to(third[:, None, None], (*outlines.shape[:2], 1))
         outlines = np.concatenate([outlines, level], axis=2)
     name = "recoverable, last slice reached"
-    if picture.system.d == 3:
+    if len(axes) == 3:
         corner = np.arange(1, outlines.shape[1] - 1)
         fan = np.stack([np.zeros_like(corner), corner, corner + 1], axis=1)  # a slice is convex
         flat = [Surface(outline, fan) for outline in outlines]
@@ -197,9 +153,9 @@ def _slices(picture: Picture) -> list[Layer]:
     return [layers.framed(filled, times, [{"p": plain(layers.closed(one).T)} for one in outlines])]
 
 
-def _tube(picture: Picture) -> list[Layer]:
+def _tube(picture: Picture, axes: list[int]) -> list[Layer]:
     """Where the spacecraft may be over each part of a step, whatever the disturbance."""
-    tube, axes = picture.tube, list(picture.frame.axes)
+    tube = picture.tube
     if tube is None or not len(tube.bow):
         return []
     K, q = tube.bow.shape[:2]

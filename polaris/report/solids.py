@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..figures.geometry import flat_outline
-from ..shapes import Polytope
+from ..figures.geometry import boxed
 from ..system import Array
 
 
@@ -90,12 +89,6 @@ def ball(radius: float, splits: int = 2) -> Surface:
     return found
 
 
-def boxed(H: Array, b: Array, low: Array, high: Array) -> Polytope:
-    """The polytope ``H p <= b`` cut to a box [m]."""
-    eye = np.eye(len(low))
-    return Polytope(np.vstack([H, eye, -eye]), np.concatenate([b, high, -low]))
-
-
 def cut_surface(H: Array, b: Array, low: Array, high: Array, closed: bool = True) -> Surface | None:
     """Surface of ``H p <= b`` within a box; None if nothing of it is there.
 
@@ -119,9 +112,3 @@ def cut_surface(H: Array, b: Array, low: Array, high: Array, closed: bool = True
     on_high = np.abs(found.points - high) <= near
     capped = np.any(on_low[found.faces].all(axis=1) | on_high[found.faces].all(axis=1), axis=1)
     return Surface(found.points, found.faces[~capped]) if np.any(~capped) else None
-
-
-def cut_outline(H: Array, b: Array, low: Array, high: Array) -> Array:
-    """Outline of ``H p <= b`` in the plane within a box, shape (V, 2); V is 0 if nothing is there."""
-    whole = boxed(H, b, low, high)
-    return flat_outline(whole.vertices()) if whole.depth > 0 else np.zeros((0, 2))

@@ -98,9 +98,9 @@ def pilot(
     return {"key": key, "name": name, "labels": list(labels), "t": plain(times), "runs": runs} | style
 
 
-def paths_of(picture: Picture, times: Array, states: Array) -> Array:
-    """Positions of runs in the axes of the scene, from states (r, N, n); on the line, over time."""
-    positions = (states @ picture.system.position.T)[..., list(picture.frame.axes)]
+def paths_of(picture: Picture, times: Array, states: Array, axes: list[int]) -> Array:
+    """Positions of runs along the axes of the scene, from states (r, N, n); on the line, over time."""
+    positions = (states @ picture.system.position.T)[..., axes]
     if picture.system.d > 1:
         return np.asarray(positions)
     return np.stack([np.broadcast_to(times, positions.shape[:2]), positions[..., 0]], axis=-1)

@@ -10,9 +10,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..comparison import Flights
+from ..figures.closeups import closeups
+from ..figures.paths import under_mode
 from ..figures.picture import Picture
-from ..figures.scene import under_mode
-from ..figures.style import BLUE, GREEN, GREY, ORANGE, RED, new_figure, printing, save
+from ..figures.space import Space
+from ..figures.style import BLUE, GREEN, GREY, ORANGE, RED, new_figure, printing, save, shortened
 from ..figures.unsafe import draw_unsafe
 from ..figures.view import View
 
@@ -51,23 +53,40 @@ def draw_comparison(folder: ComparisonFolder, out: Path) -> list[Path]:
     return drawn
 
 
+def tradeoffs_png(methods: Sequence[Mapping[str, Any]]) -> bytes:
+    """The figure ``tradeoffs`` as a picture for a page."""
+    from io import BytesIO
+
+    file = BytesIO()
+    with printing():
+        chosen = [method for method in methods if method.get("available", True)]
+        _tradeoffs(chosen).savefig(file, format="png", dpi=180, metadata={"Software": "polaris"})
+    return file.getvalue()
+
+
 def _tradeoffs(methods: Sequence[Mapping[str, Any]]) -> Any:
+    panels = [panel for panel in PANELS if any(method["metrics"].get(panel[0]) for method in methods)]
     figure = new_figure(0.6 + 0.22 * len(methods), 7.2)
-    axes = figure.subplots(1, len(PANELS), sharey=True)
     y = -np.arange(len(methods))
-    for ax, (metric, label, logarithmic) in zip(axes, PANELS, strict=True):
+    if not panels:
+        return figure
+    axes = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
+    for ax, (metric, label, logarithmic) in zip(axes, panels, strict=True):
         for place, method in zip(y, methods, strict=True):
             colour = GREEN if method["guarantee"] == "proved" else RED
-            told = method["metrics"][metric]
+            told = method["metrics"].get(metric)
+            if told is None:
+                continue
             if not isinstance(told, dict):
                 ax.plot(told, place, "o", ms=3.2, color=colour)
                 continue
             if told["mean"] is None:
                 continue
-            if told["low"] is not None:
+            if told["low"] is not None and told["high"] is not None:
                 ax.plot([told["low"], told["high"]], [place, place], color=colour, lw=1.4)
             ax.plot(told["mean"], place, "o", ms=3.2, color=colour)
-            ax.plot(told["worst"], place, "|", ms=6, mew=1.0, color=colour)
+            if told["worst"] is not None:
+                ax.plot(told["worst"], place, "|", ms=6, mew=1.0, color=colour)
         if logarithmic:
             ax.set_xscale("log")
         elif metric == "min_distance_m":
@@ -77,14 +96,14 @@ def _tradeoffs(methods: Sequence[Mapping[str, Any]]) -> Any:
         ax.set_xlabel(label)
         ax.grid(True, axis="x")
         ax.tick_params(axis="y", length=0)
-    axes[0].set_yticks(y, [method["name"] for method in methods])
+    axes[0].set_yticks(y, [shortened(str(method["name"]), 1.9) for method in methods])
     return figure
 
 
 def _paths(picture: Picture, methods: Sequence[Mapping[str, Any]], shown: Mapping[str, Shown]) -> Any:
     from matplotlib.lines import Line2D
 
-    view = View.around(picture)
+    view = View.of(Space.of(picture))
     columns = 3 if view.aspect < 0.8 else 4
     rows = -(-len(methods) // columns)
     width = 7.2
@@ -96,12 +115,16 @@ def _paths(picture: Picture, methods: Sequence[Mapping[str, Any]], shown: Mappin
     for ax, method in zip(grid.flat, methods, strict=False):
         ax.set_aspect("equal")
         ax.set(xlim=view.x, ylim=view.y)
-        ax.set_title(method["name"], fontsize=7, color=GREEN if method["guarantee"] == "proved" else RED)
+        one = shown.get(method["key"])
+        # The distance tells whether a set is passed or entered, which a plane need not show.
+        told = "" if one is None else f": {float(one.nearest[0].min()):.3g} m"
+        name = shortened(str(method["name"]), width / columns - 0.9) + told
+        ax.set_title(name, fontsize=7, color=GREEN if method["guarantee"] == "proved" else RED)
         ax.tick_params(labelsize=6)
         ax.plot(*picture.path()[0][:, flat].T, color=GREY, lw=0.6, ls=(0, (1, 1.4)), zorder=2)
-        one = shown.get(method["key"])
         own = {} if one is None else {"polaris": _flights(method["name"], one)}
-        draw_unsafe(ax, replace(picture, flights=own), _Mute(view.x, view.y, view.points))
+        own_picture = replace(picture, flights=own)
+        draw_unsafe(ax, Space.of(own_picture), _Mute(view.x, view.y, view.points), closeups(own_picture))
         if one is not None:
             flown = (one.states[0] @ picture.system.position.T)[:, flat]
             for mode, colour, _ in MODES:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..campaign.statistics import mean_interval, violation_interval
+from ..campaign.statistics import mean_interval, possible, violation_interval
 from ..evaluation import Metrics, evaluate
 from ..metrics import count_switches, mode_shares
 from ..simulation import Runs
@@ -36,8 +36,8 @@ DEFINITIONS = {
     "decision_p99_us": "the same, 99th percentile",
     "synthesis_s": "wall time before the flight: Algorithm 1 where the method needs S, Algorithm 2 for the"
     " schedule, and what the method prepares",
-    "mean, low, high": "mean over runs and its 95 % interval (Student's t); of runs drawn as here, half of"
-    " them under worst cases, not of flights in nature",
+    "mean, low, high": "mean over runs and its 95 % interval (Student's t, cut to what is possible); of"
+    " runs drawn as here, half of them under worst cases, not of flights in nature",
     "worst": "least distance, time to collision or share; largest of the others",
 }
 """What each number of a comparison means."""
@@ -96,7 +96,7 @@ class Outcome:
         out: dict[str, Any] = {}
         for name, values in self.columns.items():
             worst = values.min() if name in LEAST else values.max()
-            mean, low, high = _interval(values)
+            mean, low, high = _interval(values, possible(name))
             out[name] = {"mean": mean, "low": low, "high": high, "worst": _finite(worst)}
         collided, runs = int(self.metrics.collided.sum()), len(self.metrics.collided)
         bounds = violation_interval(collided, runs)
@@ -116,7 +116,7 @@ class Outcome:
         mine, theirs = self.columns, other.columns
         for name in mine:
             with np.errstate(invalid="ignore"):  # of two infinite times there is no difference
-                mean, low, high = _interval(mine[name] - theirs[name])
+                mean, low, high = _interval(mine[name] - theirs[name], possible(name, difference=True))
             rows.append(
                 {
                     "method": self.key,
@@ -169,10 +169,10 @@ def _largest(demanded: Array, chosen: NDArray[np.bool_]) -> Array:
     return np.where(np.isfinite(least), least, np.nan)
 
 
-def _interval(values: Array) -> tuple[float | None, float | None, float | None]:
+def _interval(values: Array, within: tuple[float, float]) -> tuple[float | None, float | None, float | None]:
     if not np.all(np.isfinite(values)):
         return None, None, None
-    mean, low, high = mean_interval(values)
+    mean, low, high = mean_interval(values, within=within)
     return mean, low, high
 
 

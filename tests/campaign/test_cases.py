@@ -10,7 +10,7 @@ from polaris.campaign import make_cases, parse_grid
 from polaris.campaign.batch import batch_seeds
 from polaris.campaign.drive import time_left
 from polaris.campaign.plan import Plan
-from polaris.campaign.statistics import mean_interval, violation_interval
+from polaris.campaign.statistics import POSSIBLE, mean_interval, possible, violation_interval
 from polaris.errors import ScenarioError
 from tests.campaign.scene import TINY, cases
 
@@ -146,6 +146,18 @@ def test_interval_of_a_mean_covers_as_often_as_it_says():
         covered += low <= 3.0 <= high
     assert 0.935 < covered / 2000 < 0.965
     assert mean_interval(np.array([2.0])) == (2.0, None, None)
+
+
+def test_no_confidence_bound_is_impossible():
+    rng = np.random.default_rng(1)
+    for name, (least, most) in POSSIBLE.items():
+        for scale in (1e-3, 0.5, 1.0):
+            values = np.minimum(scale * rng.uniform(size=3) ** 4, most)
+            values[0] = least
+            mean, low, high = mean_interval(values, within=possible(name))
+            assert least <= low <= mean <= high <= most
+            mean, low, high = mean_interval(values - values[::-1], within=possible(name, difference=True))
+            assert least - most <= low <= mean <= high <= most - least
 
 
 def test_time_left_is_told_once_something_was_done():

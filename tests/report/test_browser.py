@@ -143,6 +143,7 @@ def assert_quiet(browser):
 
 def test_slider_moves_scene_cursor_and_table(browser, page):
     open_page(browser, page)
+    move_slider(browser, 0.1)  # away from where it opens
     before, table = trace(browser, "pilotpolarisnow"), browser.execute_script(READOUT)
     t = move_slider(browser, 0.5)
     wait(
@@ -157,6 +158,9 @@ def test_slider_moves_scene_cursor_and_table(browser, page):
 
 
 READOUT = "return document.getElementById('readout').textContent"
+AT_START = """const one = document.getElementById('scene').data.find((one) => one.uid === 'pilotpolarisnow');
+const all = document.getElementById('scene').data.find((one) => one.uid === 'pilotpolarisall');
+return one.x[0] === all.x[0];"""
 MOVED = """const one = document.getElementById('scene').data.find((one) => one.uid === arguments[0]);
 return one.x[0] !== arguments[1];"""
 LONGER = """const one = document.getElementById('scene').data.find((one) => one.uid === arguments[0]);
@@ -169,6 +173,8 @@ def test_moving_sets_and_tubes_follow_the_time(browser, page):
     script = """return Object.fromEntries(document.getElementById('scene').data
     .filter((one) => arguments[0].includes(one.name)).map((one) => [one.name, one.x]));"""
     names = ["trolley", "reachable now", "recoverable, last slice reached", "pillar"]
+    move_slider(browser, 0.0)
+    wait(browser, AT_START)
     early = browser.execute_script(script, names)
     before = trace(browser, "pilotpolarisnow")
     move_slider(browser, 0.75)
@@ -185,6 +191,7 @@ def test_pointing_at_a_timeline_moves_the_scene(browser, page):
     from selenium.webdriver.common.by import By
 
     open_page(browser, page)
+    move_slider(browser, 0.0)
     area = browser.find_element(By.CSS_SELECTOR, "#timelines .nsewdrag[data-subplot='xy2']")
     browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", area)
     ActionChains(browser).move_to_element_with_offset(area, 10, 0).move_by_offset(5, 0).perform()
@@ -206,6 +213,43 @@ const seen = [play.textContent];
   seen.push(play.textContent, slider.value);
   setTimeout(() => done([...seen, slider.value]), 300);
 })();"""
+
+
+OVERFLOW = """return [document.documentElement.scrollWidth - window.innerWidth,
+  ...[...document.querySelectorAll('.scroll')].map((one) => one.scrollWidth - one.clientWidth)];"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("width", [700, 1400])
+def test_nothing_is_wider_than_the_window(browser, page, comparison, width):
+    before = browser.get_window_size()
+    try:
+        browser.set_window_size(width, 900)
+        for address in (page, comparison):
+            open_page(browser, address)
+            browser.execute_script(
+                "document.querySelectorAll('details').forEach((one) => { one.open = true; })"
+            )
+            assert max(browser.execute_script(OVERFLOW)) <= 0
+            image = "return [...document.querySelectorAll('img')].map((one) => one.naturalWidth)"
+            assert all(wide > 0 for wide in browser.execute_script(image))
+    finally:
+        browser.set_window_size(before["width"], before["height"])
+
+
+@pytest.mark.slow
+def test_page_opens_where_it_is_closest_with_all_of_it_in_view(browser, page):
+    open_page(browser, page)
+    script = """const data = JSON.parse(document.getElementById('data').textContent);
+    const { xaxis, yaxis } = document.getElementById('scene')._fullLayout;
+    const trolley = document.getElementById('scene').data.find((one) => one.name === 'trolley');
+    return [Number(document.getElementById('time').value), data.open, xaxis.range, yaxis.range,
+      data.scene.range, trolley.x, trolley.y];"""
+    t, opened, x, y, shown, *trolley = browser.execute_script(script)
+    assert t == pytest.approx(opened, abs=0.02) and opened > 0
+    for axis, known, points in zip((x, y), shown, trolley, strict=True):
+        assert axis[0] <= known[0] + 1e-6 and axis[1] >= known[1] - 1e-6
+        assert axis[0] < min(points) and max(points) < axis[1]
 
 
 @pytest.mark.slow
@@ -274,7 +318,17 @@ def test_scene_in_space_is_not_blank(browser, in_space):
     move_slider(browser, 0.9)
     wait(browser, "return document.querySelector('#scene canvas') !== null")
     time.sleep(1.0)
+    size = browser.get_window_size()
+    browser.set_window_size(1000, 1400)  # a picture of an element shows what of it is in the window
+    time.sleep(1.0)
     picture = image.imread(io.BytesIO(browser.find_element("css selector", "#scene").screenshot_as_png))
     colours = np.unique((picture[..., :3] * 15).astype(int).reshape(-1, 3), axis=0)
     assert len(colours) > 20
+    browser.set_window_size(size["width"], size["height"])
+    # It fills its frame and is within it; the frame's own edge and plotly's buttons apart.
+    drawn = np.any(picture[45:-3, 3:-3, :3] < 0.75, axis=2)
+    high, wide = drawn.shape
+    rows, columns = np.flatnonzero(drawn.any(axis=1)), np.flatnonzero(drawn.any(axis=0))
+    assert rows[-1] - rows[0] > 0.6 * high or columns[-1] - columns[0] > 0.7 * wide
+    assert rows[-1] < high - 3 and columns[0] > 3 and columns[-1] < wide - 3
     assert_quiet(browser)

@@ -137,6 +137,15 @@ def test_band_and_proof_lie_around_the_simulated_distances(run, html):
     assert max(proven["y"]) > 0
 
 
+def test_page_opens_at_the_closest_approach(run, html):
+    flights = read_run(run).picture().flights["polaris"]
+    picture = read_run(run).picture()
+    near = np.min(
+        [one.signed_distance(flights.times, picture.positions(flights)) for one in picture.obstacles], axis=0
+    )
+    assert data_of(html)["open"] == pytest.approx(flights.times[np.argmin(near)])
+
+
 def test_tables_show_the_numbers_of_the_summary(run, html):
     summary, told = read_run(run).summary, words(html)
     for who in ("safety", "experimental", "polaris"):
@@ -231,9 +240,22 @@ def test_every_method_is_in_the_tables_and_in_the_scene(comparison, tmp_path):
     )
 
 
+def test_what_is_gained_and_lost_is_on_top_and_wide_tables_can_be_cards(comparison, tmp_path):
+    html = report_of(comparison, tmp_path)
+    image = html.index('<img src="data:image/png;base64,')
+    assert html.index("<h1>") < image < html.index('<section id="flight"')
+    tags = Tags(HIDDEN.sub("", html)).tags
+    assert any(tag == "table" and "wide" in attrs.get("class", "") for tag, attrs in tags)
+    assert all(attrs.get("data-head") is not None for tag, attrs in tags if tag == "td")
+    flown = np.load(comparison / "comparison.npz")
+    near = [flown[f"{key}_distance_m"][0] for key in ("schedule", "safety", "experimental", "filter_0")]
+    nearest = min(near, key=np.min)
+    assert data_of(html)["open"] == pytest.approx(flown["schedule_t_s"][np.argmin(nearest)])
+
+
 def test_tables_of_a_comparison_can_be_sorted(comparison, tmp_path):
     tags = Tags(HIDDEN.sub("", report_of(comparison, tmp_path))).tags
-    assert len([1 for tag, attrs in tags if tag == "table" and attrs.get("class") == "sortable"]) == 2
+    assert len([1 for tag, attrs in tags if tag == "table" and "sortable" in attrs.get("class", "")]) == 2
     sorts = [attrs["data-sort"] for tag, attrs in tags if tag == "td"]
     assert "5.0" in sorts and "" in sorts
 

@@ -8,11 +8,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from polaris.figures.geometry import boxed
 from polaris.report.comparison_report import stretches
 from polaris.report.html import Cell, badge, number_cell, table, text_cell
 from polaris.report.measures import Measure
 from polaris.report.numbers import escaped, plain, script_json, shown
-from polaris.report.solids import ball, cut_outline, cut_surface, hull, polyhedron
+from polaris.report.solids import ball, cut_surface, hull, polyhedron
 from polaris.report.timelines import MOST, kept, style_of
 
 CUBE = np.vstack([np.eye(3), -np.eye(3)])
@@ -72,9 +73,26 @@ def test_means_have_their_bounds_and_collisions_stand_out():
     distance = Measure.of("min_distance_m")
     cell = distance.cell({"mean": 1.0, "low": 0.5, "high": 1.5, "worst": -0.25}, unit=False)
     assert cell.sort == 1.0 and cell.bad and "0.5 to 1.5" in cell.html and "worst -0.25" in cell.html
-    assert not distance.cell({"mean": -1.0, "low": -2.0, "high": 0.0}, judged=False).bad
+    assert not distance.cell({"mean": -1.0, "low": -2.0, "high": 0.0}, difference=True).bad
     assert not distance.cell(None).bad and distance.cell(None).sort is None
     assert Measure.of("collided").cell(True).bad and not Measure.of("collided_runs").cell(0).bad
+
+
+@pytest.mark.parametrize(
+    ("key", "bounds", "difference", "told"),
+    [
+        ("experimental_share", (-0.2, 1.07), False, "0.0 to 100.0"),
+        ("experimental_share", (-1.2, 1.07), True, "-100.0 to 100.0"),
+        ("min_ttc_s", (-3.0, 7.0), False, "0 to 7"),
+        ("min_ttc_s", (-3.0, 7.0), True, "-3 to 7"),
+        ("switches", (-1.0, 4.0), False, "0 to 4"),
+        ("min_distance_m", (-1.0, 4.0), False, "-1 to 4"),  # a penetration
+    ],
+)
+def test_no_bound_lies_where_no_value_can(key, bounds, difference, told):
+    low, high = bounds
+    cell = Measure.of(key).cell({"mean": 0.5, "low": low, "high": high}, difference=difference)
+    assert f">{told}<" in cell.html
 
 
 # -- tables -----------------------------------------------------------------------------------------
@@ -184,6 +202,6 @@ def test_cone_is_cut_to_the_scene_and_stays_open():
 
 
 def test_outline_is_cut_in_the_plane():
-    wall = cut_outline(np.array([[0.0, -1.0]]), np.array([-7.0]), np.zeros(2), np.array([5.0, 9.0]))
+    wall = boxed(np.array([[0.0, -1.0]]), np.array([-7.0]), np.zeros(2), np.array([5.0, 9.0])).vertices()
     assert sorted(map(tuple, wall.round(9).tolist())) == [(0, 7), (0, 9), (5, 7), (5, 9)]
-    assert len(cut_outline(np.array([[0.0, -1.0]]), np.array([-70.0]), np.zeros(2), np.ones(2))) == 0
+    assert boxed(np.array([[0.0, -1.0]]), np.array([-70.0]), np.zeros(2), np.ones(2)).depth < 0

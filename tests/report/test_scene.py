@@ -145,6 +145,46 @@ def test_other_goals_are_drawn_if_they_have_a_place(space, goal):
     assert ("goal" in found) == (not np.isinf(getattr(goal, "half_widths", np.zeros(3))[:3]).any())
 
 
+def test_motion_in_a_plane_of_space_is_drawn_in_it_unless_a_set_is_passed_above():
+    system, goal = integrator(3), StationaryPoint(np.zeros(6))
+    start = np.r_[-60.0, -60.0, 0.0, 1.0, 1.0, 0.0]
+    reference = Reference.propagate(system, DELTA, start, np.zeros((K, 3)))
+    for height, dim in ((0.0, 2), (12.0, 3)):
+        # On the way in the plane, or above it; far aside in both.
+        sets = [
+            BallObstacle("aside", [40.0, -40.0, 0.0], 10.0),
+            BallObstacle("above", [0.0, 0.0, height], 10.0),
+        ]
+        flat = Picture(
+            "flat",
+            system,
+            tuple(sets if height else sets[:1]),
+            goal,
+            Zonotope.box(start, np.ones(6)),
+            reference,
+            K,
+        )
+        scene = scene_of(flat, [])
+        assert scene["space"] == dim and len(scene["axes"]) == len(scene["range"]) == dim
+        assert all(len(layer.get("p", [0] * dim)) == dim for layer in scene["layers"])
+        assert {layer["kind"] for layer in scene["layers"]} & {"area", "mesh"} == {
+            "area" if dim == 2 else "mesh"
+        }
+
+
+def test_what_is_unbounded_fills_any_frame_in_the_plane():
+    wall = PolytopeObstacle("wall", [[0.0, -1.0]], [-70.0], unbounded=True)
+    goal = Box(np.zeros(4), np.r_[np.inf, 5.0, np.inf, np.inf])
+    scene = scene_of(picture(integrator(2), [wall], goal), [])
+    found, (low, high) = named(scene), scene["range"][0]
+    x, y = np.array(found["wall"]["p"])
+    assert x.min() < low - 0.5 * (high - low) and x.max() > high + 0.5 * (high - low) and y.min() == 70
+    x, y = np.array(found["goal"]["p"])
+    assert np.allclose([x.min(), x.max()], [low, high], rtol=1e-4) and np.allclose(
+        [y.min(), y.max()], [-5, 5]
+    )
+
+
 def test_scene_in_the_plane_is_of_areas():
     goal = StationaryPoint(np.zeros(4))
     obstacles = [
@@ -168,6 +208,10 @@ def test_scene_on_the_line_is_drawn_over_time():
     door = np.array(named(scene)["door"]["p"])
     assert scene["axes"][0] == "Time (s)" and not scene["equal"] and scene["space"] == 2
     assert door[0].max() == K * DELTA and door[1].max() <= scene["range"][1][1]
+    rims = [layer["p"][1] for layer in scene["layers"] if layer["name"] == "track (stay inside)"]
+    assert rims == [[-90, -90], [120, 120]]  # where they are, whatever is shown
+    assert scene["range"][1][0] < -90 and scene["range"][1][1] > 120
+    assert named(scene)["goal"]["p"] == [[K * DELTA], [0]]
 
 
 def test_only_plain_numbers_are_in_a_scene(scene):

@@ -27,8 +27,8 @@ function start() {
   const buttons = data.scene.space === 3 ? ["toImage", "zoom3d", "pan3d", "orbitRotation", "tableRotation", "resetCameraDefault3d"]
     : ["toImage", "zoom2d", "pan2d", "zoomIn2d", "zoomOut2d", "resetScale2d"];
   const options = { responsive: true, displaylogo: false, showSendToCloud: false, plotlyServerURL: "", modeBarButtons: [buttons] };
-  const layout = sceneLayout(data);
-  let wanted = false, drawing = false;
+  const layout = sceneLayout(data, scene);
+  let wanted = false, drawing = false, untouched = true;
 
   // The scene is drawn at most once per frame, and not again before the last drawing is done.
   function drawScene() {
@@ -49,6 +49,7 @@ function start() {
   }
 
   function setTime(t) {
+    untouched = false;
     state.t = Math.min(Math.max(t, 0), data.end);
     $("time").value = state.t;
     $("time").setAttribute("aria-valuetext", `${short(state.t)} seconds`);
@@ -69,7 +70,7 @@ function start() {
     $("play").textContent = on ? "Pause" : "Play";
     $("play").setAttribute("aria-pressed", String(on));
     if (!on) return;
-    if (state.t >= data.end) state.t = 0;
+    if (state.t >= data.end || untouched) setTime(0); // from the start, not from where the page opens
     let before = performance.now();
     const next = (now) => {
       if (!state.playing) return;
@@ -87,7 +88,8 @@ function start() {
   Object.assign($("time"), { min: 0, max: data.end, step: data.end / 1000, value: 0 });
   $("time").addEventListener("input", () => { play(false); setTime(Number($("time").value)); });
   $("play").addEventListener("click", () => play(!state.playing));
-  setTime(0);
+  setTime(data.open || 0);
+  untouched = true;
   drawTimelines().then(() => {
     const at = (event) => event.xvals ? event.xvals[0] : event.points[0].x;
     // Moving the line makes plotly report the resting pointer again: only a new place counts.
@@ -138,8 +140,8 @@ function controls(data, state, redraw) {
 // The same in words: one row per pilot with all values at the time shown.
 function readout(data, state) {
   const own = data.panels.filter((panel) => panel.series.some((one) => one.pilot !== null));
-  const head = element("tr", {}, ...["Shown", "Run", data.modes_title, ...own.map((panel) => panel.title + (panel.unit ? ` (${panel.unit})` : ""))]
-    .map((text) => element("th", { scope: "col", textContent: text })));
+  const heads = ["Shown", "Run", data.modes_title, ...own.map((panel) => panel.title + (panel.unit ? ` (${panel.unit})` : ""))];
+  const head = element("tr", {}, ...heads.map((text) => element("th", { scope: "col", textContent: text })));
   const rows = state.shown.map((pilot) => {
     const run = runOf(pilot, state), [i, s] = place(pilot.t, state.t), who = pilot.runs[run].modes;
     const mode = data.modes.find((one) => one.mode === who[Math.min(i, who.length - 1)]);
@@ -147,8 +149,9 @@ function readout(data, state) {
       const series = panel.series.find((one) => one.pilot === pilot.key);
       return series ? at(series, valuesOf(series, pilot, state), i, s) : "none";
     });
-    return element("tr", {}, element("th", { scope: "row", textContent: pilot.name }),
-      ...[pilot.labels[run], mode.name, ...cells].map((text) => element("td", { textContent: text })));
+    const values = [pilot.labels[run], mode.name, ...cells].map((text) => element("td", { textContent: text }));
+    values.forEach((cell, k) => { cell.dataset.head = heads[k + 1]; });
+    return element("tr", {}, element("th", { scope: "row", textContent: pilot.name }), ...values);
   });
   $("readout").replaceChildren(element("thead", {}, head), element("tbody", {}, ...rows));
   const notes = data.panels.flatMap((panel) => panel.series.filter((one) => one.pilot === null).map((series) => {

@@ -97,8 +97,10 @@ function sceneTraces(data, state) {
     traces.push(traceOf(space, layer.name, shape, { ...layer, uid: "layer" + n }));
     if (layer.label && shape) {
       shape.p.forEach((axis, k) => {
-        const low = Math.min(...axis), high = Math.max(...axis);
-        labels.p[k].push(k === space - 1 ? high : (low + high) / 2);
+        const [first, last] = data.scene.range[k], cut = (v) => Math.min(Math.max(v, first), last);
+        const low = cut(Math.min(...axis)), high = cut(Math.max(...axis));
+        // Names stand above; where a set leaves the scene, in it.
+        labels.p[k].push(k === space - 1 ? Math.min(high, last - (space === 2 ? 0.07 : 0) * (last - first)) : (low + high) / 2);
       });
       labels.text.push(layer.label);
     }
@@ -122,7 +124,7 @@ function sceneTraces(data, state) {
   return traces;
 }
 
-function sceneLayout(data) {
+function sceneLayout(data, frame) {
   const { space, axes, range } = data.scene;
   const axis = (k) => ({ title: { text: plain(axes[k]), font: { size: 12 } }, range: range[k], autorange: false,
     gridcolor: "#E2E2E2", zeroline: false, tickfont: { size: 11 }, nticks: 6 });
@@ -133,8 +135,32 @@ function sceneLayout(data) {
       yaxis: { ...axis(1), ...(data.scene.equal ? { scaleanchor: "x" } : {}) } };
   }
   const size = range.map(([low, high]) => high - low), mean = Math.cbrt(size[0] * size[1] * size[2]);
-  const [x, y, z] = size.map((v) => v / mean);
-  const far = (1.55 + 0.65 * Math.max(x, y, z)) / 2.2, eye = { x: 0.84 * far, y: -1.74 * far, z: 1.06 * far };
+  const ratio = size.map((v) => v / mean);
   return { ...common, scene: { xaxis: axis(0), yaxis: axis(1), zaxis: axis(2), aspectmode: "manual",
-    aspectratio: { x, y, z }, camera: { eye, center: { x: 0, y: 0, z: -0.1 } } } };
+    aspectratio: { x: ratio[0], y: ratio[1], z: ratio[2] }, camera: cameraFor(ratio, frame.clientWidth / frame.clientHeight) } };
+}
+
+// The nearest camera, from one direction, for which a box and its labels fill the frame and are all within it.
+function cameraFor(ratio, aspect) {
+  const half = Math.tan(Math.PI / 8), room = 0.86; // half the angle of view; labels stand outside of the box
+  const way = [0.36, -0.78, 0.51], along = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+  const flat = Math.hypot(way[0], way[1]), right = [-way[1] / flat, way[0] / flat, 0];
+  const up = [-way[2] * right[1], way[2] * right[0], flat], length = Math.hypot(...up);
+  const corners = [-0.5, 0.5].flatMap((x) => [-0.5, 0.5].flatMap((y) => [-0.5, 0.5].map((z) => [x * ratio[0], y * ratio[1], z * ratio[2]])));
+  const seen = (far) => corners.map((p) => {
+    const depth = far - along(p, way);
+    return [along(p, right) / depth, along(p, up) / length / depth, depth];
+  });
+  let near = 0.1, far = 50;
+  for (let i = 0; i < 40; i++) {
+    const middle = (near + far) / 2, points = seen(middle);
+    const extent = (k) => Math.max(...points.map((p) => p[k])) - Math.min(...points.map((p) => p[k]));
+    const fits = points.every((p) => p[2] > 0.05) && extent(0) <= 2 * room * half * aspect && extent(1) <= 2 * room * half;
+    if (fits) far = middle; else near = middle;
+  }
+  const points = seen(far), mid = (k) => far * (Math.max(...points.map((p) => p[k])) + Math.min(...points.map((p) => p[k]))) / 2;
+  const [a, b] = [mid(0), mid(1) - 0.04 * far * half];
+  const shift = [0, 1, 2].map((k) => a * right[k] + b * up[k] / length);
+  const point = (v) => ({ x: v[0], y: v[1], z: v[2] });
+  return { eye: point(way.map((v, k) => v * far + shift[k])), center: point(shift), up: { x: 0, y: 0, z: 1 } };
 }
