@@ -9,6 +9,7 @@ from flint import arb, arb_mat
 from .balls import above, column, largest, magnitude, matrix, require
 from .document import Document, UnsafeSet
 from .flights import Flown, Pilot, fly
+from .lemma import Stated, check_norm_bounds
 from .limits import Barrier, Limits
 from .loop import Memory, Needs, resting_rates
 from .path import Arc, Kinematics, Path
@@ -41,10 +42,12 @@ class Argument:
     document : Document
     record : Record
         Where confirmed claims are noted.
+    stated : Stated, optional
+        What other files of the run folder claim besides.
     """
 
-    def __init__(self, document: Document, record: Record) -> None:
-        self.document, self.record = document, record
+    def __init__(self, document: Document, record: Record, stated: Stated | None = None) -> None:
+        self.document, self.record, self.stated = document, record, stated or Stated()
         self.plant = plant_of(document)
         self.n, self.m, self.K = len(document.A), len(document.u_max), document.steps
         self.kinematics = Kinematics(self.plant, document.q)
@@ -60,6 +63,8 @@ class Argument:
         self.enclosures(sets, flown)
         memory = Memory.of(self.loop, widest(sets), self.document.q)
         self.error_bounds(memory, sets[0])
+        if self.stated.norm_bounds is not None:
+            check_norm_bounds(self.stated.norm_bounds, self.gain, self.loop, memory)
         self.recoverability(path, memory, sets)
         self.end(path)
         if self.document.guarantee != "proved" or self.document.recoverable == "paper_ball":
@@ -185,6 +190,8 @@ class Argument:
         )
         switches = {0, *(k + 1 for k, mode in enumerate(doc.modes) if mode > 0)}
         claimed: dict[int, float] = {}
+        if self.stated.start_margin is not None:
+            claimed[0] = self.stated.start_margin
         for k, mode in enumerate(doc.modes):
             if mode > 0:
                 for at in (k, k + 1):

@@ -9,7 +9,7 @@ from pathlib import Path
 import flint
 
 from .argument import Argument
-from .artefacts import check_artefacts, has_artefacts
+from .artefacts import check_artefacts, check_hashes, has_artefacts, read_scenario, unchecked
 from .balls import PRECISION
 from .document import Document, read
 from .inputs import check_inputs
@@ -75,16 +75,16 @@ def _judge(check: Callable[[Record], list[str]]) -> Verdict:
 def _check(document: Document, folder: Path | None, record: Record, whole: bool = False) -> list[str]:
     flint.ctx.prec = precision_for(document)  # `_judge` puts it back
     record.holds("digest", f"scenario {document.scenario}, {document.steps} steps of {document.delta:g} s")
-    trusted = list(document.assumptions)
+    trusted, stated = list(document.assumptions), None
     if folder is None or not (whole or has_artefacts(document, folder)):
         trusted.append("the certificate was made from the scenario it names: no other file lies beside it")
     else:
-        check_artefacts(document, folder, record)
-        check_inputs(document, folder, record)
-    own = [law.name for law in document.laws if law.states is not None]
-    if own:
-        trusted.append(f"the references of their own, of {', '.join(own)}, are those that are meant")
-    Argument(document, record).run()
+        check_hashes(document, folder, record)
+        scenario = read_scenario(folder)
+        check_inputs(document, scenario, record)
+        stated = check_artefacts(document, folder, scenario, record)
+        trusted += unchecked(scenario, folder)
+    Argument(document, record, stated).run()
     trusted.append(
         f"python-flint {flint.__version__} (ball arithmetic, {flint.ctx.prec} bit), SHA-256, and this checker"
     )

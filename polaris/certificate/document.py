@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from .file_keys import CERTIFICATE
+from .structure import conform, strict_json
 from .verdict import Rejected, Undecided
 
 FORMAT = "polaris-certificate"
@@ -160,6 +162,7 @@ class Document:
             raise Rejected("format", f"has no canonical text: {error}") from error
         if data.get("digest") != found:
             raise Rejected("digest", f"the certificate was changed: its digest is {found}")
+        conform(data, CERTIFICATE, "format", "certificate")
         try:
             self._decode(data)
         except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
@@ -231,6 +234,7 @@ class Document:
         end = data["end"]
         self.horizon = _one_of(end["horizon"], ("infinite", "one_period", "none"), plain=True)
         self.until = None if end["until"] is None else number(end["until"])
+        self.reason = end["reason"]
         self.guarantee = str(data["guarantee"])
         self.satellites = SATELLITES in data["assumptions"]  # a scenario beside it must agree
         self.assumptions = assumptions(
@@ -262,16 +266,12 @@ def read(path: Path) -> Document:
     if path.stat().st_size > LARGEST:
         raise Undecided("format", f"larger than {LARGEST} bytes")
     try:
-        data = json.loads(path.read_bytes(), parse_constant=_no_constant)
+        data = strict_json(path.read_bytes())
     except (ValueError, RecursionError) as error:
         raise Rejected("format", f"not JSON: {error}") from error
     if not isinstance(data, dict):
         raise Rejected("format", "not a JSON object")
     return Document(data)
-
-
-def _no_constant(text: str) -> None:
-    raise ValueError(f"{text} is no number")
 
 
 # -- decoding ---------------------------------------------------------------------------------------
@@ -351,7 +351,9 @@ def _law(item: dict[str, Any], m: int, n: int, steps: int) -> Law:
     if kind == "any_thrust":
         return Law(_name(item["name"]), kind, None, None, None)
     gain = table(item["gain"], m, n)
-    if item.get("own_states") is None:
+    if ("own_states" in item) != ("own_inputs" in item):
+        raise ValueError(f"{item['name']} has half a reference of its own")
+    if "own_states" not in item:
         return Law(_name(item["name"]), kind, gain, None, None)
     states, inputs = table(item["own_states"], None, n), table(item["own_inputs"], None, m)
     if min(len(states), len(inputs)) < steps:

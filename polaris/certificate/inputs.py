@@ -2,36 +2,34 @@
 
 from __future__ import annotations
 
-import tomllib
-from pathlib import Path
+from functools import partial
 from typing import Any
 
 from flint import arb, arb_mat
 
-from .balls import diagonal, matrix, norms, require, row_sums
-from .document import Document, Law
+from .balls import matrix, require, row_sums
+from .document import Document
+from .lqr import check_gain
+from .own import check_own
 from .perception import check_unsafe
+from .switching import check_switching
 from .verdict import Record, Rejected
 from .zonotopes import inner_radius
-
-GAIN_SLACK = 1e-6
-"""Largest residual of the Riccati equation's gain, relative to the gain."""
 
 GOAL_SLACK = 1e-5
 """By how much the goal may be missed, relative to its size. No claim of safety rests on the goal."""
 
 
-def check_inputs(document: Document, folder: Path, record: Record) -> None:
-    """Compare the certificate with the scenario file of the run folder.
+def check_inputs(document: Document, scenario: dict[str, Any], record: Record) -> None:
+    """Compare the certificate with the scenario of the run folder, whose keys and types are known.
 
     Raises
     ------
     Rejected
         Naming ``system``, ``initial_set``, ``sampling``, ``unsafe_sets``, ``controllers``,
-        ``recoverable_sets`` or ``goal``.
+        ``recoverable_sets``, ``schedule`` or ``goal``.
     """
     try:
-        scenario = tomllib.loads((folder / "scenario.toml").read_text(encoding="utf-8"))
         if scenario["name"] != document.scenario:
             raise Rejected("system", f"{document.scenario} is not the scenario {scenario['name']}")
         _check_system(document, scenario["system"])
@@ -46,12 +44,12 @@ def check_inputs(document: Document, folder: Path, record: Record) -> None:
             raise Rejected("end", f"safe for ever is claimed, but unsafe sets move: {', '.join(moving)}")
         record.holds("unsafe_sets", f"{count} timed polytopes contain the scenario's sets at all times")
         _check_controllers(document, scenario)
-        record.holds(
-            "controllers", f"{len(document.laws) - 1} experimental, gains solve their Riccati equation"
-        )
+        told = "gains are the stabilising ones of their weights, references the scenario's"
+        record.holds("controllers", f"{len(document.laws) - 1} experimental, {told}")
+        record.holds("schedule", check_switching(document, scenario))
         kind = scenario.get("recoverable", {}).get("kind", "polytope")
         _need("recoverable_sets", "kind", document.recoverable, kind)
-        _check_goal(document, scenario["goal"])
+        _check_goal(scenario["goal"], document, document.states[document.steps], "goal", "the reference")
         record.holds("goal", f"the reference ends in the scenario's {scenario['goal']['kind']}")
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, ZeroDivisionError) as error:
         raise Rejected(
@@ -86,11 +84,13 @@ def _check_system(document: Document, spec: dict[str, Any]) -> None:
     _need("system", "input limit", document.u_max, limits)
     bound = float(spec.get("disturbance_max_m_s2" if hill else "disturbance_max", 0.0))
     _need("system", "disturbance bound", document.w_max, bound)
+    _need("system", "mass", document.mass, float(spec.get("mass_kg", 1.0)))
+    _need("system", "names of inputs", document.input_names, _input_names(hill, m))
     if hill:
         _need("system", "mean motion", document.mean_motion, float(spec["mean_motion_rad_s"]))
-        _need("system", "mass", document.mass, float(spec["mass_kg"]))
         place: list[int] | None = [0, 1, 2]
     else:
+        _need("system", "mean motion", document.mean_motion, None)
         for key, value in (("A", document.A), ("B", document.B), ("D", document.D)):
             _need("system", key, value, _table(spec[key]))
         place = spec.get("position_states")
@@ -98,6 +98,15 @@ def _check_system(document: Document, spec: dict[str, Any]) -> None:
             place = list(range(max(n // 2, 1))) if spec.get("C") is None else None
     chosen = _table(spec["C"]) if place is None else [[float(i == j) for j in range(n)] for i in place]
     _need("system", "C", document.C, chosen)
+
+
+def _input_names(hill: bool, m: int) -> list[str]:
+    """What inputs are called: thrust along Hill's axes, or inputs by number."""
+    return (
+        [f"{axis} thrust" for axis in ("radial", "along-track", "cross-track")]
+        if hill
+        else [f"input {i}" for i in range(m)]
+    )
 
 
 def _check_initial_set(document: Document, spec: dict[str, Any]) -> None:
@@ -158,7 +167,7 @@ def _times(what: str, count: int, part: float, whole: float) -> None:
 def _check_controllers(document: Document, scenario: dict[str, Any]) -> None:
     specs = scenario["experimental"]
     _need("controllers", "number of experimental controllers", len(document.laws) - 1, len(specs))
-    _check_gain(document, document.laws[0], scenario["tracking"])
+    check_gain(document, document.laws[0], scenario["tracking"])
     for law, spec in zip(document.laws[1:], specs, strict=True):
         _need("controllers", "name", law.name, spec["name"])
         _need("controllers", f"kind of {law.name}", law.kind, spec["kind"])
@@ -167,51 +176,15 @@ def _check_controllers(document: Document, scenario: dict[str, Any]) -> None:
         if spec.get("gain") is not None:
             _need("controllers", f"gain of {law.name}", law.gain, _table(spec["gain"]))
         else:
-            _check_gain(document, law, spec)
-        shared = spec.get("reference", {"kind": "shared"})["kind"] == "shared"
-        _need("controllers", f"{law.name} shares the safe reference", law.states is None, shared)
-
-
-def _check_gain(document: Document, law: Law, spec: dict[str, Any]) -> None:
-    """A gain K is the LQR gain of (Q, R): ``K = R^-1 B' P`` with P the cost of flying K."""
-    A, B = matrix(document.A), matrix(document.B)
-    assert law.gain is not None  # any_thrust, the only kind without one, is not asked
-    K, Q, R = matrix(law.gain), _weight(spec["Q"]), _weight(spec["R"])
-    closed = A - B * K
-    P = _lyapunov(closed, Q + K.transpose() * R * K)
-    rest = R * K - B.transpose() * P
-    size, off = max(norms(R * K)), max(norms(rest))
-    told = f"the gain of {law.name} is not that of its weights Q and R"
-    require("controllers", size * GAIN_SLACK - off, told)
-
-
-def _weight(values: Any) -> arb_mat:
-    if not isinstance(values[0], list):
-        return diagonal(_vector(values))
-    M = matrix(_table(values))
-    return (M + M.transpose()) * arb(0.5)
-
-
-def _lyapunov(A: arb_mat, Q: arb_mat) -> arb_mat:
-    """Solve ``A' P + P A + Q = 0`` as a system of linear equations."""
-    n = A.nrows()
-    rows = []
-    for i in range(n):
-        for j in range(n):
-            row = [arb(0)] * (n * n)
-            for k in range(n):
-                row[k * n + j] += A[k, i]
-                row[i * n + k] += A[k, j]
-            rows.append(row)
-    found = matrix(rows).solve(arb_mat(n * n, 1, [-x for x in Q.entries()]))
-    return arb_mat(n, n, found.entries())
+            check_gain(document, law, spec)
+        check_own(document, law, scenario, spec, partial(_check_goal, scenario["goal"]))
 
 
 # -- goal -------------------------------------------------------------------------------------------
 
 
-def _check_goal(document: Document, spec: dict[str, Any]) -> None:
-    x, kind = document.states[document.steps], spec["kind"]
+def _check_goal(spec: dict[str, Any], document: Document, x: list[float], claim: str, whose: str) -> None:
+    kind = spec["kind"]
     if kind in ("stationary", "box"):
         middle = _vector(spec["state" if kind == "stationary" else "center"])
         half = _vector(spec["half_widths"]) if kind == "box" else [0.0] * len(x)
@@ -223,7 +196,7 @@ def _check_goal(document: Document, spec: dict[str, Any]) -> None:
         terms, size = _orbit_terms(document, x, spec)
     worst, name = max(terms)
     if not worst <= GOAL_SLACK * size:
-        raise Rejected("goal", f"the reference misses the goal ({name})", worst)
+        raise Rejected(claim, f"{whose} misses the goal ({name})", worst)
 
 
 def _orbit_terms(

@@ -131,7 +131,8 @@ def inner(corrupt):
         yield f"gain {mode} negated", change("controllers", mode, "gain", to=negated), FLIGHT
         yield f"gain {mode} tenfold", change("controllers", mode, "gain", to=tenfold), FLIGHT
     yield "own reference shifted", change("controllers", 1, "own_states", to=shifted), FLIGHT
-    yield "unclipped", change("controllers", 1, to=lambda x: x | {"kind": "any_thrust"}), FLIGHT
+    anything = change("controllers", 1, to=lambda x: {"name": x["name"], "kind": "any_thrust"})
+    yield "anything", anything, FLIGHT
     yield "obstacle in kilometres", change("unsafe_sets", 0, "offsets", to=thousandth), SEPARATION
     yield "obstacle larger", change("unsafe_sets", 0, "offsets", to=lambda x: scaled(x, 1.5)), SEPARATION
     for horizon in ("infinite", "none"):

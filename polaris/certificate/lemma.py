@@ -1,0 +1,109 @@
+"""The bounds of Lemma 1 in ``gains.json``: no smaller than what the error does at the nodes.
+
+``norm(R e(t)) <= gamma exp(-beta t) norm(W e(0)) + gain w_max``. No proof of safety rests on them. What is
+checked is necessary: at nodes up to 64 memories of the loop for beta and gamma, and for the gain the sum of
+``norm(R phi^l int_0^h e^{X s} ds D, 2)``, below which no bound by norms can be.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from flint import arb, arb_mat
+
+from .balls import identity, matrix, norms
+from .loop import Memory
+from .lqr import positive_definite
+from .motion import Motion
+from .verdict import Rejected
+
+DOUBLINGS = 6
+"""How often the memory of the loop is doubled to see whether the decay lasts."""
+
+
+@dataclass(frozen=True)
+class Stated:
+    """Claims that the certificate itself does not make.
+
+    Attributes
+    ----------
+    start_margin : float or None
+        Share of the room left to the initial set.
+    norm_bounds : dict or None
+        Constants of Lemma 1, see `check_norm_bounds`.
+    """
+
+    start_margin: float | None = None
+    norm_bounds: dict[str, Any] | None = None
+
+
+def check_norm_bounds(bounds: dict[str, Any], gain: arb_mat, motion: Motion, memory: Memory) -> None:
+    """Refuse a bound that the loop is certain to exceed.
+
+    Parameters
+    ----------
+    bounds : dict
+        ``error_bounds`` of ``gains.json``, of known keys and types.
+    gain : arb_mat
+    motion : Motion
+        The safety controller's gain, and its loop.
+    memory : Memory
+
+    Raises
+    ------
+    Rejected
+        Naming ``error_bounds``.
+    """
+    plant = motion.plant
+    m, n = gain.nrows(), gain.ncols()
+    for key in ("gamma_input", "gain_input"):
+        if len(bounds[key]) != m:
+            raise Rejected("error_bounds", f"{key} has {len(bounds[key])} numbers for {m} inputs")
+    if bounds["beta_1_s"] is None:
+        return
+    W, beta = matrix(bounds["weight"], n), arb(bounds["beta_1_s"])
+    if not beta > 0:
+        raise Rejected("error_bounds", f"the errors decay at a rate of {bounds['beta_1_s']}")
+    rows = [("the error", W, bounds["gamma"], bounds["gain"])]
+    rows.append(("the position", plant.C, bounds["gamma_position"], bounds["gain_position"]))
+    for i in range(m):
+        row = arb_mat(1, n, [gain[i, j] for j in range(n)])
+        rows.append((f"input {i}", row, bounds["gamma_input"][i], bounds["gain_input"][i]))
+    inverse, push = W.inv(), motion.gamma * plant.D
+    late, powers = memory.periods, [(lag, memory.powers[lag]) for lag in range(memory.periods + 1)]
+    last = memory.powers[late]
+    for _ in range(DOUBLINGS):
+        last, late = last * last, 2 * late
+        powers.append((late, last))
+    for name, R, gamma, share in rows:
+        for lag, power in powers if gamma is not None else ():
+            most = arb(gamma) * (-beta * plant.h * lag).exp()
+            G = R * power * inverse
+            spare = identity(G.nrows()) * (most * most) - G * G.transpose()
+            if positive_definite(spare) is False:
+                raise Rejected(
+                    "error_bounds", f"gamma and beta of {name} in gains.json fail after {lag} periods"
+                )
+        if plant.w_max > 0 and share is not None:
+            least = sum(
+                (norm_from_below(R * power * push) for _, power in powers[: memory.periods + 1]), arb(0)
+            )
+            if arb(share) < least:
+                told = f"gain of {name} in gains.json is {share}, at least {float(least.mid()):.6g} is needed"
+                raise Rejected("error_bounds", told, float((least - share).mid()))
+
+
+def norm_from_below(G: arb_mat) -> arb:
+    """A number that the 2-norm of a matrix is at least: how long some vector becomes."""
+    square = G.transpose() * G
+    exact = [[x.mid() for x in row] for row in square.tolist()]
+    start = max(range(len(exact)), key=lambda i: float(exact[i][i]))
+    x = arb_mat(len(exact), 1, [int(i == start) for i in range(len(exact))])
+    for _ in range(6):
+        y = (matrix(exact) * x).entries()
+        size = max(abs(float(v.mid())) for v in y)
+        if not size > 0:
+            return arb(0)
+        x = arb_mat(len(y), 1, [(v / size).mid() for v in y])
+    return norms((G * x).transpose())[0] / norms(x.transpose())[0]

@@ -1,0 +1,254 @@
+"""Forge a run folder: every field of every file, one at a time, with all digests and hashes right again.
+
+A forgery is a changed text of one file. `Forger.judge` puts it into a copy of the folder, mends the hashes in
+the certificate and the certificate's own digest, and asks the checker.
+"""
+
+import copy
+import csv
+import hashlib
+import io
+import json
+import math
+import random
+import shutil
+import tomllib
+from collections import defaultdict
+from fnmatch import fnmatchcase
+
+from polaris.certificate.checker import verify
+from polaris.certificate.document import canonical, digest
+from polaris.scenario_reading import write_toml
+
+CERTIFICATE = "certificate.json"
+TREES = (CERTIFICATE, "scenario.toml", "schedule.json", "gains.json", "summary.json")
+TABLES = ("schedule.csv", "reference.csv")
+
+
+class Forger:
+    """A run folder and a copy of it to forge in."""
+
+    def __init__(self, run, scratch):
+        self.run, self.folder = run, scratch / "forged"
+        shutil.copytree(run, self.folder, ignore=shutil.ignore_patterns("figures"))
+        self.honest = json.loads((run / CERTIFICATE).read_text(encoding="utf-8"))
+
+    def judge(self, files):
+        """Verdict on the folder with some files replaced: name to text; the certificate may be one."""
+        data = (
+            json.loads(files[CERTIFICATE].replace("\x00", ""))
+            if CERTIFICATE in files
+            else copy.deepcopy(self.honest)
+        )
+        try:
+            for name, text in files.items():
+                if name != CERTIFICATE:
+                    (self.folder / name).write_text(text, encoding="utf-8", newline="")
+            text = files.get(CERTIFICATE, "")
+            if isinstance(data, dict) and isinstance(data.get("artefacts"), dict):
+                for name in data["artefacts"]:
+                    if name in files:
+                        found = hashlib.sha256((self.folder / name).read_bytes()).hexdigest()
+                        data["artefacts"][name] = found
+            if "\x00" not in text:  # a text with duplicate keys is kept as it is
+                if isinstance(data, dict) and "digest" in data:
+                    data["digest"] = digest(data)
+                text = canonical(data)
+            (self.folder / CERTIFICATE).write_text(text.replace("\x00", ""), encoding="utf-8")
+            return verify(self.folder)
+        finally:
+            for name in (*files, CERTIFICATE):
+                shutil.copyfile(self.run / name, self.folder / name)
+
+    def tree(self, name):
+        """Data of a JSON or TOML file."""
+        text = (self.run / name).read_text(encoding="utf-8")
+        return tomllib.loads(text) if name.endswith(".toml") else json.loads(text)
+
+    def rows(self, name):
+        """Cells of a CSV file."""
+        return list(csv.reader(io.StringIO((self.run / name).read_text(encoding="utf-8"))))
+
+
+def written(name, data):
+    """Text of a file from its data."""
+    if name in TABLES:
+        text = io.StringIO(newline="")
+        csv.writer(text, lineterminator="\n").writerows(data)
+        return text.getvalue()
+    return write_toml(data) if name.endswith(".toml") else json.dumps(data)
+
+
+# -- one place at a time ----------------------------------------------------------------------------
+
+
+def places(data, at=()):
+    """Every place of a tree, containers included."""
+    yield at, data
+    items = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()
+    for key, value in items:
+        yield from places(value, (*at, key))
+
+
+def pattern(at):
+    """A place with its indices left out: ``controllers.*.gain``."""
+    return ".".join("*" if isinstance(key, int) else key for key in at)
+
+
+def chosen(data, rng, few):
+    """Some places of every pattern: all keys, and of lists the ends and some random entries."""
+    groups = defaultdict(list)
+    for at, value in places(data):
+        groups[pattern(at)].append((at, value))
+    for items in groups.values():
+        if len(items) > few:
+            items = (
+                [rng.choice(items)] if few < 3 else [items[0], *rng.sample(items[1:-1], few - 2), items[-1]]
+            )
+        yield from items
+
+
+def replaced(data, at, value):
+    """A tree with one place replaced; what does not lie on the way there is shared."""
+    if not at:
+        return value
+    changed = copy.copy(data)
+    changed[at[0]] = replaced(data[at[0]], at[1:], value)
+    return changed
+
+
+def around(data, at):
+    """Size of the numbers about a place, for perturbations of numbers that are zero."""
+    place = data
+    for key in at[:-1]:
+        place = place[key]
+    near = [abs(x) for _, x in _numbers(place)] if isinstance(place, list) else []
+    return max([x for x in near if math.isfinite(x)], default=0.0) or 1.0
+
+
+def _numbers(tree):
+    for at, value in places(tree):
+        if _hexadecimal(value):
+            yield at, float.fromhex(value)
+        elif isinstance(value, (int, float)) and not isinstance(value, bool):
+            yield at, float(value)
+
+
+def _hexadecimal(value):
+    return isinstance(value, str) and value.lstrip("-").startswith("0x")
+
+
+def forgeries(data, at, value, share):
+    """(what was done, new value) for one place; numbers move by a share of themselves, both ways."""
+    if isinstance(value, bool):
+        yield "negated", not value
+        yield "as text", str(value)
+    elif _hexadecimal(value):
+        x = float.fromhex(value)
+        step = share * abs(x) or share * around(data, at)
+        yield "up", (x + step).hex()
+        yield "down", (x - step).hex()
+        yield "a number", x
+        yield "nan", "nan"
+        yield "null", None
+    elif isinstance(value, int):
+        yield "up", value + 1
+        yield "down", value - 1
+        yield "as text", str(value)
+        yield "true", True
+        yield "a half more", value + 0.5
+    elif isinstance(value, float):
+        step = share * abs(value) or share * around(data, at)
+        yield "up", value + step
+        yield "down", value - step
+        yield "as text", repr(value)
+        yield "true", True
+    elif isinstance(value, str):
+        yield "another text", f"{value}-other"
+        yield "no text", ""
+        yield "a number", 1
+    elif value is None:
+        yield "a number", 1.0
+        yield "no text", ""
+    elif isinstance(value, list):
+        yield "emptied", []
+        yield "a number", 1
+        if value:
+            yield "last dropped", value[:-1]
+            yield "first dropped", value[1:]
+            yield "last repeated", [*value, value[-1]]
+        if value != value[::-1]:
+            yield "reversed", value[::-1]
+            yield "rotated", [*value[1:], value[0]]
+    else:
+        for key in value:
+            yield f"without {key}", {k: v for k, v in value.items() if k != key}
+        yield "an unknown key", value | {"unknown_key": 1}
+        yield "a list", []
+
+
+def one_at_a_time(forger, seed, few, share, names=(*TREES, *TABLES)):
+    """(what, what and where, files) of forgeries of every file, a few places of every pattern."""
+    rng = random.Random(seed)
+    for name in names:
+        data = forger.rows(name) if name in TABLES else forger.tree(name)
+        for at, value in chosen(data, rng, few):
+            if name in TABLES and isinstance(value, str):
+                cases = _cells(value, share)
+            else:
+                cases = forgeries(data, at, value, share)
+            for what, new in cases:
+                label = f"{name}: {pattern(at) or 'all of it'} {what}"
+                try:
+                    text = written(name, replaced(data, at, new))
+                except (AttributeError, TypeError, csv.Error):
+                    continue  # this cannot be written in this kind of file
+                yield label, f"{label} at {at}", {name: text}
+
+
+def _cells(value, share):
+    try:
+        x = float(value)
+    except ValueError:
+        yield "another text", f"{value}-other"
+        yield "emptied", "" if value else "0"
+        return
+    yield "up", repr(x + (share * abs(x) or share))
+    yield "down", repr(x - (share * abs(x) or share))
+    yield "one bit up", repr(math.nextafter(x, math.inf))
+    yield "nan", "nan"
+    yield "emptied", ""
+
+
+def twice(forger, name):
+    """(label, files): every key of every table of a JSON file given twice, the second time as it was.
+
+    A reader that keeps the last sees the honest file, one that keeps the first something else.
+    """
+    data = forger.tree(name)
+    mark = "\x01"
+    for at, value in places(data):
+        if not isinstance(value, dict) or any(isinstance(key, int) and key > 1 for key in at):
+            continue
+        for key in value:
+            other = replaced(data, at, {f"{mark}": 1} | value)
+            text = json.dumps(other).replace(json.dumps(mark), json.dumps(key), 1)
+            label = f"{name}: {pattern((*at, key))} twice"
+            yield label, label, {name: text + ("\x00" if name == CERTIFICATE else "")}
+
+
+def excused(label, rules):
+    """Rules that a label matches."""
+    return [rule for rule in rules if fnmatchcase(label, rule)]
+
+
+def accepted(forger, cases, rules):
+    """Labels of forgeries that are verified without an excuse, and the excuses that were needed."""
+    wrong, used = [], set()
+    for short, label, files in cases:
+        if forger.judge(files).outcome == "VERIFIED":
+            found = excused(short, rules)
+            used.update(found)
+            if not found:
+                wrong.append(label)
+    return wrong, used
