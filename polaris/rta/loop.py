@@ -50,8 +50,10 @@ class FlightLoop:
     ----------
     online : OnlineMonitor
     laws : sequence of callable, optional
-        ``law(t, x)`` gives the input [N] of every controller at a time [s] and a state (n,), S first. By
-        default the laws of the scenario, along the references at the node at or before t.
+        ``law(t, x)`` gives the input [N] of every controller at a time [s] and a state (n,), S first. The
+        time is the clock's reading, right or wrong: where S must not depend on it, hand in a law with a
+        clock of its own. By default the laws of the scenario, along the references at the node at or before
+        t.
 
     Raises
     ------
@@ -67,7 +69,7 @@ class FlightLoop:
         self.laws = tuple(laws) if laws is not None else tuple(map(self._declared, range(count)))
         self._same = TIME * self.scene.period
         self._waiting: list[tuple[float, Answer]] = []  # by moment of effect
-        self._mode, self._from, self._until = 0, -inf, -inf  # who may fly, since when, how long
+        self._mode, self._after, self._until = 0, -inf, -inf  # who may fly, at readings between which
         self._asked = -inf  # reading of the last call of `command`
         self._told, self._x = 0.0, self.scene.xi[0].copy()  # last readings that could be used
 
@@ -117,7 +119,8 @@ class FlightLoop:
         Parameters
         ----------
         now : float
-            The clock [s].
+            The clock [s]. It is believed between decisions as long as every reading is later than the last:
+            one that is not ends the permission.
         x : array_like, shape (n,)
             The state that S and U act on.
         """
@@ -144,11 +147,10 @@ class FlightLoop:
     def _take_effect(self, t: float) -> None:
         while self._waiting and t >= self._waiting[0][0] - self._same:
             effect, answer = self._waiting.pop(0)
-            self._mode, self._from, self._until = answer.mode, effect, answer.until
-        if not self._from - self._same <= t < self._until - self._same:
-            self._mode = 0  # the permission has ended, or the clock ran backwards
-        else:
-            self._from = t
+            self._mode, self._after, self._until = answer.mode, effect - 2 * self._same, answer.until
+        if not self._after < t < self._until - self._same:
+            self._mode = 0  # the permission has ended, or the clock stands still or ran backwards
+        self._after = t
 
     def _next(self) -> float:
         return self._waiting[0][0] if self._waiting else inf
