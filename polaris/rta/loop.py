@@ -69,15 +69,15 @@ class FlightLoop:
         self.laws = tuple(laws) if laws is not None else tuple(map(self._declared, range(count)))
         self._same = TIME * self.scene.period
         self._waiting: list[tuple[float, Answer]] = []  # by moment of effect
-        self._mode, self._after, self._until = 0, -inf, -inf  # who may fly, at readings between which
-        self._asked = -inf  # reading of the last call of `command`
+        self._mode, self._until = 0, -inf  # who may fly, and how long
+        self._newest = -inf  # every reading of the clock must be later
         self._told, self._x = 0.0, self.scene.xi[0].copy()  # last readings that could be used
 
     def _declared(self, mode: int) -> Law:
         last = len(self.scene.mu) - 1
 
         def law(t: float, x: Array) -> Array:
-            node = min(max(int((t + self._same) / self.scene.h), 0), last)
+            node = int(min(max((t + self._same) / self.scene.h, 0.0), last))
             return self.scene.clipped(mode, node, x)
 
         return law
@@ -105,8 +105,14 @@ class FlightLoop:
         if answer.k < 0:  # the clock is at fault: nobody knows which permissions still count
             self._revoke()
             return answer
-        effect = answer.k * self.scene.period + self.scene.latency
-        if answer.mode == 0 or effect > self._asked + self._same:  # else it came after its moment of effect
+        # The monitor has checked this reading: a later one of `command` was wrong, no earlier one can follow.
+        instant = answer.k * self.scene.period
+        tolerance = self.online.limits.tolerance
+        if self._newest > instant + 2 * tolerance + self._same:
+            self._newest = -inf
+        self._newest = max(self._newest, instant - tolerance - self._same)
+        effect = instant + self.scene.latency
+        if answer.mode == 0 or effect > self._newest + self._same:  # else it came after its moment of effect
             self._waiting = [*self._waiting[-1:], (effect, answer)]
         return answer
 
@@ -119,16 +125,18 @@ class FlightLoop:
         Parameters
         ----------
         now : float
-            The clock [s]. It is believed between decisions as long as every reading is later than the last:
-            one that is not ends the permission.
+            The clock [s]. It is believed between decisions as long as every reading is later than the last
+            one: another ends the permission, and those that wait.
         x : array_like, shape (n,)
             The state that S and U act on.
         """
         t, state = real(now), numbers(x, self._x.shape)
-        known = t is not None and isfinite(t)
-        if t is not None and known:
-            self._told = self._asked = t
-            self._take_effect(t)
+        known = False
+        if t is not None and isfinite(t):
+            self._told, known = t, t > self._newest
+            if known:
+                self._newest = t
+                self._take_effect(t)
         if state is not None and np.isfinite(state).all():
             self._x = state.copy()
         else:
@@ -147,10 +155,9 @@ class FlightLoop:
     def _take_effect(self, t: float) -> None:
         while self._waiting and t >= self._waiting[0][0] - self._same:
             effect, answer = self._waiting.pop(0)
-            self._mode, self._after, self._until = answer.mode, effect - 2 * self._same, answer.until
-        if not self._after < t < self._until - self._same:
-            self._mode = 0  # the permission has ended, or the clock stands still or ran backwards
-        self._after = t
+            self._mode, self._until = answer.mode, answer.until
+        if not t < self._until - self._same:
+            self._mode = 0  # the permission has ended
 
     def _next(self) -> float:
         return self._waiting[0][0] if self._waiting else inf

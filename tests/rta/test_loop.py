@@ -74,7 +74,9 @@ class World:
             number = [k + 1, k - 1, None, 0.5, "k"][int(rng.integers(5))]
         measured = Measurement(t, x + rng.uniform(-1, 1, len(x)) * HALF)
         if self.happens("odd"):
-            measured = [None, oddities.Raises(), Measurement(t, oddities.NeedsGradient())][int(rng.integers(3))]
+            measured = [None, oddities.Raises(), Measurement(t, oddities.NeedsGradient())][
+                int(rng.integers(3))
+            ]
         self.answers[k] = self.loop.decide(number, now, measured)
 
     def fly(self):
@@ -127,7 +129,14 @@ def world(setting, seed, rates, fails=0.0, log=None):
 
 
 ALL = {"missed": 0.05, "jitter": 0.1, "clock": 0.03, "number": 0.03, "odd": 0.05, "back": 0.03, "gone": 0.03}
-STREAMS = [{}, {"missed": 0.3}, {"jitter": 0.5}, {"clock": 0.2, "number": 0.2}, {"back": 0.1, "gone": 0.1}, ALL]
+STREAMS = [
+    {},
+    {"missed": 0.3},
+    {"jitter": 0.5},
+    {"clock": 0.2, "number": 0.2},
+    {"back": 0.1, "gone": 0.1},
+    ALL,
+]
 
 
 def check(setting, seed, rates, fails):
@@ -190,7 +199,9 @@ def test_missed_calls_cost_only_what_they_would_have_allowed(setting):
         if within == 0 and k not in missed:
             assert flying.decide(k, t, Measurement(t, x)).mode == 1
         modes.append(flying.command(t, x).mode)
-    wanted = [int((node - scene.delay) // scene.nodes not in missed and node >= scene.delay) for node in quiet]
+    wanted = [
+        int((node - scene.delay) // scene.nodes not in missed and node >= scene.delay) for node in quiet
+    ]
     assert modes == wanted
 
 
@@ -213,12 +224,17 @@ def permitted_loop(laws=None):
 
 
 def test_answers_wait_for_their_moment():
-    flying, effect, x = permitted_loop()
-    first = flying.scene.latency
+    flying = loop("late")
+    scene = flying.scene
+    period, first = scene.period, scene.latency
+    x = scene.xi[scene.delay]
+    assert flying.decide(0, 0.0, Measurement(0.0, scene.xi[0])).mode == 1
     assert flying.command(first - 0.01, x)[::2] == (0, first)
-    assert flying.command(first, x)[::2] == (1, effect)
-    assert flying.command(effect, x).until == pytest.approx(effect + flying.scene.period)
-    assert flying.command(effect + flying.scene.period, x)[::2] == (0, np.inf)
+    assert flying.command(first, x)[::2] == (1, period + first)
+    assert flying.decide(1, period, Measurement(period, scene.xi[scene.nodes])).mode == 1
+    assert flying.command(period, x)[::2] == (1, period + first)
+    assert flying.command(period + first, x).until == pytest.approx(2 * period + first)
+    assert flying.command(2 * period + first, x)[::2] == (0, np.inf)
 
 
 def test_an_answer_that_comes_after_its_moment_is_too_late():
@@ -243,6 +259,15 @@ def test_permissions_do_not_survive_a_clock_that_runs_backwards_within_them():
     assert [flying.command(effect + late, x).mode for late in (0.0, 0.1, 0.05, 0.15)] == [1, 1, 0, 0]
     flying, effect, x = permitted_loop()
     assert [flying.command(effect + late, x).mode for late in (0.0, 0.1, 0.1, 0.15)] == [1, 1, 0, 0]
+
+
+def test_a_reading_far_ahead_costs_no_more_than_what_it_ends():
+    flying, effect, x = permitted_loop()
+    scene = flying.scene
+    assert [flying.command(now, x).mode for now in (effect, 1e308, effect + 0.05)] == [1, 0, 0]
+    for k in (2, 3):
+        flying.decide(k, k * scene.period, Measurement(k * scene.period, scene.xi[k * scene.nodes]))
+    assert flying.command(3 * scene.period, scene.xi[3 * scene.nodes]).mode == 1
 
 
 @pytest.mark.parametrize("kind", ["raises", "short", "nan", "none"])

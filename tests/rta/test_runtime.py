@@ -186,7 +186,9 @@ def test_a_clock_without_a_time(now):
     assert (answer.k, answer.mode) == (-1, 0)
     assert answer.reason == "clock: the reading is not a finite number"
     back = flight.step(4)
-    assert back.mode == 1 and [str(fault) for fault in back.faults] == ["missed: 1 decisions before decision 4"]
+    assert back.mode == 1 and [str(fault) for fault in back.faults] == [
+        "missed: 1 decisions before decision 4"
+    ]
 
 
 @pytest.mark.parametrize("by", [-3.0, -0.2, 0.2, 1.0, 2.5, 1e9])
