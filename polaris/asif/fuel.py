@@ -127,7 +127,7 @@ class FuelLimit:
         Raises
         ------
         ScenarioError
-            If a shape is wrong or the time is not finite.
+            If the time is not a finite number.
         """
         got = self._receiver.receive(t, x, u_des)
         late = self._count_delay(got.t)

@@ -137,7 +137,7 @@ class ImplicitASIF:
         Raises
         ------
         ScenarioError
-            If a shape is wrong or the time is not finite.
+            If the time is not a finite number.
         """
         got = self._receiver.receive(t, x, u_des)
         backup = np.where(got.known[:, None], self.law(got.t, got.x), 0.0)

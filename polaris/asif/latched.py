@@ -76,7 +76,7 @@ class Latched(ABC):
         Raises
         ------
         ScenarioError
-            If a shape is wrong or the time is not finite.
+            If the time is not a finite number.
         """
         got = self._receiver.receive(t, x, u_des)
         counted = got.counted(self.first, self.second)

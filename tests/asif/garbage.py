@@ -3,6 +3,8 @@
 import numpy as np
 from hypothesis import strategies as st
 
+from tests.rta import oddities
+
 ODD = [np.nan, np.inf, -np.inf, 0.0, -0.0, 1e308, -1e308, 1e-308, 1e7, -1e6, 1.0]
 
 
@@ -50,13 +52,27 @@ def answers(filtering, sequence):
     return out
 
 
-WRONG = [
-    (0.0, np.zeros((1, 6)), np.zeros((2, 3))),
-    (0.0, np.zeros(6), np.zeros((2, 3))),
-    (0.0, np.zeros((2, 6)), np.zeros((3, 3))),
-    (0.0, np.zeros((2, 6)), np.zeros(3)),
-    (0.0, [["a"] * 6] * 2, np.zeros((2, 3))),
-    (0.0, None, np.zeros((2, 3))),
-    (np.nan, np.zeros((2, 6)), np.zeros((2, 3))),
-    (None, np.zeros((2, 6)), np.zeros((2, 3))),
-]
+WRONG = [(np.nan, np.zeros((2, 6)), np.zeros((2, 3))), (None, np.zeros((2, 6)), np.zeros((2, 3)))]
+"""Calls without a time: nothing can be answered."""
+
+SHAPES = [np.zeros((1, 6)), np.zeros(6), np.zeros((3, 3)), np.zeros(3), [["a"] * 6] * 2]
+
+
+def malformed(filtering):
+    """Whatever a primary controller or navigation hands over, there is an answer that says so."""
+    q = filtering.inspection
+    good, t = np.array([[100.0, 0, 0, 0, 0, 0], [0.0, -120, 0, 0, 0, 0]]), 0.0
+    odd = [value for name, value in oddities.unreadable(2).items() if name != "too many"] + SHAPES
+    for value in odd:
+        for x, u in ((good, value), (value, np.zeros((2, 3)))):
+            if x is None:
+                continue
+            decision = filtering.filter(t, x, u)
+            t += 1.0
+            assert np.isfinite(decision.u).all() and (np.abs(decision.u) <= q.thrust_max).all()
+            assert decision.fallback and decision.intervened.all()
+            if x is not good:
+                assert decision.fallback.startswith("the states are malformed: ")
+                assert "state not known: deputy 0, 1" in decision.fallback
+            elif u is not None:
+                assert decision.fallback.startswith("the desired input is malformed: ")

@@ -17,7 +17,7 @@ from polaris.asif.tracker import Tracker
 from polaris.errors import ScenarioError
 from polaris.hill import elliptical_nmt
 
-from .garbage import WRONG, answers, calls
+from .garbage import WRONG, answers, calls, malformed
 
 ONE, TWO = Inspection(deputies=1), Inspection(deputies=2)
 START = [300.0, -200.0, 100.0, 0.0, 0.0, 0.0]
@@ -247,9 +247,13 @@ def test_clipped_input_is_recorded():
 
 
 @pytest.mark.parametrize("call", WRONG)
-def test_wrong_shapes_are_refused(call):
-    with pytest.raises(ScenarioError):
+def test_calls_without_a_time_are_refused(call):
+    with pytest.raises(ScenarioError, match="t"):
         FuelLimit(TWO).filter(*call)
+
+
+def test_malformed_values_are_answered():
+    malformed(FuelLimit(TWO))
 
 
 @given(calls(2))

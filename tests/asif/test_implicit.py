@@ -15,7 +15,7 @@ from polaris.asif.primary import LQR
 from polaris.errors import ScenarioError
 from polaris.hill import elliptical_nmt
 
-from .garbage import WRONG, answers, calls
+from .garbage import WRONG, answers, calls, malformed
 
 ONE, TWO, THREE = (Inspection(deputies=k) for k in (1, 2, 3))
 N = ONE.mean_motion
@@ -234,9 +234,13 @@ def test_missing_input_is_backup_and_unknown_state_coasts():
 
 
 @pytest.mark.parametrize("call", WRONG)
-def test_wrong_shapes_are_refused(call):
-    with pytest.raises(ScenarioError):
+def test_calls_without_a_time_are_refused(call):
+    with pytest.raises(ScenarioError, match="t"):
         ImplicitASIF(TWO).filter(*call)
+
+
+def test_malformed_values_are_answered():
+    malformed(ImplicitASIF(TWO))
 
 
 @given(calls(2, 2))

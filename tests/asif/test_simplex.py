@@ -14,7 +14,7 @@ from polaris.asif.simplex import ExplicitSimplex, Guarded, ImplicitSimplex
 from polaris.errors import ScenarioError
 from polaris.hill import elliptical_nmt
 
-from .garbage import WRONG, answers, calls
+from .garbage import WRONG, answers, calls, malformed
 from .test_implicit import formation
 
 ONE, TWO, THREE = (Inspection(deputies=k) for k in (1, 2, 3))
@@ -164,10 +164,15 @@ def test_missing_input_is_backup_without_a_latch():
 
 
 @pytest.mark.parametrize("call", WRONG)
-def test_wrong_shapes_are_refused(call):
+def test_calls_without_a_time_are_refused(call):
     for f in both(TWO):
-        with pytest.raises(ScenarioError):
+        with pytest.raises(ScenarioError, match="t"):
             f.filter(*call)
+
+
+def test_malformed_values_are_answered():
+    for f in both(TWO):
+        malformed(f)
 
 
 def test_release_below_the_margin_is_refused():
