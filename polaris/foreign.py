@@ -93,15 +93,15 @@ def _converted(value: object) -> Array | None:
         return None
     with np.errstate(all="ignore"):
         floats = np.array(found, dtype=np.float64, subok=False)
-    if issubclass(kind, np.ma.MaskedArray):
-        floats[np.array(np.ma.getmaskarray(value), dtype=bool)] = np.nan  # type: ignore[no-untyped-call]
+    if isinstance(value, np.ma.MaskedArray):
+        floats[np.asarray(np.ma.getmaskarray(value))] = np.nan
     return floats
 
 
 def _listed(values: list[object], deepest: int = 1) -> Array | None:
     if len(values) > LONGEST:
         return None
-    rows = []
+    rows: list[Array] = []
     for value in values:
         if issubclass(type(value), LISTS):
             row = _listed(list(value), deepest - 1) if deepest else None  # type: ignore[call-overload]

@@ -117,6 +117,7 @@ class Simulation(Memoryless):
     def __init__(self, scene: Scene, horizon: float | None = None) -> None:
         super().__init__(scene)
         horizon = default_horizon(scene) if horizon is None else positive("horizon", horizon, "s")
+        self.settings = {"horizon": horizon}
         self.predictor = Predictor(scene, horizon)
         self.spread: Array | None = None
 

@@ -58,6 +58,7 @@ class Monitor:
         if trust not in TRUST:
             raise ScenarioError("trust", trust, f"must be one of {', '.join(TRUST)}")
         self.dwell = whole("dwell", dwell, 1)
+        self.settings = {"dwell": float(self.dwell)}
         if trust == "declared":
             self.key, self.name = "monitor_declared", "Polaris online monitor, U at its declared law"
         self.scene, self.recovery, self.trust = scene, Recovery.certified(scene), trust

@@ -115,7 +115,9 @@ class OnlineMonitor:
         told = _Told(
             settled(now),
             Measurement.settled(measurement),
-            *map(settled, (applied, reference, number)),
+            settled(applied),
+            settled(reference),
+            settled(number),
             self._asked,
         )
         self._asked = None

@@ -6,13 +6,14 @@ import pytest
 from polaris.errors import ScenarioError
 from polaris.rta.arena import METHODS
 from polaris.rta.asif_explicit import ExplicitASIF
+from polaris.rta.asif_implicit import ImplicitASIF
 from polaris.rta.flight import Conditions, fly
 from polaris.rta.method import FILTERED
 from polaris.rta.monitor import Monitor
 from polaris.rta.outcome import measure
 from tests.rta.scenes import scene
 
-PROVED = ("safety", "schedule", "monitor", "monitor_limits", "simplex_explicit", "asif_implicit")
+PROVED = ("safety", "schedule", "monitor", "monitor_declared", "simplex_explicit", "asif_implicit")
 SETTINGS = {
     "continuous": {},
     "sampled": {"feedback": 0.1, "period": 0.5},
@@ -126,6 +127,31 @@ def test_options_are_checked():
         Monitor(made, dwell=0)
     with pytest.raises(ScenarioError, match="alpha"):
         ExplicitASIF(made, alpha=-1.0)
+    for slope in (0.0, 1.5, np.nan):
+        with pytest.raises(ScenarioError, match="slope"):
+            ImplicitASIF(made, slope=slope)
+
+
+def test_u_is_not_trusted_unless_that_is_asked_for():
+    made = scene("robot")
+    assert (Monitor(made).key, Monitor(made).trust, Monitor(made).declared) == ("monitor", "thrust_limits", {})
+    trusting = METHODS["monitor_declared"](made)
+    assert (trusting.key, trusting.trust) == ("monitor_declared", "declared") and trusting.declared
+    assert "nothing but its thrust limits" in METHODS["monitor"](made).claim.reach
+
+
+@pytest.mark.parametrize("slope", [0.05, 0.5])
+def test_a_gentle_implicit_filter_is_as_safe_and_bends_inputs_earlier(slope):
+    made = scene("robot", half=0.005)
+    conditions = Conditions.draw(made, 8, 2)
+    found = []
+    for method in (ImplicitASIF(made), ImplicitASIF(made, slope=slope)):
+        flight = fly(made, method, conditions)
+        metrics = measure(made, flight, conditions, method.name)
+        assert not metrics.collided.any()
+        assert np.nanmax(np.append(metrics.max_thrust_ratio_safety, 0.0)) <= 1 + 1e-9
+        found.append((flight.why != 0).argmax(axis=1))  # the first decision that is not the desired input
+    assert (found[1] <= found[0]).all() and (found[1] < found[0]).any()
 
 
 def test_same_conditions_give_the_same_flights():
