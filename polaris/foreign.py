@@ -1,4 +1,4 @@
-"""Values made by others, read once and without trust: whatever an object does when it is read, nothing is raised.
+"""Values made by others, read once and without trust: whatever an object does then, nothing is raised.
 
 Converting an object to numbers runs its own code: ``__array__`` of a tensor that requires gradients raises,
 ``__float__`` may answer differently the second time, and an array may be changed after it was handed over.
@@ -114,7 +114,7 @@ def _listed(values: list[object], deepest: int = 1) -> Array | None:
 
 
 def settled(value: object) -> Any:
-    """A value as it will be used and logged: None, a float, an array of floats of our own, or `Unreadable`."""
+    """A value as it is used and logged: None, a float, an array of floats of our own, or `Unreadable`."""
     if value is None or type(value) is float:
         return value
     number = real(value)

@@ -102,7 +102,8 @@ class Receiver:
         q = self.inspection
         moment = real(t)
         if moment is None or not np.isfinite(moment):
-            raise ScenarioError("t", moment if moment is not None else kind_of(t), "must be a finite number [s]")
+            given_t = kind_of(t) if moment is None else moment
+            raise ScenarioError("t", given_t, "must be a finite number [s]")
         t, malformed = moment, []
         states = numbers(x, (q.deputies, 6))
         if states is None:
@@ -138,4 +139,3 @@ class Receiver:
             return self._seen, self._x
         Phi, Gamma = self.inspection.held(passed)
         return self._seen, self._x @ Phi.T + self._applied @ Gamma.T
-

@@ -1,4 +1,4 @@
-"""The flight loop around the online monitor: answers take effect in time, permissions end, S is always there."""
+"""The flight loop around the monitor: answers take effect in time, permissions end, S is always there."""
 
 from __future__ import annotations
 

@@ -134,7 +134,8 @@ def test_options_are_checked():
 
 def test_u_is_not_trusted_unless_that_is_asked_for():
     made = scene("robot")
-    assert (Monitor(made).key, Monitor(made).trust, Monitor(made).declared) == ("monitor", "thrust_limits", {})
+    usual = Monitor(made)
+    assert (usual.key, usual.trust, usual.declared) == ("monitor", "thrust_limits", {})
     trusting = METHODS["monitor_declared"](made)
     assert (trusting.key, trusting.trust) == ("monitor_declared", "declared") and trusting.declared
     assert "nothing but its thrust limits" in METHODS["monitor"](made).claim.reach

@@ -1,4 +1,4 @@
-"""Whatever the experimental controller or navigation hands over, the flight goes on, with S, and it is logged."""
+"""Whatever the experimental controller or navigation hands over: S flies on, and the log says so."""
 
 import io
 import json
