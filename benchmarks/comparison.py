@@ -200,12 +200,12 @@ def scene_table(schedule: object, runs: int, tuned: Mapping[str, float]) -> tupl
 
 def blocks(text: str) -> dict[str, str]:
     """The generated parts of the page, by name."""
-    return dict(re.findall(r"<!-- table ([\w-]+) -->\n(.*?)\n<!-- end -->", text, flags=re.S))
+    return dict(re.findall(r"<!-- table ([\w-]+) -->\n\n(.*?)\n\n<!-- end -->", text, flags=re.S))
 
 
 def put(text: str, name: str, table: str) -> str:
     """The page with one part replaced."""
-    pattern = rf"(<!-- table {name} -->\n).*?(\n<!-- end -->)"
+    pattern = rf"(<!-- table {name} -->\n\n).*?(\n\n<!-- end -->)"
     out, count = re.subn(pattern, lambda found: found[1] + table + found[2], text, flags=re.S)
     if count != 1:
         raise SystemExit(f"{PAGE}: no place for the table {name}")

@@ -68,6 +68,57 @@ def made_by(row):
     }[row.split(", ")[0]]
 
 
+MONITOR, SCHEDULE, LIMITS = "Polaris online monitor", "Polaris schedule", "Polaris online monitor, U at"
+EXPLICIT, IMPLICIT = "Explicit ASIF", "Implicit ASIF"
+SHARE, COST, AWAY, NEAR, HITS = "Share of U", "Delta-v m/s", "Deviation", "Least distance m", "Violations"
+
+
+def test_the_words_of_the_page_follow_from_its_tables():
+    swept, defaults = page.read_sweep(TABLES["sweep"])
+
+    def ratio(name, one, other, column):
+        return value(name, one, column) / value(name, other, column)
+
+    # Look-ahead.
+    assert all(cells["static"].violations for cells in swept["simulation"].values())
+    shares = [cells["static"].share for cells in swept["simulation"].values()]
+    assert shares == sorted(shares, reverse=True)
+    assert all(value(name, "Forward reachability", HITS) == 0 for name in page.SCENES)
+    assert swept["reachability"][defaults["reachability"] / 2]["robot"].violations == page.SWEPT_RUNS
+    # The monitor.
+    for name in page.SCENES:
+        assert value(name, MONITOR, SHARE) > value(name, SCHEDULE, SHARE)
+        assert abs(value(name, MONITOR, SHARE) - value(name, LIMITS, SHARE)) < 0.01
+    assert 0 < value("static", MONITOR, NEAR) < 0.1 and value("static", SCHEDULE, NEAR) > 1
+    dwell = {setting: cells["static"] for setting, cells in swept["monitor"].items()}
+    assert dwell[1].delta_v < dwell[3].delta_v < dwell[10].delta_v < dwell[30].delta_v
+    assert dwell[100].delta_v < dwell[1].delta_v and dwell[100].share < value("static", SCHEDULE, SHARE)
+    # Filters.
+    assert ratio("static", EXPLICIT, MONITOR, AWAY) == pytest.approx(1 / 3, rel=0.1)
+    assert ratio("static", EXPLICIT, MONITOR, COST) == pytest.approx(1 / 6, rel=0.1)
+    clear = [cells["dynamic"].delta_v for cells in swept["asif_explicit"].values() if not hits(cells)]
+    assert 1.7 < max(clear) / min(clear) < 2
+    steepest = swept["asif_explicit"][max(swept["asif_explicit"])]
+    assert steepest["dynamic"].violations and steepest["robot"].violations
+    assert ratio("dynamic", EXPLICIT, MONITOR, COST) > 1 > ratio("robot", EXPLICIT, MONITOR, COST)
+    assert ratio("static", IMPLICIT, MONITOR, COST) == pytest.approx(1 / 4, rel=0.15)
+    assert value("static", IMPLICIT, SHARE) == pytest.approx(0.5, abs=0.05)
+    slopes = [cells["static"] for cells in swept["asif_implicit"].values()]  # the last is the default
+    assert min(one.deviation for one in slopes) > page.BETTER * slopes[-1].deviation
+    assert min(one.delta_v for one in slopes) == pytest.approx(0.75 * slopes[-1].delta_v, rel=0.05)
+    assert max(one.share for one in slopes) == slopes[-1].share
+    # Simplex.
+    for name in page.SCENES:
+        assert value(name, "Explicit simplex", SHARE) < 0.25 and value(name, "Implicit simplex", SHARE) < 0.5
+    assert value("robot", "Implicit simplex", HITS) == pytest.approx(page.RUNS / 2, abs=2)
+    proved = [row for name in page.SCENES for row in rows(TABLES[name]).values() if row["Proven"] == "yes"]
+    assert proved and all(row[HITS] == "0" for row in proved)
+
+
+def hits(cells):
+    return cells["dynamic"].violations
+
+
 def test_the_rule_prefers_safety_then_closeness_then_u():
     def cell(violations, share, deviation):
         return {"a": page.Cell(violations, share, 1.0, deviation)}
