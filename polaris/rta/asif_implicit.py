@@ -99,7 +99,7 @@ class ImplicitASIF(Memoryless):
         need = np.concatenate([moved, size[:, None], np.ones((R, 1))], axis=1) @ demand.tall[: demand.near].T
         limit = np.divide(1 - SLACK, window, out=np.full(len(window), UNLIMITED), where=window > 0)
         room = limit - need
-        allowed = room - self._kept(k, e)
+        allowed = room - self._kept(k, e, limit)
         desired = seen.desired / scene.system.u_max
         left = (allowed - desired @ self.rows.T) * window
         margin, u = left.min(axis=1), desired.copy()
@@ -118,19 +118,24 @@ class ImplicitASIF(Memoryless):
         lost |= ~(((room - u @ self.rows.T) * window).min(axis=1) >= -SLACK)
         lost |= ~(self._inner(k, e, size, u) <= 1)
         mode = np.where(lost, 0, FILTERED)
-        why = np.where(lost, 2, np.where(margin < 0, 1, 0))
+        why = np.where(lost, 2, np.where((margin < 0) & (u != desired).any(axis=1), 1, 0))
         return Choice(mode, margin, why, u * scene.system.u_max)
 
-    def _kept(self, k: int, e: Array) -> Array | float:
-        """Room that this decision must leave of what every row has now, shape (R, rows)."""
+    def _kept(self, k: int, e: Array, limit: Array) -> Array | float:
+        """Room that this decision must leave at every limit, shape (R, rows).
+
+        A share of what would be left there if S took over now: S's own flight keeps all of it.
+        """
         if self.slope == 1:
             return 0.0
-        demand, first = self.prospect.demand, k * self.scene.nodes * len(self.recovery.rows)
-        window = self.recovery.reciprocals[first : first + demand.near]
+        demand, r = self.prospect.demand, len(self.recovery.rows)
+        later = (self.scene.delay + self.scene.nodes) * r  # the same instants, seen from now
+        rows = demand.tall[later : later + demand.near]
         size = np.linalg.norm(e @ self.scene.tracking.W.T, axis=1) + self.prospect.radius
-        need = np.concatenate([e, size[:, None], np.ones((len(e), 1))], axis=1) @ demand.tall[: demand.near].T
-        now = np.divide(1.0, window, out=np.zeros(len(window)), where=window > 0)
-        return np.asarray((1 - self.slope) * np.maximum(now - need, 0.0))
+        need = np.concatenate([e, size[:, None], np.ones((len(e), 1))], axis=1) @ rows.T
+        kept = np.zeros((len(e), len(limit)))
+        kept[:, : len(rows)] = np.maximum(limit[: len(rows)] - need, 0.0)
+        return (1 - self.slope) * kept
 
     def _inner(self, k: int, e: Array, size: Array, u: Array) -> Array:
         """Share of the room needed at facets at the nodes before the next moment of effect."""

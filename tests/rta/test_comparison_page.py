@@ -103,10 +103,10 @@ def test_the_words_of_the_page_follow_from_its_tables():
     assert ratio("dynamic", EXPLICIT, MONITOR, COST) > 1 > ratio("robot", EXPLICIT, MONITOR, COST)
     assert ratio("static", IMPLICIT, MONITOR, COST) == pytest.approx(1 / 4, rel=0.15)
     assert value("static", IMPLICIT, SHARE) == pytest.approx(0.5, abs=0.05)
-    slopes = [cells["static"] for cells in swept["asif_implicit"].values()]  # the last is the default
-    assert min(one.deviation for one in slopes) > page.BETTER * slopes[-1].deviation
-    assert min(one.delta_v for one in slopes) == pytest.approx(0.75 * slopes[-1].delta_v, rel=0.05)
-    assert max(one.share for one in slopes) == slopes[-1].share
+    for name in page.SCENES:
+        slopes = [cells[name] for cells in swept["asif_implicit"].values()]
+        for part in ([one.delta_v for one in slopes], [one.share for one in slopes]):
+            assert part == sorted(part)
     # Simplex.
     for name in page.SCENES:
         assert value(name, "Explicit simplex", SHARE) < 0.25 and value(name, "Implicit simplex", SHARE) < 0.5
