@@ -10,6 +10,7 @@ from __future__ import annotations
 from array import array
 from collections import deque
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -85,7 +86,7 @@ def _converted(value: object) -> Array | None:
     if number is not None:
         return np.array(number)
     if issubclass(kind, LISTS):
-        return _listed(list(value))  # type: ignore[call-overload]
+        return _listed(value)
     if not hasattr(kind, "__array__") and kind not in BUFFERS:
         return None
     found = np.asarray(value)
@@ -98,15 +99,16 @@ def _converted(value: object) -> Array | None:
     return floats
 
 
-def _listed(values: list[object], deepest: int = 1) -> Array | None:
+def _listed(value: Any, deepest: int = 1) -> Array | None:
+    values = list(islice(value, LONGEST + 1))  # a list of one's own kind may never end
     if len(values) > LONGEST:
         return None
     rows: list[Array] = []
-    for value in values:
-        if issubclass(type(value), LISTS):
-            row = _listed(list(value), deepest - 1) if deepest else None  # type: ignore[call-overload]
+    for entry in values:
+        if issubclass(type(entry), LISTS):
+            row = _listed(entry, deepest - 1) if deepest else None
         else:
-            row = numbers(value)
+            row = numbers(entry)
         if row is None or row.ndim > deepest or row.shape != (rows[0].shape if rows else row.shape):
             return None
         rows.append(row)

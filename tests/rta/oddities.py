@@ -111,6 +111,12 @@ class OwnSequence(list):
     __len__ = __getitem__ = __iter__
 
 
+class NeverEnding(list):
+    def __iter__(self):
+        while True:
+            yield 0.0
+
+
 class Endless:
     def __len__(self):
         return 10**18
@@ -169,6 +175,7 @@ def unreadable(n):
         "bomb": bomb(),
         "own sequence": OwnSequence([0.0]),
         "endless": Endless(),
+        "never ending": NeverEnding([0.0] * n),
         "masked scalar": np.ma.masked,
         "matrix": np.zeros((1, n)).view(np.matrix),
     }
