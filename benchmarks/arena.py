@@ -20,7 +20,7 @@ from polaris.rta.scene import Scene
 from polaris.scenario import load_scenario
 from polaris.synthesis import synthesize
 
-TIMED = ("monitor", "monitor_limits", "simplex_explicit", "asif_explicit", "asif_implicit")
+TIMED = ("monitor", "monitor_declared", "simplex_explicit", "asif_explicit", "asif_implicit")
 WARM = 20
 
 

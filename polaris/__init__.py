@@ -58,13 +58,16 @@ if TYPE_CHECKING:
     from .reference import Reference
     from .report import write_report
     from .rta.arena import Comparison, compare_methods
+    from .rta.decision_log import DecisionLog, read_log
     from .rta.estimate import Measurement
     from .rta.folder import ComparisonFolder, read_comparison, write_comparison
+    from .rta.loop import Command, FlightLoop
     from .rta.method import Choice, Claim, Method, Seen
     from .rta.monitor import Monitor
     from .rta.outcome import Outcome
+    from .rta.replay import replay_log
     from .rta.runtime import OnlineMonitor
-    from .rta.runtime_options import RuntimeOptions
+    from .rta.runtime_options import Answer, RuntimeOptions
     from .rta.scene import Scene
     from .runfolder import RunFolder, read_run, write_run
     from .safety import Safety, get_safety
@@ -183,13 +186,16 @@ _HOMES = {
     ".campaign": ("CampaignFolder", "make_cases", "read_campaign", "run_campaign"),
     ".report": ("write_report",),
     ".rta.arena": ("Comparison", "compare_methods"),
+    ".rta.decision_log": ("DecisionLog", "read_log"),
     ".rta.estimate": ("Measurement",),
     ".rta.folder": ("ComparisonFolder", "read_comparison", "write_comparison"),
+    ".rta.loop": ("Command", "FlightLoop"),
     ".rta.method": ("Choice", "Claim", "Method", "Seen"),
     ".rta.monitor": ("Monitor",),
     ".rta.outcome": ("Outcome",),
+    ".rta.replay": ("replay_log",),
     ".rta.runtime": ("OnlineMonitor",),
-    ".rta.runtime_options": ("RuntimeOptions",),
+    ".rta.runtime_options": ("Answer", "RuntimeOptions"),
     ".rta.scene": ("Scene",),
     ".traces": ("TraceMetrics", "evaluate_trace", "read_trace", "write_trace"),
     "reach.zonotope": ("Zonotope",),
@@ -200,6 +206,7 @@ _HOME = {name: home for home, names in _HOMES.items() for name in names}
 
 __all__ = [
     "AffineController",
+    "Answer",
     "AnyThrust",
     "BallObstacle",
     "Box",
@@ -209,9 +216,11 @@ __all__ = [
     "Claim",
     "Clearance",
     "ClockWarning",
+    "Command",
     "Comparison",
     "ComparisonFolder",
     "Controller",
+    "DecisionLog",
     "EllipticalNMT",
     "EndCondition",
     "Environment",
@@ -220,6 +229,7 @@ __all__ = [
     "Falsification",
     "Feedback",
     "Flight",
+    "FlightLoop",
     "Flights",
     "Flown",
     "Goal",
@@ -285,9 +295,11 @@ __all__ = [
     "plot_schedule",
     "read_campaign",
     "read_comparison",
+    "read_log",
     "read_run",
     "read_trace",
     "replay",
+    "replay_log",
     "run_campaign",
     "simulate",
     "synthesize",

@@ -41,6 +41,15 @@ def add_compare(app: typer.Typer, guard: Guard) -> None:
                 metavar="E[,E...]", help="Largest error of the state estimate, one number or one per state."
             ),
         ] = None,
+        tune: Annotated[
+            list[str] | None,
+            typer.Option(
+                "--tune",
+                metavar="METHOD.OPTION=VALUE",
+                help="Tune a method: monitor.dwell, monitor_declared.dwell, asif_explicit.alpha,"
+                " asif_implicit.slope, simulation.horizon, reachability.horizon; repeatable.",
+            ),
+        ] = None,
         out: Annotated[
             str | None,
             typer.Option("--out", metavar="DIR", help="Folder; default runs/<scenario>-comparison."),
@@ -56,7 +65,7 @@ def add_compare(app: typer.Typer, guard: Guard) -> None:
     ) -> None:
         """Fly every run-time assurance method on one scene, under the same disturbances, and compare.
 
-        Methods: the precomputed schedule, the online monitor (U at its declared law, or not trusted),
+        Methods: the precomputed schedule, the online monitor (U not trusted, or at its declared law),
         explicit and implicit simplex, explicit and implicit ASIF, look-ahead by simulation and by
         reachability, S alone, U alone.
         """
@@ -79,6 +88,7 @@ def add_compare(app: typer.Typer, guard: Guard) -> None:
 
                 chosen = tuple(METHODS) if methods is None else tuple(methods.replace(" ", "").split(","))
                 half = _numbers(estimate_error)
+                tuning = _tuning(tune or [])
             with stages.stage("schedule"):
                 schedule = synthesize(loaded)
             with stages.stage("flights"):
@@ -90,6 +100,7 @@ def add_compare(app: typer.Typer, guard: Guard) -> None:
                     period=period,
                     latency=latency,
                     half_widths=half,
+                    tuning=tuning,
                     progress=lambda key, done, total: stages.note(f"flights: {key}", done, total),
                 )
             with stages.stage("folder"):
@@ -115,6 +126,17 @@ def _numbers(text: str | None) -> Any:
     except ValueError:
         raise ScenarioError("--estimate-error", text, "must be numbers separated by commas") from None
     return found[0] if len(found) == 1 else found
+
+
+def _tuning(assignments: list[str]) -> dict[str, float]:
+    out = {}
+    for text in assignments:
+        name, _, value = text.partition("=")
+        try:
+            out[name.strip()] = float(value)
+        except ValueError:
+            raise ScenarioError("--tune", text, "must be METHOD.OPTION=NUMBER") from None
+    return out
 
 
 SAFETY = (

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import expm
 
+from reach.errors import Unresolved
 from reach.linear import growth, powers
 
 from .checks import non_negative, positive, vector
@@ -86,13 +87,16 @@ class SatelliteObstacle(Obstacle):
         self._fits(system)
         normals = directions(system.d, self.facets, f"{self.path}.facets")
         wanted, parts = max(1e-3, 1e-4 * self.radius), 1
-        with np.errstate(over="ignore", invalid="ignore"):
-            offsets, bow = self._cover(system, normals, delta, cells, parts)
-            while not bow <= wanted and parts < MOST_PARTS:
-                parts *= 2
+        rule = f"must stay finite when propagated over {cells * delta:g} s"
+        try:
+            with np.errstate(over="ignore", invalid="ignore"):
                 offsets, bow = self._cover(system, normals, delta, cells, parts)
+                while not bow <= wanted and parts < MOST_PARTS:
+                    parts *= 2
+                    offsets, bow = self._cover(system, normals, delta, cells, parts)
+        except Unresolved as error:  # beyond floating point
+            raise ScenarioError(f"{self.path}.state", self._x0.tolist(), rule) from error
         if not np.all(np.isfinite(offsets)):
-            rule = f"must stay finite when propagated over {cells * delta:g} s"
             raise ScenarioError(f"{self.path}.state", self._x0.tolist(), rule)
         return (TimedPolytope(self.name, normals, offsets, static=False),)
 

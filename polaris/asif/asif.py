@@ -74,20 +74,14 @@ class ActiveSetFilter:
         self._receiver = Receiver(self.inspection, None if sampled is None else sampled.period)
 
     def filter(self, t: float, x: ArrayLike, u_des: ArrayLike | None) -> Decision:
-        """Decide on the inputs of the next control period; see `polaris.asif.decision.RunTimeFilter`.
-
-        Raises
-        ------
-        ScenarioError
-            If the shape of the states or of the desired input is wrong.
-        """
+        """Decide on the inputs of the next control period; see `polaris.asif.decision.RunTimeFilter`."""
         got = self._receiver.receive(t, x, u_des)
         notes = [note for note in (got.fallback(),) if note]
         if not got.estimated.all():
             nothing = np.zeros_like(got.u)
             decision = Decision(nothing, np.ones(len(nothing), dtype=bool), (), {}, "coast", "; ".join(notes))
         else:
-            decision = self._filtered(got, u_des, notes)
+            decision = self._filtered(got, notes)
         self._receiver.applied(decision.u)
         return decision
 
@@ -108,9 +102,9 @@ class ActiveSetFilter:
         limit = self.inspection.thrust_max
         return np.where(np.isfinite(u), np.clip(u, -limit, limit), 0.0)
 
-    def _filtered(self, got: Received, u_des: ArrayLike | None, reasons: list[str]) -> Decision:
+    def _filtered(self, got: Received, reasons: list[str]) -> Decision:
         t, x, replaced = got.t, got.x, ~(got.given & got.known)
-        desired = got.u if u_des is None else np.asarray(u_des, dtype=float)
+        desired = got.wanted
         if replaced.any():
             desired = np.where(replaced[:, None], self._backup(t, x, reasons), desired)
         # Commands beyond a million times the limit are as good as that; squares of huge ones overflow.

@@ -55,9 +55,9 @@ class RunTimeFilter(Protocol):
             Time [s]. Whatever it is, there is an answer: that it is no number, stands still, runs backwards
             or jumps is noted in the decision (see `polaris.asif.received.Receiver`).
         x : array_like, shape (N, 6)
-            States in Hill's frame [m, m/s]; not finite where unknown.
+            States in Hill's frame [m, m/s]; not finite where unknown. What is no such numbers is unknown.
         u_des : array_like, shape (N, 3), or None
-            Desired thrust [N]; None if it came too late.
+            Desired thrust [N]; None if it came too late. What is no such numbers did not come at all.
         """
         ...
 

@@ -122,13 +122,7 @@ class FuelLimit:
         self._applied = np.zeros((q.deputies, 3))
 
     def filter(self, t: float, x: ArrayLike, u_des: ArrayLike | None) -> Decision:
-        """Decide on the thrust of the next period; see `polaris.asif.decision.RunTimeFilter.filter`.
-
-        Raises
-        ------
-        ScenarioError
-            If a shape is wrong.
-        """
+        """Decide on the thrust of the next period; see `polaris.asif.decision.RunTimeFilter.filter`."""
         got = self._receiver.receive(t, x, u_des)
         self._count_delay(got.t)
         reserve = np.full(len(got.x), np.nan)

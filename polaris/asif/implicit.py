@@ -132,13 +132,7 @@ class ImplicitASIF:
         return along[..., 3:] / q.mass, -drift - self.rate * phi.value, phi.value
 
     def filter(self, t: float, x: ArrayLike, u_des: ArrayLike | None) -> Decision:
-        """Decide on the thrust of the next period; see `polaris.asif.decision.RunTimeFilter.filter`.
-
-        Raises
-        ------
-        ScenarioError
-            If a shape is wrong.
-        """
+        """Decide on the thrust of the next period; see `polaris.asif.decision.RunTimeFilter.filter`."""
         got = self._receiver.receive(t, x, u_des)
         backup = np.where(got.known[:, None], self.law(got.t, got.x), 0.0)
         wanted = np.where((got.known & got.given)[:, None], got.u, backup)

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import number
-from ..errors import ScenarioError
+from ..foreign import kind_of, numbers, real
 from ..system import Array
 from .inspection import Inspection
 
@@ -43,6 +42,10 @@ class Received:
         What was wrong with the time; None if nothing.
     steady : bool
         Whether the time went on from the last call's without a break: what lasted till then lasts.
+    wanted : ndarray, shape (N, 3)
+        Desired thrust before clipping [N]; zero where not given.
+    malformed : tuple of str
+        What was no numbers of the right shape, in words.
     """
 
     t: float
@@ -52,6 +55,8 @@ class Received:
     u: Array
     given: NDArray[np.bool_]
     clipped: NDArray[np.bool_]
+    wanted: Array
+    malformed: tuple[str, ...] = ()
     clock: str | None = None
     steady: bool = True
 
@@ -61,7 +66,7 @@ class Received:
 
     def fallback(self) -> str | None:
         """What was missing, in words; None if nothing."""
-        parts = [self.clock] if self.clock else []
+        parts = [*([self.clock] if self.clock else []), *self.malformed]
         if not self.known.all():
             parts.append(f"state not known: deputy {_listed(~self.known)}")
         if not self.given.all():
@@ -102,14 +107,15 @@ class Receiver:
     def receive(self, t: float, x: ArrayLike, u_des: ArrayLike | None) -> Received:
         """Take in one call; arguments as of `polaris.asif.decision.RunTimeFilter.filter`.
 
-        Raises
-        ------
-        ScenarioError
-            If an array has a wrong shape or is not numeric.
+        States and desired thrusts that are no numbers of the right shape are not known and not given:
+        whatever a primary controller or navigation hands over, there is an answer.
         """
-        q = self.inspection
+        q, malformed = self.inspection, []
         t, clock, steady = self._time(t)
-        states = _array("x", x, (q.deputies, 6))
+        states = numbers(x, (q.deputies, 6))
+        if states is None:
+            malformed.append(f"the states are malformed: {kind_of(x)}")
+            states = np.full((q.deputies, 6), np.nan)
         known = np.asarray((np.abs(states) <= FARTHEST).all(axis=1))  # false for nan and inf
         seen, estimate = self._estimate(t)
         seen = np.where(known, t, seen)
@@ -117,15 +123,17 @@ class Receiver:
         states = np.where(known[:, None], states, np.where(estimated[:, None], estimate, 0.0))
         self._x, self._t, self._seen = states, t, np.where(estimated, seen, -np.inf)
         self._applied = np.zeros((q.deputies, 3))
-        if u_des is None:
-            wanted, given = np.zeros((q.deputies, 3)), np.zeros(q.deputies, dtype=bool)
-        else:
-            wanted = _array("u_des", u_des, (q.deputies, 3))
-            given = np.asarray(np.isfinite(wanted).all(axis=1))
-            wanted = np.where(given[:, None], wanted, 0.0)
+        asked = numbers(u_des, (q.deputies, 3))
+        if asked is None and u_des is not None:
+            malformed.append(f"the desired input is malformed: {kind_of(u_des)}")
+        wanted = np.full((q.deputies, 3), np.nan) if asked is None else asked
+        given = np.asarray(np.isfinite(wanted).all(axis=1))
+        wanted = np.where(given[:, None], wanted, 0.0)
         u = np.clip(wanted, -q.thrust_max, q.thrust_max)
         clipped = np.asarray((u != wanted).any(axis=1))
-        return Received(t, states, known, estimated, u, given, clipped, clock, steady)
+        return Received(
+            t, states, known, estimated, u, given, clipped, wanted, tuple(malformed), clock, steady
+        )
 
     def applied(self, u: Array) -> None:
         """Note the thrust [N], shape (N, 3), that was answered to the last call."""
@@ -133,9 +141,8 @@ class Receiver:
 
     def _time(self, t: object) -> tuple[float, str | None, bool]:
         """The time to go by [s], what is wrong with the one given, whether it goes on steadily."""
-        try:
-            now = number("t", t)
-        except Exception:  # whatever it is, the filter must answer
+        now = real(t)
+        if now is None or not np.isfinite(now):
             now = 0.0 if np.isnan(self._t) else self._t + self._step
             return now, f"the time is not a finite number: taken for {now:g} s", False
         passed = now - self._t
@@ -162,14 +169,3 @@ class Receiver:
             return self._seen, self._x
         Phi, Gamma = self.inspection.held(passed)
         return self._seen, self._x @ Phi.T + self._applied @ Gamma.T
-
-
-def _array(field: str, value: ArrayLike, shape: tuple[int, int]) -> Array:
-    rule = f"must be numbers of shape {shape}"
-    try:
-        array = np.array(value, dtype=float)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise ScenarioError(field, value, rule) from error
-    if array.shape != shape:
-        raise ScenarioError(field, array.shape, rule)
-    return array

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -26,12 +27,12 @@ from .simplex import ExplicitSimplex, ImplicitSimplex
 BATCH = 100
 """Runs flown at a time, to bound the memory used."""
 
-METHODS: dict[str, Callable[[Scene], Method]] = {
+METHODS: dict[str, Callable[..., Method]] = {
     "safety": lambda scene: Alone(scene, 0),
     "experimental": lambda scene: Alone(scene, 1),
     "schedule": Precomputed,
     "monitor": Monitor,
-    "monitor_limits": lambda scene: Monitor(scene, "thrust_limits"),
+    "monitor_declared": partial(Monitor, trust="declared"),
     "simplex_explicit": ExplicitSimplex,
     "simplex_implicit": ImplicitSimplex,
     "asif_explicit": ExplicitASIF,
@@ -40,6 +41,18 @@ METHODS: dict[str, Callable[[Scene], Method]] = {
     "reachability": ForwardReachability,
 }
 """How each method is made for a scene, by its name on the command line."""
+
+TUNING = {
+    "monitor": "dwell",
+    "monitor_declared": "dwell",
+    "asif_explicit": "alpha",
+    "asif_implicit": "slope",
+    "simulation": "horizon",
+    "reachability": "horizon",
+}
+"""What may be tuned, by method; the others have nothing of the kind."""
+
+Tuning = Mapping[str, float]
 
 SHOWN = 3
 """Runs per method kept for pictures."""
@@ -112,6 +125,7 @@ def compare_methods(
     period: float | None = None,
     latency: float = 0.0,
     half_widths: Any = 0.0,
+    tuning: Tuning | None = None,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> Comparison:
     """Fly every method under the same conditions.
@@ -128,18 +142,23 @@ def compare_methods(
         Between decisions, and from measurement to effect [s]; see `Scene.of`.
     half_widths : array_like
         Largest error of the state estimate.
+    tuning : mapping of str to float, optional
+        Values by ``method.option``: ``monitor.dwell`` and ``monitor_declared.dwell`` [decisions],
+        ``asif_explicit.alpha`` [1/s], ``asif_implicit.slope``, ``simulation.horizon`` and
+        ``reachability.horizon`` [s]. The defaults are those of the methods.
     progress : callable, optional
         Called with (method, decisions flown, decisions in all).
 
     Raises
     ------
     ScenarioError
-        If a method has no such name, or the scene does not fit the options.
+        If a method has no such name or option, or the scene does not fit the options.
     """
     whole("runs", runs, 1)
     for key in methods:
         if key not in METHODS:
             raise ScenarioError("methods", key, f"must be one of {', '.join(METHODS)}")
+    options = _options(tuning or {})
     if len(schedule.controllers) < 2:
         raise ScenarioError("experimental", "none", "a comparison needs an experimental controller")
     scene = Scene.of(schedule, period, latency, half_widths)
@@ -150,8 +169,10 @@ def compare_methods(
     for key in dict.fromkeys(methods):
         begun = time.perf_counter()
         try:
-            method = METHODS[key](scene)
+            method = METHODS[key](scene, **options.get(key, {}))
         except PolarisError as error:
+            if isinstance(error, ScenarioError) and error.field in options.get(key, {}):
+                raise
             refused[key] = str(error)
             continue
         built = time.perf_counter() - begun
@@ -162,6 +183,19 @@ def compare_methods(
 
         outcomes[key], shown[key] = _flown(scene, key, method, parts, built, report)
     return Comparison(scene, runs, seed, outcomes, shown, refused)
+
+
+def _options(tuning: Tuning) -> dict[str, dict[str, float]]:
+    """Options by method."""
+    out: dict[str, dict[str, float]] = {}
+    for name, value in tuning.items():
+        key, _, option = name.partition(".")
+        if TUNING.get(key) != option:
+            known = ", ".join(f"{one}.{other}" for one, other in TUNING.items())
+            raise ScenarioError("tuning", name, f"must be one of {known}")
+        whole_number = option == "dwell" and float(value).is_integer()
+        out[key] = {option: int(value) if whole_number else value}
+    return out
 
 
 def _flown(
@@ -192,6 +226,7 @@ def _flown(
         (float(np.median(seconds)), float(np.percentile(seconds, 99))),
         _synthesis(scene, key) + built,
         dict(zip(method.reasons, counts.tolist(), strict=True)),
+        dict(getattr(method, "settings", {})),
     )
     assert kept is not None
     return outcome, _show(scene, method, *kept, nearest=outcome.metrics.nearest)

@@ -20,6 +20,9 @@ from ..system import Array
 from .method import FILTERED, Choice, Claim, Memoryless, Seen
 from .scene import Scene
 
+SLOPE = 10.0
+"""Slope of the class-K function, per duration of the flight: chosen by ``benchmarks/comparison.py``."""
+
 UNCHANGED = 1e-9
 """Share of the thrust limits by which an input may differ and still count as the desired one."""
 
@@ -31,7 +34,7 @@ class ExplicitASIF(Memoryless):
     ----------
     scene : Scene
     alpha : float, optional
-        Slope of the class-K function [1/s]; default a tenth per decision period.
+        Slope of the class-K function [1/s]; default `SLOPE` per duration of the flight.
 
     Raises
     ------
@@ -46,7 +49,9 @@ class ExplicitASIF(Memoryless):
 
     def __init__(self, scene: Scene, alpha: float | None = None) -> None:
         super().__init__(scene)
-        self.alpha = 0.1 / scene.period if alpha is None else positive("alpha", alpha, "1/s")
+        duration = scene.last * scene.h
+        self.alpha = SLOPE / duration if alpha is None else positive("alpha", alpha, "1/s")
+        self.settings = {"alpha": self.alpha}
         system = scene.system
         C, A = system.position, system.A
         self.direct = bool(np.any(C @ system.B))

@@ -13,6 +13,8 @@ import numpy as np
 
 from ..asif.projection import FILTERED as SOLVED
 from ..asif.projection import project
+from ..checks import positive
+from ..errors import ScenarioError
 from ..system import Array
 from ..tolerances import ROUNDING
 from .method import FILTERED, Choice, Claim, Memoryless, Seen
@@ -34,19 +36,29 @@ class ImplicitASIF(Memoryless):
     Parameters
     ----------
     scene : Scene
+    slope : float
+        Share of the room of a row that one decision may use up, above 0 and at most 1: the slope of a linear
+        class-K function in discrete time, times the period. Below 1 inputs are bent earlier and less; where
+        that leaves none, all of the room counts.
 
     Raises
     ------
     NotCertified
         If the initial set is not inside the first recoverable set.
+    ScenarioError
+        If the slope is out of range.
     """
 
     key = "asif_implicit"
     name = "Implicit ASIF"
     reasons: tuple[str, ...] = ("desired input", "filtered", "no input is recoverable: S")
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, slope: float = 1.0) -> None:
         super().__init__(scene)
+        self.slope = positive("slope", slope, "")
+        if self.slope > 1:
+            raise ScenarioError("slope", slope, "must be above 0 and at most 1")
+        self.settings = {"slope": self.slope}
         self.recovery = Recovery.certified(scene)
         before = Leg.any_thrust(self.recovery) if scene.delay else None
         self.prospect = Prospect(self.recovery, before, Leg.held(self.recovery), scene.half_widths)
@@ -87,24 +99,43 @@ class ImplicitASIF(Memoryless):
         need = np.concatenate([moved, size[:, None], np.ones((R, 1))], axis=1) @ demand.tall[: demand.near].T
         limit = np.divide(1 - SLACK, window, out=np.full(len(window), UNLIMITED), where=window > 0)
         room = limit - need
+        allowed = room - self._kept(k, e, limit)
         desired = seen.desired / scene.system.u_max
-        left = (room - desired @ self.rows.T) * window
+        left = (allowed - desired @ self.rows.T) * window
         margin, u = left.min(axis=1), desired.copy()
         later = np.maximum(demand.base + demand.slope * size, size / max(recovery.far(node), 1e-300))
         lost = later > 1
         for run in np.flatnonzero((margin < 0) & ~lost):
-            near = room[run] < self.most
-            found = _nearest(self.rows[near], room[run, near], desired[run])
-            if found is None:
-                lost[run] = True
+            for rooms in (allowed, room) if self.slope < 1 else (room,):
+                near = rooms[run] < self.most
+                found = _nearest(self.rows[near], rooms[run, near], desired[run])
+                if found is not None:
+                    u[run] = found
+                    break
             else:
-                u[run] = found
+                lost[run] = True
         # Whatever the solver says, what it found is checked; what cannot be worked out is not met.
         lost |= ~(((room - u @ self.rows.T) * window).min(axis=1) >= -SLACK)
         lost |= ~(self._inner(k, e, size, u) <= 1)
         mode = np.where(lost, 0, FILTERED)
-        why = np.where(lost, 2, np.where(margin < 0, 1, 0))
+        why = np.where(lost, 2, np.where((margin < 0) & (u != desired).any(axis=1), 1, 0))
         return Choice(mode, margin, why, u * scene.system.u_max)
+
+    def _kept(self, k: int, e: Array, limit: Array) -> Array | float:
+        """Room that this decision must leave at every limit, shape (R, rows).
+
+        A share of what would be left there if S took over now: S's own flight keeps all of it.
+        """
+        if self.slope == 1:
+            return 0.0
+        demand, r = self.prospect.demand, len(self.recovery.rows)
+        later = (self.scene.delay + self.scene.nodes) * r  # the same instants, seen from now
+        rows = demand.tall[later : later + demand.near]
+        size = np.linalg.norm(e @ self.scene.tracking.W.T, axis=1) + self.prospect.radius
+        need = np.concatenate([e, size[:, None], np.ones((len(e), 1))], axis=1) @ rows.T
+        kept = np.zeros((len(e), len(limit)))
+        kept[:, : len(rows)] = np.maximum(limit[: len(rows)] - need, 0.0)
+        return (1 - self.slope) * kept
 
     def _inner(self, k: int, e: Array, size: Array, u: Array) -> Array:
         """Share of the room needed at facets at the nodes before the next moment of effect."""

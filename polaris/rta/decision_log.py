@@ -16,10 +16,11 @@ import numpy as np
 
 from ..checks import whole
 from ..errors import ScenarioError
+from ..foreign import LONGEST, Unreadable, kind_of
 from .estimate import Measurement
 
-LONGEST = 200
-"""Entries of one value that are written; more are no measurement of anything."""
+DIGITS = 10_000
+"""Binary digits from which on a whole number cannot be written."""
 
 
 class DecisionLog:
@@ -80,21 +81,32 @@ class DecisionLog:
 
 
 def plain(value: object) -> Any:
-    """What arrived, for strict JSON."""
-    if isinstance(value, np.ndarray) and value.size <= LONGEST and value.dtype.kind in "iuf":
-        return plain(value.tolist())
-    if isinstance(value, (np.floating, np.integer)):
-        value = value.item()
-    if isinstance(value, float):
-        return value if isfinite(value) else str(value)
-    if value is None or isinstance(value, int):
+    """What arrived, for strict JSON; whatever it is, nothing is raised."""
+    try:
+        return _plain(value, [LONGEST])
+    except BaseException:  # the value's own code has run
+        return {"unreadable": kind_of(value)}
+
+
+def _plain(value: object, left: list[int]) -> Any:
+    """The same; `left`: how many entries may still be written, lists that hold themselves included."""
+    kind, left[0] = type(value), left[0] - 1
+    if value is None or (kind is int and value.bit_length() < DIGITS):  # type: ignore[attr-defined]
         return value
-    if isinstance(value, (list, tuple)) and len(value) <= LONGEST:
-        return [plain(entry) for entry in value]
+    if kind is float:
+        return value if isfinite(value) else str(value)  # type: ignore[arg-type]
+    if isinstance(value, Unreadable):
+        return {"unreadable": value.kind}
+    if isinstance(value, (np.floating, np.integer)):
+        return _plain(value.item(), left)
+    if kind is np.ndarray and value.size <= LONGEST and value.dtype.kind in "iuf":  # type: ignore[attr-defined]
+        return _plain(value.tolist(), [2 * LONGEST])  # type: ignore[attr-defined]
+    if kind in (list, tuple) and len(value) <= left[0]:  # type: ignore[arg-type]
+        return [_plain(entry, left) for entry in value]  # type: ignore[attr-defined]
     if isinstance(value, Measurement):
         parts = (value.stamp, value.state, value.half_widths)
         return dict(zip(("stamp", "state", "half_widths"), map(plain, parts), strict=True))
-    return {"unreadable": type(value).__name__}
+    return {"unreadable": kind_of(value)}
 
 
 def restored(value: Any) -> Any:

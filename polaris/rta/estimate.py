@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import ScenarioError
+from ..foreign import Unreadable, kind_of, settled
 from ..system import Array, LinearSystem
 from ..tolerances import ROUNDING, TIME
 
@@ -43,6 +44,18 @@ class Measurement:
     stamp: float
     state: ArrayLike
     half_widths: ArrayLike | None = None
+
+    @staticmethod
+    def settled(value: object) -> Measurement | Unreadable | None:
+        """Whatever was handed in for a measurement, each of its parts read once and never again."""
+        if value is None:
+            return None
+        try:
+            if isinstance(value, Measurement):
+                return Measurement(settled(value.stamp), settled(value.state), settled(value.half_widths))
+        except BaseException:  # the value's own code has run
+            pass
+        return Unreadable(kind_of(value))
 
 
 class BoxMotion:

@@ -1,15 +1,14 @@
-"""What can go wrong in flight: families of faults, and the checks of single values that arrive."""
+"""What can go wrong in flight: families of faults."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-
-from ..system import Array
-
-FAMILIES = ("clock", "measurement", "estimate", "controller", "monitor", "log", "rule")
+FAMILIES = ("clock", "missed", "measurement", "estimate", "controller", "monitor", "log", "rule")
 """Where faults come from; ``rule``: no fault of its own, but S is kept (dwell, latch, re-acquisition)."""
+
+HARMLESS = ("missed", "log")
+"""Families that do not keep U from flying: what they tell of is over, and no premise of the proof."""
 
 
 class Fault(NamedTuple):
@@ -29,32 +28,10 @@ class Fault(NamedTuple):
     def __str__(self) -> str:
         return f"{self.family}: {self.text}"
 
-
-def real(value: object) -> float | None:
-    """A number as a float, nan and infinities included; None for anything else."""
-    if type(value) is float:
-        return value
-    if isinstance(value, np.ndarray) and value.ndim == 0:
-        value = value[()]
-    if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, float, np.integer, np.floating)):
-        return None
-    try:
-        return float(value)
-    except OverflowError:
-        return None
-
-
-def numbers(value: object, shape: tuple[int, ...]) -> Array | None:
-    """Real numbers of one shape as an array of floats, nan included; None for anything else."""
-    if type(value) is not np.ndarray or value.dtype != np.float64:
-        try:
-            value = np.asarray(value)
-            if value.dtype.kind not in "iuf":
-                return None
-            value = value.astype(float)
-        except (TypeError, ValueError, OverflowError):
-            return None
-    return value if value.shape == shape else None
+    @property
+    def harmless(self) -> bool:
+        """Whether U may fly all the same."""
+        return self.family in HARMLESS
 
 
 def largest(values: list[float]) -> float:

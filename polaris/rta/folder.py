@@ -163,6 +163,7 @@ def told(scenario: Scenario, comparison: Comparison) -> dict[str, Any]:
             "reach": one.claim.reach,
             "note": "; ".join(f"{why}: {count}" for why, count in one.reasons.items() if count),
             "available": True,
+            "settings": one.settings,
             "metrics": one.summary(),
         }
         for key, one in comparison.outcomes.items()
@@ -175,6 +176,7 @@ def told(scenario: Scenario, comparison: Comparison) -> dict[str, Any]:
             "reach": why,
             "note": "",
             "available": False,
+            "settings": {},
             "metrics": {},
         }
         for key, why in comparison.refused.items()

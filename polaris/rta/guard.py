@@ -1,4 +1,4 @@
-"""Calls of an experimental controller that cannot end the flight."""
+"""Calls of an experimental controller that cannot end the flight, whatever it raises or returns."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from ..foreign import kind_of, numbers
 from ..system import Array
-from .faults import Fault, numbers
+from .faults import Fault
 
 
 class Guard:
@@ -31,6 +32,10 @@ class Guard:
     def command(self, law: Callable[..., Any], *arguments: Any) -> Array | None:
         """Command of U, clipped to the limits [N]; None if it is at fault, and S must fly at once.
 
+        Nothing that U raises gets through, ``SystemExit`` and ``KeyboardInterrupt`` included: an interrupt
+        from the keyboard during a call counts as a fault of U. Reading what it returns belongs to the call,
+        and to its time budget.
+
         Parameters
         ----------
         law : callable
@@ -41,12 +46,13 @@ class Guard:
         begun = self._timer()
         try:
             answer = law(*arguments)
-        except Exception as error:  # whatever an experiment raises must not end the flight
-            return self._refused(f"raised {type(error).__name__}")
-        late = self._timer() - begun > self._budget
+        except BaseException as error:  # whatever an experiment raises must not end the flight
+            return self._refused(f"raised {kind_of(error)}")
         u = numbers(answer, self.u_max.shape)
+        late = self._timer() - begun > self._budget  # an answer may be worked out only when it is read
         if u is None:
-            return self._refused("the command is malformed")
+            return self._refused(f"the command is malformed: {kind_of(answer)}")
+        u = u.copy()  # U may go on writing into its own
         if not np.isfinite(u).all():
             return self._refused("the command is not finite")
         if late:

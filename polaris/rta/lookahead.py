@@ -92,9 +92,8 @@ class Predictor:
         return self.scene.nearest(out if spread is None else out - spread)
 
 
-def default_horizon(scene: Scene) -> float:
-    """A tenth of the scene's duration, at least twenty decisions [s]."""
-    return max(scene.last * scene.h / 10, 20 * scene.period)
+LEAST = 20
+"""Decisions that are looked ahead at least."""
 
 
 class Simulation(Memoryless):
@@ -104,7 +103,7 @@ class Simulation(Memoryless):
     ----------
     scene : Scene
     horizon : float, optional
-        How far it looks [s]; default `default_horizon`.
+        How far it looks [s]; default `ahead` of the flight's duration, at least `LEAST` decisions.
     """
 
     key = "simulation"
@@ -113,10 +112,14 @@ class Simulation(Memoryless):
         "the predicted flight keeps clear",
         "the predicted flight enters an unsafe set",
     )
+    ahead = 0.4
+    """Share of the duration looked ahead by default: chosen by ``benchmarks/comparison.py``."""
 
     def __init__(self, scene: Scene, horizon: float | None = None) -> None:
         super().__init__(scene)
-        horizon = default_horizon(scene) if horizon is None else positive("horizon", horizon, "s")
+        usual = max(self.ahead * scene.last * scene.h, LEAST * scene.period)
+        horizon = usual if horizon is None else positive("horizon", horizon, "s")
+        self.settings = {"horizon": horizon}
         self.predictor = Predictor(scene, horizon)
         self.spread: Array | None = None
 
@@ -145,12 +148,13 @@ class ForwardReachability(Simulation):
     ----------
     scene : Scene
     horizon : float, optional
-        How far it looks [s]; default `default_horizon`.
+        How far it looks [s]; default `ahead` of the flight's duration, at least `LEAST` decisions.
     """
 
     key = "reachability"
     name = "Forward reachability of U"
     reasons: tuple[str, ...] = ("U's reachable set keeps clear", "U's reachable set touches an unsafe set")
+    ahead = 0.2
 
     def __init__(self, scene: Scene, horizon: float | None = None) -> None:
         super().__init__(scene, horizon)

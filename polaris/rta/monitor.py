@@ -1,8 +1,8 @@
 """The online Polaris monitor: U flies as long as S could still take over when the next decision takes effect.
 
 From the measured state and its error bound, the reachable set of U at the end of the next decision
-interval, latency included, must be recoverable; else S flies. U may be taken at its declared model, or at
-nothing but the thrust limits (always where its command might be clipped).
+interval, latency included, must be recoverable; else S flies. U is taken at nothing but the thrust limits,
+or, where that is asked for, at its declared model as long as its command cannot be clipped.
 
 Why this is a proof: whoever flies, the state is recoverable when a decision takes effect. If S is chosen,
 it stays safe for ever. If U is, every state that it can reach at the nodes up to the next moment of effect
@@ -35,8 +35,9 @@ class Monitor:
     ----------
     scene : Scene
     trust : {"declared", "thrust_limits"}
-        What is assumed of U: its declared law (and its thrust limits where the law would clip), or the
-        thrust limits alone. Controllers that may do anything are always taken at the limits.
+        What is assumed of U: by default nothing but the thrust limits, so that no fault of U can break the
+        proof; ``declared``: its law (and its thrust limits where the law would clip). Controllers that may do
+        anything are always taken at the limits.
     dwell : int
         Decisions for which S keeps control once it has it.
 
@@ -53,12 +54,13 @@ class Monitor:
     reasons: tuple[str, ...] = ("U is recoverable", "U is not recoverable", "dwell in S")
     delayed = True
 
-    def __init__(self, scene: Scene, trust: str = "declared", dwell: int = 1) -> None:
+    def __init__(self, scene: Scene, trust: str = "thrust_limits", dwell: int = 1) -> None:
         if trust not in TRUST:
             raise ScenarioError("trust", trust, f"must be one of {', '.join(TRUST)}")
         self.dwell = whole("dwell", dwell, 1)
-        if trust == "thrust_limits":
-            self.key, self.name = "monitor_limits", "Polaris online monitor, U not trusted"
+        self.settings = {"dwell": float(self.dwell)}
+        if trust == "declared":
+            self.key, self.name = "monitor_declared", "Polaris online monitor, U at its declared law"
         self.scene, self.recovery, self.trust = scene, Recovery.certified(scene), trust
         any_thrust, safe = Leg.any_thrust(self.recovery), Leg.declared(self.recovery, 0)
         befores = {0: safe, 1: any_thrust} if scene.delay else {0: None, 1: None}

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..foreign import numbers
 from ..system import Array
 from ..tolerances import TIME
 from .estimate import BoxFilter, BoxMotion
-from .faults import Fault, numbers
+from .faults import Fault
 from .reading import Reader, Reading
 from .runtime_options import Limits
 from .scene import Scene

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -65,6 +65,8 @@ class Outcome:
         Wall time before the flight.
     reasons : mapping
         How many decisions were taken for each reason.
+    settings : mapping
+        What the method was tuned with.
     """
 
     key: str
@@ -75,6 +77,7 @@ class Outcome:
     decision_s: Times
     synthesis_s: float
     reasons: dict[str, int]
+    settings: dict[str, float] = field(default_factory=dict)
 
     @property
     def columns(self) -> dict[str, Array]:

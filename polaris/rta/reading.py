@@ -6,9 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..foreign import numbers, real
 from ..system import Array
 from .estimate import Measurement
-from .faults import Fault, largest, numbers, real
+from .faults import Fault, largest
 from .scene import Scene
 
 

@@ -15,7 +15,7 @@ from .runtime_options import Answer, RuntimeOptions
 LATE = "monitor: deadline missed"
 
 
-def replay(
+def replay_log(
     records: Iterable[dict[str, Any]], monitor: Monitor, options: RuntimeOptions | None = None
 ) -> list[Answer]:
     """Feed what a log says arrived to a new runtime with the same options.
@@ -38,8 +38,8 @@ def replay(
         if record["resynchronised"] is not None:
             online.resynchronise(restored(record["resynchronised"]))
         online.guard.faults += [Fault("controller", text) for text in record["controller"]]
-        told = [restored(record[name]) for name in ("now", "measurement", "applied", "reference")]
-        answers.append(online.step(*told))
+        names = ("now", "measurement", "applied", "reference", "number")
+        answers.append(online.step(*(restored(record.get(name)) for name in names)))
     return answers
 
 

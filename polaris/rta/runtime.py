@@ -10,11 +10,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import Any
+from math import isfinite
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..foreign import Unreadable, kind_of, settled
 from ..system import Array
 from .decision_clock import DecisionClock
 from .decision_log import DecisionLog, plain
@@ -24,6 +26,17 @@ from .guard import Guard
 from .monitor import Monitor
 from .observer import Observer
 from .runtime_options import Answer, RuntimeOptions
+
+
+class _Told(NamedTuple):
+    """What one call was told, as it is used and logged."""
+
+    now: Any
+    measurement: Any
+    applied: Any
+    reference: Any
+    number: Any
+    resynchronised: Any
 
 
 class OnlineMonitor:
@@ -68,8 +81,7 @@ class OnlineMonitor:
 
     def resynchronise(self, now: float) -> None:
         """Say what the clock will read at the next call [s], after it was found wrong."""
-        self.clock.resynchronise(now)
-        self._asked = now
+        self._asked = Unreadable(kind_of(now)) if now is None else settled(now)
 
     def step(
         self,
@@ -77,8 +89,11 @@ class OnlineMonitor:
         measurement: Measurement | None = None,
         applied: ArrayLike | None = None,
         reference: float | None = None,
+        number: int | None = None,
     ) -> Answer:
-        """Decide who flies from the moment of effect on; never raises.
+        """Decide who flies from the moment of effect on; never raises, whatever it is told.
+
+        Every argument is read once, at the beginning; what it was is logged.
 
         Parameters
         ----------
@@ -91,21 +106,34 @@ class OnlineMonitor:
             default nothing but the limits is known.
         reference : float, optional
             Second clock [s], from any origin; in all calls or in none.
+        number : int, optional
+            Number of this decision, counted by something else than the clock; missed ones count. Without it
+            and without a second clock a missed call cannot be told from a clock that was set: S flies then,
+            until `resynchronise`.
         """
         begun = self._timer()
+        told = _Told(
+            settled(now),
+            Measurement.settled(measurement),
+            settled(applied),
+            settled(reference),
+            settled(number),
+            self._asked,
+        )
+        self._asked = None
         noted = self.guard.taken()
         self._strikes += len(noted)
         faults = list(noted)
         k, mode, margin, reason = -1, 0, np.nan, ""
         try:
-            k, mode, margin, reason = self._decide(now, measurement, applied, reference, faults)
+            k, mode, margin, reason = self._decide(told, faults)
         except Exception as error:  # whatever is wrong with the monitor itself, S flies
             self._own_fault(f"raised {type(error).__name__}", faults)
-        if self._timer() - begun > self._left(k, now):
+        if self._timer() - begun > self._left(k, told.now):
             self._own_fault("deadline missed", faults)
-        answer = self._answer(k, 0 if faults else mode, margin, reason, faults)
+        answer = self._answer(k, mode, margin, reason, faults)
         if self._log is not None:
-            self._record(self._log, answer, noted, (now, measurement, applied, reference))
+            self._record(self._log, answer, noted, told)
         return answer
 
     def _left(self, k: int, now: Any) -> float:
@@ -118,23 +146,29 @@ class OnlineMonitor:
         self._strikes += 1
         faults.insert(0, Fault("monitor", text))
 
-    def _decide(
-        self, now: object, measurement: object, applied: object, reference: object, faults: list[Fault]
-    ) -> tuple[int, int, float, str]:
-        k, wrong = self.clock.read(now, reference)
+    def _decide(self, told: _Told, faults: list[Fault]) -> tuple[int, int, float, str]:
+        if told.resynchronised is not None:
+            if isinstance(told.resynchronised, float) and isfinite(told.resynchronised):
+                self.clock.resynchronise(told.resynchronised)
+            else:
+                faults.append(Fault("clock", "asked to resynchronise to no finite number"))
+        k, wrong = self.clock.read(told.now, told.reference, told.number)
         if wrong is not None:
             faults.append(wrong)
-        wrong = self.observer.note_inputs(applied)
+        before = self._flown  # after missed decisions too: more than S, which flew, is allowed for
+        if self.clock.missed and before:  # the permission ended, and S took over
+            self._dwelt, self._flown = self.clock.missed, 0
+        wrong = self.observer.note_inputs(told.applied)
         if wrong is not None:
             faults.append(wrong)
-        state = None if k is None else self.observer.observe(measurement, k * self.scene.period, faults)
+        state = None if k is None else self.observer.observe(told.measurement, k * self.scene.period, faults)
         self._latched(faults)
         if k is None or state is None:
             return -1 if k is None else k, 0, np.nan, ""
         if k >= self.scene.decisions:
             return k, 0, np.nan, "the plan has ended"
         e = state - self.scene.xi[k * self.scene.nodes]
-        mode, margin, limit = self.monitor.explained(k, e, self._flown)
+        mode, margin, limit = self.monitor.explained(k, e, before)
         if mode and not self._flown and self._dwelt < self.options.min_dwell:
             faults.append(Fault("rule", f"dwell: {self._dwelt} of {self.options.min_dwell} decisions in S"))
         return k, mode, margin, f"nearest limit: {limit}"
@@ -150,18 +184,19 @@ class OnlineMonitor:
             faults.append(Fault("rule", f"re-acquiring: {agreed} of {o.reacquire} measurements agree"))
 
     def _answer(self, k: int, mode: int, margin: float, reason: str, faults: list[Fault]) -> Answer:
-        until = -np.inf
+        until, wrong = -np.inf, [fault for fault in faults if not fault.harmless]
+        mode = 0 if wrong else mode
         if mode:
             until, self._dwelt = (k + 1) * self.scene.period + self.scene.latency, self.options.min_dwell
         else:
             self._dwelt = 1 if self._flown else self._dwelt + 1
         self._flown = mode
-        if faults:
-            reason = str(faults[0])
+        if wrong:
+            reason = str(wrong[0])
         unwritten, self._unwritten = self._unwritten, []
         return Answer(k, mode, margin, until, reason, (*faults, *unwritten))
 
-    def _record(self, log: DecisionLog, answer: Answer, noted: list[Fault], told: tuple[object, ...]) -> None:
+    def _record(self, log: DecisionLog, answer: Answer, noted: list[Fault], told: _Told) -> None:
         try:
             record = {
                 "k": answer.k,
@@ -171,9 +206,7 @@ class OnlineMonitor:
                 "faults": [str(fault) for fault in answer.faults],
                 "controller": [fault.text for fault in noted],
             }
-            names = ("now", "measurement", "applied", "reference", "resynchronised")
-            asked, self._asked = self._asked, None
-            record |= dict(zip(names, map(plain, (*told, asked)), strict=True))
+            record |= {name: plain(value) for name, value in told._asdict().items()}
             log.write(record)
         except Exception:  # whatever is wrong with a log must not end the flight
             self._unwritten.append(Fault("log", "the line before could not be written"))

@@ -3,6 +3,8 @@
 import numpy as np
 from hypothesis import strategies as st
 
+from tests.rta import oddities
+
 ODD = [np.nan, np.inf, -np.inf, 0.0, -0.0, 1e308, -1e308, 1e-308, 1e7, -1e6, 1.0]
 
 
@@ -50,16 +52,6 @@ def answers(filtering, sequence):
     return out
 
 
-WRONG = [
-    (0.0, np.zeros((1, 6)), np.zeros((2, 3))),
-    (0.0, np.zeros(6), np.zeros((2, 3))),
-    (0.0, np.zeros((2, 6)), np.zeros((3, 3))),
-    (0.0, np.zeros((2, 6)), np.zeros(3)),
-    (0.0, [["a"] * 6] * 2, np.zeros((2, 3))),
-    (0.0, None, np.zeros((2, 3))),
-]
-
-
 class Unreadable:
     """A time whose conversion raises what no one expects."""
 
@@ -67,7 +59,19 @@ class Unreadable:
         raise RuntimeError("needs a gradient")
 
 
-ODD_TIMES = [np.nan, np.inf, -np.inf, None, "now", "3.0", 10**400, 1j, [1.0, 2.0], Unreadable()]
+ODD_TIMES = [
+    np.nan,
+    np.inf,
+    -np.inf,
+    None,
+    "now",
+    "3.0",
+    10**400,
+    1j,
+    [1.0, 2.0],
+    Unreadable(),
+    oddities.NeedsGradient(),
+]
 """No time at all; whatever is handed over, a filter answers."""
 
 
@@ -97,3 +101,26 @@ def odd_times(filtering, x, u):
     assert told(1e9) == [f"the time jumps by {1e9 - 4.5:g} s"]
     assert told(-1e300)[0].startswith("the time runs backwards")
     assert told(1e300)[0].startswith("the time jumps")
+
+
+SHAPES = [np.zeros((1, 6)), np.zeros(6), np.zeros((3, 3)), np.zeros(3), [["a"] * 6] * 2]
+
+
+def malformed(filtering):
+    """Whatever a primary controller or navigation hands over, there is an answer that says so."""
+    q = filtering.inspection
+    good, t = np.array([[100.0, 0, 0, 0, 0, 0], [0.0, -120, 0, 0, 0, 0]]), 0.0
+    odd = [value for name, value in oddities.unreadable(2).items() if name != "too many"] + SHAPES
+    for value in odd:
+        for x, u in ((good, value), (value, np.zeros((2, 3)))):
+            if x is None:
+                continue
+            decision = filtering.filter(t, x, u)
+            t += 1.0
+            assert np.isfinite(decision.u).all() and (np.abs(decision.u) <= q.thrust_max).all()
+            assert decision.fallback and decision.intervened.all()
+            if x is not good:
+                assert decision.fallback.startswith("the states are malformed: ")
+                assert "state not known: deputy 0, 1" in decision.fallback
+            elif u is not None:
+                assert decision.fallback.startswith("the desired input is malformed: ")

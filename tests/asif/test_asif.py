@@ -15,7 +15,7 @@ from polaris.asif.sampled import SampledData
 from polaris.asif.sampling import initial_conditions
 from polaris.errors import ScenarioError
 
-from .garbage import odd_times
+from .garbage import malformed, odd_times
 
 Q = Inspection()
 SHARINGS = ("centralized", "coasting", "half", "consensus")
@@ -138,12 +138,8 @@ def test_no_solution_is_recorded_and_never_the_desired_input():
         assert decision.u[0, 1] < 0 < decision.u[1, 1], "they part"
 
 
-@pytest.mark.parametrize("x", [np.zeros((4, 6)), np.zeros(30), "no numbers", [[1, 2], [3]]])
-def test_wrong_shapes_are_refused(x):
-    with pytest.raises(ScenarioError):
-        ActiveSetFilter(Q).filter(0.0, x, np.zeros((5, 3)))
-    with pytest.raises(ScenarioError):
-        ActiveSetFilter(Q).filter(0.0, np.zeros((5, 6)), np.zeros((3, 5)))
+def test_malformed_values_are_answered():
+    malformed(ActiveSetFilter(Inspection(deputies=2)))
 
 
 def test_unknown_sharing_is_refused():

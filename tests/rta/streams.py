@@ -21,7 +21,7 @@ def robot_schedule():
 
 
 @cache
-def robot(latency=0.0, trust="declared", half=HALF):
+def robot(latency=0.0, trust="thrust_limits", half=HALF):
     """Monitor on the bundled scenario ``robot``: 300 decisions every 0.05 s."""
     return Monitor(Scene.of(robot_schedule(), latency=latency, half_widths=half), trust)
 

@@ -152,7 +152,7 @@ def test_the_attack_breaks_a_monitor_without_its_limits(order):
 
 def test_a_reference_of_u_that_jumps_is_predicted_and_its_clip_seen():
     scene = Scene.of(line(any_thrust=False, jump=True, goal=3.0), 0.25)
-    monitor, engine, rng = Monitor(scene), _Engine(scene), np.random.default_rng(0)
+    monitor, engine, rng = Monitor(scene, "declared"), _Engine(scene), np.random.default_rng(0)
     prospect, compared = monitor.declared[1, 0], 0
     none = np.zeros((20, 1))
     for k in range(scene.decisions - 1):

@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 from polaris.cli import app
 from polaris.errors import ScenarioError
-from polaris.rta.arena import METHODS, compare_methods
+from polaris.rta.arena import METHODS, TUNING, compare_methods
 from polaris.rta.flight import Conditions, Flight, fly
 from polaris.rta.folder import read_comparison, write_comparison
 from polaris.rta.method import Claim
@@ -151,6 +151,25 @@ def test_wrong_options_are_refused(options, told):
     assert told in str(caught.value)
 
 
+def test_methods_are_tuned_and_the_folder_says_how(tmp_path):
+    scenario, schedule = synthesised()
+    tuning = {"monitor.dwell": 7.0, "asif_explicit.alpha": 0.3, "asif_implicit.slope": 0.5,
+              "simulation.horizon": 2.0, "reachability.horizon": 3.0}  # fmt: skip
+    keys = [name.split(".")[0] for name in tuning]
+    comparison = compare_methods(schedule, 1, 0, methods=keys, tuning=tuning)
+    table = write_comparison(tmp_path / "one", scenario, comparison, figures=False).table
+    told = {
+        f"{one['key']}.{name}": value for one in table["methods"] for name, value in one["settings"].items()
+    }
+    assert told == tuning
+    for key, option in TUNING.items():
+        found = compare_methods(schedule, 1, 0, methods=(key,)).outcomes[key].settings
+        assert set(found) == {option} and found[option] != tuning.get(f"{key}.{option}")
+    for wrong in ({"monitor.alpha": 1.0}, {"nothing": 1.0}, {"schedule.dwell": 2}, {"monitor.dwell": 1.5}):
+        with pytest.raises(ScenarioError, match="tuning|dwell"):
+            compare_methods(schedule, 1, 0, tuning=wrong)
+
+
 def test_a_scene_that_a_method_does_not_admit_is_told():
     schedule = corridor()
     comparison = compare_methods(schedule, 2, 0, methods=("safety", "asif_explicit"), half_widths=0.0)
@@ -195,6 +214,7 @@ def test_figures_are_drawn_again_alike(tmp_path):
 def test_command(tmp_path):
     runner, out = CliRunner(), tmp_path / "cmp"
     options = ["--runs", "3", "--methods", "safety,schedule,monitor", "--no-figures", "--out", str(out)]
+    options += ["--tune", "monitor.dwell=4"]
     done = runner.invoke(app, ["compare", str(TINY), *options])
     assert done.exit_code == 0, done.output
     assert "viola-" in done.output and "proved" in done.output
@@ -202,10 +222,13 @@ def test_command(tmp_path):
     assert again.exit_code == 0
     table = json.loads(again.stdout)
     assert table["protocol"]["runs"] == 3 and len(table["methods"]) == 3
+    assert table["methods"][2]["settings"] == {"dwell": 4.0}
     for arguments, told in (
         (["compare", "inspection"], "is of the inspection problem"),
         (["compare", "robot", "--methods", "nonsense"], "must be one of"),
         (["compare", "robot", "--estimate-error", "much"], "must be numbers"),
+        (["compare", str(TINY), "--tune", "monitor.dwell"], "must be METHOD.OPTION=NUMBER"),
+        (["compare", str(TINY), "--tune", "monitor.gain=2"], "must be one of monitor.dwell"),
         (["compare", "nowhere"], "nowhere"),
     ):
         failed = runner.invoke(app, [*arguments, "--out", str(tmp_path / "other")])

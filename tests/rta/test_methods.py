@@ -6,13 +6,15 @@ import pytest
 from polaris.errors import ScenarioError
 from polaris.rta.arena import METHODS
 from polaris.rta.asif_explicit import ExplicitASIF
+from polaris.rta.asif_implicit import ImplicitASIF
 from polaris.rta.flight import Conditions, fly
+from polaris.rta.lookahead import Simulation
 from polaris.rta.method import FILTERED
 from polaris.rta.monitor import Monitor
 from polaris.rta.outcome import measure
 from tests.rta.scenes import scene
 
-PROVED = ("safety", "schedule", "monitor", "monitor_limits", "simplex_explicit", "asif_implicit")
+PROVED = ("safety", "schedule", "monitor", "monitor_declared", "simplex_explicit", "asif_implicit")
 SETTINGS = {
     "continuous": {},
     "sampled": {"feedback": 0.1, "period": 0.5},
@@ -58,9 +60,12 @@ def test_u_alone_does_collide():
 
 
 def test_look_ahead_notices_too_late_where_the_monitor_does_not():
-    found = {key: metrics for key, _, _, metrics in flights("robot", ["simulation", "monitor"], runs=12)}
-    assert found["simulation"].collided.any()
-    assert not found["monitor"].collided.any()
+    made = scene("robot")
+    conditions = Conditions.draw(made, 12, 3)
+    methods = Simulation(made, horizon=1.5), Monitor(made)
+    ahead, monitor = (measure(made, fly(made, one, conditions), conditions, one.name) for one in methods)
+    assert ahead.collided.any()
+    assert not monitor.collided.any()
 
 
 def test_monitor_uses_u_more_than_the_schedule_and_far_more_than_the_explicit_simplex():
@@ -126,6 +131,32 @@ def test_options_are_checked():
         Monitor(made, dwell=0)
     with pytest.raises(ScenarioError, match="alpha"):
         ExplicitASIF(made, alpha=-1.0)
+    for slope in (0.0, 1.5, np.nan):
+        with pytest.raises(ScenarioError, match="slope"):
+            ImplicitASIF(made, slope=slope)
+
+
+def test_u_is_not_trusted_unless_that_is_asked_for():
+    made = scene("robot")
+    usual = Monitor(made)
+    assert (usual.key, usual.trust, usual.declared) == ("monitor", "thrust_limits", {})
+    trusting = METHODS["monitor_declared"](made)
+    assert (trusting.key, trusting.trust) == ("monitor_declared", "declared") and trusting.declared
+    assert "nothing but its thrust limits" in METHODS["monitor"](made).claim.reach
+
+
+@pytest.mark.parametrize("slope", [0.05, 0.5])
+def test_a_gentle_implicit_filter_is_as_safe_and_bends_inputs_earlier(slope):
+    made = scene("robot", half=0.005)
+    conditions = Conditions.draw(made, 8, 2)
+    found = []
+    for method in (ImplicitASIF(made), ImplicitASIF(made, slope=slope)):
+        flight = fly(made, method, conditions)
+        metrics = measure(made, flight, conditions, method.name)
+        assert not metrics.collided.any()
+        assert np.nanmax(np.append(metrics.max_thrust_ratio_safety, 0.0)) <= 1 + 1e-9
+        found.append((flight.why != 0).argmax(axis=1))  # the first decision that is not the desired input
+    assert (found[1] <= found[0]).all() and (found[1] < found[0]).any()
 
 
 def test_same_conditions_give_the_same_flights():

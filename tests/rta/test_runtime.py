@@ -15,7 +15,7 @@ from polaris.errors import ScenarioError
 from polaris.rta.decision_log import DecisionLog, plain, read_log, restored
 from polaris.rta.estimate import BoxFilter, BoxMotion, Measurement
 from polaris.rta.monitor import Monitor
-from polaris.rta.replay import replay
+from polaris.rta.replay import replay_log
 from polaris.rta.runtime import OnlineMonitor
 from polaris.rta.runtime_options import RuntimeOptions
 from polaris.rta.scene import Scene
@@ -30,7 +30,7 @@ HALF = 0.01
 
 
 @cache
-def monitor(latency=0.0, trust="declared", half=HALF):
+def monitor(latency=0.0, trust="thrust_limits", half=HALF):
     """The bundled scenario ``static``: 1800 decisions, one per second."""
     return Monitor(Scene.of(_static(), latency=latency, half_widths=half), trust)
 
@@ -185,8 +185,10 @@ def test_a_clock_without_a_time(now):
     answer = flight.online.step(now, flight.honest(3))
     assert (answer.k, answer.mode) == (-1, 0)
     assert answer.reason == "clock: the reading is not a finite number"
-    assert "missed 1 decision" in flight.step(4).reason  # it is back
-    assert flight.step(5).mode == 1
+    back = flight.step(4)
+    assert back.mode == 1 and [str(fault) for fault in back.faults] == [
+        "missed: 1 decisions before decision 4"
+    ]
 
 
 @pytest.mark.parametrize("by", [-3.0, -0.2, 0.2, 1.0, 2.5, 1e9])
@@ -204,13 +206,54 @@ def test_a_clock_that_was_set_is_not_believed_until_told(by, clocks):
     assert [flight.step(k, **second(k)).mode for k in (16, 17, 18)][-1] == 1
 
 
-def test_missed_decisions_are_forgiven_only_with_a_second_clock():
-    one, two = Flight(), Flight()
+def test_missed_decisions_are_forgiven_with_a_second_clock_or_a_number():
+    flights = Flight(), Flight(), Flight()
     for k in (0, 1, 2, 5, 6, 7):
-        alone, both = one.step(k), two.step(k, reference=100.0 + k)
+        alone, both, counted = (
+            flight.step(k, **told)
+            for flight, told in zip(flights, ({}, {"reference": 100.0 + k}, {"number": k}), strict=True)
+        )
+        assert both.mode == counted.mode == 1  # after the missed ones at once
+        assert [fault.family for fault in counted.faults] == ["missed"] * (k == 5)
     assert alone.reason == "clock: the reading is 2 s ahead of the number of calls"
-    assert both.mode == 1
-    assert two.step(9, reference=109.0).reason == "clock: missed 1 decisions before decision 9"
+    nine = flights[1].step(9, reference=109.0)
+    assert nine.mode == 1 and nine.reason.startswith("nearest limit: ")
+    assert [str(fault) for fault in nine.faults] == ["missed: 1 decisions before decision 9"]
+
+
+def test_missed_calls_cost_the_missed_decisions_and_no_more():
+    rng = np.random.default_rng(3)
+    flight = Flight()
+    missed = set((1 + rng.choice(298, 12, replace=False)).tolist())
+    answers = [flight.step(k, number=k) for k in range(300) if k not in missed]
+    assert [a.mode for a in answers] == [1] * 288
+
+
+def test_a_number_is_a_second_opinion():
+    flight = Flight()
+    flight.step(0, number=0)
+    wrong = flight.step(1, number=2)
+    assert (wrong.mode, wrong.reason) == (0, "clock: the reading is 1 s behind the decision's number")
+    assert flight.step(2, number=2).mode == 1  # they agree again
+    assert flight.step(3, number=3.5).reason == "clock: the decision's number is not a whole number"
+    assert flight.step(6, number=6).mode == 1
+    set_ahead = [flight.step(k, now=k + 3.0, number=k) for k in range(7, 12)]
+    assert {a.mode for a in set_ahead} == {0}
+    flight.online.resynchronise(15.0)  # it was right, and the counter wrong
+    assert flight.step(15, number=12).mode == 1 and flight.step(16, number=13).mode == 1
+
+
+def test_a_number_must_agree_with_both_clocks():
+    flight = Flight()
+    modes = [flight.step(k, number=k + (k == 3), reference=50.0 + k) for k in range(5)]
+    assert [a.mode for a in modes] == [1, 1, 1, 0, 1]
+    assert modes[3].reason == "clock: called for decision 4 at decision 3"
+
+
+def test_missed_decisions_are_flown_by_s_and_count_as_its_dwell():
+    flight = Flight(min_dwell=4)
+    flight.step(0, number=0)
+    assert [flight.step(k, number=k).mode for k in (3, 4, 5)] == [0, 0, 1]  # S had 1 to 4
 
 
 def test_a_second_clock_that_drifts_away_is_noticed_however_slowly():
@@ -372,7 +415,7 @@ def test_replay_gives_the_same_decisions(tmp_path):
     with open(tmp_path / "log.jsonl", "w", encoding="utf-8") as stream:
         _, answers = story(stream)
         stream.write('{"k": 14, "mo')  # cut short by a crash
-    again = replay(read_log(tmp_path / "log.jsonl"), monitor(), RuntimeOptions(**PATIENT))
+    again = replay_log(read_log(tmp_path / "log.jsonl"), monitor(), RuntimeOptions(**PATIENT))
     assert [repr(a) for a in again] == [repr(a) for a in answers]
 
 
@@ -381,7 +424,7 @@ def test_a_missed_deadline_is_replayed_too(tmp_path):
     with DecisionLog(tmp_path / "log.jsonl") as log:
         answers = Flight(log=log, timer=lambda: next(ticks), deadline=1.0).steps(0, 4)
     assert [a.mode for a in answers] == [1, 0, 1, 1]
-    again = replay(read_log(tmp_path / "log.jsonl"), monitor(), RuntimeOptions(deadline=1.0))
+    again = replay_log(read_log(tmp_path / "log.jsonl"), monitor(), RuntimeOptions(deadline=1.0))
     assert [repr(a) for a in again] == [repr(a) for a in answers]
 
 

@@ -1,0 +1,244 @@
+"""The tables of ``docs/comparison.md``: every method on every scene, and what its tuning does.
+
+    python -m benchmarks.comparison              print them
+    python -m benchmarks.comparison --write      put them and the figures into the page
+
+One default per method is used on all scenes. It is chosen by `chosen` from the sweep: of the values with the
+fewest violations on all scenes together, those whose deviation from U's input is within two per cent of the
+least (as a mean over the scenes of its ratio to the best value of each); of these, the one with the largest
+share of U. Where another value does better on one scene alone, that scene's table has a row for it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import shutil
+import tempfile
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from polaris.rta.arena import TUNING, compare_methods
+from polaris.rta.folder import write_comparison
+from polaris.rta.outcome import Outcome
+from polaris.rta.scene import Scene
+from polaris.scenario import load_scenario
+from polaris.synthesis import synthesize
+
+PAGE = Path(__file__).parents[1] / "docs" / "comparison.md"
+SCENES = ("static", "dynamic", "robot")
+RUNS, SWEPT_RUNS = 30, 10
+FIGURES = {"static": ("paths", "tradeoffs"), "dynamic": ("tradeoffs",)}
+
+VALUES = {
+    "dwell": (1, 3, 10, 30, 100),
+    "alpha": (1, 2, 5, 10, 20, 50, 100, 200, 1000),
+    "slope": (0.01, 0.03, 0.1, 0.3, 1.0),
+    "horizon": (0.05, 0.1, 0.2, 0.4),
+}
+UNITS = {"dwell": "decisions", "alpha": "per duration", "slope": "", "horizon": "of the duration"}
+SWEPT = ("monitor", "asif_explicit", "asif_implicit", "simulation", "reachability")
+BETTER = 0.98
+"""Deviations that differ by less are alike; a scene's own value gets a row if it is better by more."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """What one value of one option did on one scene: means over the runs."""
+
+    violations: int
+    share: float
+    delta_v: float
+    deviation: float
+
+    def __str__(self) -> str:
+        hit = f"**{self.violations} hit**, " if self.violations else ""
+        return f"{hit}{100 * self.share:.1f} %, {self.delta_v:.4g}, {self.deviation:.4g}"
+
+
+CELL = re.compile(r"(?:\*\*(\d+) hit\*\*, )?([\d.]+) %, ([\d.e+-]+), ([\d.e+-]+)")
+
+
+def read_cell(text: str) -> Cell:
+    """A cell of the page."""
+    hit, share, delta_v, deviation = CELL.fullmatch(text.strip()).groups()
+    return Cell(int(hit or 0), float(share) / 100, float(delta_v), float(deviation))
+
+
+def scaled(scene: Scene, option: str, value: float) -> float:
+    """A value of the sweep in the option's own unit."""
+    duration = scene.last * scene.h
+    return value * {"alpha": 1 / duration, "horizon": duration}.get(option, 1.0)
+
+
+def standing(scene: Scene, method: object) -> float:
+    """The other way round: what a method was tuned with, in the sweep's units."""
+    (option, value), *_ = method.settings.items()
+    return value / scaled(scene, option, 1.0)
+
+
+Sweep = dict[str, dict[float, dict[str, Cell]]]
+"""By method, value and scene."""
+
+
+def sweep(schedules: Mapping[str, object], runs: int, methods: Iterable[str] = SWEPT) -> Sweep:
+    """Every value of every option on every scene."""
+    out: Sweep = {}
+    for key in methods:
+        option = TUNING[key]
+        out[key] = {value: {} for value in VALUES[option]}
+        for name, schedule in schedules.items():
+            scene = Scene.of(schedule)
+            for value in VALUES[option]:
+                tuning = {f"{key}.{option}": scaled(scene, option, value)}
+                one = compare_methods(schedule, runs, 0, methods=(key,), tuning=tuning).outcomes[key]
+                hit, m = int(one.metrics.collided.sum()), one.metrics
+                out[key][value][name] = Cell(
+                    hit,
+                    float(m.experimental_share.mean()),
+                    float(m.delta_v.mean()),
+                    float(one.deviation.mean()),
+                )
+                print(f"  {key}.{option} = {value:g} on {name}: {out[key][value][name]}", flush=True)
+    return out
+
+
+def chosen(values: Mapping[float, Mapping[str, Cell]]) -> float:
+    """The best value on all scenes that are given: see the top of the file."""
+    scenes = next(iter(values.values()))
+    hits = {value: sum(cell.violations for cell in cells.values()) for value, cells in values.items()}
+    left = {value: cells for value, cells in values.items() if hits[value] == min(hits.values())}
+    best = {name: min(cells[name].deviation for cells in left.values()) for name in scenes}
+    cost = {
+        value: float(np.mean([cell.deviation / best[name] for name, cell in cells.items()]))
+        for value, cells in left.items()
+    }
+    alike = [value for value in left if cost[value] <= min(cost.values()) / BETTER]
+    return max(alike, key=lambda value: sum(cell.share for cell in left[value].values()))
+
+
+def own(values: Mapping[float, Mapping[str, Cell]], name: str) -> float | None:
+    """The value that is better on one scene alone, if there is one that is worth a row."""
+    default = chosen(values)
+    best = chosen({value: {name: cells[name]} for value, cells in values.items()})
+    ours, theirs = values[default][name], values[best][name]
+    better = theirs.deviation < BETTER * ours.deviation or theirs.violations < ours.violations
+    return best if better else None
+
+
+def sweep_table(swept: Sweep) -> str:
+    """The sweep as a table, defaults in bold."""
+    scenes = list(next(iter(next(iter(swept.values())).values())))
+    lines = ["| Option | Value | " + " | ".join(f"`{name}`" for name in scenes) + " |"]
+    lines.append("|---" * (2 + len(scenes)) + "|")
+    for key, values in swept.items():
+        option, default = TUNING[key], chosen(values)
+        for value, cells in values.items():
+            told = f"{value:g} {UNITS[option]}".strip()
+            told = f"**{told}**" if value == default else told
+            lines.append(
+                f"| `{key}.{option}` | {told} | " + " | ".join(str(cells[name]) for name in scenes) + " |"
+            )
+    return "\n".join(lines)
+
+
+def read_sweep(table: str) -> tuple[Sweep, dict[str, float]]:
+    """The sweep of the page, and what it says the defaults are."""
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines()]
+    scenes, out, defaults = [name.strip("`") for name in rows[0][2:]], {}, {}
+    for option, told, *cells in rows[2:]:
+        key, value = option.strip("`").split(".")[0], float(told.strip("*").split()[0])
+        out.setdefault(key, {})[value] = {
+            name: read_cell(cell) for name, cell in zip(scenes, cells, strict=True)
+        }
+        if told.startswith("**"):
+            defaults[key] = value
+    return out, defaults
+
+
+COLUMNS = ("Method", "Proven", "Violations", "Least distance m", "Mean distance m", "Share of U", "Switches",
+           "Delta-v m/s", "Deviation")  # fmt: skip
+
+
+def row(name: str, one: Outcome) -> str:
+    """One method in a scene's table."""
+    told = one.summary()
+
+    def mean(metric: str) -> str:
+        part = told[metric]
+        return f"{part['mean']:.4g} ± {(part['high'] - part['low']) / 2:.1g}"
+
+    cells = [
+        name,
+        "yes" if one.claim.kind == "proved" else "no",
+        f"{told['violations']['mean']}",
+        f"{told['min_distance_m']['worst']:.3g}",
+        *(mean(metric) for metric in ("mean_distance_m", "experimental_share", "switches")),
+        *(mean(metric) for metric in ("delta_v_m_s", "deviation")),
+    ]
+    return "| " + " | ".join(cells) + " |"
+
+
+def scene_table(schedule: object, runs: int, tuned: Mapping[str, float]) -> tuple[str, object]:
+    """All methods on one scene, those with a value of this scene's own twice."""
+    scene = Scene.of(schedule)
+    comparison = compare_methods(schedule, runs, 0)
+    lines = ["| " + " | ".join(COLUMNS) + " |", "|---" * len(COLUMNS) + "|"]
+    for key, one in comparison.outcomes.items():
+        lines.append(row(one.name, one))
+        if key in tuned:
+            option = TUNING[key]
+            tuning = {f"{key}.{option}": scaled(scene, option, tuned[key])}
+            other = compare_methods(schedule, runs, 0, methods=(key,), tuning=tuning).outcomes[key]
+            told = f"{tuned[key]:g} {UNITS[option]}".strip()
+            lines.append(row(f"{one.name}, {option} {told}", other))
+    return "\n".join(lines), comparison
+
+
+def blocks(text: str) -> dict[str, str]:
+    """The generated parts of the page, by name."""
+    return dict(re.findall(r"<!-- table ([\w-]+) -->\n\n(.*?)\n\n<!-- end -->", text, flags=re.S))
+
+
+def put(text: str, name: str, table: str) -> str:
+    """The page with one part replaced."""
+    pattern = rf"(<!-- table {name} -->\n\n).*?(\n\n<!-- end -->)"
+    out, count = re.subn(pattern, lambda found: found[1] + table + found[2], text, flags=re.S)
+    if count != 1:
+        raise SystemExit(f"{PAGE}: no place for the table {name}")
+    return out
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--write", action="store_true", help="put tables and figures into the page")
+    parser.add_argument("--runs", type=int, default=RUNS, help="per method and scene")
+    parser.add_argument("--swept-runs", type=int, default=SWEPT_RUNS, help="per value and scene")
+    given = parser.parse_args(arguments)
+    scenarios = {name: load_scenario(name) for name in SCENES}
+    schedules = {name: synthesize(scenario) for name, scenario in scenarios.items()}
+    swept = sweep(schedules, given.swept_runs)
+    tables = {"sweep": sweep_table(swept)}
+    for name, schedule in schedules.items():
+        found = {key: own(values, name) for key, values in swept.items()}
+        tuned = {key: value for key, value in found.items() if value is not None}
+        tables[name], comparison = scene_table(schedule, given.runs, tuned)
+        if given.write and name in FIGURES:
+            with tempfile.TemporaryDirectory() as place:
+                folder = write_comparison(Path(place) / "one", scenarios[name], comparison)
+                for figure in FIGURES[name]:
+                    target = PAGE.parent / "figures" / f"comparison-{name}-{figure}.png"
+                    shutil.copyfile(folder.path / "figures" / f"{figure}.png", target)
+    text = PAGE.read_text(encoding="utf-8")
+    for name, table in tables.items():
+        print(f"\n{name}\n\n{table}")
+        text = put(text, name, table) if given.write else text
+    if given.write:
+        PAGE.write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

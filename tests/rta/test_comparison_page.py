@@ -1,0 +1,175 @@
+"""The comparison page: defaults follow from the sweep, words from the tables, and all can be flown again."""
+
+import math
+import re
+
+import pytest
+
+from benchmarks import comparison as page
+from polaris.rta.arena import METHODS, TUNING
+from polaris.scenario import load_scenario
+from polaris.synthesis import synthesize
+from tests.rta.scenes import scene
+
+TEXT = page.PAGE.read_text(encoding="utf-8")
+TABLES = page.blocks(TEXT)
+NUMBER = r"-?\d+(?:\.\d+)?(?:e[+-]?\d+)?"
+
+
+def rows(table):
+    """Cells of a scene's table, by method and column."""
+    head, _, *lines = [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines()]
+    assert tuple(head) == page.COLUMNS
+    return {cells[0]: dict(zip(head[1:], cells[1:], strict=True)) for cells in lines}
+
+
+def value(name, method, column):
+    """The number of one cell, a mean without its interval."""
+    found = {key: row for key, row in rows(TABLES[name]).items() if key.startswith(method)}
+    assert found, (name, method)
+    cells = next(iter(found.values()))
+    return float(cells[column].split(" ± ")[0])
+
+
+def test_the_page_holds_every_table():
+    assert set(TABLES) == {"sweep", *page.SCENES}
+    for name in page.SCENES:
+        made = len(rows(TABLES[name]))
+        assert made >= len(METHODS), name
+
+
+def test_defaults_are_what_the_sweep_of_the_page_says():
+    swept, defaults = page.read_sweep(TABLES["sweep"])
+    assert set(swept) == set(page.SWEPT) and set(page.SWEPT) | {"monitor_declared"} == set(TUNING)
+    made = scene("robot")
+    for key, values in swept.items():
+        assert tuple(values) == page.VALUES[TUNING[key]]
+        assert page.chosen(values) == defaults[key]
+        assert page.standing(made, METHODS[key](made)) == pytest.approx(defaults[key]), key
+    assert METHODS["monitor_declared"](made).settings == METHODS["monitor"](made).settings
+
+
+def test_scenes_have_a_row_for_a_value_that_is_better_there():
+    swept, _ = page.read_sweep(TABLES["sweep"])
+    for name in page.SCENES:
+        for key, values in swept.items():
+            best, option = page.own(values, name), TUNING[key]
+            marked = [row for row in rows(TABLES[name]) if f", {option} " in row and made_by(row) == key]
+            assert len(marked) == (best is not None), (name, key, best)
+
+
+def made_by(row):
+    return {
+        "Polaris online monitor": "monitor",
+        "Explicit ASIF": "asif_explicit",
+        "Implicit ASIF": "asif_implicit",
+        "Look-ahead by simulation": "simulation",
+        "Forward reachability of U": "reachability",
+    }[row.split(", ")[0]]
+
+
+MONITOR, SCHEDULE, LIMITS = "Polaris online monitor", "Polaris schedule", "Polaris online monitor, U at"
+EXPLICIT, IMPLICIT = "Explicit ASIF", "Implicit ASIF"
+SHARE, COST, AWAY, NEAR, HITS = "Share of U", "Delta-v m/s", "Deviation", "Least distance m", "Violations"
+
+
+def test_the_words_of_the_page_follow_from_its_tables():
+    swept, defaults = page.read_sweep(TABLES["sweep"])
+
+    def ratio(name, one, other, column):
+        return value(name, one, column) / value(name, other, column)
+
+    # Look-ahead.
+    assert all(cells["static"].violations for cells in swept["simulation"].values())
+    shares = [cells["static"].share for cells in swept["simulation"].values()]
+    assert shares == sorted(shares, reverse=True)
+    assert all(value(name, "Forward reachability", HITS) == 0 for name in page.SCENES)
+    assert swept["reachability"][defaults["reachability"] / 2]["robot"].violations == page.SWEPT_RUNS
+    # The monitor.
+    for name in page.SCENES:
+        assert value(name, MONITOR, SHARE) > value(name, SCHEDULE, SHARE)
+        assert abs(value(name, MONITOR, SHARE) - value(name, LIMITS, SHARE)) < 0.01
+    assert 0 < value("static", MONITOR, NEAR) < 0.1 and value("static", SCHEDULE, NEAR) > 1
+    dwell = {setting: cells["static"] for setting, cells in swept["monitor"].items()}
+    assert dwell[1].delta_v < dwell[3].delta_v < dwell[10].delta_v < dwell[30].delta_v
+    assert dwell[100].delta_v < dwell[1].delta_v and dwell[100].share < value("static", SCHEDULE, SHARE)
+    # Filters.
+    assert ratio("static", EXPLICIT, MONITOR, AWAY) == pytest.approx(1 / 3, rel=0.1)
+    assert ratio("static", EXPLICIT, MONITOR, COST) == pytest.approx(1 / 6, rel=0.1)
+    clear = [cells["dynamic"].delta_v for cells in swept["asif_explicit"].values() if not hits(cells)]
+    assert 1.7 < max(clear) / min(clear) < 2
+    steepest = swept["asif_explicit"][max(swept["asif_explicit"])]
+    assert steepest["dynamic"].violations and steepest["robot"].violations
+    assert ratio("dynamic", EXPLICIT, MONITOR, COST) > 1 > ratio("robot", EXPLICIT, MONITOR, COST)
+    assert ratio("static", IMPLICIT, MONITOR, COST) == pytest.approx(1 / 4, rel=0.15)
+    assert value("static", IMPLICIT, SHARE) == pytest.approx(0.5, abs=0.05)
+    for name in page.SCENES:
+        slopes = [cells[name] for cells in swept["asif_implicit"].values()]
+        for part in ([one.delta_v for one in slopes], [one.share for one in slopes]):
+            assert part == sorted(part)
+    # Simplex.
+    for name in page.SCENES:
+        assert value(name, "Explicit simplex", SHARE) < 0.25 and value(name, "Implicit simplex", SHARE) < 0.5
+    assert value("robot", "Implicit simplex", HITS) == pytest.approx(page.RUNS / 2, abs=2)
+    proved = [row for name in page.SCENES for row in rows(TABLES[name]).values() if row["Proven"] == "yes"]
+    assert proved and all(row[HITS] == "0" for row in proved)
+
+
+def hits(cells):
+    return cells["dynamic"].violations
+
+
+def test_the_rule_prefers_safety_then_closeness_then_u():
+    def cell(violations, share, deviation):
+        return {"a": page.Cell(violations, share, 1.0, deviation)}
+
+    values = {1: cell(1, 1.0, 0.1), 2: cell(0, 0.5, 1.0), 3: cell(0, 0.9, 1.01), 4: cell(0, 0.99, 1.2)}
+    assert page.chosen(values) == 3
+    text = str(page.Cell(3, 0.5, 12.5, 0.01))
+    assert page.read_cell(text) == page.Cell(3, 0.5, 12.5, 0.01)
+
+
+def compare(shown, real, tolerance=0.05):
+    """Tables agree, number by number: counts of a few runs to one in ten, the rest to five per cent."""
+    assert [line.count("|") for line in shown.splitlines()] == [line.count("|") for line in real.splitlines()]
+    for one, other in zip(shown.splitlines(), real.splitlines(), strict=True):
+        one, other = (re.sub(r" ± [\d.e+-]+", "", line.replace("*", "")) for line in (one, other))
+        assert re.sub(NUMBER, "", one) == re.sub(NUMBER, "", other)
+        for ours, theirs in zip(re.findall(NUMBER, one), re.findall(NUMBER, other), strict=True):
+            assert math.isclose(float(ours), float(theirs), rel_tol=tolerance, abs_tol=0.02), (one, other)
+
+
+def test_tables_that_differ_are_found():
+    table = TABLES["robot"]
+    compare(table, table)
+    with pytest.raises(AssertionError):
+        compare(table, table.replace("Explicit ASIF", "Explicit ASIG"))
+    number = re.search(r"\| (\d+\.\d+) ±", table)[1]
+    with pytest.raises(AssertionError):
+        compare(table, table.replace(number, f"{1.2 * float(number) + 0.1:g}", 1))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", page.SCENES)
+def test_a_scenes_table_is_flown_again(name):
+    swept, _ = page.read_sweep(TABLES["sweep"])
+    found = {key: page.own(values, name) for key, values in swept.items()}
+    tuned = {key: best for key, best in found.items() if best is not None}
+    table, _ = page.scene_table(synthesize(load_scenario(name)), page.RUNS, tuned)
+    compare(TABLES[name], table)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", page.SCENES)
+def test_the_sweep_is_flown_again(name, monkeypatch):
+    """But for the longest look-aheads, which take as long as all the rest."""
+    monkeypatch.setitem(page.VALUES, "horizon", page.VALUES["horizon"][:-1])
+    found = page.sweep({name: synthesize(load_scenario(name))}, page.SWEPT_RUNS)
+    swept, _ = page.read_sweep(TABLES["sweep"])
+    for key, values in found.items():
+        for setting, cells in values.items():
+            shown, real = swept[key][setting][name], page.read_cell(str(cells[name]))
+            assert shown.violations == pytest.approx(real.violations, abs=1), (key, setting)
+            assert shown.share == pytest.approx(real.share, abs=0.02), (key, setting)
+            assert shown.delta_v == pytest.approx(real.delta_v, rel=0.05), (key, setting)
+            assert shown.deviation == pytest.approx(real.deviation, rel=0.05), (key, setting)
