@@ -119,7 +119,17 @@ REQUIREMENTS = (
     Requirement(
         "R8",
         "What is flown is what was proven: the same system, initial set, sampling, schedule and gains.",
-        ("format", "digest", "artefacts", "scenario", "summary", "system", "initial_set", "sampling", "controllers"),
+        (
+            "format",
+            "digest",
+            "artefacts",
+            "scenario",
+            "summary",
+            "system",
+            "initial_set",
+            "sampling",
+            "controllers",
+        ),
         ("polaris.certificate.writer:certificate",),
         (
             "polaris/test_corruptions.py::test_the_other_files_give_it_away",
