@@ -20,6 +20,8 @@ from typing import Annotated, Any, NoReturn
 
 import typer
 
+from reach.errors import ReachError
+
 from .cli_attacks import add_commands
 from .cli_campaign import add_campaign
 from .cli_compare import add_compare
@@ -299,6 +301,8 @@ def _answering() -> Iterator[None]:
         _fail("out of memory; fewer steps, runs or obstacles need less", 1)
     except OSError as error:
         _fail(f"{error.filename or 'the system'}: {error.strerror or error}", 2)
+    except ReachError as error:  # numbers beyond floating point
+        _fail(f"not certified: {error}", 4)
     except Exception as error:  # a fault of the program: still one message, with where it happened
         _fail(f"internal fault ({_where(error)}): {type(error).__name__}: {error}", 1)
     finally:
