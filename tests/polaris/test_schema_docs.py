@@ -1,5 +1,6 @@
 """The committed schema and reference are those of the models; the schema judges as they do."""
 
+import inspect
 import json
 import re
 from pathlib import Path
@@ -7,6 +8,9 @@ from pathlib import Path
 import jsonschema
 import pytest
 
+import polaris
+from polaris import scenario_model
+from polaris import scenario_scene as scene
 from polaris.asif.scenario import load_inspection
 from polaris.scenario import bundled_scenarios, load_scenario
 from polaris.scenario_docs import (
@@ -141,3 +145,30 @@ def test_reference_table_rows_have_five_cells():
 
 def test_schema_is_json():
     assert json.loads(schema_text())["title"] == "Polaris scenario"
+
+
+UNIT = re.compile(r"_(m_s2|rad_s|m_s|deg|rad|steps|kg|N|m|s)$")
+NAMES = {"normals": "H", "offsets": "b", "half_angle": "half_angle_rad"}
+
+
+@pytest.mark.parametrize(
+    "table, made",
+    [
+        (scene.BoxObstacle, polaris.BoxObstacle),
+        (scene.BallObstacle, polaris.BallObstacle),
+        (scene.PolytopeObstacle, polaris.PolytopeObstacle),
+        (scene.SatelliteObstacle, polaris.SatelliteObstacle),
+        (scene.KeepInPolytope, polaris.KeepInPolytope),
+        (scene.KeepInCone, polaris.KeepInCone),
+        (scene.EllipticalNMTGoal, polaris.EllipticalNMT),
+        (scene.LinearNMTGoal, polaris.LinearNMT),
+        (scene.StationaryGoal, polaris.StationaryPoint),
+        (scene.BoxGoal, polaris.Box),
+        (scenario_model.Schedule, polaris.SwitchingRules),
+    ],
+)
+def test_python_names_are_those_of_the_file_without_units(table, made):
+    """As the reference says: one rule, and the exceptions it lists."""
+    bare = {UNIT.sub("", key) for key in table.model_fields} - {"kind"}
+    taken = set(inspect.signature(made).parameters)
+    assert {NAMES.get(name, name) for name in bare} <= taken
