@@ -42,11 +42,12 @@ scene. Where the clearances themselves are of that size (a scene of millimetres,
 numbers near 1), it finds nothing: state such a scene in another unit, with `kind = "linear"`, so that its
 clearances are numbers well above 0.001. Nothing else depends on the unit.
 
-**The same from Python.** Classes take what the tables hold under the same names without the unit at the end, in SI units:
-`center_m` is `center`, `thrust_accel_max_m_s2` is `thrust_accel_max`, `min_dwell_steps` is `min_dwell`. Other names: `normals`
-and `offsets_m` are `H` and `b` ($Hp\\le b$), `half_angle_deg` is `half_angle_rad`; `horizon.duration_s` and `step_s` become
-`K` and `delta`, and `input_max`, `disturbance_max` of a system are `u_max`, `w_max`. Messages name the field of the file, from
-Python too.
+**The same from Python.** Classes take what the tables hold under the same names without the unit at
+the end, in SI units: `center_m` is `center`, `thrust_accel_max_m_s2` is `thrust_accel_max`,
+`min_dwell_steps` is `min_dwell`. Other names: `normals` and `offsets_m` are `H` and `b` ($Hp\\le
+b$), `half_angle_deg` is `half_angle_rad`; `horizon.duration_s` and `step_s` become `K` and `delta`,
+and `input_max`, `disturbance_max` of a system are `u_max`, `w_max`. Messages name the field of the
+file, from Python too.
 """
 
 
