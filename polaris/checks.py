@@ -82,6 +82,13 @@ def halfspaces(field: str, H: ArrayLike, b: ArrayLike) -> tuple[Array, Array]:
     return np.asarray(rows / peak / length), np.asarray(scaled)
 
 
+def of_kind(field: str, value: object, kind: type, made_by: str) -> None:
+    """Check what an argument is; `made_by` says where such a thing comes from."""
+    if not isinstance(value, kind):
+        rule = f"must be a {kind.__name__}, as {made_by} returns"
+        raise ScenarioError(field, type(value).__name__, rule)
+
+
 def counted(number: int, noun: str, many: str | None = None) -> str:
     """``1 input``, ``3 inputs``; `many` where an s is not enough."""
     return f"{number} {noun if number == 1 else many or noun + 's'}"

@@ -70,7 +70,7 @@ def add_commands(app: typer.Typer, guard: Guard) -> None:
             from .replacing import check_file
 
             if out is not None:
-                check_file(out)
+                check_file(out, endings=(".json",))
             scenario, schedule = load_target(target)
             check_file(out or f"{scenario.name}.case.json")
             found = falsify(schedule, runs, seed)

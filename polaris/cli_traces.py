@@ -135,7 +135,7 @@ def add_traces(app: typer.Typer, guard: Guard) -> None:
             from .traces.export import export_method, export_run
             from .traces.writing import write_trace
 
-            check_file(trace, "trace")
+            check_file(trace, "trace", (".json",))
             if method is None and not is_comparison(run):
                 pilot = (controller or Controller.polaris).value
                 found = export_run(run, pilot, label, nominal=nominal)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .checks import of_kind
 from .evaluation import Metrics, evaluate
 from .schedule import Schedule
 from .simulation import Runs, simulate
@@ -119,6 +120,7 @@ def compare(
     dict
         Without ``experimental`` if the schedule knows no such controller.
     """
+    of_kind("schedule", schedule, Schedule, "polaris.synthesize")
     plans: dict[str, int | None] = {"safety": 0, "experimental": 1, "polaris": None}
     if len(schedule.controllers) == 1:
         del plans["experimental"]

@@ -108,7 +108,9 @@ def _weight(tracking: Tracking, weight: ArrayLike | str) -> Array:
     n = tracking.system.n
     if W.shape != (n, n) or not np.all(np.isfinite(W)) or np.linalg.matrix_rank(W) < n:
         raise ScenarioError(
-            "tracking.weight", weight, f"must be {n} non-zero numbers or an invertible {n} x {n} matrix"
+            "tracking.weight",
+            np.asarray(weight).tolist(),
+            f"must be {n} non-zero numbers or an invertible {n} x {n} matrix, not too far apart in size to invert",
         )
     return W
 

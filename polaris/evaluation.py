@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .checks import of_kind
 from .metrics import closest, count_switches, drift_ttc, mode_shares, ray_ttc, signed_distances
 from .obstacles import Obstacle
 from .simulation import Runs
@@ -189,6 +190,7 @@ def evaluate(runs: Runs, seed: int = 0, controller: str | None = None) -> Metric
     The closest approach is refined between the nodes along cubics through the simulated positions
     and velocities, and every chord between nodes is checked for having entered a set.
     """
+    of_kind("runs", runs, Runs, "polaris.simulate")
     safety = runs.schedule.safety
     obstacles: tuple[Obstacle, ...] = tuple(safety.problem.unsafe)
     horizon = drift_horizon(safety.problem.system, safety.problem.K * safety.problem.delta)

@@ -8,7 +8,7 @@ from scipy.linalg import expm
 from .scenario import Scenario
 from .system import LinearSystem
 
-FAR = 20.0
+FAR = 1.0
 """Times its own size that a scene is crossed in one step at full thrust: worth a note."""
 
 MANY_STEPS = 2000
@@ -38,12 +38,17 @@ def doubts(scenario: Scenario) -> list[str]:
             f"system.mean_motion_rad_s: {system.mean_motion:g} rad/s is faster than any orbit of the Earth"
             f" (at most {FASTEST_ORBIT:g}): revolutions per day, or degrees?"
         )
+    if system.w_max == 0 or not np.any(system.D):
+        found.append(
+            "disturbance: none, so that a proof holds for a flight that obeys the model exactly; forgotten, or"
+            " a D of zeros?"
+        )
     push, shove = _pushed(system, step)
     size = _size(scenario, system)
     if size and push.max() > FAR * size:
         found.append(
             f"thrust: full thrust moves the chaser {push.max():.3g} m in one step of {step:g} s, and the"
-            f" scene is {size:.3g} m wide: another unit (mN, not N), or shorter steps?"
+            f" scene is {size:.3g} m wide: another unit (mN, not N; m, not km), or shorter steps?"
         )
     if shove.max() > push.max() > 0:
         found.append(

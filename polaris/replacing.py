@@ -70,20 +70,34 @@ def check_target(out: str | Path, campaign: bool = False) -> Path:
     return target
 
 
-def check_file(out: str | Path, field: str = "--out") -> Path:
+def check_file(out: str | Path, field: str = "--out", endings: tuple[str, ...] = ()) -> Path:
     """Whether a file may be written there, found out by trying.
+
+    Parameters
+    ----------
+    out : path
+    field : str
+        What messages call it.
+    endings : tuple of str
+        How its name must end, if that is not open, so that a scenario is not taken for a place to write to.
 
     Raises
     ------
     ScenarioError
-        If it is a folder, or its folder is not there or cannot be written to.
+        If it is a folder or a part of a result, its name ends otherwise, or its folder is not there or
+        cannot be written to.
     """
     target = Path(out)
     try:
+        if endings and target.suffix.lower() not in endings and not target.is_dir():
+            raise ScenarioError(field, str(out), f"must end with {' or '.join(endings)}")
         if target.is_dir():
             raise ScenarioError(field, str(out), "is a folder; must be a file")
         if not target.parent.is_dir():
             raise ScenarioError(field, str(out), f"there is no folder {target.parent}")
+        if target.name in (listed(target.parent) or ()):
+            rule = f"is a part of the results in {target.parent}, which would be lost; give another name"
+            raise ScenarioError(field, str(out), rule)
         tidy(target)
         _try_writing(target.parent, target.name, out, field)
     except (OSError, ValueError) as error:

@@ -19,6 +19,7 @@ The same scenario and seed give the same bytes, but for ``created`` and ``synthe
 
 from __future__ import annotations
 
+import hashlib
 import json
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -29,6 +30,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
+from .checks import of_kind
 from .errors import ScenarioError
 from .replacing import check_target, replacing
 from .scenario import Scenario, load_scenario
@@ -37,6 +39,8 @@ if TYPE_CHECKING:
     from .comparison import Flown
     from .figures.picture import Picture
     from .schedule import Schedule
+
+CERTIFICATE = "certificate.json"
 
 DATA_FILES = (
     "scenario.toml",
@@ -171,15 +175,21 @@ def write_run(
     Raises
     ------
     ScenarioError
-        If `out` is something else than a run folder, or cannot be written.
+        If `out` is something else than a run folder, or cannot be written, or the schedule is that of
+        another scenario.
     """
     from . import runarrays as arrays
     from . import runfiles as files
     from .certificate.writer import write_certificate
     from .comparison import compare
     from .figures import draw_figures
+    from .same_system import check_safety
+    from .schedule import Schedule
     from .summary import guarantee, summary
 
+    of_kind("scenario", scenario, Scenario, "polaris.load_scenario")
+    of_kind("schedule", schedule, Schedule, "polaris.synthesize")
+    check_safety(schedule.safety, scenario.problem())  # or the folder would tell of a proof of something else
     target = check_target(out)
     if flown is None:
         flown = compare(schedule, scenario.simulation.runs, scenario.simulation.seed)
@@ -225,7 +235,8 @@ def read_run(path: str | Path) -> RunFolder:
     Raises
     ------
     ScenarioError
-        If it is none, or its scenario cannot be read.
+        If it is none, its scenario cannot be read, or a file is no longer what was written with the
+        others: what a changed scenario shows was never proven.
     """
     folder = Path(path)
     missing = [name for name in DATA_FILES if not (folder / name).is_file()]
@@ -234,12 +245,26 @@ def read_run(path: str | Path) -> RunFolder:
             f"must be a run folder; it has no {missing[0]}" if folder.is_dir() else "there is no such folder"
         )
         raise ScenarioError("run folder", str(path), what)
+    for name, known in _hashes(folder / CERTIFICATE).items():
+        if name in DATA_FILES and hashlib.sha256((folder / name).read_bytes()).hexdigest() != known:
+            rule = "is not what was written with the other files (edited, or damaged); run the scenario again"
+            raise ScenarioError("run folder", str(folder / name), rule)
     return RunFolder(folder, load_scenario(folder / "scenario.toml"))
+
+
+def _hashes(path: Path) -> dict[str, Any]:
+    """Hashes by file name as a certificate has them; none without one that can be read."""
+    try:
+        return dict(json.loads(path.read_text(encoding="utf-8"))["artefacts"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return {}
 
 
 def read_json(path: Path) -> dict[str, Any]:
     """Read an object from a JSON file."""
     with readable(path):
+        if path.exists() and not path.is_file():
+            raise ValueError("not a regular file")
         data = json.loads(path.read_text(encoding="utf-8"))
         if not isinstance(data, dict):
             raise ValueError("not an object")

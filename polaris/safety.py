@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
@@ -17,7 +17,7 @@ from .clearance import Clearance, best_facets, error_tube
 from .controllers import AffineController, construct_s
 from .end_condition import EndCondition, coast, judge_end, tail_length
 from .error_bounds import ErrorBounds, get_err_bounds
-from .errors import ClockWarning, NotCertified, OutOfTime, SynthesisInfeasible
+from .errors import ClockWarning, NotCertified, OutOfTime, ScenarioError, SynthesisInfeasible
 from .planning import Plan, PlannerOptions, PlanProblem, plan
 from .planning.goals import Goal
 from .problem import Problem
@@ -179,6 +179,10 @@ def _as_problem(
         return replace(system, **options) if options else system
     if callable(getattr(system, "problem", None)):
         return _as_problem(system.problem(), None, (), None, None, None, None, None, options)
+    if not isinstance(system, LinearSystem) and not all(hasattr(system, name) for name in "ABC"):
+        rule = "must be a Scenario (polaris.load_scenario reads a file), a Problem, a LinearSystem or a"
+        given = system if isinstance(system, str) else type(system).__name__
+        raise ScenarioError("problem", given, f"{rule} control.StateSpace")
     missing = [
         name
         for name, value in (
@@ -193,18 +197,16 @@ def _as_problem(
     ]
     if missing:
         raise TypeError(f"get_safety(system, ...) also needs {', '.join(missing)}")
-    if isinstance(system, LinearSystem):
-        known = {field.name for field in fields(Problem)}
-        wrong = sorted(set(options) - known)
-        if wrong:
-            raise TypeError(f"get_safety(LinearSystem, ...) does not take {', '.join(wrong)}")
-    else:
-        if not hasattr(system, "A") or "u_max" not in options:
-            raise TypeError(
-                "get_safety needs a Scenario, a Problem, a LinearSystem, or a control.StateSpace with u_max="
-            )
+    if not isinstance(system, LinearSystem):
+        if "u_max" not in options:
+            raise TypeError("get_safety(control.StateSpace, ...) also needs u_max")
         extra = {name: options.pop(name) for name in ("u_max", "w_max", "D", "C", "mass") if name in options}
         system = LinearSystem.from_statespace(system, **extra)
+    wrong = sorted(set(options) - {field.name for field in fields(Problem)})
+    if wrong:
+        raise TypeError(f"get_safety(LinearSystem, ...) does not take {', '.join(wrong)}")
+    if not isinstance(unsafe, Iterable):
+        raise ScenarioError("unsafe", type(unsafe).__name__, "must be a tuple of obstacles, even of one")
     return Problem(system, initial_set, tuple(unsafe), K, delta, Q, R, goal, **options)
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from . import scenario_model as models
 from . import scenario_scene as scene
+from .checks import counted
 from .errors import ScenarioError
 from .satellite import SatelliteObstacle
 from .scenario_build import (
@@ -151,7 +152,7 @@ def scene_parts(model: models.ScenarioModel) -> Iterator[tuple[str, scene.Obstac
 
 def _length(field: str, vector: tuple[Any, ...], count: int) -> None:
     if len(vector) != count:
-        raise ScenarioError(field, list(vector), f"must have {count} numbers, has {len(vector)}")
+        raise ScenarioError(field, list(vector), f"must have {counted(count, 'number')}, has {len(vector)}")
 
 
 # -- time -------------------------------------------------------------------------------------------

@@ -13,6 +13,7 @@ from typing import Any, TypeVar, get_args
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
+from .checks import counted
 from .errors import ScenarioError
 from .scenario_model import ScenarioModel
 from .scenario_types import LARGEST, NAME_PATTERN
@@ -206,7 +207,7 @@ def _rule(kind: str, context: Mapping[str, Any], value: Any, message: str) -> st
         case "tuple_type" | "list_type":
             return "must be a list"
         case "too_short":
-            return f"must have at least {context['min_length']} entries"
+            return f"must have at least {counted(context['min_length'], 'entry', 'entries')}"
         case "too_long":
             return f"must have at most {context['max_length']} entries"
         case "string_pattern_mismatch":

@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from .checks import whole
+from .checks import of_kind, whole
 from .disturbances import Disturbance, disturbances
 from .errors import ScenarioError
 from .integration import Integrator
@@ -110,6 +110,7 @@ def simulate(
     Feedback is integrated by a fourth-order Runge-Kutta scheme on the exact reference (continuous
     feedback) or by exact zero-order hold (sampled feedback). Thrusters clip every command.
     """
+    of_kind("schedule", schedule, Schedule, "polaris.synthesize")
     whole("simulation.runs", n, 1)
     whole("simulation.seed", seed, 0)
     for name, given, allowed in (("initial", initial, INITIALS), ("disturbance", disturbance, DISTURBANCES)):

@@ -9,7 +9,7 @@ from typing import Any
 
 from reach.zonotope import Zonotope
 
-from .checks import positive, whole
+from .checks import of_kind, positive, whole
 from .controllers import Controller, Flight
 from .errors import ScenarioError
 from .problem import Problem
@@ -110,6 +110,7 @@ def synthesize(
     if isinstance(scenario, Safety):
         safety, scenario = scenario, scenario.problem
     safety = get_safety(scenario) if safety is None else safety  # line 2
+    of_kind("safety", safety, Safety, "polaris.get_safety")
     if experimental is None:
         from .experimental import build_controllers
 
@@ -234,6 +235,9 @@ class _Search:
 def _check(scenario: Any, safety: Safety, experimental: Sequence[Controller], rules: SwitchingRules) -> None:
     """Refuse what does not belong together: its tubes would mean nothing."""
     problem = scenario.problem() if callable(getattr(scenario, "problem", None)) else scenario
+    if not isinstance(experimental, Sequence) or isinstance(experimental, str):
+        rule = "must be a list of controllers, even of one"
+        raise ScenarioError("experimental", type(experimental).__name__, rule)
     check_safety(safety, problem if isinstance(problem, Problem) else safety.problem)
     for controller in experimental:
         check_controller(controller, safety)

@@ -27,11 +27,14 @@ def as_finite(name: str, value: ArrayLike, ndim: int) -> Array:
         If the value is not numeric, has the wrong number of dimensions, or is not finite.
     """
     try:
+        if np.asarray(value).dtype.kind in "USmMc":  # numbers in quotes, times, complex numbers
+            raise ScenarioError(name, value, "must be numbers")
         array = np.array(value, dtype=float)
     except (TypeError, ValueError, OverflowError) as error:
         raise ScenarioError(name, value, "must be numbers") from error
     if array.ndim != ndim:
-        raise ScenarioError(name, value, f"must have {ndim} dimension(s), has {array.ndim}")
+        rule = f"must have {ndim} dimension(s), has {array.ndim}" if ndim else "must be one number"
+        raise ScenarioError(name, value, rule)
     if not np.all(np.isfinite(array)):
         raise ScenarioError(name, value, "must be finite numbers")
     array.setflags(write=False)
@@ -89,13 +92,13 @@ class LinearSystem:
         put(self, "u_max", as_finite("system.u_max", self.u_max, 1))
         if self.u_max.shape != (self.m,) or np.any(self.u_max <= 0):
             raise ScenarioError("system.u_max", self.u_max.tolist(), f"must be {self.m} positive numbers")
-        if not (np.isfinite(self.w_max) and self.w_max >= 0):
-            raise ScenarioError("system.w_max", self.w_max, "must be a finite number >= 0")
-        if not (np.isfinite(self.mass) and self.mass > 0):
-            raise ScenarioError("system.mass", self.mass, "must be a finite number > 0")
-        eta = self.mean_motion
-        if eta is not None and not (np.isfinite(eta) and eta > 0):
-            raise ScenarioError("system.mean_motion", eta, "must be a finite number > 0")
+        for name, least in (("w_max", ">="), ("mass", ">"), ("mean_motion", ">")):
+            if name == "mean_motion" and self.mean_motion is None:
+                continue
+            value = float(as_finite(f"system.{name}", getattr(self, name), 0))
+            if value < 0 or (value == 0 and least == ">"):
+                raise ScenarioError(f"system.{name}", value, f"must be a finite number {least} 0")
+            put(self, name, value)
         C = np.eye(n)[: max(n // 2, 1)] if self.C is None else self.C
         put(self, "C", as_finite("system.C", C, 2))
         if self.position.shape[1] != n or not 1 <= self.position.shape[0] <= 3:
@@ -183,12 +186,15 @@ class LinearSystem:
         """Build from a ``control.StateSpace`` (its A and B; D defaults to B's columns, unit scaled).
 
         Its outputs are taken for the position (1 to 3 of them) unless ``C`` is given; where the output is
-        the whole state, the position is the first half of it, as in `LinearSystem`. The feed-through
-        matrix is ignored.
+        the whole state, the position is the first half of it, as in `LinearSystem`. Outputs that stand
+        for the position must not depend on the input: a feed-through matrix is refused.
         """
         A, B = np.asarray(sys.A, dtype=float), np.asarray(sys.B, dtype=float)
         if getattr(sys, "dt", 0) not in (0, None):
             raise ScenarioError("system", f"discrete time, dt = {sys.dt}", "must be a continuous-time system")
+        if kwargs.get("C") is None and np.any(getattr(sys, "D", 0.0)):
+            rule = "must be zero where outputs are taken for the position: C x, which no input moves at once"
+            raise ScenarioError("system.D (feed-through)", np.asarray(sys.D).tolist(), f"{rule}; or pass C")
         outputs = np.atleast_2d(np.asarray(sys.C, dtype=float))
         if kwargs.get("C") is None and not np.array_equal(outputs, np.eye(len(A))):
             if len(outputs) > 3:
@@ -197,7 +203,7 @@ class LinearSystem:
             kwargs["C"] = outputs
         if D is None:
             D = B / np.maximum(np.linalg.norm(B, axis=0), np.finfo(float).tiny)
-        return cls(A, B, np.asarray(D, dtype=float), np.asarray(u_max, dtype=float), float(w_max), **kwargs)
+        return cls(A, B, np.asarray(D, dtype=float), u_max, w_max, **kwargs)
 
 
 # -- exact arithmetic: whether a position has an acceleration must not depend on rounding ----------------

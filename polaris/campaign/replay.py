@@ -98,9 +98,7 @@ def check_trajectory(path: str | Path) -> Path:
     ScenarioError
         If the name does not end with ``.csv`` or ``.npz``, or the file cannot be written.
     """
-    if Path(path).suffix not in (".csv", ".npz"):
-        raise ScenarioError("--out", str(path), "must end with .csv or .npz")
-    return check_file(path)
+    return check_file(path, endings=(".csv", ".npz"))
 
 
 def find_worst(

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..errors import ScenarioError
 from ..runfiles import read_reference
-from ..runfolder import read_run
+from ..runfolder import read_run, readable
 from ..scenario import Scenario, load_scenario
 from ..schedule import Schedule
 from ..synthesis import synthesize
@@ -28,7 +28,8 @@ def load_target(target: str) -> tuple[Scenario, Schedule]:
     folder = read_run(target)
     schedule = synthesize(folder.scenario)
     reference = schedule.safety.reference
-    kept = read_reference(folder.path / "reference.csv", reference.system, reference.delta)
+    with readable(folder.path):
+        kept = read_reference(folder.path / "reference.csv", reference.system, reference.delta)
     same = np.array_equal(kept.chi, reference.chi) and np.array_equal(kept.nu, reference.nu)
     if not same or folder.schedule.get("modes") != schedule.modes.tolist():
         rule = "holds another schedule than its scenario gives here (edited, or other versions)"

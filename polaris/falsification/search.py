@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import whole
+from ..checks import of_kind, whole
 from ..integration import Integrator
 from ..schedule import Schedule
 from ..simulation import Runs
@@ -149,6 +149,7 @@ def falsify(
     Falsification
         It stops at the first violation.
     """
+    of_kind("schedule", schedule, Schedule, "polaris.synthesize")
     whole("falsify.runs", runs, 1)
     whole("falsify.seed", seed, 0)
     return _Search(schedule, runs, np.random.default_rng(seed)).run(progress)

@@ -33,8 +33,11 @@ def plot_reference(safety: Safety, ax: Any = None) -> Any:
     -------
     matplotlib axes
     """
+    from ..checks import of_kind
+    from ..safety import Safety
     from .picture import picture_of_safety
 
+    of_kind("safety", safety, Safety, "polaris.get_safety")
     return _plot(picture_of_safety(safety), ax)
 
 
@@ -52,8 +55,11 @@ def plot_schedule(schedule: Schedule, ax: Any = None) -> Any:
     -------
     matplotlib axes
     """
+    from ..checks import of_kind
+    from ..schedule import Schedule
     from .picture import picture_of
 
+    of_kind("schedule", schedule, Schedule, "polaris.synthesize")
     return _plot(picture_of(schedule), ax)
 
 

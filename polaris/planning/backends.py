@@ -93,6 +93,13 @@ def _highs(
                     )
             lp.solverModel.run()
 
+        def findSolutionValues(self, lp: Any) -> tuple[int, int]:
+            try:
+                found: tuple[int, int] = super().findSolutionValues(lp)
+            except KeyError:  # statuses that PuLP has no word for, as of a limit on nodes; values are set
+                found = (pulp.LpStatusNotSolved, pulp.LpSolutionNoSolutionFound)
+            return found
+
     gave_up: list[str] = []
 
     def hear(kind: Any, message: str, data: Any, answer: Any, user: Any) -> None:

@@ -36,7 +36,9 @@ def unreachable(planner: Planner) -> NoReturn:
         f" it is missed by {miss:.3g} m at best."
     )
     relax = "no input limits would do; change the goal or the number of steps."
-    if factor is not None:
+    if not np.any(rows.limit):
+        relax = "a smaller planner.thrust_reserve, a smaller initial set or larger input limits: nothing is left."
+    elif factor is not None:
         relax = (
             f"input limits {factor:.3g} times as large (after tightening), a longer horizon or a wider goal."
         )

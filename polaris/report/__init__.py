@@ -40,7 +40,9 @@ def write_report(folder: str | Path, out: str | Path | None = None) -> Path:
         If the folder is none of these or damaged, or the file cannot be written.
     """
     target = Path(folder) / "report.html" if out is None else Path(out)
-    check_file(target)
+    if not Path(folder).is_dir():
+        raise ScenarioError("report", str(folder), _no_folder(Path(folder)))
+    check_file(target, endings=(".html", ".htm"))
     text = page_html(report_page(folder))
     with replacing_file(target) as beside:
         beside.write_text(text, encoding="utf-8", newline="\n")
@@ -63,5 +65,9 @@ def report_page(folder: str | Path) -> Page:
             from .inspection_report import inspection_page
 
             return inspection_page(read_inspection(path))
-    what = "must be a run folder or a comparison" if path.is_dir() else "there is no such folder"
+    what = "must be a run folder or a comparison" if path.is_dir() else _no_folder(path)
     raise ScenarioError("report", str(folder), what)
+
+
+def _no_folder(path: Path) -> str:
+    return "is a file; must be a run folder or a comparison" if path.exists() else "there is no such folder"

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import whole
+from ..checks import of_kind, whole
 from ..errors import PolarisError, ScenarioError
 from ..schedule import Schedule
 from .alone import Alone, Precomputed
@@ -154,6 +154,7 @@ def compare_methods(
     ScenarioError
         If a method has no such name or option, or the scene does not fit the options.
     """
+    of_kind("schedule", schedule, Schedule, "polaris.synthesize")
     whole("runs", runs, 1)
     for key in methods:
         if key not in METHODS:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from reach.linear import discretize
 
-from ..checks import non_negative, positive
+from ..checks import non_negative, of_kind, positive
 from ..clearance import Clearance
 from ..controllers import AffineController, Controller
 from ..errors import ScenarioError
@@ -87,6 +87,7 @@ class Scene:
             If the period does not fit into the planning step (or is no multiple of the control period),
             or the latency is longer than the period.
         """
+        of_kind("schedule", schedule, Schedule, "polaris.synthesize")
         safety = schedule.safety
         delta, feedback, n = safety.tracking.delta, safety.tracking.feedback, safety.problem.system.n
         if period is None:

@@ -48,7 +48,7 @@ def write_trace(path: str | Path, trace: Trace) -> Path:
         If `path` is a folder, or cannot be written.
     """
     target = Path(path)
-    check_file(target, "trace")
+    check_file(target, "trace", (".json",))
     try:
         with uncollected():
             text = json.dumps(trace_data(trace), allow_nan=False, ensure_ascii=False) + "\n"
