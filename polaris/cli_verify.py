@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -21,7 +22,12 @@ def add_verify(app: typer.Typer, guard: Callable[[], AbstractContextManager[None
         Exit codes: 0 VERIFIED, 5 REJECTED, 6 UNKNOWN, 2 nothing to check.
         """
         from .certificate.__main__ import main
+        from .errors import ScenarioError
 
         with guard():
+            place = Path(run)
+            if not (place / "certificate.json" if place.is_dir() else place).is_file():
+                there = "it has no certificate.json" if place.is_dir() else "there is no such file or folder"
+                raise ScenarioError("run", run, f"must be a run folder or a certificate; {there}")
             code = main([run])
         raise typer.Exit(code)

@@ -110,7 +110,7 @@ def _weight(tracking: Tracking, weight: ArrayLike | str) -> Array:
         raise ScenarioError(
             "tracking.weight",
             np.asarray(weight).tolist(),
-            f"must be {n} non-zero numbers or an invertible {n} x {n} matrix, not too far apart in size to invert",
+            f"must be {n} non-zero numbers or an invertible {n} x {n} matrix, of sizes that can be inverted",
         )
     return W
 

@@ -40,8 +40,8 @@ def doubts(scenario: Scenario) -> list[str]:
         )
     if system.w_max == 0 or not np.any(system.D):
         found.append(
-            "disturbance: none, so that a proof holds for a flight that obeys the model exactly; forgotten, or"
-            " a D of zeros?"
+            "disturbance: none, so that a proof holds for a flight that obeys the model exactly; was it"
+            " forgotten, or D left at zero?"
         )
     push, shove = _pushed(system, step)
     size = _size(scenario, system)

@@ -80,7 +80,9 @@ def check_controller(controller: Controller, safety: Safety) -> None:
     ScenarioError
         Naming the controller, what it has, and what it must have.
     """
-    if not isinstance(getattr(controller, "name", None), str) or not callable(getattr(controller, "fly", None)):
+    if not isinstance(getattr(controller, "name", None), str) or not callable(
+        getattr(controller, "fly", None)
+    ):
         rule = "must be a Controller: a name in text, and fly and command (AnyThrust is one)"
         raise ScenarioError("experimental", type(controller).__name__, rule)
     name, problem = controller.name, safety.problem

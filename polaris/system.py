@@ -203,7 +203,7 @@ class LinearSystem:
             kwargs["C"] = outputs
         if D is None:
             D = B / np.maximum(np.linalg.norm(B, axis=0), np.finfo(float).tiny)
-        return cls(A, B, np.asarray(D, dtype=float), u_max, w_max, **kwargs)
+        return cls(A, B, np.asarray(D, dtype=float), as_finite("system.u_max", u_max, 1), w_max, **kwargs)
 
 
 # -- exact arithmetic: whether a position has an acceleration must not depend on rounding ----------------

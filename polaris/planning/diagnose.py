@@ -37,7 +37,9 @@ def unreachable(planner: Planner) -> NoReturn:
     )
     relax = "no input limits would do; change the goal or the number of steps."
     if not np.any(rows.limit):
-        relax = "a smaller planner.thrust_reserve, a smaller initial set or larger input limits: nothing is left."
+        relax = (
+            "a smaller planner.thrust_reserve, a smaller initial set or larger input limits: nothing is left."
+        )
     elif factor is not None:
         relax = (
             f"input limits {factor:.3g} times as large (after tightening), a longer horizon or a wider goal."

@@ -14,6 +14,8 @@ from polaris.synthesis import SwitchingRules, synthesize
 from polaris.system import LinearSystem
 from reach.zonotope import Zonotope
 
+from .tiny import synthesised
+
 A = np.block([[np.zeros((2, 2)), np.eye(2)], [np.zeros((2, 4))]])
 B = np.vstack([np.zeros((2, 2)), np.eye(2)])
 THETA = Zonotope.box([0, 0, 0, 0], [0.05, 0.05, 0.01, 0.01])
@@ -192,3 +194,69 @@ def test_a_claim_for_ever_needs_a_motion_that_repeats():
     weights = [1.0] * 3 + [100.0] * 3, [1e3] * 3
     safety = get_safety(system, theta, (), 10, 10.0, *weights, goal=goal)
     assert safety.end.horizon != "infinite"
+
+
+# -- objects of the wrong kind ----------------------------------------------------------------------
+
+
+def wrong_calls():
+    """What a first user hands in where something else is meant."""
+    scenario, schedule = synthesised()
+    safety = schedule.safety
+    other = AnyThrust("other", safety.problem.system, safety.reference, safety.tracking)
+    return {
+        "a path to get_safety": lambda: polaris.get_safety("tiny.toml"),
+        "a name to synthesize": lambda: polaris.synthesize("static"),
+        "matrices to get_safety": lambda: polaris.get_safety(
+            A, THETA, (), 4, 0.25, [1.0] * 4, [1.0] * 2, goal=GOAL
+        ),
+        "one obstacle": lambda: get_safety(
+            safety.problem.system, THETA, ROCK, 4, 0.25, [1.0] * 4, [1.0] * 2, goal=GOAL
+        ),
+        "one controller": lambda: polaris.synthesize(safety.problem, safety, other),
+        "names of controllers": lambda: polaris.synthesize(safety.problem, safety, ["hasty"]),
+        "a function for U": lambda: polaris.synthesize(safety.problem, safety, [lambda t, x: x]),
+        "arguments in another order": lambda: polaris.synthesize(
+            safety.problem,
+            safety,
+            [AnyThrust(safety.problem.system, "u", safety.reference, safety.tracking)],
+        ),
+        "a schedule for a Safety": lambda: polaris.synthesize(scenario, schedule),
+        "a scenario to simulate": lambda: polaris.simulate(scenario),
+        "a Safety to simulate": lambda: polaris.simulate(safety),
+        "a schedule to evaluate": lambda: polaris.evaluate(schedule),
+        "a scenario to compare": lambda: polaris.compare(scenario),
+        "a scenario to compare_methods": lambda: polaris.compare_methods(scenario),
+        "a scenario to Scene.of": lambda: polaris.Scene.of(scenario),
+        "a scenario to falsify": lambda: polaris.falsify(scenario),
+        "a scenario to plot_schedule": lambda: polaris.plot_schedule(scenario),
+        "a schedule to plot_reference": lambda: polaris.plot_reference(schedule),
+        "a path to write_run": lambda: polaris.write_run("nowhere", "tiny.toml", schedule),
+        "write_run in another order": lambda: polaris.write_run("nowhere", schedule, scenario),
+        "disturbance as a list": lambda: LinearSystem(A, B, B, [1.0, 1.0], [0.01, 0.01]),
+        "disturbance in quotes": lambda: LinearSystem(A, B, B, [1.0, 1.0], "0.01"),
+        "limits in quotes": lambda: LinearSystem(A, B, B, ["1", "1"]),
+    }
+
+
+@pytest.mark.parametrize("case", wrong_calls())
+def test_objects_of_the_wrong_kind_are_one_message(case, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ScenarioError) as caught:
+        wrong_calls()[case]()
+    assert "got " in str(caught.value) and "must be" in str(caught.value)
+    assert "\n" not in str(caught.value) and list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("outputs", [np.eye(4)[:2], np.eye(4)])
+def test_outputs_with_feed_through_are_no_position(outputs):
+    import control
+
+    through = np.zeros((len(outputs), 2))
+    through[0, 0] = 1e-9
+    with pytest.raises(ScenarioError, match="feed-through"):
+        LinearSystem.from_statespace(control.ss(A, B, outputs, through), u_max=[1.0, 1.0])
+    given = LinearSystem.from_statespace(
+        control.ss(A, B, outputs, through), u_max=[1.0, 1.0], C=np.eye(4)[:2]
+    )
+    assert given.d == 2

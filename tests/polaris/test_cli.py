@@ -179,6 +179,8 @@ def test_check_takes_overrides(invoke, name):
         ("horizon={ duration_s = 540000, step_s = 30 }", "18000 steps"),
         ("system.mean_motion_rad_s=0.0066", "faster than any orbit"),
         ("system.disturbance_max_m_s2=3", "full thrust no more than"),
+        ("system.disturbance_max_m_s2=0", "obeys the model exactly"),
+        ("system.thrust_max_N=10", "m, not km"),
     ],
 )
 def test_slips_of_units_and_scale_are_noted(setting, told):
@@ -191,10 +193,11 @@ def test_no_bundled_scenario_looks_like_a_slip():
         assert doubts(load_scenario(name)) == []
 
 
-def test_a_run_notes_slips_on_standard_error(invoke):
-    slip = "system.disturbance_max=50"
-    assert "note: disturbance" in invoke("run", TINY, "--set", slip, "--json").stderr
-    assert invoke("run", TINY, "--set", slip, "--quiet").stderr == ""
+def test_a_run_notes_slips_on_standard_error(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    slip = [str(TINY), "--set", "system.disturbance_max=0", "--no-figures"]
+    assert "note: disturbance: none" in CliRunner().invoke(cli.app, ["run", *slip, "--json"]).stderr
+    assert CliRunner().invoke(cli.app, ["run", *slip, "--quiet"]).stderr == ""
 
 
 def test_one_is_not_many():
@@ -319,6 +322,26 @@ def test_bad_input_is_one_message_and_exit_code_2(invoke, tmp_path, arguments, w
     (tmp_path / "full" / "file").write_text("precious", encoding="utf-8")
     is_one_message(invoke(*arguments), 2, *words)
     assert sorted(path.name for path in tmp_path.rglob("*")) == ["file", "full"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("report", "here", "--out", "here/scenario.toml"), (".html",)),
+        (("report", "here", "--out", "mine.toml"), ("mine.toml", ".html")),
+        (("export", "here", "mine.toml"), ("mine.toml", ".json")),
+        (("export", "here", "here/schedule.json"), ("part of the results",)),
+        (("falsify", "here", "--runs", "1", "--out", "here/gains.json"), ("part of the results",)),
+        (("report", "mine.toml"), ("mine.toml", "is a file")),
+        (("report", "nope"), ("report", "'nope'", "no such folder")),
+    ],
+)
+def test_no_output_takes_the_place_of_an_input(invoke, tmp_path, arguments, words):
+    (tmp_path / "mine.toml").write_bytes(TINY.read_bytes())
+    assert invoke("run", TINY, "--out", "here", "-q", "--no-figures").exit_code == 0
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    is_one_message(invoke(*arguments), 2, *words)
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
 
 
 def test_wrong_options_are_exit_code_2(invoke):

@@ -246,6 +246,9 @@ def test_run_folder_is_attacked_if_it_is_what_its_scenario_gives(tmp_path):
     data = json.loads(file.read_text(encoding="utf-8"))
     data["modes"][0] = 1 - data["modes"][0]
     file.write_text(json.dumps(data), encoding="utf-8")
+    with pytest.raises(ScenarioError, match="edited, or damaged"):
+        load_target(str(folder))
+    (folder / "certificate.json").unlink()  # as in a folder of a version that wrote none
     with pytest.raises(ScenarioError, match="another schedule"):
         load_target(str(folder))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from contextlib import suppress
 from dataclasses import replace
 from time import perf_counter
 
@@ -40,8 +41,12 @@ from polaris.planning import (
 from polaris.planning.lp import GrowingLP
 from polaris.planning.rows import Rows
 from polaris.planning.search import Levels, PathSearch
+from polaris.safety import get_safety
+from polaris.scenario import load_scenario
 from polaris.system import LinearSystem
 from polaris.unsafe import TimedPolytope
+
+from .tiny import TINY
 
 ETA = 0.0012
 CW = clohessy_wiltshire(ETA, 10.0, 1.0)
@@ -616,3 +621,16 @@ def test_phase_given_up_early_does_not_cost_the_plan(monkeypatch):
     monkeypatch.setattr(PathSearch, "first", lambda self: None)
     task = problem([STATIC, KEEP_OUT])
     assert_holds(task, plan(task))
+
+
+def test_whatever_ends_a_back_end_is_an_answer():
+    """One node is too few for most: a plan, or a refusal, never an error of the back end's."""
+    base = load_scenario(TINY)
+    scenario = base.with_assignments(["planner.solver=highs", "planner.max_nodes=1"])
+    with suppress(NotCertified):
+        assert get_safety(scenario).guarantee == "proved"
+
+
+def test_a_reserve_that_leaves_nothing_is_named():
+    with pytest.raises(SynthesisInfeasible, match="planner.thrust_reserve"):
+        get_safety(load_scenario(TINY).with_assignments(["planner.thrust_reserve=0.99"]))

@@ -3,10 +3,13 @@
 import csv
 import json
 import math
+import shutil
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from polaris.cli import app
 from polaris.errors import ScenarioError
 from polaris.runfolder import DATA_FILES, read_run, write_run
 
@@ -277,3 +280,35 @@ def test_true_states_of_another_satellite_stay_in_what_is_known():
     cover = visitor.timed_polytopes(system, 20.0, 30)[0]
     heights = states[:, :-1] @ system.position.T @ cover.normals.T + visitor.radius
     assert np.all(heights <= cover.offsets[:, 0] + 1e-6)
+
+
+@pytest.mark.parametrize("name", DATA_FILES)
+def test_a_changed_file_is_not_read_as_part_of_the_run(folder, tmp_path, name):
+    """Whatever was edited: no picture or report of a proof that was never made."""
+    shutil.copytree(folder.path, tmp_path / "run")
+    path = tmp_path / "run" / name
+    path.write_bytes(path.read_bytes() + b"\n")
+    with pytest.raises(ScenarioError, match=f"{name}.*edited"):
+        read_run(tmp_path / "run")
+
+
+def test_an_edited_scenario_is_never_drawn_as_proven(folder, tmp_path):
+    shutil.copytree(folder.path, tmp_path / "run")
+    path = tmp_path / "run" / "scenario.toml"
+    path.write_text(path.read_text("utf-8").replace("[4.0, 3.0]", "[2.0, 3.0]"), encoding="utf-8")
+    for command in (["plot"], ["report"], ["falsify", "--runs", "1"], ["export"]):
+        more = [str(tmp_path / "t.json")] if command == ["export"] else []
+        done = CliRunner().invoke(app, [command[0], str(tmp_path / "run"), *more, *command[1:]])
+        assert done.exit_code == 2 and "scenario.toml" in done.stderr, done.output
+
+
+def test_a_schedule_is_not_written_under_another_scenario(tmp_path):
+    scenario, schedule = synthesised()
+    for key, value in (
+        ("obstacles[0].center_m", "[3, 3]"),
+        ("system.input_max", "2"),
+        ("horizon.step_s", "2"),
+    ):
+        with pytest.raises(ScenarioError, match="must be"):
+            write_run(tmp_path / "run", scenario.with_assignments([f"{key}={value}"]), schedule)
+    assert list(tmp_path.iterdir()) == []
