@@ -59,8 +59,12 @@ def make_cases(
     ScenarioError
         If there is no such scenario, a value is not valid in it, or two cases are the same.
     """
+    if isinstance(scenarios, (str, Scenario)):
+        raise ScenarioError("scenarios", type(scenarios).__name__, "must be a list of scenarios, even of one")
     values = dict(grid or {})
     for key, given in values.items():
+        if not isinstance(given, Sequence) or isinstance(given, str):
+            raise ScenarioError(f"--grid {key}", given, "must be a list of values, even of one")
         if any(parse_assignment(text)[0] == key for text in overrides):
             raise ScenarioError("--grid", key, "must not be given to --set too")
         if not given or any(item in given[:i] for i, item in enumerate(given)):

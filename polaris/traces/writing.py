@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ..checks import of_kind
 from ..errors import ScenarioError
 from ..metrics import UNKNOWN
 from ..replacing import check_file, replacing_file
@@ -47,6 +48,7 @@ def write_trace(path: str | Path, trace: Trace) -> Path:
     ScenarioError
         If `path` is a folder, or cannot be written.
     """
+    of_kind("trace", trace, Trace, "polaris.read_trace")
     target = Path(path)
     check_file(target, "trace", (".json",))
     try:

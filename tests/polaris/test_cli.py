@@ -334,6 +334,7 @@ def test_bad_input_is_one_message_and_exit_code_2(invoke, tmp_path, arguments, w
         (("falsify", "here", "--runs", "1", "--out", "here/gains.json"), ("part of the results",)),
         (("report", "mine.toml"), ("mine.toml", "is a file")),
         (("report", "nope"), ("report", "'nope'", "no such folder")),
+        (("verify", "nope"), ("'nope'", "no such file or folder")),
     ],
 )
 def test_no_output_takes_the_place_of_an_input(invoke, tmp_path, arguments, words):
