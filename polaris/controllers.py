@@ -44,12 +44,15 @@ class Flight:
         Set at the end of the step, reduced.
     refused : str
         Why this controller must not fly here at all ("" if it may).
+    slopes : ndarray or None, shape (q, m)
+        Slopes of the bands that a clipped command was enclosed in; None if nothing clips.
     """
 
     nodes: Zonotope
     bow: Array
     end: Zonotope
     refused: str = ""
+    slopes: Array | None = None
 
 
 class Controller(Protocol):
@@ -169,14 +172,14 @@ class AffineController:
         nodes = self._powers @ d + self._disturbance
         bow = between.affine_bow(self, nodes[:-1], k)
         excess, axis = self._over_limit(nodes, bow, k)
-        refused = ""
+        refused, slopes = "", None
         if excess > 0 and self.clips:
-            nodes = self._clipped_nodes(d, k)
+            nodes, slopes = self._clipped_nodes(d, k)
             bow = between.clipped_bow(self, nodes[:-1], k)
         elif excess > 0:
             refused = f"its command may exceed the limit of {self.system.input_names[axis]} by {excess:.3g}"
         error = nodes + zeta
-        return Flight(error, bow, error[-1].reduce(ORDER), refused)
+        return Flight(error, bow, error[-1].reduce(ORDER), refused, slopes)
 
     def _over_limit(self, nodes: Zonotope, bow: Array, k: int) -> tuple[float, int]:
         """By how much the unclipped command may exceed the limits in the step [N], and on which axis."""
@@ -187,11 +190,13 @@ class AffineController:
         excess = (np.abs(centre) + spread) * (1 + ROUNDING) - self.system.u_max
         return float(excess.max()), int(np.argmax(excess.max(axis=0)))
 
-    def _clipped_nodes(self, d: Zonotope, k: int) -> Zonotope:
-        nodes = [d]
+    def _clipped_nodes(self, d: Zonotope, k: int) -> tuple[Zonotope, Array]:
+        nodes, slopes = [d], []
         for _ in range(self.feedback.nodes_per_cell):
-            nodes.append(clipped_step(self, nodes[-1], self.own.nu[k]))
-        return Zonotope.stack(nodes)
+            node, slope = clipped_step(self, nodes[-1], self.own.nu[k])
+            nodes.append(node)
+            slopes.append(slope)
+        return Zonotope.stack(nodes), np.array(slopes)
 
     @cached_property
     def open_flow(self) -> LinearFlow:

@@ -21,7 +21,7 @@ SLOPES = 8
 """Different slopes of the relaxed clip per axis: each needs its own matrix exponentials, kept."""
 
 
-def clipped_step(law: AffineController, d: Zonotope, mu: Array) -> Zonotope:
+def clipped_step(law: AffineController, d: Zonotope, mu: Array) -> tuple[Zonotope, Array]:
     """Enclose the next node of ``d' = A d + B (clip(mu - Lambda_U d) - mu) + D w``.
 
     The clip is replaced by an affine band over the range of the command: at the node for sampled
@@ -34,12 +34,19 @@ def clipped_step(law: AffineController, d: Zonotope, mu: Array) -> Zonotope:
         State relative to the controller's own reference at the node.
     mu : ndarray, shape (m,)
         Its own reference input over the period.
+
+    Returns
+    -------
+    Zonotope
+        States at the next node.
+    slope : ndarray, shape (m,)
+        Slope of the affine band, of each input: what the set rests on, and a certificate repeats.
     """
     system = law.system
     image = law.gain @ d
     lo, hi = mu - image.c - image.half_widths, mu - image.c + image.half_widths
     if law.feedback.sampled:
-        return _sampled(law, d, mu, lo, hi).reduce(6)
+        return _sampled(law, d, mu, lo, hi)
     command = np.maximum(np.abs(mu - lo), np.abs(hi - mu)) + np.maximum(np.abs(mu) - system.u_max, 0)
     moved, _ = clipped_motion(law, np.abs(d.c) + d.half_widths, command, mu)
     drift = np.abs(law.gain) @ moved
@@ -49,7 +56,7 @@ def clipped_step(law: AffineController, d: Zonotope, mu: Array) -> Zonotope:
     out = step.phi @ d + known + step.period_zonotope
     if np.any(radius > 0):
         out = out + step.input_zonotope(system.B, np.diag(radius), np.abs(system.B) @ radius)
-    return out.reduce(6)
+    return out.reduce(6), slope
 
 
 def clipped_motion(law: AffineController, extent: Array, command: Array, mu: Array) -> tuple[Array, Array]:
@@ -82,13 +89,15 @@ def clipped_motion(law: AffineController, extent: Array, command: Array, mu: Arr
     return still + loose.h * push @ np.abs(system.B).T @ loose.growth.T, push
 
 
-def _sampled(law: AffineController, d: Zonotope, mu: Array, lo: Array, hi: Array) -> Zonotope:
+def _sampled(
+    law: AffineController, d: Zonotope, mu: Array, lo: Array, hi: Array
+) -> tuple[Zonotope, Array]:
     system, h = law.system, law.flow.h
     slope, offset, radius = clip_relaxation(lo, hi, system.u_max)
     Ah, Bh = discretize(system.A, system.B, h)
     out = (Ah - Bh @ (slope[:, None] * law.gain)) @ d + Bh @ (slope * mu + offset - mu)
     band = Zonotope(np.zeros(system.n), Bh * radius)
-    return out + band + law.flow.period_zonotope
+    return (out + band + law.flow.period_zonotope).reduce(6), slope
 
 
 def _relaxed_flow(law: AffineController, slope: Array) -> LinearFlow:

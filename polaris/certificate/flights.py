@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from flint import arb, arb_mat
@@ -11,10 +12,7 @@ from .limits import Barrier
 from .motion import Motion, Plant
 from .path import Arc, Path
 from .verdict import Rejected
-from .zonotopes import Zonotope
-
-ORDER = 40
-"""Generators per dimension that are kept at the start of a step."""
+from .zonotopes import Merging, Zonotope
 
 ROUNDS = 5
 """How often the range of a clipped command is narrowed by the thrust that it allows."""
@@ -32,6 +30,9 @@ class Pilot:
         None for anything within the thrust limits.
     own : list of (arb_mat, arb_mat) or None
         State at the start and input of every step of its own reference; None for the safe reference.
+    slopes : list of (list of list of float or None), optional
+        By step and period, slopes from 0 to 1 of the lines about which a clipped command is enclosed.
+        Any are sound; None for those of the checker's own.
     """
 
     name: str
@@ -39,15 +40,22 @@ class Pilot:
     plant: Plant
     gain: arb_mat | None
     own: list[tuple[arb_mat, arb_mat]] | None
-    _linear: list[Motion] = field(default_factory=list, repr=False)
+    slopes: list[list[list[float]] | None] = field(default_factory=list, repr=False)
+    _loops: dict[tuple[float, ...], Motion] = field(default_factory=dict, repr=False)
 
-    @property
-    def linear(self) -> Motion:
-        """Its loop while the thrusters do not clip."""
+    def loop(self, slopes: Sequence[float] = ()) -> Motion:
+        """Its loop with the gain of every input times a slope; unchanged without slopes."""
         assert self.gain is not None
-        if not self._linear:
-            self._linear.append(self.plant.loop(self.gain))
-        return self._linear[0]
+        key = tuple(slopes)
+        if key not in self._loops:
+            gain = diagonal(key) * self.gain if key else self.gain
+            self._loops[key] = self.plant.loop(gain)
+        return self._loops[key]
+
+    def stored(self, k: int, i: int) -> list[float] | None:
+        """Slopes for its clipped command in a period of a step, if the certificate has any."""
+        step = self.slopes[k] if self.slopes else None
+        return None if step is None else step[i]
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +105,9 @@ class Flown:
     upper: list[arb]
 
 
-def fly(pilot: Pilot, start: Zonotope, k: int, path: Path, barrier: Barrier | None) -> Flown:
+def fly(
+    pilot: Pilot, start: Zonotope, k: int, path: Path, barrier: Barrier | None, merging: Merging
+) -> Flown:
     """Enclose one step of one controller, and check that it stays separate from every unsafe set.
 
     Parameters
@@ -112,6 +122,8 @@ def fly(pilot: Pilot, start: Zonotope, k: int, path: Path, barrier: Barrier | No
     barrier : Barrier or None
         Separating facets; None under the safety controller, whose separation follows from
         recoverability.
+    merging : Merging
+        How many generators are kept.
 
     Raises
     ------
@@ -125,11 +137,11 @@ def fly(pilot: Pilot, start: Zonotope, k: int, path: Path, barrier: Barrier | No
     rows, room = axes, []
     if barrier is not None:
         rows, room = above(axes, barrier.rows), kinematics.room(barrier.rows, barrier.offsets, base)
-    d = start.reduced(ORDER * n).moved(path.starts[k] - base.nodes[0])
+    d = merging.reduced(start).moved(path.starts[k] - base.nodes[0])
     lows: list[list[arb]] = [[] for _ in range(n)]
     highs: list[list[arb]] = [[] for _ in range(n)]
     for i in range(kinematics.q):
-        period = _period(pilot, d, u, k)
+        period = _period(pilot, d, u, k, i)
         end, extra = period.ends(d), period.extra(rows, d)
         for place, z in ((i, d), (i + 1, end)):
             middle, spread = (rows * z.c).entries(), row_sums(rows * z.G)
@@ -146,8 +158,8 @@ def fly(pilot: Pilot, start: Zonotope, k: int, path: Path, barrier: Barrier | No
                         )
                         require("separation", there - need, f"{told} of {float(there.mid()):.6g} m")
         d = period.after(end)
-        if d.G.ncols() > 2 * ORDER * n:
-            d = d.reduced(ORDER * n)
+        if d.G.ncols() > 2 * merging.order * n:
+            d = merging.reduced(d)
     leave = d.moved(base.nodes[-1] - path.starts[k + 1])
     return Flown(leave, [smallest(x) for x in lows], [largest(x) for x in highs])
 
@@ -163,13 +175,13 @@ def _base(pilot: Pilot, k: int, path: Path) -> tuple[Arc, arb_mat]:
     return path.kinematics.arc(state, u), u
 
 
-def _period(pilot: Pilot, d: Zonotope, u: arb_mat, k: int) -> Period:
+def _period(pilot: Pilot, d: Zonotope, u: arb_mat, k: int, i: int) -> Period:
     """Motion over the next period from a set about the base arc."""
     plant = pilot.plant
     still = arb_mat(d.c.nrows(), 1)
     if pilot.gain is None:
         return Period(plant.open, still, plant.B, plant.u_max)
-    linear = Period(pilot.linear, still, plant.B, [])
+    linear = Period(pilot.loop(), still, plant.B, [])
     if pilot.kind == "safety":
         return linear
     command = _linear_command(pilot, linear, d, u)
@@ -177,7 +189,7 @@ def _period(pilot: Pilot, d: Zonotope, u: arb_mat, k: int) -> Period:
         return linear
     if pilot.kind == "affine":
         raise Rejected("controllers", f"{pilot.name} may exceed the thrust limits, unclipped, in step {k}")
-    return _clipped(pilot, d, u)
+    return _clipped(pilot, d, u, pilot.stored(k, i))
 
 
 def _linear_command(pilot: Pilot, linear: Period, d: Zonotope, u: arb_mat) -> list[tuple[arb, arb]]:
@@ -199,11 +211,14 @@ def _ranges(u: arb_mat, most: list[arb]) -> list[tuple[arb, arb]]:
     return [((u[i, 0] - most[m + i]).lower(), (u[i, 0] + most[i]).upper()) for i in range(m)]
 
 
-def _clipped(pilot: Pilot, d: Zonotope, u: arb_mat) -> Period:
+def _clipped(pilot: Pilot, d: Zonotope, u: arb_mat, stored: list[float] | None) -> Period:
     """A clipped law over a period, as a linear one and an input within a band.
 
     The range of the command comes from what any thrust known so far may do within the period, and a
     range of the command limits that thrust: each round of this is valid because the one before was.
+
+    With the slopes of whoever stored them, and a range that is no wider, the motion found here lies within
+    the one found there. With other slopes neither need contain the other.
     """
     plant, gain, m = pilot.plant, pilot.gain, u.nrows()
     assert gain is not None  # `_period` asks only then
@@ -222,23 +237,26 @@ def _clipped(pilot: Pilot, d: Zonotope, u: arb_mat) -> Period:
                 (_clip(lo, top) - x, _clip(hi, top) - x)
                 for (lo, hi), top, x in zip(ranges, plant.u_max, u.entries(), strict=True)
             ]
-    slopes, middles, bands = [], [], []
-    for (lo, hi), top in zip(ranges, plant.u_max, strict=True):
-        width = hi - lo
-        slope = ((_clip(hi, top) - _clip(lo, top)) / width).mid() if width > 0 else arb(1)
+    slopes = stored or [_secant(*ends, top) for ends, top in zip(ranges, plant.u_max, strict=True)]
+    middles, bands = [], []
+    for slope, (lo, hi), top in zip(slopes, ranges, plant.u_max, strict=True):
         # The clip less a line is piecewise affine: its extremes are at the ends and at the limits.
         places = [lo, hi, *(x for x in (-top, top) if lo < x < hi)]
         rests = [_clip(y, top) - slope * y for y in places]
         high, low = largest(rests), -largest(-x for x in rests)
-        slopes.append(slope)
         middles.append(((high + low) / 2).mid())
         bands.append(largest((high - middles[-1], middles[-1] - low)))
     known = [
         slope * u[i, 0] + middle - u[i, 0]
         for i, (slope, middle) in enumerate(zip(slopes, middles, strict=True))
     ]
-    motion = plant.loop(diagonal(slopes) * gain)
-    return Period(motion, plant.B * column(known), plant.B, bands if m else [])
+    return Period(pilot.loop(slopes), plant.B * column(known), plant.B, bands if m else [])
+
+
+def _secant(lo: arb, hi: arb, top: arb) -> float:
+    """Slope of the clip between two commands."""
+    width = hi - lo
+    return float(((_clip(hi, top) - _clip(lo, top)) / width).mid()) if width > 0 else 1.0
 
 
 def _clip(y: arb, top: arb) -> arb:

@@ -14,7 +14,7 @@ from reach.linear import growth
 from ..clearance import error_tube
 from ..controllers import AffineController, Controller, Flight
 from ..safety import Safety
-from ..schedule import Schedule, assumed
+from ..schedule import Schedule, Step, assumed
 from ..system import Array
 from ..tolerances import ROUNDING
 from ..unsafe import TimedPolytope
@@ -181,7 +181,14 @@ def _enclosures(schedule: Schedule) -> dict[str, Any]:
         "half_widths": hexadecimal(half + ROUNDING * (np.abs(center) + half) + booked),
         "lower": hexadecimal(lower - beyond),
         "upper": hexadecimal(upper + beyond),
+        "slopes": [_slopes(step) for step in schedule.steps],
     }
+
+
+def _slopes(step: Step) -> list[Any] | None:
+    """Slopes of the bands about a clipped command, by period; None if nothing clips."""
+    slopes = step.flight.slopes
+    return None if slopes is None else hexadecimal(slopes)
 
 
 def _hull(flight: Flight, arc: Array, safety: Safety, k: int) -> tuple[Array, Array]:

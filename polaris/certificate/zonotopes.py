@@ -79,6 +79,29 @@ class Zonotope:
         return Zonotope(self.c.mid(), beside(exact, diagonal([x.abs_upper() for x in box])))
 
 
+@dataclass
+class Merging:
+    """How many generators sets keep, and whether any had to be merged for that.
+
+    Parameters
+    ----------
+    order : int
+        Generators per dimension that are kept.
+    lossy : bool
+        Whether generators that count were merged: sets are smaller if more of them are kept.
+    """
+
+    order: int
+    lossy: bool = False
+
+    def reduced(self, z: Zonotope) -> Zonotope:
+        """Enclosing set with few generators, see `Zonotope.reduced`."""
+        most = self.order * z.G.nrows()
+        found = z.reduced(most)
+        self.lossy |= found.G.ncols() >= most
+        return found
+
+
 def inner_radius(G: arb_mat) -> arb:
     """Lower bound on the radius of the largest ball about zero inside a zonotope of dimension 1 to 3.
 
