@@ -81,11 +81,30 @@ class Period:
             pushed = [self.motion.gamma * V if held else self.motion.input_set(V, size)]
         return end.grown(*pushed, self.motion.disturbance_set)
 
-    def extra(self, rows: arb_mat, d: Zonotope) -> list[arb]:
-        """Bound on how far ``row d`` exceeds the chord of its undisturbed end values within the period."""
-        bent = self.motion.bow(rows, d.image(self.motion.closed).moved(self.g))
-        pushed = self.motion.input_gain(rows, self.V, self.bounds) if self.bounds else [arb(0)] * rows.nrows()
-        return [a + b + c for a, b, c in zip(bent, pushed, self.motion.disturbance_gain(rows), strict=True)]
+    def extra(self, rows: arb_mat, d: Zonotope) -> tuple[list[arb], list[arb]]:
+        """Bounds on how far ``row d`` exceeds the chord of its undisturbed end values within the period.
+
+        They belong to the start and the end of the period; in between, their chord is a bound: what v and
+        the disturbance have done grows from nothing.
+        """
+        motion = self.motion
+        first, last = motion.bow(rows, d.image(motion.closed).moved(self.g)), motion.disturbance_gain(rows)
+        first = _sums(first, motion.disturbance_bend(rows))
+        if self.bounds:
+            first = _sums(first, motion.input_bend(rows, self.V, self.bounds))
+            last = _sums(last, motion.input_gain(rows, self.V, self.bounds))
+        return first, _sums(first, last)
+
+
+    def within(self, rows: arb_mat, d: Zonotope, at_node: list[arb]) -> list[arb]:
+        """Bound on ``row d`` over the whole period; `at_node` is that at its start."""
+        first, last = self.extra(rows, d)
+        ends = _sums(self.ends(d).support(rows), last)
+        return [largest(pair) for pair in zip(_sums(at_node, first), ends, strict=True)]
+
+
+def _sums(left: list[arb], right: list[arb]) -> list[arb]:
+    return [a + b for a, b in zip(left, right, strict=True)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,11 +162,11 @@ def fly(
     for i in range(kinematics.q):
         period = _period(pilot, d, u, k, i)
         end, extra = period.ends(d), period.extra(rows, d)
-        for place, z in ((i, d), (i + 1, end)):
+        for place, z, more in ((i, d, extra[0]), (i + 1, end, extra[1])):
             middle, spread = (rows * z.c).entries(), row_sums(rows * z.G)
-            needs = [a + b + c for a, b, c in zip(middle, spread, extra, strict=True)]
+            needs = [a + b + c for a, b, c in zip(middle, spread, more, strict=True)]
             for axis in range(n):
-                at, room_for = heights[axis][place] + middle[axis], spread[axis] + extra[axis] + bows[axis][i]
+                at, room_for = heights[axis][place] + middle[axis], spread[axis] + more[axis] + bows[axis][i]
                 lows[axis].append(at - room_for)
                 highs[axis].append(at + room_for)
             if barrier is not None:
@@ -198,10 +217,7 @@ def _linear_command(pilot: Pilot, linear: Period, d: Zonotope, u: arb_mat) -> li
     rows = above(-pilot.gain, pilot.gain)
     most = d.support(rows)
     if not pilot.plant.sampled:
-        extra = linear.extra(rows, d)
-        most = [
-            largest((a, b)) + c for a, b, c in zip(most, linear.ends(d).support(rows), extra, strict=True)
-        ]
+        most = linear.within(rows, d, most)
     return _ranges(u, most)
 
 
@@ -231,8 +247,7 @@ def _clipped(pilot: Pilot, d: Zonotope, u: arb_mat, stored: list[float] | None) 
             middle = [((lo + hi) / 2).mid() for lo, hi in pushes]
             spread = [largest((hi - x, x - lo)) for (lo, hi), x in zip(pushes, middle, strict=True)]
             free = Period(plant.open, plant.B * column(middle), plant.B, spread)
-            ends, extra = free.ends(d).support(rows), free.extra(rows, d)
-            ranges = _ranges(u, [largest(x) + c for *x, c in zip(at_node, ends, extra, strict=True)])
+            ranges = _ranges(u, free.within(rows, d, at_node))
             pushes = [
                 (_clip(lo, top) - x, _clip(hi, top) - x)
                 for (lo, hi), top, x in zip(ranges, plant.u_max, u.entries(), strict=True)

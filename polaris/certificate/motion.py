@@ -172,6 +172,20 @@ class Motion:
         second = magnitude(rows * self.X * self.X * self.over * V)
         return ((ends * (h / 2) + second * (h**3 / 12)) * arb_mat(len(bounds), 1, list(bounds))).entries()
 
+    def input_bend(self, rows: arb_mat, V: arb_mat, bounds: list[arb]) -> list[arb]:
+        """Bound on how far `input_gain` over a part of the period exceeds that part of the whole period's.
+
+        ``P(s) = int_0^s |row e^{X r} V v| dr`` starts at 0, and its slope changes by no more than
+        ``sup |row X e^{X r} V v|`` in a unit of time: the chord lemma applies.
+        """
+        second = magnitude(rows * self.X * self.over * V) * (self.plant.h**2 / 8)
+        return (second * arb_mat(len(bounds), 1, list(bounds))).entries()
+
+    def disturbance_bend(self, rows: arb_mat) -> list[arb]:
+        """The same for the disturbance."""
+        rates = norms(magnitude(rows * self.X * self.over * self.plant.D))
+        return [self.plant.w_max * self.plant.h**2 / 8 * rate for rate in rates]
+
     @cached_property
     def disturbance_box(self) -> arb_mat:
         """Bound on what the disturbance adds to each state within a period, shape (n, 1)."""
