@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 from flint import arb, arb_mat
 
@@ -52,6 +53,12 @@ class Pilot:
             self._loops[key] = self.plant.loop(gain)
         return self._loops[key]
 
+    @cached_property
+    def commands(self) -> arb_mat:
+        """Rows of its command and, for the other limit, of the negative one."""
+        assert self.gain is not None
+        return above(-self.gain, self.gain)
+
     def stored(self, k: int, i: int) -> list[float] | None:
         """Slopes for its clipped command in a period of a step, if the certificate has any."""
         step = self.slopes[k] if self.slopes else None
@@ -88,8 +95,8 @@ class Period:
         the disturbance have done grows from nothing.
         """
         motion = self.motion
-        first, last = motion.bow(rows, d.image(motion.closed).moved(self.g)), motion.disturbance_gain(rows)
-        first = _sums(first, motion.disturbance_bend(rows))
+        bend, last = motion.disturbance_along(rows)
+        first = _sums(motion.bow(rows, d.image(motion.closed).moved(self.g)), bend)
         if self.bounds:
             first = _sums(first, motion.input_bend(rows, self.V, self.bounds))
             last = _sums(last, motion.input_gain(rows, self.V, self.bounds))
@@ -213,8 +220,7 @@ def _period(pilot: Pilot, d: Zonotope, u: arb_mat, k: int, i: int) -> Period:
 
 def _linear_command(pilot: Pilot, linear: Period, d: Zonotope, u: arb_mat) -> list[tuple[arb, arb]]:
     """Range of every command over the period if nothing clips, which is proven if it is within the limits."""
-    assert pilot.gain is not None  # `_period` asks only then
-    rows = above(-pilot.gain, pilot.gain)
+    rows = pilot.commands
     most = d.support(rows)
     if not pilot.plant.sampled:
         most = linear.within(rows, d, most)
@@ -236,9 +242,7 @@ def _clipped(pilot: Pilot, d: Zonotope, u: arb_mat, stored: list[float] | None) 
     With the slopes of whoever stored them, and a range that is no wider, the motion found here lies within
     the one found there. With other slopes neither need contain the other.
     """
-    plant, gain, m = pilot.plant, pilot.gain, u.nrows()
-    assert gain is not None  # `_period` asks only then
-    rows = above(-gain, gain)
+    plant, rows, m = pilot.plant, pilot.commands, u.nrows()
     at_node = d.support(rows)
     ranges = _ranges(u, at_node)
     if not plant.sampled:

@@ -7,7 +7,7 @@ sampled feedback the input of the period is fixed at its start, so ``x(s) = M(s)
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 from flint import arb, arb_mat
@@ -75,6 +75,7 @@ class Motion:
     X: arb_mat
     closed: arb_mat
     held: arb_mat | None = None
+    _asked: dict[int, tuple[arb_mat, list[arb], list[arb]]] = field(default_factory=dict, repr=False)
 
     @cached_property
     def _exponentials(self) -> tuple[arb_mat, arb_mat]:
@@ -185,6 +186,12 @@ class Motion:
         """The same for the disturbance."""
         rates = norms(magnitude(rows * self.X * self.over * self.plant.D))
         return [self.plant.w_max * self.plant.h**2 / 8 * rate for rate in rates]
+
+    def disturbance_along(self, rows: arb_mat) -> tuple[list[arb], list[arb]]:
+        """`disturbance_bend` and `disturbance_gain`, once for the same rows: every period of a step asks."""
+        if id(rows) not in self._asked:
+            self._asked[id(rows)] = rows, self.disturbance_bend(rows), self.disturbance_gain(rows)
+        return self._asked[id(rows)][1:]
 
     @cached_property
     def disturbance_box(self) -> arb_mat:

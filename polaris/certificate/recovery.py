@@ -177,6 +177,8 @@ class Recovery:
         for cell in range(self._far_cell(0), len(self.limits.targets)):
             for i, met in enumerate(self.limits.targets[cell]):
                 for t in met:
+                    if need[t.row] <= t.room:
+                        continue
                     where = (
                         f"errors forgotten by the loop, {t.name} at t = {self.time(cell, i)}: "
                         f"needs {_plain(need[t.row])} of {_plain(t.room)}"

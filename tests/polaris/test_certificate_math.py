@@ -4,7 +4,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from scipy.integrate import trapezoid
+from scipy.integrate import cumulative_trapezoid, trapezoid
 from scipy.linalg import expm
 
 pytest.importorskip("flint")
@@ -14,12 +14,12 @@ from flint import arb, arb_mat
 
 from polaris.certificate.argument import Argument
 from polaris.certificate.balls import column, exponential_over, matrix, norms, require
-from polaris.certificate.document import Document
+from polaris.certificate.document import Document, digest
 from polaris.certificate.loop import Memory, Needs, resting_rates
 from polaris.certificate.motion import Plant
 from polaris.certificate.verdict import Record, Rejected, Undecided
-from polaris.certificate.writer import certificate
-from polaris.certificate.zonotopes import Zonotope, ball_cover, inner_radius, widest
+from polaris.certificate.writer import certificate, hexadecimal
+from polaris.certificate.zonotopes import Merging, Zonotope, ball_cover, inner_radius, widest
 from polaris.scenario import load_scenario
 from polaris.simulation import simulate
 from polaris.synthesis import synthesize
@@ -55,7 +55,7 @@ def values(M):
 def test_reachable_sets_contain_what_is_flown(name):
     schedule, argument = scene(name)
     path = argument.reference()
-    sets, flown = argument.tubes(path)
+    sets, flown = argument.tubes(path, Merging(12))
     runs = simulate(schedule, 200, 3)
     q, K = argument.document.q, argument.K
     fullest = 0.0
@@ -75,7 +75,7 @@ def test_reachable_sets_contain_what_is_flown(name):
 def test_needs_of_the_safety_controller_cover_what_it_flies(name):
     schedule, argument = scene(name)
     path = argument.reference()
-    sets, _ = argument.tubes(path)
+    sets, _ = argument.tubes(path, Merging(12))
     memory = Memory.of(argument.loop, widest(sets), argument.document.q)
     needs = Needs(argument.loop, memory, argument.gain)
     disturbed = needs.disturbed(resting_rates(argument.loop, memory))
@@ -112,6 +112,66 @@ def test_gains_along_rows_are_upper_bounds_and_tight(sampled):
     assert exact * (1 - 1e-6) <= bound <= exact * 1.05
     held = float(motion.input_gain(matrix([row.tolist()]), B, [arb(0.5)])[0])
     assert exact * (1 - 1e-6) <= held <= exact * 1.05
+
+
+@pytest.mark.parametrize("sampled", [False, True])
+def test_gains_over_a_part_of_a_period_are_that_part_of_the_gain_and_a_bend(sampled):
+    rng, fine = np.random.default_rng(3), np.linspace(0, 0.4, 801)
+    lagging = 0.0
+    for _ in range(8):
+        A, B, row = rng.normal(size=(3, 3)), rng.normal(size=(3, 1)), rng.normal(size=3)
+        BB, R = matrix(B.tolist()), matrix([row.tolist()])
+        plant = Plant(matrix(A.tolist()), BB, BB, R, [arb(1)], arb(0.5), arb(0.4), sampled)
+        motion = plant.loop(matrix(rng.normal(size=(1, 3)).tolist()))
+        X = values(motion.X)
+        rates = 0.5 * np.abs([row @ expm(X * s) @ B[:, 0] for s in fine])
+        done = cumulative_trapezoid(rates, fine, initial=0)
+        for bend, gain in (
+            (motion.disturbance_bend(R), motion.disturbance_gain(R)),
+            (motion.input_bend(R, BB, [arb(0.5)]), motion.input_gain(R, BB, [arb(0.5)])),
+        ):
+            most = fine / 0.4 * float(gain[0]) + float(bend[0])
+            assert np.all(done <= most * (1 + 1e-6))
+            lagging = max(lagging, float(np.max(done - fine / 0.4 * float(gain[0]))))
+    assert lagging > 1e-3  # without the bend it would be no bound
+
+
+@pytest.mark.parametrize("name", ["clipped", "clipped, sampled"])
+def test_any_slopes_give_sets_that_contain_what_is_flown(name):
+    schedule, _ = scene(name)
+    data, rng = certificate(schedule, "tiny"), np.random.default_rng(6)
+    stored = data["enclosures"]["slopes"]
+    assert any(stored) and not all(stored)
+    for change in (lambda rows: None, lambda rows: hexadecimal(rng.random(np.shape(rows)))):
+        data["enclosures"]["slopes"] = [None if rows is None else change(rows) for rows in stored]
+        data["digest"] = digest(data)
+        argument = Argument(Document(data), Record())
+        for laws in argument.document.facets:  # far wider sets need not be separate
+            laws.clear()
+        argument.document.unsafe.clear()
+        path = argument.reference()
+        sets, _ = argument.tubes(path, Merging(12))
+        runs, q = simulate(schedule, 100, 3), argument.document.q
+        for k, z in enumerate(sets):
+            errors = runs.states[:, k * q] - values(path.starts[k])[:, 0]
+            rows = np.vstack([np.eye(argument.n), -np.eye(argument.n)])
+            most = [float(x) for x in z.support(matrix(rows.tolist()))]
+            assert np.all(errors @ rows.T <= np.array(most) + 1e-9)
+
+
+@pytest.mark.parametrize("name", ["clipped", "clipped, sampled"])
+def test_with_the_slopes_stored_and_enough_generators_sets_lie_within_the_stored_ones(name):
+    schedule, argument = scene(name)
+    assert any(step.flight.slopes is not None for step in schedule.steps)
+    sets, flown = argument.tubes(argument.reference(), Merging(160))
+    doc, rows = argument.document, np.vstack([np.eye(argument.n), -np.eye(argument.n)])
+    for k, z in enumerate(sets):
+        centre, half = np.array(doc.box_center[k]), np.array(doc.box_half[k])
+        most = [float(x) for x in z.support(matrix(rows.tolist()))]
+        assert np.all(most - rows @ centre <= np.tile(half, 2) * (1 + 1e-9))
+    for k, step in enumerate(flown):
+        assert np.all(np.array([float(x) for x in step.upper]) <= doc.upper[k])
+        assert np.all(np.array([float(x) for x in step.lower]) >= doc.lower[k])
 
 
 @pytest.mark.parametrize("sampled", [False, True])
