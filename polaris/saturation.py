@@ -89,9 +89,7 @@ def clipped_motion(law: AffineController, extent: Array, command: Array, mu: Arr
     return still + loose.h * push @ np.abs(system.B).T @ loose.growth.T, push
 
 
-def _sampled(
-    law: AffineController, d: Zonotope, mu: Array, lo: Array, hi: Array
-) -> tuple[Zonotope, Array]:
+def _sampled(law: AffineController, d: Zonotope, mu: Array, lo: Array, hi: Array) -> tuple[Zonotope, Array]:
     system, h = law.system, law.flow.h
     slope, offset, radius = clip_relaxation(lo, hi, system.u_max)
     Ah, Bh = discretize(system.A, system.B, h)

@@ -65,9 +65,7 @@ CERTIFICATE = Table(
         "error_bounds": Table({"per_step": ANY, "settled": ANY}),
         "thrust": Table({"peak": ANY}),
         "recoverable": Table({"kind": ANY, "weight": ANY, "radius": ANY}),
-        "enclosures": Table(
-            {"center": ANY, "half_widths": ANY, "lower": ANY, "upper": ANY, "slopes": ANY}
-        ),
+        "enclosures": Table({"center": ANY, "half_widths": ANY, "lower": ANY, "upper": ANY, "slopes": ANY}),
         "end": Table({"horizon": ANY, "until": ANY, "reason": TEXT}),
         "guarantee": TEXT,
         "assumptions": ANY,

@@ -102,7 +102,6 @@ class Period:
             last = _sums(last, motion.input_gain(rows, self.V, self.bounds))
         return first, _sums(first, last)
 
-
     def within(self, rows: arb_mat, d: Zonotope, at_node: list[arb]) -> list[arb]:
         """Bound on ``row d`` over the whole period; `at_node` is that at its start."""
         first, last = self.extra(rows, d)

@@ -57,6 +57,13 @@ class Corruptor:
         data["digest"] = digest(data)
         return data
 
+    def flying(self, k, mode):
+        """Another mode in a step, without slopes of a clipped command."""
+        data = self.changed("schedule", "modes", k, to=mode)
+        data["enclosures"]["slopes"][k] = None
+        data["digest"] = digest(data)
+        return data
+
     def with_bound(self, factor):
         """Another disturbance bound, the assumptions saying so too."""
         data = self.changed("system", "disturbance_max", to=lambda x: scaled(x, factor))
@@ -84,7 +91,7 @@ def inner(corrupt):
         yield f"set {k} elsewhere", change("enclosures", "center", k, 0, to=(1.0).hex()), {"enclosures"}
         flown = data["schedule"]["modes"][k]
         if k < K - 1:  # S in the last step, inside of what U may do there, would be as safe
-            yield f"mode {k} swapped", change("schedule", "modes", k, to=1 - flown), FLIGHT
+            yield f"mode {k} swapped", corrupt.flying(k, 1 - flown), FLIGHT
         if flown:
             yield f"margin {k} raised", change("schedule", "margins", k, to=(0.999).hex()), {"margins"}
     for k in range(0, K, 3):
@@ -112,7 +119,10 @@ def inner(corrupt):
     )
     yield "positions rotated", change("reference", "states", to=turned), REFERENCE
     yield "frame rotated", change("system", "C", to=lambda C: C[::-1]), {"error_bounds", *SEPARATION}
-    yield "modes shifted", change("schedule", "modes", to=shifted), FLIGHT
+    calm = change("enclosures", "slopes", to=lambda x: [None for _ in x])
+    calm["schedule"]["modes"] = shifted(calm["schedule"]["modes"])
+    calm["digest"] = digest(calm)
+    yield "modes shifted", calm, FLIGHT
     yield "sets shifted", change("enclosures", "center", to=shifted), {"enclosures"}
     yield "start enlarged", change("initial_set", "generators", to=tenfold), {"enclosures", "separation"}
     yield "start moved", change("initial_set", "center", 0, to=(0.1).hex()), REFERENCE
@@ -213,6 +223,15 @@ def malformed(corrupt):
     yield "an unknown facet", change("facets", 0, 0, to=99), {"format"}
     yield "an obstacle without facets", change("unsafe_sets", to=lambda x: x[1:]), {"format"}
     yield "two safety controllers", change("controllers", 1, "kind", to="safety"), {"format"}
+    clipped = [k for k, rows in enumerate(data["enclosures"]["slopes"]) if rows]
+    for text in ((-0.01).hex(), (1.01).hex(), "nan", "inf", 0.5, None):
+        sloping = change("enclosures", "slopes", clipped[0], 0, 0, to=text)
+        yield f"a slope is {text!r}", sloping, {"format"}
+    yield "slopes of a step too few", change("enclosures", "slopes", to=lambda x: x[:-1]), {"format"}
+    yield "a slope too few", change("enclosures", "slopes", clipped[0], to=lambda x: x[:-1]), {"format"}
+    calm = data["schedule"]["modes"].index(0)
+    rows = data["enclosures"]["slopes"][clipped[0]]
+    yield "slopes of what does not clip", change("enclosures", "slopes", calm, to=rows), {"format"}
     yield "an unknown kind", change("controllers", 1, "kind", to="magic"), {"format"}
 
 

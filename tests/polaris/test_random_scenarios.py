@@ -1,11 +1,13 @@
 """Random scenarios from the file to the verdict: proved, or refused in one message; proofs verify."""
 
 import json
+import tomllib
 from collections import Counter
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import numpy as np
 import pytest
 
 pytest.importorskip("flint")
@@ -16,12 +18,17 @@ from polaris.certificate.writer import certificate
 from polaris.errors import PolarisError
 from polaris.runfolder import write_run
 from polaris.scenario import load_scenario
+from polaris.scenario_reading import write_toml
+from polaris.synthesis import synthesize
 
 from .random_scenarios import random_scenario, synthesised
 from .test_margins import worst_share
 
-FEW = (2, 26, 33, 36, 38, 43, 68)
-"""Among them: nothing claimed after T, a tail shorter than the memory, clipped laws, balls."""
+FEW = (2, 26, 33, 36, 38, 43, 68, 2001, 3015)
+"""Among them: nothing claimed after T, a tail shorter than the memory, clipped laws, balls.
+
+2001 has a clipped step whose enclosures with other slopes do not contain one another, 3015 many generators to merge.
+"""
 
 MANY = 160
 """Scenes of the slow test."""
@@ -134,6 +141,42 @@ def test_a_few_random_proofs_verify(tmp_path):
     found = list(verdicts(FEW, tmp_path))
     assert sum(schedule is not None and schedule.guarantee == "proved" for _, schedule, _ in found) >= 5
     judge(found)
+
+
+def clipped_verdicts(seeds, folder):
+    """Seed and verdict of proved scenes whose thrusters may clip, their gains being far higher."""
+    for seed in seeds:
+        rng, model = np.random.default_rng([seed, 1]), tomllib.loads(random_scenario(seed))
+        for law in model["experimental"]:
+            if law["kind"] == "any_thrust":
+                law |= {key: model["tracking"][key] for key in ("Q", "R")}
+            law["kind"] = "saturated_affine"
+            if "R" in law:
+                law["R"] = [weight / 10 ** rng.uniform(0, 2) for weight in law["R"]]
+            else:
+                law["gain"] = [[2 * x for x in row] for row in law["gain"]]
+        path = folder / "clipped.toml"
+        path.write_text(write_toml(model), encoding="utf-8")
+        try:
+            scenario = load_scenario(path)
+            schedule = synthesize(scenario)
+        except PolarisError:
+            continue
+        if schedule.guarantee == "proved" and any(step.flight.slopes is not None for step in schedule.steps):
+            yield seed, verify_document(certificate(schedule, scenario.name))
+
+
+def test_clipped_proofs_verify(tmp_path):
+    found = dict(clipped_verdicts((0, 5, 25), tmp_path))  # 5: sampled, wide bands within a period
+    assert len(found) == 3
+    assert {seed: verdict.text() for seed, verdict in found.items() if verdict.exit_code} == {}
+
+
+@pytest.mark.slow
+def test_many_clipped_proofs_verify(tmp_path):
+    found = dict(clipped_verdicts(range(1000), tmp_path))
+    assert len(found) >= 150
+    assert {seed: verdict.text() for seed, verdict in found.items() if verdict.exit_code} == {}
 
 
 @pytest.mark.slow
