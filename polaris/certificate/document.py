@@ -231,8 +231,7 @@ class Document:
             table(boxes["half_widths"], K + 1, n),
         )
         self.lower, self.upper = table(boxes["lower"], K, n), table(boxes["upper"], K, n)
-        clips = [self.laws[mode].kind == "saturated_affine" for mode in self.modes]
-        self.slopes = _slopes(boxes["slopes"], clips, self.q, m)
+        self.slopes = _slopes(boxes["slopes"], K, self.q, m)
         end = data["end"]
         self.horizon = _one_of(end["horizon"], ("infinite", "one_period", "none"), plain=True)
         self.until = None if end["until"] is None else number(end["until"])
@@ -315,16 +314,13 @@ def _radii(items: Any, steps: int, tail: bool) -> list[float]:
     return vector(items, steps)
 
 
-def _slopes(items: Any, clips: list[bool], periods: int, m: int) -> list[list[list[float]] | None]:
+def _slopes(items: Any, steps: int, periods: int, m: int) -> list[list[list[float]] | None]:
     """Slopes of the bands about clipped commands, for every period; null for steps without."""
-    if len(items) != len(clips):
-        raise ValueError(f"slopes of {len(items)} steps where {len(clips)} are needed")
+    if len(items) != steps:
+        raise ValueError(f"slopes of {len(items)} steps where {steps} are needed")
     found = [None if item is None else table(item, periods, m) for item in items]
-    for k, (rows, clipped) in enumerate(zip(found, clips, strict=True)):
-        if rows is not None and not clipped:
-            raise ValueError(f"step {k} has slopes, but its controller is none that is clipped")
-        if rows is not None and not all(0 <= x <= 1 for row in rows for x in row):
-            raise ValueError(f"slopes in step {k} are not between 0 and 1")
+    if not all(0 <= x <= 1 for rows in found if rows is not None for row in rows for x in row):
+        raise ValueError("slopes must be from 0 to 1")
     return found
 
 

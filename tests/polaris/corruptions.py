@@ -57,13 +57,6 @@ class Corruptor:
         data["digest"] = digest(data)
         return data
 
-    def flying(self, k, mode):
-        """Another mode in a step, without slopes of a clipped command."""
-        data = self.changed("schedule", "modes", k, to=mode)
-        data["enclosures"]["slopes"][k] = None
-        data["digest"] = digest(data)
-        return data
-
     def with_bound(self, factor):
         """Another disturbance bound, the assumptions saying so too."""
         data = self.changed("system", "disturbance_max", to=lambda x: scaled(x, factor))
@@ -91,7 +84,7 @@ def inner(corrupt):
         yield f"set {k} elsewhere", change("enclosures", "center", k, 0, to=(1.0).hex()), {"enclosures"}
         flown = data["schedule"]["modes"][k]
         if k < K - 1:  # S in the last step, inside of what U may do there, would be as safe
-            yield f"mode {k} swapped", corrupt.flying(k, 1 - flown), FLIGHT
+            yield f"mode {k} swapped", change("schedule", "modes", k, to=1 - flown), FLIGHT
         if flown:
             yield f"margin {k} raised", change("schedule", "margins", k, to=(0.999).hex()), {"margins"}
     for k in range(0, K, 3):
@@ -119,10 +112,7 @@ def inner(corrupt):
     )
     yield "positions rotated", change("reference", "states", to=turned), REFERENCE
     yield "frame rotated", change("system", "C", to=lambda C: C[::-1]), {"error_bounds", *SEPARATION}
-    calm = change("enclosures", "slopes", to=lambda x: [None for _ in x])
-    calm["schedule"]["modes"] = shifted(calm["schedule"]["modes"])
-    calm["digest"] = digest(calm)
-    yield "modes shifted", calm, FLIGHT
+    yield "modes shifted", change("schedule", "modes", to=shifted), FLIGHT
     yield "sets shifted", change("enclosures", "center", to=shifted), {"enclosures"}
     yield "start enlarged", change("initial_set", "generators", to=tenfold), {"enclosures", "separation"}
     yield "start moved", change("initial_set", "center", 0, to=(0.1).hex()), REFERENCE
@@ -174,7 +164,7 @@ def against_files(corrupt):
     yield "start shrunk", change("initial_set", "generators", to=tenth), {"initial_set"}
     yield "start moved", change("initial_set", "center", 1, to=(0.01).hex()), {"initial_set"}
     yield "sampled", sampled(change), {"sampling"}
-    yield "coarser nodes", change("sampling", "nodes_per_step", to=lambda q: q + 1), {"sampling"}
+    yield "coarser nodes", change("sampling", "nodes_per_step", to=lambda q: q + 1), {"sampling", "format"}
     for mode in (0, 1):
         yield f"gain of {mode}", change("controllers", mode, "gain", to=larger), {"controllers"}
         yield f"name of {mode}", change("controllers", mode, "name", to="other"), {"controllers"}
@@ -229,9 +219,6 @@ def malformed(corrupt):
         yield f"a slope is {text!r}", sloping, {"format"}
     yield "slopes of a step too few", change("enclosures", "slopes", to=lambda x: x[:-1]), {"format"}
     yield "a slope too few", change("enclosures", "slopes", clipped[0], to=lambda x: x[:-1]), {"format"}
-    calm = data["schedule"]["modes"].index(0)
-    rows = data["enclosures"]["slopes"][clipped[0]]
-    yield "slopes of what does not clip", change("enclosures", "slopes", calm, to=rows), {"format"}
     yield "an unknown kind", change("controllers", 1, "kind", to="magic"), {"format"}
 
 

@@ -27,7 +27,8 @@ from .test_margins import worst_share
 FEW = (2, 26, 33, 36, 38, 43, 68, 2001, 3015)
 """Among them: nothing claimed after T, a tail shorter than the memory, clipped laws, balls.
 
-2001 has a clipped step whose enclosures with other slopes do not contain one another, 3015 many generators to merge.
+2001 has a clipped step whose enclosures with other slopes do not contain one another,
+3015 many generators to merge.
 """
 
 MANY = 160
