@@ -83,7 +83,12 @@ def _check_proof(safety: Safety, problem: Problem) -> None:
         bounds = get_err_bounds(safety.tracking, problem.bound, problem.weight)
         for name in ("W", "beta", "gamma_position", "gain_position", "gamma_input", "gain_input"):
             rule = "error bound of its own tracking"
-            _same(f"safety.recoverable.bounds.{name}", getattr(recoverable.bounds, name), getattr(bounds, name), rule)
+            _same(
+                f"safety.recoverable.bounds.{name}",
+                getattr(recoverable.bounds, name),
+                getattr(bounds, name),
+                rule,
+            )
     if safety.guarantee != "proved":
         return
     margin = recoverable.margin_at(0, safety.start)
@@ -93,7 +98,8 @@ def _check_proof(safety: Safety, problem: Problem) -> None:
         return
     tail = reference.cells - problem.K
     if tail != tail_length(safety.tracking):
-        rule = f"must be followed by {tail_length(safety.tracking)} steps without input, as {safety.end.horizon} says"
+        length = tail_length(safety.tracking)
+        rule = f"must be followed by {length} steps without input where {safety.end.horizon} is claimed"
         raise ScenarioError("safety.reference", f"{tail} steps after the end", rule)
     end = judge_end(safety.tracking, reference, problem.K, tail, clearance.unsafe, margin, clearance.jump)
     _same("safety.end.horizon", safety.end.horizon, end.horizon, "one that its own parts show")
@@ -105,7 +111,9 @@ def _check_motion(reference: Reference, planned: int, jump: Array) -> None:
     Ad, Bd = discretize(reference.system.A, reference.system.B, reference.delta)
     before, after, nu = reference.chi[:-1], reference.chi[1:], reference.nu
     off = np.abs(after - before @ Ad.T - nu @ Bd.T)
-    booked = ROUNDING * np.max(np.abs(before) @ np.abs(Ad).T + np.abs(nu) @ np.abs(Bd).T + np.abs(after), axis=0)
+    booked = ROUNDING * np.max(
+        np.abs(before) @ np.abs(Ad).T + np.abs(nu) @ np.abs(Bd).T + np.abs(after), axis=0
+    )
     allowed = np.tile(booked, (len(off), 1))
     if reference.cells > planned:
         allowed[planned - 1] += jump

@@ -2,9 +2,9 @@
 
 Nothing here uses the package's simulation, search or reachable sets: matrix exponentials from scipy, the
 classical Runge-Kutta scheme, and the adjoint of the loop as it was flown. What is claimed is read off the
-schedule: modes, references, gains, timed polytopes, printed margins. In every run S may take over at an instant
-of its own within the steps of an experimental controller, and keeps control to the end of the tail, or twice
-as far where safety is claimed for ever.
+schedule: modes, references, gains, timed polytopes, printed margins. In every run S may take over at an
+instant of its own within the steps of an experimental controller, and keeps control to the end of the tail,
+or twice as far where safety is claimed for ever.
 """
 
 from __future__ import annotations
@@ -189,7 +189,7 @@ class Loop:
         modes: NDArray[np.integer[Any]],
         clipped: NDArray[np.bool_] | None = None,
     ) -> Attack:
-        """What takes every run furthest along a row at an instant (step), under the modes and clips it was flown with."""
+        """What takes every run furthest along a row at an instant (step), under modes and clips as flown."""
         R, (n, m, p) = len(rows), (self.system.n, self.system.m, self.system.p)
         w, free, kept = np.zeros((self.N, R, p)), np.zeros((self.N, R, m)), np.zeros((self.N, R, n))
         lam, spent = np.zeros((R, n)), np.zeros((R, m))
@@ -336,7 +336,7 @@ class Attacked:
 
 
 def attack(schedule: Schedule, runs: int, seed: int, rounds: int = 3, parts: int = 0) -> Attacked:
-    """Fly `runs` worst cases `rounds` times, each round about the clips of the last, and as many at random."""
+    """Fly `runs` worst cases `rounds` times, each about the clips of the last, and as many at random."""
     loop, rng = Loop(schedule, parts), np.random.default_rng(seed)
     found = Attacked(0, np.full(len(loop.unsafe), np.inf), np.inf, -np.inf, 0.0)
     most = max(8, NUMBERS // (loop.N * (2 * loop.system.n + loop.system.p + 2 * loop.system.m)))
@@ -444,7 +444,10 @@ class Watched:
 def attack_monitor(monitor: Any, runs: int, seed: int, rounds: int = 3) -> tuple[Attacked, float]:
     """The same under an online monitor: no hand-overs but its own. Also the share of time under U."""
     schedule = monitor.scene.fine_schedule
-    loop, rng = Loop(schedule, 0 if monitor.scene.tracking.feedback.sampled else 2), np.random.default_rng(seed)
+    loop, rng = (
+        Loop(schedule, 0 if monitor.scene.tracking.feedback.sampled else 2),
+        np.random.default_rng(seed),
+    )
     if monitor.trust == "thrust_limits":
         loop.laws = {0: loop.laws[0]}
     found, under = Attacked(0, np.full(len(loop.unsafe), np.inf), np.inf, -np.inf, 0.0), []

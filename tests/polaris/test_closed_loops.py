@@ -1,4 +1,4 @@
-"""What a schedule and the online monitor claim, against closed loops flown by `closed_loops` at their worst."""
+"""What schedules and online monitors claim, against closed loops flown at their worst by `closed_loops`."""
 
 from dataclasses import replace
 from functools import cache
@@ -8,12 +8,14 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pytest
 
+from polaris.controllers import AffineController
 from polaris.errors import NotCertified, PolarisError
 from polaris.falsification.search import falsify
+from polaris.reference import Reference
 from polaris.rta.monitor import Monitor
 from polaris.rta.scene import Scene
 from polaris.simulation import simulate
-from polaris.synthesis import SwitchingRules, _Search, with_margins
+from polaris.synthesis import SwitchingRules, _Search, synthesize, with_margins
 
 from .closed_loops import Attack, Loop, attack, attack_monitor
 from .random_scenarios import synthesised
@@ -53,7 +55,11 @@ def judge(seed, found):
 
 def reckless(schedule):
     """The same schedule with U all the way, called proved."""
-    search, start, steps = _Search(schedule.safety, schedule.controllers, SwitchingRules()), schedule.safety.start, []
+    search, start, steps = (
+        _Search(schedule.safety, schedule.controllers, SwitchingRules()),
+        schedule.safety.start,
+        [],
+    )
     for k in range(schedule.safety.problem.K):
         flight = search.controllers[1].fly(start, k)
         steps.append((1, flight, None))
@@ -103,6 +109,24 @@ def test_a_few_proofs_hold_at_their_worst_and_leave_little_idle():
 def test_a_schedule_that_ignores_its_proof_is_broken():
     ((_, schedule),) = proved((5024,))
     assert attack(reckless(schedule), 60, 1).left.min() < 0
+
+
+def test_round_off_is_booked_where_a_law_runs_away():
+    """From a start known exactly, without disturbance, nothing but round-off grows; but grow it does."""
+    safety = made(5050).safety
+    system, safe, K = safety.problem.system, safety.reference, safety.problem.K
+    assert system.w_max == 0 and not safety.start.G.any()
+    own = Reference(system, safe.delta, safe.chi[: K + 1], safe.nu[:K])
+    law = AffineController("runaway", system, -3 * safety.tracking.gain, safe, own, safety.tracking, True)
+    schedule = synthesize(safety, experimental=[law])
+    found = attack(schedule, 20, 0)
+    judge(5050, found)
+    assert schedule.share() > 0.5 and schedule.margins.min() < 1 - 1e-3
+    pytest.importorskip("flint")
+    from polaris.certificate.checker import verify_document
+    from polaris.certificate.writer import certificate
+
+    assert verify_document(certificate(schedule, "runaway")).outcome == "VERIFIED"
 
 
 def test_falsify_looks_beyond_the_end_however_few_its_runs():
