@@ -363,7 +363,7 @@ def _note(found: Attacked, seen: Outcome) -> None:
     if np.any(told):
         found.over = max(found.over, float(np.max(seen.printed[told] - seen.share[told])))
         need = (1 - seen.share[told]) / np.maximum(1 - seen.printed[told], 1e-12)
-        found.tight = max(found.tight, float(np.max(np.where(seen.printed[told] < 1 - 1e-9, need, 0))))
+        found.tight = max(found.tight, float(np.max(np.where(seen.printed[told] < 1 - 1e-5, need, 0))))
 
 
 def _aims(loop: Loop, count: int, rng: np.random.Generator) -> tuple[Any, ...]:
