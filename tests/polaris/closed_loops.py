@@ -243,7 +243,9 @@ class Loop:
                 b = unsafe.offsets[cell, 0] * (1 - s) + unsafe.offsets[cell, 1] * s
                 out = p @ unsafe.normals.T - b
                 left[:, u] = np.minimum(left[:, u], out.max(axis=2).min(axis=0))
-                f = known[min(k, len(known) - 1), u]
+                if k >= len(known):  # on an orbit flown again its own facets count, at their own instants
+                    continue
+                f = known[k, u]
                 room = (xi @ system.position.T) @ unsafe.normals[f] - b[..., f]
                 share = np.minimum(share, _least(1 - _share(room - out[..., f], room), taken))
             end = self.per if self.sampled else self.per + 1
