@@ -179,7 +179,8 @@ class AffineController:
         elif excess > 0:
             refused = f"its command may exceed the limit of {self.system.input_names[axis]} by {excess:.3g}"
         error = nodes + zeta
-        return Flight(error, bow, error[-1].reduce(ORDER), refused, slopes)
+        end = error[-1].inflate(self.reference.rounding[k] + self.own.rounding[k])
+        return Flight(error, bow, end.reduce(ORDER), refused, slopes)
 
     def _over_limit(self, nodes: Zonotope, bow: Array, k: int) -> tuple[float, int]:
         """By how much the unclipped command may exceed the limits in the step [N], and on which axis."""
@@ -249,7 +250,7 @@ class AnyThrust:
             self.flow.bow(stack[:-1]) + self.flow.h**2 / 8 * np.abs(self.system.A) @ self.flow.growth @ drift
         )
         bow = bent + self.flow.period_box + self.tracking.flow.period_box
-        return Flight(stack, bow, nodes[-1].reduce(ORDER))
+        return Flight(stack, bow, nodes[-1].inflate(self.reference.rounding[k]).reduce(ORDER))
 
 
 def construct_s(tracking: Tracking, reference: Reference) -> AffineController:

@@ -10,6 +10,7 @@ from .hill import cw_matrix
 from .recoverable import Margin
 from .reference import Reference
 from .system import Array, LinearSystem
+from .tolerances import REFERENCE
 from .tracking import Tracking
 from .unsafe import TimedPolytope
 
@@ -71,7 +72,7 @@ def coast(planned: Reference, tail: int) -> tuple[Reference, Array]:
     tail_chi = Reference.propagate(planned.system, planned.delta, start, np.zeros((tail, planned.system.m)))
     chi = np.vstack([planned.chi[:-1], tail_chi.chi])
     nu = np.vstack([planned.nu, tail_chi.nu])
-    rounding = 1e-12 * np.max(np.abs(chi[planned.cells :]), axis=0)
+    rounding = REFERENCE * np.max(np.abs(chi[planned.cells :]), axis=0)
     return Reference(planned.system, planned.delta, chi, nu), np.abs(start - last) + rounding
 
 

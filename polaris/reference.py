@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from reach.linear import discretize
 
 from .system import Array, LinearSystem
+from .tolerances import REFERENCE
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +48,13 @@ class Reference:
     def cells(self) -> int:
         """Number K of steps."""
         return len(self.nu)
+
+    @cached_property
+    def rounding(self) -> Array:
+        """Bound on the round-off of the states within every step, elementwise, shape (K, n)."""
+        Ad, Bd = (np.abs(part) for part in discretize(self.system.A, self.system.B, self.delta))
+        moved = np.abs(self.chi[:-1]) @ Ad.T + np.abs(self.nu) @ Bd.T
+        return np.asarray(REFERENCE * (moved + np.abs(self.chi[:-1]) + np.abs(self.chi[1:])))
 
     def fine(self, q: int) -> Array:
         """States at q equal parts of every cell, both ends included, shape (K, q+1, n).

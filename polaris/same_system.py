@@ -11,14 +11,18 @@ from typing import Any
 
 import numpy as np
 
+from reach.linear import discretize
 from reach.zonotope import Zonotope
 
+from .ball_sets import BallSets
 from .controllers import AffineController, AnyThrust, Controller, Flight
+from .end_condition import judge_end, tail_length
+from .error_bounds import get_err_bounds
 from .errors import ScenarioError
 from .problem import Problem
 from .reference import Reference
 from .safety import Safety, perceive_unsafe
-from .system import LinearSystem
+from .system import Array, LinearSystem
 from .tolerances import ROUNDING
 
 SYSTEM = ("A", "B", "D", "u_max", "w_max", "position", "mass", "mean_motion")
@@ -68,6 +72,57 @@ def check_safety(safety: Safety, problem: Problem) -> None:
         cells = min(given.cells, reference.cells)
         _same(f"the cells of {given.name}", cells, reference.cells, "reference's")
         _same(f"the offsets of {given.name}", given.offsets[:cells], asked.offsets, "problem's")
+    _check_proof(safety, problem)
+
+
+def _check_proof(safety: Safety, problem: Problem) -> None:
+    """What `get_safety` proves of a reference and of recoverable sets, worked out again."""
+    reference, clearance, recoverable = safety.reference, safety.clearance, safety.recoverable
+    _check_motion(reference, problem.K, clearance.jump)
+    if isinstance(recoverable, BallSets):
+        bounds = get_err_bounds(safety.tracking, problem.bound, problem.weight)
+        for name in ("W", "beta", "gamma_position", "gain_position", "gamma_input", "gain_input"):
+            rule = "error bound of its own tracking"
+            _same(
+                f"safety.recoverable.bounds.{name}",
+                getattr(recoverable.bounds, name),
+                getattr(bounds, name),
+                rule,
+            )
+    if safety.guarantee != "proved":
+        return
+    margin = recoverable.margin_at(0, safety.start)
+    if not margin.inside:
+        raise ScenarioError("safety.recoverable", str(margin), "must hold the initial set at the start")
+    if not safety.end.proven:
+        return
+    tail = reference.cells - problem.K
+    if tail != tail_length(safety.tracking):
+        length = tail_length(safety.tracking)
+        rule = f"must be followed by {length} steps without input where {safety.end.horizon} is claimed"
+        raise ScenarioError("safety.reference", f"{tail} steps after the end", rule)
+    end = judge_end(safety.tracking, reference, problem.K, tail, clearance.unsafe, margin, clearance.jump)
+    _same("safety.end.horizon", safety.end.horizon, end.horizon, "one that its own parts show")
+    _same("safety.end.until", safety.end.until, end.until, "one that its own parts show")
+
+
+def _check_motion(reference: Reference, planned: int, jump: Array) -> None:
+    """The safe reference must move as the system does under its inputs, but for the jump into its tail."""
+    Ad, Bd = discretize(reference.system.A, reference.system.B, reference.delta)
+    before, after, nu = reference.chi[:-1], reference.chi[1:], reference.nu
+    off = np.abs(after - before @ Ad.T - nu @ Bd.T)
+    booked = ROUNDING * np.max(
+        np.abs(before) @ np.abs(Ad).T + np.abs(nu) @ np.abs(Bd).T + np.abs(after), axis=0
+    )
+    allowed = np.tile(booked, (len(off), 1))
+    if reference.cells > planned:
+        allowed[planned - 1] += jump
+        if np.any(nu[planned:]):
+            raise ScenarioError("safety.reference.nu", "an input after the end", "must be zero from there on")
+    k = int(np.argmax(np.max(off - allowed, axis=1)))
+    if not np.all(off <= allowed):
+        rule = "must move as the system does under its inputs"
+        raise ScenarioError("safety.reference.chi", f"{float(off[k].max()):.3g} off in step {k}", rule)
 
 
 def check_controller(controller: Controller, safety: Safety) -> None:

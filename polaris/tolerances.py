@@ -10,6 +10,10 @@ Covers round-off of double-precision sums of a few thousand terms (about 1e-13 e
 orders of magnitude to spare. Errs towards "unsafe".
 """
 
+REFERENCE = 1e-12
+"""Relative round-off of a reference's states from one step to the next, booked on the error at the end of
+every step: a controller that is unstable alone makes it grow, if nothing else is there to grow."""
+
 SOLVER_FEASIBILITY = 1e-7
 """Feasibility tolerance handed to the MIP solver, in scaled units (rows have coefficients near 1)."""
 

@@ -25,7 +25,10 @@ ELITES = 12
 """Attacks kept per limit."""
 
 TAIL_EVERY = 8
-"""Every so many batches S flies on after T."""
+"""Every so many batches S flies on after T, and in the last one if it has not before."""
+
+SMALLEST = 50
+"""Fewest runs in a batch, but for the last."""
 
 KINDS = ("unsafe set", "saturation", "margin")
 """Kinds of violation, the gravest first."""
@@ -173,14 +176,19 @@ class _Search:
 
     def run(self, progress: Callable[[int, int], None] | None) -> Falsification:
         begun = time.perf_counter()
-        batch, failed = 0, None
+        batch, failed, beyond = 0, None, len(self.arenas) == 1
         elites: dict[int, Attack] = {}
         worth: dict[int, Array] = {}
         last: tuple[Runs, Attained] | None = None
         while self.flown < self.wanted and failed is None:
-            which = 1 if len(self.arenas) > 1 and batch % TAIL_EVERY == TAIL_EVERY - 1 else 0
+            left = self.wanted - self.flown
+            # Short flights fit into few batches: then those are made smaller, and one is kept for the tail.
+            count = max(min(BATCH // self.arenas[0][1].steps, -(-self.wanted // TAIL_EVERY)), SMALLEST)
+            due = batch % TAIL_EVERY == TAIL_EVERY - 1 or (not beyond and 0 < left <= count and batch > 0)
+            which = 1 if len(self.arenas) > 1 and due else 0
             claims, flight, attacker = self.arenas[which]
-            count = min(max(BATCH // flight.steps, 50), self.wanted - self.flown)
+            beyond = beyond or which == 1
+            count = min(max(min(count, BATCH // flight.steps), SMALLEST), left)
             kind = "worst" if which else ROUND[batch % len(ROUND)]
             if kind == "again" and last is not None:
                 attack = attacker.again(*last, count)

@@ -5,7 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from polaris.controllers import AffineController, AnyThrust, Flight
+from polaris.ball_sets import BallSets
+from polaris.clearance import best_facets
+from polaris.controllers import AffineController, AnyThrust, Flight, construct_s
 from polaris.errors import ScenarioError
 from polaris.obstacles import BoxObstacle
 from polaris.recoverable import get_recover
@@ -135,12 +137,64 @@ def altered():
     yield "smaller start", replace(safety, start=Zonotope.point(safety.start.c))
     sets = get_recover("polytope", faster.clearance, faster.bounds)
     yield "sets of another", replace(safety, recoverable=sets)
+    end = safety.end
+    yield (
+        "end moved",
+        replace(safety, end=replace(end, until=end.until + 1 if np.isfinite(end.until) else 1e9)),
+    )
+    yield "end for ever", replace(safety, end=replace(end, horizon=_other(end.horizon)))
+    bounds = replace(safety.bounds, gamma_position=safety.bounds.gamma_position / 50)
+    yield (
+        "kinder bounds",
+        replace(safety, bounds=bounds, recoverable=BallSets(safety.clearance, bounds, "ball")),
+    )
+    chi, nu, K = safety.reference.chi, safety.reference.nu, problem.K
+    shift = np.zeros_like(chi)
+    shift[5:, 1] = 0.01
+    yield "a jump", assembled(safety, replace(safety.reference, chi=chi + shift))
+    yield "other inputs", assembled(safety, replace(safety.reference, nu=0.999 * nu))
+    yield "no tail", assembled(safety, replace(safety.reference, chi=chi[: K + 1], nu=nu[:K]))
+    still = Reference.propagate(problem.system, problem.delta, chi[0], np.zeros_like(nu))
+    yield "through the obstacle", assembled(safety, still)
+    ahead = np.zeros_like(nu)
+    ahead[:3] = -2 * problem.system.u_max
+    fast = Reference.propagate(problem.system, problem.delta, chi[0], ahead)
+    yield "more thrust than there is", assembled(safety, fast)
+
+
+def _other(horizon):
+    return "one_period" if horizon == "infinite" else "infinite"
+
+
+def assembled(safety, reference):
+    """All parts of a Safety about another reference, but the margin at the start and the end as they were."""
+    facets = best_facets(safety.tracking, reference, safety.clearance.unsafe, safety.start)
+    clearance = replace(safety.clearance, reference=reference, facets=facets)
+    return replace(
+        safety,
+        reference=reference,
+        clearance=clearance,
+        controller=construct_s(safety.tracking, reference),
+        recoverable=get_recover("polytope", clearance, safety.bounds),
+    )
 
 
 @pytest.mark.parametrize("safety", [pytest.param(safety, id=name) for name, safety in altered()])
 def test_a_safety_changed_afterwards_is_refused(safety):
-    with pytest.raises(ScenarioError, match="must be"):
+    with pytest.raises(ScenarioError, match="must (be|move|hold)"):
         proof(safety=safety)
+
+
+def test_a_safety_assembled_from_its_own_parts_is_taken():
+    safety = small_safety()
+    again = assembled(safety, replace(safety.reference))
+    assert synthesize(again, experimental=[], rules=SwitchingRules()).guarantee == "proved"
+    for kind in ("ball", "time_varying_ball"):
+        sets = get_recover(kind, safety.clearance, safety.bounds)
+        assert (
+            proof(small_controllers()["coasting"], safety=replace(safety, recoverable=sets)).guarantee
+            == "proved"
+        )
 
 
 def test_safety_of_another_scenario_is_refused_and_that_of_the_same_is_not():

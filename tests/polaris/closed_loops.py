@@ -1,0 +1,485 @@
+"""Closed loops flown against a schedule's claim, by an integrator and worst cases of their own.
+
+Nothing here uses the package's simulation, search or reachable sets: matrix exponentials from scipy, the
+classical Runge-Kutta scheme, and the adjoint of the loop as it was flown. What is claimed is read off the
+schedule: modes, references, gains, timed polytopes, printed margins. In every run S may take over at an
+instant of its own within the steps of an experimental controller, and keeps control to the end of the tail,
+or twice as far where safety is claimed for ever.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import expm
+
+from polaris.controllers import AnyThrust
+from polaris.schedule import Schedule
+
+Array = NDArray[np.float64]
+
+NUMBERS = 6_000_000
+"""Numbers of state held at once."""
+
+
+def held(A: Array, B: Array, t: float) -> tuple[Array, Array]:
+    """``e^{A t}`` and what an input held over t adds."""
+    n, m = B.shape
+    big = np.zeros((n + m, n + m))
+    big[:n, :n], big[:n, n:] = A * t, B * t
+    made = expm(big)
+    return made[:n, :n], made[:n, n:]
+
+
+@dataclass(frozen=True, eq=False)
+class Attack:
+    """What is done to each run.
+
+    Attributes
+    ----------
+    x0 : ndarray, shape (R, n)
+    w : ndarray, shape (N, R, p)
+        Disturbance held over each step.
+    free : ndarray, shape (N, R, m)
+        Inputs of controllers that may do anything.
+    way : ndarray, shape (N, R, n)
+        In which direction the state counts for what is aimed at; zero after that.
+    """
+
+    x0: Array
+    w: Array
+    free: Array
+    way: Array
+
+
+Who = Callable[[int, Array], NDArray[np.int_]]
+"""Who flies from a step (number, states of shape (R, n)) on; shape (R,)."""
+
+
+class Loop:
+    """One schedule on a fine grid of time.
+
+    Parameters
+    ----------
+    schedule : Schedule
+    parts : int
+        Steps of integration per node of the schedule's own grid.
+    """
+
+    def __init__(self, schedule: Schedule, parts: int = 0) -> None:
+        self.schedule, safety = schedule, schedule.safety
+        self.system, self.unsafe = safety.problem.system, safety.clearance.unsafe
+        self.q, self.sampled = safety.tracking.feedback.nodes_per_cell, safety.tracking.feedback.sampled
+        self.parts = parts or (2 if self.sampled else 3)
+        self.per = self.q * self.parts
+        self.K, known = safety.problem.K, safety.reference.cells
+        self.cells = known + (known - self.K if safety.end.horizon == "infinite" else 0)
+        self.N, self.dt = self.cells * self.per, safety.problem.delta / self.per
+        self.modes = np.r_[schedule.modes, np.zeros(self.cells - self.K, dtype=int)]
+        self.gain = safety.tracking.gain
+        rest = np.zeros((self.cells - known, self.system.m))
+        self.nu = np.vstack([safety.reference.nu, rest])
+        self.xi = self._path(safety.reference.chi, self.nu)
+        self.laws = {
+            i: (law.gain, law.own.nu, self._path(law.own.chi, law.own.nu[: self.K]))
+            for i, law in enumerate(schedule.controllers)
+            if not isinstance(law, AnyThrust)
+        }
+
+    def _path(self, chi: Array, nu: Array) -> Array:
+        """States at every half step of every cell, (cells, 2 per + 1, n); coasting beyond what is known."""
+        carried, pushed = held(self.system.A, self.system.B, self.dt / 2)
+        starts = [*chi[: len(nu)]]
+        whole = held(self.system.A, self.system.B, self.dt * self.per)[0]
+        while len(starts) < len(nu):
+            starts.append(whole @ starts[-1])
+        out = np.empty((len(nu), 2 * self.per + 1, self.system.n))
+        out[:, 0] = starts
+        for i in range(2 * self.per):
+            out[:, i + 1] = out[:, i] @ carried.T + nu @ pushed.T
+        return out
+
+    # -- flying -----------------------------------------------------------------------------------------
+
+    def command(self, number: int, k: int, half: int, x: Array) -> Array:
+        """Command of a law before clipping."""
+        if number == 0:
+            return self.nu[k] + (self.xi[k, half] - x) @ self.gain.T
+        gain, nu, own = self.laws[number]
+        return nu[k] + (own[k, half] - x) @ gain.T
+
+    def fly(self, attack: Attack, who: Who) -> Flown:
+        """Fly runs; `who` is asked at every step."""
+        A, B, D = self.system.A, self.system.B, self.system.D
+        R, n, m = len(attack.x0), self.system.n, self.system.m
+        states, clipped = np.empty((self.N + 1, R, n)), np.zeros((self.N, R, m), dtype=bool)
+        modes = np.zeros((self.N, R), dtype=np.int8)
+        states[0] = x = attack.x0
+        Ad, Bd = held(A, B, self.dt)
+        Dd = held(A, D, self.dt)[1]
+        limit, dt = self.system.u_max, self.dt
+        for i in range(self.N):
+            k, j = divmod(i, self.per)
+            modes[i] = flying = who(i, x)
+            parts = [
+                (number, slice(None) if mine.all() else mine)
+                for number in range(len(self.schedule.controllers))
+                if (mine := flying == number).any()
+            ]
+
+            def inputs(half: int, at: Array) -> tuple[Array, Array]:
+                raw = np.empty((R, m))
+                for number, mine in parts:  # noqa: B023
+                    free = number and number not in self.laws
+                    raw[mine] = attack.free[i, mine] if free else self.command(number, k, half, at[mine])  # noqa: B023
+                return np.clip(raw, -limit, limit), np.abs(raw) > limit
+
+            if self.sampled:
+                fresh, over = inputs(2 * j, x)
+                if j % self.parts == 0:
+                    u, last = fresh, over
+                for number, mine in parts:
+                    if number not in self.laws:
+                        u[mine] = fresh[mine]
+                clipped[i] = last
+                x = x @ Ad.T + u @ Bd.T + attack.w[i] @ Dd.T
+            else:
+                push = attack.w[i] @ D.T
+                u, clipped[i] = inputs(2 * j, x)
+                a = x @ A.T + u @ B.T + push
+                y = x + dt / 2 * a
+                b = y @ A.T + inputs(2 * j + 1, y)[0] @ B.T + push
+                y = x + dt / 2 * b
+                c = y @ A.T + inputs(2 * j + 1, y)[0] @ B.T + push
+                y = x + dt * c
+                x = x + dt / 6 * (a + 2 * b + 2 * c + y @ A.T + inputs(2 * j + 2, y)[0] @ B.T + push)
+            states[i + 1] = x
+        return Flown(states, clipped, modes)
+
+    def scheduled(self, over: NDArray[np.int_]) -> Who:
+        """The schedule, until S takes over at a step of each run's own."""
+        return lambda i, _: np.where(i < over, self.modes[i // self.per], 0)
+
+    # -- the worst case ---------------------------------------------------------------------------------
+
+    @cached_property
+    def _adjoint(self) -> dict[tuple[int, int], tuple[Array, Array, Array]]:
+        """Of a law and a set of clipped inputs: transition over a step, and what w and u held over it add."""
+        made = {}
+        A, B, D = self.system.A, self.system.B, self.system.D
+        for number in range(len(self.schedule.controllers)):
+            for case in range(2**self.system.m):
+                gain = np.zeros((self.system.m, self.system.n))
+                if number in self.laws and not self.sampled:
+                    gain = self.laws[number][0] * [[1.0 - (case >> a & 1)] for a in range(self.system.m)]
+                loop = A - B @ gain
+                back, push = held(loop, D, self.dt)
+                made[number, case] = back, push, held(loop, B, self.dt)[1]
+        return made
+
+    def worst(
+        self,
+        rows: Array,
+        targets: NDArray[np.int_],
+        modes: NDArray[np.integer[Any]],
+        clipped: NDArray[np.bool_] | None = None,
+    ) -> Attack:
+        """What takes every run furthest along a row at an instant (step), under modes and clips as flown."""
+        R, (n, m, p) = len(rows), (self.system.n, self.system.m, self.system.p)
+        w, free, kept = np.zeros((self.N, R, p)), np.zeros((self.N, R, m)), np.zeros((self.N, R, n))
+        lam, spent = np.zeros((R, n)), np.zeros((R, m))
+        bits = 2 ** np.arange(m)
+        for i in range(self.N - 1, -1, -1):
+            k, j = divmod(i, self.per)
+            begins = targets == i + 1
+            lam[begins], spent[begins] = rows[begins], 0.0
+            case = modes[i] * 2**m + (0 if clipped is None else clipped[i] @ bits)
+            for both in np.unique(case):
+                run = np.flatnonzero(case == both)
+                number, which = divmod(int(both), 2**m)
+                back, push, kick = self._adjoint[number, 0 if self.sampled else which]
+                way = lam[run] @ push
+                size = np.linalg.norm(way, axis=1, keepdims=True)
+                w[i, run] = self.system.w_max * way / np.where(size > 0, size, 1)
+                thrust = lam[run] @ kick
+                lam[run] = lam[run] @ back
+                if number not in self.laws:
+                    free[i, run] = np.where(thrust < 0, -1, 1) * self.system.u_max
+                elif self.sampled:
+                    spent[run] += thrust
+                    if j % self.parts == 0:
+                        answers = 1.0 - ((which >> np.arange(m)) & 1)
+                        lam[run] -= (spent[run] * answers) @ self.laws[number][0]
+                        spent[run] = 0.0
+            kept[i] = lam
+        theta = self.schedule.safety.problem.initial_set
+        return Attack(theta.c + np.where(lam @ theta.G < 0, -1.0, 1.0) @ theta.G.T, w, free, kept)
+
+    # -- judging ----------------------------------------------------------------------------------------
+
+    def judge(self, flown: Flown, over: NDArray[np.int_], printed: Array) -> Outcome:
+        """Least margins of runs, and the least share of the room left once S has taken over for good.
+
+        `over` is when it did, `printed` the margin told for the step of the schedule in which it did.
+        """
+        states = flown.states
+        R, o, m, system = states.shape[1], len(self.unsafe), self.system.m, self.system
+        left = np.full((R, o), np.inf)
+        thrust, share = np.full((R, m), np.inf), np.full(R, np.inf)
+        known = self.schedule.safety.clearance.facets
+        for k in range(self.cells):
+            at = slice(k * self.per, (k + 1) * self.per + 1)
+            x, xi = states[at], self.xi[k, ::2][:, None]
+            time = np.arange(k * self.per, (k + 1) * self.per + 1)[:, None]
+            taken = (time >= over) & (over < (k + 1) * self.per)  # a cell's limits end with it
+            p, s = x @ system.position.T, np.linspace(0, 1, self.per + 1)[:, None, None]
+            for u, unsafe in enumerate(self.unsafe):
+                cell = min(k, unsafe.cells - 1)
+                b = unsafe.offsets[cell, 0] * (1 - s) + unsafe.offsets[cell, 1] * s
+                out = p @ unsafe.normals.T - b
+                left[:, u] = np.minimum(left[:, u], out.max(axis=2).min(axis=0))
+                if k >= len(known):  # on an orbit flown again its own facets count, at their own instants
+                    continue
+                f = known[k, u]
+                room = (xi @ system.position.T) @ unsafe.normals[f] - b[..., f]
+                share = np.minimum(share, _least(1 - _share(room - out[..., f], room), taken))
+            end = self.per if self.sampled else self.per + 1
+            every = self.parts if self.sampled else 1
+            e = (x - xi)[:end:every]
+            need = e @ self.gain.T
+            mode = flown.modes[k * self.per : (k + 1) * self.per]
+            safe = (np.vstack([mode, mode[-1:]]) == 0)[:end:every]
+            raw = np.abs(self.nu[k] - need)
+            thrust = np.minimum(thrust, np.where(safe[..., None], system.u_max - raw, np.inf).min(axis=0))
+            for sign in (1, -1):
+                room = system.u_max + sign * self.nu[k]
+                free = 1 - _share(sign * need, np.broadcast_to(room, need.shape)).max(axis=2)
+                share = np.minimum(share, _least(free, taken[:end:every]))
+        return Outcome(left, thrust / system.u_max, share, printed)
+
+
+@dataclass(frozen=True, eq=False)
+class Flown:
+    """Runs.
+
+    Attributes
+    ----------
+    states : ndarray, shape (N + 1, R, n)
+    clipped : ndarray of bool, shape (N, R, m)
+        Whose command the thrusters clipped over each step.
+    modes : ndarray of int, shape (N, R)
+    """
+
+    states: Array
+    clipped: NDArray[np.bool_]
+    modes: NDArray[np.int8]
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """How near runs came.
+
+    Attributes
+    ----------
+    left : ndarray, shape (R, o)
+        Least distance to the nearest facet of every unsafe set [m].
+    thrust : ndarray, shape (R, m)
+        Least thrust left while S flies, as a share of the limit.
+    share, printed : ndarray, shape (R,)
+        Least share of the room left after S took over, and the printed one.
+    """
+
+    left: Array
+    thrust: Array
+    share: Array
+    printed: Array
+
+
+def _share(need: Array, room: Array) -> Array:
+    """Need over room; minus infinity where nothing is needed."""
+    return np.where(need > 0, need / np.where(room > 0, room, 1e-300), -np.inf)
+
+
+def _least(share: Array, taken: NDArray[np.bool_]) -> Array:
+    found: Array = np.where(taken, share, np.inf).min(axis=0)
+    return found
+
+
+# -- one schedule, attacked -----------------------------------------------------------------------------
+
+
+@dataclass(eq=False)
+class Attacked:
+    """What attacks on one schedule came to.
+
+    Attributes
+    ----------
+    runs : int
+    left : ndarray, shape (o,)
+        Least distance to every unsafe set [m].
+    thrust : float
+        Least thrust left while S flies, as a share of the limit.
+    over : float
+        Most by which a printed share exceeds the one flown.
+    tight : float
+        Largest need flown over need claimed, both as shares of the room.
+    """
+
+    runs: int
+    left: Array
+    thrust: float
+    over: float
+    tight: float
+
+
+def attack(schedule: Schedule, runs: int, seed: int, rounds: int = 3, parts: int = 0) -> Attacked:
+    """Fly `runs` worst cases `rounds` times, each about the clips of the last, and as many at random."""
+    loop, rng = Loop(schedule, parts), np.random.default_rng(seed)
+    found = Attacked(0, np.full(len(loop.unsafe), np.inf), np.inf, -np.inf, 0.0)
+    most = max(8, NUMBERS // (loop.N * (2 * loop.system.n + loop.system.p + 2 * loop.system.m)))
+    while runs > 0:
+        count, runs = min(runs, most), runs - most
+        over, printed, rows, targets = _aims(loop, count, rng)
+        who, clipped = loop.scheduled(over), None
+        modes = np.array([who(i, rows) for i in range(loop.N)])
+        for number in range(rounds + 1):
+            made = loop.worst(rows, targets, modes, clipped)
+            if number == rounds:
+                made = by_chance(loop, made, rng)
+            flown = loop.fly(made, who)
+            clipped = flown.clipped
+            _note(found, loop.judge(flown, over, printed))
+    return found
+
+
+def _note(found: Attacked, seen: Outcome) -> None:
+    found.runs += len(seen.share)
+    found.left = np.minimum(found.left, seen.left.min(axis=0, initial=np.inf))
+    found.thrust = min(found.thrust, float(seen.thrust.min()))
+    told = np.isfinite(seen.printed) & (seen.printed >= 0) & np.isfinite(seen.share)
+    if np.any(told):
+        found.over = max(found.over, float(np.max(seen.printed[told] - seen.share[told])))
+        need = (1 - seen.share[told]) / np.maximum(1 - seen.printed[told], 1e-12)
+        found.tight = max(found.tight, float(np.max(np.where(seen.printed[told] < 1 - 1e-5, need, 0))))
+
+
+def _aims(loop: Loop, count: int, rng: np.random.Generator) -> tuple[Any, ...]:
+    """Instants of hand-over with the margins printed for them, and rows and instants to aim at."""
+    flown = np.flatnonzero(loop.schedule.modes > 0)
+    over, step = np.full(count, loop.N), np.full(count, loop.K)
+    who = rng.random(count)
+    alone = who < (0.1 if len(flown) else 0.6)
+    over[alone], step[alone] = 0, -1
+    if len(flown):
+        some = who > 0.25
+        step[some] = rng.choice(flown, int(some.sum()))
+        place = rng.integers(0, loop.per + 1, int(some.sum()))
+        nodes = rng.random(len(place)) < (1.0 if loop.sampled else 0.4)
+        place = np.where(nodes, place // loop.parts * loop.parts, place)
+        over[some] = step[some] * loop.per + place
+    first = np.where(over == loop.N, 0, over)
+    ahead = np.exp(rng.uniform(0, np.log(np.maximum(loop.N - first, 2)))).astype(int)
+    targets = np.where(rng.random(count) < 0.6, first + ahead, rng.integers(first, loop.N + 1))
+    told = np.r_[[s.margin.time for s in loop.schedule.steps], np.nan][np.minimum(step, loop.K)]
+    told = np.where(step < 0, loop.schedule.safety.start_margin.time, told)
+    near = np.isfinite(told) & (rng.random(count) < 0.3)
+    bites = np.where(near, told, 0) / loop.dt + rng.integers(0, loop.per + 1, count)
+    targets = np.where(near, bites.astype(int), targets)
+    targets = np.clip(targets, np.maximum(first, 1), loop.N)
+    C, o = loop.system.position, len(loop.unsafe)
+    facets = loop.schedule.safety.clearance.facets
+    rows = np.empty((count, loop.system.n))
+    limit = rng.integers(0, o + 1 + (o == 0), count) if o else np.full(count, 0)
+    for r in range(count):
+        if limit[r] < o:
+            unsafe, cell = loop.unsafe[limit[r]], min(targets[r] // loop.per, len(facets) - 1)
+            f = facets[cell, limit[r]] if rng.random() < 0.85 else rng.integers(len(unsafe.normals))
+            rows[r] = -unsafe.normals[f] @ C
+        else:
+            rows[r] = rng.choice([-1, 1]) * loop.gain[rng.integers(len(loop.gain))]
+    margins = np.r_[loop.schedule.margins, np.nan]
+    printed = np.where(step < 0, loop.schedule.safety.start_margin.value, margins[step])
+    return over, printed, rows, targets
+
+
+# -- the online monitor ---------------------------------------------------------------------------------
+
+
+class Watched:
+    """Who flies under an online monitor that is told the state with the worst error it declares.
+
+    Parameters
+    ----------
+    loop : Loop
+        Of the monitor's own fine schedule; controllers that it does not trust may do anything.
+    monitor : polaris.rta.monitor.Monitor
+    way : ndarray, shape (N, R, n)
+        The state told is off by the whole error, against this direction.
+    """
+
+    def __init__(self, loop: Loop, monitor: Any, way: Array) -> None:
+        self.loop, self.monitor, self.scene, self.way = loop, monitor, monitor.scene, way
+        self.flying = self.next = np.zeros(way.shape[1], dtype=int)
+
+    def __call__(self, i: int, x: Array) -> NDArray[np.int_]:
+        """Modes from a step on."""
+        scene, delay = self.scene, self.scene.delay * self.loop.parts
+        each = scene.nodes * self.loop.parts
+        k, j = divmod(i, each)
+        if delay == each and j == 0:
+            self.flying = self.next
+        if j == 0 and k >= scene.decisions:
+            self.flying = self.next = np.zeros_like(self.flying)
+        elif j == 0:
+            told = x - np.where(self.way[i] < 0, -1, 1) * scene.half_widths
+            self.next = self.monitor.judge(k, told - scene.xi[k * scene.nodes], self.flying)[0]
+        if delay == j:
+            self.flying = self.next
+        return self.flying
+
+
+def attack_monitor(monitor: Any, runs: int, seed: int, rounds: int = 3) -> tuple[Attacked, float]:
+    """The same under an online monitor: no hand-overs but its own. Also the share of time under U."""
+    schedule = monitor.scene.fine_schedule
+    loop, rng = (
+        Loop(schedule, 0 if monitor.scene.tracking.feedback.sampled else 2),
+        np.random.default_rng(seed),
+    )
+    if monitor.trust == "thrust_limits":
+        loop.laws = {0: loop.laws[0]}
+    found, under = Attacked(0, np.full(len(loop.unsafe), np.inf), np.inf, -np.inf, 0.0), []
+    runs = min(runs, max(8, NUMBERS // (loop.N * (2 * loop.system.n + loop.system.p + 2 * loop.system.m))))
+    _, printed, rows, targets = _aims(loop, runs, rng)
+    until = targets - (loop.N * rng.random(runs) ** 3).astype(int)  # U before, S after, to begin with
+    modes = (np.arange(loop.N)[:, None] < np.minimum(until, loop.K * loop.per)).astype(np.int8)
+    never, clipped = np.full(runs, loop.N), None
+    for number in range(rounds + 1):
+        made = loop.worst(rows, targets, modes, clipped)
+        if number == rounds:
+            made = by_chance(loop, made, rng)
+        flown = loop.fly(made, Watched(loop, monitor, made.way))
+        modes, clipped = flown.modes, flown.clipped
+        _note(found, loop.judge(flown, never, np.full(runs, np.nan)))
+        under.append(float(np.mean(modes[: loop.K * loop.per] > 0)))
+    return found, float(np.mean(under))
+
+
+def by_chance(loop: Loop, worst: Attack, rng: np.random.Generator) -> Attack:
+    """Disturbances and inputs that jump at random, mostly at their bounds; starts from random corners."""
+    R, p = worst.w.shape[1:]
+    hold = int(rng.integers(1, 3 * loop.per))
+    pieces = -(-loop.N // hold)
+    w = rng.normal(size=(pieces, R, p))
+    w *= loop.system.w_max / np.linalg.norm(w, axis=2, keepdims=True)
+    free = np.sign(rng.uniform(-1, 1, (pieces, R, loop.system.m))) * loop.system.u_max
+    theta = loop.schedule.safety.problem.initial_set
+    b = np.sign(rng.uniform(-1, 1, (R, theta.G.shape[1])))
+    inside = rng.random(R) < 0.3
+    b[inside] *= rng.random((int(inside.sum()), 1))
+    spread = [np.repeat(x, hold, axis=0)[: loop.N] for x in (w, free)]
+    return Attack(theta.c + b @ theta.G.T, spread[0], spread[1], worst.way)

@@ -1,0 +1,174 @@
+"""What schedules and online monitors claim, against closed loops flown at their worst by `closed_loops`."""
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import pytest
+
+from polaris.controllers import AffineController
+from polaris.errors import NotCertified, PolarisError
+from polaris.falsification.search import falsify
+from polaris.reference import Reference
+from polaris.rta.monitor import Monitor
+from polaris.rta.scene import Scene
+from polaris.simulation import simulate
+from polaris.synthesis import SwitchingRules, _Search, synthesize, with_margins
+
+from .closed_loops import Attack, Loop, attack, attack_monitor
+from .random_scenarios import synthesised
+
+EXACT = 1e-6
+"""By how much a share flown may fall short of the one printed: the error of the integration."""
+
+FEW = (5006, 5016, 5024, 5034, 5050)
+"""Among them: a law that may do anything, clipped laws, sampled feedback, balls, every end."""
+
+FIRST = 5000
+"""Scenes of the slow tests begin here."""
+
+
+@cache
+def made(seed):
+    """Schedule of a random scene, if it is proved."""
+    with TemporaryDirectory() as folder:
+        try:
+            schedule = synthesised(seed, Path(folder))[1]
+        except PolarisError:
+            return None
+    return schedule if schedule.guarantee == "proved" else None
+
+
+def proved(seeds):
+    """(seed, schedule) of the random scenes that are proved."""
+    return ((seed, schedule) for seed in seeds if (schedule := made(seed)) is not None)
+
+
+def judge(seed, found):
+    """No unsafe set is entered, S asks for no more than there is, and no margin printed is too large."""
+    assert np.all(found.left > 0), seed
+    assert found.thrust >= 0, seed
+    assert found.over <= EXACT, seed
+
+
+def reckless(schedule):
+    """The same schedule with U all the way, called proved."""
+    search, start, steps = (
+        _Search(schedule.safety, schedule.controllers, SwitchingRules()),
+        schedule.safety.start,
+        [],
+    )
+    for k in range(schedule.safety.problem.K):
+        flight = search.controllers[1].fly(start, k)
+        steps.append((1, flight, None))
+        start = flight.end
+    return replace(schedule, steps=with_margins(schedule.safety, steps), final=start)
+
+
+def monitored(seed, schedule):
+    """An online monitor of random period, latency, trust and error of the estimate; None if it is refused."""
+    rng, safety = np.random.default_rng(seed), schedule.safety
+    h, q = safety.tracking.flow.h, safety.tracking.feedback.nodes_per_cell
+    if safety.tracking.feedback.sampled:
+        nodes = int(rng.choice([c for c in range(1, q + 1) if q % c == 0]))
+        period, latency = nodes * h, int(rng.integers(0, nodes + 1)) * h
+    else:
+        period = safety.problem.delta / int(rng.choice([1, 2]))
+        latency = period * float(rng.choice([0, 0.5, 1]))
+    half = safety.start.half_widths * float(rng.choice([0, 0.3]))
+    try:
+        return Monitor(
+            Scene.of(schedule, period, latency, half), str(rng.choice(["declared", "thrust_limits"]))
+        )
+    except NotCertified:
+        return None
+
+
+def test_the_integrator_agrees_with_the_packages():
+    for seed, schedule in proved((5016, 5050)):
+        loop = Loop(schedule)
+        n, m, p = loop.system.n, loop.system.m, loop.system.p
+        still = np.zeros((loop.N, 1, n)), np.zeros((loop.N, 1, p)), np.zeros((loop.N, 1, m))
+        start = schedule.safety.problem.initial_set.c[None]
+        flown = loop.fly(Attack(start, still[1], still[2], still[0]), loop.scheduled(np.array([loop.N])))
+        ours = flown.states[: loop.K * loop.per + 1 : loop.parts, 0]
+        theirs = simulate(schedule, 1, initial="center", disturbance="none").states[0]
+        assert np.allclose(ours, theirs, rtol=1e-4, atol=1e-5 * np.abs(theirs).max(axis=0)), seed
+
+
+def test_a_few_proofs_hold_at_their_worst_and_leave_little_idle():
+    found = {seed: attack(schedule, 60, seed) for seed, schedule in proved(FEW)}
+    assert len(found) == len(FEW)
+    for seed, one in found.items():
+        judge(seed, one)
+    assert np.median([one.tight for one in found.values()]) > 0.8
+
+
+def test_a_schedule_that_ignores_its_proof_is_broken():
+    ((_, schedule),) = proved((5024,))
+    assert attack(reckless(schedule), 60, 1).left.min() < 0
+
+
+def test_round_off_is_booked_where_a_law_runs_away():
+    """From a start known exactly, without disturbance, nothing but round-off grows; but grow it does."""
+    safety = made(5050).safety
+    system, safe, K = safety.problem.system, safety.reference, safety.problem.K
+    assert system.w_max == 0 and not safety.start.G.any()
+    own = Reference(system, safe.delta, safe.chi[: K + 1], safe.nu[:K])
+    law = AffineController("runaway", system, -3 * safety.tracking.gain, safe, own, safety.tracking, True)
+    schedule = synthesize(safety, experimental=[law])
+    found = attack(schedule, 20, 0)
+    judge(5050, found)
+    assert schedule.share() > 0.5 and schedule.margins.min() < 1 - 1e-3
+    pytest.importorskip("flint")
+    from polaris.certificate.checker import verify_document
+    from polaris.certificate.writer import certificate
+
+    assert verify_document(certificate(schedule, "runaway")).outcome == "VERIFIED"
+
+
+def test_falsify_looks_beyond_the_end_however_few_its_runs():
+    """U all the way: what is broken is S's thrust after T."""
+    ((_, schedule),) = proved((5055,))
+    assert schedule.safety.end.proven
+    found = falsify(reckless(schedule), 300)
+    assert found.failure is not None and found.failure.kind == "saturation"
+    assert found.failure.time_s >= schedule.safety.problem.K * schedule.safety.problem.delta
+    assert falsify(schedule, 300).failure is None
+
+
+def test_a_few_monitors_hold_at_their_worst():
+    under = []
+    for seed, schedule in proved((5010, 5024, 5050)):
+        found, share = attack_monitor(monitored(seed, schedule), 40, seed)
+        judge(seed, found)
+        under.append(share)
+    assert min(under) > 0
+
+
+@pytest.mark.slow
+def test_a_hundred_thousand_worst_cases_break_nothing():
+    scenes, runs, tight = 0, 0, []
+    for seed, schedule in proved(range(FIRST, FIRST + 130)):
+        found = attack(schedule, 260, seed)
+        judge(seed, found)
+        scenes, runs = scenes + 1, runs + found.runs
+        tight += [found.tight] * (schedule.safety.recoverable.kind == "polytope")
+    print(f"\n{scenes} scenes, {runs} trajectories, need flown over need claimed: {max(tight):.1%} at most")
+    assert scenes >= 46 and runs >= 100_000
+    assert np.median(tight) > 0.8
+
+
+@pytest.mark.slow
+def test_many_monitors_hold_at_their_worst():
+    scenes = 0
+    for seed, schedule in proved(range(FIRST, FIRST + 60)):
+        monitor = monitored(seed, schedule) if len(schedule.controllers) > 1 else None
+        if monitor is None:
+            continue
+        found, _ = attack_monitor(monitor, 120, seed)
+        judge(seed, found)
+        scenes += 1
+    assert scenes >= 30
