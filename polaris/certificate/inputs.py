@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import partial
 from typing import Any
 
@@ -18,6 +19,10 @@ from .zonotopes import inner_radius
 
 GOAL_SLACK = 1e-5
 """By how much the goal may be missed, relative to its size. No claim of safety rests on the goal."""
+
+
+MOST_GENERATORS = 200
+"""Most generators of the zonotope around a ball: every two of them span a facet."""
 
 
 def check_inputs(document: Document, scenario: dict[str, Any], record: Record) -> None:
@@ -118,9 +123,13 @@ def _check_initial_set(document: Document, spec: dict[str, Any]) -> None:
     if spec["kind"] == "box":
         if any(sum(x != 0 for x in g) > 1 for g in generators):
             raise Rejected("initial_set", "a box has generators along the axes")
-        extent = [sum(abs(g[i]) for g in generators) for i in range(n)]
+        extent = [math.fsum(abs(g[i]) for g in generators) for i in range(n)]
         _need("initial_set", "half-widths", extent, _vector(spec["half_widths"]))
         return
+    if any(sorted(row) != [0.0] * (n - 1) + [1.0] for row in document.C):
+        raise Rejected("initial_set", "a ball needs a position that is a choice of states")
+    if len(generators) > MOST_GENERATORS:
+        raise Rejected("initial_set", f"a ball has at most {MOST_GENERATORS} generators")
     place = {row.index(1.0) for row in document.C}
     radii = float(spec["position_radius_m"]), float(spec["velocity_radius_m_s"])
     for states, radius in zip((place, set(range(n)) - place), radii, strict=True):
@@ -203,7 +212,9 @@ def _orbit_terms(
     document: Document, x: list[float], spec: dict[str, Any]
 ) -> tuple[list[tuple[float, str]], float]:
     """How far a state is from a goal in Hill's frame, as lengths [m], and the goal's size."""
-    eta = document.mean_motion or 1.0
+    if document.mean_motion is None:
+        raise Rejected("goal", "a natural motion needs Hill's frame")
+    eta = document.mean_motion
     across = [x[2], x[5] / eta]
     if spec["kind"] == "linear_nmt":
         amplitude, along = float(spec["amplitude_max_m"]), float(spec.get("along_track_m", 0.0))
