@@ -26,6 +26,8 @@ MOST_NODES = 100_000
 """Most periods in a step."""
 MOST_NODES_IN_ALL = 2_000_000
 """Most periods in all steps, those of the tail included."""
+MOST_GENERATORS = 1000
+"""Most generators of the initial set."""
 MOST_STATES = 32
 """Most states of a system: Lyapunov's equation is solved as n^2 linear ones."""
 
@@ -199,6 +201,8 @@ class Document:
         self.input_names = [_name(name) for name in listed(system["input_names"])]
         self.center = vector(data["initial_set"]["center"], n)
         self.generators = table(data["initial_set"]["generators"], None, n)
+        if len(self.generators) > MOST_GENERATORS:
+            raise Undecided("initial_set", f"more than {MOST_GENERATORS} generators")
         reference = data["reference"]
         self.states, self.inputs = table(reference["states"], None, n), table(reference["inputs"], None, m)
         self.cells = len(self.inputs)

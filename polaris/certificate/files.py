@@ -23,7 +23,7 @@ def contents(path: Path, most: int = LARGEST) -> bytes:
     Raises
     ------
     Rejected
-        Naming ``artefacts``, if it is a device, a pipe or the like, whose end may never come.
+        Naming ``artefacts``, if it is a folder, or a device or pipe, whose end may never come.
     Undecided
         Naming ``artefacts``, if it is larger than `most`.
     OSError
@@ -50,7 +50,7 @@ def sha256(path: Path) -> str:
 
 
 def _regular(path: Path, most: int) -> None:
-    if found(path) and not (path.is_file() or path.is_dir()):
+    if found(path) and not path.is_file():
         raise Rejected("artefacts", f"{ascii(path.name)} is no regular file")
     if path.stat().st_size > most:
         raise Undecided("artefacts", f"{ascii(path.name)} is larger than {most} bytes")

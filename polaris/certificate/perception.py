@@ -129,7 +129,8 @@ def _row_support(
 
 def _reach(document: Document) -> arb:
     """Ten times as far from the origin as any position of the certificate."""
-    far = [max(abs(x) for x in column) for column in zip(*document.states, *document.lower, *document.upper)]
+    states = (*document.states, *document.lower, *document.upper)
+    far = [max(abs(x) for x in values) for values in zip(*states, strict=True)]
     return 10 * largest(
         sum((abs(arb(c)) * x for c, x in zip(row, far, strict=True)), arb(0)) for row in document.C
     )
