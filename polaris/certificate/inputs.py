@@ -10,7 +10,7 @@ from flint import arb, arb_mat
 
 from .balls import matrix, require, row_sums
 from .document import Document
-from .lqr import check_gain
+from .lqr import check_gain, positive_definite
 from .own import check_own
 from .perception import check_unsafe
 from .switching import check_switching
@@ -103,6 +103,9 @@ def _check_system(document: Document, spec: dict[str, Any]) -> None:
             place = list(range(max(n // 2, 1))) if spec.get("C") is None else None
     chosen = _table(spec["C"]) if place is None else [[float(i == j) for j in range(n)] for i in place]
     _need("system", "C", document.C, chosen)
+    C = matrix(document.C)
+    if positive_definite(C * C.transpose()) is not True:
+        raise Rejected("system", "the coordinates of the position are not independent")
 
 
 def _input_names(hill: bool, m: int) -> list[str]:
@@ -176,6 +179,7 @@ def _times(what: str, count: int, part: float, whole: float) -> None:
 def _check_controllers(document: Document, scenario: dict[str, Any]) -> None:
     specs = scenario["experimental"]
     _need("controllers", "number of experimental controllers", len(document.laws) - 1, len(specs))
+    _need("controllers", "name of the safety controller", document.laws[0].name, "safety")
     check_gain(document, document.laws[0], scenario["tracking"])
     for law, spec in zip(document.laws[1:], specs, strict=True):
         _need("controllers", "name", law.name, spec["name"])

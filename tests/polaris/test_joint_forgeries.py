@@ -97,6 +97,47 @@ def test_a_scenario_has_an_orbit_to_end_in_only_in_hills_frame():
         _check_goal(spec, SimpleNamespace(mean_motion=None), [0.0] * 6, "goal", "the reference")
 
 
+@pytest.mark.parametrize("name", ["hasty", "s"])
+def test_the_safety_controller_has_its_own_name(lie, name):
+    """Or every step would seem to be flown by the same controller."""
+    for controllers in (
+        lie.certificate["controllers"],
+        lie.gains["controllers"],
+        lie.schedule["controllers"],
+    ):
+        controllers[0]["name"] = name
+    lie.summary["safety"]["controller"] = name
+    for step in lie.schedule["steps"]:
+        if step["mode"] == 0:
+            step["controller"] = name
+    modes = lie.schedule["modes"]
+    named = [item["name"] for item in lie.certificate["controllers"]]
+    lie.schedule["share"] = {who: modes.count(i) / len(modes) for i, who in enumerate(named)}
+    refused(lie.verdict(), "controllers")
+
+
+@pytest.mark.parametrize("name", ["safety", "polaris"])
+def test_no_experimental_controller_is_called_what_results_compare(lie, name):
+    lie.scenario["experimental"][0]["name"] = name
+    refused(lie.verdict(), "scenario")
+
+
+def test_a_scene_without_unsafe_sets_proves_nothing(lie):
+    del lie.scenario["obstacles"]
+    lie.certificate |= {"unsafe_sets": [], "facets": [[]] * len(lie.certificate["facets"])}
+    lie.guarantee()
+    refused(lie.verdict(), "scenario")
+
+
+@pytest.mark.parametrize("place", [[0, 9], [0, 0]])
+def test_coordinates_of_the_position_are_independent(lie, place):
+    lie.scenario["system"]["position_states"] = place
+    rows = [[float(i == j) for j in range(4)] for i in place]
+    lie.gains["system"]["C"] = rows
+    lie.certificate["system"]["C"] = [[x.hex() for x in row] for row in rows]
+    refused(lie.verdict(), "system")
+
+
 # -- sets that are a little too small -------------------------------------------------------------------
 
 
