@@ -21,6 +21,9 @@ GOAL_SLACK = 1e-5
 """By how much the goal may be missed, relative to its size. No claim of safety rests on the goal."""
 
 
+HILL_RANGE = 1e5
+"""Farthest start from the target in Hill's frame [m]."""
+
 MOST_GENERATORS = 200
 """Most generators of the zonotope around a ball: every two of them span a facet."""
 
@@ -119,6 +122,10 @@ def _input_names(hill: bool, m: int) -> list[str]:
 
 def _check_initial_set(document: Document, spec: dict[str, Any]) -> None:
     _need("initial_set", "centre", document.center, _vector(spec["center"]))
+    if document.mean_motion is not None and math.hypot(*document.center[:3]) > HILL_RANGE:
+        raise Rejected(
+            "initial_set", f"starts beyond {HILL_RANGE:g} m: Hill's equations hold near the target"
+        )
     n, generators = len(document.center), document.generators
     if spec["kind"] == "zonotope":
         _need("initial_set", "generators", generators, _table(spec["generators"]))

@@ -168,10 +168,17 @@ def test_a_turned_normal_is_booked_over_positions_whatever_the_states():
 def test_a_ball_needs_a_position_that_is_a_choice_of_states():
     spec = {"kind": "ball", "center": [0.0, 0.0], "position_radius_m": 1.0, "velocity_radius_m_s": 1.0}
     document = SimpleNamespace(center=[0.0, 0.0], generators=[[1.0, 0.0], [0.0, 1.0]], C=[[1.0, 0.0]])
+    document.mean_motion = None
     _check_initial_set(document, spec)
     document.C = [[1.0, 0.5]]
     with pytest.raises(Rejected, match="choice"):
         _check_initial_set(document, spec)
+
+
+def test_hills_frame_ends_somewhere():
+    document = SimpleNamespace(mean_motion=1e-3, center=[8e4, 8e4, 0.0, 0.0, 0.0, 0.0], generators=[])
+    with pytest.raises(Rejected, match="near the target"):
+        _check_initial_set(document, {})
 
 
 # -- one reading ------------------------------------------------------------------------------------------
