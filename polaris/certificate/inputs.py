@@ -123,9 +123,7 @@ def _input_names(hill: bool, m: int) -> list[str]:
 def _check_initial_set(document: Document, spec: dict[str, Any]) -> None:
     _need("initial_set", "centre", document.center, _vector(spec["center"]))
     if document.mean_motion is not None and math.hypot(*document.center[:3]) > HILL_RANGE:
-        raise Rejected(
-            "initial_set", f"starts beyond {HILL_RANGE:g} m: Hill's equations hold near the target"
-        )
+        raise Rejected("initial_set", f"starts beyond {HILL_RANGE:g} m: Hill's equations hold near it")
     n, generators = len(document.center), document.generators
     if spec["kind"] == "zonotope":
         _need("initial_set", "generators", generators, _table(spec["generators"]))
