@@ -339,7 +339,7 @@ def some(cases, name, count):
 def test_every_field_forged_is_refused(forgers, kind):
     """Excuses are used, too: a list that excuses what is refused would hide nothing, and say less."""
     forger = forgers(kind)
-    cases = some(list(one_at_a_time(forger, 1, 2, 0.5)), kind, 250)
+    cases = some(list(one_at_a_time(forger, 1, 2, 0.5)), kind, 120)
     wrong, used = accepted(forger, cases, EXCUSED)
     assert not wrong, report(wrong)
     if WHOLE and kind == "unaware":
@@ -354,7 +354,7 @@ def test_every_field_of_a_bundled_run_forged_is_refused(name, tmp_path):
     forger = Forger(run, tmp_path)
     cases = list(one_at_a_time(forger, 2, 1, 0.5))
     claims = [case for case in cases if not excused(case[0], EXCUSED)]
-    wrong, _ = accepted(forger, some(claims, name, 150), EXCUSED)
+    wrong, _ = accepted(forger, some(claims, name, 100), EXCUSED)
     assert not wrong, report(wrong)
 
 
