@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import csv
-import hashlib
+import re
 import tomllib
 from pathlib import Path
 from typing import Any
 
 from .document import Document
+from .files import LARGEST_SCENARIO, contents, found, sha256
 from .lemma import Stated
 from .repeated import check_gains, check_reference, check_schedule
 from .scenario_keys import check_keys
@@ -21,13 +22,16 @@ NEEDED = (
 )
 """Files that belong to a run; the last three are hashed, not read."""
 
+MOST_DOTS = 1000
+"""Most dots between two of ``= , { [`` or the end of a line in a scenario; its keys need two."""
+
 SUMMARY = "summary.json"
 """Has wall times, so it has no hash; what it claims is compared."""
 
 
 def has_artefacts(document: Document, folder: Path) -> bool:
     """Whether any file of a run folder lies beside the certificate, named in it or not."""
-    return any((folder / name).is_file() for name in (*NEEDED, SUMMARY, *document.artefacts))
+    return any(found(folder / name) for name in (*NEEDED, SUMMARY, *document.artefacts))
 
 
 def check_hashes(document: Document, folder: Path, record: Record) -> None:
@@ -41,9 +45,9 @@ def check_hashes(document: Document, folder: Path, record: Record) -> None:
     for name, known in sorted(document.artefacts.items()):
         if name != Path(name).name or not (folder / name).is_file():
             raise Rejected("artefacts", f"{ascii(name)} is missing")
-        found = hashlib.sha256((folder / name).read_bytes()).hexdigest()
-        if found != known:
-            raise Rejected("artefacts", f"{ascii(name)} has the hash {found}, not {ascii(known)}")
+        there = sha256(folder / name)
+        if there != known:
+            raise Rejected("artefacts", f"{ascii(name)} has the hash {there}, not {ascii(known)}")
     for name in NEEDED:
         if name not in document.artefacts:
             raise Rejected("artefacts", f"no hash of {name}")
@@ -58,8 +62,12 @@ def read_scenario(folder: Path) -> dict[str, Any]:
     Rejected
         Naming ``artefacts`` or ``scenario``.
     """
+    data = contents(folder / "scenario.toml", LARGEST_SCENARIO)
     try:
-        scenario = tomllib.loads((folder / "scenario.toml").read_text(encoding="utf-8"))
+        text = data.decode("utf-8")
+        if max(part.count(".") for part in re.split(r"[=,{[\n]", text)) > MOST_DOTS:
+            raise ValueError("a key has too many parts")  # reading it takes the square of their number
+        scenario = tomllib.loads(text)
     except (ValueError, RecursionError) as error:
         raise Rejected("artefacts", f"scenario.toml cannot be read: {error}") from error
     check_keys(scenario)
@@ -87,7 +95,7 @@ def check_artefacts(document: Document, folder: Path, scenario: dict[str, Any], 
         check_reference(document, folder / "reference.csv")
         bounds = check_gains(document, scenario, folder / "gains.json")
         record.holds("schedule", "modes, margins, reference and gains are those of the other files")
-        if (folder / SUMMARY).is_file():
+        if found(folder / SUMMARY):
             summary = check_summary(document, scenario, claimed, folder / SUMMARY)
             start = summary["synthesis"]["start_margin"]
             record.holds("summary", "claims no more than the certificate")
@@ -109,6 +117,6 @@ def unchecked(scenario: dict[str, Any], folder: Path) -> list[str]:
         told.append(
             f"the plans that {', '.join(plans)} follows are the cheapest (start, dynamics, limits, goal hold)"
         )
-    if (folder / SUMMARY).is_file():
+    if found(folder / SUMMARY):
         told.append("statistics of simulated runs in summary.json, which prove nothing")
     return told

@@ -14,10 +14,17 @@ from .balls import PRECISION
 from .document import Document, read
 from .inputs import check_inputs
 from .plants import precision_for
-from .verdict import REJECTED, UNKNOWN, VERIFIED, Record, Rejected, Undecided, Verdict
+from .verdict import LONGEST, REJECTED, UNKNOWN, VERIFIED, Record, Rejected, Undecided, Verdict
 
 NAME = "certificate.json"
 """The certificate's name in a run folder."""
+
+
+FAILURES = (
+    *(ArithmeticError, ValueError, TypeError, LookupError, AttributeError),
+    *(AssertionError, MemoryError, RecursionError),
+)
+"""What numbers that no run has may raise deep in a check; the claim is then not decided."""
 
 
 def locate(path: str | Path) -> Path:
@@ -64,8 +71,8 @@ def _judge(check: Callable[[Record], list[str]]) -> Verdict:
         outcome, claim, witness, excess = REJECTED, error.claim, error.witness, error.excess
     except Undecided as error:
         outcome, claim, witness = UNKNOWN, error.claim, error.witness
-    except (ZeroDivisionError, OverflowError, MemoryError, RecursionError) as error:
-        outcome, claim, witness = UNKNOWN, "arithmetic", f"{type(error).__name__}: {error}"
+    except FAILURES as error:
+        outcome, claim, witness = UNKNOWN, "arithmetic", f"{type(error).__name__}: {error}"[:LONGEST]
     finally:
         flint.ctx.prec = before
     seconds = time.perf_counter() - begun

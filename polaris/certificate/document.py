@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from .file_keys import CERTIFICATE
+from .files import contents
 from .structure import conform, strict_json
 from .verdict import Rejected, Undecided
 
@@ -23,8 +24,12 @@ UNIT = 4e-9
 """How far the square of a unit normal may be off 1."""
 MOST_NODES = 100_000
 """Most periods in a step."""
-LARGEST = 256 * 2**20
-"""Largest certificate that is read [bytes]."""
+MOST_NODES_IN_ALL = 2_000_000
+"""Most periods in all steps, those of the tail included."""
+MOST_GENERATORS = 1000
+"""Most generators of the initial set."""
+MOST_STATES = 32
+"""Most states of a system: Lyapunov's equation is solved as n^2 linear ones."""
 
 
 SATELLITES = (
@@ -181,6 +186,8 @@ class Document:
             raise ValueError("the step must be positive")
         self.system_kind = str(system["kind"])
         n = len(system["A"])
+        if n > MOST_STATES:
+            raise Undecided("system", f"{n} states, more than {MOST_STATES}")
         self.A, self.B = table(system["A"], n, n), table(system["B"], n)
         m = len(self.B[0])
         self.D, self.C = table(system["D"], n), table(system["C"], None, n)
@@ -191,17 +198,21 @@ class Document:
         self.mean_motion = None if eta is None else number(eta)
         if not (self.mass > 0 and (self.mean_motion is None or self.mean_motion > 0)):
             raise Rejected("system", "mass and mean motion must be positive")
-        self.input_names = [_name(name) for name in system["input_names"]]
+        self.input_names = [_name(name) for name in listed(system["input_names"])]
         self.center = vector(data["initial_set"]["center"], n)
         self.generators = table(data["initial_set"]["generators"], None, n)
+        if len(self.generators) > MOST_GENERATORS:
+            raise Undecided("initial_set", f"more than {MOST_GENERATORS} generators")
         reference = data["reference"]
         self.states, self.inputs = table(reference["states"], None, n), table(reference["inputs"], None, m)
         self.cells = len(self.inputs)
+        if self.cells * self.q > MOST_NODES_IN_ALL:
+            raise Undecided("sampling", f"more than {MOST_NODES_IN_ALL} periods")
         if len(self.states) != self.cells + 1 or self.cells < self.steps or len(self.input_names) != m:
             raise ValueError("the reference must have one state more than inputs, and cover every step")
         d, cells = len(self.C), self.cells
         self.unsafe = [_unsafe(item, d, cells) for item in data["unsafe_sets"]]
-        self.facets = [[_whole(f, 0) for f in row] for row in data["facets"]]
+        self.facets = [[_whole(f, 0) for f in listed(row)] for row in listed(data["facets"])]
         counts = [len(item.normals) for item in self.unsafe]
         if len(self.facets) != cells or any(
             len(row) != len(counts) or any(f >= c for f, c in zip(row, counts, strict=True))
@@ -213,8 +224,8 @@ class Document:
         if kinds[:1] != ["safety"] or "safety" in kinds[1:]:
             raise ValueError("mode 0, and no other, must be the safety controller")
         schedule, K = data["schedule"], self.steps
-        self.modes = [_whole(mode, 0) for mode in schedule["modes"]]
-        self.margins = [-math.inf if x is None else number(x) for x in schedule["margins"]]
+        self.modes = [_whole(mode, 0) for mode in listed(schedule["modes"])]
+        self.margins = [-math.inf if x is None else number(x) for x in listed(schedule["margins"])]
         if len(self.modes) != K or len(self.margins) != K or max(self.modes) >= len(self.laws):
             raise ValueError("modes and margins must have one entry per step, of a known mode")
         bounds, sets, boxes = data["error_bounds"], data["recoverable"], data["enclosures"]
@@ -264,11 +275,10 @@ def read(path: Path) -> Document:
     OSError
         If the file cannot be read.
     """
-    if path.stat().st_size > LARGEST:
-        raise Undecided("format", f"larger than {LARGEST} bytes")
+    found = contents(path)
     try:
-        data = strict_json(path.read_bytes())
-    except (ValueError, RecursionError) as error:
+        data = strict_json(found)
+    except ValueError as error:
         raise Rejected("format", f"not JSON: {error}") from error
     if not isinstance(data, dict):
         raise Rejected("format", "not a JSON object")
@@ -279,18 +289,27 @@ def read(path: Path) -> Document:
 
 
 def number(text: Any) -> float:
-    """Decode one finite float from hexadecimal text."""
+    """Decode one finite float from the one hexadecimal text that stands for it: "10" is neither 10 nor 16."""
     if not isinstance(text, str):
         raise ValueError(f"{text!r} is not hexadecimal text")
     value = float.fromhex(text)
     if not math.isfinite(value):
         raise ValueError(f"{text!r} is not finite")
+    if value.hex() != text:
+        raise ValueError(f"{text!r} is not written {value.hex()}")
     return value
+
+
+def listed(items: Any) -> list[Any]:
+    """A list, and nothing else that has items."""
+    if not isinstance(items, list):
+        raise TypeError(f"{ascii(items)[:80]} is no list")
+    return items
 
 
 def vector(items: Any, size: int | None = None) -> list[float]:
     """Decode a list of numbers."""
-    values = [number(item) for item in items]
+    values = [number(item) for item in listed(items)]
     if size is not None and len(values) != size:
         raise ValueError(f"{len(values)} numbers where {size} are needed")
     return values
@@ -298,8 +317,8 @@ def vector(items: Any, size: int | None = None) -> list[float]:
 
 def table(rows: Any, height: int | None = None, width: int | None = None) -> list[list[float]]:
     """Decode a list of lists of numbers, all equally long."""
-    width = len(rows[0]) if width is None else width
-    values = [vector(row, width) for row in rows]
+    width = len(listed(rows)[0]) if width is None else width
+    values = [vector(row, width) for row in listed(rows)]
     if height is not None and len(values) != height:
         raise ValueError(f"{len(values)} rows where {height} are needed")
     return values
@@ -307,7 +326,7 @@ def table(rows: Any, height: int | None = None, width: int | None = None) -> lis
 
 def _radii(items: Any, steps: int, tail: bool) -> list[float]:
     """Radii at the start of every step and at T; the last is null if nothing follows T."""
-    if not tail and len(items) == steps + 1 and items[-1] is None:
+    if not tail and len(listed(items)) == steps + 1 and items[-1] is None:
         items = items[:-1]
     else:
         steps += 1
@@ -345,8 +364,8 @@ def _one_of(value: Any, known: tuple[str, ...], plain: bool = False) -> Any:
 
 def _unsafe(item: dict[str, Any], d: int, cells: int) -> UnsafeSet:
     normals = table(item["normals"], None, d)
-    pairs = item["offsets"]
-    if len(pairs) != cells or any(len(pair) != 2 for pair in pairs):
+    pairs = listed(item["offsets"])
+    if len(pairs) != cells or any(len(listed(pair)) != 2 for pair in pairs):
         raise ValueError("offsets must have two rows for every cell")
     first = [vector(pair[0], len(normals)) for pair in pairs]
     last = [vector(pair[1], len(normals)) for pair in pairs]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import partial
 from typing import Any
 
@@ -9,7 +10,7 @@ from flint import arb, arb_mat
 
 from .balls import matrix, require, row_sums
 from .document import Document
-from .lqr import check_gain
+from .lqr import check_gain, positive_definite
 from .own import check_own
 from .perception import check_unsafe
 from .switching import check_switching
@@ -18,6 +19,13 @@ from .zonotopes import inner_radius
 
 GOAL_SLACK = 1e-5
 """By how much the goal may be missed, relative to its size. No claim of safety rests on the goal."""
+
+
+HILL_RANGE = 1e5
+"""Farthest start from the target in Hill's frame [m]."""
+
+MOST_GENERATORS = 200
+"""Most generators of the zonotope around a ball: every two of them span a facet."""
 
 
 def check_inputs(document: Document, scenario: dict[str, Any], record: Record) -> None:
@@ -98,6 +106,9 @@ def _check_system(document: Document, spec: dict[str, Any]) -> None:
             place = list(range(max(n // 2, 1))) if spec.get("C") is None else None
     chosen = _table(spec["C"]) if place is None else [[float(i == j) for j in range(n)] for i in place]
     _need("system", "C", document.C, chosen)
+    C = matrix(document.C)
+    if positive_definite(C * C.transpose()) is not True:
+        raise Rejected("system", "the coordinates of the position are not independent")
 
 
 def _input_names(hill: bool, m: int) -> list[str]:
@@ -111,6 +122,8 @@ def _input_names(hill: bool, m: int) -> list[str]:
 
 def _check_initial_set(document: Document, spec: dict[str, Any]) -> None:
     _need("initial_set", "centre", document.center, _vector(spec["center"]))
+    if document.mean_motion is not None and math.hypot(*document.center[:3]) > HILL_RANGE:
+        raise Rejected("initial_set", f"starts beyond {HILL_RANGE:g} m: Hill's equations hold near it")
     n, generators = len(document.center), document.generators
     if spec["kind"] == "zonotope":
         _need("initial_set", "generators", generators, _table(spec["generators"]))
@@ -118,9 +131,13 @@ def _check_initial_set(document: Document, spec: dict[str, Any]) -> None:
     if spec["kind"] == "box":
         if any(sum(x != 0 for x in g) > 1 for g in generators):
             raise Rejected("initial_set", "a box has generators along the axes")
-        extent = [sum(abs(g[i]) for g in generators) for i in range(n)]
+        extent = [math.fsum(abs(g[i]) for g in generators) for i in range(n)]
         _need("initial_set", "half-widths", extent, _vector(spec["half_widths"]))
         return
+    if any(sorted(row) != [0.0] * (n - 1) + [1.0] for row in document.C):
+        raise Rejected("initial_set", "a ball needs a position that is a choice of states")
+    if len(generators) > MOST_GENERATORS:
+        raise Rejected("initial_set", f"a ball has at most {MOST_GENERATORS} generators")
     place = {row.index(1.0) for row in document.C}
     radii = float(spec["position_radius_m"]), float(spec["velocity_radius_m_s"])
     for states, radius in zip((place, set(range(n)) - place), radii, strict=True):
@@ -167,6 +184,7 @@ def _times(what: str, count: int, part: float, whole: float) -> None:
 def _check_controllers(document: Document, scenario: dict[str, Any]) -> None:
     specs = scenario["experimental"]
     _need("controllers", "number of experimental controllers", len(document.laws) - 1, len(specs))
+    _need("controllers", "name of the safety controller", document.laws[0].name, "safety")
     check_gain(document, document.laws[0], scenario["tracking"])
     for law, spec in zip(document.laws[1:], specs, strict=True):
         _need("controllers", "name", law.name, spec["name"])
@@ -203,7 +221,9 @@ def _orbit_terms(
     document: Document, x: list[float], spec: dict[str, Any]
 ) -> tuple[list[tuple[float, str]], float]:
     """How far a state is from a goal in Hill's frame, as lengths [m], and the goal's size."""
-    eta = document.mean_motion or 1.0
+    if document.mean_motion is None:
+        raise Rejected("goal", "a natural motion needs Hill's frame")
+    eta = document.mean_motion
     across = [x[2], x[5] / eta]
     if spec["kind"] == "linear_nmt":
         amplitude, along = float(spec["amplitude_max_m"]), float(spec.get("along_track_m", 0.0))

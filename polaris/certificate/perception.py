@@ -10,13 +10,16 @@ from typing import Any
 
 from flint import arb
 
-from .balls import require
+from .balls import largest, require
 from .document import Document, UnsafeSet
 from .satellites import Satellite
 from .verdict import Rejected
 
 SLACK = 1e-9
-"""Rounding of unit normals and offsets, relative to the numbers they are made from."""
+"""Rounding of unit normals: how far one may be turned. What that moves is booked."""
+
+ROUNDED = 1e-12
+"""Rounding of offsets, and of directions of edges, relative to the numbers that they are made from."""
 
 SLOPE = 1e-6
 """Least sine of the angle of a cone, and of the angle between two of its facets."""
@@ -58,7 +61,7 @@ def _beyond(item: UnsafeSet, cell: int, place: int, facet: int, support: arb, si
     """A facet at one end of a cell lies beyond a support, up to rounding."""
     offset = (item.start, item.end)[place][cell][facet]
     where = f"{item.name}, facet {facet}, at the {('start', 'end')[place]} of step {cell}"
-    require("unsafe_sets", offset - support + size * SLACK, where)
+    require("unsafe_sets", offset - support + size * ROUNDED, where)
 
 
 # -- obstacles --------------------------------------------------------------------------------------
@@ -74,6 +77,8 @@ def _check_obstacle(document: Document, item: UnsafeSet, spec: dict[str, Any]) -
     anchor = [0.0] * d if kind == "polytope" else [float(x) for x in spec["center_m"]]
     counts = {"box": 2 * d, "polytope": len(spec.get("normals", ()))}
     _check_count(item, counts[kind] if kind in counts else _directions(document, spec))
+    if not any(v) and not item.resting:
+        raise Rejected("unsafe_sets", f"{item.name} rests, but not in the certificate")
     for f, normal in enumerate(item.normals):
         n = [arb(x) for x in normal]
         if kind == "box":
@@ -85,10 +90,12 @@ def _check_obstacle(document: Document, item: UnsafeSet, spec: dict[str, Any]) -
             extent = sum(_row_support(document, normal, spec["normals"][f], offset, item.name), arb(0))
         base = sum((x * c for x, c in zip(n, anchor, strict=True)), extent)
         rate = sum((x * c for x, c in zip(n, v, strict=True)), arb(0))
+        size = abs(extent) + sum((abs(x * c) for x, c in zip(n, anchor, strict=True)), arb(0))
+        speed = sum((abs(x * c) for x, c in zip(n, v, strict=True)), arb(0))
         for cell in range(document.cells):
             for place in (0, 1):
                 t = arb(cell + place) * document.delta
-                _beyond(item, cell, place, f, base + rate * t, abs(base) + abs(rate * t))
+                _beyond(item, cell, place, f, base + rate * t, size + speed * t)
 
 
 def _check_count(item: UnsafeSet, count: int) -> None:
@@ -117,8 +124,16 @@ def _row_support(
     length = _length(given)
     off = sum((abs(n - x / length) for n, x in zip(normal, given, strict=True)), arb(0))
     require("unsafe_sets", SLACK - off, f"a normal of {name} is turned")
-    reach = 10 * max(abs(x) for state in (*document.states, *document.lower, *document.upper) for x in state)
-    return offset / length, off * reach
+    return offset / length, off * _reach(document)
+
+
+def _reach(document: Document) -> arb:
+    """Ten times as far from the origin as any position of the certificate."""
+    states = (*document.states, *document.lower, *document.upper)
+    far = [max(abs(x) for x in values) for values in zip(*states, strict=True)]
+    return 10 * largest(
+        sum((abs(arb(c)) * x for c, x in zip(row, far, strict=True)), arb(0)) for row in document.C
+    )
 
 
 # -- keep-in sets -----------------------------------------------------------------------------------
@@ -135,7 +150,7 @@ def _check_keep_in(document: Document, facets: list[UnsafeSet], spec: dict[str, 
         for f, (row, offset) in enumerate(zip(rows, offsets, strict=True)):
             given = float(spec["offsets_m"][f])
             most, moved = _row_support(document, row, spec["normals"][f], given, name)
-            spare = most - moved - offset + abs(most) * SLACK
+            spare = most - moved - offset + abs(most) * ROUNDED
             require("unsafe_sets", spare, f"{name}, facet {f}, is too far out")
         return
     d = len(document.C)
@@ -162,24 +177,25 @@ def _check_cone(rows: list[list[float]], offsets: list[float], spec: dict[str, A
         )
         off = sum((abs(a - b) for a, b in zip(last, axis, strict=True)), arb(0))
         require("unsafe_sets", SLACK - off, f"the end of {name} is turned")
-        require("unsafe_sets", at - offsets[-1] + abs(at) * SLACK, f"the end of {name} is too far out")
+        far = sum((abs(a * b) for a, b in zip(axis, apex, strict=True)), arb(float(spec["length_m"])))
+        require("unsafe_sets", at - offsets[-1] + far * ROUNDED, f"the end of {name} is too far out")
         rows, offsets = rows[:-1], offsets[:-1]
-    size = 1 + sum(abs(x) for x in apex)
+    size = sum(abs(x) for x in apex)
     for f, (row, offset) in enumerate(zip(rows, offsets, strict=True)):
         at = sum((arb(a) * b for a, b in zip(row, apex, strict=True)), arb(0))
-        require("unsafe_sets", at - offset + size * SLACK, f"{name}, facet {f}, is beyond the apex")
+        require("unsafe_sets", at - offset + size * ROUNDED, f"{name}, facet {f}, is beyond the apex")
     slope = (arb(float(spec["half_angle_deg"])) * arb.pi() / 180).cos()
     edges = _edges(rows, axis, name)
     for f, edge in enumerate(edges):
         forward = sum((a * b for a, b in zip(edge, axis, strict=True)), arb(0)) / _length(edge)
         require(
             "unsafe_sets",
-            forward - slope + SLACK,
+            forward - slope + ROUNDED,
             f"an edge of {name} next to facet {f} lies outside the cone",
         )
         for other, row in enumerate(rows):
             beyond = sum((a * b for a, b in zip(row, edge, strict=True)), arb(0)) / _length(edge)
-            require("unsafe_sets", SLACK - beyond, f"facets {f} and {other} of {name} are out of order")
+            require("unsafe_sets", ROUNDED - beyond, f"facets {f} and {other} of {name} are out of order")
 
 
 def _edges(rows: list[list[float]], axis: list[arb], name: str) -> list[list[arb]]:

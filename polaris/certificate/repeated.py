@@ -12,6 +12,7 @@ from typing import Any
 
 from .document import Document
 from .file_keys import GAINS, SCHEDULE
+from .files import contents
 from .structure import conform, strict_json
 from .switching import switches, switching_rules
 from .verdict import Rejected
@@ -31,12 +32,15 @@ LAW = "u = mu(t) + gain (xi(t) - x), reference.csv gives xi and mu"
 MARGIN_ROUNDING = 1e-9
 """How far a margin may be off the need and the room that explain it."""
 
+_NUMBER = r"-?(?:\d[\d.]*(?:e[+-]?\d+)?|inf|nan)"
+
 REASONS = {
-    "infinite": r"the reference ends (on a closed orbit|at rest), and all unsafe sets are static",
+    "infinite": r"the reference ends (?P<how>on a closed orbit|at rest), and all unsafe sets are static",
     "one_period": r"the reference does not end on a natural motion trajectory"
     r"|unsafe sets that move \((?P<moving>.*)\) are covered until (?P<until>\S+) s only"
     r"|the period is shorter than the memory of the loop",
-    "none": r"not proven after T = (?P<until>\S+) s: .*",
+    "none": r"not proven after T = (?P<until>\S+) s: "
+    rf"(?P<limit>.*) at t = {_NUMBER} s: needs {_NUMBER} of {_NUMBER}",
 }
 """Words for why a claim about the time after T reaches as far as it does."""
 
@@ -72,7 +76,7 @@ def check_schedule(document: Document, scenario: dict[str, Any], folder: Path) -
     ------
     Rejected
     """
-    stored = strict_json((folder / "schedule.json").read_bytes())
+    stored = strict_json(contents(folder / "schedule.json"))
     conform(stored, SCHEDULE, "schedule", "schedule.json")
     K, modes, laws = document.steps, document.modes, document.laws
     same("schedule", "modes", modes, stored["modes"])
@@ -114,8 +118,7 @@ def _check_step(document: Document, k: int, step: dict[str, Any]) -> None:
     same("controllers", f"controller of step {k}", document.laws[document.modes[k]].name, step["controller"])
     same("schedule", f"start of step {k} [s]", k * document.delta, step["t_start_s"])
     same("schedule", f"end of step {k} [s]", (k + 1) * document.delta, step["t_end_s"])
-    names = {item.name for item in document.unsafe} | {*document.input_names, BEYOND}
-    if step["limit"] not in names:
+    if step["limit"] not in limit_names(document):
         raise Rejected("schedule", f"step {k} is limited by {_short(step['limit'])}, which there is not")
     when, last = step["limit_time_s"], document.cells * document.delta
     if when is not None and not 0 <= when <= last * (1 + 1e-9):
@@ -125,6 +128,11 @@ def _check_step(document: Document, k: int, step: dict[str, Any]) -> None:
         left = 1 - need / room if room > 0 else -math.inf
         if left != margin and not abs(left - margin) <= MARGIN_ROUNDING * (1 + abs(left)):
             raise Rejected("margins", f"step {k} needs {need} of {room}, which leaves {left}, not {margin}")
+
+
+def limit_names(document: Document) -> set[str]:
+    """What a flight under S can be limited by."""
+    return {item.name for item in document.unsafe} | {*document.input_names, BEYOND}
 
 
 def _check_claim(document: Document, claimed: dict[str, Any]) -> None:
@@ -141,6 +149,11 @@ def _check_claim(document: Document, claimed: dict[str, Any]) -> None:
     found = words.groupdict()
     if found.get("until") is not None:
         same("end", "time in the reason", f"{document.until:g}", found["until"])
+    if found.get("how") is not None:
+        how = "at rest" if document.mean_motion is None else "on a closed orbit"
+        same("end", "how the reference ends", how, found["how"])
+    if found.get("limit") is not None and found["limit"] not in limit_names(document):
+        raise Rejected("end", f"{_short(found['limit'])} in the reason is no limit")
     if found.get("moving") is not None:
         moving = ", ".join(item.name for item in document.unsafe if not item.resting)
         same("end", "moving sets in the reason", moving, found["moving"])
@@ -180,7 +193,7 @@ def _same_table(claim: str, path: Path, rows: list[Iterable[Any]]) -> None:
     writer = csv.writer(text, lineterminator="\n")
     writer.writerows([["" if item is None else item for item in row] for row in rows])
     expected = text.getvalue().encode()
-    found = path.read_bytes()
+    found = contents(path)
     if found == expected:
         return
     lines, given = expected.split(b"\n"), found.split(b"\n")
@@ -207,7 +220,7 @@ def check_gains(document: Document, scenario: dict[str, Any], path: Path) -> dic
     ------
     Rejected
     """
-    stored = strict_json(path.read_bytes())
+    stored = strict_json(contents(path))
     conform(stored, GAINS, "controllers", "gains.json")
     same("controllers", "law", LAW, stored["law"])
     system = {

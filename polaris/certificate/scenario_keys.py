@@ -250,3 +250,7 @@ def check_keys(scenario: Any) -> None:
         names = [spec["name"] for spec in specs]
         if len(set(names)) < len(names):
             raise Rejected("scenario", f"two {what} have the same name")
+        if not names:
+            raise Rejected("scenario", f"there are no {what}")
+    for name in {"safety", "polaris"} & {spec["name"] for spec in scenario["experimental"]}:
+        raise Rejected("scenario", f"an experimental controller is called {name}, a name of the results")

@@ -196,15 +196,21 @@ def _shown(value: Any) -> str:
 # -- JSON -------------------------------------------------------------------------------------------
 
 
-def strict_json(text: str | bytes) -> Any:
-    """Read JSON in which every key stands once and every number is finite.
+def strict_json(data: bytes) -> Any:
+    """Read JSON in UTF-8 in which every key stands once and every number is finite.
+
+    In UTF-8 and without a mark at its start, so that every reader reads the same.
 
     Raises
     ------
     ValueError
         If it is not that.
     """
-    return json.loads(text, object_pairs_hook=_once, parse_constant=_no_number, parse_float=_finite)
+    text = data.decode("utf-8")
+    try:
+        return json.loads(text, object_pairs_hook=_once, parse_constant=_no_number, parse_float=_finite)
+    except RecursionError as error:
+        raise ValueError("nested too deeply") from error
 
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

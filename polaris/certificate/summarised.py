@@ -8,7 +8,8 @@ from typing import Any
 
 from .document import Document
 from .file_keys import SUMMARY
-from .repeated import same, share
+from .files import contents
+from .repeated import limit_names, same, share
 from .structure import conform, strict_json
 from .switching import switches
 from .verdict import Rejected
@@ -35,7 +36,7 @@ def check_summary(
     Rejected
         Naming ``summary``.
     """
-    found: dict[str, Any] = strict_json(path.read_bytes())
+    found: dict[str, Any] = strict_json(contents(path))
     conform(found, SUMMARY, "summary", "summary.json")
     same("summary", "name of the scenario", document.scenario, found["scenario"])
     same("summary", "title", scenario["title"], found["title"])
@@ -45,6 +46,8 @@ def check_summary(
     same("summary", "kind of recoverable set", document.recoverable, synthesis["recoverable"])
     same("summary", "experimental share", share(document.modes), synthesis["experimental_share"])
     same("summary", "switches", switches(document.modes), synthesis["switches"])
+    if synthesis["start_limit"] not in limit_names(document):
+        raise Rejected("summary", "what limits the initial set is no limit of the scene")
     _check_plan(document, synthesis["planner"])
     # Those flown: S alone, the first experimental controller alone, the schedule.
     flown = {

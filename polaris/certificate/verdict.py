@@ -10,6 +10,10 @@ EXIT_CODES = {VERIFIED: 0, REJECTED: 5, UNKNOWN: 6}
 """Exit codes by outcome; 2 means that there was nothing to check (no such file, python-flint missing)."""
 
 
+LONGEST = 1000
+"""Most characters of a witness: it may quote what it found."""
+
+
 class Rejected(Exception):
     """A claim of the certificate does not hold.
 
@@ -25,7 +29,7 @@ class Rejected(Exception):
 
     def __init__(self, claim: str, witness: str, excess: float | None = None) -> None:
         super().__init__(f"{claim}: {witness}")
-        self.claim, self.witness, self.excess = claim, witness, excess
+        self.claim, self.witness, self.excess = claim, witness[:LONGEST], excess
 
 
 class Undecided(Exception):
@@ -33,7 +37,7 @@ class Undecided(Exception):
 
     def __init__(self, claim: str, witness: str) -> None:
         super().__init__(f"{claim}: {witness}")
-        self.claim, self.witness = claim, witness
+        self.claim, self.witness = claim, witness[:LONGEST]
 
 
 @dataclass(frozen=True)

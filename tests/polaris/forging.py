@@ -16,13 +16,29 @@ import tomllib
 from collections import defaultdict
 from fnmatch import fnmatchcase
 
+import numpy as np
+
 from polaris.certificate.checker import verify
 from polaris.certificate.document import canonical, digest
+from polaris.runfolder import write_run
+from polaris.scenario import load_scenario
 from polaris.scenario_reading import write_toml
+from polaris.synthesis import synthesize
+
+from .corruptions import restate
+from .tiny import TINY
 
 CERTIFICATE = "certificate.json"
 TREES = (CERTIFICATE, "scenario.toml", "schedule.json", "gains.json", "summary.json")
 TABLES = ("schedule.csv", "reference.csv")
+
+
+def make(assignments, folder):
+    """A run of a variant of the tiny scene in which U flies in the middle, too."""
+    scenario = load_scenario(TINY).with_assignments(["tracking.R=[60,60]", "simulation.runs=2", *assignments])
+    schedule = synthesize(scenario)
+    assert schedule.guarantee == "proved" and 1 in schedule.modes
+    return write_run(folder / "run", scenario, schedule, figures=False).path
 
 
 class Forger:
@@ -77,6 +93,81 @@ def written(name, data):
         csv.writer(text, lineterminator="\n").writerows(data)
         return text.getvalue()
     return write_toml(data) if name.endswith(".toml") else json.dumps(data)
+
+
+# -- several files that agree on the same lie -------------------------------------------------------
+
+
+class Lie:
+    """Data of every file of a folder, to be changed and judged together."""
+
+    def __init__(self, forger):
+        self.forger = forger
+        for name in ("certificate", "schedule", "gains", "summary"):
+            setattr(self, name, copy.deepcopy(forger.tree(f"{name}.json")))
+        self.scenario = forger.tree("scenario.toml")
+        self.reference = forger.rows("reference.csv")
+
+    def judge(self, claims):
+        """The verdict names one of the claims."""
+        verdict = self.verdict()
+        assert verdict.outcome != "VERIFIED"
+        assert verdict.claim in claims, verdict.text()
+
+    def verdict(self, **texts):
+        """The verdict, with some files as other text: name, its dot as an underscore, to text."""
+        header = list(self.schedule["steps"][0])
+        steps = [["" if x is None else x for x in step.values()] for step in self.schedule["steps"]]
+        files = {f"{name}.json": json.dumps(getattr(self, name)) for name in ("schedule", "gains", "summary")}
+        files |= {
+            CERTIFICATE: json.dumps(self.certificate),
+            "scenario.toml": written("scenario.toml", self.scenario),
+            "schedule.csv": written("schedule.csv", [header, *steps]),
+            "reference.csv": written("reference.csv", self.reference),
+        }
+        return self.forger.judge(files | {name.replace("_", "."): text for name, text in texts.items()})
+
+    def guarantee(self):
+        """The certificate's end and assumptions, repeated in the other files."""
+        restate(self.certificate)
+        end, claimed = self.certificate["end"], self.schedule["guarantee"]
+        claimed |= {"horizon": end["horizon"], "reason": end["reason"]}
+        claimed["until_s"] = None if end["until"] is None else float.fromhex(end["until"])
+        claimed["assumptions"] = [*self.certificate["assumptions"], claimed["assumptions"][-1]]
+        self.summary["guarantee"] = claimed
+
+    def modes(self, modes):
+        """Another schedule, everywhere."""
+        names = [item["name"] for item in self.certificate["controllers"]]
+        self.certificate["schedule"]["modes"] = self.schedule["modes"] = modes
+        for step, mode in zip(self.schedule["steps"], modes, strict=True):
+            step["mode"], step["controller"] = mode, names[mode]
+        count = sum(a != b for a, b in zip(modes[:-1], modes[1:], strict=True))
+        share = sum(mode > 0 for mode in modes) / len(modes)
+        self.schedule["switches"], self.schedule["experimental_share"] = count, share
+        self.schedule["share"] = {name: modes.count(i) / len(modes) for i, name in enumerate(names)}
+        for part in (self.summary["synthesis"], self.summary["polaris"]):
+            part["switches"], part["experimental_share"] = count, share
+
+    def gain(self, mode, K):
+        """Another gain, everywhere."""
+        self.certificate["controllers"][mode]["gain"] = [[float(x).hex() for x in row] for row in K]
+        self.gains["controllers"][mode]["gain"] = [[float(x) for x in row] for row in K]
+
+    def own(self, mode, states, inputs):
+        """Another reference of its own, everywhere."""
+        for name, rows in (("own_states", states), ("own_inputs", inputs)):
+            self.certificate["controllers"][mode][name] = [[float(x).hex() for x in row] for row in rows]
+            self.gains["controllers"][mode][name] = [[float(x) for x in row] for row in rows]
+
+    def plant(self):
+        """A, B as arrays."""
+        return (np.array(self.gains["system"][key]) for key in "AB")
+
+    def follow(self):
+        """(states, inputs) of U's own reference."""
+        given = self.gains["controllers"][1]
+        return np.array(given["own_states"]), np.array(given["own_inputs"])
 
 
 # -- one place at a time ----------------------------------------------------------------------------

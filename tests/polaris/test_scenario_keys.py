@@ -240,9 +240,9 @@ def test_rules_that_join_keys():
 )
 def test_json_with_double_keys_or_no_numbers_is_refused(text):
     with pytest.raises(ValueError):
-        strict_json(text)
+        strict_json(text.encode())
 
 
 def test_strict_json_reads_the_rest():
     text = '{"a":[1,2.5,-3e-4,null,true,"x"],"b":{"a":1}}'
-    assert strict_json(text) == json.loads(text)
+    assert strict_json(text.encode()) == json.loads(text)

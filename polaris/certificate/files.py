@@ -1,0 +1,56 @@
+"""Files of a run folder, read once and within bounds: whoever made the folder may not exhaust the checker."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+from .verdict import Rejected, Undecided
+
+LARGEST = 256 * 2**20
+"""Largest file whose contents are read [bytes]."""
+
+LARGEST_SCENARIO = 4 * 2**20
+"""Largest scenario file [bytes]."""
+
+LARGEST_HASHED = 16 * 2**30
+"""Largest file that is hashed [bytes]."""
+
+
+def contents(path: Path, most: int = LARGEST) -> bytes:
+    """The bytes of a regular file, or of what a link to one leads to.
+
+    Raises
+    ------
+    Rejected
+        Naming ``artefacts``, if it is a folder, or a device or pipe, whose end may never come.
+    Undecided
+        Naming ``artefacts``, if it is larger than `most`.
+    OSError
+        If it cannot be read.
+    """
+    _regular(path, most)
+    with path.open("rb") as file:
+        data = file.read(most + 1)  # it may have grown since
+    if len(data) > most:
+        raise Undecided("artefacts", f"{ascii(path.name)} is larger than {most} bytes")
+    return data
+
+
+def found(path: Path) -> bool:
+    """Whether a folder has an entry of this name, be it a link that leads nowhere."""
+    return path.exists() or path.is_symlink()
+
+
+def sha256(path: Path) -> str:
+    """SHA-256 of a file, piece by piece; raises as `contents` does."""
+    _regular(path, LARGEST_HASHED)
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _regular(path: Path, most: int) -> None:
+    if found(path) and not path.is_file():
+        raise Rejected("artefacts", f"{ascii(path.name)} is no regular file")
+    if path.stat().st_size > most:
+        raise Undecided("artefacts", f"{ascii(path.name)} is larger than {most} bytes")
