@@ -175,8 +175,8 @@ def test_clipped_proofs_verify(tmp_path):
 
 @pytest.mark.slow
 def test_many_clipped_proofs_verify(tmp_path):
-    found = dict(clipped_verdicts(range(1000), tmp_path))
-    assert len(found) >= 100
+    found = dict(clipped_verdicts(range(250), tmp_path))
+    assert len(found) >= 20
     assert {seed: verdict.text() for seed, verdict in found.items() if verdict.exit_code} == {}
 
 
