@@ -43,9 +43,9 @@ bench: $(BENCH) ## Run the benchmarks and print their tables
 	  echo "== $$name"; $(BIN)/python -m "benchmarks.$$name" || exit 1; done
 
 schema: $(BASE) ## Rewrite the generated pages: scenario schema and reference, interfaces, assurance
-	$(BIN)/python -m polaris.scenario_docs
-	$(BIN)/python -m polaris.api_docs
-	$(BIN)/python -m polaris.assurance_docs
+	$(BIN)/python -m docs.generate.scenario_docs
+	$(BIN)/python -m docs.generate.api_docs
+	$(BIN)/python -m docs.generate.assurance_docs
 
 docs: $(DOCS) schema ## Build the documentation into build/docs
 	$(BIN)/mkdocs build --strict --site-dir build/docs

@@ -17,8 +17,8 @@ from polaris.rta.arena import METHODS
 from polaris.rta.flight import Conditions, fly
 from polaris.rta.method import Seen
 from polaris.rta.scene import Scene
-from polaris.scenario import load_scenario
-from polaris.synthesis import synthesize
+from polaris.scenario.scenario import load_scenario
+from polaris.synthesis.synthesize import synthesize
 
 TIMED = ("monitor", "monitor_declared", "simplex_explicit", "asif_explicit", "asif_implicit")
 WARM = 20

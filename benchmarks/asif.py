@@ -16,12 +16,12 @@ from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
 
-from polaris.asif.asif import ActiveSetFilter
-from polaris.asif.families import Families
-from polaris.asif.inspection import Inspection
-from polaris.asif.sampled import SampledData
-from polaris.asif.sampling import initial_conditions
-from polaris.asif.studies import monte_carlo
+from polaris.inspection.constraints.families import Families
+from polaris.inspection.constraints.sampled import SampledData
+from polaris.inspection.filters.asif import ActiveSetFilter
+from polaris.inspection.flights.sampling import initial_conditions
+from polaris.inspection.flights.studies import monte_carlo
+from polaris.inspection.inspection import Inspection
 
 
 def time_filter(deputies: int, sharing: str, sampled: bool, calls: int = 2000) -> tuple[float, float, float]:

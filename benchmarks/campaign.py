@@ -14,8 +14,8 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-from polaris.campaign import Workers, cluster, local, make_cases, run_campaign
-from polaris.campaign.workers import InProcess
+from polaris.runs.campaign import Workers, cluster, local, make_cases, run_campaign
+from polaris.runs.campaign.workers import InProcess
 
 BATCH = 250
 

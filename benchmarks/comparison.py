@@ -22,11 +22,11 @@ from pathlib import Path
 import numpy as np
 
 from polaris.rta.arena import TUNING, compare_methods
-from polaris.rta.folder import write_comparison
 from polaris.rta.outcome import Outcome
 from polaris.rta.scene import Scene
-from polaris.scenario import load_scenario
-from polaris.synthesis import synthesize
+from polaris.runs.comparison import write_comparison
+from polaris.scenario.scenario import load_scenario
+from polaris.synthesis.synthesize import synthesize
 
 PAGE = Path(__file__).parents[1] / "docs" / "comparison.md"
 SCENES = ("static", "dynamic", "robot")

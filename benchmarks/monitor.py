@@ -19,14 +19,14 @@ from collections.abc import Callable
 import numpy as np
 
 from polaris.rta.alone import Alone
-from polaris.rta.decision_log import DecisionLog
 from polaris.rta.estimate import Measurement
 from polaris.rta.flight import Conditions, fly
 from polaris.rta.monitor import Monitor
-from polaris.rta.runtime import OnlineMonitor
+from polaris.rta.online.decision_log import DecisionLog
+from polaris.rta.online.runtime import OnlineMonitor
 from polaris.rta.scene import Scene
-from polaris.scenario import load_scenario
-from polaris.synthesis import synthesize
+from polaris.scenario.scenario import load_scenario
+from polaris.synthesis.synthesize import synthesize
 
 BLOCK = 300
 """Decisions per block."""

@@ -14,10 +14,10 @@ import tempfile
 import time
 from pathlib import Path
 
-from polaris.experimental import build_controllers
-from polaris.safety import get_safety
-from polaris.scenario import load_scenario
-from polaris.synthesis import synthesize
+from polaris.scenario.scenario import load_scenario
+from polaris.synthesis.experimental import build_controllers
+from polaris.synthesis.get_safety import get_safety
+from polaris.synthesis.synthesize import synthesize
 
 
 def timed(code: list[str]) -> float:

@@ -10,9 +10,9 @@ from time import perf_counter, process_time
 
 import numpy as np
 
-from polaris.hill import clohessy_wiltshire
+from polaris.model.hill import clohessy_wiltshire
+from polaris.model.timed_polytope import TimedPolytope
 from polaris.planning import EllipticalNMT, PlannerOptions, PlanProblem, StationaryPoint, plan
-from polaris.unsafe import TimedPolytope
 
 ETA = 0.0012
 CUBE = np.vstack([np.eye(3), -np.eye(3)])

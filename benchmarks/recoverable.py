@@ -12,11 +12,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from polaris.experimental import build_controllers
-from polaris.recoverable import get_recover
-from polaris.safety import get_safety
-from polaris.scenario import load_scenario
-from polaris.synthesis import synthesize
+from polaris.scenario.scenario import load_scenario
+from polaris.synthesis.experimental import build_controllers
+from polaris.synthesis.get_safety import get_safety
+from polaris.synthesis.recoverable import get_recover
+from polaris.synthesis.synthesize import synthesize
 
 KINDS = ("ball", "time_varying_ball", "polytope")
 SCENARIOS = ("static", "dynamic", "keep_out", "hold_point", "robot")

@@ -12,8 +12,8 @@ from rich.console import Console
 from rich.table import Table
 from scipy.linalg import expm
 
-from reach.reduction import METHODS, mean_width, reduce, reduction_loss
-from reach.zonotope import Zonotope
+from reach.sets.reduction import METHODS, mean_width, reduce, reduction_loss
+from reach.sets.zonotope import Zonotope
 
 COUNT = 100
 

@@ -17,15 +17,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from reach.zonotope import Zonotope
+    from reach.sets.zonotope import Zonotope
 
-    from .campaign import CampaignFolder, make_cases, read_campaign, run_campaign
-    from .clearance import Clearance
-    from .comparison import Flights, Flown, compare
-    from .controllers import AffineController, AnyThrust, Controller, Flight
-    from .end_condition import EndCondition
-    from .error_bounds import ErrorBounds
-    from .errors import (
+    from .model.errors import (
         ClockWarning,
         NotCertified,
         OutOfTime,
@@ -33,13 +27,9 @@ if TYPE_CHECKING:
         ScenarioError,
         SynthesisInfeasible,
     )
-    from .evaluation import Metrics, evaluate
-    from .falsification.case import replay, write_case
-    from .falsification.search import Failure, Falsification, falsify
-    from .figures import plot_reference, plot_schedule
-    from .hill import clohessy_wiltshire, elliptical_nmt, free_flight
-    from .obstacle_base import Obstacle
-    from .obstacles import (
+    from .model.hill import clohessy_wiltshire, elliptical_nmt, free_flight
+    from .model.obstacle import Obstacle
+    from .model.obstacles import (
         BallObstacle,
         BoxObstacle,
         KeepInCone,
@@ -47,57 +37,67 @@ if TYPE_CHECKING:
         PolytopeObstacle,
         SatelliteObstacle,
     )
-    from .orbit.environment import Environment
-    from .orbit.model_error import ModelError, model_error
-    from .orbit.truth import TrueFlights, fly_true
-    from .planning.conditions import Goal
+    from .model.system import LinearSystem
+    from .model.timed_polytope import TimedPolytope
+    from .planning.goal import Goal
     from .planning.goals import Box, EllipticalNMT, LinearNMT, StationaryPoint
     from .planning.problem import Plan, PlannerOptions, Progress, Stage
-    from .problem import Problem
-    from .recoverable import Margin, RecoverableSet
-    from .reference import Reference
+    from .planning.reference import Reference
     from .report import write_report
+    from .report.figures import plot_reference, plot_schedule
     from .rta.arena import Comparison, compare_methods
-    from .rta.decision_log import DecisionLog, read_log
     from .rta.estimate import Measurement
-    from .rta.folder import ComparisonFolder, read_comparison, write_comparison
-    from .rta.loop import Command, FlightLoop
     from .rta.method import Choice, Claim, Method, Seen
     from .rta.monitor import Monitor
+    from .rta.online.decision_log import DecisionLog, read_log
+    from .rta.online.loop import Command, FlightLoop
+    from .rta.online.replay import replay_log
+    from .rta.online.runtime import OnlineMonitor
+    from .rta.online.runtime_options import Answer, RuntimeOptions
     from .rta.outcome import Outcome
-    from .rta.replay import replay_log
-    from .rta.runtime import OnlineMonitor
-    from .rta.runtime_options import Answer, RuntimeOptions
     from .rta.scene import Scene
-    from .runfolder import RunFolder, read_run, write_run
-    from .safety import Safety, get_safety
-    from .scenario import Scenario, bundled_scenarios, load_scenario
-    from .schedule import Schedule, Step
-    from .simulation import Runs, simulate
-    from .synthesis import SwitchingRules, synthesize
-    from .system import LinearSystem
+    from .runs.campaign import CampaignFolder, make_cases, read_campaign, run_campaign
+    from .runs.case import replay, write_case
+    from .runs.comparison import ComparisonFolder, read_comparison, write_comparison
+    from .runs.folder import RunFolder, read_run, write_run
+    from .scenario.scenario import Scenario, bundled_scenarios, load_scenario
+    from .simulation.baselines import Flights, Flown, compare
+    from .simulation.falsification.search import Failure, Falsification, falsify
+    from .simulation.orbit.environment import Environment
+    from .simulation.orbit.model_error import ModelError, model_error
+    from .simulation.orbit.truth import TrueFlights, fly_true
+    from .simulation.run_metrics import Metrics, evaluate
+    from .simulation.simulate import Runs, simulate
+    from .synthesis.clearance import Clearance
+    from .synthesis.controllers import AffineController, AnyThrust, Controller, Flight
+    from .synthesis.end_condition import EndCondition
+    from .synthesis.error_bounds import ErrorBounds
+    from .synthesis.get_safety import Safety, get_safety
+    from .synthesis.problem import Problem
+    from .synthesis.recoverable import Margin, RecoverableSet
+    from .synthesis.schedule import Schedule, Step
+    from .synthesis.synthesize import SwitchingRules, synthesize
+    from .synthesis.tracking import Feedback, Tracking
     from .traces import TraceMetrics, evaluate_trace, read_trace, write_trace
-    from .tracking import Feedback, Tracking
-    from .unsafe import TimedPolytope
 
     __version__: str
 
 _HOMES = {
-    ".clearance": ("Clearance",),
-    ".comparison": (
+    ".synthesis.clearance": ("Clearance",),
+    ".simulation.baselines": (
         "Flights",
         "Flown",
         "compare",
     ),
-    ".controllers": (
+    ".synthesis.controllers": (
         "AffineController",
         "AnyThrust",
         "Controller",
         "Flight",
     ),
-    ".end_condition": ("EndCondition",),
-    ".error_bounds": ("ErrorBounds",),
-    ".errors": (
+    ".synthesis.end_condition": ("EndCondition",),
+    ".synthesis.error_bounds": ("ErrorBounds",),
+    ".model.errors": (
         "ClockWarning",
         "NotCertified",
         "OutOfTime",
@@ -105,23 +105,23 @@ _HOMES = {
         "ScenarioError",
         "SynthesisInfeasible",
     ),
-    ".evaluation": (
+    ".simulation.run_metrics": (
         "Metrics",
         "evaluate",
     ),
-    ".falsification.case": ("replay", "write_case"),
-    ".falsification.search": ("Failure", "Falsification", "falsify"),
-    ".figures": (
+    ".runs.case": ("replay", "write_case"),
+    ".simulation.falsification.search": ("Failure", "Falsification", "falsify"),
+    ".report.figures": (
         "plot_reference",
         "plot_schedule",
     ),
-    ".hill": (
+    ".model.hill": (
         "clohessy_wiltshire",
         "elliptical_nmt",
         "free_flight",
     ),
-    ".obstacle_base": ("Obstacle",),
-    ".obstacles": (
+    ".model.obstacle": ("Obstacle",),
+    ".model.obstacles": (
         "BallObstacle",
         "BoxObstacle",
         "KeepInCone",
@@ -129,10 +129,10 @@ _HOMES = {
         "PolytopeObstacle",
         "SatelliteObstacle",
     ),
-    ".orbit.environment": ("Environment",),
-    ".orbit.model_error": ("ModelError", "model_error"),
-    ".orbit.truth": ("TrueFlights", "fly_true"),
-    ".planning.conditions": ("Goal",),
+    ".simulation.orbit.environment": ("Environment",),
+    ".simulation.orbit.model_error": ("ModelError", "model_error"),
+    ".simulation.orbit.truth": ("TrueFlights", "fly_true"),
+    ".planning.goal": ("Goal",),
     ".planning.goals": (
         "Box",
         "EllipticalNMT",
@@ -145,60 +145,60 @@ _HOMES = {
         "Progress",
         "Stage",
     ),
-    ".problem": ("Problem",),
-    ".recoverable": (
+    ".synthesis.problem": ("Problem",),
+    ".synthesis.recoverable": (
         "Margin",
         "RecoverableSet",
     ),
-    ".reference": ("Reference",),
-    ".runfolder": (
+    ".planning.reference": ("Reference",),
+    ".runs.folder": (
         "RunFolder",
         "read_run",
         "write_run",
     ),
-    ".safety": (
+    ".synthesis.get_safety": (
         "Safety",
         "get_safety",
     ),
-    ".scenario": (
+    ".scenario.scenario": (
         "Scenario",
         "bundled_scenarios",
         "load_scenario",
     ),
-    ".schedule": (
+    ".synthesis.schedule": (
         "Schedule",
         "Step",
     ),
-    ".simulation": (
+    ".simulation.simulate": (
         "Runs",
         "simulate",
     ),
-    ".synthesis": (
+    ".synthesis.synthesize": (
         "SwitchingRules",
         "synthesize",
     ),
-    ".system": ("LinearSystem",),
-    ".tracking": (
+    ".model.system": ("LinearSystem",),
+    ".synthesis.tracking": (
         "Feedback",
         "Tracking",
     ),
-    ".unsafe": ("TimedPolytope",),
-    ".campaign": ("CampaignFolder", "make_cases", "read_campaign", "run_campaign"),
+    ".model.timed_polytope": ("TimedPolytope",),
+    ".runs.campaign": ("CampaignFolder", "make_cases", "read_campaign", "run_campaign"),
     ".report": ("write_report",),
     ".rta.arena": ("Comparison", "compare_methods"),
-    ".rta.decision_log": ("DecisionLog", "read_log"),
+    ".rta.online.decision_log": ("DecisionLog", "read_log"),
     ".rta.estimate": ("Measurement",),
-    ".rta.folder": ("ComparisonFolder", "read_comparison", "write_comparison"),
-    ".rta.loop": ("Command", "FlightLoop"),
+    ".runs.comparison": ("ComparisonFolder", "read_comparison", "write_comparison"),
+    ".rta.online.loop": ("Command", "FlightLoop"),
     ".rta.method": ("Choice", "Claim", "Method", "Seen"),
     ".rta.monitor": ("Monitor",),
     ".rta.outcome": ("Outcome",),
-    ".rta.replay": ("replay_log",),
-    ".rta.runtime": ("OnlineMonitor",),
-    ".rta.runtime_options": ("Answer", "RuntimeOptions"),
+    ".rta.online.replay": ("replay_log",),
+    ".rta.online.runtime": ("OnlineMonitor",),
+    ".rta.online.runtime_options": ("Answer", "RuntimeOptions"),
     ".rta.scene": ("Scene",),
     ".traces": ("TraceMetrics", "evaluate_trace", "read_trace", "write_trace"),
-    "reach.zonotope": ("Zonotope",),
+    "reach.sets.zonotope": ("Zonotope",),
 }
 """Module of every public name."""
 
@@ -314,7 +314,7 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     """Import a public name when it is first asked for."""
     if name == "__version__":
-        from .version import version
+        from .model.version import version
 
         value: Any = version()
     elif name in _HOME:

@@ -1,5 +1,5 @@
 """``python -m polaris``: the same as the command ``polaris``."""
 
-from .cli import app
+from .cli.app import app
 
 app()

@@ -9,80 +9,80 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .answer import Answer
-    from .automaton import HybridAutomaton, Mode, Transition
-    from .ball import ball_generators
-    from .containment import contains
-    from .convex import ConvexSet
-    from .ellipsoid import Ellipsoid
-    from .errors import ReachError, ReachWarning, Unresolved
-    from .fan import Fan
-    from .flow import LinearFlow, state_scale
-    from .hulls import enclosing_hull
-    from .hybrid import hybrid_tube
-    from .hybrid_replay import replay_hybrid
-    from .hybrid_simulation import HybridTrajectory, Visit, simulate_hybrid
-    from .hybrid_verification import HybridVerdict, falsify_hybrid, verify_hybrid
-    from .intersection import meet_halfspace
-    from .interval import Interval
-    from .lazy import AffineImage, MinkowskiSum
-    from .linear import discretize, growth, powers
-    from .ltv import LTVSystem, ltv_support_tube, ltv_zonotope_tube
-    from .meet import Intersection
-    from .norms import NormBracket, largest_norm
-    from .outlines import outline
-    from .polytope import HPolytope
-    from .reduction import reduce, reduction_loss
-    from .relaxation import clip_relaxation
-    from .segments import HybridTube, Segment
-    from .separation import disjoint
-    from .signals import Signal
-    from .specification import Always, Never, Verdict
-    from .systems import LinearSystem
-    from .trajectory import Trajectory, simulate, worst_case
-    from .tube_support import SupportTube, support_tube
-    from .tube_zonotope import ZonotopeTube, zonotope_tube
-    from .varying import Varying
-    from .verification import verify
-    from .zonotope import Zonotope
+    from .hybrid.automaton import HybridAutomaton, Mode, Transition
+    from .hybrid.replay import replay_hybrid
+    from .hybrid.segments import HybridTube, Segment
+    from .hybrid.simulation import HybridTrajectory, Visit, simulate_hybrid
+    from .hybrid.tube import hybrid_tube
+    from .hybrid.verification import HybridVerdict, falsify_hybrid, verify_hybrid
+    from .numerics.errors import ReachError, ReachWarning, Unresolved
+    from .numerics.linear import discretize, growth, powers
+    from .numerics.relaxation import clip_relaxation
+    from .sets.answer import Answer
+    from .sets.ball import ball_generators
+    from .sets.containment import contains
+    from .sets.convex import ConvexSet
+    from .sets.ellipsoid import Ellipsoid
+    from .sets.hulls import enclosing_hull
+    from .sets.intersection import meet_halfspace
+    from .sets.interval import Interval
+    from .sets.lazy import AffineImage, MinkowskiSum
+    from .sets.meet import Intersection
+    from .sets.norms import NormBracket, largest_norm
+    from .sets.outlines import outline
+    from .sets.polytope import HPolytope
+    from .sets.reduction import reduce, reduction_loss
+    from .sets.separation import disjoint
+    from .sets.zonotope import Zonotope
+    from .tubes.flow import LinearFlow, state_scale
+    from .tubes.flowpipes import Fan
+    from .tubes.ltv import LTVSystem, ltv_support_tube, ltv_zonotope_tube
+    from .tubes.signals import Signal
+    from .tubes.support_tube import SupportTube, support_tube
+    from .tubes.systems import LinearSystem
+    from .tubes.trajectory import Trajectory, simulate, worst_case
+    from .tubes.varying import Varying
+    from .tubes.zonotope_tube import ZonotopeTube, zonotope_tube
+    from .verify.specification import Always, Never, Verdict
+    from .verify.verification import verify
 
 _HOMES = {
-    ".answer": ("Answer",),
-    ".automaton": ("HybridAutomaton", "Mode", "Transition"),
-    ".ball": ("ball_generators",),
-    ".containment": ("contains",),
-    ".convex": ("ConvexSet",),
-    ".ellipsoid": ("Ellipsoid",),
-    ".errors": ("ReachError", "ReachWarning", "Unresolved"),
-    ".fan": ("Fan",),
-    ".flow": ("LinearFlow", "state_scale"),
-    ".hulls": ("enclosing_hull",),
-    ".hybrid": ("hybrid_tube",),
-    ".hybrid_replay": ("replay_hybrid",),
-    ".hybrid_simulation": ("HybridTrajectory", "Visit", "simulate_hybrid"),
-    ".hybrid_verification": ("HybridVerdict", "falsify_hybrid", "verify_hybrid"),
-    ".intersection": ("meet_halfspace",),
-    ".interval": ("Interval",),
-    ".lazy": ("AffineImage", "MinkowskiSum"),
-    ".ltv": ("LTVSystem", "ltv_support_tube", "ltv_zonotope_tube"),
-    ".linear": ("discretize", "growth", "powers"),
-    ".meet": ("Intersection",),
-    ".norms": ("NormBracket", "largest_norm"),
-    ".outlines": ("outline",),
-    ".polytope": ("HPolytope",),
-    ".reduction": ("reduce", "reduction_loss"),
-    ".relaxation": ("clip_relaxation",),
-    ".segments": ("HybridTube", "Segment"),
-    ".separation": ("disjoint",),
-    ".trajectory": ("Trajectory", "simulate", "worst_case"),
-    ".tube_support": ("SupportTube", "support_tube"),
-    ".signals": ("Signal",),
-    ".systems": ("LinearSystem",),
-    ".varying": ("Varying",),
-    ".specification": ("Always", "Never", "Verdict"),
-    ".verification": ("verify",),
-    ".zonotope": ("Zonotope",),
-    ".tube_zonotope": ("ZonotopeTube", "zonotope_tube"),
+    ".sets.answer": ("Answer",),
+    ".hybrid.automaton": ("HybridAutomaton", "Mode", "Transition"),
+    ".sets.ball": ("ball_generators",),
+    ".sets.containment": ("contains",),
+    ".sets.convex": ("ConvexSet",),
+    ".sets.ellipsoid": ("Ellipsoid",),
+    ".numerics.errors": ("ReachError", "ReachWarning", "Unresolved"),
+    ".tubes.flowpipes": ("Fan",),
+    ".tubes.flow": ("LinearFlow", "state_scale"),
+    ".sets.hulls": ("enclosing_hull",),
+    ".hybrid.tube": ("hybrid_tube",),
+    ".hybrid.replay": ("replay_hybrid",),
+    ".hybrid.simulation": ("HybridTrajectory", "Visit", "simulate_hybrid"),
+    ".hybrid.verification": ("HybridVerdict", "falsify_hybrid", "verify_hybrid"),
+    ".sets.intersection": ("meet_halfspace",),
+    ".sets.interval": ("Interval",),
+    ".sets.lazy": ("AffineImage", "MinkowskiSum"),
+    ".tubes.ltv": ("LTVSystem", "ltv_support_tube", "ltv_zonotope_tube"),
+    ".numerics.linear": ("discretize", "growth", "powers"),
+    ".sets.meet": ("Intersection",),
+    ".sets.norms": ("NormBracket", "largest_norm"),
+    ".sets.outlines": ("outline",),
+    ".sets.polytope": ("HPolytope",),
+    ".sets.reduction": ("reduce", "reduction_loss"),
+    ".numerics.relaxation": ("clip_relaxation",),
+    ".hybrid.segments": ("HybridTube", "Segment"),
+    ".sets.separation": ("disjoint",),
+    ".tubes.trajectory": ("Trajectory", "simulate", "worst_case"),
+    ".tubes.support_tube": ("SupportTube", "support_tube"),
+    ".tubes.signals": ("Signal",),
+    ".tubes.systems": ("LinearSystem",),
+    ".tubes.varying": ("Varying",),
+    ".verify.specification": ("Always", "Never", "Verdict"),
+    ".verify.verification": ("verify",),
+    ".sets.zonotope": ("Zonotope",),
+    ".tubes.zonotope_tube": ("ZonotopeTube", "zonotope_tube"),
 }
 """Module of every public name."""
 

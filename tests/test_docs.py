@@ -30,7 +30,7 @@ from pathlib import Path
 import pytest
 
 import polaris
-from polaris import api_docs
+from docs.generate import api_docs
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
@@ -236,7 +236,7 @@ def test_table_of_scenarios_is_what_a_run_gives(name, shell):
 @pytest.mark.parametrize("page", api_docs.PAGES, ids=lambda page: page.file)
 def test_interface_page_is_up_to_date(page):
     committed = (DOCS / page.file).read_text(encoding="utf-8")
-    assert committed == page.text(), "run: python -m polaris.api_docs"
+    assert committed == page.text(), "run: python -m docs.generate.api_docs"
 
 
 @pytest.mark.parametrize("page", api_docs.PAGES, ids=lambda page: page.file)

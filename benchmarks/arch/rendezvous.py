@@ -30,7 +30,7 @@ from reach import (
     simulate_hybrid,
     verify_hybrid,
 )
-from reach.segments import HybridTube
+from reach.hybrid.segments import HybridTube
 
 HORIZON = 300.0  # min
 

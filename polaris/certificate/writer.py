@@ -9,15 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from reach.linear import growth
+from reach.numerics.linear import growth
 
-from ..clearance import error_tube
-from ..controllers import AffineController, Controller, Flight
-from ..safety import Safety
-from ..schedule import Schedule, Step, assumed
-from ..system import Array
-from ..tolerances import ROUNDING
-from ..unsafe import TimedPolytope
+from ..model.system import Array
+from ..model.timed_polytope import TimedPolytope
+from ..model.tolerances import ROUNDING
+from ..synthesis.clearance import error_tube
+from ..synthesis.controllers import AffineController, Controller, Flight
+from ..synthesis.get_safety import Safety
+from ..synthesis.schedule import Schedule, Step, assumed
 from .document import FORMAT, VERSION, canonical, digest
 
 

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import ScenarioError
-from ..tolerances import SOLVER_FEASIBILITY
+from ..model.errors import ScenarioError
+from ..model.tolerances import SOLVER_FEASIBILITY
 from .problem import PlannerOptions
 
 Listen = Callable[[float, float], None]

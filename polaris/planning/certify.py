@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import NotCertified
-from ..system import Array
+from ..model.errors import NotCertified
+from ..model.system import Array
 from .problem import Plan, PlanProblem
 from .recheck import Recheck, recheck
 

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, NoReturn
 
 import numpy as np
 
-from ..checks import counted
-from ..errors import SynthesisInfeasible
-from ..system import Array
+from ..model.checks import counted
+from ..model.errors import SynthesisInfeasible
+from ..model.system import Array
 from .lp import GrowingLP
 from .problem import PlanProblem
 from .rows import Rows

@@ -7,9 +7,9 @@ from functools import cached_property
 
 import numpy as np
 
-from ..errors import ScenarioError
-from ..system import Array, as_finite
-from .conditions import Goal, GoalConditions, positive
+from ..model.errors import ScenarioError
+from ..model.system import Array, as_finite
+from .goal import Goal, GoalConditions, positive
 from .nmt import EllipticalNMT, LinearNMT, ellipse_polygon
 
 __all__ = [

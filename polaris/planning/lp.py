@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import NotCertified
-from ..system import Array
-from ..tolerances import SOLVER_FEASIBILITY
+from ..model.errors import NotCertified
+from ..model.system import Array
+from ..model.tolerances import SOLVER_FEASIBILITY
 
 FAR = 1e6
 """Range of what is unlimited: no row of the planner gets as many lengths away from its bound."""

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ..system import Array
+from ..model.system import Array
 from . import backends
 from .lp import GrowingLP
 from .problem import PlannerOptions

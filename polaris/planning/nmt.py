@@ -7,9 +7,9 @@ from functools import cached_property
 
 import numpy as np
 
-from ..errors import ScenarioError
-from ..system import Array
-from .conditions import Goal, GoalConditions, positive
+from ..model.errors import ScenarioError
+from ..model.system import Array
+from .goal import Goal, GoalConditions, positive
 
 
 def _hill_rows(eta: float) -> tuple[Array, Array, Array]:

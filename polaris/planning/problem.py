@@ -8,10 +8,10 @@ from typing import Literal
 
 import numpy as np
 
-from ..checks import whole
-from ..errors import ScenarioError
-from ..system import Array, LinearSystem, as_finite
-from ..unsafe import TimedPolytope
+from ..model.checks import whole
+from ..model.errors import ScenarioError
+from ..model.system import Array, LinearSystem, as_finite
+from ..model.timed_polytope import TimedPolytope
 from .goals import Goal
 
 Objective = Literal["margin_then_fuel", "distance", "fuel"]

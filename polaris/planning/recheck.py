@@ -11,12 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from reach.linear import discretize, growth
+from reach.numerics.linear import discretize, growth
 
-from ..reference import Reference
-from ..system import Array
-from ..tolerances import ROUNDING
+from ..model.system import Array
+from ..model.tolerances import ROUNDING
 from .problem import PlanProblem
+from .reference import Reference
 
 ARCS = 8
 

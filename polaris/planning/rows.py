@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from reach.linear import discretize, growth, powers
+from reach.numerics.linear import discretize, growth, powers
 
-from ..reference import Reference
-from ..system import Array
-from ..tolerances import SOLVER_BOOK_INPUT, SOLVER_BOOK_M
+from ..model.system import Array
+from ..model.tolerances import SOLVER_BOOK_INPUT, SOLVER_BOOK_M
 from .problem import PlanProblem
+from .reference import Reference
 
 SEGMENTS = (1, 2, 4, 8, 16, 32)
 

@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from ..reference import Reference
-from ..system import Array
-from ..tolerances import SOLVER_FEASIBILITY
+from ..model.system import Array
+from ..model.tolerances import SOLVER_FEASIBILITY
 from .lp import GrowingLP
 from .recheck import recheck
+from .reference import Reference
 from .rows import Key, Rows
 
 GOAL_SLACK = 1e-9

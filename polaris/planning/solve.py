@@ -10,7 +10,7 @@ from typing import NoReturn
 
 import numpy as np
 
-from ..errors import ClockWarning, NotCertified, OutOfTime
+from ..model.errors import ClockWarning, NotCertified, OutOfTime
 from . import backends, diagnose
 from .certify import certified, relative_gap
 from .lazy import Allowance, Spare, by_back_end

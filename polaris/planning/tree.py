@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from ..system import Array
+from ..model.system import Array
 from .rows import Key
 from .search import Candidate, PathSearch
 

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ..asif.run_folder import is_inspection
-from ..asif.run_folder import read_run as read_inspection
-from ..errors import ScenarioError
-from ..replacing import check_file, replacing_file
-from ..runfolder import DATA_FILES, read_run, readable
-from .page import Page, page_html
+from ..model.errors import ScenarioError
+from ..runs.atomic import check_file, replacing_file
+from ..runs.folder import DATA_FILES, read_run, readable
+from ..runs.inspection import is_inspection
+from ..runs.inspection import read_run as read_inspection
+from .html.page import Page, page_html
 
 __all__ = ["report_page", "write_report"]
 
@@ -54,15 +54,15 @@ def report_page(folder: str | Path) -> Page:
     path = Path(folder)
     with readable(path):
         if (path / "comparison.json").is_file():
-            from .comparison_report import comparison_page
+            from .html.comparison_report import comparison_page
 
             return comparison_page(path)
         if all((path / name).is_file() for name in DATA_FILES):
-            from .run_report import run_page
+            from .html.run_report import run_page
 
             return run_page(read_run(path))
         if is_inspection(path):
-            from .inspection_report import inspection_page
+            from .html.inspection_report import inspection_page
 
             return inspection_page(read_inspection(path))
     what = "must be a run folder or a comparison" if path.is_dir() else _no_folder(path)

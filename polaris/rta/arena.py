@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import of_kind, whole
-from ..errors import PolarisError, ScenarioError
-from ..schedule import Schedule
+from ..model.checks import of_kind, whole
+from ..model.errors import PolarisError, ScenarioError
+from ..synthesis.schedule import Schedule
 from .alone import Alone, Precomputed
 from .asif_explicit import ExplicitASIF
 from .asif_implicit import ImplicitASIF

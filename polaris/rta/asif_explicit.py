@@ -11,13 +11,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..asif.projection import FILTERED as SOLVED
-from ..asif.projection import project
-from ..checks import positive
-from ..errors import ScenarioError
-from ..obstacles import BallObstacle
-from ..system import Array
+from ..model.checks import positive
+from ..model.errors import ScenarioError
+from ..model.obstacles import BallObstacle
+from ..model.system import Array
 from .method import FILTERED, Choice, Claim, Memoryless, Seen
+from .projection import FILTERED as SOLVED
+from .projection import project
 from .scene import Scene
 
 SLOPE = 10.0

@@ -11,13 +11,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..asif.projection import FILTERED as SOLVED
-from ..asif.projection import project
-from ..checks import positive
-from ..errors import ScenarioError
-from ..system import Array
-from ..tolerances import ROUNDING
+from ..model.checks import positive
+from ..model.errors import ScenarioError
+from ..model.system import Array
+from ..model.tolerances import ROUNDING
 from .method import FILTERED, Choice, Claim, Memoryless, Seen
+from .projection import FILTERED as SOLVED
+from .projection import project
 from .prospect import Leg, Prospect
 from .recovery import Recovery
 from .scene import Scene

@@ -11,12 +11,12 @@ from math import ceil
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import whole
-from ..controllers import AffineController
-from ..disturbances import disturbances
-from ..integration import Integrator
-from ..simulation import initial_states
-from ..system import Array
+from ..model.checks import whole
+from ..model.system import Array
+from ..simulation.disturbances import disturbances
+from ..simulation.integration import Integrator
+from ..simulation.simulate import initial_states
+from ..synthesis.controllers import AffineController
 from .method import FILTERED, Method, Seen
 from .scene import Scene
 

@@ -11,9 +11,9 @@ from functools import cached_property
 
 import numpy as np
 
-from ..checks import positive
-from ..controllers import AffineController
-from ..system import Array
+from ..model.checks import positive
+from ..model.system import Array
+from ..synthesis.controllers import AffineController
 from .method import Choice, Claim, Memoryless, Seen, accept
 from .scene import Scene
 

@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ..system import Array
+from ..model.system import Array
 from .scene import Scene
 
 FILTERED = -1

@@ -15,10 +15,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import whole
-from ..controllers import AffineController
-from ..errors import ScenarioError
-from ..system import Array
+from ..model.checks import whole
+from ..model.errors import ScenarioError
+from ..model.system import Array
+from ..synthesis.controllers import AffineController
 from .method import Choice, Claim, Seen
 from .prospect import Leg, Prospect
 from .quick import QuickProspect

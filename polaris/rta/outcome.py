@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..campaign.statistics import mean_interval, possible, violation_interval
-from ..evaluation import Metrics, evaluate
-from ..metrics import count_switches, mode_shares
-from ..simulation import Runs
-from ..system import Array
+from ..model.distances import count_switches, mode_shares
+from ..model.system import Array
+from ..runs.campaign.statistics import mean_interval, possible, violation_interval
+from ..simulation.run_metrics import Metrics, evaluate
+from ..simulation.simulate import Runs
 from .flight import Conditions, Flight
 from .method import FILTERED, Claim
 from .scene import Scene

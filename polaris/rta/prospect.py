@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from reach.flow import LinearFlow
+from reach.tubes.flow import LinearFlow
 
-from ..controllers import AffineController
-from ..system import Array
-from ..tolerances import ROUNDING
+from ..model.system import Array
+from ..model.tolerances import ROUNDING
+from ..synthesis.controllers import AffineController
 from .recovery import Recovery
 from .scene import Scene
 

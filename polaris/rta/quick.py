@@ -9,7 +9,7 @@ from math import hypot, inf
 
 import numpy as np
 
-from ..system import Array
+from ..model.system import Array
 from .prospect import Prospect
 
 

@@ -18,13 +18,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from reach.flow import LinearFlow
-from reach.zonotope import Zonotope
+from reach.sets.zonotope import Zonotope
+from reach.tubes.flow import LinearFlow
 
-from ..errors import NotCertified
-from ..polytope_sets import PolytopeSets
-from ..system import Array
-from ..tolerances import ROUNDING
+from ..model.errors import NotCertified
+from ..model.system import Array
+from ..model.tolerances import ROUNDING
+from ..synthesis.polytope_sets import PolytopeSets
 from .scene import Scene
 
 NEVER = 1e200
@@ -85,7 +85,7 @@ class Recovery:
 
     @cached_property
     def sets(self) -> PolytopeSets:
-        """The recoverable sets of `polaris.polytope_sets`, on the fine grid."""
+        """The recoverable sets of `polaris.synthesis.polytope_sets`, on the fine grid."""
         return PolytopeSets(self.scene.clearance)
 
     @cached_property

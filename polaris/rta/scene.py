@@ -10,17 +10,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from reach.linear import discretize
+from reach.numerics.linear import discretize
 
-from ..checks import non_negative, of_kind, positive
-from ..clearance import Clearance
-from ..controllers import AffineController, Controller
-from ..errors import ScenarioError
-from ..polytope_sets import PolytopeSets
-from ..schedule import Schedule
-from ..system import Array, LinearSystem
-from ..tracking import Feedback, Tracking
-from ..unsafe import TimedPolytope
+from ..model.checks import non_negative, of_kind, positive
+from ..model.errors import ScenarioError
+from ..model.system import Array, LinearSystem
+from ..model.timed_polytope import TimedPolytope
+from ..synthesis.clearance import Clearance
+from ..synthesis.controllers import AffineController, Controller
+from ..synthesis.polytope_sets import PolytopeSets
+from ..synthesis.schedule import Schedule
+from ..synthesis.tracking import Feedback, Tracking
 
 PERIOD = 1.0
 """Longest decision period chosen by default [s]."""

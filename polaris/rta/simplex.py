@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ..system import Array
+from ..model.system import Array
 from .method import Choice, Claim, Seen
 from .prospect import Leg, Prospect
 from .recovery import Recovery

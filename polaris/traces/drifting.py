@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..drift import drift_ttc
-from ..errors import ScenarioError
-from ..evaluation import drift_horizon
-from ..shapes import Shape
-from ..system import Array, LinearSystem
+from ..model.errors import ScenarioError
+from ..model.free_drift import drift_ttc
+from ..model.shapes import Shape
+from ..model.system import Array, LinearSystem
+from ..simulation.run_metrics import drift_horizon
 from .model import AgentTrace, Trace
 from .placing import Part, Placed, Rigid
 
@@ -24,7 +24,7 @@ TOLERANCE = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Moving:
-    """A part of a set at some times, as `polaris.drift.drift_ttc` asks for it."""
+    """A part of a set at some times, as `polaris.model.free_drift.drift_ttc` asks for it."""
 
     name: str
     shape: Shape
@@ -34,7 +34,7 @@ class Moving:
     def relative_drift(
         self, t: ArrayLike, x: Array, system: LinearSystem, state: ArrayLike | None = None
     ) -> tuple[Array, Array, Array]:
-        """See `polaris.obstacle_base.Obstacle.relative_drift`."""
+        """See `polaris.model.obstacle.Obstacle.relative_drift`."""
         return x, self.centre, self.velocity
 
 

@@ -6,11 +6,11 @@ from typing import Literal, TypedDict, Unpack, overload
 
 import numpy as np
 
-from ..checks import non_negative
-from ..errors import ScenarioError
-from ..metrics import UNKNOWN, count_switches, mode_shares
-from ..shapes import Ball
-from ..system import Array, LinearSystem
+from ..model.checks import non_negative
+from ..model.distances import UNKNOWN, count_switches, mode_shares
+from ..model.errors import ScenarioError
+from ..model.shapes import Ball
+from ..model.system import Array, LinearSystem
 from .drifting import Drift
 from .legacy import LegacyMetrics, legacy_metrics
 from .model import MODE_NAMES, AgentTrace, Trace

@@ -10,13 +10,13 @@ from typing import Protocol, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import ScenarioError
-from ..obstacle_base import Obstacle, RigidObstacle
-from ..obstacles import BallObstacle, BoxObstacle
-from ..satellite import SatelliteObstacle
-from ..system import Array, LinearSystem
-from ..tolerances import TIME
-from ..unsafe import TimedPolytope
+from ..model.errors import ScenarioError
+from ..model.obstacle import Obstacle, RigidObstacle
+from ..model.obstacles import BallObstacle, BoxObstacle
+from ..model.satellite import SatelliteObstacle
+from ..model.system import Array, LinearSystem
+from ..model.timed_polytope import TimedPolytope
+from ..model.tolerances import TIME
 from .model import (
     SAFETY,
     UNTRUSTED,
@@ -214,8 +214,8 @@ def export_run(
     ScenarioError
         If the folder is none, is damaged, or has no such run.
     """
-    from ..runarrays import read_flights
-    from ..runfolder import read_run, readable
+    from ..runs.arrays import read_flights
+    from ..runs.folder import read_run, readable
 
     run = read_run(folder)
     with readable(run.path):
@@ -276,7 +276,7 @@ def export_method(
     ScenarioError
         If the folder is none, is damaged, or has no such flight.
     """
-    from ..rta.folder import read_comparison
+    from ..runs.comparison import read_comparison
 
     comparison = read_comparison(folder)
     flown, row = _chosen(comparison.shown(), "--method", method, label)

@@ -7,8 +7,8 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..shapes import CHUNK, Polytope
-from ..system import Array
+from ..model.shapes import CHUNK, Polytope
+from ..model.system import Array
 
 
 def unit_rows(A: Array, b: Array) -> tuple[Array, Array]:
@@ -34,7 +34,7 @@ def facet_distance(H: Array, b: Array, p: Array) -> Array:
 
     Notes
     -----
-    The same dual as in `polaris.shapes.Polytope.signed_distance`, over all sets of at most d
+    The same dual as in `polaris.model.shapes.Polytope.signed_distance`, over all sets of at most d
     independent facets: which of them meet differs from sample to sample.
     """
     out = np.empty(len(p))

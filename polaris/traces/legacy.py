@@ -13,8 +13,8 @@ from typing import Any, TypeVar
 import daqp
 import numpy as np
 
-from ..runfiles import strict
-from ..system import Array
+from ..model.system import Array
+from ..runs.tables import strict
 from .facets import turned, unit_rows
 from .model import SAFETY, UNTRUSTED, AgentTrace, AnySet, BallTrace, PointTrace, PolytopeTrace, Trace
 from .placing import place

@@ -9,10 +9,10 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import MOST_ROWS
-from ..errors import ScenarioError
-from ..metrics import UNKNOWN
-from ..system import Array, as_finite
+from ..model.checks import MOST_ROWS
+from ..model.distances import UNKNOWN
+from ..model.errors import ScenarioError
+from ..model.system import Array, as_finite
 
 NORMAL, UNTRUSTED, SAFETY = 1, 2, 3
 """Mode numbers of a trace; all others are unknown."""
@@ -99,7 +99,7 @@ class AgentTrace:
 
     @property
     def known_modes(self) -> Modes:
-        """Modes with `polaris.metrics.UNKNOWN` for all that are not 1, 2 or 3."""
+        """Modes with `polaris.model.distances.UNKNOWN` for all that are not 1, 2 or 3."""
         return np.where(np.isin(self.modes, list(MODE_NAMES)), self.modes, UNKNOWN)
 
 

@@ -7,10 +7,10 @@ from typing import Protocol, TypeVar
 
 import numpy as np
 
-from ..errors import ScenarioError
-from ..shapes import Ball, Box, Polytope, Shape
-from ..system import Array
-from ..tolerances import ROUNDING
+from ..model.errors import ScenarioError
+from ..model.shapes import Ball, Box, Polytope, Shape
+from ..model.system import Array
+from ..model.tolerances import ROUNDING
 from .facets import facet_distance, facet_entry, turned, unit_rows
 from .model import AnySet, BallTrace, PointTrace, PolytopeTrace
 from .motion import between, interpolate, rates

@@ -10,8 +10,8 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from ..errors import ScenarioError
-from ..metrics import UNKNOWN
+from ..model.distances import UNKNOWN
+from ..model.errors import ScenarioError
 from .memory import uncollected
 from .model import MODE_NAMES, AgentTrace, AnySet, Modes, Trace
 from .rows import Odd, numbers, set_trace, table

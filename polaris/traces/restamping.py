@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..errors import ScenarioError
-from ..metrics import UNKNOWN
-from ..system import Array
+from ..model.distances import UNKNOWN
+from ..model.errors import ScenarioError
+from ..model.system import Array
 from .model import AgentTrace, Trace
 
 

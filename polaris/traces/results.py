@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from ..runfiles import strict
-from ..system import Array
+from ..model.system import Array
+from ..runs.tables import strict
 from .motion import weights
 
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import ScenarioError
-from ..system import Array
+from ..model.errors import ScenarioError
+from ..model.system import Array
 from .model import AnySet, BallTrace, PointTrace, PolytopeTrace, RectangleTrace
 
 LARGEST = 1e300

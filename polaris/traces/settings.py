@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..errors import ScenarioError
-from ..system import Array
+from ..model.errors import ScenarioError
+from ..model.system import Array
 from .model import AgentTrace, Trace
 from .motion import rates
 

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import of_kind
-from ..errors import ScenarioError
-from ..metrics import UNKNOWN
-from ..replacing import check_file, replacing_file
+from ..model.checks import of_kind
+from ..model.distances import UNKNOWN
+from ..model.errors import ScenarioError
+from ..runs.atomic import check_file, replacing_file
 from .memory import uncollected
 from .model import AgentTrace, AnySet, BallTrace, PointTrace, RectangleTrace, Trace
 

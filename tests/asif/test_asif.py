@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from polaris.asif.asif import ActiveSetFilter
-from polaris.asif.families import Families
-from polaris.asif.filters import Centralized
-from polaris.asif.inspection import Inspection
-from polaris.asif.sampled import SampledData
-from polaris.asif.sampling import initial_conditions
-from polaris.errors import ScenarioError
+from polaris.inspection.constraints.families import Families
+from polaris.inspection.constraints.sampled import SampledData
+from polaris.inspection.filters.asif import ActiveSetFilter
+from polaris.inspection.filters.explicit import Centralized
+from polaris.inspection.flights.sampling import initial_conditions
+from polaris.inspection.inspection import Inspection
+from polaris.model.errors import ScenarioError
 
 from .garbage import malformed, odd_times
 
@@ -226,7 +226,7 @@ def test_nearly_coincident_deputies_get_finite_thrust():
 def test_a_program_that_fails_is_answered_by_the_backup(drawn, sharing, monkeypatch):
     x, sun = drawn
     monkeypatch.setattr(
-        "polaris.asif.projection.daqp.solve", lambda H, f, *rest, **how: (np.full(len(f), np.nan), 0, -9, {})
+        "polaris.rta.projection.daqp.solve", lambda H, f, *rest, **how: (np.full(len(f), np.nan), 0, -9, {})
     )
     push = np.tile([0.1, -0.2, 0.3], (5, 1))
     asif = ActiveSetFilter(Q, sharing, backup=lambda t, z: push, sun_start=float(sun[0]))
@@ -253,7 +253,7 @@ def test_a_backup_that_raises_is_recorded(drawn):
 
 
 def test_leaving_out_everything_is_refused():
-    from polaris.asif.strengthening import FAMILIES
+    from polaris.inspection.constraints.strengthening import FAMILIES
 
     with pytest.raises(ScenarioError, match="must leave a constraint"):
         Families(Q, without=FAMILIES)

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from polaris.asif.backup import Coast, Parking
-from polaris.asif.backup_flight import fly_backup, sensitivities
-from polaris.asif.enmt import Ellipses, semi_axes, stopping_point, velocity_error
-from polaris.asif.inspection import Inspection
-from polaris.asif.settled import Decay
-from polaris.asif.tracker import Tracker
-from polaris.errors import ScenarioError
-from polaris.hill import elliptical_nmt, free_flight
+from polaris.inspection.backup.backup_flight import fly_backup, sensitivities
+from polaris.inspection.backup.parking import Coast, Parking
+from polaris.inspection.backup.settled import Decay
+from polaris.inspection.backup.tracker import Tracker
+from polaris.inspection.enmt import Ellipses, semi_axes, stopping_point, velocity_error
+from polaris.inspection.inspection import Inspection
+from polaris.model.errors import ScenarioError
+from polaris.model.hill import elliptical_nmt, free_flight
 
 Q = Inspection(deputies=1)
 N = Q.mean_motion

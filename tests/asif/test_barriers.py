@@ -5,12 +5,12 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from polaris.asif.allowable_rows import AllowableRows
-from polaris.asif.allowable_set import allowable
-from polaris.asif.barriers import CENTRE, Radial, Speed, SunCone, Velocity, rounded_length
-from polaris.asif.braking import Braking
-from polaris.asif.families import Families
-from polaris.asif.inspection import Inspection
+from polaris.inspection.braking import Braking
+from polaris.inspection.constraints.allowable_rows import AllowableRows
+from polaris.inspection.constraints.allowable_set import allowable
+from polaris.inspection.constraints.barriers import CENTRE, Radial, Speed, SunCone, Velocity, rounded_length
+from polaris.inspection.constraints.families import Families
+from polaris.inspection.inspection import Inspection
 
 from . import oracle
 

@@ -6,10 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 
-from polaris.asif import closest
-from polaris.asif.closest import TOLERANCE, ClosestApproach, FreeFlight, circle_map, map_norms
-from polaris.asif.passive import Passive
-from polaris.hill import cw_matrix, free_flight
+from polaris.inspection import closest
+from polaris.inspection.closest import TOLERANCE, ClosestApproach, FreeFlight, circle_map, map_norms
+from polaris.inspection.constraints.passive import Passive
+from polaris.model.hill import cw_matrix, free_flight
 
 from . import oracle
 

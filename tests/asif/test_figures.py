@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from polaris import cli
-from polaris.asif import figures
-from polaris.asif.campaign import CampaignPicture
-from polaris.asif.figures.monte_carlo import draw_failures, draw_initial_conditions
-from polaris.asif.figures.paths import free_flights, nearest_deputy
-from polaris.asif.fuel_scene import fly_fuel_scenario
-from polaris.asif.run import fly_scenario
-from polaris.asif.scenario import load_inspection
-from polaris.figures.style import new_figure, style
+from polaris.cli import app as cli
+from polaris.inspection.flights.judge import fly_scenario
+from polaris.report.figures import inspection as figures
+from polaris.report.figures.inspection.monte_carlo import draw_failures, draw_initial_conditions
+from polaris.report.figures.inspection.paths import free_flights, nearest_deputy
+from polaris.report.figures.style import new_figure, style
+from polaris.runs.fuel_limit import fly_fuel_scenario
+from polaris.runs.monte_carlo import CampaignPicture
+from polaris.scenario.inspection import load_inspection
 
 
 def invoke(*args):

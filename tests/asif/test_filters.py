@@ -6,11 +6,11 @@ from hypothesis import event, given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
-from polaris.asif.families import Families
-from polaris.asif.filters import SHARINGS, Centralized, Decentralized
-from polaris.asif.inspection import Inspection
-from polaris.asif.projection import DESIRED, SHORT
-from polaris.asif.sampled import SampledData
+from polaris.inspection.constraints.families import Families
+from polaris.inspection.constraints.sampled import SampledData
+from polaris.inspection.filters.explicit import SHARINGS, Centralized, Decentralized
+from polaris.inspection.inspection import Inspection
+from polaris.rta.projection import DESIRED, SHORT
 
 from .test_projection import CLOSE, residuals
 

@@ -4,18 +4,18 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 
-from polaris.asif.backup import Coast, Parking
-from polaris.asif.backup_flight import fly_backup
-from polaris.asif.enmt import velocity_error
-from polaris.asif.fuel import FuelLimit, clearance
-from polaris.asif.fuel_run import fly_fuel_limit, wasteful
-from polaris.asif.implicit import ImplicitASIF
-from polaris.asif.inspection import Inspection
-from polaris.asif.primary import LQR
-from polaris.asif.simplex import ImplicitSimplex
-from polaris.asif.tracker import Tracker
-from polaris.errors import ScenarioError
-from polaris.hill import elliptical_nmt
+from polaris.inspection.backup.backup_flight import fly_backup
+from polaris.inspection.backup.parking import Coast, Parking
+from polaris.inspection.backup.tracker import Tracker
+from polaris.inspection.enmt import velocity_error
+from polaris.inspection.filters.fuel import FuelLimit, clearance
+from polaris.inspection.filters.implicit import ImplicitASIF
+from polaris.inspection.filters.simplex import ImplicitSimplex
+from polaris.inspection.flights.fuel_run import fly_fuel_limit, wasteful
+from polaris.inspection.flights.primary import LQR
+from polaris.inspection.inspection import Inspection
+from polaris.model.errors import ScenarioError
+from polaris.model.hill import elliptical_nmt
 
 from .garbage import answers, calls, malformed, odd_times
 

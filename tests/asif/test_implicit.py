@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 
-from polaris.asif.allowable_rows import AllowableRows
-from polaris.asif.allowable_set import allowable
-from polaris.asif.backup import Coast, Parking
-from polaris.asif.backup_flight import fly_backup
-from polaris.asif.flight_check import FlightCheck, Inherited
-from polaris.asif.implicit import ImplicitASIF
-from polaris.asif.inspection import Inspection
-from polaris.asif.primary import LQR
-from polaris.errors import ScenarioError
-from polaris.hill import elliptical_nmt
+from polaris.inspection.backup.backup_flight import fly_backup
+from polaris.inspection.backup.parking import Coast, Parking
+from polaris.inspection.constraints.allowable_rows import AllowableRows
+from polaris.inspection.constraints.allowable_set import allowable
+from polaris.inspection.filters.flight_check import FlightCheck, Inherited
+from polaris.inspection.filters.implicit import ImplicitASIF
+from polaris.inspection.flights.primary import LQR
+from polaris.inspection.inspection import Inspection
+from polaris.model.errors import ScenarioError
+from polaris.model.hill import elliptical_nmt
 
 from .garbage import answers, calls, malformed, odd_times
 

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from polaris.asif.barriers import CENTRE
-from polaris.asif.families import Families
-from polaris.asif.filters import Decentralized
-from polaris.asif.inspection import Inspection
-from polaris.asif.strengthening import FAMILIES, PRESETS, Strengthening, evaluate
-from polaris.errors import ScenarioError
+from polaris.inspection.constraints.barriers import CENTRE
+from polaris.inspection.constraints.families import Families
+from polaris.inspection.constraints.strengthening import FAMILIES, PRESETS, Strengthening, evaluate
+from polaris.inspection.filters.explicit import Decentralized
+from polaris.inspection.inspection import Inspection
+from polaris.model.errors import ScenarioError
 
 Q = Inspection()
 

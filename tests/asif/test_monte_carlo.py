@@ -7,17 +7,17 @@ from concurrent.futures import ProcessPoolExecutor
 import numpy as np
 import pytest
 
-from polaris.asif.allowable_set import allowable
-from polaris.asif.families import Families
-from polaris.asif.filters import Centralized
-from polaris.asif.inspection import Inspection
-from polaris.asif.outcome import STUDIES, Study
-from polaris.asif.primary import LQR, NoInput
-from polaris.asif.sampled import SampledData
-from polaris.asif.sampling import initial_conditions
-from polaris.asif.simulation import fly_one
-from polaris.asif.studies import BLOCK, fly_block, monte_carlo
-from polaris.errors import ScenarioError
+from polaris.inspection.constraints.allowable_set import allowable
+from polaris.inspection.constraints.families import Families
+from polaris.inspection.constraints.sampled import SampledData
+from polaris.inspection.filters.explicit import Centralized
+from polaris.inspection.flights.outcome import STUDIES, Study
+from polaris.inspection.flights.primary import LQR, NoInput
+from polaris.inspection.flights.sampling import initial_conditions
+from polaris.inspection.flights.simulation import fly_one
+from polaris.inspection.flights.studies import BLOCK, fly_block, monte_carlo
+from polaris.inspection.inspection import Inspection
+from polaris.model.errors import ScenarioError
 
 Q = Inspection()
 
@@ -40,7 +40,7 @@ def test_initial_conditions_are_inside_and_reproducible(drawn):
 
 
 def test_sampling_gives_up_where_there_is_no_room(monkeypatch):
-    monkeypatch.setattr("polaris.asif.sampling.PATIENCE", 4000)
+    monkeypatch.setattr("polaris.inspection.flights.sampling.PATIENCE", 4000)
     with pytest.raises(ScenarioError, match="hardly any of 4096 samples"):
         initial_conditions(Families(Inspection(deputies=30)), 1)
     with pytest.raises(ScenarioError, match="count"):

@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
-from polaris.asif.priorities import SPARE, least_violation
-from polaris.asif.projection import FILTERED, SHORT, solve
+from polaris.inspection.filters.priorities import SPARE, least_violation
+from polaris.rta.projection import FILTERED, SHORT, solve
 
 CLOSE = 5e-3
 """Of the limit: what a spare of 1e-7 on rows that cannot be met may grow to between near-parallel rows."""
@@ -119,7 +119,7 @@ def test_a_hopeless_row_frees_no_row_of_an_earlier_rank_and_none_of_its_own_that
 
 def test_what_can_be_met_goes_the_old_way(monkeypatch):
     """No second program is asked where the first has a solution: the feasible case costs what it did."""
-    monkeypatch.setattr("polaris.asif.projection.least_violation", None)
+    monkeypatch.setattr("polaris.rta.projection.least_violation", None)
     u, status = solve(np.eye(3), np.array([0.5, 0.2, -1.0]), np.zeros(3), 1.0, np.arange(3))
     assert status == FILTERED
     np.testing.assert_allclose(u, [0.5, 0.2, 0.0], atol=1e-9)

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog, minimize, nnls
 
-from polaris.asif.projection import DESIRED, FAILED, FILTERED, SHORT, project_coupled, solve
-from polaris.asif.projection import project as project_ranked
+from polaris.rta.projection import DESIRED, FAILED, FILTERED, SHORT, project_coupled, solve
+from polaris.rta.projection import project as project_ranked
 
 CLOSE = 1e-8
 

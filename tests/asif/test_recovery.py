@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from polaris.asif.allowable_set import allowable
-from polaris.asif.families import Families
-from polaris.asif.filters import SHARINGS, make_filter
-from polaris.asif.inspection import Inspection
-from polaris.asif.projection import FAILED
-from polaris.asif.sampled import SampledData
+from polaris.inspection.constraints.allowable_set import allowable
+from polaris.inspection.constraints.families import Families
+from polaris.inspection.constraints.sampled import SampledData
+from polaris.inspection.filters.explicit import SHARINGS, make_filter
+from polaris.inspection.inspection import Inspection
+from polaris.rta.projection import FAILED
 
 ALL = ("centralized", *SHARINGS)
 SPEEDS = ("phi3", "phi9", "phi10", "phi11")

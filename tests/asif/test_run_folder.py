@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from polaris import cli
-from polaris.asif.campaign import lower_bound, read_campaign
-from polaris.asif.fuel_scene import read_fuel
-from polaris.asif.report import covered_periods
-from polaris.asif.run_folder import is_inspection, read_run
-from polaris.asif.scenario import load_inspection
-from polaris.errors import ScenarioError
+from polaris.cli import app as cli
+from polaris.model.errors import ScenarioError
+from polaris.runs.fuel_limit import read_fuel
+from polaris.runs.inspection import is_inspection, read_run
+from polaris.runs.inspection_summary import covered_periods
+from polaris.runs.monte_carlo import lower_bound, read_campaign
+from polaris.scenario.inspection import load_inspection
 
 SHORT = ("--set", "flight.duration_s=20")
 CAMPAIGN = ("campaign", "inspection-monte-carlo", "--runs", "2", "--set", "campaign.duration_s=5")
@@ -258,6 +258,6 @@ def test_a_run_that_fails_late_leaves_the_old_folder_whole(folders, tmp_path, mo
     def fail(*args):
         raise RuntimeError("no ink")
 
-    monkeypatch.setattr("polaris.asif.figures.draw_flight", fail)
+    monkeypatch.setattr("polaris.report.figures.inspection.draw_flight", fail)
     assert invoke("run", "inspection", "--set", "flight.duration_s=2", "--out", folder, "-q").exit_code == 1
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before

@@ -7,19 +7,19 @@ import pytest
 from scipy.linalg import expm
 from scipy.optimize import differential_evolution
 
-from polaris.asif.allowable_set import allowable
-from polaris.asif.barriers import Radial, SunCone
-from polaris.asif.braking import Braking
-from polaris.asif.closest import ClosestApproach
-from polaris.asif.families import Families
-from polaris.asif.filters import Centralized, Decentralized
-from polaris.asif.inspection import Inspection
-from polaris.asif.projection import SHORT
-from polaris.asif.sampled import SampledData, SpeedInSquares, VelocitySide, curvature
-from polaris.asif.segments import PassiveSegments
-from polaris.asif.strengthening import Strengthening
-from polaris.errors import ScenarioError
-from polaris.hill import cw_matrix
+from polaris.inspection.braking import Braking
+from polaris.inspection.closest import ClosestApproach
+from polaris.inspection.constraints.allowable_set import allowable
+from polaris.inspection.constraints.barriers import Radial, SunCone
+from polaris.inspection.constraints.families import Families
+from polaris.inspection.constraints.sampled import SampledData, SpeedInSquares, VelocitySide, curvature
+from polaris.inspection.constraints.segments import PassiveSegments
+from polaris.inspection.constraints.strengthening import Strengthening
+from polaris.inspection.filters.explicit import Centralized, Decentralized
+from polaris.inspection.inspection import Inspection
+from polaris.model.errors import ScenarioError
+from polaris.model.hill import cw_matrix
+from polaris.rta.projection import SHORT
 
 PERIODS = (0.1, 0.5, 1.0, 3.0, 10.0)
 GRID = 41

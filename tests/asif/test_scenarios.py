@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 import polaris
-from polaris.asif.inspection import Inspection
-from polaris.asif.run import CONSTRAINTS, fly_scenario, fly_unfiltered, judge
-from polaris.asif.scenario import KINDS, InspectionScenario, load_inspection
-from polaris.asif.scenario_filters import FAMILY_NAMES
-from polaris.asif.strengthening import FAMILIES, PRESETS
-from polaris.errors import ScenarioError
-from polaris.scenario import bundled_files, load_scenario, scenario_folder
-from polaris.scenario_docs import inspection_schema
-from polaris.scenario_overrides import put
+from docs.generate.scenario_docs import inspection_schema
+from polaris.inspection.constraints.strengthening import FAMILIES, PRESETS
+from polaris.inspection.flights.judge import CONSTRAINTS, fly_scenario, fly_unfiltered, judge
+from polaris.inspection.inspection import Inspection
+from polaris.model.errors import ScenarioError
+from polaris.scenario.filter_tables import FAMILY_NAMES
+from polaris.scenario.inspection import KINDS, InspectionScenario, load_inspection
+from polaris.scenario.overrides import put
+from polaris.scenario.scenario import bundled_files, load_scenario, scenario_folder
 
 NAMES = ("fuel-limit", "inspection", "inspection-decentralized", "inspection-monte-carlo")
 BASE = {"fuel": "fuel-limit", "campaign": "inspection-monte-carlo", "flight": "inspection"}

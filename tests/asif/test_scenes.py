@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from polaris.asif.projection import SHORT
-from polaris.asif.run import CONSTRAINTS, fly_scenario
-from polaris.asif.scenario import load_inspection
+from polaris.inspection.flights.judge import CONSTRAINTS, fly_scenario
+from polaris.rta.projection import SHORT
+from polaris.scenario.inspection import load_inspection
 
 
 @pytest.mark.slow

@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 
-from polaris.asif.allowable_set import allowable
-from polaris.asif.backup import Parking
-from polaris.asif.families import Families
-from polaris.asif.filters import Centralized
-from polaris.asif.inspection import Inspection
-from polaris.asif.primary import LQR, Phases
-from polaris.asif.simplex import ExplicitSimplex, Guarded, ImplicitSimplex
-from polaris.errors import ScenarioError
-from polaris.hill import elliptical_nmt
+from polaris.inspection.backup.parking import Parking
+from polaris.inspection.constraints.allowable_set import allowable
+from polaris.inspection.constraints.families import Families
+from polaris.inspection.filters.explicit import Centralized
+from polaris.inspection.filters.simplex import ExplicitSimplex, Guarded, ImplicitSimplex
+from polaris.inspection.flights.primary import LQR, Phases
+from polaris.inspection.inspection import Inspection
+from polaris.model.errors import ScenarioError
+from polaris.model.hill import elliptical_nmt
 
 from .garbage import answers, calls, malformed, odd_times
 from .test_implicit import formation

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 
-from polaris.campaign import batch, local, make_cases, run_campaign
+from polaris.runs.campaign import batch, local, make_cases, run_campaign
 
 TINY = str(Path(__file__).parents[1] / "polaris" / "data" / "tiny.toml")
 GRID = {"planner.extra_margin_m": [0.3, 0.4]}

@@ -13,13 +13,13 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from polaris.campaign import Interrupted, Workers, batch, local, make_cases, read_campaign, run_campaign
-from polaris.campaign.statistics import violation_interval
-from polaris.errors import PolarisError, ScenarioError
-from polaris.evaluation import evaluate
-from polaris.scenario import load_scenario
-from polaris.simulation import simulate
-from polaris.synthesis import synthesize
+from polaris.model.errors import PolarisError, ScenarioError
+from polaris.runs.campaign import Interrupted, Workers, batch, local, make_cases, read_campaign, run_campaign
+from polaris.runs.campaign.statistics import violation_interval
+from polaris.scenario.scenario import load_scenario
+from polaris.simulation.run_metrics import evaluate
+from polaris.simulation.simulate import simulate
+from polaris.synthesis.synthesize import synthesize
 from tests.campaign import scene
 from tests.campaign.scene import GRID, MODES, RUNS, TINY, cases, fly, rows, table
 from tests.leftovers import left_by_a_dead_process
@@ -36,7 +36,7 @@ def counting(monkeypatch):
         seen.append((task.case, task.batch))
         return real(task)
 
-    monkeypatch.setattr("polaris.campaign.drive.fly_batch", fly_batch)
+    monkeypatch.setattr("polaris.runs.campaign.drive.fly_batch", fly_batch)
     return seen
 
 
@@ -312,7 +312,7 @@ def victim(tmp_path, monkeypatch):
     """Names the batch in which a process kills itself."""
     flag = tmp_path / "flag"
     monkeypatch.setenv("POLARIS_TEST_FLAG", str(flag))
-    monkeypatch.setattr("polaris.campaign.drive.fly_batch", scene.suicidal)
+    monkeypatch.setattr("polaris.runs.campaign.drive.fly_batch", scene.suicidal)
     yield lambda name: flag.write_text(name, encoding="utf-8")
     assert not flag.exists()
 
@@ -339,7 +339,7 @@ def test_interruption_keeps_what_is_finished_and_says_how_to_go_on(flown, tmp_pa
         return real(task)
 
     with monkeypatch.context() as patched:
-        patched.setattr("polaris.campaign.drive.fly_batch", fly_batch)
+        patched.setattr("polaris.runs.campaign.drive.fly_batch", fly_batch)
         with pytest.raises(Interrupted, match="interrupted; 15 runs are kept in .*the same command goes on"):
             fly(tmp_path / "c")
     assert len(table(tmp_path / "c")) == 3
@@ -421,13 +421,13 @@ def test_schedules_that_differ_between_workers_are_an_error(tmp_path, monkeypatc
         found = real(task)
         return batch.Batch("0" * 64, found.columns) if task.batch == 1 else found
 
-    monkeypatch.setattr("polaris.campaign.drive.fly_batch", fly_batch)
+    monkeypatch.setattr("polaris.runs.campaign.drive.fly_batch", fly_batch)
     with pytest.raises(PolarisError, match="different schedules.*5 runs are kept"):
         fly(tmp_path / "c")
 
 
 def test_a_worker_of_another_version_refuses(flown, monkeypatch):
     task = flown.plan.task(0, 0)
-    monkeypatch.setattr("polaris.campaign.batch.version", lambda: "99.0")
+    monkeypatch.setattr("polaris.runs.campaign.batch.version", lambda: "99.0")
     with pytest.raises(PolarisError, match=r"version 99\.0"):
         batch.fly_batch(task)

@@ -6,12 +6,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binom
 
-from polaris.campaign import make_cases, parse_grid
-from polaris.campaign.batch import batch_seeds
-from polaris.campaign.drive import time_left
-from polaris.campaign.plan import Plan
-from polaris.campaign.statistics import POSSIBLE, mean_interval, possible, violation_interval
-from polaris.errors import ScenarioError
+from polaris.model.errors import ScenarioError
+from polaris.runs.campaign import make_cases, parse_grid
+from polaris.runs.campaign.batch import batch_seeds
+from polaris.runs.campaign.drive import time_left
+from polaris.runs.campaign.plan import Plan
+from polaris.runs.campaign.statistics import POSSIBLE, mean_interval, possible, violation_interval
 from tests.campaign.scene import TINY, cases
 
 

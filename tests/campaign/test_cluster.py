@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from polaris.campaign import cluster, workers
-from polaris.errors import PolarisError, ScenarioError
+from polaris.model.errors import PolarisError, ScenarioError
+from polaris.runs.campaign import cluster, workers
 from tests.campaign.scene import await_parts, fly, table
 
 distributed = pytest.importorskip("distributed")
@@ -95,8 +95,8 @@ def test_a_scheduler_that_dies_is_told_and_parts_are_kept(flown, nodes, tmp_path
 
 
 def test_a_cluster_without_workers_is_told_and_goes_on_with_some(flown, tmp_path, monkeypatch):
-    monkeypatch.setattr("polaris.campaign.workers.DESERTED", 1.5)
-    monkeypatch.setattr("polaris.campaign.drive.TICK", 0.2)
+    monkeypatch.setattr("polaris.runs.campaign.workers.DESERTED", 1.5)
+    monkeypatch.setattr("polaris.runs.campaign.drive.TICK", 0.2)
     options = {"processes": False, "protocol": "tcp", "host": "127.0.0.1", "dashboard_address": None}
     with distributed.LocalCluster(n_workers=0, **options) as here:
         told = r"has had no worker for 1\.5 s; 0 runs are kept in .*the same command goes on"
@@ -119,7 +119,7 @@ def test_what_dask_logs_of_lost_connections_stays_off_the_terminal(caplog):
 
 
 def test_addresses_where_no_scheduler_is_are_refused(monkeypatch):
-    monkeypatch.setattr("polaris.campaign.workers.PATIENCE", 0.2)
+    monkeypatch.setattr("polaris.runs.campaign.workers.PATIENCE", 0.2)
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         address = f"tcp://127.0.0.1:{free.getsockname()[1]}"

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from polaris import cli
-from polaris.campaign import find_worst, make_cases, read_campaign, replay_run, run_campaign
-from polaris.errors import PolarisError, ScenarioError
+from polaris.cli import app as cli
+from polaris.model.errors import PolarisError, ScenarioError
+from polaris.runs.campaign import find_worst, make_cases, read_campaign, replay_run, run_campaign
 from tests.campaign.scene import MODES, RUNS, TINY, rows, table
 
 
@@ -38,7 +38,7 @@ def test_replay_gives_the_numbers_of_the_table(flown, mode):
 
 
 def test_replay_of_other_satellites_is_what_was_measured(tmp_path):
-    from polaris.scenario import load_scenario
+    from polaris.scenario.scenario import load_scenario
 
     other = {
         "kind": "satellite",
@@ -94,7 +94,7 @@ def test_missing_parts_and_other_numbers_are_told(flown, tmp_path, monkeypatch):
         replay_run(folder, 0, 1, 0)
     with pytest.raises(ScenarioError, match="not finished"):
         find_worst(folder, 1)
-    from polaris.campaign import replay
+    from polaris.runs.campaign import replay
 
     real = replay.fly_mode
 

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from polaris.error_bounds import get_err_bounds
-from polaris.hill import clohessy_wiltshire
-from polaris.recoverable import get_recover
-from polaris.system import LinearSystem
-from polaris.tracking import Feedback, Tracking, choose_feedback, lqr_gain
+from polaris.model.hill import clohessy_wiltshire
+from polaris.model.system import LinearSystem
+from polaris.synthesis.error_bounds import get_err_bounds
+from polaris.synthesis.recoverable import get_recover
+from polaris.synthesis.tracking import Feedback, Tracking, choose_feedback, lqr_gain
 
 from ..polaris.conftest import small_safety
 
@@ -121,8 +121,8 @@ def test_item_6_a_distance_in_the_state_norm_depends_on_the_units():
         mass=10.0,
     )
     plain, other = tracking(), Tracking(scaled, GAIN @ inverse, tracking().feedback, 50.0)
-    from polaris.clearance import error_tube
-    from reach.zonotope import Zonotope
+    from polaris.synthesis.clearance import error_tube
+    from reach.sets.zonotope import Zonotope
 
     theta = Zonotope.box(np.zeros(6), [3, 3, 3, 0.01, 0.01, 0.01])
     need = error_tube(plain, theta, SYSTEM.position).need
@@ -165,9 +165,9 @@ def test_item_12_a_reference_safe_until_T_may_be_unsafe_right_after_it():
     """As printed the plan ends at T, and nothing keeps what follows clear; ours reports or avoids it."""
     from dataclasses import replace
 
-    from polaris.obstacles import BoxObstacle
-    from polaris.reference import Reference
-    from polaris.safety import get_safety
+    from polaris.model.obstacles import BoxObstacle
+    from polaris.planning.reference import Reference
+    from polaris.synthesis.get_safety import get_safety
 
     base = small_safety()
     after = base.reference.chi[base.problem.K + 20, :3]  # where the first plan coasts 600 s after T

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from polaris.asif.allowable_set import allowable
-from polaris.asif.barriers import SunCone
-from polaris.asif.braking import Braking
-from polaris.asif.families import Families
-from polaris.asif.inspection import Inspection
-from polaris.hill import cw_matrix
+from polaris.inspection.braking import Braking
+from polaris.inspection.constraints.allowable_set import allowable
+from polaris.inspection.constraints.barriers import SunCone
+from polaris.inspection.constraints.families import Families
+from polaris.inspection.inspection import Inspection
+from polaris.model.hill import cw_matrix
 
 Q = Inspection(deputies=1)
 n = Q.mean_motion

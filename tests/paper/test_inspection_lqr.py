@@ -4,8 +4,8 @@ import control
 import numpy as np
 import pytest
 
-from polaris.asif.inspection import Inspection
-from polaris.asif.tracker import Tracker, augmented
+from polaris.inspection.backup.tracker import Tracker, augmented
+from polaris.inspection.inspection import Inspection
 
 PROBLEM = Inspection(deputies=1)
 

@@ -7,11 +7,11 @@ import pytest
 from scipy.linalg import expm
 from scipy.optimize import linprog
 
-from polaris.hill import clohessy_wiltshire
+from polaris.model.hill import clohessy_wiltshire
+from polaris.model.timed_polytope import TimedPolytope
 from polaris.planning import EllipticalNMT, PlanProblem, plan, recheck
 from polaris.planning.goals import ellipse_polygon
 from polaris.planning.rows import Rows
-from polaris.unsafe import TimedPolytope
 
 ETA = 0.0012
 CW = clohessy_wiltshire(ETA, 10.0, 1.0)

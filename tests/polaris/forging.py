@@ -20,10 +20,10 @@ import numpy as np
 
 from polaris.certificate.checker import verify
 from polaris.certificate.document import canonical, digest
-from polaris.runfolder import write_run
-from polaris.scenario import load_scenario
-from polaris.scenario_reading import write_toml
-from polaris.synthesis import synthesize
+from polaris.runs.folder import write_run
+from polaris.scenario.reading import write_toml
+from polaris.scenario.scenario import load_scenario
+from polaris.synthesis.synthesize import synthesize
 
 from .corruptions import restate
 from .tiny import TINY

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from polaris.scenario_reading import write_toml
+from polaris.scenario.reading import write_toml
 
 Table = dict[str, Any]
 Random = np.random.Generator
@@ -188,8 +188,8 @@ def _controllers(rng: Random, plant: Plant, document: Table, aim: np.ndarray) ->
             entry["Q"] = plant.weights * rng.uniform(0.3, 2)
             entry["R"] = np.full(m, rng.uniform(1, 8))
         else:
-            from polaris.system import LinearSystem
-            from polaris.tracking import lqr_gain
+            from polaris.model.system import LinearSystem
+            from polaris.synthesis.tracking import lqr_gain
 
             system = LinearSystem(plant.A, plant.B, plant.D, plant.limit, C=np.eye(n)[:1])
             entry["gain"] = lqr_gain(system, plant.weights, np.full(m, 5.0)) * rng.uniform(0.9, 1.1)
@@ -519,8 +519,8 @@ def synthesised(seed: int, folder: Path) -> tuple[Any, Any]:
     PolarisError
         If the scene is refused, which it may be.
     """
-    from polaris.scenario import load_scenario
-    from polaris.synthesis import synthesize
+    from polaris.scenario.scenario import load_scenario
+    from polaris.synthesis.synthesize import synthesize
 
     path = folder / f"random-{seed}.toml"
     path.write_text(random_scenario(seed), encoding="utf-8")
@@ -530,7 +530,7 @@ def synthesised(seed: int, folder: Path) -> tuple[Any, Any]:
 
 def written(seed: int, folder: Path) -> Path:
     """Run folder of a random scene; raises as `synthesised` does."""
-    from polaris.runfolder import write_run
+    from polaris.runs.folder import write_run
 
     scenario, schedule = synthesised(seed, folder)
     return write_run(folder / f"random-{seed}", scenario, schedule, figures=False).path

@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 
 import polaris
-from polaris.controllers import AffineController, AnyThrust
-from polaris.errors import NotCertified, ScenarioError, SynthesisInfeasible
-from polaris.obstacles import BallObstacle, BoxObstacle
+from polaris.model.errors import NotCertified, ScenarioError, SynthesisInfeasible
+from polaris.model.obstacles import BallObstacle, BoxObstacle
+from polaris.model.system import LinearSystem
 from polaris.planning import Box, StationaryPoint
-from polaris.safety import get_safety
-from polaris.simulation import simulate
-from polaris.synthesis import SwitchingRules, synthesize
-from polaris.system import LinearSystem
-from reach.zonotope import Zonotope
+from polaris.simulation.simulate import simulate
+from polaris.synthesis.controllers import AffineController, AnyThrust
+from polaris.synthesis.get_safety import get_safety
+from polaris.synthesis.synthesize import SwitchingRules, synthesize
+from reach.sets.zonotope import Zonotope
 
 from .tiny import synthesised
 
@@ -181,7 +181,7 @@ def test_every_kind_of_recoverable_set_without_unsafe_sets(kind):
 
 
 def test_a_claim_for_ever_needs_a_motion_that_repeats():
-    from polaris.hill import cw_matrix
+    from polaris.model.hill import cw_matrix
 
     with pytest.raises(ScenarioError, match="mean_motion"):
         LinearSystem(np.eye(6), np.eye(6), np.eye(6), np.ones(6), mean_motion=-0.001)

@@ -10,11 +10,11 @@ from rich.console import Console
 from polaris.certificate.document import Document, assumptions, digest
 from polaris.certificate.verdict import Rejected
 from polaris.certificate.writer import certificate
-from polaris.console import show_summary
-from polaris.report.claims import guarantee as told_in_report
-from polaris.scenario import load_scenario
-from polaris.summary import summary
-from polaris.synthesis import synthesize
+from polaris.cli.console import show_summary
+from polaris.report.html.claims import guarantee as told_in_report
+from polaris.runs.summary import summary
+from polaris.scenario.scenario import load_scenario
+from polaris.synthesis.synthesize import synthesize
 
 from .conftest import synthesised
 from .tiny import TINY, flown

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from polaris.assurance_docs import PAGE, REQUIREMENTS, page_text
+from docs.generate.assurance_docs import PAGE, REQUIREMENTS, page_text
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -28,7 +28,7 @@ def claims_of_the_checker():
 
 
 def test_the_page_is_up_to_date():
-    assert (ROOT / "docs" / PAGE).read_text() == page_text(), "run: python -m polaris.assurance_docs"
+    assert (ROOT / "docs" / PAGE).read_text() == page_text(), "run: python -m docs.generate.assurance_docs"
 
 
 def test_every_claim_of_the_checker_serves_a_requirement():

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from polaris.errors import ScenarioError
-from polaris.scenario import Scenario, load_scenario
-from polaris.scenario_reading import MAX_BYTES
+from polaris.model.errors import ScenarioError
+from polaris.scenario.reading import MAX_BYTES
+from polaris.scenario.scenario import Scenario, load_scenario
 
 NAN, INF = float("nan"), float("inf")
 BALL = {"kind": "ball", "name": "rock", "center_m": [125.0, 230.0, 0.0], "radius_m": 20.0}

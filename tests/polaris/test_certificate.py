@@ -18,11 +18,11 @@ from polaris.certificate.__main__ import main
 from polaris.certificate.checker import verify, verify_document
 from polaris.certificate.document import digest
 from polaris.certificate.writer import certificate, write_certificate
-from polaris.cli import app
-from polaris.comparison import compare
-from polaris.runfolder import write_run
-from polaris.scenario import load_scenario
-from polaris.synthesis import synthesize
+from polaris.cli.app import app
+from polaris.runs.folder import write_run
+from polaris.scenario.scenario import load_scenario
+from polaris.simulation.baselines import compare
+from polaris.synthesis.synthesize import synthesize
 
 from .conftest import small_controllers, small_safety
 from .conftest import synthesised as bundled

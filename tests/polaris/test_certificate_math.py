@@ -20,9 +20,9 @@ from polaris.certificate.motion import Plant
 from polaris.certificate.verdict import Record, Rejected, Undecided
 from polaris.certificate.writer import certificate, hexadecimal
 from polaris.certificate.zonotopes import Merging, Zonotope, ball_cover, inner_radius, widest
-from polaris.scenario import load_scenario
-from polaris.simulation import simulate
-from polaris.synthesis import synthesize
+from polaris.scenario.scenario import load_scenario
+from polaris.simulation.simulate import simulate
+from polaris.synthesis.synthesize import synthesize
 
 from .tiny import TINY
 

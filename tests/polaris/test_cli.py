@@ -16,13 +16,13 @@ from typer.testing import CliRunner
 
 import polaris
 import reach
-from polaris import cli
-from polaris.checks import counted
-from polaris.errors import NotCertified, ScenarioError, SynthesisInfeasible
-from polaris.figures import draw_figures
+from polaris.cli import app as cli
+from polaris.model.checks import counted
+from polaris.model.errors import NotCertified, ScenarioError, SynthesisInfeasible
 from polaris.planning.problem import Progress
-from polaris.plausibility import doubts
-from polaris.scenario import bundled_files, load_scenario
+from polaris.report.figures import draw_figures
+from polaris.scenario.plausibility import doubts
+from polaris.scenario.scenario import bundled_files, load_scenario
 
 from .tiny import TINY, flown, synthesised
 
@@ -34,12 +34,12 @@ def invoke(tmp_path, monkeypatch):
     """Run a command in an empty folder, with the synthesis taken from memory."""
     monkeypatch.chdir(tmp_path)
     schedule = synthesised()[1]
-    monkeypatch.setattr("polaris.safety.get_safety", lambda problem: schedule.safety)
-    monkeypatch.setattr("polaris.experimental.build_controllers", lambda scenario, safety: ())
-    monkeypatch.setattr("polaris.synthesis.synthesize", lambda *args, **options: schedule)
-    monkeypatch.setattr("polaris.comparison.compare", lambda *args: flown())
+    monkeypatch.setattr("polaris.synthesis.get_safety.get_safety", lambda problem: schedule.safety)
+    monkeypatch.setattr("polaris.synthesis.experimental.build_controllers", lambda scenario, safety: ())
+    monkeypatch.setattr("polaris.synthesis.synthesize.synthesize", lambda *args, **options: schedule)
+    monkeypatch.setattr("polaris.simulation.baselines.compare", lambda *args: flown())
     monkeypatch.setattr(
-        "polaris.figures.draw_figures", lambda picture, folder: (folder / "scene.pdf").touch()
+        "polaris.report.figures.draw_figures", lambda picture, folder: (folder / "scene.pdf").touch()
     )
     return lambda *args: CliRunner().invoke(cli.app, list(map(str, args)))
 
@@ -53,7 +53,7 @@ def python(code):
 
 
 @pytest.mark.parametrize(
-    "what", ["import polaris, reach", "import polaris.cli", "import polaris; polaris.__version__"]
+    "what", ["import polaris, reach", "import polaris.cli.app", "import polaris; polaris.__version__"]
 )
 def test_importing_loads_nothing_heavy(what):
     done = python(f"import sys\n{what}\nprint(sorted(set({HEAVY}) & set(sys.modules)))")
@@ -112,8 +112,8 @@ def test_quiet_prints_nothing(invoke):
 
 
 def test_figures_can_wait(invoke, tmp_path, monkeypatch):
-    monkeypatch.setattr("polaris.figures.draw_figures", draw_figures)
-    monkeypatch.setattr("polaris.figures.NAMES", ("modes",))
+    monkeypatch.setattr("polaris.report.figures.draw_figures", draw_figures)
+    monkeypatch.setattr("polaris.report.figures.NAMES", ("modes",))
     done = invoke("run", TINY, "--out", "here", "--no-figures")
     assert done.exit_code == 0 and not (tmp_path / "here" / "figures").exists()
     assert "draw the figures: polaris plot" in " ".join(done.stdout.split())
@@ -124,7 +124,7 @@ def test_figures_can_wait(invoke, tmp_path, monkeypatch):
 @pytest.mark.parametrize("options", [(), ("--quiet",), ("--json",)])
 def test_a_run_that_proves_nothing_says_so_on_standard_error(invoke, monkeypatch, options):
     unsound = replace(synthesised()[1], guarantee="none")
-    monkeypatch.setattr("polaris.synthesis.synthesize", lambda *args, **given: unsound)
+    monkeypatch.setattr("polaris.synthesis.synthesize.synthesize", lambda *args, **given: unsound)
     done = invoke("run", TINY, *options)
     assert done.exit_code == 0
     warnings = [line for line in done.stderr.splitlines() if line.startswith("warning: ")]
@@ -273,8 +273,8 @@ def test_hints_name_packages_that_exist():
 
 
 def test_plot_redraws_the_same_bytes_from_the_files_alone(invoke, tmp_path, monkeypatch):
-    monkeypatch.setattr("polaris.figures.draw_figures", draw_figures)
-    monkeypatch.setattr("polaris.figures.NAMES", ("modes", "margin"))
+    monkeypatch.setattr("polaris.report.figures.draw_figures", draw_figures)
+    monkeypatch.setattr("polaris.report.figures.NAMES", ("modes", "margin"))
     invoke("run", TINY, "--out", "here", "-q")
     figures = tmp_path / "here" / "figures"
     before = {path.name: path.read_bytes() for path in figures.iterdir()}
@@ -365,7 +365,7 @@ def test_errors_end_with_their_exit_code_and_no_folder(invoke, tmp_path, monkeyp
     def fail(problem):
         raise error
 
-    monkeypatch.setattr("polaris.safety.get_safety", fail)
+    monkeypatch.setattr("polaris.synthesis.get_safety.get_safety", fail)
     is_one_message(invoke("run", TINY), code)
     assert list(tmp_path.iterdir()) == []
 
@@ -381,9 +381,9 @@ def test_infeasible_and_out_of_time_for_real(tmp_path, monkeypatch):
 
 def test_a_clock_that_struck_is_told_whatever_is_asked(tmp_path, monkeypatch):
     """On standard error, quiet or not, in summary.json, and in what Python returns."""
-    from polaris.errors import ClockWarning
+    from polaris.model.errors import ClockWarning
     from polaris.planning.solve import Planner
-    from polaris.synthesis import synthesize
+    from polaris.synthesis.synthesize import synthesize
 
     options = ["--no-figures", "--set", "simulation.runs=2"]
     CliRunner().invoke(cli.app, ["run", str(TINY), "--out", str(tmp_path / "in time"), "-q", *options])
@@ -411,10 +411,10 @@ def test_a_clock_that_struck_is_told_whatever_is_asked(tmp_path, monkeypatch):
 
 def test_a_reference_that_the_clock_cut_short_is_not_used(monkeypatch):
     """The unaware reference is the cheapest plan; half-way to it is something else each time."""
-    from polaris.errors import ClockWarning, OutOfTime
-    from polaris.experimental import build_controllers
+    from polaris.model.errors import ClockWarning, OutOfTime
     from polaris.planning.solve import Planner
-    from polaris.safety import get_safety
+    from polaris.synthesis.experimental import build_controllers
+    from polaris.synthesis.get_safety import get_safety
 
     scenario = load_scenario("static")
     safety = get_safety(scenario)
@@ -431,7 +431,7 @@ def test_a_run_that_fails_late_leaves_the_old_folder_whole(invoke, tmp_path, mon
     def fail(*args):
         raise error
 
-    monkeypatch.setattr("polaris.figures.draw_figures", fail)
+    monkeypatch.setattr("polaris.report.figures.draw_figures", fail)
     assert invoke("run", TINY, "--out", "here", "-q").exit_code != 0
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
 
@@ -443,7 +443,7 @@ def test_termination_leaves_through_the_same_door():
 
 
 def test_slow_stages_are_told_on_standard_error(capsys):
-    from polaris import console
+    from polaris.cli import console
 
     stages = console.Stages()
     patience, console.PATIENCE = console.PATIENCE, 0.0

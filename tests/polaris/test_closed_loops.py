@@ -8,14 +8,14 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pytest
 
-from polaris.controllers import AffineController
-from polaris.errors import NotCertified, PolarisError
-from polaris.falsification.search import falsify
-from polaris.reference import Reference
+from polaris.model.errors import NotCertified, PolarisError
+from polaris.planning.reference import Reference
 from polaris.rta.monitor import Monitor
 from polaris.rta.scene import Scene
-from polaris.simulation import simulate
-from polaris.synthesis import SwitchingRules, _Search, synthesize, with_margins
+from polaris.simulation.falsification.search import falsify
+from polaris.simulation.simulate import simulate
+from polaris.synthesis.controllers import AffineController
+from polaris.synthesis.synthesize import SwitchingRules, _Search, synthesize, with_margins
 
 from .closed_loops import Attack, Loop, attack, attack_monitor
 from .random_scenarios import synthesised

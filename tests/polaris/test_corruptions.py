@@ -8,9 +8,9 @@ pytest.importorskip("flint")
 
 from polaris.certificate.checker import verify_document
 from polaris.certificate.writer import certificate
-from polaris.runfolder import write_run
-from polaris.scenario import load_scenario
-from polaris.synthesis import synthesize
+from polaris.runs.folder import write_run
+from polaris.scenario.scenario import load_scenario
+from polaris.synthesis.synthesize import synthesize
 
 from .corruptions import Corruptor, against_files, inner, malformed
 from .tiny import TINY

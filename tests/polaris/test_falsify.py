@@ -8,20 +8,20 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from polaris.clearance import error_tube
-from polaris.cli import app
-from polaris.disturbances import adjoint_worst_case
-from polaris.errors import ScenarioError
-from polaris.falsification.attacks import Attack, Attacker
-from polaris.falsification.case import digest, replay, write_case
-from polaris.falsification.claims import Claims
-from polaris.falsification.load import load_target
-from polaris.falsification.measure import EXACT_M, attained
-from polaris.falsification.search import falsify
-from polaris.integration import Integrator
-from polaris.runfolder import write_run
-from polaris.scenario import load_scenario
-from polaris.synthesis import synthesize
+from polaris.cli.app import app
+from polaris.model.errors import ScenarioError
+from polaris.runs.case import digest, replay, write_case
+from polaris.runs.folder import write_run
+from polaris.runs.load import load_target
+from polaris.scenario.scenario import load_scenario
+from polaris.simulation.disturbances import adjoint_worst_case
+from polaris.simulation.falsification.attacks import Attack, Attacker
+from polaris.simulation.falsification.claims import Claims
+from polaris.simulation.falsification.measure import EXACT_M, attained
+from polaris.simulation.falsification.search import falsify
+from polaris.simulation.integration import Integrator
+from polaris.synthesis.clearance import error_tube
+from polaris.synthesis.synthesize import synthesize
 
 from .conftest import synthesised
 from .tiny import TINY

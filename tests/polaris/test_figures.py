@@ -8,14 +8,24 @@ import numpy as np
 import pytest
 from matplotlib.text import Text
 
-from polaris.comparison import Flights
-from polaris.figures import _FIGURES, NAMES, draw_figures, plot_reference, plot_schedule
-from polaris.figures.closeups import MOST, closeups
-from polaris.figures.geometry import directions, faces, flat_outline, polygon, stretches, tube_polygons
-from polaris.figures.paths import under_mode
-from polaris.figures.picture import Picture, picture_of, picture_of_safety, recoverable_slices, tube_of
-from polaris.figures.space import Space, outline_gap
-from polaris.figures.style import (
+from polaris.model.hill import clohessy_wiltshire
+from polaris.model.obstacles import (
+    BallObstacle,
+    BoxObstacle,
+    KeepInCone,
+    KeepInPolytope,
+    PolytopeObstacle,
+    SatelliteObstacle,
+)
+from polaris.model.system import LinearSystem
+from polaris.planning.goals import Box, EllipticalNMT, LinearNMT, StationaryPoint
+from polaris.planning.reference import Reference
+from polaris.report.figures import _FIGURES, NAMES, draw_figures, plot_reference, plot_schedule
+from polaris.report.figures.closeups import MOST, closeups
+from polaris.report.figures.geometry import directions, faces, flat_outline, polygon, stretches, tube_polygons
+from polaris.report.figures.paths import under_mode
+from polaris.report.figures.space import Space, outline_gap
+from polaris.report.figures.style import (
     GREEN,
     INPUT_SHADES,
     MODE_COLOURS,
@@ -28,20 +38,10 @@ from polaris.figures.style import (
     shades,
     style,
 )
-from polaris.figures.timelines import limit_group
-from polaris.hill import clohessy_wiltshire
-from polaris.obstacles import (
-    BallObstacle,
-    BoxObstacle,
-    KeepInCone,
-    KeepInPolytope,
-    PolytopeObstacle,
-    SatelliteObstacle,
-)
-from polaris.planning.goals import Box, EllipticalNMT, LinearNMT, StationaryPoint
-from polaris.reference import Reference
-from polaris.system import LinearSystem
-from reach.zonotope import Zonotope
+from polaris.report.figures.timelines import limit_group
+from polaris.runs.picture import Picture, picture_of, picture_of_safety, recoverable_slices, tube_of
+from polaris.simulation.baselines import Flights
+from reach.sets.zonotope import Zonotope
 
 from .tiny import flown, synthesised
 
@@ -127,7 +127,7 @@ def test_limits_of_one_keep_in_set_are_one_name():
 
 def test_files_hold_no_dates_and_are_the_same_twice(picture, tmp_path, monkeypatch):
     names = ("scene", "scene_3d", "margin")
-    monkeypatch.setattr("polaris.figures.NAMES", names)
+    monkeypatch.setattr("polaris.report.figures.NAMES", names)
     (tmp_path / "a").mkdir()
     (tmp_path / "b").mkdir()
     first, second = draw_figures(picture, tmp_path / "a"), draw_figures(picture, tmp_path / "b")
@@ -138,7 +138,7 @@ def test_files_hold_no_dates_and_are_the_same_twice(picture, tmp_path, monkeypat
 
 
 def test_pdfs_embed_truetype_fonts_whose_text_can_be_searched(picture, tmp_path, monkeypatch):
-    monkeypatch.setattr("polaris.figures.NAMES", ("modes",))
+    monkeypatch.setattr("polaris.report.figures.NAMES", ("modes",))
     draw_figures(picture, tmp_path)
     plain = (tmp_path / "modes.pdf").read_bytes()
     assert b"/FontFile2" in plain and b"/ToUnicode" in plain and b"/Type3" not in plain
@@ -161,7 +161,7 @@ def test_each_format_is_drawn_once_and_the_layout_solved_once(picture, tmp_path,
             return true(self, *args)
 
         monkeypatch.setattr(owner, name, counted)
-    monkeypatch.setattr("polaris.figures.NAMES", ("scene", "scene_3d"))
+    monkeypatch.setattr("polaris.report.figures.NAMES", ("scene", "scene_3d"))
     draw_figures(picture, tmp_path)
     assert calls == ["execute", "draw", "draw", "draw", "draw"]
 

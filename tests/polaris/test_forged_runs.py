@@ -14,8 +14,8 @@ pytest.importorskip("flint")
 
 from scipy.linalg import solve_continuous_are
 
-from polaris.comparison import compare
-from polaris.runfolder import write_run
+from polaris.runs.folder import write_run
+from polaris.simulation.baselines import compare
 
 from .conftest import synthesised as bundled
 from .forging import CERTIFICATE, Forger, Lie, accepted, excused, make, one_at_a_time, replaced, twice

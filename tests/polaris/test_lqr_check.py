@@ -14,9 +14,9 @@ from scipy.linalg import solve_continuous_are
 from polaris.certificate.balls import PRECISION, matrix
 from polaris.certificate.lqr import check_gain, check_hurwitz, positive_definite
 from polaris.certificate.verdict import Rejected, Undecided
-from polaris.hill import cw_matrix
-from polaris.system import LinearSystem
-from polaris.tracking import lqr_gain
+from polaris.model.hill import cw_matrix
+from polaris.model.system import LinearSystem
+from polaris.synthesis.tracking import lqr_gain
 
 
 @pytest.fixture(autouse=True)

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from polaris.controllers import AffineController, AnyThrust
-from polaris.disturbances import adjoint_worst_case
-from polaris.errors import PolarisError
-from polaris.integration import Integrator
+from polaris.model.errors import PolarisError
+from polaris.simulation.disturbances import adjoint_worst_case
+from polaris.simulation.integration import Integrator
+from polaris.synthesis.controllers import AffineController, AnyThrust
 
 from .random_scenarios import synthesised
 

@@ -7,9 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from polaris.errors import ScenarioError
-from polaris.hill import clohessy_wiltshire, free_flight
-from polaris.metrics import (
+from polaris.model.distances import (
     UNKNOWN,
     closest,
     count_switches,
@@ -19,7 +17,9 @@ from polaris.metrics import (
     ray_ttc,
     signed_distances,
 )
-from polaris.obstacles import (
+from polaris.model.errors import ScenarioError
+from polaris.model.hill import clohessy_wiltshire, free_flight
+from polaris.model.obstacles import (
     BallObstacle,
     BoxObstacle,
     KeepInCone,
@@ -27,7 +27,7 @@ from polaris.obstacles import (
     PolytopeObstacle,
     SatelliteObstacle,
 )
-from polaris.system import LinearSystem
+from polaris.model.system import LinearSystem
 
 ETA = 0.0012
 CW = clohessy_wiltshire(ETA, 10.0, 0.1)

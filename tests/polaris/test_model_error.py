@@ -8,17 +8,17 @@ import pytest
 from scipy.integrate import solve_ivp
 from typer.testing import CliRunner
 
-from polaris.cli import app
-from polaris.errors import ScenarioError
-from polaris.orbit.environment import MU, Environment
-from polaris.orbit.frame import frame_rates, near_circular, relative_rate
-from polaris.orbit.model_error import justify, model_error, sample_residual, two_digits
-from polaris.orbit.region import Region, visited
-from polaris.orbit.residual import residual_bound
-from polaris.orbit.truth import declared, drift_true, fly_true
-from polaris.satellite import SatelliteObstacle
-from polaris.scenario import load_scenario
-from polaris.simulation import simulate
+from polaris.cli.app import app
+from polaris.model.errors import ScenarioError
+from polaris.model.satellite import SatelliteObstacle
+from polaris.scenario.scenario import load_scenario
+from polaris.simulation.orbit.environment import MU, Environment
+from polaris.simulation.orbit.frame import frame_rates, near_circular, relative_rate
+from polaris.simulation.orbit.model_error import justify, model_error, sample_residual, two_digits
+from polaris.simulation.orbit.region import Region, visited
+from polaris.simulation.orbit.residual import residual_bound
+from polaris.simulation.orbit.truth import declared, drift_true, fly_true
+from polaris.simulation.simulate import simulate
 
 from .conftest import synthesised
 

@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 from scipy.optimize import minimize, nnls
 
-from polaris.errors import ScenarioError
-from polaris.hill import clohessy_wiltshire, free_flight
-from polaris.obstacle_base import directions
-from polaris.obstacles import (
+from polaris.model.errors import ScenarioError
+from polaris.model.hill import clohessy_wiltshire, free_flight
+from polaris.model.obstacle import directions
+from polaris.model.obstacles import (
     BallObstacle,
     BoxObstacle,
     KeepInCone,
@@ -21,9 +21,9 @@ from polaris.obstacles import (
     SatelliteObstacle,
     perceive,
 )
-from polaris.shapes import Polytope
-from polaris.system import LinearSystem
-from reach.linear import discretize
+from polaris.model.shapes import Polytope
+from polaris.model.system import LinearSystem
+from reach.numerics.linear import discretize
 
 CW = clohessy_wiltshire(0.0012, 10.0, 0.1, w_max=1e-6)
 PLANE = LinearSystem(

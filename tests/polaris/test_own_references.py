@@ -12,10 +12,10 @@ import flint
 from polaris.certificate.balls import PRECISION
 from polaris.certificate.own import check_own
 from polaris.certificate.verdict import Rejected, Undecided
-from polaris.experimental import _settled
-from polaris.hill import clohessy_wiltshire, elliptical_nmt
-from polaris.reference import Reference
-from polaris.system import LinearSystem
+from polaris.model.hill import clohessy_wiltshire, elliptical_nmt
+from polaris.model.system import LinearSystem
+from polaris.planning.reference import Reference
+from polaris.synthesis.experimental import _settled
 
 STEPS = 12
 

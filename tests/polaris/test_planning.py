@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from polaris.errors import (
+from polaris.model.errors import (
     ClockWarning,
     NotCertified,
     OutOfTime,
@@ -20,7 +20,9 @@ from polaris.errors import (
     ScenarioError,
     SynthesisInfeasible,
 )
-from polaris.hill import clohessy_wiltshire
+from polaris.model.hill import clohessy_wiltshire
+from polaris.model.system import LinearSystem
+from polaris.model.timed_polytope import TimedPolytope
 from polaris.planning import (
     Box,
     EllipticalNMT,
@@ -41,10 +43,8 @@ from polaris.planning import (
 from polaris.planning.lp import GrowingLP
 from polaris.planning.rows import Rows
 from polaris.planning.search import Levels, PathSearch
-from polaris.safety import get_safety
-from polaris.scenario import load_scenario
-from polaris.system import LinearSystem
-from polaris.unsafe import TimedPolytope
+from polaris.scenario.scenario import load_scenario
+from polaris.synthesis.get_safety import get_safety
 
 from .tiny import TINY
 
@@ -298,8 +298,8 @@ def test_every_solver_solves_the_same_program(seed, solver):
 @pytest.mark.parametrize("solver", ["highs", "gurobi"])
 def test_static_has_one_optimum(solver):
     """Cells that one search had stated and the other had not once made a difference of 1.5e-5 m/s."""
-    from polaris.safety import get_safety
-    from polaris.scenario import load_scenario
+    from polaris.scenario.scenario import load_scenario
+    from polaris.synthesis.get_safety import get_safety
 
     problem = load_scenario("static").problem()
     ours = get_safety(problem).plan
@@ -580,7 +580,7 @@ def test_prices_of_facets_are_lower_bounds(prices):
 def test_no_back_end_is_called_or_loaded_where_the_tree_decides():
     code = (
         "import sys; sys.path.insert(0, '.'); import numpy as np\n"
-        "from polaris.hill import clohessy_wiltshire\n"
+        "from polaris.model.hill import clohessy_wiltshire\n"
         "from polaris.planning import EllipticalNMT, PlanProblem, plan\n"
         "cw, start = clohessy_wiltshire(0.0012, 10.0, 1.0), np.array([0, -1000, 0, 0, 0, 0.0])\n"
         "goal = EllipticalNMT(0.0012, 100.0, 250.0)\n"

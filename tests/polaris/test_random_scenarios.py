@@ -15,11 +15,11 @@ pytest.importorskip("flint")
 from polaris.certificate.checker import verify, verify_document
 from polaris.certificate.document import digest
 from polaris.certificate.writer import certificate
-from polaris.errors import PolarisError
-from polaris.runfolder import write_run
-from polaris.scenario import load_scenario
-from polaris.scenario_reading import write_toml
-from polaris.synthesis import synthesize
+from polaris.model.errors import PolarisError
+from polaris.runs.folder import write_run
+from polaris.scenario.reading import write_toml
+from polaris.scenario.scenario import load_scenario
+from polaris.synthesis.synthesize import synthesize
 
 from .random_scenarios import random_scenario, synthesised
 from .test_margins import worst_share

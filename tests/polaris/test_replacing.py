@@ -13,11 +13,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from polaris import ownership, replacing
-from polaris.errors import ScenarioError
-from polaris.ownership import tidy
-from polaris.replacing import CannotWrite, check_file, check_target
-from polaris.runfolder import read_run, write_run
+from polaris.model.errors import ScenarioError
+from polaris.runs import atomic as replacing
+from polaris.runs import ownership
+from polaris.runs.atomic import CannotWrite, check_file, check_target
+from polaris.runs.folder import read_run, write_run
+from polaris.runs.ownership import tidy
 from tests.leftovers import left_by_a_dead_process
 
 from .tiny import TINY, flown, synthesised
@@ -53,7 +54,7 @@ def test_a_newer_run_replaces_what_polaris_wrote_and_nothing_else(tmp_path, monk
             path.write_bytes(b"drawn")
         return paths
 
-    monkeypatch.setattr("polaris.figures.draw_figures", draw)
+    monkeypatch.setattr("polaris.report.figures.draw_figures", draw)
     scenario, schedule = synthesised()
     target = tmp_path / "run"
     write_run(target, scenario, schedule, flown())
@@ -231,22 +232,22 @@ def test_unwritable_files_are_found_before_the_work(tmp_path, monkeypatch):
     """Every command that writes a file asks first."""
     from typer.testing import CliRunner
 
-    from polaris import cli
+    from polaris.cli import app as cli
 
     def work(*args, **more):
         raise AssertionError("the work had begun")
 
     for name in (
-        "polaris.falsification.load.load_target",
-        "polaris.campaign.replay.replay_run",
+        "polaris.runs.load.load_target",
+        "polaris.runs.campaign.replay.replay_run",
         "polaris.traces.export.export_run",
         "polaris.report.report_page",
-        "polaris.safety.get_safety",
-        "polaris.synthesis.synthesize",
-        "polaris.asif.run.fly_scenario",
+        "polaris.synthesis.get_safety.get_safety",
+        "polaris.synthesis.synthesize.synthesize",
+        "polaris.inspection.flights.judge.fly_scenario",
     ):
         monkeypatch.setattr(name, work)
-    monkeypatch.setattr("polaris.campaign.folder.read_campaign", lambda path: None)
+    monkeypatch.setattr("polaris.runs.campaign.folder.read_campaign", lambda path: None)
     monkeypatch.chdir(tmp_path)
     place = "no/such/folder/file.json"
     (tmp_path / "file").write_bytes(b"")

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from polaris.cli import app
-from polaris.errors import ScenarioError
-from polaris.runfolder import DATA_FILES, read_run, write_run
+from polaris.cli.app import app
+from polaris.model.errors import ScenarioError
+from polaris.runs.folder import DATA_FILES, read_run, write_run
 
 from .tiny import TINY, flown, synthesised
 
@@ -209,7 +209,7 @@ def test_pickled_arrays_are_refused(folder, tmp_path):
 
 
 def test_metrics_of_batches_join_to_those_of_all(monkeypatch):
-    from polaris import comparison
+    from polaris.simulation import baselines as comparison
 
     schedule = synthesised()[1]
     monkeypatch.setattr(comparison, "BATCH", 5)
@@ -236,8 +236,8 @@ def test_metrics_as_a_table(monkeypatch):
 
 
 def test_closest_approach_is_not_missed_between_nodes():
-    from polaris.evaluation import evaluate
-    from polaris.simulation import simulate
+    from polaris.simulation.run_metrics import evaluate
+    from polaris.simulation.simulate import simulate
 
     schedule = synthesised()[1]
     runs = simulate(schedule, 8, seed=3, mode=1)
@@ -255,8 +255,8 @@ def test_closest_approach_is_not_missed_between_nodes():
 def test_no_obstacles_reads_null_and_not_infinity():
     from dataclasses import replace
 
-    from polaris.evaluation import evaluate
-    from polaris.simulation import simulate
+    from polaris.simulation.run_metrics import evaluate
+    from polaris.simulation.simulate import simulate
 
     schedule = synthesised()[1]
     bare = replace(schedule.safety, problem=replace(schedule.safety.problem, unsafe=()))
@@ -266,9 +266,9 @@ def test_no_obstacles_reads_null_and_not_infinity():
 
 
 def test_true_states_of_another_satellite_stay_in_what_is_known():
-    from polaris.hill import clohessy_wiltshire
-    from polaris.obstacles import SatelliteObstacle
-    from polaris.truth import true_states
+    from polaris.model.hill import clohessy_wiltshire
+    from polaris.model.obstacles import SatelliteObstacle
+    from polaris.model.truth import true_states
 
     system = clohessy_wiltshire(0.0012, 10.0, 0.1, 1e-5)
     visitor = SatelliteObstacle(

@@ -5,18 +5,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from polaris.ball_sets import BallSets
-from polaris.clearance import best_facets
-from polaris.controllers import AffineController, AnyThrust, Flight, construct_s
-from polaris.errors import ScenarioError
-from polaris.obstacles import BoxObstacle
-from polaris.recoverable import get_recover
-from polaris.reference import Reference
-from polaris.safety import get_safety
-from polaris.scenario import load_scenario
-from polaris.synthesis import SwitchingRules, synthesize
-from polaris.tracking import Feedback, Tracking
-from reach.zonotope import Zonotope
+from polaris.model.errors import ScenarioError
+from polaris.model.obstacles import BoxObstacle
+from polaris.planning.reference import Reference
+from polaris.scenario.scenario import load_scenario
+from polaris.synthesis.ball_sets import BallSets
+from polaris.synthesis.clearance import best_facets
+from polaris.synthesis.controllers import AffineController, AnyThrust, Flight, construct_s
+from polaris.synthesis.get_safety import get_safety
+from polaris.synthesis.recoverable import get_recover
+from polaris.synthesis.synthesize import SwitchingRules, synthesize
+from polaris.synthesis.tracking import Feedback, Tracking
+from reach.sets.zonotope import Zonotope
 
 from .conftest import small_controllers, small_problem, small_safety
 from .tiny import synthesised

@@ -9,17 +9,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from polaris.clearance import error_tube
-from polaris.comparison import compare
-from polaris.errors import ScenarioError, SynthesisInfeasible
-from polaris.hill import clohessy_wiltshire
-from polaris.obstacles import SatelliteObstacle
-from polaris.runfolder import write_run
-from polaris.safety import get_safety
-from polaris.scenario import Scenario
-from polaris.synthesis import synthesize
-from polaris.system import LinearSystem
-from polaris.truth import true_states
+from polaris.model.errors import ScenarioError, SynthesisInfeasible
+from polaris.model.hill import clohessy_wiltshire
+from polaris.model.obstacles import SatelliteObstacle
+from polaris.model.system import LinearSystem
+from polaris.model.truth import true_states
+from polaris.runs.folder import write_run
+from polaris.scenario.scenario import Scenario
+from polaris.simulation.baselines import compare
+from polaris.synthesis.clearance import error_tube
+from polaris.synthesis.get_safety import get_safety
+from polaris.synthesis.synthesize import synthesize
 
 seeds = st.integers(0, 2**32 - 1)
 

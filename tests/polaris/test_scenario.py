@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from polaris.errors import ScenarioError
-from polaris.scenario import Scenario, bundled_scenarios, load_scenario, scenario_folder
-from polaris.scenario_build import whole_parts
-from polaris.scenario_reading import parse_toml, write_toml
+from polaris.model.errors import ScenarioError
+from polaris.scenario.build import whole_parts
+from polaris.scenario.reading import parse_toml, write_toml
+from polaris.scenario.scenario import Scenario, bundled_scenarios, load_scenario, scenario_folder
 
 DATA = Path(__file__).parent / "data"
 SPACE, FLOOR = DATA / "space.toml", DATA / "floor.toml"

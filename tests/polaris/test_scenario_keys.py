@@ -8,6 +8,7 @@ import pytest
 
 pytest.importorskip("flint")
 
+from docs.generate.scenario_docs import schema
 from polaris.certificate.scenario_keys import SCENARIO, check_keys
 from polaris.certificate.structure import (
     Either,
@@ -22,10 +23,9 @@ from polaris.certificate.structure import (
     strict_json,
 )
 from polaris.certificate.verdict import Rejected
-from polaris.errors import ScenarioError
-from polaris.scenario import bundled_scenarios, load_scenario, locate
-from polaris.scenario_docs import schema
-from polaris.scenario_reading import read_document, validate
+from polaris.model.errors import ScenarioError
+from polaris.scenario.reading import read_document, validate
+from polaris.scenario.scenario import bundled_scenarios, load_scenario, locate
 
 from .forging import chosen, places, replaced
 from .tiny import TINY

@@ -9,11 +9,7 @@ import jsonschema
 import pytest
 
 import polaris
-from polaris import scenario_model
-from polaris import scenario_scene as scene
-from polaris.asif.scenario import load_inspection
-from polaris.scenario import bundled_scenarios, load_scenario
-from polaris.scenario_docs import (
+from docs.generate.scenario_docs import (
     INSPECTION_FILE,
     REFERENCE_FILE,
     SCHEMA_FILE,
@@ -24,6 +20,10 @@ from polaris.scenario_docs import (
     schema_text,
     write,
 )
+from polaris.scenario import scene_tables as scene
+from polaris.scenario import tables as scenario_model
+from polaris.scenario.inspection import load_inspection
+from polaris.scenario.scenario import bundled_scenarios, load_scenario
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 
@@ -38,7 +38,7 @@ DOCS = Path(__file__).resolve().parents[2] / "docs"
 )
 def test_committed_file_is_up_to_date(name, text):
     committed = (DOCS / name).read_text(encoding="utf-8")
-    assert committed == text(), "run: python -m polaris.scenario_docs"
+    assert committed == text(), "run: python -m docs.generate.scenario_docs"
 
 
 def test_writing_gives_the_same_bytes(tmp_path):

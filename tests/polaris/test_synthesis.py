@@ -7,13 +7,13 @@ import sys
 import numpy as np
 import pytest
 
-from polaris.controllers import AffineController
-from polaris.errors import ScenarioError, SynthesisInfeasible
-from polaris.recoverable import get_recover
-from polaris.safety import get_safety
-from polaris.scenario import load_scenario
-from polaris.simulation import simulate
-from polaris.synthesis import SwitchingRules, synthesize
+from polaris.model.errors import ScenarioError, SynthesisInfeasible
+from polaris.scenario.scenario import load_scenario
+from polaris.simulation.simulate import simulate
+from polaris.synthesis.controllers import AffineController
+from polaris.synthesis.get_safety import get_safety
+from polaris.synthesis.recoverable import get_recover
+from polaris.synthesis.synthesize import SwitchingRules, synthesize
 
 from .conftest import small_controllers, small_problem, small_safety, synthesised
 
@@ -197,7 +197,7 @@ def test_unclipped_law_that_may_exceed_the_limits_is_refused():
 def test_theta_outside_the_first_set_is_an_error_with_the_witness():
     from dataclasses import replace
 
-    from reach.zonotope import Zonotope
+    from reach.sets.zonotope import Zonotope
 
     problem = small_problem()
     wide = replace(problem, initial_set=Zonotope.box(problem.initial_set.c, [60, 60, 60, 0.2, 0.2, 0.2]))
@@ -233,7 +233,7 @@ def test_malformed_rules(options, field):
 
 def test_simulation_disturbs_on_the_bound_and_its_worst_case_nearly_reaches_the_tube():
     """Were the disturbance or the corners left out, every attack above would pass for nothing."""
-    from polaris.clearance import error_tube
+    from polaris.synthesis.clearance import error_tube
 
     safety = small_safety(None, 1e-3)
     schedule = synthesize(None, safety, [], SwitchingRules())
@@ -254,7 +254,7 @@ def test_simulation_disturbs_on_the_bound_and_its_worst_case_nearly_reaches_the_
 @pytest.mark.parametrize("name", ["shared", "coasting", "clipped"])
 def test_cells_flown_at_once_are_the_cells_flown_step_by_step(name, monkeypatch):
     """What nothing clips is flown by products over the whole cell; the rest step by step."""
-    from polaris import integration
+    from polaris.simulation import integration
 
     safety, law = small_safety(), small_controllers()[name]
     schedule = synthesize(None, safety, [law], SwitchingRules())

@@ -5,10 +5,10 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from polaris.clearance import error_tube
-from polaris.controllers import AffineController
-from reach.linear import discretize
-from reach.zonotope import Zonotope
+from polaris.synthesis.clearance import error_tube
+from polaris.synthesis.controllers import AffineController
+from reach.numerics.linear import discretize
+from reach.sets.zonotope import Zonotope
 
 from .conftest import small_controllers, small_safety
 

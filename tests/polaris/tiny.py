@@ -3,9 +3,9 @@
 from functools import cache
 from pathlib import Path
 
-from polaris.comparison import compare
-from polaris.scenario import load_scenario
-from polaris.synthesis import synthesize
+from polaris.scenario.scenario import load_scenario
+from polaris.simulation.baselines import compare
+from polaris.synthesis.synthesize import synthesize
 
 TINY = Path(__file__).parent / "data" / "tiny.toml"
 

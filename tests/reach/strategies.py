@@ -4,10 +4,10 @@ import numpy as np
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from reach.ellipsoid import Ellipsoid
-from reach.interval import Interval
-from reach.polytope import HPolytope
-from reach.zonotope import Zonotope
+from reach.sets.ellipsoid import Ellipsoid
+from reach.sets.interval import Interval
+from reach.sets.polytope import HPolytope
+from reach.sets.zonotope import Zonotope
 
 # Exact in binary, and never so small beside the centre that the points themselves are rounded.
 numbers = st.integers(-80, 80).map(lambda v: v / 8)

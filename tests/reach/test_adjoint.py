@@ -10,9 +10,9 @@ from scipy import sparse
 from scipy.linalg import expm
 
 from reach import Interval, LinearSystem, Unresolved, Zonotope, support_tube
-from reach.adjoint import Adjoint
-from reach.exponentials import Action, exponential, flushed, thin_exponential
-from reach.rows import Rows, balance
+from reach.numerics.exponentials import Action, exponential, flushed, thin_exponential
+from reach.tubes.adjoint import Adjoint
+from reach.tubes.rows import Rows, balance
 from tests.reach import truth
 
 Exact = np.longdouble
@@ -46,7 +46,7 @@ def hidden_growth(draw):
 @pytest.fixture(params=["as it comes", "as if large"])
 def size_of_sparse(request):
     """Sparse systems as small ones are treated, and by the ways of large ones: action and thin maps."""
-    with mock.patch("reach.rows.DENSE", 0 if request.param == "as if large" else 300):
+    with mock.patch("reach.tubes.rows.DENSE", 0 if request.param == "as if large" else 300):
         yield
 
 

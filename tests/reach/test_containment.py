@@ -5,16 +5,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from reach.answer import Answer
-from reach.containment import contains
-from reach.ellipsoid import Ellipsoid
-from reach.errors import ReachError
-from reach.exact import cross, integers
-from reach.interval import Interval
-from reach.norms import largest_norm
-from reach.polytope import HPolytope
-from reach.separation import disjoint
-from reach.zonotope import Zonotope
+from reach.numerics.errors import ReachError
+from reach.numerics.exact import cross, integers
+from reach.sets.answer import Answer
+from reach.sets.containment import contains
+from reach.sets.ellipsoid import Ellipsoid
+from reach.sets.interval import Interval
+from reach.sets.norms import largest_norm
+from reach.sets.polytope import HPolytope
+from reach.sets.separation import disjoint
+from reach.sets.zonotope import Zonotope
 
 from .strategies import directions, ellipsoids, intervals, polytopes, sets, size, vectors, zonotopes
 

@@ -8,13 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from reach.convex import ConvexSet, SetOperators, magnitude
-from reach.ellipsoid import Ellipsoid
-from reach.errors import ReachError
-from reach.interval import Interval
-from reach.lazy import AffineImage, MinkowskiSum
-from reach.polytope import HPolytope
-from reach.zonotope import Zonotope
+from reach.numerics.errors import ReachError
+from reach.sets.convex import ConvexSet, SetOperators, magnitude
+from reach.sets.ellipsoid import Ellipsoid
+from reach.sets.interval import Interval
+from reach.sets.lazy import AffineImage, MinkowskiSum
+from reach.sets.polytope import HPolytope
+from reach.sets.zonotope import Zonotope
 
 from .strategies import directions, numbers, polytopes, sets, size, some_points, vectors, zonotopes
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-import reach.polytope
+import reach.sets.polytope
 from reach import (
     Always,
     HPolytope,
@@ -19,21 +19,21 @@ from reach import (
     verify,
     zonotope_tube,
 )
-from reach.exponentials import Action, thin_exponential
-from reach.rows import Rows
+from reach.numerics.exponentials import Action, thin_exponential
+from reach.tubes.rows import Rows
 
 from . import truth
 
 
 def counted(monkeypatch):
     """How often a linear program is solved."""
-    solved, original = [], reach.polytope.maximise
+    solved, original = [], reach.sets.polytope.maximise
 
     def count(*arguments):
         solved.append(1)
         return original(*arguments)
 
-    monkeypatch.setattr(reach.polytope, "maximise", count)
+    monkeypatch.setattr(reach.sets.polytope, "maximise", count)
     return solved
 
 

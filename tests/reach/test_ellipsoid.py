@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from reach.ellipsoid import Ellipsoid
-from reach.errors import ReachError
+from reach.numerics.errors import ReachError
+from reach.sets.ellipsoid import Ellipsoid
 
 from .strategies import directions, ellipsoids
 

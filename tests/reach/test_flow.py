@@ -7,13 +7,13 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from polaris.hill import clohessy_wiltshire
-from polaris.tracking import lqr_gain
-from reach.errors import ReachError
-from reach.flow import LinearFlow
-from reach.linear import discretize, growth, powers
-from reach.relaxation import clip_relaxation
-from reach.zonotope import Zonotope
+from polaris.model.hill import clohessy_wiltshire
+from polaris.synthesis.tracking import lqr_gain
+from reach.numerics.errors import ReachError
+from reach.numerics.linear import discretize, growth, powers
+from reach.numerics.relaxation import clip_relaxation
+from reach.sets.zonotope import Zonotope
+from reach.tubes.flow import LinearFlow
 
 SYSTEM = clohessy_wiltshire(0.0012, 10.0, 1.0, 1e-4)
 GAIN = lqr_gain(SYSTEM, [1, 1, 1, 1e3, 1e3, 1e3], [1e4] * 3)

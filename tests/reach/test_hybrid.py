@@ -24,8 +24,8 @@ from reach import (
     support_tube,
     verify_hybrid,
 )
-from reach.clipping import clip, hull_of, strips
-from reach.fan import input_response
+from reach.sets.clipping import clip, hull_of, strips
+from reach.tubes.flowpipes import input_response
 
 SPIRAL = np.array([[-0.3, -2.0], [2.0, -0.3]])
 

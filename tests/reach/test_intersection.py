@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from reach.containment import contains
-from reach.errors import ReachError
-from reach.hulls import enclosing_hull
-from reach.intersection import meet_halfspace
-from reach.zonotope import Zonotope
+from reach.numerics.errors import ReachError
+from reach.sets.containment import contains
+from reach.sets.hulls import enclosing_hull
+from reach.sets.intersection import meet_halfspace
+from reach.sets.zonotope import Zonotope
 
 from .strategies import directions, numbers, vectors, zonotopes
 

@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from reach.errors import ReachError
-from reach.exact import integers
-from reach.interval import Interval
-from reach.rounding import add_down, add_up
-from reach.zonotope import Zonotope
+from reach.numerics.errors import ReachError
+from reach.numerics.exact import integers
+from reach.numerics.rounding import add_down, add_up
+from reach.sets.interval import Interval
+from reach.sets.zonotope import Zonotope
 
 from .strategies import directions, intervals, numbers, vectors
 

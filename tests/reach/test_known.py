@@ -8,8 +8,8 @@ from scipy import sparse
 from scipy.integrate import solve_ivp
 
 from reach import Interval, LinearSystem, ReachError, Signal, Zonotope, support_tube, zonotope_tube
-from reach.known import known
-from reach.trajectory import worst_case
+from reach.tubes.known_input import known
+from reach.tubes.trajectory import worst_case
 from tests.reach import truth
 
 BOX = Interval([-0.1, -0.1], [0.1, 0.1])

@@ -19,7 +19,7 @@ from reach import (
     support_tube,
     zonotope_tube,
 )
-from reach.varying import sample
+from reach.tubes.varying import sample
 from tests.reach import truth
 
 BOX = Interval([-1.0, -1.0], [1.0, 1.0])

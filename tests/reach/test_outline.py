@@ -5,13 +5,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from reach.ellipsoid import Ellipsoid
-from reach.errors import ReachError
-from reach.facets import facet_normals
-from reach.interval import Interval
-from reach.outlines import outline, vertices_2d
-from reach.polytope import HPolytope
-from reach.zonotope import Zonotope
+from reach.numerics.errors import ReachError
+from reach.sets.ellipsoid import Ellipsoid
+from reach.sets.facets import facet_normals
+from reach.sets.interval import Interval
+from reach.sets.outlines import outline, vertices_2d
+from reach.sets.polytope import HPolytope
+from reach.sets.zonotope import Zonotope
 
 from .strategies import directions, polytopes, sets, size, zonotopes
 

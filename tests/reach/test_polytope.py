@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from reach.errors import ReachError
-from reach.interval import Interval
-from reach.lazy import AffineImage
-from reach.polytope import HPolytope
+from reach.numerics.errors import ReachError
+from reach.sets.interval import Interval
+from reach.sets.lazy import AffineImage
+from reach.sets.polytope import HPolytope
 
 from .strategies import directions, polytopes, vectors
 

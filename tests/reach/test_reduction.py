@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from reach.containment import contains
-from reach.errors import ReachError
-from reach.reduction import METHODS, mean_width, reduce, reduction_loss
-from reach.zonotope import Zonotope
+from reach.numerics.errors import ReachError
+from reach.sets.containment import contains
+from reach.sets.reduction import METHODS, mean_width, reduce, reduction_loss
+from reach.sets.zonotope import Zonotope
 
 from .strategies import directions, zonotopes
 

@@ -280,8 +280,8 @@ def test_a_hundred_thousand_steps_stay_tight():
 
 def test_names_of_modules_do_not_hide_functions():
     import reach
-    import reach.tube_support
-    import reach.tube_zonotope
+    import reach.tubes.support_tube
+    import reach.tubes.zonotope_tube
 
     assert callable(reach.support_tube)
     assert callable(reach.zonotope_tube)

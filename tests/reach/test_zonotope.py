@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from reach.ball import ball_generators
-from reach.errors import ReachError
-from reach.zonotope import Zonotope
+from reach.numerics.errors import ReachError
+from reach.sets.ball import ball_generators
+from reach.sets.zonotope import Zonotope
 
 # Eighths: exact in binary, and never so small beside the centre that the points themselves are rounded.
 numbers = st.integers(-800, 800).map(lambda v: v / 8)

@@ -4,10 +4,10 @@ import numpy as np
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from reach.ellipsoid import Ellipsoid
-from reach.interval import Interval
-from reach.systems import LinearSystem
-from reach.zonotope import Zonotope
+from reach.sets.ellipsoid import Ellipsoid
+from reach.sets.interval import Interval
+from reach.sets.zonotope import Zonotope
+from reach.tubes.systems import LinearSystem
 
 KINDS = ("random", "stiff", "oscillating", "unstable", "nilpotent", "zero", "units", "triangular")
 

@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 
-from polaris.runfolder import write_run
+from polaris.runs.folder import write_run
 
 from ..polaris.tiny import flown, synthesised
 

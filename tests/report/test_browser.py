@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from polaris import cli
+from polaris.cli import app as cli
 from polaris.report import write_report
-from polaris.runfolder import read_run
+from polaris.runs.folder import read_run
 
 from .folders import EVIL, rename, write_comparison, write_tiny
 

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from polaris import cli
-from polaris.errors import ScenarioError
+from polaris.cli import app as cli
+from polaris.model.errors import ScenarioError
 from polaris.report import write_report
-from polaris.report.page import own_script, page_html, plotly
-from polaris.report.timelines import kept
-from polaris.runfolder import read_run
+from polaris.report.html.page import own_script, page_html, plotly
+from polaris.report.html.timelines import kept
+from polaris.runs.folder import read_run
 
 from .folders import EVIL, rename, rewrite_json, write_comparison, write_tiny
 from .test_pieces import Tags
@@ -54,7 +54,7 @@ def words(html):
 
 def report_of(folder, tmp_path):
     """A report with something else in place of plotly: five megabytes take long to read."""
-    with mock.patch("polaris.report.page.plotly", lambda: "var Plotly;"):
+    with mock.patch("polaris.report.html.page.plotly", lambda: "var Plotly;"):
         return write_report(folder, tmp_path / "report.html").read_text(encoding="utf-8")
 
 
@@ -349,6 +349,6 @@ def test_damaged_comparison_is_one_error(comparison, tmp_path):
 
 
 def test_pages_without_a_flight_have_no_plotly():
-    from polaris.report.page import Page
+    from polaris.report.html.page import Page
 
     assert len(page_html(Page("t", "", ()))) < 50_000

@@ -5,9 +5,8 @@ import itertools
 import numpy as np
 import pytest
 
-from polaris.figures.picture import Picture, TubePicture
-from polaris.hill import clohessy_wiltshire
-from polaris.obstacles import (
+from polaris.model.hill import clohessy_wiltshire
+from polaris.model.obstacles import (
     BallObstacle,
     BoxObstacle,
     KeepInCone,
@@ -15,12 +14,13 @@ from polaris.obstacles import (
     PolytopeObstacle,
     SatelliteObstacle,
 )
+from polaris.model.system import LinearSystem
 from polaris.planning.goals import Box, EllipticalNMT, LinearNMT, StationaryPoint
-from polaris.reference import Reference
-from polaris.report.bounds import proven_distance
-from polaris.report.scene import scene_of
-from polaris.system import LinearSystem
-from reach.zonotope import Zonotope
+from polaris.planning.reference import Reference
+from polaris.report.html.bounds import proven_distance
+from polaris.report.html.scene import scene_of
+from polaris.runs.picture import Picture, TubePicture
+from reach.sets.zonotope import Zonotope
 
 K, DELTA, Q = 6, 20.0, 2
 

@@ -4,18 +4,18 @@ from functools import cache
 
 import numpy as np
 
-from polaris.controllers import AffineController, AnyThrust
-from polaris.obstacles import BoxObstacle
+from polaris.model.obstacles import BoxObstacle
+from polaris.model.system import LinearSystem
 from polaris.planning import Box
-from polaris.problem import Problem
-from polaris.reference import Reference
+from polaris.planning.reference import Reference
 from polaris.rta.scene import Scene
-from polaris.safety import get_safety
-from polaris.scenario import load_scenario
-from polaris.synthesis import synthesize
-from polaris.system import LinearSystem
-from polaris.tracking import lqr_gain
-from reach.zonotope import Zonotope
+from polaris.scenario.scenario import load_scenario
+from polaris.synthesis.controllers import AffineController, AnyThrust
+from polaris.synthesis.get_safety import get_safety
+from polaris.synthesis.problem import Problem
+from polaris.synthesis.synthesize import synthesize
+from polaris.synthesis.tracking import lqr_gain
+from reach.sets.zonotope import Zonotope
 
 
 @cache

@@ -9,8 +9,8 @@ from polaris.rta.estimate import Measurement
 from polaris.rta.flight import Conditions, _Engine
 from polaris.rta.monitor import Monitor
 from polaris.rta.scene import Scene
-from polaris.scenario import load_scenario
-from polaris.synthesis import synthesize
+from polaris.scenario.scenario import load_scenario
+from polaris.synthesis.synthesize import synthesize
 
 HALF = 0.01
 

@@ -10,12 +10,11 @@ from functools import cache
 import numpy as np
 import pytest
 
-from polaris.controllers import AffineController, AnyThrust
-from polaris.errors import NotCertified
-from polaris.obstacles import BoxObstacle
+from polaris.model.errors import NotCertified
+from polaris.model.obstacles import BoxObstacle
+from polaris.model.system import LinearSystem
 from polaris.planning import Box
-from polaris.problem import Problem
-from polaris.reference import Reference
+from polaris.planning.reference import Reference
 from polaris.rta.arena import METHODS
 from polaris.rta.flight import _Engine
 from polaris.rta.method import FILTERED, Seen
@@ -23,12 +22,13 @@ from polaris.rta.monitor import Monitor
 from polaris.rta.prospect import Leg
 from polaris.rta.recovery import Recovery
 from polaris.rta.scene import Scene
-from polaris.safety import get_safety
-from polaris.synthesis import synthesize
-from polaris.system import LinearSystem
-from polaris.tracking import lqr_gain
-from reach.linear import discretize
-from reach.zonotope import Zonotope
+from polaris.synthesis.controllers import AffineController, AnyThrust
+from polaris.synthesis.get_safety import get_safety
+from polaris.synthesis.problem import Problem
+from polaris.synthesis.synthesize import synthesize
+from polaris.synthesis.tracking import lqr_gain
+from reach.numerics.linear import discretize
+from reach.sets.zonotope import Zonotope
 
 SUB = 8
 """Parts of the period between two nodes in which the attack integrates."""

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from polaris.cli import app
-from polaris.errors import ScenarioError
+from polaris.cli.app import app
+from polaris.model.errors import ScenarioError
 from polaris.rta.arena import METHODS, TUNING, compare_methods
 from polaris.rta.flight import Conditions, Flight, fly
-from polaris.rta.folder import read_comparison, write_comparison
 from polaris.rta.method import Claim
 from polaris.rta.outcome import DEFINITIONS, Outcome, flown, measure
+from polaris.runs.comparison import read_comparison, write_comparison
 from tests.polaris.tiny import TINY, synthesised
 from tests.rta.scenes import corridor, robot, scene
 

@@ -7,8 +7,8 @@ import pytest
 
 from benchmarks import comparison as page
 from polaris.rta.arena import METHODS, TUNING
-from polaris.scenario import load_scenario
-from polaris.synthesis import synthesize
+from polaris.scenario.scenario import load_scenario
+from polaris.synthesis.synthesize import synthesize
 from tests.rta.scenes import scene
 
 TEXT = page.PAGE.read_text(encoding="utf-8")

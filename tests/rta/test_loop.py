@@ -7,14 +7,14 @@ from functools import cache
 import numpy as np
 import pytest
 
-from polaris.errors import ScenarioError
-from polaris.rta.decision_log import DecisionLog
+from polaris.model.errors import ScenarioError
 from polaris.rta.estimate import Measurement
-from polaris.rta.loop import FlightLoop
 from polaris.rta.monitor import Monitor
-from polaris.rta.replay import replay_log
-from polaris.rta.runtime import OnlineMonitor
-from polaris.rta.runtime_options import RuntimeOptions
+from polaris.rta.online.decision_log import DecisionLog
+from polaris.rta.online.loop import FlightLoop
+from polaris.rta.online.replay import replay_log
+from polaris.rta.online.runtime import OnlineMonitor
+from polaris.rta.online.runtime_options import RuntimeOptions
 from polaris.rta.scene import Scene
 
 from . import oddities

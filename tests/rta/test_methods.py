@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from polaris.errors import ScenarioError
+from polaris.model.errors import ScenarioError
 from polaris.rta.arena import METHODS
 from polaris.rta.asif_explicit import ExplicitASIF
 from polaris.rta.asif_implicit import ImplicitASIF

@@ -6,12 +6,12 @@ import json
 import numpy as np
 import pytest
 
-from polaris.foreign import kind_of, numbers, real, settled
-from polaris.rta.decision_log import DecisionLog, plain
+from polaris.model.foreign import kind_of, numbers, real, settled
 from polaris.rta.estimate import Measurement
-from polaris.rta.replay import replay_log
-from polaris.rta.runtime import OnlineMonitor
-from polaris.rta.runtime_options import RuntimeOptions
+from polaris.rta.online.decision_log import DecisionLog, plain
+from polaris.rta.online.replay import replay_log
+from polaris.rta.online.runtime import OnlineMonitor
+from polaris.rta.online.runtime_options import RuntimeOptions
 
 from . import oddities
 from .streams import robot

@@ -11,17 +11,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from polaris.errors import ScenarioError
-from polaris.rta.decision_log import DecisionLog, plain, read_log, restored
+from polaris.model.errors import ScenarioError
+from polaris.model.system import LinearSystem
 from polaris.rta.estimate import BoxFilter, BoxMotion, Measurement
 from polaris.rta.monitor import Monitor
-from polaris.rta.replay import replay_log
-from polaris.rta.runtime import OnlineMonitor
-from polaris.rta.runtime_options import RuntimeOptions
+from polaris.rta.online.decision_log import DecisionLog, plain, read_log, restored
+from polaris.rta.online.replay import replay_log
+from polaris.rta.online.runtime import OnlineMonitor
+from polaris.rta.online.runtime_options import RuntimeOptions
 from polaris.rta.scene import Scene
-from polaris.scenario import load_scenario
-from polaris.synthesis import synthesize
-from polaris.system import LinearSystem
+from polaris.scenario.scenario import load_scenario
+from polaris.synthesis.synthesize import synthesize
 
 from ..polaris import tiny
 
@@ -492,7 +492,7 @@ def test_the_box_always_contains_the_true_state(seed, n, told, exact):
 
 
 def _exact(B, A, h):
-    from reach.linear import discretize
+    from reach.numerics.linear import discretize
 
     return discretize(A, B, h)
 

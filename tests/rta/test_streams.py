@@ -6,10 +6,10 @@ from functools import cache
 import numpy as np
 import pytest
 
-from polaris.rta.decision_log import DecisionLog, read_log
-from polaris.rta.replay import replay_log
-from polaris.rta.runtime import OnlineMonitor
-from polaris.rta.runtime_options import Answer, RuntimeOptions
+from polaris.rta.online.decision_log import DecisionLog, read_log
+from polaris.rta.online.replay import replay_log
+from polaris.rta.online.runtime import OnlineMonitor
+from polaris.rta.online.runtime_options import Answer, RuntimeOptions
 
 from . import streams
 from .streams import HALF, fly_streams, inside_unsafe, need_of_recovery, plans, robot

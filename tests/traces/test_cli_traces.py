@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from polaris import cli
+from polaris.cli import app as cli
 from polaris.rta.arena import compare_methods
-from polaris.rta.folder import write_comparison
-from polaris.runfolder import write_run
+from polaris.runs.comparison import write_comparison
+from polaris.runs.folder import write_run
 from polaris.traces import AgentTrace, BallTrace, Trace, evaluate_trace, read_trace, write_trace
 
 from ..polaris.tiny import flown, synthesised

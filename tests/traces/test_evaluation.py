@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize
 
-from polaris.errors import ScenarioError
-from polaris.hill import clohessy_wiltshire, free_flight
-from polaris.shapes import Polytope
+from polaris.model.errors import ScenarioError
+from polaris.model.hill import clohessy_wiltshire, free_flight
+from polaris.model.shapes import Polytope
 from polaris.traces import (
     AgentTrace,
     BallTrace,

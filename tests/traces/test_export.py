@@ -5,12 +5,10 @@ from functools import cache
 import numpy as np
 import pytest
 
-from polaris.comparison import compare
-from polaris.errors import ScenarioError
-from polaris.experimental import build_controllers
-from polaris.hill import clohessy_wiltshire, elliptical_nmt
-from polaris.metrics import UNKNOWN, ray_ttc, signed_distances
-from polaris.obstacles import (
+from polaris.model.distances import UNKNOWN, ray_ttc, signed_distances
+from polaris.model.errors import ScenarioError
+from polaris.model.hill import clohessy_wiltshire, elliptical_nmt
+from polaris.model.obstacles import (
     BallObstacle,
     BoxObstacle,
     KeepInCone,
@@ -18,20 +16,14 @@ from polaris.obstacles import (
     PolytopeObstacle,
     SatelliteObstacle,
 )
-from polaris.runfolder import write_run
-from polaris.safety import get_safety
-from polaris.scenario import load_scenario
-from polaris.synthesis import synthesize
-from polaris.traces import (
-    AgentTrace,
-    Trace,
-    evaluate_trace,
-    export_run,
-    read_trace,
-    to_trace,
-    write_trace,
-)
-from polaris.truth import true_states
+from polaris.model.truth import true_states
+from polaris.runs.folder import write_run
+from polaris.scenario.scenario import load_scenario
+from polaris.simulation.baselines import compare
+from polaris.synthesis.experimental import build_controllers
+from polaris.synthesis.get_safety import get_safety
+from polaris.synthesis.synthesize import synthesize
+from polaris.traces import AgentTrace, Trace, evaluate_trace, export_run, read_trace, to_trace, write_trace
 
 from ..polaris.tiny import synthesised
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from polaris.errors import ScenarioError
+from polaris.model.errors import ScenarioError
 from polaris.traces import (
     AgentTrace,
     BallTrace,

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from polaris.errors import ScenarioError
+from polaris.model.errors import ScenarioError
 from polaris.traces import (
     AgentTrace,
     BallTrace,

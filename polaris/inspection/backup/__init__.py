@@ -1,0 +1,1 @@
+"""Backup laws of the implicit filters."""

@@ -1,0 +1,283 @@
+"""Backup controllers: coasting, and parking on a closed eNMT by feedback of the state alone.
+
+`polaris.inspection.backup.tracker.Tracker` is the paper's, with integral action and a moving reference.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Protocol
+
+import control
+import numpy as np
+from numpy.typing import NDArray
+
+from ...model.checks import positive
+from ...model.errors import ScenarioError
+from ...model.hill import clohessy_wiltshire
+from ...model.system import Array
+from ..enmt import Ellipses, semi_axes, velocity_error
+from ..inspection import Inspection
+from .settled import Decay
+
+
+@dataclass(frozen=True, eq=False)
+class Outlook:
+    """What is known about the flight under a backup law for ever after, for each of N deputies.
+
+    Valid without disturbances, while the law is followed period by period.
+
+    Attributes
+    ----------
+    settled : ndarray of bool, shape (N,)
+        The loop is linear from here on: no thrust is clipped and no limit of the eNMT is reached. The
+        other fields mean something only here.
+    delta_v : ndarray, shape (N,)
+        Upper bound on what will still be spent [m/s]; inf where not settled.
+    ellipse : ndarray, shape (N, 6)
+        State on a closed eNMT which, flown freely, stays near the deputy.
+    strays, slips : ndarray, shape (N,)
+        Upper bounds on the distance [m] and the relative speed [m/s] between the two, at all times.
+    distance : ndarray, shape (N,)
+        Lower bound on the distance from the chief's centre [m]; -inf where not settled.
+    """
+
+    settled: NDArray[np.bool_]
+    delta_v: Array
+    ellipse: Array
+    strays: Array
+    slips: Array
+    distance: Array
+
+
+class Law(Protocol):
+    """A backup controller whose flights can be predicted: all that it remembers is handed to it.
+
+    Attributes
+    ----------
+    inspection : Inspection
+    period : float
+        Time for which each thrust is held [s].
+    motion : tuple of ndarray
+        Exact motion over a period, ``x -> Phi x + Gamma u``.
+    """
+
+    inspection: Inspection
+    period: float
+    motion: tuple[Array, Array]
+
+    def start(self, x: Array) -> Array:
+        """What the law remembers when it takes over at states (N, 6); shape (N, m)."""
+        ...
+
+    def thrust(self, x: Array, memory: Array) -> tuple[Array, Array]:
+        """Thrust of the next period [N], shape (N, 3), within the limits, and the memory after it."""
+        ...
+
+    def settled(self, x: Array, memory: Array, share: float = 1.0) -> NDArray[np.bool_]:
+        """Whether the loop is linear from here on, shape (N,), with at most a share of the thrust."""
+        ...
+
+    def outlook(self, x: Array, memory: Array) -> Outlook:
+        """What is known about all the future."""
+        ...
+
+
+class Memoryless(ABC):
+    """A law that depends on the state alone: a flight's rest is the flight from where it has come to."""
+
+    def __init__(self, inspection: Inspection, period: float = 1.0) -> None:
+        self.inspection, self.period = inspection, positive("period", period, "s")
+        self.motion = inspection.held(self.period)
+
+    def start(self, x: Array) -> Array:
+        """Nothing: shape (N, 0)."""
+        return np.empty((len(x), 0))
+
+    def thrust(self, x: Array, memory: Array) -> tuple[Array, Array]:
+        """Thrust of the next period [N], shape (N, 3), and the memory."""
+        return self(0.0, x), memory
+
+    @abstractmethod
+    def __call__(self, t: float, x: Array) -> Array:
+        """Thrust [N]."""
+
+    @abstractmethod
+    def thrust_slope(self, x: Array) -> Array:
+        """Derivative of the thrust by the state, shape (N, 3, 6)."""
+
+    @abstractmethod
+    def settled(self, x: Array, memory: Array, share: float = 1.0) -> NDArray[np.bool_]:
+        """Whether the loop is linear from here on, shape (N,), with at most a share of the thrust."""
+
+    @abstractmethod
+    def outlook(self, x: Array, memory: Array) -> Outlook:
+        """What is known about all the future."""
+
+
+class Coast(Memoryless):
+    """No thrust.
+
+    Parameters
+    ----------
+    inspection : Inspection
+    period : float
+        [s]
+    """
+
+    def __call__(self, t: float, x: Array) -> Array:
+        """Zeros, shape (N, 3)."""
+        return np.zeros((len(x), 3))
+
+    def thrust_slope(self, x: Array) -> Array:
+        """Zeros, shape (N, 3, 6)."""
+        return np.zeros((len(x), 3, 6))
+
+    def settled(self, x: Array, memory: Array, share: float = 1.0) -> NDArray[np.bool_]:
+        """Always."""
+        return np.ones(len(x), dtype=bool)
+
+    def outlook(self, x: Array, memory: Array) -> Outlook:
+        """Nothing more is ever spent; where it leads is known only on a closed eNMT."""
+        n = self.inspection.mean_motion
+        still = (velocity_error(x, n) == 0).all(axis=1)
+        zero, off = np.zeros(len(x)), np.where(still, 0.0, np.inf)
+        distance = np.where(still, semi_axes(x, n)[0], -np.inf)
+        return Outlook(np.ones(len(x), dtype=bool), zero, np.array(x), off, off, distance)
+
+
+class Parking(Memoryless):
+    """LQR tracker to a closed eNMT, by the present state alone: ``u = clip(-K (x - inside(x)))``.
+
+    ``inside(x)`` is the state on the nearest eNMT within limits (`Ellipses.inside`). Within the limits it
+    is x_des of eq. 41: position and cross-track motion are kept, and only the velocity error
+    ``e = (v_x - n y / 2, v_y + 2 n x)`` is fed back. e obeys an equation of its own, goes to zero, and the
+    thrust with it: on the eNMT none is used. Outside the limits (too near the chief, too far) the position
+    is fed back as well.
+
+    Parameters
+    ----------
+    inspection : Inspection
+    ellipses : Ellipses, optional
+        Default ``Ellipses.of(inspection)``.
+    period : float
+        Time for which each thrust is held [s].
+    response : float
+        Time constant of the velocity error while the thrust is not clipped [s].
+
+    Raises
+    ------
+    ScenarioError
+        If a value is out of range, or the loop with thrust held for a period is unstable.
+
+    Notes
+    -----
+    At the limits of the ellipses the thrust jumps. Convergence from there, and with clipped thrust, is
+    tested and not proven; `outlook` says from where on it is proven.
+    """
+
+    def __init__(
+        self,
+        inspection: Inspection,
+        ellipses: Ellipses | None = None,
+        period: float = 1.0,
+        response: float = 20.0,
+    ) -> None:
+        super().__init__(inspection, period)
+        q = inspection
+        self.ellipses = Ellipses.of(q) if ellipses is None else ellipses
+        if self.ellipses.mean_motion != q.mean_motion:
+            raise ScenarioError("ellipses", self.ellipses.mean_motion, f"must be for {q.mean_motion:g} rad/s")
+        self.gain = lqr_gain(q, response)
+        Phi, Gamma = self.motion
+        E = np.zeros((2, 6))
+        E[0, 3] = E[1, 4] = 1.0
+        E[0, 1], E[1, 0] = -q.mean_motion / 2, 2 * q.mean_motion
+        feedback = -self.gain[:, 3:5] @ E
+        axes = np.zeros((4, 6))  # whose squares add up in pairs to those of a and c
+        axes[[0, 1, 2, 3], [0, 1, 2, 5]] = [1.0, 0.5, 1.0, 1 / q.mean_motion]
+        self._seen = np.concatenate([feedback, axes]).T
+        back = np.zeros((6, 2))
+        back[3, 0] = back[4, 1] = 1.0
+        loop = E @ (Phi + Gamma @ feedback) @ back
+        scale = np.ones(2)
+        self._thrusts = Decay(loop, -self.gain[:, 3:5], scale)
+        self._errors = Decay(loop, np.eye(2), scale)
+
+    def __call__(self, t: float, x: Array) -> Array:
+        """Thrust [N], shape (N, 3), at finite states of shape (N, 6)."""
+        limit = self.inspection.thrust_max
+        seen = x @ self._seen
+        if self._inside(seen).all():
+            u = seen[:, :3]
+        else:
+            u = -(x - self.ellipses.inside(x)) @ self.gain.T
+        return np.asarray(np.minimum(np.maximum(u, -limit), limit))
+
+    def _inside(self, seen: Array) -> NDArray[np.bool_]:
+        squares = seen * seen
+        a, c = squares[:, 3] + squares[:, 4], squares[:, 5] + squares[:, 6]
+        e = self.ellipses
+        return np.asarray((a >= e.least**2) & (a <= e.largest**2) & (c <= e.cross_track**2))
+
+    def thrust_slope(self, x: Array) -> Array:
+        """Derivative of the thrust by the state, shape (N, 3, 6): zero for axes that are clipped."""
+        slope = -self.gain @ (np.eye(6) - self.ellipses.inside_slope(x))
+        clipped = np.abs((x - self.ellipses.inside(x)) @ self.gain.T) >= self.inspection.thrust_max
+        slope[clipped] = 0.0
+        return np.asarray(slope)
+
+    def _room(self, x: Array, moved: Array) -> NDArray[np.bool_]:
+        """Whether the semi-minor axis may change so much [m], and all limits are kept."""
+        a, c = semi_axes(x, self.inspection.mean_motion)
+        e = self.ellipses
+        return np.asarray((a >= e.least + moved) & (a <= e.largest - moved) & (c <= e.cross_track))
+
+    def settled(self, x: Array, memory: Array, share: float = 1.0) -> NDArray[np.bool_]:
+        """Whether the loop is linear from here on, shape (N,)."""
+        e = velocity_error(x, self.inspection.mean_motion)
+        moved = 2 * self.period * self._errors.total_gain * np.sqrt((e * e).sum(axis=1))
+        calm = self._thrusts.never_above(e, share * self.inspection.thrust_max)
+        return np.asarray(calm & self._room(x, moved))
+
+    def outlook(self, x: Array, memory: Array) -> Outlook:
+        """What is known about all the future.
+
+        In the linear range the semi-minor axis changes by at most ``integral norm(e) dt``, because
+        ``dq/dt`` is a turn plus ``(e_x, e_y / 2)``; that sum bounds `strays`, too. Between samples e is
+        nearly a straight line: twice the sum over the samples is more than the integral.
+        """
+        q = self.inspection
+        n, D = q.mean_motion, self.period
+        e = velocity_error(x, n)
+        moved = 2 * D * np.linalg.norm(self._errors.total(e), axis=1)
+        settled = self.settled(x, memory)
+        delta_v = self._thrusts.total(e).sum(axis=1) * D / q.mass
+        fastest = 1.1 * np.linalg.norm(self._errors.peak(e), axis=1)
+        a = semi_axes(x, n)[0]
+        return Outlook(
+            settled,
+            np.where(settled, delta_v, np.inf),
+            self.ellipses.nearest(x),
+            np.where(settled, 2 * moved, np.inf),
+            np.where(settled, 2 * n * moved + fastest, np.inf),
+            np.where(settled, a - moved, -np.inf),
+        )
+
+
+def lqr_gain(inspection: Inspection, response: float) -> Array:
+    """Gain of an LQR on the six states [N/m, N s/m], shape (3, 6).
+
+    The weights are such that, without gravity, a velocity error decays with the time constant
+    `response` [s] and a position error with twice that.
+    """
+    q = inspection
+    system = clohessy_wiltshire(q.mean_motion, q.mass, q.thrust_max)
+    damping = q.mass / positive("response", response, "s")
+    stiffness = damping / (4 * response)
+    weights = [stiffness**2] * 3 + [damping**2 - 2 * q.mass * stiffness] * 3
+    gain = np.array(control.lqr(system.A, system.B, np.diag(weights), np.eye(3))[0])
+    gain[2, [0, 1, 3, 4]] = 0.0  # the cross-track motion is apart; what the solver leaves is rounding
+    gain[:2, 2::3] = 0.0
+    return gain

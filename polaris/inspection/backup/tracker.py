@@ -1,0 +1,168 @@
+"""The paper's backup controller: LQR tracking of a closed eNMT with integral action (eqs. 40, 41)."""
+
+from __future__ import annotations
+
+import control
+import numpy as np
+from numpy.typing import NDArray
+
+from ...model.checks import positive
+from ...model.hill import clohessy_wiltshire
+from ...model.system import Array
+from ..enmt import Ellipses, semi_axes, stopping_point
+from ..inspection import Inspection
+from .parking import Outlook
+from .settled import Decay
+
+BRAKING = 0.5
+"""Share of the thrust with which the stopping point of the reference is estimated."""
+
+
+def augmented(inspection: Inspection, whole_error: bool = False) -> tuple[Array, Array]:
+    """System of the tracking error and its integral.
+
+    Parameters
+    ----------
+    inspection : Inspection
+    whole_error : bool
+        Integrate all six errors, as eq. 40 reads, instead of the position's three. Then the eigenvalue 0
+        is uncontrollable: position error and integral of velocity error differ by a constant that no
+        input moves. No stabilising gain exists.
+
+    Returns
+    -------
+    A : ndarray, shape (9, 9) or (12, 12)
+    B : ndarray, shape (9, 3) or (12, 3)
+    """
+    q = inspection
+    system = clohessy_wiltshire(q.mean_motion, q.mass, q.thrust_max)
+    extra = 6 if whole_error else 3
+    A = np.zeros((6 + extra, 6 + extra))
+    A[:6, :6] = system.A
+    A[6:, :extra] = np.eye(extra)
+    return A, np.vstack([system.B, np.zeros((extra, 3))])
+
+
+class Tracker:
+    """LQR with integral action about a reference that moves on an eNMT: ``u = clip(-K_1 e - K_2 z)``.
+
+    Eq. 41 builds the desired state from the present position. Its position error is identically zero: so
+    would be an integral of it, and integrating the velocity error as well leaves the system uncontrollable
+    (theory, item 15). Eq. 40 is therefore read with a reference of its own. When the controller takes
+    over, the eNMT nearest to where braking brings the deputy is chosen (`Ellipses.nearest`,
+    `stopping_point`); the reference starts at its nearest phase and moves freely from then on, which needs
+    no thrust. ``e = x - x_ref(t)`` then obeys the linear equations of motion, z integrates its three
+    positions, and both go to zero: so does the thrust. With eq. 41 itself the law is
+    `polaris.inspection.backup.parking.Parking` without limits.
+
+    z does not grow further on an axis whose thrust is clipped and would be more so (anti-windup).
+
+    What it remembers, per deputy: the reference's state (6 numbers) and z (3 numbers, [m s]).
+
+    Parameters
+    ----------
+    inspection : Inspection
+    ellipses : Ellipses, optional
+        Default ``Ellipses.of(inspection)``.
+    period : float
+        Time for which each thrust is held [s].
+    response : float
+        Time constant [s] for which the weights are chosen.
+
+    Raises
+    ------
+    ScenarioError
+        If a value is out of range, or the loop with thrust held for a period is unstable.
+    """
+
+    def __init__(
+        self,
+        inspection: Inspection,
+        ellipses: Ellipses | None = None,
+        period: float = 1.0,
+        response: float = 20.0,
+    ) -> None:
+        q = self.inspection = inspection
+        self.period = positive("period", period, "s")
+        self.ellipses = Ellipses.of(q) if ellipses is None else ellipses
+        A, B = augmented(q)
+        damping = q.mass / positive("response", response, "s")
+        stiffness = damping / (4 * response)
+        weights = [stiffness**2] * 3 + [damping**2 - 2 * q.mass * stiffness] * 3
+        weights += [(stiffness / (8 * response)) ** 2] * 3
+        self.gain = np.asarray(control.lqr(A, B, np.diag(weights), np.eye(3))[0])
+        self.motion = q.held(self.period)
+        loop = np.zeros((9, 9))
+        loop[:6, :6] = self.motion[0]
+        loop[:6] -= self.motion[1] @ self.gain
+        loop[6:, 6:] = np.eye(3)
+        loop[6:, :3] += self.period * np.eye(3)
+        scale = np.array([response] * 3 + [1.0] * 3 + [response**2] * 3)
+        self._thrusts = Decay(loop, -self.gain, scale)
+        self._errors = Decay(loop, np.eye(6, 9), scale)
+        self._memory: Array | None = None
+        self._next = -np.inf
+        self._last = (np.nan, np.empty((0, 3)))
+
+    def start(self, x: Array) -> Array:
+        """Choose the reference for each state of shape (N, 6); shape (N, 9)."""
+        q = self.inspection
+        at = stopping_point(x, q.mean_motion, BRAKING * q.thrust_max / q.mass)
+        # The reference reaches the stopping point when the deputy does; now it is where it was before.
+        return np.concatenate([self.ellipses.nearest(at), np.zeros((len(x), 3))], axis=1)
+
+    def thrust(self, x: Array, memory: Array) -> tuple[Array, Array]:
+        """Thrust of the next period [N], shape (N, 3), and the memory after it."""
+        q = self.inspection
+        error = x - memory[:, :6]
+        wanted = -np.concatenate([error, memory[:, 6:]], axis=1) @ self.gain.T
+        u = np.clip(wanted, -q.thrust_max, q.thrust_max)
+        growing = -error[:, :3] * np.diag(self.gain[:, 6:]) * wanted > 0
+        held = (u != wanted) & growing
+        after = np.empty_like(memory)
+        after[:, :6] = memory[:, :6] @ self.motion[0].T
+        after[:, 6:] = memory[:, 6:] + np.where(held, 0.0, self.period * error[:, :3])
+        return u, after
+
+    def settled(self, x: Array, memory: Array, share: float = 1.0) -> NDArray[np.bool_]:
+        """Whether the loop is linear from here on, shape (N,)."""
+        s = np.concatenate([x - memory[:, :6], memory[:, 6:]], axis=1)
+        return np.asarray(self._thrusts.never_above(s, share * self.inspection.thrust_max))
+
+    def outlook(self, x: Array, memory: Array) -> Outlook:
+        """What is known about all the future: in the linear range, by sums over the loop's powers."""
+        q, D = self.inspection, self.period
+        s = np.concatenate([x - memory[:, :6], memory[:, 6:]], axis=1)
+        settled = self._thrusts.never_above(s, q.thrust_max)
+        peaks = self._errors.peak(s)
+        # Between samples: the errors' acceleration is the thrust's and little else.
+        push = 1.1 * np.sqrt(3) * q.thrust_max / q.mass
+        strays = np.linalg.norm(peaks[:, :3], axis=1) + push * D**2 / 8
+        slips = np.linalg.norm(peaks[:, 3:], axis=1) + push * D / 2
+        return Outlook(
+            settled,
+            np.where(settled, self._thrusts.total(s).sum(axis=1) * D / q.mass, np.inf),
+            memory[:, :6],
+            np.where(settled, strays, np.inf),
+            np.where(settled, slips, np.inf),
+            np.where(settled, semi_axes(memory, q.mean_motion)[0] - strays, -np.inf),
+        )
+
+    def reset(self) -> None:
+        """Forget the references; the next call chooses new ones."""
+        self._memory = None
+
+    def __call__(self, t: float, x: Array) -> Array:
+        """Thrust [N], shape (N, 3), at finite states (N, 6).
+
+        One call per period continues; a repeated call for the same instant gets the same answer; any other
+        instant, or another number of deputies, takes over anew.
+        """
+        if t == self._last[0] and len(x) == len(self._last[1]):
+            return self._last[1].copy()
+        on_time = abs(t - self._next) <= 1e-6 * self.period
+        if self._memory is None or not on_time or len(x) != len(self._memory):
+            self._memory = self.start(x)
+        u, self._memory = self.thrust(x, self._memory)
+        self._last, self._next = (t, u), t + self.period
+        return u.copy()

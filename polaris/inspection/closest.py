@@ -1,0 +1,281 @@
+"""Closest approach to the origin in free flight, over continuous time (eqs. 20 to 22)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..model.hill import free_flight
+from ..model.system import Array
+from .constraints.barriers import dot
+
+SEGMENT = 20.0
+"""Largest spacing [s] of the instants at which every free flight is looked at first."""
+
+TOLERANCE = 1e-6
+"""A closest approach is never above the true infimum by more than this [m]."""
+
+NEWTON = 40
+"""Most steps per minimum: Newton's converge in three or four, bisection alone in thirty."""
+
+HALVINGS = 40
+"""Most halvings of a segment that may hide a minimum; each makes its doubt sixteen times smaller."""
+
+BLOCK = 1024
+"""Flights looked at together: what fits into fast memory."""
+
+
+class Approach(NamedTuple):
+    """Closest approaches.
+
+    Attributes
+    ----------
+    distance : ndarray, shape (...)
+        Least distance from the origin [m].
+    when : ndarray, shape (...)
+        Time of flight at which it is reached [s].
+    place : ndarray, shape (..., 3)
+        Position there [m].
+    """
+
+    distance: Array
+    when: Array
+    place: Array
+
+
+def circle_map(n: float) -> Array:
+    """The matrix from a state to the vectors c, d of ``p(t) = a + b t + c cos(n t) + d sin(n t)``, (6, 6).
+
+    Its norm at a state, the amplitude of the flight, is the same all along the flight. The acceleration is
+    ``-n^2 (c cos + d sin)``, hence at most n^2 times the amplitude; each further derivative has one more n.
+    """
+    to_circle = np.zeros((6, 6))
+    to_circle[0, [0, 4]] = -3.0, -2 / n
+    to_circle[1, 3] = 2 / n
+    to_circle[2, 2] = 1.0
+    to_circle[3, 3] = 1 / n
+    to_circle[4, [0, 4]] = 6.0, 4 / n
+    to_circle[5, 5] = 1 / n
+    return to_circle
+
+
+class FreeFlight:
+    """Free flights in closed form (eq. 20): ``p(t) = a + b t + c cos(n t) + d sin(n t)``."""
+
+    def __init__(self, z: Array, n: float) -> None:
+        x, y, zz, vx, vy, vz = z.T
+        o = np.zeros_like(x)
+        self.n = n
+        self.a = np.stack([4 * x + 2 / n * vy, y - 2 / n * vx, o], axis=-1)
+        self.b = np.stack([o, -6 * n * x - 3 * vy, o], axis=-1)
+        self.c = np.stack([-3 * x - 2 / n * vy, 2 / n * vx, zz], axis=-1)
+        self.d = np.stack([vx / n, 6 * x + 4 / n * vy, vz / n], axis=-1)
+
+    def __getitem__(self, chosen: NDArray[np.intp] | NDArray[np.bool_]) -> FreeFlight:
+        """Some of the flights."""
+        some = object.__new__(FreeFlight)
+        some.n, some.a, some.b = self.n, self.a[chosen], self.b[chosen]
+        some.c, some.d = self.c[chosen], self.d[chosen]
+        return some
+
+    def __call__(self, t: Array) -> tuple[Array, Array, Array]:
+        """Position, velocity and acceleration at the time t of each flight."""
+        s, c = np.sin(self.n * t)[:, None], np.cos(self.n * t)[:, None]
+        circle = self.c * c + self.d * s
+        across = self.d * c - self.c * s
+        return self.a + self.b * t[:, None] + circle, self.b + self.n * across, -(self.n**2) * circle
+
+
+class _Ends(NamedTuple):
+    """Half the squared distance, its rate and its bend at one end of each segment."""
+
+    half: Array
+    rate: Array
+    bend: Array
+
+    @staticmethod
+    def of(p: Array, v: Array, w: Array) -> _Ends:
+        return _Ends(dot(p, p) / 2, dot(p, v), dot(v, v) + dot(p, w))
+
+
+class ClosestApproach:
+    """Least distance from the origin during a free flight of length T.
+
+    Let ``q(t) = norm(p(t))^2 / 2``. At instants L <= `SEGMENT` apart q and its rate are known. As
+    ``q'' >= -C`` with C the largest distance times the largest acceleration, q is known from below near each
+    instant; only segments where it may fall below the least value so far are looked into. Where q is convex
+    on a segment, its minimum is found by Newton steps, held in their bracket. Where it may not be, the
+    segment is halved until it is, or until a cubic through the ends, off by at most
+    ``L^4 / 384 max |q''''|``, shows that nothing is missed by more than `TOLERANCE`.
+
+    Parameters
+    ----------
+    mean_motion : float
+        n [rad/s].
+    duration : float
+        T [s], at most half an orbit.
+
+    Attributes
+    ----------
+    times : ndarray, shape (S+1,)
+        The instants [s], evenly spaced.
+    place_maps : ndarray, shape (S+1, 3, 6)
+        Positions at the instants, as functions of the state at the start.
+    speed_gain : tuple of 2 floats
+        The speed of a flight never exceeds the first times norm(p) plus the second times norm(v), those
+        at its start.
+    """
+
+    def __init__(self, mean_motion: float, duration: float) -> None:
+        self.mean_motion, self.duration = mean_motion, duration
+        self.times = np.linspace(0.0, duration, max(2, int(np.ceil(duration / SEGMENT)) + 1))
+        transitions = free_flight(mean_motion, self.times)
+        self.place_maps = transitions[:, :3]
+        self.positions = np.ascontiguousarray(transitions[:, :3].reshape(-1, 6).T)
+        self.velocities = np.ascontiguousarray(transitions[:, 3:].reshape(-1, 6).T)
+        self._circle = np.ascontiguousarray(circle_map(mean_motion).T)
+        # The maps change by at most 6 n^2 and 4 n per second, and every time is within half a segment of an
+        # instant.
+        per_metre, per_speed = map_norms(transitions[:, 3:])
+        self.speed_gain = (
+            float(per_metre.max()) + 3 * mean_motion**2 * self.times[1],
+            float(per_speed.max()) + 2 * mean_motion * self.times[1],
+        )
+
+    def __call__(self, z: Array, beyond: float = np.inf) -> Approach:
+        """Find the closest approach of every flight.
+
+        Parameters
+        ----------
+        z : ndarray, shape (..., 6)
+            States at the start.
+        beyond : float
+            Distances larger than this need not be exact: they may come out smaller, but not below it.
+        """
+        flat = z.reshape(-1, 6)
+        if len(flat) <= BLOCK:
+            found = [self._block(flat, beyond)]
+        else:
+            found = [self._block(flat[k : k + BLOCK], beyond) for k in range(0, len(flat), BLOCK)]
+        distance, when, place = (
+            np.concatenate(part) if len(found) > 1 else part[0] for part in zip(*found, strict=True)
+        )
+        shape = z.shape[:-1]
+        return Approach(distance.reshape(shape), when.reshape(shape), place.reshape(*shape, 3))
+
+    def _block(self, z: Array, beyond: float) -> Approach:
+        places = (z @ self.positions).reshape(len(z), -1, 3)
+        squares = dot(places, places)
+        nearest = squares.argmin(axis=1)
+        every = np.arange(len(z))
+        found = Approach(np.sqrt(squares[every, nearest]), self.times[nearest], places[every, nearest])
+        if beyond == np.inf:
+            self._refine(z, places, squares, found)
+            return found
+        gain_p, gain_v = self.speed_gain
+        squared = z * z
+        speed = gain_p * np.sqrt(squared[:, :3].sum(axis=1)) + gain_v * np.sqrt(squared[:, 3:].sum(axis=1))
+        bound = found.distance - speed * (self.times[1] / 2)
+        far = bound > beyond
+        near = np.flatnonzero(~far)
+        if len(near):
+            some = Approach(*(part[near] for part in found))
+            self._refine(z[near], places[near], squares[near], some)
+            for part, new in zip(found, some, strict=True):
+                part[near] = new
+        found.distance[far] = bound[far]
+        return found
+
+    def _refine(self, z: Array, places: Array, squares: Array, found: Approach) -> None:
+        """Lower the distances to their infima, in place."""
+        n, length = self.mean_motion, self.times[1]
+        rates = dot(places, (z @ self.velocities).reshape(places.shape))
+        circle = z @ self._circle
+        pull = n**2 * np.sqrt(dot(circle, circle))  # largest acceleration
+        bow = pull * (length**2 / 8)
+        drop = (np.sqrt(squares.max(axis=1)) + bow) * bow
+        # Near an instant q >= q_k + rate (t - t_k) - C (t - t_k)^2 / 2: least half a segment away.
+        above = (squares - squares.min(axis=1, keepdims=True)) / 2 - drop[:, None]
+        rates_half = rates * (length / 2)
+        low = (above[:, :-1] + rates_half[:, :-1] < 0) | (above[:, 1:] - rates_half[:, 1:] < 0)
+        row, segment = np.nonzero(low)
+        if not len(row):
+            return
+        flight, start, end = FreeFlight(z[row], n), self.times[segment], self.times[segment + 1]
+        pull = pull[row]
+        first, last = flight(start), flight(end)
+        speed = np.sqrt(np.maximum(dot(first[1], first[1]), dot(last[1], last[1]))) + pull * (length / 2)
+        reach = np.sqrt(squares.max(axis=1))[row] + bow[row]
+        quartic = pull * (3 * pull + n * (4 * speed + n * reach))  # bound on |q''''|
+        _Search(found, row, flight, quartic).run(start, end, _Ends.of(*first), _Ends.of(*last))
+
+
+class _Search:
+    """Segments of flights on which the distance may fall below the least one found so far."""
+
+    def __init__(self, found: Approach, row: NDArray[np.intp], flight: FreeFlight, quartic: Array) -> None:
+        self.found, self.row, self.flight, self.quartic = found, row, flight, quartic
+
+    def run(self, start: Array, end: Array, first: _Ends, last: _Ends) -> None:
+        """Search the segments, one for each row; all of the same length."""
+        index = np.arange(len(self.row))
+        for _ in range(HALVINGS):
+            length = float(end[0] - start[0])
+            doubt = self.quartic[index] * (length**2 / 8)  # of the bend, between the ends
+            convex = np.minimum(first.bend, last.bend) > doubt
+            dip = convex & (first.rate < 0) & (last.rate > 0)
+            if dip.any():
+                guess = start[dip] + length * first.rate[dip] / (first.rate[dip] - last.rate[dip])
+                self._newton(index[dip], start[dip], end[dip], guess)
+            # The cubic through values and rates at the ends is at least its least Bezier coefficient.
+            third = length / 3
+            least = np.minimum(first.half, last.half)
+            least = np.minimum(
+                least, np.minimum(first.half + first.rate * third, last.half - last.rate * third)
+            )
+            least = least - self.quartic[index] * (length**4 / 384)
+            goal = np.maximum(self.found.distance[self.row[index]] - TOLERANCE, 0.0)
+            open_ = np.flatnonzero(~convex & (least < goal**2 / 2))
+            if not len(open_):
+                return
+            index, start, end = index[open_], start[open_], end[open_]
+            first, last = _Ends(*(e[open_] for e in first)), _Ends(*(e[open_] for e in last))
+            middle = (start + end) / 2
+            flown = self.flight[index](middle)
+            self._keep(index, middle, flown[0])
+            halves = _Ends.of(*flown)
+            index = np.concatenate([index, index])
+            start, end = np.concatenate([start, middle]), np.concatenate([middle, end])
+            first = _Ends(*(np.concatenate(e) for e in zip(first, halves, strict=True)))
+            last = _Ends(*(np.concatenate(e) for e in zip(halves, last, strict=True)))
+
+    def _newton(self, index: NDArray[np.intp], low: Array, high: Array, at: Array) -> None:
+        """Minimum of a convex q between two times, where its rate changes its sign."""
+        flight = self.flight[index]
+        for _ in range(NEWTON):
+            p, v, w = flight(at)
+            rate, bend = dot(p, v), dot(v, v) + dot(p, w)
+            low, high = np.where(rate < 0, at, low), np.where(rate < 0, high, at)
+            step = at - rate / np.where(bend > 0, bend, 1.0)
+            after = np.where((bend > 0) & (step >= low) & (step <= high), step, (low + high) / 2)
+            moved = np.abs(after - at).max()
+            at = after
+            if moved < 1e-7:
+                break
+        self._keep(index, at, flight(at)[0])
+
+    def _keep(self, index: NDArray[np.intp], when: Array, place: Array) -> None:
+        """Write down what is nearer than what was known."""
+        found, row = self.found, self.row[index]
+        distance = np.sqrt(dot(place, place))
+        better = np.flatnonzero(distance < found.distance[row])
+        for k in better[np.argsort(-distance[better])]:  # the least of a flight is written last
+            found.distance[row[k]], found.when[row[k]], found.place[row[k]] = distance[k], when[k], place[k]
+
+
+def map_norms(maps: Array) -> tuple[Array, Array]:
+    """2-norms, shape (S,), of the halves of maps of shape (S, 3, 6): by a position, by a velocity."""
+    position, velocity = (np.linalg.norm(part, 2, axis=(1, 2)) for part in (maps[..., :3], maps[..., 3:]))
+    return np.asarray(position), np.asarray(velocity)

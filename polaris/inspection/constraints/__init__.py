@@ -1,0 +1,1 @@
+"""The constraints of the second paper, as barriers."""

@@ -1,0 +1,131 @@
+"""Strengthening functions alpha of the barrier conditions (eq. 7): odd polynomials, given by numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ...model.checks import number
+from ...model.errors import ScenarioError
+from ...model.system import Array
+
+FAMILIES = (
+    "chief_separation",
+    "deputy_separation",
+    "speed",
+    "sun",
+    "deputy_sun",
+    "keep_in",
+    "passive",
+    "deputy_passive",
+    "velocity",
+)
+"""The kinds of barrier, in the order of h1 to h11; velocity stands for h9, h10 and h11."""
+
+
+@dataclass(frozen=True)
+class Strengthening:
+    """Strictly increasing and zero at the bias: ``c_1 s + c_2 |s| s + c_3 s^3`` with ``s = h - bias``.
+
+    Where ``s < 0`` the state is outside (or within the bias of the boundary) and the condition asks for
+    recovery: ``recovery * alpha - push``.
+
+    Parameters
+    ----------
+    coefficients : tuple of 3 floats
+        c_1 [1/s], c_2 and c_3, >= 0 and not all zero.
+    bias : float
+        Subtracted from h first, in its unit; >= 0.
+    recovery : float
+        Factor below zero, >= 1.
+    push : float
+        Least growth of h asked for below zero, in units of h per second; >= 0.
+
+    Raises
+    ------
+    ScenarioError
+        If a number is out of range.
+    """
+
+    coefficients: tuple[float, float, float]
+    bias: float = 0.0
+    recovery: float = 1.0
+    push: float = 0.0
+
+    def __post_init__(self) -> None:
+        rule = "must be three numbers >= 0, not all zero"
+        if not isinstance(self.coefficients, (tuple, list)) or len(self.coefficients) != 3:
+            raise ScenarioError("coefficients", self.coefficients, rule)
+        values = tuple(number("coefficients", c, rule) for c in self.coefficients)
+        if min(values) < 0 or not any(values):
+            raise ScenarioError("coefficients", self.coefficients, rule)
+        for name, least in (("bias", 0.0), ("recovery", 1.0), ("push", 0.0)):
+            rule = f"must be a finite number >= {least:g}"
+            if number(name, getattr(self, name), rule) < least:
+                raise ScenarioError(name, getattr(self, name), rule)
+
+    def __call__(self, h: ArrayLike) -> Array:
+        """The values alpha(h), same shape as h."""
+        return evaluate(np.asarray(h, dtype=float), *np.array(self.numbers))
+
+    @property
+    def numbers(self) -> tuple[float, ...]:
+        """c_1, c_2, c_3, bias, recovery, push."""
+        return (*self.coefficients, self.bias, self.recovery, self.push)
+
+    def reaches(self, rate: float) -> float:
+        """The least h at which ``alpha(h) >= rate`` (rate > 0)."""
+        c = self.coefficients
+        roots = np.roots([c[2], c[1], c[0], -rate])
+        real = roots[(np.abs(roots.imag) < 1e-9 * np.abs(roots)) & (roots.real > 0)].real
+        return float(real.min()) * (1 + 1e-9) + self.bias
+
+
+def evaluate(
+    h: Array,
+    c1: Array | float,
+    c2: Array | float,
+    c3: Array | float,
+    bias: Array | float,
+    recovery: Array | float,
+    push: Array | float,
+) -> Array:
+    """Many strengthening functions at once; the parameters broadcast against h."""
+    s = h - bias
+    size = np.abs(s)
+    alpha = s * (c1 + size * (c2 + size * c3))
+    outside = s < 0
+    if outside.any():
+        alpha = np.where(outside, recovery * alpha - push, alpha)
+    return np.asarray(alpha)
+
+
+Preset = Mapping[str, Strengthening]
+
+_CUBIC = (0.01, 0.0, 0.001)
+_FAR = Strengthening(_CUBIC, 0.0, 10.0, 0.01)
+_AFRL = {
+    "chief_separation": _FAR,
+    "deputy_separation": _FAR,
+    "speed": Strengthening((0.0, 0.0, 0.1), 2e-3, 10.0, 0.01),
+    "sun": Strengthening((0.001, 0.0, 0.0001), 1e-3, 10.0, 0.01),
+    "deputy_sun": Strengthening((0.0, 0.0, 0.1), 1e-3, 10.0, 0.01),
+    "keep_in": replace(_FAR, bias=1e-3),
+    "passive": _FAR,
+    "deputy_passive": _FAR,
+    "velocity": Strengthening((0.1, 0.0, 0.01), 1e-3, 10.0, 0.01),
+}
+PRESETS: dict[str, dict[str, Strengthening]] = {
+    "afrl": _AFRL,
+    "polaris": {**_AFRL, "velocity": Strengthening((0.5, 0.0, 0.01), 1e-3, 10.0, 0.01)},
+    "linear": {family: Strengthening((0.3, 0.0, 0.0)) for family in FAMILIES},
+}
+"""Named sets of strengthening functions; the paper prints none.
+
+``afrl``: those of its authors' library. ``polaris``: the same with quicker velocity limits; those of ``afrl``
+hold back thrust that other constraints need, at speeds far from the limit. ``linear``: ``0.3 h`` throughout,
+for conditions that hold between samples (`SampledData`), which need no bias.
+"""

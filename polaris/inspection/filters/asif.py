@@ -1,0 +1,155 @@
+"""Explicit active set invariance filter for one flight, call by call, that never passes on bad input."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ...model.system import Array
+from ...rta.projection import DESIRED, FAILED, SHORT
+from ..constraints.barriers import dot
+from ..constraints.families import Families, Rows
+from ..constraints.sampled import SampledData
+from ..constraints.strengthening import Strengthening
+from ..inspection import Inspection
+from .decision import Backup, Decision
+from .explicit import CENTRALIZED, make_filter
+from .received import Received, Receiver
+
+TIGHT = 1e-7
+"""A condition counts as active if the input misses equality by less [N]."""
+
+
+class ActiveSetFilter:
+    """Nearest input that keeps every constraint (eq. 5), with defined answers to bad input.
+
+    - A deputy whose state is unknown is taken to be where its last state and thrust lead (see
+      `polaris.inspection.filters.received.Receiver`); where that is not known either, every deputy coasts, which h7 and h8
+      keep clear of collisions for T.
+    - The desired input of a deputy whose state is unknown, or that is missing or not finite itself, is
+      replaced by the backup controller's, which is then filtered.
+    - Where no input satisfies all conditions, the one that violates them least is used, separations before
+      speeds, speeds before the zone, the zone before the sun (`polaris.inspection.filters.priorities`); should the program
+      fail altogether, the backup controller's.
+
+    The desired input is never passed on in any of these cases, and `Decision.fallback` says which it was.
+
+    Parameters
+    ----------
+    inspection : Inspection
+    sharing : str
+        ``centralized``, or how a decentralized filter shares (see `Decentralized`).
+    strengthening, without, sampled
+        See `Families`.
+    backup : Backup, optional
+        Default: no thrust.
+    sun_start : float
+        Angle of the sun at t = 0 [rad].
+    """
+
+    def __init__(
+        self,
+        inspection: Inspection,
+        sharing: str = CENTRALIZED,
+        strengthening: str | Mapping[str, Strengthening] = "polaris",
+        without: Collection[str] = (),
+        sampled: SampledData | None = None,
+        backup: Backup | None = None,
+        sun_start: float = 0.0,
+    ) -> None:
+        self.inspection, self.backup, self.sun_start = inspection, backup, sun_start
+        self.families = Families(inspection, strengthening, without, sampled)
+        self.batch = make_filter(self.families, sharing)
+        labels = np.array(self.families.labels)
+        # Several rows may stand for one constraint; they follow each other.
+        self._starts = np.flatnonzero(np.append(True, labels[1:] != labels[:-1]))
+        self._names = tuple(labels[self._starts].tolist())
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the last states: a new flight begins."""
+        sampled = self.families.sampled
+        self._receiver = Receiver(self.inspection, None if sampled is None else sampled.period)
+
+    def filter(self, t: float, x: ArrayLike, u_des: ArrayLike | None) -> Decision:
+        """Decide on the inputs of the next control period; see `polaris.inspection.filters.decision.RunTimeFilter`."""
+        got = self._receiver.receive(t, x, u_des)
+        notes = [note for note in (got.fallback(),) if note]
+        if not got.estimated.all():
+            nothing = np.zeros_like(got.u)
+            decision = Decision(nothing, np.ones(len(nothing), dtype=bool), (), {}, "coast", "; ".join(notes))
+        else:
+            decision = self._filtered(got, notes)
+        self._receiver.applied(decision.u)
+        return decision
+
+    def _backup(self, t: float, x: Array, reasons: list[str]) -> Array:
+        """The backup controller's input; no thrust where it has none to give, which is recorded."""
+        if self.backup is None:
+            return np.zeros((len(x), 3))
+        try:
+            u = np.asarray(self.backup(t, x), dtype=float)
+        except Exception as error:  # whatever it is, the filter must answer
+            reasons.append(f"the backup controller failed: {type(error).__name__}")
+            return np.zeros((len(x), 3))
+        if u.shape != (len(x), 3):
+            reasons.append(f"the backup controller failed: an answer of shape {u.shape}")
+            return np.zeros((len(x), 3))
+        if not np.isfinite(u).all():
+            reasons.append("the backup controller failed: an answer that is not finite")
+        limit = self.inspection.thrust_max
+        return np.where(np.isfinite(u), np.clip(u, -limit, limit), 0.0)
+
+    def _filtered(self, got: Received, reasons: list[str]) -> Decision:
+        t, x, replaced = got.t, got.x, ~(got.given & got.known)
+        desired = got.wanted
+        if replaced.any():
+            desired = np.where(replaced[:, None], self._backup(t, x, reasons), desired)
+        # Commands beyond a million times the limit are as good as that; squares of huge ones overflow.
+        most = 1e6 * self.inspection.thrust_max
+        sun = self.inspection.sun_angle([t], self.sun_start)
+        found = self.batch.batch(x[None], sun, np.clip(desired, -most, most)[None])
+        u, status, rows = found.u[0], found.status[0], found.rows
+        name = "filtered" if (status > DESIRED).any() else "desired"
+        if replaced.any():
+            name = "backup"
+        if (status >= SHORT).any():
+            name = "short"
+        if (failed := status == FAILED).any():
+            name = "backup"
+            reasons.append("the program failed")
+            u = np.where(failed[:, None], self._backup(t, x, reasons), u)
+        margins = dict(zip(self._names, np.minimum.reduceat(rows.h[0], self._starts).tolist(), strict=True))
+        intervened = (u != desired).any(axis=1) | replaced
+        active = self._active(rows, u) if intervened.any() else ()
+        missed = self._missed(rows, u) if (status >= SHORT).any() else {}
+        if name == "short":
+            reasons.append(f"no input satisfies all conditions: least violation, misses {_told(missed)}")
+        return Decision(u, intervened, active, margins, name, "; ".join(reasons) or None, missed)
+
+    def _missed(self, rows: Rows, u: Array) -> dict[str, float]:
+        """Constraints whose condition is not met, and by how much [N]."""
+        gap = np.maximum.reduceat(self.families.missed(rows, u[None])[0], self._starts)
+        short = np.flatnonzero(gap > TIGHT)
+        return {self._names[k]: float(gap[k]) for k in short.tolist()}
+
+    def _active(self, rows: Rows, u: Array) -> tuple[str, ...]:
+        """Constraints whose condition holds with equality, and thrust limits that are reached."""
+        G, bound = rows.G[0], rows.bound[0]
+        gap = dot(G, self.families.relative(u)) - bound
+        tight = np.flatnonzero(gap <= TIGHT * np.abs(G).sum(axis=1))
+        names = dict.fromkeys(self.families.labels[k] for k in tight.tolist())
+        limit = self.inspection.thrust_max
+        at_limit = np.flatnonzero((np.abs(u) >= limit * (1 - 1e-12)).any(axis=1))
+        return (*names, *(f"thrust[{i}]" for i in at_limit))
+
+
+def _told(missed: dict[str, float], most: int = 5) -> str:
+    """The conditions missed by most, in words."""
+    worst = sorted(missed.items(), key=lambda item: -item[1])
+    told = ", ".join(f"{name} by {value:.3g} N" for name, value in worst[:most])
+    return (
+        f"{told} and {len(worst) - most} more" if len(worst) > most else told or "none by more than rounding"
+    )

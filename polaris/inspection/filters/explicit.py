@@ -1,0 +1,165 @@
+"""Explicit active set invariance filters (eq. 5): centralized, and decentralized in three ways.
+
+A batch holds R independent runs; a single call is a batch of one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...model.errors import ScenarioError
+from ...model.system import Array
+from ...rta.projection import DESIRED, FAILED, FILTERED, SHORT, project, project_coupled
+from ..constraints.families import Families, Rows
+
+CENTRALIZED = "centralized"
+SHARINGS = ("coasting", "half", "consensus")
+Statuses = NDArray[np.int8]
+
+AGREED = 1e-9
+"""By how much a deputy may miss its part of an agreed solution that violates a row [units of h per s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Filtered:
+    """Inputs of a batch.
+
+    Attributes
+    ----------
+    u : ndarray, shape (R, N, 3)
+        Filtered inputs [N]; nan where the program failed.
+    status : ndarray of int, shape (R, N)
+        See `polaris.rta.projection`.
+    rows : Rows
+        The barrier conditions.
+    """
+
+    u: Array
+    status: Statuses
+    rows: Rows
+
+
+class Centralized:
+    """One filter that knows the states and sets the inputs of all deputies.
+
+    Parameters
+    ----------
+    families : Families
+    """
+
+    def __init__(self, families: Families) -> None:
+        self.families = families
+
+    def batch(self, x: Array, sun: Array, desired: Array) -> Filtered:
+        """Filter inputs of shape (R, N, 3) at states (R, N, 6) and sun angles (R,) [rad]."""
+        rows = self.families(x, sun)
+        u, status = self.project(rows, desired)
+        return Filtered(u, status, rows)
+
+    def project(self, rows: Rows, desired: Array) -> tuple[Array, Statuses]:
+        """Nearest inputs that satisfy all rows, shapes (R, N, 3) and (R, N)."""
+        families = self.families
+        limit = families.inspection.thrust_max
+        u = np.clip(desired, -limit, limit)
+        status = _unchanged(u, desired)
+        broken = np.einsum("rmv,rmv->rm", rows.G, families.relative(u)) < rows.bound
+        runs = np.flatnonzero(broken.any(axis=1))
+        if len(runs):
+            found = project_coupled(
+                rows.G[runs],
+                rows.bound[runs],
+                desired[runs],
+                limit,
+                families.first,
+                families.second,
+                families.rank(rows.h[runs]),
+            )
+            u[runs] = found.u
+            worse = found.status[:, None]
+            status[runs] = np.where(worse > FILTERED, worse, _unchanged(found.u, desired[runs]))
+        return u, status
+
+
+class Decentralized:
+    """A filter per deputy: it knows all states, but not what the others will do.
+
+    Parameters
+    ----------
+    families : Families
+    sharing : {"coasting", "half", "consensus"}
+        Who answers for a condition on a pair. ``coasting``, the paper's: each deputy alone, as if the
+        other did not thrust. ``half``: each for half of it. ``consensus``: each for its part of the
+        solution of the centralized program for no thrust, which every deputy can compute from the states
+        all of them know, and for half of what that leaves to spare. The shares of ``half`` and
+        ``consensus`` add up to the whole condition, whatever the deputies desire; those of ``consensus``
+        can be met whenever the centralized program can.
+    """
+
+    def __init__(self, families: Families, sharing: str = "coasting") -> None:
+        if sharing not in SHARINGS:
+            raise ScenarioError("sharing", sharing, f"must be one of {', '.join(SHARINGS)}")
+        self.families, self.sharing = families, sharing
+        N, first, second = families.inspection.deputies, families.first, families.second
+        self._mine = np.array([np.flatnonzero((first == i) | (second == i)) for i in range(N)])
+        self._as_second = second[self._mine] == np.arange(N)[:, None]
+        self._sign = np.where(self._as_second, -1.0, 1.0)
+        self._pair = second >= 0
+
+    def batch(self, x: Array, sun: Array, desired: Array) -> Filtered:
+        """Filter inputs of shape (R, N, 3) at states (R, N, 6) and sun angles (R,) [rad]."""
+        rows = self.families(x, sun)
+        limit = self.families.inspection.thrust_max
+        first, second, agreed = self._shares(rows, desired.shape[1])
+        u = np.clip(desired, -limit, limit)
+        status = _unchanged(u, desired)
+        # Row by row, as the deputies see it: their rows, signs and bounds, shapes (R, N, m, ...).
+        bound = np.where(self._as_second, second[:, self._mine], first[:, self._mine])
+        G = rows.G[:, self._mine]
+        met = np.einsum("rnmv,rnv->rnm", G, u) * self._sign
+        run, who = np.nonzero((met < bound).any(axis=2))
+        if len(run):
+            signed = G[run, who] * self._sign[who][..., None]
+            rank = self.families.rank(rows.h)[:, self._mine][run, who]
+            found = project(signed, bound[run, who], desired[run, who], limit, rank)
+            u[run, who], status[run, who] = found.u, found.status
+        status = np.maximum(status, np.where(agreed >= SHORT, agreed, DESIRED)[:, None]).astype(np.int8)
+        u[status == FAILED] = np.nan
+        return Filtered(u, status, rows)
+
+    def _shares(self, rows: Rows, deputies: int) -> tuple[Array, Array, Statuses]:
+        """Bounds for a row's first and second deputy, (R, M); status of what was agreed on, (R,)."""
+        bound, met = rows.bound, np.zeros(len(rows.bound), dtype=np.int8)
+        if self.sharing == "coasting":
+            return bound, bound, met
+        if self.sharing == "half":
+            half = np.where(self._pair, bound / 2, bound)
+            return half, half, met
+        agreed, status = Centralized(self.families).project(rows, np.zeros((len(bound), deputies, 3)))
+        agreed = np.where(np.isfinite(agreed), agreed, 0.0)  # where it failed, the status says so
+        first = np.einsum("rmv,rmv->rm", rows.G, agreed[:, self.families.first])
+        second = np.asarray(-np.einsum("rmv,rmv->rm", rows.G, agreed[:, self.families.second]))
+        status = status.max(axis=1)
+        spare = np.maximum(first + second - bound, 0.0) / 2
+        # Where the agreed solution itself falls short of a row, nobody is asked for more than its part of it.
+        short = (status == SHORT)[:, None]
+        alone = np.where(short, np.minimum(bound, first - AGREED), bound)
+        spare = spare + np.where(short, AGREED, 0.0)
+        return np.where(self._pair, first - spare, alone), second - spare, status
+
+
+def make_filter(families: Families, sharing: str) -> Centralized | Decentralized:
+    """The filter called ``centralized``, or the decentralized one that shares as its name says.
+
+    Raises
+    ------
+    ScenarioError
+        If there is no such way to share.
+    """
+    return Centralized(families) if sharing == CENTRALIZED else Decentralized(families, sharing)
+
+
+def _unchanged(u: Array, desired: Array) -> Statuses:
+    return np.where((u == desired).all(axis=-1), DESIRED, FILTERED).astype(np.int8)

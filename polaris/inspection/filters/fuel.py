@@ -1,0 +1,251 @@
+"""The fuel limit: a latched switching filter (eq. 39) that keeps enough fuel to reach a parking orbit.
+
+Fuel is counted as ``delta_v = integral (|F_x| + |F_y| + |F_z|) / m dt`` (eq. 25). Thrust is held for a
+period, so that the integral is a sum, exactly.
+
+Why the limit is kept, for a deputy that satisfies the condition once. Let b(x) be an upper bound on all
+that the backup law ever spends when it takes over at the state x: what its predicted flight spends until it
+has settled, and a bound on everything after (`BackupFlight.delta_v`). Let u be what is desired, D the
+period and x' the state after it. The desired input passes only if
+
+    spent + norm_1(u) D / m + b(x') <= delta_v_max.                                              (*)
+
+Eq. 39 as printed looks at b(x) instead: then the coming period's fuel, and what it adds to the velocity that
+the backup must take away, are nobody's. By induction, at the start of each period either the deputy is
+latched, or ``spent + b(x) <= delta_v_max``. It holds after a desired period by (*). If (*) fails, the backup
+takes over at x, whose own bound was (*) of the period before; from then on it flies the flight that was
+predicted, the law and its memory being those of the prediction, and never spends more than b(x). This holds
+for all time and without disturbances: the flight is predicted, not corrected. Beyond the model (unmodelled
+forces, a filter that starts with too little fuel) the last rule keeps the limit: thrust that would exceed it
+is scaled down, finally to zero. Then the limit holds, but the parking orbit may not be reached.
+
+The same condition with the predicted distance from the chief (`keep_clear`) keeps the deputy away from it:
+after latching nothing but that is claimed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ...model.errors import ScenarioError
+from ...model.system import Array
+from ..backup.backup_flight import BackupFlight, fly_backup, periods
+from ..backup.parking import Law, Parking
+from ..inspection import Inspection
+from .decision import Decision
+from .received import Received, Receiver
+
+
+@dataclass(frozen=True)
+class Latch:
+    """When and why a deputy was switched to the backup for good.
+
+    Attributes
+    ----------
+    t : float
+        [s]
+    deputy : int
+    reason : str
+    """
+
+    t: float
+    deputy: int
+    reason: str
+
+
+class FuelLimit:
+    """Switching filter for the fuel limit; follows `polaris.inspection.filters.decision.RunTimeFilter`.
+
+    Each deputy is on its own. The desired input passes as long as, after one period of it, the backup law
+    can still reach and keep a parking orbit within the limit; otherwise the backup takes over, for good.
+
+    Parameters
+    ----------
+    inspection : Inspection
+    law : Law, optional
+        Backup law; default ``Parking(inspection)``. Its period is the filter's: call it once per period.
+    keep_clear : bool
+        The predicted flight must also keep away from the chief; the printed condition has fuel only.
+    horizon : float
+        Longest backup flight that is predicted [s]; one that has not settled by then does not count.
+    spent : array_like, shape (N,) or float
+        Spent before the first call [m/s].
+
+    Attributes
+    ----------
+    spent : ndarray, shape (N,)
+        Delta-v of all inputs answered so far [m/s], each held for one period.
+    latched : ndarray of bool, shape (N,)
+    log : list of Latch
+    predicted : BackupFlight or None
+        The flight on which the last decision rests: of all deputies, from the end of the coming period.
+
+    Notes
+    -----
+    What each answer of `filter` says: ``status`` is "desired", "filtered" (clipped to the thrust limits),
+    "backup" if any deputy is on backup, "coast" if none thrusts because states are unknown or fuel is
+    exhausted. ``margins`` hold ``phi12[i]``, the fuel left [m/s], and ``reserve[i]``, what is left of it
+    after the coming period and the backup flight (nan once latched).
+
+    A deputy whose state is not known coasts. One without a desired input is on backup for that period.
+    Call once per period: a late call is counted with its fuel, recorded, and starts the backup law anew.
+    Beyond the proof are late calls and unknown states; the limit itself is kept through the last rule.
+    """
+
+    def __init__(
+        self,
+        inspection: Inspection,
+        law: Law | None = None,
+        keep_clear: bool = True,
+        horizon: float = 3000.0,
+        spent: ArrayLike = 0.0,
+    ) -> None:
+        q = self.inspection = inspection
+        self.law = Parking(q) if law is None else law
+        if self.law.inspection != q:
+            raise ScenarioError("law", type(law).__name__, "must be for the same inspection problem")
+        self.keep_clear = keep_clear
+        self.steps = periods(horizon, self.law.period)
+        before = np.asarray(spent, dtype=float)
+        if before.shape not in ((), (q.deputies,)) or not (np.isfinite(before) & (before >= 0)).all():
+            raise ScenarioError("spent", spent, f"must be one or {q.deputies} finite numbers >= 0 [m/s]")
+        self.spent = np.array(np.broadcast_to(before, (q.deputies,)))
+        self.latched = np.zeros(q.deputies, dtype=bool)
+        self.log: list[Latch] = []
+        self.predicted: BackupFlight | None = None
+        self._receiver = Receiver(q, self.law.period)
+        self._memory: list[Array | None] = [None] * q.deputies
+        self._due = np.inf
+        self._applied = np.zeros((q.deputies, 3))
+
+    def filter(self, t: float, x: ArrayLike, u_des: ArrayLike | None) -> Decision:
+        """Decide on the thrust of the next period; see `polaris.inspection.filters.decision.RunTimeFilter.filter`."""
+        got = self._receiver.receive(t, x, u_des)
+        self._count_delay(got.t)
+        reserve = np.full(len(got.x), np.nan)
+        asked = np.flatnonzero(~self.latched & got.known & got.given)
+        if len(asked):
+            reserve[asked], reasons = self._look_ahead(got, asked)
+            for i, reason in zip(asked, reasons, strict=True):
+                if reason:
+                    self.latched[i] = True
+                    self.log.append(Latch(got.t, int(i), reason))
+        u = self._thrust(got)
+        allowed = self._affordable(u)
+        exhausted = (allowed < 1) & got.known
+        u = u * allowed[:, None]
+        self.spent = self.spent + np.abs(u).sum(axis=1) * self.law.period / self.inspection.mass
+        self._receiver.applied(u)
+        self._applied = u
+        return self._decision(got, u, reserve, exhausted)
+
+    def _look_ahead(self, got: Received, asked: NDArray[np.intp]) -> tuple[Array, list[str]]:
+        """Condition (*) for some: reserves [m/s], and why the backup must take over ('' if it need not)."""
+        q, D = self.inspection, self.law.period
+        Phi, Gamma = self.law.motion
+        x, u = got.x[asked], got.u[asked]
+        after = x @ Phi.T + u @ Gamma.T
+        flight = self.predicted = fly_backup(self.law, after, self.law.start(after), self.steps)
+        coming = np.abs(u).sum(axis=1) * D / q.mass
+        reserve = q.delta_v_max - self.spent[asked] - coming - flight.delta_v(q.mass, D)
+        nearest = clearance(flight, x, u, q, D) if self.keep_clear else np.full(len(x), np.inf)
+        reasons = []
+        for left, room, settled in zip(reserve, nearest, flight.outlook.settled, strict=True):
+            if not settled:
+                reasons.append("the backup flight does not settle within the horizon")
+            elif left < 0:
+                reasons.append(
+                    f"fuel: the backup flight after this period would exceed the limit by {-left:.3g} m/s"
+                )
+            elif room < 0:
+                reasons.append(
+                    f"chief: the backup flight after this period would come {-room:.3g} m too near"
+                )
+            else:
+                reasons.append("")
+        return reserve, reasons
+
+    def _count_delay(self, t: float) -> None:
+        """Fuel of the time [s] by which this call is late; an early one was counted in full."""
+        D = self.law.period
+        late = t - self._due if self._due < np.inf else 0.0
+        if late > 0:
+            self.spent = self.spent + np.abs(self._applied).sum(axis=1) * late / self.inspection.mass
+        if abs(late) > 1e-6 * D:
+            self._memory = [None] * len(self._memory)
+        self._due = t + D
+
+    def _thrust(self, got: Received) -> Array:
+        """Desired, backup, or none where the state is not known."""
+        passed = got.known & got.given & ~self.latched
+        u = np.where(passed[:, None], got.u, 0.0)
+        for i in range(len(u)):
+            if passed[i] or not got.known[i]:
+                self._memory[i] = None  # when it is needed next, the backup takes over anew
+                continue
+            x = got.x[i : i + 1]
+            memory = self._memory[i]
+            held, self._memory[i] = self.law.thrust(x, self.law.start(x) if memory is None else memory)
+            u[i] = held[0]
+        return u
+
+    def _affordable(self, u: Array) -> Array:
+        """Share of a thrust that the fuel allows, shape (N,)."""
+        q = self.inspection
+        cost = np.abs(u).sum(axis=1) * self.law.period / q.mass
+        left = np.maximum(q.delta_v_max - self.spent, 0.0) * (1 - 1e-12)
+        return np.where(cost > left, left / np.where(cost > 0, cost, 1.0), 1.0)
+
+    def _decision(self, got: Received, u: Array, reserve: Array, exhausted: NDArray[np.bool_]) -> Decision:
+        q = self.inspection
+        passed = got.known & got.given & ~self.latched
+        intervened = ~passed | got.clipped | exhausted
+        if (~passed & got.known & ~exhausted).any():
+            status = "backup"
+        elif (exhausted | ~got.known).all():
+            status = "coast"
+        else:
+            status = "filtered" if intervened.any() else "desired"
+        margins = {f"phi12[{i}]": float(q.delta_v_max - self.spent[i]) for i in range(q.deputies)}
+        margins |= {f"reserve[{i}]": float(reserve[i]) for i in range(q.deputies)}
+        active = tuple(f"latched[{i}]" for i in np.flatnonzero(self.latched))
+        active += tuple(f"phi12[{i}]" for i in np.flatnonzero(exhausted))
+        notes = [got.fallback()] if got.fallback() else []
+        if exhausted.any():
+            notes.append(f"fuel exhausted: deputy {', '.join(map(str, np.flatnonzero(exhausted)))}")
+        return Decision(u, intervened, active, margins, status, "; ".join(map(str, notes)) or None)
+
+
+def clearance(flight: BackupFlight, x: Array, u: Array, inspection: Inspection, period: float) -> Array:
+    """Lower bound on the distance from the chief, less the separation [m], over all time; shape (N,).
+
+    From the given states through one period of the thrust u, along the flight, and for ever after. Between
+    two samples a position is at least ``(r_k + r_{k+1} - length) / 2`` away, where the path's length is at
+    most the period times the larger speed at its ends and half of what the acceleration adds.
+
+    Parameters
+    ----------
+    flight : BackupFlight
+        From the states after that period.
+    x : ndarray, shape (N, 6)
+    u : ndarray, shape (N, 3)
+        [N]
+    inspection : Inspection
+    period : float
+        [s]
+    """
+    q = inspection
+    states = np.concatenate([x[None], flight.x])
+    distance = np.linalg.norm(states[..., :3], axis=-1)
+    speed = np.linalg.norm(states[..., 3:], axis=-1)
+    fastest = np.maximum(speed[1:], speed[:-1])
+    farthest = np.maximum(distance[1:], distance[:-1])
+    n = q.mean_motion
+    # Relative acceleration of free motion at most 3 n^2 r + 2 n v; a tenth more for its change meanwhile.
+    push = np.sqrt(3) * q.thrust_max / q.mass + 1.1 * (3 * n**2 * farthest + 2 * n * fastest)
+    length = period * (fastest + push * period / 2)
+    between = (distance[1:] + distance[:-1] - length) / 2
+    return np.asarray(np.minimum(between.min(axis=0), flight.outlook.distance) - q.separation)

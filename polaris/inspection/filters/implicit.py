@@ -1,0 +1,189 @@
+"""Implicit active set invariance filter: safety is that of the flight under a backup law.
+
+For a sample of the backup flight, at the time tau after the present, let ``g(t, x) = phi(flight(tau, x))``
+with the constraint taken at t + tau. Its rate under the input u is
+``grad phi S(tau) (f(x) + B u) + d(phi)/dt``, S being the derivative of the flight's state by its first. Each
+such rate must be at least ``-rate g`` (eq. 7), along the flight and along the parking orbit on which it ends.
+
+What holds, and what does not:
+
+- The conditions concern samples of the flight, and the present instant of a continuous time. By themselves
+  they guarantee nothing for thrust held over a period, and they may have no solution.
+- Therefore every answer is tried first: one period of it is flown, then the backup law until all deputies
+  have settled, and every constraint is bounded over all time (`FlightCheck`). If a bound is negative the
+  backup's thrust is answered instead. From a state whose own backup flight passes, it passes again, because
+  that flight is the rest of the one before (`Inherited`). Hence: once in the set of states whose backup
+  flight passes, always in it, and phi1 to phi6 and phi9 to phi11 hold for all time; without disturbances,
+  with exact states, and up to rounding.
+- From a state outside that set nothing is guaranteed; it is recorded.
+- phi7 and phi8 are not enforced.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ...model.checks import positive
+from ...model.hill import free_flight
+from ...model.system import Array
+from ...rta.projection import FILTERED, solve
+from ..backup.backup_flight import BackupFlight, fly_backup, sensitivities
+from ..backup.parking import Memoryless, Parking
+from ..inspection import Inspection
+from .decision import Decision
+from .flight_check import FlightCheck, Inherited
+from .received import Received, Receiver
+
+SAMPLES = 40
+"""Most samples along the flight for which there is a condition."""
+
+ORBIT = 24
+"""Samples along the parking orbit."""
+
+
+class ImplicitASIF:
+    """Nearest input under which the backup flight stays allowable; a `polaris.inspection.filters.decision.RunTimeFilter`.
+
+    One filter for all deputies, who each fly their own backup; pairs are included.
+
+    Parameters
+    ----------
+    inspection : Inspection
+    law : Memoryless, optional
+        Default ``Parking(inspection)``. Its period is the filter's.
+    horizon : float
+        Longest backup flight [s].
+    rate : float
+        Strengthening ``alpha(g) = rate g`` [1/s].
+    sun_start : float
+        Sun angle at t = 0 [rad].
+    without : collection of str
+        Constraints left out, of "phi1" to "phi6", "phi9" to "phi11".
+
+    Notes
+    -----
+    ``status``: "desired", "filtered", "backup" (no input satisfies the conditions, or none that passes the
+    trial), "coast" (no state known). ``margins`` are lower bounds over all time of every constraint along
+    what will be flown if the backup takes over after the period.
+    A deputy whose state is not known coasts, and its last good state is propagated for the others; without
+    one its rows are left out. One without a desired input is asked to follow the backup.
+    """
+
+    def __init__(
+        self,
+        inspection: Inspection,
+        law: Memoryless | None = None,
+        horizon: float = 600.0,
+        rate: float = 0.1,
+        sun_start: float = 0.0,
+        without: Collection[str] = (),
+    ) -> None:
+        self.inspection = inspection
+        self.law: Memoryless = Parking(inspection) if law is None else law
+        self.check = FlightCheck(self.law, horizon, sun_start, without)
+        self.rate = positive("rate", rate, "1/s")
+        self._receiver = Receiver(inspection, self.law.period)
+        self._proven = Inherited(self.law.period)
+        times = np.linspace(0.0, 2 * np.pi / inspection.mean_motion, ORBIT, endpoint=False)
+        self._times, self._orbit = times, free_flight(inspection.mean_motion, times)
+
+    def conditions(self, t: float, x: Array, flight: BackupFlight) -> tuple[Array, Array, Array]:
+        """Rows ``G u >= bound`` at the states x (N, 6) and t [s].
+
+        Parameters
+        ----------
+        t : float
+        x : ndarray, shape (N, 6)
+        flight : BackupFlight
+            From x.
+
+        Returns
+        -------
+        G : ndarray, shape (S, M, N, 3)
+            By sample (along the flight, then along the parking orbit) and constraint.
+        bound : ndarray, shape (S, M)
+        value : ndarray, shape (S, M)
+            The constraints themselves.
+        """
+        q, rows, law = self.inspection, self.check.rows, self.law
+        slopes = sensitivities(law, flight.x)
+        count = len(flight.x)
+        chosen = np.unique(np.linspace(0, count - 1, min(count, SAMPLES)).round().astype(int))
+        states, slopes_at = flight.x[chosen], slopes[chosen]
+        at = t + law.period * chosen
+        if isinstance(law, Parking):
+            ends = law.ellipses.inside(flight.x[-1])
+            turn = law.ellipses.inside_slope(flight.x[-1]) @ slopes[-1]
+            states = np.concatenate([states, np.einsum("sij,nj->sni", self._orbit, ends)])
+            slopes_at = np.concatenate([slopes_at, np.einsum("sij,njk->snik", self._orbit, turn)])
+            at = np.concatenate([at, t + law.period * (count - 1) + self._times])
+        phi = rows(states, q.sun_angle(at, self.check.sun_start))
+        along = np.zeros((*phi.value.shape, q.deputies, 6))  # derivative by every deputy's present state
+        every = np.arange(len(rows.first))
+        along[:, every, rows.first] = np.einsum("smi,smij->smj", phi.gradient, slopes_at[:, rows.first])
+        pair = np.flatnonzero(rows.second >= 0)
+        along[:, pair, rows.second[pair]] = -np.einsum(
+            "smi,smij->smj", phi.gradient[:, pair], slopes_at[:, rows.second[pair]]
+        )
+        drift = np.einsum("smni,ni->sm", along, x @ q.A.T) + phi.change
+        return along[..., 3:] / q.mass, -drift - self.rate * phi.value, phi.value
+
+    def filter(self, t: float, x: ArrayLike, u_des: ArrayLike | None) -> Decision:
+        """Decide on the thrust of the next period; see `polaris.inspection.filters.decision.RunTimeFilter.filter`."""
+        got = self._receiver.receive(t, x, u_des)
+        backup = np.where(got.known[:, None], self.law(got.t, got.x), 0.0)
+        wanted = np.where((got.known & got.given)[:, None], got.u, backup)
+        counted = got.counted(self.check.rows.first, self.check.rows.second)
+        u, notes = self._filtered(got, wanted, counted)
+        tried = self.check(got.t, got.x, u)
+        inherited = self._proven.holds(got.t, got.x) and bool(got.known.all())
+        trouble = counted & ~(tried.margin >= 0)
+        active: tuple[str, ...] = ()
+        on_backup = False
+        if trouble.any() or notes:
+            active = tuple(self.check.rows.labels[k] for k in np.flatnonzero(trouble))
+            if trouble.any():
+                notes.append("the backup flight after the filtered input would not stay allowable")
+            u, on_backup = backup, True
+            tried = self.check(got.t, got.x, u)
+            if not inherited and (counted & ~(tried.margin >= 0)).any():
+                notes.append("the backup flight itself is not proven to stay allowable")
+        if got.known.all() and (inherited or (tried.margin >= 0).all()):
+            self._proven.prove(got.t, tried.flight.x[0])
+        else:
+            self._proven.clear()
+        self._receiver.applied(u)
+        intervened = ~(got.known & got.given) | got.clipped | (np.abs(u - got.u).max(axis=1) > 0)
+        if not got.known.any():
+            status = "coast"
+        elif on_backup:
+            status = "backup"
+        else:
+            status = "filtered" if intervened.any() else "desired"
+        margin = np.where(counted, tried.margin, np.nan)
+        margins = dict(zip(self.check.rows.labels, map(float, margin), strict=True))
+        said = [note for note in (got.fallback(), *notes) if note]
+        return Decision(u, intervened, active, margins, status, "; ".join(said) or None)
+
+    def _filtered(self, got: Received, wanted: Array, counted: NDArray[np.bool_]) -> tuple[Array, list[str]]:
+        """Solve the quadratic program; no notes if it has a solution."""
+        limit = self.inspection.thrust_max
+        flight = fly_backup(self.law, got.x, self.law.start(got.x), self.check.steps)
+        G, bound, _ = self.conditions(got.t, got.x, flight)
+        G = np.where(got.known[:, None], G, 0.0)[:, counted].reshape(-1, wanted.size)
+        bound = bound[:, counted].ravel()
+        length = np.sqrt((G * G).sum(axis=1))
+        needed = bound > -limit * np.abs(G).sum(axis=1)
+        G, bound, length = G[needed], bound[needed], np.maximum(length[needed], 1e-12)
+        if not np.isfinite(G).all() or not np.isfinite(bound).all():
+            return wanted, ["the conditions are not finite"]
+        G, bound = G / length[:, None], bound / length
+        if (G @ wanted.ravel() >= bound).all():
+            return wanted, []
+        found, how = solve(G, np.clip(bound, -1e6, 1e6), wanted.ravel(), limit)
+        if how != FILTERED or not np.isfinite(found).all():
+            return wanted, ["no input satisfies all conditions"]
+        return np.where(got.known[:, None], found.reshape(wanted.shape), 0.0), []

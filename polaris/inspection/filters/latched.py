@@ -1,0 +1,153 @@
+"""Latched switching between the desired input and a backup: what the two simplex filters have in common."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ...model.checks import non_negative, positive
+from ...model.errors import ScenarioError
+from ...model.system import Array
+from ..inspection import Inspection
+from .decision import Backup, Decision
+from .received import Received, Receiver
+
+
+@dataclass(frozen=True)
+class Switch:
+    """One entry of a decision log.
+
+    Attributes
+    ----------
+    t : float
+        [s]
+    deputy : int
+    to : str
+        ``backup`` or ``desired``.
+    reason : str
+    """
+
+    t: float
+    deputy: int
+    to: str
+    reason: str
+
+
+class Latched(ABC):
+    """Latching, handing back, the log, unknown states; see `polaris.inspection.filters.simplex`.
+
+    A subclass provides the constraints: `first`, `second`, `labels`, and `_try`.
+    """
+
+    first: NDArray[np.intp]
+    second: NDArray[np.intp]
+    labels: tuple[str, ...]
+
+    def __init__(
+        self,
+        inspection: Inspection,
+        backup: Backup,
+        period: float,
+        margin: Array,
+        release: Array,
+        dwell: float,
+    ) -> None:
+        self.inspection, self.backup = inspection, backup
+        self.period = positive("period", period, "s")
+        if (release < margin).any():
+            raise ScenarioError("release", float(release.min()), "must be at least the margin")
+        self._margin, self._release = margin, release
+        self.dwell = non_negative("dwell", dwell, "s")
+        self.latched = np.zeros(inspection.deputies, dtype=bool)
+        self.log: list[Switch] = []
+        self._clear_since = np.full(inspection.deputies, np.nan)
+        self._receiver = Receiver(inspection, self.period)
+
+    @abstractmethod
+    def _try(self, t: float, x: Array, u: Array) -> Array:
+        """Least value of each constraint if the thrust u (N, 3) is held for the coming period, shape (M,)."""
+
+    def filter(self, t: float, x: ArrayLike, u_des: ArrayLike | None) -> Decision:
+        """Decide on the thrust of the next period; see `polaris.inspection.filters.decision.RunTimeFilter.filter`."""
+        got = self._receiver.receive(t, x, u_des)
+        counted = got.counted(self.first, self.second)
+        backup = np.where(got.known[:, None], self.backup(got.t, got.x), 0.0)
+        if not np.isfinite(backup).all():
+            backup = np.where(np.isfinite(backup), backup, 0.0)
+        able = got.known & got.given
+        if not got.steady:
+            self._clear_since[:] = np.nan  # nothing has lasted across a break of the clock
+        self._hand_back(got, able, backup, counted)
+        u, value, notes, active = self._decide(got, able, backup, counted)
+        self._receiver.applied(u)
+        passed = able & ~self.latched
+        intervened = ~passed | got.clipped
+        if not got.known.any():
+            status = "coast"
+        elif passed.all():
+            status = "filtered" if intervened.any() else "desired"
+        else:
+            status = "backup"
+        shown = np.where(counted, value, np.nan)
+        said = [note for note in (got.fallback(), *notes) if note]
+        margins = dict(zip(self.labels, map(float, shown), strict=True))
+        return Decision(u, intervened, active, margins, status, "; ".join(said) or None)
+
+    def _decide(
+        self, got: Received, able: NDArray[np.bool_], backup: Array, counted: NDArray[np.bool_]
+    ) -> tuple[Array, Array, list[str], tuple[str, ...]]:
+        """Switch deputies until the constraints hold, or all are on backup."""
+        active: tuple[str, ...] = tuple(f"latched[{i}]" for i in np.flatnonzero(self.latched))
+        while True:
+            passed = able & ~self.latched
+            u = np.where(passed[:, None], got.u, backup)
+            value = self._try(got.t, got.x, u)
+            bad = counted & ~(value >= self._margin)
+            if not bad.any():
+                self._accepted(got, u, True)
+                return u, value, [], active
+            if not passed.any():
+                proven = self._accepted(got, u, False)
+                notes = [] if proven else ["the backup itself does not keep the constraints for certain"]
+                return u, value, notes, active
+            worst = int(np.flatnonzero(bad)[np.argmin((value - self._margin)[bad])])
+            active += tuple(self.labels[k] for k in np.flatnonzero(bad))
+            concerned = self._concerned(bad) & passed
+            reason = f"{self.labels[worst]} would be {value[worst]:.3g}"
+            for i in np.flatnonzero(concerned if concerned.any() else passed):
+                self.latched[i] = True
+                self._clear_since[i] = np.nan
+                self.log.append(Switch(got.t, int(i), "backup", reason))
+
+    def _accepted(self, got: Received, u: Array, good: bool) -> bool:
+        """Note the outcome; whether it is known to be safe all the same, although not `good`."""
+        return good
+
+    def _hand_back(
+        self, got: Received, able: NDArray[np.bool_], backup: Array, counted: NDArray[np.bool_]
+    ) -> None:
+        """Hand back deputies whose desired input has been acceptable for long enough."""
+        asking = self.latched & able
+        self._clear_since[~asking] = np.nan
+        if not asking.any():
+            return
+        wish = np.where(able[:, None], got.u, backup)
+        clear = asking & ~self._concerned(counted & ~(self._try(got.t, got.x, wish) >= self._release))
+        self._clear_since[~clear] = np.nan
+        begun = np.isnan(self._clear_since)
+        self._clear_since = np.where(clear & begun, got.t, self._clear_since)
+        for i in np.flatnonzero(clear & (got.t - self._clear_since >= self.dwell)):
+            self.latched[i] = False
+            self._clear_since[i] = np.nan
+            reason = f"all constraints at their release for {self.dwell:g} s"
+            self.log.append(Switch(got.t, int(i), "desired", reason))
+
+    def _concerned(self, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Deputies of the chosen constraints, shape (N,)."""
+        out = np.zeros(self.inspection.deputies, dtype=bool)
+        out[self.first[chosen]] = True
+        out[self.second[chosen & (self.second >= 0)]] = True
+        return out

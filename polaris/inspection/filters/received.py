@@ -1,0 +1,171 @@
+"""What a filter is handed, made safe to compute with: unknown states, missing and impossible inputs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ...model.foreign import kind_of, numbers, real
+from ...model.system import Array
+from ..inspection import Inspection
+
+FARTHEST = 1e6
+"""Positions [m] and velocities [m/s] beyond this are taken for faults of the sensors, as nan is."""
+
+MEMORY = 60.0
+"""Time [s] for which the last good state is propagated in place of an unknown one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Received:
+    """One call of a filter.
+
+    Attributes
+    ----------
+    t : float
+        [s]
+    x : ndarray, shape (N, 6)
+        States, always finite: estimates where unknown, zeros where there is no estimate either.
+    known : ndarray of bool, shape (N,)
+        Whose state was measured.
+    estimated : ndarray of bool, shape (N,)
+        Whose state is known or was propagated from the last good one.
+    u : ndarray, shape (N, 3)
+        Desired thrust, clipped to the limits [N]; zero where not given.
+    given : ndarray of bool, shape (N,)
+        Whose desired thrust came in time and was finite.
+    clipped : ndarray of bool, shape (N,)
+        Whose desired thrust was beyond the limits.
+    clock : str or None
+        What was wrong with the time; None if nothing.
+    steady : bool
+        Whether the time went on from the last call's without a break: what lasted till then lasts.
+    wanted : ndarray, shape (N, 3)
+        Desired thrust before clipping [N]; zero where not given.
+    malformed : tuple of str
+        What was no numbers of the right shape, in words.
+    """
+
+    t: float
+    x: Array
+    known: NDArray[np.bool_]
+    estimated: NDArray[np.bool_]
+    u: Array
+    given: NDArray[np.bool_]
+    clipped: NDArray[np.bool_]
+    wanted: Array
+    malformed: tuple[str, ...] = ()
+    clock: str | None = None
+    steady: bool = True
+
+    def counted(self, first: NDArray[np.intp], second: NDArray[np.intp]) -> NDArray[np.bool_]:
+        """Constraints all of whose deputies have an estimate; `second` is -1 where there is one only."""
+        return np.asarray(self.estimated[first] & np.append(self.estimated, True)[second])
+
+    def fallback(self) -> str | None:
+        """What was missing, in words; None if nothing."""
+        parts = [*([self.clock] if self.clock else []), *self.malformed]
+        if not self.known.all():
+            parts.append(f"state not known: deputy {_listed(~self.known)}")
+        if not self.given.all():
+            parts.append(f"desired input missing or not finite: deputy {_listed(~self.given)}")
+        return "; ".join(parts) or None
+
+
+def _listed(chosen: NDArray[np.bool_]) -> str:
+    return ", ".join(map(str, np.flatnonzero(chosen)))
+
+
+class Receiver:
+    """Check what a filter is handed; remember the last good states and the thrusts since.
+
+    Times are taken as they come, and what is odd about one is said in `Received.clock`:
+
+    - one that is not a finite number is replaced by the last plus the last step (0 at the first call);
+    - one that stands still is the same instant again;
+    - one that runs backwards, or is more than `MEMORY` later than the last, is taken for the new time, and
+      what was remembered is forgotten: no state is propagated across it;
+    - one later than the period for which the last answer was made is told, and by two periods is a break.
+
+    Parameters
+    ----------
+    inspection : Inspection
+    period : float, optional
+        Longest time [s] for which an answer may be held; default any.
+    """
+
+    def __init__(self, inspection: Inspection, period: float | None = None) -> None:
+        self.inspection, self.period = inspection, period
+        self._step = 0.0
+        N = inspection.deputies
+        self._x, self._t = np.zeros((N, 6)), np.nan
+        self._seen = np.full(N, -np.inf)  # when each state was last known
+        self._applied = np.zeros((N, 3))
+
+    def receive(self, t: float, x: ArrayLike, u_des: ArrayLike | None) -> Received:
+        """Take in one call; arguments as of `polaris.inspection.filters.decision.RunTimeFilter.filter`.
+
+        States and desired thrusts that are no numbers of the right shape are not known and not given:
+        whatever a primary controller or navigation hands over, there is an answer.
+        """
+        q, malformed = self.inspection, []
+        t, clock, steady = self._time(t)
+        states = numbers(x, (q.deputies, 6))
+        if states is None:
+            malformed.append(f"the states are malformed: {kind_of(x)}")
+            states = np.full((q.deputies, 6), np.nan)
+        known = np.asarray((np.abs(states) <= FARTHEST).all(axis=1))  # false for nan and inf
+        seen, estimate = self._estimate(t)
+        seen = np.where(known, t, seen)
+        estimated = np.asarray(t - seen <= MEMORY)
+        states = np.where(known[:, None], states, np.where(estimated[:, None], estimate, 0.0))
+        self._x, self._t, self._seen = states, t, np.where(estimated, seen, -np.inf)
+        self._applied = np.zeros((q.deputies, 3))
+        asked = numbers(u_des, (q.deputies, 3))
+        if asked is None and u_des is not None:
+            malformed.append(f"the desired input is malformed: {kind_of(u_des)}")
+        wanted = np.full((q.deputies, 3), np.nan) if asked is None else asked
+        given = np.asarray(np.isfinite(wanted).all(axis=1))
+        wanted = np.where(given[:, None], wanted, 0.0)
+        u = np.clip(wanted, -q.thrust_max, q.thrust_max)
+        clipped = np.asarray((u != wanted).any(axis=1))
+        return Received(
+            t, states, known, estimated, u, given, clipped, wanted, tuple(malformed), clock, steady
+        )
+
+    def applied(self, u: Array) -> None:
+        """Note the thrust [N], shape (N, 3), that was answered to the last call."""
+        self._applied = np.array(u)
+
+    def _time(self, t: object) -> tuple[float, str | None, bool]:
+        """The time to go by [s], what is wrong with the one given, whether it goes on steadily."""
+        now = real(t)
+        if now is None or not np.isfinite(now):
+            now = 0.0 if np.isnan(self._t) else self._t + self._step
+            return now, f"the time is not a finite number: taken for {now:g} s", False
+        passed = now - self._t
+        if np.isnan(passed):  # the first call
+            return now, None, True
+        if passed < 0:
+            return now, f"the time runs backwards by {-passed:g} s", False
+        if passed == 0:
+            return now, "the time stands still", True
+        if passed > MEMORY:
+            return now, f"the time jumps by {passed:g} s", False
+        self._step = passed
+        if self.period is None or passed <= self.period * (1 + 1e-6):
+            return now, None, True
+        told = f"called after {passed:g} s: the last answer was for {self.period:g} s"
+        return now, told, passed < 2 * self.period
+
+    def _estimate(self, t: float) -> tuple[Array, Array]:
+        """Last good states, moved to the time t with the thrust held, and when they were known."""
+        passed = t - self._t
+        if not 0 <= passed <= MEMORY:  # also at the first call, and where the time has jumped
+            return np.full(len(self._x), -np.inf), self._x
+        if passed == 0 or (self._seen == -np.inf).all():
+            return self._seen, self._x
+        Phi, Gamma = self.inspection.held(passed)
+        return self._seen, self._x @ Phi.T + self._applied @ Gamma.T

@@ -1,0 +1,1 @@
+"""Flights under a filter, and their judge."""

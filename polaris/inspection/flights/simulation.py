@@ -1,0 +1,175 @@
+"""Filtered flights of many runs at once: exact motion, thrust held for a control period."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...model.checks import positive, whole
+from ...model.errors import ScenarioError
+from ...model.system import Array
+from ...rta.projection import FAILED
+from ..filters.explicit import Filtered
+from ..inspection import Inspection
+from .primary import Primary
+
+
+class BatchFilter(Protocol):
+    """A filter of R runs at once: `Centralized` or `Decentralized`."""
+
+    def batch(self, x: Array, sun: Array, desired: Array) -> Filtered:
+        """Filter inputs of shape (R, N, 3) at states (R, N, 6) and sun angles (R,) [rad]."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One control period of a batch, as observers see it.
+
+    Attributes
+    ----------
+    k : int
+        Index of the period.
+    t : float
+        Its start [s].
+    x : ndarray, shape (R, N, 6)
+        States at the start.
+    sun : ndarray, shape (R,)
+        Sun angles at the start [rad].
+    desired : ndarray, shape (R, N, 3)
+        [N]
+    filtered : Filtered
+        Where the program failed, its input is replaced by no thrust.
+    between : ndarray, shape (B, R, N, 6)
+        States at instants strictly inside the period, evenly spaced.
+    """
+
+    k: int
+    t: float
+    x: Array
+    sun: Array
+    desired: Array
+    filtered: Filtered
+    between: Array
+
+
+def fly(
+    inspection: Inspection,
+    filtering: BatchFilter,
+    primary: Primary,
+    x: Array,
+    sun: Array,
+    duration: float,
+    period: float = 1.0,
+    between: int = 1,
+    observe: Callable[[Step], None] = lambda step: None,
+) -> Array:
+    """Fly R runs of N deputies.
+
+    Parameters
+    ----------
+    inspection : Inspection
+    filtering : BatchFilter
+    primary : Primary
+    x : ndarray, shape (R, N, 6)
+        Initial states.
+    sun : ndarray, shape (R,)
+        Sun angles at the start [rad].
+    duration, period : float
+        Of the flight and of one control period [s]; the period must divide the duration.
+    between : int
+        Instants inside each period handed to the observer.
+    observe : callable
+        Called once per period, in order.
+
+    Returns
+    -------
+    ndarray, shape (R, N, 6)
+        Final states.
+    """
+    count = int(np.rint(positive("duration", duration, "s") / positive("period", period, "s")))
+    if not np.isclose(count * period, duration, rtol=1e-9) or count < 1:
+        raise ScenarioError("period", period, f"must divide the duration {duration:g} s")
+    parts = whole("between", between, 0) + 1
+    moves = [inspection.held(period * (b + 1) / parts) for b in range(parts)]
+    for k in range(count):
+        t = k * period
+        angles = inspection.sun_angle(t, sun)
+        desired = primary(t, x)
+        lost = np.asarray(~np.isfinite(desired).all(axis=2))
+        filtered = filtering.batch(x, angles, np.where(lost[..., None], 0.0, desired))
+        u = filtered.u
+        failed = filtered.status == FAILED
+        if failed.any():
+            u[failed] = 0.0
+        filtered.status[lost] = FAILED
+        after = np.stack([x @ Phi.T + u @ Gamma.T for Phi, Gamma in moves])
+        observe(Step(k, t, x, angles, desired, filtered, after[:-1]))
+        x = after[-1]
+    return x
+
+
+@dataclass(frozen=True, eq=False)
+class InspectionRun:
+    """One flight of N deputies, with everything that figures show.
+
+    Attributes
+    ----------
+    inspection : Inspection
+    t : ndarray, shape (K+1,)
+        Instants at which the filter was asked [s], and the end.
+    x : ndarray, shape (K+1, N, 6)
+        States.
+    sun : ndarray, shape (K+1,)
+        Sun angle [rad].
+    u, desired : ndarray, shape (K, N, 3)
+        Applied and desired thrust [N].
+    status : ndarray of int, shape (K, N)
+        See `polaris.rta.projection`.
+    h : ndarray, shape (K, M)
+        Values of the barriers, in the order of `Families.family`.
+    """
+
+    inspection: Inspection
+    t: Array
+    x: Array
+    sun: Array
+    u: Array
+    desired: Array
+    status: NDArray[np.int8]
+    h: Array
+
+    @property
+    def delta_v(self) -> Array:
+        """Spent velocity change of each deputy [m/s] (eq. 25), shape (K+1, N)."""
+        steps = np.abs(self.u).sum(axis=2) / self.inspection.mass * np.diff(self.t)[:, None]
+        return np.concatenate([np.zeros((1, steps.shape[1])), np.cumsum(steps, axis=0)])
+
+
+def fly_one(
+    inspection: Inspection,
+    filtering: BatchFilter,
+    primary: Primary,
+    x: Array,
+    sun: float,
+    duration: float,
+    period: float = 1.0,
+) -> InspectionRun:
+    """Fly one run and keep all of it; arguments as in `fly`, x of shape (N, 6)."""
+    kept: list[Step] = []
+    last = fly(inspection, filtering, primary, x[None], np.array([sun]), duration, period, 0, kept.append)
+    t = np.append([step.t for step in kept], duration)
+    return InspectionRun(
+        inspection,
+        t,
+        np.concatenate([np.stack([step.x[0] for step in kept]), last]),
+        inspection.sun_angle(t, sun),
+        np.stack([step.filtered.u[0] for step in kept]),
+        np.stack([step.desired[0] for step in kept]),
+        np.stack([step.filtered.status[0] for step in kept]),
+        np.stack([step.filtered.rows.h[0] for step in kept]),
+    )

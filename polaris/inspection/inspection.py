@@ -1,0 +1,208 @@
+"""The inspection problem: N deputies about a passive chief, with the values of the paper's Table 1."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import expm
+
+from ..model.checks import number, positive, whole
+from ..model.errors import ScenarioError
+from ..model.hill import clohessy_wiltshire
+from ..model.system import Array
+from .constraints.barriers import CENTRE
+
+MOST_DEPUTIES = 50
+"""Most deputies of one problem: 50 of them have 1,225 pairs and 5,750 constraints."""
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """Parameters of the inspection problem (Dunlap, van Wijk, Hobbs; Table 1).
+
+    Frame: Hill's, x radial (outward), y along-track, z cross-track; origin at the chief.
+
+    Parameters
+    ----------
+    deputies : int
+        Number N of active spacecraft.
+    mass : float
+        Mass m of a deputy [kg].
+    mean_motion : float
+        Mean motion n of the chief's orbit [rad/s].
+    deputy_radius, chief_radius : float
+        Collision radii r_d and r_c [m].
+    docking_speed : float
+        Least allowed speed nu_0 at the chief [m/s].
+    speed_slope : float, optional
+        Rate nu_1 at which the allowed speed grows with distance [1/s]; default ``2 n``.
+    delta_v_max : float
+        Fuel limit [m/s].
+    field_of_view : float
+        Full opening angle alpha_FOV of the sensor [rad].
+    distance_max : float
+        Largest distance r_max from the chief [m].
+    passive_time : float
+        Time T for which free flight must stay clear [s].
+    speed_max : float
+        Largest speed v_max along each axis [m/s].
+    thrust_max : float
+        Thrust limit u_max per axis [N].
+    smoothing : float
+        Depth [m] of the layer beside each boundary in which the square roots of eqs. 29, 30, 35 and 36
+        are replaced by a line; see `polaris.inspection.braking.Braking`. It costs half of it in distance.
+
+    Raises
+    ------
+    ScenarioError
+        If a value is out of range, or eq. 28, 32, 36 or 37 does not hold: the thrust is then too weak for
+        the constraints to be control invariant. If a collision radius or the field of view is so small
+        that a boundary lies within `polaris.inspection.constraints.barriers.CENTRE` of a centre or an axis.
+    """
+
+    deputies: int = 5
+    mass: float = 12.0
+    mean_motion: float = 0.001027
+    deputy_radius: float = 5.0
+    chief_radius: float = 5.0
+    docking_speed: float = 0.2
+    speed_slope: float | None = None
+    delta_v_max: float = 20.0
+    field_of_view: float = np.pi / 3
+    distance_max: float = 1000.0
+    passive_time: float = 500.0
+    speed_max: float = 1.0
+    thrust_max: float = 1.0
+    smoothing: float = 0.1
+
+    def __post_init__(self) -> None:
+        whole("deputies", self.deputies, 1)
+        if self.deputies > MOST_DEPUTIES:
+            raise ScenarioError("deputies", self.deputies, f"must be at most {MOST_DEPUTIES}")
+        units = {
+            "mass": "kg",
+            "mean_motion": "rad/s",
+            "deputy_radius": "m",
+            "chief_radius": "m",
+            "docking_speed": "m/s",
+            "delta_v_max": "m/s",
+            "field_of_view": "rad",
+            "distance_max": "m",
+            "passive_time": "s",
+            "speed_max": "m/s",
+            "thrust_max": "N",
+            "smoothing": "m",
+        }
+        for name, unit in units.items():
+            positive(name, getattr(self, name), unit)
+        if self.speed_slope is not None:
+            positive("speed_slope", self.speed_slope, "1/s")
+        if self.field_of_view >= np.pi:
+            raise ScenarioError("field_of_view", self.field_of_view, "must be below pi rad")
+        if self.distance_max <= self.separation:
+            rule = f"must exceed the sum of the collision radii, {self.separation:g} m"
+            raise ScenarioError("distance_max", self.distance_max, rule)
+        if self.passive_time * self.mean_motion > np.pi:
+            rule = "must be at most half an orbit"
+            raise ScenarioError("passive_time", self.passive_time, f"{rule}, {np.pi / self.mean_motion:g} s")
+        self._check_directions()
+        self._check_authority()
+
+    def _check_directions(self) -> None:
+        """Directions fade below `CENTRE`: no boundary may come as near to a centre or an axis."""
+        least = min(self.separation, 2 * self.deputy_radius)
+        if least <= CENTRE:
+            rule = f"two deputies, or one and the chief, must be more than {CENTRE:g} m apart"
+            raise ScenarioError("deputy_radius", self.deputy_radius, rule)
+        if least * np.sin(self.field_of_view / 2) <= CENTRE:
+            widest = 2 * np.arcsin(CENTRE / least)
+            rule = f"must exceed {widest:.4g} rad, so that the cone is wider than {CENTRE:g} m at {least:g} m"
+            raise ScenarioError("field_of_view", self.field_of_view, rule)
+
+    def _check_authority(self) -> None:
+        """Refuse thrust too weak against the natural motion (eqs. 28, 32, 36 and 37)."""
+        n, v, r = self.mean_motion, self.speed_max, self.distance_max
+        fastest = np.sqrt(3) * v
+        slow_down = self.nu_1 * fastest + 3 * n**2 * (fastest - self.docking_speed) / self.nu_1 + 2 * n * v
+        inside = r - self.smoothing
+        around = 3 * self.fastest**2 / inside if inside > 0 else np.inf  # half of a_max left: see a_inside
+        equations = {
+            "eq. 28 (braking before a boundary)": 3 * n**2 * r + 2 * n * v,
+            "eq. 36 (turning before r_max)": 3 * n**2 * r + 2 * n * v + around,
+            "eq. 32 (dynamic speed limit)": slow_down,
+            "eq. 37 (velocity limit, radial)": 3 * n**2 * r + 2 * n * v,
+            "eq. 37 (velocity limit, along-track)": 2 * n * v,
+            "eq. 37 (velocity limit, cross-track)": n**2 * r,
+        }
+        broken = [name for name, needed in equations.items() if needed * self.mass >= self.thrust_max]
+        if broken:
+            least = max(equations.values()) * self.mass
+            rule = f"must exceed {least:.4g} N; too weak for {', '.join(broken)}"
+            raise ScenarioError("thrust_max", self.thrust_max, rule)
+
+    @property
+    def nu_1(self) -> float:
+        """Rate at which the allowed speed grows with distance [1/s]."""
+        return 2 * self.mean_motion if self.speed_slope is None else self.speed_slope
+
+    @property
+    def separation(self) -> float:
+        """Least distance between the centres of a deputy and the chief [m]."""
+        return self.deputy_radius + self.chief_radius
+
+    @property
+    def a_max(self) -> float:
+        """Acceleration left for braking in the worst case of natural motion [m/s^2] (eq. 28)."""
+        n = self.mean_motion
+        natural = 3 * n**2 * self.distance_max + 2 * n * self.speed_max
+        return self.thrust_max / self.mass - natural
+
+    @property
+    def fastest(self) -> float:
+        """Largest speed that eqs. 14 and 23 allow anywhere [m/s]."""
+        return float(min(np.sqrt(3) * self.speed_max, self.docking_speed + self.nu_1 * self.distance_max))
+
+    @property
+    def a_inside(self) -> float:
+        """Acceleration left for braking before r_max [m/s^2]: `a_max` less what going round the sphere takes.
+
+        The distance's second derivative has a term ``v_t^2 / r`` that pushes outwards, which eq. 28 leaves
+        out. With half of a_max or more left, braking begins at most v^2 / a_max, and the layer, from r_max.
+        """
+        nearest = self.distance_max - self.smoothing - self.fastest**2 / self.a_max
+        return self.a_max - self.fastest**2 / nearest
+
+    @property
+    def return_speed(self) -> float:
+        """Fastest way back that is asked for from outside [m/s]; see `polaris.inspection.braking.Braking`.
+
+        The least speed allowed anywhere, so that going back breaks no other speed limit.
+        """
+        return self.docking_speed
+
+    @cached_property
+    def pairs(self) -> NDArray[np.intp]:
+        """Unordered pairs of deputies, shape (N (N-1) / 2, 2)."""
+        return np.array(list(combinations(range(self.deputies), 2)), dtype=np.intp).reshape(-1, 2)
+
+    @cached_property
+    def A(self) -> Array:
+        """State matrix of one deputy (eq. 9), shape (6, 6)."""
+        return clohessy_wiltshire(self.mean_motion, self.mass, self.thrust_max).A
+
+    def held(self, duration: float) -> tuple[Array, Array]:
+        """Exact motion over a time with the thrust held: ``x(t + duration) = Phi x + Gamma u``."""
+        number("duration", duration)
+        block = np.zeros((9, 9))
+        block[:6, :6] = self.A
+        block[3:6, 6:] = np.eye(3) / self.mass
+        moved = expm(block * duration)
+        return moved[:6, :6], moved[:6, 6:]
+
+    def sun_angle(self, t: ArrayLike, start: ArrayLike = 0.0) -> Array:
+        """Angle theta_s of the sun from the x axis [rad] at the time t [s]; it turns at ``-n`` (eq. 11)."""
+        return np.asarray(start, dtype=float) - self.mean_motion * np.asarray(t, dtype=float)

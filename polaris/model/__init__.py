@@ -1,0 +1,1 @@
+"""What the world is: systems, obstacles, distances, and what every other room needs."""

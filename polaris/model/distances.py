@@ -1,0 +1,267 @@
+"""What is measured on runs: distance, time to collision, share of time per mode, switches, delta-v.
+
+Everything is vectorised over runs and times: arrays are shaped (..., T) with the time axis last
+(before the axes of a vector), and per-obstacle results have the obstacle axis first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .checks import positive
+from .errors import ScenarioError
+from .free_drift import drift_ttc
+from .obstacles import Obstacle
+from .system import Array, LinearSystem
+
+__all__ = [
+    "UNKNOWN",
+    "Closest",
+    "closest",
+    "count_switches",
+    "delta_v",
+    "drift_ttc",
+    "mode_shares",
+    "ray_ttc",
+    "signed_distances",
+]
+
+UNKNOWN = -1
+"""Mode number of samples whose mode is not known."""
+
+TOGETHER = 4000
+"""Points of whose rays the entries are worked out at a time: what fits into fast memory."""
+
+States = Mapping[str, ArrayLike]
+
+
+def signed_distances(
+    obstacles: Sequence[Obstacle],
+    t: ArrayLike,
+    p: ArrayLike,
+    system: LinearSystem | None = None,
+    states: States | None = None,
+) -> Array:
+    """Exact Euclidean distance to every true unsafe set, negative inside.
+
+    Parameters
+    ----------
+    obstacles : sequence of Obstacle, length O
+        Keep-in sets count as the distance to leaving them.
+    t : array_like, shape (...)
+        Times [s], broadcast against p.
+    p : array_like, shape (..., d)
+        Positions [m].
+    system : LinearSystem, optional
+        Needed if another satellite is among the obstacles.
+    states : mapping, optional
+        True states (..., n) of other satellites, by name; default their nominal ones.
+
+    Returns
+    -------
+    ndarray, shape (O, ...)
+        [m]
+    """
+    shape = np.broadcast_shapes(np.shape(t), np.shape(p)[:-1])
+    out = np.empty((len(obstacles), *shape))
+    for o, obstacle in enumerate(obstacles):
+        out[o] = obstacle.signed_distance(t, p, system, _state(states, obstacle))
+    return out
+
+
+def ray_ttc(
+    obstacles: Sequence[Obstacle],
+    t: ArrayLike,
+    p: ArrayLike,
+    v: ArrayLike,
+    system: LinearSystem | None = None,
+    states: States | None = None,
+) -> Array:
+    """Seconds until a straight ray enters each obstacle, both keeping their velocity of time t.
+
+    Parameters
+    ----------
+    v : array_like, shape (..., d)
+        Velocity of the chaser [m/s]. Others as in `signed_distances`.
+
+    Returns
+    -------
+    ndarray, shape (O, ...)
+        0 if inside, inf if it never enters (moving away, a miss, no relative speed).
+    """
+    shape = np.broadcast_shapes(np.shape(t), np.shape(p)[:-1], np.shape(v)[:-1])
+    out = np.empty((len(obstacles), *shape))
+    t, p, v = (np.asarray(given, dtype=float) for given in (t, p, v))
+    for o, obstacle in enumerate(obstacles):
+        state = _state(states, obstacle)
+        known = None if state is None else np.asarray(state, dtype=float)
+        for part in _parts(shape):
+            here, at, ray = (_cut(given, n, len(shape), part) for given, n in ((t, 0), (p, 1), (v, 1)))
+            moved = None if known is None else _cut(known, 1, len(shape), part)
+            out[(slice(o, o + 1), *part)] = obstacle.entry_time(here, at, ray, system, moved)
+    return out
+
+
+def _cut(given: Array, inner: int, outer: int, part: tuple[slice, ...]) -> Array:
+    """A part along the first of `outer` axes of an array that is broadcast against them."""
+    whole = not part or given.ndim < outer + inner or given.shape[0] == 1
+    return given if whole else given[part]
+
+
+def _parts(shape: tuple[int, ...]) -> list[tuple[slice, ...]]:
+    """Parts of the first axis (if there are others) of at most `TOGETHER` points, or of one entry."""
+    if len(shape) < 2 or shape[0] == 0:
+        return [()]
+    step = max(1, TOGETHER // max(1, int(np.prod(shape[1:]))))
+    return [(slice(first, first + step),) for first in range(0, shape[0], step)]
+
+
+def _state(states: States | None, obstacle: Obstacle) -> ArrayLike | None:
+    return None if states is None else states.get(obstacle.name)
+
+
+@dataclass(frozen=True, eq=False)
+class Closest:
+    """Closest approach of every run, at the sampled times; shapes (...,).
+
+    Attributes
+    ----------
+    distance : ndarray
+        Smallest signed distance [m]; inf where there is no obstacle.
+    time : ndarray
+        When it was reached first [s]; nan where there is no obstacle.
+    obstacle : ndarray of int
+        Index of the obstacle; -1 where there is none.
+    """
+
+    distance: Array
+    time: Array
+    obstacle: np.ndarray[tuple[int, ...], np.dtype[np.int64]]
+
+
+def closest(distances: ArrayLike, t: ArrayLike) -> Closest:
+    """Minimum over obstacles and time.
+
+    Parameters
+    ----------
+    distances : array_like, shape (O, ..., T)
+        From `signed_distances`. Between samples a run may come closer by at most half of what it
+        travels relative to the obstacle from one sample to the next.
+    t : array_like, shape (T,) or (..., T)
+        Times [s].
+    """
+    values = np.asarray(distances, dtype=float)
+    if values.ndim < 2 or values.shape[-1] == 0:
+        raise ScenarioError(
+            "distances", values.shape, "must be (obstacles, ..., times), with at least one time"
+        )
+    runs, times = values.shape[1:-1], np.broadcast_to(np.asarray(t, dtype=float), values.shape[1:])
+    if len(values) == 0:
+        return Closest(np.full(runs, np.inf), np.full(runs, np.nan), np.full(runs, -1, dtype=np.int64))
+    nearest = values.min(axis=0)
+    when = np.argmin(nearest, axis=-1)[..., None]
+    which = np.take_along_axis(np.argmin(values, axis=0), when, axis=-1)[..., 0]
+    distance = np.take_along_axis(nearest, when, axis=-1)[..., 0]
+    return Closest(distance, np.take_along_axis(times, when, axis=-1)[..., 0], which.astype(np.int64))
+
+
+def _durations(t: ArrayLike, count: int) -> Array:
+    """How long each of `count` samples holds [s], shape (..., count).
+
+    Given one time more than samples, the last is the end; given as many, the last sample holds
+    for no time.
+    """
+    times = np.asarray(t, dtype=float)
+    if times.ndim == 0 or times.shape[-1] not in (count, count + 1):
+        raise ScenarioError("t", times.shape, f"must hold {count} times (or {count + 1}, the end included)")
+    if not np.all(np.isfinite(times)):
+        raise ScenarioError("t", "nan or inf", "must be finite numbers [s]")
+    lengths = np.diff(times, axis=-1)
+    if np.any(lengths < 0):
+        raise ScenarioError("t", float(lengths.min()), "must not run backwards")
+    if times.shape[-1] == count:
+        lengths = np.concatenate([lengths, np.zeros((*lengths.shape[:-1], 1))], axis=-1)
+    return np.asarray(lengths)
+
+
+def _modes(modes: ArrayLike) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
+    array = np.asarray(modes)
+    if array.ndim == 0 or array.shape[-1] == 0 or not np.issubdtype(array.dtype, np.integer):
+        raise ScenarioError("modes", modes, "must be whole numbers, at least one per run")
+    return array.astype(np.int64)
+
+
+def mode_shares(t: ArrayLike, modes: ArrayLike) -> dict[int, Array]:
+    """Share of the time spent in each mode that occurs (0 is S, 1 is U, `UNKNOWN` stays its own).
+
+    Parameters
+    ----------
+    t : array_like, shape (..., K) or (..., K+1)
+        When each mode begins [s], and the end of the run.
+    modes : array_like of int, shape (..., K)
+
+    Returns
+    -------
+    dict
+        Mode to shares, shape (...,); they add up to 1. A run of no length counts its samples.
+    """
+    values = _modes(modes)
+    lengths = _durations(t, values.shape[-1])
+    values, lengths = np.broadcast_arrays(values, lengths)
+    total = lengths.sum(axis=-1, keepdims=True)
+    lengths = np.where(total > 0, lengths, 1.0)
+    lengths = lengths / lengths.sum(axis=-1, keepdims=True)
+    return {int(mode): np.where(values == mode, lengths, 0.0).sum(axis=-1) for mode in np.unique(values)}
+
+
+def count_switches(
+    modes: ArrayLike, t: ArrayLike | None = None
+) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
+    """Count changes of mode inside the run, shape (...,).
+
+    The mode a run starts in is no switch. Samples of `UNKNOWN` mode are passed over: known modes on
+    either side count once if they differ. With times given (as in `mode_shares`), so are samples
+    that hold for no time, the last excepted.
+    """
+    values = _modes(modes)
+    skipped = values == UNKNOWN
+    if t is not None:
+        lengths = np.broadcast_to(_durations(t, values.shape[-1]), values.shape).copy()
+        lengths[..., -1] = 1.0
+        skipped = skipped | (lengths == 0)
+    # carry the last known mode forward, the first known one backward
+    index = np.where(skipped, -1, np.arange(values.shape[-1]))
+    index = np.maximum.accumulate(index, axis=-1)
+    first = np.argmax(~skipped, axis=-1)[..., None]
+    carried = np.take_along_axis(values, np.maximum(index, first), axis=-1)
+    return np.asarray((np.diff(carried, axis=-1) != 0).sum(axis=-1), dtype=np.int64)
+
+
+def delta_v(t: ArrayLike, u: ArrayLike, mass: float, norm: int = 1) -> Array:
+    """Velocity change spent, ``sum |u| dt / mass`` [m/s], shape (...,).
+
+    Parameters
+    ----------
+    t : array_like, shape (..., K) or (..., K+1)
+        When each input begins [s], and the end of the run.
+    u : array_like, shape (..., K, m)
+        Inputs [N], held from one time to the next.
+    mass : float
+        [kg]; 1 where the input is an acceleration.
+    norm : {1, 2}
+        1: one thruster per axis, as the limits ``|u_i| <= u_max,i`` say. 2: one engine that turns.
+    """
+    positive("mass", mass, "kg")
+    if norm not in (1, 2):
+        raise ScenarioError("norm", norm, "must be 1 or 2")
+    inputs = np.asarray(u, dtype=float)
+    if inputs.ndim < 2 or inputs.shape[-2] == 0 or not np.all(np.isfinite(inputs)):
+        raise ScenarioError(
+            "u", inputs.shape, "must be finite, shape (..., samples, inputs), at least one sample"
+        )
+    size = np.linalg.norm(inputs, ord=norm, axis=-1)
+    return np.asarray((size * _durations(t, inputs.shape[-2])).sum(axis=-1) / mass)

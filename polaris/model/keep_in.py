@@ -1,0 +1,256 @@
+"""Keep-in sets: corridors and line-of-sight cones, which the chaser must not leave."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .checks import MOST_ROWS, number, positive, vector, whole
+from .errors import ScenarioError
+from .obstacle import EXTENT, Obstacle, solid
+from .shapes import Polytope, Shape, _directed, _in_time
+from .system import Array, LinearSystem
+from .timed_polytope import TimedPolytope
+from .tolerances import ROUNDING
+
+
+@dataclass(frozen=True, eq=False)
+class Outside:
+    """The closed outside of a convex polytope."""
+
+    inner: Polytope
+
+    def signed_distance(self, p: Array) -> Array:
+        """Distance [m] to leaving the polytope; negative once outside it."""
+        return -self.inner.signed_distance(p)
+
+    def entry_time(self, p: Array, v: Array) -> Array:
+        """First time [s] at which the ray leaves the polytope."""
+        return self.inner.exit_time(p, v)
+
+
+@dataclass(frozen=True, eq=False)
+class OutsideCone:
+    """The closed outside of a solid circular cone, cut at a length along its axis.
+
+    Parameters
+    ----------
+    axis : ndarray, shape (d,)
+        Unit vector from the apex (the origin) into the cone; d is 2 or 3.
+    half_angle : float
+        [rad], in (0, pi/2).
+    length : float
+        [m], inf if not cut.
+    """
+
+    axis: Array
+    half_angle: float
+    length: float
+
+    @cached_property
+    def _section(self) -> Polytope:
+        """The cone in the half plane of (along, across), mirrored."""
+        s, c = np.sin(self.half_angle), np.cos(self.half_angle)
+        H, b = [[-s, c], [-s, -c]], [0.0, 0.0]
+        if np.isfinite(self.length):
+            H, b = [*H, [1.0, 0.0]], [*b, self.length]
+        return Polytope(np.array(H), np.array(b))
+
+    def _split(self, p: Array) -> tuple[Array, Array]:
+        along = p @ self.axis
+        return along, p - along[..., None] * self.axis
+
+    def signed_distance(self, p: Array) -> Array:
+        """Distance [m] to leaving the cone; negative once outside it. Exact in the plane of the axis."""
+        along, across = self._split(np.asarray(p, dtype=float))
+        return -self._section.signed_distance(np.stack([along, np.linalg.norm(across, axis=-1)], axis=-1))
+
+    def entry_time(self, p: Array, v: Array) -> Array:
+        """First time [s] at which the ray leaves the cone: the quadratic's first positive root."""
+        p, v = np.broadcast_arrays(np.asarray(p, dtype=float), np.asarray(v, dtype=float))
+        speed, way = _directed(v)
+        (z, across), (rate, drift) = self._split(p), self._split(way)
+        slope = np.tan(self.half_angle) ** 2
+        a = np.sum(drift**2, axis=-1) - slope * rate**2
+        half = np.sum(across * drift, axis=-1) - slope * z * rate
+        c = np.minimum(np.sum(across**2, axis=-1) - slope * z**2, 0.0)  # < 0 strictly inside
+        q = -(half + np.copysign(np.sqrt(np.maximum(half**2 - a * c, 0.0)), half))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            roots = np.stack([q / a, c / q])
+        roots[~(roots > 0)] = np.inf
+        side = np.where(half**2 - a * c >= 0, roots.min(axis=0), np.inf)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            end = np.where(rate > 0, (self.length - z) / rate, np.inf)
+        return np.where(self.signed_distance(p) <= 0, 0.0, _in_time(np.minimum(side, end), speed))
+
+
+class KeepIn(Obstacle):
+    """A set at rest that the chaser must stay inside; what is unsafe is its outside."""
+
+    @property
+    @abstractmethod
+    def inside(self) -> Polytope:
+        """Polytope within the set, in absolute position."""
+
+    @property
+    @abstractmethod
+    def anchor(self) -> Array:
+        """Position [m] of the shape's origin, shape (d,)."""
+
+    def timed_polytopes(self, system: LinearSystem, delta: float, cells: int) -> tuple[TimedPolytope, ...]:
+        """One unsafe halfspace ``n p >= b`` per facet, named ``name[f]``."""
+        self._check_cells(system, delta, cells, len(self.anchor))
+        H, b = self.inside.H, self.inside.b
+        kept = -b + ROUNDING * (np.abs(b) + np.abs(H) @ np.abs(self.anchor))
+        return tuple(
+            TimedPolytope(f"{self.name}[{f}]", -H[f : f + 1], np.full((cells, 2, 1), kept[f]), keep_in=True)
+            for f in range(len(b))
+        )
+
+    def centre(
+        self, t: ArrayLike, system: LinearSystem | None = None, state: ArrayLike | None = None
+    ) -> Array:
+        """Position [m] of the shape's origin, at rest."""
+        return np.broadcast_to(self.anchor, (*np.shape(t), len(self.anchor)))
+
+    def velocity_at(
+        self, t: ArrayLike, system: LinearSystem | None = None, state: ArrayLike | None = None
+    ) -> Array:
+        """Zero."""
+        return np.zeros((*np.shape(t), len(self.anchor)))
+
+    def relative_drift(
+        self, t: ArrayLike, x: Array, system: LinearSystem, state: ArrayLike | None = None
+    ) -> tuple[Array, Array, Array]:
+        """See `Obstacle.relative_drift`."""
+        return x, self.centre(t), self.velocity_at(t)
+
+    def outline(self, t: float, system: LinearSystem | None = None, extent: float = EXTENT) -> Array:
+        """Vertices [m] of the polytope inside, cut to a box of `extent` if it is unbounded."""
+        return self.inside.vertices(extent)
+
+
+@dataclass(frozen=True, eq=False)
+class KeepInPolytope(KeepIn):
+    """Stay inside ``H p <= b`` (with an interior; it need not be bounded).
+
+    Parameters
+    ----------
+    name : str
+        What tables, figures and messages call it.
+    H, b : array_like, shapes (F, d) and (F,)
+        Facets, b in m per unit of row length; rows are scaled to unit length.
+    path : str
+        What error messages call it, e.g. ``keep_in[0]``.
+    """
+
+    name: str
+    H: ArrayLike
+    b: ArrayLike
+    path: str = field(default="", kw_only=True, repr=False)
+
+    def __post_init__(self) -> None:
+        put = object.__setattr__
+        put(self, "path", self.path or f"keep_in[{self.name!r}]")
+        polytope = solid(self.path, self.H, self.b)
+        put(self, "H", polytope.H)
+        put(self, "b", polytope.b)
+
+    @cached_property
+    def inside(self) -> Polytope:
+        """The polytope."""
+        return Polytope(np.asarray(self.H), np.asarray(self.b))
+
+    @cached_property
+    def shape(self) -> Shape:
+        """Its outside."""
+        return Outside(self.inside)
+
+    @cached_property
+    def anchor(self) -> Array:
+        """The origin: the facets are given in absolute position."""
+        return np.zeros(self.inside.d)
+
+
+@dataclass(frozen=True, eq=False)
+class KeepInCone(KeepIn):
+    """Stay inside a line-of-sight cone (a wedge in the plane).
+
+    The polytope inside has its edges on the true cone, so it is smaller: by ``1 - cos(pi/facets)``
+    of the tangent of the half angle at most. In the plane it is exact.
+
+    Parameters
+    ----------
+    name : str
+        What tables, figures and messages call it.
+    apex, axis : array_like, shape (d,), d = 2 or 3
+        Tip [m] and direction into the cone (any length but zero).
+    half_angle_rad : float
+        In (0, pi/2).
+    facets : int
+        Sides of the inscribed cone in space, >= 3; the wedge in the plane has two.
+    length : float, optional
+        Cut at this distance [m] along the axis; default not cut.
+    path : str
+        What error messages call it, e.g. ``keep_in[0]``.
+    """
+
+    name: str
+    apex: ArrayLike
+    axis: ArrayLike
+    half_angle_rad: float
+    facets: int = 12
+    length: float | None = None
+    path: str = field(default="", kw_only=True, repr=False)
+
+    def __post_init__(self) -> None:
+        put = object.__setattr__
+        put(self, "path", self.path or f"keep_in[{self.name!r}]")
+        put(self, "apex", vector(f"{self.path}.apex", self.apex))
+        if len(self.anchor) == 1:
+            raise ScenarioError(f"{self.path}.apex", self.anchor.tolist(), "a cone needs 2 or 3 axes")
+        axis = vector(f"{self.path}.axis", self.axis, len(self.anchor), "apex has")
+        if not np.any(axis):
+            raise ScenarioError(f"{self.path}.axis", axis.tolist(), "must not be zero")
+        put(self, "axis", _directed(axis)[1])
+        rule = "must be between 0 and pi/2 [rad], both excluded"
+        angle = number(f"{self.path}.half_angle_rad", self.half_angle_rad, rule)
+        if not 1e-6 <= angle <= np.pi / 2 - 1e-6:
+            raise ScenarioError(f"{self.path}.half_angle_rad", angle, rule + " (by 1e-6)")
+        if whole(f"{self.path}.facets", self.facets, 3) > MOST_ROWS - 1:
+            raise ScenarioError(f"{self.path}.facets", self.facets, f"must be at most {MOST_ROWS - 1}")
+        if self.length is not None:
+            positive(f"{self.path}.length", self.length, "m")
+
+    @property
+    def anchor(self) -> Array:
+        """The apex."""
+        return np.asarray(self.apex)
+
+    @cached_property
+    def shape(self) -> Shape:
+        """The outside of the true cone."""
+        length = np.inf if self.length is None else float(self.length)
+        return OutsideCone(np.asarray(self.axis), float(self.half_angle_rad), length)
+
+    @cached_property
+    def inside(self) -> Polytope:
+        """The inscribed cone, in absolute position."""
+        axis = np.asarray(self.axis)
+        aside = np.linalg.svd(axis[None])[2][1:]  # orthonormal, across the axis
+        if len(self.anchor) == 2:
+            outward, narrow = np.vstack([aside, -aside]), 1.0
+        else:
+            angle = 2 * np.pi * (np.arange(self.facets) + 0.5) / self.facets
+            outward = np.outer(np.cos(angle), aside[0]) + np.outer(np.sin(angle), aside[1])
+            narrow = float(np.cos(np.pi / self.facets))
+        lean = np.tan(self.half_angle_rad) * narrow
+        H = (outward - lean * axis) / np.hypot(1.0, lean)
+        b = H @ self.anchor
+        if self.length is not None:
+            H, b = np.vstack([H, axis]), np.r_[b, axis @ self.anchor + self.length]
+        return Polytope(H, b)

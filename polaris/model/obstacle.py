@@ -1,0 +1,200 @@
+"""What every obstacle has in common, and the motion of rigid ones."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from functools import cached_property
+from itertools import product
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .checks import halfspaces, positive, vector, whole
+from .errors import ScenarioError
+from .shapes import Polytope, Shape
+from .system import Array, LinearSystem
+from .timed_polytope import TimedPolytope
+from .tolerances import ROUNDING
+
+EXTENT = 1e4
+"""Half width [m] of the box to which the outline of an unbounded set is cut by default."""
+
+
+class Obstacle(ABC):
+    """A set to stay out of: a convex `shape` (possibly the outside of one) carried by a motion.
+
+    Subclasses are frozen dataclasses with a `name` and a `path` ("obstacles[0]"), which error
+    messages start with.
+    """
+
+    name: str
+    path: str
+
+    @property
+    @abstractmethod
+    def shape(self) -> Shape:
+        """The true set, relative to `centre`."""
+
+    @abstractmethod
+    def timed_polytopes(self, system: LinearSystem, delta: float, cells: int) -> tuple[TimedPolytope, ...]:
+        """Over-approximation over ``[0, cells * delta]``, cells of `delta` [s]."""
+
+    @abstractmethod
+    def centre(
+        self, t: ArrayLike, system: LinearSystem | None = None, state: ArrayLike | None = None
+    ) -> Array:
+        """Position [m] of the shape's origin at times t [s], shape (..., d)."""
+
+    @abstractmethod
+    def velocity_at(
+        self, t: ArrayLike, system: LinearSystem | None = None, state: ArrayLike | None = None
+    ) -> Array:
+        """Velocity [m/s] of the shape's origin at times t [s], shape (..., d)."""
+
+    @abstractmethod
+    def relative_drift(
+        self, t: ArrayLike, x: Array, system: LinearSystem, state: ArrayLike | None = None
+    ) -> tuple[Array, Array, Array]:
+        """Free motion relative to the shape, from states x (..., n) at times t.
+
+        Returns ``(y, c, v)`` such that the relative position s seconds later is
+        ``C e^{A s} y - c - v s``; shapes (..., n), (..., d), (..., d).
+        """
+
+    @abstractmethod
+    def outline(self, t: float, system: LinearSystem | None = None, extent: float = EXTENT) -> Array:
+        """Vertices [m] to draw at time t, shape (V, d); cut to a box of `extent` if unbounded."""
+
+    def signed_distance(
+        self, t: ArrayLike, p: ArrayLike, system: LinearSystem | None = None, state: ArrayLike | None = None
+    ) -> Array:
+        """Distance [m] from positions p (..., d) at times t (broadcast) to the true unsafe set.
+
+        Positive outside it, negative inside (penetration depth). `system`, or the true `state`
+        (..., n), says where another satellite is; other obstacles need neither.
+        """
+        centre = self.centre(t, system, state)
+        return self.shape.signed_distance(self._positions("p", p, centre) - centre)
+
+    def entry_time(
+        self,
+        t: ArrayLike,
+        p: ArrayLike,
+        v: ArrayLike,
+        system: LinearSystem | None = None,
+        state: ArrayLike | None = None,
+    ) -> Array:
+        """Seconds until a straight ray at velocity v [m/s] enters; 0 if inside, inf if never.
+
+        Both keep the velocity they have at time t.
+        """
+        centre, velocity = self.centre(t, system, state), self.velocity_at(t, system, state)
+        p, v = self._positions("p", p, centre), self._positions("v", v, centre)
+        return self.shape.entry_time(p - centre, v - velocity)
+
+    def _positions(self, name: str, value: ArrayLike, centre: Array) -> Array:
+        array = np.asarray(value, dtype=float)
+        d = centre.shape[-1]
+        if array.ndim == 0 or array.shape[-1] != d:
+            raise ScenarioError(name, array.shape, f"must end with {d} axes, as {self.path} has")
+        if not np.all(np.isfinite(array)):
+            where = np.argwhere(~np.isfinite(array))[0].tolist()
+            raise ScenarioError(name, float(array[tuple(where)]), f"must be finite numbers (entry {where})")
+        return array
+
+    def _check_cells(self, system: LinearSystem, delta: float, cells: int, d: int) -> None:
+        positive("delta", delta, "s")
+        whole("cells", cells, 1)
+        if d != system.d:
+            raise ScenarioError(self.path, f"{d} axes", f"must have {system.d} axes, as the position has")
+
+
+class RigidObstacle(Obstacle):
+    """A shape of constant size and orientation that stands still or moves at constant velocity."""
+
+    velocity: ArrayLike | None
+
+    @property
+    @abstractmethod
+    def anchor(self) -> Array:
+        """Position [m] of the shape's origin at t = 0, shape (d,)."""
+
+    @property
+    @abstractmethod
+    def cover(self) -> Polytope:
+        """Polytope around the shape, relative to its origin."""
+
+    @cached_property
+    def _v(self) -> Array:
+        return np.zeros(len(self.anchor)) if self.velocity is None else np.asarray(self.velocity, dtype=float)
+
+    def _check_motion(self, d: int) -> None:
+        if not self.path:
+            object.__setattr__(self, "path", f"obstacles[{self.name!r}]")
+        if self.velocity is not None:
+            given = vector(f"{self.path}.velocity", self.velocity, d, "the obstacle has axes")
+            object.__setattr__(self, "velocity", given)
+
+    def timed_polytopes(self, system: LinearSystem, delta: float, cells: int) -> tuple[TimedPolytope, ...]:
+        """One timed polytope: the motion is linear in time, so nothing but round-off is added."""
+        self._check_cells(system, delta, cells, len(self.anchor))
+        t = np.arange(cells + 1)[:, None] * delta
+        normals, b = self.cover.H, self.cover.b
+        size = np.abs(b) + np.abs(normals) @ np.abs(self.anchor) + t * (np.abs(normals) @ np.abs(self._v))
+        nodes = b + normals @ self.anchor + t * (normals @ self._v) + ROUNDING * size
+        offsets = np.stack([nodes[:-1], nodes[1:]], axis=1)
+        return (TimedPolytope(self.name, normals, offsets, static=not np.any(self._v)),)
+
+    def centre(
+        self, t: ArrayLike, system: LinearSystem | None = None, state: ArrayLike | None = None
+    ) -> Array:
+        """Position [m] at times t [s]."""
+        return self.anchor + np.asarray(t, dtype=float)[..., None] * self._v
+
+    def velocity_at(
+        self, t: ArrayLike, system: LinearSystem | None = None, state: ArrayLike | None = None
+    ) -> Array:
+        """Velocity [m/s], the same at all times."""
+        return np.broadcast_to(self._v, (*np.shape(t), len(self._v)))
+
+    def relative_drift(
+        self, t: ArrayLike, x: Array, system: LinearSystem, state: ArrayLike | None = None
+    ) -> tuple[Array, Array, Array]:
+        """See `Obstacle.relative_drift`."""
+        return x, self.centre(t), self.velocity_at(t)
+
+    def outline(self, t: float, system: LinearSystem | None = None, extent: float = EXTENT) -> Array:
+        """Vertices [m] of the covering polytope at time t."""
+        return self.cover.vertices(extent) + self.centre(t)
+
+
+def directions(d: int, facets: int | None = None, path: str = "facets") -> Array:
+    """Return unit normals, shape (F, d), of a polytope circumscribed about a ball.
+
+    In the plane a regular polygon (default 12 sides, >= 3). In space the faces of a cube (6), with
+    its corners cut (14), its edges (18), or both (26, default). On the line always 2.
+    """
+    if d == 1:
+        return np.array([[1.0], [-1.0]])
+    if d == 2:
+        count = whole(path, 12 if facets is None else facets, 3)
+        if count > 360:
+            raise ScenarioError(path, count, "must be at most 360")
+        angle = 2 * np.pi * np.arange(count) / count
+        return np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    wanted: dict[object, tuple[int, ...]] = {6: (1,), 14: (1, 3), 18: (1, 2), 26: (1, 2, 3), None: (1, 2, 3)}
+    if facets not in wanted or isinstance(facets, float):
+        raise ScenarioError(path, facets, "must be 6, 14, 18 or 26 in three dimensions")
+    grid = np.array(list(product((1.0, 0.0, -1.0), repeat=3)))
+    kept = grid[np.isin(np.abs(grid).sum(axis=1), wanted[facets])]
+    kept = kept[np.argsort(np.abs(kept).sum(axis=1), kind="stable")]
+    return np.asarray(kept / np.linalg.norm(kept, axis=1, keepdims=True))
+
+
+def solid(path: str, H: ArrayLike, b: ArrayLike) -> Polytope:
+    """Build a polytope with unit rows, refused unless it has an interior."""
+    polytope = Polytope(*halfspaces(path, H, b))
+    if not polytope.depth > 1e-9 * max(float(np.abs(polytope.b).max()), 1e-3):
+        found = "no point satisfies them all" if polytope.depth < 0 else "the set has no volume"
+        raise ScenarioError(f"{path}.b", polytope.b.tolist(), f"H p <= b must have an interior; {found}")
+    return polytope

@@ -1,0 +1,215 @@
+"""The perception oracle: what must be avoided, over-approximated by timed polytopes (Definition 2).
+
+Every obstacle gives both sides of the bargain: `timed_polytopes`, which proofs and the planner rely
+on and which contain the true set at every instant of every cell, and the true set itself
+(`signed_distance`, `entry_time`), against which simulated runs are judged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .checks import positive, vector
+from .errors import ScenarioError
+from .keep_in import KeepInCone, KeepInPolytope
+from .obstacle import Obstacle, RigidObstacle, directions, solid
+from .satellite import SatelliteObstacle
+from .shapes import Ball, Box, Polytope
+from .system import Array, LinearSystem
+from .timed_polytope import TimedPolytope
+
+__all__ = [
+    "BallObstacle",
+    "BoxObstacle",
+    "KeepInCone",
+    "KeepInPolytope",
+    "Obstacle",
+    "PolytopeObstacle",
+    "SatelliteObstacle",
+    "perceive",
+]
+
+
+@dataclass(frozen=True, eq=False)
+class BoxObstacle(RigidObstacle):
+    """Axis-aligned box.
+
+    Parameters
+    ----------
+    name : str
+        What tables, figures and messages call it.
+    center, half_widths : array_like, shape (d,)
+        Centre at t = 0 and half widths [m], > 0.
+    velocity : array_like, shape (d,), optional
+        Constant velocity [m/s]; default at rest.
+    path : str
+        What error messages call it, e.g. ``obstacles[0]``.
+    """
+
+    name: str
+    center: ArrayLike
+    half_widths: ArrayLike
+    velocity: ArrayLike | None = None
+    path: str = field(default="", kw_only=True, repr=False)
+
+    def __post_init__(self) -> None:
+        path = self.path or f"obstacles[{self.name!r}]"
+        center = vector(f"{path}.center", self.center)
+        half = vector(f"{path}.half_widths", self.half_widths, len(center), "center has")
+        if np.any(half <= 0):
+            raise ScenarioError(f"{path}.half_widths", half.tolist(), "must all be > 0 [m]")
+        object.__setattr__(self, "center", center)
+        object.__setattr__(self, "half_widths", half)
+        self._check_motion(len(center))
+
+    @cached_property
+    def shape(self) -> Box:
+        """The box, about its centre."""
+        return Box.of(np.asarray(self.half_widths))
+
+    @property
+    def anchor(self) -> Array:
+        """Centre at t = 0."""
+        return np.asarray(self.center)
+
+    @property
+    def cover(self) -> Polytope:
+        """The box itself."""
+        return self.shape
+
+
+@dataclass(frozen=True, eq=False)
+class BallObstacle(RigidObstacle):
+    """Ball, covered by a circumscribed polytope.
+
+    Parameters
+    ----------
+    name : str
+        What tables, figures and messages call it.
+    center : array_like, shape (d,)
+        Centre at t = 0 [m].
+    radius : float
+        [m], > 0.
+    velocity : array_like, shape (d,), optional
+        Constant velocity [m/s]; default at rest.
+    facets : int, optional
+        See `directions`. More facets are tighter and cost the planner more.
+    path : str
+        What error messages call it, e.g. ``obstacles[0]``.
+    """
+
+    name: str
+    center: ArrayLike
+    radius: float
+    velocity: ArrayLike | None = None
+    facets: int | None = None
+    path: str = field(default="", kw_only=True, repr=False)
+
+    def __post_init__(self) -> None:
+        path = self.path or f"obstacles[{self.name!r}]"
+        center = vector(f"{path}.center", self.center)
+        object.__setattr__(self, "center", center)
+        object.__setattr__(self, "radius", positive(f"{path}.radius", self.radius, "m"))
+        directions(len(center), self.facets, f"{path}.facets")
+        self._check_motion(len(center))
+
+    @cached_property
+    def shape(self) -> Ball:
+        """The ball, about its centre."""
+        return Ball(self.radius)
+
+    @property
+    def anchor(self) -> Array:
+        """Centre at t = 0."""
+        return np.asarray(self.center)
+
+    @cached_property
+    def cover(self) -> Polytope:
+        """The circumscribed polytope."""
+        normals = directions(len(self.anchor), self.facets, f"{self.path}.facets")
+        return Polytope(normals, np.full(len(normals), self.radius))
+
+
+@dataclass(frozen=True, eq=False)
+class PolytopeObstacle(RigidObstacle):
+    """Any convex polytope ``H p <= b`` with an interior.
+
+    Parameters
+    ----------
+    name : str
+        What tables, figures and messages call it.
+    H, b : array_like, shapes (F, d) and (F,)
+        Facets at t = 0, b in m per unit of row length; rows are scaled to unit length.
+    velocity : array_like, shape (d,), optional
+        Constant velocity [m/s]; default at rest.
+    unbounded : bool
+        Must be True for a set that is not bounded (a wall, a wedge): one that is so by a forgotten
+        row is refused.
+    path : str
+        What error messages call it, e.g. ``obstacles[0]``.
+    """
+
+    name: str
+    H: ArrayLike
+    b: ArrayLike
+    velocity: ArrayLike | None = None
+    unbounded: bool = False
+    path: str = field(default="", kw_only=True, repr=False)
+
+    def __post_init__(self) -> None:
+        path = self.path or f"obstacles[{self.name!r}]"
+        polytope = solid(path, self.H, self.b)
+        if not self.unbounded and not polytope.bounded:
+            raise ScenarioError(f"{path}.H", polytope.H.tolist(), "must bound the set (or unbounded = true)")
+        object.__setattr__(self, "H", polytope.H)
+        object.__setattr__(self, "b", polytope.b)
+        self._check_motion(polytope.d)
+
+    @cached_property
+    def shape(self) -> Polytope:
+        """The polytope at t = 0."""
+        return Polytope(np.asarray(self.H), np.asarray(self.b))
+
+    @cached_property
+    def anchor(self) -> Array:
+        """The origin: the facets are given in absolute position."""
+        return np.zeros(self.shape.d)
+
+    @property
+    def cover(self) -> Polytope:
+        """The polytope itself."""
+        return self.shape
+
+
+def perceive(
+    obstacles: Sequence[Obstacle], system: LinearSystem, delta: float, cells: int
+) -> tuple[TimedPolytope, ...]:
+    """Ask the perception oracle for timed polytopes that contain every unsafe set, in the order given.
+
+    Parameters
+    ----------
+    obstacles : sequence of Obstacle
+        Keep-in sets included: each of their facets becomes one set with ``keep_in=True``.
+    system : LinearSystem
+    delta : float
+        Length of a cell [s].
+    cells : int
+        Number of cells, those after the horizon included.
+
+    Raises
+    ------
+    ScenarioError
+        If two share a name, or one does not fit the system.
+    """
+    seen: set[str] = set()
+    for obstacle in obstacles:
+        if obstacle.name in seen:
+            raise ScenarioError(f"{obstacle.path}.name", obstacle.name, "must differ from the other names")
+        seen.add(obstacle.name)
+    found = [obstacle.timed_polytopes(system, delta, cells) for obstacle in obstacles]
+    return tuple(polytope for several in found for polytope in several)

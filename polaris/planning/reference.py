@@ -1,0 +1,80 @@
+"""Reference trajectories: D2C of section III-C, exact between the waypoints."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from reach.numerics.linear import discretize
+
+from ..model.system import Array, LinearSystem
+from ..model.tolerances import REFERENCE
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """A trajectory that obeys the undisturbed dynamics, with piecewise constant input (D2C).
+
+    Parameters
+    ----------
+    system : LinearSystem
+        Whose dynamics it obeys.
+    delta : float
+        Step [s] over which the input is constant.
+    chi : ndarray, shape (K+1, n)
+        States at the waypoints ``k * delta``.
+    nu : ndarray, shape (K, m)
+        Input over ``[k * delta, (k+1) * delta)``.
+    """
+
+    system: LinearSystem
+    delta: float
+    chi: Array
+    nu: Array
+
+    @classmethod
+    def propagate(cls, system: LinearSystem, delta: float, x0: Array, nu: Array) -> Reference:
+        """Build from an initial state and inputs by exact zero-order-hold discretization (eq. 13)."""
+        Ad, Bd = discretize(system.A, system.B, delta)
+        chi = np.empty((len(nu) + 1, system.n))
+        chi[0] = x0
+        for k, u in enumerate(nu):
+            chi[k + 1] = Ad @ chi[k] + Bd @ u
+        return cls(system, delta, chi, np.array(nu, dtype=float))
+
+    @property
+    def cells(self) -> int:
+        """Number K of steps."""
+        return len(self.nu)
+
+    @cached_property
+    def rounding(self) -> Array:
+        """Bound on the round-off of the states within every step, elementwise, shape (K, n)."""
+        Ad, Bd = (np.abs(part) for part in discretize(self.system.A, self.system.B, self.delta))
+        moved = np.abs(self.chi[:-1]) @ Ad.T + np.abs(self.nu) @ Bd.T
+        return np.asarray(REFERENCE * (moved + np.abs(self.chi[:-1]) + np.abs(self.chi[1:])))
+
+    def fine(self, q: int) -> Array:
+        """States at q equal parts of every cell, both ends included, shape (K, q+1, n).
+
+        The last point of a cell is recomputed from its first, not copied from the next, so the
+        array shows every cell as one exact arc.
+        """
+        steps = _sub_steps(self.system, self.delta, q)
+        arcs = np.einsum("qij,kj->kqi", steps[0], self.chi[:-1])
+        arcs += np.einsum("qij,kj->kqi", steps[1], self.nu)
+        return np.asarray(arcs)
+
+    def extend(self, cells: int) -> Reference:
+        """The same trajectory followed by `cells` steps with zero input (coasting)."""
+        tail = Reference.propagate(self.system, self.delta, self.chi[-1], np.zeros((cells, self.system.m)))
+        return Reference(
+            self.system, self.delta, np.vstack([self.chi, tail.chi[1:]]), np.vstack([self.nu, tail.nu])
+        )
+
+
+def _sub_steps(system: LinearSystem, delta: float, q: int) -> tuple[Array, Array]:
+    pairs = [discretize(system.A, system.B, delta * j / q) for j in range(q + 1)]
+    return np.array([a for a, _ in pairs]), np.array([b for _, b in pairs])

@@ -1,0 +1,255 @@
+"""How every figure looks: colours safe for colour-blind readers, type readable at column width.
+
+Labels are plain text: setting mathematics takes longer than drawing everything else.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...model.system import LinearSystem
+
+WIDTH = 3.5
+"""Width of a figure [in]: one column of a two-column page."""
+
+# Okabe and Ito's palette; the paper's orange for U and blue for S are in it.
+BLUE, ORANGE, VERMILION = "#0072B2", "#E69F00", "#D55E00"
+GREEN, SKY, PURPLE, YELLOW, BLACK = "#009E73", "#56B4E9", "#CC79A7", "#F0E442", "#000000"
+RED = "#C0202B"
+"""Unsafe sets: darker than the orange, so that they differ in grey too."""
+GREY = "#767676"
+
+# No two kinds of thing share a colour: controllers have hues of their own, unsafe sets are red, inputs grey
+# or black, goals green, recoverable sets yellow.
+MODE_COLOURS = (BLUE, ORANGE, "#7A1FA2", SKY, "#6B4A0F", "#8FB93A", "#1F3A93", "#4D7A00")
+SET_SHADES = ("#9A141D", "#F3A6AB")
+"""Darkest and lightest of unsafe sets that are told apart."""
+INPUT_SHADES = ("#3C3C3C", "#D4D4D4")
+"""The same of inputs."""
+
+_STYLE: Any = {
+    "font.family": "sans-serif",
+    "font.sans-serif": ["DejaVu Sans"],
+    "font.size": 8,
+    "axes.labelsize": 8,
+    "axes.titlesize": 8,
+    "xtick.labelsize": 7,
+    "ytick.labelsize": 7,
+    "legend.fontsize": 7,
+    "axes.linewidth": 0.6,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "xtick.major.size": 2.5,
+    "ytick.major.size": 2.5,
+    "lines.linewidth": 1.2,
+    "patch.linewidth": 0.6,
+    "hatch.linewidth": 0.4,
+    "legend.frameon": False,
+    "legend.handlelength": 1.6,
+    "legend.columnspacing": 1.2,
+    "legend.handletextpad": 0.5,
+    "legend.borderaxespad": 0.2,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.axisbelow": True,
+    # A power of ten apart from the ticks would stand in the legend.
+    "axes.formatter.limits": (-6, 7),
+    "axes.formatter.useoffset": False,
+    "grid.color": "#E4E4E4",
+    "grid.linewidth": 0.4,
+    "savefig.dpi": 300,
+    "pdf.fonttype": 42,
+    "svg.hashsalt": "polaris",
+    "path.simplify": True,
+    # Figures ask for their layout themselves.
+    "figure.autolayout": False,
+    "figure.constrained_layout.use": False,
+}
+
+
+@contextmanager
+def style() -> Iterator[None]:
+    """Apply the house style while figures are drawn and saved; the user's own settings come back after."""
+    import matplotlib
+
+    with matplotlib.rc_context(_STYLE):
+        yield
+
+
+@contextmanager
+def printing() -> Iterator[None]:
+    """The house style with a font that is quick to embed."""
+    import matplotlib
+
+    with style(), matplotlib.rc_context({"font.family": [_light_font(), "DejaVu Sans"]}):
+        yield
+
+
+@cache
+def _light_font() -> str:
+    """Name of a copy of DejaVu Sans with Latin and Greek letters, digits and punctuation only.
+
+    Every PDF embeds the glyphs it shows, and searching all of the font for them again for each figure
+    takes longer than drawing it. The glyphs are the same; what is missing comes from DejaVu Sans itself.
+    """
+    from fontTools import subset
+    from matplotlib import font_manager, get_data_path
+
+    options = subset.Options(legacy_kern=True, glyph_names=True, notdef_outline=True)
+    options.drop_tables += ["FFTM", "GDEF", "GPOS", "GSUB", "MATH"]
+    font = subset.load_font(str(Path(get_data_path(), "fonts", "ttf", "DejaVuSans.ttf")), options)
+    subsetter = subset.Subsetter(options)
+    subsetter.populate(unicodes=[*range(0x20, 0x180), *range(0x370, 0x400), *range(0x2010, 0x2060), 0x2212])
+    subsetter.subset(font)
+    for entry in font["name"].names:
+        if entry.nameID in (1, 3, 4, 6):  # a changed font needs a name of its own
+            entry.string = "PolarisSans"
+        elif entry.nameID == 2:
+            entry.string = "Regular"
+    path = Path(_scratch().name, "PolarisSans.ttf")
+    font.save(path)
+    font_manager.fontManager.addfont(path)
+    return "PolarisSans"
+
+
+@cache
+def _scratch() -> tempfile.TemporaryDirectory[str]:
+    """A folder that is removed when the process ends."""
+    return tempfile.TemporaryDirectory(prefix="polaris-")
+
+
+def new_figure(height: float, width: float = WIDTH) -> Any:
+    """Return an empty figure that no window and no global state knows of."""
+    from matplotlib.figure import Figure
+
+    # The resolution it is saved with, so that the layout is that of what is printed.
+    return Figure(figsize=(width, height), dpi=_STYLE["savefig.dpi"], layout="constrained")
+
+
+def save(figure: Any, folder: Path, name: str) -> tuple[Path, Path]:
+    """Write one figure as PDF and PNG with nothing in them that changes from run to run."""
+    pdf, png = folder / f"{name}.pdf", folder / f"{name}.png"
+    # The layout is solved once. As long as a figure has an engine, each format is drawn twice.
+    engine = figure.get_layout_engine()
+    if engine is not None:
+        engine.execute(figure)
+    figure.set_layout_engine(None)
+    figure.savefig(pdf, metadata={"CreationDate": None, "Creator": "polaris", "Producer": None})
+    figure.savefig(png, metadata={"Software": "polaris"})
+    return pdf, png
+
+
+def mode_colour(mode: int) -> str:
+    """Colour of a controller: blue is S, orange the preferred experimental one."""
+    return MODE_COLOURS[mode % len(MODE_COLOURS)]
+
+
+def tint(colour: str, share: float) -> tuple[float, float, float]:
+    """The colour mixed with white: opaque, so that overlapping areas do not darken."""
+    from matplotlib.colors import to_rgb
+
+    r, g, b = (1 - share + share * value for value in to_rgb(colour))
+    return r, g, b
+
+
+def shades(ends: tuple[str, str], count: int) -> list[tuple[float, float, float]]:
+    """As many colours between two, so that things of one kind differ; the middle one if there is one only."""
+    from matplotlib.colors import to_rgb
+
+    dark, light = (np.array(to_rgb(colour)) for colour in ends)
+    places = [0.35] if count == 1 else np.linspace(0, 1, count)
+    return [tuple(float(v) for v in dark + s * (light - dark)) for s in places]  # type: ignore[misc]
+
+
+def text_width(text: str, size: float = 7.0) -> float:
+    """Width of a text [in], with what fitting letters to pixels may add."""
+    from matplotlib.font_manager import FontProperties
+    from matplotlib.textpath import text_to_path
+
+    font = FontProperties(size=size)
+    return 1.05 * float(text_to_path.get_text_width_height_descent(text, font, False)[0]) / 72
+
+
+def shortened(text: str, width: float, size: float = 7.0) -> str:
+    """A text, its end cut off if it is wider than this [in]."""
+    if text_width(text, size) <= width:
+        return text
+    while len(text) > 1 and text_width(text + "\N{HORIZONTAL ELLIPSIS}", size) > width:
+        text = text[:-1]
+    return text + "\N{HORIZONTAL ELLIPSIS}"
+
+
+def legend_rows(handles: Any, width: float, most: int) -> tuple[int, list[str]]:
+    """Columns, at most this many, in which handles fit into a width [in], and their labels."""
+    point = _STYLE["legend.fontsize"] / 72
+    own = (_STYLE["legend.handlelength"] + _STYLE["legend.handletextpad"]) * point
+    names = [str(handle.get_label()) for handle in handles]
+    for columns in range(min(most, len(names)), 0, -1):
+        rows = -(-len(names) // columns)
+        parts = [names[i : i + rows] for i in range(0, len(names), rows)]
+        gaps = (len(parts) - 1) * _STYLE["legend.columnspacing"] * point + point
+        if sum(own + max(map(text_width, part)) for part in parts) + gaps <= width:
+            return columns, names
+    return 1, [shortened(name, width - own - point) for name in names]
+
+
+def legend_above(ax: Any, handles: Any, columns: int = 2) -> float:
+    """Put the legend above the axes, where it covers nothing, in as many columns as fit; its height [in]."""
+    if not handles:
+        return 0.0
+    ticks = ax.yaxis.get_major_formatter().format_ticks(ax.get_yticks())
+    beside = 0.46 + max((text_width(text) for text in ticks), default=0.0)  # ticks and label of the axis
+    width = ax.get_position(original=True).width / 0.775 * ax.figure.get_figwidth() - beside
+    columns, names = legend_rows(handles, width, columns)
+    ax.legend(handles, names, loc="lower left", bbox_to_anchor=(0.0, 1.01), ncols=columns, labelspacing=0.3)
+    return 0.145 * -(-len(names) // columns)
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Which coordinates a figure shows, and what they are called.
+
+    Attributes
+    ----------
+    axes : tuple of int
+        Position coordinates, horizontal one first. In Hill's frame along-track is drawn to the
+        right and radial (outward) upward, neither reversed; the third is cross-track.
+    labels : tuple of str
+        Axis labels with units, in the same order.
+    """
+
+    axes: tuple[int, ...]
+    labels: tuple[str, ...]
+
+    @classmethod
+    def of(cls, system: LinearSystem) -> Frame:
+        """Frame of a system: Hill's, or plain position coordinates."""
+        if system.mean_motion is not None and system.d == 3:
+            names = ("Along-track (m)", "Radial (m)", "Cross-track (m)")
+            return cls((1, 0, 2), names)
+        letters = "xyz"
+        return cls(tuple(range(system.d)), tuple(f"Position {letters[i]} (m)" for i in range(system.d)))
+
+    @property
+    def flat(self) -> list[int]:
+        """The two coordinates (or the one) of a plane view."""
+        return list(self.axes[:2])
+
+
+def input_labels(system: LinearSystem) -> tuple[str, tuple[str, ...]]:
+    """What the input is called, with its unit, and the name of each axis."""
+    names = tuple(name.removesuffix(" thrust") for name in system.input_names)
+    return "Input" if names == system.input_names else "Thrust (N)", names
+
+
+def step_edges(values: Any) -> Any:
+    """Repeat the last value, so that a step plot reaches the end of the last step."""
+    return np.concatenate([values, values[-1:]])

@@ -1,0 +1,245 @@
+"""The page of a comparison of methods on one scenario."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from ...runs.folder import read_json, read_run
+from . import claims
+from .comparison_page import comparison_data
+from .html import Cell, badge, items, number_cell, table, text_cell
+from .measures import TITLES, Measure
+from .numbers import escaped, shown
+from .page import Page
+from .run_report import NOTE, definitions, footer
+
+MOST_STRETCHES = 40
+"""Stretches of alike decisions that are listed of each method."""
+
+Methods = Sequence[Mapping[str, Any]]
+
+
+def comparison_page(folder: Path) -> Page:
+    """The report of a comparison folder.
+
+    Raises
+    ------
+    ScenarioError
+        If a file in it is missing or damaged.
+    """
+    found = read_json(folder / "comparison.json")
+    run = read_run(folder / "run")
+    summary, methods = run.summary, found["methods"]
+    claim = summary["guarantee"]
+    proved = claim["kind"] == "proved"
+    name, recoverable = escaped(found["scenario"]), str(summary["synthesis"]["recoverable"])
+    lead = f"<p>{len(methods)} methods flown under the same conditions. Scenario <code>{name}</code>.</p>"
+    if not proved:
+        lead += claims.loud(recoverable)
+    lead += tradeoffs(methods)
+    return Page(
+        f"{found['title']}: comparison",
+        lead,
+        (
+            ("methods", "Methods compared", _methods(methods) + _protocol(found["protocol"])),
+            ("claims", "What each method claims", _claims(methods)),
+            ("paired", "Differences, run by run", _paired(found["paired"], methods)),
+            ("decisions", "Decisions of the run shown", decisions(folder / "decisions.jsonl", methods)),
+            ("guarantee", "The guarantee of the schedule", claims.guarantee(claim, recoverable)),
+            ("reading", "How to read this", f"<p>{NOTE}</p>" + definitions(found.get("definitions", {}))),
+        ),
+        comparison_data(folder, run, methods),
+        footer(summary),
+    )
+
+
+def tradeoffs(methods: Methods) -> str:
+    """The picture of what every method gains and loses, within the page."""
+    from ..figures.comparison import tradeoffs_png
+
+    image = base64.b64encode(tradeoffs_png(methods)).decode()
+    told = (
+        "What each method gains and loses: means over all runs with 95 % confidence bounds, a stroke for the"
+        " worst run. Green: with a proof; red: without."
+    )
+    return (
+        f'<figure id="tradeoffs"><img src="data:image/png;base64,{image}" alt="Diagram of the table below">'
+        f"<figcaption>{told}</figcaption></figure>"
+    )
+
+
+def _methods(methods: Methods) -> str:
+    known = {key for method in methods for key in method.get("metrics") or {}}
+    order = [key for key in TITLES if key in known] + sorted(known - set(TITLES))
+    measures = [Measure.of(key) for key in order]
+    rows = []
+    for method in methods:
+        values = method.get("metrics") or {}
+        name = escaped(method["name"])
+        if not method.get("available", True):
+            name += ' <span class="quiet">(not available)</span>'
+        told = f'<span title="{escaped(method.get("reach") or "")}">{badge(method["guarantee"])}</span>'
+        cells = [one.cell(values[one.key], unit=False) if one.key in values else Cell("") for one in measures]
+        rows.append(
+            [Cell(name, str(method["name"])), Cell(told, str(method["guarantee"]), text=True), *cells]
+        )
+    caption = (
+        "Mean over runs, of violations the number of runs, with 95 % confidence bounds; select a head to sort"
+    )
+    return table(caption, ["method", "guarantee", *(one.head for one in measures)], rows, sort=True)
+
+
+def _protocol(protocol: Mapping[str, Any]) -> str:
+    statement = protocol.get("statement")
+    rows = [
+        [Cell(escaped(Measure.of(key).title)), number_cell(value, key, unit=Measure.of(key).unit)]
+        for key, value in protocol.items()
+        if key != "statement"
+    ]
+    told = f"<p>{escaped(statement)}</p>" if statement else ""
+    return f"<h3>How it was compared</h3>{told}" + table("Protocol", ["", "value"], rows)
+
+
+def _claims(methods: Methods) -> str:
+    rows = [
+        [
+            Cell(escaped(method["name"])),
+            Cell(badge(method["guarantee"]), str(method["guarantee"]), text=True),
+            text_cell(method.get("reach") or "none"),
+            text_cell(method.get("note") or ""),
+        ]
+        for method in methods
+    ]
+    return table("How far each claim goes", ["method", "guarantee", "reach", "decisions by reason"], rows)
+
+
+def _paired(paired: Iterable[Mapping[str, Any]], methods: Methods) -> str:
+    """One table for each method that others are compared with: a row per method, a column per metric."""
+    found: dict[str, dict[str, dict[str, Cell]]] = {}
+    for one in paired:
+        cells = found.setdefault(one["against"], {}).setdefault(one["method"], {})
+        cells[one["metric"]] = _difference(one)
+    names = {method["key"]: str(method["name"]) for method in methods}
+    return "\n".join(_differences(against, rows, names) for against, rows in found.items()) or (
+        "<p>None were computed.</p>"
+    )
+
+
+def _differences(against: str, found: Mapping[str, Mapping[str, Cell]], names: Mapping[str, str]) -> str:
+    measures = [Measure.of(key) for key in dict.fromkeys(key for cells in found.values() for key in cells)]
+    rows = [
+        [
+            Cell(escaped(names.get(key, key)), names.get(key, key)),
+            *(cells.get(one.key, Cell("")) for one in measures),
+        ]
+        for key, cells in found.items()
+    ]
+    caption = (
+        f"Method less {names.get(against, against)}, in the same runs; mean and 95 % confidence bounds;"
+        " differences that could as well be 0 say so"
+    )
+    return table(caption, ["method", *(one.head for one in measures)], rows, sort=True)
+
+
+def _difference(one: Mapping[str, Any]) -> Cell:
+    low, high = one["low"], one["high"]
+    cell = Measure.of(one["metric"]).cell(
+        {"mean": one["difference"], "low": low, "high": high}, difference=True
+    )
+    if low is None or high is None or low > 0 or high < 0 or low == high:
+        return cell
+    return replace(cell, html=f'{cell.html}<span class="range">perhaps 0</span>')
+
+
+# -- decisions --------------------------------------------------------------------------------------
+
+
+@dataclass
+class Stretch:
+    """Decisions of one method that follow each other with the same mode and reason.
+
+    Attributes
+    ----------
+    mode, reason : any
+        As in the file.
+    begin, end : float
+        Times of the first and the last [s].
+    count : int
+    margin : float or None
+        The least of theirs.
+    """
+
+    mode: Any
+    reason: Any
+    begin: float
+    end: float
+    count: int = 1
+    margin: float | None = None
+
+    def add(self, row: Mapping[str, Any]) -> None:
+        """Take one more decision in."""
+        self.end, self.count = row["t"], self.count + 1
+        self.see(row.get("margin"))
+
+    def see(self, margin: float | None) -> None:
+        """Keep the least margin."""
+        if margin is not None:
+            self.margin = margin if self.margin is None else min(self.margin, margin)
+
+
+def stretches(lines: Iterable[str]) -> dict[str, list[Stretch]]:
+    """Decisions joined where nothing changes, by method, in the order of the file.
+
+    Parameters
+    ----------
+    lines : iterable of str
+        JSON objects with ``method``, ``t``, ``mode`` and perhaps ``margin`` and ``reason``.
+    """
+    found: dict[str, list[Stretch]] = {}
+    for line in lines:
+        if not line.strip():
+            continue
+        row = json.loads(line)
+        own = found.setdefault(str(row["method"]), [])
+        mode, reason = row["mode"], row.get("reason")
+        if own and (own[-1].mode, own[-1].reason) == (mode, reason):
+            own[-1].add(row)
+        else:
+            own.append(Stretch(mode, reason, row["t"], row["t"]))
+            own[-1].see(row.get("margin"))
+    return found
+
+
+def decisions(path: Path, methods: Methods) -> str:
+    """Why each online method decided as it did; empty without a log."""
+    if not path.is_file():
+        return "<p>This folder has no log of decisions.</p>"
+    with path.open(encoding="utf-8") as file:
+        found = stretches(file)
+    names = {method["key"]: str(method["name"]) for method in methods}
+    return (
+        "\n".join(_log(names.get(key, key), own) for key, own in found.items()) or "<p>The log is empty.</p>"
+    )
+
+
+def _log(name: str, own: Sequence[Stretch]) -> str:
+    rows = [
+        [
+            Cell(f"{shown(one.begin)} to {shown(one.end)} s", one.begin),
+            text_cell({0: "S", -1: "filtered"}.get(one.mode, f"U ({one.mode})")),
+            number_cell(one.count),
+            number_cell(one.margin),
+            text_cell(one.reason or "none"),
+        ]
+        for one in own[:MOST_STRETCHES]
+    ]
+    total, changes = sum(one.count for one in own), len(own)
+    rest = items([f"and {changes - MOST_STRETCHES} more"]) if changes > MOST_STRETCHES else ""
+    heads = ["time", "who flies", "decisions", "least margin", "reason"]
+    body = table(f"{total} decisions in {changes} stretches of the same reason", heads, rows)
+    return f"<details><summary>{escaped(name)}</summary>{body}{rest}</details>"

@@ -1,0 +1,104 @@
+"""From measurements as they arrive to a state that may be judged by, or a fault."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...model.foreign import numbers
+from ...model.system import Array
+from ...model.tolerances import TIME
+from ..estimate import BoxFilter, BoxMotion
+from ..scene import Scene
+from .faults import Fault
+from .reading import Reader, Reading
+from .runtime_options import Limits
+
+
+class Observer:
+    """Checks every measurement by itself and against all earlier ones.
+
+    Parameters
+    ----------
+    scene : Scene
+    limits : Limits
+    farthest : float
+        Entries of the state beyond this are taken for faults.
+    trusted : int
+        Number of consecutive measurements that must agree; at the start the initial set vouches for them.
+    """
+
+    def __init__(self, scene: Scene, limits: Limits, farthest: float, trusted: int) -> None:
+        self.scene = scene
+        self._same = TIME * scene.period
+        self._reader = Reader(scene, limits.max_age, farthest, self._same)
+        theta = scene.schedule.safety.problem.initial_set
+        half = np.abs(theta.G).sum(axis=1)
+        motion = BoxMotion(scene.system, scene.period, limits.memory + self._same)
+        for usual in (0.0, scene.period):  # worked out before the flight
+            motion.over(usual)
+        self.filter = BoxFilter(motion, theta.c - half, theta.c + half)
+        self.agreed = self._enough = trusted
+        self.conflicts = 0  # since so many agreed
+        self._called = 0.0
+
+    def note_inputs(self, applied: object) -> Fault | None:
+        """Take note of the input since the last call, (m,) or (2, m) [N]; None if it is not known."""
+        fresh = self.filter.t >= self._called - self._same
+        self._called = np.inf  # not known, unless `observe` is told
+        if applied is None:
+            self.filter.flown(None, None, fresh)
+            return None
+        m = self.scene.system.m
+        low = high = numbers(applied, (m,))
+        bounds = numbers(applied, (2, m)) if low is None else None
+        if bounds is not None:
+            low, high = bounds
+        limit = self.scene.system.u_max * (1 + TIME)
+        good = low is not None and high is not None
+        if low is not None and high is not None:
+            good = bool(((-limit <= low) & (low <= high) & (high <= limit)).all())
+        if good:
+            self.filter.flown(low, high, fresh)
+            return None
+        self.filter.flown(None, None, fresh)
+        return Fault("measurement", "malformed: the applied input")
+
+    def observe(self, measurement: object, instant: float, faults: list[Fault]) -> Array | None:
+        """State at a decision's instant [s], within the scene's half widths of the truth; else None.
+
+        What is wrong is added to the faults. After a conflict there is a state, which may have lied.
+        """
+        self._called = instant
+        reading = self._reader.read(measurement, instant)
+        if isinstance(reading, Fault):
+            faults.append(reading)
+            return None
+        self._compare(reading, faults)
+        age = instant - reading.stamp
+        if age <= self._same:
+            return reading.state
+        # Only the measurement's own error bound counts here: an earlier one may have lied.
+        low, high = self.filter.ahead(reading.state, reading.half_widths, age)
+        if not (high - low <= 2 * self.scene.half_widths).all():
+            faults.append(Fault("measurement", f"late: {age:.6g} s old, too old to tell the state by now"))
+            return None
+        return np.asarray((low + high) / 2)
+
+    def _compare(self, reading: Reading, faults: list[Fault]) -> None:
+        stamp = max(reading.stamp, self.filter.t)
+        if stamp > reading.stamp + self._same:  # only before the first accepted one
+            faults.append(Fault("measurement", "late: from before the start of the plan"))
+        elif not self.filter.reaches(stamp):
+            text = "nothing to compare with: the last measurement is too long ago"
+            faults.append(Fault("estimate", text))
+            self.filter.restart(*reading)
+            self.agreed = 1
+        else:
+            conflict = self.filter.cut(stamp, reading.state, reading.half_widths)
+            if conflict < 0:
+                self.agreed += 1
+                self.conflicts *= self.agreed < self._enough
+                return
+            name = self.scene.system.state_names[conflict]
+            faults.append(Fault("estimate", f"conflict: {name} contradicts earlier measurements"))
+            self.conflicts, self.agreed = self.conflicts + 1, 0  # the box stays: what lied is not let in

@@ -1,0 +1,212 @@
+"""The online monitor in flight: one call per decision that never raises, and always has an answer.
+
+`polaris.rta.monitor` proves that U may fly if the measured state is within its error bound and the decision
+is made in time. Here that is made sure of as far as it can be: measurements, clock, the experimental
+controller and the monitor itself are checked, and whatever is wrong with one of them, S flies. The page
+"Online monitor" of the documentation says why the proof survives, and what cannot be caught.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from math import isfinite
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ...model.foreign import Unreadable, kind_of, settled
+from ...model.system import Array
+from ..estimate import Measurement
+from ..monitor import Monitor
+from .decision_clock import DecisionClock
+from .decision_log import DecisionLog, plain
+from .faults import Fault
+from .guard import Guard
+from .observer import Observer
+from .runtime_options import Answer, RuntimeOptions
+
+
+class _Told(NamedTuple):
+    """What one call was told, as it is used and logged."""
+
+    now: Any
+    measurement: Any
+    applied: Any
+    reference: Any
+    number: Any
+    resynchronised: Any
+
+
+class OnlineMonitor:
+    """The online monitor behind checks of everything that it is told.
+
+    Parameters
+    ----------
+    monitor : Monitor
+    options : RuntimeOptions, optional
+    log : DecisionLog, optional
+    timer : callable
+        Monotonic wall clock [s] by which budgets are measured.
+
+    Raises
+    ------
+    ScenarioError
+        If an option does not fit the scene.
+    """
+
+    def __init__(
+        self,
+        monitor: Monitor,
+        options: RuntimeOptions | None = None,
+        log: DecisionLog | None = None,
+        timer: Callable[[], float] = time.perf_counter,
+    ) -> None:
+        self.monitor, self.scene = monitor, monitor.scene
+        self.options = options or RuntimeOptions()
+        self.limits = self.options.limits(self.scene)
+        self._log, self._timer = log, timer
+        self.clock = DecisionClock(self.scene.period, self.limits.tolerance, self.limits.drift)
+        self.observer = Observer(self.scene, self.limits, self.options.farthest, self.options.reacquire)
+        self.guard = Guard(self.scene.system.u_max, self.limits.budget, timer)
+        self._flown, self._dwelt, self._strikes = 0, self.options.min_dwell, 0
+        self._unwritten: list[Fault] = []  # of the log
+        self._latch: list[Fault] = []  # why S flies for good
+        self._asked: object = None
+
+    def command(self, law: Callable[..., Any], *arguments: Any) -> Array | None:
+        """Command of U, clipped to the limits [N]; None if it is at fault: see `Guard.command`."""
+        return self.guard.command(law, *arguments)
+
+    def resynchronise(self, now: float) -> None:
+        """Say what the clock will read at the next call [s], after it was found wrong."""
+        self._asked = Unreadable(kind_of(now)) if now is None else settled(now)
+
+    def step(
+        self,
+        now: float,
+        measurement: Measurement | None = None,
+        applied: ArrayLike | None = None,
+        reference: float | None = None,
+        number: int | None = None,
+    ) -> Answer:
+        """Decide who flies from the moment of effect on; never raises, whatever it is told.
+
+        Every argument is read once, at the beginning; what it was is logged.
+
+        Parameters
+        ----------
+        now : float
+            The clock [s], counted from the start of the plan.
+        measurement : Measurement or None
+            The newest there is, not newer than the decision's instant.
+        applied : array_like, shape (m,) or (2, m), optional
+            Input since the instant of the last call: held, or its least and largest values [N]. By
+            default nothing but the limits is known.
+        reference : float, optional
+            Second clock [s], from any origin; in all calls or in none.
+        number : int, optional
+            Number of this decision, counted by something else than the clock; missed ones count. Without it
+            and without a second clock a missed call cannot be told from a clock that was set: S flies then,
+            until `resynchronise`.
+        """
+        begun = self._timer()
+        told = _Told(
+            settled(now),
+            Measurement.settled(measurement),
+            settled(applied),
+            settled(reference),
+            settled(number),
+            self._asked,
+        )
+        self._asked = None
+        noted = self.guard.taken()
+        self._strikes += len(noted)
+        faults = list(noted)
+        k, mode, margin, reason = -1, 0, np.nan, ""
+        try:
+            k, mode, margin, reason = self._decide(told, faults)
+        except Exception as error:  # whatever is wrong with the monitor itself, S flies
+            self._own_fault(f"raised {type(error).__name__}", faults)
+        if self._timer() - begun > self._left(k, told.now):
+            self._own_fault("deadline missed", faults)
+        answer = self._answer(k, mode, margin, reason, faults)
+        if self._log is not None:
+            self._record(self._log, answer, noted, told)
+        return answer
+
+    def _left(self, k: int, now: Any) -> float:
+        """Wall time [s] for a call at this reading: the deadline, but not beyond the moment of effect."""
+        if not self.scene.latency or k < 0:
+            return self.limits.deadline
+        return min(self.limits.deadline, k * self.scene.period + self.scene.latency - float(now))
+
+    def _own_fault(self, text: str, faults: list[Fault]) -> None:
+        self._strikes += 1
+        faults.insert(0, Fault("monitor", text))
+
+    def _decide(self, told: _Told, faults: list[Fault]) -> tuple[int, int, float, str]:
+        if told.resynchronised is not None:
+            if isinstance(told.resynchronised, float) and isfinite(told.resynchronised):
+                self.clock.resynchronise(told.resynchronised)
+            else:
+                faults.append(Fault("clock", "asked to resynchronise to no finite number"))
+        k, wrong = self.clock.read(told.now, told.reference, told.number)
+        if wrong is not None:
+            faults.append(wrong)
+        before = self._flown  # after missed decisions too: more than S, which flew, is allowed for
+        if self.clock.missed and before:  # the permission ended, and S took over
+            self._dwelt, self._flown = self.clock.missed, 0
+        wrong = self.observer.note_inputs(told.applied)
+        if wrong is not None:
+            faults.append(wrong)
+        state = None if k is None else self.observer.observe(told.measurement, k * self.scene.period, faults)
+        self._latched(faults)
+        if k is None or state is None:
+            return -1 if k is None else k, 0, np.nan, ""
+        if k >= self.scene.decisions:
+            return k, 0, np.nan, "the plan has ended"
+        e = state - self.scene.xi[k * self.scene.nodes]
+        mode, margin, limit = self.monitor.explained(k, e, before)
+        if mode and not self._flown and self._dwelt < self.options.min_dwell:
+            faults.append(Fault("rule", f"dwell: {self._dwelt} of {self.options.min_dwell} decisions in S"))
+        return k, mode, margin, f"nearest limit: {limit}"
+
+    def _latched(self, faults: list[Fault]) -> None:
+        o, agreed, conflicts = self.options, self.observer.agreed, self.observer.conflicts
+        if not self._latch and o.latch is not None and self._strikes >= o.latch:
+            self._latch.append(Fault("rule", f"latched: {self._strikes} faults of U or of the monitor"))
+        if not self._latch and o.latch_conflicts is not None and conflicts >= o.latch_conflicts:
+            self._latch.append(Fault("rule", f"latched: {conflicts} conflicts between measurements"))
+        faults += self._latch
+        if agreed < o.reacquire:
+            faults.append(Fault("rule", f"re-acquiring: {agreed} of {o.reacquire} measurements agree"))
+
+    def _answer(self, k: int, mode: int, margin: float, reason: str, faults: list[Fault]) -> Answer:
+        until, wrong = -np.inf, [fault for fault in faults if not fault.harmless]
+        mode = 0 if wrong else mode
+        if mode:
+            until, self._dwelt = (k + 1) * self.scene.period + self.scene.latency, self.options.min_dwell
+        else:
+            self._dwelt = 1 if self._flown else self._dwelt + 1
+        self._flown = mode
+        if wrong:
+            reason = str(wrong[0])
+        unwritten, self._unwritten = self._unwritten, []
+        return Answer(k, mode, margin, until, reason, (*faults, *unwritten))
+
+    def _record(self, log: DecisionLog, answer: Answer, noted: list[Fault], told: _Told) -> None:
+        try:
+            record = {
+                "k": answer.k,
+                "mode": answer.mode,
+                "margin": plain(answer.margin),
+                "reason": answer.reason,
+                "faults": [str(fault) for fault in answer.faults],
+                "controller": [fault.text for fault in noted],
+            }
+            record |= {name: plain(value) for name, value in told._asdict().items()}
+            log.write(record)
+        except Exception:  # whatever is wrong with a log must not end the flight
+            self._unwritten.append(Fault("log", "the line before could not be written"))

@@ -1,0 +1,139 @@
+"""What the runtime of the online monitor tolerates in flight, and what it answers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ...inspection.filters.received import FARTHEST
+from ...model.checks import positive, whole
+from ...model.errors import ScenarioError
+from ..scene import Scene
+from .faults import Fault
+
+
+@dataclass(frozen=True)
+class RuntimeOptions:
+    """What is tolerated; `limits` fills in the defaults.
+
+    Attributes
+    ----------
+    max_age : float, optional
+        Oldest measurement that is used [s]; default one period.
+    memory : float, optional
+        Time [s] over which a measurement is compared with the next; default ten periods.
+    farthest : float
+        Entries of the state beyond this are taken for faults, in the units of the state.
+    tolerance : float, optional
+        How early or late a decision may be called [s], below half the period; default the scene's latency
+        as far as it is below that, at least a millionth of the period.
+    drift : float, optional
+        By how much clock and second clock may differ [s]; default a hundredth of the period.
+    deadline : float, optional
+        Wall time that one call of `OnlineMonitor.step` may take [s], never beyond the moment of effect;
+        default the scene's latency, or the period where it has none.
+    budget : float, optional
+        Wall time that one call of U may take [s]; default one period.
+    reacquire : int
+        Consecutive measurements that must agree with each other before U flies again after a conflict.
+    min_dwell : int
+        Decisions for which S keeps control once it has it.
+    latch : int or None
+        After so many faults of U or of the monitor itself S flies for good; None: never.
+    latch_conflicts : int or None
+        The same for measurements that contradict earlier ones, if `reacquire` never agreed in between.
+
+    Raises
+    ------
+    ScenarioError
+        If one is out of range.
+    """
+
+    max_age: float | None = None
+    memory: float | None = None
+    farthest: float = FARTHEST
+    tolerance: float | None = None
+    drift: float | None = None
+    deadline: float | None = None
+    budget: float | None = None
+    reacquire: int = 3
+    min_dwell: int = 1
+    latch: int | None = 3
+    latch_conflicts: int | None = 5
+
+    def __post_init__(self) -> None:
+        for name in ("max_age", "memory", "tolerance", "drift", "deadline", "budget"):
+            if getattr(self, name) is not None:
+                positive(name, getattr(self, name), "s")
+        positive("farthest", self.farthest, "units of the state")
+        for name in ("reacquire", "min_dwell"):
+            whole(name, getattr(self, name), 1)
+        for name in ("latch", "latch_conflicts"):
+            if getattr(self, name) is not None:
+                whole(name, getattr(self, name), 1)
+
+    def limits(self, scene: Scene) -> Limits:
+        """All of them as numbers for one scene.
+
+        Raises
+        ------
+        ScenarioError
+            If the tolerance is half of the scene's period or more.
+        """
+        period, most = scene.period, 0.499 * scene.period
+        if self.tolerance is not None and self.tolerance > most:
+            raise ScenarioError("tolerance", self.tolerance, f"must be below half the period of {period:g} s")
+        max_age = _default(self.max_age, period)
+        return Limits(
+            max_age,
+            max(_default(self.memory, 10 * period), max_age, period),
+            _default(self.tolerance, max(min(scene.latency, most), 1e-6 * period)),
+            _default(self.drift, period / 100),
+            _default(self.deadline, scene.latency or period),
+            _default(self.budget, period),
+        )
+
+
+@dataclass(frozen=True)
+class Limits:
+    """The durations among `RuntimeOptions` [s]."""
+
+    max_age: float
+    memory: float
+    tolerance: float
+    drift: float
+    deadline: float
+    budget: float
+
+
+def _default(value: float | None, other: float) -> float:
+    return other if value is None else value
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """Who flies from the moment of effect on.
+
+    Attributes
+    ----------
+    k : int
+        Number of the decision; -1 where the clock does not tell.
+    mode : int
+        0 is S, 1, 2 ... an experimental controller.
+    margin : float
+        Share of the room that is left at the tightest limit, of the controller chosen or the best refused;
+        nan where no state was good enough to judge.
+    until : float
+        U may fly no longer than this [s]: without a new answer S takes over then. Minus infinity for S.
+    reason : str
+        The tightest limit and when S would meet it, or what was wrong.
+    faults : tuple of Fault
+        Everything that was wrong, in the order in which it was found. Any but those of the log keep U
+        from flying.
+    """
+
+    k: int
+    mode: int
+    margin: float
+    until: float
+    reason: str
+    faults: tuple[Fault, ...] = ()

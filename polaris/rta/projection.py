@@ -1,0 +1,244 @@
+"""The quadratic program of an active set invariance filter (eq. 5): nearest input that satisfies all rows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import daqp
+import numpy as np
+from numpy.typing import NDArray
+
+from ..inspection.filters.priorities import least_violation
+from ..model.system import Array
+
+PRIMAL = 1e-11
+"""Violation [N] of a row of length 1 that the solver may leave."""
+
+FEW = 8
+"""Up to so many programs go to the solver at once, independent ones as one; more are first tried in
+closed form."""
+
+DESIRED, FILTERED, SHORT, FAILED = range(4)
+"""How an input came about: as desired; nearest that satisfies all rows; nearest that violates them least,
+where none satisfies all (see `polaris.inspection.filters.priorities`); no input at all."""
+
+Index = NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class Projections:
+    """Solutions of K programs.
+
+    Attributes
+    ----------
+    u : ndarray, shape (K, ...)
+        Inputs [N]; nan where failed.
+    status : ndarray of int, shape (K,)
+        DESIRED, FILTERED, SHORT or FAILED.
+    """
+
+    u: Array
+    status: NDArray[np.int8]
+
+
+@cache
+def _cost(size: int) -> Array:
+    return np.eye(size)
+
+
+def solve(
+    G: Array, bound: Array, desired: Array, limit: float, rank: Index | None = None
+) -> tuple[Array, int]:
+    """Project one input: ``min norm(u - desired)`` subject to ``G u >= bound``, ``|u_i| <= limit``.
+
+    Parameters
+    ----------
+    G : ndarray, shape (M, v)
+        Rows of length 1, or zero.
+    bound : ndarray, shape (M,)
+    desired : ndarray, shape (v,)
+        [N]
+    limit : float
+        [N]
+    rank : ndarray of int, shape (M,), optional
+        Where no input satisfies all rows, find the one that violates them least, rank by rank (see
+        `polaris.inspection.filters.priorities`); without it there is no answer then.
+
+    Returns
+    -------
+    u : ndarray, shape (v,)
+        [N]; nan if failed.
+    status : int
+        FILTERED, SHORT or FAILED.
+    """
+    size, rows = len(desired), len(bound)
+    lower, upper = np.full(size + rows, -limit), np.full(size + rows, 1e30)
+    lower[size:] = bound
+    upper[:size] = limit
+    u, _, flag, _ = daqp.solve(_cost(size), -desired, G, upper, lower, primal_tol=PRIMAL)
+    if flag > 0:
+        return np.clip(u, -limit, limit), FILTERED
+    least = None if rank is None else least_violation(G, bound, desired, limit, rank)
+    return (np.full(size, np.nan), FAILED) if least is None else (least, SHORT)
+
+
+def project(G: Array, bound: Array, desired: Array, limit: float, rank: Index | None = None) -> Projections:
+    """Project K inputs, each with its own M rows; in closed form where one row decides.
+
+    Parameters
+    ----------
+    G : ndarray, shape (K, M, v)
+    bound : ndarray, shape (K, M)
+        ``G u >= bound``.
+    desired : ndarray, shape (K, v)
+        [N]
+    limit : float
+        ``|u_i| <= limit`` [N].
+    rank : ndarray of int, shape (K, M), optional
+        See `solve`.
+    """
+    alone = np.zeros(G.shape[1], dtype=np.intp)
+    return project_coupled(G, bound, desired[:, None], limit, alone, alone - 1, rank, flat=True)
+
+
+def project_coupled(
+    G: Array,
+    bound: Array,
+    desired: Array,
+    limit: float,
+    first: Index,
+    second: Index,
+    rank: Index | None = None,
+    flat: bool = False,
+) -> Projections:
+    """Project the inputs of K runs of N deputies: ``G (u_first - u_second) >= bound``.
+
+    Parameters
+    ----------
+    G : ndarray, shape (K, M, v)
+    bound : ndarray, shape (K, M)
+    desired : ndarray, shape (K, N, v)
+        [N]
+    limit : float
+        ``|u_i| <= limit`` [N].
+    first, second : ndarray of int, shape (M,)
+        Deputies of a row; second is -1 where there is one only.
+    rank : ndarray of int, shape (K, M), optional
+        See `solve`.
+    flat : bool
+        Drop the axis of deputies from the result (N is 1).
+    """
+    pair = second >= 0
+    several = np.where(pair, 2.0, 1.0)
+    needed = bound > -limit * np.abs(G).sum(axis=2) * several  # the others hold for every admissible input
+    scale = 1 / np.maximum(np.sqrt(np.einsum("kmv,kmv->km", G, G) * several), 1e-100)
+    G, bound = G * scale[..., None], np.where(needed, bound * scale, -np.inf)
+    u = np.clip(desired, -limit, limit)
+    status = np.full(len(u), FILTERED, dtype=np.int8)
+    todo = np.arange(len(u))
+    if len(u) > FEW:
+        todo = _separate_rows(G, bound, desired, limit, first, second, u)
+    elif flat and len(u) > 1:
+        todo = _together(G, bound, desired, limit, needed, u, todo)
+    for k in todo:
+        u[k], status[k] = _coupled(
+            G[k],
+            bound[k],
+            desired[k],
+            limit,
+            first,
+            second,
+            np.flatnonzero(needed[k]),
+            None if rank is None else rank[k],
+        )
+    return Projections(u[:, 0] if flat else u, status)
+
+
+def _coupled(
+    G: Array,
+    bound: Array,
+    desired: Array,
+    limit: float,
+    first: Index,
+    second: Index,
+    rows: Index,
+    rank: Index | None = None,
+) -> tuple[Array, int]:
+    """One run, through the solver: only the rows that count."""
+    N, v = desired.shape
+    ranks = None if rank is None else rank[rows]
+    if N == 1:
+        found, status = solve(G[rows], bound[rows], desired[0], limit, ranks)
+        return found[None], status
+    wide = np.zeros((len(rows), N, v))
+    every, pair = np.arange(len(rows)), np.flatnonzero(second[rows] >= 0)
+    wide[every, first[rows]] = G[rows]
+    wide[pair, second[rows[pair]]] = -G[rows[pair]]
+    found, status = solve(wide.reshape(-1, N * v), bound[rows], desired.ravel(), limit, ranks)
+    return found.reshape(N, v), status
+
+
+def _together(
+    G: Array, bound: Array, desired: Array, limit: float, needed: Array, u: Array, todo: Index
+) -> Index:
+    """A few independent programs as one: a call of the solver costs more than their sizes.
+
+    Writes the solutions into `u` and returns the programs left to do: all, if one of them has no solution.
+    """
+    which, row = np.nonzero(needed[todo])
+    alone = np.full(len(which), -1, dtype=np.intp)
+    every = np.arange(len(which))
+    at = todo[which]
+    found, status = _coupled(G[at, row], bound[at, row], desired[todo, 0], limit, which, alone, every)
+    if status != FILTERED:
+        return todo
+    u[todo, 0] = found
+    return todo[:0]
+
+
+def _separate_rows(
+    G: Array, bound: Array, desired: Array, limit: float, first: Index, second: Index, u: Array
+) -> Index:
+    """Try rows that share no deputy: the worst, the worst of those that do not meet it, and so on.
+
+    Projecting onto each of them alone projects onto all of them together, their deputies being different.
+    Where the result satisfies every other row and the limits, it is the projection sought. Writes those
+    into `u` and returns the other runs.
+    """
+    K, N = desired.shape[:2]
+    every, pair = np.arange(K), second >= 0
+    short = bound - np.einsum("kmv,kmv->km", G, _relative(desired, first, second))
+    free = np.ones((K, N), dtype=bool)
+    nearest, left = desired.copy(), short.copy()
+    for _ in range(N):
+        worst = left.argmax(axis=1)
+        push = np.maximum(left[every, worst], 0.0)
+        push[np.isinf(push)] = 0.0  # nothing satisfies that row: left to the solver
+        if not push.any():
+            break
+        chosen = push > 0
+        at, row = every[chosen], worst[chosen]
+        step = push[chosen, None] * G[at, row]
+        nearest[at, first[row]] += step
+        free[at, first[row]] = False
+        both = pair[row]
+        nearest[at[both], second[row[both]]] -= step[both]
+        free[at[both], second[row[both]]] = False
+        left = np.where(free[:, first] & (free[:, second] | ~pair), short, 0.0)
+    gap = bound - np.einsum("kmv,kmv->km", G, _relative(nearest, first, second))
+    # A chosen row holds with equality, up to rounding.
+    good = (np.abs(nearest) <= limit).all(axis=(1, 2)) & (gap <= 1e-14 * np.abs(bound).clip(1.0, 1e3)).all(
+        axis=1
+    )
+    u[good] = nearest[good]
+    return np.flatnonzero(~good)
+
+
+def _relative(u: Array, first: Index, second: Index) -> Array:
+    """``u_first - u_second`` for each row, shape (K, M, v); u_second is 0 where there is none."""
+    relative = u[:, first]
+    pairs = np.flatnonzero(second >= 0)
+    if len(pairs):
+        relative[:, pairs] -= u[:, second[pairs]]
+    return relative

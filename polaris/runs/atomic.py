@@ -1,0 +1,218 @@
+"""Folders and files that appear whole or not at all, and replace only what Polaris wrote.
+
+Everything is written beside the place it goes to, under a name that begins with a dot and carries the
+host and the process, and renamed into place. A folder lists in `MANIFEST` what was written into it; what
+it does not list is somebody else's, and is linked into the folder that takes its place.
+"""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from ..model.errors import ScenarioError
+from .ownership import (CAMPAIGN, Ours, beside_name, discard, keep, listed, tidy, write_manifest)
+
+MARKS = ("summary.json", "comparison.json")
+"""Files by which folders of versions without a manifest are known."""
+
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+REFUSED = (errno.EIO, errno.EROFS, errno.EACCES, errno.EPERM, errno.ENAMETOOLONG, errno.ENOTDIR, None)
+
+
+class CannotWrite(ScenarioError):
+    """A place turned out not to take what was to be written there."""
+
+    def __init__(self, field: str, target: Path, error: OSError, before: bool) -> None:
+        told = " ".join((error.strerror or str(error)).split())
+        rule = f"cannot be written: {told}"
+        rule += "; what was there before is unchanged" if before else "; nothing is left there"
+        if error.errno in (*FULL, None):
+            rule += ". Free some space, or give another place, and run the same command again"
+        super().__init__(field, str(target), rule)
+
+
+# -- before the work --------------------------------------------------------------------------------
+
+
+def check_target(out: str | Path, campaign: bool = False) -> Path:
+    """Whether a folder may be written there, found out by trying; returns the absolute path.
+
+    What killed processes left half done there is cleared away.
+
+    Parameters
+    ----------
+    out : path
+    campaign : bool
+        Whether a campaign may be replaced.
+
+    Raises
+    ------
+    ScenarioError
+        If there is something else, which must not be replaced, or the place cannot be written to.
+    """
+    try:
+        target = Path(out).resolve()
+        if target == Path.cwd() or target in Path.cwd().parents:
+            raise ScenarioError("--out", str(out), "must not be the current folder or one above it")
+        tidy(target)
+        if target.exists():
+            _check_existing(target, out, campaign)
+        nearest = next(parent for parent in target.parents if parent.exists())
+        _try_writing(nearest, target.name, out)
+    except (OSError, ValueError) as error:
+        raise ScenarioError("--out", str(out), f"must be a usable path ({error})") from error
+    return target
+
+
+def check_file(out: str | Path, field: str = "--out", endings: tuple[str, ...] = ()) -> Path:
+    """Whether a file may be written there, found out by trying.
+
+    Parameters
+    ----------
+    out : path
+    field : str
+        What messages call it.
+    endings : tuple of str
+        How its name must end, if that is not open, so that a scenario is not taken for a place to write to.
+
+    Raises
+    ------
+    ScenarioError
+        If it is a folder or a part of a result, its name ends otherwise, or its folder is not there or
+        cannot be written to.
+    """
+    target = Path(out)
+    try:
+        if endings and target.suffix.lower() not in endings and not target.is_dir():
+            raise ScenarioError(field, str(out), f"must end with {' or '.join(endings)}")
+        if target.is_dir():
+            raise ScenarioError(field, str(out), "is a folder; must be a file")
+        if not target.parent.is_dir():
+            raise ScenarioError(field, str(out), f"there is no folder {target.parent}")
+        if target.name in (listed(target.parent) or ()):
+            rule = f"is a part of the results in {target.parent}, which would be lost; give another name"
+            raise ScenarioError(field, str(out), rule)
+        tidy(target)
+        _try_writing(target.parent, target.name, out, field)
+    except (OSError, ValueError) as error:
+        raise ScenarioError(field, str(out), f"must be a usable path ({error})") from error
+    return target
+
+
+def _check_existing(target: Path, out: str | Path, campaign: bool) -> None:
+    def refuse(rule: str) -> None:
+        raise ScenarioError("--out", str(out), rule)
+
+    if not target.is_dir():
+        refuse("is a file; must be a folder")
+    if os.path.ismount(target):
+        refuse("is where a file system is mounted, which cannot be replaced; give a folder in it")
+    if any(target.iterdir()):
+        if (target / CAMPAIGN).is_file() and not campaign:
+            refuse("holds a campaign; it will not be replaced")
+        if not campaign and listed(target) is None and not any(_is_mark(target / name) for name in MARKS):
+            refuse("is a folder with other contents; it will not be replaced")
+    for name in sorted(Ours(target)):
+        if (target / name).is_symlink():
+            refuse(f"{name} in it is a symbolic link; Polaris does not write through links")
+    if not os.access(target, os.R_OK | os.W_OK | os.X_OK):
+        refuse("is a folder that cannot be written to")
+    above = target.parent.stat()
+    sticky = above.st_mode & 0o1000 and hasattr(os, "geteuid")
+    if sticky and os.geteuid() not in (0, above.st_uid, target.stat().st_uid):
+        refuse(f"belongs to somebody else, and folders in {target.parent} can be renamed by their owner only")
+
+
+def _is_mark(path: Path) -> bool:
+    """Whether a summary is one of ours."""
+    try:
+        told = json.loads(path.read_text(encoding="utf-8"))
+        return isinstance(told, dict) and {"schema_version", "scenario"} <= told.keys()
+    except (OSError, ValueError):
+        return False
+
+
+def _try_writing(folder: Path, name: str, out: str | Path, field: str = "--out") -> None:
+    """Make a folder beside with a file in it, as the result will be made, and remove both."""
+    trial = folder / beside_name(name, "new")
+    try:
+        trial.mkdir()
+        try:
+            (trial / "x").write_bytes(b"x")
+        finally:
+            shutil.rmtree(trial, ignore_errors=True)
+    except OSError as error:
+        told = error.strerror or error
+        raise ScenarioError(
+            field, str(out), f"cannot be made: {folder} is not a writable folder ({told})"
+        ) from error
+
+
+# -- writing ----------------------------------------------------------------------------------------
+
+
+@contextmanager
+def replacing(target: Path, also: tuple[str, ...] = ()) -> Iterator[Path]:
+    """A new folder beside `target` that takes its place if all goes well, and is removed if not.
+
+    Of what is in `target`, only what Polaris wrote goes: what its manifest lists, and what fits one of
+    the patterns `also`. The rest is linked into the new folder; a file of somebody else's whose name
+    the new folder needs is kept with ``.kept`` added to it. An older folder is moved aside and deleted
+    last; killed in between, it is whole, and the next run there puts it back.
+
+    Raises
+    ------
+    CannotWrite
+        If the disk is full, or refuses.
+    """
+    tidy(target)
+    beside, aside = (target.with_name(beside_name(target.name, word)) for word in ("new", "old"))
+    try:
+        beside.mkdir(parents=True)
+        yield beside
+        write_manifest(beside)
+        ours = Ours(target, also)
+        if target.exists():
+            shutil.copymode(target, beside)
+            keep(target, beside, ours)
+            target.rename(aside)
+        try:
+            beside.rename(target)
+        except OSError:
+            if aside.exists():
+                aside.rename(target)
+            raise
+    except BaseException as error:
+        shutil.rmtree(beside, ignore_errors=True)
+        cause = error.__cause__ if isinstance(error, CannotWrite) else error
+        if isinstance(cause, OSError) and cause.errno in (*FULL, *REFUSED):
+            raise CannotWrite("--out", target, cause, target.exists()) from cause
+        raise
+    discard(aside, target, ours)
+
+
+@contextmanager
+def replacing_file(target: Path, field: str = "--out") -> Iterator[Path]:
+    """A file beside `target`, with the same suffix, that takes its place if all goes well.
+
+    Raises
+    ------
+    CannotWrite
+        If the disk is full, or refuses.
+    """
+    beside = target.with_name(beside_name(target.name, "new") + target.suffix)
+    try:
+        yield beside
+        os.replace(beside, target)
+    except BaseException as error:
+        with suppress(OSError):
+            beside.unlink(missing_ok=True)
+        if isinstance(error, OSError):
+            raise CannotWrite(field, target, error, target.exists()) from error
+        raise

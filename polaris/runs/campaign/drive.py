@@ -1,0 +1,254 @@
+"""Flying a campaign: hands tasks to an executor, keeps what comes back, and survives lost workers."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from ...simulation.disturbances import Disturbance
+from ...model.errors import PolarisError
+from ..atomic import CannotWrite
+from ...simulation.simulate import Initial
+from .batch import (Batch, Task, fly_batch)
+from .cases import Case
+from .folder import (CampaignFolder, open_campaign)
+from .plan import (BATCH, Plan)
+from .statistics import summarise
+from .workers import (Workers, given, local)
+
+RECOVERIES = 3
+"""Times in a row that lost workers are replaced without a batch being finished."""
+
+TICK = 2.0
+"""Seconds without a result after which the workers are asked whether there are any."""
+
+Progress = Callable[[int, int], None]
+
+
+class Interrupted(PolarisError):
+    """The user stopped the campaign; what was finished is kept."""
+
+    exit_code = 130
+
+
+@dataclass
+class Flight:
+    """One drive of a campaign.
+
+    Attributes
+    ----------
+    folder : CampaignFolder
+    workers : Workers
+    progress : callable
+        Told the runs done and all of them.
+    """
+
+    folder: CampaignFolder
+    workers: Workers
+    progress: Progress
+    schedules: dict[int, str] = field(default_factory=dict)
+    failed: set[int] = field(default_factory=set)
+    done: int = 0
+
+    def fly(self) -> None:
+        """Do every task whose result is not there yet."""
+        plan = self.folder.plan
+        self.failed = set(self.folder.failures())
+        missing = deque(task for task in plan.tasks() if not self._kept(task))
+        self._tell()
+        losses = 0
+        executor: Executor | None = None
+        try:
+            while missing:
+                executor = executor or self._make()
+                before = self.done
+                lost = self._until_broken(executor, missing)
+                losses = losses + 1 if self.done == before else 1
+                if not lost:
+                    break
+                missing.extendleft(reversed(lost))
+                self._close(executor)
+                executor = None
+                if not self.workers.again or losses > RECOVERIES:
+                    raise PolarisError(
+                        f"workers were lost {losses} times without finishing a batch (out of memory, or"
+                        f" killed?); {self._kept_so_far()}"
+                    )
+        except KeyboardInterrupt:
+            raise Interrupted(f"interrupted; {self._kept_so_far()}") from None
+        except CannotWrite as error:
+            raise PolarisError(f"{error}; {self._kept_so_far()}") from error
+        finally:
+            if executor is not None:
+                self._close(executor)
+
+    def _make(self) -> Executor:
+        try:
+            return self.workers.make()
+        except PolarisError as error:
+            raise PolarisError(f"{error}; {self._kept_so_far()}") from error
+
+    def _until_broken(self, executor: Executor, missing: deque[Task]) -> list[Task]:
+        """Hand out tasks until all are done or workers are lost; returns the tasks lost."""
+        flying: dict[Future[Batch], Task] = {}
+        lost: list[Task] = []
+        try:
+            while (missing and not lost) or flying:
+                while missing and not lost and len(flying) < self.workers.window():
+                    task = missing.popleft()
+                    if task.case in self.failed:
+                        continue
+                    try:
+                        flying[executor.submit(fly_batch, task)] = task
+                    except self.workers.lost:
+                        lost.append(task)
+                ready, _ = wait(flying, TICK, FIRST_COMPLETED)
+                trouble = "" if ready else self.workers.trouble()
+                if trouble:
+                    raise PolarisError(f"{trouble}; {self._kept_so_far()}")
+                for future in ready:
+                    task = flying.pop(future)
+                    try:
+                        self._keep(task, future.result())
+                    except self.workers.lost:
+                        lost.append(task)
+        except BaseException:
+            for future in flying:
+                future.cancel()
+            raise
+        return sorted(lost, key=lambda task: (task.case, task.batch))
+
+    def _kept(self, task: Task) -> bool:
+        """Whether a task needs no work: its part is there, or its case has no schedule."""
+        if task.case in self.failed:
+            return True
+        schedule = self.folder.parts.check(task)
+        if schedule is None:
+            return False
+        self._same_schedule(task, schedule)
+        self.done += task.runs
+        return True
+
+    def _keep(self, task: Task, batch: Batch) -> None:
+        if batch.failure:
+            if task.case not in self.failed:
+                self.failed.add(task.case)
+                self.folder.fail(task.case, batch)
+        else:
+            self._same_schedule(task, batch.schedule)
+            self.folder.parts.write(task, batch)
+            self.done += task.runs
+        self._tell()
+
+    def _same_schedule(self, task: Task, schedule: str) -> None:
+        """All runs of a case are of one schedule, whoever made it."""
+        if self.schedules.setdefault(task.case, schedule) != schedule:
+            label = self.folder.plan.cases[task.case].label
+            raise PolarisError(
+                f"{label}: workers (or an earlier part of this campaign) found different schedules: other"
+                " processors, or other versions of the solver;"
+                f" {self._kept_so_far()}"
+            )
+
+    def _tell(self) -> None:
+        plan = self.folder.plan
+        self.progress(self.done, plan.runs * (len(plan.cases) - len(self.failed)))
+
+    def _kept_so_far(self) -> str:
+        return f"{self.done} runs are kept in {self.folder.path}, and the same command goes on from there"
+
+    def _close(self, executor: Executor) -> None:
+        if self.workers.again:
+            executor.shutdown(wait=False)
+
+
+def run_campaign(
+    cases: Sequence[Case],
+    runs: int,
+    out: str | Path,
+    *,
+    executor: Executor | Workers | None = None,
+    seed: int = 0,
+    batch: int = BATCH,
+    modes: Sequence[str] = ("polaris",),
+    initial: Initial = "mixed",
+    disturbance: Disturbance = "mixed",
+    fresh: bool = False,
+    worst: int = 5,
+    progress: Progress = lambda done, total: None,
+) -> CampaignFolder:
+    """Fly many runs of every case, and write them to a folder as they come.
+
+    Parameters
+    ----------
+    cases : sequence of Case
+        From `make_cases`.
+    runs : int
+        Per case and mode.
+    out : path
+        Folder of the campaign. If it holds the same one, only what is missing is flown.
+    executor : concurrent.futures.Executor or Workers, optional
+        Who flies: any executor (it is not closed), or what `local` and `cluster` give, which also
+        replace lost workers; by default this process.
+    seed : int
+        Same seed and cases, same runs, whoever flies them.
+    batch : int
+        Runs per task.
+    modes : sequence of {"polaris", "safety", "experimental"}
+    initial, disturbance : str
+        As in `polaris.simulate`.
+    fresh : bool
+        Replace another campaign.
+    worst : int
+        Worst runs told per case and mode in the summary.
+    progress : callable
+        Told the runs done and all of them, per mode.
+
+    Returns
+    -------
+    CampaignFolder
+        With its summary written.
+
+    Raises
+    ------
+    ScenarioError
+        If an argument is not allowed or the folder holds something else.
+    PolarisError
+        If workers are lost again and again, stay away or disagree; what was finished is kept.
+    """
+    plan = Plan(tuple(cases), runs, seed, batch, tuple(modes), initial, disturbance)
+    folder = open_campaign(out, plan, fresh)
+    workers = executor if isinstance(executor, Workers) else given(executor) if executor else local(1)
+    Flight(folder, workers, progress).fly()
+    folder.write_summary(summarise(folder, worst))
+    return folder
+
+
+def time_left(show: Callable[[str, int, int], Any]) -> Progress:
+    """Progress that tells `show` a text with the time left, and the counts."""
+    begun: list[tuple[float, int]] = []
+
+    def progress(done: int, total: int) -> None:
+        now = time.monotonic()
+        if not begun:
+            begun.append((now, done))
+        since, first = begun[0]
+        text = f"{done:,} of {total:,} runs"
+        if done > first:
+            seconds = (now - since) / (done - first) * (total - done)
+            text += f", about {_spoken(seconds)} left"
+        show(text, done, total)
+
+    return progress
+
+
+def _spoken(seconds: float) -> str:
+    for size, unit in ((86400.0, "days"), (3600.0, "h"), (60.0, "min")):
+        if seconds >= 2 * size:
+            return f"{seconds / size:.0f} {unit}"
+    return f"{seconds:.0f} s"

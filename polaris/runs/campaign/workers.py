@@ -1,0 +1,201 @@
+"""Who flies: this process, a pool of processes, or a Dask cluster; all are `concurrent.futures` executors."""
+
+from __future__ import annotations
+
+import logging
+import multiprocessing
+import os
+import re
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+from ...model.errors import (PolarisError, ScenarioError)
+
+PATIENCE = 5.0
+"""Seconds a scheduler may take to answer."""
+
+DESERTED = 60.0
+"""Seconds a cluster may be without any worker before the campaign ends."""
+
+ASKED = 1.0
+"""Seconds for which a cluster's answer about its workers is taken to hold."""
+
+LOGGERS = ("distributed", "tornado", "asyncio")
+"""Roots of the loggers of Dask's client."""
+
+AHEAD = 4
+"""Tasks handed out per worker: enough to keep it busy, few enough to bound the memory."""
+
+
+@dataclass(frozen=True)
+class Workers:
+    """An executor that can be made again, and how losses of workers show.
+
+    Attributes
+    ----------
+    make : callable
+        A new executor.
+    window : callable
+        Most tasks to hand out at a time, now.
+    lost : tuple of exception types
+        Errors of a future whose worker was lost: its task is to be done again.
+    again : bool
+        Whether a broken executor is to be replaced by a new one.
+    trouble : callable
+        Why nothing can come back any more; empty if nothing speaks against it.
+    """
+
+    make: Callable[[], Executor]
+    window: Callable[[], int]
+    lost: tuple[type[BaseException], ...] = (BrokenExecutor, CancelledError)
+    again: bool = True
+    trouble: Callable[[], str] = lambda: ""
+
+
+class InProcess(Executor):
+    """Does every task at once, in this process."""
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """Call, and return a future that is done; what interrupts the program goes through."""
+        future: Future[Any] = Future()
+        try:
+            future.set_result(fn(*args, **kwargs))
+        except Exception as error:  # whatever it is, the one who asks for the result is told
+            future.set_exception(error)
+        return future
+
+
+def cores() -> int:
+    """Processors this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def local(workers: int | None = None) -> Workers:
+    """Processes of this machine, by default one per processor; 1 is the process itself."""
+    count = cores() if workers is None else workers
+    if count == 1:
+        return Workers(InProcess, lambda: 1)
+
+    def pool() -> Executor:
+        # Matrices here are small: threads of the linear algebra library cost more than they give, and
+        # one thread adds up in the same order everywhere. The new processes read this as they start.
+        for library in ("OPENBLAS", "OMP", "MKL"):
+            os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+        context = multiprocessing.get_context("spawn")
+        return ProcessPoolExecutor(count, mp_context=context, initializer=_prepare)
+
+    return Workers(pool, lambda: AHEAD * count)
+
+
+def given(executor: Executor, window: int | None = None) -> Workers:
+    """Somebody else's executor; it is neither closed nor replaced."""
+    return Workers(lambda: executor, lambda: window or AHEAD * cores(), again=False)
+
+
+@contextmanager
+def cluster(address: str) -> Iterator[Workers]:
+    """Workers of a Dask cluster.
+
+    Parameters
+    ----------
+    address : str
+        Of its scheduler, ``tcp://host:port``.
+
+    Raises
+    ------
+    ScenarioError
+        If ``distributed`` is not installed, or no scheduler answers there in a few seconds.
+    """
+    try:
+        import distributed
+    except ImportError as error:
+        rule = "needs the package distributed: pip install distributed"
+        raise ScenarioError("--scheduler", address, rule) from error
+    if not re.fullmatch(r"\w+://[^\s/]+:\d+", address):
+        raise ScenarioError("--scheduler", address, "must be an address like tcp://host:8786")
+    with _unlogged():
+        try:
+            make: Any = distributed.Client
+            client = make(address, timeout=PATIENCE, set_as_default=False)
+        except (OSError, ValueError, TypeError) as error:
+            told = " ".join(str(error).split())
+            rule = f"no scheduler answers there within {PATIENCE:g} s ({told})"
+            raise ScenarioError("--scheduler", address, rule) from error
+        crew = _Crew(client, address)
+        try:
+            yield Workers(
+                lambda: _answering(client, address).get_executor(pure=False),
+                lambda: AHEAD * max(crew.threads(), 4),
+                lost=(BrokenExecutor, CancelledError, distributed.KilledWorker),
+                trouble=crew.trouble,
+            )
+        finally:
+            client.close(timeout=PATIENCE)
+
+
+@contextmanager
+def _unlogged() -> Iterator[None]:
+    """Keep what Dask logs of lost connections, tracebacks included, off the terminal: `Flight` tells."""
+    known = [*logging.root.manager.loggerDict, *LOGGERS]
+    names = dict.fromkeys(name for name in known if name.partition(".")[0] in LOGGERS)
+    levels = {name: logging.getLogger(name).level for name in names}
+    for name in names:
+        logging.getLogger(name).setLevel(logging.CRITICAL + 1)
+    try:
+        yield
+    finally:
+        for name, level in levels.items():
+            logging.getLogger(name).setLevel(level)
+
+
+class _Crew:
+    """How many threads the workers of a cluster have, and since when there are none."""
+
+    def __init__(self, client: Any, address: str) -> None:
+        self.client, self.address = client, address
+        self.known, self.asked, self.seen = 0, -ASKED, time.monotonic()
+
+    def threads(self) -> int:
+        """Threads of all workers, as told a moment ago at most."""
+        now = time.monotonic()
+        if now - self.asked >= ASKED:
+            try:
+                self.known = sum(self.client.nthreads().values())
+            except OSError:  # a lost scheduler shows in the futures
+                self.known = 0
+            self.asked = time.monotonic()
+            if self.known:
+                self.seen = self.asked
+        return self.known
+
+    def trouble(self) -> str:
+        """Whether there has been no worker for too long."""
+        if self.threads() or time.monotonic() - self.seen < DESERTED:
+            return ""
+        return f"the cluster at {self.address} has had no worker for {DESERTED:g} s"
+
+
+def _answering(client: Any, address: str) -> Any:
+    """The client, if its scheduler still answers."""
+    if client.status != "running":
+        raise PolarisError(f"the scheduler at {address} no longer answers")
+    return client
+
+
+def _prepare() -> None:
+    """In a new process: end quietly with ctrl-C, and never outlive the campaign."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+
+    def watch() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()

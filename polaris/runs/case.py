@@ -1,0 +1,150 @@
+"""Counterexamples as files: everything needed to fly one again, numbers exact to the bit."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..synthesis.controllers import AffineController
+from ..model.errors import ScenarioError
+from ..simulation.integration import Integrator
+from .atomic import replacing_file
+from .tables import (json_text, write_text)
+from ..scenario.scenario import Scenario
+from ..synthesis.schedule import Schedule
+from ..synthesis.synthesize import synthesize
+from ..model.system import Array
+from ..simulation.falsification.attacks import Attack
+from ..simulation.falsification.claims import Claims
+from ..simulation.falsification.measure import attained
+from ..simulation.falsification.search import (Failure, Falsification, violation)
+
+FORMAT = "polaris case"
+VERSION = 1
+
+
+def digest(schedule: Schedule) -> str:
+    """SHA-256 of what a schedule does: modes, references, gains, limits."""
+    found = hashlib.sha256()
+    safety = schedule.safety
+    system = safety.problem.system
+    arrays = [schedule.modes, safety.reference.chi, safety.reference.nu, safety.tracking.gain, system.u_max]
+    for law in schedule.controllers:
+        if isinstance(law, AffineController):
+            arrays += [law.gain, law.own.chi, law.own.nu]
+    for array in arrays:
+        found.update(np.ascontiguousarray(array).tobytes())
+    return found.hexdigest()
+
+
+def write_case(path: str | Path, scenario: Scenario, found: Falsification) -> Path:
+    """Save the counterexample of a search.
+
+    Parameters
+    ----------
+    path : path
+        A JSON file, replaced if it is there.
+    scenario : Scenario
+        What was synthesised, overrides included.
+    found : Falsification
+        With a failure.
+    """
+    if found.case is None or found.failure is None:
+        raise ScenarioError("case", None, "there is none: the search found no violation")
+    attack, tail, substeps = found.case
+    data = {
+        "format": FORMAT,
+        "version": VERSION,
+        "scenario": scenario.to_toml(),
+        "schedule": digest(found.schedule),
+        "tail": tail,
+        "substeps": substeps,
+        "violation": vars(found.failure),
+        "x0": _hex(attack.x0[0]),
+        "w": _packed(attack.w[:, 0]),
+        "inputs": None if attack.free is None else _packed(attack.free[:, 0]),
+    }
+    target = Path(path)
+    with replacing_file(target) as beside:
+        write_text(beside, json_text(data))
+    return target
+
+
+def replay(path: str | Path) -> tuple[Failure | None, Scenario]:
+    """Fly a saved case again: synthesise its schedule, check that it is the same, simulate.
+
+    Returns
+    -------
+    failure : Failure or None
+        What it violates now.
+    scenario : Scenario
+        Of the case.
+
+    Raises
+    ------
+    ScenarioError
+        If the file is no case, or its scenario no longer gives the schedule it was found on.
+    """
+    data = _read(Path(path))
+    scenario = Scenario.from_dict(tomllib.loads(data["scenario"]), Path(path).name)
+    schedule = synthesize(scenario)
+    if digest(schedule) != data["schedule"]:
+        rule = "belongs to another schedule than its scenario gives here (other versions of the solver?)"
+        raise ScenarioError("case", str(path), rule)
+    try:
+        attack = Attack(
+            _numbers(data["x0"])[None],
+            _unpacked(data["w"]),
+            None if data["inputs"] is None else _unpacked(data["inputs"]),
+        )
+        claims = Claims(schedule, bool(data["tail"]))
+        flight = Integrator(schedule, claims.modes, int(data["substeps"]))
+        if len(attack.w) != flight.steps or attack.x0.shape[1] != flight.system.n:
+            raise ValueError("its arrays do not fit the schedule")
+        return violation(claims, attained(claims, attack.fly(flight))), scenario
+    except (ValueError, TypeError, IndexError) as error:
+        raise ScenarioError("case", str(path), f"is damaged ({error})") from error
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise ScenarioError("case", str(path), f"must be a case file ({error})") from error
+    wanted = {"scenario", "schedule", "tail", "substeps", "x0", "w", "inputs"}
+    if not isinstance(data, dict) or data.get("format") != FORMAT or not wanted <= set(data):
+        raise ScenarioError("case", str(path), "must be a case file, as `polaris falsify` writes them")
+    if data.get("version") != VERSION:
+        raise ScenarioError("case", data.get("version"), f"must be of version {VERSION}")
+    return data
+
+
+def _hex(row: Array) -> list[str]:
+    return [float(value).hex() for value in row]
+
+
+def _numbers(row: list[str]) -> Array:
+    return np.array([float.fromhex(value) for value in row])
+
+
+def _packed(rows: Array) -> list[list[Any]]:
+    """Rows, each with the number of times it follows itself."""
+    out: list[list[Any]] = []
+    for row in rows:
+        text = _hex(row)
+        if out and out[-1][1] == text:
+            out[-1][0] += 1
+        else:
+            out.append([1, text])
+    return out
+
+
+def _unpacked(packed: list[list[Any]]) -> Array:
+    return np.concatenate([np.repeat(_numbers(row)[None], int(count), axis=0) for count, row in packed])[
+        :, None
+    ]

@@ -1,0 +1,197 @@
+"""The readable files of a run folder: tables (CSV) and strict JSON."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..synthesis.controllers import AffineController
+from ..planning.reference import Reference
+from ..synthesis.schedule import Schedule
+from ..model.system import LinearSystem
+
+STEP_COLUMNS = (
+    "step",
+    "t_start_s",
+    "t_end_s",
+    "mode",
+    "controller",
+    "margin",
+    "limit",
+    "limit_time_s",
+    "need",
+    "room",
+)
+
+
+def strict(value: Any) -> Any:
+    """The same data for strict JSON: numpy turned plain, infinities and NaN into null."""
+    if isinstance(value, Mapping):
+        return {str(key): strict(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray):
+        return strict(value.tolist())
+    if isinstance(value, (list, tuple)):
+        return [strict(item) for item in value]
+    if isinstance(value, (bool, np.bool_)):
+        return bool(value)
+    if isinstance(value, (int, np.integer)):
+        return int(value)
+    if isinstance(value, (float, np.floating)):
+        return float(value) if np.isfinite(value) else None
+    return value
+
+
+def json_text(data: Any) -> str:
+    """Strict JSON, readable, the same bytes for the same data."""
+    return json.dumps(strict(data), indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write UTF-8 with the same line ends everywhere."""
+    path.write_text(text, encoding="utf-8", newline="\n")
+
+
+def write_csv(path: Path, header: tuple[str, ...], rows: list[list[Any]]) -> None:
+    """Write a table; numbers in the shortest form that reads back exactly, what is not finite empty."""
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(header)
+        writer.writerows([["" if item is None else item for item in strict(row)] for row in rows])
+
+
+# -- schedule ---------------------------------------------------------------------------------------
+
+
+def step_rows(schedule: Schedule) -> list[dict[str, Any]]:
+    """One row per step of the schedule."""
+    times = schedule.times
+    return [
+        dict(
+            zip(
+                STEP_COLUMNS,
+                (
+                    k,
+                    times[k],
+                    times[k + 1],
+                    step.mode,
+                    schedule.controllers[step.mode].name,
+                    step.margin.value,
+                    step.margin.limit,
+                    step.margin.time,
+                    step.margin.need,
+                    step.margin.room,
+                ),
+                strict=True,
+            )
+        )
+        for k, step in enumerate(schedule.steps)
+    ]
+
+
+def write_schedule(folder: Path, schedule: Schedule, rules: Mapping[str, Any], guarantee: Any) -> None:
+    """Write ``schedule.csv`` and ``schedule.json``."""
+    rows = step_rows(schedule)
+    write_csv(folder / "schedule.csv", STEP_COLUMNS, [list(row.values()) for row in rows])
+    names = [controller.name for controller in schedule.controllers]
+    data = {
+        "schema_version": 1,
+        "step_s": schedule.safety.problem.delta,
+        "duration_s": schedule.times[-1],
+        "controllers": [
+            {"mode": mode, "name": name, "kind": type(controller).__name__}
+            for mode, (name, controller) in enumerate(zip(names, schedule.controllers, strict=True))
+        ],
+        "rules": rules,
+        "modes": schedule.modes,
+        "switches": schedule.switches,
+        "experimental_share": schedule.share(),
+        "share": {name: schedule.share(mode) for mode, name in enumerate(names)},
+        "recoverable": schedule.safety.recoverable.kind,
+        "guarantee": guarantee,
+        "steps": rows,
+    }
+    write_text(folder / "schedule.json", json_text(data))
+
+
+# -- reference and gains ------------------------------------------------------------------------------
+
+
+def columns(system: LinearSystem) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Column names of the states and the inputs, with units where they are known."""
+    if system.mean_motion is not None and system.n == 6 and system.m == 3:
+        states = tuple(f"{name}_{'m' if name[0] == 'r' else 'm_s'}" for name in system.state_names)
+        return states, ("u_x_N", "u_y_N", "u_z_N")
+    return system.state_names, tuple(f"u{i}" for i in range(system.m))
+
+
+def write_reference(path: Path, reference: Reference) -> None:
+    """Write state at every waypoint and the input held from there on (none at the last)."""
+    states, inputs = columns(reference.system)
+    held: list[Any] = [*reference.nu.tolist(), [None] * reference.system.m]
+    rows = [
+        [k * reference.delta, *chi, *nu]
+        for k, (chi, nu) in enumerate(zip(reference.chi.tolist(), held, strict=True))
+    ]
+    write_csv(path, ("t_s", *states, *inputs), rows)
+
+
+def read_reference(path: Path, system: LinearSystem, delta: float) -> Reference:
+    """Read what `write_reference` wrote, bit for bit."""
+    with path.open(encoding="utf-8", newline="") as file:
+        rows = list(csv.reader(file))[1:]
+    if len(rows) < 2:
+        raise ValueError("too few rows")
+    chi = np.array([[float(item) for item in row[1 : 1 + system.n]] for row in rows])
+    nu = np.array([[float(item) for item in row[1 + system.n :]] for row in rows[:-1]])
+    if chi.shape != (len(rows), system.n) or nu.shape != (len(rows) - 1, system.m):
+        raise ValueError("wrong number of columns")
+    return Reference(system, delta, chi, nu)
+
+
+def gains(schedule: Schedule) -> dict[str, Any]:
+    """System, gains, error bounds and the experimental controllers' own references."""
+    safety = schedule.safety
+    system, tracking, bounds = safety.problem.system, safety.tracking, safety.bounds
+    law = "u = mu(t) + gain (xi(t) - x), reference.csv gives xi and mu"
+    controllers: list[dict[str, Any]] = []
+    for mode, controller in enumerate(schedule.controllers):
+        entry: dict[str, Any] = {"mode": mode, "name": controller.name, "kind": type(controller).__name__}
+        if isinstance(controller, AffineController):
+            entry |= {"gain": controller.gain, "clips": controller.clips}
+            if controller.own is not safety.reference:
+                entry |= {"own_states": controller.own.chi, "own_inputs": controller.own.nu}
+        controllers.append(entry)
+    return {
+        "law": law,
+        "system": {
+            "A": system.A,
+            "B": system.B,
+            "C": system.position,
+            "D": system.D,
+            "input_max": system.u_max,
+            "disturbance_max": system.w_max,
+            "mass_kg": system.mass,
+        },
+        "feedback": {
+            "sampled": tracking.feedback.sampled,
+            "node_spacing_s": tracking.flow.h,
+            "nodes_per_step": tracking.feedback.nodes_per_cell,
+        },
+        "controllers": controllers,
+        "error_bounds": {
+            "method": bounds.method,
+            "weight": bounds.W,
+            "beta_1_s": bounds.beta,
+            "gamma": bounds.gamma,
+            "gain": bounds.gain,
+            "gamma_position": bounds.gamma_position,
+            "gain_position": bounds.gain_position,
+            "gamma_input": bounds.gamma_input,
+            "gain_input": bounds.gain_input,
+        },
+    }

@@ -1,0 +1,105 @@
+"""Models of the tables of a scenario that describe a filter: strengthening functions, kinds of filter."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, get_args
+
+from pydantic import Field
+
+from .fields import Flag, NonNegative, Real, ScenarioPart, Text, unit
+
+Family = Literal[
+    "chief_separation",
+    "deputy_separation",
+    "speed",
+    "sun",
+    "deputy_sun",
+    "keep_in",
+    "passive",
+    "deputy_passive",
+    "velocity",
+]
+
+FAMILY_NAMES: tuple[str, ...] = get_args(Family)
+
+# -- strengthening ----------------------------------------------------------------------------------
+
+Coefficients = Annotated[tuple[NonNegative, ...], Field(min_length=3, max_length=3)]
+
+
+class Alpha(ScenarioPart):
+    """One strengthening function, `c1 s + c2 |s| s + c3 s^3` with `s = h - bias`."""
+
+    coefficients: Coefficients = unit("1/s, ...", "c1, c2 and c3, >= 0 and not all zero.")
+    bias: NonNegative = unit("unit of h", "Distance kept of the boundary h = 0.", default=0.0)
+    recovery: Real = unit("-", "Factor where s < 0.", default=1.0, ge=1, le=1e6)
+    push: NonNegative = unit("unit of h per second", "Least growth of h asked for where s < 0.", default=0.0)
+
+
+def _alpha(name: str) -> Alpha | None:
+    """Field of one family of constraints."""
+    field: Alpha | None = unit("-", f"For {name}; the preset's without it.", default=None)
+    return field
+
+
+class StrengtheningTable(ScenarioPart):
+    """The functions alpha of eq. 7: a named set, and what replaces it for single kinds of constraint."""
+
+    preset: Text = unit(
+        "-",
+        "Named set. `afrl`: that of the library the paper's authors published. `polaris`: the same with "
+        "quicker velocity limits. `linear`: 0.3 h throughout, for conditions that hold between samples.",
+        default="polaris",
+    )
+    chief_separation: Alpha | None = _alpha("h1, separation from the chief")
+    deputy_separation: Alpha | None = _alpha("h2, separation of two deputies")
+    speed: Alpha | None = _alpha("h3, dynamic speed limit")
+    sun: Alpha | None = _alpha("h4, sun keep-out cone")
+    deputy_sun: Alpha | None = _alpha("h5, sun keep-out cones of two deputies")
+    keep_in: Alpha | None = _alpha("h6, keep-in zone")
+    passive: Alpha | None = _alpha("h7, free flight past the chief")
+    deputy_passive: Alpha | None = _alpha("h8, free flight of two deputies")
+    velocity: Alpha | None = _alpha("h9 to h11, velocity limits")
+
+
+# -- the filter -------------------------------------------------------------------------------------
+
+
+class _Filter(ScenarioPart):
+    """What both kinds of filter share."""
+
+    without: tuple[Family, ...] = unit("-", "Kinds of constraint that are left out.", default=())
+    sampled_data: Flag = unit(
+        "-",
+        "Tighten the conditions so that, where the program has a solution, they hold for the whole control "
+        "period and not only at its start.",
+        default=True,
+    )
+    sampled_data_share: Real = unit(
+        "-",
+        "Part of a constraint's value that may be lost in one period; less is calmer.",
+        default=0.5,
+        gt=0,
+        le=1,
+    )
+
+
+class CentralizedFilter(_Filter):
+    """One quadratic program for the thrust of all deputies."""
+
+    kind: Literal["centralized"] = unit("-", "One filter for all deputies.")
+
+
+class DecentralizedFilter(_Filter):
+    """One quadratic program per deputy: it knows where the others are, not what they will do."""
+
+    kind: Literal["decentralized"] = unit("-", "A filter for each deputy.")
+    sharing: Literal["coasting", "half", "consensus"] = unit(
+        "-",
+        "Who answers for a condition on a pair. `coasting`: each alone, as if the other did not thrust (the "
+        "paper's). `half`: each for half. `consensus`: each for its part of a solution all can compute.",
+        default="coasting",
+    )
+
+
+Filter = Annotated[CentralizedFilter | DecentralizedFilter, Field(discriminator="kind")]

@@ -1,0 +1,81 @@
+"""Notes on values that are valid and yet look like a slip of units or of scale. They never stop a run."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.linalg import expm
+
+from ..model.system import LinearSystem
+from .scenario import Scenario
+
+FAR = 1.0
+"""Times its own size that a scene is crossed in one step at full thrust: worth a note."""
+
+MANY_STEPS = 2000
+"""Steps from which a run takes hours rather than minutes: worth a note."""
+
+FASTEST_ORBIT = 1.25e-3
+"""Mean motion [rad/s] of a circular orbit at the Earth's surface, rounded up."""
+
+
+def doubts(scenario: Scenario) -> list[str]:
+    """What a user may want to look at again before a long run, one sentence each.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Valid; what no scenario may be is refused before.
+    """
+    system, step = scenario.system(), scenario.step
+    found = []
+    if scenario.steps > MANY_STEPS:
+        found.append(
+            f"horizon: {scenario.steps} steps of {step:g} s; planning and sets grow with the number of steps,"
+            " and bundled scenes have 60: longer steps, or a shorter flight?"
+        )
+    if system.mean_motion is not None and system.mean_motion > FASTEST_ORBIT:
+        found.append(
+            f"system.mean_motion_rad_s: {system.mean_motion:g} rad/s is faster than any orbit of the Earth"
+            f" (at most {FASTEST_ORBIT:g}): revolutions per day, or degrees?"
+        )
+    if system.w_max == 0 or not np.any(system.D):
+        found.append(
+            "disturbance: none, so that a proof holds for a flight that obeys the model exactly; was it"
+            " forgotten, or D left at zero?"
+        )
+    push, shove = _pushed(system, step)
+    size = _size(scenario, system)
+    if size and push.max() > FAR * size:
+        found.append(
+            f"thrust: full thrust moves the chaser {push.max():.3g} m in one step of {step:g} s, and the"
+            f" scene is {size:.3g} m wide: another unit (mN, not N; m, not km), or shorter steps?"
+        )
+    if shove.max() > push.max() > 0:
+        found.append(
+            f"disturbance: it moves the chaser up to {shove.max():.3g} m in one step, and full thrust no more"
+            f" than {push.max():.3g} m: another unit?"
+        )
+    return found
+
+
+def _pushed(system: LinearSystem, step: float) -> tuple[np.ndarray, np.ndarray]:
+    """How far full thrust, and the disturbance, held over one step move every axis of position, (d,)."""
+    inputs = np.hstack([system.B, system.D])
+    block = np.zeros((system.n + inputs.shape[1],) * 2)
+    block[: system.n, : system.n], block[: system.n, system.n :] = system.A, inputs
+    with np.errstate(over="ignore", invalid="ignore"):
+        held = np.abs(system.position @ expm(block * step)[: system.n, system.n :])
+    held = np.nan_to_num(held, nan=np.inf)
+    push, shove = held[:, : system.m], held[:, system.m :]
+    return push @ system.u_max, np.linalg.norm(shove, axis=1) * system.w_max
+
+
+def _size(scenario: Scenario, system: LinearSystem) -> float:
+    """Largest distance [m] between the start, the frame's origin and the obstacles; 0 if there is none."""
+    origin = np.zeros(system.d)
+    places = [origin, system.position @ scenario.initial_set().c]
+    for unsafe in scenario.obstacles():
+        at = np.asarray(unsafe.centre(0.0, system), dtype=float)
+        if np.all(np.isfinite(at)):
+            places.append(at)
+    return max(float(np.linalg.norm(one - other)) for one in places for other in places)

@@ -1,0 +1,294 @@
+"""From a file to a validated model: every way this can fail ends in one `ScenarioError`."""
+
+from __future__ import annotations
+
+import difflib
+import json
+import re
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeVar, get_args
+
+from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
+
+from ..model.checks import counted
+from ..model.errors import ScenarioError
+from .fields import LARGEST, NAME_PATTERN
+from .tables import ScenarioModel
+
+MAX_BYTES = 1_000_000
+"""Largest scenario file read; the largest sensible one is a hundred times smaller."""
+
+Model = TypeVar("Model", bound=BaseModel)
+
+_BARE_KEY = re.compile(r"[A-Za-z0-9_-]{1,60}")
+
+
+class _Nothing:
+    """Stands for a value that was not given, and reads so in messages."""
+
+    def __repr__(self) -> str:
+        return "nothing"
+
+
+NOTHING = _Nothing()
+
+
+def printable(text: str, most: int = 200) -> str:
+    """One line of printable characters, cut to a length."""
+    line = "".join(c if c.isprintable() else repr(c)[1:-1] for c in " ".join(text.split()))
+    return line if len(line) <= most else line[: most - 3] + "..."
+
+
+def join_path(path: Sequence[str | int]) -> str:
+    """Write a location as it would be written in TOML and in ``--set``: ``obstacles[0].radius_m``."""
+    out = ""
+    for part in path:
+        if isinstance(part, int):
+            out += f"[{part}]"
+        else:
+            key = part if _BARE_KEY.fullmatch(part) else printable(json.dumps(part), 60)
+            out += f".{key}" if out else key
+    return out or "file"
+
+
+# -- files ------------------------------------------------------------------------------------------
+
+
+def read_document(path: Path) -> tuple[dict[str, Any], str]:
+    """Read a TOML file; return its data and its text.
+
+    Raises
+    ------
+    ScenarioError
+        If there is no such regular file, it cannot be read, is too large, empty, not UTF-8 text, or
+        not TOML.
+    """
+    shown = printable(str(path))
+    try:
+        if not path.exists():
+            raise ScenarioError("file", shown, "there is no such file")
+        if path.is_dir():
+            raise ScenarioError("file", shown, "must be a file, this is a directory")
+        if not path.is_file():
+            raise ScenarioError("file", shown, "must be a regular file")
+        with path.open("rb") as stream:
+            data = stream.read(MAX_BYTES + 1)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise ScenarioError("file", shown, f"cannot be read: {printable(reason)}") from error
+    if len(data) > MAX_BYTES:
+        raise ScenarioError("file", shown, f"must have at most {MAX_BYTES} bytes")
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        rule = f"must be UTF-8 text; byte {error.start} is not"
+        raise ScenarioError("file", shown, rule) from error
+    if not text.strip():
+        raise ScenarioError("file", shown, "must not be empty")
+    return parse_toml(text, shown), text
+
+
+def parse_toml(text: str, where: str) -> dict[str, Any]:
+    """Parse TOML text, with one error for everything that is not TOML."""
+    try:
+        return tomllib.loads(text)
+    except RecursionError as error:
+        raise ScenarioError("file", where, "must be TOML with fewer nested brackets") from error
+    except ValueError as error:  # TOMLDecodeError, and what int() and datetime() refuse
+        raise ScenarioError("file", where, f"must be TOML: {printable(str(error))}") from error
+
+
+# -- validation -------------------------------------------------------------------------------------
+
+
+def validate(document: Mapping[str, Any], where: str | None = None) -> ScenarioModel:
+    """Validate the fields of a switching scenario; see `validate_as`."""
+    return validate_as(ScenarioModel, document, where)
+
+
+def validate_as(model: type[Model], document: Mapping[str, Any], where: str | None = None) -> Model:
+    """Validate the fields of a document one by one (no rules that join several fields).
+
+    Raises
+    ------
+    ScenarioError
+        Naming the field as in the TOML, what was given, and the rule.
+    """
+    try:
+        return model.model_validate(document)
+    except ValidationError as error:
+        raise explain(error.errors(include_url=False), document, where, model) from None
+    except RecursionError:
+        raise ScenarioError("file", NOTHING, "must have fewer nested brackets", where) from None
+
+
+def explain(
+    problems: Sequence[ErrorDetails],
+    document: Mapping[str, Any],
+    where: str | None,
+    model: type[BaseModel] = ScenarioModel,
+) -> ScenarioError:
+    """Turn pydantic's list of problems into one error: the likeliest cause first."""
+    found = [one for one in (_locate(problem, document, model) for problem in problems) if one]
+    # An unknown key explains a missing one (a slip of the pen), so it comes first.
+    found.sort(key=lambda one: not one[2].startswith("unknown key"))
+    path, given, rule = found[0]
+    others = list(dict.fromkeys(other[0] for other in found[1:] if other[0] != path))
+    if others:
+        names = ", ".join(others[:3]) + (", ..." if len(others) > 3 else "")
+        rule += f" (and {len(others)} more to correct: {names})"
+    return ScenarioError(path, _safe(given), rule, where)
+
+
+def _safe(given: Any) -> Any:
+    """Something whose ``repr`` cannot fail (huge integers have none)."""
+    try:
+        repr(given)
+    except (ValueError, RecursionError):
+        return "a number of thousands of digits" if isinstance(given, int) else "(too large to show)"
+    return given
+
+
+def _locate(
+    problem: ErrorDetails, document: Mapping[str, Any], model: type[BaseModel]
+) -> tuple[str, Any, str] | None:
+    """Location in the document (union tags dropped), the value there, and the rule; None if spurious."""
+    location, kind = problem["loc"], problem["type"]
+    context: Mapping[str, Any] = problem.get("ctx") or {}
+    path: list[str | int] = []
+    value: Any = document
+    for part in location:
+        inside = (isinstance(value, Mapping) and part in value) or (
+            isinstance(value, (list, tuple)) and isinstance(part, int) and part < len(value)
+        )
+        if inside:
+            value = value[part]
+            path.append(part)
+    if kind == "missing":
+        return join_path([*path, location[-1]]), NOTHING, "is required"
+    if kind == "extra_forbidden":
+        return join_path(path), value, _unknown_key(location, model)
+    if kind in ("union_tag_not_found", "union_tag_invalid"):
+        if not isinstance(value, Mapping):
+            return join_path(path), value, "must be a table with a key 'kind'"
+        kinds = [word for table in _tables(location, model) for word in _kinds(table)]
+        rule = "must be one of " + ", ".join(repr(word) for word in kinds)
+        return join_path([*path, "kind"]), value.get("kind", NOTHING), rule
+    if kind == "too_short" and len(value) >= context["min_length"]:
+        return None  # pydantic counts valid entries only; the invalid one has its own message
+    return join_path(path), value, _rule(kind, context, value, problem["msg"])
+
+
+def _rule(kind: str, context: Mapping[str, Any], value: Any, message: str) -> str:
+    """The rule that was broken, in plain words."""
+    too_big = isinstance(value, int) and not isinstance(value, bool) and abs(value) > LARGEST
+    match kind:
+        case "greater_than":
+            return f"must be > {context['gt']:g}"
+        case "greater_than_equal":
+            return f"must be >= {context['ge']:g}"
+        case "less_than":
+            return f"must be < {context['lt']:g}"
+        case "less_than_equal":
+            return f"must be <= {context['le']:g}"
+        case "finite_number":
+            return "must be a finite number"
+        case "float_type":
+            return f"must be a number of at most {LARGEST:g}" if too_big else "must be a number"
+        case "int_type" | "int_from_float" | "int_parsing_size":
+            return "must be a whole number"
+        case "string_type":
+            return "must be text in quotes"
+        case "literal_error":
+            return f"must be {context['expected']}"
+        case "tuple_type" | "list_type":
+            return "must be a list"
+        case "too_short":
+            return f"must have at least {counted(context['min_length'], 'entry', 'entries')}"
+        case "too_long":
+            return f"must have at most {context['max_length']} entries"
+        case "string_pattern_mismatch":
+            return f"must consist of letters, digits, _ and -, as in {NAME_PATTERN}"
+        case "string_too_long":
+            return f"must have at most {context['max_length']} characters"
+        case "string_too_short":
+            return "must not be empty"
+        case "model_type" | "model_attributes_type" | "dict_type":
+            return "must be a table"
+        case "value_error":
+            return printable(str(context.get("error", message)))
+        case _:
+            return printable(message[:1].lower() + message[1:])
+
+
+def _unknown_key(location: Sequence[str | int], model: type[BaseModel]) -> str:
+    tables = _tables(location[:-1], model)
+    known = list(dict.fromkeys(name for table in tables for name in table.model_fields))
+    near = difflib.get_close_matches(str(location[-1]), known, n=1, cutoff=0.5)
+    return "unknown key; " + (f"did you mean {near[0]}?" if near else f"known here: {', '.join(known)}")
+
+
+def _tables(location: Sequence[str | int], model: type[BaseModel]) -> list[type[BaseModel]]:
+    """Table classes a location may hold: a union's members until its tag has been read."""
+    tables = [model]
+    for part in location:
+        if not isinstance(part, str):
+            continue
+        tagged = [table for table in tables if part in _kinds(table)]
+        if tagged and len(tables) > 1:
+            tables = tagged
+        else:
+            fields = [table.model_fields[part] for table in tables if part in table.model_fields]
+            tables = [model for field in fields for model in _models_in(field.annotation)]
+    return tables
+
+
+def _kinds(table: type[BaseModel]) -> tuple[str, ...]:
+    field = table.model_fields.get("kind")
+    return get_args(field.annotation) if field else ()
+
+
+def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:
+    """Every table class inside an annotation such as ``tuple[A | B, ...]``."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for part in get_args(annotation):
+        yield from _models_in(part)
+
+
+# -- writing ----------------------------------------------------------------------------------------
+
+
+def write_toml(document: Mapping[str, Any]) -> str:
+    """Write a scenario's data as TOML: values first, then its tables, then its lists of tables."""
+    lines: list[str] = []
+    tables: list[str] = []
+    for key, value in document.items():
+        if isinstance(value, Mapping):
+            tables += ["", f"[{key}]", *_pairs(value)]
+        elif isinstance(value, (list, tuple)) and value and isinstance(value[0], Mapping):
+            for entry in value:
+                tables += ["", f"[[{key}]]", *_pairs(entry)]
+        else:
+            lines.append(f"{key} = {_literal(value)}")
+    return "\n".join([*lines, *tables]) + "\n"
+
+
+def _pairs(table: Mapping[str, Any]) -> list[str]:
+    return [f"{key} = {_literal(value)}" for key, value in table.items()]
+
+
+def _literal(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(_pairs(value)) + " }"
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(_literal(entry) for entry in value) + "]"
+    if isinstance(value, str):
+        # A JSON string is a TOML basic string, but for the one control character JSON leaves as it is.
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return repr(value)

@@ -1,0 +1,1 @@
+"""Closed loops, disturbances, metrics of runs."""

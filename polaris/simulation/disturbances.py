@@ -1,0 +1,142 @@
+"""Disturbances of simulated runs: random ones, and the worst case of a facet in closed form."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reach.numerics.linear import discretize
+
+from ..model.system import Array
+from ..synthesis.controllers import AffineController, AnyThrust
+from .integration import Integrator
+
+Disturbance = Literal["none", "random", "worst", "mixed"]
+
+
+def disturbances(
+    flight: Integrator, n: int, rng: np.random.Generator, kind: Disturbance
+) -> tuple[Array, Array]:
+    """Disturbances constant over each integration step, shape (steps, n, p), norm at most w_max.
+
+    Also the direction, at time 0, in which the initial error of each worst-case run counts, (worst, n).
+    """
+    system, steps = flight.system, flight.steps
+    w = np.zeros((steps, n, system.p))
+    adjoint = np.zeros((0, system.n))
+    if kind == "none" or system.w_max == 0:
+        return w, adjoint
+    worst = n if kind == "worst" else (n // 2 if kind == "mixed" else 0)
+    if worst:
+        w[:, :worst], adjoint = _worst_case(flight, worst, rng)
+    count = n - worst
+    if count:
+        w[:, worst:] = _piecewise(steps, count, system.p, flight.steps_per_cell * 4, rng) * system.w_max
+    return w, adjoint
+
+
+def _piecewise(steps: int, n: int, p: int, longest: int, rng: np.random.Generator) -> Array:
+    """Random directions, each held for a number of steps that the run keeps; shape (steps, n, p).
+
+    Half of the pieces have norm 1, the others less. Drawn run by run, worked out for all at once.
+    """
+    holds = rng.integers(1, max(2, longest), n)
+    pieces = -(-steps // holds)
+    drawn = [(rng.normal(size=(k, p)), rng.random((k, 1)), rng.random((k, 1))) for k in pieces]
+    raw, chance, smaller = (np.concatenate(parts) for parts in zip(*drawn, strict=True))
+    raw /= np.maximum(np.linalg.norm(raw, axis=1, keepdims=True), 1e-300)
+    raw *= np.where(chance < 0.5, 1.0, smaller)
+    first = np.concatenate([[0], np.cumsum(pieces)[:-1]])
+    return np.asarray(raw[first + np.arange(steps)[:, None] // holds])
+
+
+def _worst_case(flight: Integrator, n: int, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Worst case of one facet (or input) and instant per run, both drawn at random."""
+    clearance = flight.schedule.safety.clearance
+    rows = [-u.normals @ flight.system.position for u in clearance.unsafe]
+    flat = np.vstack([*rows, flight.tracking.gain, -flight.tracking.gain])
+    targets = rng.integers(1, flight.steps + 1, n)
+    w, _, adjoint = adjoint_worst_case(flight, flat[rng.integers(0, len(flat), n)], targets)
+    return w, adjoint
+
+
+def adjoint_worst_case(
+    flight: Integrator,
+    rows: Array,
+    targets: NDArray[np.int_],
+    clipped: NDArray[np.bool_] | None = None,
+) -> tuple[Array, Array | None, Array]:
+    """Disturbance, held over each step, that takes the state furthest along a row at one instant per run.
+
+    ``w(s) = w_max G' lambda(s) / norm``, with lambda the adjoint of the closed loop and G what a disturbance
+    held over a step adds. For a linear loop no other held disturbance goes further; about a loop whose
+    thrusters clip it is the worst case to first order.
+
+    Parameters
+    ----------
+    flight : Integrator
+    rows : ndarray, shape (R, n)
+        Directions in the space of states.
+    targets : ndarray of int, shape (R,)
+        Instants, as numbers of integration steps.
+    clipped : ndarray of bool, shape (steps, R, m), optional
+        Inputs that the thrusters clip: they do not answer to the state. None by default.
+
+    Returns
+    -------
+    w : ndarray, shape (steps, R, p)
+    free : ndarray, shape (steps, R, m), or None
+        Full thrust in the worst direction for controllers that may do anything; None if none flies.
+    adjoint : ndarray, shape (R, n)
+        Direction, at time 0, in which the initial state counts.
+    """
+    system, steps = flight.system, flight.steps
+    numbers = np.repeat(flight.modes, flight.steps_per_cell)
+    laws = [flight.schedule.controllers[int(number)] for number in np.unique(numbers)]
+    may_do_anything = any(isinstance(law, AnyThrust) for law in laws)
+    choices = {int(number): _loops(flight, int(number)) for number in np.unique(numbers)}
+    adjoint = np.zeros((len(rows), system.n))
+    w = np.zeros((steps, len(rows), system.p))
+    free = np.zeros((steps, len(rows), system.m)) if may_do_anything else None
+    bits = 2 ** np.arange(system.m)
+    for step in range(steps - 1, -1, -1):
+        starting = targets == step + 1
+        adjoint[starting] = rows[starting]
+        back, push, thrust = choices[int(numbers[step])]
+        if clipped is None or not clipped[step].any():
+            direction, kick, carried = adjoint @ push[0], adjoint @ thrust[0], adjoint @ back[0]
+        else:
+            case = clipped[step] @ bits
+            column = adjoint[:, None, :]
+            direction, kick, carried = ((column @ part[case])[:, 0] for part in (push, thrust, back))
+        size = np.sqrt(np.einsum("ij,ij->i", direction, direction))[:, None]
+        w[step] = direction * (system.w_max / np.maximum(size, 1e-300))
+        if free is not None:
+            free[step] = np.sign(kick) * system.u_max
+        adjoint = carried
+    return w, free, adjoint
+
+
+def _loops(flight: Integrator, number: int) -> tuple[Array, Array, Array]:
+    """Of one controller, for every set of clipped inputs: transition over a step, and what is held adds.
+
+    Returns
+    -------
+    back, push, thrust : ndarray, shapes (2^m, n, n), (2^m, n, p), (2^m, n, m)
+    """
+    system, dt = flight.system, flight.dt
+    law = flight.schedule.controllers[number]
+    gain = law.gain if isinstance(law, AffineController) else np.zeros((system.m, system.n))
+    back, push, thrust = [], [], []
+    for case in range(2**system.m):
+        free = np.array([not case >> axis & 1 for axis in range(system.m)], dtype=float)
+        held = flight.sampled and flight.substeps == 1
+        loop = system.A if held else system.A - system.B @ (free[:, None] * gain)
+        carried, pushed = discretize(loop, system.D, dt)
+        kicked = discretize(loop, system.B, dt)[1]
+        back.append(carried - kicked @ (free[:, None] * gain) if held else carried)
+        push.append(pushed)
+        thrust.append(kicked)
+    return np.array(back), np.array(push), np.array(thrust)

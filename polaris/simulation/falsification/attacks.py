@@ -1,0 +1,182 @@
+"""Attacks: an initial state and the disturbance (and the inputs of a black box) over every step, per run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...model.system import Array
+from ...synthesis.controllers import AnyThrust
+from ..disturbances import adjoint_worst_case, disturbances
+from ..integration import Integrator
+from ..simulate import Runs, initial_states
+from .claims import Claims
+from .measure import Attained
+
+
+@dataclass(frozen=True, eq=False)
+class Attack:
+    """What is done to a schedule, run by run.
+
+    Attributes
+    ----------
+    x0 : ndarray, shape (R, n)
+    w : ndarray, shape (steps, R, p)
+        Disturbance held over each step.
+    free : ndarray, shape (steps, R, m), or None
+        Inputs of controllers that may do anything.
+    """
+
+    x0: Array
+    w: Array
+    free: Array | None
+
+    def pick(self, chosen: NDArray[np.intp]) -> Attack:
+        """Some of the runs."""
+        free = None if self.free is None else self.free[:, chosen]
+        return Attack(self.x0[chosen], self.w[:, chosen], free)
+
+    @classmethod
+    def join(cls, parts: list[Attack]) -> Attack:
+        """All runs of several."""
+        free = None
+        if parts[0].free is not None:
+            free = np.concatenate([part.free for part in parts if part.free is not None], axis=1)
+        return cls(
+            np.concatenate([part.x0 for part in parts]),
+            np.concatenate([part.w for part in parts], axis=1),
+            free,
+        )
+
+    def fly(self, flight: Integrator) -> Runs:
+        """Simulate."""
+        flight.free = self.free
+        times, states, inputs, demanded, delta_v = flight.run(self.x0, self.w)
+        return Runs(flight.schedule, times, states, inputs, demanded, delta_v, flight.modes)
+
+
+class Attacker:
+    """Makes attacks on one schedule.
+
+    Parameters
+    ----------
+    claims : Claims
+    flight : Integrator
+        On the same cells.
+    rng : numpy.random.Generator
+    """
+
+    def __init__(self, claims: Claims, flight: Integrator, rng: np.random.Generator) -> None:
+        self.claims, self.flight, self.rng = claims, flight, rng
+        system, gain = flight.system, flight.tracking.gain
+        rows = [-u.normals @ system.position for u in claims.unsafe]
+        self.rows = np.vstack([*rows, gain, -gain])
+        self.first = np.cumsum([0, *(len(part) for part in rows)])
+        periods = claims.cells * claims.schedule.safety.clearance.q
+        # Where the proof leaves least: the facet that certifies a period, ranked by what is left there.
+        margins = [part.reshape(periods, -1) for part in claims.facets]
+        self._best = [np.argmax(part, axis=1) for part in margins]
+        self._left = np.array([part.max(axis=1) for part in margins]).reshape(len(rows), periods)
+
+    def random(self, count: int) -> Attack:
+        """Random disturbances from random states and corners; inputs at random, most of them bang-bang."""
+        w, _ = disturbances(self.flight, count, self.rng, "random")
+        x0 = initial_states(self.flight.schedule, count, self.rng, "mixed")
+        return Attack(x0, w, self._thrust(count))
+
+    def worst(self, count: int) -> Attack:
+        """The closed-form worst case of facets and instants: half of them where the proof leaves least."""
+        rows, targets = self._anywhere(count)
+        near = count // 2 if len(self._left) else 0
+        if near:
+            scale = max(float(np.median(self._left)) / 20, 1e-9)
+            weight = np.exp(-(self._left - self._left.min()) / scale).ravel()
+            chosen = self.rng.choice(weight.size, near, p=weight / weight.sum())
+            which, period = np.divmod(chosen, self._left.shape[1])
+            facet = np.array(
+                [self.first[o] + self._best[o][i] for o, i in zip(which, period, strict=True)], dtype=int
+            )
+            rows[:near] = self.rows[facet]
+            later = self.rng.integers(0, self.flight.substeps + 1, near)
+            targets[:near] = np.clip(period * self.flight.substeps + later, 1, self.flight.steps)
+        return self._towards(rows, targets, None)
+
+    def again(self, runs: Runs, found: Attained, count: int) -> Attack:
+        """The worst case about runs just flown, their clipped inputs as they were.
+
+        Half aim at the limit that came out tightest, half at another one, when it was tightest.
+        """
+        R, limits = found.margin.shape
+        scaled = found.margin / self._scale()
+        which = np.argmin(scaled, axis=1)
+        other = np.flatnonzero(self.rng.random(R) < 0.5)
+        which[other] = self.rng.integers(0, limits, len(other))
+        rows = np.empty((R, self.flight.system.n))
+        step = np.clip(np.rint(found.when[np.arange(R), which] / self.flight.dt).astype(int), 1, None)
+        step = np.minimum(step, self.flight.steps)
+        node = np.minimum(step // self.flight.substeps, runs.states.shape[1] - 1)
+        for run in range(R):
+            rows[run] = self._row(int(which[run]), runs.states[run, node[run]], int(node[run]))
+        clipped = np.abs(runs.inputs) >= self.flight.system.u_max * (1 - 1e-12)
+        per_step = np.repeat(clipped.swapaxes(0, 1), self.flight.substeps, axis=0)
+        return self._towards(rows[:count], step[:count], per_step[:, :count])
+
+    def mutate(self, elites: Attack, count: int) -> Attack:
+        """Elites changed a little: a stretch of their disturbance from elsewhere, a corner flipped."""
+        parents = elites.pick(self.rng.integers(0, len(elites.x0), count))
+        w, x0 = parents.w.copy(), parents.x0.copy()
+        free = None if parents.free is None else parents.free.copy()
+        steps = len(w)
+        donor = self.worst(count)
+        start = self.rng.integers(0, steps, count)
+        length = np.maximum((steps * self.rng.random(count) ** 2).astype(int), 1)
+        at = np.arange(steps)[:, None]
+        stretch = (at >= start) & (at < start + length)
+        w[stretch] = donor.w[stretch]
+        if free is not None and donor.free is not None:
+            free[stretch] = donor.free[stretch]
+        swapped = self.rng.random(count) < 0.3
+        x0[swapped] = donor.x0[swapped]
+        return Attack(x0, w, free)
+
+    def _towards(self, rows: Array, targets: NDArray[np.int_], clipped: NDArray[np.bool_] | None) -> Attack:
+        w, free, adjoint = adjoint_worst_case(self.flight, rows, targets, clipped)
+        theta = self.flight.schedule.safety.problem.initial_set
+        x0 = theta.c + np.where(adjoint @ theta.G < 0, -1.0, 1.0) @ theta.G.T
+        return Attack(x0, w, free)
+
+    def _anywhere(self, count: int) -> tuple[Array, NDArray[np.int_]]:
+        rows = self.rows[self.rng.integers(0, len(self.rows), count)].copy()
+        return rows, self.rng.integers(1, self.flight.steps + 1, count)
+
+    def _row(self, limit: int, x: Array, node: int) -> Array:
+        """The row of a limit that counts at a state: its nearest facet, or the input's sign."""
+        unsafe, system = self.claims.unsafe, self.flight.system
+        if limit < len(unsafe):
+            q = self.claims.schedule.safety.clearance.q
+            cell = min(node // q, self.claims.cells - 1)
+            left = (
+                unsafe[limit].normals @ (system.position @ x)
+                - self.claims.offsets[limit][cell, node - cell * q]
+            )
+            return np.asarray(self.rows[self.first[limit] + int(np.argmax(left))])
+        axis = limit - len(unsafe)
+        return np.asarray(self.rows[self.first[-1] + axis + system.m * int(self.rng.integers(0, 2))])
+
+    def _scale(self) -> Array:
+        """What one unit of margin is worth per limit: metres as they are, inputs by their limits."""
+        return np.concatenate([np.ones(len(self.claims.unsafe)), self.flight.system.u_max / 10])
+
+    def _thrust(self, count: int) -> Array | None:
+        """Random inputs of a controller that may do anything."""
+        laws = (self.flight.schedule.controllers[int(number)] for number in np.unique(self.flight.modes))
+        if not any(isinstance(law, AnyThrust) for law in laws):
+            return None
+        steps, m = self.flight.steps, self.flight.system.m
+        hold = int(self.rng.integers(1, 4 * self.flight.steps_per_cell))
+        raw = self.rng.uniform(-1, 1, (-(-steps // hold), count, m))
+        bang = self.rng.random(count) < 0.7
+        raw[:, bang] = np.sign(raw[:, bang])
+        return np.repeat(raw, hold, axis=0)[:steps] * self.flight.system.u_max

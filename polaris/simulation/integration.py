@@ -1,0 +1,203 @@
+"""Integration of closed loops over all runs at once: whole cells where nothing clips, else step by step."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reach.numerics.linear import discretize
+
+from ..model.system import Array
+from ..synthesis.controllers import AffineController, AnyThrust, Controller
+from ..synthesis.schedule import Schedule
+
+
+class Integrator:
+    """Time grid, references and transitions of one simulation.
+
+    Attributes
+    ----------
+    free : ndarray, shape (steps, R, m), or None
+        Inputs over each step of a controller that may do anything; without them it does as its
+        `command` says.
+    """
+
+    def __init__(self, schedule: Schedule, modes: NDArray[np.int_], substeps: int) -> None:
+        safety = schedule.safety
+        self.free: Array | None = None
+        self.schedule, self.modes, self.substeps = schedule, modes, substeps
+        self.system, self.tracking = safety.tracking.system, safety.tracking
+        self.q, self.sampled = self.tracking.feedback.nodes_per_cell, self.tracking.feedback.sampled
+        self.dt = self.tracking.flow.h / substeps
+        self.steps_per_cell = self.q * substeps
+        self.safe = safety.reference.fine(2 * self.steps_per_cell)
+        self.own = {}
+        self._schemes: dict[int, tuple[Array, list[Array], list[Array]]] = {}
+        for number, controller in enumerate(schedule.controllers):
+            if isinstance(controller, AffineController) and controller.own is not safety.reference:
+                self.own[number] = controller.own.fine(2 * self.steps_per_cell)
+
+    @cached_property
+    def _held(self) -> tuple[Array, Array, Array]:
+        """Transition over a step, and what an input and a disturbance held over it add."""
+        Ad, Bd = discretize(self.system.A, self.system.B, self.dt)
+        return Ad, Bd, discretize(self.system.A, self.system.D, self.dt)[1]
+
+    @property
+    def steps(self) -> int:
+        """Number of integration steps."""
+        return len(self.modes) * self.steps_per_cell
+
+    def command(
+        self, controller: Controller, number: int, k: int, half: int, x: Array, later: int = 0
+    ) -> Array:
+        """Command before clipping, shape (R, m), `later` half-steps after the half-step `half` of cell k."""
+        if self.free is not None and isinstance(controller, AnyThrust):
+            return np.asarray(self.free[k * self.steps_per_cell + half // 2])
+        xi = self.safe[k, half + later]
+        own = self.own[number][k, half + later] if number in self.own else xi
+        return controller.command(k, xi, own, x)
+
+    def rate(self, number: int, k: int, half: int, later: int, x: Array, force: Array) -> Array:
+        """``x'`` under one controller, `later` half-steps after the half-step `half` of cell k."""
+        limit = self.system.u_max
+        raw = self.command(self.schedule.controllers[number], number, k, half, x, later)
+        return np.asarray(x @ self.system.A.T + np.clip(raw, -limit, limit) @ self.system.B.T + force)
+
+    def run(self, x0: Array, w: Array) -> tuple[Array, Array, Array, Array, Array]:
+        """Times, states, inputs, demanded thrust and velocity change (see `Runs`), runs first.
+
+        From initial states (R, n) under disturbances held over each step, (steps, R, p).
+        """
+        R, system, q = len(x0), self.system, self.q
+        nodes = len(self.modes) * q
+        # Time comes first while writing: every instant's block is then one piece of memory.
+        states = np.empty((nodes + 1, R, system.n))
+        inputs = np.empty((nodes, R, system.m))
+        demanded, delta_v = np.zeros((nodes, R)), np.zeros(R)
+        states[0] = x0
+        for k, number in enumerate(self.modes.tolist()):
+            first, last = k * q, (k + 1) * q
+            pushes = w[k * self.steps_per_cell : (k + 1) * self.steps_per_cell]
+            flown = self._unclipped(number, k, states[first], pushes)
+            if flown is None:
+                flown = self._stepped(number, k, states[first], pushes)
+            states[first + 1 : last + 1], inputs[first:last], demanded[first:last], spent = flown
+            delta_v += spent * self.dt / system.mass
+        times = np.asarray(np.arange(nodes + 1) * self.tracking.flow.h, dtype=float)
+        return times, states.swapaxes(0, 1), inputs.swapaxes(0, 1), demanded.T, delta_v
+
+    def _stepped(self, number: int, k: int, x: Array, w: Array) -> tuple[Array, Array, Array, Array]:
+        """Fly one cell step by step: under any law, clipped or not.
+
+        Returns
+        -------
+        states : ndarray, shape (q, R, n)
+            At the end of every period.
+        inputs : ndarray, shape (q, R, m)
+            Applied at the start of every period.
+        demanded : ndarray, shape (q, R)
+        spent : ndarray, shape (R,)
+            Sum over the steps of the 1-norm of the input.
+        """
+        R, system, limit = len(x), self.system, self.system.u_max
+        states, inputs = np.empty((self.q, R, system.n)), np.empty((self.q, R, system.m))
+        demanded, spent = np.zeros((self.q, R)), np.zeros(R)
+        Ad, Bd, Dd = self._held
+        u = np.zeros((R, system.m))
+        controller = self.schedule.controllers[number]
+        for step in range(self.steps_per_cell):
+            node, sub = divmod(step, self.substeps)
+            force = w[step] @ system.D.T
+            if not self.sampled or sub == 0:
+                raw = self.command(controller, number, k, 2 * step, x)
+                demanded[node] = np.maximum(demanded[node], np.max(np.abs(raw) / limit, axis=1))
+                u = np.clip(raw, -limit, limit)
+            if sub == 0:
+                inputs[node] = u
+            if self.sampled:
+                x = x @ Ad.T + u @ Bd.T + w[step] @ Dd.T
+            else:
+                place = number, k, 2 * step
+                first = x @ system.A.T + u @ system.B.T + force
+                second = self.rate(*place, 1, x + self.dt / 2 * first, force)
+                third = self.rate(*place, 1, x + self.dt / 2 * second, force)
+                fourth = self.rate(*place, 2, x + self.dt * third, force)
+                x = x + self.dt / 6 * (first + 2 * second + 2 * third + fourth)
+            spent += np.abs(u).sum(axis=1)
+            states[node] = x
+        return states, inputs, demanded, spent
+
+    def _unclipped(self, number: int, k: int, x: Array, w: Array) -> tuple[Array, Array, Array, Array] | None:
+        """The same for a linear law that nothing clips in this cell: one product per step; else None.
+
+        The scheme's stages are linear in the state, the references and the disturbance, so all of the
+        cell's commands are worked out at once afterwards, and none may exceed the limits.
+        """
+        law, limit = self.schedule.controllers[number], self.system.u_max
+        if not isinstance(law, AffineController):
+            return None
+        if self.sampled:
+            return self._held_unclipped(law, number, k, x, w) if self.substeps == 1 else None
+        loop, carried, pushed = self._scheme(number)
+        own = self.own.get(number, self.safe)[k]
+        places = [own[:-1:2], own[1::2], own[1::2], own[2::2]]  # of the law's reference, at the four stages
+        known = [(law.own.nu[k] + place @ law.gain.T) @ self.system.B.T for place in places]
+        forced = [
+            part[:, None] + w @ push for part, push in zip(self._stages(loop, known), pushed, strict=True)
+        ]
+        path = np.empty((len(w) + 1, *x.shape))
+        path[0] = x
+        for step in range(len(w)):
+            path[step + 1] = path[step] @ carried[-1] + forced[-1][step]
+        raw = law.own.nu[k] + (own[:-1:2, None] - path[:-1]) @ law.gain.T
+        if not np.all(np.abs(raw) <= limit):
+            return None
+        for i in (1, 2, 3):
+            inner = path[:-1] @ carried[i] + forced[i]
+            if not np.all(np.abs(law.own.nu[k] + (places[i][:, None] - inner) @ law.gain.T) <= limit):
+                return None
+        per_node = (np.abs(raw) / limit).max(axis=2).reshape(self.q, self.substeps, len(x))
+        spent = np.abs(raw).sum(axis=(0, 2))
+        return path[self.substeps :: self.substeps], raw[:: self.substeps], per_node.max(axis=1), spent
+
+    def _held_unclipped(
+        self, law: AffineController, number: int, k: int, x: Array, w: Array
+    ) -> tuple[Array, Array, Array, Array] | None:
+        """The same for inputs held over each step, which is then exact."""
+        Ad, Bd, Dd = self._held
+        limit = self.system.u_max
+        own = self.own.get(number, self.safe)[k][:-1:2]
+        forced = ((law.own.nu[k] + own @ law.gain.T) @ Bd.T)[:, None] + w @ Dd.T
+        carried = (Ad - Bd @ law.gain).T
+        path = np.empty((len(w) + 1, *x.shape))
+        path[0] = x
+        for step in range(len(w)):
+            path[step + 1] = path[step] @ carried + forced[step]
+        raw = law.own.nu[k] + (own[:, None] - path[:-1]) @ law.gain.T
+        size = np.abs(raw)
+        if not np.all(size <= limit):
+            return None
+        return path[1:], raw, (size / limit).max(axis=2), size.sum(axis=(0, 2))
+
+    def _scheme(self, number: int) -> tuple[Array, list[Array], list[Array]]:
+        """Closed loop of a law, and how a state and a disturbance held over a step enter its stages."""
+        if number not in self._schemes:
+            law, system = self.schedule.controllers[number], self.system
+            assert isinstance(law, AffineController)
+            loop = system.A - system.B @ law.gain
+            carried = [np.eye(system.n) + part for part in self._stages(loop, [loop.T] * 4)]
+            self._schemes[number] = loop, carried, self._stages(loop, [system.D.T] * 4)
+        return self._schemes[number]
+
+    def _stages(self, loop: Array, rates: Sequence[Array]) -> list[Array]:
+        """Stages of the scheme for ``x' = loop x + rate`` from rest, and the end; rates at the stages."""
+        second = self.dt / 2 * rates[0]
+        third = self.dt / 2 * (second @ loop.T + rates[1])
+        fourth = self.dt * (third @ loop.T + rates[2])
+        total = rates[0] + 2 * (second @ loop.T + rates[1]) + 2 * (third @ loop.T + rates[2])
+        total = total + fourth @ loop.T + rates[3]
+        return [np.zeros_like(second), second, third, fourth, self.dt / 6 * total]

@@ -1,0 +1,188 @@
+"""The model error of a scenario: how far Hill's linear equations may be off where its mission flies."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ...model.errors import ScenarioError
+from ...model.satellite import SatelliteObstacle
+from ...model.system import Array
+from ...synthesis.schedule import Schedule
+from ...synthesis.synthesize import synthesize
+from .environment import Environment
+from .frame import relative_rate
+from .region import Region, satellite_region, visited
+from .residual import Residual, residual_bound
+
+MOST_ROUNDS = 8
+"""Times a bound is raised before it is given up: it feeds back through the tubes, but weakly."""
+
+
+@dataclass(frozen=True, eq=False)
+class ModelError:
+    """How far the linear model may be off over the states that a schedule visits.
+
+    Attributes
+    ----------
+    scenario : Scenario
+        As it was measured.
+    schedule : Schedule
+        Whose tubes make the region.
+    region : Region
+    residual : Residual
+        Bounds per box of the region.
+    sampled : float
+        Largest residual [m/s^2] found by sampling the region and the target's orbits: at most `bound`.
+    satellites : dict
+        For every satellite among the unsafe sets, until when [s] its declared acceleration covers its own
+        model error; infinity if it does for as long as it is perceived.
+    """
+
+    scenario: Any
+    schedule: Schedule
+    region: Region
+    residual: Residual
+    sampled: float
+    satellites: dict[str, float]
+
+    @property
+    def declared(self) -> float:
+        """The system's disturbance bound [m/s^2]."""
+        return self.schedule.safety.problem.system.w_max
+
+    @property
+    def bound(self) -> float:
+        """Bound on the residual over the whole region [m/s^2]."""
+        return float(self.residual.total.max())
+
+    @property
+    def covered(self) -> bool:
+        """Whether the declared bound covers it: the guarantee then holds for the nonlinear motion too."""
+        return self.bound <= self.declared
+
+    @property
+    def worst(self) -> int:
+        """The box in which the bound is largest."""
+        return int(np.argmax(self.residual.total))
+
+    def summary(self) -> dict[str, Any]:
+        """The numbers of a report; strict JSON."""
+        at = self.worst
+        radial, distance, speed = self.region.extent
+        return {
+            "scenario": self.scenario.name,
+            "declared_m_s2": self.declared,
+            "bound_m_s2": self.bound,
+            "covered": self.covered,
+            "sampled_m_s2": self.sampled,
+            "sampled_share": self.sampled / self.bound,
+            "parts_m_s2": {name: float(value[at]) for name, value in self.residual.parts.items()},
+            "worst": {
+                "controller": self.region.what[at],
+                "time_s": float(self.region.start[at]),
+                "radial_m": float(radial[at]),
+                "distance_m": float(distance[at]),
+                "speed_m_s": float(speed[at]),
+            },
+            "satellites_covered_until_s": {
+                name: time if math.isfinite(time) else None for name, time in self.satellites.items()
+            },
+        }
+
+
+def model_error(scenario: Any, schedule: Schedule | None = None, samples: int = 200_000) -> ModelError:
+    """Bound the model error over what a scenario's schedule visits.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        With an ``[orbit]`` table.
+    schedule : Schedule, optional
+        Its schedule; synthesised if not given.
+    samples : int
+        States sampled to see how tight the bound is.
+
+    Raises
+    ------
+    ScenarioError
+        If the scenario does not say enough.
+    """
+    env = Environment.of(scenario)
+    schedule = synthesize(scenario) if schedule is None else schedule
+    region = visited(schedule)
+    residual = residual_bound(env, *region.extent)
+    found = sample_residual(env, region, samples, np.random.default_rng(0))
+    others = {}
+    safety, delta = schedule.safety, schedule.safety.problem.delta
+    for satellite in (o for o in safety.problem.unsafe if isinstance(o, SatelliteObstacle)):
+        box = satellite_region(satellite, safety.problem.system, delta, safety.reference.cells)
+        need = residual_bound(replace(env, other=0.0), *box.extent).total
+        short = np.flatnonzero(need > satellite.thrust_accel_max + safety.problem.system.w_max)
+        others[satellite.name] = float(box.start[short[0]]) if len(short) else math.inf
+    return ModelError(scenario, schedule, region, residual, found, others)
+
+
+def justify(scenario: Any) -> ModelError:
+    """Raise the disturbance bound until it covers the model error of its own tubes.
+
+    Returns
+    -------
+    ModelError
+        Of the scenario with the bound found, rounded up to two digits.
+
+    Raises
+    ------
+    ScenarioError
+        If no such bound is found.
+    SynthesisInfeasible, NotCertified
+        If the scenario has no safe synthesis with it.
+    """
+    found = model_error(scenario.set("system.disturbance_max_m_s2", 0.0), samples=1)
+    for _ in range(MOST_ROUNDS):
+        wanted = two_digits(max(found.bound, found.declared))
+        found = model_error(scenario.set("system.disturbance_max_m_s2", wanted))
+        if found.covered:
+            return found
+    rule = f"no bound covers the model error after {MOST_ROUNDS} rounds: tubes grow as fast as it does"
+    raise ScenarioError("system.disturbance_max_m_s2", found.declared, rule)
+
+
+def two_digits(value: float) -> float:
+    """The next number up with two significant digits."""
+    if value <= 0:
+        return 0.0
+    unit = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return float(f"{math.ceil(value / unit * (1 - 1e-12)) * unit:.1e}")
+
+
+def sample_residual(env: Environment, region: Region, count: int, rng: np.random.Generator) -> float:
+    """Largest residual [m/s^2] over random states, most of them corners, and random admissible targets."""
+    box = rng.integers(0, len(region.start), count)
+    # Half of the samples come from the boxes that the bound calls worst.
+    ranked = np.argsort(-residual_bound(env, *region.extent).total)[:10]
+    box[: count // 2] = rng.choice(ranked, count // 2)
+    share = rng.random((count, 6))
+    share[: count // 4 * 3] = np.round(share[: count // 4 * 3])
+    x = region.lower[box] + share * (region.upper[box] - region.lower[box])
+    target = _targets(env, count, rng)
+    ballistic = env.ballistic + rng.choice([-1.0, 1.0], count) * env.ballistic_difference
+    left_out = relative_rate(env, target, x, np.maximum(ballistic, 0.0))[2]
+    return float(np.linalg.norm(left_out, axis=1).max() + env.other)
+
+
+def _targets(env: Environment, count: int, rng: np.random.Generator) -> Array:
+    """Random states of the target within what is declared, corners among them."""
+    off = rng.uniform(-1.0, 1.0, (count, 3))
+    off[: count // 2] = np.sign(off[: count // 2])
+    R = env.radius + off[:, 0] * env.radius_deviation
+    turn = env.mean_motion * (1 + off[:, 2] * env.rate_deviation)
+    tilt = env.inclination_max * np.sqrt(rng.random(count))
+    tilt[: count // 2] = env.inclination_max
+    u = rng.uniform(0, 2 * np.pi, count)
+    pole = np.stack([np.sin(tilt) * np.sin(u), np.sin(tilt) * np.cos(u), np.cos(tilt)], axis=-1)
+    kept = np.stack([R, off[:, 1] * env.radial_rate, R**2 * turn], axis=-1)
+    return np.concatenate([kept, pole], axis=-1)

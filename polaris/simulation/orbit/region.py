@@ -1,0 +1,130 @@
+"""The states that a mission visits, as boxes per step: what a bound on the model error must hold over."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import expm
+
+from reach.numerics.linear import growth, powers
+from reach.sets.zonotope import Zonotope
+
+from ...model.satellite import SatelliteObstacle
+from ...model.system import Array, LinearSystem
+from ...synthesis.clearance import error_tube
+from ...synthesis.get_safety import Safety
+from ...synthesis.recoverable import grow_bow
+from ...synthesis.schedule import Schedule
+
+
+@dataclass(frozen=True, eq=False)
+class Region:
+    """Boxes of states in Hill's frame, one per stretch of the flight.
+
+    Attributes
+    ----------
+    what : tuple of str
+        Who is there.
+    start : ndarray, shape (N,)
+        Beginning of each stretch [s].
+    lower, upper : ndarray, shape (N, 6)
+        [m, m/s]
+    """
+
+    what: tuple[str, ...]
+    start: Array
+    lower: Array
+    upper: Array
+
+    @classmethod
+    def join(cls, parts: Sequence[Region]) -> Region:
+        """All boxes of several regions."""
+        return cls(
+            tuple(name for part in parts for name in part.what),
+            np.concatenate([part.start for part in parts]),
+            np.concatenate([part.lower for part in parts]),
+            np.concatenate([part.upper for part in parts]),
+        )
+
+    @property
+    def extent(self) -> tuple[Array, Array, Array]:
+        """Bounds on ``|r_x|``, ``norm(r)`` [m] and ``norm(v)`` [m/s] in every box."""
+        far = np.maximum(np.abs(self.lower), np.abs(self.upper))
+        return far[:, 0], np.linalg.norm(far[:, :3], axis=1), np.linalg.norm(far[:, 3:], axis=1)
+
+
+def visited(schedule: Schedule) -> Region:
+    """What is covered by the claims about a schedule.
+
+    The tubes of the schedule, of S alone from the whole initial set, and of S after T along the
+    coasting tail.
+    """
+    safety = schedule.safety
+    K, delta = safety.problem.K, safety.problem.delta
+    curve = _curve(safety)
+    lower, upper = [], []
+    for k, step in enumerate(schedule.steps):
+        booked = grow_bow(step.flight.bow) + grow_bow(curve[k])
+        middle = safety.clearance.nodes[k] + step.flight.nodes.c
+        width = step.flight.nodes.half_widths + booked
+        lower.append((middle - width).min(axis=0))
+        upper.append((middle + width).max(axis=0))
+    names = tuple(schedule.controllers[int(mode)].name for mode in schedule.modes)
+    flown = Region(names, _times(0, K, delta), np.array(lower), np.array(upper))
+    alone = _under_s(safety, safety.start, 0, curve)
+    parts = [flown, alone]
+    if safety.reference.cells > K:
+        at_end = schedule.final.inflate(safety.clearance.jump)
+        parts.append(_under_s(safety, at_end, K, curve))
+    return Region.join(parts)
+
+
+def _curve(safety: Safety) -> Array:
+    """Bow of the reference between its nodes, shape (cells, q, n)."""
+    system, h = safety.problem.system, safety.tracking.flow.h
+    nodes = safety.clearance.nodes
+    rate = nodes[:, :-1] @ system.A.T + (safety.reference.nu @ system.B.T)[:, None, :]
+    return np.asarray(h**2 / 8 * np.abs(rate) @ (np.abs(system.A) @ growth(system.A, h)).T)
+
+
+def _under_s(safety: Safety, start: Zonotope, first: int, curve: Array) -> Region:
+    """The reference from a cell on, with S's tube from a set of errors there; later turns included."""
+    tracking, q = safety.tracking, safety.clearance.q
+    cells = safety.reference.cells - first
+    eye = np.eye(tracking.system.n)
+    tube = error_tube(tracking, start, np.vstack([eye, -eye]))
+    need = np.maximum(tube.over_cells(cells, q), tube.need[-1])
+    nodes, bow = safety.clearance.nodes[first:], curve[first:].max(axis=1)
+    n = tracking.system.n
+    return Region(
+        ("safety",) * cells,
+        _times(first, cells, tracking.delta),
+        nodes.min(axis=1) - bow - need[:, n:],
+        nodes.max(axis=1) + bow + need[:, :n],
+    )
+
+
+def satellite_region(satellite: SatelliteObstacle, system: LinearSystem, delta: float, cells: int) -> Region:
+    """Where another satellite may be, by what is known of it, for each of a number of cells."""
+    carried = powers(expm(system.A * delta), cells - 1)
+    middle = carried @ np.asarray(satellite.state)
+    within = growth(system.A, delta)
+    # What an acceleration adds by the end of a cell, then carried on: summed over the cells passed.
+    push = (
+        delta
+        * within
+        @ sum((np.abs(M).sum(axis=1) * bound for M, bound in satellite.pushes(system)), np.zeros(system.n))
+    )
+    pushed = np.abs(carried) @ push
+    reached = np.concatenate([np.zeros((1, system.n)), np.cumsum(pushed, axis=0)[:-1]])
+    width = np.abs(carried) @ np.asarray(satellite.state_half_widths) + reached
+    moved = (np.abs(middle) + width) @ (within - np.eye(system.n)).T + push
+    names = (satellite.name,) * cells
+    return Region(names, _times(0, cells, delta), middle - width - moved, middle + width + moved)
+
+
+def _times(first: int, cells: int, delta: float) -> Array:
+    """Start of each of some cells [s]."""
+    return np.asarray((first + np.arange(cells)) * delta, dtype=float)

@@ -1,0 +1,160 @@
+"""A bound on what Hill's linear equations leave out, sound over whole sets of relative states.
+
+Every part is an inequality proven in docs/model-error.md; nothing here is sampled.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ...model.errors import ScenarioError
+from ...model.system import Array
+from ...model.tolerances import ROUNDING
+from .environment import MU, Environment
+
+
+@dataclass(frozen=True, eq=False)
+class Residual:
+    """Bounds on the parts of the residual acceleration [m/s^2], each of the shape of the sets asked for.
+
+    Attributes
+    ----------
+    curvature : ndarray
+        Central gravity beyond its gradient at the target.
+    radius : ndarray
+        That gradient where the target's distance is not that of the circle.
+    oblateness : ndarray
+        Difference of J2's pull on the two craft.
+    rotation : ndarray
+        Coriolis, centrifugal and Euler terms of a frame that does not turn evenly.
+    drag_ballistic : ndarray
+        Drag by different ballistic coefficients.
+    drag_place : ndarray
+        Drag by different density and velocity at the two places.
+    other : ndarray
+        As declared.
+    """
+
+    curvature: Array
+    radius: Array
+    oblateness: Array
+    rotation: Array
+    drag_ballistic: Array
+    drag_place: Array
+    other: Array
+
+    @property
+    def parts(self) -> dict[str, Array]:
+        """All parts by name."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+    @property
+    def total(self) -> Array:
+        """Their sum, with round-off: a bound on the 2-norm of the residual."""
+        return np.asarray(sum(self.parts.values()) * (1 + ROUNDING))
+
+
+def residual_bound(env: Environment, radial: ArrayLike, distance: ArrayLike, speed: ArrayLike) -> Residual:
+    """Bound the residual over ``|r_x| <= radial, norm(r) <= distance, norm(v) <= speed``.
+
+    Parameters
+    ----------
+    env : Environment
+        Bounds on the target's orbit and on the forces.
+    radial, distance, speed : array_like, broadcast together
+        [m], [m], [m/s]
+    """
+    x, r, v = np.broadcast_arrays(*(np.asarray(value, dtype=float) for value in (radial, distance, speed)))
+    a, eta, off = env.radius, env.mean_motion, env.radius_deviation
+    near = a - off  # least distance of the target from the Earth's centre
+    if not np.all(near - r > 0.5 * a):
+        rule = "reaches half-way to the Earth's centre: Hill's equations mean nothing there"
+        raise ScenarioError("orbit.radius_deviation_max_m", off, rule)
+    closest = near - r  # of any point on the line between the two craft
+    turns = _turning(env)
+    return Residual(
+        curvature=3 * MU * r**2 / closest**4,
+        radius=2 * (MU / near**3 - eta**2) * r,
+        oblateness=env.k_j2 / closest**5 * _gradient(env.inclination_max + r / closest) * r,
+        rotation=2 * turns.wobble * v + (turns.centrifugal + turns.euler) * r,
+        drag_ballistic=0.5 * env.ballistic_difference * _dense(env, r) * _fast(env, r, v) ** 2,
+        drag_place=_drag_place(env, x, r, v),
+        other=np.full(r.shape, env.other),
+    )
+
+
+def _gradient(latitude: Array) -> Array:
+    """Largest norm of J2's gradient, in units of ``k / d^5``, up to a latitude [rad].
+
+    With ``s`` the square of the sine of the latitude the eigenvalues are ``1 - 5 s`` and those of
+    ``[[12 s - 4, -8 c], [-8 c, 3 - 7 s]]``, ``c^2 = s (1 - s)``; the norm first falls with s and then rises.
+    """
+    s = np.sin(np.minimum(latitude, np.pi / 2)) ** 2
+    return np.asarray(np.maximum(4.0, np.abs(5 * s - 1) / 2 + np.sqrt(26.25 * s**2 - 2.5 * s + 12.25)))
+
+
+@dataclass(frozen=True)
+class _Turning:
+    """Bounds on the frame's rotation: ``norm(omega - eta z)`` [rad/s]; the others [rad/s^2]."""
+
+    wobble: float
+    centrifugal: float
+    euler: float
+
+
+def _turning(env: Environment) -> _Turning:
+    """How unevenly the frame may turn, from the exact formulas of `frame_rates`, term by term."""
+    a, eta, eps = env.radius, env.mean_motion, env.rate_deviation
+    near, V = a - env.radius_deviation, env.radial_rate
+    slow, fast = eta * (1 - eps), eta * (1 + eps)
+    sine = np.sin(env.inclination_max)
+    mixed = np.sin(min(2 * env.inclination_max, np.pi / 2))  # sup of |2 p_x p_z| and of |2 p_y p_z|
+    force = env.k_j2 / near**4
+    brake = 0.5 * float(_dense(env, np.asarray(0.0))) * env.ballistic * float(_own_speed(env))
+    tilt = force * mixed / (near * slow)
+    turn_rate = (force * sine**2 + brake * (a + env.radius_deviation) * fast + 2 * V * fast) / near
+    # normal = -2 k p_x p_z / R^4, and p' = -omega x p
+    normal_rate = force * (fast * mixed + tilt * sine**2) + 4 * V / near * force * mixed
+    tilt_rate = normal_rate / (near * slow) + tilt * (V / near + turn_rate / slow)
+    return _Turning(
+        wobble=float(np.hypot(tilt, eps * eta)),
+        centrifugal=float(fast**2 - eta**2 + tilt**2 + tilt * fast),
+        euler=float(np.hypot(tilt_rate, turn_rate)),
+    )
+
+
+# -- drag -------------------------------------------------------------------------------------------
+
+
+def _dense(env: Environment, r: Array) -> Array:
+    """Largest density at the target and around it."""
+    return np.asarray(env.density * np.exp((env.radius_deviation + r) / env.scale_height))
+
+
+def _own_speed(env: Environment) -> float:
+    """Largest inertial speed of the target [m/s]."""
+    fastest = env.mean_motion * (1 + env.rate_deviation)
+    return float(np.hypot(env.radial_rate, (env.radius + env.radius_deviation) * fastest))
+
+
+def _against(env: Environment, r: Array, v: Array) -> Array:
+    """Largest difference of the two inertial velocities [m/s]."""
+    turns = _turning(env)
+    return np.asarray(v + (env.mean_motion + turns.wobble) * r)
+
+
+def _fast(env: Environment, r: Array, v: Array) -> Array:
+    """Largest inertial speed of the other craft [m/s]."""
+    return np.asarray(_own_speed(env) + _against(env, r, v))
+
+
+def _drag_place(env: Environment, x: Array, r: Array, v: Array) -> Array:
+    """Drag on two equal craft: the density differs by height, the velocity by the relative motion."""
+    higher = x + r**2 / (2 * (env.radius - env.radius_deviation - r))
+    thicker = _dense(env, np.asarray(0.0)) * np.expm1(higher / env.scale_height)
+    fast = _fast(env, r, v)
+    slip = _dense(env, np.asarray(0.0)) * (fast + _own_speed(env)) * _against(env, r, v)
+    return np.asarray(0.5 * env.ballistic * (thicker * fast**2 + slip))

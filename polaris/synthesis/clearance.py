@@ -1,0 +1,199 @@
+"""Where the safe reference is, and how much room it has: what every recoverable set is made from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reach.numerics.linear import growth
+from reach.sets.zonotope import Zonotope
+
+from ..model.system import Array
+from ..model.timed_polytope import TimedPolytope
+from ..model.tolerances import ROUNDING
+from ..planning.reference import Reference
+from .tracking import Tracking
+
+
+@dataclass(frozen=True, eq=False)
+class Tube:
+    """What S's error from one set needs along fixed rows, period by period (theory item 3).
+
+    Attributes
+    ----------
+    rows : ndarray, shape (r, n)
+    need : ndarray, shape (memory + 3, r)
+        Entry l belongs to node l after the start. Over the period between two nodes ``row e(t)`` is
+        at most the larger of their entries; the last entry holds for every later time.
+    """
+
+    rows: Array
+    need: Array
+
+    def over_cells(self, cells: int, q: int) -> Array:
+        """Largest need within every planning cell, shape (cells, r)."""
+        last = len(self.need) - 1
+        lags = np.minimum(np.arange(cells * q + 1), last)
+        per_node = self.need[lags]
+        inside = per_node[:-1].reshape(cells, q, -1).max(axis=1)
+        return np.asarray(np.maximum(inside, per_node[q::q]))
+
+    def left_over(self, tracking: Tracking, radius: float) -> Array:
+        """What an error of a given norm still needs beyond the memory of the loop, shape (r,)."""
+        return np.asarray(_left_over(tracking, self.rows, radius) + tracking.disturbance(self.rows)[-1])
+
+
+def _left_over(tracking: Tracking, rows: Array, radius: float) -> Array:
+    weight = np.linalg.norm(rows @ tracking.W_inverse, axis=-1) + tracking.curvature(rows)
+    return np.asarray(weight * tracking.decay[-1] * radius)
+
+
+def error_tube(tracking: Tracking, start: Zonotope, rows: Array) -> Tube:
+    """Tight bound on ``row e(t)`` under S from a set of errors, for all time, between nodes too.
+
+    Parameters
+    ----------
+    tracking : Tracking
+    start : Zonotope
+        Set of errors ``x - xi`` at time 0.
+    rows : ndarray, shape (r, n)
+        Directions; give both signs for a two-sided bound.
+    """
+    radius = float(start.norm_bound(tracking.W))
+    curvature = tracking.curvature(rows)
+    centre = rows @ tracking.transitions @ start.c
+    spread = np.abs(rows @ tracking.transitions @ start.G).sum(axis=-1)
+    support = centre + spread + ROUNDING * (np.abs(centre) + spread)
+    disturbance = tracking.disturbance(rows)
+    booked = curvature * tracking.decay_before[:, None] * radius
+    within = support + booked + disturbance[: len(support)]
+    need = np.vstack([within, _left_over(tracking, rows, radius) + disturbance[-1]])
+    return Tube(rows, need + ROUNDING * np.abs(need))
+
+
+@dataclass(frozen=True, eq=False)
+class Clearance:
+    """Room around the reference: per cell one separating facet for every unsafe set, and thrust.
+
+    Parameters
+    ----------
+    tracking : Tracking
+        S, and what is known of its error.
+    reference : Reference
+        The safe reference, coasting tail included.
+    unsafe : tuple of TimedPolytope
+        One per unsafe set (one per facet of a keep-in set).
+    facets : ndarray of int, shape (cells, o)
+        The facet that separates in each cell.
+    planned : int
+        Number K of cells before the tail.
+    jump : ndarray, shape (n,)
+        Elementwise bound on the step of the reference at the start of the tail (solver residual).
+    """
+
+    tracking: Tracking
+    reference: Reference
+    unsafe: tuple[TimedPolytope, ...]
+    facets: NDArray[np.int_]
+    planned: int
+    jump: Array
+
+    @property
+    def q(self) -> int:
+        """Nodes per cell."""
+        return self.tracking.feedback.nodes_per_cell
+
+    @property
+    def cells(self) -> int:
+        """All cells, tail included."""
+        return self.reference.cells
+
+    @cached_property
+    def nodes(self) -> Array:
+        """Reference states at the nodes of every cell, shape (cells, q+1, n)."""
+        return self.reference.fine(self.q)
+
+    @cached_property
+    def obstacle_rows(self) -> tuple[Array, NDArray[np.int_]]:
+        """Distinct rows ``-n C`` (a state error e is safe if ``row e <= room``), and their index.
+
+        Returns
+        -------
+        rows : ndarray, shape (r, n)
+        index : ndarray of int, shape (cells, o)
+        """
+        normals = [u.normals[self.facets[:, o]] for o, u in enumerate(self.unsafe)]
+        d = self.tracking.system.d
+        flat = np.concatenate(normals) if normals else np.zeros((0, d))
+        distinct, index = np.unique(flat, axis=0, return_inverse=True)
+        index = np.asarray(index).reshape(len(self.unsafe), self.cells).T
+        return -distinct @ self.tracking.system.position, index
+
+    @cached_property
+    def room(self) -> Array:
+        """Distance from the reference to its facet at every node [m], shape (cells, q+1, o).
+
+        Reduced by the bow of the reference between the nodes, by the jump into the tail, and by
+        rounding: a lower bound that holds over the whole of both adjacent parts of the cell.
+        """
+        if not self.unsafe:
+            return np.zeros((self.cells, self.q + 1, 0))
+        parts = [facet_room(self.tracking, self.reference, u, self.q, self.nodes) for u in self.unsafe]
+        chosen = [
+            np.take_along_axis(part, self.facets[:, None, o : o + 1], axis=2)[..., 0]
+            for o, part in enumerate(parts)
+        ]
+        room = np.stack(chosen, axis=-1)
+        rows, index = self.obstacle_rows
+        room[self.planned :] -= self._jump_cost(rows)[index[self.planned :]][:, None, :]
+        return room
+
+    @cached_property
+    def thrust(self) -> tuple[Array, Array]:
+        """Input left above and below the reference input per cell [N], each of shape (cells, m)."""
+        system = self.tracking.system
+        limit = system.u_max * (1 - ROUNDING)
+        cost = np.zeros((self.cells, system.m))
+        cost[self.planned :] = self._jump_cost(self.tracking.gain)
+        return limit - self.reference.nu - cost, limit + self.reference.nu - cost
+
+    def _jump_cost(self, rows: Array) -> Array:
+        weight = np.linalg.norm(rows @ self.tracking.W_inverse, axis=-1) + self.tracking.curvature(rows)
+        return np.asarray(weight * np.linalg.norm(np.abs(self.tracking.W) @ self.jump))
+
+
+def facet_room(
+    tracking: Tracking, reference: Reference, unsafe: TimedPolytope, q: int, nodes: Array | None = None
+) -> Array:
+    """Distance from the reference to every facet of one set at every node, shape (cells, q+1, F).
+
+    Already reduced by the bow of the reference between nodes and by rounding.
+    """
+    system, h = tracking.system, reference.delta / q
+    nodes = reference.fine(q) if nodes is None else nodes
+    cells = reference.cells
+    rate = nodes[:, :-1] @ system.A.T + (reference.nu @ system.B.T)[:, None, :]
+    grown = np.abs(rate) @ growth(system.A, h).T
+    bow = h**2 / 8 * grown @ np.abs(unsafe.normals @ system.position @ system.A).T  # (cells, q, F)
+    bow = np.maximum(np.pad(bow, ((0, 0), (0, 1), (0, 0))), np.pad(bow, ((0, 0), (1, 0), (0, 0))))
+    distance = (nodes @ system.position.T) @ unsafe.normals.T - unsafe.fine(q)[:cells]
+    size = np.abs(nodes @ system.position.T).sum(axis=-1, keepdims=True) + np.abs(unsafe.fine(q)[:cells])
+    return np.asarray(distance - bow - ROUNDING * size)
+
+
+def best_facets(
+    tracking: Tracking, reference: Reference, unsafe: tuple[TimedPolytope, ...], start: Zonotope
+) -> NDArray[np.int_]:
+    """For every cell and set the facet that leaves most room beyond S's tube, shape (cells, o)."""
+    q = tracking.feedback.nodes_per_cell
+    nodes = reference.fine(q)
+    chosen = np.zeros((reference.cells, len(unsafe)), dtype=int)
+    for o, polytope in enumerate(unsafe):
+        tube = error_tube(tracking, start, -polytope.normals @ tracking.system.position)
+        need = tube.over_cells(reference.cells, q)
+        room = facet_room(tracking, reference, polytope, q, nodes).min(axis=1)
+        chosen[:, o] = np.argmax(room - need, axis=1)
+    return chosen

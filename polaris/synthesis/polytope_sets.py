@@ -1,0 +1,250 @@
+"""Polytopic recoverable sets: every limit carried back exactly through the closed loop."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reach.sets.zonotope import Zonotope
+
+from ..model.system import Array
+from ..model.tolerances import ROUNDING
+from .clearance import Clearance
+from .recoverable import Margin, grow_bow, left
+
+COARSE = (0.5, 0.05)
+"""Shares of the room up to which a bound by the norm stands for what a set needs, tried in this order."""
+
+
+@dataclass(frozen=True, eq=False)
+class PolytopeSets:
+    """All facets and thrust limits, carried back exactly through the closed loop (the default).
+
+    ``C^t = {e : row_j Phi(t_j - t) e + disturbance <= room_j for every later t_j}``: exact for the
+    chosen facets up to what is booked between nodes. Limits further away than the memory of the
+    loop are collected in one ball, which they can hardly touch (docs/theory.md, Proposition 6).
+    """
+
+    clearance: Clearance
+    kind: str = "polytope"
+    guarantee: str = "proved"
+
+    @cached_property
+    def _rows(self) -> tuple[Array, Array, Array, Array]:
+        """Rows carried back, ``row phi^l`` (L, r, n); disturbance (L + 1, r); curvature (r,); index."""
+        tracking = self.clearance.tracking
+        obstacle, _ = self.clearance.obstacle_rows
+        rows = np.vstack([obstacle, tracking.gain, -tracking.gain])
+        return rows @ tracking.transitions, tracking.disturbance(rows), tracking.curvature(rows), rows
+
+    @cached_property
+    def _index(self) -> NDArray[np.int_]:
+        """Row of every limit in every cell, shape (cells, o + 2 m)."""
+        obstacle, index = self.clearance.obstacle_rows
+        m = self.clearance.tracking.system.m
+        thrust = np.broadcast_to(len(obstacle) + np.arange(2 * m), (self.clearance.cells, 2 * m))
+        return np.hstack([index, thrust])
+
+    @cached_property
+    def room(self) -> Array:
+        """Room of every limit at every node of every cell, shape (cells, q+1, o + 2 m).
+
+        ``u = mu - Lambda e``: the row ``+Lambda_i`` is limited by the room below, ``-Lambda_i`` above.
+        """
+        above, below = self.clearance.thrust
+        thrust = np.broadcast_to(
+            np.hstack([below, above])[:, None, :],
+            (self.clearance.cells, self.clearance.q + 1, 2 * below.shape[1]),
+        ).copy()
+        if self.clearance.tracking.feedback.sampled:
+            thrust[:, -1] = np.inf  # the input renewed at the end of a cell belongs to the next one
+        return np.concatenate([self.clearance.room, thrust], axis=-1)
+
+    @cached_property
+    def names(self) -> list[str]:
+        """Names of the limits, in the order of `room`."""
+        axes = self.clearance.tracking.system.input_names
+        return [*(u.name for u in self.clearance.unsafe), *axes, *axes]
+
+    @cached_property
+    def _reach(self) -> Array:
+        """What each row needs of an error beyond the memory, per unit of ``norm(W e)`` now, shape (r,)."""
+        tracking = self.clearance.tracking
+        _, _, curvature, rows = self._rows
+        return np.asarray(
+            (np.linalg.norm(rows @ tracking.W_inverse, axis=-1) + curvature) * tracking.decay[-1]
+        )
+
+    @cached_property
+    def _ahead(self) -> Array:
+        """Least room of every distinct row from a node on, shape (nodes + 1, r)."""
+        cells, q, r = self.clearance.cells, self.clearance.q, len(self._rows[3])
+        least = np.full((cells, q, r), np.inf)
+        both = np.minimum(self.room[:, :-1], self.room[:, 1:])
+        at = np.arange(cells)[:, None], np.arange(q)[None, :]
+        for limit in range(both.shape[-1]):
+            np.minimum.at(least, (*at, self._index[:, limit, None]), both[:, :, limit])
+        ahead = np.vstack([least.reshape(-1, r), np.full((1, r), np.inf)])
+        return np.asarray(np.minimum.accumulate(ahead[::-1])[::-1])
+
+    @cached_property
+    def _beyond(self) -> NDArray[np.int_]:
+        """Node from which on limits lie beyond the memory, seen from every node, shape (nodes + 1,)."""
+        # After the tail the reference repeats it: whatever the node, the whole tail lies ahead again.
+        tail = self.clearance.planned * self.clearance.q
+        return np.minimum(np.arange(len(self._ahead)) + self.clearance.tracking.memory, tail)
+
+    @cached_property
+    def _far(self) -> Array:
+        """Ball that covers all limits beyond the memory: allowed norm at every node, (nodes + 1,)."""
+        spare = self._ahead[self._beyond] - self._rows[1][-1]
+        allowed = np.where(np.isposinf(spare), np.inf, spare / self._reach).min(axis=1, initial=np.inf)
+        return np.asarray(np.where(np.isnan(allowed), -np.inf, allowed))
+
+    def _far_margin(self, node: int, radius: float) -> Margin:
+        """Tightest limit beyond the memory for errors up to a norm at a node."""
+        start = self._beyond[min(node, len(self._beyond) - 1)]
+        room, need = self._ahead[start], (self._rows[1][-1] + self._reach * radius) * (1 + ROUNDING)
+        share = left(need, room)
+        row = int(np.argmin(share))
+        # Where that row has its least room: which of the limits it is, and when.
+        cells = np.arange(start // self.clearance.q, self.clearance.cells)
+        found = np.where(self._index[cells] == row, self.room[cells].min(axis=1), np.inf)
+        if not np.isfinite(room[row]):
+            return Margin(np.inf, "", np.inf, 0.0, np.inf)
+        at, limit = np.unravel_index(int(np.argmin(found)), found.shape)
+        time = float(cells[at] * self.clearance.tracking.delta)
+        return Margin(float(share[row]), self.names[limit], time, float(need[row]), float(room[row]))
+
+    def _targets(self, node: int) -> tuple[NDArray[np.int_], NDArray[np.int_], NDArray[np.int_]]:
+        """Lags, cells and places in the cell of the limits that a node must meet from there on."""
+        q, cells = self.clearance.q, self.clearance.cells
+        last = min(node + self.clearance.tracking.memory + 1, cells * q)
+        later = np.arange(node, last + 1)
+        right = later[later < cells * q]
+        left = later[(later % q == 0) & (later > node)]
+        lags = np.concatenate([right, left]) - node
+        return (
+            lags,
+            np.concatenate([right // q, left // q - 1]),
+            np.concatenate([right % q, np.full(len(left), q)]),
+        )
+
+    @cached_property
+    def _floor(self) -> Array:
+        """Least room of every distinct row from a cell on, shape (cells, r)."""
+        floor = np.full((self.clearance.cells, len(self._rows[3])), np.inf)
+        least = self.room.min(axis=1)
+        for limit in range(least.shape[1]):
+            np.minimum.at(floor, (np.arange(len(floor)), self._index[:, limit]), least[:, limit])
+        return np.asarray(np.minimum.accumulate(floor[::-1], axis=0)[::-1])
+
+    def _need(self, cell: int, nodes: Zonotope, bow: Array, radius: float, spare: float) -> Array:
+        """What each node needs of every row at every lag, shape (count, memory + 2, r).
+
+        Rows that a bound by the norm shows to need no more than a share `spare` of the room keep
+        that bound; only the others are worked out exactly.
+        """
+        tracking = self.clearance.tracking
+        carried, disturbance, curvature, _ = self._rows
+        booked = curvature * tracking.decay_before[:, None] * radius + disturbance[: len(carried)]
+        coarse = self._weights * radius + booked
+        keep = coarse > spare * np.maximum(self._floor[cell], 0)
+        exact = carried[keep]
+        centre = exact @ nodes.c.T
+        spread = np.stack([np.abs(exact @ G).sum(axis=-1) for G in nodes.G], axis=1)
+        # Rounding is booked on the size of the terms, not on what is left of them after cancelling.
+        support = centre + spread + ROUNDING * (np.abs(centre) + spread)
+        if np.any(bow > 0):
+            # A switch between two nodes is seen from the later one: one period less to decay.
+            before = np.concatenate([carried[:1], carried[:-1]])[keep]
+            support += np.maximum(np.abs(exact) @ bow.T, np.abs(before) @ bow.T)
+        need = np.repeat(coarse[None], len(nodes), axis=0)
+        need[:, keep] = np.minimum(need[:, keep], support.T + booked[keep])
+        return np.asarray(need * (1 + ROUNDING * np.sign(need)))
+
+    @cached_property
+    def _weights(self) -> Array:
+        """``norm(row phi^l W^-1)``, and one period earlier if that is larger, shape (memory + 2, r)."""
+        norms = np.linalg.norm(self._rows[0] @ self.clearance.tracking.W_inverse, axis=-1) * (1 + ROUNDING)
+        return np.asarray(np.maximum(norms, np.concatenate([norms[:1], norms[:-1]])))
+
+    def _margins(self, first: int, nodes: Zonotope, bow: Array, radius: float) -> Margin:
+        """Tightest limit over a stack of nodes that starts at node `first` of the grid."""
+        far = self._far_margin(first, radius)
+        for spare in COARSE:
+            near = self._near_margin(first, nodes, bow, radius, spare)
+            if near.value < 1 - spare or far.value < near.value:
+                break  # the tightest was worked out exactly: the bound by the norm would have done better
+        return min(near, far, key=lambda found: found.value)
+
+    def _near_margin(self, first: int, nodes: Zonotope, bow: Array, radius: float, spare: float) -> Margin:
+        """The same within the memory; see `_need` for `spare`."""
+        q, cells = self.clearance.q, self.clearance.cells
+        count, lags = len(nodes), len(self._rows[0])
+        need = self._need(min(first // q, cells - 1), nodes, bow, radius, spare)
+        # Every target lies in the cell to its right; those at a cell's end also in the one to their left.
+        target = first + np.arange(count)[:, None] + np.arange(lags)
+        worst, where, found = np.inf, (0, 0, 0), (0.0, np.inf)
+        for side in (0, 1):
+            cell = target // q - side
+            counts = cell < cells if side == 0 else (target % q == 0) & (target > first) & (cell < cells)
+            i, lag = np.nonzero(counts)
+            at = cell[i, lag]
+            room = self.room[at, target[i, lag] - at * q]
+            needed = np.take_along_axis(need[i, lag], self._index[at], axis=1)
+            share = left(needed, room)
+            if share.size and share.min() < worst:
+                j, limit = np.unravel_index(int(np.argmin(share)), share.shape)
+                worst, where = float(share[j, limit]), (int(i[j]), int(lag[j]), int(limit))
+                found = float(needed[j, limit]), float(room[j, limit])
+        i0, lag0, limit0 = where
+        time = (first + i0 + lag0) * self.clearance.tracking.flow.h
+        return Margin(worst, self.names[limit0], time, *found)
+
+    def margin(self, k: int, nodes: Zonotope, bow: Array) -> Margin:
+        """Margin of a flight over cell k."""
+        grown, W = grow_bow(bow), self.clearance.tracking.W
+        # States between two nodes, and those of a switch there, are as large as the larger node's.
+        radius = float(np.max(nodes.norm_bound(W) + np.linalg.norm(grown @ np.abs(W).T, axis=-1)))
+        return self._margins(k * self.clearance.q, nodes, grown, radius)
+
+    def margin_at(self, k: int, start: Zonotope) -> Margin:
+        """Margin of one set at the start of cell k."""
+        radius = float(start.norm_bound(self.clearance.tracking.W))
+        one = Zonotope(start.c[None], start.G[None])
+        return self._margins(k * self.clearance.q, one, np.zeros((1, start.dim)), radius)
+
+    def contains(self, node: int, errors: Array) -> NDArray[np.bool_]:
+        """Whether each error (runs, n) at a node is recoverable."""
+        errors = np.atleast_2d(errors)
+        tracking = self.clearance.tracking
+        carried, disturbance, curvature, _ = self._rows
+        lags, cell, place = self._targets(node)
+        radius = np.linalg.norm(errors @ tracking.W.T, axis=-1)
+        weight = curvature * tracking.decay_before[:, None]
+        # Only limits that the largest of the errors might touch are worked out.
+        coarse = (self._weights + weight) * radius.max() + disturbance[: len(carried)]
+        index, room = self._index[cell], self.room[cell, place]
+        where = coarse[lags[:, None], index] > room
+        lag, row, limit = np.broadcast_to(lags[:, None], index.shape)[where], index[where], room[where]
+        need = errors @ carried[lag, row].T + radius[:, None] * weight[lag, row] + disturbance[lag, row]
+        return np.asarray(
+            np.all(need <= limit, axis=1) & (radius <= self._far[min(node, len(self._far) - 1)])
+        )
+
+    def radius(self, node: int) -> float:
+        """Radius of the largest ball ``norm(W e) <= r`` inside the set at a node."""
+        tracking = self.clearance.tracking
+        carried, disturbance, curvature, _ = self._rows
+        lags, cell, place = self._targets(node)
+        per_unit = (
+            np.linalg.norm(carried @ tracking.W_inverse, axis=-1) + curvature * tracking.decay_before[:, None]
+        )
+        index = self._index[cell]
+        spare = self.room[cell, place] - np.take_along_axis(disturbance[lags], index, axis=1)
+        near = np.min(spare / np.take_along_axis(per_unit[lags], index, axis=1), initial=np.inf)
+        return float(max(min(near, self._far[min(node, len(self._far) - 1)]), 0.0))

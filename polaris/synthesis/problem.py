@@ -1,0 +1,104 @@
+"""What the two algorithms are asked: the mathematical problem of section II, without a file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from numpy.typing import ArrayLike
+
+from reach.sets.zonotope import Zonotope
+
+from ..model.checks import MAX_STEPS, non_negative, number, positive, whole
+from ..model.errors import ScenarioError
+from ..model.system import Array, LinearSystem
+from ..planning.goals import Goal
+from ..planning.problem import Objective, PlannerOptions
+
+RECOVERABLE_KINDS = ("polytope", "time_varying_ball", "ball", "paper_ball")
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Input of Algorithm 1.
+
+    Parameters
+    ----------
+    system : LinearSystem
+        What is controlled.
+    initial_set : Zonotope
+        Theta, in absolute coordinates (m, m/s).
+    unsafe : tuple of obstacles
+        Objects with ``timed_polytopes(system, delta, cells)`` (see `polaris.model.obstacles`).
+    K : int
+        Number of steps.
+    delta : float
+        Step [s]; the horizon is ``T = K delta``.
+    Q, R : array_like
+        LQR weights of the tracker, matrices or diagonals.
+    goal : Goal
+        Where the reference must end.
+    recoverable : {"polytope", "time_varying_ball", "ball", "paper_ball"}
+        Kind of recoverable set, from the widest to the printed one, which proves nothing.
+    period : float or None
+        Control period [s] of sampled feedback; None for continuous feedback.
+    bound : {"envelope", "lyapunov"}
+        Method of Lemma 1 (used by the balls).
+    weight : {"auto", "identity"} or array_like
+        Weight of the norm of Lemma 1.
+    objective : {"margin_then_fuel", "distance", "fuel"}
+        What the planner seeks: the extra margin and then least velocity change; most distance; least fuel.
+    extra_margin : float
+        Clearance [m] wanted beyond what S's own tube needs: the room left to U.
+    thrust_reserve : float
+        Share of the thrust limits, in [0, 1), that the reference leaves beyond what S's tube needs.
+    planner : PlannerOptions
+        Solver, time limit, gap.
+    gains : tuple of ndarray
+        Gains of the experimental controllers, so that the time grid is fine enough for them.
+    """
+
+    system: LinearSystem
+    initial_set: Zonotope
+    unsafe: tuple[Any, ...]
+    K: int
+    delta: float
+    Q: ArrayLike
+    R: ArrayLike
+    goal: Goal
+    recoverable: str = "polytope"
+    period: float | None = None
+    bound: str = "envelope"
+    weight: ArrayLike | str = "auto"
+    objective: Objective = "margin_then_fuel"
+    extra_margin: float = 0.0
+    thrust_reserve: float = 0.2
+    planner: PlannerOptions = field(default_factory=PlannerOptions)
+    gains: tuple[Array, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.initial_set, Zonotope):
+            raise ScenarioError("initial_set", type(self.initial_set).__name__, "must be a reach.Zonotope")
+        if self.initial_set.batch or self.initial_set.dim != self.system.n:
+            rule = f"must be one set of {self.system.n} states"
+            raise ScenarioError("initial_set", self.initial_set.c.shape, rule)
+        if whole("K", self.K, 1) > MAX_STEPS:
+            raise ScenarioError("K", self.K, f"must be at most {MAX_STEPS} steps")
+        positive("delta", self.delta, "s")
+        if self.period is not None:
+            positive("feedback.period_s", self.period, "s")
+        if not isinstance(self.goal, Goal):
+            raise ScenarioError("goal", type(self.goal).__name__, "must be one of polaris.planning's goals")
+        bodies = self.unsafe if isinstance(self.unsafe, (tuple, list)) else None
+        if bodies is None or not all(hasattr(body, "timed_polytopes") for body in bodies):
+            raise ScenarioError(
+                "unsafe", self.unsafe, "must be a tuple of obstacles (see polaris.model.obstacles)"
+            )
+        if not isinstance(self.planner, PlannerOptions):
+            raise ScenarioError("planner", type(self.planner).__name__, "must be PlannerOptions")
+        non_negative("extra_margin", self.extra_margin, "m")
+        if not 0 <= number("thrust_reserve", self.thrust_reserve) < 1:
+            raise ScenarioError("thrust_reserve", self.thrust_reserve, "must be in [0, 1)")
+        if self.recoverable not in RECOVERABLE_KINDS:
+            rule = f"must be one of {', '.join(RECOVERABLE_KINDS)}"
+            raise ScenarioError("recoverable", self.recoverable, rule)

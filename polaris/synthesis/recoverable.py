@@ -1,0 +1,116 @@
+"""Recoverable sets (Definition 1): from which errors the safety controller stays safe to the end.
+
+Three kinds behind one interface, from the paper's to the least conservative. All include "S does
+not saturate from here to the end" (theory item 7), and all hold for the whole of every period.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reach.sets.zonotope import Zonotope
+
+from ..model.errors import ScenarioError
+from ..model.system import Array
+from .clearance import Clearance
+from .controllers import Flight
+from .error_bounds import ErrorBounds
+
+
+@dataclass(frozen=True)
+class Margin:
+    """How far a set of errors is inside a recoverable set, and what limits it.
+
+    Attributes
+    ----------
+    value : float
+        Share of the available room left over at the tightest place: 1 for the reference itself
+        undisturbed, 0 on the boundary, negative outside.
+    limit : str
+        Name of the unsafe set that limits it, or of the input (`LinearSystem.input_names`).
+    time : float
+        Time [s] at which the limit bites, under S; for a limit beyond the loop's memory, the start of
+        its step.
+    need, room : float
+        What the set needs there and what there is, disturbance included, in m or N.
+    """
+
+    value: float
+    limit: str
+    time: float
+    need: float
+    room: float
+
+    @property
+    def inside(self) -> bool:
+        """Whether the whole set is recoverable."""
+        return self.value >= 0
+
+    def __str__(self) -> str:
+        return f"{self.limit} at t = {self.time:.6g} s: needs {self.need:.4g} of {self.room:.4g}"
+
+
+class RecoverableSet(Protocol):
+    """One recoverable set per node, in error coordinates ``e = x - xi(t)``."""
+
+    @property
+    def kind(self) -> str:
+        """``polytope``, ``time_varying_ball``, ``ball`` or ``paper_ball``."""
+        ...
+
+    @property
+    def guarantee(self) -> str:
+        """``proved``, or ``none`` for the option that is not sound."""
+        ...
+
+    def margin(self, k: int, nodes: Zonotope, bow: Array) -> Margin:
+        """Margin of a flight over cell k: sets at its q+1 nodes, bow over the q parts (see Flight)."""
+        ...
+
+    def margin_at(self, k: int, start: Zonotope) -> Margin:
+        """Margin of one set at the start of cell k."""
+        ...
+
+    def contains(self, node: int, errors: Array) -> NDArray[np.bool_]:
+        """Whether each error (runs, n) at a node is recoverable."""
+        ...
+
+    def radius(self, node: int) -> float:
+        """Radius of the largest ball ``norm(W e) <= r`` inside the set at a node."""
+        ...
+
+
+def contains_flight(recoverable: RecoverableSet, k: int, flight: Flight) -> Margin:
+    """Line 13 of Algorithm 2: how far the reach set over ``[t1, t2]`` is inside, pointwise in time."""
+    return recoverable.margin(k, flight.nodes, flight.bow)
+
+
+def get_recover(kind: str, clearance: Clearance, bounds: ErrorBounds) -> RecoverableSet:
+    """Build the recoverable sets of one kind (the paper's GetRecover)."""
+    from .ball_sets import BallSets
+    from .polytope_sets import PolytopeSets
+
+    if not clearance.unsafe and kind == "paper_ball":
+        rule = "has nothing to keep clear of: there are no unsafe sets"
+        raise ScenarioError("recoverable.kind", kind, rule)
+    if kind == "polytope":
+        return PolytopeSets(clearance)
+    if kind in ("ball", "time_varying_ball", "paper_ball"):
+        return BallSets(clearance, bounds, kind)
+    raise ValueError(f"unknown kind of recoverable set: {kind}")
+
+
+def left(need: Array, room: Array) -> Array:
+    """Share of the room that is left over, ``1 - need / room``; minus infinity where there is no room."""
+    some = room > 0
+    share = np.where(some, 1 - need / np.where(some, room, 1), -np.inf)
+    return np.asarray(np.where(np.isnan(share), -np.inf, share))  # what cannot be worked out is not met
+
+
+def grow_bow(bow: Array) -> Array:
+    """Bow at every node: the larger of the two parts that meet there, shape (q+1, n)."""
+    return np.asarray(np.maximum(np.pad(bow, ((0, 1), (0, 0))), np.pad(bow, ((1, 0), (0, 0)))))

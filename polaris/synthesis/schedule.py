@@ -1,0 +1,132 @@
+"""The result of Algorithm 2: modes per step, tubes, margins, and what is guaranteed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reach.sets.zonotope import Zonotope
+
+from ..certificate.document import assumptions
+from ..model.satellite import SatelliteObstacle
+from ..model.system import Array
+from .controllers import Controller, Flight
+from .get_safety import Safety
+from .recoverable import Margin
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One step of the schedule.
+
+    Attributes
+    ----------
+    mode : int
+        0 is S, 1, 2, ... the experimental controllers.
+    flight : Flight
+        Reachable set over the step, in error coordinates.
+    margin : Margin
+        How far it is inside the recoverable sets. Steps under S need no margin: from a recoverable
+        set S stays safe to the end.
+    """
+
+    mode: int
+    flight: Flight
+    margin: Margin
+
+
+@dataclass(frozen=True, eq=False)
+class Schedule:
+    """A switching schedule L with everything its proof rests on.
+
+    Attributes
+    ----------
+    safety : Safety
+        What it was made from.
+    controllers : tuple of Controller
+        Indexed by mode.
+    steps : tuple of Step
+        One per planning step.
+    final : Zonotope
+        Set of errors at T.
+    guarantee : {"proved", "none"}
+        Whether safety is proven; how far the claim reaches is in ``safety.end``.
+    assumptions : tuple of str
+        What the guarantee rests on, for a mission to discharge.
+    seconds : mapping
+        Wall time of the synthesis by stage.
+    """
+
+    safety: Safety
+    controllers: tuple[Controller, ...]
+    steps: tuple[Step, ...]
+    final: Zonotope
+    guarantee: str
+    assumptions: tuple[str, ...]
+    seconds: Mapping[str, float] = field(default_factory=dict)
+
+    @cached_property
+    def modes(self) -> NDArray[np.int_]:
+        """Mode of every step, shape (K,)."""
+        return np.array([step.mode for step in self.steps], dtype=int)
+
+    @property
+    def times(self) -> Array:
+        """Start of every step, and T [s], shape (K+1,)."""
+        return np.asarray(np.arange(len(self.steps) + 1) * self.safety.problem.delta, dtype=float)
+
+    @property
+    def switches(self) -> int:
+        """Number of changes of mode inside the horizon."""
+        return int(np.count_nonzero(np.diff(self.modes)))
+
+    def share(self, mode: int | None = None) -> float:
+        """Share of time under one mode; without one, under any experimental controller."""
+        flying = self.modes > 0 if mode is None else self.modes == mode
+        return float(np.mean(flying))
+
+    def mode_at(self, t: float) -> int:
+        """The switching logic L(t): mode at a time t [s], at a switch the new one; S after T."""
+        k = int(np.floor(t / self.safety.problem.delta + 1e-12))
+        return int(self.modes[k]) if 0 <= k < len(self.modes) else 0
+
+    @property
+    def margins(self) -> Array:
+        """Containment margin of every step, shape (K,); see `polaris.synthesis.recoverable.Margin`.
+
+        The proof needs it to be at least 0 under an experimental controller only. Under S it may be
+        negative: the set reached is enclosed afresh at every node, and S, once it has taken over from a
+        recoverable set, is safe whatever that enclosure says.
+        """
+        return np.array([step.margin.value for step in self.steps])
+
+    def plot(self, ax: Any = None) -> Any:
+        """Draw the schedule in the plane of motion; returns the matplotlib axes."""
+        from ..report.figures import plot_schedule
+
+        return plot_schedule(self, ax)
+
+
+def describe_guarantee(schedule: Schedule) -> tuple[str, tuple[str, ...]]:
+    """The kind of the claim and what it assumes; how far it reaches is in `Safety.end`."""
+    arithmetic = "arithmetic: in double precision, its round-off covered by booked tolerances"
+    return schedule.safety.guarantee, (*assumed(schedule.safety), arithmetic)
+
+
+def assumed(safety: Safety) -> list[str]:
+    """What run and certificate both rest on, in words."""
+    problem, tracking, cells = safety.problem, safety.tracking, safety.reference.cells
+    offsets = [unsafe.offsets[:cells] for unsafe in safety.clearance.unsafe]
+    return assumptions(
+        problem.system.w_max,
+        problem.delta / safety.clearance.q if tracking.feedback.sampled else None,
+        resting=any(bool(np.all(b == b[0, 0])) for b in offsets),
+        satellites=any(isinstance(unsafe, SatelliteObstacle) for unsafe in problem.unsafe),
+        horizon=safety.end.horizon,
+        until=safety.end.until if np.isfinite(safety.end.until) else None,
+    )

@@ -1,0 +1,210 @@
+"""The tracking controller of section III-A: LQR gain, its error dynamics, and the tight error tube."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from reach.numerics.errors import ReachError
+from reach.numerics.linear import powers
+from reach.tubes.flow import LinearFlow
+
+from ..model.errors import ScenarioError
+from ..model.system import Array, LinearSystem, as_finite
+
+LEFT_OVER = 1e-3
+"""Share of an error (in the contraction norm) below which limits are no longer followed one by one
+but collected in one ball. Smaller: more rows per recoverable set, and a larger ball."""
+
+
+def solve_are(A: Array, B: Array, Q: Array, R: Array) -> tuple[Array, Array]:
+    """Solve the algebraic Riccati equation (eq. 7); return P and the gain ``R^-1 B' P``.
+
+    Parameters
+    ----------
+    A, B : ndarray, shapes (n, n), (n, m)
+    Q, R : ndarray, shapes (n, n), (m, m)
+        State weight (positive semidefinite) and input weight (positive definite).
+
+    Raises
+    ------
+    ScenarioError
+        If there is no stabilising solution: (A, B) is not stabilisable, or Q leaves a mode on or
+        right of the imaginary axis unobserved.
+    """
+    import control
+
+    try:
+        # Always scipy's method: with the other one the result would depend on what is installed.
+        P, _, gain = control.care(A, B, Q, R, method="scipy")
+        gain = np.atleast_2d(np.asarray(gain, dtype=float))
+        worst = float(np.max(np.linalg.eigvals(A - B @ gain).real))
+    except (ValueError, np.linalg.LinAlgError, control.ControlArgument) as error:
+        rule = f"the Riccati equation has no stabilising solution ({error})"
+        raise ScenarioError("tracking.Q", np.diag(Q).tolist(), rule) from error
+    if not worst < 0:
+        rule = f"the closed loop must be stable; its slowest eigenvalue has real part {worst:.3g}"
+        raise ScenarioError("tracking.Q", np.diag(Q).tolist(), rule)
+    return np.asarray(P, dtype=float), gain
+
+
+def lqr_gain(system: LinearSystem, Q: ArrayLike, R: ArrayLike) -> Array:
+    """LQR gain, shape (m, n), for weights given as matrices or as diagonals (Proposition 1)."""
+    weights = []
+    for name, value, size in (("tracking.Q", Q, system.n), ("tracking.R", R, system.m)):
+        matrix = as_finite(name, value, 1 if np.ndim(value) == 1 else 2)
+        matrix = as_finite(name, np.diag(matrix) if matrix.ndim == 1 else matrix, 2)
+        if matrix.shape != (size, size):
+            raise ScenarioError(name, matrix.shape, f"must be {size} numbers or a {size} x {size} matrix")
+        weights.append((matrix + matrix.T) / 2)
+    return solve_are(system.A, system.B, *weights)[1]
+
+
+@dataclass(frozen=True)
+class Feedback:
+    """How a feedback law runs: continuously, or on a flight computer with a control period.
+
+    Parameters
+    ----------
+    nodes_per_cell : int
+        Number q of nodes per planning step. For sampled feedback the control period is delta / q.
+    sampled : bool
+        Whether the input is held from node to node.
+    """
+
+    nodes_per_cell: int
+    sampled: bool = False
+
+    def flow(self, system: LinearSystem, gain: Array, delta: float) -> LinearFlow:
+        """Error dynamics under ``u = mu + gain (xi - x)``."""
+        h = delta / self.nodes_per_cell
+        if self.sampled:
+            return LinearFlow.sampled(system.A, system.B, gain, system.D, system.w_max, h)
+        return LinearFlow.continuous(system.A - system.B @ gain, system.D, system.w_max, h)
+
+
+def choose_feedback(system: LinearSystem, gains: list[Array], delta: float, period: float | None) -> Feedback:
+    """Nodes per step: the control period if one is given, else fine enough for the fastest loop.
+
+    A node every quarter of the fastest closed-loop time constant keeps what is booked between
+    nodes below one per cent of the error.
+    """
+    if period is not None:
+        q = round(delta / period)
+        if q < 1 or abs(q * period - delta) > 1e-9 * delta:
+            raise ScenarioError("feedback.period_s", period, f"must divide the step of {delta:g} s")
+        return Feedback(q, sampled=True)
+    fastest = max(float(np.max(np.abs(np.linalg.eigvals(system.A - system.B @ gain)))) for gain in gains)
+    return Feedback(int(np.clip(np.ceil(delta * fastest / 0.25), 2, 200)))
+
+
+@dataclass(frozen=True, eq=False)
+class Tracking:
+    """The tracker, and everything about its error that later stages need.
+
+    Parameters
+    ----------
+    system : LinearSystem
+        What is controlled.
+    gain : ndarray, shape (m, n)
+        Lambda.
+    feedback : Feedback
+        Continuous, or sampled with its control period.
+    delta : float
+        Planning step [s].
+    """
+
+    system: LinearSystem
+    gain: Array
+    feedback: Feedback
+    delta: float
+
+    @cached_property
+    def flow(self) -> LinearFlow:
+        """Error dynamics of the safety controller."""
+        flow = self.feedback.flow(self.system, self.gain, self.delta)
+        try:
+            flow.lyapunov  # noqa: B018  an unstable sampled loop is refused here, with its reason
+        except ReachError as error:
+            field = "feedback.period_s" if self.feedback.sampled else "tracking.Q"
+            raise ScenarioError(field, flow.h, f"must give a stable loop: {error}") from error
+        if not np.all(np.isfinite(flow.growth)):
+            rule = (
+                "is too long for the fastest motion of the system: what happens within it cannot be bounded"
+            )
+            raise ScenarioError("horizon.step_s", self.delta, rule)
+        return flow
+
+    @cached_property
+    def W(self) -> Array:
+        """Weight of the norm ``norm(W e, 2)`` in which the error contracts, shape (n, n)."""
+        return self.flow.lyapunov[0]
+
+    @cached_property
+    def W_inverse(self) -> Array:
+        """Inverse of the weight."""
+        return np.asarray(np.linalg.inv(self.W))
+
+    @cached_property
+    def memory(self) -> int:
+        """Number of periods after which less than `LEFT_OVER` of any error (in the norm W) is left."""
+        factor = self.flow.lyapunov[1]
+        most = int(np.ceil(np.log(LEFT_OVER) / np.log(factor))) + 1
+        norms = self.flow.norms(min(most, 5000))
+        below = np.flatnonzero(norms <= LEFT_OVER)
+        return int(below[0]) if len(below) else len(norms) - 1
+
+    @cached_property
+    def transitions(self) -> Array:
+        """``phi^l`` for l = 0 ... memory + 1, shape (memory + 2, n, n)."""
+        return powers(self.flow.phi, self.memory + 1)
+
+    @cached_property
+    def decay(self) -> Array:
+        """``norm(W phi^l W^-1, 2)`` for l = 0 ... memory + 1."""
+        return self.flow.norms(self.memory + 1)
+
+    @cached_property
+    def decay_before(self) -> Array:
+        """`decay` one period earlier: what weighs the bookings on both sides of a node."""
+        return np.concatenate([self.decay[:1], self.decay[:-1]])
+
+    @cached_property
+    def period_gain(self) -> float:
+        """Bound on ``norm(W e)`` reached within one period from rest by the disturbance."""
+        return float(np.linalg.norm(np.abs(self.W) @ self.flow.period_box))
+
+    @cached_property
+    def disturbance_radius(self) -> float:
+        """Bound on ``norm(W e)`` reached by the disturbance alone at any node, however late."""
+        factor = self.flow.lyapunov[1]
+        total = self.decay.sum() + self.decay[-1] * factor / (1 - factor)
+        return float(self.period_gain * (total + 1.0))
+
+    def curvature(self, rows: Array) -> Array:
+        """Booking between nodes per unit of ``norm(W e)``, for each row, shape (..., r).
+
+        ``(h^2/8) sup_s norm(row M''(s) W^-1, 2)``, with ``M'' = A_x e^{A_x s} A_c``.
+        """
+        flow = self.flow
+        bend = np.abs(rows @ flow.A_x) @ flow.growth @ np.abs(flow.A_c @ self.W_inverse)
+        return np.asarray(flow.h**2 / 8 * np.linalg.norm(bend, axis=-1))
+
+    def disturbance(self, rows: Array) -> Array:
+        """What the disturbance adds along each row until L periods have passed, shape (memory + 3, r).
+
+        Entry L holds for every instant up to and including the (L+1)-st period, so that between
+        nodes nothing is missing. The last entry holds for all time.
+        """
+        sums = self.flow.disturbance_support(rows, self.memory + 2)
+        first = sums[1]
+        booked = self.curvature(rows) * self.disturbance_radius
+        until = sums[1:] + first + booked
+        factor = self.flow.lyapunov[1]
+        tail = (
+            np.linalg.norm(rows @ self.W_inverse, axis=-1) * self.decay[-1] * self.period_gain / (1 - factor)
+        )
+        return np.vstack([until, until[-1] + tail])

@@ -1,0 +1,192 @@
+"""Hybrid automata with affine dynamics: modes, transitions, and what is refused."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..numerics.arguments import check_fields
+from ..numerics.errors import ReachError
+from ..sets.convex import ConvexSet, as_numbers
+from ..sets.polytope import HPolytope
+from ..sets.zonotope import Zonotope
+from ..tubes.systems import LinearSystem
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Mode:
+    """One way of moving: an affine system, and the region in which it may go on.
+
+    Parameters
+    ----------
+    name : str
+    system : LinearSystem
+        Continuous, with one set of inputs at most.
+    invariant : HPolytope, optional
+        A trajectory stays in this mode only while it is inside; where it would leave it must take a
+        transition, and without one it ends there. None: everywhere.
+
+    Raises
+    ------
+    ReachError
+        If the system is discrete, its input set changes in time, or the dimensions differ.
+    """
+
+    name: str
+    system: LinearSystem
+    invariant: HPolytope | None = None
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        if self.system.discrete:
+            raise ReachError(f"mode {self.name!r} needs a system in continuous time")
+        if len(self.system.U) > 1:
+            raise ReachError(f"mode {self.name!r} needs one set of inputs, it has {len(self.system.U)}")
+        _fits(f"the invariant of mode {self.name!r}", self.invariant, self.system.dim)
+
+
+@dataclass(frozen=True, eq=False)
+class Transition:
+    """A jump ``x+ = R x + r + w`` from one mode to another.
+
+    It may be taken whenever everything given holds: the state is in the guard, absolute time is in
+    the window, and the time since the mode was entered is in `dwell`. May-semantics: a trajectory
+    may also pass by. It must jump only where the invariant ends (so an urgent guard is written as
+    a guard and an invariant that share a face), or, if the transition is `urgent`, by the end of
+    its window or dwell time.
+
+    Parameters
+    ----------
+    source, target : str
+        Names of modes.
+    guard : HPolytope, optional
+    window : (float, float), optional
+        Absolute times.
+    dwell : (float, float), optional
+        Times since the source was entered.
+    R, r : array_like, optional
+        Reset; by default the state is kept.
+    uncertain : ConvexSet, optional
+        Set of w (a zonotope; of any other set the interval hull is taken).
+    urgent : bool
+        The source is left by the end of the window or dwell time at the latest (of a window, if the
+        source was entered before).
+
+    Raises
+    ------
+    ReachError
+        If nothing triggers the transition, a time interval is reversed or negative, or shapes do
+        not fit.
+    """
+
+    source: str
+    target: str
+    guard: HPolytope | None = None
+    window: tuple[float, float] | None = None
+    dwell: tuple[float, float] | None = None
+    R: Any = None
+    r: Any = None
+    uncertain: ConvexSet | None = None
+    urgent: bool = False
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        where = f"the transition {self.source!r} -> {self.target!r}"
+        if self.guard is None and self.window is None and self.dwell is None:
+            raise ReachError(f"{where} needs a guard, a window or a dwell time")
+        if self.urgent and self.window is None and self.dwell is None:
+            raise ReachError(f"{where} is urgent: it needs a window or a dwell time that ends")
+        for name in ("window", "dwell"):
+            value = getattr(self, name)
+            if value is None:
+                continue
+            ends = as_numbers(name, value)
+            if ends.shape != (2,) or not (np.all(np.isfinite(ends)) and 0 <= ends[0] <= ends[1]):
+                raise ReachError(f"the {name} of {where} must be two times 0 <= t0 <= t1, got {value!r}")
+            object.__setattr__(self, name, (float(ends[0]), float(ends[1])))
+
+    def __str__(self) -> str:
+        return f"{self.source} -> {self.target}"
+
+
+@dataclass(frozen=True, eq=False)
+class HybridAutomaton:
+    """Modes, the transitions between them, and the mode in which every trajectory starts.
+
+    Parameters
+    ----------
+    modes : sequence of Mode
+        Different names; dimensions may differ where resets change them.
+    transitions : sequence of Transition
+    start : str, optional
+        Name of the initial mode; the first one by default.
+
+    Raises
+    ------
+    ReachError
+        If a name is unknown or given twice, or a guard or a reset does not fit.
+    """
+
+    modes: Sequence[Mode]
+    transitions: Sequence[Transition] = ()
+    start: str | None = None
+
+    def __post_init__(self) -> None:
+        for what, given, kind in (("modes", self.modes, Mode), ("transitions", self.transitions, Transition)):
+            if not isinstance(given, list | tuple) or not all(isinstance(one, kind) for one in given):
+                raise ReachError(f"{what} must be a sequence of {kind.__name__}, got {given!r}")
+        if not self.modes:
+            raise ReachError("an automaton needs a mode")
+        object.__setattr__(self, "modes", tuple(self.modes))
+        names = [mode.name for mode in self.modes]
+        if len(set(names)) < len(names):
+            raise ReachError(f"modes need different names, got {names}")
+        if not isinstance(self.start, str | None):
+            raise ReachError(f"start must be the name of a mode, got {self.start!r}")
+        if self.start is None:
+            object.__setattr__(self, "start", names[0])
+        asked = [self.start, *(name for t in self.transitions for name in (t.source, t.target))]
+        for name in asked:
+            if name not in names:
+                raise ReachError(f"there is no mode {name!r} among {names}")
+        object.__setattr__(self, "transitions", tuple(self._complete(t) for t in self.transitions))
+
+    def _complete(self, t: Transition) -> Transition:
+        """The transition with its reset filled in, after checks against its modes."""
+        n, m = self[t.source].system.dim, self[t.target].system.dim
+        _fits(f"the guard of {t}", t.guard, n)
+        _fits(f"the uncertain part of {t}", t.uncertain, m)
+        R = np.eye(n) if t.R is None else as_numbers("R", t.R)
+        r = np.zeros(m) if t.r is None else as_numbers("r", t.r)
+        if R.shape != (m, n) or r.shape != (m,):
+            raise ReachError(
+                f"the reset of {t} needs R of shape {(m, n)} and r of {(m,)}, got {R.shape} and {r.shape}"
+            )
+        if not (np.all(np.isfinite(R)) and np.all(np.isfinite(r))):
+            raise ReachError(f"the reset of {t} has entries that are not finite numbers")
+        w = t.uncertain
+        if w is not None and not isinstance(w, Zonotope):
+            w = w.interval_hull().to_zonotope()
+        return Transition(t.source, t.target, t.guard, t.window, t.dwell, R, r, w, t.urgent)
+
+    def __getitem__(self, name: str) -> Mode:
+        """The mode of a name."""
+        for mode in self.modes:
+            if mode.name == name:
+                return mode
+        raise ReachError(f"there is no mode {name!r}")
+
+    def leaving(self, name: str) -> list[Transition]:
+        """Transitions out of a mode."""
+        return [t for t in self.transitions if t.source == name]
+
+
+def _fits(what: str, body: ConvexSet | None, n: int) -> None:
+    if body is not None and body.dim != n:
+        raise ReachError(f"{what} must have dimension {n}, got {body.dim}")

@@ -1,0 +1,279 @@
+"""Single trajectories of hybrid automata, by matrix exponentials."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import expm
+
+from ..numerics.arguments import checked
+from ..numerics.errors import ReachError
+from ..sets.polytope import HPolytope
+from .automaton import HybridAutomaton, Mode, Transition
+
+Array = NDArray[np.float64]
+
+TOUCH = 1e-9
+"""A state this close to a face, relative to the terms of its row, counts as on it."""
+REPLAYED = 1e-6
+"""The same for a trajectory that is integrated again."""
+BISECTIONS = 40
+
+MOST_SAMPLES = 10_000_000
+Policy = Literal["first", "last", "random"]
+
+
+@dataclass(frozen=True, eq=False)
+class Visit:
+    """A stay in one mode.
+
+    Attributes
+    ----------
+    mode : str
+    times : ndarray, shape (m,)
+        Absolute.
+    states : ndarray, shape (m, n)
+    input : ndarray, shape (inputs,)
+        Held over the visit.
+    transition : Transition or None
+        Taken at the end; None at the horizon, or where the trajectory ends.
+    uncertain : ndarray or None
+        What the reset added.
+    """
+
+    mode: str
+    times: Array
+    states: Array
+    input: Array
+    transition: Transition | None = None
+    uncertain: Array | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class HybridTrajectory:
+    """One trajectory: visits one after the other.
+
+    Attributes
+    ----------
+    visits : tuple of Visit
+    deadlock : bool
+        It ends before the horizon: the invariant ends and no transition can be taken.
+    """
+
+    visits: tuple[Visit, ...]
+    deadlock: bool = False
+
+
+@checked
+def simulate_hybrid(
+    automaton: HybridAutomaton,
+    x0: ArrayLike,
+    horizon: float,
+    *,
+    dt: float,
+    policy: Policy = "last",
+    rng: np.random.Generator | None = None,
+    jumps: int = 50,
+) -> HybridTrajectory:
+    """Run one trajectory, sampled every `dt`.
+
+    Parameters
+    ----------
+    automaton : HybridAutomaton
+    x0 : array_like, shape (n,)
+    horizon : float
+    dt : float
+        Guards and invariants are looked at this often, and instants then found by bisection: a
+        guard touched between two samples can be missed.
+    policy : {"first", "last", "random"}
+        Which of the admissible instants of the transitions is taken.
+    rng : numpy.random.Generator, optional
+        For "random"; inputs and uncertain resets are then random too, and at their centres otherwise.
+    jumps : int
+        The trajectory ends after so many.
+
+    Raises
+    ------
+    ReachError
+        If the policy is unknown, or "random" comes without a generator.
+    """
+    if policy not in ("first", "last", "random"):
+        raise ReachError(f"policy must be 'first', 'last' or 'random', got {policy!r}")
+    if policy == "random" and rng is None:
+        raise ReachError("the policy 'random' needs a random generator")
+    if not (0 < dt < np.inf and 0 <= horizon < np.inf) or horizon / dt > MOST_SAMPLES:
+        raise ReachError(
+            f"dt and horizon must be > 0 and give at most {MOST_SAMPLES:,} samples, got {dt!r}, {horizon!r}"
+        )
+    assert automaton.start is not None
+    x, t, name = np.asarray(x0, dtype=float), 0.0, automaton.start
+    if x.shape != (automaton[name].system.dim,):
+        raise ReachError(f"the initial state must have shape ({automaton[name].system.dim},), got {x.shape}")
+    visits: list[Visit] = []
+    while True:
+        mode = automaton[name]
+        drawn = rng if policy == "random" else None
+        u = _input(mode, drawn)
+        move = _Motion(mode, x, u, dt)
+        left, bound = horizon - t, longest_stay(automaton, name, t)
+        end, stops = move.leaves(min(left, bound))
+        stops = stops or bound < left
+        options = _options(automaton, move, t, end) if len(visits) < jumps else []
+        chosen = _choose(options, policy, rng, must=stops)
+        if chosen is None:
+            visits.append(move.visit(t, end))
+            return HybridTrajectory(tuple(visits), deadlock=stops and end < horizon - t)
+        transition, at = chosen
+        w = None if transition.uncertain is None else _point(transition.uncertain, drawn)
+        visits.append(replace(move.visit(t, at), transition=transition, uncertain=w))
+        x = transition.R @ move.at(at) + transition.r + (0 if w is None else w)
+        t, name = t + at, transition.target
+
+
+def _input(mode: Mode, rng: np.random.Generator | None) -> Array:
+    return _point(mode.system.U[0], rng) if mode.system.U else np.zeros(0)
+
+
+def _point(body: Any, rng: np.random.Generator | None) -> Array:
+    """The centre of a set, or a random point of it: an extreme one, pulled in half of the time."""
+    if rng is None:
+        return np.asarray(body.center)
+    corner = body.support_vector(rng.normal(size=(1, body.dim)))[0]
+    share = 1.0 if rng.random() < 0.5 else rng.random()
+    return np.asarray(body.center + share * (corner - body.center))
+
+
+class _Motion:
+    """A motion within one mode from one state."""
+
+    def __init__(self, mode: Mode, x: Array, u: Array, dt: float) -> None:
+        system = mode.system
+        n = system.dim
+        A = system.A if isinstance(system.A, np.ndarray) else system.A.toarray()
+        self.mode, self.u, self.dt, self.n = mode, u, dt, n
+        self.M = np.zeros((n + 1, n + 1))
+        self.M[:n, :n], self.M[:n, n] = A, np.asarray(system.B @ u).ravel() + system.c
+        self.z, self.size = np.r_[x, 1.0], np.abs(x)
+
+    def at(self, s: float) -> Array:
+        """State after a time."""
+        return np.asarray((expm(self.M * s) @ self.z)[: self.n])
+
+    def samples(self, end: float) -> tuple[Array, Array]:
+        """Times from 0 to `end` and states at them."""
+        count = int(np.ceil(end / self.dt)) if end > 0 else 0
+        step, states = expm(self.M * self.dt), np.empty((count + 1, self.n + 1))
+        states[0] = self.z
+        have, power = 1, step
+        while have <= count:
+            more = min(have, count + 1 - have)
+            states[have : have + more] = states[:more] @ power.T
+            have, power = 2 * have, power @ power
+        times = np.minimum(self.dt * np.arange(count + 1), end)
+        if count:
+            states[-1, : self.n] = self.at(end)
+        return times, states[:, : self.n]
+
+    def leaves(self, most: float) -> tuple[float, bool]:
+        """Last time in the invariant, and whether it is left before `most`."""
+        times, states = self.samples(most)
+        self.size = np.abs(states).max(axis=0)
+        region = self._relaxed()
+        outside = ~inside(region, states, self.size)
+        if not np.any(outside):
+            return most, False
+        k = int(np.argmax(outside))
+        return (0.0 if k == 0 else self.bisect(times[k - 1], times[k], region, True)), True
+
+    def _relaxed(self) -> HPolytope | None:
+        """The invariant; a face that the start is on, or beyond by a replay's tolerance, goes through it."""
+        region = self.mode.invariant
+        if region is None:
+            return None
+        values = region.A @ self.z[: self.n]
+        near = values <= region.b + REPLAYED / 10 * (np.abs(region.A) @ self.size + np.abs(region.b))
+        return HPolytope(region.A, np.where(near, np.maximum(region.b, values), region.b))
+
+    def bisect(self, low: float, high: float, region: HPolytope | None, holds: bool) -> float:
+        """Time at which being in a region changes from `holds`; the side on which it is inside."""
+        for _ in range(BISECTIONS):
+            middle = (low + high) / 2
+            if bool(inside(region, self.at(middle)[None], self.size)[0]) == holds:
+                low = middle
+            else:
+                high = middle
+        return low if holds else high
+
+    def visit(self, t: float, end: float) -> Visit:
+        times, states = self.samples(end)
+        return Visit(self.mode.name, t + times, states, self.u)
+
+
+def inside(region: HPolytope | None, states: Array, size: Array, slack: float = TOUCH) -> NDArray[np.bool_]:
+    """Whether states (m, n) are in a polytope, or beyond it by a share of the size of its terms only."""
+    if region is None:
+        return np.ones(len(states), dtype=bool)
+    room = slack * (np.abs(region.A) @ size + np.abs(region.b))
+    return np.asarray(np.all(states @ region.A.T <= region.b + room, axis=1))
+
+
+def longest_stay(automaton: HybridAutomaton, name: str, t: float) -> float:
+    """How long a mode that is entered at time t may last, by its urgent transitions."""
+    urgent = [o for o in automaton.leaving(name) if o.urgent]
+    stays = [o.window[1] - t for o in urgent if o.window is not None and t <= o.window[1]]
+    return min([*stays, *(o.dwell[1] for o in urgent if o.dwell is not None)], default=np.inf)
+
+
+def _options(
+    automaton: HybridAutomaton, move: _Motion, t: float, end: float
+) -> list[tuple[Transition, float, float]]:
+    """Transitions with stretches of time in which they may be taken, in time since entry."""
+    found = []
+    for transition in automaton.leaving(move.mode.name):
+        window, dwell = transition.window or (0.0, np.inf), transition.dwell or (0.0, np.inf)
+        low = max(window[0] - t, dwell[0], 0.0)
+        high = min(window[1] - t, dwell[1], end)
+        if abs(low - high) < 1e-12 * (1 + t):
+            high = low
+        if low > high:
+            continue
+        if transition.guard is None:
+            found.append((transition, low, high))
+            continue
+        times, states = move.samples(end)
+        hit = inside(transition.guard, states, move.size)
+        edges = np.flatnonzero(np.diff(np.r_[False, hit, False].astype(int)))
+        for first, after in edges.reshape(-1, 2):
+            begin, stop = times[first], times[after - 1]
+            if first > 0:
+                begin = move.bisect(times[first - 1], times[first], transition.guard, False)
+            if after < len(times):
+                stop = move.bisect(times[after - 1], times[after], transition.guard, True)
+            begin, stop = max(begin, low), min(stop, high)
+            if begin <= stop:
+                found.append((transition, float(begin), float(stop)))
+    return found
+
+
+def _choose(
+    options: list[tuple[Transition, float, float]],
+    policy: Policy,
+    rng: np.random.Generator | None,
+    must: bool,
+) -> tuple[Transition, float] | None:
+    if not options:
+        return None
+    if policy == "first":
+        transition, at, _ = min(options, key=lambda o: o[1])
+        return transition, at
+    if policy == "last":
+        transition, _, at = max(options, key=lambda o: o[2])
+        return transition, at
+    assert rng is not None
+    if not must and rng.random() < 0.2:
+        return None
+    transition, low, high = options[rng.integers(len(options))]
+    return transition, float(rng.choice([low, high, rng.uniform(low, high)]))

@@ -1,0 +1,1 @@
+"""Arithmetic: exponentials, rounding, programs."""

@@ -1,0 +1,169 @@
+"""Maxima over a polytope along many directions: bases found once serve every direction in their cone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from math import comb
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..numerics.programs import Maximum
+
+Array = NDArray[np.float64]
+
+MOST_BASES = 4096
+"""Bases kept; and most that Qhull may be expected to return."""
+INSIDE = 1e-11
+"""A multiplier above minus this, rows scaled alike, counts as not negative."""
+OUTSIDE = 1e-10
+"""A vertex may break a row by this share of the sizes of its terms."""
+ENTRIES = 2_000_000
+"""Numbers handled at once."""
+
+
+class Bases:
+    """Vertices of ``{A x <= b}``, each with n rows that meet in it and the inverse of these.
+
+    A direction that is a mixture of the n rows with weights >= 0 attains its maximum there, and the
+    weights are the multipliers of the linear program. Nothing is proved here: what the multipliers
+    prove is re-checked by weak duality.
+
+    Parameters
+    ----------
+    A : ndarray, shape (m, n)
+    b : ndarray, shape (m,)
+    inside : ndarray, shape (n,), or None
+        A point in the middle of a bounded set: all bases are then found at once by Qhull, where they are few.
+    """
+
+    def __init__(self, A: Array, b: Array, inside: Array | None) -> None:
+        self.A, self.b, n = A, b, A.shape[1]
+        self.columns = np.abs(A).max(axis=0)
+        self.columns = np.where(self.columns > 0, self.columns, 1.0)
+        self.norms = np.linalg.norm(A / self.columns, axis=1)
+        self.rows = A / self.columns / self.norms[:, None]
+        self.members = np.zeros((0, n), dtype=np.intp)
+        self.inverses, self.points = np.zeros((0, n, n)), np.zeros((0, n))
+        if inside is not None and n > 1 and 2 * comb(len(b), n // 2) <= MOST_BASES:
+            self._add(self._enumerated(inside))
+
+    def _enumerated(self, inside: Array) -> NDArray[np.intp]:
+        """Rows that meet in the vertices: facets, cut into simplices, of the polar set."""
+        from scipy.spatial import ConvexHull, QhullError
+
+        room = self.b / self.norms - self.rows @ (inside * self.columns)
+        n, most = self.A.shape[1], float(np.abs(room).max(initial=0.0))
+        if np.any(room < 1e-6 * most):  # a flat set: the bases of one slightly thicker, if they are its own
+            room = np.maximum(room, 0.0) + 1e-6 * most
+        if not most > 0:
+            return np.zeros((0, n), dtype=np.intp)
+        try:
+            return np.asarray(ConvexHull(self.rows / room[:, None]).simplices, dtype=np.intp)
+        except (QhullError, ValueError):
+            return np.zeros((0, n), dtype=np.intp)
+
+    def _add(self, members: NDArray[np.intp]) -> None:
+        """Keep the bases that have a well-conditioned inverse."""
+        if not len(members):
+            return
+        squares = self.rows[members]
+        sizes = np.linalg.svd(squares, compute_uv=False)
+        good = sizes[:, -1] > 1e-9 * sizes[:, 0]
+        members, squares = members[good], squares[good]
+        inverses = np.linalg.inv(squares)
+        offsets = (self.b / self.norms)[members]
+        points = (inverses @ offsets[..., None])[..., 0] / self.columns
+        beyond = (points * self.columns) @ self.rows.T - self.b / self.norms
+        grain = np.abs(points * self.columns) @ np.abs(self.rows).T + np.abs(self.b) / self.norms
+        good = np.all(beyond <= OUTSIDE * grain, axis=1)
+        members, inverses, points = members[good], inverses[good], points[good]
+        self.members = np.vstack([self.members, members])
+        self.inverses = np.concatenate([self.inverses, inverses])
+        self.points = np.vstack([self.points, points])
+
+    def maxima(self, D: Array, program: Callable[[bytes], Maximum]) -> tuple[Array, Array, Array]:
+        """Values (r,), points (r, n) and multipliers (r, m) along rows (r, n).
+
+        Parameters
+        ----------
+        D : ndarray, shape (r, n)
+        program : callable
+            Solves the linear program of one direction, for those in the cone of no basis.
+        """
+        r, (m, n) = len(D), self.A.shape
+        values, points, multipliers = np.full(r, np.nan), np.full((r, n), np.nan), np.zeros((r, m))
+        scaled = D / self.columns
+        sizes = np.abs(scaled).max(axis=1, initial=0.0)
+        scaled = scaled / np.where(sizes > 0, sizes, 1.0)[:, None]
+        left = np.arange(r)
+        if len(self.members):
+            for some in _parts(left, len(self.members) + n * n):
+                best = (scaled[some] @ (self.points * self.columns).T).argmax(axis=1)
+                weights = (scaled[some][:, None, :] @ self.inverses[best])[:, 0]
+                self._take(some, best, weights, values, points, multipliers, D, sizes)
+            left = np.flatnonzero(np.isnan(values))
+            # Where many facets meet in one vertex it is another basis of it whose cone holds the direction.
+            for some in _parts(left, len(self.members) * n):
+                weights = np.einsum("rn,fnk->rfk", scaled[some], self.inverses)
+                best = weights.min(axis=2).argmax(axis=1)
+                chosen = weights[np.arange(len(some)), best]
+                self._take(some, best, chosen, values, points, multipliers, D, sizes)
+            left = np.flatnonzero(np.isnan(values))
+        while len(left):
+            at, left = left[0], left[1:]
+            found = program(D[at].tobytes())
+            values[at], points[at], multipliers[at] = found.value, found.point, found.multipliers
+            known = len(self.members)
+            if np.isfinite(found.value) and known < MOST_BASES:
+                self._add(self.basis(found))
+            if len(self.members) > known and len(left):
+                weights = scaled[left] @ self.inverses[known]
+                same = np.full(len(left), known)
+                self._take(left, same, weights, values, points, multipliers, D, sizes)
+                left = left[np.isnan(values[left])]
+        return values, points, multipliers
+
+    def basis(self, found: Maximum) -> NDArray[np.intp]:
+        """N independent rows that meet in the solution of a linear program, those with multipliers first."""
+        n = self.A.shape[1]
+        gap = self.b / self.norms - self.rows @ (found.point * self.columns)
+        room = 1e-9 * (np.abs(self.b) / self.norms + np.abs(self.rows) @ np.abs(found.point * self.columns))
+        used = found.multipliers * self.norms
+        order = np.lexsort((gap, -used))
+        picked: list[int] = []
+        frame = np.zeros((0, n))
+        for i in order[(used[order] > 0) | (gap[order] <= room[order])]:
+            rest = self.rows[i] - (frame @ self.rows[i]) @ frame
+            length = float(np.linalg.norm(rest))
+            if length > 1e-7:
+                picked, frame = [*picked, int(i)], np.vstack([frame, rest / length])
+            if len(picked) == n:
+                return np.asarray([picked], dtype=np.intp)
+        return np.zeros((0, n), dtype=np.intp)
+
+    def _take(
+        self,
+        which: NDArray[np.intp],
+        basis: NDArray[np.intp],
+        weights: Array,
+        values: Array,
+        points: Array,
+        multipliers: Array,
+        D: Array,
+        sizes: Array,
+    ) -> None:
+        """Write down the answers of those directions that lie in the cone of a basis."""
+        good = np.all(weights >= -INSIDE * np.abs(weights).max(axis=1, keepdims=True, initial=0.0), axis=1)
+        which, basis, weights = which[good], basis[good], np.maximum(weights[good], 0.0)
+        points[which] = self.points[basis]
+        values[which] = (D[which] * points[which]).sum(axis=1)
+        rows = self.members[basis]
+        multipliers[which[:, None], rows] = weights * sizes[which, None] / self.norms[rows]
+
+
+def _parts(which: NDArray[np.intp], entries: int) -> Iterator[NDArray[np.intp]]:
+    """Parts of a list of directions, each of which takes so many entries."""
+    span = max(1, ENTRIES // max(entries, 1))
+    for k in range(0, len(which), span):
+        yield which[k : k + span]

@@ -1,0 +1,162 @@
+"""Parts of zonotopes: enclosures of their intersection with halfspaces, and of unions of them.
+
+Everything acts on stacks, because the crossing of a guard is a stack of many small sets.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..numerics.rounding import gamma
+from .polytope import HPolytope
+from .zonotope import Zonotope
+
+Array = NDArray[np.float64]
+
+SWEEPS = 3
+"""Passes over the rows while coefficients are narrowed."""
+WORTH = 0.9
+"""A strip is intersected by one more generator if it is narrower than this share of the set."""
+
+
+def strips(polytopes: Sequence[HPolytope | None], n: int) -> tuple[Array, Array, Array]:
+    """Rows and limits of ``low <= H x <= high`` for the intersection of polytopes.
+
+    Rows that are parallel share one strip, so that an equation written as two inequalities is seen
+    as one.
+
+    Returns
+    -------
+    H : ndarray, shape (q, n), unit rows
+    low, high : ndarray, shape (q,)
+    """
+    given = [p for p in polytopes if p is not None]
+    H, low, high = np.zeros((0, n)), np.zeros(0), np.zeros(0)
+    for p in given:
+        norms = np.linalg.norm(p.A, axis=1)
+        for row, b in zip(p.A / norms[:, None], p.b / norms, strict=True):
+            same, opposite = np.all(row == H, axis=1), np.all(row == -H, axis=1)
+            if np.any(same):
+                j = int(np.argmax(same))
+                high[j] = min(high[j], b)
+            elif np.any(opposite):
+                j = int(np.argmax(opposite))
+                low[j] = max(low[j], -b)
+            else:
+                H, low, high = np.vstack([H, row]), np.r_[low, -np.inf], np.r_[high, b]
+    return H, low, high
+
+
+def clip(Z: Zonotope, H: Array, low: Array, high: Array) -> tuple[Zonotope, NDArray[np.bool_]]:
+    """Enclose the part of every zonotope of a stack that lies in the strips.
+
+    Two steps, both sound. The coefficients are narrowed to those with which the limits can be met
+    (the interval hull of each cut of the cube of coefficients, so the order does not grow). Where a
+    strip still cuts, the zonotope ``c + l (d - h c), [(I - l h) G, l s]`` encloses the
+    intersection with ``|h x - d| <= s`` for any l; the l of the least sum of squares is taken
+    (Bravo et al. 2006).
+
+    Parameters
+    ----------
+    Z : Zonotope, batch (M,)
+    H, low, high : ndarray, shapes (q, n), (q,), (q,)
+        As from `strips`.
+
+    Returns
+    -------
+    Zonotope, batch (M,)
+        Of what is empty, the unchanged set.
+    meets : ndarray of bool, shape (M,)
+        False where the intersection is proved to be empty.
+    """
+    meets = np.ones(len(Z), dtype=bool)
+    if len(H) == 0 or len(Z) == 0:
+        return Z, meets
+    slack = gamma(Z.terms + 2 * len(H)) * (np.abs(H) @ Z.extent[..., None])[..., 0]
+    slack = slack + gamma(4) * np.where(np.isfinite(high), np.abs(high), np.abs(low))
+    lows, highs = low - slack, high + slack
+    narrowed, meets = _narrow(Z, H, lows, highs, meets)
+    cut, grew = narrowed, False
+    for j in range(len(H)):
+        cut, changed = _strip(cut, H[j], lows[:, j], highs[:, j], slack[:, j], meets)
+        grew = grew or changed
+    if grew:
+        cut, meets = _narrow(cut, H, lows, highs, meets)
+    margin = gamma(8 * (Z.order_count + len(H))) * Z.extent
+    return Zonotope(
+        np.where(meets[:, None], cut.c, Z.c),
+        np.where(meets[:, None, None], cut.inflate(margin).G, Z._pad(cut.order_count + Z.dim).G),
+    ), meets
+
+
+def _narrow(
+    Z: Zonotope, H: Array, low: Array, high: Array, meets: NDArray[np.bool_]
+) -> tuple[Zonotope, NDArray[np.bool_]]:
+    """Shrink the range of every coefficient to what the strips allow."""
+    a = H @ Z.G  # (M, q, g)
+    d = (H @ Z.c[..., None])[..., 0]
+    lo, hi = np.full((len(Z), Z.order_count), -1.0), np.full((len(Z), Z.order_count), 1.0)
+    meets = meets.copy()
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for _ in range(SWEEPS):
+            for j in range(len(H)):
+                w = a[:, j]
+                least, most = np.minimum(w * lo, w * hi), np.maximum(w * lo, w * hi)
+                total_least, total_most = least.sum(1, keepdims=True), most.sum(1, keepdims=True)
+                room_high, room_low = high[:, j] - d[:, j], low[:, j] - d[:, j]
+                meets &= (total_least[:, 0] <= room_high) & (total_most[:, 0] >= room_low)
+                # w b_l <= room_high - what the others take at least, and the same from below
+                above = room_high[:, None] - (total_least - least)
+                below = room_low[:, None] - (total_most - most)
+                ends = above / w, below / w
+                upper = np.where(w > 0, ends[0], np.where(w < 0, ends[1], np.inf))
+                lower = np.where(w > 0, ends[1], np.where(w < 0, ends[0], -np.inf))
+                tiny = np.abs(w) < 1e-9 * np.abs(w).max(axis=1, keepdims=True, initial=0.0)
+                widen = 1e-12
+                hi = np.where(tiny | np.isnan(upper), hi, np.clip(upper + widen, lo, hi))
+                lo = np.where(tiny | np.isnan(lower), lo, np.clip(lower - widen, lo, hi))
+    middle, half = (lo + hi) / 2, (hi - lo) / 2 * (1 + 4 * np.finfo(float).eps)
+    return Zonotope(Z.c + (Z.G @ middle[..., None])[..., 0], Z.G * half[:, None, :]), meets
+
+
+def _strip(
+    Z: Zonotope, h: Array, low: Array, high: Array, slack: Array, meets: NDArray[np.bool_]
+) -> tuple[Zonotope, bool]:
+    """Intersect with one strip by one more generator, where that is worth it.
+
+    The gain may be large, so what rounding does to values of ``h x`` is booked in the strip itself.
+    """
+    a = (h @ Z.G).reshape(len(Z), -1)
+    d, reach = Z.c @ h, np.abs(a).sum(axis=1)
+    low, high = np.maximum(low, d - reach), np.minimum(high, d + reach)
+    s, middle = np.maximum((high - low) / 2, 0) + 2 * slack, (high + low) / 2
+    worth = meets & (s < WORTH * reach)
+    if not np.any(worth):
+        return Z, False
+    size = (a**2).sum(axis=1) + s**2
+    gain = (Z.G @ a[..., None])[..., 0] / np.where(size > 0, size, 1.0)[:, None]
+    gain[~worth] = 0.0
+    G = Z.G - gain[..., None] * a[:, None, :]
+    c = Z.c + gain * np.where(worth, middle - d, 0.0)[:, None]
+    return Zonotope(c, np.concatenate([G, (gain * s[:, None])[..., None]], axis=-1)), True
+
+
+def hull_of(Z: Zonotope) -> Zonotope:
+    """One zonotope around all sets of a stack: a parallelotope along their principal axes."""
+    if len(Z) == 1:
+        return Z[0]
+    hull = Z.interval_hull()
+    lo, hi = hull.lo.min(axis=0), hull.hi.max(axis=0)
+    scale = np.where(hi > lo, (hi - lo) / 2, 1.0)
+    spread = np.concatenate([(Z.c - Z.c.mean(axis=0)).T, *(Z.G[i] for i in range(len(Z)))], axis=1)
+    frame = np.linalg.svd(spread / scale[:, None], full_matrices=True)[0]
+    rows = frame.T / scale
+    upper, lower = Z.support_up(rows).max(axis=0), -Z.support_up(-rows).max(axis=0)
+    middle, half = (upper + lower) / 2, (upper - lower) / 2
+    size = np.max(np.abs(rows) @ np.maximum(np.abs(lo), np.abs(hi)))
+    half = half + gamma(8 * Z.dim) * size  # the frame is orthogonal but for rounding
+    columns = frame * scale[:, None]
+    return Zonotope(columns @ middle, columns * half)

@@ -1,0 +1,277 @@
+"""Is one set inside another? Exact where that is affordable, with a witness for every "no"."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..numerics.arguments import checked
+from ..numerics.errors import ReachError
+from ..numerics.exact import Whole, floats, integers
+from ..numerics.rounding import gamma
+from .answer import Answer
+from .convex import as_count, require_same_dim, require_single, weighed
+from .ellipsoid import Ellipsoid
+from .facets import FLAT, combination_count, facet_normals
+from .interval import Interval
+from .lazy import AffineImage, inverse
+from .meet import Intersection
+from .norms import largest_norm
+from .polytope import HPolytope
+from .sufficient import scale_to_hold
+from .zonotope import Zonotope
+
+Array = NDArray[np.float64]
+Method = Literal["auto", "exact", "sufficient"]
+Settle = Callable[[NDArray[np.intp]], list[bool | None]]
+
+MOST = 20_000
+"""Facets of an outer zonotope, or branches over an inner one, looked at by default."""
+
+TOUCHING = "the sets touch to within rounding"
+
+
+@checked
+def contains(outer: Any, inner: Any, method: Method = "auto", most: int = MOST) -> Answer:
+    """Whether `inner` lies in `outer`.
+
+    Parameters
+    ----------
+    outer : Interval, HPolytope, Zonotope, Ellipsoid, or AffineImage or Intersection of such
+        A single set; an ellipsoid must not be flat, the map of an image must have an inverse.
+    inner : set of this library
+        A single set. An empty polytope lies in everything.
+    method : {"auto", "exact", "sufficient"}
+        For an outer zonotope: all its facets (polynomial in a fixed dimension; the question is
+        co-NP-complete in general, Kulmburg and Althoff 2021), or one linear program that proves
+        containment or nothing (Sadraddini and Tedrake 2019). For an inner zonotope and an outer
+        ellipsoid: branch and bound over signs, or norm bounds. All other pairs have one method.
+        "auto" is exact up to `most` and sufficient beyond (and asks the quick method first).
+    most : int
+        Most facets or branches looked at.
+
+    Returns
+    -------
+    Answer
+        Zonotopes and intervals in polytopes, intervals and (exactly) zonotopes are always decided:
+        sets that touch are settled in integer arithmetic.
+
+    Raises
+    ------
+    ReachError
+        If the dimensions differ, a set is a stack, the outer set is of another kind, or
+        ``method="exact"`` would take more than `most`.
+    """
+    require_same_dim(outer, inner)
+    if not isinstance(method, str) or method not in ("auto", "exact", "sufficient"):
+        raise ReachError(f"method must be 'auto', 'exact' or 'sufficient', got {method!r}")
+    most = as_count("most", most)
+    for one in (outer, inner):
+        require_single(one, "contains")
+    if getattr(inner, "is_empty", False):
+        return Answer(True, np.inf) if inner.proved_empty else Answer(None, 0.0, reason=TOUCHING)
+    body: Any = outer
+    for kind, inside in INSIDE.items():
+        if isinstance(outer, kind):
+            if isinstance(inner, HPolytope) and not inner.is_bounded and kind not in OPEN:
+                body, inside = body.interval_hull().to_polytope(), _in_polytope  # it leaves this one too
+            return inside(body, inner, method, most)
+    raise ReachError(f"containment in a {type(outer).__name__} is not offered: enclose or convert it first")
+
+
+def _in_interval(outer: Interval, inner: Any, method: Method, most: int) -> Answer:
+    return _in_polytope(outer.to_polytope(), inner, method, most)
+
+
+def _in_intersection(outer: Intersection, inner: Any, method: Method, most: int) -> Answer:
+    """Inside every part."""
+    answers = [contains(part, inner, method, most) for part in outer.parts]
+    for wanted in (False, None):
+        found = [answer for answer in answers if answer.holds is wanted]
+        if found:
+            return found[0]
+    return min(answers, key=lambda answer: answer.margin)
+
+
+def _in_image(outer: AffineImage, inner: Any, method: Method, most: int) -> Answer:
+    """The inner set drawn back through the map, what that can be wrong by booked on every axis.
+
+    With W close to the inverse of M and ``F = 1 - W M``, the x with ``M x + v = y`` differs from
+    ``W (y - v)`` by ``F x``, and ``|F| s <= t s`` with ``|W (y - v)| <= s`` shows ``|x| <= s / (1 - t)``.
+    """
+    M, v, n = outer.M, outer.v, outer.dim
+    W = inverse(M)
+    if not np.all(np.isfinite(inner.extent)):
+        return Answer(None, -np.inf, reason="an unbounded set in an affine image is not decided")
+    reach = inner.extent * (1 + gamma(n)) + np.abs(v)
+    F = np.abs(np.eye(n) - W @ M) + gamma(n) * (np.abs(W) @ np.abs(M) + np.eye(n))
+    size = np.abs(W) @ reach * (1 + gamma(n))
+    size = np.maximum(size, 1e-9 * size.max(initial=0.0)) + np.finfo(float).tiny
+    turn = float(np.max(F @ size / size))
+    if not turn < 0.5:
+        return Answer(None, -np.inf, reason="the map is too ill-conditioned to be drawn back through")
+    booked = (F @ size / (1 - turn) + gamma(2 * n) * np.abs(W) @ reach) * (1 + gamma(n))
+    back = W @ (inner + (-v)) if isinstance(inner, Zonotope | Ellipsoid) else AffineImage(W, inner, -(W @ v))
+    proved = contains(outer.base, back + Interval(-booked, booked), method, most)
+    if proved:
+        return proved
+    found = contains(outer.base, back, method, most)
+    if found.holds is False and found.direction is not None:
+        d, base = found.direction, outer.base
+        excess = float(back.support_down(d)) - float(base.support_up(d)) - float(weighed(d, booked))
+        if excess > 0:
+            return Answer(False, found.margin, inner.support_vector(d @ W), d @ W)
+    return Answer(None, found.margin if found.holds is None else 0.0, reason=found.reason or TOUCHING)
+
+
+def _in_polytope(outer: HPolytope, inner: Any, method: Method, most: int) -> Answer:
+    """Every row against the support of the inner set."""
+
+    def settle(left: NDArray[np.intp]) -> list[bool | None]:
+        if isinstance(inner, HPolytope):
+            return [True if inner.proved_below(outer.A[i], outer.b[i]) else None for i in left]
+        if not isinstance(inner, Zonotope | Interval):
+            return [None]
+        rows, offsets = integers(outer.A[left], outer.b[left])
+        (c, G), unit = _doubled(inner)
+        return list(rows @ c + np.abs(rows @ G).sum(axis=1) <= 2 * unit * offsets)
+
+    return _by_rows(outer.A, outer.b, outer.b, np.linalg.norm(outer.A, axis=1), inner, settle)
+
+
+def _in_facets(outer: Zonotope, inner: Any, normals: Whole) -> Answer:
+    """The supports of both sets along every facet normal of the outer one."""
+    whole = np.hstack([normals, -normals]).T
+    rows = floats(whole.T).T
+    # The rows are the exact normals to one rounding, booked for both sets.
+    turned = gamma(1) * np.abs(rows) @ (outer.extent + inner.extent)
+
+    def settle(left: NDArray[np.intp]) -> list[bool | None]:
+        if not isinstance(inner, Zonotope | Interval):
+            return [None]
+        sets = _doubled(inner, outer)[0], _doubled(outer, inner)[0]
+        reach = [whole[left] @ c + np.abs(whole[left] @ G).sum(axis=1) for c, G in sets]
+        return list(reach[0] <= reach[1])
+
+    radius = np.maximum(np.abs(rows @ outer.G).sum(axis=1), FLAT * np.abs(rows) @ outer.extent)
+    units = np.where(radius > 0, radius, 1.0)
+    return _by_rows(rows, outer.support_down(rows) - turned, outer.support_up(rows), units, inner, settle)
+
+
+def _by_rows(rows: Array, least: Array, largest: Array, units: Array, inner: Any, settle: Settle) -> Answer:
+    """Whether ``rows . x <= offsets`` over the inner set, the offsets known between two bounds.
+
+    The margin is measured in `units`, one per row; `settle` decides the rows that rounding leaves open.
+    """
+    room = (least - inner.support_up(rows)) / units
+    margin = float(room.min(initial=np.inf))
+    if margin >= 0:
+        return Answer(True, margin)
+    left = np.flatnonzero(room < 0)
+    excess = (inner.support_down(rows[left]) - largest[left]) / units[left]
+    if excess.max() > 0:
+        worst = left[np.argmax(excess)]
+        point = _beyond(inner, rows[worst], largest[worst])
+        booked = gamma(len(point)) * (np.abs(rows[worst]) @ np.abs(point) + abs(largest[worst]))
+        if not rows[worst] @ point - largest[worst] > booked:
+            return Answer(None, margin, reason=TOUCHING)
+        return Answer(False, margin, point, rows[worst])
+    for i, held in zip(left, settle(left), strict=False):
+        if held is None:
+            return Answer(None, margin, reason=TOUCHING)
+        if not held:
+            return Answer(False, margin, inner.support_vector(rows[i]), rows[i])
+    return Answer(True, 0.0)
+
+
+def _beyond(inner: Any, row: Array, offset: float) -> Array:
+    """A point of the inner set with ``row . x > offset``; not infinitely far where the set is unbounded."""
+    if isinstance(inner, HPolytope) and not inner.is_bounded:
+        nearest = max(offset, -float(inner.support(-row)))
+        inner = inner.intersect_halfspace(row, nearest + max(1.0, abs(nearest)))
+    return np.asarray(inner.support_vector(row))
+
+
+def _doubled(*sets: Zonotope | Interval) -> tuple[tuple[Whole, Whole], int]:
+    """Twice the centre and the generators of the first of some sets, in a unit common to all.
+
+    Returns them with the number of units in one.
+    """
+    arrays = [a for X in sets for a in ((X.c, X.G) if isinstance(X, Zonotope) else (X.lo, X.hi))]
+    first, second, *rest = integers(*arrays, np.ones(1))
+    if isinstance(sets[0], Zonotope):
+        return (2 * first, 2 * second), rest[-1][0]
+    return (first + second, np.diag(second - first)), rest[-1][0]
+
+
+def _in_ellipsoid(outer: Ellipsoid, inner: Any, method: Method, most: int) -> Answer:
+    """The largest norm of the inner set, in coordinates in which the ellipsoid is the unit ball."""
+    n = outer.dim
+    if outer.L.shape[1] != n or not np.linalg.cond(outer.L) < 1e12:
+        raise ReachError("containment in a flat ellipsoid is not decided: its matrix L must be invertible")
+    W = np.linalg.inv(outer.L)
+    # W (x - c) = u - F u for x = c + L u, so norm(u) <= norm(W (x - c)) / (1 - norm(F)).
+    F = np.abs(np.eye(n) - W @ outer.L) + gamma(n) * np.abs(W) @ np.abs(outer.L)
+    moved = inner + (-outer.c)
+    image = W @ moved
+    booked = gamma(2 * n) * float(np.linalg.norm(np.abs(W) @ (inner.extent + np.abs(outer.c))))
+    turn = float(np.linalg.norm(F))
+    if method == "sufficient" and isinstance(image, Zonotope):
+        upper = float(image.norm_bound(np.eye(n)))
+        found = None
+    else:
+        found = largest_norm(image, most, 1.0)
+        upper = found.upper
+    upper = (upper + booked) / (1 - turn)
+    if upper <= 1:
+        return Answer(True, 1 - upper)
+    if found is None:
+        return Answer(None, 1 - upper, reason="the norm bound of the inner set exceeds one")
+    if (found.lower - booked) / (1 + turn) > 1:
+        direction = W.T @ found.point
+        return Answer(False, 1 - found.lower, np.asarray(inner.support_vector(direction)), direction)
+    if method == "exact" and found.upper - found.lower > 1e-6:
+        raise ReachError(f"more than {most} branches are needed; allow more, or use method='sufficient'")
+    return Answer(None, 1 - upper, reason=TOUCHING if upper < 1 + 1e-6 else "the norm is only bracketed")
+
+
+def _in_zonotope(outer: Zonotope, inner: Any, method: Method, most: int) -> Answer:
+    """All facets, or one linear program, as the method says."""
+    if method == "exact":
+        return _in_facets(outer, inner, facet_normals(outer.G, most))
+    proved = _by_program(outer, inner)
+    if proved.holds is not None or method == "sufficient" or combination_count(outer.G) > most:
+        return proved
+    return _in_facets(outer, inner, facet_normals(outer.G, most))
+
+
+def _by_program(outer: Zonotope, inner: Any) -> Answer:
+    """One linear program that proves it, or some directions that refute it."""
+    image = inner if isinstance(inner, Zonotope) else inner.enclosing_zonotope()
+    scale = scale_to_hold(outer, image)
+    if scale <= 1:
+        return Answer(True, 1 - scale)
+    D = np.random.default_rng(0).normal(size=(64, outer.dim)) / np.where(outer.extent > 0, outer.extent, 1)
+    D = np.vstack([D, np.eye(outer.dim), -np.eye(outer.dim)])
+    excess = inner.support_down(D) - outer.support_up(D)
+    if excess.max() > 0:
+        worst = D[np.argmax(excess)]
+        return Answer(False, 1 - scale, np.asarray(inner.support_vector(worst)), worst)
+    return Answer(None, 1 - scale, reason="the linear program is only sufficient")
+
+
+INSIDE: dict[type, Callable[[Any, Any, Method, int], Answer]] = {
+    Interval: _in_interval,
+    HPolytope: _in_polytope,
+    Zonotope: _in_zonotope,
+    Ellipsoid: _in_ellipsoid,
+    AffineImage: _in_image,
+    Intersection: _in_intersection,
+}
+"""How containment is asked, by the kind of the outer set."""
+
+OPEN = (HPolytope, AffineImage, Intersection)
+"""Kinds of outer sets that may be unbounded."""

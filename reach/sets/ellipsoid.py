@@ -1,0 +1,213 @@
+"""Ellipsoids, flat ones included."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import gamma as gamma_function
+
+from ..numerics.arguments import checked
+from ..numerics.errors import ReachError
+from ..numerics.rounding import gamma
+from .ball import ball_generators
+from .convex import SetOperators, as_factor, as_matrix, as_numbers, as_one_vector, as_vector
+from .interval import Interval
+from .zonotope import Zonotope
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Ellipsoid(SetOperators):
+    """``{c + L u : norm(u, 2) <= 1}``, the image of the unit ball.
+
+    Parameters
+    ----------
+    c : array_like, shape (n,)
+        Centre.
+    L : array_like, shape (n, k)
+        Any matrix; the shape matrix is ``L L^T``. Flat where its rank is below n.
+
+    Raises
+    ------
+    ReachError
+        If the shapes do not fit or an entry is not finite.
+    """
+
+    c: Array
+    L: Array
+
+    def __post_init__(self) -> None:
+        c, L = as_numbers("c", self.c), as_numbers("L", self.L)
+        if c.ndim != 1 or L.ndim != 2 or len(L) != len(c):
+            raise ReachError(f"c must have shape (n,) and L shape (n, k), got {c.shape} and {L.shape}")
+        if not (np.all(np.isfinite(c)) and np.all(np.isfinite(L))):
+            raise ReachError("c and L must be finite numbers")
+        object.__setattr__(self, "c", c)
+        object.__setattr__(self, "L", L)
+
+    @classmethod
+    def ball(cls, center: ArrayLike, radius: float) -> Ellipsoid:
+        """Euclidean ball; a radius below zero is refused."""
+        center, radius = as_numbers("center", center), as_factor(radius, "radius")
+        if not radius >= 0:
+            raise ReachError(f"radius must be >= 0, got {radius:g}")
+        return cls(center, radius * np.eye(len(np.atleast_1d(center))))
+
+    @classmethod
+    def from_shape(cls, center: ArrayLike, Q: ArrayLike) -> Ellipsoid:
+        """``{x : d . (x - c) <= sqrt(d . Q d) for all d}`` from a positive semidefinite shape matrix.
+
+        Raises
+        ------
+        ReachError
+            If Q is not square, not symmetric or has an eigenvalue below zero (to rounding).
+        """
+        values, vectors = _spectrum("Q", Q)
+        return cls(as_numbers("center", center), vectors * np.sqrt(np.maximum(values, 0)))
+
+    @classmethod
+    def sublevel(cls, center: ArrayLike, P: ArrayLike, level: float = 1.0) -> Ellipsoid:
+        """``{x : (x - c) . P (x - c) <= level}`` for a positive definite P.
+
+        Raises
+        ------
+        ReachError
+            If P is not square, not symmetric or not positive definite, or the level is negative.
+        """
+        level = as_factor(level, "level")
+        if not level >= 0:
+            raise ReachError(f"level must be >= 0, got {level:g}")
+        values, vectors = _spectrum("P", P)
+        if not values.min() > 0:
+            raise ReachError(f"P must be positive definite, got an eigenvalue {values.min():.3g}")
+        return cls(as_numbers("center", center), vectors * np.sqrt(level / values))
+
+    # -- facts ----------------------------------------------------------------------------------
+
+    @property
+    def dim(self) -> int:
+        """Dimension n of the space."""
+        return len(self.c)
+
+    @property
+    def center(self) -> Array:
+        """Centre, shape (n,)."""
+        return self.c
+
+    @property
+    def shape(self) -> Array:
+        """Shape matrix ``L L^T``, shape (n, n)."""
+        return np.asarray(self.L @ self.L.T)
+
+    @property
+    def extent(self) -> Array:
+        """Elementwise bound on the points, before rounding, shape (n,)."""
+        return np.asarray(np.abs(self.c) + np.linalg.norm(self.L, axis=1))
+
+    @property
+    def terms(self) -> int:
+        """Number of products summed in one value of the support function."""
+        return self.dim + int(self.L.shape[1])
+
+    # -- questions ------------------------------------------------------------------------------
+
+    def support(self, directions: ArrayLike) -> Array:
+        """Largest value of each direction over the set, shape (..., r) for rows (..., r, n)."""
+        D = as_vector(directions, self.dim)
+        return np.asarray(D @ self.c + _lengths(D @ self.L)[..., 0])
+
+    def support_vector(self, directions: ArrayLike) -> Array:
+        """Points of the set that attain the support, shape of `directions`."""
+        inner = as_vector(directions, self.dim) @ self.L
+        norms = _lengths(inner)
+        return np.asarray(self.c + (inner / np.where(norms > 0, norms, 1.0)) @ self.L.T)
+
+    def interval_hull(self) -> Interval:
+        """Smallest box around the set, rounded outwards."""
+        half = np.linalg.norm(self.L, axis=1)
+        return Interval.ball(self.c, half * (1 + gamma(self.L.shape[1])))
+
+    @checked
+    def contains(self, points: ArrayLike, slack: float = 1e-9) -> NDArray[np.bool_]:
+        """Whether each point is reached with ``norm(u, 2) <= 1 + slack``, shape (...) for (..., n)."""
+        gap = as_vector(points, self.dim) - self.c
+        size = np.linalg.norm(self.L, axis=1)
+        size = np.where(size > 0, size, 1.0)
+        scaled = self.L / size[:, None]
+        u = (gap / size) @ np.linalg.pinv(scaled).T
+        missed = np.abs(u @ scaled.T - gap / size).max(axis=-1, initial=0.0)
+        return np.asarray((np.linalg.norm(u, axis=-1) <= 1 + slack) & (missed <= slack))
+
+    # -- operations, all exact ------------------------------------------------------------------
+
+    def __rmatmul__(self, M: ArrayLike) -> Ellipsoid:
+        """Linear image ``M @ X``."""
+        M = as_matrix(M, self.dim)
+        return Ellipsoid(M @ self.c, M @ self.L)
+
+    def __add__(self, other: Any) -> Any:
+        """Translation by a vector, or the (lazy) Minkowski sum with a set."""
+        from .lazy import minkowski_sum
+
+        if isinstance(other, SetOperators):
+            return minkowski_sum(self, other)
+        return Ellipsoid(self.c + as_one_vector(other, self.dim), self.L)
+
+    def __mul__(self, factor: float) -> Ellipsoid:
+        """Scaled copy ``{a x}``."""
+        a = as_factor(factor)
+        return Ellipsoid(a * self.c, a * self.L)
+
+    # -- other descriptions -----------------------------------------------------------------------
+
+    def enclosing_zonotope(self, frame: ArrayLike | None = None) -> Zonotope:
+        """Zonotope around the set: the image of `reach.ball_generators`, or a parallelotope in a frame.
+
+        Without a frame the excess is that of the unit ball of the rank of L: none in one dimension,
+        2 % in two, 10 % in three; above, a box along the principal axes (axes scaled alike).
+        """
+        if frame is not None:
+            return super().enclosing_zonotope(frame)
+        size = np.linalg.norm(self.L, axis=1)
+        U, s, _ = np.linalg.svd(self.L / np.where(size > 0, size, 1.0)[:, None], full_matrices=False)
+        live = s > 0
+        if not live.any():
+            return Zonotope.point(self.c)
+        ball = ball_generators(int(live.sum()), 1.0)
+        # U S V^T is the scaled L to rounding only; what it misses lies in a box.
+        missed = gamma(self.terms) * float(s.max()) * self.dim
+        return Zonotope(self.c, size[:, None] * ((U[:, live] * s[live]) @ ball)).inflate(missed * size)
+
+    def volume(self) -> float:
+        """Volume ``pi^(n/2) / Gamma(n/2 + 1) sqrt(det(L L^T))``; zero if flat."""
+        if self.L.shape[1] < self.dim:
+            return 0.0
+        sizes = np.linalg.svd(self.L, compute_uv=False)
+        return float(np.prod(sizes) * np.pi ** (self.dim / 2) / gamma_function(self.dim / 2 + 1))
+
+
+def _lengths(rows: Array) -> Array:
+    """Euclidean norms, shape (..., 1), of rows whose squares may be beyond floating point."""
+    size = np.abs(rows).max(axis=-1, keepdims=True, initial=0.0)
+    size = np.where(size > 0, size, 1.0)
+    return np.asarray(size * np.linalg.norm(rows / size, axis=-1, keepdims=True))
+
+
+def _spectrum(name: str, matrix: ArrayLike) -> tuple[Array, Array]:
+    """Eigenvalues and vectors of a symmetric matrix with no eigenvalue below zero."""
+    Q = as_numbers(name, matrix)
+    if Q.ndim != 2 or Q.shape[0] != Q.shape[1]:
+        raise ReachError(f"{name} must be square, got shape {Q.shape}")
+    if not np.all(np.isfinite(Q)):
+        raise ReachError(f"{name} must have finite entries")
+    size = np.abs(Q).max(initial=0.0)
+    if np.abs(Q - Q.T).max(initial=0.0) > 1e-9 * size:
+        raise ReachError(f"{name} must be symmetric, its halves differ by {np.abs(Q - Q.T).max():.3g}")
+    values, vectors = np.linalg.eigh((Q + Q.T) / 2)
+    if values.min(initial=0.0) < -1e-9 * size:
+        raise ReachError(f"{name} must be positive semidefinite, got an eigenvalue {values.min():.3g}")
+    return np.asarray(values), np.asarray(vectors)

@@ -1,0 +1,92 @@
+"""Facets and volume of zonotopes, by the combinations of their generators."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from math import comb
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..numerics.errors import ReachError
+from ..numerics.exact import Whole, cross, floats, integers
+
+Array = NDArray[np.float64]
+
+FLAT = 1e-9
+"""Ratio of singular values (axes scaled to unit size) below which a zonotope is treated as flat."""
+
+
+def combination_count(G: Array) -> int:
+    """How many groups of n - 1 vectors `facet_normals` looks at."""
+    return comb(_spanning(G).shape[1], len(G) - 1)
+
+
+def facet_normals(G: Array, most: int) -> Whole:
+    """Normals of all facets of ``{G b : |b_i| <= 1}``, one of each opposite pair, exact.
+
+    Parameters
+    ----------
+    G : ndarray, shape (n, g)
+    most : int
+        Largest number of combinations to look at.
+
+    Returns
+    -------
+    ndarray of int, shape (n, k)
+        Scaled by some power of two. A flat zonotope is the limit of its sum with a vanishing box,
+        so the axes join its generators; the normals then include those of the flat.
+
+    Raises
+    ------
+    ReachError
+        If there are more than `most` combinations.
+
+    Notes
+    -----
+    A facet is spanned by n - 1 generators (Althoff, Stursberg and Buss 2010, theorem 7), so
+    ``comb(g, n - 1)`` of them are looked at.
+    """
+    n, candidates = len(G), _spanning(G)
+    count = comb(candidates.shape[1], n - 1)
+    if count > most:
+        raise ReachError(
+            f"{candidates.shape[1]} generators in dimension {n} span up to {count} facets, more than {most}"
+        )
+    (whole,) = integers(candidates)
+    groups = np.array(list(combinations(range(candidates.shape[1]), n - 1)), dtype=int).reshape(count, n - 1)
+    normals = cross(np.transpose(whole[:, groups], (2, 0, 1)))
+    return np.asarray(normals[:, np.any(normals != 0, axis=0)])
+
+
+def unit_columns(normals: Whole) -> Array:
+    """Exact columns to floats of unit length, the first entry that is not zero positive."""
+    columns = floats(normals)
+    first = np.take_along_axis(columns, (columns != 0).argmax(axis=0)[None], axis=0)
+    return np.asarray(columns * np.sign(first) / np.linalg.norm(columns, axis=0) + 0.0)
+
+
+def _spanning(G: Array) -> Array:
+    """The generators that matter, with the axes if they do not span the space."""
+    G = G[:, np.any(G != 0, axis=0)]
+    size = np.abs(G).sum(axis=1)
+    if G.shape[1] < len(G) or np.any(size == 0):
+        return np.hstack([G, np.eye(len(G)) * np.where(size > 0, size, 1.0)])
+    values = np.linalg.svd(G / size[:, None], compute_uv=False)
+    return np.hstack([G, np.diag(size)]) if values[-1] < FLAT * values[0] else G
+
+
+def volume(G: Array, most: int) -> Array:
+    """Volume of ``{G b : |b_i| <= 1}``: ``2^n`` times the sum of all n x n determinants' sizes, shape (...).
+
+    Raises
+    ------
+    ReachError
+        If there are more than `most` determinants.
+    """
+    n, g = G.shape[-2:]
+    if comb(g, n) > most:
+        raise ReachError(f"{g} generators in dimension {n} have {comb(g, n)} determinants, more than {most}")
+    groups = np.array(list(combinations(range(g), n)), dtype=int).reshape(-1, n)
+    minors = np.moveaxis(G[..., groups], -3, -2)
+    return np.asarray(2.0**n * np.abs(np.linalg.det(minors)).sum(axis=-1))

@@ -1,0 +1,275 @@
+"""Axis-aligned boxes, one at a time or stacked along leading axes (usually time)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..numerics.arguments import checked
+from ..numerics.errors import ReachError
+from ..numerics.rounding import add_down, add_up, gamma
+from .convex import (
+    SetOperators,
+    as_alike,
+    as_factor,
+    as_map,
+    as_numbers,
+    as_rows,
+    as_vector,
+    require_alike,
+    require_same_dim,
+    require_single,
+    require_stackable,
+    selector,
+    stacked,
+)
+
+if TYPE_CHECKING:
+    from .polytope import HPolytope
+    from .zonotope import Zonotope
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Interval(SetOperators):
+    """``{x : lo <= x <= hi}``, or a stack of such boxes.
+
+    Parameters
+    ----------
+    lo, hi : array_like, shape (..., n)
+        Lower and upper corners. Leading axes are a batch.
+
+    Raises
+    ------
+    ReachError
+        If the shapes differ, an entry is not finite, or some ``lo > hi`` (the empty set).
+    """
+
+    lo: Array
+    hi: Array
+
+    def __post_init__(self) -> None:
+        lo, hi = as_numbers("lo", self.lo), as_numbers("hi", self.hi)
+        if lo.ndim == 0 or lo.shape != hi.shape:
+            raise ReachError(f"lo and hi must be vectors of the same shape, got {lo.shape} and {hi.shape}")
+        if not (np.all(np.isfinite(lo)) and np.all(np.isfinite(hi))):
+            raise ReachError("lo and hi must be finite numbers")
+        if np.any(lo > hi):
+            at = tuple(int(i) for i in np.argwhere(lo > hi)[0])
+            raise ReachError(f"lo must not exceed hi, got lo{list(at)} = {lo[at]:g} > {hi[at]:g}")
+        object.__setattr__(self, "lo", lo)
+        object.__setattr__(self, "hi", hi)
+
+    @classmethod
+    def ball(cls, center: ArrayLike, radius: ArrayLike) -> Interval:
+        """Box around a centre with half-widths `radius` (a number or one per axis), rounded outwards."""
+        c, r = as_alike("center", center, "radius", radius)
+        if not np.all(r >= 0):
+            raise ReachError(f"radius must be >= 0, got {r.min():g}")
+        if not (np.all(np.isfinite(c)) and np.all(np.isfinite(r))):
+            raise ReachError("centre and radius must be finite numbers")
+        return cls(add_down(c, -r), add_up(c, r))
+
+    @classmethod
+    def around(cls, points: ArrayLike) -> Interval:
+        """Smallest box that holds points, shape (..., k, n)."""
+        points = as_numbers("points", points)
+        if points.ndim < 2 or points.shape[-2] == 0:
+            raise ReachError(f"points must have shape (..., k, n) with k >= 1, got {points.shape}")
+        return cls(points.min(axis=-2), points.max(axis=-2))
+
+    @classmethod
+    def stack(cls, parts: Sequence[Interval]) -> Interval:
+        """Stack boxes along a new leading axis."""
+        require_stackable(parts, cls)
+        return cls(np.stack([part.lo for part in parts]), np.stack([part.hi for part in parts]))
+
+    # -- facts ----------------------------------------------------------------------------------
+
+    @property
+    def dim(self) -> int:
+        """Dimension n of the space."""
+        return int(self.lo.shape[-1])
+
+    @property
+    def batch(self) -> tuple[int, ...]:
+        """Leading axes."""
+        return self.lo.shape[:-1]
+
+    @property
+    def center(self) -> Array:
+        """Midpoint, shape (..., n)."""
+        return np.asarray(self.lo / 2 + self.hi / 2)
+
+    @property
+    def half_widths(self) -> Array:
+        """Largest distance of a corner from `center`, rounded up, shape (..., n)."""
+        middle = self.center
+        return np.maximum(add_up(self.hi, -middle), add_up(middle, -self.lo))
+
+    def volume(self) -> Array:
+        """Product of the widths, shape (...)."""
+        return np.asarray(np.prod(self.hi - self.lo, axis=-1))
+
+    def __getitem__(self, index: Any) -> Interval:
+        """Select from the batch axes."""
+        if not self.batch:
+            raise ReachError("a single interval cannot be indexed")
+        lo, hi = stacked(self.lo, index), stacked(self.hi, index)
+        if lo.ndim == 0 or lo.shape[-1] != self.dim:
+            raise ReachError(f"an index selects from the batch axes {self.batch} only, got {index!r}")
+        return Interval(lo, hi)
+
+    def __len__(self) -> int:
+        if not self.batch:
+            raise ReachError("a single interval has no length")
+        return self.batch[0]
+
+    @property
+    def extent(self) -> Array:
+        """Elementwise bound on the points, before rounding, shape (..., n)."""
+        return np.maximum(np.abs(self.lo), np.abs(self.hi))
+
+    @property
+    def terms(self) -> int:
+        """Number of products summed in one value of the support function."""
+        return self.dim
+
+    # -- questions ------------------------------------------------------------------------------
+
+    def support(self, directions: ArrayLike) -> Array:
+        """Largest value of each direction over the set, shape (..., r) for rows (..., r, n)."""
+        D = as_rows(directions, self.dim, self.batch)
+        up, down = np.maximum(D, 0), np.minimum(D, 0)
+        return np.asarray((up @ self.hi[..., None] + down @ self.lo[..., None])[..., 0])
+
+    def support_vector(self, directions: ArrayLike) -> Array:
+        """Corners that attain the support, shape of `directions` broadcast with the batch."""
+        D = as_rows(directions, self.dim, self.batch)
+        lo, hi = (self.lo, self.hi) if D.ndim == 1 else (self.lo[..., None, :], self.hi[..., None, :])
+        return np.where(D >= 0, hi, lo)
+
+    def interval_hull(self) -> Interval:
+        """The box itself."""
+        return self
+
+    @checked
+    def contains(self, points: ArrayLike, slack: float = 1e-9) -> NDArray[np.bool_]:
+        """Whether each point lies in the box, shape (...) for points (..., n).
+
+        Batch axes broadcast with the points'. Each half-width is taken ``1 + slack`` times, and the
+        rounding of the points forgiven.
+        """
+        require_alike(np.shape(points)[:-1], self.batch)
+        x, extra = as_vector(points, self.dim), slack * (self.hi - self.lo) / 2 + gamma(1) * self.extent
+        return np.asarray(np.all((self.lo - extra <= x) & (x <= self.hi + extra), axis=-1))
+
+    # -- operations, all exact ------------------------------------------------------------------
+
+    def __rmatmul__(self, M: ArrayLike) -> Zonotope:
+        """Linear image ``M @ X``, a zonotope."""
+        return as_map(M, self.dim) @ self.to_zonotope()
+
+    def __add__(self, other: Any) -> Any:
+        """Minkowski sum (with an interval: an interval), or translation; rounded outwards."""
+        from .lazy import minkowski_sum
+        from .zonotope import Zonotope
+
+        if isinstance(other, Zonotope):
+            return other + self
+        if isinstance(other, SetOperators) and not isinstance(other, Interval):
+            return minkowski_sum(self, other)
+        if isinstance(other, Interval):
+            require_same_dim(self, other)
+            require_alike(self.batch, other.batch)
+            return Interval(add_down(self.lo, other.lo), add_up(self.hi, other.hi))
+        v = as_vector(other, self.dim)
+        require_alike(v.shape[:-1], self.batch)
+        return Interval(add_down(self.lo, v), add_up(self.hi, v))
+
+    def __mul__(self, factor: float) -> Interval:
+        """Scaled copy ``{a x}``."""
+        a = as_factor(factor)
+        ends = (a * self.lo, a * self.hi)
+        return Interval(*(ends if a >= 0 else ends[::-1]))
+
+    def __and__(self, other: Any) -> Any:
+        """Intersection: a box with another box, else as for all sets (see `SetOperators`).
+
+        Raises
+        ------
+        ReachError
+            If two boxes have no point in common.
+        """
+        if not isinstance(other, Interval):
+            return super().__and__(other)
+        require_same_dim(self, other)
+        lo, hi = np.maximum(self.lo, other.lo), np.minimum(self.hi, other.hi)
+        if np.any(lo > hi):
+            raise ReachError("the intersection of the intervals is empty")
+        return Interval(lo, hi)
+
+    def project(self, dims: Sequence[int]) -> Interval:
+        """Coordinates in the order given (exact)."""
+        selector(dims, self.dim)
+        return Interval(self.lo[..., list(dims)], self.hi[..., list(dims)])
+
+    @checked
+    def hull(self, other: Interval) -> Interval:
+        """Smallest box that holds both."""
+        require_same_dim(self, other)
+        return Interval(np.minimum(self.lo, other.lo), np.maximum(self.hi, other.hi))
+
+    # -- other descriptions -----------------------------------------------------------------------
+
+    def to_zonotope(self) -> Zonotope:
+        """The same box as a zonotope (exact; half-widths rounded up)."""
+        from .zonotope import Zonotope
+
+        return Zonotope.box(self.center, self.half_widths)
+
+    def to_polytope(self) -> HPolytope:
+        """The same box by inequalities (exact)."""
+        from .polytope import HPolytope
+
+        require_single(self, "to_polytope")
+        eye = np.eye(self.dim)
+        return HPolytope(np.vstack([eye, -eye]), np.r_[self.hi, -self.lo])
+
+    @checked
+    def meet_halfspace(self, normal: ArrayLike, offset: ArrayLike) -> Interval:
+        """Smallest box around the part with ``normal . x <= offset``, rounded outwards.
+
+        Parameters
+        ----------
+        normal : array_like, shape (..., n)
+        offset : array_like, shape (...)
+            Both broadcast with the batch.
+
+        Raises
+        ------
+        ReachError
+            If no point of (one of) the set(s) is left.
+        """
+        a, b = as_vector(normal, self.dim), as_numbers("offset", offset)[..., None]
+        require_alike(a.shape[:-1], b.shape[:-1], self.batch)
+        if not np.all(np.isfinite(b)):
+            raise ReachError("offset must be finite")
+        # The least the other coordinates can contribute leaves this much for each one.
+        least = np.minimum(a * self.lo, a * self.hi)
+        booked = gamma(2 * self.dim) * (np.abs(a) * self.extent).sum(axis=-1, keepdims=True)
+        total = least.sum(axis=-1, keepdims=True)
+        if np.any(total - booked > b):
+            raise ReachError("no point of the interval satisfies normal . x <= offset")
+        room = b - (total - least) + booked + gamma(1) * np.abs(b)
+        with np.errstate(over="ignore"):  # of a row that hardly depends on a coordinate: no limit
+            ratio = np.divide(room, a, out=np.zeros(np.broadcast_shapes(room.shape, a.shape)), where=a != 0)
+            ratio = ratio + gamma(1) * np.sign(a) * np.abs(ratio)
+        lo, hi = np.broadcast_arrays(self.lo, ratio)[0], np.broadcast_arrays(self.hi, ratio)[0]
+        cut = np.where(a > 0, np.clip(ratio, lo, hi), hi)
+        return Interval(np.where(a < 0, np.clip(ratio, lo, hi), lo), cut)

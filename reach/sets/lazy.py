@@ -1,0 +1,254 @@
+"""Exact results that no class represents, evaluated through their support functions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..numerics.arguments import checked
+from ..numerics.errors import ReachError
+from ..numerics.rounding import gamma
+from .convex import (
+    SetOperators,
+    as_factor,
+    as_matrix,
+    as_one_vector,
+    as_vector,
+    require_same_dim,
+    require_sets,
+    require_single,
+    weighed,
+)
+from .interval import Interval
+from .membership import contains_by_distance
+
+if TYPE_CHECKING:
+    from .polytope import HPolytope
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class AffineImage(SetOperators):
+    """``{M x + v : x in base}``, kept unevaluated.
+
+    Parameters
+    ----------
+    M : array_like, shape (m, n)
+    base : ConvexSet
+        A single set of dimension n.
+    v : array_like, shape (m,)
+    """
+
+    M: Array
+    base: Any
+    v: Array
+
+    def __post_init__(self) -> None:
+        require_sets(self.base)
+        require_single(self.base, "an affine image")
+        M = as_matrix(self.M, self.base.dim)
+        object.__setattr__(self, "M", M)
+        object.__setattr__(self, "v", as_one_vector(self.v, len(M)))
+
+    @property
+    def dim(self) -> int:
+        """Dimension m of the space."""
+        return len(self.M)
+
+    @property
+    def center(self) -> Array:
+        """Image of the base set's centre, shape (m,)."""
+        return np.asarray(self.M @ self.base.center + self.v)
+
+    def support(self, directions: ArrayLike) -> Array:
+        """Largest value of each direction over the set, shape (..., r) for rows (..., r, m)."""
+        D = as_vector(directions, self.dim)
+        return np.asarray(self.base.support(D @ self.M) + D @ self.v)
+
+    def support_up(self, directions: ArrayLike) -> Array:
+        """Support with its rounding booked: never below the true value, shape (..., r)."""
+        D = as_vector(directions, self.dim)
+        return np.asarray(self.base.support_up(D @ self.M) + D @ self.v + self._booked(D))
+
+    def support_down(self, directions: ArrayLike) -> Array:
+        """Support with its rounding booked: never above the true value, shape (..., r)."""
+        D = as_vector(directions, self.dim)
+        return np.asarray(self.base.support_down(D @ self.M) + D @ self.v - self._booked(D))
+
+    def _booked(self, D: Array) -> Array:
+        return gamma(2 * self.dim) * weighed(D, self.extent)
+
+    def support_vector(self, directions: ArrayLike) -> Array:
+        """Points of the set that attain the support, shape of `directions`."""
+        D = as_vector(directions, self.dim)
+        return np.asarray(self.base.support_vector(D @ self.M) @ self.M.T + self.v)
+
+    @property
+    def extent(self) -> Array:
+        """Elementwise bound on the points, before rounding, shape (m,)."""
+        return weighed(self.M, self.base.extent) + np.abs(self.v)
+
+    @property
+    def terms(self) -> int:
+        """Number of products summed in one value of the support function."""
+        return self.dim + int(self.base.terms)
+
+    def interval_hull(self) -> Interval:
+        """Smallest box around the set, rounded outwards."""
+        eye = np.eye(self.dim)
+        return Interval(-self.support_up(-eye), self.support_up(eye))
+
+    @checked
+    def contains(self, points: ArrayLike, slack: float = 1e-9) -> NDArray[np.bool_]:
+        """Whether each point lies in the set, to `slack` times its size; shape (...) for (..., m)."""
+        return contains_by_distance(self, points, slack)
+
+    def __rmatmul__(self, M: ArrayLike) -> AffineImage:
+        """Linear image."""
+        M = as_matrix(M, self.dim)
+        return AffineImage(M @ self.M, self.base, M @ self.v)
+
+    def __add__(self, other: Any) -> Any:
+        """Minkowski sum with another set, or translation by a vector."""
+        if isinstance(other, SetOperators):
+            return minkowski_sum(self, other)
+        return AffineImage(self.M, self.base, self.v + as_one_vector(other, self.dim))
+
+    def __mul__(self, factor: float) -> AffineImage:
+        """Scaled copy ``{a x}``."""
+        a = as_factor(factor)
+        return AffineImage(a * self.M, self.base, a * self.v)
+
+    def to_polytope(self) -> HPolytope:
+        """Inequalities around the image of a bounded polytope, its offsets rounded up.
+
+        With ``R M`` close to A, ``R (y - v) <= b + |R M - A| |x|`` for the images y of all x with
+        ``A x <= b``.
+
+        Raises
+        ------
+        ReachError
+            If the map has no inverse to working precision, or the base set is no polytope or unbounded.
+        """
+        from .polytope import HPolytope
+
+        base = self.base.to_polytope() if isinstance(self.base, Interval) else self.base
+        if not isinstance(base, HPolytope) or not base.is_bounded:
+            raise ReachError("only the image of a bounded polytope or box is written by inequalities")
+        W = inverse(self.M)
+        R, n = base.A @ W, self.dim
+        left = np.abs(R @ self.M - base.A) + gamma(n) * (np.abs(R) @ np.abs(self.M) + np.abs(base.A))
+        booked = left @ base.extent + gamma(n) * (np.abs(R) @ np.abs(self.v) + np.abs(base.b))
+        return HPolytope(R, base.b + R @ self.v + booked * (1 + gamma(n)))
+
+
+def inverse(M: Array) -> Array:
+    """Approximate inverse of a square matrix.
+
+    Raises
+    ------
+    ReachError
+        If there is none to working precision.
+    """
+    if M.shape[0] != M.shape[1] or not np.linalg.cond(M) < 1e15:
+        raise ReachError(f"the map must have an inverse to working precision, its shape is {M.shape}")
+    return np.asarray(np.linalg.inv(M))
+
+
+@dataclass(frozen=True, eq=False)
+class MinkowskiSum(SetOperators):
+    """``{x_1 + ... + x_k : x_i in X_i}``, kept unevaluated.
+
+    Parameters
+    ----------
+    parts : tuple of ConvexSet
+        Single sets of one dimension.
+    """
+
+    parts: tuple[Any, ...]
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.parts, tuple | list) or not self.parts:
+            raise ReachError("a Minkowski sum needs a tuple of at least one set")
+        object.__setattr__(self, "parts", tuple(self.parts))
+        for part in self.parts:
+            require_same_dim(self.parts[0], part)
+            require_single(part, "a lazy Minkowski sum")
+
+    @property
+    def dim(self) -> int:
+        """Dimension n of the space."""
+        return int(self.parts[0].dim)
+
+    @property
+    def center(self) -> Array:
+        """Sum of the centres, shape (n,)."""
+        return np.asarray(sum(part.center for part in self.parts))
+
+    def support(self, directions: ArrayLike) -> Array:
+        """Largest value of each direction over the set, shape (..., r) for rows (..., r, n)."""
+        return np.asarray(sum(part.support(directions) for part in self.parts))
+
+    def support_up(self, directions: ArrayLike) -> Array:
+        """Support with its rounding booked: never below the true value, shape (..., r)."""
+        D = as_vector(directions, self.dim)
+        booked = gamma(len(self.parts)) * weighed(D, self.extent)
+        return np.asarray(sum(part.support_up(D) for part in self.parts) + booked)
+
+    def support_down(self, directions: ArrayLike) -> Array:
+        """Support with its rounding booked: never above the true value, shape (..., r)."""
+        D = as_vector(directions, self.dim)
+        booked = gamma(len(self.parts)) * weighed(D, self.extent)
+        return np.asarray(sum(part.support_down(D) for part in self.parts) - booked)
+
+    def support_vector(self, directions: ArrayLike) -> Array:
+        """Points of the set that attain the support, shape of `directions`."""
+        return np.asarray(sum(part.support_vector(directions) for part in self.parts))
+
+    @property
+    def extent(self) -> Array:
+        """Elementwise bound on the points, before rounding, shape (n,)."""
+        return np.asarray(sum(part.extent for part in self.parts))
+
+    @property
+    def terms(self) -> int:
+        """Number of products summed in one value of the support function."""
+        return sum(int(part.terms) for part in self.parts)
+
+    def interval_hull(self) -> Interval:
+        """Smallest box around the set, rounded outwards."""
+        total = self.parts[0].interval_hull()
+        for part in self.parts[1:]:
+            total = total + part.interval_hull()
+        return total  # type: ignore[no-any-return]
+
+    @checked
+    def contains(self, points: ArrayLike, slack: float = 1e-9) -> NDArray[np.bool_]:
+        """Whether each point lies in the set, to `slack` times its size; shape (...) for (..., n)."""
+        return contains_by_distance(self, points, slack)
+
+    def __rmatmul__(self, M: ArrayLike) -> MinkowskiSum:
+        """Linear image: the sum of the images."""
+        return MinkowskiSum(tuple(as_matrix(M, self.dim) @ part for part in self.parts))
+
+    def __add__(self, other: Any) -> MinkowskiSum:
+        """Minkowski sum with another set, or translation by a vector."""
+        if isinstance(other, SetOperators):
+            return minkowski_sum(self, other)
+        return MinkowskiSum((self.parts[0] + as_one_vector(other, self.dim), *self.parts[1:]))
+
+    def __mul__(self, factor: float) -> MinkowskiSum:
+        """Scaled copy ``{a x}``."""
+        return MinkowskiSum(tuple(part * as_factor(factor) for part in self.parts))
+
+
+def minkowski_sum(*sets: Any) -> MinkowskiSum:
+    """Lazy Minkowski sum; nested sums are flattened."""
+    for part in sets:
+        require_single(part, "a lazy Minkowski sum")
+    flat = [part for s in sets for part in (s.parts if isinstance(s, MinkowskiSum) else (s,))]
+    return MinkowskiSum(tuple(flat))

@@ -1,0 +1,203 @@
+"""Intersections of sets of any kinds: exact by inequalities where all have them, else kept unevaluated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..numerics.arguments import checked
+from ..numerics.errors import ReachError
+from ..numerics.rounding import gamma
+from .convex import (
+    SetOperators,
+    as_factor,
+    as_matrix,
+    as_one_vector,
+    as_vector,
+    require_same_dim,
+    require_single,
+    weighed,
+)
+from .interval import Interval
+from .polytope import HPolytope
+
+Array = NDArray[np.float64]
+
+
+def intersect(first: Any, second: Any) -> Any:
+    """The points of both sets: an `HPolytope` where both are given by inequalities, else lazy.
+
+    Raises
+    ------
+    ReachError
+        If the dimensions differ or a set is a stack.
+    """
+    require_same_dim(first, second)
+    parts = [part for X in (first, second) for part in (X.parts if isinstance(X, Intersection) else (X,))]
+    for part in parts:
+        require_single(part, "an intersection")
+    rows = [part.to_polytope() for part in parts if isinstance(part, Interval | HPolytope)]
+    others = [part for part in parts if not isinstance(part, Interval | HPolytope)]
+    if rows:
+        A, b = np.vstack([P.A for P in rows]), np.hstack([P.b for P in rows])
+        others = [HPolytope(A, b), *others]
+    return others[0] if len(others) == 1 else Intersection(tuple(others))
+
+
+@dataclass(frozen=True, eq=False)
+class Intersection(SetOperators):
+    """``{x : x in X_i for all i}``, kept unevaluated.
+
+    Its support is an upper bound: any way to write ``d = d_1 + ... + d_k`` bounds it by the sum of the
+    supports of the parts, and the split is sought by linear programs in which round parts are cut by
+    their supporting planes. For parts with flat faces it is exact to rounding, with round ones mostly
+    to 1e-8 of the size. A point that `support_vector` returns is as close to all parts as that.
+
+    Parameters
+    ----------
+    parts : tuple of sets of this library
+        Single sets of one dimension, at least one of them bounded.
+    """
+
+    parts: tuple[Any, ...]
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.parts, tuple | list) or not self.parts:
+            raise ReachError("an intersection needs a tuple of at least one set")
+        object.__setattr__(self, "parts", tuple(self.parts))
+        for part in self.parts:
+            require_same_dim(self.parts[0], part)
+            require_single(part, "an intersection")
+        if not np.all(np.isfinite(self.extent)):
+            raise ReachError("one part of an intersection that is not a polytope must be bounded")
+
+    @property
+    def dim(self) -> int:
+        """Dimension n of the space."""
+        return int(self.parts[0].dim)
+
+    @property
+    def terms(self) -> int:
+        """Number of products summed in one value of the support function."""
+        return sum(int(part.terms) for part in self.parts)
+
+    @cached_property
+    def extent(self) -> Array:
+        """Elementwise bound on the points, before rounding, shape (n,)."""
+        return np.asarray(np.min([part.extent for part in self.parts], axis=0))
+
+    @cached_property
+    def proved_empty(self) -> bool:
+        """Whether it is proved that there is no point in all parts."""
+        from .separation import disjoint
+
+        if any(getattr(part, "is_empty", False) and part.proved_empty for part in self.parts):
+            return True
+        first = self.parts[0]
+        for k, part in enumerate(self.parts[1:], 1):
+            if disjoint(first, part).holds:
+                return True
+            first = intersect(first, part) if k + 1 < len(self.parts) else first
+        return False
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether no point is in all parts, as far as that is proved."""
+        return self.proved_empty
+
+    # -- questions ------------------------------------------------------------------------------
+
+    @cached_property
+    def _search(self) -> Any:
+        from .cutting import Search
+
+        return Search(self.parts)
+
+    @property
+    def center(self) -> Array:
+        """A point deep in the set, shape (n,), to the accuracy of the search."""
+        self._refuse_empty()
+        return np.asarray(self._search.inner[0])
+
+    def _refuse_empty(self) -> None:
+        if self.is_empty:
+            raise ReachError("the intersection is empty")
+
+    def support(self, directions: ArrayLike) -> Array:
+        """Upper bound of each direction over the set, shape (..., r) for rows (..., r, n)."""
+        return self.support_up(directions)
+
+    def support_up(self, directions: ArrayLike) -> Array:
+        """Upper bound with its rounding booked, shape (..., r)."""
+        self._refuse_empty()
+        D = as_vector(directions, self.dim)
+        found = [self._bound(d, self._search.split(d)[1]) for d in D.reshape(-1, self.dim)]
+        return np.array(found).reshape(D.shape[:-1])
+
+    def _bound(self, d: Array, split: Array) -> float:
+        """Sum of the supports of the parts along a split of d; its rounding weighed with the whole."""
+        best = min(float(part.support_up(d)) for part in self.parts)
+        total, booked = 0.0, np.abs(d - split.sum(axis=0)) + gamma(len(split)) * np.abs(split).sum(axis=0)
+        for part, row in zip(self.parts, split, strict=True):
+            total += float(part.support_up(row)) if row.any() else 0.0
+        total += float(weighed(booked, self.extent)) + gamma(len(split)) * abs(total)
+        return min(best, total) if np.isfinite(total) else best
+
+    def support_down(self, directions: ArrayLike) -> Array:
+        """Value at a point that passes the parts' own tests, shape (..., r); -inf if none was found."""
+        self._refuse_empty()
+        D = as_vector(directions, self.dim)
+        rows = D.reshape(-1, self.dim)
+        values = [float(d @ point) for d, point in zip(rows, map(self._search.inside, rows), strict=True)]
+        booked = weighed(rows, 1e-9 * self.interval_hull().half_widths + gamma(self.dim) * self.extent)
+        return np.nan_to_num(np.array(values) - booked, nan=-np.inf).reshape(D.shape[:-1])
+
+    def support_vector(self, directions: ArrayLike) -> Array:
+        """Points that attain the support, shape of `directions`, pulled in where there is room."""
+        self._refuse_empty()
+        D = as_vector(directions, self.dim)
+        out = []
+        for d in D.reshape(-1, self.dim):
+            point = self._search.inside(d)
+            out.append(point if np.all(np.isfinite(point)) else self._search.split(d)[0])
+        return np.array(out).reshape(D.shape)
+
+    @cached_property
+    def _hull(self) -> Interval:
+        eye = np.eye(self.dim)
+        low, high = -self.support_up(-eye), self.support_up(eye)
+        return Interval(np.minimum(low, high), high)
+
+    def interval_hull(self) -> Interval:
+        """Box around the set, rounded outwards."""
+        return self._hull
+
+    @checked
+    def contains(self, points: ArrayLike, slack: float = 1e-9) -> NDArray[np.bool_]:
+        """Whether each point is in all parts, each judged with this slack, shape (...) for (..., n)."""
+        return np.asarray(np.all([part.contains(points, slack) for part in self.parts], axis=0))
+
+    # -- operations -----------------------------------------------------------------------------
+
+    def __rmatmul__(self, M: ArrayLike) -> Any:
+        """Linear image, lazy: the image of an intersection is smaller than that of the images."""
+        from .lazy import AffineImage
+
+        M = as_matrix(M, self.dim)
+        return AffineImage(M, self, np.zeros(M.shape[0]))
+
+    def __add__(self, other: Any) -> Any:
+        """Translation by a vector, or the lazy Minkowski sum with a set."""
+        from .lazy import AffineImage, minkowski_sum
+
+        if isinstance(other, SetOperators):
+            return minkowski_sum(self, other)
+        return AffineImage(np.eye(self.dim), self, as_one_vector(other, self.dim))
+
+    def __mul__(self, factor: float) -> Any:
+        """Scaled copy ``{a x}``, lazy."""
+        return as_factor(factor) * np.eye(self.dim) @ self

@@ -1,0 +1,402 @@
+"""Convex polytopes given by inequalities."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property, lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..numerics.arguments import checked
+from ..numerics.errors import ReachError
+from ..numerics.exact import integers, mixture
+from ..numerics.programs import Maximum, maximise
+from ..numerics.rounding import gamma
+from .bases import Bases
+from .convex import SetOperators, as_factor, as_matrix, as_numbers, as_one_vector, as_vector, weighed
+from .interval import Interval
+
+Array = NDArray[np.float64]
+
+EXACT_MOST = 24
+"""Largest dimension in which inequalities are mixed without rounding."""
+
+FEW = 4
+"""Directions up to which each is one linear program."""
+
+FLATNESS = 1e-9
+"""An inscribed radius above minus this, relative to the offsets, counts as 'not empty'."""
+
+
+@dataclass(frozen=True, eq=False)
+class HPolytope(SetOperators):
+    """``{x : A x <= b}``; may be unbounded, flat or empty.
+
+    Parameters
+    ----------
+    A : array_like, shape (m, n)
+        Rows, none of them zero.
+    b : array_like, shape (m,)
+
+    Raises
+    ------
+    ReachError
+        If the shapes do not fit, an entry is not finite, or a row is zero.
+    """
+
+    A: Array
+    b: Array
+
+    def __post_init__(self) -> None:
+        A, b = as_numbers("A", self.A), as_numbers("b", self.b)
+        if A.ndim != 2 or A.shape[1] == 0 or b.shape != A.shape[:1]:
+            raise ReachError(f"A must have shape (m, n) and b shape (m,), got {A.shape} and {b.shape}")
+        if not (np.all(np.isfinite(A)) and np.all(np.isfinite(b))):
+            raise ReachError("A and b must be finite numbers")
+        if np.any(~A.any(axis=1)):
+            raise ReachError(f"row {int(np.argmin(A.any(axis=1)))} of A is zero")
+        object.__setattr__(self, "A", A)
+        object.__setattr__(self, "b", b)
+
+    # -- facts ----------------------------------------------------------------------------------
+
+    @property
+    def dim(self) -> int:
+        """Dimension n of the space."""
+        return int(self.A.shape[1])
+
+    @cached_property
+    def _ball(self) -> tuple[Array, float, Array]:
+        """Largest inscribed ball, axes scaled alike: centre, radius relative to b, multipliers."""
+        scale = np.abs(self.A).max(axis=0, initial=0.0)
+        rows = self.A / np.where(scale > 0, scale, 1.0)
+        norms = np.linalg.norm(rows, axis=1)
+        found = maximise(np.r_[np.zeros(self.dim), 1.0], np.c_[rows, norms], self.b)
+        level = float(np.max(np.abs(self.b) / norms, initial=0.0)) or 1.0
+        return found.point[:-1] / np.where(scale > 0, scale, 1.0), found.value / level, found.multipliers
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether no point satisfies all rows (thinner than `FLATNESS` counts as flat, not empty)."""
+        return self._ball[1] < -FLATNESS
+
+    @checked
+    def is_empty_within(self, sizes: Array) -> bool:
+        """Whether it is proved that no point with ``|x| <= sizes``, shape (n,), is in the set (Farkas)."""
+        if not self.is_empty:
+            return False
+        level, residual = self.weak_duality(np.zeros((1, self.dim)), self._ball[2][None])
+        return bool(level[0] + (1 + gamma(self.dim)) * float(residual[0] @ sizes) < 0)
+
+    @cached_property
+    def proved_empty(self) -> bool:
+        """Whether rows, mixed without rounding, leave ``0 <= negative`` (Farkas)."""
+        if not self.is_empty or self.dim > EXACT_MOST:
+            return False
+        used = np.argsort(-self._ball[2] * np.linalg.norm(self.A, axis=1), kind="stable")[: self.dim + 1]
+        used = used[self._ball[2][used] > 0]
+        sizes = np.exp2(np.round(np.log2(np.linalg.norm(self.A[used], axis=1))))
+        rows = np.c_[self.A[used] / sizes[:, None], np.ones(len(used))]
+        weights = mixture(rows, np.eye(self.dim + 1)[-1])
+        if weights is None or min(weights) < 0:
+            return False
+        levels = self.b[used] / sizes
+        if not np.all(np.isfinite(levels)):
+            return False
+        return sum(w * Fraction(b) for w, b in zip(weights, levels, strict=True)) < 0
+
+    def proved_below(self, row: Array, offset: float) -> bool:
+        """Whether rows, mixed without rounding, show ``row . x <= offset`` for all points (Farkas).
+
+        Decides what rounding leaves open, and sets without bounds.
+        """
+        if self.dim > EXACT_MOST:
+            return False
+        same = np.all(row == self.A, axis=1) & (self.b <= offset)
+        if same.any():
+            return True
+        found = self._program(np.asarray(row, dtype=float).tobytes())
+        if not np.isfinite(found.value):
+            return False
+        sets = [*self._bases.basis(found), np.flatnonzero(found.multipliers > 0)]
+        for used in sets:
+            weights = mixture(self.A[used], row) if len(used) <= self.dim else None
+            if weights is not None and min(weights, default=0) >= 0:
+                level = sum(w * Fraction(b) for w, b in zip(weights, self.b[used], strict=True))
+                if level <= Fraction(offset):
+                    return True
+        return False
+
+    @cached_property
+    def frame(self) -> tuple[Array, Array]:
+        """A point and sizes to measure with, each (n,); those of the offsets if it has no bounds."""
+        if self.is_bounded and not self.is_empty:
+            hull = self.interval_hull()
+            half = hull.half_widths
+            return hull.center, np.where(half > 0, half, float(half.max()) or 1.0)
+        columns = np.abs(self.A).max(axis=0, initial=0.0)
+        columns = 1 / np.where(columns > 0, columns, 1.0)
+        level = np.abs(self.b) / np.linalg.norm(self.A * columns, axis=1)
+        return np.zeros(self.dim), columns * (float(level.max(initial=0.0)) or 1.0)
+
+    @property
+    def center(self) -> Array:
+        """Centre of a largest inscribed ball, axes scaled alike, shape (n,).
+
+        Raises
+        ------
+        ReachError
+            If the set is empty or holds balls of every size.
+        """
+        self._refuse_empty()
+        if not np.isfinite(self._ball[1]):
+            raise ReachError("the polytope has no centre: it holds balls of every size")
+        return self._ball[0]
+
+    @property
+    def is_bounded(self) -> bool:
+        """Whether a box around the set was proved."""
+        return bool(np.all(np.isfinite(self.extent)))
+
+    def _refuse_empty(self) -> None:
+        if self.is_empty:
+            raise ReachError("the polytope is empty")
+
+    # -- questions ------------------------------------------------------------------------------
+
+    @cached_property
+    def _axes(self) -> list[Maximum]:
+        """The linear programs along the positive, then the negative axes."""
+        return self._programs(np.vstack([np.eye(self.dim), -np.eye(self.dim)]))
+
+    @property
+    def terms(self) -> int:
+        """Number of products summed in one value of the support function."""
+        return len(self.b)
+
+    @cached_property
+    def extent(self) -> Array:
+        """Proved elementwise bound on the points, shape (n,); inf in every entry if there is none.
+
+        Weak duality along the axes leaves residuals, ``|x| <= u + P |x|``; a positive w >= u with
+        ``P w <= t w``, t < 1, then proves ``|x| <= w / (1 - t)``.
+        """
+        n, unbounded = self.dim, np.full(self.dim, np.inf)
+        if not all(np.isfinite(found.value) for found in self._axes):
+            return unbounded
+        levels, residuals = self.weak_duality(
+            np.vstack([np.eye(n), -np.eye(n)]), np.array([found.multipliers for found in self._axes])
+        )
+        u, P = np.maximum(levels[:n], levels[n:]), np.maximum(residuals[:n], residuals[n:])
+        w = np.maximum(u, max(1e-8 * u.max(), np.finfo(float).tiny))
+        shrink = float(np.max(P @ w / w))
+        return np.asarray(w / (1 - shrink) * (1 + gamma(n))) if shrink < 0.5 else unbounded
+
+    def weak_duality(self, directions: Array, multipliers: Array) -> tuple[Array, Array]:
+        """Proved bounds ``d . x <= level + residual . |x|`` for every x in the set.
+
+        Parameters
+        ----------
+        directions : ndarray, shape (r, n)
+        multipliers : ndarray, shape (r, m)
+            Any numbers >= 0.
+
+        Returns
+        -------
+        level : ndarray, shape (r,)
+        residual : ndarray, shape (r, n)
+            Both with rounding booked.
+        """
+        m = len(self.b)
+        level = multipliers @ self.b + gamma(m) * (multipliers @ np.abs(self.b))
+        left = np.abs(directions - multipliers @ self.A)
+        return level, left + gamma(m) * (multipliers @ np.abs(self.A) + np.abs(directions))
+
+    def support(self, directions: ArrayLike) -> Array:
+        """Largest value of each direction, one linear program each, shape (..., r); inf if unbounded.
+
+        The bound of `support_up` where there is one, else what the solver says (1e-9 relative). An
+        empty set is refused.
+        """
+        D = as_vector(directions, self.dim)
+        values, _, multipliers = self._answers(D)
+        proved = self._proved(D, values, multipliers)
+        return np.where(np.isfinite(proved), proved, values)
+
+    def support_up(self, directions: ArrayLike) -> Array:
+        """Support proved by weak duality, residuals booked, shape (..., r); inf where there is no proof.
+
+        Of a bounded set there always is one.
+        """
+        D = as_vector(directions, self.dim)
+        values, _, multipliers = self._answers(D)
+        return self._proved(D, values, multipliers)
+
+    def support_down(self, directions: ArrayLike) -> Array:
+        """Value at the solver's point less its tolerance, shape (..., r); inf if unbounded."""
+        D = as_vector(directions, self.dim)
+        values, points, _ = self._answers(D)
+        known = np.isfinite(values)
+        sizes = np.where(known[..., None], points, 0.0), np.where(known, values, 0.0)
+        room = (np.abs(D) * np.abs(sizes[0])).sum(axis=-1) + np.abs(sizes[1])
+        return np.asarray(values - FLATNESS * room)
+
+    @cached_property
+    def _program(self) -> Callable[[bytes], Maximum]:
+        return lru_cache(1024)(lambda direction: maximise(np.frombuffer(direction), self.A, self.b))
+
+    def _programs(self, D: Array) -> list[Maximum]:
+        self._refuse_empty()
+        return [self._program(d.tobytes()) for d in D.reshape(-1, self.dim)]
+
+    @cached_property
+    def _bases(self) -> Bases:
+        return Bases(self.A, self.b, self.center if self.is_bounded else None)
+
+    def _answers(self, D: Array) -> tuple[Array, Array, Array]:
+        """Values (...), points (..., n) and multipliers (..., m) of the largest along directions.
+
+        A few directions go through a linear program each. Of many, those whose maximum lies at a vertex
+        that is known already need none.
+        """
+        rows = D.reshape(-1, self.dim)
+        if len(rows) > FEW:
+            self._refuse_empty()
+            found = self._bases.maxima(rows, self._program)
+        else:
+            solved = self._programs(D)
+            found = (
+                np.array([one.value for one in solved]).reshape(-1),
+                np.array([one.point for one in solved]).reshape(-1, self.dim),
+                np.array([one.multipliers for one in solved]).reshape(-1, len(self.b)),
+            )
+        values, points, multipliers = found
+        shape = D.shape[:-1]
+        return values.reshape(shape), points.reshape(D.shape), multipliers.reshape((*shape, len(self.b)))
+
+    def _proved(self, D: Array, values: Array, multipliers: Array) -> Array:
+        level, residual = self.weak_duality(D, np.where(np.isfinite(multipliers), multipliers, 0.0))
+        return np.where(np.isfinite(values), level + weighed(residual, self.extent), np.inf)
+
+    def support_vector(self, directions: ArrayLike) -> Array:
+        """Points of the set that attain the support, shape of `directions`; refused where unbounded."""
+        D = as_vector(directions, self.dim)
+        points = self._answers(D)[1]
+        if np.any(np.isnan(points)):
+            raise ReachError("the polytope is unbounded in a direction asked for")
+        return points
+
+    def interval_hull(self) -> Interval:
+        """Smallest box around the set, by 2 n linear programs, rounded outwards.
+
+        Raises
+        ------
+        ReachError
+            If the set is empty or unbounded.
+        """
+        if not self.is_bounded:
+            raise ReachError("the polytope is unbounded: it has no interval hull")
+        n = self.dim
+        level, residual = self.weak_duality(
+            np.vstack([np.eye(n), -np.eye(n)]), np.array([found.multipliers for found in self._axes])
+        )
+        ends = level + residual @ self.extent
+        return Interval(np.minimum(-ends[n:], ends[:n]), ends[:n])
+
+    @checked
+    def contains(self, points: ArrayLike, slack: float = 1e-9) -> NDArray[np.bool_]:
+        """Whether each point satisfies all rows to `slack` times the sizes of their terms, shape (...)."""
+        x = as_vector(points, self.dim)
+        room = slack * (np.abs(x) @ np.abs(self.A.T) + np.abs(self.b))
+        return np.asarray(np.all(x @ self.A.T <= self.b + room, axis=-1))
+
+    # -- operations, all exact ------------------------------------------------------------------
+
+    def __rmatmul__(self, M: ArrayLike) -> Any:
+        """Linear image: a polytope where its inequalities are free of rounding, else a lazy `AffineImage`.
+
+        `AffineImage.to_polytope` encloses that by inequalities, where the map has an inverse.
+        """
+        from .lazy import AffineImage
+
+        M = as_matrix(M, self.dim)
+        lazy = AffineImage(M, self, np.zeros(M.shape[0]))
+        if M.shape != (self.dim, self.dim) or not np.linalg.cond(M) < 1 / np.finfo(float).eps:
+            return lazy
+        rows = np.asarray(np.linalg.solve(M.T, self.A.T).T, dtype=np.float64)
+        if not np.all(np.isfinite(rows)):
+            return lazy
+        whole, times, old, one = integers(rows, M, self.A, np.ones(1))
+        exact = np.array_equal(whole @ times, old * one[0])
+        return HPolytope(rows, self.b) if exact else lazy
+
+    def __add__(self, other: Any) -> Any:
+        """Translation by a vector, or the (lazy) Minkowski sum with a set.
+
+        A translation that cannot be written without rounding stays a lazy `AffineImage` as well.
+        """
+        from .lazy import AffineImage, minkowski_sum
+
+        if isinstance(other, SetOperators):
+            return minkowski_sum(self, other)
+        v = as_one_vector(other, self.dim)
+        b = self.b + self.A @ v
+        A, old, new, whole, one = integers(self.A, self.b, b, v, np.ones(1))
+        if np.all(np.isfinite(b)) and np.array_equal(old * one[0] + A @ whole, new * one[0]):
+            return HPolytope(self.A, b)
+        return AffineImage(np.eye(self.dim), self, v)
+
+    def __mul__(self, factor: float) -> Any:
+        """Scaled copy ``{a x}``; as for translations."""
+        from .lazy import AffineImage
+
+        a = as_factor(factor)
+        if a == 0:
+            return np.zeros((self.dim, self.dim)) @ self
+        b = abs(a) * self.b
+        old, new, whole, one = integers(self.b, b, np.abs([a]), np.ones(1))
+        if np.all(np.isfinite(b)) and np.array_equal(old * whole[0], new * one[0]):
+            return HPolytope(np.sign(a) * self.A, b)
+        return AffineImage(a * np.eye(self.dim), self, np.zeros(self.dim))
+
+    def intersect_halfspace(self, normal: ArrayLike, offset: float) -> HPolytope:
+        """Part of the set with ``normal . x <= offset`` (exact)."""
+        row = as_one_vector(normal, self.dim)
+        return HPolytope(np.vstack([self.A, row]), np.r_[self.b, as_factor(offset, "offset")])
+
+    # -- other descriptions -----------------------------------------------------------------------
+
+    def to_polytope(self) -> HPolytope:
+        """The set itself."""
+        return self
+
+    def vertices(self) -> Array:
+        """Vertices to rounding, by Qhull, shape (k, n); an empty, unbounded or flat set is refused."""
+        from scipy.spatial import HalfspaceIntersection
+
+        hull = self.interval_hull()
+        if self.dim == 1:
+            return np.stack([hull.lo, hull.hi])
+        if not self._ball[1] > FLATNESS:
+            raise ReachError("the polytope is flat: its vertices are not offered")
+        scale = hull.half_widths
+        rows, room = self.A * scale, self.b - self.A @ self.center
+        norms = np.linalg.norm(rows, axis=1)
+        points = HalfspaceIntersection(np.c_[rows, -room] / norms[:, None], np.zeros(self.dim)).intersections
+        points = points[np.all(np.isfinite(points), axis=1)]
+        near = np.unique(np.round(points, 9), axis=0, return_index=True)[1]
+        return np.asarray(points[near] * scale + self.center)
+
+    def volume(self) -> float:
+        """Volume of the hull of the vertices; see `vertices` for what is refused."""
+        from scipy.spatial import ConvexHull
+
+        points = self.vertices()
+        if self.dim == 1:
+            return float(np.ptp(points))
+        scale = self.interval_hull().half_widths
+        return float(ConvexHull((points - self.center) / scale).volume * np.prod(scale))

@@ -1,0 +1,158 @@
+"""Do two sets meet? A common point, or a direction that is re-checked to separate them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import block_diag
+
+from ..numerics.arguments import checked
+from ..numerics.exact import integers
+from ..numerics.programs import maximise
+from ..numerics.rounding import gamma
+from .answer import Answer
+from .convex import require_same_dim, require_single, weighed
+from .distance import nearest, unit_sizes
+from .lifted import Lifted, lifted
+from .polytope import HPolytope
+
+Array = NDArray[np.float64]
+
+COMMON = 1e-9
+"""Points of the two sets this close, in sizes of the sets, count as a common point."""
+
+CLOSER = "the sets are closer than rounding can tell"
+
+
+@checked
+def disjoint(X: Any, Y: Any) -> Answer:
+    """Whether two sets have no point in common.
+
+    Sets with flat faces go through one linear program, sets with an ellipsoid in them through
+    Wolfe's nearest points (`reach.sets.distance`). Either finds a direction; a "yes" is said only if the
+    supports of both sets along it, rounding booked, really leave a gap, a "no" only if the point
+    found passes the inequalities of both sets when they are asked again.
+
+    Parameters
+    ----------
+    X, Y : set of this library
+        Single sets, at most one of them unbounded unless both are polytopes.
+
+    Returns
+    -------
+    Answer
+        ``margin`` is a proved lower bound on the Euclidean distance, ``direction`` separates (an
+        unbounded polytope: its part within the interval hull of the other set), ``witness`` is a
+        common point (to 1e-9 of the sets' sizes).
+
+    Raises
+    ------
+    ReachError
+        If the dimensions differ or a set is a stack.
+    """
+    require_same_dim(X, Y)
+    for one in (X, Y):
+        require_single(one, "disjoint")
+        if getattr(one, "is_empty", False):
+            return Answer(True, np.inf) if one.proved_empty else Answer(None, 0.0, reason=CLOSER)
+    middle, size, units = _frame(X, Y)
+    first, second = lifted(X, middle, size), lifted(Y, middle, size)
+    if first is not None and second is not None:
+        return _by_program(X, Y, first, second, units)
+    for one, other in ((X, Y), (Y, X)):
+        if isinstance(one, HPolytope) and not one.is_bounded:
+            box = other.interval_hull()
+            apart = disjoint(X, box) if one is X else disjoint(box, Y)
+            within = one & box.to_polytope()
+            return (
+                apart if apart or within.is_empty else disjoint(*((within, Y) if one is X else (X, within)))
+            )
+    found = nearest(X, Y, units)
+    room = -float(X.support_up(found.direction) + Y.support_up(-found.direction))
+    return _answer(X, Y, found.direction, room, found.x, found.y, units)
+
+
+def _frame(X: Any, Y: Any) -> tuple[Array, Array, Array]:
+    """Where polytopes are to be looked at, and sizes in which a distance of the two sets is measured."""
+    known = [one.interval_hull() for one in (X, Y) if not (isinstance(one, HPolytope) and not one.is_bounded)]
+    if not known:
+        sizes = np.maximum(X.frame[1], Y.frame[1])
+        return np.zeros(X.dim), sizes, sizes
+    half = unit_sizes(np.max([hull.half_widths for hull in known], axis=0))
+    lo, hi = np.min([hull.lo for hull in known], axis=0), np.max([hull.hi for hull in known], axis=0)
+    return (lo + hi) / 2, unit_sizes((hi - lo) / 2), half
+
+
+def _answer(X: Any, Y: Any, direction: Array, room: float, x: Array, y: Array, units: Array) -> Answer:
+    """What the direction proves; or the points, one of each set, if they are close and stand."""
+    length = float(np.linalg.norm(direction))
+    if length > 0 and room > 0:
+        return Answer(True, room / length, direction=direction)
+    # Points far from the origin are known to the rounding of their coordinates only.
+    grain = units + gamma(X.dim) / COMMON * (np.abs(x) + np.abs(y))
+    if np.all(np.isfinite(x) & np.isfinite(y)) and np.all(np.abs(x - y) <= 4 * COMMON * grain):
+        for point in (x / 2 + y / 2, x, y):
+            if all(_stands(one, point, 8 * COMMON * grain) for one in (X, Y)):
+                return Answer(False, 0.0, point)
+    return Answer(None, 0.0, reason=CLOSER)
+
+
+def _stands(X: Any, point: Array, grain: Array) -> bool:
+    """Whether a point is at most so far, axis by axis, from what the set's own description allows."""
+    if isinstance(X, HPolytope):
+        return bool(np.all(X.A @ point - X.b <= np.abs(X.A) @ grain))
+    parts = getattr(X, "parts", None)
+    if parts is not None and hasattr(X, "is_empty"):
+        return all(_stands(part, point, grain) for part in parts)
+    hull = X.interval_hull()
+    return not (np.any(point < hull.lo - grain) or np.any(point > hull.hi + grain))
+
+
+def _by_program(X: Any, Y: Any, first: Lifted, second: Lifted, units: Array) -> Answer:
+    """``min sum |x - y|_i / unit_i``; the multipliers are the direction (Farkas)."""
+    n = X.dim
+    gaps = np.hstack([first.G, -second.G]) / units[:, None]
+    offset = (first.c - second.c) / units
+    rows = block_diag(first.A, second.A)
+    A = np.block([[gaps, -np.eye(n)], [-gaps, -np.eye(n)], [rows, np.zeros((len(rows), n))]])
+    b = np.r_[-offset, offset, first.b, second.b]
+    found = maximise(np.r_[np.zeros(gaps.shape[1]), -np.ones(n)], A, b)
+    if not np.isfinite(found.value):
+        return Answer(None, 0.0, reason="the linear program has no finite answer")
+    over, under, mine, theirs = np.split(found.multipliers, np.cumsum([n, n, len(first.A)]))
+    direction = (under - over) / units
+    if isinstance(X, HPolytope):
+        direction = mine @ X.A
+    elif isinstance(Y, HPolytope):
+        direction = -theirs @ Y.A
+    if isinstance(X, HPolytope) and isinstance(Y, HPolytope) and _cancel(X & Y, np.r_[mine, theirs]):
+        gap, length = -(mine @ X.b + theirs @ Y.b), np.linalg.norm(direction)
+        margin = max(float(gap) * (1 - 1e-9) / float(length), 0.0) if length > 0 else 0.0
+        return Answer(True, margin, direction=direction)
+    # Only points of both sets need be refuted, so a polytope may borrow the other set's bounds.
+    common = np.minimum(X.extent, Y.extent)
+    top = _top(X, direction, mine, common) + _top(Y, -direction, theirs, common)
+    z, w = np.split(found.point[: gaps.shape[1]], [first.G.shape[1]])
+    stands = all(
+        np.all(one.A @ at - one.b <= 8 * COMMON * np.abs(one.A).sum(axis=1))
+        for one, at in ((first, z), (second, w))
+    )
+    x, y = first.c + first.G @ z, second.c + second.G @ w
+    return _answer(X, Y, direction, -top, x if stands else np.full(n, np.nan), y, units)
+
+
+def _top(X: Any, direction: Array, multipliers: Array, common: Array) -> float:
+    """Proved upper bound of ``direction . x`` over the points of X within ``|x| <= common``."""
+    if not isinstance(X, HPolytope):
+        return float(X.support_up(direction))
+    level, residual = X.weak_duality(direction[None], multipliers[None])
+    return float(level[0] + weighed(residual, common)[0])
+
+
+def _cancel(P: HPolytope, multipliers: Array) -> bool:
+    """Whether the rows, so weighed, cancel without rounding and leave ``0 <= negative``."""
+    A, b = integers(P.A, P.b)
+    (weights,) = integers(multipliers)
+    return not np.any(weights @ A) and bool(weights @ b < 0)

@@ -1,0 +1,1 @@
+"""Reachable tubes of linear systems."""

@@ -1,0 +1,258 @@
+"""Bounds on what a linear system adds along rows carried backwards, step by step.
+
+The support of the set reached at time t in a direction d needs one row only, ``r(t) = d e^{A t}``:
+
+    rho(d, X_t) = rho(r(t), X_0) + int_0^t rho(r(s) B, U) ds
+
+(Le Guernic and Girard 2010). Everything here follows from it and from two facts: a support function
+is convex in its row, and a smooth row bends away from its chord over a step h by no more than
+``h^2/8`` times its second derivative. So the bounds are of second order in h, on the integral (its
+trapezoid from above) and between the nodes alike.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from ..numerics.errors import ReachError, Unresolved
+from ..numerics.exponentials import FLUSHED, scaled, times
+from ..sets.convex import ConvexSet
+from ..sets.ellipsoid import Ellipsoid
+from ..sets.interval import Interval
+from ..sets.zonotope import Zonotope
+from .rows import Rows
+from .systems import LinearSystem, single_set
+
+Array = NDArray[np.float64]
+
+
+SMALL = 2000
+"""Entries that a product with a sparse input map must save to be worth it."""
+
+
+class Overflow(Unresolved):
+    """A bound is too large for floating point."""
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """Bounds over consecutive steps of one length, for r rows.
+
+    Attributes
+    ----------
+    rows : ndarray, shape (m+1, r, n)
+        ``d e^{A t}`` at the nodes, in the balanced coordinates.
+    first, attained : ndarray, shape (m+1, r)
+        Support of the initial set at the nodes, and what one of its points attains.
+    upper, lower : ndarray, shape (m, p, r)
+        What one step adds, for each of p input sets: never less than it can, never more than some
+        input attains.
+    bow : ndarray, shape (m, r)
+        How far the bound between two nodes may exceed the line that joins them, without inputs.
+    bend : ndarray, shape (m, p, r)
+        The same for each input set.
+    size : ndarray, shape (2, m+1, r)
+        Sizes of the terms of the support and of the rate of its integral, for booking rounding.
+    """
+
+    rows: Array
+    first: Array
+    attained: Array
+    upper: Array
+    lower: Array
+    bow: Array
+    bend: Array
+    size: Array
+
+
+class Adjoint:
+    """Bounds along given rows for one system and one initial set.
+
+    Parameters
+    ----------
+    system : LinearSystem
+    initial : ConvexSet
+        Of the dimension of the state, bounded.
+
+    Raises
+    ------
+    ReachError
+        If the dimensions differ or the initial set or an input set is unbounded.
+    """
+
+    def __init__(self, system: LinearSystem, initial: ConvexSet) -> None:
+        single_set("the initial set", initial)
+        if initial.dim != system.dim:
+            raise ReachError(
+                f"the initial set has dimension {initial.dim}, the system has {system.dim} states"
+            )
+        self.system, self.rows = system, Rows(system)
+        A, s = self.rows.A, self.rows.scale
+        self.initial, self._shrink = in_units(initial, s)
+        self.inputs, self.pieces = system.U, max(len(system.U), int(np.any(system.c)))
+        self._A2 = A @ A if isinstance(A, np.ndarray) else None
+        B, c = scaled(system.B, 1 / s), system.c / s
+        thin = not isinstance(B, np.ndarray) and B.nnz < min(np.prod(B.shape) / 4, np.prod(B.shape) - SMALL)
+        B = B if thin or isinstance(B, np.ndarray) else B.toarray()
+        sizes = [extent("the initial set", initial) / s]
+        sizes += [abs(B) @ extent("an input set", U) + np.abs(c) for U in system.U]
+        sizes += [np.abs(c)] if self.pieces > len(system.U) else []
+        # [B c], A [B c], A^2 [B c] side by side: one product along many rows.
+        force = [sparse.hstack([B, c[:, None]], format="csr") if thin else np.hstack([B, c[:, None]])]
+        force += [A @ force[0], A @ (A @ force[0])]
+        self._force = sparse.hstack(force, format="csr") if thin else np.hstack(force)
+        self._sizes = np.stack(sizes, axis=1)
+        self._grown: dict[float, Array] = {}
+        self.weights = self._weighed([], 0.0)
+
+    def watch(self, lags: list[float], moved: Array | float = 0.0) -> None:
+        """Weigh rounding by the sizes that states grow to after some lags (see `Rows.lags`).
+
+        `moved` are the sizes that a nominal input brings them to.
+        """
+        self.weights = self._weighed(lags, moved)
+
+    def _weighed(self, lags: list[float], moved: Array | float) -> Array:
+        states = self._sizes[:, 0] + moved / self.rows.scale
+        both = np.stack([states, self._sizes[:, 1:].sum(axis=1)], axis=1)
+        return self.rows.weights(lags, self.rows.weights(lags, both))
+
+    def along(self, rows: Array) -> Array:
+        """``rows A^k [B c]`` for k = 0, 1, 2, shape (3, ..., m+1); rows in balanced coordinates."""
+        found = times(rows, self._force)
+        return np.moveaxis(found.reshape(*rows.shape[:-1], 3, -1), -2, 0)
+
+    def supports(self, piece: int, along: Array, attained: bool = False) -> Array:
+        """``sup over u in U of b u + c`` for rows ``[b c]``, or what some u attains."""
+        if not self.inputs:
+            return np.asarray(along[..., -1])
+        rows, U = along[..., :-1], self.inputs[piece]
+        support = supported(U, rows)
+        return np.asarray(along[..., -1] + (attained_support(U, rows, support) if attained else support))
+
+    def magnitudes(self, piece: int, along: Array) -> Array:
+        """``sup over u in U of |b u + c|`` for rows ``[b c]``."""
+        if not self.inputs:
+            return np.asarray(np.abs(along[..., -1]))
+        return np.asarray(_magnitude(self.inputs[piece], along[..., :-1], along[..., -1]))
+
+    def values(self, rows: Array) -> tuple[Array, Array]:
+        """Largest absolute values along rows (m, r, n): of the first part, and the rate of inputs, (m, r)."""
+        rate, along = np.zeros(rows.shape[:2]), self.along(rows)[0]
+        for i in range(self.pieces):
+            rate += self.magnitudes(i, along)
+        return _magnitude(self.initial, rows if self._shrink is None else rows / self._shrink), rate
+
+    def sizes(self, rows: Array, h: float) -> tuple[Array, Array]:
+        """Largest absolute values over a block: of the first part, and about what the inputs add, (r,)."""
+        first, rate = self.values(rows)
+        return first.max(axis=0), h * np.minimum(rate[1:], rate[:-1]).sum(axis=0)
+
+    def block(self, start: Array, h: float, count: int) -> Block:
+        """Carry rows (balanced, shape (r, n)) over `count` steps of length h.
+
+        Raises
+        ------
+        Overflow
+            If a row is too large for floating point.
+        """
+        with np.errstate(over="ignore", invalid="ignore"):
+            return self._block(self.rows.carry(start, h, count), h, count)
+
+    def _block(self, R: Array, h: float, count: int) -> Block:
+        """Bounds along rows at nodes, shape (count+1, r, n); not finite where anything overflows."""
+        _in_range(R)
+        shrunk = R / self._shrink if self._shrink is not None else R
+        first = supported(self.initial, shrunk)
+        attained = attained_support(self.initial, shrunk, first)
+        absolute = np.abs(R)
+        size = np.moveaxis(times(absolute, self.weights + FLUSHED * self.weights.sum(axis=0)), -1, 0)
+        shape = (count, self.pieces, R.shape[1])
+        upper, lower, bend = np.empty(shape), np.empty(shape), np.zeros(shape)
+        if self.system.discrete:
+            along = self.along(R[:-1])[0]
+            for i in range(self.pieces):
+                upper[:, i] = self.supports(i, along)
+                lower[:, i] = self.supports(i, along, attained=True)
+            return Block(R, first, attained, upper, lower, np.zeros((count, R.shape[1])), bend, size)
+        R2 = self._curved(R)
+        if h not in self._grown:
+            self._grown[h] = self.rows.closing(h, self._sizes)
+        closing = times(np.abs(self._curved(R2)[:-1]), self._grown[h])
+        closing = h**2 / 8 * np.where(np.isnan(closing), np.inf, closing)
+        R2 = R2 / self._shrink if self._shrink is not None else R2
+        along = self.along(R) if self.pieces else R
+        _in_range(R2, along)
+        p2 = _ends(_magnitude(self.initial, R2)) + closing[..., 0]
+        for i in range(self.pieces):
+            value = self.supports(i, along[0])
+            q2 = _ends(self.magnitudes(i, along[2])) + closing[..., 1 + i]
+            q1 = _ends(self.magnitudes(i, along[1])) + h / 2 * q2
+            rest = h**3 / 12 * q2
+            upper[:, i] = h / 2 * (value[:-1] + value[1:]) + rest
+            lower[:, i] = h * self.supports(i, (along[0, :-1] + along[0, 1:]) / 2, attained=True) - rest
+            bend[:, i] = h**2 / 8 * q1
+        return Block(R, first, attained, upper, lower, h**2 / 8 * p2, bend, size)
+
+    def _curved(self, rows: Array) -> Array:
+        """``rows A^2``, the second derivative."""
+        if self._A2 is not None:
+            return times(rows, self._A2)
+        return times(times(rows, self.rows.A), self.rows.A)
+
+
+def in_units(body: ConvexSet, s: Array) -> tuple[Any, Array | None]:
+    """The set in coordinates divided by powers of two, or the set itself and what to divide rows by."""
+    if isinstance(body, Interval):
+        return Interval(body.lo / s, body.hi / s), None
+    if isinstance(body, Zonotope):
+        return Zonotope(body.c / s, body.G / s[:, None]), None
+    if isinstance(body, Ellipsoid):
+        return Ellipsoid(body.c / s, body.L / s[:, None]), None
+    return body, s
+
+
+def is_symmetric(body: ConvexSet) -> bool:
+    """Whether a set is known to be symmetric about its centre."""
+    return isinstance(body, Interval | Zonotope | Ellipsoid)
+
+
+def attained_support(body: Any, rows: Array, support: Array) -> Array:
+    """What is proved to be attained, where the support is found by a program and is an upper bound."""
+    return support if is_symmetric(body) or not hasattr(body, "support_down") else body.support_down(rows)
+
+
+def supported(body: Any, rows: Array) -> Array:
+    """Support along rows (..., n), all at once: products of one large matrix are much faster."""
+    return np.asarray(body.support(rows.reshape(-1, rows.shape[-1])).reshape(rows.shape[:-1]))
+
+
+def _magnitude(body: ConvexSet, rows: Array, shift: Array | float = 0.0) -> Array:
+    """``sup |d x + shift|`` over a set."""
+    if is_symmetric(body):
+        middle = times(rows, body.center[:, None])[..., 0]
+        return np.asarray(np.abs(middle + shift) + (supported(body, rows) - middle))
+    return np.maximum(supported(body, rows) + shift, supported(body, -rows) - shift)
+
+
+def extent(name: str, body: ConvexSet) -> Array:
+    """Largest absolute value of every coordinate over a set, shape (n,)."""
+    try:
+        hull = body.interval_hull()
+    except ReachError as exc:
+        raise ReachError(f"{name} must be bounded and not empty: {exc}") from None
+    return np.asarray(np.maximum(np.abs(hull.lo), np.abs(hull.hi)))
+
+
+def _in_range(*numbers: Array) -> None:
+    if not all(np.all(np.isfinite(values)) for values in numbers):
+        raise Overflow("the response grows beyond floating point")
+
+
+def _ends(values: Array) -> Array:
+    return np.maximum(values[:-1], values[1:])

@@ -1,0 +1,259 @@
+"""Linear closed loops seen from their control samples: exact at the nodes, bounded between them.
+
+One class serves continuous feedback (the nodes are a grid fine enough for the bounds between them)
+and sampled feedback (the nodes are the instants at which the input is renewed).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import expm, matrix_balance, solve_continuous_lyapunov, solve_discrete_lyapunov
+
+from ..numerics.arguments import checked
+from ..numerics.errors import ReachError
+from ..numerics.linear import discretize, growth, powers, require_square
+from ..sets.ball import ball_generators
+from ..sets.zonotope import Zonotope
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class LinearFlow:
+    """Motion of ``e' = A e + B u + D w`` under the feedback ``u = -K e``, node by node.
+
+    Over one period of length h from a node, ``e(s) = M(s) e(0) + int_0^s e^{A_x (s-r)} D w(r) dr``
+    with ``M'' (s) = A_x e^{A_x s} A_c``, where ``A_c = A - B K`` and
+
+    * continuous feedback: ``A_x = A_c``, ``M(s) = e^{A_c s}``;
+    * sampled feedback (u held over the period): ``A_x = A``, ``M(s) = e^{A s} - int_0^s e^{A r} dr B K``.
+
+    Parameters
+    ----------
+    A_x, A_c : ndarray, shape (n, n)
+    D : ndarray, shape (n, p)
+        Disturbance map; the disturbance obeys ``norm(w, 2) <= w_max``.
+    w_max : float
+    h : float
+        Length of a period [s].
+    phi : ndarray, shape (n, n)
+        Transition ``M(h)`` from node to node.
+    """
+
+    A_x: Array
+    A_c: Array
+    D: Array
+    w_max: float
+    h: float
+    phi: Array
+
+    @classmethod
+    @checked
+    def continuous(cls, A_c: Array, D: Array, w_max: float, h: float) -> LinearFlow:
+        """Continuous feedback, closed-loop matrix A_c."""
+        require_square("A_c", A_c)
+        return cls(A_c, A_c, D, w_max, h, np.asarray(expm(A_c * h)))
+
+    @classmethod
+    @checked
+    def sampled(cls, A: Array, B: Array, K: Array, D: Array, w_max: float, h: float) -> LinearFlow:
+        """Zero-order-hold feedback ``u = -K e(t_j)`` renewed every h."""
+        Ah, Bh = discretize(A, B, h)
+        if K.shape != B.shape[::-1]:
+            raise ReachError(f"K must have shape {B.shape[::-1]}, got {K.shape}")
+        return cls(A, A - B @ K, D, w_max, h, Ah - Bh @ K)
+
+    def __post_init__(self) -> None:
+        require_square("A_c", self.A_c)
+        if self.D.ndim != 2 or len(self.D) != len(self.A_c):
+            raise ReachError(f"D must have {len(self.A_c)} rows, got shape {self.D.shape}")
+        if not (self.h > 0 and self.w_max >= 0 and np.isfinite(self.h) and np.isfinite(self.w_max)):
+            raise ReachError(f"h must be > 0 and w_max >= 0, both finite, got {self.h!r} and {self.w_max!r}")
+
+    # -- what happens between two nodes -----------------------------------------------------------
+
+    @cached_property
+    def growth(self) -> Array:
+        """Elementwise bound on ``|e^{A_x s}|`` for s in [0, h]."""
+        return growth(self.A_x, self.h)
+
+    @cached_property
+    def period_box(self) -> Array:
+        """Elementwise bound on the response to the disturbance within one period, shape (n,)."""
+        n, p = self.D.shape
+        block = np.zeros((n + p, n + p))
+        block[:n, :n], block[:n, n:] = np.abs(self.A_x), np.abs(self.D)
+        reached = expm(block * self.h)[:n, n:]
+        # |D| w is bounded row by row by the 2-norm of the row times w_max; the sum over columns of
+        # the integral is an upper bound either way.
+        return np.asarray(reached.sum(axis=1) * self.w_max)
+
+    @checked
+    def input_map(self, B: Array) -> Array:
+        """``int_0^h e^{A_x s} ds B``: what an input held over one period adds, shape (n, m)."""
+        return self._integral @ B
+
+    @checked
+    def input_zonotope(self, B: Array, inputs: Array, size: Array) -> Zonotope:
+        """Zonotope enclosing ``{int_0^h e^{A_x s} B v(s) ds}`` for measurable v in a set about zero.
+
+        The mean of v lies in the set, as it is convex; the rest is bounded by ``h^2/3 sup |B v|``
+        times the Lipschitz constant of ``e^{A_x s}`` (docs/theory.md, Lemma 11).
+
+        Parameters
+        ----------
+        B : ndarray, shape (n, m)
+        inputs : ndarray, shape (m, g)
+            Generators of a zonotope that encloses the set of inputs.
+        size : ndarray, shape (n,)
+            Elementwise bound on ``|B v|`` over the set of inputs.
+        """
+        rest = self.h**2 / 3 * (np.abs(self.A_x) @ self.growth) @ size
+        return Zonotope(np.zeros(len(rest)), np.hstack([self.input_map(B) @ inputs, np.diag(rest)]))
+
+    @cached_property
+    def _integral(self) -> Array:
+        return discretize(self.A_x, np.eye(len(self.phi)), self.h)[1]
+
+    @checked
+    def bow(self, nodes: Zonotope) -> Array:
+        """Elementwise bound on ``|e(t) - chord|`` over the period after each node, shape (..., n).
+
+        The chord joins the two nodes of the same undisturbed motion: ``(h^2/8) sup |M''(s) e|``.
+        """
+        curvature = (self.A_x @ self.A_c) @ nodes
+        extent = np.abs(curvature.c) + curvature.half_widths
+        return np.asarray(self.h**2 / 8 * extent @ self.growth.T)
+
+    # -- the contraction norm -----------------------------------------------------------------------
+
+    @property
+    def lyapunov(self) -> tuple[Array, float]:
+        """A matrix W and the contraction factor ``norm(W phi W^-1, 2) < 1`` per period.
+
+        W is the square root of the solution of the discrete Lyapunov equation, whose right-hand
+        side weighs the states by the size they reach, so that units do not matter.
+
+        Raises
+        ------
+        ReachError
+            If phi is not a contraction in any norm (an unstable closed loop).
+        """
+        return self._contraction[:2]
+
+    @cached_property
+    def _contraction(self) -> tuple[Array, float, float]:
+        """`lyapunov`, and the relative round-off of ``norm(W M W^-1, 2)`` for any M.
+
+        With R the root on scaled states and N the scaled M, products round by ``eps norm(R) norm(N)
+        norm(R^-1)``, and ``norm(N) <= cond(R) norm(R N R^-1)``.
+        """
+        radius = float(np.max(np.abs(np.linalg.eigvals(self.phi))))
+        if not radius < 1:
+            raise ReachError(
+                f"the closed loop is not stable: spectral radius {radius:.6g} per period of {self.h:g}"
+            )
+        rate = -np.log(radius) / self.h
+        scale = state_scale(self.A_c)
+        # Asking for half the slowest rate keeps the norm well conditioned.
+        aim = float(np.exp(-0.5 * rate * self.h))
+        inverse = np.diag(1 / scale)
+        normal = inverse @ self.phi @ np.diag(scale) / aim
+        P = solve_discrete_lyapunov(normal.T, np.eye(len(scale)) * (1 - aim**2))
+        P = (P + P.T) / 2
+        values, vectors = np.linalg.eigh(P)
+        if values.min() <= 0:
+            raise ReachError("the Lyapunov equation has no positive definite solution to working precision")
+        root = (vectors * np.sqrt(values)) @ vectors.T
+        # Judged on the scaled states: scaling columns only adds a rounding to each entry.
+        condition = float(np.linalg.cond(root))
+        if condition > 1e6:
+            raise ReachError("the Lyapunov norm is too ill-conditioned to bound anything with")
+        W = root @ inverse
+        slack = 10 * len(W) * np.finfo(float).eps * condition**2
+        factor = float(np.linalg.norm(W @ self.phi @ np.linalg.inv(W), 2)) * (1 + slack)
+        if not factor < 1:
+            raise ReachError("the Lyapunov norm found does not contract to working precision")
+        return np.asarray(W), factor, slack
+
+    @checked
+    def norms(self, count: int) -> Array:
+        """``norm(W phi^l W^-1, 2)`` for l = 0..count, shape (count+1,); never increasing."""
+        if count < 0:
+            raise ReachError(f"count must be at least 0, got {count}")
+        W, _, slack = self._contraction
+        stack = W @ powers(self.phi, count) @ np.linalg.inv(W)
+        return np.asarray(np.linalg.norm(stack, 2, axis=(-2, -1)) * (1 + slack))
+
+    # -- responses to the disturbance, along rows -----------------------------------------------------
+
+    @checked
+    def disturbance_support(self, rows: Array, count: int) -> Array:
+        """``sum_{l<L} sup_w rows phi^l int_0^h e^{A_x s} D w ds`` for L = 0..count, shape (count+1, r).
+
+        The tight gain of theory item 3, per direction. Each period's integral of the smooth norm
+        is bounded by the trapezoid plus ``h^3/12 sup |second derivative|``.
+        """
+        if rows.ndim != 2 or rows.shape[1] != len(self.phi):
+            raise ReachError(f"rows must have shape (r, {len(self.phi)}), got {rows.shape}")
+        images = rows @ powers(self.phi, count)  # (count+1, r, n)
+        end = np.asarray(expm(self.A_x * self.h)) @ self.D
+        left = np.linalg.norm(images[:-1] @ self.D, axis=-1)
+        right = np.linalg.norm(images[:-1] @ end, axis=-1)
+        # |v'' | <= |row phi^l A_x^2| e^{|A_x| h} |D|, elementwise
+        bend = np.linalg.norm(
+            np.abs(images[:-1] @ (self.A_x @ self.A_x)) @ self.growth @ np.abs(self.D), axis=-1
+        )
+        period = self.w_max * (self.h / 2 * (left + right) + self.h**3 / 12 * bend)
+        return np.vstack([np.zeros((1, len(rows))), np.cumsum(period, axis=0)])
+
+    @cached_property
+    def period_zonotope(self) -> Zonotope:
+        """Zonotope enclosing ``{int_0^h e^{A_x s} D w(s) ds}`` (the disturbance of one period)."""
+        ball = ball_generators(self.D.shape[1], self.w_max)
+        return self.input_zonotope(self.D, ball, np.linalg.norm(self.D, axis=1) * self.w_max)
+
+    @checked
+    def disturbance_nodes(self, count: int, order: float = 30.0) -> Zonotope:
+        """Zonotopes enclosing the response to the disturbance at nodes 0..count from a rest start.
+
+        Every node's sum is formed in full and reduced once, so nothing is enclosed twice.
+        """
+        n = len(self.phi)
+        period = self.period_zonotope.G
+        blocks = powers(self.phi, max(count - 1, 0)) @ period
+        parts = [Zonotope.point(np.zeros(n))]
+        for i in range(1, count + 1):
+            full = np.moveaxis(blocks[:i], 0, 1).reshape(n, -1)
+            parts.append(Zonotope(np.zeros(n), full).reduce(order))
+        return Zonotope.stack(parts)
+
+
+@checked
+def state_scale(A_c: Array) -> Array:
+    """Positive sizes of the states that make ``A_c`` balanced, shape (n,): a diagonal similarity.
+
+    Raises
+    ------
+    ReachError
+        If the closed loop is not stable.
+    """
+    require_square("A_c", A_c)
+    if np.max(np.linalg.eigvals(A_c).real) >= 0:
+        slowest = np.max(np.linalg.eigvals(A_c).real)
+        raise ReachError(f"the closed loop is not stable: largest real part of an eigenvalue {slowest:.6g}")
+    # Covariance under unit white noise in the balanced coordinates, iterated to a fixed point. It starts
+    # from rows and columns of like norms: in far-fetched units the equation is singular to rounding.
+    scale = np.asarray(matrix_balance(A_c, permute=False, separate=True)[1][0])
+    for _ in range(50):
+        normal = A_c * scale[None, :] / scale[:, None]
+        P = solve_continuous_lyapunov(normal, -np.eye(len(A_c)))
+        step = np.sqrt(np.sqrt(np.maximum(np.diag(P) / np.diag(P).min(), 1e-12)))
+        scale = scale * step / step.min()
+        if np.max(np.abs(step / step.min() - 1)) < 1e-6:
+            break
+    return np.asarray(scale / scale.min())

@@ -1,0 +1,308 @@
+"""Tubes of many start sets at once: one march of rows, applied to a stack of zonotopes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import expm
+
+from ..numerics.errors import ReachError
+from ..numerics.exponentials import times
+from ..sets.zonotope import Zonotope
+from .adjoint import Adjoint
+from .augment import centered
+from .rows import ROUNDING
+from .stepping import MAX_STEPS, per_row, substeps
+from .systems import LinearSystem
+
+Array = NDArray[np.float64]
+
+BLOCK = 32
+"""Steps marched together."""
+ENTRIES = 1_000_000
+"""Numbers handled at once where a stack is worked through in parts."""
+HALVINGS = 16
+"""A step is halved at most this often to meet a tolerance."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fan:
+    """Sets that hold ``x(t)`` over time steps, for every one of N start sets.
+
+    Start i is followed from its own time `offset[i]` on: at node k it is at local time
+    ``offset[i] + times[k]``.
+
+    Attributes
+    ----------
+    times : ndarray, shape (K+1,)
+    offset : ndarray, shape (N,)
+    start : Zonotope, batch (N,)
+        Start sets at local time 0 (with a last coordinate that is constantly 1 if there is a drift).
+    maps : ndarray, shape (K+1, M, n, d)
+        ``x(t_k) = maps[k] x(0)`` but for the inputs; M is N, or 1 if the offsets are alike.
+    bow : ndarray, shape (K, N, n)
+        Between two nodes the state leaves the set that joins them by no more, rounding included.
+    low, high : ndarray, shape (K, n)
+        Bounds on the response to the inputs over every step.
+    """
+
+    times: Array
+    offset: Array
+    start: Zonotope
+    maps: Array
+    bow: Array
+    low: Array
+    high: Array
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Steps and start sets, (K, N)."""
+        return self.bow.shape[0], self.bow.shape[1]
+
+    def support(self, directions: Array) -> Array:
+        """Bounds on ``d x(t)`` over every step, shape (K, N, r) for rows (r, n)."""
+        D = np.asarray(directions, dtype=float)
+        middle, spread = images(D @ self.maps, self.start)
+        nodes = middle + spread
+        middle, half = (self.low + self.high) / 2, (self.high - self.low) / 2
+        extra = (middle @ D.T + half @ np.abs(D).T)[:, None]
+        return np.asarray(np.maximum(nodes[1:], nodes[:-1]) + self.bow @ np.abs(D).T + extra)
+
+    def sets(self, k: NDArray[np.intp], i: NDArray[np.intp]) -> Zonotope:
+        """Zonotopes over chosen steps of chosen starts, batch (len(k),)."""
+        j = i if self.maps.shape[1] > 1 else np.zeros_like(i)
+        c, G = self.start.c[i], self.start.G[i]
+        before, after = self.maps[k, j], self.maps[k + 1, j]
+        a = Zonotope((before @ c[..., None])[..., 0], before @ G)
+        b = Zonotope((after @ c[..., None])[..., 0], after @ G)
+        middle, half = (self.low[k] + self.high[k]) / 2, (self.high[k] - self.low[k]) / 2
+        return (a.hull(b) + middle).inflate(self.bow[k, i] + half)
+
+
+class Carrier:
+    """One system made ready for many fans: its drift in the state, its exponentials kept.
+
+    Parameters
+    ----------
+    system : LinearSystem
+        In continuous time, with one set of inputs at most.
+    """
+
+    def __init__(self, system: LinearSystem) -> None:
+        self.system, n = system, system.dim
+        around, _ = centered(system, Zonotope.point(np.zeros(n)))
+        self.dim = around.dim
+        self.adjoint = Adjoint(around, Zonotope.point(np.zeros(self.dim)))
+        self.rows = self.adjoint.rows
+        self.scale, self.A = self.rows.scale, self.rows.A
+
+    def lifted(self, start: Zonotope) -> Zonotope:
+        """Start sets with a last coordinate that is constantly 1, if there is a drift."""
+        if self.dim == start.dim:
+            return start
+        one = np.concatenate([start.c, np.ones((len(start), 1))], axis=-1)
+        return Zonotope(one, np.concatenate([start.G, np.zeros((len(start), 1, start.order_count))], axis=1))
+
+
+def fan(
+    carrier: Carrier,
+    start: Zonotope,
+    horizon: float,
+    *,
+    step: float,
+    tolerance: ArrayLike | None = None,
+    offset: Array | None = None,
+    going: Callable[[Fan], NDArray[np.bool_]] | None = None,
+) -> Fan:
+    """Follow a stack of start sets over a horizon.
+
+    Parameters
+    ----------
+    carrier : Carrier
+    start : Zonotope, batch (N,)
+    horizon : float
+        At least 0.
+    step : float
+        Longest step.
+    tolerance : array_like of shape (n,), optional
+        Steps are halved until the bow between nodes is below this (but for `HALVINGS`).
+    offset : ndarray, shape (N,), optional
+        Local time from which every start is followed. The response to the inputs is then not
+        contained: see `respond`.
+    going : callable, optional
+        Asked about every block of steps: which starts (N,) are still to be followed. The march
+        ends when there are none.
+    """
+    if not (np.isfinite(step) and step > 0 and np.isfinite(horizon) and horizon >= 0):
+        raise ReachError(f"step and horizon must be finite and > 0, got {step!r} and {horizon!r}")
+    if horizon / step > MAX_STEPS:
+        raise ReachError(f"more than {MAX_STEPS:,} steps: horizon {horizon:g}, step {step:g}")
+    march = _Marcher(carrier, start, offset, step, horizon)
+    limit = None if tolerance is None else per_row("tolerance", tolerance, carrier.system.dim)
+    if limit is not None and not np.all(limit > 0):
+        raise ReachError(f"the tolerance must be > 0, got {tolerance!r}")
+    blocks: list[Fan] = []
+    h, done = step, 0.0
+    while done < horizon or not blocks:
+        left = horizon - done
+        if h >= left * (1 - 1e-12):
+            length, count = left, 1
+        else:
+            length, count = h, int(min(BLOCK, left // h))
+        block = march.block(done, length, count)
+        error = 0.0 if limit is None else float((block.bow / limit).max())
+        if not np.all(np.isfinite(block.bow)):
+            error = np.inf
+        if error > 1 and h > step * 2.0**-HALVINGS:
+            h = min(h, length) / 2
+            continue
+        if error == np.inf:
+            raise ReachError(f"the step {step:g} is too long: the bounds are beyond floating point")
+        march.accept(block)
+        blocks.append(block)
+        done = horizon if length == left else done + count * length
+        if going is not None and not np.any(going(block)):
+            break
+        if error < 0.2 and h < step:
+            h *= 2
+    return _joined(blocks)
+
+
+def _joined(blocks: list[Fan]) -> Fan:
+    first = blocks[0]
+    return Fan(
+        np.concatenate([first.times, *(b.times[1:] for b in blocks[1:])]),
+        first.offset,
+        first.start,
+        np.concatenate([first.maps, *(b.maps[1:] for b in blocks[1:])]),
+        np.concatenate([b.bow for b in blocks]),
+        np.concatenate([b.low for b in blocks]),
+        np.concatenate([b.high for b in blocks]),
+    )
+
+
+class _Marcher:
+    """Blocks of a fan, one after the other."""
+
+    def __init__(
+        self, carrier: Carrier, start: Zonotope, offset: Array | None, step: float, horizon: float
+    ) -> None:
+        n, d, s, rows = carrier.system.dim, carrier.dim, carrier.scale, carrier.rows
+        self.n, self.carrier, self.start = n, carrier, carrier.lifted(start)
+        self.x = Zonotope(self.start.c / s, self.start.G / s[:, None])
+        self.extent = self.x.extent
+        self.offset = np.zeros(len(start)) if offset is None else np.asarray(offset, dtype=float)
+        late = float(self.offset.max(initial=0.0))
+        self.M = len(start) if np.ptp(self.offset) else 1
+        self.forced = carrier.adjoint.pieces > 0 and late == 0
+        self.rows = np.eye(n, d) * s
+        if late > 0:
+            A = carrier.A if isinstance(carrier.A, np.ndarray) else carrier.A.toarray()
+            self.rows = (self.rows @ expm(A * self.offset[: self.M, None, None])).reshape(-1, d)
+        elif self.forced:
+            self.rows = np.vstack([self.rows, -self.rows])
+        self.sum, self.work = np.zeros(2 * n), d + rows.norm * late
+        # What a product gets wrong is carried on: it is weighed by the sizes that states grow to.
+        longest = horizon + late
+        lags = rows.lags(min(step, longest), longest) if longest > 0 else []
+        if self.forced:
+            carrier.adjoint.watch(lags)
+        self.weights = rows.weights(lags, rows.weights(lags, self.extent.T)).T
+
+    def block(self, begin: float, h: float, count: int) -> Fan:
+        """Steps that follow what was accepted, not yet accepted themselves."""
+        n, M, A, rows = self.n, self.M, self.carrier.A, self.carrier.rows
+        parts = substeps(self.carrier.adjoint, h) if h > 0 else 1
+        f = h / parts
+        raw = self.carrier.adjoint.block(self.rows, f, count * parts) if self.forced else None
+        every = rows.carry(self.rows, f, count * parts) if raw is None else raw.rows
+        R = every[:, : M * n].reshape(count * parts + 1, M, n, -1)
+        R2 = times(times(R, A), A)
+        R4 = np.abs(times(times(R2, A), A)[:-1])
+        middle, spread = images(R2, self.x)
+        p2 = np.abs(middle) + spread
+        curve = np.maximum(p2[1:], p2[:-1])
+        grown = rows.closing(f, self.extent.T).T if f > 0 else self.extent
+        curve = curve + f**2 / 8 * (R4 @ grown[..., None])[..., 0]
+        bow = h**2 / 8 * curve.reshape(count, parts, *curve.shape[1:]).max(axis=1)
+        coarse = R[::parts]
+        work = self.work + count * (parts + h * rows.norm)
+        rounding = ROUNDING * work * (np.abs(coarse) @ self.weights[..., None])[..., 0]
+        bow = bow + np.maximum(rounding[1:], rounding[:-1])
+        low = high = np.zeros((count, n))
+        added = self.sum
+        if raw is not None:
+            sums = np.vstack([np.zeros((1, 2 * n)), np.cumsum(raw.upper[:, 0], axis=0)]) + self.sum
+            bend = parts**2 * raw.bend[:, 0].reshape(count, parts, 2 * n).max(axis=1)
+            ends = np.maximum(sums[parts::parts], sums[:-1:parts]) + bend
+            ends = ends + ROUNDING * work * (begin + h * count) * raw.size[1].max(axis=0)
+            low, high, added = -ends[:, n:], ends[:, :n], sums[-1]
+        self._next = every[-1], added, work
+        nodes = np.asarray(begin + h * np.arange(count + 1), dtype=float)
+        return Fan(
+            nodes,
+            self.offset,
+            self.start,
+            np.asarray(coarse / self.carrier.scale, dtype=float),
+            bow,
+            low,
+            high,
+        )
+
+    def accept(self, block: Fan) -> None:
+        """Go on from the end of the last block."""
+        self.rows, self.sum, self.work = self._next
+
+
+def images(rows: Array, sets: Zonotope) -> tuple[Array, Array]:
+    """Values of rows at the centres of a stack and half-widths around them, both (m, N, r).
+
+    The rows (m, M, r, d) are different for every set where M is N, and the same where M is 1.
+    """
+    (m, M, r, d), N, g = rows.shape, len(sets), sets.order_count
+    middle, spread = np.empty((m, N, r)), np.empty((m, N, r))
+    columns = np.concatenate([sets.c[..., None], sets.G], axis=-1)  # (N, d, 1 + g)
+    flat = np.ascontiguousarray(np.moveaxis(columns, 1, 0)).reshape(d, -1)
+    size = max(ENTRIES // max(N * r * (g + 1), 1), 1)
+    for k in range(0, m, size):
+        part = rows[k : k + size]
+        if M == 1:
+            out = np.moveaxis((part.reshape(-1, d) @ flat).reshape(-1, r, N, g + 1), 2, 1)
+        else:
+            out = part @ columns
+        middle[k : k + size], spread[k : k + size] = out[..., 0], np.abs(out[..., 1:]).sum(axis=-1)
+    return middle, spread
+
+
+def input_response(system: LinearSystem, time: float, step: float) -> Zonotope:
+    """Zonotope around the response to the inputs after some time, with two generators per step.
+
+    Over a step the input counts by its mean and its first moment, ``|moment| <= h^2/4``; what is
+    left is of third order and enclosed by a box. The centre of the input set is in the fan's drift.
+    """
+    n = system.dim
+    U = system.U[0]
+    if not isinstance(U, Zonotope):
+        hull, c = U.interval_hull(), U.center
+        U = Zonotope.box(np.zeros(U.dim), np.maximum(hull.hi - c, c - hull.lo))
+    B = system.B if isinstance(system.B, np.ndarray) else system.B.toarray()
+    A = system.A if isinstance(system.A, np.ndarray) else system.A.toarray()
+    count = max(int(np.ceil(time / step * (1 - 1e-12))), 1)
+    h = time / count
+    BU = B @ U.G
+    half, whole = expm(A * h / 2), expm(A * h)
+    diagonal = np.diag(np.diag(A))
+    grow = expm((np.abs(A) - np.abs(diagonal) + np.maximum(diagonal, 0)) * h)
+    first = np.hstack([h * half @ BU, h**2 / 4 * (A @ half @ BU)])
+    rest = h**3 / 24 * (grow @ (np.abs(A @ A) @ np.abs(BU).sum(axis=1)))
+    maps = np.empty((count, n, n))
+    maps[0] = np.eye(n)
+    for j in range(1, count):
+        maps[j] = whole @ maps[j - 1]
+    G = np.moveaxis(maps @ first, 0, 1).reshape(n, -1)
+    box = np.abs(maps).sum(axis=0) @ rest
+    box = box + ROUNDING * (n + count) * np.abs(G).sum(axis=1)
+    return Zonotope(np.zeros(n), np.hstack([G, np.diag(box)]))

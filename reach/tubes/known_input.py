@@ -1,0 +1,152 @@
+"""The motion that a known input signal causes: a trajectory, exact but for rounding."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import groupby
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from ..numerics.exponentials import times
+from .rows import Rows
+from .signals import Signal
+from .systems import LinearSystem
+
+Array = NDArray[np.float64]
+
+SNAP = 1e-14
+"""A knot as near to a node as this share of the horizon is the node."""
+ENTRIES = 2_000_000
+"""Entries of all states that are computed together."""
+AHEAD = 256
+"""Cells in which the motion is looked at before steps are chosen."""
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """The part of ``d x(t)`` that a known signal causes, for r rows d.
+
+    Attributes
+    ----------
+    values : ndarray, shape (K+1, r)
+        At the nodes.
+    bow : ndarray, shape (K, r)
+        Between two nodes it leaves the line that joins them by no more than ``4 s (1 - s) bow``.
+    kinks : ndarray, shape (K+1, r)
+        By how much its slope jumps at the nodes.
+    states : ndarray, shape (K+1, n)
+        The trajectory itself.
+    """
+
+    values: Array
+    bow: Array
+    kinks: Array
+    states: Array
+
+
+def known(system: LinearSystem, D: Array, nodes: Array, steps: Array) -> Known:
+    """Follow ``y' = A y + B u_0(t)``, ``y(0) = 0``, over nodes whose distances are `steps`.
+
+    Where the signal jumps between two nodes the slope jumps, by J, and the line is left by J times a
+    quarter of the step: better are nodes where a signal jumps.
+    """
+    K, r, signal = len(steps), len(D), system.nominal
+    assert signal is not None
+    if system.discrete:
+        force, y = times(signal(nodes), system.B.T), np.zeros((K + 1, system.dim))
+        for k in range(K):
+            y[k + 1] = system.A @ y[k] + force[k]
+        return Known(times(y, D.T), np.zeros((K, r)), np.zeros((K + 1, r)), y)
+    pieces = _Pieces(signal, nodes, steps)
+    first = np.nonzero(pieces.starts)[0]
+    y, curve = _follow(system, D, pieces)
+    # The input before and after every border between two sub-steps.
+    before = pieces.u[:-1] + pieces.w[:-1] * pieces.length[:-1, None]
+    jump = np.zeros((len(pieces.length) + 1, r))
+    jump[1:-1] = np.abs(times(pieces.u[1:] - before, np.asarray(D @ system.B).T))
+    at_node = np.r_[pieces.starts, True]
+    kinks, inside = jump[at_node], np.where(at_node[:, None], 0.0, jump)[:-1]
+    bow = steps[:, None] ** 2 / 8 * np.maximum.reduceat(curve, first, axis=0)
+    bow += steps[:, None] / 4 * np.add.reduceat(inside, first, axis=0)
+    y = y[at_node]
+    return Known(times(y, D.T), bow, kinks, y)
+
+
+class _Pieces:
+    """Steps cut at the knots of the signal: lengths, segments, and the input ``u + w s`` in each."""
+
+    def __init__(self, signal: Signal, nodes: Array, steps: Array) -> None:
+        begin, end = nodes[0], nodes[-1]
+        knots = np.unique(signal.times[(signal.times > begin) & (signal.times < end)])
+        near = np.abs(knots - nodes[np.clip(np.searchsorted(nodes, knots), 1, len(nodes) - 1)])
+        near = np.minimum(near, np.abs(knots - nodes[np.clip(np.searchsorted(nodes, knots) - 1, 0, None)]))
+        knots = knots[near > SNAP * end]
+        points = np.concatenate([nodes, knots])
+        order = np.argsort(points, kind="stable")
+        points, is_node = points[order], order < len(nodes)
+        self.starts = is_node[:-1]
+        self.length = np.diff(points)
+        whole = self.starts & is_node[1:]
+        self.length[whole] = steps[np.searchsorted(nodes, points[:-1][whole], side="right") - 1]
+        middle = (points[:-1] + points[1:]) / 2
+        self.segment = np.searchsorted(signal.times, middle, side="right")
+        self.w = signal.slope(middle)
+        self.u = signal(middle) - self.w * self.length[:, None] / 2
+
+
+def _follow(system: LinearSystem, D: Array, pieces: _Pieces) -> tuple[Array, Array]:
+    """The trajectory at the ends of all sub-steps, and the largest second derivative along D in each.
+
+    The state is followed together with the input and its slope: ``z' = A_z z``.
+    """
+    n, m = system.dim, system.inputs
+    blocks = [
+        [sparse.csr_matrix(system.A), sparse.csr_matrix(system.B), None],
+        [None, sparse.csr_matrix((m, m)), sparse.identity(m)],
+        [None, None, sparse.csr_matrix((m, m))],
+    ]
+    A: Any = sparse.bmat(blocks, format="csr")
+    A = A if system.sparse else A.toarray()
+    forward, across = Rows(LinearSystem(A)), Rows(LinearSystem(A.T))
+    D2 = times(times(np.hstack([D, np.zeros((len(D), 2 * m))]), A), A)
+    D4 = np.abs(times(times(D2, A), A)) * forward.scale
+    y, curve = np.zeros((len(pieces.length) + 1, n)), np.empty((len(pieces.length), len(D)))
+    most = max(ENTRIES // (n + 2 * m), 64)
+    for _, run in groupby(range(len(pieces.length)), key=lambda i: (pieces.length[i], pieces.segment[i])):
+        indices = list(run)
+        for k in range(0, len(indices), most):
+            i, count = indices[k], len(indices[k : k + most])
+            h = float(pieces.length[i])
+            z = np.concatenate([y[i], pieces.u[i], pieces.w[i]])
+            Z = across.carry(z[None] * across.scale, h, count)[:, 0] / across.scale
+            y[i + 1 : i + 1 + count] = Z[1:, :n]
+            size = np.abs(Z @ D2.T)
+            grown = forward.closing(h, (np.abs(Z[:-1]) / forward.scale).T)
+            curve[i : i + count] = np.maximum(size[1:], size[:-1]) + h**2 / 8 * (D4 @ grown).T
+    return y, curve
+
+
+class Ahead:
+    """What a known signal will ask of steps, looked at in cells before they are chosen."""
+
+    def __init__(self, system: LinearSystem, D: Array, horizon: float) -> None:
+        cells = int(horizon) if system.discrete else AHEAD
+        steps = np.full(cells, horizon / cells)
+        signal = system.nominal
+        assert signal is not None
+        jumps = np.nonzero((np.diff(signal.times) == 0) & np.any(np.diff(signal.values, axis=0), axis=1))[0]
+        self.jumps = signal.times[jumps] / horizon
+        self.sizes = np.abs((signal.values[jumps + 1] - signal.values[jumps]) @ np.asarray(D @ system.B).T)
+        found = known(system, D, np.linspace(0, horizon, cells + 1), steps)
+        self.horizon, self.curve = horizon, found.bow * 8 / steps[:, None] ** 2
+        self.states = np.abs(found.states).max(axis=0)
+
+    def bow(self, begin: float, end: float, step: float) -> Array:
+        """About the largest bow of steps of some length within a part of the horizon, shape (r,)."""
+        cells = slice(int(begin * AHEAD), max(int(np.ceil(end * AHEAD)), int(begin * AHEAD) + 1))
+        inside = (self.jumps > begin) & (self.jumps < end)
+        smooth = (self.horizon * step) ** 2 / 8 * self.curve[cells].max(axis=0)
+        return np.asarray(smooth + self.horizon * step / 4 * self.sizes[inside].sum(axis=0))

@@ -1,0 +1,270 @@
+"""Rows ``d e^{A t}`` on regular grids, and how far their rounding can have grown."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+
+from ..numerics.exponentials import CANCELLED, Action, exponential, flushed, scaled, thin_exponential, times
+from .systems import LinearSystem
+
+Array = NDArray[np.float64]
+
+SPARSE = 0.1
+"""Share of entries below which products with A use its sparse form."""
+DENSE = 300
+"""States up to which exponentials are formed."""
+SMALL_PART = 32
+"""Largest independent part whose exponentials are formed on their own."""
+ROUNDING = 16 * np.finfo(float).eps
+"""Booked relative rounding per step and state, see `docs`; never the error of a method."""
+SAMPLES = 8
+"""Instants at which the growth of rounding in larger systems is looked at."""
+WATCHED = 400
+"""States up to which the growth of rounding is bounded by exponentials over the whole horizon."""
+
+
+def balance(A: Array) -> Array:
+    """Powers of two s that make the rows and columns of ``A[i, j] s[j] / s[i]`` alike, shape (n,).
+
+    A state that nothing acts on (a constant), or that acts on nothing (an integral), has no scale of
+    its own: it gets one that leaves the norm of the others as it is.
+    """
+    size = abs(A)
+    logs = np.zeros(size.shape[0])
+
+    def sums(s: Array, share: Any = 1.0) -> tuple[Array, Array]:
+        return np.asarray(size @ (s * share)).ravel() / s, np.asarray(size.T @ (share / s)).ravel() * s
+
+    for _ in range(30):
+        row, column = sums(np.exp2(logs))
+        both = (row > 0) & (column > 0)
+        change = np.zeros_like(logs)
+        change[both] = np.log2(row[both] / column[both]) / 4
+        logs = np.clip(logs + change, -60, 60)
+        if np.max(np.abs(change), initial=0.0) < 0.25:
+            break
+    row, column = sums(np.exp2(logs))
+    level = np.max(sums(np.exp2(logs), both)[0][both], initial=0.0)
+    if level > 0:
+        constant, integral = (row == 0) & (column > 0), (row > 0) & (column == 0)
+        logs[constant] += np.log2(level / column[constant])
+        logs[integral] += np.log2(row[integral] / level)
+    return np.asarray(np.exp2(np.round(np.clip(logs, -60, 60))))
+
+
+class Rows:
+    """Rows ``d e^{A t}`` on regular grids, in coordinates in which A is balanced.
+
+    Three ways to carry them, chosen by the structure of A: through the exponentials of its
+    independent parts where it falls apart into small ones, through the action of the exponential
+    where A is sparse, through the dense exponential otherwise.
+
+    `work` is how many roundings of a row one unit of time takes.
+    """
+
+    def __init__(self, system: LinearSystem) -> None:
+        self.discrete = system.discrete
+        self.scale = s = np.ones(system.dim) if system.discrete else balance(system.A)
+        A = sparse.csr_matrix(scaled(scaled(system.A, 1 / s).T, s).T)
+        self.parts, self.constants = _parts(A)
+        self.parts = None if system.discrete else self.parts
+        thin = system.sparse or A.nnz < SPARSE * A.shape[0] ** 2
+        self.A = A if thin else A.toarray()
+        self.norm = float(np.max(np.asarray(abs(A).sum(axis=1)), initial=0.0))
+        large = system.sparse and self.parts is None and system.dim > DENSE
+        self.action = Action(self.A.T) if large else None
+        self.action = None if self.discrete else self.action
+        self.work = self.norm * (CANCELLED if self.action else 1.0)
+        sums = np.asarray(abs(A).sum(axis=1)).ravel() + A.diagonal() - np.abs(A.diagonal())
+        # The logarithmic norm of largest entries, up to rounding.
+        self.contracts = not system.discrete and float(np.max(sums, initial=0.0)) <= 1e-12 * self.norm
+        self._maps: dict[float, Any] = {}
+        self._closings: dict[float, Any] = {}
+
+    def map(self, h: float) -> Any:
+        """``e^{A h}`` (``A^h`` of a discrete system); squared from the half of h where that is known.
+
+        None where A is large and sparse and its exponential is not.
+        """
+        if h not in self._maps:
+            # Squaring what is close to the identity loses its digits, and no series needs it.
+            long = self.discrete or self.norm * h > 0.5
+            half = self._maps.get(h / 2) if long else None
+            with np.errstate(over="ignore", invalid="ignore"):
+                if self.action is not None:
+                    self._maps[h] = thin_exponential(self.A, h, self.action, half)
+                elif half is not None:
+                    self._maps[h] = flushed(half @ half)
+                elif self.discrete:
+                    self._maps[h] = np.linalg.matrix_power(_dense(self.A), int(h))
+                else:
+                    self._maps[h] = self._exponential(self.A, h)
+        return self._maps[h]
+
+    def _exponential(self, A: Any, h: float) -> Any:
+        if self.parts is None:
+            return exponential(A if A.shape[0] > DENSE else _dense(A), h)
+        # Every part is joined by the constants, which act on all of them and change by none.
+        size, k = self.parts.shape[1], self.constants
+        blocks = np.hstack([self.parts, np.tile(k, (len(self.parts), 1))])
+        rows, columns = np.broadcast_arrays(blocks[:, :, None], blocks[:, None, :])
+        found = exponential(np.asarray(A[rows.ravel(), columns.ravel()]).reshape(rows.shape), h)
+        place = np.r_[rows[:, :size].ravel(), k], np.r_[columns[:, :size].ravel(), k]
+        return sparse.csr_matrix((np.r_[found[:, :size].ravel(), np.ones(len(k))], place), shape=A.shape)
+
+    def carry(self, rows: Array, h: float, count: int) -> Array:
+        """``rows e^{A h l}`` for l = 0..count, shape (count+1, r, n); rows of shape (r, n)."""
+        if self.action is not None and self.map(h) is None:
+            return self.action(rows, h, count)
+        out = np.empty((count + 1, *rows.shape))
+        out[0] = rows
+        if self.discrete:
+            for i in range(count):
+                out[i + 1] = times(out[i], self.A)
+            return out
+        have = reach = 1  # rows that are known, and the steps of the longest map that is
+        while have <= count:
+            if reach < have and self.map(2 * reach * h) is not None:
+                reach *= 2
+            more = min(reach, count + 1 - have)
+            out[have : have + more] = flushed(
+                times(out[have - reach : have - reach + more], self.map(h * reach))
+            )
+            have += more
+        return out
+
+    def closing(self, h: float, vectors: Array) -> Array:
+        """Bound on ``sup_s |e^{A s}| v`` over [0, h], elementwise, for v >= 0 of shape (n,) or (n, q).
+
+        ``|e^{A s}| <= e^{M s}`` with M the absolute values of A off its diagonal and the positive
+        part of its diagonal, so that the bound grows with s. Infinite where it overflows.
+        """
+        with np.errstate(over="ignore", invalid="ignore"):
+            if h not in self._closings:
+                diagonal = self.A.diagonal()
+                less = np.maximum(diagonal, 0) - np.abs(diagonal)
+                dense = isinstance(self.A, np.ndarray)
+                M = abs(self.A) + (np.diag(less) if dense else sparse.diags(less, format="csr"))
+                self._closings[h] = Action(M) if self.action is not None else self._exponential(M, h)
+            found = self._closings[h]
+            out = found @ vectors if self.action is None else found(vectors.T, h, 1)[-1].T
+        return np.where(np.isnan(out), np.inf, out)
+
+    # -- rounding ---------------------------------------------------------------------------------
+
+    def lags(self, h: float, horizon: float) -> list[float]:
+        """Powers of two of a step, up to the horizon; none where exponentials are not to be formed."""
+        if self.action is not None or (self.A.shape[0] > WATCHED and self.parts is None):
+            return []
+        return [h * 2.0**i for i in range(int(np.log2(horizon / h)) + 1)]
+
+    def weights(self, lags: list[float], sizes: Array) -> Array:
+        """Sizes (n, q) that states of given sizes (n, q) grow to after any of some lags.
+
+        Less the growth at the rate over the longest of them: what grows all alike at one rate has no
+        preferred direction, and `amplification` counts the rate.
+        """
+        if not lags and self.contracts:  # the largest of all states bounds each of them ever after
+            return np.broadcast_to(sizes.max(axis=0), sizes.shape).copy()
+        with np.errstate(over="ignore", invalid="ignore"):
+            grown = np.array([sizes, *(np.asarray(abs(self.map(t)) @ sizes) for t in lags)])
+            first, last = (np.maximum(g.max(axis=0), 1e-300) for g in (sizes, grown[-1]))
+            rate = np.clip(np.nan_to_num(np.log(last / first)), 0, 600) / max(lags, default=1.0)
+            return np.asarray(np.max(grown * np.exp(-np.outer([0.0, *lags], rate))[:, None], axis=0))
+
+    def amplification(
+        self, rows: Array, lags: list[float], weights: Array, horizon: float
+    ) -> tuple[Array, Array]:
+        """Numbers a and b with ``norm(e e^{A t}) <= norm(e) exp(a + b t)``, each (q, r).
+
+        For perturbations e of the states that one of r rows depends on, and the norm ``sum |e_i| w_i``
+        of each of the q weights; measured at the lags and carried on from the last of them to the
+        horizon, with a factor of 2 for the times between.
+        (The product over the lags that make up a time would be a bound, but one out of all
+        proportion: every lag adds the norm's own distortion.)
+        """
+        r, q = len(rows), weights.shape[1]
+        if not lags:
+            grown = np.log(self._sampled_growth(weights, horizon))
+            return np.repeat(grown[:, None], r, axis=1), np.zeros((q, r))
+        logs, seen = np.empty((len(lags), q, r)), np.abs(rows)
+        for t in lags:
+            seen = np.maximum(seen, np.abs(rows) @ abs(self.map(t)))
+        for i, t in enumerate(lags):
+            grown = np.asarray(abs(self.map(t)) @ weights)
+            ratio = np.divide(grown, weights, out=np.where(grown > 0, np.inf, 1.0), where=weights > 0)
+            most = np.where(seen[None] > 0, ratio.T[:, None], 0.0).max(axis=2)
+            logs[i] = np.log(np.maximum(most, 1e-300))
+        # To the end it goes on as between the last two lags.
+        slope = np.maximum(logs[-1] - logs[-2], 0) / (lags[-1] - lags[-2]) if len(lags) > 1 else 0.0
+        logs = np.concatenate([logs, [logs[-1] + slope * (horizon - lags[-1])]])
+        lag = np.asarray([*lags, horizon])[:, None, None]
+        rates = np.concatenate([np.zeros((1, q, r)), logs / lag])
+        excess = np.maximum(logs - rates[:, None] * lag, 0).max(axis=1) + np.log(2)
+        # Any of these rates will do. Of those that bound the growth to the end well, take the fastest
+        # decay, or else the fastest growth: it counts nothing twice of rows that grow by themselves.
+        total = excess + np.maximum(rates, 0) * horizon
+        speed = np.where(rates < 0, 1e9 - rates, rates)
+        good = np.where(total <= total.min(axis=0) + 1, speed, -np.inf).argmax(axis=0)[None]
+        return np.take_along_axis(excess, good, 0)[0], np.take_along_axis(rates, good, 0)[0]
+
+    def _sampled_growth(self, weights: Array, horizon: float) -> Array:
+        """Factors (q,) by which states of given sizes grow, from one motion with random signs each.
+
+        For systems too large for their exponentials, where the logarithmic norm does not tell. A
+        direction that grows is met by random signs almost surely; the factor of 10 stands for what
+        they see of it less than fully.
+        """
+        if self.contracts:
+            return np.full(weights.shape[1], 2.0)
+        signs = np.random.default_rng(0).choice([-1.0, 1.0], weights.shape)
+        start = (weights * signs).T
+        with np.errstate(over="ignore", invalid="ignore"):
+            if self.discrete:
+                path = np.stack([start] * (int(horizon) + 1))
+                for i in range(int(horizon)):
+                    path[i + 1] = path[i] @ self.A.T
+            else:
+                path = self._sampled_path(start, horizon)
+            most, first = np.abs(path).max(axis=(0, 2)), weights.max(axis=0)
+        ratio = np.divide(most, first, out=np.ones_like(first), where=first > 0)
+        return np.asarray(10 * np.clip(np.nan_to_num(ratio, nan=1e299, posinf=1e299), 1.0, 1e299))
+
+    def _sampled_path(self, start: Array, horizon: float) -> Array:
+        """Sizes of states moved on from rows of `start`, shape (m, q, n): at times, or the most of all."""
+        m = int(np.clip(np.ceil(np.log2(max(self.norm * horizon / 4, 8.0))), 3, 20))
+        if self.action is None or self.map(horizon / 2**m) is None:
+            return Action(self.A)(start, horizon / SAMPLES, SAMPLES)
+        while m > 3 and self.map(horizon / 2 ** (m - 1)) is not None:
+            m -= 1
+        x, most = start.T, np.abs(start.T)
+        for _ in range(2**m):
+            x = self.map(horizon / 2**m) @ x
+            most = np.maximum(most, np.abs(x))
+        return np.stack([start, most.T])
+
+
+def _dense(A: Any) -> Array:
+    return A if isinstance(A, np.ndarray) else np.asarray(A.toarray())
+
+
+def _parts(A: Any) -> tuple[NDArray[np.intp] | None, NDArray[np.intp]]:
+    """Indices of the independent parts of A, shape (p, size), if all have one small size; constants.
+
+    A constant is a state that nothing acts on; it may act on every part.
+    """
+    A.eliminate_zeros()
+    active = np.diff(A.indptr) > 0
+    constant = ~active & (np.diff(A.tocsc().indptr) > 0)
+    inner = np.nonzero(~constant)[0]
+    count, label = connected_components(A[inner][:, inner], directed=False)
+    sizes = np.bincount(label)
+    constants = np.nonzero(constant)[0]
+    if count < 2 or np.ptp(sizes) or sizes[0] + len(constants) > SMALL_PART:
+        return None, constants
+    return inner[np.argsort(label, kind="stable")].reshape(count, sizes[0]), constants

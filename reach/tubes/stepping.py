@@ -1,0 +1,254 @@
+"""Marching over time: blocks of steps, of one length or as long as a tolerance allows."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..numerics.errors import ReachError, ReachWarning, Unresolved
+from ..sets.convex import as_numbers
+from .adjoint import Adjoint, Block, Overflow
+from .bounds import March, collect
+from .known_input import Ahead
+from .rows import ROUNDING
+
+Array = NDArray[np.float64]
+
+MAX_STEPS = 2_000_000
+BLOCK = 64
+"""Steps that are carried together when their length may change."""
+ENTRIES = 50_000
+"""Entries of all rows that are carried together when it does not."""
+SHARE = 0.01
+"""Tolerance if none is given, as a share of the largest support."""
+AHEAD = 64
+"""Instants, and halvings of the first of them, at which it is looked at what a row will come to."""
+PARTS = 16
+"""Parts that a step of the user may be carried in whatever that costs."""
+CHEAP = 1_000_000
+"""Entries of all rows of a run up to which a step is carried in as many parts as it needs."""
+WIDE = 10.0
+"""Bounds between nodes that exceed what is attained by this factor are warned of."""
+USELESS = 1e9
+"""Bounds between nodes may exceed the size of what is bounded by this; more is an error, not a bound."""
+FINEST = 2.0**-40
+"""Shortest step of the automatic choice, as a share of the horizon."""
+
+
+def march(
+    adjoint: Adjoint,
+    D: Array,
+    horizon: float,
+    step: float | None,
+    tolerance: ArrayLike | None,
+    limit: ArrayLike | None = None,
+    keep: bool = False,
+    substeps: int = 1,
+    deadline: float = np.inf,
+) -> March:
+    """Carry rows D over the horizon, with a step (in substeps) or by a tolerance (see `support_tube`)."""
+    _is_number("horizon", horizon)
+    if step is not None and tolerance is not None:
+        raise ReachError("give a step or a tolerance, not both")
+    if step is not None:
+        _is_number("step", step)
+    if adjoint.system.discrete:
+        if horizon != round(horizon) or step not in (None, 1):
+            given = f"got horizon {horizon!r} and step {step!r}"
+            raise ReachError(f"a discrete system takes a whole number of steps of 1, {given}")
+        step = 1.0
+    if step is None and adjoint.pieces > 1:
+        raise ReachError("an input that changes its set needs a step, best one that divides its breaks")
+    if step is not None:
+        return regular(adjoint, D, horizon, step, substeps, keep, deadline)
+    goal = None if tolerance is None else per_row("tolerance", tolerance, len(D))
+    if goal is not None and not np.all((goal > 0) & np.isfinite(goal)):
+        raise ReachError(f"the tolerance must be finite and > 0, got {tolerance!r}")
+    ceiling = np.full(len(D), -np.inf) if limit is None else per_row("limit", limit, len(D))
+    return collect(adjoint, D, horizon, adaptive(adjoint, D, horizon, goal, ceiling, deadline), keep)
+
+
+def _positive(value: Any) -> bool:
+    real = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
+    return bool(real and 0 < value < np.inf)
+
+
+def _is_number(name: str, value: float) -> None:
+    if not _positive(value):
+        raise ReachError(f"the {name} must be a finite number > 0, got {value!r}")
+
+
+def in_time(deadline: float) -> None:
+    """Stop where a time (of `perf_counter`) has passed.
+
+    Raises
+    ------
+    Unresolved
+    """
+    if perf_counter() > deadline:
+        raise Unresolved("time ran out")
+
+
+def per_row(name: str, value: ArrayLike, r: int) -> Array:
+    """One number for each of r rows."""
+    numbers = as_numbers(f"the {name}", value)
+    if numbers.shape not in ((), (1,), (r,)) or np.any(np.isnan(numbers)):
+        raise ReachError(f"the {name} must be a number or {r} of them, got {value!r}")
+    return np.broadcast_to(numbers, (r,))
+
+
+def substeps(adjoint: Adjoint, step: float | None, horizon: float = 0.0, rows: int = 1) -> int:
+    """Parts, a power of two, that a given step is carried in so that little turns in one.
+
+    Up to `PARTS`; more where the whole run, if its horizon is given, stays `CHEAP`.
+    """
+    if step is None or adjoint.system.discrete or not _positive(step):
+        return 1
+    most = np.log2(PARTS)
+    if _positive(horizon):
+        most = max(most, np.floor(np.log2(CHEAP / max(rows * adjoint.system.dim * horizon / step, 1.0))))
+    return int(2 ** np.clip(np.ceil(np.log2(max(2 * step * adjoint.rows.norm, 1.0))), 0, most))
+
+
+def warn_if_wide(bounds: Array, attained: Array, sizes: Array) -> None:
+    """Say so where bounds between nodes are far above what is attained at nodes, each (r,)."""
+    level = np.maximum(np.abs(attained), sizes)
+    ratio = float(np.max(np.divide(bounds - attained, level, out=np.zeros_like(level), where=level > 0)))
+    if ratio > WIDE:
+        warnings.warn(
+            f"bounds between nodes exceed what is attained by a factor of up to {ratio:.2g}: the step is "
+            "long for a system this stiff; take a shorter one, or a tolerance instead",
+            ReachWarning,
+            stacklevel=4,
+        )
+
+
+def regular(
+    adjoint: Adjoint, D: Array, horizon: float, step: float, parts: int, keep: bool, deadline: float
+) -> March:
+    """Steps of one length, each carried in some parts."""
+    if horizon / step > MAX_STEPS:
+        raise Unresolved(f"more than {MAX_STEPS:,} steps: horizon {horizon:g}, step {step:g}")
+    count = max(int(np.ceil(horizon / step * (1 - 1e-12))), 1) * parts
+    size = int(np.clip(ENTRIES // D.size, BLOCK, count))
+    h = horizon / count
+    ahead = look_ahead(adjoint, D, horizon)
+    adjoint.watch(adjoint.rows.lags(h, horizon), 0.0 if ahead is None else ahead.states)
+
+    def blocks() -> Iterator[tuple[float, Block]]:
+        rows = D * adjoint.rows.scale
+        for k in range(0, count, size):
+            in_time(deadline)
+            block = adjoint.block(rows, h, min(size, count - k))
+            yield h, block
+            rows = block.rows[-1]
+
+    run = collect(adjoint, D, horizon, blocks(), keep, parts)
+    if not np.all((run.bow + run.bend).max(axis=0) <= USELESS / ROUNDING * run.rounding.max(axis=0)):
+        raise Unresolved(f"the step {step:g} is too long: nothing useful is known between two nodes")
+    return run
+
+
+def look_ahead(adjoint: Adjoint, D: Array, horizon: float) -> Ahead | None:
+    """What a nominal input will ask of steps, if there is one."""
+    return None if adjoint.system.nominal is None else Ahead(adjoint.system, D, horizon)
+
+
+def adaptive(
+    adjoint: Adjoint, D: Array, horizon: float, goal: Array | None, ceiling: Array, deadline: float
+) -> Iterator[tuple[float, Block]]:
+    """Blocks whose steps are a half, a quarter, ... of the horizon, as short as the tolerance asks.
+
+    Half of the tolerance is for the integral of the inputs, spent in proportion to time but never
+    less than a twentieth of what is left on one block; half for the bow between nodes. Without a
+    goal the tolerance is `SHARE` of the largest value met so far.
+    """
+    rows = D * adjoint.rows.scale
+    level = int(np.clip(np.ceil(np.log2(max(horizon * adjoint.rows.norm, 1.0))), 0, 40))
+    ahead = look_ahead(adjoint, D, horizon)
+    if ahead is not None:
+        ceiling = np.full(len(D), -np.inf)  # what is compared with it leaves the nominal input out
+    adjoint.watch(adjoint.rows.lags(horizon * 2.0**-level, horizon), 0.0 if ahead is None else ahead.states)
+    done, patience, steps = 0.0, 0, 0
+    reached, spent, known, sums = np.zeros((4, len(D)))
+    if goal is None:
+        known = foreseen(adjoint, rows, horizon)
+    while done < 1:
+        in_time(deadline)
+        h = 2.0**-level
+        # A block ends at a multiple of its full length, so that longer steps may follow.
+        count = BLOCK - int(done / h) % BLOCK if h * BLOCK < 1 else int((1 - done) / h)
+        if steps + count > MAX_STEPS:
+            raise Unresolved(f"the tolerance needs more than {MAX_STEPS:,} steps")
+        try:
+            block = adjoint.block(rows, h * horizon, count)
+        except Overflow:
+            if h <= FINEST:
+                raise
+            level += 3
+            continue
+        if goal is None:
+            start, gained = adjoint.sizes(block.rows, h * horizon)
+            met = np.maximum(known, start + sums + gained)
+        least = ROUNDING * adjoint.system.dim * block.size[0, 0]
+        if goal is None:  # no finer than what is booked for rounding
+            least = ROUNDING * adjoint.system.dim * (block.size[0] + horizon * block.size[1]).max(axis=0)
+        tolerance = np.maximum(SHARE * met, least) if goal is None else goal
+        if np.any(tolerance < least):
+            raise Unresolved(f"the tolerance {tolerance} is below the rounding of the bounds")
+        gain = block.upper.sum(axis=1)
+        with np.errstate(invalid="ignore"):
+            loss = (block.upper - block.lower).sum(axis=(0, 1))
+            bend = block.bow + block.bend.sum(axis=1)
+            if ahead is not None:
+                bend = bend + ahead.bow(done, done + count * h, h)
+            node = block.first + reached + np.vstack([np.zeros(len(D)), np.cumsum(gain, axis=0)])
+            room = np.maximum(tolerance / 2, ceiling - np.maximum(node[1:], node[:-1]))
+            share = (tolerance / 2 - spent) * np.maximum(count * h / (1 - done), 0.05)
+            error = max(_most(bend, room), _most(loss, share))
+        if error > 1 and h > FINEST:
+            level += 1 + (error > 16) + (error > 256)
+            patience = 4  # blocks before a longer step is tried again
+            continue
+        if error > 1:
+            raise Unresolved(f"no step is short enough for the tolerance {tolerance}")
+        yield h * horizon, block
+        if goal is None:
+            known, sums = met, sums + gained
+        done, reached, spent = done + count * h, reached + gain.sum(axis=0), spent + loss
+        rows, patience, steps = block.rows[-1], patience - 1, steps + count
+        easy = error < 0.01 or (error < 0.1 and patience <= 0)
+        if easy and level > 0 and (done * 2.0 ** (level - 1)).is_integer():
+            level -= 1
+
+
+def foreseen(adjoint: Adjoint, rows: Array, horizon: float) -> Array:
+    """About what rows will come to over the horizon, from rates at a few instants, shape (r,).
+
+    From rest nothing is met in the first step, and a hundredth of nothing is no tolerance. Nothing but
+    the default tolerance rests on this: integrals are taken with the lesser rate at the ends of each part.
+    """
+    early = [horizon / AHEAD * 2.0**-i for i in range(AHEAD // 2, 0, -1)]
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):
+            some = [adjoint.rows.carry(rows, t, 1)[1] for t in early] if adjoint.rows.action is None else []
+            path = np.array([rows, *some, *adjoint.rows.carry(rows, horizon / AHEAD, AHEAD)[1:]])
+            times = np.r_[0.0, early if some else [], horizon / AHEAD * np.arange(1, AHEAD + 1)]
+            start, rate = adjoint.values(path)
+            value = start.max(axis=0) + (np.diff(times)[:, None] * np.minimum(rate[1:], rate[:-1])).sum(
+                axis=0
+            )
+    except Unresolved:
+        return np.zeros(len(rows))
+    return np.where(np.isfinite(value), value, 0.0)
+
+
+def _most(values: Array, allowed: Array) -> float:
+    """Largest ratio, none where the value is zero."""
+    ratio = np.divide(values, allowed, out=np.full_like(values, np.inf), where=np.not_equal(allowed, 0))
+    return float(np.nan_to_num(np.max(np.where(values == 0, 0.0, ratio)), nan=np.inf, posinf=np.inf))

@@ -1,0 +1,171 @@
+"""Linear systems with uncertain inputs: what the tubes of this library are computed for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import sparse
+
+from ..numerics.errors import ReachError
+from ..sets.convex import ConvexSet, as_numbers
+from .signals import Signal
+
+Array = NDArray[np.float64]
+
+FILLED = 0.25
+"""Share of entries from which a matrix in a sparse container is handled as a dense one."""
+FILLED_MOST = 1000
+"""Most states for which it is: beyond, exponentials cost more than they save."""
+
+
+@dataclass(frozen=True, eq=False)
+class LinearSystem:
+    """``x' = A x + B (u_0(t) + u) + c`` with an unknown input ``u(t)`` in U at every instant.
+
+    With ``discrete=True`` the same letters mean ``x+ = A x + B (u_0 + u) + c``.
+
+    Parameters
+    ----------
+    A : array_like or scipy sparse matrix, shape (n, n)
+        A sparse matrix stays sparse, and above 300 states no exponential is formed of it; one of up to
+        1,000 states with a quarter of all entries or more is made dense.
+    B : array_like or scipy sparse matrix, shape (n, m), optional
+        Input map; the identity if only U is given.
+    U : ConvexSet of dimension m, or sequence of them, optional
+        Set of the input, which may change arbitrarily (measurably) within it. A sequence gives one
+        set per piece of time, see `breaks`.
+    c : array_like, shape (n,), optional
+        Constant drift.
+    breaks : array_like, shape (p-1,), optional
+        Times at which the set of the input changes from one piece to the next, for p sets.
+    discrete : bool
+    nominal : Signal, optional
+        Known part ``u_0(t)`` of the input, of dimension m; nothing if not given.
+
+    Raises
+    ------
+    ReachError
+        If a shape does not fit, a number is not finite, or the pieces and breaks do not match.
+    """
+
+    A: Any
+    B: Any = None
+    U: Any = None
+    c: Any = None
+    breaks: Any = ()
+    discrete: bool = False
+    nominal: Signal | None = None
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.discrete, bool | np.bool_):
+            raise ReachError(f"discrete must be true or false, got {self.discrete!r}")
+        if self.nominal is not None and not isinstance(self.nominal, Signal):
+            raise ReachError(f"nominal must be a Signal, got {type(self.nominal).__name__}")
+        A = _matrix("A", self.A)
+        n = A.shape[0]
+        if A.shape != (n, n) or n == 0:
+            raise ReachError(f"A must be square, got shape {A.shape}")
+        if sparse.issparse(A) and n <= FILLED_MOST and A.nnz >= FILLED * n**2:
+            A = A.toarray()
+        pieces = self._pieces()
+        B, driven = self.B, pieces or self.nominal is not None
+        if B is None:
+            B = np.eye(n) if driven and not sparse.issparse(A) else sparse.identity(n, format="csr")
+            B = B if driven else np.zeros((n, 0))
+        B = _matrix("B", B)
+        if B.shape[0] != n:
+            raise ReachError(f"B must have {n} rows as A has, got shape {B.shape}")
+        if B.shape[1] and not driven:
+            raise ReachError("B is given without U, the set of its input, or a nominal input")
+        if self.nominal is not None and self.nominal.dim != B.shape[1]:
+            raise ReachError(
+                f"nominal must have dimension {B.shape[1]}, the columns of B, got {self.nominal.dim}"
+            )
+        for U in pieces:
+            if U.dim != B.shape[1]:
+                raise ReachError(f"U must have dimension {B.shape[1]}, the columns of B, got {U.dim}")
+        c = np.zeros(n) if self.c is None else numbers("c", self.c)
+        if c.shape != (n,) or not np.all(np.isfinite(c)):
+            raise ReachError(f"c must be {n} finite numbers, got {self.c!r}")
+        breaks = numbers("breaks", self.breaks)
+        if breaks.shape != (max(len(pieces) - 1, 0),) or not (
+            np.all(np.isfinite(breaks)) and np.all(np.diff(breaks, prepend=0.0) > 0)
+        ):
+            raise ReachError(
+                f"{len(pieces)} input sets need {max(len(pieces) - 1, 0)} breaks, positive and increasing, "
+                f"got {self.breaks!r}"
+            )
+        if self.discrete and np.any(breaks != np.round(breaks)):
+            raise ReachError(f"the breaks of a discrete system must be whole numbers, got {self.breaks!r}")
+        for name, value in (("A", A), ("B", B), ("U", pieces), ("c", c), ("breaks", breaks)):
+            object.__setattr__(self, name, value)
+
+    def _pieces(self) -> tuple[ConvexSet, ...]:
+        if self.U is None:
+            return ()
+        pieces = tuple(self.U) if isinstance(self.U, list | tuple) else (self.U,)
+        for U in pieces:
+            single_set("U", U)
+        return pieces
+
+    @property
+    def dim(self) -> int:
+        """Number n of states."""
+        return int(self.A.shape[0])
+
+    @property
+    def inputs(self) -> int:
+        """Number m of inputs."""
+        return int(self.B.shape[1])
+
+    @property
+    def sparse(self) -> bool:
+        """Whether A is kept sparse."""
+        return bool(sparse.issparse(self.A))
+
+    def holding_inputs(self) -> LinearSystem:
+        """The system whose state is ``(x, u)``, for an input that is unknown but constant.
+
+        Its initial set is the product of the initial set of x and of U, ``X.product(U)``.
+        """
+        m = self.inputs
+        if len(self.U) != 1 or m == 0:
+            raise ReachError(f"an input can be constant only if it has one set, got {len(self.U)}")
+        keep = sparse.identity(m) if self.discrete else sparse.csr_matrix((m, m))
+        A = sparse.bmat([[sparse.csr_matrix(self.A), self.B], [None, keep]], format="csr")
+        A = A if self.sparse else A.toarray()
+        drift, B = np.r_[self.c, np.zeros(m)], None
+        if self.nominal is not None:
+            B = sparse.vstack([self.B, sparse.csr_matrix((m, m))], format="csr")
+            B = B if self.sparse else B.toarray()
+        return LinearSystem(A, B, c=drift, discrete=self.discrete, nominal=self.nominal)
+
+
+def _matrix(name: str, value: ArrayLike) -> Any:
+    """A dense float array or a CSR matrix, two-dimensional and finite."""
+    if sparse.issparse(value):
+        matrix: Any = sparse.csr_matrix(value, dtype=float)
+        entries = matrix.data
+    else:
+        matrix = entries = numbers(name, value)
+    if matrix.ndim != 2:
+        raise ReachError(f"{name} must be a matrix, got shape {matrix.shape}")
+    if not np.all(np.isfinite(entries)):
+        raise ReachError(f"{name} has entries that are not finite numbers")
+    return matrix
+
+
+def numbers(name: str, value: ArrayLike) -> Array:
+    """An array of floats, or one clear error."""
+    return as_numbers(name, value)
+
+
+def single_set(name: str, value: Any) -> None:
+    """Refuse what is not one convex set."""
+    if not hasattr(type(value), "support") or not hasattr(type(value), "interval_hull"):
+        raise ReachError(f"{name} must be a convex set, got {type(value).__name__}")
+    if getattr(value, "batch", ()):
+        raise ReachError(f"{name} must be a single set, got a stack of shape {value.batch}")

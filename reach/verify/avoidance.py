@@ -1,0 +1,211 @@
+"""Never entering a polytope: separating directions, found where the first ones do not do.
+
+Along each direction d the reachable set stays below the least value o that d takes in the region, or
+it does not. Directions are the outer normals of the region first; where none separates, the nearest
+points of the region and of the exact reachable set at that time give the next one, or a trajectory
+that ends in the region.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from time import perf_counter
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import nnls
+
+from ..numerics.errors import Unresolved
+from ..numerics.rounding import gamma
+from ..sets.convex import ConvexSet
+from ..sets.distance import nearest, unit_sizes
+from ..sets.interval import Interval
+from ..sets.polytope import HPolytope
+from ..tubes.stepping import in_time
+from ..tubes.systems import LinearSystem
+from ..tubes.trajectory import STEPS, Trajectory, simulate, worst_case
+from .specification import Verdict
+from .verification import FIRST, LAST, REPLAY, SHARPER, seen, sharp_tube, visited
+
+Array = NDArray[np.float64]
+
+MOST_DIRECTIONS = 64
+MOST_STEPS = 20_000
+"""Steps of a trajectory into the region."""
+TOUCHING = 1e-8
+"""Distance, in sizes of the sets, at which two points count as one."""
+SHRINK = (0.25, 0.01, 0.0)
+"""Shares of the inscribed radius by which the region is pulled in while a trajectory into it is sought,
+so that rounding cannot put its end outside."""
+
+
+class Reached:
+    """What the rows of a region are at one time, asked through trajectories: its answers are attained.
+
+    Each answer is kept, so that a point found as a mixture of answers can be traced back to one
+    trajectory: initial sets and input sets are convex, and motions are linear in them.
+    """
+
+    def __init__(
+        self,
+        system: LinearSystem,
+        initial: ConvexSet,
+        rows: Array,
+        time: float,
+        step: float | None,
+        deadline: float = np.inf,
+    ) -> None:
+        self.deadline = deadline
+        self.system, self.initial, self.rows, self.time, self.step = system, initial, rows, time, step
+        self.found: list[Trajectory] = []
+
+    @property
+    def dim(self) -> int:
+        """Number of rows."""
+        return len(self.rows)
+
+    @property
+    def center(self) -> Array:
+        """Some point of the set, shape (r,)."""
+        return self.support_vector(np.ones(self.dim))
+
+    def support_vector(self, directions: ArrayLike) -> Array:
+        """The values of the rows that go furthest in one direction, shape (r,)."""
+        in_time(self.deadline)
+        d = np.asarray(directions, dtype=float) @ self.rows
+        self.found.append(worst_case(self.system, self.initial, self.time, d, step=self.step))
+        return np.asarray(self.rows @ self.found[-1].states[-1])
+
+    def support(self, directions: ArrayLike) -> Array:
+        """What is attained in one direction."""
+        return np.asarray(np.asarray(directions, dtype=float) @ self.support_vector(directions))
+
+    @property
+    def answers(self) -> Array:
+        """Every point found so far, shape (k, r)."""
+        return np.array([self.rows @ path.states[-1] for path in self.found])
+
+    def interval_hull(self) -> Interval:
+        """Box around the answers so far (an inner one)."""
+        return Interval(self.answers.min(axis=0), self.answers.max(axis=0))
+
+    def contains(self, points: ArrayLike, slack: float = 1e-9) -> NDArray[np.bool_]:
+        """Whether each point is within `slack` of a mixture of the answers so far."""
+        points = np.atleast_2d(np.asarray(points, dtype=float))
+        ends = np.array([self.rows @ self.leading_to(p).states[-1] for p in points])
+        return np.asarray(np.all(np.abs(ends - points) <= slack * (1 + np.abs(points)), axis=-1))
+
+    def leading_to(self, point: Array) -> Trajectory:
+        """The trajectory that mixes the answers so as to end closest to a point."""
+        answers = self.answers
+        size = np.maximum(np.abs(answers).max(axis=0), np.finfo(float).tiny)
+        M, aim = np.vstack([(answers / size).T, np.full(len(answers), 1e3)]), np.r_[point / size, 1e3]
+        try:
+            weights = nnls(M, aim, maxiter=100 * (len(answers) + 1))[0]
+        except RuntimeError as exc:
+            raise Unresolved(f"no mixture of trajectories was found: {exc}") from None
+        weights = weights / weights.sum()
+        x0 = np.tensordot(weights, np.array([path.states[0] for path in self.found]), axes=1)
+        inputs = np.tensordot(weights, np.array([path.inputs for path in self.found]), axes=1)
+        if self.time == 0:
+            return replace(self.found[0], states=x0[None])
+        return simulate(self.system, x0, self.found[0].times, inputs)
+
+
+def verify_never(
+    system: LinearSystem,
+    initial: ConvexSet,
+    region: HPolytope,
+    window: tuple[float, float],
+    begun: float,
+    deadline: float,
+) -> Verdict:
+    """`verify` for a region to stay out of."""
+    D, least = -region.A, -region.b
+    lengths = np.linalg.norm(D, axis=1)
+    bounds, steps, path, reason = np.full((1, len(D)), np.nan), 0, None, ""
+
+    def verdict(status: str, margin: float) -> Verdict:
+        nothing, seconds = np.full(len(D), np.nan), perf_counter() - begun
+        return Verdict(status, margin, bounds.max(axis=0), nothing, path, steps, seconds, reason)
+
+    sizes: Array | None = None
+    share = FIRST
+    try:
+        if region.is_empty and region.is_empty_within(visited(system, initial, window[1], deadline)):
+            reason = "the region is empty"
+            return verdict("proven", np.inf)
+        while share >= LAST:
+            size = np.maximum(np.abs(least), np.maximum(initial.support(D), initial.support(-D)))
+            size = np.where(size > 0, size, 1.0)
+            between = least if window[0] < window[1] else np.full(len(D), np.inf)
+            tube = sharp_tube(system, initial, window[1], D, share * size, between, deadline)
+            t, bounds = seen(tube, window, system.discrete)
+            steps, step = len(tube.times) - 1, float(np.min(np.diff(tube.times), initial=np.inf))
+            best = ((least - bounds) / np.linalg.norm(D, axis=1)).max(axis=1)
+            worst = int(np.argmin(best))
+            if best[worst] > 0:
+                reason = f"some direction keeps {best[worst]:.6g} from the region at every time"
+                return verdict("proven", float(best[worst]))
+            path, mix = _try(system, initial, region, float(t[worst]), window, step, deadline)
+            if path is not None:
+                depth = float(np.min((region.b - region.A @ path.states[-1]) / lengths))
+                reason = f"a trajectory is in the region at t = {path.times[-1]:.6g}, {depth:.6g} deep"
+                return verdict("violated", -depth)
+            if mix is not None and len(D) < MOST_DIRECTIONS and _is_new(-mix @ region.A, D):
+                # In the region -mix A x >= -mix b, but for the rounding of the products.
+                sizes = visited(system, initial, window[1], deadline) if sizes is None else sizes
+                level, residual = region.weak_duality((mix @ region.A)[None], mix[None])
+                most = level + (1 + gamma(system.dim)) * residual @ sizes
+                D, least = np.vstack([D, -mix @ region.A]), np.r_[least, -most]
+            else:
+                share /= SHARPER
+        reason = "found no directions that separate, and no trajectory that enters beyond rounding"
+    except Unresolved as exc:
+        reason = f"neither proven nor violated: {exc}"
+    return verdict("unknown", np.nan)
+
+
+def _try(
+    system: LinearSystem,
+    initial: ConvexSet,
+    region: HPolytope,
+    time: float,
+    window: tuple[float, float],
+    step: float,
+    deadline: float,
+) -> tuple[Trajectory | None, Array | None]:
+    """A trajectory that ends in the region at about a time, or else what separates there.
+
+    In the coordinates ``y = A x`` the region is what lies below b, so that a separating direction
+    is a mixture of the rows of A: with l >= 0, ``-l A x >= -l b`` in the region.
+    """
+    if system.discrete:
+        time = float(np.clip(round(time), *window))
+    else:
+        step = max(min(time / STEPS, step), time / MOST_STEPS)
+    body = Reached(system, initial, region.A, time, None if system.discrete or time == 0 else step, deadline)
+    for d in np.vstack([np.eye(body.dim), -np.eye(body.dim)]):
+        body.support_vector(d)
+    hull = body.interval_hull()
+    size = unit_sizes(hull.half_widths)
+    if np.any(hull.lo > region.b):
+        return None, None  # a row separates: only the bounds were not sharp enough
+    floor = np.minimum(hull.lo, region.b) - size
+    for share in SHRINK:
+        aim = Interval(floor, np.maximum(region.b - share * np.minimum(size, region.b - hull.lo), floor))
+        answer = nearest(body, aim, size, enough=TOUCHING)
+        if answer.gap <= TOUCHING:
+            path = body.leading_to(answer.x)
+            deep = REPLAY * (np.abs(region.A) @ np.abs(path.states[-1]) + np.abs(region.b))
+            if np.all(region.A @ path.states[-1] <= region.b - deep):
+                return path, None
+    mix = np.maximum(-answer.direction, 0.0)
+    d, terms = -mix @ region.A, mix @ np.abs(region.A)
+    return None, mix if answer.least > 0 and np.any(np.abs(d) > 1e-9 * terms) else None
+
+
+def _is_new(d: Array, D: Array) -> bool:
+    """Whether a direction differs from all those in use."""
+    cosines = D @ d / np.linalg.norm(D, axis=1) / np.linalg.norm(d)
+    return bool(np.max(cosines) < 1 - 1e-9)
