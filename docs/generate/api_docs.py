@@ -177,7 +177,7 @@ def write(folder: Path) -> list[Path]:
 
 def main() -> None:
     """Write into ``docs`` beside the package, or into the folder given as an argument."""
-    folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).resolve().parents[1] / "docs"
+    folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).resolve().parents[1]
     print(*write(folder), sep="\n")
 
 

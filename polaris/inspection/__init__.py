@@ -10,7 +10,6 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from ..scenario.inspection import InspectionScenario, load_inspection
     from .backup.parking import Coast, Outlook, Parking
     from .backup.tracker import Tracker
     from .constraints.allowable_set import allowable
@@ -47,7 +46,6 @@ _HOMES = {
     ".flights.primary": ("LQR", "NoInput", "Phases"),
     ".constraints.sampled": ("SampledData",),
     ".flights.sampling": ("initial_conditions",),
-    "..scenario.inspection": ("InspectionScenario", "load_inspection"),
     ".filters.simplex": ("ExplicitSimplex", "ImplicitSimplex"),
     ".flights.simulation": ("InspectionRun", "fly", "fly_one"),
     ".constraints.strengthening": ("Strengthening",),
@@ -74,7 +72,6 @@ __all__ = [
     "ImplicitSimplex",
     "Inspection",
     "InspectionRun",
-    "InspectionScenario",
     "NoInput",
     "Outcome",
     "Outlook",
@@ -91,7 +88,6 @@ __all__ = [
     "fly_fuel_limit",
     "fly_one",
     "initial_conditions",
-    "load_inspection",
     "monte_carlo",
 ]
 

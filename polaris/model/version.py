@@ -10,7 +10,7 @@ DISTRIBUTION = "polaris-rta"
 
 def version() -> str:
     """Version of this package: a checkout's project file, else what was installed."""
-    project = Path(__file__).resolve().parent.parent / "pyproject.toml"
+    project = Path(__file__).resolve().parents[2] / "pyproject.toml"
     if project.is_file():
         import tomllib
 

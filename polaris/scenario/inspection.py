@@ -96,7 +96,7 @@ class InspectionScenario:
     # -- overrides and data ---------------------------------------------------------------------
 
     def with_overrides(self, values: Mapping[str, Any]) -> InspectionScenario:
-        """Return a copy with several values replaced together, as in `polaris.scenario.scenario.Scenario.set`."""
+        """Return a copy with several values replaced together, as in `Scenario.set`."""
         if not values:
             return self
         document = self.to_dict()

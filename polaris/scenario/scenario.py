@@ -239,7 +239,7 @@ class Scenario:
 
 def scenario_folder() -> Path:
     """The folder of bundled scenarios: in the installed package, or beside it in a checkout."""
-    package = Path(__file__).resolve().parent
+    package = Path(__file__).resolve().parents[1]
     beside = package.parent / "scenarios"
     # A checkout's folder comes first, so that an editable installation never reads an old copy.
     return beside if (package.parent / "pyproject.toml").is_file() else package / "bundled_scenarios"

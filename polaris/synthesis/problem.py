@@ -92,7 +92,7 @@ class Problem:
         bodies = self.unsafe if isinstance(self.unsafe, (tuple, list)) else None
         if bodies is None or not all(hasattr(body, "timed_polytopes") for body in bodies):
             raise ScenarioError(
-                "unsafe", self.unsafe, "must be a tuple of obstacles (see polaris.model.obstacles)"
+                "unsafe", self.unsafe, "must be a tuple of obstacles (polaris.model.obstacles)"
             )
         if not isinstance(self.planner, PlannerOptions):
             raise ScenarioError("planner", type(self.planner).__name__, "must be PlannerOptions")

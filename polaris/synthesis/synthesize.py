@@ -146,7 +146,7 @@ class _Search:
         return branch
 
     def look_ahead(self, progress: Callable[[int, int], None] | None = None) -> _Branch:
-        """The best of many schedules, each proven step by step as the greedy one (`polaris.synthesis.look_ahead`)."""
+        """The best of many schedules, each proven step by step as the greedy one (`look_ahead`)."""
         from .look_ahead import LookAhead
 
         def prove(start: Zonotope, k: int, mode: int) -> Zonotope | None:

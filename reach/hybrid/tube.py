@@ -1,6 +1,6 @@
 """Tubes of hybrid automata: every trajectory, at all times, whatever transitions it takes.
 
-A wave at a time: all start sets of one mode are followed at once (`reach.tubes.flowpipes`), the parts that can
+A wave at a time: all start sets of one mode are followed at once (see `flowpipes`), the parts that can
 take a transition become the start sets of the next wave. No trajectory is lost: steps are enclosed
 continuously in time, guards and invariants cut by enclosures, and the absolute time at which a mode
 was entered is kept as an interval.

@@ -26,12 +26,12 @@ class ActiveSetFilter:
     """Nearest input that keeps every constraint (eq. 5), with defined answers to bad input.
 
     - A deputy whose state is unknown is taken to be where its last state and thrust lead (see
-      `polaris.inspection.filters.received.Receiver`); where that is not known either, every deputy coasts, which h7 and h8
+      `Receiver`); where that is not known either, every deputy coasts, which h7 and h8
       keep clear of collisions for T.
     - The desired input of a deputy whose state is unknown, or that is missing or not finite itself, is
       replaced by the backup controller's, which is then filtered.
     - Where no input satisfies all conditions, the one that violates them least is used, separations before
-      speeds, speeds before the zone, the zone before the sun (`polaris.inspection.filters.priorities`); should the program
+      speeds, speeds before the zone, the zone before the sun (see `priorities`); should the program
       fail altogether, the backup controller's.
 
     The desired input is never passed on in any of these cases, and `Decision.fallback` says which it was.
@@ -74,7 +74,7 @@ class ActiveSetFilter:
         self._receiver = Receiver(self.inspection, None if sampled is None else sampled.period)
 
     def filter(self, t: float, x: ArrayLike, u_des: ArrayLike | None) -> Decision:
-        """Decide on the inputs of the next control period; see `polaris.inspection.filters.decision.RunTimeFilter`."""
+        """Decide on the inputs of the next control period; see `RunTimeFilter`."""
         got = self._receiver.receive(t, x, u_des)
         notes = [note for note in (got.fallback(),) if note]
         if not got.estimated.all():

@@ -27,7 +27,7 @@ class Decision:
         Values of the constraints, by name (``h2[0,3]``), nan where not known.
     status : str
         ``desired``, ``filtered``, ``short`` (no input satisfies all conditions: the one that violates them
-        least, see `polaris.inspection.filters.priorities`), ``backup`` (the backup controller's), ``coast`` (no thrust).
+        least, see `priorities`), ``backup`` (the backup controller's), ``coast`` (no thrust).
     fallback : str or None
         Why the answer is not the filter's regular one; None if it is.
     missed : dict of str to float
@@ -53,7 +53,7 @@ class RunTimeFilter(Protocol):
         ----------
         t : float
             Time [s]. Whatever it is, there is an answer: that it is no number, stands still, runs backwards
-            or jumps is noted in the decision (see `polaris.inspection.filters.received.Receiver`).
+            or jumps is noted in the decision (see `Receiver`).
         x : array_like, shape (N, 6)
             States in Hill's frame [m, m/s]; not finite where unknown. What is no such numbers is unknown.
         u_des : array_like, shape (N, 3), or None

@@ -57,7 +57,7 @@ class Latch:
 
 
 class FuelLimit:
-    """Switching filter for the fuel limit; follows `polaris.inspection.filters.decision.RunTimeFilter`.
+    """Switching filter for the fuel limit; follows `RunTimeFilter`.
 
     Each deputy is on its own. The desired input passes as long as, after one period of it, the backup law
     can still reach and keep a parking orbit within the limit; otherwise the backup takes over, for good.
@@ -122,7 +122,7 @@ class FuelLimit:
         self._applied = np.zeros((q.deputies, 3))
 
     def filter(self, t: float, x: ArrayLike, u_des: ArrayLike | None) -> Decision:
-        """Decide on the thrust of the next period; see `polaris.inspection.filters.decision.RunTimeFilter.filter`."""
+        """Decide on the thrust of the next period; see `RunTimeFilter.filter`."""
         got = self._receiver.receive(t, x, u_des)
         self._count_delay(got.t)
         reserve = np.full(len(got.x), np.nan)

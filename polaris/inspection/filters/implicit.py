@@ -45,7 +45,7 @@ ORBIT = 24
 
 
 class ImplicitASIF:
-    """Nearest input under which the backup flight stays allowable; a `polaris.inspection.filters.decision.RunTimeFilter`.
+    """Nearest input under which the backup flight stays allowable; a `RunTimeFilter`.
 
     One filter for all deputies, who each fly their own backup; pairs are included.
 
@@ -132,7 +132,7 @@ class ImplicitASIF:
         return along[..., 3:] / q.mass, -drift - self.rate * phi.value, phi.value
 
     def filter(self, t: float, x: ArrayLike, u_des: ArrayLike | None) -> Decision:
-        """Decide on the thrust of the next period; see `polaris.inspection.filters.decision.RunTimeFilter.filter`."""
+        """Decide on the thrust of the next period; see `RunTimeFilter.filter`."""
         got = self._receiver.receive(t, x, u_des)
         backup = np.where(got.known[:, None], self.law(got.t, got.x), 0.0)
         wanted = np.where((got.known & got.given)[:, None], got.u, backup)

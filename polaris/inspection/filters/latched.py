@@ -71,7 +71,7 @@ class Latched(ABC):
         """Least value of each constraint if the thrust u (N, 3) is held for the coming period, shape (M,)."""
 
     def filter(self, t: float, x: ArrayLike, u_des: ArrayLike | None) -> Decision:
-        """Decide on the thrust of the next period; see `polaris.inspection.filters.decision.RunTimeFilter.filter`."""
+        """Decide on the thrust of the next period; see `RunTimeFilter.filter`."""
         got = self._receiver.receive(t, x, u_des)
         counted = got.counted(self.first, self.second)
         backup = np.where(got.known[:, None], self.backup(got.t, got.x), 0.0)

@@ -105,7 +105,7 @@ class Receiver:
         self._applied = np.zeros((N, 3))
 
     def receive(self, t: float, x: ArrayLike, u_des: ArrayLike | None) -> Received:
-        """Take in one call; arguments as of `polaris.inspection.filters.decision.RunTimeFilter.filter`.
+        """Take in one call; arguments as of `RunTimeFilter.filter`.
 
         States and desired thrusts that are no numbers of the right shape are not known and not given:
         whatever a primary controller or navigation hands over, there is an answer.
