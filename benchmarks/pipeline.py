@@ -15,7 +15,6 @@ import time
 from pathlib import Path
 
 from polaris.scenario.scenario import load_scenario
-from polaris.synthesis.experimental import build_controllers
 from polaris.synthesis.get_safety import get_safety
 from polaris.synthesis.synthesize import synthesize
 
@@ -68,7 +67,7 @@ def growth() -> None:
             )
         scenario = base.with_overrides({"horizon.step_s": 1800.0 / K, "obstacles": boxes})
         safety = get_safety(scenario)
-        schedule = synthesize(scenario, safety, build_controllers(scenario, safety))
+        schedule = synthesize(scenario, safety, scenario.controllers(safety))
         t = schedule.seconds
         print(
             f"{K:>5}{count:>10}{t['bounds']:>8.3f}{t['plan']:>8.3f}{t['recoverable']:>9.3f}{t['schedule']:>9.3f}"

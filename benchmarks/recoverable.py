@@ -13,7 +13,6 @@ from dataclasses import replace
 import numpy as np
 
 from polaris.scenario.scenario import load_scenario
-from polaris.synthesis.experimental import build_controllers
 from polaris.synthesis.get_safety import get_safety
 from polaris.synthesis.recoverable import get_recover
 from polaris.synthesis.synthesize import synthesize
@@ -50,7 +49,7 @@ def main() -> None:
     for name in SCENARIOS:
         scenario = load_scenario(name)
         safety = get_safety(scenario)
-        controllers = build_controllers(scenario, safety)
+        controllers = scenario.controllers(safety)
         sets = {kind: get_recover(kind, safety.clearance, safety.bounds) for kind in KINDS}
         nodes = np.linspace(0, safety.problem.K * safety.clearance.q - 1, 7).astype(int)
         volume = [volumes(safety, sets, int(node)) for node in nodes[1:-1:2]]

@@ -66,8 +66,8 @@ if TYPE_CHECKING:
     from .simulation.orbit.environment import Environment
     from .simulation.orbit.model_error import ModelError, model_error
     from .simulation.orbit.truth import TrueFlights, fly_true
-    from .simulation.run_metrics import Metrics, evaluate
-    from .simulation.simulate import Runs, simulate
+    from .simulation.run_metrics import Metrics, Runs, evaluate
+    from .simulation.simulate import simulate
     from .synthesis.clearance import Clearance
     from .synthesis.controllers import AffineController, AnyThrust, Controller, Flight
     from .synthesis.end_condition import EndCondition

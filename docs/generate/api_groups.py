@@ -202,6 +202,6 @@ ASIF_INTRODUCTION = """\
 <!-- Generated from the docstrings by `python -m docs.generate.api_docs`. Do not edit. -->
 
 Everything below is imported from `polaris.inspection`, as in `polaris.inspection.ActiveSetFilter(...)`.
-Quantities are in SI units; states in Hill's frame are `[x, y, z, vx, vy, vz]`: x radial, y along-track, z cross-track, and
-the chief at the origin. Symbols are those of the inspection paper and of [its theory](inspection-theory.md).
+Quantities are in SI units; states in Hill's frame are `[x, y, z, vx, vy, vz]`: x radial, y along-track,
+z cross-track, and the chief at the origin. Symbols are those of the inspection paper and of [its theory](inspection-theory.md).
 """

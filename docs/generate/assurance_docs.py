@@ -130,7 +130,7 @@ REQUIREMENTS = (
             "sampling",
             "controllers",
         ),
-        ("polaris.certificate.writer:certificate",),
+        ("polaris.runs.certificate:certificate",),
         (
             "polaris/test_corruptions.py::test_the_other_files_give_it_away",
             "polaris/test_corruptions.py::test_blind_edits_are_refused_by_the_digest",

@@ -188,14 +188,13 @@ def _run(name: str, out: str | None, overrides: list[str], figures: bool, quiet:
             _tell_doubts(scenario, err=True)
     with stages.stage("safety controller"):
         from ..simulation.baselines import compare
-        from ..synthesis.experimental import build_controllers
         from ..synthesis.get_safety import get_safety
         from ..synthesis.synthesize import synthesize
 
         problem = scenario.problem()
         safety = get_safety(replace(problem, planner=replace(problem.planner, progress=stages.planner)))
     with stages.stage("experimental controllers"):
-        experimental = build_controllers(scenario, safety)
+        experimental = scenario.controllers(safety)
     with stages.stage("schedule"):
         schedule = synthesize(scenario, safety, experimental, progress=stages.steps)
     with stages.stage("simulation"):

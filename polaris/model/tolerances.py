@@ -30,3 +30,7 @@ violation itself is not ignored: the end condition starts from the state really 
 
 TIME = 1e-9
 """Relative slack when asking whether one duration divides another."""
+
+
+FARTHEST = 1e6
+"""Positions [m] and velocities [m/s] beyond this are taken for faults of the sensors, as nan is."""

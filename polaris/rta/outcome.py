@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from ..model.distances import count_switches, mode_shares
 from ..model.system import Array
-from ..runs.campaign.statistics import mean_interval, possible, violation_interval
-from ..simulation.run_metrics import Metrics, evaluate
-from ..simulation.simulate import Runs
+from ..simulation.intervals import mean_interval, possible, violation_interval
+from ..simulation.run_metrics import Metrics, Runs, evaluate
 from .flight import Conditions, Flight
 from .method import FILTERED, Claim
 from .scene import Scene

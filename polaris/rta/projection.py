@@ -9,8 +9,8 @@ import daqp
 import numpy as np
 from numpy.typing import NDArray
 
-from ..inspection.filters.priorities import least_violation
 from ..model.system import Array
+from .priorities import least_violation
 
 PRIMAL = 1e-11
 """Violation [N] of a row of length 1 that the solver may leave."""
@@ -21,7 +21,7 @@ closed form."""
 
 DESIRED, FILTERED, SHORT, FAILED = range(4)
 """How an input came about: as desired; nearest that satisfies all rows; nearest that violates them least,
-where none satisfies all (see `polaris.inspection.filters.priorities`); no input at all."""
+where none satisfies all (see `polaris.rta.priorities`); no input at all."""
 
 Index = NDArray[np.intp]
 
@@ -63,7 +63,7 @@ def solve(
         [N]
     rank : ndarray of int, shape (M,), optional
         Where no input satisfies all rows, find the one that violates them least, rank by rank (see
-        `polaris.inspection.filters.priorities`); without it there is no answer then.
+        `polaris.rta.priorities`); without it there is no answer then.
 
     Returns
     -------

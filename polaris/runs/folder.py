@@ -180,7 +180,7 @@ def write_run(
     """
     from . import arrays
     from . import tables as files
-    from ..certificate.writer import write_certificate
+    from .certificate import (write_certificate)
     from ..simulation.baselines import compare
     from ..report.figures import draw_figures
     from ..synthesis.same_system import check_safety

@@ -37,9 +37,6 @@ if TYPE_CHECKING:
 
 FAILURE_COLUMNS = ("study", "run", "what", "deputies", "time_s", "value")
 
-CONFIDENCE = 0.95
-"""Of the lower bounds on the probability of success."""
-
 
 def run_campaign(
     out: str | Path,
@@ -126,11 +123,6 @@ def failure_rows(found: Mapping[str, Outcome]) -> list[list[Any]]:
     return rows
 
 
-def lower_bound(successes: int, runs: int, confidence: float = CONFIDENCE) -> float:
-    """Clopper and Pearson's lower bound on a probability of success, one-sided."""
-    from scipy.stats import beta
-
-    return float(beta.ppf(1 - confidence, successes, runs - successes + 1)) if successes else 0.0
 
 
 def summary(

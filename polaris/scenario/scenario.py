@@ -30,6 +30,8 @@ from .tables import Planner, Recoverable, SampledFeedback, ScenarioModel, Schedu
 if TYPE_CHECKING:
     from ..model.obstacle import Obstacle
     from ..planning.goals import Goal
+    from ..synthesis.controllers import Controller
+    from ..synthesis.get_safety import Safety
     from ..synthesis.problem import Problem
     from ..synthesis.synthesize import SwitchingRules
 
@@ -171,11 +173,25 @@ class Scenario:
         """The experimental controllers as validated models, in order of preference."""
         return self.model.experimental
 
+    def controllers(self, safety: Safety) -> tuple[Controller, ...]:
+        """The experimental controllers on a safety controller's reference, in order of preference.
+
+        Raises
+        ------
+        ScenarioError
+            If one is malformed.
+        SynthesisInfeasible, NotCertified
+            If the plan that an ``unaware`` reference stands for cannot be found.
+        """
+        from .experimental import build_controllers
+
+        return build_controllers(self.experimental_specs(), safety)
+
     def problem(self) -> Problem:
         """The problem that Algorithm 1 is asked."""
         from ..planning.problem import PlannerOptions
-        from ..synthesis.experimental import gains_of
         from ..synthesis.problem import Problem
+        from .experimental import gains_of
 
         system, tracking, planner = self.system(), self.tracking(), self.planner
         feedback = self.model.feedback

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from ..model.checks import of_kind
 from ..model.system import Array
 from ..synthesis.schedule import Schedule
-from .run_metrics import Metrics, evaluate
-from .simulate import Runs, simulate
+from .run_metrics import Metrics, Runs, evaluate
+from .simulate import simulate
 
 BATCH = 1000
 """Runs simulated at a time, to bound the memory used."""

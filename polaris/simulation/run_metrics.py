@@ -14,7 +14,7 @@ from ..model.distances import closest, count_switches, drift_ttc, mode_shares, r
 from ..model.obstacles import Obstacle
 from ..model.system import Array, LinearSystem
 from ..model.truth import true_states
-from .simulate import Runs
+from ..synthesis.schedule import Schedule
 
 PART = 250
 """Runs evaluated at a time, to bound the memory used."""
@@ -40,6 +40,52 @@ DEFINITIONS = {
     "max_thrust_ratio_experimental": "the same while an experimental controller flies; null if none does",
 }
 """What each number of a summary means, and how it joins the runs."""
+
+
+@dataclass(frozen=True, eq=False)
+class Runs:
+    """Simulated closed loops.
+
+    Attributes
+    ----------
+    schedule : Schedule
+        What was flown, whole or one of its controllers.
+    times : ndarray, shape (N+1,)
+        Instants of the states [s]: the nodes of the time grid.
+    states : ndarray, shape (R, N+1, n)
+        Absolute states.
+    inputs : ndarray, shape (R, N, m)
+        Input applied right after every node [N], after the thrusters' clipping.
+    demanded : ndarray, shape (R, N)
+        Largest ratio of commanded to available thrust within each period; above 1 the thrusters
+        clipped.
+    delta_v : ndarray, shape (R,)
+        Velocity change [m/s]: the integral of the 1-norm of the input over the mass.
+    modes : ndarray of int, shape (cells,)
+        Mode of every step.
+    """
+
+    schedule: Schedule
+    times: Array
+    states: Array
+    inputs: Array
+    demanded: Array
+    delta_v: Array
+    modes: NDArray[np.int_]
+
+    @property
+    def positions(self) -> Array:
+        """Positions [m], shape (R, N+1, d)."""
+        return np.asarray(self.states @ self.schedule.safety.tracking.system.position.T)
+
+    @property
+    def mode_per_period(self) -> NDArray[np.int_]:
+        """Mode over the period after every node, shape (N,)."""
+        return np.repeat(self.modes, (len(self.times) - 1) // len(self.modes))
+
+    def metrics(self) -> Metrics:
+        """Distances, times to collision, usage and velocity change; see `Metrics`."""
+        return evaluate(self)
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..model.checks import of_kind, whole
 from ..model.errors import ScenarioError
@@ -14,58 +12,11 @@ from ..model.system import Array
 from ..synthesis.schedule import Schedule
 from .disturbances import Disturbance, disturbances
 from .integration import Integrator
+from .run_metrics import Runs
 
 Initial = Literal["center", "random", "corners", "mixed"]
 DISTURBANCES = ("none", "random", "worst", "mixed")
 INITIALS = ("center", "random", "corners", "mixed")
-
-
-@dataclass(frozen=True, eq=False)
-class Runs:
-    """Simulated closed loops.
-
-    Attributes
-    ----------
-    schedule : Schedule
-        What was flown, whole or one of its controllers.
-    times : ndarray, shape (N+1,)
-        Instants of the states [s]: the nodes of the time grid.
-    states : ndarray, shape (R, N+1, n)
-        Absolute states.
-    inputs : ndarray, shape (R, N, m)
-        Input applied right after every node [N], after the thrusters' clipping.
-    demanded : ndarray, shape (R, N)
-        Largest ratio of commanded to available thrust within each period; above 1 the thrusters
-        clipped.
-    delta_v : ndarray, shape (R,)
-        Velocity change [m/s]: the integral of the 1-norm of the input over the mass.
-    modes : ndarray of int, shape (cells,)
-        Mode of every step.
-    """
-
-    schedule: Schedule
-    times: Array
-    states: Array
-    inputs: Array
-    demanded: Array
-    delta_v: Array
-    modes: NDArray[np.int_]
-
-    @property
-    def positions(self) -> Array:
-        """Positions [m], shape (R, N+1, d)."""
-        return np.asarray(self.states @ self.schedule.safety.tracking.system.position.T)
-
-    @property
-    def mode_per_period(self) -> NDArray[np.int_]:
-        """Mode over the period after every node, shape (N,)."""
-        return np.repeat(self.modes, (len(self.times) - 1) // len(self.modes))
-
-    def metrics(self) -> Any:
-        """Distances, times to collision, usage and velocity change; see `polaris.model.distances`."""
-        from .run_metrics import evaluate
-
-        return evaluate(self)
 
 
 def simulate(

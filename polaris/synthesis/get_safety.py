@@ -81,12 +81,6 @@ class Safety:
         """``proved``, or ``none`` for an option labelled unsound."""
         return self.recoverable.guarantee
 
-    def plot(self, ax: Any = None) -> Any:
-        """Draw the reference among the unsafe sets; returns the matplotlib axes."""
-        from ..report.figures import plot_reference
-
-        return plot_reference(self, ax)
-
 
 def get_safety(
     problem: Any,

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -104,12 +103,6 @@ class Schedule:
         recoverable set, is safe whatever that enclosure says.
         """
         return np.array([step.margin.value for step in self.steps])
-
-    def plot(self, ax: Any = None) -> Any:
-        """Draw the schedule in the plane of motion; returns the matplotlib axes."""
-        from ..report.figures import plot_schedule
-
-        return plot_schedule(self, ax)
 
 
 def describe_guarantee(schedule: Schedule) -> tuple[str, tuple[str, ...]]:

@@ -112,9 +112,7 @@ def synthesize(
     safety = get_safety(scenario) if safety is None else safety  # line 2
     of_kind("safety", safety, Safety, "polaris.get_safety")
     if experimental is None:
-        from .experimental import build_controllers
-
-        experimental = build_controllers(scenario, safety)
+        experimental = scenario.controllers(safety) if hasattr(scenario, "controllers") else ()
     if rules is None:
         rules = scenario.switching_rules() if hasattr(scenario, "switching_rules") else SwitchingRules()
     _check(scenario, safety, experimental, rules)

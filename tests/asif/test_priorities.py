@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
-from polaris.inspection.filters.priorities import SPARE, least_violation
+from polaris.rta.priorities import SPARE, least_violation
 from polaris.rta.projection import FILTERED, SHORT, solve
 
 CLOSE = 5e-3

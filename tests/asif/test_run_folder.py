@@ -14,8 +14,9 @@ from polaris.model.errors import ScenarioError
 from polaris.runs.fuel_limit import read_fuel
 from polaris.runs.inspection import is_inspection, read_run
 from polaris.runs.inspection_summary import covered_periods
-from polaris.runs.monte_carlo import lower_bound, read_campaign
+from polaris.runs.monte_carlo import read_campaign
 from polaris.scenario.inspection import load_inspection
+from polaris.simulation.intervals import lower_bound
 
 SHORT = ("--set", "flight.duration_s=20")
 CAMPAIGN = ("campaign", "inspection-monte-carlo", "--runs", "2", "--set", "campaign.duration_s=5")

@@ -15,8 +15,8 @@ import pytest
 
 from polaris.model.errors import PolarisError, ScenarioError
 from polaris.runs.campaign import Interrupted, Workers, batch, local, make_cases, read_campaign, run_campaign
-from polaris.runs.campaign.statistics import violation_interval
 from polaris.scenario.scenario import load_scenario
+from polaris.simulation.intervals import violation_interval
 from polaris.simulation.run_metrics import evaluate
 from polaris.simulation.simulate import simulate
 from polaris.synthesis.synthesize import synthesize

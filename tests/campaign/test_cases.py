@@ -11,7 +11,7 @@ from polaris.runs.campaign import make_cases, parse_grid
 from polaris.runs.campaign.batch import batch_seeds
 from polaris.runs.campaign.drive import time_left
 from polaris.runs.campaign.plan import Plan
-from polaris.runs.campaign.statistics import POSSIBLE, mean_interval, possible, violation_interval
+from polaris.simulation.intervals import POSSIBLE, mean_interval, possible, violation_interval
 from tests.campaign.scene import TINY, cases
 
 

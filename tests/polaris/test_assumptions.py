@@ -9,9 +9,9 @@ from rich.console import Console
 
 from polaris.certificate.document import Document, assumptions, digest
 from polaris.certificate.verdict import Rejected
-from polaris.certificate.writer import certificate
 from polaris.cli.console import show_summary
 from polaris.report.html.claims import guarantee as told_in_report
+from polaris.runs.certificate import certificate
 from polaris.runs.summary import summary
 from polaris.scenario.scenario import load_scenario
 from polaris.synthesis.synthesize import synthesize

@@ -17,8 +17,8 @@ from polaris.certificate import checker
 from polaris.certificate.__main__ import main
 from polaris.certificate.checker import verify, verify_document
 from polaris.certificate.document import digest
-from polaris.certificate.writer import certificate, write_certificate
 from polaris.cli.app import app
+from polaris.runs.certificate import certificate, write_certificate
 from polaris.runs.folder import write_run
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.baselines import compare
@@ -203,7 +203,7 @@ import sys
 class Block:
     def find_spec(self, name, path=None, target=None):
         top, own = name.split(".")[0], name.startswith("polaris.certificate") or name == "polaris"
-        own = own and name != "polaris.certificate.writer"
+        own = own and name != "polaris.runs.certificate"
         allowed = own or top == "flint" or top in sys.stdlib_module_names
         if not allowed or name in {refused}:
             raise ModuleNotFoundError("blocked " + name, name=name)

@@ -18,8 +18,8 @@ from polaris.certificate.document import Document, digest
 from polaris.certificate.loop import Memory, Needs, resting_rates
 from polaris.certificate.motion import Plant
 from polaris.certificate.verdict import Record, Rejected, Undecided
-from polaris.certificate.writer import certificate, hexadecimal
 from polaris.certificate.zonotopes import Merging, Zonotope, ball_cover, inner_radius, widest
+from polaris.runs.certificate import certificate, hexadecimal
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.simulate import simulate
 from polaris.synthesis.synthesize import synthesize

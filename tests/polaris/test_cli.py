@@ -35,7 +35,7 @@ def invoke(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     schedule = synthesised()[1]
     monkeypatch.setattr("polaris.synthesis.get_safety.get_safety", lambda problem: schedule.safety)
-    monkeypatch.setattr("polaris.synthesis.experimental.build_controllers", lambda scenario, safety: ())
+    monkeypatch.setattr("polaris.scenario.experimental.build_controllers", lambda specs, safety: ())
     monkeypatch.setattr("polaris.synthesis.synthesize.synthesize", lambda *args, **options: schedule)
     monkeypatch.setattr("polaris.simulation.baselines.compare", lambda *args: flown())
     monkeypatch.setattr(
@@ -413,14 +413,13 @@ def test_a_reference_that_the_clock_cut_short_is_not_used(monkeypatch):
     """The unaware reference is the cheapest plan; half-way to it is something else each time."""
     from polaris.model.errors import ClockWarning, OutOfTime
     from polaris.planning.solve import Planner
-    from polaris.synthesis.experimental import build_controllers
     from polaris.synthesis.get_safety import get_safety
 
     scenario = load_scenario("static")
     safety = get_safety(scenario)
     monkeypatch.setattr(Planner, "cut_by_clock", property(lambda self: ("fuel",)))
     with pytest.warns(ClockWarning), pytest.raises(OutOfTime, match="time_limit_s"):
-        build_controllers(scenario, safety)
+        scenario.controllers(safety)
 
 
 @pytest.mark.parametrize("error", [RuntimeError("no ink"), KeyboardInterrupt(), SystemExit(143)])

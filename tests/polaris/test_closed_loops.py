@@ -124,7 +124,7 @@ def test_round_off_is_booked_where_a_law_runs_away():
     assert schedule.share() > 0.5 and schedule.margins.min() < 1 - 1e-3
     pytest.importorskip("flint")
     from polaris.certificate.checker import verify_document
-    from polaris.certificate.writer import certificate
+    from polaris.runs.certificate import certificate
 
     assert verify_document(certificate(schedule, "runaway")).outcome == "VERIFIED"
 

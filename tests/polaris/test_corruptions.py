@@ -7,7 +7,7 @@ import pytest
 pytest.importorskip("flint")
 
 from polaris.certificate.checker import verify_document
-from polaris.certificate.writer import certificate
+from polaris.runs.certificate import certificate
 from polaris.runs.folder import write_run
 from polaris.scenario.scenario import load_scenario
 from polaris.synthesis.synthesize import synthesize

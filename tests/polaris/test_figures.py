@@ -22,7 +22,7 @@ from polaris.planning.goals import Box, EllipticalNMT, LinearNMT, StationaryPoin
 from polaris.planning.reference import Reference
 from polaris.report.figures import _FIGURES, NAMES, draw_figures, plot_reference, plot_schedule
 from polaris.report.figures.closeups import MOST, closeups
-from polaris.report.figures.geometry import directions, faces, flat_outline, polygon, stretches, tube_polygons
+from polaris.report.figures.geometry import faces, flat_outline, polygon, stretches, tube_polygons
 from polaris.report.figures.paths import under_mode
 from polaris.report.figures.space import Space, outline_gap
 from polaris.report.figures.style import (
@@ -32,14 +32,21 @@ from polaris.report.figures.style import (
     RED,
     SET_SHADES,
     YELLOW,
-    Frame,
     input_labels,
     new_figure,
     shades,
     style,
 )
 from polaris.report.figures.timelines import limit_group
-from polaris.runs.picture import Picture, picture_of, picture_of_safety, recoverable_slices, tube_of
+from polaris.runs.picture import (
+    Frame,
+    Picture,
+    directions,
+    picture_of,
+    picture_of_safety,
+    recoverable_slices,
+    tube_of,
+)
 from polaris.simulation.baselines import Flights
 from reach.sets.zonotope import Zonotope
 
@@ -181,7 +188,7 @@ def test_plots_go_into_given_axes_and_new_ones():
 
     schedule = synthesised()[1]
     ax = Figure().add_subplot()
-    assert plot_reference(schedule.safety, ax) is ax and schedule.plot(Figure().add_subplot()).texts
+    assert plot_reference(schedule.safety, ax) is ax and plot_schedule(schedule, Figure().add_subplot()).texts
     pyplot.switch_backend("agg")
     try:
         assert plot_schedule(schedule).figure.get_figwidth() == 3.5

@@ -14,7 +14,7 @@ from polaris.certificate.checker import verify, verify_document
 from polaris.certificate.document import canonical, digest
 from polaris.certificate.perception import _check_cone, _check_keep_in
 from polaris.certificate.verdict import Rejected, Undecided
-from polaris.certificate.writer import certificate
+from polaris.runs.certificate import certificate
 from polaris.runs.folder import write_run
 from polaris.scenario.scenario import load_scenario
 from polaris.synthesis.synthesize import synthesize

@@ -15,7 +15,7 @@ from polaris.certificate.verdict import Rejected, Undecided
 from polaris.model.hill import clohessy_wiltshire, elliptical_nmt
 from polaris.model.system import LinearSystem
 from polaris.planning.reference import Reference
-from polaris.synthesis.experimental import _settled
+from polaris.scenario.experimental import _settled
 
 STEPS = 12
 

@@ -14,8 +14,8 @@ pytest.importorskip("flint")
 
 from polaris.certificate.checker import verify, verify_document
 from polaris.certificate.document import digest
-from polaris.certificate.writer import certificate
 from polaris.model.errors import PolarisError
+from polaris.runs.certificate import certificate
 from polaris.runs.folder import write_run
 from polaris.scenario.reading import write_toml
 from polaris.scenario.scenario import load_scenario

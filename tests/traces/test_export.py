@@ -20,7 +20,6 @@ from polaris.model.truth import true_states
 from polaris.runs.folder import write_run
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.baselines import compare
-from polaris.synthesis.experimental import build_controllers
 from polaris.synthesis.get_safety import get_safety
 from polaris.synthesis.synthesize import synthesize
 from polaris.traces import AgentTrace, Trace, evaluate_trace, export_run, read_trace, to_trace, write_trace
@@ -44,7 +43,7 @@ def folder(tmp_path_factory):
         else:
             scenario = load_scenario(name).with_assignments(["simulation.runs=1"])
             safety = get_safety(scenario.problem())
-            schedule = synthesize(scenario, safety, build_controllers(scenario, safety))
+            schedule = synthesize(scenario, safety, scenario.controllers(safety))
         out = tmp_path_factory.mktemp(name) / "run"
         return write_run(out, scenario, schedule, compare(schedule, 1, 0), figures=False)
 

@@ -9,10 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...model.foreign import kind_of, numbers, real
 from ...model.system import Array
+from ...model.tolerances import FARTHEST
 from ..inspection import Inspection
-
-FARTHEST = 1e6
-"""Positions [m] and velocities [m/s] beyond this are taken for faults of the sensors, as nan is."""
 
 MEMORY = 60.0
 """Time [s] for which the last good state is propagated in place of an unknown one."""

@@ -9,12 +9,7 @@ from reach.sets.zonotope import Zonotope
 
 from ...model.shapes import Polytope
 from ...model.system import Array
-
-
-def directions(count: int = 32) -> Array:
-    """Unit vectors all round, shape (count, 2)."""
-    angle = 2 * np.pi * np.arange(count) / count
-    return np.stack([np.cos(angle), np.sin(angle)], axis=1)
+from ...runs.picture import directions
 
 
 def ball(radius: float, d: int) -> Array:

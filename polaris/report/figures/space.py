@@ -16,8 +16,8 @@ from ...model.satellite import SatelliteObstacle
 from ...model.shapes import Ball, Polytope
 from ...model.system import Array
 from ...planning.goals import Box, EllipticalNMT, LinearNMT, StationaryPoint
-from ...runs.picture import Approach, Picture
-from .geometry import ball, boxed, directions, flat_outline
+from ...runs.picture import Approach, Picture, directions
+from .geometry import ball, boxed, flat_outline
 
 NEAR = 0.35
 """How far a flight may stray beyond the safe path, in widths of it, and still widen the view."""

@@ -8,7 +8,6 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -211,37 +210,6 @@ def legend_above(ax: Any, handles: Any, columns: int = 2) -> float:
     columns, names = legend_rows(handles, width, columns)
     ax.legend(handles, names, loc="lower left", bbox_to_anchor=(0.0, 1.01), ncols=columns, labelspacing=0.3)
     return 0.145 * -(-len(names) // columns)
-
-
-@dataclass(frozen=True)
-class Frame:
-    """Which coordinates a figure shows, and what they are called.
-
-    Attributes
-    ----------
-    axes : tuple of int
-        Position coordinates, horizontal one first. In Hill's frame along-track is drawn to the
-        right and radial (outward) upward, neither reversed; the third is cross-track.
-    labels : tuple of str
-        Axis labels with units, in the same order.
-    """
-
-    axes: tuple[int, ...]
-    labels: tuple[str, ...]
-
-    @classmethod
-    def of(cls, system: LinearSystem) -> Frame:
-        """Frame of a system: Hill's, or plain position coordinates."""
-        if system.mean_motion is not None and system.d == 3:
-            names = ("Along-track (m)", "Radial (m)", "Cross-track (m)")
-            return cls((1, 0, 2), names)
-        letters = "xyz"
-        return cls(tuple(range(system.d)), tuple(f"Position {letters[i]} (m)" for i in range(system.d)))
-
-    @property
-    def flat(self) -> list[int]:
-        """The two coordinates (or the one) of a plane view."""
-        return list(self.axes[:2])
 
 
 def input_labels(system: LinearSystem) -> tuple[str, tuple[str, ...]]:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from ...runs.campaign.statistics import possible
+from ...simulation.intervals import possible
 from .html import Cell, number_cell
 from .numbers import shown
 

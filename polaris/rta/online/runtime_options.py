@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ...inspection.filters.received import FARTHEST
 from ...model.checks import positive, whole
 from ...model.errors import ScenarioError
+from ...model.tolerances import FARTHEST
 from ..scene import Scene
 from .faults import Fault
 

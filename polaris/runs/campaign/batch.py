@@ -18,7 +18,8 @@ import numpy as np
 from ...simulation.disturbances import Disturbance
 from ...model.errors import (ClockWarning, OutOfTime, PolarisError)
 from ...simulation.run_metrics import evaluate
-from ...simulation.simulate import (Initial, Runs, simulate)
+from ...simulation.simulate import (Initial, simulate)
+from ...simulation.run_metrics import (Runs)
 from ...model.system import Array
 from ...model.version import version
 

@@ -14,7 +14,7 @@ from ...simulation.run_metrics import PART
 from ...model.distances import signed_distances
 from ..atomic import (check_file, replacing_file)
 from ..tables import (columns, write_csv)
-from ...simulation.simulate import Runs
+from ...simulation.run_metrics import (Runs)
 from ...model.system import (Array, LinearSystem)
 from ...model.truth import true_states
 from .batch import (Task, fly_mode, schedule_of)

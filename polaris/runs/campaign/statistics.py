@@ -12,7 +12,6 @@ from ...model.system import Array
 if TYPE_CHECKING:
     from .folder import CampaignFolder
 
-CONFIDENCE = 0.95
 
 MEANS = ("min_distance_m", "mean_distance_m", "experimental_share", "delta_v_m_s")
 """Columns whose mean is told with an interval."""
@@ -29,10 +28,6 @@ WORST: dict[str, Callable[[Array], Any]] = {
 }
 """Columns whose worst value over runs is told, and which one that is."""
 
-POSSIBLE = {"experimental_share": (0.0, 1.0)} | dict.fromkeys(
-    ("min_ttc_s", "min_ttc_free_drift_s", "switches", "delta_v_m_s", "deviation", "violations"), (0.0, np.inf)
-)
-"""Least and largest value of metrics that cannot have any; no confidence bound lies outside."""
 
 DEFINITIONS = {
     "violations": "runs that entered a true unsafe set",
@@ -55,49 +50,10 @@ ASSUMPTIONS = {
 }
 
 
-def violation_interval(violations: int, runs: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
-    """Clopper and Pearson's two-sided interval on a probability.
-
-    Parameters
-    ----------
-    violations, runs : int
-        How many of how many.
-    confidence : float
-        In (0, 1).
-    """
-    from ..monte_carlo import lower_bound
-
-    side = (1 + confidence) / 2
-    return lower_bound(violations, runs, side), 1.0 - lower_bound(runs - violations, runs, side)
 
 
-def possible(metric: str, difference: bool = False) -> tuple[float, float]:
-    """Least and largest value that a metric, or a difference of two, can have."""
-    low, high = POSSIBLE.get(metric, (-np.inf, np.inf))
-    return (low - high, high - low) if difference else (low, high)
 
 
-def mean_interval(
-    values: Array, confidence: float = CONFIDENCE, within: tuple[float, float] = (-np.inf, np.inf)
-) -> tuple[float, float | None, float | None]:
-    """Mean of some runs and Student's t interval about it; no interval for a single run.
-
-    Parameters
-    ----------
-    values : ndarray, shape (R,)
-        Finite.
-    confidence : float
-        In (0, 1).
-    within : (float, float)
-        Values that are possible at all (`possible`): the interval is cut to them.
-    """
-    from scipy.stats import t
-
-    mean = float(values.mean())
-    if len(values) < 2:
-        return mean, None, None
-    half = float(t.ppf((1 + confidence) / 2, len(values) - 1) * values.std(ddof=1) / np.sqrt(len(values)))
-    return mean, max(mean - half, within[0]), min(mean + half, within[1])
 
 
 def summarise(folder: CampaignFolder, worst: int = 5) -> dict[str, Any]:

@@ -11,7 +11,8 @@ from ...model.system import Array
 from ...synthesis.controllers import AnyThrust
 from ..disturbances import adjoint_worst_case, disturbances
 from ..integration import Integrator
-from ..simulate import Runs, initial_states
+from ..run_metrics import Runs
+from ..simulate import initial_states
 from .claims import Claims
 from .measure import Attained
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.system import Array
-from ..simulate import Runs
+from ..run_metrics import Runs
 from .claims import Claims
 
 PARTS = 8

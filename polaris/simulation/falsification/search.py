@@ -13,7 +13,7 @@ from ...model.checks import of_kind, whole
 from ...model.system import Array
 from ...synthesis.schedule import Schedule
 from ..integration import Integrator
-from ..simulate import Runs
+from ..run_metrics import Runs
 from .attacks import Attack, Attacker
 from .claims import Claims
 from .measure import EXACT_INPUT, EXACT_M, Attained, attained

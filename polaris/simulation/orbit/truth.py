@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from ...model.system import Array
 from ...synthesis.schedule import Schedule
 from ..integration import Integrator
-from ..simulate import Initial, Runs, initial_states
+from ..run_metrics import Runs
+from ..simulate import Initial, initial_states
 from .environment import Environment
 from .frame import frame_rates, near_circular, relative_rate
 

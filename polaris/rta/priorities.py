@@ -10,7 +10,7 @@ import daqp
 import numpy as np
 from numpy.typing import NDArray
 
-from ...model.system import Array
+from ..model.system import Array
 
 Flags = NDArray[np.bool_]
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 
@@ -12,13 +13,11 @@ from ..model.system import Array, LinearSystem, as_finite
 from ..model.tolerances import SOLVER_BOOK_INPUT
 from ..planning import PlanProblem, plan
 from ..planning.reference import Reference
-from .controllers import AffineController, AnyThrust, Controller
-from .get_safety import Safety
-from .problem import Problem
-from .tracking import lqr_gain
-
-if TYPE_CHECKING:
-    from ..scenario.scene_tables import Affine, Experimental
+from ..synthesis.controllers import AffineController, AnyThrust, Controller
+from ..synthesis.get_safety import Safety
+from ..synthesis.problem import Problem
+from ..synthesis.tracking import lqr_gain
+from .scene_tables import Affine, Experimental
 
 
 def gain_of(spec: Affine, system: LinearSystem, path: str) -> Array:
@@ -38,17 +37,8 @@ def gains_of(specs: tuple[Experimental, ...], system: LinearSystem) -> tuple[Arr
     return tuple(gain_of(spec, system, path) for spec, path in pairs if spec.kind != "any_thrust")
 
 
-def build_controllers(scenario: Any, safety: Safety) -> tuple[Controller, ...]:
-    """The scenario's experimental controllers, in order of preference.
-
-    Raises
-    ------
-    ScenarioError
-        If one is malformed.
-    SynthesisInfeasible, NotCertified
-        If the plan that an ``unaware`` reference stands for cannot be found.
-    """
-    specs = scenario.experimental_specs() if hasattr(scenario, "experimental_specs") else ()
+def build_controllers(specs: Iterable[Experimental], safety: Safety) -> tuple[Controller, ...]:
+    """Controllers as a scenario describes them; see `polaris.scenario.scenario.Scenario.controllers`."""
     return tuple(_build(spec, f"experimental[{i}]", safety) for i, spec in enumerate(specs))
 
 

@@ -1,0 +1,68 @@
+"""Confidence intervals on probabilities and means, and what values are possible at all."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..model.system import Array
+
+CONFIDENCE = 0.95
+"""Of every interval and bound."""
+
+
+POSSIBLE = {"experimental_share": (0.0, 1.0)} | dict.fromkeys(
+    ("min_ttc_s", "min_ttc_free_drift_s", "switches", "delta_v_m_s", "deviation", "violations"), (0.0, np.inf)
+)
+"""Least and largest value of metrics that cannot have any; no confidence bound lies outside."""
+
+
+def violation_interval(violations: int, runs: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
+    """Clopper and Pearson's two-sided interval on a probability.
+
+    Parameters
+    ----------
+    violations, runs : int
+        How many of how many.
+    confidence : float
+        In (0, 1).
+    """
+    from scipy.stats import binomtest
+
+    found = binomtest(violations, runs).proportion_ci(confidence)
+    return float(found.low), float(found.high)
+
+
+def possible(metric: str, difference: bool = False) -> tuple[float, float]:
+    """Least and largest value that a metric, or a difference of two, can have."""
+    low, high = POSSIBLE.get(metric, (-np.inf, np.inf))
+    return (low - high, high - low) if difference else (low, high)
+
+
+def mean_interval(
+    values: Array, confidence: float = CONFIDENCE, within: tuple[float, float] = (-np.inf, np.inf)
+) -> tuple[float, float | None, float | None]:
+    """Mean of some runs and Student's t interval about it; no interval for a single run.
+
+    Parameters
+    ----------
+    values : ndarray, shape (R,)
+        Finite.
+    confidence : float
+        In (0, 1).
+    within : (float, float)
+        Values that are possible at all (`possible`): the interval is cut to them.
+    """
+    from scipy.stats import t
+
+    mean = float(values.mean())
+    if len(values) < 2:
+        return mean, None, None
+    half = float(t.ppf((1 + confidence) / 2, len(values) - 1) * values.std(ddof=1) / np.sqrt(len(values)))
+    return mean, max(mean - half, within[0]), min(mean + half, within[1])
+
+
+def lower_bound(successes: int, runs: int, confidence: float = CONFIDENCE) -> float:
+    """Clopper and Pearson's lower bound on a probability of success, one-sided."""
+    from scipy.stats import binomtest
+
+    return float(binomtest(successes, runs, alternative="greater").proportion_ci(confidence).low)
