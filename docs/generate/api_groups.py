@@ -171,7 +171,6 @@ ASIF_GROUPS = {
     "Fuel limit": ("FuelLimit", "fly_fuel_limit", "FuelRun"),
     "Flights": ("fly", "fly_one", "InspectionRun", "NoInput", "LQR", "Phases"),
     "Monte Carlo": ("initial_conditions", "monte_carlo", "Study", "Outcome"),
-    "Scenario files": ("load_inspection", "InspectionScenario"),
 }
 """Every public name of `polaris.inspection`, in the order of the page."""
 

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..simulation.intervals import CONFIDENCE, lower_bound
 from .arrays import read_arrays
 from .tables import write_csv
 from ..model.system import Array

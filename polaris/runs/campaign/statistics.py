@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...model.system import Array
+from ...simulation.intervals import CONFIDENCE, mean_interval, possible, violation_interval
 
 if TYPE_CHECKING:
     from .folder import CampaignFolder
