@@ -11,6 +11,7 @@ import numpy as np
 
 from ..checks import of_kind, whole
 from ..integration import Integrator
+from ..recoverable import directed
 from ..schedule import Schedule
 from ..simulation import Runs
 from ..system import Array
@@ -62,7 +63,9 @@ class Failure:
     proven: float
 
     def __str__(self) -> str:
-        claimed = f"{self.proven:.4g} is proven" if np.isfinite(self.proven) else "nothing is proven"
+        claimed = (
+            f"{directed(self.proven, '.4g')} is proven" if np.isfinite(self.proven) else "nothing is proven"
+        )
         what = {
             "unsafe set": f"{self.limit} is entered",
             "saturation": f"S asks for more {self.limit} than there is",

@@ -119,6 +119,8 @@ def test_timelines_are_those_of_the_folder(run, html):
         rtol=1e-5,
         equal_nan=True,
     )
+    told = [float(text.removeprefix("margin ").split(",")[0]) for text in margin["text"]]
+    assert all(v is None or 0 <= v - shown < 1e-3 for v, shown in zip(margins, told, strict=True))
     flights = folder.picture().flights["polaris"]
     series = next(one for one in panels["input0"]["series"] if one["pilot"] == "polaris")
     assert np.allclose(series["runs"][0][:-1], flights.inputs[0][:, 0], rtol=1e-5, atol=1e-9)
