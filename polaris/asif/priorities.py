@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..system import Array
-from .vertex import lowest
+from .vertex import STEPS, lowest
 
 Flags = NDArray[np.bool_]
 
@@ -125,32 +125,36 @@ def _settled(G: Array, need: Array, rank: NDArray[np.intp], exact: bool) -> tupl
 def _largest_shortage(G: Array, need: Array, free: Flags, exact: bool) -> _Least | None:
     """Least s with ``G u >= need`` on the rows that are not free, ``G u >= need - s`` on the free ones.
 
-    The multipliers prove how small s can be at best; where that says that the solver was not near enough, or
-    where it had no answer, the program is solved in exact arithmetic.
+    The multipliers prove how small s can be at best; where that says that a solver was not near enough, or
+    where it had no answer, the next is asked, and exact arithmetic in the end.
     """
-    M, v = G.shape
     if not exact:
-        lower = np.concatenate([np.full(v, -1.0), [0.0], need])
-        upper = np.concatenate([np.full(v, 1.0), np.full(1 + M, 1e30)])
-        cost = np.zeros(v + 1)
-        cost[-1] = 1.0
-        x, _, flag, info = daqp.solve(
-            np.zeros((v + 1, v + 1)),
-            cost,
-            np.column_stack([G, free]),
-            upper,
-            lower,
-            primal_tol=1e-10,
-            eps_prox=1.0,
-            eta_prox=1e-9,
-        )
-        if flag > 0 and np.isfinite(x).all():
-            least = _least(G, need, free, x, -info["lam"][v + 1 :])
-            if not least.short - _proved(G, need, least.multiplier) > GAP:
-                if not (need - G @ least.u)[~free].max(initial=0.0) > EXACT:
-                    return least
+        for solver in (_by_active_set, _by_vertices):
+            answer = solver(G, need, free)
+            if answer is None or not np.isfinite(answer[0]).all():
+                continue
+            least = _least(G, need, free, *answer)
+            missed = (need - G @ least.u)[~free].max(initial=0.0)
+            if missed <= EXACT and least.short - _proved(G, need, least.multiplier) <= GAP:
+                return least
     vertex = lowest(G, need, free)
     return None if vertex is None else _least(G, need, free, *vertex)
+
+
+def _by_active_set(G: Array, need: Array, free: Flags) -> tuple[Array, Array] | None:
+    M, v = G.shape
+    lower = np.concatenate([np.full(v, -1.0), [0.0], need])
+    upper = np.concatenate([np.full(v, 1.0), np.full(1 + M, 1e30)])
+    cost = np.zeros(v + 1)
+    cost[-1] = 1.0
+    quadratic, rows = np.zeros((v + 1, v + 1)), np.column_stack([G, free])
+    how = {"primal_tol": 1e-10, "eps_prox": 1.0, "eta_prox": 1e-9, "iter_limit": STEPS * (v + 1)}
+    x, _, flag, info = daqp.solve(quadratic, cost, rows, upper, lower, **how)
+    return (x, -info["lam"][v + 1 :]) if flag > 0 else None
+
+
+def _by_vertices(G: Array, need: Array, free: Flags) -> tuple[Array, Array] | None:
+    return lowest(G, need, free, exact=False)
 
 
 def _least(G: Array, need: Array, free: Flags, x: Array, multiplier: Array) -> _Least:

@@ -29,7 +29,9 @@ LEAST = 1e-12
 """What counts as zero of the multipliers of a vertex found in floating point."""
 
 
-def lowest(G: Array, need: Array, free: NDArray[np.bool_]) -> tuple[Array, Array] | None:
+def lowest(
+    G: Array, need: Array, free: NDArray[np.bool_], exact: bool = True
+) -> tuple[Array, Array] | None:
     """Solve ``min s`` subject to ``G u + s free >= need``, ``s >= 0``, ``|u_i| <= 1``.
 
     Parameters
@@ -39,12 +41,14 @@ def lowest(G: Array, need: Array, free: NDArray[np.bool_]) -> tuple[Array, Array
     need : ndarray, shape (M,)
     free : ndarray of bool, shape (M,)
         At least one.
+    exact : bool
+        Go on from what floating point finds in exact arithmetic, to the last digit.
 
     Returns
     -------
     x, multipliers : ndarray, shapes (v + 1,) and (M,)
         ``(u, s)`` and what a unit more of each row's need adds to s; None if no u meets the rows that are
-        not free, or not within `EXACT_STEPS`.
+        not free, or not within `STEPS`, `EXACT_STEPS`.
     """
     M, v = G.shape
     A = np.zeros((M + 1 + 2 * v, v + 1))
@@ -54,13 +58,19 @@ def lowest(G: Array, need: Array, free: NDArray[np.bool_]) -> tuple[Array, Array
     # The optimum of one row alone has multipliers >= 0: the corner of the box that serves it best.
     alone = int(np.where(free, need - np.abs(G).sum(axis=1), -np.inf).argmax())
     first = [*(M + 1 + np.where(G[alone] >= 0, v, 0) + np.arange(v)).tolist(), alone]
+    near = _near(A, b, list(first))
+    multipliers = np.zeros(len(b))
+    if not exact:
+        if near is None:
+            return None
+        multipliers[near] = np.linalg.solve(A[near].T, np.eye(v + 1)[-1])
+        return np.linalg.solve(A[near], b[near]), multipliers[:M]
     whole = np.rint(np.ldexp(np.column_stack([A, b]), BITS)).astype(object)
     table = flint.fmpz_mat([[int(value) for value in row] for row in whole])
-    for basis in (_near(A, b, list(first)), first):
+    for basis in (near, first):
         found = None if basis is None else _exact(table, basis)
         if found is not None:
             x, at, y = found
-            multipliers = np.zeros(len(b))
             multipliers[at] = y
             return x, multipliers[:M]
     return None
@@ -74,8 +84,9 @@ def _near(A: Array, b: Array, basis: list[int]) -> list[int] | None:
         except np.linalg.LinAlgError:
             return None
         short = b - A @ (inverse @ b[basis])
+        short[basis] = 0.0
         enters = int(short.argmax())
-        if short[enters] <= 1e-13:
+        if short[enters] <= 5e-13:
             return basis
         w, y = A[enters] @ inverse, inverse[-1]
         ratio = np.divide(np.maximum(y, 0.0), w, out=np.full(len(w), np.inf), where=w > 1e-10)
