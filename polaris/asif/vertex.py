@@ -29,9 +29,7 @@ LEAST = 1e-12
 """What counts as zero of the multipliers of a vertex found in floating point."""
 
 
-def lowest(
-    G: Array, need: Array, free: NDArray[np.bool_], exact: bool = True
-) -> tuple[Array, Array] | None:
+def lowest(G: Array, need: Array, free: NDArray[np.bool_], exact: bool = True) -> tuple[Array, Array] | None:
     """Solve ``min s`` subject to ``G u + s free >= need``, ``s >= 0``, ``|u_i| <= 1``.
 
     Parameters
