@@ -51,9 +51,9 @@ def least_violation(
 
     Let ``s_m = max(bound_m - G_m u, 0)`` be the shortage of a row scaled to length 1, its bound taken as what
     full thrust gives where it asks for more. Among all admissible inputs those are found whose largest
-    shortage in the first rank is least, among these those whose second largest is, and so on through the first
-    rank, then through the next (a linear program each, at most one per row); of what remains the nearest to
-    the desired input is taken (a quadratic one). The theory page says why the programs do that.
+    shortage in the first rank is least, among these those whose second largest is, and so on through the
+    first rank, then through the next (a linear program each, at most one per row); of what remains the
+    nearest to the desired input is taken (a quadratic one). The theory page says why the programs do that.
 
     To the following tolerances: ranks that can be met together are missed by no more than `MET`. No other
     shortage could be less by more than ``SPARE / max(SURE, 1 / (v + 1))`` (1e-5 of the limit, up to 33

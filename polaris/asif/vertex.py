@@ -95,18 +95,18 @@ def _near(A: Array, b: Array, basis: list[int]) -> list[int] | None:
 
 
 def _exact(table: Any, basis: list[int]) -> tuple[Array, list[int], Array] | None:
-    """Dual simplex steps from a basis with multipliers >= 0: the row missed by most, later by Bland's rule."""
+    """Dual simplex from a basis with multipliers >= 0: the row missed by most, later by Bland's rule."""
     rows = table.tolist()
     n = table.ncols() - 1
     unit = flint.fmpz_mat([[0]] * (n - 1) + [[1 << BITS]])
     basis = list(basis)
     for step in range(EXACT_STEPS):
-        B = flint.fmpz_mat([rows[i][:n] for i in basis])
+        B: Any = flint.fmpz_mat([rows[i][:n] for i in basis])
         try:
             x, x_unit = B.solve(flint.fmpz_mat([[rows[i][n]] for i in basis])).numer_denom()
         except ZeroDivisionError:
             return None
-        T = B.transpose()
+        T: Any = B.transpose()
         y, y_unit = T.solve(unit).numer_denom()
         multipliers = _numbers(y, y_unit)
         if multipliers.min() < -LEAST:
