@@ -133,12 +133,14 @@ def project_coupled(
     pair = second >= 0
     several = np.where(pair, 2.0, 1.0)
     span = limit * np.abs(G).sum(axis=2) * several
-    refused = ~(np.isfinite(span) & ~np.isnan(bound)).all(axis=1) | ~np.isfinite(desired).all(axis=(1, 2))
-    if refused.any():
-        G, bound, span = (
-            np.where(refused.reshape(-1, *[1] * (a.ndim - 1)), 0.0, a) for a in (G, bound, span)
-        )
-        desired = np.where(refused[:, None, None], 0.0, desired)
+    refused = np.zeros(0, dtype=np.intp)
+    with np.errstate(invalid="ignore"):
+        sound = np.isfinite(span.sum() + desired.sum()) and not np.isnan(bound.max(initial=-np.inf))
+    if not sound:
+        some = ~(np.isfinite(span) & ~np.isnan(bound)).all(axis=1) | ~np.isfinite(desired).all(axis=(1, 2))
+        refused = np.flatnonzero(some)
+        G, bound, desired, span = np.array(G), np.array(bound), np.array(desired), np.array(span)
+        G[refused], bound[refused], desired[refused], span[refused] = 0.0, 0.0, 0.0, 0.0
     needed = bound > -span  # the others hold for every admissible input
     scale = 1 / np.maximum(np.sqrt(np.einsum("kmv,kmv->km", G, G) * several), 1e-100)
     G, bound = G * scale[..., None], np.where(needed, bound * scale, -np.inf)
@@ -160,7 +162,8 @@ def project_coupled(
             np.flatnonzero(needed[k]),
             None if rank is None else rank[k],
         )
-    u[refused], status[refused] = np.nan, FAILED
+    if len(refused):
+        u[refused], status[refused] = np.nan, FAILED
     return Projections(u[:, 0] if flat else u, status)
 
 
