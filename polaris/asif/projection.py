@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
+from math import isfinite
 
 import daqp
 import numpy as np
@@ -134,9 +135,7 @@ def project_coupled(
     several = np.where(pair, 2.0, 1.0)
     span = limit * np.abs(G).sum(axis=2) * several
     refused = np.zeros(0, dtype=np.intp)
-    with np.errstate(invalid="ignore"):
-        sound = np.isfinite(span.sum() + desired.sum()) and not np.isnan(bound.max(initial=-np.inf))
-    if not sound:
+    if not isfinite(np.vdot(span, span) + np.vdot(bound, bound) + np.vdot(desired, desired)):  # look closer
         some = ~(np.isfinite(span) & ~np.isnan(bound)).all(axis=1) | ~np.isfinite(desired).all(axis=(1, 2))
         refused = np.flatnonzero(some)
         G, bound, desired, span = np.array(G), np.array(bound), np.array(desired), np.array(span)
