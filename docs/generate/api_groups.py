@@ -202,5 +202,6 @@ ASIF_INTRODUCTION = """\
 
 Everything below is imported from `polaris.inspection`, as in `polaris.inspection.ActiveSetFilter(...)`.
 Quantities are in SI units; states in Hill's frame are `[x, y, z, vx, vy, vz]`: x radial, y along-track,
-z cross-track, and the chief at the origin. Symbols are those of the inspection paper and of [its theory](inspection-theory.md).
+z cross-track, and the chief at the origin. Symbols are those of the inspection paper and of
+[its theory](inspection-theory.md).
 """

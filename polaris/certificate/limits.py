@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from flint import arb, arb_mat
 
@@ -21,14 +21,17 @@ class Target:
     row : int
         Which of the rows.
     room : arb
-        What there is.
+        What there is for errors.
     name : str
         Unsafe set or input.
+    whole : arb
+        The room before a jump of the reference took its part: what shares refer to.
     """
 
     row: int
     room: arb
     name: str
+    whole: arb
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,9 +101,11 @@ class Limits:
             thrust += [top - x for top, x in zip(plant.u_max, u.entries(), strict=True)]
             nodes = []
             for i in range(q + 1):
-                met = [Target(p, r, name) for p, r, name in zip(places, room[i], barrier.names, strict=True)]
+                met = [
+                    Target(p, r, name, r) for p, r, name in zip(places, room[i], barrier.names, strict=True)
+                ]
                 if i < q or not plant.sampled:  # a held input is renewed at the end of its period
-                    met += [Target(len(pairs) + j, thrust[j], inputs[j]) for j in range(2 * m)]
+                    met += [Target(len(pairs) + j, thrust[j], inputs[j], thrust[j]) for j in range(2 * m)]
                 nodes.append(met)
             targets.append(nodes)
         return cls(rows, targets)
@@ -123,7 +128,7 @@ class Limits:
             for i, met in enumerate(nodes):
                 lag = tail * q + i
                 spent = cost[lag] if lag <= last else late
-                reduced.append([Target(t.row, (t.room - spent[t.row]).lower(), t.name) for t in met])
+                reduced.append([replace(t, room=(t.room - spent[t.row]).lower()) for t in met])
             targets = [*targets, reduced]
         return Limits(self.rows, targets)
 

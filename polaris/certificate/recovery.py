@@ -114,7 +114,7 @@ class Recovery:
             for lag in range(self.lags(k) + 1):
                 for target in self.limits.at(k * self.q + lag, first=lag == 0):
                     room = target.room - self.disturbed[lag][target.row]
-                    if not room - coarse[lag][target.row, place] >= self._of(share, k, lag) * target.room:
+                    if not room - coarse[lag][target.row, place] >= self._of(share, k, lag) * target.whole:
                         close.setdefault((lag, target.row), []).append(target)
             if close:
                 worst = min(worst, self._check_close(k, reached[k], close, share))
@@ -133,12 +133,13 @@ class Recovery:
         for row, target in self._least[self._far_cell(k)].items():
             need = part * self.forgotten[row] + self.disturbed[-1][row]
             where = f"the set at the start of step {k}, {target.name} beyond the memory of the loop"
-            self._leaves(share, target.room, need, where)
+            self._leaves(share, target, need, where)
 
-    def _leaves(self, share: float, room: arb, need: arb, where: str) -> None:
-        """A need leaves a share of the room, up to rounding of the stored share."""
-        if not room - need >= share * room * (1 - MARGIN_SLACK) - room * MARGIN_SLACK:
-            left = float(((room - need) / room).mid()) if room > 0 else 0.0
+    def _leaves(self, share: float, target: Target, need: arb, where: str) -> None:
+        """A need, that of a jump included, leaves a share of the room, up to rounding of the stored share."""
+        room, whole = target.room, target.whole
+        if not room - need >= share * whole * (1 - MARGIN_SLACK) - whole * MARGIN_SLACK:
+            left = float(((room - need) / whole).mid()) if room > 0 else 0.0
             told = f"share {left:.6g} left, {share:.6g} claimed, for {where}"
             raise Rejected("margins", f"{told}: needs {_plain(need)} of {_plain(room)}", share - left)
 
@@ -160,15 +161,17 @@ class Recovery:
             disturbance, of = self.disturbed[lag][row], self._of(share, k, lag)
             for target in targets:
                 need, room = support + extra + disturbance, target.room
-                if not room - need >= of * room:  # what is booked between nodes can be had more exactly
+                if (
+                    not room - need >= of * target.whole
+                ):  # what is booked between nodes can be had more exactly
                     need = support + self.needs.booked(z, lag)[row] + disturbance
                 where = (
                     f"the set at the start of step {k}, {target.name} at t = {self.time(k, lag)} under the "
                     "safety controller"
                 )
                 require("recoverable", room - need, f"{where}: needs {_plain(need)} of {_plain(room)}")
-                worst = min(worst, float(((room - need) / room).mid()) if room > 0 else 0.0)
-                self._leaves(of, room, need, where)
+                worst = min(worst, float(((room - need) / target.whole).lower()) if room > 0 else 0.0)
+                self._leaves(of, target, need, where)
         return worst
 
     def check_far(self) -> None:

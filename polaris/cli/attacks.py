@@ -102,11 +102,13 @@ def add_commands(app: typer.Typer, guard: Guard) -> None:
 
 
 def _show_falsification(name: str, found: Falsification) -> None:
+    from ..synthesis.recoverable import directed
+
     told = found.summary()
     typer.echo(f"{name}: {told['runs']} trajectories, {told['runs_per_s']:.0f} per second")
     typer.echo(f"{'limit':24} {'least margin':>13} {'proven':>11} {'proven/least':>13} {'at':>9}")
     for row in told["limits"]:
-        proven = f"{row['proven']:.4g}" if math.isfinite(row["proven"]) else "nothing"
+        proven = directed(row["proven"], ".4g") if math.isfinite(row["proven"]) else "nothing"
         share = f"{row['proven_share']:.0%}" if math.isfinite(row["proven_share"]) else "-"
         typer.echo(f"{row['limit']:24} {row['least']:13.4g} {proven:>11} {share:>13} {row['time_s']:7g} s")
     typer.echo("No violation." if found.failure is None else f"VIOLATED: {found.failure}")

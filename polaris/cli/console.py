@@ -13,6 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ..model.checks import counted
+from ..synthesis.recoverable import directed
 
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
@@ -128,11 +129,13 @@ def show_summary(summary: Mapping[str, Any], folder: str, console: Console | Non
         for name in ("bounds", "plan", "recoverable", "schedule")
         if name in seconds
     )
-    reached = f"{plan['delta_v_m_s']:.4g} m/s, clearance {plan['margin_m']:.4g} m beyond the tube"
+    reached = (
+        f"{plan['delta_v_m_s']:.4g} m/s, clearance {directed(plan['margin_m'], '.4g')} m beyond the tube"
+    )
     console.print(Text(f"Plan: {_planned(plan)}, {reached}."), soft_wrap=True)
     start, limit = synthesis["start_margin"], synthesis["start_limit"]
     if start is not None:
-        console.print(Text(f"Start: {start:.1%} of the room is left, least at {limit}."))
+        console.print(Text(f"Start: {directed(start, '.1%')} of the room is left, least at {limit}."))
     console.print(Text(f"Synthesis: {seconds['total']:.2f} s ({stages})."))
     proved = claim["kind"] == "proved"
     style = "bold" if proved else "bold red"

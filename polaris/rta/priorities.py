@@ -6,11 +6,14 @@ later rank; rows that can be met together with all of their own rank and of the 
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import daqp
 import numpy as np
 from numpy.typing import NDArray
 
 from ..model.system import Array
+from .vertex import STEPS, lowest
 
 Flags = NDArray[np.bool_]
 
@@ -20,8 +23,25 @@ MET = 1e-9
 SPARE = 1e-7
 """By how much more than need be a row that cannot be met may be missed, in parts of the limit."""
 
-STAGES = 40
-"""Most linear programs per rank; after these what is left of the rank shares one shortage."""
+SURE = 0.01
+"""Multiplier from which a row is settled with its program's shortage; the largest one always is.
+
+What settled rows are given may let a row of multiplier p be missed by ``SPARE / p`` less than it is."""
+
+GAP = 1e-9
+"""A program counts as solved if its shortage is no more than this above what the multipliers prove."""
+
+EXACT = 1e-12
+"""... and no settled row is missed by more than this."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Least:
+    """An input, its largest shortage, and what a unit of each row's need adds to that."""
+
+    u: Array
+    short: float
+    multiplier: Array
 
 
 def least_violation(
@@ -29,18 +49,22 @@ def least_violation(
 ) -> Array | None:
     """Nearest to the desired of the inputs that violate the rows least, lexicographically.
 
-    Let ``s_m = max(bound_m - G_m u, 0)`` be a row's shortage, its bound taken as what full thrust gives where
-    it asks for more. Among all admissible inputs those are found whose largest shortage in the first rank is
-    least, among these those whose second largest is, and so on through the first rank, then through the next
-    (a linear program each); of what remains the nearest to the desired input is taken (a quadratic one).
-    The theory page says why the programs do that.
+    Let ``s_m = max(bound_m - G_m u, 0)`` be the shortage of a row scaled to length 1, its bound taken as what
+    full thrust gives where it asks for more. Among all admissible inputs those are found whose largest
+    shortage in the first rank is least, among these those whose second largest is, and so on through the
+    first rank, then through the next (a linear program each, at most one per row); of what remains the
+    nearest to the desired input is taken (a quadratic one). The theory page says why the programs do that.
+
+    To the following tolerances: ranks that can be met together are missed by no more than `MET`. No other
+    shortage could be less by more than ``SPARE / max(SURE, 1 / (v + 1))`` (1e-5 of the limit, up to 33
+    deputies) without another growing that counts more: of an earlier rank, or of its own and as large.
 
     Parameters
     ----------
     G : ndarray, shape (M, v)
-        Rows of length 1; rows of zeros are left out, as no input changes them.
+        Rows of any length; those of zeros are left out, as no input changes them.
     bound : ndarray, shape (M,)
-        ``G u >= bound`` [N]; infinite where nothing satisfies the row, which then asks for full thrust.
+        ``G u >= bound``; infinite where nothing satisfies the row, which then asks for full thrust.
     desired : ndarray, shape (v,)
         [N]
     limit : float
@@ -51,66 +75,112 @@ def least_violation(
     Returns
     -------
     ndarray, shape (v,), or None
-        [N]; None if the solver failed.
+        [N]; None if a bound is no number, if anything else is not finite, if the limit is not positive, or if
+        the programs ended without an answer.
     """
+    whole = np.isfinite(G).all() and np.isfinite(desired).all() and not np.isnan(bound).any()
+    if not whole or not 0 < limit < np.inf:
+        return None
     kept = G.any(axis=1) & (bound > -np.inf)
-    G, rank = G[kept], rank[kept]
-    need = np.minimum(bound[kept] / limit, np.abs(G).sum(axis=1) * (1 - SPARE))
-    wanted = np.clip(desired / limit, -1e6, 1e6)
-    asked = need.copy()
+    with np.errstate(over="ignore", under="ignore"):
+        size = np.abs(G[kept]).max(axis=1, initial=0.0)
+        G = G[kept] / size[:, None]
+        length = np.sqrt((G * G).sum(axis=1))
+        G /= length[:, None]
+        reach = np.abs(G).sum(axis=1)
+        need = np.minimum(bound[kept] / length / size / limit, reach * (1 - SPARE))
+        wanted = np.clip(desired / limit, -1e6, 1e6)
+    asks = need > -reach  # the others hold for every admissible input
+    G, need, rank = G[asks], need[asks], rank[kept][asks]
+    # Should rounding leave a later program without a solution, once more without any.
+    settled = _settled(G, need, rank, False) or _settled(G, need, rank, True)
+    if settled is None:
+        return None
+    found, asked = settled
+    return np.asarray(_nearest(G, asked, wanted, found) * limit)
+
+
+def _settled(G: Array, need: Array, rank: NDArray[np.intp], exact: bool) -> tuple[Array, Array] | None:
+    """An input, and what can be asked of each row: its need less its shortage, and less the tolerance."""
+    asked, found = need.copy(), np.zeros(G.shape[1])
     done = np.zeros(len(need), dtype=bool)
-    found: Array | None = None
     for level in np.unique(rank):
         left = rank == level
-        for stage in range(STAGES):
-            answer = _largest_shortage(G[done | left], asked[done | left], left[done | left])
+        while left.any():
+            rows = done | left
+            answer = _largest_shortage(G[rows], asked[rows], left[rows], exact)
             if answer is None:
-                break
-            found, short, tight = answer
-            if short <= MET:
-                short, tight = 0.0, left[done | left]
-            elif stage == STAGES - 1:
-                tight = left[done | left]
-            chosen = np.flatnonzero(done | left)[tight]
-            asked[chosen] = need[chosen] - (short + SPARE if short > 0 else MET)
-            done[chosen], left[chosen] = True, False
-            if not left.any():
-                break
-    nearest = _nearest(G[done], asked[done], wanted)
-    found = nearest if nearest is not None else found
-    return None if found is None else np.asarray(np.clip(found, -1.0, 1.0) * limit)
+                return None
+            found, chosen, given = answer.u, left, MET
+            if answer.short > MET:
+                given = answer.short + SPARE
+                pull = np.zeros(len(need))
+                pull[rows] = answer.multiplier
+                chosen = left & (pull >= min(SURE, float(pull[left].max())))
+            asked[chosen] -= given
+            done, left = done | chosen, left & ~chosen
+    return found, asked
 
 
-def _largest_shortage(G: Array, need: Array, free: Flags) -> tuple[Array, float, Flags] | None:
+def _largest_shortage(G: Array, need: Array, free: Flags, exact: bool) -> _Least | None:
     """Least s with ``G u >= need`` on the rows that are not free, ``G u >= need - s`` on the free ones.
 
-    Returns
-    -------
-    tuple or None
-        An input, s, and which rows (free ones) fall short by s whatever the input: those with a multiplier.
+    The multipliers prove how small s can be at best; where that says that a solver was not near enough, or
+    where it had no answer, the next is asked, and exact arithmetic in the end.
     """
+    if not exact:
+        for solver in (_by_active_set, _by_vertices):
+            answer = solver(G, need, free)
+            if answer is None or not np.isfinite(answer[0]).all():
+                continue
+            least = _least(G, need, free, *answer)
+            missed = (need - G @ least.u)[~free].max(initial=0.0)
+            if missed <= EXACT and least.short - _proved(G, need, least.multiplier) <= GAP:
+                return least
+    vertex = lowest(G, need, free)
+    return None if vertex is None else _least(G, need, free, *vertex)
+
+
+def _by_active_set(G: Array, need: Array, free: Flags) -> tuple[Array, Array] | None:
     M, v = G.shape
-    rows = np.column_stack([G, free])
     lower = np.concatenate([np.full(v, -1.0), [0.0], need])
     upper = np.concatenate([np.full(v, 1.0), np.full(1 + M, 1e30)])
     cost = np.zeros(v + 1)
     cost[-1] = 1.0
-    x, _, flag, info = daqp.solve(
-        np.zeros((v + 1, v + 1)), cost, rows, upper, lower, primal_tol=1e-10, eps_prox=1.0
-    )
-    if flag <= 0 or not np.isfinite(x).all():
-        return None
-    pull = np.where(free, np.abs(info["lam"][v + 1 :]), 0.0)
-    tight = pull > 1e-6 * max(float(pull.max(initial=0.0)), 1e-6)
-    if not tight.any():  # never in exact arithmetic where s > 0
-        gap = np.where(free, rows @ x - need, np.inf)
-        tight = gap <= gap.min() + MET
-    return x[:v], float(x[v]), np.asarray(tight, dtype=bool)
+    quadratic, rows = np.zeros((v + 1, v + 1)), np.column_stack([G, free])
+    how = {"primal_tol": 1e-10, "eps_prox": 1.0, "eta_prox": 1e-9, "iter_limit": STEPS * (v + 1)}
+    x, _, flag, info = daqp.solve(quadratic, cost, rows, upper, lower, **how)
+    return (x, -info["lam"][v + 1 :]) if flag > 0 else None
 
 
-def _nearest(G: Array, need: Array, desired: Array) -> Array | None:
+def _by_vertices(G: Array, need: Array, free: Flags) -> tuple[Array, Array] | None:
+    return lowest(G, need, free, exact=False)
+
+
+def _least(G: Array, need: Array, free: Flags, x: Array, multiplier: Array) -> _Least:
+    u = np.clip(x[:-1], -1.0, 1.0)
+    multiplier = np.maximum(multiplier, 0.0)
+    total = float(multiplier[free].sum())
+    multiplier = multiplier / total if total > 0.5 else np.zeros(len(need))  # 1 where s > 0
+    return _Least(u, float((need - G @ u)[free].max(initial=0.0)), multiplier)
+
+
+def _proved(G: Array, need: Array, multiplier: Array) -> float:
+    """No input has a smaller largest shortage: by weak duality, whatever the multipliers."""
+    return max(float(multiplier @ need - np.abs(multiplier @ G).sum()), 0.0)
+
+
+def _nearest(G: Array, asked: Array, desired: Array, found: Array) -> Array:
+    """The nearest to the desired input that gives what is asked; as near as the way from `found` leads there.
+
+    The solver's answer is taken if it gives what is asked, else the last point on the way to it that does.
+    """
     M, v = G.shape
-    lower = np.concatenate([np.full(v, -1.0), need])
+    lower = np.concatenate([np.full(v, -1.0), asked])
     upper = np.concatenate([np.full(v, 1.0), np.full(M, 1e30)])
     u, _, flag, _ = daqp.solve(np.eye(v), -desired, G, upper, lower, primal_tol=1e-10)
-    return np.asarray(u) if flag > 0 and np.isfinite(u).all() else None
+    u = np.clip(u if flag > 0 and np.isfinite(u).all() else desired, -1.0, 1.0)
+    spare, rate = G @ found - asked, G @ (u - found)
+    lost = spare + rate < -EXACT
+    part = np.min((spare[lost] + EXACT).clip(0.0) / -rate[lost], initial=1.0)
+    return np.asarray(found + part * (u - found))

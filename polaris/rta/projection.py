@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
+from math import isfinite
 
 import daqp
 import numpy as np
@@ -21,7 +22,8 @@ closed form."""
 
 DESIRED, FILTERED, SHORT, FAILED = range(4)
 """How an input came about: as desired; nearest that satisfies all rows; nearest that violates them least,
-where none satisfies all (see `polaris.rta.priorities`); no input at all."""
+where none satisfies all (see `polaris.rta.priorities`); no input at all, as where a bound is no number or
+a row or the desired input is not finite."""
 
 Index = NDArray[np.intp]
 
@@ -131,13 +133,20 @@ def project_coupled(
     """
     pair = second >= 0
     several = np.where(pair, 2.0, 1.0)
-    needed = bound > -limit * np.abs(G).sum(axis=2) * several  # the others hold for every admissible input
+    span = limit * np.abs(G).sum(axis=2) * several
+    refused = np.zeros(0, dtype=np.intp)
+    if not isfinite(np.vdot(span, span) + np.vdot(bound, bound) + np.vdot(desired, desired)):  # look closer
+        some = ~(np.isfinite(span) & ~np.isnan(bound)).all(axis=1) | ~np.isfinite(desired).all(axis=(1, 2))
+        refused = np.flatnonzero(some)
+        G, bound, desired, span = np.array(G), np.array(bound), np.array(desired), np.array(span)
+        G[refused], bound[refused], desired[refused], span[refused] = 0.0, 0.0, 0.0, 0.0
+    needed = bound > -span  # the others hold for every admissible input
     scale = 1 / np.maximum(np.sqrt(np.einsum("kmv,kmv->km", G, G) * several), 1e-100)
     G, bound = G * scale[..., None], np.where(needed, bound * scale, -np.inf)
     u = np.clip(desired, -limit, limit)
     status = np.full(len(u), FILTERED, dtype=np.int8)
     todo = np.arange(len(u))
-    if len(u) > FEW:
+    if len(u) > FEW and len(first):
         todo = _separate_rows(G, bound, desired, limit, first, second, u)
     elif flat and len(u) > 1:
         todo = _together(G, bound, desired, limit, needed, u, todo)
@@ -152,6 +161,8 @@ def project_coupled(
             np.flatnonzero(needed[k]),
             None if rank is None else rank[k],
         )
+    if len(refused):
+        u[refused], status[refused] = np.nan, FAILED
     return Projections(u[:, 0] if flat else u, status)
 
 

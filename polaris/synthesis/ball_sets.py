@@ -37,16 +37,23 @@ class BallSets:
 
     @cached_property
     def _rooms(self) -> tuple[Array, Array, Array, list[str]]:
-        """Room of every limit in every period, shape (cells * q, l), gamma and gain (l,), and names."""
+        """Room of every limit in every period, gamma (l,), disturbance with round-off, and names.
+
+        Room and disturbance have shape (cells * q, l).
+        """
         c, b, w = self.clearance, self.bounds, self.clearance.tracking.system.w_max
         room = np.minimum(c.room[:, :-1], c.room[:, 1:]).reshape(c.cells * c.q, len(c.unsafe))
         gamma, gain = np.full(len(c.unsafe), b.gamma_position), np.full(len(c.unsafe), b.gain_position)
         names = [u.name for u in c.unsafe]
+        rows, index = c.obstacle_rows
+        round_off = c.round_off(rows)[index]
         if self.kind != "paper_ball":
             room = np.hstack([room, np.repeat(np.minimum(*c.thrust), c.q, axis=0)])
             gamma, gain = np.append(gamma, b.gamma_input), np.append(gain, b.gain_input)
             names += c.tracking.system.input_names
-        return room, gamma, gain * w, names
+            inputs = c.round_off(c.tracking.gain)
+            round_off = np.hstack([round_off, np.broadcast_to(inputs, (c.cells, len(inputs)))])
+        return room, gamma, gain * w + np.repeat(round_off, c.q, axis=0), names
 
     @cached_property
     def limits(self) -> Array:
@@ -85,11 +92,12 @@ class BallSets:
         """Tightest limit for errors up to a norm within a period."""
         room, gamma, disturbance, names = self._rooms
         first = period if self.kind == "time_varying_ball" else 0  # the others know one ball for all time
-        room = room[first:]
+        jump = np.repeat(np.hstack(self.clearance.jumps), self.clearance.q, axis=0)[first:, : len(names)]
+        room = room[first:] + jump
         size = np.full(len(room), norm)
         if self.kind == "time_varying_ball":
             size /= self._decayed(len(room))
-        need = (gamma * size[:, None] + disturbance) * (1 + 2 * ROUNDING)
+        need = (gamma * size[:, None] + disturbance[first:]) * (1 + 2 * ROUNDING) + jump
         share = left(need, room)
         j, limit = np.unravel_index(int(np.argmin(share)), share.shape)
         time = float((first + j) * self.clearance.tracking.flow.h)

@@ -146,23 +146,39 @@ class Clearance:
             np.take_along_axis(part, self.facets[:, None, o : o + 1], axis=2)[..., 0]
             for o, part in enumerate(parts)
         ]
-        room = np.stack(chosen, axis=-1)
-        rows, index = self.obstacle_rows
-        room[self.planned :] -= self._jump_cost(rows)[index[self.planned :]][:, None, :]
-        return room
+        return np.asarray(np.stack(chosen, axis=-1) - self.jumps[0][:, None, :])
 
     @cached_property
     def thrust(self) -> tuple[Array, Array]:
         """Input left above and below the reference input per cell [N], each of shape (cells, m)."""
         system = self.tracking.system
         limit = system.u_max * (1 - ROUNDING)
-        cost = np.zeros((self.cells, system.m))
-        cost[self.planned :] = self._jump_cost(self.tracking.gain)
+        cost = self.jumps[1]
         return limit - self.reference.nu - cost, limit + self.reference.nu - cost
 
-    def _jump_cost(self, rows: Array) -> Array:
+    @cached_property
+    def jumps(self) -> tuple[Array, Array]:
+        """What the jump into the tail takes of `room` [m] and `thrust` [N], shapes (cells, o), (cells, m).
+
+        A share of the room counts it as a need: of a smaller room, the same need would seem to leave more.
+        """
+        rows, index = self.obstacle_rows
+        facets, inputs = np.zeros(index.shape), np.zeros((self.cells, self.tracking.system.m))
+        facets[self.planned :] = self.jump_need(rows)[index[self.planned :]]
+        inputs[self.planned :] = self.jump_need(self.tracking.gain)
+        return facets, inputs
+
+    def jump_need(self, rows: Array) -> Array:
+        """What the jump into the tail needs along rows (r, n) at any time after it, shape (r,)."""
+        return self._need_of(rows, self.jump)
+
+    def round_off(self, rows: Array) -> Array:
+        """What the round-off of the reference's states, new at every step, needs along rows, shape (r,)."""
+        return self._need_of(rows, self.tracking.accumulated * self.reference.rounding.max(axis=0))
+
+    def _need_of(self, rows: Array, step: Array) -> Array:
         weight = np.linalg.norm(rows @ self.tracking.W_inverse, axis=-1) + self.tracking.curvature(rows)
-        return np.asarray(weight * np.linalg.norm(np.abs(self.tracking.W) @ self.jump))
+        return np.asarray(weight * np.linalg.norm(np.abs(self.tracking.W) @ step))
 
 
 def facet_room(

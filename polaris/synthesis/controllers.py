@@ -178,6 +178,8 @@ class AffineController:
             bow = between.clipped_bow(self, nodes[:-1], k)
         elif excess > 0:
             refused = f"its command may exceed the limit of {self.system.input_names[axis]} by {excess:.3g}"
+        # The two references are stored states: what separates them is known up to their round-off.
+        bow = bow + self.reference.rounding[k] + self.own.rounding[k]
         error = nodes + zeta
         end = error[-1].inflate(self.reference.rounding[k] + self.own.rounding[k])
         return Flight(error, bow, end.reduce(ORDER), refused, slopes)

@@ -34,11 +34,12 @@ class PolytopeSets:
 
     @cached_property
     def _rows(self) -> tuple[Array, Array, Array, Array]:
-        """Rows carried back, ``row phi^l`` (L, r, n); disturbance (L + 1, r); curvature (r,); index."""
+        """Carried back ``row phi^l`` (L, r, n); disturbance and round-off (L + 1, r); curvature; rows."""
         tracking = self.clearance.tracking
         obstacle, _ = self.clearance.obstacle_rows
         rows = np.vstack([obstacle, tracking.gain, -tracking.gain])
-        return rows @ tracking.transitions, tracking.disturbance(rows), tracking.curvature(rows), rows
+        disturbance = tracking.disturbance(rows) + self.clearance.round_off(rows)
+        return rows @ tracking.transitions, disturbance, tracking.curvature(rows), rows
 
     @cached_property
     def _index(self) -> NDArray[np.int_]:
@@ -62,6 +63,12 @@ class PolytopeSets:
         if self.clearance.tracking.feedback.sampled:
             thrust[:, -1] = np.inf  # the input renewed at the end of a cell belongs to the next one
         return np.concatenate([self.clearance.room, thrust], axis=-1)
+
+    @cached_property
+    def _jumps(self) -> Array:
+        """What the jump into the tail has taken of `room`, shape (cells, o + 2 m)."""
+        facets, inputs = self.clearance.jumps
+        return np.hstack([facets, inputs, inputs])
 
     @cached_property
     def names(self) -> list[str]:
@@ -107,7 +114,9 @@ class PolytopeSets:
     def _far_margin(self, node: int, radius: float) -> Margin:
         """Tightest limit beyond the memory for errors up to a norm at a node."""
         start = self._beyond[min(node, len(self._beyond) - 1)]
-        room, need = self._ahead[start], (self._rows[1][-1] + self._reach * radius) * (1 + ROUNDING)
+        jump = self.clearance.jump_need(self._rows[3])
+        room = self._ahead[start] + jump
+        need = (self._rows[1][-1] + self._reach * radius) * (1 + ROUNDING) + jump
         share = left(need, room)
         row = int(np.argmin(share))
         # Where that row has its least room: which of the limits it is, and when.
@@ -194,8 +203,8 @@ class PolytopeSets:
             counts = cell < cells if side == 0 else (target % q == 0) & (target > first) & (cell < cells)
             i, lag = np.nonzero(counts)
             at = cell[i, lag]
-            room = self.room[at, target[i, lag] - at * q]
-            needed = np.take_along_axis(need[i, lag], self._index[at], axis=1)
+            room = self.room[at, target[i, lag] - at * q] + self._jumps[at]
+            needed = np.take_along_axis(need[i, lag], self._index[at], axis=1) + self._jumps[at]
             share = left(needed, room)
             if share.size and share.min() < worst:
                 j, limit = np.unravel_index(int(np.argmin(share)), share.shape)

@@ -7,6 +7,7 @@ not saturate from here to the end" (theory item 7), and all hold for the whole o
 from __future__ import annotations
 
 from dataclasses import dataclass
+from decimal import ROUND_CEILING, ROUND_FLOOR, Decimal, localcontext
 from typing import Protocol
 
 import numpy as np
@@ -51,7 +52,8 @@ class Margin:
         return self.value >= 0
 
     def __str__(self) -> str:
-        return f"{self.limit} at t = {self.time:.6g} s: needs {self.need:.4g} of {self.room:.4g}"
+        need, room = directed(self.need, ".4g", up=True), directed(self.room, ".4g")
+        return f"{self.limit} at t = {self.time:.6g} s: needs {need} of {room}"
 
 
 class RecoverableSet(Protocol):
@@ -104,10 +106,32 @@ def get_recover(kind: str, clearance: Clearance, bounds: ErrorBounds) -> Recover
     raise ValueError(f"unknown kind of recoverable set: {kind}")
 
 
+def directed(value: float, form: str, up: bool = False) -> str:
+    """Text of a proven number, rounded to its safe side.
+
+    Parameters
+    ----------
+    value : float
+    form : str
+        Format of a float, such as ``.4g`` or ``.1%``.
+    up : bool
+        Upwards, as for what is needed; else downwards, as for what is left.
+    """
+    if not np.isfinite(value):
+        return f"{value:{form}}"
+    with localcontext() as context:
+        context.rounding = ROUND_CEILING if up else ROUND_FLOOR
+        text = format(Decimal(value), form)
+    return f"{float(text):{form}}" if form.endswith("g") else text  # the other way of writing exponents
+
+
 def left(need: Array, room: Array) -> Array:
-    """Share of the room that is left over, ``1 - need / room``; minus infinity where there is no room."""
+    """Share of the room that is left over, ``1 - need / room``; minus infinity where there is no room.
+
+    Rounded down: a need that is too small to show beside 1 still leaves less than everything.
+    """
     some = room > 0
-    share = np.where(some, 1 - need / np.where(some, room, 1), -np.inf)
+    share = np.where(some, np.nextafter(1 - need / np.where(some, room, 1), -np.inf), -np.inf)
     return np.asarray(np.where(np.isnan(share), -np.inf, share))  # what cannot be worked out is not met
 
 

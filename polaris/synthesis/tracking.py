@@ -178,11 +178,15 @@ class Tracking:
         return float(np.linalg.norm(np.abs(self.W) @ self.flow.period_box))
 
     @cached_property
+    def accumulated(self) -> float:
+        """Bound on ``norm(W e)`` at any node, however late, per unit of it added in every period."""
+        factor = self.flow.lyapunov[1]
+        return float(self.decay.sum() + self.decay[-1] * factor / (1 - factor))
+
+    @cached_property
     def disturbance_radius(self) -> float:
         """Bound on ``norm(W e)`` reached by the disturbance alone at any node, however late."""
-        factor = self.flow.lyapunov[1]
-        total = self.decay.sum() + self.decay[-1] * factor / (1 - factor)
-        return float(self.period_gain * (total + 1.0))
+        return self.period_gain * (self.accumulated + 1.0)
 
     def curvature(self, rows: Array) -> Array:
         """Booking between nodes per unit of ``norm(W e)``, for each row, shape (..., r).

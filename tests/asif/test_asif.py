@@ -228,6 +228,7 @@ def test_a_program_that_fails_is_answered_by_the_backup(drawn, sharing, monkeypa
     monkeypatch.setattr(
         "polaris.rta.projection.daqp.solve", lambda H, f, *rest, **how: (np.full(len(f), np.nan), 0, -9, {})
     )
+    monkeypatch.setattr("polaris.rta.priorities.lowest", lambda *_, **how: None)
     push = np.tile([0.1, -0.2, 0.3], (5, 1))
     asif = ActiveSetFilter(Q, sharing, backup=lambda t, z: push, sun_start=float(sun[0]))
     x = x[0].copy()

@@ -239,7 +239,7 @@ def test_damaged_manifests_are_told(tmp_path):
 
 KILLED = """
 import sys
-from polaris.campaign import local
+from polaris.runs.campaign import local
 from tests.campaign.scene import fly
 if __name__ == "__main__":
     fly(sys.argv[1], local(int(sys.argv[2])))

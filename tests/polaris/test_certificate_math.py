@@ -1,6 +1,7 @@
 """The checker's own mathematics: every enclosure contains what it must, every bound holds."""
 
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,8 +16,10 @@ from flint import arb, arb_mat
 from polaris.certificate.argument import Argument
 from polaris.certificate.balls import column, exponential_over, matrix, norms, require
 from polaris.certificate.document import Document, digest
+from polaris.certificate.limits import Limits, Target
 from polaris.certificate.loop import Memory, Needs, resting_rates
 from polaris.certificate.motion import Plant
+from polaris.certificate.recovery import Recovery
 from polaris.certificate.verdict import Record, Rejected, Undecided
 from polaris.certificate.zonotopes import Merging, Zonotope, ball_cover, inner_radius, widest
 from polaris.runs.certificate import certificate, hexadecimal
@@ -240,3 +243,22 @@ def test_a_number_on_the_edge_is_neither_confirmed_nor_refuted():
     with pytest.raises(Rejected) as caught:
         require("claim", arb(-2), "beyond it")
     assert (caught.value.claim, caught.value.excess) == ("claim", 2.0)
+
+
+def test_a_jump_of_the_reference_takes_its_part_of_a_claimed_share():
+    """Half of the room goes to the jump: an error of nothing leaves half of it, not all."""
+    row = matrix([[1.0]])
+    needs = SimpleNamespace(
+        carried=[row] * 3,
+        bend=[0 * row] * 3,
+        memory=SimpleNamespace(periods=2, z=column([1.0])),
+        forgotten=lambda: [arb(0)],
+    )
+    path = SimpleNamespace(planned=0, cells=1, kinematics=SimpleNamespace(q=1), jump=column([0.5]))
+    limits = Limits(row, [[[Target(0, arb(1), "wall", arb(1))]] * 2]).less_jump(needs, path)
+    recovery = Recovery(limits, needs, q=1, planned=0, delta=1.0, forever=False, stored=1)
+    (target,) = limits.at(0, first=True)
+    recovery._leaves(0.5, target, arb(0), "the start")
+    with pytest.raises(Rejected) as told:
+        recovery._leaves(0.6, target, arb(0), "the start")
+    assert told.value.claim == "margins"

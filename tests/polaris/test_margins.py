@@ -1,5 +1,8 @@
 """Printed margins: never more than the share of the room that is really left, nor much less."""
 
+from dataclasses import replace
+from itertools import product
+
 import numpy as np
 import pytest
 
@@ -7,6 +10,8 @@ from polaris.model.errors import PolarisError
 from polaris.simulation.disturbances import adjoint_worst_case
 from polaris.simulation.integration import Integrator
 from polaris.synthesis.controllers import AffineController, AnyThrust
+from polaris.synthesis.recoverable import directed, get_recover, left
+from reach.numerics.linear import discretize
 
 from .random_scenarios import synthesised
 
@@ -17,11 +22,43 @@ Those where the printed margin says that the limit bites come on top.
 """
 
 
-def worst_share(schedule, k, substeps):
+class Exact(Integrator):
+    """Flights by transition matrices wherever nothing clips.
+
+    The scheme of `Integrator` errs by up to 1e-5 of what a reference moves through in a step, being of
+    order 4, which is more than all that is left to be needed in a calm scene without disturbance.
+    """
+
+    def _unclipped(self, number, k, x, w):
+        law, steps = self.schedule.controllers[number], slice(k * self.steps_per_cell, None)
+        if self.sampled or (number and self.schedule.steps[k].flight.slopes is not None):
+            return super()._unclipped(number, k, x, w)
+        if isinstance(law, AnyThrust):
+            (Ad, Bd, Dd), path = self._held, [x]
+            for push, u in zip(w, self.free[steps], strict=False):
+                path.append(path[-1] @ Ad.T + u @ Bd.T + push @ Dd.T)
+        else:
+            carried, pushed = discretize(self.system.A - self.system.B @ law.gain, self.system.D, self.dt)
+            own = self.own.get(number, self.safe)[k][::2]
+            path = [x - own[0]]
+            for push in w:
+                path.append(path[-1] @ carried.T + push @ pushed.T)
+            path = [state + error for state, error in zip(own, path, strict=True)]
+        count = self.q, len(x)
+        return (
+            np.array(path[self.substeps :: self.substeps]),
+            np.zeros((*count, self.system.m)),
+            np.zeros(count),
+            0,
+        )
+
+
+def worst_share(schedule, k, substeps, finer=1):
     """Least share of the room left on any limit where S takes over at the start or the end of step k.
 
     An upper bound on the true one: of every limit and node the worst disturbance, held over integration
-    steps, and the worst start are flown, and what they need is compared with the distance of the reference.
+    steps, and the worst start are flown, in steps that are finer still, and what they need is compared with
+    the distance of the reference.
     """
     safety = schedule.safety
     clearance, system, q = safety.clearance, safety.problem.system, safety.clearance.q
@@ -38,9 +75,10 @@ def worst_share(schedule, k, substeps):
             continue
         which, node = (part.ravel() for part in np.meshgrid(np.arange(len(rows)), nodes, indexing="ij"))
         w, free, adjoint = adjoint_worst_case(flight, rows[which], node * substeps)
-        flight.free = free
+        flight = Exact(schedule, modes, substeps * finer)
+        flight.free = None if free is None else np.repeat(free, finer, axis=0)
         x0 = safety.problem.initial_set.support_vector(adjoint)
-        states = flight.run(x0, w)[1]
+        states = flight.run(x0, np.repeat(w, finer, axis=0))[1]
         errors = states[:, nodes] - path[nodes]
         needs = np.einsum("rn,pjn->jrp", rows, errors).max(axis=-1)  # of any run at any node
         for need, at in zip(needs, nodes, strict=True):
@@ -71,18 +109,18 @@ def looked_at(schedule):
 
 def linear(schedule, k):
     """Whether nothing can have clipped up to a step, so that the worst case flown is the worst there is."""
-    for j, step in enumerate(schedule.steps[: k + 1]):
-        law = schedule.controllers[step.mode]
-        if isinstance(law, AnyThrust):
-            return False
-        assert isinstance(law, AffineController)
-        if law.clips and law._over_limit(step.flight.nodes - law.offset[j], step.flight.bow, j)[0] > 0:
-            return False
-    return True
+    steps = schedule.steps[: k + 1]
+    laws = [schedule.controllers[step.mode] for step in steps]
+    return all(isinstance(law, AffineController) for law in laws) and not clipped(steps)
+
+
+def clipped(steps):
+    """Whether anything may have clipped in some steps."""
+    return any(step.flight.slopes is not None for step in steps)
 
 
 def examined(seeds, folder):
-    """(kind, printed, flown, exact) of steps of random scenes."""
+    """(kind, printed, flown, error of the flight, exact) of steps of random scenes."""
     for seed in seeds:
         try:
             _, schedule = synthesised(seed, folder)
@@ -91,19 +129,19 @@ def examined(seeds, folder):
         if schedule.guarantee != "proved":
             continue
         for k in looked_at(schedule):
-            yield (
-                schedule.safety.recoverable.kind,
-                schedule.margins[k],
-                worst_share(schedule, k, 2),
-                linear(schedule, k),
-            )
+            flown, error = worst_share(schedule, k, 2), 0.0
+            if clipped(schedule.steps[: k + 1]) and not schedule.safety.tracking.feedback.sampled:
+                # Steps of half the size leave at most half of the scheme's error, even where thrusters clip.
+                flown, coarse = worst_share(schedule, k, 2, 2), flown
+                error = abs(flown - coarse)
+            yield schedule.safety.recoverable.kind, schedule.margins[k], flown, error, linear(schedule, k)
 
 
 def judge(found):
     """No margin above what is left; those of polytopes, where the worst case is known, not far below."""
-    over = [(printed, flown) for _, printed, flown, _ in found if not printed <= flown + 1e-9]
+    over = [(printed, flown) for _, printed, flown, error, _ in found if not printed <= flown + error]
     assert not over
-    short = [flown - printed for kind, printed, flown, exact in found if exact and kind == "polytope"]
+    short = [flown - printed for kind, printed, flown, _, exact in found if exact and kind == "polytope"]
     assert np.median(short) < 0.1 and np.quantile(short, 0.9) < 0.5
 
 
@@ -118,3 +156,105 @@ def test_margins_of_many_random_scenes(tmp_path):
     found = list(examined(range(100, 200), tmp_path))
     assert len(found) > 150 and len({kind for kind, *_ in found}) == 3
     judge(found)
+
+
+# -- a share of everything but next to nothing --------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("seed", "steps"), [(152, (0, 20)), pytest.param(179, (37,), marks=pytest.mark.slow)]
+)
+def test_margins_next_to_one_are_below_the_share_of_a_flight_in_exact_arithmetic(seed, steps, tmp_path):
+    """Without a disturbance, and next to no error, what is left to need is round-off and a jump."""
+    flint = pytest.importorskip("flint")
+    schedule = synthesised(seed, tmp_path)[1]
+    with flint.ctx.workprec(200):
+        for k in steps:
+            share = exact_share(schedule, k, flint)
+            assert share.is_finite() and 0.9999 < share < 1
+            assert flint.arb(float(schedule.margins[k])) <= share
+
+
+def exact_share(schedule, k, flint):
+    """`worst_share` with S taking over at the end of step k: all nodes, 200 bits, and no disturbance."""
+
+    def ball(M):
+        return flint.arb_mat([[flint.arb(float(x)) for x in row] for row in np.atleast_2d(M)])
+
+    safety = schedule.safety
+    clearance, system, q = safety.clearance, safety.problem.system, safety.clearance.q
+    h, n = flint.arb(float(safety.tracking.delta)) / q, system.n
+    held = (ball(np.block([[system.A, system.B], [np.zeros((system.m, n + system.m))]])) * h).exp().table()
+    Ad, Bd = (flint.arb_mat([row[part] for row in held[:n]]) for part in (slice(n), slice(n, None)))
+    A, B = ball(system.A), ball(system.B)
+    loops = {
+        mode: ((A - B * ball(schedule.controllers[mode].gain)) * h).exp() for mode in (0, *schedule.modes)
+    }
+    normals, index = clearance.obstacle_rows
+    rows = ball(np.vstack([normals, safety.tracking.gain, -safety.tracking.gain]))
+
+    def arc(reference, cell):
+        states = [ball(reference.chi[cell]).transpose()]
+        for _ in range(q):
+            states.append(Ad * states[-1] + Bd * ball(reference.nu[cell]).transpose())
+        return states
+
+    start = safety.problem.initial_set
+    signs = np.array(list(product((-1, 1), repeat=min(start.G.shape[1], 4)))).T
+    x = ball(start.c[:, None] + start.G[:, : len(signs)] @ signs)
+    least, ones = flint.arb(1), ball(np.ones(x.ncols()))
+    for cell in range(clearance.cells):
+        mode = int(schedule.modes[cell]) if cell <= k else 0
+        own, safe = arc(schedule.controllers[mode].own, cell), arc(safety.reference, cell)
+        u = [flint.arb(float(value)) for value in safety.reference.nu[cell]]
+        top = [flint.arb(float(value)) for value in system.u_max]
+        for place in range(q):
+            if cell > k:
+                need = (rows * (x - safe[place] * ones)).table()
+                needs = {row: max(line, key=lambda value: value.mid()) for row, line in enumerate(need)}
+                room = [(len(normals) + j, top[j] + u[j]) for j in range(system.m)]
+                room += [(len(normals) + system.m + j, top[j] - u[j]) for j in range(system.m)]
+                for o, unsafe in enumerate(clearance.unsafe):
+                    facet = clearance.facets[cell, o]
+                    there = (ball(unsafe.normals[facet] @ system.position) * safe[place])[0, 0]
+                    room.append((index[cell, o], there - float(unsafe.fine(q)[cell, place, facet])))
+                shares = [1 - needs[row] / there for row, there in room]
+                least = min(least, *shares, key=lambda value: value.mid())
+            x = own[place + 1] * ones + loops[mode] * (x - own[place] * ones)
+    return least
+
+
+@pytest.mark.parametrize("kind", ["polytope", "time_varying_ball", "ball"])
+def test_a_jump_of_the_reference_counts_as_a_need_and_not_as_less_room(kind, tmp_path):
+    """Taken off the room alone, it would leave an error of nothing all of what is left."""
+    safety = synthesised(152, tmp_path)[1].safety
+    clearance, tracking = safety.clearance, safety.tracking
+    rows = np.vstack([clearance.obstacle_rows[0], tracking.gain, -tracking.gain])
+    first, nothing = clearance.planned * clearance.q, 0 * safety.start
+    for size in (1e-9, 1e-6, 1e-4):
+        jump = size * np.abs(safety.reference.chi[clearance.planned])
+        jumped = get_recover(kind, replace(clearance, jump=jump), safety.bounds)
+        for error in (jump, -jump, jump * np.array([1, -1, 1, -1, 1, -1])):  # what may happen at T
+            needs = rows @ (tracking.transitions @ error).T
+            shares = [1 - need / rooms(safety, first + lag) for lag, need in enumerate(needs.T)]
+            assert jumped.margin_at(clearance.planned, nothing).value <= np.min(shares)
+            assert jumped.margin_at(clearance.planned, nothing).value > 1 - 1e4 * size
+
+
+@pytest.mark.parametrize(
+    ("value", "form", "down", "up"),
+    [
+        (0.99996, ".1%", "99.9%", "100.0%"),
+        (1 - 2**-53, ".4g", "0.9999", "1"),
+        (0.25, ".4g", "0.25", "0.25"),
+        (-0.00012345, ".4g", "-0.0001235", "-0.0001234"),
+        (1.23456e-9, ".3g", "1.23e-09", "1.24e-09"),
+        (float("-inf"), ".4g", "-inf", "-inf"),
+    ],
+)
+def test_proven_numbers_are_rounded_to_their_safe_side(value, form, down, up):
+    assert (directed(value, form), directed(value, form, up=True)) == (down, up)
+
+
+def test_a_need_too_small_to_show_beside_one_leaves_less_than_everything():
+    assert left(np.array([1e-20]), np.array([1.0]))[0] < 1

@@ -355,9 +355,9 @@ FULL = """
 import resource, signal, sys
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 sys.path.insert(0, ".")
-from polaris.cli import app
+from polaris.cli.app import app
 from tests.polaris.tiny import TINY
-import polaris.runfolder, polaris.comparison  # the libraries may write caches of their own
+import polaris.runs.folder, polaris.simulation.baselines  # the libraries may write caches of their own
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]), resource.RLIM_INFINITY))
 app(["run", str(TINY), "--out", sys.argv[1], "-q", *sys.argv[3:]])
 """

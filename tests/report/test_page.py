@@ -9,9 +9,11 @@ from unittest import mock
 
 import numpy as np
 import pytest
+from rich.console import Console
 from typer.testing import CliRunner
 
 from polaris.cli import app as cli
+from polaris.cli.console import show_summary
 from polaris.model.errors import ScenarioError
 from polaris.report import write_report
 from polaris.report.html.page import own_script, page_html, plotly
@@ -119,6 +121,8 @@ def test_timelines_are_those_of_the_folder(run, html):
         rtol=1e-5,
         equal_nan=True,
     )
+    told = [float(text.removeprefix("margin ").split(",")[0]) for text in margin["text"]]
+    assert all(v is None or 0 <= v - shown < 1e-3 for v, shown in zip(margins, told, strict=True))
     flights = folder.picture().flights["polaris"]
     series = next(one for one in panels["input0"]["series"] if one["pilot"] == "polaris")
     assert np.allclose(series["runs"][0][:-1], flights.inputs[0][:, 0], rtol=1e-5, atol=1e-9)
@@ -154,6 +158,21 @@ def test_tables_show_the_numbers_of_the_summary(run, html):
     for assumption in summary["guarantee"]["assumptions"]:
         assert assumption in told
     assert "What is not proven" in told and "How far it reaches" in told and "✓ proved" in told
+
+
+def test_what_is_proven_to_be_left_is_rounded_down(run, tmp_path, capsys):
+    folder = shutil.copytree(run, tmp_path / "run")
+
+    def nearly(data):
+        data["synthesis"]["start_margin"] = 0.99996
+        data["synthesis"]["planner"]["margin_m"] = 29.99996
+
+    rewrite_json(folder / "summary.json", nearly)
+    told = words(report_of(folder, tmp_path))
+    assert "99.9 %, least at" in told and "29.99 m" in told
+    show_summary(read_run(folder).summary, "run", Console(highlight=False, width=200))
+    printed = capsys.readouterr().out
+    assert "Start: 99.9% of the room" in printed and "clearance 29.99 m" in printed
 
 
 def test_no_raw_value_is_ever_printed(run, tmp_path):

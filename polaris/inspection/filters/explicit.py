@@ -65,7 +65,7 @@ class Centralized:
         limit = families.inspection.thrust_max
         u = np.clip(desired, -limit, limit)
         status = _unchanged(u, desired)
-        broken = np.einsum("rmv,rmv->rm", rows.G, families.relative(u)) < rows.bound
+        broken = ~(np.einsum("rmv,rmv->rm", rows.G, families.relative(u)) >= rows.bound)  # nan: not met
         runs = np.flatnonzero(broken.any(axis=1))
         if len(runs):
             found = project_coupled(
@@ -119,7 +119,7 @@ class Decentralized:
         bound = np.where(self._as_second, second[:, self._mine], first[:, self._mine])
         G = rows.G[:, self._mine]
         met = np.einsum("rnmv,rnv->rnm", G, u) * self._sign
-        run, who = np.nonzero((met < bound).any(axis=2))
+        run, who = np.nonzero((~(met >= bound)).any(axis=2))  # nan: not met
         if len(run):
             signed = G[run, who] * self._sign[who][..., None]
             rank = self.families.rank(rows.h)[:, self._mine][run, who]

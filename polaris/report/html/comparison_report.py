@@ -9,7 +9,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ...runs.folder import read_json, read_run
+from ...synthesis.recoverable import directed
 from . import claims
 from .comparison_page import comparison_data
 from .html import Cell, badge, items, number_cell, table, text_cell
@@ -227,13 +230,20 @@ def decisions(path: Path, methods: Methods) -> str:
     )
 
 
+def _margin_cell(margin: float | None) -> Cell:
+    """A share of the room that is left, rounded down."""
+    if margin is None or not np.isfinite(margin):
+        return number_cell(margin)
+    return Cell(directed(margin, ".4g"), margin)
+
+
 def _log(name: str, own: Sequence[Stretch]) -> str:
     rows = [
         [
             Cell(f"{shown(one.begin)} to {shown(one.end)} s", one.begin),
             text_cell({0: "S", -1: "filtered"}.get(one.mode, f"U ({one.mode})")),
             number_cell(one.count),
-            number_cell(one.margin),
+            _margin_cell(one.margin),
             text_cell(one.reason or "none"),
         ]
         for one in own[:MOST_STRETCHES]

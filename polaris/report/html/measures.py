@@ -6,7 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from ...simulation.intervals import possible
+from ...synthesis.recoverable import directed
 from .html import Cell, number_cell
 from .numbers import shown
 
@@ -79,9 +82,12 @@ class Measure:
         """Title with the unit."""
         return f"{self.title} ({self.unit})" if self.unit else self.title
 
-    def text(self, value: Any, unit: bool = True) -> str:
-        """A value as HTML."""
+    def text(self, value: Any, unit: bool = True, proven: bool = False) -> str:
+        """A value as HTML; one that is proven to be left is rounded down."""
         plain = isinstance(value, (int, float)) and not isinstance(value, bool)
+        if plain and proven and np.isfinite(value):
+            text = directed(value, ".1%")[:-1] if self.percent else directed(value, ".4g")
+            return f"{text} {self.unit}" if unit else text
         if self.percent and plain:
             return shown(100.0 * value, self.key, ".1f", "%" if unit else "")
         return shown(value, self.key, ".4g", self.unit if unit else "")

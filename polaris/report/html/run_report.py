@@ -74,11 +74,11 @@ def synthesis(summary: Mapping[str, Any]) -> str:
     rows = [
         ("recoverable sets", escaped(found["recoverable"])),
         ("plan", f"{escaped(plan['status'])} ({escaped(plan.get('solver_name', plan['solver']))})"),
-        ("clearance of the plan beyond the tube", Measure.of("margin_m").text(plan["margin_m"])),
+        ("clearance of the plan beyond the tube", Measure.of("margin_m").text(plan["margin_m"], proven=True)),
         ("velocity change of the plan", Measure.of("delta_v_m_s").text(plan["delta_v_m_s"])),
         (
             "room left at the start",
-            f"{start.text(found['start_margin'])}, least at {escaped(found['start_limit'])}",
+            f"{start.text(found['start_margin'], proven=True)}, least at {escaped(found['start_limit'])}",
         ),
         ("time of synthesis", Measure.of("total_s").text(seconds["total"])),
     ]

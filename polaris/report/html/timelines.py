@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from ...model.distances import UNKNOWN, signed_distances
 from ...model.system import Array
 from ...runs.picture import Picture
+from ...synthesis.recoverable import directed
 from ..figures.style import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION, input_labels, mode_colour
 from .numbers import plain
 
@@ -181,7 +182,10 @@ def margin_panel(picture: Picture) -> Panel:
                 "width": plain(delta),
                 "y": plain(picture.margins),
                 "modes": plain(picture.modes),
-                "text": [f"limit: {name}" for name in picture.limits],
+                "text": [
+                    f"margin {directed(share, '.3f')}, limit: {name}"
+                    for share, name in zip(picture.margins, picture.limits, strict=True)
+                ],
             }
         ],
     }

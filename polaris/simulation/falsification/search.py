@@ -11,9 +11,10 @@ import numpy as np
 
 from ...model.checks import of_kind, whole
 from ...model.system import Array
+from ...synthesis.recoverable import directed
 from ...synthesis.schedule import Schedule
 from ..integration import Integrator
-from ..run_metrics import Runs
+from ..simulate import Runs
 from .attacks import Attack, Attacker
 from .claims import Claims
 from .measure import EXACT_INPUT, EXACT_M, Attained, attained
@@ -62,7 +63,9 @@ class Failure:
     proven: float
 
     def __str__(self) -> str:
-        claimed = f"{self.proven:.4g} is proven" if np.isfinite(self.proven) else "nothing is proven"
+        claimed = (
+            f"{directed(self.proven, '.4g')} is proven" if np.isfinite(self.proven) else "nothing is proven"
+        )
         what = {
             "unsafe set": f"{self.limit} is entered",
             "saturation": f"S asks for more {self.limit} than there is",

@@ -37,7 +37,7 @@ function lineTraces(data, state, panel, yaxis) {
       const colours = series.modes.map((mode) => (data.modes.find((one) => one.mode === mode) || {}).colour);
       traces.push({ type: "bar", x, y: series.y, width: series.width, text: series.text.map(plain), textposition: "none",
         marker: { color: colours, line: { color: "#fff", width: 0.3 } }, xaxis: "x", yaxis,
-        hovertemplate: "margin %{y:.3f}<br>%{text}<extra></extra>" });
+        hovertemplate: "%{text}<extra></extra>" });
       continue;
     }
     const colour = series.colour || pilot.colour, dash = series.dash || (pilot ? pilot.dash : "solid");

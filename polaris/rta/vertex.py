@@ -1,0 +1,128 @@
+"""Small linear programs to the last digit: dual simplex steps in floating point, then in whole numbers.
+
+For programs whose rows are so nearly dependent that a solver's tolerances decide the answer.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import flint
+import numpy as np
+from numpy.typing import NDArray
+
+from ..model.system import Array
+
+BITS = 60
+"""Coefficients are taken as multiples of 2^-60: 1e-18, a thousandth of the rounding of one near 1."""
+
+STEPS = 20
+"""Most steps per variable in floating point, which only look for a vertex to begin with."""
+
+EXACT_STEPS = 2000
+"""Most exact steps."""
+
+BLAND = 300
+"""After so many the steps follow Bland's rule, which cannot cycle."""
+
+LEAST = 1e-12
+"""What counts as zero of the multipliers of a vertex found in floating point."""
+
+
+def lowest(G: Array, need: Array, free: NDArray[np.bool_], exact: bool = True) -> tuple[Array, Array] | None:
+    """Solve ``min s`` subject to ``G u + s free >= need``, ``s >= 0``, ``|u_i| <= 1``.
+
+    Parameters
+    ----------
+    G : ndarray, shape (M, v)
+        Rows of length 1.
+    need : ndarray, shape (M,)
+    free : ndarray of bool, shape (M,)
+        At least one.
+    exact : bool
+        Go on from what floating point finds in exact arithmetic, to the last digit.
+
+    Returns
+    -------
+    x, multipliers : ndarray, shapes (v + 1,) and (M,)
+        ``(u, s)`` and what a unit more of each row's need adds to s; None if no u meets the rows that are
+        not free, or not within `STEPS`, `EXACT_STEPS`.
+    """
+    M, v = G.shape
+    A = np.zeros((M + 1 + 2 * v, v + 1))
+    A[:M, :v], A[:M, v], A[M, v] = G, free, 1.0
+    A[M + 1 :, :v] = np.concatenate([np.eye(v), -np.eye(v)])
+    b = np.concatenate([need, [0.0], np.full(2 * v, -1.0)])
+    # The optimum of one row alone has multipliers >= 0: the corner of the box that serves it best.
+    alone = int(np.where(free, need - np.abs(G).sum(axis=1), -np.inf).argmax())
+    first = [*(M + 1 + np.where(G[alone] >= 0, v, 0) + np.arange(v)).tolist(), alone]
+    near = _near(A, b, list(first))
+    multipliers = np.zeros(len(b))
+    if not exact:
+        if near is None:
+            return None
+        multipliers[near] = np.linalg.solve(A[near].T, np.eye(v + 1)[-1])
+        return np.linalg.solve(A[near], b[near]), multipliers[:M]
+    whole = np.rint(np.ldexp(np.column_stack([A, b]), BITS)).astype(object)
+    table = flint.fmpz_mat([[int(value) for value in row] for row in whole])
+    for basis in (near, first):
+        found = None if basis is None else _exact(table, basis)
+        if found is not None:
+            x, at, y = found
+            multipliers[at] = y
+            return x, multipliers[:M]
+    return None
+
+
+def _near(A: Array, b: Array, basis: list[int]) -> list[int] | None:
+    """The rows that hold with equality at the optimum, as far as floating point tells."""
+    for _ in range(STEPS * A.shape[1]):
+        try:
+            inverse = np.linalg.inv(A[basis])
+        except np.linalg.LinAlgError:
+            return None
+        short = b - A @ (inverse @ b[basis])
+        short[basis] = 0.0
+        enters = int(short.argmax())
+        if short[enters] <= 5e-13:
+            return basis
+        w, y = A[enters] @ inverse, inverse[-1]
+        ratio = np.divide(np.maximum(y, 0.0), w, out=np.full(len(w), np.inf), where=w > 1e-10)
+        if not np.isfinite(ratio.min()):
+            return None
+        basis[int(ratio.argmin())] = enters
+    return None
+
+
+def _exact(table: Any, basis: list[int]) -> tuple[Array, list[int], Array] | None:
+    """Dual simplex from a basis with multipliers >= 0: the row missed by most, later by Bland's rule."""
+    rows = table.tolist()
+    n = table.ncols() - 1
+    unit = flint.fmpz_mat([[0]] * (n - 1) + [[1 << BITS]])
+    basis = list(basis)
+    for step in range(EXACT_STEPS):
+        B: Any = flint.fmpz_mat([rows[i][:n] for i in basis])
+        try:
+            x, x_unit = B.solve(flint.fmpz_mat([[rows[i][n]] for i in basis])).numer_denom()
+        except ZeroDivisionError:
+            return None
+        T: Any = B.transpose()
+        y, y_unit = T.solve(unit).numer_denom()
+        multipliers = _numbers(y, y_unit)
+        if multipliers.min() < -LEAST:
+            return None
+        spare = (table * flint.fmpz_mat([*x.tolist(), [-x_unit]])).entries()
+        missed = [i for i, value in enumerate(spare) if value < 0]
+        if not missed:
+            return _numbers(x, x_unit), basis, multipliers.clip(0.0)
+        enters = missed[0] if step >= BLAND else min(missed, key=lambda i: spare[i])
+        w, _ = T.solve(flint.fmpz_mat([[value] for value in rows[enters][:n]])).numer_denom()
+        positive = [(flint.fmpq(max(y[k, 0], 0), w[k, 0]), basis[k], k) for k in range(n) if w[k, 0] > 0]
+        if not positive:
+            return None
+        basis[min(positive)[2]] = enters
+    return None
+
+
+def _numbers(values: Any, unit: Any) -> Array:
+    return np.array([int(value) / int(unit) for value in values.entries()])
