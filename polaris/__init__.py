@@ -69,14 +69,15 @@ if TYPE_CHECKING:
     from .simulation.run_metrics import Metrics, Runs, evaluate
     from .simulation.simulate import simulate
     from .synthesis.clearance import Clearance
-    from .synthesis.controllers import AffineController, AnyThrust, Controller, Flight
+    from .synthesis.controllers import AffineController, AnyThrust, Controller, TubeSegment
     from .synthesis.end_condition import EndCondition
     from .synthesis.error_bounds import ErrorBounds
     from .synthesis.get_safety import Safety, get_safety
     from .synthesis.problem import Problem
     from .synthesis.recoverable import Margin, RecoverableSet
     from .synthesis.schedule import Schedule, Step
-    from .synthesis.synthesize import SwitchingRules, synthesize
+    from .synthesis.search import SwitchingRules
+    from .synthesis.synthesize import synthesize
     from .synthesis.tracking import Feedback, Tracking
     from .traces import TraceMetrics, evaluate_trace, read_trace, write_trace
 
@@ -93,7 +94,7 @@ _HOMES = {
         "AffineController",
         "AnyThrust",
         "Controller",
-        "Flight",
+        "TubeSegment",
     ),
     ".synthesis.end_condition": ("EndCondition",),
     ".synthesis.error_bounds": ("ErrorBounds",),
@@ -173,10 +174,8 @@ _HOMES = {
         "Runs",
         "simulate",
     ),
-    ".synthesis.synthesize": (
-        "SwitchingRules",
-        "synthesize",
-    ),
+    ".synthesis.search": ("SwitchingRules",),
+    ".synthesis.synthesize": ("synthesize",),
     ".model.system": ("LinearSystem",),
     ".synthesis.tracking": (
         "Feedback",
@@ -228,7 +227,6 @@ __all__ = [
     "Failure",
     "Falsification",
     "Feedback",
-    "Flight",
     "FlightLoop",
     "Flights",
     "Flown",
@@ -275,6 +273,7 @@ __all__ = [
     "TraceMetrics",
     "Tracking",
     "TrueFlights",
+    "TubeSegment",
     "Zonotope",
     "__version__",
     "bundled_scenarios",

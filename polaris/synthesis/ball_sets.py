@@ -106,7 +106,7 @@ class BallSets:
         )
 
     def margin(self, k: int, nodes: Zonotope, bow: Array) -> Margin:
-        """Margin of a flight over cell k."""
+        """Margin of a tube over cell k."""
         extra = np.linalg.norm(grow_bow(bow) @ np.abs(self.bounds.W).T, axis=-1)
         return self._margins(k, (nodes.norm_bound(self.bounds.W) + extra) * (1 + ROUNDING))
 

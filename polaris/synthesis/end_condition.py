@@ -32,14 +32,11 @@ class EndCondition:
         Last instant covered [s]; infinite, T + one period, or T.
     reason : str
         Why the claim holds, or why it does not.
-    retry : bool
-        Whether a reference constrained to end safely might prove more.
     """
 
     horizon: str
     until: float
     reason: str
-    retry: bool = False
 
     @property
     def proven(self) -> bool:
@@ -111,7 +108,6 @@ def judge_end(
     tail: int,
     sets: tuple[TimedPolytope, ...],
     start: Margin,
-    jump: Array,
 ) -> EndCondition:
     """Decide what is proven after T from the margin of Theta with the tail included.
 

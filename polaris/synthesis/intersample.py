@@ -1,4 +1,4 @@
-"""What a flight does between its nodes: elementwise bounds for `Flight.bow`.
+"""What a flight does between its nodes: elementwise bounds for `TubeSegment.bow`.
 
 Under continuous feedback two things are bounded at once: the path itself, and the curve
 ``y(t)`` of where the error ends up at the next node if S takes over at t (docs/theory.md, Lemma 5).
@@ -7,17 +7,13 @@ Under sampled feedback S can only take over at a node.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from reach.sets.zonotope import Zonotope
 
 from ..model.system import Array
+from .affine_law import AffineLaw
 from .saturation import clipped_motion
-
-if TYPE_CHECKING:
-    from .controllers import AffineController
 
 
 def _size(z: Zonotope) -> Array:
@@ -25,12 +21,12 @@ def _size(z: Zonotope) -> Array:
     return np.asarray(np.abs(z.c) + z.half_widths)
 
 
-def affine_bow(law: AffineController, start: Zonotope, k: int) -> Array:
+def affine_bow(law: AffineLaw, start: Zonotope, k: int) -> Array:
     """Bow of an unclipped flight after each node, shape (q, n).
 
     Parameters
     ----------
-    law : AffineController
+    law : AffineLaw
     start : Zonotope
         Stack of q sets: the states about the law's own reference at the nodes.
     k : int
@@ -52,7 +48,7 @@ def affine_bow(law: AffineController, start: Zonotope, k: int) -> Array:
     return _book(law, np.maximum(path + _own_curvature(law, k), switch))
 
 
-def clipped_bow(law: AffineController, start: Zonotope, k: int) -> Array:
+def clipped_bow(law: AffineLaw, start: Zonotope, k: int) -> Array:
     """Bow of a flight whose command may be clipped, shape (q, n); arguments as `affine_bow`."""
     system, safe, mu = law.system, law.tracking, law.own.nu[k]
     extent = _size(start)
@@ -72,19 +68,19 @@ def clipped_bow(law: AffineController, start: Zonotope, k: int) -> Array:
     return _book(law, np.maximum(path + _own_curvature(law, k), switch))
 
 
-def _own_rate(law: AffineController, k: int) -> Array:
+def _own_rate(law: AffineLaw, k: int) -> Array:
     """``|zeta'|`` over each period, for ``zeta = xi_U - xi``, shape (q, n)."""
     system = law.system
     push = (law.own.nu[k] - law.reference.nu[k]) @ system.B.T
     return np.asarray(np.abs(law.offset[k][:-1] @ system.A.T + push) @ law.open_flow.growth.T)
 
 
-def _own_curvature(law: AffineController, k: int) -> Array:
+def _own_curvature(law: AffineLaw, k: int) -> Array:
     """``|zeta''|`` over each period, shape (q, n)."""
     return np.asarray(_own_rate(law, k) @ np.abs(law.system.A).T)
 
 
-def _switch(law: AffineController, inputs: Array, slope: Array, k: int) -> Array:
+def _switch(law: AffineLaw, inputs: Array, slope: Array, k: int) -> Array:
     """``|y''| = |e^{A_c (t1 - t)} (B Delta' - A_c B Delta)|``, Delta the difference of U's input and S's.
 
     Parameters
@@ -101,6 +97,6 @@ def _switch(law: AffineController, inputs: Array, slope: Array, k: int) -> Array
     return np.asarray(inner @ safe.flow.growth.T)
 
 
-def _book(law: AffineController, curvature: Array) -> Array:
+def _book(law: AffineLaw, curvature: Array) -> Array:
     """``h^2/8`` times the curvature, and what the disturbance adds within a period."""
     return np.asarray(law.flow.h**2 / 8 * curvature + law.period_box)

@@ -215,7 +215,7 @@ class PolytopeSets:
         return Margin(worst, self.names[limit0], time, *found)
 
     def margin(self, k: int, nodes: Zonotope, bow: Array) -> Margin:
-        """Margin of a flight over cell k."""
+        """Margin of a tube over cell k."""
         grown, W = grow_bow(bow), self.clearance.tracking.W
         # States between two nodes, and those of a switch there, are as large as the larger node's.
         radius = float(np.max(nodes.norm_bound(W) + np.linalg.norm(grown @ np.abs(W).T, axis=-1)))

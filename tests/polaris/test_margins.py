@@ -116,7 +116,7 @@ def linear(schedule, k):
 
 def clipped(steps):
     """Whether anything may have clipped in some steps."""
-    return any(step.flight.slopes is not None for step in steps)
+    return any(step.tube.slopes is not None for step in steps)
 
 
 def examined(seeds, folder):

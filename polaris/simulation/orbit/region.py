@@ -66,9 +66,9 @@ def visited(schedule: Schedule) -> Region:
     curve = _curve(safety)
     lower, upper = [], []
     for k, step in enumerate(schedule.steps):
-        booked = grow_bow(step.flight.bow) + grow_bow(curve[k])
-        middle = safety.clearance.nodes[k] + step.flight.nodes.c
-        width = step.flight.nodes.half_widths + booked
+        booked = grow_bow(step.tube.bow) + grow_bow(curve[k])
+        middle = safety.clearance.nodes[k] + step.tube.nodes.c
+        width = step.tube.nodes.half_widths + booked
         lower.append((middle - width).min(axis=0))
         upper.append((middle + width).max(axis=0))
     names = tuple(schedule.controllers[int(mode)].name for mode in schedule.modes)
