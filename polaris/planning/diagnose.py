@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from time import perf_counter
-from typing import TYPE_CHECKING, NoReturn
+from typing import NoReturn
 
 import numpy as np
 
@@ -17,19 +17,16 @@ from .rows import Rows
 from .search import Candidate, Levels, PathSearch
 from .tree import branch
 
-if TYPE_CHECKING:
-    from .solve import Planner
-
 FACTORS = (1.25, 1.5, 2.0, 3.0, 5.0, 10.0)
 EFFORT = 1000
 """Most linear programs solved to find by how much margins must give way."""
 
 
-def unreachable(planner: Planner) -> NoReturn:
+def unreachable(rows: Rows, deadline: float) -> NoReturn:
     """The goal is out of reach even without unsafe sets."""
-    problem, rows = planner.problem, planner.rows
-    goal = problem.goal
-    miss, factor = _miss(rows, planner.left), _thrust_factor(rows, planner.left)
+    problem, goal = rows.problem, rows.problem.goal
+    miss = _miss(rows, deadline - perf_counter())
+    factor = _thrust_factor(rows, deadline - perf_counter())
     condition = (
         f"The goal ({goal.describe()}) cannot be reached in {counted(problem.K, 'step')} of"
         f" {problem.delta:g} s within the input limits, even without unsafe sets:"
@@ -47,14 +44,15 @@ def unreachable(planner: Planner) -> NoReturn:
     raise SynthesisInfeasible(condition, miss, relax)
 
 
-def blocked(planner: Planner) -> NoReturn:
+def blocked(rows: Rows, deadline: float) -> NoReturn:
     """The goal can be reached, but not clear of the unsafe sets."""
-    problem = planner.problem
-    stop = planner.deadline
+    problem = rows.problem
     _start(problem)
-    short, proven = _shortfall(planner, stop)
-    helpful = _droppable(problem, stop)
-    factor = next((f for f in FACTORS if perf_counter() < stop and _works(_stronger(problem, f), stop)), None)
+    short, proven = _shortfall(rows, deadline)
+    helpful = _droppable(problem, deadline)
+    factor = next(
+        (f for f in FACTORS if perf_counter() < deadline and _works(_stronger(problem, f), deadline)), None
+    )
     amount = "" if short is None else f" ({'' if proven else 'at most '}{short:.3g} m short)"
     condition = (
         f"The goal ({problem.goal.describe()}) can be reached within the input limits, but not with the "
@@ -68,7 +66,7 @@ def blocked(planner: Planner) -> NoReturn:
     if factor is not None:
         ways.append(f"input limits {factor:g} times as large")
     relax = (", or ".join(ways) or "a longer horizon or another goal") + "."
-    if perf_counter() > stop:
+    if perf_counter() > deadline:
         relax += " (The time given ran out while this was looked for.)"
     raise SynthesisInfeasible(condition, short, relax)
 
@@ -89,9 +87,9 @@ def _start(problem: PlanProblem) -> None:
             )
 
 
-def _shortfall(planner: Planner, stop: float) -> tuple[float | None, bool]:
+def _shortfall(rows: Rows, stop: float) -> tuple[float | None, bool]:
     """Least length [m] by which all margins must give way, and whether that is proven."""
-    search = PathSearch(planner.rows, stop)
+    search = PathSearch(rows, stop)
     search.set_prices(Levels(0.0, 0.0), short=1e3, fuel=1e-3)
     found = search.first()
     half, most = perf_counter() + 0.5 * max(stop - perf_counter(), 0.0), search.solves + EFFORT

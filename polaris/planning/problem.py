@@ -12,7 +12,7 @@ from ..model.checks import whole
 from ..model.errors import ScenarioError
 from ..model.system import Array, LinearSystem, as_finite
 from ..model.timed_polytope import TimedPolytope
-from .goals import Goal
+from .goal import Goal
 
 Objective = Literal["margin_then_fuel", "distance", "fuel"]
 OBJECTIVES = ("margin_then_fuel", "distance", "fuel")
@@ -270,3 +270,10 @@ class Plan:
     stats: Mapping[str, float] = field(default_factory=dict)
     stages: tuple[Stage, ...] = ()
     cut_by_clock: tuple[str, ...] = ()
+
+
+def relative_gap(value: float, bound: float) -> float:
+    """Relative distance of a value and its bound, infinite while either is missing."""
+    if not (np.isfinite(value) and np.isfinite(bound)):
+        return np.inf
+    return abs(value - bound) / max(abs(value), 1e-9)
