@@ -63,10 +63,11 @@ if TYPE_CHECKING:
     from .scenario.scenario import Scenario, bundled_scenarios, load_scenario
     from .simulation.baselines import Flights, Flown, compare
     from .simulation.falsification.search import Failure, Falsification, falsify
+    from .simulation.metrics import Metrics
     from .simulation.orbit.environment import Environment
     from .simulation.orbit.model_error import ModelError, model_error
     from .simulation.orbit.truth import TrueFlights, fly_true
-    from .simulation.run_metrics import Metrics, Runs, evaluate
+    from .simulation.run_metrics import Runs, evaluate
     from .simulation.simulate import simulate
     from .synthesis.clearance import Clearance
     from .synthesis.controllers import AffineController, AnyThrust, Controller, TubeSegment
@@ -106,10 +107,8 @@ _HOMES = {
         "ScenarioError",
         "SynthesisInfeasible",
     ),
-    ".simulation.run_metrics": (
-        "Metrics",
-        "evaluate",
-    ),
+    ".simulation.metrics": ("Metrics",),
+    ".simulation.run_metrics": ("evaluate",),
     ".runs.case": ("replay", "write_case"),
     ".simulation.falsification.search": ("Failure", "Falsification", "falsify"),
     ".report.figures": (

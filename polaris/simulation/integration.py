@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from functools import cached_property
+from collections.abc import Callable, Sequence
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,24 @@ from reach.numerics.linear import discretize
 from ..model.system import Array
 from ..synthesis.controllers import AffineController, AnyThrust, Controller
 from ..synthesis.schedule import Schedule
+
+
+def runge_kutta(rate: Callable[[int, Array], Array], x: Array, dt: float, first: Array) -> Array:
+    """State a step later by the classical scheme of fourth order.
+
+    Parameters
+    ----------
+    rate : callable
+        Rate of change, given how many half-steps have passed and the state.
+    x, first : ndarray, of one shape
+        State at the start of the step, and its rate.
+    dt : float
+        Step [s].
+    """
+    second = rate(1, x + dt / 2 * first)
+    third = rate(1, x + dt / 2 * second)
+    fourth = rate(2, x + dt * third)
+    return np.asarray(x + dt / 6 * (first + 2 * second + 2 * third + fourth))
 
 
 class Integrator:
@@ -121,12 +139,8 @@ class Integrator:
             if self.sampled:
                 x = x @ Ad.T + u @ Bd.T + w[step] @ Dd.T
             else:
-                place = number, k, 2 * step
-                first = x @ system.A.T + u @ system.B.T + force
-                second = self.rate(*place, 1, x + self.dt / 2 * first, force)
-                third = self.rate(*place, 1, x + self.dt / 2 * second, force)
-                fourth = self.rate(*place, 2, x + self.dt * third, force)
-                x = x + self.dt / 6 * (first + 2 * second + 2 * third + fourth)
+                rate = partial(self.rate, number, k, 2 * step, force=force)
+                x = runge_kutta(rate, x, self.dt, x @ system.A.T + u @ system.B.T + force)
             spent += np.abs(u).sum(axis=1)
             states[node] = x
         return states, inputs, demanded, spent

@@ -12,12 +12,12 @@ from polaris.model.distances import (
     closest,
     count_switches,
     delta_v,
-    drift_ttc,
     mode_shares,
     ray_ttc,
     signed_distances,
 )
 from polaris.model.errors import ScenarioError
+from polaris.model.free_drift import drift_ttc
 from polaris.model.hill import clohessy_wiltshire, free_flight
 from polaris.model.obstacles import (
     BallObstacle,

@@ -16,7 +16,7 @@ from polaris.model.obstacles import (
     PolytopeObstacle,
     SatelliteObstacle,
 )
-from polaris.model.truth import true_states
+from polaris.model.satellite import true_states
 from polaris.runs.folder import write_run
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.baselines import compare
