@@ -133,32 +133,35 @@ def _droppable(problem: PlanProblem, stop: float) -> list[str]:
     return names
 
 
-def _wide(a: Array, extra: Array | float) -> Array:
-    return np.hstack([a, -a, np.broadcast_to(np.asarray(extra, dtype=float), (len(a), 1))])
+def _goal_program(rows: Rows, top: Array, elastic: float) -> GrowingLP:
+    """Least extra variable with which the goal's equalities and inequalities hold, without unsafe sets.
+
+    Parameters
+    ----------
+    top : ndarray, shape (2 N + 1,)
+        Largest input shares either way, and largest extra variable.
+    elastic : float
+        How far, in units of `Rows.length`, one unit of the extra variable relaxes every row.
+    """
+    goal, N = rows.problem.goal.conditions, rows.N
+    lp = GrowingLP(np.r_[np.zeros(2 * N), 1.0], np.zeros(2 * N + 1), top)
+    G, g = np.vstack([goal.G, goal.E, -goal.E]), np.r_[goal.g, goal.e, -goal.e]
+    a = rows.state_rows(G, rows.problem.K) / rows.length
+    need = (g - G @ rows.free[rows.problem.K]) / rows.length
+    lp.add(np.hstack([a, -a, np.full((len(a), 1), -elastic)]), -np.inf, need)
+    return lp
 
 
 def _miss(rows: Rows, seconds: float) -> float:
     """Smallest residual [m] of the goal within the input limits."""
-    goal, K = rows.problem.goal.conditions, rows.problem.K
-    free = rows.free[K]
-    lp = GrowingLP(
-        np.r_[np.zeros(2 * rows.N), 1.0], np.zeros(2 * rows.N + 1), np.r_[rows.limit, rows.limit, np.inf]
-    )
-    G = np.vstack([goal.G, goal.E, -goal.E])
-    g = np.r_[goal.g, goal.e, -goal.e]
-    lp.add(_wide(rows.state_rows(G, K) / rows.length, -1.0), -np.inf, (g - G @ free) / rows.length)
-    answer = lp.solve(seconds)
+    answer = _goal_program(rows, np.r_[rows.limit, rows.limit, np.inf], 1.0).solve(seconds)
     return np.inf if answer is None else answer[0] * rows.length
 
 
 def _thrust_factor(rows: Rows, seconds: float) -> float | None:
     """Smallest factor on the input limits with which the goal is reached, without unsafe sets."""
-    goal, K, N = rows.problem.goal.conditions, rows.problem.K, rows.N
-    free, unit = rows.free[K], rows.length
-    lp = GrowingLP(np.r_[np.zeros(2 * N), 1.0], np.zeros(2 * N + 1), np.full(2 * N + 1, np.inf))
-    lp.add(_wide(rows.state_rows(goal.E, K) / unit, 0.0), *((goal.e - goal.E @ free) / unit,) * 2)
-    lp.add(_wide(rows.state_rows(goal.G, K) / unit, 0.0), -np.inf, (goal.g - goal.G @ free) / unit)
-    limits = np.hstack([np.eye(2 * N), -np.r_[rows.limit, rows.limit][:, None]])
-    lp.add(limits, -np.inf, 0.0)
+    lp = _goal_program(rows, np.full(2 * rows.N + 1, np.inf), 0.0)
+    limits = np.r_[rows.limit, rows.limit]
+    lp.add(np.hstack([np.eye(2 * rows.N), -limits[:, None]]), -np.inf, 0.0)
     answer = lp.solve(seconds)
     return None if answer is None else answer[0]

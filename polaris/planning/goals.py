@@ -13,6 +13,18 @@ from ..model.system import Array, as_finite
 from .goal import Goal, GoalConditions
 
 
+def _box(center: Array, half_widths: Array, rate: float) -> GoalConditions:
+    """Two inequalities per bounded state, an equality where the half-width is 0."""
+    half = len(center) // 2
+    weight = np.r_[np.ones(len(center) - half), np.full(half, 1 / rate)]
+    W, middle = np.diag(weight), weight * center
+    fixed, boxed = half_widths == 0, np.isfinite(half_widths) & (half_widths > 0)
+    rows, reach = W[boxed], weight[boxed] * half_widths[boxed]
+    sides = np.r_[middle[boxed] + reach, reach - middle[boxed]]
+    scale = max(1.0, float(np.max(np.abs(center))))
+    return GoalConditions(W[fixed], middle[fixed], np.vstack([rows, -rows]), sides, (), scale)
+
+
 @dataclass(frozen=True, eq=False)
 class StationaryPoint(Goal):
     """End exactly at a state. In Hill's frame only rest on the along-track axis needs no thrust after.
@@ -39,17 +51,7 @@ class StationaryPoint(Goal):
     @cached_property
     def conditions(self) -> GoalConditions:
         """One equality per state."""
-        half = self.n // 2
-        weights = np.r_[np.ones(self.n - half), np.full(half, 1 / self.rate)]
-        E = np.diag(weights)
-        return GoalConditions(
-            E,
-            E @ self.state,
-            np.zeros((0, self.n)),
-            np.zeros(0),
-            (),
-            max(1.0, float(np.max(np.abs(self.state)))),
-        )
+        return _box(self.state, np.zeros(self.n), self.rate)
 
     def describe(self) -> str:
         """One line for messages."""
@@ -88,28 +90,28 @@ class Box(Goal):
     @cached_property
     def conditions(self) -> GoalConditions:
         """Two inequalities per bounded state, an equality where the half-width is 0."""
-        half = self.n // 2
-        W = np.diag(np.r_[np.ones(self.n - half), np.full(half, 1 / self.rate)])
-        fixed, boxed = self.half_widths == 0, np.isfinite(self.half_widths) & (self.half_widths > 0)
-        rows, center, reach = W[boxed], (W @ self.center)[boxed], np.diag(W)[boxed] * self.half_widths[boxed]
-        return GoalConditions(
-            W[fixed],
-            (W @ self.center)[fixed],
-            np.vstack([rows, -rows]),
-            np.r_[center + reach, reach - center],
-            (),
-            max(1.0, float(np.max(np.abs(self.center)))),
-        )
+        return _box(self.center, self.half_widths, self.rate)
 
     def describe(self) -> str:
         """One line for messages."""
         return "box about (" + ", ".join(f"{s:g}" for s in self.center) + ")"
 
 
-def _hill_rows(eta: float) -> tuple[Array, Array, Array]:
-    """Unit rows of position and of velocity over the mean motion [m], shape (3, 6), and a zero row."""
-    eye = np.eye(6)
-    return eye[:3], eye[3:] / eta, np.zeros(6)
+class _HillGoal(Goal):
+    """A goal in Hill's frame; subclasses have a `mean_motion`."""
+
+    mean_motion: float
+
+    @property
+    def n(self) -> int:
+        """Six states of Hill's frame."""
+        return 6
+
+    @property
+    def _rows(self) -> tuple[Array, Array]:
+        """Unit rows of position and of velocity over the mean motion [m], shape (3, 6)."""
+        eye = np.eye(6)
+        return eye[:3], eye[3:] / self.mean_motion
 
 
 def ellipse_polygon(semi_minor: float, sides: int, circumscribed: bool) -> tuple[Array, Array]:
@@ -133,7 +135,7 @@ def ellipse_polygon(semi_minor: float, sides: int, circumscribed: bool) -> tuple
 
 
 @dataclass(frozen=True)
-class EllipticalNMT(Goal):
+class EllipticalNMT(_HillGoal):
     """End on a closed ellipse about the target (eqs. 20-22, outward normals).
 
     Parameters
@@ -167,15 +169,10 @@ class EllipticalNMT(Goal):
         if self.cross_track_max is not None:
             positive("goal.cross_track_max", self.cross_track_max, "m")
 
-    @property
-    def n(self) -> int:
-        """Six states of Hill's frame."""
-        return 6
-
     @cached_property
     def conditions(self) -> GoalConditions:
         """Two equalities, the outer polygon, and one side of the inner polygon."""
-        r, v, _ = _hill_rows(self.mean_motion)
+        r, v = self._rows
         E, G, g = [v[1] + 2 * r[0], v[0] - r[1] / 2], [], []
         if self.cross_track_max is None:
             E += [r[2], v[2]]
@@ -185,13 +182,10 @@ class EllipticalNMT(Goal):
         outer, outer_b = ellipse_polygon(self.outer_semi_minor, self.sides, circumscribed=False)
         G += list(outer @ r[:2])
         g += list(outer_b)
-        one_of: tuple[tuple[Array, Array], ...] = ()
-        if self.inner_semi_minor > 0:
-            inner, inner_b = ellipse_polygon(self.inner_semi_minor, self.sides, circumscribed=True)
-            one_of = ((inner @ r[:2], inner_b),)
-        return GoalConditions(
-            np.array(E), np.zeros(len(E)), np.array(G), np.array(g), one_of, self.outer_semi_minor
-        )
+        inner, inner_b = ellipse_polygon(self.inner_semi_minor, self.sides, circumscribed=True)
+        one_of = ((inner @ r[:2], inner_b),) if self.inner_semi_minor > 0 else ()
+        e = np.zeros(len(E))
+        return GoalConditions(np.array(E), e, np.array(G), np.array(g), one_of, self.outer_semi_minor)
 
     def semi_minor(self, x: Array) -> float:
         """Radial semi-axis [m] of the ellipse through the position of x."""
@@ -200,18 +194,12 @@ class EllipticalNMT(Goal):
     def residual(self, x: Array) -> tuple[float, str]:
         """Measured against the ellipses themselves, not their polygons."""
         eta, b = self.mean_motion, self.semi_minor(x)
-        c = 0.0 if self.cross_track_max is None else self.cross_track_max
+        inner, outer, c = self.inner_semi_minor, self.outer_semi_minor, self.cross_track_max or 0.0
         terms = [
             (abs(x[4] / eta + 2 * x[0]), "v_y = -2 eta r_x"),
             (abs(x[3] / eta - x[1] / 2), "v_x = eta r_y / 2"),
-            (
-                b - self.outer_semi_minor,
-                f"inside the outer ellipse (semi-minor axis {self.outer_semi_minor:g} m)",
-            ),
-            (
-                self.inner_semi_minor - b,
-                f"outside the inner ellipse (semi-minor axis {self.inner_semi_minor:g} m)",
-            ),
+            (b - outer, f"inside the outer ellipse (semi-minor axis {outer:g} m)"),
+            (inner - b, f"outside the inner ellipse (semi-minor axis {inner:g} m)"),
             (abs(x[2]) - c, f"cross-track |r_z| <= {c:g} m"),
             (abs(x[5]) / eta - c, f"cross-track |v_z| <= eta {c:g} m"),
         ]
@@ -224,7 +212,7 @@ class EllipticalNMT(Goal):
 
 
 @dataclass(frozen=True)
-class LinearNMT(Goal):
+class LinearNMT(_HillGoal):
     """End on a cross-track oscillation through ``(0, along_track, 0)``.
 
     Parameters
@@ -250,15 +238,10 @@ class LinearNMT(Goal):
         whole("goal.sides", self.sides, 4)
         number("goal.along_track", self.along_track)
 
-    @property
-    def n(self) -> int:
-        """Six states of Hill's frame."""
-        return 6
-
     @cached_property
     def conditions(self) -> GoalConditions:
         """Four equalities and a polygon in ``(r_z, v_z / eta)``."""
-        r, v, _ = _hill_rows(self.mean_motion)
+        r, v = self._rows
         angle = 2 * np.pi * (np.arange(self.sides) + 0.5) / self.sides
         G = np.cos(angle)[:, None] * r[2] + np.sin(angle)[:, None] * v[2]
         g = np.full(self.sides, self.amplitude_max * np.cos(np.pi / self.sides))

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from ..model.checks import whole
+from ..model.checks import non_negative, number, positive, whole
 from ..model.errors import ScenarioError
 from ..model.system import Array, LinearSystem, as_finite
 from ..model.timed_polytope import TimedPolytope
@@ -72,18 +72,14 @@ class PlanProblem:
 
     def __post_init__(self) -> None:
         put, sys = object.__setattr__, self.system
-        if self.K < 1:
-            raise ScenarioError("planner.K", self.K, "must be at least 1")
-        if not (np.isfinite(self.delta) and self.delta > 0):
-            raise ScenarioError("planner.delta", self.delta, "must be a finite number > 0")
+        whole("planner.K", self.K, 1)
+        whole("planner.tail_cells", self.tail_cells, 0)
+        positive("planner.delta", self.delta, "s")
+        non_negative("planner.extra_margin", self.extra_margin, "m")
         if self.objective not in OBJECTIVES:
             raise ScenarioError(
                 "planner.objective", self.objective, f"must be one of {', '.join(OBJECTIVES)}"
             )
-        if not (np.isfinite(self.extra_margin) and self.extra_margin >= 0):
-            raise ScenarioError("planner.extra_margin", self.extra_margin, "must be a finite number >= 0")
-        if self.tail_cells < 0:
-            raise ScenarioError("planner.tail_cells", self.tail_cells, "must be at least 0")
         put(self, "x0", as_finite("planner.x0", self.x0, 1))
         put(self, "u_limit", as_finite("planner.u_limit", self.u_limit, 2))
         if self.x0.shape != (sys.n,):
@@ -181,9 +177,8 @@ class PlannerOptions:
             raise ScenarioError("planner.solver", self.solver, f"must be one of {', '.join(SOLVERS)}")
         whole("planner.max_linear_programs", self.max_linear_programs, 1)
         whole("planner.max_nodes", self.max_nodes, 1)
-        if not (np.isfinite(self.time_limit) and self.time_limit > 0):
-            raise ScenarioError("planner.time_limit", self.time_limit, "must be a finite number > 0")
-        if not 0 <= self.gap < 1:
+        positive("planner.time_limit", self.time_limit, "s")
+        if not 0 <= number("planner.gap", self.gap) < 1:
             raise ScenarioError("planner.gap", self.gap, "must be in [0, 1)")
 
 
