@@ -108,7 +108,7 @@ _HOMES = {
         "SynthesisInfeasible",
     ),
     ".simulation.metrics": ("Metrics",),
-    ".simulation.run_metrics": ("evaluate",),
+    ".simulation.run_metrics": ("Runs", "evaluate"),
     ".runs.case": ("replay", "write_case"),
     ".simulation.falsification.search": ("Failure", "Falsification", "falsify"),
     ".report.figures": (
@@ -169,10 +169,7 @@ _HOMES = {
         "Schedule",
         "Step",
     ),
-    ".simulation.simulate": (
-        "Runs",
-        "simulate",
-    ),
+    ".simulation.simulate": ("simulate",),
     ".synthesis.search": ("SwitchingRules",),
     ".synthesis.synthesize": ("synthesize",),
     ".model.system": ("LinearSystem",),

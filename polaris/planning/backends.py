@@ -74,23 +74,18 @@ def run(
     return solve(lp, options, limits, warm, listen)
 
 
-def _highs(
-    lp: Any, options: PlannerOptions, limits: Limits, warm: bool, listen: Listen | None
-) -> tuple[str, bool, float, float]:
-    import highspy
+def _warm_highs(warm: bool, **options: Any) -> Any:
+    """PuLP's HiGHS with a warm start, which PuLP offers for other solvers only."""
     import pulp
 
     class WarmHiGHS(pulp.HiGHS):  # type: ignore[misc]
-        """PuLP's HiGHS with a warm start, which PuLP offers for other solvers only."""
-
         def callSolver(self, lp: Any) -> None:
-            if warm:
-                known = [(v.index, v.varValue) for v in lp.variables() if v.varValue is not None]
-                if known:
-                    index, value = zip(*known, strict=True)
-                    lp.solverModel.setSolution(
-                        len(index), np.array(index, dtype=np.int32), np.array(value, dtype=float)
-                    )
+            known = [(v.index, v.varValue) for v in lp.variables() if v.varValue is not None]
+            if warm and known:
+                index, value = zip(*known, strict=True)
+                lp.solverModel.setSolution(
+                    len(index), np.array(index, dtype=np.int32), np.array(value, dtype=float)
+                )
             lp.solverModel.run()
 
         def findSolutionValues(self, lp: Any) -> tuple[int, int]:
@@ -99,6 +94,14 @@ def _highs(
             except KeyError:  # statuses that PuLP has no word for, as of a limit on nodes; values are set
                 found = (pulp.LpStatusNotSolved, pulp.LpSolutionNoSolutionFound)
             return found
+
+    return WarmHiGHS(msg=False, **options)
+
+
+def _highs(
+    lp: Any, options: PlannerOptions, limits: Limits, warm: bool, listen: Listen | None
+) -> tuple[str, bool, float, float]:
+    import highspy
 
     gave_up: list[str] = []
 
@@ -111,8 +114,8 @@ def _highs(
             gave_up.append(why)
             answer.user_interrupt = True
 
-    solver = WarmHiGHS(
-        msg=False,
+    solver = _warm_highs(
+        warm,
         gapRel=options.gap / 2,
         timeLimit=max(limits.seconds, 0.05),
         threads=options.threads,

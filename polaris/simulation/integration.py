@@ -154,48 +154,47 @@ class Integrator:
         law, limit = self.schedule.controllers[number], self.system.u_max
         if not isinstance(law, AffineController):
             return None
-        if self.sampled:
-            return self._held_unclipped(law, number, k, x, w) if self.substeps == 1 else None
-        loop, carried, pushed = self._scheme(number)
-        own = self.own.get(number, self.safe)[k]
-        places = [own[:-1:2], own[1::2], own[1::2], own[2::2]]  # of the law's reference, at the four stages
-        known = [(law.own.nu[k] + place @ law.gain.T) @ self.system.B.T for place in places]
-        forced = [
-            part[:, None] + w @ push for part, push in zip(self._stages(loop, known), pushed, strict=True)
-        ]
+        if self.sampled and self.substeps > 1:
+            return None
+        own = self.own.get(number, self.safe)[k]  # of the law's reference, at whole and half steps
+        scheme = self._held_scheme if self.sampled else self._runge_kutta_scheme
+        carried, forced, places = scheme(law, number, k, own, w)
         path = np.empty((len(w) + 1, *x.shape))
         path[0] = x
         for step in range(len(w)):
             path[step + 1] = path[step] @ carried[-1] + forced[-1][step]
         raw = law.own.nu[k] + (own[:-1:2, None] - path[:-1]) @ law.gain.T
-        if not np.all(np.abs(raw) <= limit):
-            return None
-        for i in (1, 2, 3):
-            inner = path[:-1] @ carried[i] + forced[i]
-            if not np.all(np.abs(law.own.nu[k] + (places[i][:, None] - inner) @ law.gain.T) <= limit):
-                return None
-        per_node = (np.abs(raw) / limit).max(axis=2).reshape(self.q, self.substeps, len(x))
-        spent = np.abs(raw).sum(axis=(0, 2))
-        return path[self.substeps :: self.substeps], raw[:: self.substeps], per_node.max(axis=1), spent
-
-    def _held_unclipped(
-        self, law: AffineController, number: int, k: int, x: Array, w: Array
-    ) -> tuple[Array, Array, Array, Array] | None:
-        """The same for inputs held over each step, which is then exact."""
-        Ad, Bd, Dd = self._held
-        limit = self.system.u_max
-        own = self.own.get(number, self.safe)[k][:-1:2]
-        forced = ((law.own.nu[k] + own @ law.gain.T) @ Bd.T)[:, None] + w @ Dd.T
-        carried = (Ad - Bd @ law.gain).T
-        path = np.empty((len(w) + 1, *x.shape))
-        path[0] = x
-        for step in range(len(w)):
-            path[step + 1] = path[step] @ carried + forced[step]
-        raw = law.own.nu[k] + (own[:, None] - path[:-1]) @ law.gain.T
         size = np.abs(raw)
         if not np.all(size <= limit):
             return None
-        return path[1:], raw, (size / limit).max(axis=2), size.sum(axis=(0, 2))
+        for i, place in enumerate(places):  # the stages within the steps
+            inner = path[:-1] @ carried[i] + forced[i]
+            if not np.all(np.abs(law.own.nu[k] + (place[:, None] - inner) @ law.gain.T) <= limit):
+                return None
+        per_node = (size / limit).max(axis=2).reshape(self.q, self.substeps, len(x)).max(axis=1)
+        return path[self.substeps :: self.substeps], raw[:: self.substeps], per_node, size.sum(axis=(0, 2))
+
+    def _held_scheme(
+        self, law: AffineController, number: int, k: int, own: Array, w: Array
+    ) -> tuple[list[Array], list[Array], list[Array]]:
+        """Inputs held over each step, which is exact: as `_runge_kutta_scheme`, without stages within."""
+        Ad, Bd, Dd = self._held
+        forced = ((law.own.nu[k] + own[:-1:2] @ law.gain.T) @ Bd.T)[:, None] + w @ Dd.T
+        return [(Ad - Bd @ law.gain).T], [forced], []
+
+    def _runge_kutta_scheme(
+        self, law: AffineController, number: int, k: int, own: Array, w: Array
+    ) -> tuple[list[Array], list[Array], list[Array]]:
+        """How the state enters the stages within a step and its end, what is added there, and the references.
+
+        The references are those of the stages within a step alone.
+        """
+        loop, carried, pushed = self._scheme(number)
+        places = [own[:-1:2], own[1::2], own[1::2], own[2::2]]
+        known = [(law.own.nu[k] + place @ law.gain.T) @ self.system.B.T for place in places]
+        stages = zip(self._stages(loop, known), pushed, strict=True)
+        forced = [part[:, None] + w @ push for part, push in stages]
+        return carried[1:], forced[1:], places[1:]
 
     def _scheme(self, number: int) -> tuple[Array, list[Array], list[Array]]:
         """Closed loop of a law, and how a state and a disturbance held over a step enter its stages."""

@@ -21,7 +21,7 @@ from ..planning.reference import Reference
 from .affine_law import AffineLaw
 from .intersample import affine_bow, clipped_bow
 from .saturation import clipped_step
-from .tracking import Tracking
+from .tracking import Tracking, at_nodes
 
 ORDER = 6.0
 """Generators per dimension kept at the end of a step; what is merged has decayed by then."""
@@ -128,8 +128,7 @@ class AffineController(AffineLaw):
         """By how much the unclipped command may exceed the limits in the step [N], and on which axis."""
         centre = self.own.nu[k] - nodes.c @ self.gain.T
         spread = np.abs(self.gain @ nodes.G).sum(axis=-1)
-        booked = np.maximum(np.pad(bow, ((0, 1), (0, 0))), np.pad(bow, ((1, 0), (0, 0))))
-        spread += booked @ np.abs(self.gain).T
+        spread += at_nodes(bow) @ np.abs(self.gain).T
         excess = (np.abs(centre) + spread) * (1 + ROUNDING) - self.system.u_max
         return float(excess.max()), int(np.argmax(excess.max(axis=0)))
 

@@ -115,8 +115,3 @@ def left(need: Array, room: Array) -> Array:
     some = room > 0
     share = np.where(some, np.nextafter(1 - need / np.where(some, room, 1), -np.inf), -np.inf)
     return np.asarray(np.where(np.isnan(share), -np.inf, share))  # what cannot be worked out is not met
-
-
-def grow_bow(bow: Array) -> Array:
-    """Bow at every node: the larger of the two parts that meet there, shape (q+1, n)."""
-    return np.asarray(np.maximum(np.pad(bow, ((0, 1), (0, 0))), np.pad(bow, ((1, 0), (0, 0)))))

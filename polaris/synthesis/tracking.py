@@ -63,6 +63,13 @@ def lqr_gain(system: LinearSystem, Q: ArrayLike, R: ArrayLike) -> Array:
     return solve_are(system.A, system.B, *weights)[1]
 
 
+def at_nodes(parts: Array) -> Array:
+    """Bounds at q+1 nodes from those on the q parts between them, shape (..., q+1, n): the larger of both."""
+    before = [(0, 0)] * (parts.ndim - 2)
+    left, right = (np.pad(parts, [*before, ends, (0, 0)]) for ends in ((0, 1), (1, 0)))
+    return np.asarray(np.maximum(left, right))
+
+
 @dataclass(frozen=True)
 class Feedback:
     """How a feedback law runs: continuously, or on a flight computer with a control period.
