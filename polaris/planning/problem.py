@@ -8,9 +8,9 @@ from typing import Literal
 
 import numpy as np
 
-from ..model.checks import non_negative, number, positive, whole
+from ..model.checks import non_negative, number, one_of, positive, shaped, whole
 from ..model.errors import ScenarioError
-from ..model.system import Array, LinearSystem, as_finite
+from ..model.system import Array, LinearSystem
 from ..model.timed_polytope import TimedPolytope
 from .goal import Goal
 
@@ -76,28 +76,21 @@ class PlanProblem:
         whole("planner.tail_cells", self.tail_cells, 0)
         positive("planner.delta", self.delta, "s")
         non_negative("planner.extra_margin", self.extra_margin, "m")
-        if self.objective not in OBJECTIVES:
-            raise ScenarioError(
-                "planner.objective", self.objective, f"must be one of {', '.join(OBJECTIVES)}"
-            )
-        put(self, "x0", as_finite("planner.x0", self.x0, 1))
-        put(self, "u_limit", as_finite("planner.u_limit", self.u_limit, 2))
-        if self.x0.shape != (sys.n,):
-            raise ScenarioError("planner.x0", self.x0.shape, f"must have {sys.n} entries")
-        if self.u_limit.shape != (self.K, sys.m) or np.any(self.u_limit < 0):
-            raise ScenarioError(
-                "planner.u_limit", self.u_limit.shape, f"must be ({self.K}, {sys.m}), all >= 0"
-            )
+        one_of("planner.objective", self.objective, OBJECTIVES)
+        put(self, "x0", shaped("planner.x0", self.x0, (sys.n,)))
+        put(self, "u_limit", shaped("planner.u_limit", self.u_limit, (self.K, sys.m)))
+        if np.any(self.u_limit < 0):
+            raise ScenarioError("planner.u_limit", float(self.u_limit.min()), "must all be >= 0")
         if self.goal.n != sys.n:
             raise ScenarioError("planner.goal", self.goal.n, f"must be a goal for {sys.n} states")
         if len(self.margins) != len(self.unsafe):
             raise ScenarioError("planner.margins", len(self.margins), f"must be {len(self.unsafe)} arrays")
-        margins = tuple(as_finite(f"planner.margins[{i}]", m, 2) for i, m in enumerate(self.margins))
-        put(self, "margins", margins)
-        for i, (body, margin) in enumerate(zip(self.unsafe, margins, strict=True)):
-            want = (self.K, len(body.normals))
-            if margin.shape != want:
-                raise ScenarioError(f"planner.margins[{i}]", margin.shape, f"must have shape {want}")
+        margins = [
+            shaped(f"planner.margins[{i}]", margin, (self.K, len(body.normals)))
+            for i, (body, margin) in enumerate(zip(self.unsafe, self.margins, strict=True))
+        ]
+        put(self, "margins", tuple(margins))
+        for i, body in enumerate(self.unsafe):
             if body.cells < self.cells and not (body.static and body.cells >= 1):
                 raise ScenarioError(f"planner.unsafe[{i}]", body.cells, f"must cover {self.cells} cells")
 
@@ -173,8 +166,7 @@ class PlannerOptions:
     progress: Callable[[Progress], None] | None = None
 
     def __post_init__(self) -> None:
-        if self.solver not in SOLVERS:
-            raise ScenarioError("planner.solver", self.solver, f"must be one of {', '.join(SOLVERS)}")
+        one_of("planner.solver", self.solver, SOLVERS)
         whole("planner.max_linear_programs", self.max_linear_programs, 1)
         whole("planner.max_nodes", self.max_nodes, 1)
         positive("planner.time_limit", self.time_limit, "s")

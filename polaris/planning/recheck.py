@@ -21,6 +21,7 @@ from .problem import Plan, PlanProblem, relative_gap
 from .reference import Reference
 
 ARCS = 8
+"""Parts of a cell."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +48,7 @@ class Recheck:
         return value, np.array([s.argmax(axis=1) for s in self.surplus])
 
 
-def recheck(problem: PlanProblem, nu: Array, arcs: int = ARCS) -> Recheck:
+def recheck(problem: PlanProblem, nu: Array) -> Recheck:
     """Propagate inputs exactly and bound every clearance over every cell.
 
     Parameters
@@ -55,21 +56,19 @@ def recheck(problem: PlanProblem, nu: Array, arcs: int = ARCS) -> Recheck:
     problem : PlanProblem
     nu : ndarray, shape (K, m)
         Inputs; clipped to the limits first.
-    arcs : int
-        Parts of a cell.
     """
     system = problem.system
     nu = np.clip(nu, -problem.u_limit, problem.u_limit)
     reference = Reference.propagate(system, problem.delta, problem.x0, nu)
     coasting = reference.extend(problem.tail_cells)
-    lows = path_bounds(problem, coasting, arcs)
+    lows = path_bounds(problem, coasting)
     surplus = tuple(low - problem.required(i) for i, low in enumerate(lows))
     return Recheck(reference, surplus, problem.goal.violation(reference.chi[-1]))
 
 
-def path_bounds(problem: PlanProblem, path: Reference, arcs: int) -> list[Array]:
+def path_bounds(problem: PlanProblem, path: Reference) -> list[Array]:
     """Certified lower bounds [m] on the clearance from every facet over every cell, each (cells, F)."""
-    system, h = problem.system, problem.delta / arcs
+    system, arcs, h = problem.system, ARCS, problem.delta / ARCS
     C, A, B = system.position, system.A, system.B
     x = path.fine(arcs)  # (cells, arcs+1, n)
     u = path.nu[:, None, :]

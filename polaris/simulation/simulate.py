@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from ..model.checks import of_kind, whole
+from ..model.checks import of_kind, one_of, whole
 from ..model.errors import ScenarioError
 from ..model.system import Array
 from ..synthesis.schedule import Schedule
@@ -92,9 +92,8 @@ def _check(
     of_kind("schedule", schedule, Schedule, "polaris.synthesize")
     whole("simulation.runs", n, 1)
     whole("simulation.seed", seed, 0)
-    for name, given, allowed in (("initial", initial, INITIALS), ("disturbance", disturbance, DISTURBANCES)):
-        if given not in allowed:
-            raise ScenarioError(f"simulation.{name}", given, f"must be one of {', '.join(allowed)}")
+    one_of("simulation.initial", initial, INITIALS)
+    one_of("simulation.disturbance", disturbance, DISTURBANCES)
     if mode is not None and whole("simulation.mode", mode, 0) >= len(schedule.controllers):
         raise ScenarioError("simulation.mode", mode, f"must be below {len(schedule.controllers)}")
     if substeps is not None:

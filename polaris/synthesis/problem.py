@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from reach.sets.zonotope import Zonotope
 
-from ..model.checks import MAX_STEPS, non_negative, number, positive, whole
+from ..model.checks import MAX_STEPS, non_negative, number, one_of, positive, whole
 from ..model.errors import ScenarioError
 from ..model.system import Array, LinearSystem
 from ..planning.goal import Goal
@@ -100,9 +100,7 @@ class Problem:
         non_negative("extra_margin", self.extra_margin, "m")
         if not 0 <= number("thrust_reserve", self.thrust_reserve) < 1:
             raise ScenarioError("thrust_reserve", self.thrust_reserve, "must be in [0, 1)")
-        if self.recoverable not in RECOVERABLE_KINDS:
-            rule = f"must be one of {', '.join(RECOVERABLE_KINDS)}"
-            raise ScenarioError("recoverable", self.recoverable, rule)
+        one_of("recoverable", self.recoverable, RECOVERABLE_KINDS)
 
 
 ARGUMENTS = ("initial_set", "K", "delta", "Q", "R", "goal")

@@ -10,7 +10,7 @@ from typing import Any
 
 from reach.sets.zonotope import Zonotope
 
-from ..model.checks import of_kind, positive, whole
+from ..model.checks import of_kind, one_of, positive, whole
 from ..model.errors import ScenarioError
 from .controllers import Controller, TubeSegment
 from .get_safety import Safety
@@ -52,8 +52,7 @@ class SwitchingRules:
     beam: int = 1
 
     def __post_init__(self) -> None:
-        if self.strategy not in ("greedy", "look_ahead"):
-            raise ScenarioError("schedule.strategy", self.strategy, "must be 'greedy' or 'look_ahead'")
+        one_of("schedule.strategy", self.strategy, ("greedy", "look_ahead"))
         whole("schedule.min_dwell_steps", self.min_dwell, 1)
         whole("schedule.beam", self.beam, 1)
         if self.max_switches is not None:
