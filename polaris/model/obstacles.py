@@ -184,17 +184,9 @@ class PolytopeObstacle(RigidObstacle):
 def perceive(
     obstacles: Sequence[Obstacle], system: LinearSystem, delta: float, cells: int
 ) -> tuple[TimedPolytope, ...]:
-    """Ask the perception oracle for timed polytopes that contain every unsafe set, in the order given.
+    """Timed polytopes that contain every unsafe set, in the order given, over some cells of `delta` [s].
 
-    Parameters
-    ----------
-    obstacles : sequence of Obstacle
-        Keep-in sets included: each of their facets becomes one set with ``keep_in=True``.
-    system : LinearSystem
-    delta : float
-        Length of a cell [s].
-    cells : int
-        Number of cells, those after the horizon included.
+    Each facet of a keep-in set becomes one set with ``keep_in=True``.
 
     Raises
     ------

@@ -18,16 +18,9 @@ Listen = Callable[[float, float], None]
 
 @dataclass(frozen=True)
 class Limits:
-    """How long a back end may search.
+    """How long a back end may search: nodes, and wall time [s] as the last resort.
 
-    Attributes
-    ----------
-    nodes : int
-        Branch-and-bound nodes.
-    seconds : float
-        Wall time, the last resort.
-    patience_nodes, patience_seconds : float
-        The same while it has found nothing.
+    Its patience is the same while it has found nothing.
     """
 
     nodes: int
@@ -59,16 +52,8 @@ def run(
 ) -> tuple[str, bool, float, float]:
     """Solve a PuLP model in place.
 
-    Returns
-    -------
-    status : str
-        "optimal", "infeasible", or what stopped it: "effort_limit" (nodes) or "time_limit".
-    solved : bool
-        Whether there is a solution.
-    bound : float
-        Proven lower bound on the objective.
-    nodes : float
-        Branch-and-bound nodes.
+    Returned are "optimal", "infeasible", or what stopped it ("effort_limit" of nodes, or "time_limit");
+    whether there is a solution; the proven lower bound on the objective; and the nodes of the branch and bound.
     """
     solve = _gurobi if options.solver == "gurobi" else _highs
     return solve(lp, options, limits, warm, listen)

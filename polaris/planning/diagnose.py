@@ -134,14 +134,10 @@ def _droppable(problem: PlanProblem, stop: float) -> list[str]:
 
 
 def _goal_program(rows: Rows, top: Array, elastic: float) -> GrowingLP:
-    """Least extra variable with which the goal's equalities and inequalities hold, without unsafe sets.
+    """Least extra variable with which the goal's conditions hold, without unsafe sets.
 
-    Parameters
-    ----------
-    top : ndarray, shape (2 N + 1,)
-        Largest input shares either way, and largest extra variable.
-    elastic : float
-        How far, in units of `Rows.length`, one unit of the extra variable relaxes every row.
+    `top`, shape (2 N + 1,), bounds the input shares either way and the extra variable, each unit of which
+    relaxes every row by `elastic` units of `Rows.length`.
     """
     goal, N = rows.problem.goal.conditions, rows.N
     lp = GrowingLP(np.r_[np.zeros(2 * N), 1.0], np.zeros(2 * N + 1), top)

@@ -30,16 +30,7 @@ class Allowance:
 
 
 class Effort:
-    """Account of one run, read off its path search.
-
-    Attributes
-    ----------
-    seconds : dict
-        Wall time by part [s].
-    stats : dict
-        See `Plan.stats`.
-    stages : list of Stage
-    """
+    """Account of one run: wall time by part [s], counts (`Plan.stats`), and stages so far."""
 
     def __init__(self, search: PathSearch, options: PlannerOptions, begun: float) -> None:
         self.search, self.options, self.begun = search, options, begun

@@ -49,14 +49,7 @@ class Recheck:
 
 
 def recheck(problem: PlanProblem, nu: Array) -> Recheck:
-    """Propagate inputs exactly and bound every clearance over every cell.
-
-    Parameters
-    ----------
-    problem : PlanProblem
-    nu : ndarray, shape (K, m)
-        Inputs; clipped to the limits first.
-    """
+    """Propagate inputs (K, m), clipped to the limits, exactly; bound every clearance over every cell."""
     system = problem.system
     nu = np.clip(nu, -problem.u_limit, problem.u_limit)
     reference = Reference.propagate(system, problem.delta, problem.x0, nu)

@@ -248,18 +248,9 @@ def _wide(a: Array, slope: float, elastic: float) -> Array:
 
 
 def set_targets(search: PathSearch, base: Candidate) -> float | None:
-    """Fill in the extra margin wanted per cell, ``rows.extra * s``.
+    """Fill in the extra margin wanted per cell, ``rows.extra * s``; return the top of the margin variable s.
 
-    Parameters
-    ----------
-    search : PathSearch
-    base : Candidate
-        The cheapest path without unsafe sets.
-
-    Returns
-    -------
-    float or None
-        Top of the margin variable s; None if some cell cannot be kept clear by any path to the goal.
+    `base` is the cheapest path without unsafe sets. None if no path to the goal can keep some cell clear.
     """
     problem, extras = search.rows.problem, search.rows.extra
     surplus, want = search.look(base).surplus, problem.extra_margin

@@ -60,12 +60,10 @@ def branch(
     stop: Callable[[Candidate | None], str],
     listen: Callable[[float, float], None] = lambda top, bound: None,
 ) -> Outcome:
-    """Minimise the search's objective over all facet choices.
+    """Minimise the search's objective, at the prices set, over all facet choices.
 
     Parameters
     ----------
-    search : PathSearch
-        With prices set.
     best : Candidate or None
         A certified path at the same prices.
     gap : float

@@ -16,16 +16,9 @@ from ..synthesis.schedule import Schedule
 
 
 def runge_kutta(rate: Callable[[int, Array], Array], x: Array, dt: float, first: Array) -> Array:
-    """State a step later by the classical scheme of fourth order.
+    """State a step of dt [s] later by the classical scheme of fourth order.
 
-    Parameters
-    ----------
-    rate : callable
-        Rate of change, given how many half-steps have passed and the state.
-    x, first : ndarray, of one shape
-        State at the start of the step, and its rate.
-    dt : float
-        Step [s].
+    `rate` is given how many half-steps have passed and the state there; `first` is its value at the start.
     """
     second = rate(1, x + dt / 2 * first)
     third = rate(1, x + dt / 2 * second)
@@ -111,15 +104,8 @@ class Integrator:
     def _stepped(self, number: int, k: int, x: Array, w: Array) -> tuple[Array, Array, Array, Array]:
         """Fly one cell step by step: under any law, clipped or not.
 
-        Returns
-        -------
-        states : ndarray, shape (q, R, n)
-            At the end of every period.
-        inputs : ndarray, shape (q, R, m)
-            Applied at the start of every period.
-        demanded : ndarray, shape (q, R)
-        spent : ndarray, shape (R,)
-            Sum over the steps of the 1-norm of the input.
+        Returned are states at the end of every period (q, R, n), inputs applied at its start (q, R, m), the
+        largest demand within it (q, R), and the sum over the steps of the 1-norm of the input (R,).
         """
         R, system, limit = len(x), self.system, self.system.u_max
         states, inputs = np.empty((self.q, R, system.n)), np.empty((self.q, R, system.m))

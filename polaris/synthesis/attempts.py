@@ -37,22 +37,9 @@ class Clock:
 class Attempts:
     """References to try in turn: with the coasting tail, without it, and planned again for safe coasting.
 
-    The last only where nothing but the time after T stands in the way.
-
-    Attributes
-    ----------
-    unsafe : tuple of TimedPolytope
-        The unsafe sets as perceived until the end of the tail.
-    start : Zonotope
-        Theta minus the reference's first state.
-    plan : Plan
-        What the last attempt follows.
-    margin : Margin
-        Of `start` in the first recoverable set of the last attempt.
-    end : EndCondition
-        What the last attempt with a tail proves after T.
-    cut_by_clock : tuple of str
-        Stages of the planning that the wall clock ended early.
+    The last only where nothing but the time after T stands in the way. `plan`, `margin` (of `start`, Theta
+    about the reference, in the first recoverable set) and `cut_by_clock` are those of the last attempt, `end`
+    that of the last one with a tail; `unsafe` is what is perceived until the end of the tail.
     """
 
     plan: Plan

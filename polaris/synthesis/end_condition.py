@@ -109,14 +109,7 @@ def judge_end(
     sets: tuple[TimedPolytope, ...],
     start: Margin,
 ) -> EndCondition:
-    """Decide what is proven after T from the margin of Theta with the tail included.
-
-    Parameters
-    ----------
-    start : Margin
-        Margin of Theta in the first recoverable set, which includes every limit up to the end of
-        the tail.
-    """
+    """Decide what is proven after T from the margin `start` of Theta, every limit of the tail included."""
     T, delta = planned * tracking.delta, tracking.delta
     until = (planned + tail) * delta
     if not start.inside:

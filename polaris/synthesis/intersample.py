@@ -24,13 +24,7 @@ def _size(z: Zonotope) -> Array:
 def affine_bow(law: AffineLaw, start: Zonotope, k: int) -> Array:
     """Bow of an unclipped tube after each node, shape (q, n).
 
-    Parameters
-    ----------
-    law : AffineLaw
-    start : Zonotope
-        Stack of q sets: the states about the law's own reference at the nodes.
-    k : int
-        Planning step.
+    `start` is a stack of q sets, the states about the law's own reference at the nodes; k the planning step.
     """
     flow, safe = law.flow, law.tracking
     image = flow.A_c @ start
@@ -77,12 +71,7 @@ def _own_rate(law: AffineLaw, k: int) -> Array:
 def _switch(law: AffineLaw, inputs: Array, slope: Array, k: int) -> Array:
     """``|y''| = |e^{A_c (t1 - t)} (B Delta' - A_c B Delta)|``, Delta the difference of U's input and S's.
 
-    Parameters
-    ----------
-    inputs : ndarray, shape (q, m)
-        Bound on ``|Delta|`` at the nodes.
-    slope : ndarray, shape (q, m)
-        Bound on ``|Delta'|`` over the periods, but for the share of zeta.
+    Bounds, shape (q, m): `inputs` on ``|Delta|`` at the nodes, `slope` on ``|Delta'|`` but for zeta's share.
     """
     system, safe = law.system, law.tracking
     slope = slope + _own_rate(law, k) @ np.abs(safe.gain).T

@@ -110,13 +110,8 @@ ARGUMENTS = ("initial_set", "K", "delta", "Q", "R", "goal")
 def as_problem(asked: Any, arguments: Mapping[str, Any], options: Mapping[str, Any]) -> Problem:
     """What `get_safety` is asked, in any of its forms, as a `Problem`.
 
-    Parameters
-    ----------
-    asked : Scenario, Problem, LinearSystem or control.StateSpace
-    arguments : mapping
-        Its positional arguments but the first, by name; only a bare system reads them.
-    options : mapping
-        Further fields of `Problem`.
+    `arguments` are the positional ones but the first, by name, which only a bare system reads; `options`
+    further fields of `Problem`.
     """
     if callable(getattr(asked, "problem", None)):
         asked = asked.problem()

@@ -19,22 +19,9 @@ def clipped_step(law: AffineLaw, d: Zonotope, mu: Array) -> tuple[Zonotope, Arra
     """Enclose the next node of ``d' = A d + B (clip(mu - Lambda_U d) - mu) + D w``.
 
     The clip is replaced by an affine band over the range of the command: at the node for sampled
-    feedback (the input is then held), over the whole period for continuous feedback.
-
-    Parameters
-    ----------
-    law : AffineLaw
-    d : Zonotope
-        State relative to the controller's own reference at the node.
-    mu : ndarray, shape (m,)
-        Its own reference input over the period.
-
-    Returns
-    -------
-    Zonotope
-        States at the next node.
-    slope : ndarray, shape (m,)
-        Slope of the affine band, of each input: what the set rests on, and a certificate repeats.
+    feedback (the input is then held), over the whole period for continuous feedback. d is relative to the
+    law's own reference, mu, shape (m,), that reference's input. Returned with the set are the slopes of
+    the band, shape (m,): what the set rests on, and a certificate repeats.
     """
     system = law.system
     image = law.gain @ d
@@ -67,11 +54,9 @@ def clipped_motion(law: AffineLaw, extent: Array, command: Array, mu: Array) -> 
 
     Returns
     -------
-    moved : ndarray, shape (..., n)
-        Bound on ``|d(s) - d(0)|`` over the period, disturbance included.
-    push : ndarray, shape (..., m)
-        Bound on ``|clip(mu - Lambda_U d) - mu|`` over the period: at most ``|Lambda_U d|``, because
-        the clip has slope at most 1 (and moves mu by what it exceeds), and at most what the thrusters have.
+    moved, push : ndarray, shapes (..., n) and (..., m)
+        Bounds on ``|d(s) - d(0)|``, disturbance included, and on ``|clip(mu - Lambda_U d) - mu|``: at most
+        ``|Lambda_U d|``, as the clip has slope at most 1, and at most what the thrusters have.
     """
     system, loose = law.system, law.open_flow
     most = system.u_max + np.abs(mu)

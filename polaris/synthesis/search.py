@@ -125,7 +125,8 @@ class Search:
         """Modes to try from a branch, each with the steps it must last; S last, and always possible."""
         k, K, cap = branch.k, self.safety.problem.K, self.rules.max_switches
         if self.rules.strategy == "look_ahead":
-            yield self.planned[k], 1  # it was proven before, and nothing here is random
+            yield self.planned[k], 1  # proven before; a law that answers otherwise now gives way to S
+            yield SAFETY, 1
             return
         if self.progress and k:
             self.progress(k, K)

@@ -23,11 +23,7 @@ but collected in one ball. Smaller: more rows per recoverable set, and a larger 
 def solve_are(A: Array, B: Array, Q: Array, R: Array) -> tuple[Array, Array]:
     """Solve the algebraic Riccati equation (eq. 7); return P and the gain ``R^-1 B' P``.
 
-    Parameters
-    ----------
-    A, B : ndarray, shapes (n, n), (n, m)
-    Q, R : ndarray, shapes (n, n), (m, m)
-        State weight (positive semidefinite) and input weight (positive definite).
+    Q is positive semidefinite, R positive definite.
 
     Raises
     ------
