@@ -53,7 +53,7 @@ def run(
     """Solve a PuLP model in place.
 
     Returned are "optimal", "infeasible", or what stopped it ("effort_limit" of nodes, or "time_limit");
-    whether there is a solution; the proven lower bound on the objective; and the nodes of the branch and bound.
+    whether there is a solution; the proven lower bound on the objective; and nodes of the branch and bound.
     """
     solve = _gurobi if options.solver == "gurobi" else _highs
     return solve(lp, options, limits, warm, listen)

@@ -31,7 +31,7 @@ class Exact(Integrator):
 
     def _unclipped(self, number, k, x, w):
         law, steps = self.schedule.controllers[number], slice(k * self.steps_per_cell, None)
-        if self.sampled or (number and self.schedule.steps[k].flight.slopes is not None):
+        if self.sampled or (number and self.schedule.steps[k].tube.slopes is not None):
             return super()._unclipped(number, k, x, w)
         if isinstance(law, AnyThrust):
             (Ad, Bd, Dd), path = self._held, [x]
