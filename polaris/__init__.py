@@ -28,15 +28,10 @@ if TYPE_CHECKING:
         SynthesisInfeasible,
     )
     from .model.hill import clohessy_wiltshire, elliptical_nmt, free_flight
+    from .model.keep_in import KeepInCone, KeepInPolytope
     from .model.obstacle import Obstacle
-    from .model.obstacles import (
-        BallObstacle,
-        BoxObstacle,
-        KeepInCone,
-        KeepInPolytope,
-        PolytopeObstacle,
-        SatelliteObstacle,
-    )
+    from .model.obstacles import BallObstacle, BoxObstacle, PolytopeObstacle
+    from .model.satellite import SatelliteObstacle
     from .model.system import LinearSystem
     from .model.timed_polytope import TimedPolytope
     from .planning.goal import Goal
@@ -121,14 +116,9 @@ _HOMES = {
         "free_flight",
     ),
     ".model.obstacle": ("Obstacle",),
-    ".model.obstacles": (
-        "BallObstacle",
-        "BoxObstacle",
-        "KeepInCone",
-        "KeepInPolytope",
-        "PolytopeObstacle",
-        "SatelliteObstacle",
-    ),
+    ".model.obstacles": ("BallObstacle", "BoxObstacle", "PolytopeObstacle"),
+    ".model.keep_in": ("KeepInCone", "KeepInPolytope"),
+    ".model.satellite": ("SatelliteObstacle",),
     ".simulation.orbit.environment": ("Environment",),
     ".simulation.orbit.model_error": ("ModelError", "model_error"),
     ".simulation.orbit.truth": ("TrueFlights", "fly_true"),

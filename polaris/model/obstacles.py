@@ -16,23 +16,10 @@ from numpy.typing import ArrayLike
 
 from .checks import positive, vector
 from .errors import ScenarioError
-from .keep_in import KeepInCone, KeepInPolytope
 from .obstacle import Obstacle, RigidObstacle, directions, solid
-from .satellite import SatelliteObstacle
 from .shapes import Ball, Box, Polytope
 from .system import Array, LinearSystem
 from .timed_polytope import TimedPolytope
-
-__all__ = [
-    "BallObstacle",
-    "BoxObstacle",
-    "KeepInCone",
-    "KeepInPolytope",
-    "Obstacle",
-    "PolytopeObstacle",
-    "SatelliteObstacle",
-    "perceive",
-]
 
 
 @dataclass(frozen=True, eq=False)

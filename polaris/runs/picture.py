@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from reach.sets.zonotope import Zonotope
 
-from ..model.obstacles import Obstacle
+from ..model.obstacle import (Obstacle)
 from ..planning.reference import Reference
 from ..model.system import (Array, LinearSystem)
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..model.checks import of_kind
 from ..model.distances import closest, count_switches, mode_shares, ray_ttc, signed_distances
 from ..model.free_drift import drift_ttc
-from ..model.obstacles import Obstacle
+from ..model.obstacle import Obstacle
 from ..model.satellite import true_states
 from ..model.system import Array, LinearSystem
 from ..synthesis.schedule import Schedule

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ...model.keep_in import KeepIn
-from ...model.obstacles import Obstacle
+from ...model.obstacle import Obstacle
 from ...model.system import Array
 from ...runs.picture import Picture
 from .paths import DASHES, DOTS, draw_safe_path

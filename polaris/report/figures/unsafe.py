@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ...model.keep_in import KeepIn
-from ...model.obstacles import Obstacle
+from ...model.obstacle import Obstacle
 from ...model.system import Array
 from .closeups import CloseUp, seconds
 from .geometry import flat_outline
