@@ -11,8 +11,9 @@ import numpy as np
 
 from ..model.errors import ClockWarning, NotCertified, OutOfTime, SynthesisInfeasible
 from ..model.system import Array
-from ..planning import Plan, plan
+from ..planning.problem import Plan
 from ..planning.reference import Reference
+from ..planning.solve import plan
 from .end_condition import EndCondition, coast, judge_end, tail_length
 from .planning_problem import find_plan, perceive_unsafe, plan_problem
 from .problem import Problem

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from reach.sets.zonotope import Zonotope
 
 from ..model.errors import ScenarioError
-from ..planning import Plan
+from ..planning.problem import Plan
 from ..planning.reference import Reference
 from .attempts import Attempts, Clock
 from .ball_sets import BallSets

@@ -8,7 +8,8 @@ from ..model.errors import NotCertified, SynthesisInfeasible
 from ..model.obstacles import perceive
 from ..model.timed_polytope import TimedPolytope
 from ..model.tolerances import SOLVER_BOOK_INPUT, SOLVER_BOOK_M
-from ..planning import Plan, PlannerOptions, PlanProblem, plan
+from ..planning.problem import Plan, PlannerOptions, PlanProblem
+from ..planning.solve import plan
 from .clearance import error_tube
 from .problem import Problem
 from .tracking import Tracking

@@ -23,27 +23,14 @@ from polaris.model.errors import (
 from polaris.model.hill import clohessy_wiltshire
 from polaris.model.system import LinearSystem
 from polaris.model.timed_polytope import TimedPolytope
-from polaris.planning import (
-    Box,
-    EllipticalNMT,
-    LinearNMT,
-    Plan,
-    PlannerOptions,
-    PlanProblem,
-    StationaryPoint,
-    backends,
-    diagnose,
-    effort,
-    lazy,
-    plan,
-    recheck,
-    search,
-    solve,
-    tree,
-)
+from polaris.planning import backends, diagnose, effort, lazy, search, solve, tree
+from polaris.planning.goals import Box, EllipticalNMT, LinearNMT, StationaryPoint
 from polaris.planning.lp import GrowingLP
+from polaris.planning.problem import Plan, PlannerOptions, PlanProblem
+from polaris.planning.recheck import recheck
 from polaris.planning.rows import Rows
 from polaris.planning.search import Levels, PathSearch
+from polaris.planning.solve import plan
 from polaris.scenario.scenario import load_scenario
 from polaris.synthesis.get_safety import get_safety
 
