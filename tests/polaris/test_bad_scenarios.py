@@ -191,7 +191,7 @@ BROKEN = {
     "Q and R far apart": ({"tracking.R": [1e-30] * 3, "tracking.Q": [1e12] * 6}, "tracking.Q", "Riccati"),
     "weight of two": ({"tracking.weight": [1, 1]}, "tracking.weight", "must have 6"),
     "weight unknown": ({"tracking.weight": "best"}, "tracking.weight", "'auto' or 'identity'"),
-    "bound unknown": ({"tracking.bound": "guess"}, "tracking.bound", "'envelope', 'lyapunov'"),
+    "bound unknown": ({"tracking.bound": "guess"}, "tracking.bound", "'envelope' or 'lyapunov'"),
     "recoverable unknown": ({"recoverable.kind": "cube"}, "recoverable.kind", "'polytope'"),
     "solver unknown": ({"planner.solver": "cplex"}, "planner.solver", "'facets', 'highs' or 'gurobi'"),
     "gap of one": ({"planner.gap": 1.0}, "planner.gap", "< 1"),
