@@ -11,7 +11,7 @@ import numpy as np
 
 from ..model.errors import ClockWarning, NotCertified, OutOfTime, SynthesisInfeasible
 from ..model.system import Array
-from ..planning.problem import Plan
+from ..planning.problem import Plan, PlanProblem
 from ..planning.reference import Reference
 from ..planning.solve import plan
 from .end_condition import EndCondition, coast, judge_end, tail_length
@@ -65,19 +65,23 @@ class Attempts:
         if not self.margin.inside:
             return
         self.clock.lap("recoverable")
+        again = self._with_coasting(asked)
+        self.clock.lap("plan")
+        if again is not None:
+            yield from self._references(again)
+
+    def _with_coasting(self, asked: PlanProblem) -> Plan | None:
+        """The plan again, so that coasting after its end is safe; None if there is none to be had."""
         try:
             found = plan(replace(asked, tail_cells=self.tail), self.problem.planner)
         except OutOfTime as error:
             self.cut_by_clock += ("plan with coasting",)
-            warnings.warn(f"safe coasting after the end: {error}", ClockWarning, stacklevel=3)
+            warnings.warn(f"safe coasting after the end: {error}", ClockWarning, stacklevel=4)
+            return None
         except (SynthesisInfeasible, NotCertified):
-            pass
-        else:
-            self.cut_by_clock += tuple(f"{stage} with coasting" for stage in found.cut_by_clock)
-            self.clock.lap("plan")
-            yield from self._references(found)
-            return
-        self.clock.lap("plan")
+            return None
+        self.cut_by_clock += tuple(f"{stage} with coasting" for stage in found.cut_by_clock)
+        return found
 
     def _references(self, found: Plan) -> Iterator[tuple[Reference, Array]]:
         self.plan, problem = found, self.problem

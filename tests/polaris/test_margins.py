@@ -10,7 +10,8 @@ from polaris.model.errors import PolarisError
 from polaris.simulation.disturbances import adjoint_worst_case
 from polaris.simulation.integration import Integrator
 from polaris.synthesis.controllers import AffineController, AnyThrust
-from polaris.synthesis.recoverable import directed, get_recover, left
+from polaris.synthesis.get_safety import get_recover
+from polaris.synthesis.recoverable import directed, left
 from reach.numerics.linear import discretize
 
 from .random_scenarios import synthesised
