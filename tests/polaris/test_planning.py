@@ -569,7 +569,8 @@ def test_no_back_end_is_called_or_loaded_where_the_tree_decides():
     code = (
         "import sys; sys.path.insert(0, '.'); import numpy as np\n"
         "from polaris.model.hill import clohessy_wiltshire\n"
-        "from polaris.planning import EllipticalNMT, PlanProblem, plan\n"
+        "from polaris.planning.goals import EllipticalNMT\n"
+        "from polaris.planning.problem import PlanProblem\nfrom polaris.planning.solve import plan\n"
         "cw, start = clohessy_wiltshire(0.0012, 10.0, 1.0), np.array([0, -1000, 0, 0, 0, 0.0])\n"
         "goal = EllipticalNMT(0.0012, 100.0, 250.0)\n"
         "p = PlanProblem(cw, start, 60, 50.0, (), (), np.ones((60, 3)), goal)\n"
