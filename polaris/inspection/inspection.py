@@ -14,7 +14,7 @@ from ..model.checks import number, positive, whole
 from ..model.errors import ScenarioError
 from ..model.hill import clohessy_wiltshire
 from ..model.system import Array
-from .constraints.barriers import CENTRE
+from .vectors import CENTRE
 
 MOST_DEPUTIES = 50
 """Most deputies of one problem: 50 of them have 1,225 pairs and 5,750 constraints."""
@@ -61,7 +61,7 @@ class Inspection:
     ScenarioError
         If a value is out of range, or eq. 28, 32, 36 or 37 does not hold: the thrust is then too weak for
         the constraints to be control invariant. If a collision radius or the field of view is so small
-        that a boundary lies within `polaris.inspection.constraints.barriers.CENTRE` of a centre or an axis.
+        that a boundary lies within `polaris.inspection.vectors.CENTRE` of a centre or an axis.
     """
 
     deputies: int = 5
@@ -114,7 +114,7 @@ class Inspection:
 
     def _check_directions(self) -> None:
         """Directions fade below `CENTRE`: no boundary may come as near to a centre or an axis."""
-        least = min(self.separation, 2 * self.deputy_radius)
+        least = min(self.separation, self.deputy_separation)
         if least <= CENTRE:
             rule = f"two deputies, or one and the chief, must be more than {CENTRE:g} m apart"
             raise ScenarioError("deputy_radius", self.deputy_radius, rule)
@@ -153,6 +153,11 @@ class Inspection:
     def separation(self) -> float:
         """Least distance between the centres of a deputy and the chief [m]."""
         return self.deputy_radius + self.chief_radius
+
+    @property
+    def deputy_separation(self) -> float:
+        """Least distance between the centres of two deputies [m]."""
+        return 2 * self.deputy_radius
 
     @property
     def a_max(self) -> float:

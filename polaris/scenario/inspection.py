@@ -193,7 +193,7 @@ class InspectionScenario:
     def filter(self, spec: Filter, period: float) -> Centralized | Decentralized:
         """The filter that a table describes."""
         from ..inspection.constraints.families import Families
-        from ..inspection.constraints.sampled import SampledData
+        from ..inspection.constraints.motion import SampledData
         from ..inspection.filters.explicit import Centralized, Decentralized
 
         sampled = SampledData(period, spec.sampled_data_share) if spec.sampled_data else None

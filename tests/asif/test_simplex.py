@@ -25,7 +25,7 @@ GENTLE = 2e4  # velocity weight of a primary that brakes
 def both(q):
     without = ("deputy_sun",) if q.deputies > 1 else ()
     yield ExplicitSimplex(Families(q, without=without), sun_start=np.pi)
-    yield ImplicitSimplex(q, sun_start=np.pi, without=("phi5",))
+    yield ImplicitSimplex(q, sun_start=np.pi, without=("deputy_sun",))
 
 
 def fly(f, primary, x, count):

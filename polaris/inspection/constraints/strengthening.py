@@ -11,19 +11,7 @@ from numpy.typing import ArrayLike
 from ...model.checks import number
 from ...model.errors import ScenarioError
 from ...model.system import Array
-
-FAMILIES = (
-    "chief_separation",
-    "deputy_separation",
-    "speed",
-    "sun",
-    "deputy_sun",
-    "keep_in",
-    "passive",
-    "deputy_passive",
-    "velocity",
-)
-"""The kinds of barrier, in the order of h1 to h11; velocity stands for h9, h10 and h11."""
+from .catalogue import FAMILIES
 
 
 @dataclass(frozen=True)

@@ -9,11 +9,11 @@ from numpy.typing import ArrayLike
 
 from ...model.system import Array
 from ...rta.projection import DESIRED, FAILED, SHORT
-from ..constraints.barriers import dot
 from ..constraints.families import Families, Rows
-from ..constraints.sampled import SampledData
+from ..constraints.motion import SampledData
 from ..constraints.strengthening import Strengthening
 from ..inspection import Inspection
+from ..vectors import dot
 from .decision import Backup, Decision
 from .explicit import CENTRALIZED, make_filter
 from .received import Received, Receiver

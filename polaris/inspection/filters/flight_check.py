@@ -15,8 +15,9 @@ from ...model.hill import free_flight
 from ...model.system import Array
 from ..backup.backup_flight import BackupFlight, fly_backup, periods
 from ..backup.parking import Memoryless, Outlook
-from ..constraints.allowable_rows import AllowableRows, dot
+from ..constraints.allowable_set import AllowableRows
 from ..enmt import semi_axes
+from ..vectors import length
 
 PHASES = 360
 """Instants at which a parking orbit is looked at over one revolution."""
@@ -52,7 +53,7 @@ class FlightCheck:
     sun_start : float
         Sun angle at t = 0 [rad].
     without : collection of str
-        Constraints left out.
+        Families left out.
     """
 
     def __init__(
@@ -97,19 +98,17 @@ class FlightCheck:
         least = rows.between(value, orbit, float(self._times[1]), 0.0).min(axis=0)
         # Distances are never below the semi-minor axis, of one orbit or of the difference of two.
         semi_minor = semi_axes(rows.relative(outlook.ellipse), q.mean_motion)[0]
-        radius = np.where(rows.second >= 0, 2 * q.deputy_radius, q.separation)
-        outside = np.isin(rows.kind, ("phi1", "phi2"))
+        radius = np.where(rows.second >= 0, q.deputy_separation, q.separation)
+        outside = rows.among("chief_separation", "deputy_separation")
         least = np.where(outside, np.maximum(least, semi_minor - radius), least)
         stray = outlook.strays[rows.first] + np.where(rows.second >= 0, outlook.strays[rows.second], 0.0)
         slip = outlook.slips[rows.first]
-        lost = np.where(np.array(rows.kind) == "phi3", slip + q.nu_1 * stray, stray)
-        speed = np.sqrt(dot(orbit[..., 3:], orbit[..., 3:])).max(axis=0)[rows.first]
-        squares = rows.is_speed & (np.array(rows.kind) != "phi3")
+        lost = np.where(rows.among("speed"), slip + q.nu_1 * stray, stray)
+        speed = length(orbit[..., 3:]).max(axis=0)[rows.first]
         with np.errstate(invalid="ignore"):
-            lost = np.where(squares, slip * (2 * speed + slip), lost)
-            return np.asarray(
-                np.where(np.isfinite(lost), least - np.where(np.isfinite(lost), lost, 0.0), -np.inf)
-            )
+            lost = np.where(rows.among("velocity"), slip * (2 * speed + slip), lost)
+        settled = np.isfinite(lost)
+        return np.asarray(np.where(settled, least - np.where(settled, lost, 0.0), -np.inf))
 
 
 class Inherited:

@@ -127,7 +127,7 @@ class ImplicitSimplex(Latched):
     sun_start : float
         Sun angle at t = 0 [rad].
     without : collection of str
-        Constraints left out, of "phi1" to "phi6", "phi9" to "phi11".
+        Families of constraints left out.
 
     Attributes
     ----------

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from ...model.system import Array
 from ...scenario.inspection import InspectionScenario
 from ...scenario.inspection_tables import InspectionModel
-from ..constraints.allowable_set import NAMES, allowable
+from ..constraints.allowable_set import allowable
+from ..constraints.catalogue import CONSTRAINTS, PASSIVE
 from ..constraints.families import Families
 from ..constraints.strengthening import FAMILIES, PRESETS
 from ..filters.explicit import Filtered
@@ -22,12 +23,6 @@ from .simulation import BatchFilter, InspectionRun, fly_one
 
 CHUNK = 256
 """States judged at a time."""
-
-PASSIVE = {"phi7": "passive", "phi8": "deputy_passive"}
-"""The constraints that are their own barriers."""
-
-CONSTRAINTS = (*NAMES[:6], *PASSIVE, *NAMES[6:])
-"""phi1 to phi11."""
 
 
 @dataclass(frozen=True)
