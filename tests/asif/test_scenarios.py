@@ -9,8 +9,9 @@ import pytest
 
 import polaris
 from docs.generate.scenario_docs import inspection_schema
-from polaris.inspection.constraints.strengthening import FAMILIES, PRESETS
-from polaris.inspection.flights.judge import CONSTRAINTS, fly_scenario, fly_unfiltered, judge
+from polaris.inspection.constraints.catalogue import CONSTRAINTS, FAMILIES
+from polaris.inspection.constraints.strengthening import PRESETS
+from polaris.inspection.flights.judge import fly_scenario, fly_unfiltered, judge
 from polaris.inspection.inspection import Inspection
 from polaris.model.errors import ScenarioError
 from polaris.scenario.filter_tables import FAMILY_NAMES

@@ -84,8 +84,8 @@ def test_note_16_the_printed_cone_turns_the_wrong_way():
     assert abs(as_printed) > 0.5  # half a metre per second of error
     assert gap @ (v - np.cross([0, 0, -n], p_c)) == pytest.approx(0.0, abs=1e-12)
     cone = SunCone(half, n, Braking(Q.a_max, Q.smoothing, Q.return_speed))
-        phi = cone.phi(np.r_[p, v], sun)
-        assert phi.gradient[:3] @ v + phi.change == pytest.approx(0.0, abs=1e-12)
+    phi = cone.phi(np.r_[p, v], sun)
+    assert phi.gradient[:3] @ v + phi.change == pytest.approx(0.0, abs=1e-12)
     # Being one with the cone, the barrier's explicit change with time cancels the motion's part.
     found = cone(np.r_[p, v], sun)
     moving = np.r_[v, np.cross(spin, v)]

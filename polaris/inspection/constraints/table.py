@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,21 +64,21 @@ def _groups(
     """Stack what shares a formula; parameters as of `Table`."""
     alone, pairs = np.arange(q.deputies), q.deputies + np.arange(len(q.pairs))
 
-    def stack(*members: _Member) -> tuple[Any, ...]:
-        """Families, numbers, places of the members that are kept, and each of their three parameters."""
+    def stack(*members: _Member) -> tuple[tuple[list[str], list[str], Index], Array]:
+        """Families, numbers and places of the members that are kept, and each of their three parameters."""
         kept = [member for member in members if member[0] not in without]
         family, number = ([member[k] for member in kept for _ in member[2]] for k in (0, 1))
         place = np.concatenate([alone[:0], *(member[2] for member in kept)])
         values = np.array([member[3:] for member in kept for _ in member[2]]).reshape(-1, 3)
-        return family, number, place, *values.T
+        return (family, number, place), values.T
 
-    *rows, radius, a, side = stack(
+    rows, (radius, a, side) = stack(
         ("chief_separation", "1", alone, q.separation, q.a_max, 1.0),
         ("deputy_separation", "2", pairs, q.deputy_separation, 2 * q.a_max, 1.0),
         ("keep_in", "6", alone, q.distance_max, q.a_inside, -1.0),
     )
     groups = [Group(Radial(radius, Braking(a, q.smoothing, q.return_speed), side), *rows)]
-    *rows, a, side, _ = stack(
+    rows, (a, side, _) = stack(
         ("sun", "4", alone, q.a_max, 1.0, 0.0),
         ("deputy_sun", "5+", pairs, q.a_max, 1.0, 0.0),
         ("deputy_sun", "5-", pairs, q.a_max, -1.0, 0.0),
@@ -87,16 +86,16 @@ def _groups(
     braking = Braking(a, q.smoothing, q.return_speed)
     groups.append(Group(SunCone(q.field_of_view / 2, q.mean_motion, braking, side), *rows))
     if approach is not None:
-        *rows, radius, _, _ = stack(
+        rows, (radius, _, _) = stack(
             ("passive", "7", alone, q.separation, 0.0, 0.0),
             ("deputy_passive", "8", pairs, q.deputy_separation, 0.0, 0.0),
         )
         segments = PassiveSegments(radius, approach)
-        free = Group(segments, *rows, segments.rows) if sampled else None
-        groups.append(free or Group(Passive(radius, approach, beyond), *rows))
-    *rows, _, _, _ = stack(("speed", "3", alone, 0.0, 0.0, 0.0))
+        flights: Barrier = segments if sampled else Passive(radius, approach, beyond)
+        groups.append(Group(flights, *rows, repeat=segments.rows if sampled else 1))
+    rows, _ = stack(("speed", "3", alone, 0.0, 0.0, 0.0))
     groups.append(Group((SpeedInSquares if sampled else Speed)(q.docking_speed, q.nu_1), *rows))
-    *rows, axis, _, _ = stack(*(("velocity", str(9 + axis), alone, axis, 0.0, 0.0) for axis in range(3)))
+    rows, (axis, _, _) = stack(*(("velocity", str(9 + axis), alone, axis, 0.0, 0.0) for axis in range(3)))
     limit = VelocitySide if sampled else Velocity
     groups.append(Group(limit(axis.astype(np.intp), q.speed_max), *rows))
     return [group for group in groups if len(group.place)]

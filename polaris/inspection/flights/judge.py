@@ -13,9 +13,9 @@ from ...model.system import Array
 from ...scenario.inspection import InspectionScenario
 from ...scenario.inspection_tables import InspectionModel
 from ..constraints.allowable_set import allowable
-from ..constraints.catalogue import CONSTRAINTS, PASSIVE
+from ..constraints.catalogue import CONSTRAINTS, FAMILIES, PASSIVE
 from ..constraints.families import Families
-from ..constraints.strengthening import FAMILIES, PRESETS
+from ..constraints.strengthening import PRESETS
 from ..filters.explicit import Filtered
 from ..inspection import Inspection
 from .primary import Primary
