@@ -67,10 +67,11 @@ def _groups(
     def stack(*members: _Member) -> tuple[tuple[list[str], list[str], Index], Array]:
         """Families, numbers and places of the members that are kept, and each of their three parameters."""
         kept = [member for member in members if member[0] not in without]
-        family, number = ([member[k] for member in kept for _ in member[2]] for k in (0, 1))
+        family = [member[0] for member in kept for _ in member[2]]
+        number = [member[1] for member in kept for _ in member[2]]
         place = np.concatenate([alone[:0], *(member[2] for member in kept)])
-        values = np.array([member[3:] for member in kept for _ in member[2]]).reshape(-1, 3)
-        return (family, number, place), values.T
+        values = np.array([member[3:] for member in kept for _ in member[2]], dtype=float)
+        return (family, number, place), values.reshape(-1, 3).T
 
     rows, (radius, a, side) = stack(
         ("chief_separation", "1", alone, q.separation, q.a_max, 1.0),

@@ -18,6 +18,7 @@ from ..backup.parking import Memoryless, Outlook
 from ..constraints.allowable_set import AllowableRows
 from ..enmt import semi_axes
 from ..vectors import length
+from .received import Received
 
 PHASES = 360
 """Instants at which a parking orbit is looked at over one revolution."""
@@ -63,6 +64,7 @@ class FlightCheck:
         self.rows = AllowableRows(law.inspection, without)
         self.sun_start = sun_start
         self.steps = periods(horizon, law.period)
+        self.inherited = Inherited(law.period)
         revolution = 2 * np.pi / law.inspection.mean_motion
         self._times = np.linspace(0.0, revolution, PHASES + 1)
         self._orbit = free_flight(law.inspection.mean_motion, self._times)
@@ -83,6 +85,19 @@ class FlightCheck:
         if len(states) > 1:
             margin = np.minimum(margin, self.rows.between(value, states, law.period, push).min(axis=0))
         return Checked(np.minimum(margin, self.parked(float(at[-1]), flight.outlook)), flight)
+
+    def proves(self, got: Received, u: Array, good: bool) -> bool:
+        """Note what the thrust u (N, 3) leads to; whether the flight after it is proven to stay allowable.
+
+        It is if all states are known and its bounds are good, or if it is the rest of one that was proven.
+        """
+        proven = bool(got.known.all()) and (good or self.inherited.holds(got.t, got.x))
+        if proven:
+            Phi, Gamma = self.law.motion
+            self.inherited.prove(got.t, got.x @ Phi.T + u @ Gamma.T)
+        else:
+            self.inherited.clear()
+        return proven
 
     def parked(self, t: float, outlook: Outlook) -> Array:
         """Lower bounds for ever after the flight has settled at t [s], shape (M,).

@@ -25,8 +25,6 @@ after latching nothing but that is claimed.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -35,28 +33,11 @@ from ...model.system import Array
 from ..backup.backup_flight import BackupFlight, fly_backup, periods
 from ..backup.parking import Law, Parking
 from ..inspection import Inspection
-from .decision import Decision
-from .received import Received, Receiver
+from .decision import Answer, CallByCall, Switch
+from .received import Received, listed
 
 
-@dataclass(frozen=True)
-class Latch:
-    """When and why a deputy was switched to the backup for good.
-
-    Attributes
-    ----------
-    t : float
-        [s]
-    deputy : int
-    reason : str
-    """
-
-    t: float
-    deputy: int
-    reason: str
-
-
-class FuelLimit:
+class FuelLimit(CallByCall):
     """Switching filter for the fuel limit; follows `RunTimeFilter`.
 
     Each deputy is on its own. The desired input passes as long as, after one period of it, the backup law
@@ -79,7 +60,7 @@ class FuelLimit:
     spent : ndarray, shape (N,)
         Delta-v of all inputs answered so far [m/s], each held for one period.
     latched : ndarray of bool, shape (N,)
-    log : list of Latch
+    log : list of Switch
     predicted : BackupFlight or None
         The flight on which the last decision rests: of all deputies, from the end of the coming period.
 
@@ -103,7 +84,7 @@ class FuelLimit:
         horizon: float = 3000.0,
         spent: ArrayLike = 0.0,
     ) -> None:
-        q = self.inspection = inspection
+        q = inspection
         self.law = Parking(q) if law is None else law
         if self.law.inspection != q:
             raise ScenarioError("law", type(law).__name__, "must be for the same inspection problem")
@@ -114,33 +95,37 @@ class FuelLimit:
             raise ScenarioError("spent", spent, f"must be one or {q.deputies} finite numbers >= 0 [m/s]")
         self.spent = np.array(np.broadcast_to(before, (q.deputies,)))
         self.latched = np.zeros(q.deputies, dtype=bool)
-        self.log: list[Latch] = []
+        self.log: list[Switch] = []
         self.predicted: BackupFlight | None = None
-        self._receiver = Receiver(q, self.law.period)
+        super().__init__(q, self.law.period)
         self._memory: list[Array | None] = [None] * q.deputies
         self._due = np.inf
         self._applied = np.zeros((q.deputies, 3))
 
-    def filter(self, t: float, x: ArrayLike, u_des: ArrayLike | None) -> Decision:
-        """Decide on the thrust of the next period; see `RunTimeFilter.filter`."""
-        got = self._receiver.receive(t, x, u_des)
+    def _answer(self, got: Received) -> Answer:
+        q, able = self.inspection, got.known & got.given
         self._count_delay(got.t)
         reserve = np.full(len(got.x), np.nan)
-        asked = np.flatnonzero(~self.latched & got.known & got.given)
+        asked = np.flatnonzero(~self.latched & able)
         if len(asked):
             reserve[asked], reasons = self._look_ahead(got, asked)
             for i, reason in zip(asked, reasons, strict=True):
                 if reason:
                     self.latched[i] = True
-                    self.log.append(Latch(got.t, int(i), reason))
+                    self.log.append(Switch(got.t, int(i), "backup", reason))
         u = self._thrust(got)
         allowed = self._affordable(u)
         exhausted = (allowed < 1) & got.known
-        u = u * allowed[:, None]
-        self.spent = self.spent + np.abs(u).sum(axis=1) * self.law.period / self.inspection.mass
-        self._receiver.applied(u)
-        self._applied = u
-        return self._decision(got, u, reserve, exhausted)
+        self._applied = u = u * allowed[:, None]
+        self.spent = self.spent + np.abs(u).sum(axis=1) * self.law.period / q.mass
+        latched = ~able | self.latched
+        margins = {f"phi12[{i}]": float(q.delta_v_max - self.spent[i]) for i in range(q.deputies)}
+        margins |= {f"reserve[{i}]": float(reserve[i]) for i in range(q.deputies)}
+        active = tuple(f"latched[{i}]" for i in np.flatnonzero(self.latched))
+        active += tuple(f"phi12[{i}]" for i in np.flatnonzero(exhausted))
+        notes = [f"fuel exhausted: deputy {listed(exhausted)}"] if exhausted.any() else []
+        intervened = latched | got.clipped | exhausted
+        return Answer(u, intervened, latched, exhausted | ~got.known, margins, notes, active)
 
     def _look_ahead(self, got: Received, asked: NDArray[np.intp]) -> tuple[Array, list[str]]:
         """Condition (*) for some: reserves [m/s], and why the backup must take over ('' if it need not)."""
@@ -198,25 +183,6 @@ class FuelLimit:
         cost = np.abs(u).sum(axis=1) * self.law.period / q.mass
         left = np.maximum(q.delta_v_max - self.spent, 0.0) * (1 - 1e-12)
         return np.where(cost > left, left / np.where(cost > 0, cost, 1.0), 1.0)
-
-    def _decision(self, got: Received, u: Array, reserve: Array, exhausted: NDArray[np.bool_]) -> Decision:
-        q = self.inspection
-        passed = got.known & got.given & ~self.latched
-        intervened = ~passed | got.clipped | exhausted
-        if (~passed & got.known & ~exhausted).any():
-            status = "backup"
-        elif (exhausted | ~got.known).all():
-            status = "coast"
-        else:
-            status = "filtered" if intervened.any() else "desired"
-        margins = {f"phi12[{i}]": float(q.delta_v_max - self.spent[i]) for i in range(q.deputies)}
-        margins |= {f"reserve[{i}]": float(reserve[i]) for i in range(q.deputies)}
-        active = tuple(f"latched[{i}]" for i in np.flatnonzero(self.latched))
-        active += tuple(f"phi12[{i}]" for i in np.flatnonzero(exhausted))
-        notes = [got.fallback()] if got.fallback() else []
-        if exhausted.any():
-            notes.append(f"fuel exhausted: deputy {', '.join(map(str, np.flatnonzero(exhausted)))}")
-        return Decision(u, intervened, active, margins, status, "; ".join(map(str, notes)) or None)
 
 
 def clearance(flight: BackupFlight, x: Array, u: Array, inspection: Inspection, period: float) -> Array:

@@ -2,41 +2,20 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from abc import abstractmethod
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from ...model.checks import non_negative, positive
 from ...model.errors import ScenarioError
 from ...model.system import Array
 from ..inspection import Inspection
-from .decision import Backup, Decision
-from .received import Received, Receiver
+from .decision import Answer, Backup, CallByCall, Switch, named
+from .received import Received
 
 
-@dataclass(frozen=True)
-class Switch:
-    """One entry of a decision log.
-
-    Attributes
-    ----------
-    t : float
-        [s]
-    deputy : int
-    to : str
-        ``backup`` or ``desired``.
-    reason : str
-    """
-
-    t: float
-    deputy: int
-    to: str
-    reason: str
-
-
-class Latched(ABC):
+class Latched(CallByCall):
     """Latching, handing back, the log, unknown states; see `polaris.inspection.filters.simplex`.
 
     A subclass provides the constraints: `first`, `second`, `labels`, and `_try`.
@@ -55,8 +34,8 @@ class Latched(ABC):
         release: Array,
         dwell: float,
     ) -> None:
-        self.inspection, self.backup = inspection, backup
-        self.period = positive("period", period, "s")
+        self.backup, self.period = backup, positive("period", period, "s")
+        super().__init__(inspection, self.period)
         if (release < margin).any():
             raise ScenarioError("release", float(release.min()), "must be at least the margin")
         self._margin, self._release = margin, release
@@ -64,41 +43,32 @@ class Latched(ABC):
         self.latched = np.zeros(inspection.deputies, dtype=bool)
         self.log: list[Switch] = []
         self._clear_since = np.full(inspection.deputies, np.nan)
-        self._receiver = Receiver(inspection, self.period)
 
     @abstractmethod
     def _try(self, t: float, x: Array, u: Array) -> Array:
         """Least value of each constraint if the thrust u (N, 3) is held for the coming period, shape (M,)."""
 
-    def filter(self, t: float, x: ArrayLike, u_des: ArrayLike | None) -> Decision:
-        """Decide on the thrust of the next period; see `RunTimeFilter.filter`."""
-        got = self._receiver.receive(t, x, u_des)
-        counted = got.counted(self.first, self.second)
-        backup = np.where(got.known[:, None], self.backup(got.t, got.x), 0.0)
-        if not np.isfinite(backup).all():
-            backup = np.where(np.isfinite(backup), backup, 0.0)
-        able = got.known & got.given
+    def _answer(self, got: Received) -> Answer:
+        notes: list[str] = []
+        counted, able = got.counted(self.first, self.second), got.known & got.given
+        backup = np.where(got.known[:, None], self._backed_up(self.backup, got, notes), 0.0)
         if not got.steady:
             self._clear_since[:] = np.nan  # nothing has lasted across a break of the clock
         self._hand_back(got, able, backup, counted)
-        u, value, notes, active = self._decide(got, able, backup, counted)
-        self._receiver.applied(u)
+        u, value, active = self._decide(got, able, backup, counted, notes)
         passed = able & ~self.latched
-        intervened = ~passed | got.clipped
-        if not got.known.any():
-            status = "coast"
-        elif passed.all():
-            status = "filtered" if intervened.any() else "desired"
-        else:
-            status = "backup"
-        shown = np.where(counted, value, np.nan)
-        said = [note for note in (got.fallback(), *notes) if note]
-        margins = dict(zip(self.labels, map(float, shown), strict=True))
-        return Decision(u, intervened, active, margins, status, "; ".join(said) or None)
+        none = np.full(len(u), not got.known.any())
+        margins = named(self.labels, value, counted)
+        return Answer(u, ~passed | got.clipped, ~passed, none, margins, notes, active)
 
     def _decide(
-        self, got: Received, able: NDArray[np.bool_], backup: Array, counted: NDArray[np.bool_]
-    ) -> tuple[Array, Array, list[str], tuple[str, ...]]:
+        self,
+        got: Received,
+        able: NDArray[np.bool_],
+        backup: Array,
+        counted: NDArray[np.bool_],
+        notes: list[str],
+    ) -> tuple[Array, Array, tuple[str, ...]]:
         """Switch deputies until the constraints hold, or all are on backup."""
         active: tuple[str, ...] = tuple(f"latched[{i}]" for i in np.flatnonzero(self.latched))
         while True:
@@ -106,13 +76,10 @@ class Latched(ABC):
             u = np.where(passed[:, None], got.u, backup)
             value = self._try(got.t, got.x, u)
             bad = counted & ~(value >= self._margin)
-            if not bad.any():
-                self._accepted(got, u, True)
-                return u, value, [], active
-            if not passed.any():
-                proven = self._accepted(got, u, False)
-                notes = [] if proven else ["the backup itself does not keep the constraints for certain"]
-                return u, value, notes, active
+            if not bad.any() or not passed.any():
+                if not self._proves(got, u, not bad.any()):
+                    notes.append("the backup itself does not keep the constraints for certain")
+                return u, value, active
             worst = int(np.flatnonzero(bad)[np.argmin((value - self._margin)[bad])])
             active += tuple(self.labels[k] for k in np.flatnonzero(bad))
             concerned = self._concerned(bad) & passed
@@ -122,8 +89,8 @@ class Latched(ABC):
                 self._clear_since[i] = np.nan
                 self.log.append(Switch(got.t, int(i), "backup", reason))
 
-    def _accepted(self, got: Received, u: Array, good: bool) -> bool:
-        """Note the outcome; whether it is known to be safe all the same, although not `good`."""
+    def _proves(self, got: Received, u: Array, good: bool) -> bool:
+        """Note the outcome; whether it is known to be safe, be it that the constraints hold (`good`)."""
         return good
 
     def _hand_back(

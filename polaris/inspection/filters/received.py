@@ -66,13 +66,14 @@ class Received:
         """What was missing, in words; None if nothing."""
         parts = [*([self.clock] if self.clock else []), *self.malformed]
         if not self.known.all():
-            parts.append(f"state not known: deputy {_listed(~self.known)}")
+            parts.append(f"state not known: deputy {listed(~self.known)}")
         if not self.given.all():
-            parts.append(f"desired input missing or not finite: deputy {_listed(~self.given)}")
+            parts.append(f"desired input missing or not finite: deputy {listed(~self.given)}")
         return "; ".join(parts) or None
 
 
-def _listed(chosen: NDArray[np.bool_]) -> str:
+def listed(chosen: NDArray[np.bool_]) -> str:
+    """Their numbers, in words."""
     return ", ".join(map(str, np.flatnonzero(chosen)))
 
 

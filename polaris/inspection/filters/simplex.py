@@ -28,7 +28,7 @@ from ..constraints.families import Families
 from ..inspection import Inspection
 from .decision import Backup
 from .explicit import Centralized
-from .flight_check import FlightCheck, Inherited
+from .flight_check import FlightCheck
 from .latched import Latched
 from .received import Received
 
@@ -156,16 +156,9 @@ class ImplicitSimplex(Latched):
             non_negative("release_distance", release_distance, "m"),
         )
         super().__init__(inspection, law, law.period, np.zeros(len(release)), release, dwell)
-        self._proven = Inherited(law.period)
 
     def _try(self, t: float, x: Array, u: Array) -> Array:
         return self.check(t, x, u).margin
 
-    def _accepted(self, got: Received, u: Array, good: bool) -> bool:
-        proven = bool(got.known.all()) and (good or self._proven.holds(got.t, got.x))
-        if proven:
-            Phi, Gamma = self.check.law.motion
-            self._proven.prove(got.t, got.x @ Phi.T + u @ Gamma.T)
-        else:
-            self._proven.clear()
-        return proven
+    def _proves(self, got: Received, u: Array, good: bool) -> bool:
+        return self.check.proves(got, u, good) or good
