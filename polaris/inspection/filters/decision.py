@@ -36,6 +36,10 @@ class Decision:
         Why the answer is not the filter's regular one; None if it is.
     missed : dict of str to float
         Conditions that the answer does not meet, by name, and by how much [N]; inf where no input changes it.
+    on_backup : ndarray of bool, shape (N,)
+        Whose input is the backup controller's, or none.
+    unproven : bool
+        A filter that rests on its backup could not show that even this keeps the constraints.
     """
 
     u: Array
@@ -45,6 +49,8 @@ class Decision:
     status: str
     fallback: str | None = None
     missed: dict[str, float] = field(default_factory=dict, repr=False)
+    on_backup: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool), repr=False)
+    unproven: bool = False
 
 
 class RunTimeFilter(Protocol):
@@ -111,6 +117,7 @@ class Answer:
     missed : dict of str to float
     short : bool
         No input satisfies all conditions.
+    unproven : bool
     """
 
     u: Array
@@ -122,6 +129,7 @@ class Answer:
     active: tuple[str, ...] = ()
     missed: dict[str, float] = field(default_factory=dict)
     short: bool = False
+    unproven: bool = False
 
     @property
     def status(self) -> str:
@@ -156,7 +164,15 @@ class CallByCall(ABC):
         self._receiver.applied(answer.u)
         said = "; ".join(note for note in (got.fallback(), *answer.notes) if note) or None
         return Decision(
-            answer.u, answer.intervened, answer.active, answer.margins, answer.status, said, answer.missed
+            answer.u,
+            answer.intervened,
+            answer.active,
+            answer.margins,
+            answer.status,
+            said,
+            answer.missed,
+            answer.backup | answer.coasting,
+            answer.unproven,
         )
 
     @abstractmethod

@@ -1,26 +1,12 @@
 """The fuel limit: a latched switching filter (eq. 39) that keeps enough fuel to reach a parking orbit.
 
-Fuel is counted as ``delta_v = integral (|F_x| + |F_y| + |F_z|) / m dt`` (eq. 25). Thrust is held for a
-period, so that the integral is a sum, exactly.
-
-Why the limit is kept, for a deputy that satisfies the condition once. Let b(x) be an upper bound on all
-that the backup law ever spends when it takes over at the state x: what its predicted flight spends until it
-has settled, and a bound on everything after (`BackupFlight.delta_v`). Let u be what is desired, D the
-period and x' the state after it. The desired input passes only if
+Fuel is counted as ``delta_v = integral (|F_x| + |F_y| + |F_z|) / m dt`` (eq. 25); thrust is held for a
+period, so that the integral is a sum. With b(x) an upper bound on all that the backup law ever spends from
+the state x, and x' the state after a period D of the desired input u, that input passes only if
 
     spent + norm_1(u) D / m + b(x') <= delta_v_max.                                              (*)
 
-Eq. 39 as printed looks at b(x) instead: then the coming period's fuel, and what it adds to the velocity that
-the backup must take away, are nobody's. By induction, at the start of each period either the deputy is
-latched, or ``spent + b(x) <= delta_v_max``. It holds after a desired period by (*). If (*) fails, the backup
-takes over at x, whose own bound was (*) of the period before; from then on it flies the flight that was
-predicted, the law and its memory being those of the prediction, and never spends more than b(x). This holds
-for all time and without disturbances: the flight is predicted, not corrected. Beyond the model (unmodelled
-forces, a filter that starts with too little fuel) the last rule keeps the limit: thrust that would exceed it
-is scaled down, finally to zero. Then the limit holds, but the parking orbit may not be reached.
-
-The same condition with the predicted distance from the chief (`keep_clear`) keeps the deputy away from it:
-after latching nothing but that is claimed.
+Why this keeps the limit is proven in ``docs/inspection-theory.md``, section 6.
 """
 
 from __future__ import annotations

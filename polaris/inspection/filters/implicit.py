@@ -1,22 +1,8 @@
 """Implicit active set invariance filter: safety is that of the flight under a backup law.
 
-For a sample of the backup flight, at the time tau after the present, let ``g(t, x) = phi(flight(tau, x))``
-with the constraint taken at t + tau. Its rate under the input u is
-``grad phi S(tau) (f(x) + B u) + d(phi)/dt``, S being the derivative of the flight's state by its first. Each
-such rate must be at least ``-rate g`` (eq. 7), along the flight and along the parking orbit on which it ends.
-
-What holds, and what does not:
-
-- The conditions concern samples of the flight, and the present instant of a continuous time. By themselves
-  they guarantee nothing for thrust held over a period, and they may have no solution.
-- Therefore every answer is tried first: one period of it is flown, then the backup law until all deputies
-  have settled, and every constraint is bounded over all time (`FlightCheck`). If a bound is negative the
-  backup's thrust is answered instead. From a state whose own backup flight passes, it passes again, because
-  that flight is the rest of the one before (`Inherited`). Hence: once in the set of states whose backup
-  flight passes, always in it, and phi1 to phi6 and phi9 to phi11 hold for all time; without disturbances,
-  with exact states, and up to rounding.
-- From a state outside that set nothing is guaranteed; it is recorded.
-- phi7 and phi8 are not enforced.
+Every constraint along that flight, and along the parking orbit on which it ends, gives a condition on the
+present input (eq. 7); every answer is tried before it is given. What holds, and what does not, is in
+``docs/inspection-theory.md``, section 6.
 """
 
 from __future__ import annotations
@@ -143,12 +129,13 @@ class ImplicitASIF(CallByCall):
         if on_backup:
             u, tried = backup, self.check(got.t, got.x, backup)
         good = not (counted & ~(tried.margin >= 0)).any()
-        if not self.check.proves(got, u, good) and not good:
+        unproven = not self.check.proves(got, u, good) and not good
+        if unproven:
             notes.append("the backup flight itself is not proven to stay allowable")
         intervened = ~able | got.clipped | (np.abs(u - got.u).max(axis=1) > 0)
         margins = named(self.check.rows.labels, tried.margin, counted)
         none = every & (not got.known.any())
-        return Answer(u, intervened, every & on_backup, none, margins, notes, active)
+        return Answer(u, intervened, every & on_backup, none, margins, notes, active, unproven=unproven)
 
     def _filtered(self, got: Received, wanted: Array, counted: NDArray[np.bool_]) -> tuple[Array, list[str]]:
         """Solve the quadratic program; no notes if it has a solution."""

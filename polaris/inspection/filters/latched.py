@@ -55,20 +55,17 @@ class Latched(CallByCall):
         if not got.steady:
             self._clear_since[:] = np.nan  # nothing has lasted across a break of the clock
         self._hand_back(got, able, backup, counted)
-        u, value, active = self._decide(got, able, backup, counted, notes)
+        u, value, active, proven = self._decide(got, able, backup, counted)
+        if not proven:
+            notes.append("the backup itself does not keep the constraints for certain")
         passed = able & ~self.latched
         none = np.full(len(u), not got.known.any())
         margins = named(self.labels, value, counted)
-        return Answer(u, ~passed | got.clipped, ~passed, none, margins, notes, active)
+        return Answer(u, ~passed | got.clipped, ~passed, none, margins, notes, active, unproven=not proven)
 
     def _decide(
-        self,
-        got: Received,
-        able: NDArray[np.bool_],
-        backup: Array,
-        counted: NDArray[np.bool_],
-        notes: list[str],
-    ) -> tuple[Array, Array, tuple[str, ...]]:
+        self, got: Received, able: NDArray[np.bool_], backup: Array, counted: NDArray[np.bool_]
+    ) -> tuple[Array, Array, tuple[str, ...], bool]:
         """Switch deputies until the constraints hold, or all are on backup."""
         active: tuple[str, ...] = tuple(f"latched[{i}]" for i in np.flatnonzero(self.latched))
         while True:
@@ -77,9 +74,7 @@ class Latched(CallByCall):
             value = self._try(got.t, got.x, u)
             bad = counted & ~(value >= self._margin)
             if not bad.any() or not passed.any():
-                if not self._proves(got, u, not bad.any()):
-                    notes.append("the backup itself does not keep the constraints for certain")
-                return u, value, active
+                return u, value, active, self._proves(got, u, not bad.any())
             worst = int(np.flatnonzero(bad)[np.argmin((value - self._margin)[bad])])
             active += tuple(self.labels[k] for k in np.flatnonzero(bad))
             concerned = self._concerned(bad) & passed

@@ -3,16 +3,9 @@
 Both try the coming period before it is flown. In the explicit filter the desired input passes while the
 state stays in the control-invariant set, ``h >= margin``; in the implicit one while, after the period, the
 flight under the backup law stays in the allowable set for all time (`FlightCheck`). Otherwise the deputies
-that the failing constraints concern are switched to the backup, and stay there (latched).
-
-Handing back: a deputy returns to its desired input when, for `dwell` seconds without a break, a period of it
-would have left every constraint that concerns the deputy at `release` or more.
-
-What is guaranteed. Implicit: once the backup flight is proven to stay allowable, it is so at the end of
-every period, and phi1 to phi6 and phi9 to phi11 hold for all time, without disturbances and with exact
-states. Explicit: the states at the instants that are looked at have ``h >= margin`` as long as the desired
-input passes; after a switch it is up to the backup, and the default (a barrier filter about parking) keeps
-h >= 0 where its program has a solution; nothing is proven between the instants.
+that the failing constraints concern are switched to the backup, and stay there (latched). A deputy returns
+to its desired input when, for `dwell` seconds without a break, a period of it would have left every
+constraint that concerns it at `release` or more. For guarantees see ``docs/inspection-theory.md``, section 6.
 """
 
 from __future__ import annotations

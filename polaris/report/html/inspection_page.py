@@ -31,6 +31,8 @@ ANSWERS = [
     {"mode": 1, "name": "filtered", "colour": ORANGE},
     {"mode": 2, "name": "no answer satisfies all: violated least", "colour": PURPLE},
     {"mode": 3, "name": "failed: no thrust", "colour": RED},
+    {"mode": 4, "name": "backup", "colour": GREEN},
+    {"mode": 5, "name": "backup, not proven", "colour": RED},
 ]
 LINES = (BLACK, BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
 
