@@ -15,10 +15,7 @@ from ...scenario.inspection_tables import InspectionModel
 from ..constraints.allowable_set import allowable
 from ..constraints.catalogue import CONSTRAINTS, FAMILIES, PASSIVE
 from ..constraints.families import Families
-from ..constraints.strengthening import PRESETS
 from ..filters.explicit import Filtered
-from ..inspection import Inspection
-from .primary import Primary
 from .simulation import BatchFilter, InspectionRun, fly_one
 
 CHUNK = 256
@@ -112,27 +109,6 @@ def fly_scenario(
     run = fly_one(scenario.inspection(), watch, scenario.primary(), x, sun, duration, period)
     constraints, barriers = judge(run, scenario.families(), model.flight.between)
     return JudgedRun(run, constraints, barriers, np.array(watch.seconds))
-
-
-class Unfiltered:
-    """No filter at all: what is desired, within the thrust limits. For comparison."""
-
-    def __init__(self, families: Families) -> None:
-        self.families = families
-
-    def batch(self, x: Array, sun: Array, desired: Array) -> Filtered:
-        """Clip the desired inputs."""
-        limit = self.families.inspection.thrust_max
-        u = np.clip(desired, -limit, limit)
-        return Filtered(u, np.zeros(u.shape[:2], dtype=np.int8), self.families(x, sun))
-
-
-def fly_unfiltered(
-    inspection: Inspection, primary: Primary, x: Array, sun: float, duration: float, period: float = 1.0
-) -> InspectionRun:
-    """Fly the primary controller alone, as `polaris.inspection.flights.simulation.fly_one`."""
-    light = Families(inspection, dict(PRESETS["afrl"]), without=("passive", "deputy_passive"))
-    return fly_one(inspection, Unfiltered(light), primary, x, sun, duration, period)
 
 
 def judge(run: InspectionRun, families: Families, between: int) -> tuple[dict[str, Least], dict[str, Least]]:
