@@ -19,6 +19,11 @@ from .vectors import CENTRE
 MOST_DEPUTIES = 50
 """Most deputies of one problem: 50 of them have 1,225 pairs and 5,750 constraints."""
 
+UNITS = {"mass": "kg", "mean_motion": "rad/s", "field_of_view": "rad", "passive_time": "s", "thrust_max": "N"}
+UNITS |= dict.fromkeys(("deputy_radius", "chief_radius", "distance_max", "smoothing"), "m")
+UNITS |= dict.fromkeys(("docking_speed", "speed_max", "delta_v_max"), "m/s") | {"speed_slope": "1/s"}
+"""Units of the parameters, all of which are positive."""
+
 
 @dataclass(frozen=True)
 class Inspection:
@@ -83,24 +88,9 @@ class Inspection:
         whole("deputies", self.deputies, 1)
         if self.deputies > MOST_DEPUTIES:
             raise ScenarioError("deputies", self.deputies, f"must be at most {MOST_DEPUTIES}")
-        units = {
-            "mass": "kg",
-            "mean_motion": "rad/s",
-            "deputy_radius": "m",
-            "chief_radius": "m",
-            "docking_speed": "m/s",
-            "delta_v_max": "m/s",
-            "field_of_view": "rad",
-            "distance_max": "m",
-            "passive_time": "s",
-            "speed_max": "m/s",
-            "thrust_max": "N",
-            "smoothing": "m",
-        }
-        for name, unit in units.items():
-            positive(name, getattr(self, name), unit)
-        if self.speed_slope is not None:
-            positive("speed_slope", self.speed_slope, "1/s")
+        for name, unit in UNITS.items():
+            if getattr(self, name) is not None:
+                positive(name, getattr(self, name), unit)
         if self.field_of_view >= np.pi:
             raise ScenarioError("field_of_view", self.field_of_view, "must be below pi rad")
         if self.distance_max <= self.separation:
@@ -126,15 +116,15 @@ class Inspection:
     def _check_authority(self) -> None:
         """Refuse thrust too weak against the natural motion (eqs. 28, 32, 36 and 37)."""
         n, v, r = self.mean_motion, self.speed_max, self.distance_max
-        fastest = np.sqrt(3) * v
+        fastest, natural = np.sqrt(3) * v, 3 * n**2 * r + 2 * n * v
         slow_down = self.nu_1 * fastest + 3 * n**2 * (fastest - self.docking_speed) / self.nu_1 + 2 * n * v
         inside = r - self.smoothing
         around = 3 * self.fastest**2 / inside if inside > 0 else np.inf  # half of a_max left: see a_inside
         equations = {
-            "eq. 28 (braking before a boundary)": 3 * n**2 * r + 2 * n * v,
-            "eq. 36 (turning before r_max)": 3 * n**2 * r + 2 * n * v + around,
+            "eq. 28 (braking before a boundary)": natural,
+            "eq. 36 (turning before r_max)": natural + around,
             "eq. 32 (dynamic speed limit)": slow_down,
-            "eq. 37 (velocity limit, radial)": 3 * n**2 * r + 2 * n * v,
+            "eq. 37 (velocity limit, radial)": natural,
             "eq. 37 (velocity limit, along-track)": 2 * n * v,
             "eq. 37 (velocity limit, cross-track)": n**2 * r,
         }

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -90,8 +89,6 @@ def evaluate(
         alpha = np.where(outside, recovery * alpha - push, alpha)
     return np.asarray(alpha)
 
-
-Preset = Mapping[str, Strengthening]
 
 _CUBIC = (0.01, 0.0, 0.001)
 _FAR = Strengthening(_CUBIC, 0.0, 10.0, 0.01)
