@@ -7,13 +7,12 @@ are not among them: under a backup law thrusters are assumed to work.
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass
 
 import numpy as np
 
 from ...model.hill import free_flight
 from ...model.system import Array
-from ..backup.backup_flight import BackupFlight, fly_backup, periods
+from ..backup.backup_flight import fly_backup, periods
 from ..backup.parking import Memoryless, Outlook
 from ..constraints.allowable_set import AllowableRows
 from ..enmt import semi_axes
@@ -25,22 +24,6 @@ PHASES = 360
 
 SHARE = 0.02
 """Share of the thrust limit below which a flight is taken to have arrived on its parking orbit."""
-
-
-@dataclass(frozen=True, eq=False)
-class Checked:
-    """A backup flight, judged.
-
-    Attributes
-    ----------
-    margin : ndarray, shape (M,)
-        Lower bound of each constraint over all time, in its unit; -inf for rows of deputies that have not
-        settled within the horizon.
-    flight : BackupFlight
-    """
-
-    margin: Array
-    flight: BackupFlight
 
 
 class FlightCheck:
@@ -69,10 +52,11 @@ class FlightCheck:
         self._times = np.linspace(0.0, revolution, PHASES + 1)
         self._orbit = free_flight(law.inspection.mean_motion, self._times)
 
-    def __call__(self, t: float, x: Array, u: Array | None = None) -> Checked:
-        """Judge the flight from states (N, 6) at t [s], after one period of the thrust u, if given.
+    def __call__(self, t: float, x: Array, u: Array | None = None) -> Array:
+        """Lower bounds of all constraints over all time, in their units, shape (M,).
 
-        With u, the period itself is judged too, from its start.
+        From states (N, 6) at t [s], with a period of the thrust u first, if given; -inf for deputies that
+        have not settled within the horizon.
         """
         law, q = self.law, self.inspection
         first = x if u is None else x @ law.motion[0].T + u @ law.motion[1].T
@@ -84,7 +68,7 @@ class FlightCheck:
         push = np.sqrt(3) * q.thrust_max / q.mass
         if len(states) > 1:
             margin = np.minimum(margin, self.rows.between(value, states, law.period, push).min(axis=0))
-        return Checked(np.minimum(margin, self.parked(float(at[-1]), flight.outlook)), flight)
+        return np.minimum(margin, self.parked(float(at[-1]), flight.outlook))
 
     def proves(self, got: Received, u: Array, good: bool) -> bool:
         """Note what the thrust u (N, 3) leads to; whether the flight after it is proven to stay allowable.
@@ -131,17 +115,12 @@ class Inherited:
 
     The bounds of `FlightCheck` are not sharp, and those of a rest may come out lower than those of the
     whole. What has been proven stays proven: if the deputies are where the proven flight has them, at the
-    time for which it has them there.
-
-    Parameters
-    ----------
-    period : float
-        [s]
+    time for which it has them there. The period is in seconds.
     """
 
     def __init__(self, period: float) -> None:
         self.period = period
-        self._due, self._x = np.nan, np.empty((0, 6))
+        self.clear()
 
     def prove(self, t: float, x: Array) -> None:
         """Note that the backup flight from the states x (N, 6) at t + period is proven."""
@@ -149,7 +128,7 @@ class Inherited:
 
     def clear(self) -> None:
         """Nothing is proven."""
-        self._due = np.nan
+        self._due, self._x = np.nan, np.empty((0, 6))
 
     def holds(self, t: float, x: Array) -> bool:
         """Whether the flight from x at t is proven; states may differ by rounding."""

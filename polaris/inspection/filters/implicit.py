@@ -121,19 +121,19 @@ class ImplicitASIF(CallByCall):
         backup = np.where(got.known[:, None], self.law(got.t, got.x), 0.0)
         u, notes = self._filtered(got, np.where(able[:, None], got.u, backup), counted)
         tried = self.check(got.t, got.x, u)
-        trouble = counted & ~(tried.margin >= 0)
+        trouble = counted & ~(tried >= 0)
         on_backup = bool(trouble.any() or notes)
         active = tuple(np.array(self.check.rows.labels)[trouble].tolist())
         if trouble.any():
             notes.append("the backup flight after the filtered input would not stay allowable")
         if on_backup:
             u, tried = backup, self.check(got.t, got.x, backup)
-        good = not (counted & ~(tried.margin >= 0)).any()
+        good = not (counted & ~(tried >= 0)).any()
         unproven = not self.check.proves(got, u, good) and not good
         if unproven:
             notes.append("the backup flight itself is not proven to stay allowable")
         intervened = ~able | got.clipped | (np.abs(u - got.u).max(axis=1) > 0)
-        margins = named(self.check.rows.labels, tried.margin, counted)
+        margins = named(self.check.rows.labels, tried, counted)
         none = every & (not got.known.any())
         return Answer(u, intervened, every & on_backup, none, margins, notes, active, unproven=unproven)
 

@@ -151,7 +151,7 @@ class ImplicitSimplex(Latched):
         super().__init__(inspection, law, law.period, np.zeros(len(release)), release, dwell)
 
     def _try(self, t: float, x: Array, u: Array) -> Array:
-        return self.check(t, x, u).margin
+        return self.check(t, x, u)
 
     def _proves(self, got: Received, u: Array, good: bool) -> bool:
         return self.check.proves(got, u, good) or good
