@@ -318,7 +318,7 @@ def test_keeping_h_keeps_phi(seed):
     now, then = allowable(q, x, sun), allowable(q, drifted, sun - q.mean_motion * later)
     # The way back across a cone is one of the signed distance: on it the angle may turn a little further in.
     rows = AllowableRows(q)
-    signed = [rows(x, sun).value, rows(drifted, sun - q.mean_motion * later).value]
+    signed = [rows(x, sun).h, rows(drifted, sun - q.mean_motion * later).h]
     names = np.array([label.split("[")[0].rstrip("+-") for label in families.labels])
     for name, of in INSIDE.items():
         held = h[:, names == name]

@@ -39,7 +39,7 @@ def test_rows_agree_with_the_allowable_set():
     x[::2, :, :3] *= 0.03
     sun = rng.uniform(0, 7, 400)
     rows = AllowableRows(THREE)
-    ours, theirs = rows(x, sun).value, allowable(THREE, x, sun)
+    ours, theirs = rows(x, sun).h, allowable(THREE, x, sun)
     kinds = np.array([f"phi{number}" for number in rows.number])
     for name in ("phi1", "phi2", "phi3", "phi6", "phi9", "phi10", "phi11"):
         np.testing.assert_allclose(ours[:, kinds == name], theirs[name], atol=1e-9)
@@ -59,10 +59,10 @@ def test_gradients_and_changes_against_differences():
         for k in range(6):
             step = np.zeros((3, 6))
             step[i, k] = 1e-5
-            numeric = (rows(x + step, sun).value - rows(x - step, sun).value) / 2e-5
+            numeric = (rows(x + step, sun).h - rows(x - step, sun).h) / 2e-5
             sign = np.where(rows.first == i, 1.0, np.where(rows.second == i, -1.0, 0.0))
             np.testing.assert_allclose(phi.gradient[..., k] * sign, numeric, atol=1e-5)
-    numeric = (rows(x, sun - N * 0.05).value - rows(x, sun + N * 0.05).value) / 0.1
+    numeric = (rows(x, sun - N * 0.05).h - rows(x, sun + N * 0.05).h) / 0.1
     np.testing.assert_allclose(phi.change, numeric, atol=1e-5)
 
 
@@ -81,7 +81,7 @@ def test_bounds_between_samples_hold():
         u = rng.uniform(-1, 1, (2, 3))
         taus = np.linspace(0, D, 51)
         dense = np.stack([x @ P.T + u @ G.T for P, G in (TWO.held(float(tau)) for tau in taus)])
-        value = rows(dense, TWO.sun_angle(taus, 1.0)).value
+        value = rows(dense, TWO.sun_angle(taus, 1.0)).h
         ends = dense[[0, -1]]
         bound = rows.between(value[[0, -1]], ends, D, np.sqrt(3) / TWO.mass)
         assert (bound[0] <= value.min(axis=0) + 1e-12).all()
@@ -108,7 +108,7 @@ def test_margins_bound_a_dense_flight_of_two_revolutions(seed):
         state, t = state @ P.T + thrust @ G.T, t + 0.5
     states = np.stack(worst)
     sun = TWO.sun_angle(100.0 + 0.5 * np.arange(len(states)), np.pi)
-    least = check.rows(states, sun).value.min(axis=0)
+    least = check.rows(states, sun).h.min(axis=0)
     assert np.isfinite(judged).all()
     assert (judged <= least + 1e-9).all()
     assert (least - judged)[~check.rows.is_speed].max() < 12.0  # m: a bound worth having
@@ -157,7 +157,7 @@ def test_conditions_against_differences_of_the_backup_flight():
         state = x @ P.T + u @ Gm.T
         for _ in range(k):
             state = state @ law.motion[0].T + law(0, state) @ law.motion[1].T
-        return rows(state[None], TWO.sun_angle([50.0 + dt + k], np.pi)).value[0]
+        return rows(state[None], TWO.sun_angle([50.0 + dt + k], np.pi)).h[0]
 
     chosen = np.unique(np.linspace(0, count - 1, min(count, 40)).round().astype(int))
     for row, k in enumerate(chosen):

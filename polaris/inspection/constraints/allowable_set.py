@@ -8,7 +8,6 @@ phi7 and phi8 (passively safe manoeuvres) are h7 and h8; see `polaris.inspection
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,6 +15,7 @@ from numpy.typing import ArrayLike
 from ...model.system import Array
 from ..inspection import Inspection
 from ..vectors import length
+from .barriers import Evaluation
 from .table import Table
 
 
@@ -57,24 +57,6 @@ def allowable(inspection: Inspection, x: Array, sun: ArrayLike) -> dict[str, Arr
     }
 
 
-@dataclass(frozen=True, eq=False)
-class PhiValues:
-    """Constraints at S instants.
-
-    Attributes
-    ----------
-    value : ndarray, shape (S, M)
-    gradient : ndarray, shape (S, M, 6)
-        By the state of the first deputy; by the second's it is the negative.
-    change : ndarray, shape (S, M)
-        Explicit rate of change with time, by the turning sun [1/s].
-    """
-
-    value: Array
-    gradient: Array
-    change: Array
-
-
 class AllowableRows(Table):
     """phi1 to phi6 and phi9 to phi11 with gradients, as rows; phi4 and phi5 in metres, not as angles.
 
@@ -97,17 +79,20 @@ class AllowableRows(Table):
         self.labels = self.names("phi")
         self.is_speed = self.among("speed", "velocity")
 
-    def __call__(self, x: Array, sun: Array) -> PhiValues:
-        """Evaluate at states (S, N, 6) and sun angles (S,) [rad]."""
+    def __call__(self, x: Array, sun: Array) -> Evaluation:
+        """Values, gradients by the first deputy's state (the second's is the negative), changes with time.
+
+        Shapes (S, M), (S, M, 6) and (S, M), at states (S, N, 6) and sun angles (S,) [rad].
+        """
         every = self.stack(x)
         shape = (len(x), len(self.family))
-        phi = PhiValues(np.empty(shape), np.empty((*shape, 6)), np.empty(shape))
+        phi = np.empty(shape), np.empty((*shape, 6)), np.empty(shape)
         start = 0
         for group in self.groups:
             rows = slice(start, start := start + len(group.family))
-            found = group.barrier.phi(every[:, group.at], sun[:, None])
-            phi.value[:, rows], phi.gradient[:, rows], phi.change[:, rows] = found
-        return phi
+            for whole, part in zip(phi, group.barrier.phi(every[:, group.at], sun[:, None]), strict=True):
+                whole[:, rows] = part
+        return Evaluation(*phi)
 
     def between(self, value: Array, x: Array, period: float, push: float) -> Array:
         """Lower bounds between each two samples, shape (S-1, M).

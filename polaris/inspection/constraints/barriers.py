@@ -24,7 +24,7 @@ from .motion import Motion
 
 
 class Evaluation(NamedTuple):
-    """A barrier at some states.
+    """A barrier, or the constraint that it keeps, at some states.
 
     Attributes
     ----------

@@ -102,22 +102,10 @@ class Switch:
 
 @dataclass
 class Answer:
-    """What a filter has decided, before it is put into words; see `Decision`.
+    """What a filter has decided, before it is put into words: see `Decision`.
 
-    Attributes
-    ----------
-    u : ndarray, shape (N, 3)
-        [N]
-    intervened, backup, coasting : ndarray of bool, shape (N,)
-        Whose input differs from the desired one, is the backup's, is none because nothing else is possible.
-    margins : dict of str to float
-    notes : list of str
-        What is not regular about it.
-    active : tuple of str
-    missed : dict of str to float
-    short : bool
-        No input satisfies all conditions.
-    unproven : bool
+    `backup` and `coasting` say whose input is the backup's, and whose is none because nothing else is
+    possible; `notes` what is not regular; `short` that no input satisfies all conditions.
     """
 
     u: Array

@@ -63,12 +63,12 @@ class FlightCheck:
         flight = fly_backup(law, first, law.start(first), self.steps, SHARE)
         states = flight.x if u is None else np.concatenate([x[None], flight.x])
         at = t + law.period * np.arange(len(states))
-        value = self.rows(states, q.sun_angle(at, self.sun_start)).value
+        value = self.rows(states, q.sun_angle(at, self.sun_start)).h
         margin = value.min(axis=0)
         push = np.sqrt(3) * q.thrust_max / q.mass
         if len(states) > 1:
             margin = np.minimum(margin, self.rows.between(value, states, law.period, push).min(axis=0))
-        return np.minimum(margin, self.parked(float(at[-1]), flight.outlook))
+        return np.asarray(np.minimum(margin, self.parked(float(at[-1]), flight.outlook)))
 
     def proves(self, got: Received, u: Array, good: bool) -> bool:
         """Note what the thrust u (N, 3) leads to; whether the flight after it is proven to stay allowable.
@@ -93,7 +93,7 @@ class FlightCheck:
         orbit = np.einsum("sij,nj->sni", self._orbit, outlook.ellipse)
         # Free flight returns exactly for these states; rounding and the drift of a state that is not
         # quite on an eNMT are far below a millimetre.
-        value = rows(orbit, q.sun_angle(t + self._times, self.sun_start)).value
+        value = rows(orbit, q.sun_angle(t + self._times, self.sun_start)).h
         least = rows.between(value, orbit, float(self._times[1]), 0.0).min(axis=0)
         # Distances are never below the semi-minor axis, of one orbit or of the difference of two.
         semi_minor = semi_axes(rows.relative(outlook.ellipse), q.mean_motion)[0]

@@ -105,7 +105,7 @@ class ImplicitASIF(CallByCall):
             slopes_at = np.concatenate([slopes_at, np.einsum("sij,njk->snik", self._orbit, turn)])
             at = np.concatenate([at, t + law.period * (count - 1) + self._times])
         phi = rows(states, q.sun_angle(at, self.check.sun_start))
-        along = np.zeros((*phi.value.shape, q.deputies, 6))  # derivative by every deputy's present state
+        along = np.zeros((*phi.h.shape, q.deputies, 6))  # derivative by every deputy's present state
         every = np.arange(len(rows.first))
         along[:, every, rows.first] = np.einsum("smi,smij->smj", phi.gradient, slopes_at[:, rows.first])
         pair = np.flatnonzero(rows.second >= 0)
@@ -113,7 +113,7 @@ class ImplicitASIF(CallByCall):
             "smi,smij->smj", phi.gradient[:, pair], slopes_at[:, rows.second[pair]]
         )
         drift = np.einsum("smni,ni->sm", along, x @ q.A.T) + phi.change
-        return along[..., 3:] / q.mass, -drift - self.rate * phi.value, phi.value
+        return along[..., 3:] / q.mass, -drift - self.rate * phi.h, phi.h
 
     def _answer(self, got: Received) -> Answer:
         able, every = got.known & got.given, np.ones(len(got.u), dtype=bool)
