@@ -152,15 +152,9 @@ class ClosestApproach:
         beyond : float
             Distances larger than this need not be exact: they may come out smaller, but not below it.
         """
-        flat = z.reshape(-1, 6)
-        if len(flat) <= BLOCK:
-            found = [self._block(flat, beyond)]
-        else:
-            found = [self._block(flat[k : k + BLOCK], beyond) for k in range(0, len(flat), BLOCK)]
-        distance, when, place = (
-            np.concatenate(part) if len(found) > 1 else part[0] for part in zip(*found, strict=True)
-        )
-        shape = z.shape[:-1]
+        flat, shape = z.reshape(-1, 6), z.shape[:-1]
+        found = [self._block(flat[k : k + BLOCK], beyond) for k in range(0, max(len(flat), 1), BLOCK)]
+        distance, when, place = found[0] if len(found) == 1 else map(np.concatenate, zip(*found, strict=True))
         return Approach(distance.reshape(shape), when.reshape(shape), place.reshape(*shape, 3))
 
     def _block(self, z: Array, beyond: float) -> Approach:

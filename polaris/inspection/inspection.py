@@ -89,7 +89,7 @@ class Inspection:
         if self.deputies > MOST_DEPUTIES:
             raise ScenarioError("deputies", self.deputies, f"must be at most {MOST_DEPUTIES}")
         for name, unit in UNITS.items():
-            if getattr(self, name) is not None:
+            if name != "speed_slope" or self.speed_slope is not None:
                 positive(name, getattr(self, name), unit)
         if self.field_of_view >= np.pi:
             raise ScenarioError("field_of_view", self.field_of_view, "must be below pi rad")

@@ -71,16 +71,9 @@ class Strengthening:
         return float(real.min()) * (1 + 1e-9) + self.bias
 
 
-def evaluate(
-    h: Array,
-    c1: Array | float,
-    c2: Array | float,
-    c3: Array | float,
-    bias: Array | float,
-    recovery: Array | float,
-    push: Array | float,
-) -> Array:
-    """Many strengthening functions at once; the parameters broadcast against h."""
+def evaluate(h: Array, *numbers: Array | float) -> Array:
+    """Many strengthening functions at once; their `Strengthening.numbers` broadcast against h."""
+    c1, c2, c3, bias, recovery, push = numbers
     s = h - bias
     size = np.abs(s)
     alpha = s * (c1 + size * (c2 + size * c3))

@@ -27,17 +27,10 @@ _Member = tuple[str, str, Index, float, float, float]
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """Constraints of one formula: a barrier with a parameter per row, and whom each row concerns.
+    """Constraints of one formula: a barrier with a parameter per place in the stack (`Table.stack`).
 
-    Attributes
-    ----------
-    barrier : Barrier
-    family, number : list of str
-        Of each place: the family, and what the constraint is called behind ``h`` or ``phi``.
-    place : ndarray of int
-        Into the stack of deputies and pairs; see `Table.stack`.
-    repeat : int
-        Rows per place.
+    Of each place: its family, what the constraint is called behind ``h`` or ``phi``, and as many rows as
+    `repeat` says.
     """
 
     barrier: Barrier

@@ -15,7 +15,7 @@ from ..inspection import Inspection
 from ..vectors import dot
 from .decision import Answer, Backup, CallByCall, named
 from .explicit import CENTRALIZED, make_filter
-from .received import Received
+from .received import Received, Receiver
 
 TIGHT = 1e-7
 """A condition counts as active if the input misses equality by less [N]."""
@@ -58,7 +58,7 @@ class ActiveSetFilter(CallByCall):
         backup: Backup | None = None,
         sun_start: float = 0.0,
     ) -> None:
-        self.backup, self.sun_start, self._sampled = backup, sun_start, sampled
+        self.backup, self.sun_start = backup, sun_start
         self.families = Families(inspection, strengthening, without, sampled)
         self.batch = make_filter(self.families, sharing)
         labels = np.array(self.families.labels)
@@ -69,7 +69,7 @@ class ActiveSetFilter(CallByCall):
 
     def reset(self) -> None:
         """Forget the last states: a new flight begins."""
-        super().__init__(self.inspection, None if self._sampled is None else self._sampled.period)
+        self._receiver = Receiver(self.inspection, self._receiver.period)
 
     def _answer(self, got: Received) -> Answer:
         replaced = ~(got.given & got.known)
@@ -91,7 +91,7 @@ class ActiveSetFilter(CallByCall):
         answer = Answer(
             u,
             (u != desired).any(axis=1) | replaced,
-            np.full(len(u), (replaced | failed).any()),
+            replaced | failed,
             np.zeros(len(u), dtype=bool),
             named(self._names, np.minimum.reduceat(rows.h[0], self._starts)),
             notes,

@@ -174,20 +174,10 @@ class FuelLimit(CallByCall):
 def clearance(flight: BackupFlight, x: Array, u: Array, inspection: Inspection, period: float) -> Array:
     """Lower bound on the distance from the chief, less the separation [m], over all time; shape (N,).
 
-    From the given states through one period of the thrust u, along the flight, and for ever after. Between
-    two samples a position is at least ``(r_k + r_{k+1} - length) / 2`` away, where the path's length is at
-    most the period times the larger speed at its ends and half of what the acceleration adds.
-
-    Parameters
-    ----------
-    flight : BackupFlight
-        From the states after that period.
-    x : ndarray, shape (N, 6)
-    u : ndarray, shape (N, 3)
-        [N]
-    inspection : Inspection
-    period : float
-        [s]
+    From the states x (N, 6) through one period [s] of the thrust u (N, 3), along the flight after it, and
+    for ever after. Between two samples a position is at least ``(r_k + r_{k+1} - length) / 2`` away, where
+    the path's length is at most the period times the larger speed at its ends and half of what the
+    acceleration adds.
     """
     q = inspection
     states = np.concatenate([x[None], flight.x])
