@@ -100,7 +100,7 @@ def test_flight_is_on_the_page_and_in_the_figures(flown, tmp_path, monkeypatch):
 
 
 def test_nothing_is_claimed_where_the_backup_is_not_proven(tmp_path):
-    """From the states of the scene the parking orbits meet sun cones: no backup flight is proven."""
+    """From the states of the scene two parking orbits cross: no backup flight is proven."""
     settings = ('filter={ kind = "implicit_simplex" }', "flight.duration_s=3")
     words = [word for setting in settings for word in ("--set", setting)]
     assert invoke("run", "inspection", *words, "--out", tmp_path / "a", "--no-figures").exit_code == 0

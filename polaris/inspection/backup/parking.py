@@ -79,7 +79,7 @@ class Law(ABC):
         Exact motion over a period, ``x -> Phi x + Gamma u``.
     """
 
-    def __init__(self, inspection: Inspection, period: float) -> None:
+    def __init__(self, inspection: Inspection, period: float = 1.0) -> None:
         self.inspection, self.period = inspection, positive("period", period, "s")
         self.motion = inspection.held(self.period)
 
@@ -129,9 +129,6 @@ class Coast(Memoryless):
     period : float
         [s]
     """
-
-    def __init__(self, inspection: Inspection, period: float = 1.0) -> None:
-        super().__init__(inspection, period)
 
     def __call__(self, t: float, x: Array) -> Array:
         """Zeros, shape (N, 3)."""
