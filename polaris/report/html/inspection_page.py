@@ -9,7 +9,7 @@ import numpy as np
 
 from ...inspection.constraints.allowable_set import allowable
 from ...inspection.flights.fuel_run import FuelRun
-from ...inspection.flights.judge import PASSIVE
+from ...inspection.constraints.catalogue import PASSIVE
 from ...inspection.flights.simulation import InspectionRun
 from ...inspection.inspection import Inspection
 from ...model.system import Array
@@ -31,6 +31,8 @@ ANSWERS = [
     {"mode": 1, "name": "filtered", "colour": ORANGE},
     {"mode": 2, "name": "no answer satisfies all: violated least", "colour": PURPLE},
     {"mode": 3, "name": "failed: no thrust", "colour": RED},
+    {"mode": 4, "name": "backup", "colour": GREEN},
+    {"mode": 5, "name": "backup, not proven", "colour": RED},
 ]
 LINES = (BLACK, BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
 
