@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from ...inspection.constraints.allowable_set import allowable
-from ...inspection.flights.fuel_run import FuelRun
 from ...inspection.constraints.catalogue import PASSIVE
+from ...inspection.flights.fuel_run import FuelRun
 from ...inspection.flights.simulation import InspectionRun
 from ...inspection.inspection import Inspection
 from ...model.system import Array
