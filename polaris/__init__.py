@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from .planning.problem import Plan, PlannerOptions, Progress, Stage
     from .planning.reference import Reference
     from .report import write_report
-    from .report.figures import plot_reference, plot_schedule
+    from .report.figures import draw_run, plot_reference, plot_schedule
     from .rta.arena import Comparison, compare_methods
     from .rta.estimate import Measurement
     from .rta.method import Choice, Claim, Method, Seen
@@ -58,8 +58,11 @@ if TYPE_CHECKING:
     from .rta.scene import Scene
     from .runs.campaign import CampaignFolder, make_cases, read_campaign, run_campaign
     from .runs.case import replay, write_case
-    from .runs.comparison import ComparisonFolder, read_comparison, write_comparison
-    from .runs.folder import RunFolder, read_run, write_run
+    from .runs.comparison import write_comparison
+    from .runs.folder import RunFolder
+    from .runs.run import read_run, run
+    from .runs.schedule import write_run
+    from .runs.stages import Stages
     from .scenario.scenario import Scenario, bundled_scenarios, load_scenario
     from .simulation.baselines import Flights, Flown, compare
     from .simulation.falsification.search import Failure, Falsification, falsify
@@ -112,6 +115,7 @@ _HOMES = {
     ".runs.case": ("replay", "write_case"),
     ".simulation.falsification.search": ("Failure", "Falsification", "falsify"),
     ".report.figures": (
+        "draw_run",
         "plot_reference",
         "plot_schedule",
     ),
@@ -151,11 +155,10 @@ _HOMES = {
         "RecoverableSet",
     ),
     ".planning.reference": ("Reference",),
-    ".runs.folder": (
-        "RunFolder",
-        "read_run",
-        "write_run",
-    ),
+    ".runs.folder": ("RunFolder",),
+    ".runs.run": ("read_run", "run"),
+    ".runs.schedule": ("write_run",),
+    ".runs.stages": ("Stages",),
     ".synthesis.get_safety": (
         "Safety",
         "get_safety",
@@ -188,7 +191,7 @@ _HOMES = {
     ".rta.arena": ("Comparison", "compare_methods"),
     ".rta.online.decision_log": ("DecisionLog", "read_log"),
     ".rta.estimate": ("Measurement",),
-    ".runs.comparison": ("ComparisonFolder", "read_comparison", "write_comparison"),
+    ".runs.comparison": ("write_comparison",),
     ".rta.online.loop": ("Command", "FlightLoop"),
     ".rta.method": ("Choice", "Claim", "Method", "Seen"),
     ".rta.monitor": ("Monitor",),
@@ -218,7 +221,6 @@ __all__ = [
     "ClockWarning",
     "Command",
     "Comparison",
-    "ComparisonFolder",
     "Controller",
     "DecisionLog",
     "EllipticalNMT",
@@ -267,6 +269,7 @@ __all__ = [
     "Schedule",
     "Seen",
     "Stage",
+    "Stages",
     "StationaryPoint",
     "Step",
     "SwitchingRules",
@@ -281,6 +284,7 @@ __all__ = [
     "clohessy_wiltshire",
     "compare",
     "compare_methods",
+    "draw_run",
     "elliptical_nmt",
     "evaluate",
     "evaluate_trace",
@@ -294,12 +298,12 @@ __all__ = [
     "plot_reference",
     "plot_schedule",
     "read_campaign",
-    "read_comparison",
     "read_log",
     "read_run",
     "read_trace",
     "replay",
     "replay_log",
+    "run",
     "run_campaign",
     "simulate",
     "synthesize",

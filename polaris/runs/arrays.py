@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..simulation.baselines import Flights
-from .picture import (SlicePicture, TubePicture, recoverable_slices, shown_steps)
-from ..synthesis.schedule import Schedule
 from ..model.system import Array
+from ..simulation.baselines import Flights
+from ..synthesis.schedule import Schedule
+from .picture import SlicePicture, TubePicture, recoverable_slices, shown_steps
 
 
 def write_sets(path: Path, schedule: Schedule) -> None:
@@ -104,6 +104,14 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
     """All arrays of a file; nothing in it is ever unpickled."""
     with np.load(path, allow_pickle=False) as file:
         return {name: file[name] for name in file.files}
+
+
+def read_finite(path: Path, finite: Iterable[str]) -> dict[str, NDArray[Any]]:
+    """All arrays of a file, some of which must be of finite numbers; `ValueError` if they are not."""
+    arrays = read_arrays(path)
+    if not all(np.isfinite(arrays[name]).all() for name in finite):
+        raise ValueError(f"{path.name}: numbers that are not finite")
+    return arrays
 
 
 def read_flights(path: Path) -> dict[str, Flights]:

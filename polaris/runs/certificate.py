@@ -11,14 +11,14 @@ import numpy as np
 
 from reach.numerics.linear import growth
 
-from ..model.system import (Array)
-from ..model.timed_polytope import (TimedPolytope)
-from ..model.tolerances import (ROUNDING)
-from ..synthesis.clearance import (error_tube)
-from ..synthesis.controllers import (AffineController, Controller, Flight)
-from ..synthesis.get_safety import (Safety)
-from ..synthesis.schedule import (Schedule, Step, assumed)
-from ..certificate.document import (FORMAT, VERSION, canonical, digest)
+from ..certificate.document import FORMAT, VERSION, canonical, digest
+from ..model.system import Array
+from ..model.timed_polytope import TimedPolytope
+from ..model.tolerances import ROUNDING
+from ..synthesis.clearance import error_tube
+from ..synthesis.controllers import AffineController, Controller, Flight
+from ..synthesis.get_safety import Safety
+from ..synthesis.schedule import Schedule, Step, assumed
 
 
 def hexadecimal(values: Any) -> Any:

@@ -16,7 +16,6 @@ from pydantic_core import ErrorDetails
 from ..model.checks import counted
 from ..model.errors import ScenarioError
 from .fields import LARGEST, NAME_PATTERN
-from .tables import ScenarioModel
 
 MAX_BYTES = 1_000_000
 """Largest scenario file read; the largest sensible one is a hundred times smaller."""
@@ -104,12 +103,7 @@ def parse_toml(text: str, where: str) -> dict[str, Any]:
 # -- validation -------------------------------------------------------------------------------------
 
 
-def validate(document: Mapping[str, Any], where: str | None = None) -> ScenarioModel:
-    """Validate the fields of a switching scenario; see `validate_as`."""
-    return validate_as(ScenarioModel, document, where)
-
-
-def validate_as(model: type[Model], document: Mapping[str, Any], where: str | None = None) -> Model:
+def validate(model: type[Model], document: Mapping[str, Any], where: str | None = None) -> Model:
     """Validate the fields of a document one by one (no rules that join several fields).
 
     Raises
@@ -129,7 +123,7 @@ def explain(
     problems: Sequence[ErrorDetails],
     document: Mapping[str, Any],
     where: str | None,
-    model: type[BaseModel] = ScenarioModel,
+    model: type[BaseModel],
 ) -> ScenarioError:
     """Turn pydantic's list of problems into one error: the likeliest cause first."""
     found = [one for one in (_locate(problem, document, model) for problem in problems) if one]

@@ -17,18 +17,8 @@ from ..model.satellite import SatelliteObstacle
 from ..model.system import LinearSystem
 from . import scene_tables as scene
 from . import tables as models
-from .build import (
-    build_goal,
-    build_initial_set,
-    build_obstacle,
-    build_obstacles,
-    build_system,
-    in_file_terms,
-    whole_parts,
-)
+from .build import build_obstacle, in_file_terms, whole_parts
 from .fields import MAX_STEPS
-from .geometry import check_start_and_goal
-from .numerics import check_numerics, check_weights, weights
 
 MAX_SPEED_M_S = 100.0
 """Fastest relative motion [m/s] of an obstacle: beyond it this is conjunction screening, not
@@ -36,30 +26,6 @@ proximity operations, and one step of the plan would jump over it."""
 
 HILL_RANGE_M = 1e5
 """Range [m] within which Hill's linear equations are taken to hold."""
-
-
-def check(model: models.ScenarioModel) -> None:
-    """Run every check.
-
-    Raises
-    ------
-    ScenarioError
-        At the first rule that is broken.
-    """
-    check_system(model.system)
-    check_orbit(model)
-    system = build_system(model.system)
-    check_shapes(model, system)
-    check_time(model)
-    check_numerics(model, system)
-    for path, Q, R in weights(model):
-        check_weights(path, Q, R, system)
-    check_controllers(model, system)
-    check_names(model)
-    check_scene(model, system)
-    build_goal(model.goal, system)
-    build_obstacles(model)
-    check_start_and_goal(model, system, build_initial_set(model.initial_set, system))
 
 
 # -- shapes -----------------------------------------------------------------------------------------

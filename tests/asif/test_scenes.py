@@ -5,15 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from polaris.inspection.flights.judge import CONSTRAINTS, fly_scenario
+from polaris.inspection.flights.judge import CONSTRAINTS
 from polaris.rta.projection import SHORT
-from polaris.scenario.inspection import load_inspection
+from polaris.runs.inspection import fly_flight
+from polaris.scenario.scenario import load_scenario
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["inspection", "inspection-decentralized"])
 def test_every_constraint_is_kept_for_the_whole_flight(name):
-    flown = fly_scenario(load_inspection(name))
+    flown = fly_flight(load_scenario(name))
     assert set(flown.constraints) == set(CONSTRAINTS)
     assert flown.run.t[-1] == 3000.0
     for constraint, least in flown.constraints.items():

@@ -20,7 +20,7 @@ import numpy as np
 
 from polaris.certificate.checker import verify
 from polaris.certificate.document import canonical, digest
-from polaris.runs.folder import write_run
+from polaris.runs.schedule import write_run
 from polaris.scenario.reading import write_toml
 from polaris.scenario.scenario import load_scenario
 from polaris.synthesis.synthesize import synthesize
@@ -38,7 +38,7 @@ def make(assignments, folder):
     scenario = load_scenario(TINY).with_assignments(["tracking.R=[60,60]", "simulation.runs=2", *assignments])
     schedule = synthesize(scenario)
     assert schedule.guarantee == "proved" and 1 in schedule.modes
-    return write_run(folder / "run", scenario, schedule, figures=False).path
+    return write_run(folder / "run", scenario, schedule).path
 
 
 class Forger:

@@ -530,10 +530,10 @@ def synthesised(seed: int, folder: Path) -> tuple[Any, Any]:
 
 def written(seed: int, folder: Path) -> Path:
     """Run folder of a random scene; raises as `synthesised` does."""
-    from polaris.runs.folder import write_run
+    from polaris.runs.schedule import write_run
 
     scenario, schedule = synthesised(seed, folder)
-    return write_run(folder / f"random-{seed}", scenario, schedule, figures=False).path
+    return write_run(folder / f"random-{seed}", scenario, schedule).path
 
 
 def main(arguments: Sequence[str]) -> None:

@@ -33,7 +33,7 @@ def test_bundled_scenario_builds_all_its_objects(name):
     tracking = scenario.tracking()
     assert tracking.Q.shape == (system.n, system.n) and tracking.R.shape == (system.m, system.m)
     assert scenario.steps * scenario.step == pytest.approx(scenario.model.horizon.duration_s)
-    assert scenario.experimental_specs()
+    assert scenario.model.experimental
     assert scenario.text == (scenario_folder() / f"{name}.toml").read_text(encoding="utf-8")
 
 
@@ -185,11 +185,6 @@ def test_thrust_limit_per_axis_or_for_all():
     scenario = load_scenario(SPACE)
     assert scenario.system().u_max.tolist() == [0.1, 0.1, 0.1]
     assert scenario.set("system.thrust_max_N", [0.1, 0.1, 0.05]).system().u_max.tolist() == [0.1, 0.1, 0.05]
-
-
-def test_periods():
-    assert load_scenario(SPACE).periods_per_step is None
-    assert load_scenario(FLOOR).periods_per_step == 5
 
 
 def test_models_cannot_be_changed():

@@ -17,7 +17,7 @@ from polaris.model.obstacles import (
     SatelliteObstacle,
 )
 from polaris.model.truth import true_states
-from polaris.runs.folder import write_run
+from polaris.runs.schedule import write_run
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.baselines import compare
 from polaris.synthesis.get_safety import get_safety
@@ -45,7 +45,7 @@ def folder(tmp_path_factory):
             safety = get_safety(scenario.problem())
             schedule = synthesize(scenario, safety, scenario.controllers(safety))
         out = tmp_path_factory.mktemp(name) / "run"
-        return write_run(out, scenario, schedule, compare(schedule, 1, 0), figures=False)
+        return write_run(out, scenario, schedule, compare(schedule, 1, 0))
 
     return make
 
@@ -87,7 +87,8 @@ def test_exported_run_agrees_with_the_summary(name, controller, folder, tmp_path
     ttc = np.inf if told["min_ttc_s"] is None else told["min_ttc_s"]
     assert min(item.ttc.min for item in found.unsafe) == pytest.approx(ttc, rel=1e-6)
     if name != "dynamic":  # another satellite drifts, a set of a trace keeps its velocity
-        every = (len(agent.times) - 1) // len(run.schedule["modes"])  # the summary asks at starts of steps
+        steps = len(run.json("schedule.json")["modes"])  # the summary asks at their starts
+        every = (len(agent.times) - 1) // steps
         starts = AgentTrace(agent.times[::every], agent.states[::every])
         asked = evaluate_trace(Trace({"chaser": starts}, exported.unsafe), system=system)
         drift = np.inf if told["min_ttc_free_drift_s"] is None else told["min_ttc_free_drift_s"]

@@ -10,9 +10,9 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from ..model.checks import counted
-from ..traces.legacy import LegacyMetrics, Raises
-from ..traces.results import AgentMetrics, Separation, Spread, TraceMetrics
+from ...model.checks import counted
+from ...traces.legacy import LegacyMetrics, Raises
+from ...traces.results import AgentMetrics, Separation, Spread, TraceMetrics
 
 
 def show_metrics(found: TraceMetrics | LegacyMetrics, console: Console | None = None) -> None:
