@@ -169,7 +169,7 @@ def _read(folder: Path, scenario: ScheduleScenario) -> ComparisonPicture:
 
 COMPARISON = RunKind(
     "comparison",
-    ("comparison.json", "comparison.npz", "decisions.jsonl"),
+    ("comparison.json", "comparison.npz"),
     _write,
     _tell,
     _read,

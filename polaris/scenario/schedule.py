@@ -40,10 +40,9 @@ class ScheduleScenario(Scenario):
             numerics.check_weights(path, Q, R, system)
         rules.check_controllers(model, system)
         rules.check_names(model)
-        rules.check_scene(model, system)
+        rules.check_scene(model, self.obstacles(), system)
         self.goal()
-        self.obstacles()
-        check_start_and_goal(model, system, self.initial_set())
+        check_start_and_goal(model, self.obstacles(), system, self.initial_set())
 
     def outline(self) -> str:
         """What it describes, on one line."""
@@ -108,7 +107,7 @@ class ScheduleScenario(Scenario):
     @kept
     def goal(self) -> Goal:
         """Where the reference must end."""
-        return build.build_goal(self.model.goal, self.system())
+        return self.model.goal.build(self.system())
 
     def tracking(self) -> build.TrackingSpec:
         """LQR weights as full matrices, the method of the error bound, and its norm."""

@@ -107,7 +107,7 @@ def test_plot_redraws_the_same_bytes_from_the_files_alone(tmp_path, monkeypatch)
     monkeypatch.setattr(figures, "FLIGHT_FIGURES", ("speed", "sun"))
     assert invoke("run", "inspection", "--set", "flight.duration_s=5", "--out", tmp_path / "a").exit_code == 0
     folder = tmp_path / "a" / "figures"
-    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    before = {path.name: path.read_bytes() for path in folder.glob("[!.]*")}
     assert sorted(before) == ["speed.pdf", "speed.png", "sun.pdf", "sun.png"]
     for path in folder.iterdir():
         path.unlink()

@@ -228,7 +228,7 @@ def test_command(tmp_path):
     assert table["protocol"]["runs"] == 3 and len(table["methods"]) == 3
     assert table["methods"][2]["settings"] == {"dwell": 4.0}
     for arguments, told in (
-        (["compare", "inspection"], "is of the inspection problem"),
+        (["compare", "inspection"], "must be a scenario of the kind 'schedule'"),
         (["compare", "robot", "--methods", "nonsense"], "must be one of"),
         (["compare", "robot", "--estimate-error", "much"], "must be numbers"),
         (["compare", str(TINY), "--tune", "monitor.dwell"], "must be METHOD.OPTION=NUMBER"),
