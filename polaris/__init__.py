@@ -63,7 +63,15 @@ if TYPE_CHECKING:
     from .runs.run import read_run, run
     from .runs.schedule import write_run
     from .runs.stages import Stages
-    from .scenario.scenario import Scenario, bundled_scenarios, load_scenario
+    from .scenario.scenario import (
+        FlightScenario,
+        FuelLimitScenario,
+        MonteCarloScenario,
+        Scenario,
+        ScheduleScenario,
+        bundled_scenarios,
+        load_scenario,
+    )
     from .simulation.baselines import Flights, Flown, compare
     from .simulation.falsification.search import Failure, Falsification, falsify
     from .simulation.orbit.environment import Environment
@@ -164,7 +172,11 @@ _HOMES = {
         "get_safety",
     ),
     ".scenario.scenario": (
+        "FlightScenario",
+        "FuelLimitScenario",
+        "MonteCarloScenario",
         "Scenario",
+        "ScheduleScenario",
         "bundled_scenarios",
         "load_scenario",
     ),
@@ -232,8 +244,10 @@ __all__ = [
     "Feedback",
     "Flight",
     "FlightLoop",
+    "FlightScenario",
     "Flights",
     "Flown",
+    "FuelLimitScenario",
     "Goal",
     "KeepInCone",
     "KeepInPolytope",
@@ -245,6 +259,7 @@ __all__ = [
     "Metrics",
     "ModelError",
     "Monitor",
+    "MonteCarloScenario",
     "NotCertified",
     "Obstacle",
     "OnlineMonitor",
@@ -267,6 +282,7 @@ __all__ = [
     "ScenarioError",
     "Scene",
     "Schedule",
+    "ScheduleScenario",
     "Seen",
     "Stage",
     "Stages",

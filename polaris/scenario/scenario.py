@@ -55,7 +55,7 @@ def scenario_folder() -> Path:
 
 def bundled_files() -> dict[str, Path]:
     """Path of every scenario file that comes with the package, of every kind, by its name, sorted."""
-    return {path.stem: path for path in sorted(scenario_folder().glob("*.toml"))}
+    return dict(sorted((path.stem, path) for path in scenario_folder().glob("*.toml")))
 
 
 def bundled_scenarios() -> tuple[str, ...]:
