@@ -428,7 +428,8 @@ BROKEN_LINEAR = {
             "keep_in": [{"kind": "cone", "name": "c", "apex_m": [-9], "axis": [1], "half_angle_deg": 5}],
             "experimental": [{"kind": "any_thrust", "name": "u"}],
         },
-        "keep_in[0].apex_m", "2 or 3 axes",
+        "keep_in[0].apex_m",
+        "2 or 3 axes",
     ),
 }
 

@@ -124,6 +124,19 @@ def test_figures_can_wait(invoke, tmp_path, monkeypatch):
     assert (tmp_path / "here" / "figures" / "modes.pdf").is_file()
 
 
+def test_python_runs_what_the_command_runs(invoke, tmp_path):
+    """The same files but for times, the overrides noted in both, figures only where they are asked for."""
+    assert invoke("run", TINY, "--out", "typed", "--set", "planner.gap=0.01", "-q").exit_code == 0
+    written = polaris.run(TINY, "called", overrides=["planner.gap=0.01"])
+    assert not (written.path / "figures").exists() and written.picture().modes.size
+    for path in (path for path in (tmp_path / "typed").iterdir() if path.is_file()):
+        if path.name not in ("summary.json", ".polaris.json"):
+            assert path.read_bytes() == (written.path / path.name).read_bytes(), path.name
+    assert polaris.draw_run(polaris.read_run(written.path)) == [written.path / "figures" / "scene.pdf"]
+    with pytest.raises(ScenarioError, match="polaris campaign runs it"):
+        polaris.run("inspection-monte-carlo")
+
+
 @pytest.mark.parametrize("options", [(), ("--quiet",), ("--json",)])
 def test_a_run_that_proves_nothing_says_so_on_standard_error(invoke, monkeypatch, options):
     unsound = replace(synthesised()[1], guarantee="none")

@@ -5,6 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+import polaris
 from polaris.model.distances import UNKNOWN, ray_ttc, signed_distances
 from polaris.model.errors import ScenarioError
 from polaris.model.hill import clohessy_wiltshire, elliptical_nmt
@@ -18,10 +19,7 @@ from polaris.model.obstacles import (
 )
 from polaris.model.truth import true_states
 from polaris.runs.schedule import write_run
-from polaris.scenario.scenario import load_scenario
 from polaris.simulation.baselines import compare
-from polaris.synthesis.get_safety import get_safety
-from polaris.synthesis.synthesize import synthesize
 from polaris.traces import AgentTrace, Trace, evaluate_trace, export_run, read_trace, to_trace, write_trace
 
 from ..polaris.tiny import synthesised
@@ -38,13 +36,10 @@ def folder(tmp_path_factory):
 
     @cache
     def make(name):
-        if name == "tiny":
-            scenario, schedule = synthesised()
-        else:
-            scenario = load_scenario(name).with_assignments(["simulation.runs=1"])
-            safety = get_safety(scenario.problem())
-            schedule = synthesize(scenario, safety, scenario.controllers(safety))
         out = tmp_path_factory.mktemp(name) / "run"
+        if name != "tiny":
+            return polaris.run(name, out, overrides=["simulation.runs=1"])
+        scenario, schedule = synthesised()
         return write_run(out, scenario, schedule, compare(schedule, 1, 0))
 
     return make
