@@ -9,6 +9,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ...runs.folder import read_json
 from ...runs.run import read_run
 from ...synthesis.recoverable import directed
