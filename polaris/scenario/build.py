@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,26 +20,6 @@ from . import tables as models
 
 if TYPE_CHECKING:
     from ..model.obstacle import Obstacle
-
-
-@dataclass(frozen=True, eq=False)
-class TrackingSpec:
-    """What the safety controller's tracking part is made of.
-
-    Attributes
-    ----------
-    Q, R : ndarray, shapes (n, n), (m, m)
-        LQR weights as full, symmetric matrices.
-    bound : {"envelope", "lyapunov"}
-        Method of the error bound.
-    weight : {"auto", "identity"} or ndarray, shape (n, n)
-        Weight W of the error norm ``norm(W e)``; a diagonal matrix if given.
-    """
-
-    Q: Array
-    R: Array
-    bound: Literal["envelope", "lyapunov"]
-    weight: Literal["auto", "identity"] | Array
 
 
 def whole_parts(total: float, part: float) -> int | None:
@@ -107,16 +86,6 @@ def full_weight(weight: ArrayLike) -> Array:
     if matrix.ndim == 1:
         return np.diag(matrix)
     return np.asarray((matrix + matrix.T) / 2)
-
-
-def build_tracking(spec: models.Tracking) -> TrackingSpec:
-    """LQR weights as matrices, and the norm."""
-    weight: Literal["auto", "identity"] | Array
-    if spec.weight == "auto" or spec.weight == "identity":
-        weight = spec.weight
-    else:
-        weight = np.diag(np.asarray(spec.weight, dtype=float))
-    return TrackingSpec(full_weight(spec.Q), full_weight(spec.R), spec.bound, weight)
 
 
 def in_file_terms(error: ScenarioError, path: str, spec: scene.Obstacle | scene.KeepIn) -> ScenarioError:

@@ -109,10 +109,6 @@ class ScheduleScenario(Scenario):
         """Where the reference must end."""
         return self.model.goal.build(self.system())
 
-    def tracking(self) -> build.TrackingSpec:
-        """LQR weights as full matrices, the method of the error bound, and its norm."""
-        return build.build_tracking(self.model.tracking)
-
     def controllers(self, safety: Safety) -> tuple[Controller, ...]:
         """The experimental controllers on a safety controller's reference, in order of preference.
 
@@ -134,21 +130,21 @@ class ScheduleScenario(Scenario):
         from ..synthesis.problem import Problem
         from .experimental import gains_of
 
-        system, tracking, planner = self.system(), self.tracking(), self.planner
-        feedback = self.model.feedback
+        system, tracking, planner = self.system(), self.model.tracking, self.planner
+        feedback, weight = self.model.feedback, tracking.weight
         return Problem(
             system=system,
             initial_set=self.initial_set(),
             unsafe=self.obstacles(),
             K=self.steps,
             delta=self.step,
-            Q=tracking.Q,
-            R=tracking.R,
+            Q=build.full_weight(tracking.Q),
+            R=build.full_weight(tracking.R),
             goal=self.goal(),
             recoverable=self.recoverable.kind,
             period=feedback.period_s if isinstance(feedback, SampledFeedback) else None,
             bound=tracking.bound,
-            weight=tracking.weight,
+            weight=weight if isinstance(weight, str) else build.full_weight(weight),
             objective=planner.objective,
             extra_margin=planner.extra_margin_m,
             thrust_reserve=planner.thrust_reserve,
