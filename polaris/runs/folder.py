@@ -140,19 +140,6 @@ def write_folder(
     """
     target, note = check_target(out), (stages or Stages()).note
     spent = dict(seconds or {})
-
-    def tell(folder: Path) -> None:
-        told = {
-            "schema_version": 1,
-            "scenario": scenario.name,
-            **({"kind": kind.name} if hasattr(scenario.model, "kind") else {}),
-            "title": scenario.title,
-            **kind.tell(scenario, found, spent),
-            "versions": versions(),
-            "created": datetime.now(UTC).isoformat(timespec="seconds"),
-        }
-        write_text(folder / kind.summary, json_text(told))
-
     with replacing(target) as folder:
         note("files")
         begun = time.perf_counter()
@@ -160,14 +147,29 @@ def write_folder(
             write_text(folder / SCENARIO, scenario.copy_text())
         kind.write(folder, scenario, found)
         spent["files"] = time.perf_counter() - begun
-        tell(folder)
+        _summarise(folder, kind, scenario, found, spent)
         if draw is not None:
             note("figures")
             begun = time.perf_counter()
             draw(RunFolder(folder, scenario, kind))
             spent["figures"] = time.perf_counter() - begun
-            tell(folder)
+            _summarise(folder, kind, scenario, found, spent)
     return RunFolder(target, scenario, kind)
+
+
+def _summarise(
+    folder: Path, kind: RunKind, scenario: Scenario, found: Any, seconds: Mapping[str, float]
+) -> None:
+    told = {
+        "schema_version": 1,
+        "scenario": scenario.name,
+        **({"kind": kind.name} if hasattr(scenario.model, "kind") else {}),
+        "title": scenario.title,
+        **kind.tell(scenario, found, seconds),
+        "versions": versions(),
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+    }
+    write_text(folder / kind.summary, json_text(told))
 
 
 def read_json(path: Path) -> dict[str, Any]:

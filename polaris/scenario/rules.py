@@ -148,9 +148,8 @@ def check_controllers(model: models.ScenarioModel, system: LinearSystem) -> None
     """References that only Hill's frame has."""
     for i, controller in enumerate(model.experimental):
         on_orbit = isinstance(controller, scene.Affine) and controller.reference.kind == "nmt"
-        if on_orbit and system.mean_motion is None:
-            rule = "needs Hill's frame (system.kind = 'clohessy_wiltshire')"
-            raise ScenarioError(f"experimental[{i}].reference.kind", "nmt", rule)
+        if on_orbit:
+            scene.hill_rate(system, f"experimental[{i}].reference.kind", "nmt")
 
 
 def check_names(model: models.ScenarioModel) -> None:

@@ -35,15 +35,15 @@ if TYPE_CHECKING:
 # -- where it ends ----------------------------------------------------------------------------------
 
 
-def _mean_motion(system: LinearSystem, kind: str) -> float:
+USUAL_RATE = 1e-2
+"""Rate [rad/s] by which velocities are weighed against positions where there is no orbit."""
+
+
+def hill_rate(system: LinearSystem, field: str, given: object) -> float:
+    """Mean motion [rad/s] of what needs Hill's frame."""
     if system.mean_motion is None:
-        raise ScenarioError("goal.kind", kind, "needs Hill's frame (system.kind = 'clohessy_wiltshire')")
+        raise ScenarioError(field, given, "needs Hill's frame (system.kind = 'clohessy_wiltshire')")
     return system.mean_motion
-
-
-def _rate(system: LinearSystem) -> float:
-    """Rate [rad/s] by which velocities are weighed against positions."""
-    return 1e-2 if system.mean_motion is None else system.mean_motion
 
 
 class EllipticalNMTGoal(ScenarioPart):
@@ -66,7 +66,7 @@ class EllipticalNMTGoal(ScenarioPart):
             rule = f"must be below {room:.6g} (how far the outer polygon of {self.sides} sides reaches)"
             raise ScenarioError("goal.inner_semi_minor_m", self.inner_semi_minor_m, rule)
         return EllipticalNMT(
-            _mean_motion(system, self.kind),
+            hill_rate(system, "goal.kind", self.kind),
             self.inner_semi_minor_m,
             self.outer_semi_minor_m,
             self.sides,
@@ -85,7 +85,7 @@ class LinearNMTGoal(ScenarioPart):
         """The goal."""
         from ..planning.goals import LinearNMT
 
-        return LinearNMT(_mean_motion(system, self.kind), self.amplitude_max_m, self.along_track_m)
+        return LinearNMT(hill_rate(system, "goal.kind", self.kind), self.amplitude_max_m, self.along_track_m)
 
 
 class StationaryGoal(ScenarioPart):
@@ -107,7 +107,7 @@ class StationaryGoal(ScenarioPart):
         if drift > 1e-9 * max(1.0, float(np.abs(state).max())) * max(1.0, float(np.abs(system.A).max())):
             rule = f"must keep itself without input (A x = 0, here {drift:.3g}); else use kind 'box'"
             raise ScenarioError("goal.state", list(self.state), rule)
-        return StationaryPoint(state, _rate(system))
+        return StationaryPoint(state, system.mean_motion or USUAL_RATE)
 
 
 class BoxGoal(ScenarioPart):
@@ -123,7 +123,9 @@ class BoxGoal(ScenarioPart):
         """The goal."""
         from ..planning.goals import Box
 
-        return Box(np.array(self.center, dtype=float), np.array(self.half_widths), _rate(system))
+        return Box(
+            np.array(self.center, dtype=float), np.array(self.half_widths), system.mean_motion or USUAL_RATE
+        )
 
 
 Goal = Annotated[EllipticalNMTGoal | LinearNMTGoal | StationaryGoal | BoxGoal, Field(discriminator="kind")]
@@ -162,9 +164,8 @@ class BoxObstacle(ScenarioPart):
 
     def build(self, path: str) -> Unsafe:
         """The unsafe set."""
-        return obstacles.BoxObstacle(
-            self.name, self.center_m, self.half_widths_m, self.velocity_m_s, path=path
-        )
+        box = obstacles.BoxObstacle
+        return box(self.name, self.center_m, self.half_widths_m, self.velocity_m_s, path=path)
 
 
 class BallObstacle(ScenarioPart):
@@ -179,9 +180,8 @@ class BallObstacle(ScenarioPart):
 
     def build(self, path: str) -> Unsafe:
         """The unsafe set."""
-        return obstacles.BallObstacle(
-            self.name, self.center_m, self.radius_m, self.velocity_m_s, self.facets, path=path
-        )
+        ball = obstacles.BallObstacle
+        return ball(self.name, self.center_m, self.radius_m, self.velocity_m_s, self.facets, path=path)
 
 
 class PolytopeObstacle(ScenarioPart):
@@ -229,15 +229,9 @@ class SatelliteObstacle(ScenarioPart):
 
     def build(self, path: str) -> Unsafe:
         """The unsafe set."""
-        return satellite.SatelliteObstacle(
-            self.name,
-            self.state,
-            self.state_half_widths,
-            self.radius_m,
-            self.thrust_accel_max_m_s2,
-            self.facets,
-            path=path,
-        )
+        known, push = (self.state, self.state_half_widths), self.thrust_accel_max_m_s2
+        made = satellite.SatelliteObstacle
+        return made(self.name, *known, self.radius_m, push, self.facets, path=path)
 
 
 Obstacle = Annotated[
@@ -275,10 +269,8 @@ class KeepInCone(ScenarioPart):
 
     def build(self, path: str) -> Unsafe:
         """The set outside of which is unsafe."""
-        angle = math.radians(self.half_angle_deg)
-        return keep_in.KeepInCone(
-            self.name, self.apex_m, self.axis, angle, self.facets, self.length_m, path=path
-        )
+        cone, angle = keep_in.KeepInCone, math.radians(self.half_angle_deg)
+        return cone(self.name, self.apex_m, self.axis, angle, self.facets, self.length_m, path=path)
 
 
 KeepIn = Annotated[KeepInPolytope | KeepInCone, Field(discriminator="kind")]
