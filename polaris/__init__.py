@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from .planning.problem import Plan, PlannerOptions, Progress, Stage
     from .planning.reference import Reference
     from .report import write_report
-    from .report.figures import plot_reference, plot_schedule
+    from .report.figures import draw_run, plot_reference, plot_schedule
     from .rta.arena import Comparison, compare_methods
     from .rta.estimate import Measurement
     from .rta.method import Choice, Claim, Method, Seen
@@ -53,9 +53,20 @@ if TYPE_CHECKING:
     from .rta.scene import Scene
     from .runs.campaign import CampaignFolder, make_cases, read_campaign, run_campaign
     from .runs.case import replay, write_case
-    from .runs.comparison import ComparisonFolder, read_comparison, write_comparison
-    from .runs.folder import RunFolder, read_run, write_run
-    from .scenario.scenario import Scenario, bundled_scenarios, load_scenario
+    from .runs.comparison import write_comparison
+    from .runs.folder import RunFolder
+    from .runs.run import read_run, run
+    from .runs.schedule import write_run
+    from .runs.stages import Stages
+    from .scenario.scenario import (
+        FlightScenario,
+        FuelLimitScenario,
+        MonteCarloScenario,
+        Scenario,
+        ScheduleScenario,
+        bundled_scenarios,
+        load_scenario,
+    )
     from .simulation.baselines import Flights, Flown, compare
     from .simulation.falsification.search import Failure, Falsification, falsify
     from .simulation.metrics import Metrics
@@ -107,6 +118,7 @@ _HOMES = {
     ".runs.case": ("replay", "write_case"),
     ".simulation.falsification.search": ("Failure", "Falsification", "falsify"),
     ".report.figures": (
+        "draw_run",
         "plot_reference",
         "plot_schedule",
     ),
@@ -141,17 +153,20 @@ _HOMES = {
         "RecoverableSet",
     ),
     ".planning.reference": ("Reference",),
-    ".runs.folder": (
-        "RunFolder",
-        "read_run",
-        "write_run",
-    ),
+    ".runs.folder": ("RunFolder",),
+    ".runs.run": ("read_run", "run"),
+    ".runs.schedule": ("write_run",),
+    ".runs.stages": ("Stages",),
     ".synthesis.get_safety": (
         "Safety",
         "get_safety",
     ),
     ".scenario.scenario": (
+        "FlightScenario",
+        "FuelLimitScenario",
+        "MonteCarloScenario",
         "Scenario",
+        "ScheduleScenario",
         "bundled_scenarios",
         "load_scenario",
     ),
@@ -173,7 +188,7 @@ _HOMES = {
     ".rta.arena": ("Comparison", "compare_methods"),
     ".rta.online.decision_log": ("DecisionLog", "read_log"),
     ".rta.estimate": ("Measurement",),
-    ".runs.comparison": ("ComparisonFolder", "read_comparison", "write_comparison"),
+    ".runs.comparison": ("write_comparison",),
     ".rta.online.loop": ("Command", "FlightLoop"),
     ".rta.method": ("Choice", "Claim", "Method", "Seen"),
     ".rta.monitor": ("Monitor",),
@@ -203,7 +218,6 @@ __all__ = [
     "ClockWarning",
     "Command",
     "Comparison",
-    "ComparisonFolder",
     "Controller",
     "DecisionLog",
     "EllipticalNMT",
@@ -214,8 +228,10 @@ __all__ = [
     "Falsification",
     "Feedback",
     "FlightLoop",
+    "FlightScenario",
     "Flights",
     "Flown",
+    "FuelLimitScenario",
     "Goal",
     "KeepInCone",
     "KeepInPolytope",
@@ -227,6 +243,7 @@ __all__ = [
     "Metrics",
     "ModelError",
     "Monitor",
+    "MonteCarloScenario",
     "NotCertified",
     "Obstacle",
     "OnlineMonitor",
@@ -249,8 +266,10 @@ __all__ = [
     "ScenarioError",
     "Scene",
     "Schedule",
+    "ScheduleScenario",
     "Seen",
     "Stage",
+    "Stages",
     "StationaryPoint",
     "Step",
     "SwitchingRules",
@@ -266,6 +285,7 @@ __all__ = [
     "clohessy_wiltshire",
     "compare",
     "compare_methods",
+    "draw_run",
     "elliptical_nmt",
     "evaluate",
     "evaluate_trace",
@@ -279,12 +299,12 @@ __all__ = [
     "plot_reference",
     "plot_schedule",
     "read_campaign",
-    "read_comparison",
     "read_log",
     "read_run",
     "read_trace",
     "replay",
     "replay_log",
+    "run",
     "run_campaign",
     "simulate",
     "synthesize",

@@ -8,14 +8,18 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Iterator
+from functools import reduce
+from operator import or_
 from pathlib import Path
 from typing import Any
 
 from pydantic import TypeAdapter
 
-from polaris.scenario.inspection import KINDS
-from polaris.scenario.inspection import Model as InspectionModels
+from polaris.scenario.scenario import KINDS, InspectionScenario
 from polaris.scenario.tables import ScenarioModel
+
+INSPECTIONS = {name: kind.MODEL for name, kind in KINDS.items() if issubclass(kind, InspectionScenario)}
+"""Model of each kind of scenario of the inspection problem."""
 
 SCHEMA_FILE = "scenario.schema.json"
 INSPECTION_FILE = "inspection.schema.json"
@@ -73,7 +77,7 @@ def schema() -> dict[str, Any]:
 
 def inspection_schema() -> dict[str, Any]:
     """JSON Schema of the scenarios of the inspection problem, one model for each kind."""
-    found: dict[str, Any] = _tidy(TypeAdapter(InspectionModels).json_schema())
+    found: dict[str, Any] = _tidy(TypeAdapter(reduce(or_, INSPECTIONS.values())).json_schema())
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "oneOf": found["anyOf"],
@@ -138,7 +142,7 @@ def _inspection_lines() -> Iterator[str]:
     tables = inspection_schema()["$defs"]
     yield _INSPECTION.rstrip("\n")
     seen: dict[str, str] = {}
-    for kind, model in KINDS.items():
+    for kind, model in INSPECTIONS.items():
         whole = tables[model.__name__]
         yield from ("", f'## `kind = "{kind}"`', "", whole["description"], "")
         yield from _fields(whole, tables, whole["required"])

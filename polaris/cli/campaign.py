@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..model.errors import ScenarioError
-from .inspection import campaign_inspection
+from .shell import answering, app, drawing, finish
 
 if TYPE_CHECKING:
     from ..runs.campaign.folder import CampaignFolder
     from ..runs.campaign.workers import Workers
-    from .console import Stages
+    from ..runs.stages import Stages
 
 Guard = Callable[[], AbstractContextManager[None]]
 
@@ -93,7 +93,7 @@ def add_campaign(app: typer.Typer, guard: Guard) -> None:
         """
         overrides = list(assignments or [])
         with guard():
-            from ..scenario.scenario import kind_of
+            from ..scenario.scenario import ScheduleScenario, load_scenario
 
             own = {
                 "--scheduler": scheduler,
@@ -104,14 +104,13 @@ def add_campaign(app: typer.Typer, guard: Guard) -> None:
                 "--initial": initial,
                 "--disturbance": disturbance,
             }
-            inspected = [name for name in scenarios if kind_of(name) is not None]
+            inspected = [one for one in scenarios if not isinstance(load_scenario(one), ScheduleScenario)]
             if inspected:
                 _only_inspection(scenarios, inspected[0], own)
                 if runs is not None:
                     overrides.append(f"campaign.runs={runs}")
-                campaign_inspection(scenarios[0], workers or 1, out, overrides, figures, as_json, quiet)
+                _fly_inspection(scenarios[0], workers or 1, out, overrides, figures, as_json, quiet)
                 return
-            from .console import Stages
 
             options = {
                 "seed": seed or 0,
@@ -122,7 +121,9 @@ def add_campaign(app: typer.Typer, guard: Guard) -> None:
                     name: own[f"--{name}"] for name in ("batch", "initial", "disturbance") if own[f"--{name}"]
                 },
             }
-            stages = Stages(quiet or as_json)
+            from .console import ShownStages
+
+            stages = ShownStages(quiet or as_json)
             _check_workers(workers, scheduler)
             folder = _fly(
                 scenarios, grid or [], overrides, runs or 1000, out, workers, scheduler, options, stages
@@ -152,7 +153,7 @@ def add_campaign(app: typer.Typer, guard: Guard) -> None:
             from ..runs.campaign.folder import read_campaign
             from ..runs.campaign.replay import check_trajectory, find_worst, replay_run
             from ..runs.tables import json_text
-            from .campaign_text import show_run
+            from .show.campaign import show_run
 
             if out is not None:
                 check_trajectory(out)
@@ -230,7 +231,7 @@ def _finish(folder: CampaignFolder, as_json: bool, quiet: bool) -> int:
     if as_json:
         sys.stdout.write((folder.path / "summary.json").read_text(encoding="utf-8"))
     elif not quiet:
-        from .campaign_text import show_campaign
+        from .show.campaign import show_campaign
 
         show_campaign(summary, str(folder.path))
         if summary["flown"]:
@@ -241,3 +242,30 @@ def _finish(folder: CampaignFolder, as_json: bool, quiet: bool) -> int:
     first = summary["cases"][0]
     typer.echo(f"error: no case has a schedule; {first['label']}: {first['failure']}", err=True)
     return int(first["exit_code"])
+
+
+def _fly_inspection(
+    name: str,
+    workers: int,
+    out: str | None,
+    overrides: list[str],
+    figures: bool,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    """Fly the Monte Carlo of a scenario, write its run folder, and print what it came to."""
+    from ..runs.atomic import check_target
+    from ..runs.monte_carlo import run_campaign
+    from ..scenario.scenario import MonteCarloScenario, load_scenario
+    from .console import ShownStages
+    from .show import show_campaign
+
+    loaded = load_scenario(name, overrides)
+    if not isinstance(loaded, MonteCarloScenario):
+        raise ScenarioError("scenario", name, "is one flight: polaris run flies it")
+    target = check_target(out if out is not None else f"runs/{loaded.name}")
+    folder = run_campaign(target, loaded, workers, drawing(figures), ShownStages(quiet or as_json))
+    finish(folder, show_campaign, figures, as_json, quiet)
+
+
+add_campaign(app, answering)

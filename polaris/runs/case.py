@@ -10,19 +10,22 @@ from typing import Any
 
 import numpy as np
 
-from ..synthesis.controllers import AffineController
 from ..model.errors import ScenarioError
-from ..simulation.integration import Integrator
-from .atomic import replacing_file
-from .tables import (json_text, write_text)
-from ..scenario.scenario import Scenario
-from ..synthesis.schedule import Schedule
-from ..synthesis.synthesize import synthesize
 from ..model.system import Array
+from ..scenario.scenario import ScheduleScenario, load_scenario
 from ..simulation.falsification.attacks import Attack
 from ..simulation.falsification.claims import Claims
 from ..simulation.falsification.measure import attained
-from ..simulation.falsification.search import (Failure, Falsification, violation)
+from ..simulation.falsification.search import Failure, Falsification, violation
+from ..simulation.integration import Integrator
+from ..synthesis.controllers import AffineController
+from ..synthesis.schedule import Schedule
+from ..synthesis.synthesize import synthesize
+from .atomic import replacing_file
+from .folder import readable
+from .run import read_run
+from .schedule import SCHEDULE
+from .tables import json_text, read_reference, write_text
 
 FORMAT = "polaris case"
 VERSION = 1
@@ -42,14 +45,14 @@ def digest(schedule: Schedule) -> str:
     return found.hexdigest()
 
 
-def write_case(path: str | Path, scenario: Scenario, found: Falsification) -> Path:
+def write_case(path: str | Path, scenario: ScheduleScenario, found: Falsification) -> Path:
     """Save the counterexample of a search.
 
     Parameters
     ----------
     path : path
         A JSON file, replaced if it is there.
-    scenario : Scenario
+    scenario : ScheduleScenario
         What was synthesised, overrides included.
     found : Falsification
         With a failure.
@@ -75,14 +78,14 @@ def write_case(path: str | Path, scenario: Scenario, found: Falsification) -> Pa
     return target
 
 
-def replay(path: str | Path) -> tuple[Failure | None, Scenario]:
+def replay(path: str | Path) -> tuple[Failure | None, ScheduleScenario]:
     """Fly a saved case again: synthesise its schedule, check that it is the same, simulate.
 
     Returns
     -------
     failure : Failure or None
         What it violates now.
-    scenario : Scenario
+    scenario : ScheduleScenario
         Of the case.
 
     Raises
@@ -91,7 +94,7 @@ def replay(path: str | Path) -> tuple[Failure | None, Scenario]:
         If the file is no case, or its scenario no longer gives the schedule it was found on.
     """
     data = _read(Path(path))
-    scenario = Scenario.from_dict(tomllib.loads(data["scenario"]), Path(path).name)
+    scenario = ScheduleScenario.from_dict(tomllib.loads(data["scenario"]), Path(path).name)
     schedule = synthesize(scenario)
     if digest(schedule) != data["schedule"]:
         rule = "belongs to another schedule than its scenario gives here (other versions of the solver?)"
@@ -148,3 +151,31 @@ def _unpacked(packed: list[list[Any]]) -> Array:
     return np.concatenate([np.repeat(_numbers(row)[None], int(count), axis=0) for count, row in packed])[
         :, None
     ]
+
+
+# -- what to attack ---------------------------------------------------------------------------------
+
+
+def load_target(target: str) -> tuple[ScheduleScenario, Schedule]:
+    """Synthesise a scenario, or that of a run folder.
+
+    Raises
+    ------
+    ScenarioError
+        If there is no such scenario, or the schedule made again is not that of the folder.
+    """
+    if not Path(target).is_dir():
+        scenario = load_scenario(target, only=ScheduleScenario)
+        return scenario, synthesize(scenario)
+    folder = read_run(target)
+    if folder.kind is not SCHEDULE:
+        raise ScenarioError("run folder", target, f"must be of a schedule, not of kind {folder.kind.name!r}")
+    schedule = synthesize(folder.scenario)
+    reference = schedule.safety.reference
+    with readable(folder.path):
+        kept = read_reference(folder.path / "reference.csv", reference.system, reference.delta)
+    same = np.array_equal(kept.chi, reference.chi) and np.array_equal(kept.nu, reference.nu)
+    if not same or folder.json("schedule.json").get("modes") != schedule.modes.tolist():
+        rule = "holds another schedule than its scenario gives here (edited, or other versions)"
+        raise ScenarioError("run folder", target, rule)
+    return folder.scenario, schedule

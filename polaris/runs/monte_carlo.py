@@ -8,74 +8,57 @@ from __future__ import annotations
 
 import multiprocessing
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..simulation.intervals import CONFIDENCE, lower_bound
-from .arrays import read_arrays
-from .tables import write_csv
-from ..model.system import Array
-from ..model.version import versions
+from ..inspection.constraints.motion import SampledData
 from ..inspection.flights.outcome import Outcome
 from ..inspection.flights.outcome import Study as Filtering
-from .inspection import (InspectionFolder, write_folder)
-from ..inspection.constraints.motion import SampledData
 from ..inspection.flights.sampling import initial_conditions
-from ..scenario.inspection import InspectionScenario
-from ..scenario.filter_tables import DecentralizedFilter
-from ..scenario.inspection_tables import MonteCarloModel
 from ..inspection.flights.studies import monte_carlo
-
-if TYPE_CHECKING:
-    from ..cli.console import Stages
+from ..model.system import Array
+from ..scenario.filter_tables import DecentralizedFilter
+from ..scenario.scenario import MonteCarloScenario
+from ..simulation.intervals import CONFIDENCE, lower_bound
+from .arrays import read_arrays
+from .folder import SCENARIO, Draw, RunFolder, RunKind, write_folder
+from .stages import Stages
+from .tables import write_csv
 
 FAILURE_COLUMNS = ("study", "run", "what", "deputies", "time_s", "value")
 
 
 def run_campaign(
     out: str | Path,
-    scenario: InspectionScenario,
+    scenario: MonteCarloScenario,
     workers: int = 1,
-    overrides: Sequence[str] = (),
-    figures: bool = True,
+    draw: Draw | None = None,
     stages: Stages | None = None,
-) -> InspectionFolder:
+) -> RunFolder:
     """Draw initial conditions, fly all studies from them, and write the run folder.
 
     Parameters
     ----------
     out : path
-    scenario : InspectionScenario
-        Of the kind ``monte_carlo``.
+    scenario : MonteCarloScenario
     workers : int
         Processes; their number does not change the results.
-    overrides : sequence of str
-        Texts ``key=value`` that changed the scenario, noted in its copy.
-    figures : bool
+    draw : callable, optional
+        Puts the figures into the folder, as `polaris.draw_run` does.
     stages : Stages, optional
         Shows progress.
     """
-    from ..cli.console import Stages
-
-    stages = stages or Stages(quiet=True)
-    model = scenario.model
-    assert isinstance(model, MonteCarloModel)
-    plan = model.campaign
+    stages, plan = stages or Stages(), scenario.model.campaign
     with stages.stage("initial conditions"):
         x, sun, acceptance = initial_conditions(scenario.families(), plan.runs, plan.seed)
     with stages.stage("runs"):
-        told = stages
-
-        def progress(done: int, total: int) -> None:
-            told.note(f"runs: block {done} of {total}", done, total)
-
+        progress = stages.counting("runs: block {} of {}")
         options = (scenario.inspection(), x, sun, filterings(scenario), plan.duration_s, plan.period_s)
         if workers > 1:
             context = multiprocessing.get_context("spawn")
@@ -83,20 +66,26 @@ def run_campaign(
                 found = monte_carlo(*options, executor=executor, progress=progress)
         else:
             found = monte_carlo(*options, progress=progress)
-
-    def contents(folder: Path) -> dict[str, Any]:
-        write_csv(folder / "failures.csv", FAILURE_COLUMNS, failure_rows(found))
-        write_campaign(folder / "campaign.npz", x, sun, found)
-        return summary(scenario, found, acceptance, stages.seconds)
-
+    flown = Flown(x, sun, acceptance, found)
     with stages.stage("run folder"):
-        return write_folder(out, scenario, contents, overrides, figures, stages.note)
+        return write_folder(
+            out, MONTE_CARLO, scenario, flown, seconds=stages.seconds, draw=draw, stages=stages
+        )
 
 
-def filterings(scenario: InspectionScenario) -> list[Filtering]:
+@dataclass(frozen=True, eq=False)
+class Flown:
+    """Initial conditions, the share of those drawn that were accepted, and what each study came to."""
+
+    x: Array
+    sun: Array
+    acceptance: float
+    found: Mapping[str, Outcome]
+
+
+def filterings(scenario: MonteCarloScenario) -> list[Filtering]:
     """The studies of a scenario."""
     model = scenario.model
-    assert isinstance(model, MonteCarloModel)
     alpha, period = scenario.strengthening(), model.campaign.period_s
     return [
         Filtering(
@@ -124,30 +113,17 @@ def failure_rows(found: Mapping[str, Outcome]) -> list[list[Any]]:
     return rows
 
 
-
-
-def summary(
-    scenario: InspectionScenario,
-    found: Mapping[str, Outcome],
-    acceptance: float,
-    seconds: Mapping[str, float],
-) -> dict[str, Any]:
+def _tell(scenario: MonteCarloScenario, flown: Flown, seconds: Mapping[str, float]) -> dict[str, Any]:
     """Contents of ``summary.json`` of a campaign."""
-    model = scenario.model
-    assert isinstance(model, MonteCarloModel)
-    plan = model.campaign
+    plan = scenario.model.campaign
     return {
-        "schema_version": 1,
-        "scenario": scenario.name,
-        "kind": scenario.kind,
-        "title": model.title,
         "runs": plan.runs,
         "deputies": plan.deputies,
         "duration_s": plan.duration_s,
         "period_s": plan.period_s,
         "seed": plan.seed,
-        "acceptance": acceptance,
-        "studies": [_study(name, outcome) for name, outcome in found.items()],
+        "acceptance": flown.acceptance,
+        "studies": [_study(name, outcome) for name, outcome in flown.found.items()],
         "guarantee": {
             "kind": "statistical",
             "reason": f"the lower bounds on the probability of success hold with {CONFIDENCE:.0%} confidence "
@@ -164,8 +140,6 @@ def summary(
             "acceptance": "share of the drawn initial conditions that satisfied every constraint",
         },
         "seconds": dict(seconds),
-        "versions": versions(),
-        "created": datetime.now(UTC).isoformat(timespec="seconds"),
     }
 
 
@@ -251,3 +225,16 @@ def read_campaign(path: Path) -> CampaignPicture:
     if x.ndim != 3 or (success.shape, failed.shape, counts.shape) != shapes or not np.isfinite(x).all():
         raise ValueError("campaign.npz: arrays of the wrong shape, or not finite")
     return CampaignPicture(x, studies, success.astype(bool), failed.astype(bool), whats, counts)
+
+
+def _write(folder: Path, scenario: MonteCarloScenario, flown: Flown) -> None:
+    write_csv(folder / "failures.csv", FAILURE_COLUMNS, failure_rows(flown.found))
+    write_campaign(folder / "campaign.npz", flown.x, flown.sun, flown.found)
+
+
+def _read(folder: Path, scenario: MonteCarloScenario) -> CampaignPicture:
+    return read_campaign(folder / "campaign.npz")
+
+
+MONTE_CARLO = RunKind("monte_carlo", (SCENARIO, "failures.csv", "campaign.npz"), _write, _tell, _read)
+"""What a campaign leaves."""

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from reach.sets.zonotope import Zonotope
 
-from ..model.obstacle import (Obstacle)
+from ..model.obstacle import Obstacle
+from ..model.system import Array, LinearSystem
 from ..planning.reference import Reference
-from ..model.system import (Array, LinearSystem)
 
 if TYPE_CHECKING:
     from ..simulation.baselines import Flights

@@ -215,7 +215,8 @@ def export_run(
         If the folder is none, is damaged, or has no such run.
     """
     from ..runs.arrays import read_flights
-    from ..runs.folder import read_run, readable
+    from ..runs.folder import readable
+    from ..runs.run import read_run
 
     run = read_run(folder)
     with readable(run.path):
@@ -276,11 +277,13 @@ def export_method(
     ScenarioError
         If the folder is none, is damaged, or has no such flight.
     """
-    from ..runs.comparison import read_comparison
+    from ..runs.run import read_run
 
-    comparison = read_comparison(folder)
-    flown, row = _chosen(comparison.shown(), "--method", method, label)
-    scenario = comparison.run.scenario
+    comparison = read_run(folder)
+    if comparison.kind.name != "comparison":
+        raise ScenarioError("comparison folder", str(folder), "must be one; it has no comparison.json")
+    flown, row = _chosen(comparison.picture().shown, "--method", method, label)
+    scenario = comparison.scenario
     return to_trace(
         flown.times,
         flown.states[row],

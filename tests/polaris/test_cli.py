@@ -17,10 +17,12 @@ from typer.testing import CliRunner
 import polaris
 import reach
 from polaris.cli import app as cli
+from polaris.cli import shell
 from polaris.model.checks import counted
 from polaris.model.errors import NotCertified, ScenarioError, SynthesisInfeasible
 from polaris.planning.problem import Progress
 from polaris.report.figures import draw_figures
+from polaris.runs.stages import planner_line
 from polaris.scenario.plausibility import doubts
 from polaris.scenario.scenario import bundled_files, load_scenario
 
@@ -39,7 +41,8 @@ def invoke(tmp_path, monkeypatch):
     monkeypatch.setattr("polaris.synthesis.synthesize.synthesize", lambda *args, **options: schedule)
     monkeypatch.setattr("polaris.simulation.baselines.compare", lambda *args: flown())
     monkeypatch.setattr(
-        "polaris.report.figures.draw_figures", lambda picture, folder: (folder / "scene.pdf").touch()
+        "polaris.report.figures.draw_figures",
+        lambda picture, folder: [(folder / "scene.pdf").touch() or folder / "scene.pdf"],
     )
     return lambda *args: CliRunner().invoke(cli.app, list(map(str, args)))
 
@@ -119,6 +122,19 @@ def test_figures_can_wait(invoke, tmp_path, monkeypatch):
     assert "draw the figures: polaris plot" in " ".join(done.stdout.split())
     assert invoke("plot", "here").exit_code == 0
     assert (tmp_path / "here" / "figures" / "modes.pdf").is_file()
+
+
+def test_python_runs_what_the_command_runs(invoke, tmp_path):
+    """The same files but for times, the overrides noted in both, figures only where they are asked for."""
+    assert invoke("run", TINY, "--out", "typed", "--set", "planner.gap=0.01", "-q").exit_code == 0
+    written = polaris.run(TINY, "called", overrides=["planner.gap=0.01"])
+    assert not (written.path / "figures").exists() and written.picture().modes.size
+    for path in (path for path in (tmp_path / "typed").iterdir() if path.is_file()):
+        if path.name not in ("summary.json", ".polaris.json"):
+            assert path.read_bytes() == (written.path / path.name).read_bytes(), path.name
+    assert polaris.draw_run(polaris.read_run(written.path)) == [written.path / "figures" / "scene.pdf"]
+    with pytest.raises(ScenarioError, match="polaris campaign runs it"):
+        polaris.run("inspection-monte-carlo")
 
 
 @pytest.mark.parametrize("options", [(), ("--quiet",), ("--json",)])
@@ -277,7 +293,7 @@ def test_plot_redraws_the_same_bytes_from_the_files_alone(invoke, tmp_path, monk
     monkeypatch.setattr("polaris.report.figures.NAMES", ("modes", "margin"))
     invoke("run", TINY, "--out", "here", "-q")
     figures = tmp_path / "here" / "figures"
-    before = {path.name: path.read_bytes() for path in figures.iterdir()}
+    before = {path.name: path.read_bytes() for path in figures.glob("[!.]*")}
     for path in figures.iterdir():
         path.unlink()
     done = invoke("plot", "here")
@@ -437,14 +453,14 @@ def test_a_run_that_fails_late_leaves_the_old_folder_whole(invoke, tmp_path, mon
 
 def test_termination_leaves_through_the_same_door():
     with pytest.raises(SystemExit) as leaving:
-        cli._terminated(signal.SIGTERM, None)
+        shell._terminated(signal.SIGTERM, None)
     assert leaving.value.code == 143
 
 
 def test_slow_stages_are_told_on_standard_error(capsys):
     from polaris.cli import console
 
-    stages = console.Stages()
+    stages = console.ShownStages()
     patience, console.PATIENCE = console.PATIENCE, 0.0
     try:
         with stages.stage("plan"):
@@ -453,6 +469,6 @@ def test_slow_stages_are_told_on_standard_error(capsys):
         console.PATIENCE = patience
     shown = capsys.readouterr()
     assert shown.out == "" and shown.err.startswith("plan: ")
-    line = console.planner_line(Progress("fuel", 1.0, 0.31, 0.30, 0.033))
+    line = planner_line(Progress("fuel", 1.0, 0.31, 0.30, 0.033))
     assert line == "plan: fuel, best 0.31, bound 0.3, gap 3.30%"
-    assert console.planner_line(Progress("path search", 1.0)) == "plan: path search"
+    assert planner_line(Progress("path search", 1.0)) == "plan: path search"

@@ -22,7 +22,6 @@ from docs.generate.scenario_docs import (
 )
 from polaris.scenario import scene_tables as scene
 from polaris.scenario import tables as scenario_model
-from polaris.scenario.inspection import load_inspection
 from polaris.scenario.scenario import bundled_scenarios, load_scenario
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
@@ -101,7 +100,7 @@ def test_schema_is_valid_and_accepts_the_bundled_scenarios():
 def test_inspection_schema_is_valid_and_refuses_what_the_models_refuse():
     validator = jsonschema.Draft202012Validator(inspection_schema())
     validator.check_schema(inspection_schema())
-    document = load_inspection("inspection").to_dict()
+    document = load_scenario("inspection").to_dict()
     assert validator.is_valid(document)
     for table, field, value in (
         ("parameters", "mass_kg", -1),

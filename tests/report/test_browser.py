@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from polaris.cli import app as cli
 from polaris.report import write_report
-from polaris.runs.folder import read_run
+from polaris.runs.run import read_run
 
 from .folders import EVIL, rename, write_comparison, write_tiny
 

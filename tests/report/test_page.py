@@ -18,7 +18,7 @@ from polaris.model.errors import ScenarioError
 from polaris.report import write_report
 from polaris.report.html.page import own_script, page_html, plotly
 from polaris.report.html.timelines import kept
-from polaris.runs.folder import read_run
+from polaris.runs.run import read_run
 
 from .folders import EVIL, rename, rewrite_json, write_comparison, write_tiny
 from .test_pieces import Tags
@@ -114,7 +114,7 @@ def test_timelines_are_those_of_the_folder(run, html):
     folder, data = read_run(run), data_of(html)
     panels = {panel["key"]: panel for panel in data["panels"]}
     (margin,) = panels["margin"]["series"]
-    margins = [step["margin"] for step in folder.schedule["steps"]]
+    margins = [step["margin"] for step in folder.json("schedule.json")["steps"]]
     assert np.allclose(
         [np.nan if v is None else v for v in margin["y"]],
         [np.nan if v is None else v for v in margins],

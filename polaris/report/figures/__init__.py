@@ -9,11 +9,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from ...runs.folder import RunFolder
     from ...runs.picture import Picture
     from ...synthesis.get_safety import Safety
     from ...synthesis.schedule import Schedule
 
-__all__ = ["NAMES", "draw_figures", "plot_reference", "plot_schedule"]
+__all__ = ["NAMES", "draw_figures", "draw_run", "plot_reference", "plot_schedule"]
 
 NAMES = ("scene", "scene_3d", "distance", "modes", "margin")
 """Figures of a run folder."""
@@ -75,6 +76,41 @@ def _plot(picture: Picture, ax: Any) -> Any:
 
         shown = lambda height: pyplot.figure(figsize=(WIDTH, height), layout="constrained")  # noqa: E731
         return scene_figure(shown, picture)[1]
+
+
+def draw_run(folder: RunFolder) -> list[Path]:
+    """Draw the figures of a run folder from its files alone; older ones stay until all are drawn.
+
+    Parameters
+    ----------
+    folder : RunFolder
+        Of any kind, as from `polaris.read_run`.
+
+    Returns
+    -------
+    list of Path
+        PDF and PNG files in its folder ``figures``.
+
+    Raises
+    ------
+    ScenarioError
+        If a file is missing or damaged, or the place cannot be written to.
+    """
+    from ...runs.atomic import replacing
+    from .comparison import draw_comparison
+    from .inspection import draw_campaign, draw_flight, draw_fuel_run
+
+    draw: Any = {
+        "schedule": draw_figures,
+        "inspection": draw_flight,
+        "fuel_limit": draw_fuel_run,
+        "monte_carlo": draw_campaign,
+        "comparison": draw_comparison,
+    }[folder.kind.name]
+    picture, place = folder.picture(), folder.path / "figures"
+    with replacing(place) as beside:
+        names = [path.name for path in draw(picture, beside)]
+    return [place / name for name in names]
 
 
 def draw_figures(picture: Picture, folder: Path) -> list[Path]:

@@ -20,7 +20,7 @@ from .view import View
 
 if TYPE_CHECKING:
     from ...rta.arena import Shown
-    from ...runs.comparison import ComparisonFolder
+    from ...runs.comparison import ComparisonPicture
 
 MODES = ((1, ORANGE, "U's input"), (-1, GREY, "filtered input"), (0, BLUE, "S"))
 
@@ -34,22 +34,22 @@ PANELS: tuple[tuple[str, str, bool], ...] = (
 """Metric, label, and whether its axis is logarithmic."""
 
 
-def draw_comparison(folder: ComparisonFolder, out: Path) -> list[Path]:
+def draw_comparison(found: ComparisonPicture, out: Path) -> list[Path]:
     """Draw ``paths`` (every method's run that came closest) and ``tradeoffs`` (metrics with intervals).
 
     Parameters
     ----------
-    folder : ComparisonFolder
+    found : ComparisonPicture
     out : Path
         Where PDF and PNG files go.
     """
-    methods = [method for method in folder.table["methods"] if method["available"]]
+    methods = [method for method in found.table["methods"] if method["available"]]
     drawn: list[Path] = []
     with printing():
         drawn += save(_tradeoffs(methods), out, "tradeoffs")
-        picture = folder.run.picture()
+        picture = found.run.picture()
         if picture.system.d > 1:
-            drawn += save(_paths(picture, methods, folder.shown()), out, "paths")
+            drawn += save(_paths(picture, methods, found.shown), out, "paths")
     return drawn
 
 

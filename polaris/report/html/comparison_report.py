@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from ...runs.folder import read_json, read_run
+from ...runs.folder import read_json
+from ...runs.run import read_run
 from ...synthesis.recoverable import directed
 from . import claims
 from .comparison_page import comparison_data

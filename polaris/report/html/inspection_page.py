@@ -13,7 +13,7 @@ from ...inspection.flights.fuel_run import FuelRun
 from ...inspection.flights.simulation import InspectionRun
 from ...inspection.inspection import Inspection
 from ...model.system import Array
-from ...runs.inspection import InspectionFolder
+from ...runs.folder import RunFolder
 from ...runs.inspection_summary import MEANING
 from ..figures.inspection.common import colour
 from ..figures.style import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, RED, SKY, VERMILION
@@ -37,7 +37,7 @@ ANSWERS = [
 LINES = (BLACK, BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
 
 
-def flight_data(folder: InspectionFolder) -> dict[str, Any]:
+def flight_data(folder: RunFolder) -> dict[str, Any]:
     """What the page's script draws of a flight of several deputies.
 
     Raises
@@ -45,7 +45,7 @@ def flight_data(folder: InspectionFolder) -> dict[str, Any]:
     ScenarioError
         If a file is missing or damaged.
     """
-    run = folder.flight()
+    run = folder.picture()
     q = run.inspection
     chosen = timelines.kept(len(run.t), run.status.T)
     t, held = run.t[chosen], np.minimum(chosen, len(run.u) - 1)

@@ -6,12 +6,12 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .cases import (Case, make_cases, parse_grid)
-    from .drive import (Interrupted, run_campaign)
-    from .folder import (CampaignFolder, read_campaign)
+    from .cases import Case, make_cases, parse_grid
+    from .drive import Interrupted, run_campaign
+    from .folder import CampaignFolder, read_campaign
     from .plan import Plan
-    from .replay import (Replayed, find_worst, replay_run)
-    from .workers import (Workers, cluster, local)
+    from .replay import Replayed, find_worst, replay_run
+    from .workers import Workers, cluster, local
 
 _PLACES = {
     "cases": ("Case", "make_cases", "parse_grid"),

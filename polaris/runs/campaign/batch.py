@@ -15,13 +15,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...simulation.disturbances import Disturbance
-from ...model.errors import (ClockWarning, OutOfTime, PolarisError)
-from ...simulation.run_metrics import evaluate
-from ...simulation.simulate import (Initial, simulate)
-from ...simulation.run_metrics import (Runs)
+from ...model.errors import ClockWarning, OutOfTime, PolarisError
 from ...model.system import Array
 from ...model.version import version
+from ...simulation.disturbances import Disturbance
+from ...simulation.run_metrics import Runs, evaluate
+from ...simulation.simulate import Initial, simulate
 
 if TYPE_CHECKING:
     from ...synthesis.schedule import Schedule
@@ -161,9 +160,9 @@ def schedule_of(text: str) -> Made:
 
 @lru_cache(KEPT)
 def _made(text: str) -> Made:
-    from ..case import digest
     from ...scenario.scenario import Scenario
     from ...synthesis.synthesize import synthesize
+    from ..case import digest
 
     try:
         with warnings.catch_warnings():

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from ...model.errors import ScenarioError
-from ...scenario.scenario import (Scenario, load_scenario)
 from ...scenario.overrides import parse_assignment
+from ...scenario.scenario import Scenario, load_scenario
 
 OPENING, CLOSING = "[{", "]}"
 

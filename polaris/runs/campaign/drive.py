@@ -10,16 +10,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ...simulation.disturbances import Disturbance
 from ...model.errors import PolarisError
-from ..atomic import CannotWrite
+from ...simulation.disturbances import Disturbance
 from ...simulation.simulate import Initial
-from .batch import (Batch, Task, fly_batch)
+from ..atomic import CannotWrite
+from .batch import Batch, Task, fly_batch
 from .cases import Case
-from .folder import (CampaignFolder, open_campaign)
-from .plan import (BATCH, Plan)
+from .folder import CampaignFolder, open_campaign
+from .plan import BATCH, Plan
 from .statistics import summarise
-from .workers import (Workers, given, local)
+from .workers import Workers, given, local
 
 RECOVERIES = 3
 """Times in a row that lost workers are replaced without a batch being finished."""

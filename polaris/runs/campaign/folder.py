@@ -16,12 +16,12 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from ...model.errors import (NotCertified, ScenarioError)
-from ..ownership import (RESULTS, tidy_all)
-from ..atomic import (check_file, check_target, replacing, replacing_file)
-from ..tables import (json_text, write_text)
+from ...model.errors import NotCertified, ScenarioError
+from ...model.version import version, versions
+from ..atomic import check_file, check_target, replacing, replacing_file
 from ..folder import read_json
-from ...model.version import (version, versions)
+from ..ownership import RESULTS, tidy_all
+from ..tables import json_text, write_text
 from .batch import Batch
 from .parts import Parts
 from .plan import Plan

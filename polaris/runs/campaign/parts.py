@@ -13,7 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ..atomic import replacing_file
-from .batch import (Batch, Task)
+from .batch import Batch, Task
 from .plan import Plan
 
 KEY = b"polaris"

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from typing import Any, cast
 
 from ...model.checks import whole
-from ...simulation.disturbances import Disturbance
 from ...model.errors import ScenarioError
-from ...simulation.simulate import (DISTURBANCES, INITIALS, Initial)
 from ...model.version import version
-from .batch import (MODES, Task)
+from ...simulation.disturbances import Disturbance
+from ...simulation.simulate import DISTURBANCES, INITIALS, Initial
+from .batch import MODES, Task
 from .cases import Case
 
 FORMAT, VERSION = "polaris campaign", 1

@@ -9,15 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...model.errors import (PolarisError, ScenarioError)
-from ...simulation.run_metrics import PART
 from ...model.distances import signed_distances
-from ..atomic import (check_file, replacing_file)
-from ..tables import (columns, write_csv)
-from ...simulation.run_metrics import (Runs)
-from ...model.system import (Array, LinearSystem)
+from ...model.errors import PolarisError, ScenarioError
 from ...model.satellite import true_states
-from .batch import (Task, fly_mode, schedule_of)
+from ...model.system import Array, LinearSystem
+from ...simulation.run_metrics import PART, Runs
+from ..atomic import check_file, replacing_file
+from ..tables import columns, write_csv
+from .batch import Task, fly_mode, schedule_of
 from .folder import CampaignFolder
 
 

@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
-from ...model.errors import (PolarisError, ScenarioError)
+from ...model.errors import PolarisError, ScenarioError
 
 PATIENCE = 5.0
 """Seconds a scheduler may take to answer."""

@@ -10,36 +10,35 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from ..model.checks import counted
-from ..traces.legacy import LegacyMetrics, Raises
-from ..traces.results import AgentMetrics, Separation, Spread, TraceMetrics
+from ...model.checks import counted
+from ...traces.legacy import LegacyMetrics, Raises
+from ...traces.results import AgentMetrics, Separation, Spread, TraceMetrics
+from .printing import Printout, alarming
 
 
 def show_metrics(found: TraceMetrics | LegacyMetrics, console: Console | None = None) -> None:
     """Print what `polaris.traces.evaluate_trace` found, as tables."""
-    console = console or Console(highlight=False)
     if isinstance(found, LegacyMetrics):
-        _show_legacy(found, console)
+        _show_legacy(found, Printout(console))
     else:
-        _show_metrics(found, console)
+        _show_metrics(found, Printout(console))
 
 
-def _show_metrics(found: TraceMetrics, console: Console) -> None:
+def _show_metrics(found: TraceMetrics, out: Printout) -> None:
     axes = "" if found.dims is None else f", {counted(found.dims, 'axis', 'axes')}"
     for name, agent in found.agents.items():
-        heading = f"{name}: {counted(agent.samples, 'sample')} over {agent.duration:.6g} s{axes}"
-        console.print(Text(heading, style="bold"), soft_wrap=True)
+        out.say(f"{name}: {counted(agent.samples, 'sample')} over {agent.duration:.6g} s{axes}", "bold")
         if agent.unsafe or agent.others:
-            console.print(_separations((*agent.unsafe, *agent.others)))
-            console.print(Text(f"velocity: {agent.velocity}"), soft_wrap=True)
+            out.table(_separations((*agent.unsafe, *agent.others)))
+            out.say(f"velocity: {agent.velocity}")
         else:
-            console.print(Text("no unsafe set, no other agent"))
-        console.print(Text(_controllers(agent)), soft_wrap=True)
+            out.say("no unsafe set, no other agent")
+        out.say(_controllers(agent))
         if agent.running_times is not None:
             mean, most, least = agent.running_times
-            console.print(Text(f"decision: mean {mean:.3g} s, max {most:.3g} s, min {least:.3g} s"))
+            out.say(f"decision: mean {mean:.3g} s, max {most:.3g} s, min {least:.3g} s")
     for note in found.notes:
-        console.print(Text(f"note: {note}"), soft_wrap=True)
+        out.say(f"note: {note}")
 
 
 def _controllers(agent: AgentMetrics) -> str:
@@ -65,11 +64,10 @@ def _separations(items: Iterable[Separation]) -> Table:
             spread: Spread | None = getattr(item, key)
             if spread is None:
                 continue
-            style = "bold red" if spread.min <= 0 else ""
             values = (spread.min, spread.mean, spread.max, spread.at)
             shown = ["-" if math.isnan(value) else f"{value:.5g}" for value in values]
             course = "" if key == "distance" else f"{spread.share:.1%}"
-            table.add_row(title, Text(quantity), Text(shown[0], style=style), *shown[1:], course)
+            table.add_row(title, Text(quantity), alarming(shown[0], spread.min <= 0), *shown[1:], course)
             title = Text("")
     return table
 
@@ -86,16 +84,16 @@ LEGACY_FORMS = {
 }
 
 
-def _show_legacy(found: LegacyMetrics, console: Console) -> None:
+def _show_legacy(found: LegacyMetrics, out: Printout) -> None:
     """Print what RTAEval's methods return, in their order."""
     for name, methods in found.agents.items():
-        console.print(Text(f"{name}: as RTAEval computes it, defects included", style="bold"), soft_wrap=True)
+        out.say(f"{name}: as RTAEval computes it, defects included", "bold")
         table = Table(box=None, pad_edge=False, header_style="bold")
         for head in ("method", "returns", "value"):
             table.add_column(head)
         for method, value in methods.items():
             table.add_row(method, LEGACY_FORMS[method], Text(_shown(value)))
-        console.print(table)
+        out.table(table)
 
 
 def _shown(value: Any) -> str:

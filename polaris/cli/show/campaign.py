@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from rich.console import Console
-from rich.table import Table
 from rich.text import Text
+
+from .printing import RED, Printout, alarming, plain, table
 
 COLUMNS = (
     "mode",
@@ -23,45 +24,35 @@ COLUMNS = (
 
 def show_campaign(summary: Mapping[str, Any], folder: str, console: Console | None = None) -> None:
     """Print violations, distances, use of U and velocity change of every case and mode."""
-    console = console or Console(highlight=False)
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    table.add_column("case", no_wrap=True)
-    for name in COLUMNS:
-        table.add_column(name, justify="right", no_wrap=True)
+    out, found = Printout(console), table("case", *COLUMNS, wrap=False)
     for case in summary["cases"]:
         label = f"{case['case']}: {case['label']}"
         for mode, told in case.get("modes", {}).items():
-            table.add_row(label, *_row(mode, told))
+            found.add_row(label, *_row(mode, told))
             label = ""
-    widest = max(len(str(case["label"])) for case in summary["cases"])
-    # Wide tables are not squeezed: numbers that are cut off say nothing.
-    Console(file=console.file, highlight=False, width=max(console.width, widest + 145)).print(table)
+    out.table(found, max(len(str(case["label"])) for case in summary["cases"]) + 145)
     for case in summary["cases"]:
         if "failure" in case:
-            text = f"{case['case']}: {case['label']}: no schedule. {case['failure']}"
-            console.print(Text(text, style="bold red"), soft_wrap=True)
-    for assumption in summary["assumptions"]:
-        console.print(Text(f"  - {assumption}"), soft_wrap=True)
-    console.print(Text(f"Campaign: {folder}"), soft_wrap=True)
+            out.say(f"{case['case']}: {case['label']}: no schedule. {case['failure']}", RED)
+    out.assume(summary["assumptions"])
+    out.say(f"Campaign: {folder}")
 
 
 def show_run(row: Mapping[str, Any], console: Console | None = None) -> None:
     """Print what the table says of one run."""
-    console = console or Console(highlight=False)
-    table = Table(box=None, pad_edge=False, show_header=False)
-    for name, value in row.items():
-        table.add_row(name, "-" if value is None else str(value))
-    console.print(table)
+    Printout(console).table(
+        plain((name, "-" if value is None else str(value)) for name, value in row.items())
+    )
 
 
 def _row(mode: str, told: Mapping[str, Any]) -> list[Text]:
     chance, mean, worst = told["violation_probability"], told["mean"], told["worst"]
-    style = "bold red" if told["violations"] else ""
+    bad = told["violations"] > 0
     return [
         Text(mode),
         Text(f"{told['runs']:,}"),
-        Text(f"{told['violations']:,}", style=style),
-        Text(f"{chance['low']:.2g} to {chance['high']:.2g}", style=style),
+        alarming(f"{told['violations']:,}", bad),
+        alarming(f"{chance['low']:.2g} to {chance['high']:.2g}", bad),
         Text(_one(worst["min_distance_m"], "m")),
         Text(_interval(mean["min_distance_m"], "m")),
         Text(f"{mean['experimental_share']['mean']:.1%}"),
