@@ -13,7 +13,7 @@ from reach.sets.zonotope import Zonotope
 
 from ..model.obstacles import Obstacle
 from ..planning.reference import Reference
-from ..model.system import (Array, LinearSystem)
+from ..model.system import Array, LinearSystem
 
 if TYPE_CHECKING:
     from ..simulation.baselines import Flights
@@ -125,6 +125,16 @@ class Picture:
         d = self.system.d
         return first.reshape(-1, d), rest.reshape(-1, d)
 
+    def path_times(self, parts: int = 8) -> Array:
+        """Times [s] of the positions of `path` up to T."""
+        steps = np.arange(self.planned)[:, None] + np.linspace(0, 1, parts + 1)
+        return np.asarray(steps.ravel() * self.reference.delta)
+
+    @property
+    def initial_positions(self) -> Zonotope:
+        """Positions of the initial set."""
+        return self.system.position @ self.initial_set
+
     def positions(self, flights: Flights, run: int = 0) -> Array:
         """Positions of one run [m], shape (N+1, d)."""
         return np.asarray(flights.states[run] @ self.system.position.T)
@@ -134,10 +144,7 @@ class Picture:
         flights = self.flights.get("polaris")
         if flights is not None:
             return flights.times, self.positions(flights)
-        before, _ = self.path()
-        parts = len(before) // self.planned
-        steps = np.arange(self.planned)[:, None] + np.linspace(0, 1, parts)
-        return steps.ravel() * self.reference.delta, before
+        return self.path_times(), self.path()[0]
 
     def approach(self, obstacle: Obstacle) -> Approach:
         """When the safe path comes closest to an unsafe set (of another satellite, where it is nominally)."""

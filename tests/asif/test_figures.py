@@ -8,8 +8,8 @@ from polaris.cli import app as cli
 from polaris.inspection.flights.judge import fly_scenario
 from polaris.report.figures import inspection as figures
 from polaris.report.figures.inspection.monte_carlo import draw_failures, draw_initial_conditions
-from polaris.report.figures.inspection.paths import free_flights, nearest_deputy
 from polaris.report.figures.style import new_figure, style
+from polaris.report.scene.inspection import free_flights, nearest_deputy
 from polaris.runs.fuel_limit import fly_fuel_scenario
 from polaris.runs.monte_carlo import CampaignPicture
 from polaris.scenario.inspection import load_inspection

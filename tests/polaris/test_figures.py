@@ -21,11 +21,12 @@ from polaris.model.system import LinearSystem
 from polaris.planning.goals import Box, EllipticalNMT, LinearNMT, StationaryPoint
 from polaris.planning.reference import Reference
 from polaris.report.figures import _FIGURES, NAMES, draw_figures, plot_reference, plot_schedule
-from polaris.report.figures.closeups import MOST, closeups
-from polaris.report.figures.geometry import faces, flat_outline, polygon, stretches, tube_polygons
-from polaris.report.figures.paths import under_mode
-from polaris.report.figures.space import Space, outline_gap
-from polaris.report.figures.style import (
+from polaris.report.figures.style import new_figure, style
+from polaris.report.figures.timelines import limit_group
+from polaris.report.scene.closeups import MOST, closeups, outline_gap
+from polaris.report.scene.geometry import faces, flat_outline, polygon, stretches, tube_polygons
+from polaris.report.scene.items import under_mode
+from polaris.report.scene.palette import (
     GREEN,
     INPUT_SHADES,
     MODE_COLOURS,
@@ -33,11 +34,9 @@ from polaris.report.figures.style import (
     SET_SHADES,
     YELLOW,
     input_labels,
-    new_figure,
     shades,
-    style,
 )
-from polaris.report.figures.timelines import limit_group
+from polaris.report.scene.space import Space
 from polaris.runs.picture import (
     Frame,
     Picture,

@@ -8,13 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from polaris.report.figures.geometry import boxed
 from polaris.report.html.comparison_report import stretches
 from polaris.report.html.html import Cell, badge, number_cell, table, text_cell
 from polaris.report.html.measures import Measure
 from polaris.report.html.numbers import escaped, plain, script_json, shown
-from polaris.report.html.solids import ball, cut_surface, hull, polyhedron
-from polaris.report.html.timelines import MOST, kept, style_of
+from polaris.report.html.timelines import MOST, kept
+from polaris.report.scene.geometry import ball, boxed, cut_surface, hull, polyhedron
+from polaris.report.scene.palette import method_style as style_of
 
 CUBE = np.vstack([np.eye(3), -np.eye(3)])
 

@@ -96,8 +96,9 @@ def test_moving_sets_are_where_they_are_at_each_time(scene):
     ball = found["ball"]
     middle = np.array(ball["p"]).mean(axis=1) + np.array(ball["shift"])[:, -1]
     assert np.allclose(middle, [0, 0.5 * K * DELTA, 0], atol=1e-4) and ball["t"][-1] == K * DELTA
-    shutter = found["shutter"]["frames"]
-    edges = [min(frame["p"][0]) if frame["p"] else np.inf for frame in shutter]
+    shutter = found["shutter"]
+    moved = zip(shutter["frames"], shutter["shift"][0], strict=True)
+    edges = [min(frame["p"][0]) + shift if frame["p"] else np.inf for frame, shift in moved]
     assert edges[-1] == pytest.approx(90 - 0.2 * K * DELTA, abs=1e-3) and np.all(np.diff(edges) <= 1e-9)
 
 
@@ -105,8 +106,8 @@ def test_timed_cover_holds_the_satellite_wherever_it_may_be(space, scene):
     found = named(scene)
     cover = found["visitor is within"]
     visitor = space.obstacles[4]
-    for t, frame in zip(cover["t"], cover["frames"], strict=True):
-        points = np.array(frame["p"])
+    for t, frame, shift in zip(cover["t"], cover["frames"], np.array(cover["shift"]).T, strict=True):
+        points = np.array(frame["p"]) + shift[:, None]
         centre = visitor.centre(t, space.system)[[1, 0, 2]]
         for axis in range(3):  # at least the ball and the half widths, to either side
             assert points[axis].max() >= centre[axis] + 9 - 1e-3

@@ -64,12 +64,13 @@ def plot_schedule(schedule: Schedule, ax: Any = None) -> Any:
 
 
 def _plot(picture: Picture, ax: Any) -> Any:
+    from ..scene.scene import describe
     from .scene import draw_scene, scene_figure
     from .style import WIDTH, style
 
     with style():
         if ax is not None:
-            draw_scene(ax, picture)
+            draw_scene(ax, describe(picture))
             return ax
         from matplotlib import pyplot
 

@@ -1,4 +1,4 @@
-"""How every figure looks: colours safe for colour-blind readers, type readable at column width.
+"""How every printed figure looks: type readable at column width, quick to embed, the same bytes every time.
 
 Labels are plain text: setting mathematics takes longer than drawing everything else.
 """
@@ -14,25 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from ...model.system import LinearSystem
-
 WIDTH = 3.5
 """Width of a figure [in]: one column of a two-column page."""
 
-# Okabe and Ito's palette; the paper's orange for U and blue for S are in it.
-BLUE, ORANGE, VERMILION = "#0072B2", "#E69F00", "#D55E00"
-GREEN, SKY, PURPLE, YELLOW, BLACK = "#009E73", "#56B4E9", "#CC79A7", "#F0E442", "#000000"
-RED = "#C0202B"
-"""Unsafe sets: darker than the orange, so that they differ in grey too."""
-GREY = "#767676"
-
-# No two kinds of thing share a colour: controllers have hues of their own, unsafe sets are red, inputs grey
-# or black, goals green, recoverable sets yellow.
-MODE_COLOURS = (BLUE, ORANGE, "#7A1FA2", SKY, "#6B4A0F", "#8FB93A", "#1F3A93", "#4D7A00")
-SET_SHADES = ("#9A141D", "#F3A6AB")
-"""Darkest and lightest of unsafe sets that are told apart."""
-INPUT_SHADES = ("#3C3C3C", "#D4D4D4")
-"""The same of inputs."""
+ABOVE: Any = {"loc": "lower left", "bbox_to_anchor": (-0.02, 1.0), "ncols": 3}
+"""A legend of one line above the axes."""
 
 _STYLE: Any = {
     "font.family": "sans-serif",
@@ -146,28 +132,6 @@ def save(figure: Any, folder: Path, name: str) -> tuple[Path, Path]:
     return pdf, png
 
 
-def mode_colour(mode: int) -> str:
-    """Colour of a controller: blue is S, orange the preferred experimental one."""
-    return MODE_COLOURS[mode % len(MODE_COLOURS)]
-
-
-def tint(colour: str, share: float) -> tuple[float, float, float]:
-    """The colour mixed with white: opaque, so that overlapping areas do not darken."""
-    from matplotlib.colors import to_rgb
-
-    r, g, b = (1 - share + share * value for value in to_rgb(colour))
-    return r, g, b
-
-
-def shades(ends: tuple[str, str], count: int) -> list[tuple[float, float, float]]:
-    """As many colours between two, so that things of one kind differ; the middle one if there is one only."""
-    from matplotlib.colors import to_rgb
-
-    dark, light = (np.array(to_rgb(colour)) for colour in ends)
-    places = [0.35] if count == 1 else np.linspace(0, 1, count)
-    return [tuple(float(v) for v in dark + s * (light - dark)) for s in places]  # type: ignore[misc]
-
-
 def text_width(text: str, size: float = 7.0) -> float:
     """Width of a text [in], with what fitting letters to pixels may add."""
     from matplotlib.font_manager import FontProperties
@@ -210,12 +174,6 @@ def legend_above(ax: Any, handles: Any, columns: int = 2) -> float:
     columns, names = legend_rows(handles, width, columns)
     ax.legend(handles, names, loc="lower left", bbox_to_anchor=(0.0, 1.01), ncols=columns, labelspacing=0.3)
     return 0.145 * -(-len(names) // columns)
-
-
-def input_labels(system: LinearSystem) -> tuple[str, tuple[str, ...]]:
-    """What the input is called, with its unit, and the name of each axis."""
-    names = tuple(name.removesuffix(" thrust") for name in system.input_names)
-    return "Input" if names == system.input_names else "Thrust (N)", names
 
 
 def step_edges(values: Any) -> Any:

@@ -8,20 +8,19 @@ from typing import Any
 import numpy as np
 
 from ...runs.picture import Picture
-from .geometry import stretches
-from .style import (
+from ..scene.geometry import stretches
+from ..scene.palette import (
     BLACK,
     GREY,
     INPUT_SHADES,
     RED,
     SET_SHADES,
     input_labels,
-    legend_above,
     mode_colour,
     shades,
-    step_edges,
     tint,
 )
+from .style import legend_above, step_edges
 
 INPUT_DASHES: tuple[Any, ...] = ("-", (0, (4, 1.2)), (0, (1.2, 1)))
 

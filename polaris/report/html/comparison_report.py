@@ -11,15 +11,20 @@ from typing import Any
 
 import numpy as np
 
-from ...runs.folder import read_json, read_run
+from ...runs.arrays import read_arrays
+from ...runs.folder import RunFolder, read_json, read_run
 from ...synthesis.recoverable import directed
+from ..scene.palette import method_style
 from . import claims
-from .comparison_page import comparison_data
 from .html import Cell, badge, items, number_cell, table, text_cell
 from .measures import TITLES, Measure
 from .numbers import escaped, shown
 from .page import Page
 from .run_report import NOTE, definitions, footer
+from .timelines import Flown, flight_data
+
+FIRST = 4
+"""Methods that are shown at first; the others can be chosen."""
 
 MOST_STRETCHES = 40
 """Stretches of alike decisions that are listed of each method."""
@@ -59,6 +64,33 @@ def comparison_page(folder: Path) -> Page:
         comparison_data(folder, run, methods),
         footer(summary),
     )
+
+
+def comparison_data(folder: Path, run: RunFolder, methods: Methods) -> dict[str, Any]:
+    """What the page's script draws of a comparison.
+
+    Parameters
+    ----------
+    folder : Path
+        With ``comparison.npz``.
+    run : RunFolder
+        Of the schedule: it has the scene.
+    methods : sequence of mapping
+        As in ``comparison.json``; those without arrays are left out.
+    """
+    picture, arrays = run.picture(), read_arrays(folder / "comparison.npz")
+    flown: list[Flown] = []
+    for method in (method for method in methods if f"{method['key']}_t_s" in arrays):
+        names = ("t_s", "states", "modes", "inputs", "distance_m")
+        own = [arrays[f"{method['key']}_{name}"] for name in names]
+        labels = [str(label) for label in arrays[f"{method['key']}_labels"].tolist()]
+        look = method_style(len(flown)) | {"on": len(flown) < FIRST}
+        flown.append(Flown(str(method["key"]), str(method["name"]), look, labels, *own))
+    proved = run.summary["guarantee"]["kind"] == "proved"
+    known = [one for one in flown[:FIRST] if np.isfinite(one.nearest[0]).all()]
+    least = [(float(one.nearest[0].min()), float(one.times[np.argmin(one.nearest[0])])) for one in known]
+    opened = (min(least)[1] if least else 0.0) or None  # not at the start
+    return flight_data(picture, flown, proved, "pilot", opened)
 
 
 def tradeoffs(methods: Methods) -> str:

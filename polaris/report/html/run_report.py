@@ -5,13 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 from ...runs.folder import RunFolder
+from ..scene.items import modes_per_node
+from ..scene.palette import PILOTS
 from . import claims
 from .html import Cell, badge, items, table
 from .measures import TITLES, Measure
 from .numbers import escaped
 from .page import Page
-from .run_page import NAMES, run_data
+from .timelines import Flown, flight_data
 
 NOTE = (
     "Drawn paths keep at most 400 samples of a run; the tables use all of them. Bands reach over all "
@@ -50,6 +54,26 @@ def run_page(folder: RunFolder) -> Page:
     )
 
 
+def run_data(folder: RunFolder) -> dict[str, Any]:
+    """What the page's script draws of a run folder.
+
+    Raises
+    ------
+    ScenarioError
+        If a file is missing or damaged.
+    """
+    picture, flown = folder.picture(), []
+    for key, (name, _, colour, dash) in PILOTS.items():
+        if key not in picture.flights:
+            continue
+        item = picture.flights[key]
+        who = np.tile(modes_per_node(item), (len(item.labels), 1))
+        look = {"colour": colour, "dash": dash, "on": key == "polaris"}
+        own = (item.labels, item.times, item.states, who, item.inputs, item.nearest, item.input_range)
+        flown.append(Flown(key, name, look, *own))
+    return flight_data(picture, flown, folder.summary["guarantee"]["kind"] == "proved", "mode")
+
+
 def metrics(summary: Mapping[str, Any]) -> str:
     """Metrics of S alone, U alone and the schedule."""
     who = [key for key in ("safety", "experimental", "polaris") if key in summary]
@@ -61,7 +85,7 @@ def metrics(summary: Mapping[str, Any]) -> str:
         rows.append([Cell(escaped(measure.title)), *(measure.cell(summary[name].get(key)) for name in who)])
     return table(
         "From simulated runs, under random and worst-case disturbances",
-        ["", *(NAMES[name] for name in who)],
+        ["", *(PILOTS[name][0] for name in who)],
         rows,
     )
 

@@ -12,6 +12,7 @@ the pilot's, ``step`` if it is held until the next sample, and perhaps a ``band`
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -21,33 +22,103 @@ from ...model.distances import UNKNOWN, signed_distances
 from ...model.system import Array
 from ...runs.picture import Picture
 from ...synthesis.recoverable import directed
-from ..figures.style import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION, input_labels, mode_colour
+from ..scene.palette import GREEN, input_labels, mode_colour
+from ..scene.scene import describe, shown_axes
+from .bounds import proven_distance
 from .numbers import plain
+from .scene import scene_data
 
 MOST = 400
 """Most samples of a run that are drawn, besides changes of controller."""
-
-# S alone and U alone come first, in the colours of S and U.
-COLOURS = (
-    BLUE,
-    ORANGE,
-    BLACK,
-    GREEN,
-    PURPLE,
-    VERMILION,
-    SKY,
-    "#6B4A0F",
-    "#8A8A8A",
-    "#B8860B",
-    "#7A1FA2",
-    "#4D7A00",
-)
-DASHES = ("solid", "dash", "dot", "dashdot", "longdash")
 
 WHO = "Who flies"
 
 Panel = dict[str, Any]
 Pilot = dict[str, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Flown:
+    """The runs of one controller or method that can be shown.
+
+    Attributes
+    ----------
+    key, name : str
+    look : dict
+        ``colour``, ``dash``, and whether it is ``on`` at first.
+    labels : sequence of str, length r
+    times : ndarray, shape (N,)
+        [s]
+    states : ndarray, shape (r, N, n)
+    modes : ndarray of int, shape (r, N-1)
+    inputs : ndarray, shape (r, N-1, m)
+    nearest : ndarray, shape (3, N)
+        Least, mean and largest distance over all runs from the nearest unsafe set [m].
+    input_range : ndarray, shape (2, N-1, m), optional
+        Least and largest input over all runs.
+    """
+
+    key: str
+    name: str
+    look: dict[str, Any]
+    labels: Sequence[str]
+    times: Array
+    states: Array
+    modes: NDArray[np.int_]
+    inputs: Array
+    nearest: Array
+    input_range: Array | None = None
+
+
+def flight_data(
+    picture: Picture, flown: Sequence[Flown], proved: bool, by: str, opened: float | None = None
+) -> dict[str, Any]:
+    """What the page's script draws of a schedule and of those that flew it.
+
+    Parameters
+    ----------
+    picture : Picture
+    flown : sequence of Flown
+    proved : bool
+        Whether the distance that is proven is shown.
+    by : str
+        Whether paths are coloured by ``mode`` or by ``pilot``.
+    opened : float, optional
+        Time that is shown first [s]; default that of the closest approach.
+    """
+    paths = [one.states[0] @ picture.system.position.T for one in flown]
+    scene = describe(picture, paths, shown_axes(picture, paths))
+    pilots, distances, drawn = [], [], []
+    for one in flown:
+        chosen = kept(len(one.times), one.modes, [int(np.argmin(one.nearest[0]))])
+        held = np.minimum(chosen, one.inputs.shape[1] - 1)
+        times, positions = one.times[chosen], one.states @ picture.system.position.T
+        placed, who = scene.placed(positions[:, chosen], times), one.modes[:, held[:-1]]
+        pilots.append(pilot(one.key, one.name, one.labels, times, placed, who, **one.look))
+        if picture.obstacles:  # other satellites are where they are nominally: no file says where they were
+            found = signed_distances(picture.obstacles, one.times, positions, picture.system).min(axis=0)
+            band = one.nearest[[0, 2]][:, chosen]
+            distances.append({"pilot": one.key, "runs": plain(found[:, chosen]), "band": plain(band)})
+        span = None if one.input_range is None else one.input_range[:, held]
+        drawn.append((one.key, one.inputs[:, held], span))
+    bound = proven_distance(picture) if proved else None
+    if bound is not None:
+        distances.append(proven_series(bound, picture.reference.delta))
+    present = np.concatenate([picture.modes, *(one.modes.ravel() for one in flown)])
+    return {
+        "scene": scene_data(scene),
+        "end": plain(max((one["t"][-1] for one in pilots), default=picture.duration)),
+        "open": plain(picture.closest if opened is None else opened),
+        "modes": mode_names(picture, present),
+        "modes_title": WHO,
+        "by": by,
+        "pilots": pilots,
+        "panels": [
+            *([distance_panel(distances)] if picture.obstacles else []),
+            margin_panel(picture),
+            *input_panels(picture, drawn),
+        ],
+    }
 
 
 def kept(count: int, modes: ArrayLike = (), must: Sequence[int] = ()) -> NDArray[np.intp]:
@@ -70,16 +141,8 @@ def kept(count: int, modes: ArrayLike = (), must: Sequence[int] = ()) -> NDArray
     return np.unique(np.concatenate([even, changes, must]).astype(int))
 
 
-def style_of(place: int) -> dict[str, str]:
-    """Colour and dashes of the i-th pilot: no two of the first fifty are alike."""
-    return {
-        "colour": COLOURS[place % len(COLOURS)],
-        "dash": DASHES[(place // len(COLOURS) + place) % len(DASHES)],
-    }
-
-
 def pilot(
-    key: str, name: str, labels: Sequence[str], times: Array, paths: Array, modes: Array, **style: Any
+    key: str, name: str, labels: Sequence[str], times: Array, paths: Array, modes: NDArray[Any], **style: Any
 ) -> Pilot:
     """One pilot.
 
@@ -99,14 +162,6 @@ def pilot(
     return {"key": key, "name": name, "labels": list(labels), "t": plain(times), "runs": runs} | style
 
 
-def paths_of(picture: Picture, times: Array, states: Array, axes: list[int]) -> Array:
-    """Positions of runs along the axes of the scene, from states (r, N, n); on the line, over time."""
-    positions = (states @ picture.system.position.T)[..., axes]
-    if picture.system.d > 1:
-        return np.asarray(positions)
-    return np.stack([np.broadcast_to(times, positions.shape[:2]), positions[..., 0]], axis=-1)
-
-
 def mode_names(picture: Picture, present: ArrayLike) -> list[dict[str, Any]]:
     """Name and colour of every mode that occurs."""
     told = []
@@ -118,18 +173,6 @@ def mode_names(picture: Picture, present: ArrayLike) -> list[dict[str, Any]]:
         else:
             told.append({"mode": mode, "name": name, "colour": mode_colour(mode)})
     return told
-
-
-def own_distance(picture: Picture, times: Array, states: Array) -> Array | None:
-    """Distance of every run from the nearest unsafe set, shape (r, N) [m]; None if there is none.
-
-    Other satellites are where they are nominally: a run folder does not say where they truly were.
-    """
-    if not picture.obstacles:
-        return None
-    positions = states @ picture.system.position.T
-    found = signed_distances(picture.obstacles, times, positions, picture.system)
-    return np.asarray(found.min(axis=0))
 
 
 def limit(y: float, text: str, unsafe: str = "") -> dict[str, Any]:

@@ -17,14 +17,11 @@ const between = (values, i, s) => (s === 0 ? values[i] : values[i] * (1 - s) + v
 
 // Coordinates and triangles of a layer at t; null while nothing of it is there.
 function shapeAt(layer, t) {
-  if (layer.frames) {
-    if (t < layer.t[0]) return null;
-    const frame = layer.frames[place(layer.t, t)[0]];
-    return frame.p.length ? frame : null;
-  }
-  if (!layer.shift) return layer;
-  const [i, s] = place(layer.t, t);
-  return { p: layer.p.map((axis, k) => axis.map((v) => v + between(layer.shift[k], i, s))), f: layer.f };
+  if (!layer.t) return layer;
+  if (t < layer.t[0]) return null;
+  const [i, s] = place(layer.t, t), shape = layer.frames ? layer.frames[i] : layer;
+  if (!shape.p.length || !layer.shift) return shape.p.length ? shape : null;
+  return { p: shape.p.map((axis, k) => axis.map((v) => v + between(layer.shift[k], i, s))), f: shape.f };
 }
 
 // All frames of a layer as one body, for a tube that is shown at all times.

@@ -1,4 +1,4 @@
-"""What a scene holds, whoever draws it: the part of space that is shown, and the sets and the goal in it."""
+"""The part of space that a scene shows, and the sets and the goal in it."""
 
 from __future__ import annotations
 
@@ -8,8 +8,6 @@ from itertools import product
 
 import numpy as np
 
-from reach.sets.zonotope import Zonotope
-
 from ...model.keep_in import KeepIn
 from ...model.obstacles import Obstacle
 from ...model.satellite import SatelliteObstacle
@@ -17,7 +15,7 @@ from ...model.shapes import Ball, Polytope
 from ...model.system import Array
 from ...planning.goals import Box, EllipticalNMT, LinearNMT, StationaryPoint
 from ...runs.picture import Approach, Picture, directions
-from .geometry import ball, boxed, flat_outline
+from .geometry import ball_points, boxed, flat_outline
 
 NEAR = 0.35
 """How far a flight may stray beyond the safe path, in widths of it, and still widen the view."""
@@ -59,7 +57,7 @@ class Space:
             Positions flown [m]; those that stay near widen the view. Default the picture's first runs.
         """
         flat = picture.frame.flat
-        start = position_set(picture)
+        start = picture.initial_positions
         reach = np.abs(start.G).sum(axis=-1)
         points = np.vstack([*picture.path(), picture.safe_path()[1], start.c - reach, start.c + reach])
         size = float(np.max(np.ptp(points[:, flat], axis=0)))
@@ -110,7 +108,7 @@ class Space:
         centre = np.asarray(obstacle.centre(t, system))
         shape = obstacle.inside if isinstance(obstacle, KeepIn) else obstacle.shape
         if isinstance(shape, Ball):
-            return centre + ball(shape.radius, system.d)
+            return centre + ball_points(shape.radius, system.d)
         assert isinstance(shape, Polytope)  # there are no others
         if isinstance(obstacle, KeepIn):
             centre = np.zeros(system.d)
@@ -167,11 +165,6 @@ class Space:
         return [Part("body", centre + signs @ arms.T)]
 
 
-def position_set(picture: Picture) -> Zonotope:
-    """Initial positions."""
-    return picture.system.position @ picture.initial_set
-
-
 def _within(obstacle: Obstacle, picture: Picture, near: Approach, depth: float) -> Array:
     """A point within an unbounded set, past where the path comes closest to it; none if it is far."""
     if near.distance > depth:
@@ -186,51 +179,3 @@ def moves(obstacle: Obstacle, picture: Picture) -> bool:
     """Whether an obstacle changes place within the horizon."""
     times = np.linspace(0, picture.duration, 5)
     return bool(np.ptp(obstacle.centre(times, picture.system), axis=0).max() > 0)
-
-
-def plane_gap(obstacle: Obstacle, picture: Picture, axes: Sequence[int]) -> Array:
-    """How far the safe path is from a set at the same time, as both look along the other axes [m].
-
-    Negative where the path is drawn within the set. Of another satellite the timed cover counts.
-
-    Parameters
-    ----------
-    obstacle : Obstacle
-        Not a keep-in set.
-    axes : sequence of two int
-
-    Returns
-    -------
-    ndarray, shape (N,)
-        At the times of `Picture.safe_path`.
-    """
-    axes, system = list(axes), picture.system
-    times, path = picture.safe_path()
-    if isinstance(obstacle, SatelliteObstacle):
-        (timed,) = obstacle.timed_polytopes(system, picture.reference.delta, picture.planned)
-        cell = np.clip(times / picture.reference.delta, 0, picture.planned)
-        k = np.minimum(cell.astype(int), picture.planned - 1)
-        s = (cell - k)[:, None]
-        return _edge_on(timed.normals, timed.offsets[k, 0] * (1 - s) + timed.offsets[k, 1] * s, path, axes)
-    path = path - obstacle.centre(times, system)
-    if isinstance(obstacle.shape, Ball):
-        return np.asarray(np.linalg.norm(path[:, axes], axis=1) - obstacle.shape.radius)
-    assert isinstance(obstacle.shape, Polytope)  # there are no others
-    if not obstacle.shape.bounded:
-        return _edge_on(obstacle.shape.H, obstacle.shape.b[None], path, axes)
-    return outline_gap(flat_outline(obstacle.shape.vertices()[:, axes]), path[:, axes])
-
-
-def outline_gap(outline: Array, points: Array) -> Array:
-    """How far points (N, 2) are from the convex set within an outline (V, 2), at least; negative inside."""
-    edge = np.roll(outline, -1, axis=0) - outline
-    normal = np.stack([edge[:, 1], -edge[:, 0]], axis=1)
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    return np.asarray((points @ normal.T - np.sum(normal * outline, axis=1)).max(axis=1))
-
-
-def _edge_on(normals: Array, offsets: Array, path: Array, axes: list[int]) -> Array:
-    """Gap to the facets ``normals p = offsets`` that are seen edge on; -inf if there are none."""
-    rows = np.all(np.abs(np.delete(normals, axes, axis=1)) < 1e-9, axis=1)
-    gap = path @ normals[rows].T - offsets[:, rows]
-    return np.asarray(gap.max(axis=1, initial=-np.inf))
