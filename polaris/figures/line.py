@@ -14,7 +14,7 @@ from ..system import Array
 from .paths import DASHES, DOTS, draw_safe_path
 from .picture import Picture
 from .space import position_set
-from .style import BLACK, GREEN, GREY, ORANGE, RED, legend_above, mode_colour, shortened, tint
+from .style import BLACK, GREEN, GREY, ORANGE, RED, YELLOW, legend_above, mode_colour, shortened, tint
 from .view import View
 
 INSTANTS = 121
@@ -130,6 +130,12 @@ def draw_line_scene(ax: Any, picture: Picture) -> float:
                 handles.append(
                     Patch(facecolor=colour, label=f"reachable under {picture.mode_name(int(mode))}")
                 )
+    slices = picture.slices
+    if slices is not None:  # time is an axis: there is room for all of them
+        low, high = slices.outlines[:, 0, :, 0].min(axis=1), slices.outlines[:, 0, :, 0].max(axis=1)
+        ax.vlines(slices.times, low, high, color=tint(YELLOW, 0.6), lw=1.0, zorder=1)
+        if np.any((high > space.low) & (low < space.high)):
+            handles.append(Patch(facecolor=tint(YELLOW, 0.6), label="recoverable sets"))
     for obstacle in picture.obstacles:
         _set(ax, space, view, obstacle)
     goal = space.goal()

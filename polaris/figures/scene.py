@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from .closeups import CloseUp, closeups, draw_closeup
+from .closeups import CloseUp, closeups, draw_closeup, seconds
 from .geometry import flat_outline, tube_polygons, zonotope_outline
 from .line import draw_line_scene
 from .paths import DASHES, DOTS, draw_safe_path
 from .picture import Picture
 from .space import Space, position_set
-from .style import BLACK, GREEN, GREY, ORANGE, WIDTH, YELLOW, legend_above, mode_colour, tint
+from .style import BLACK, GREEN, GREY, ORANGE, WIDTH, YELLOW, keep_ticks, legend_above, mode_colour, tint
 from .unsafe import draw_unsafe
 from .view import View
 
@@ -40,6 +40,7 @@ def scene_figure(new_figure: Any, picture: Picture) -> tuple[Any, Any]:
     main = 2.9 / 3.5 * WIDTH * ((y1 - y0) / (x1 - x0) if ax.get_aspect() == 1.0 else 0.6)
     grid.set_height_ratios([main + 0.45 + top, *[panel + 0.75] * rows])
     figure.set_figheight(main + 0.58 + top + rows * (panel + 0.75))
+    keep_ticks(figure.axes)
     return figure, ax
 
 
@@ -66,6 +67,9 @@ def draw_scene(ax: Any, picture: Picture, found: list[CloseUp] | None = None) ->
     handles = [*_sets(ax, picture, view), *_goal(ax, space, view), *_paths(ax, picture, view)]
     letters = None if found is None else {id(one): LETTERS[i] for i, one in enumerate(found)}
     draw_unsafe(ax, space, view, closeups(picture) if found is None else found, letters)
+    for t, _, outline in picture.printed_slices():
+        if len(view.seen(outline)):
+            view.label(ax, f"{seconds(t)} s", view.clip(outline), "#6B6200")
     if picture.system.mean_motion is not None:
         ax.plot(0, 0, marker="+", color=BLACK, ms=5, mew=0.8, zorder=6)
         origin = np.zeros(picture.system.d)
@@ -84,13 +88,14 @@ def _sets(ax: Any, picture: Picture, view: View) -> list[Any]:
 
     handles: list[Any] = []
     axes = picture.frame.flat
-    if picture.slices is not None:
-        outlines = picture.slices.outline + picture.slices.centre[:, None]
+    slices = list(picture.printed_slices())
+    if slices:
+        outlines = [outline for _, _, outline in slices]
         colour, edge = tint(YELLOW, 0.28), tint("#8A7F00", 0.5)
-        ax.add_collection(PolyCollection(list(outlines), facecolor=colour, edgecolor="none", zorder=1))
-        ax.add_collection(
-            PolyCollection(list(outlines), facecolor="none", edgecolor=edge, lw=0.35, zorder=1.1)
-        )
+        ax.add_collection(PolyCollection(outlines, facecolor=colour, edgecolor="none", zorder=1))
+        ax.add_collection(PolyCollection(outlines, facecolor="none", edgecolor=edge, lw=0.35, zorder=1.1))
+        for _, place, _ in slices:
+            ax.plot(*place[axes], "o", ms=2.6, mfc=YELLOW, mec="#6B6200", mew=0.6, zorder=6)
         if any(len(view.seen(outline)) for outline in outlines):
             handles.append(Patch(facecolor=colour, edgecolor=edge, lw=0.35, label="recoverable sets"))
     if picture.tube is not None:

@@ -6,7 +6,7 @@ Labels are plain text: setting mathematics takes longer than drawing everything 
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
@@ -145,6 +145,16 @@ def save(figure: Any, folder: Path, name: str) -> tuple[Path, Path]:
     figure.savefig(pdf, metadata={"CreationDate": None, "Creator": "polaris", "Producer": None})
     figure.savefig(png, metadata={"Software": "polaris"})
     return pdf, png
+
+
+def keep_ticks(axes: Iterable[Any]) -> None:
+    """Give ticks the size of type they have here for good.
+
+    Matplotlib counts how many fit by the settings of the moment: outside of `style` there would be others
+    than those the layout was solved for, and they might be cut off.
+    """
+    for ax in axes:
+        ax.tick_params(labelsize=_STYLE["xtick.labelsize"])
 
 
 def mode_colour(mode: int) -> str:

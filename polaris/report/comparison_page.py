@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -65,7 +66,7 @@ def comparison_data(folder: Path, run: RunFolder, methods: Sequence[Mapping[str,
         if bound is not None:
             distances.append(timelines.proven_series(bound, picture.reference.delta))
     return {
-        "scene": scene_of(picture, paths, axes),
+        "scene": scene_of(replace(picture, slices=None), paths, axes),
         "open": plain(_closest(flown[:FIRST], arrays, picture.closest)),
         "end": plain(max((one["t"][-1] for one in pilots), default=picture.duration)),
         "modes": timelines.mode_names(picture, np.concatenate(present)),

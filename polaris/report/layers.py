@@ -3,7 +3,8 @@
 A layer is a mapping with ``name``, ``kind`` (``line``, ``area``, ``mesh`` or ``points``), ``group`` (what
 switches show and hide), ``colour``, ``opacity``, and either ``p``, coordinates by axis in metres (meshes
 also ``f``, corners of the triangles by place), or ``frames``, a list of those. Frame i is shown from
-``t[i]`` on. A layer at rest with ``t`` and ``shift`` is carried along that path instead.
+``t[i]`` on. A layer with ``t`` and ``shift`` is carried along that path, its frames too: they must hold until
+the next one. A ``slice`` is of the instants ``t`` alone; it has frames by run, whose ``at`` is the chaser's place.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..figures.style import YELLOW
 from ..system import Array
 from .numbers import plain
 from .solids import Surface
@@ -73,8 +75,28 @@ def corners(surface: Surface) -> dict[str, Any]:
     return {"p": plain(surface.points.T), "f": plain(surface.faces.T)}
 
 
+def slices(times: Array, outlines: Array, places: Array) -> Layer:
+    """Recoverable sets at times (S,) [s] by run, as `SlicePicture` has them; those that are nan are left out."""
+    if outlines.shape[-1] == 1:  # on the line, over time
+        along = np.broadcast_to(times[:, None, None, None], outlines.shape)
+        outlines = np.concatenate([along, outlines], axis=-1)
+        places = np.concatenate([along[:, :, 0], places], axis=-1)
+    frames = [
+        [
+            None if np.isnan(place[-1]) else {"p": plain(closed(outline).T), "at": plain(place)}
+            for outline, place in zip(outlines[:, run], places[:, run], strict=True)
+        ]
+        for run in range(places.shape[1])
+    ]
+    look = {"name": "recoverable set", "kind": "slice", "group": "slice", "colour": YELLOW, "opacity": 0.45}
+    return look | {"pilot": "polaris", "t": plain(times), "frames": frames}
+
+
 def carried(layer: Layer, times: ArrayLike, shift: Array) -> Layer:
-    """The same layer, moved by ``shift`` (T, dim) [m] at times (T,) [s], evenly in between."""
+    """The same layer, moved by ``shift`` (T, dim) [m] at times (T,) [s], evenly in between.
+
+    The times are those of its frames, if it has any.
+    """
     return layer | {"t": plain(times), "shift": plain(shift.T)}
 
 

@@ -31,7 +31,7 @@ def line_scene(picture: Picture, paths: Sequence[Array]) -> dict[str, Any]:
     space = LineSpace.of(picture, paths)
     before, end = picture.path(4)[0], picture.duration
     steps = np.arange(picture.planned)[:, None] + np.linspace(0, 1, len(before) // picture.planned)
-    start = position_set(picture)
+    start, cut = position_set(picture), picture.slices
     reach = float(np.abs(start.G).sum())
     ends = np.array([[0.0, start.c[0] - reach], [0.0, start.c[0] + reach]])
     way = np.column_stack([steps.ravel() * picture.reference.delta, before[:, 0]])
@@ -45,6 +45,7 @@ def line_scene(picture: Picture, paths: Sequence[Array]) -> dict[str, Any]:
             *_goal(space, end),
             layers.line("initial set", ends, "initial", "#404040", 5),
             layers.line("safe reference", way, "reference", GREY, 3, "dot"),
+            *([layers.slices(cut.times, cut.outlines, cut.places)] if cut and "polaris" in picture.flights else []),
             *_tube(space),
         ],
     }

@@ -11,9 +11,9 @@ from reach.zonotope import Zonotope
 
 from ..figures.closeups import is_flat
 from ..figures.geometry import flat_outline, tube_polygons, zonotope_outline
-from ..figures.picture import Picture, shown_steps
+from ..figures.picture import Picture
 from ..figures.space import Part, Space, position_set
-from ..figures.style import GREEN, GREY, YELLOW
+from ..figures.style import GREEN, GREY
 from ..obstacle_base import directions as directions_in_space
 from ..system import Array
 from . import layers
@@ -26,7 +26,7 @@ from .unsafe_layers import unsafe_layers
 MOST_FRAMES = 240
 """Most sets of a tube that are drawn: neighbours within a step are drawn as one beyond it."""
 
-TUBE, SLICE, INITIAL = "#56B4E9", YELLOW, "#404040"
+TUBE, INITIAL = "#56B4E9", "#404040"
 
 
 def shown_axes(picture: Picture, paths: Sequence[Array]) -> list[int]:
@@ -132,25 +132,11 @@ def _strip(inner: Array, outer: Array) -> Surface:
 
 
 def _slices(picture: Picture, axes: list[int]) -> list[Layer]:
-    """Recoverable positions in the plane of the figures, at rest relative to the reference."""
-    if picture.slices is None:
+    """Slices of the recoverable sets through the states of each run under Polaris, at their own times."""
+    if picture.slices is None or "polaris" not in picture.flights:
         return []
-    steps = shown_steps(picture.planned)
-    times = steps * picture.reference.delta
-    outlines = picture.slices.centre[:, None] + picture.slices.outline
-    if len(axes) == 3:
-        third = (picture.reference.chi[steps] @ picture.system.position.T)[:, picture.frame.axes[2]]
-        level = np.broadcast_to(third[:, None, None], (*outlines.shape[:2], 1))
-        outlines = np.concatenate([outlines, level], axis=2)
-    name = "recoverable, last slice reached"
-    if len(axes) == 3:
-        corner = np.arange(1, outlines.shape[1] - 1)
-        fan = np.stack([np.zeros_like(corner), corner, corner + 1], axis=1)  # a slice is convex
-        flat = [Surface(outline, fan) for outline in outlines]
-        model = layers.mesh(name, flat[0], "slice", SLICE, 0.5)
-        return [layers.framed(model, times, [layers.corners(one) for one in flat])]
-    filled = layers.area(name, outlines[0], "slice", SLICE, 0.45)
-    return [layers.framed(filled, times, [{"p": plain(layers.closed(one).T)} for one in outlines])]
+    slices = picture.slices
+    return [layers.slices(slices.times, slices.outlines, slices.places[..., axes])]
 
 
 def _tube(picture: Picture, axes: list[int]) -> list[Layer]:

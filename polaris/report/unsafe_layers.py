@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -57,8 +57,9 @@ def _body(obstacle: Obstacle, space: Space, axes: list[int]) -> list[Layer]:
         times = np.linspace(0, picture.duration, PATH)
         frames = [_at(obstacle, space, axes, float(t)) for t in times]
         known = [one for one in frames if one is not None]
-        cut = [one and {key: one[key] for key in ("p", "f") if key in one} for one in frames]
-        return [layers.framed(known[0], times, cut)] if known else []
+        shift = (obstacle.centre(times, picture.system) - obstacle.centre(0.0, picture.system))[:, axes]
+        cut = [one and _from(one, gone) for one, gone in zip(frames, shift, strict=True)]
+        return [layers.carried(layers.framed(known[0], times, cut), times, shift)] if known else []
     drawn = _at(obstacle, space, axes, 0.0)
     if drawn is None or not moving:
         return [drawn] if drawn else []
@@ -81,6 +82,12 @@ def _at(obstacle: Obstacle, space: Space, axes: list[int], t: float) -> Layer | 
         return None
     cut = isinstance(obstacle.shape, Polytope) and not obstacle.shape.bounded
     return layers.mesh(name, _placed(surface, axes), "unsafe", RED, 0.25 if cut else 0.5) | {"label": name}
+
+
+def _from(frame: Mapping[str, Any], shift: Array) -> dict[str, Any]:
+    """A frame's coordinates seen from where the set has gone by its time: it is carried on from there."""
+    points = np.array(frame["p"], dtype=float).T - shift if frame["p"] else np.zeros((0, len(shift)))
+    return {key: frame[key] for key in ("p", "f") if key in frame} | {"p": plain(points.T) if len(points) else []}
 
 
 def _keep_in(obstacle: KeepIn, space: Space, axes: list[int]) -> list[Layer]:
@@ -117,16 +124,21 @@ def _rulings(obstacle: KeepIn, space: Space, axes: list[int]) -> list[Layer]:
 
 
 def _covers(obstacle: SatelliteObstacle, space: Space, axes: list[int]) -> list[Layer]:
-    """The timed cover within which another satellite is known to be, as the proof uses it."""
+    """The timed cover within which another satellite is known to be, as the proof uses it.
+
+    Its offsets run evenly over a step, as the nominal place does here from one decision to the next: seen
+    from there, the larger ones of either end hold for all of the step.
+    """
     picture = space.picture
     system, K = picture.system, picture.planned
     times = np.arange(K + 1) * picture.reference.delta
     (timed,) = obstacle.timed_polytopes(system, picture.reference.delta, K)
-    ends = np.full((K + 1, len(timed.normals)), -np.inf)  # where two cells meet, what covers both
-    ends[1:] = timed.offsets[:, 1]
-    ends[:-1] = np.maximum(ends[:-1], timed.offsets[:, 0])
     centres = obstacle.centre(times, system)
-    covers = [_cover(timed.normals, b, c, axes) for b, c in zip(ends, centres, strict=True)]
+    gone = centres @ timed.normals.T
+    ends = np.maximum(timed.offsets[:, 0] - gone[:-1], timed.offsets[:, 1] - gone[1:])
+    ends = np.vstack([ends, timed.offsets[-1, 1] - gone[-1]])
+    middle = np.zeros(system.d)
+    covers = [_cover(timed.normals, b, middle, axes) for b in ends]
     if not any(covers):
         return []
     model: Layer = {
@@ -136,7 +148,7 @@ def _covers(obstacle: SatelliteObstacle, space: Space, axes: list[int]) -> list[
         "colour": COVER,
         "opacity": 0.16,
     }
-    return [layers.framed(model, times, covers)]
+    return [layers.carried(layers.framed(model, times, covers), times, centres[:, axes])]
 
 
 def _cover(normals: Array, support: Array, centre: Array, axes: list[int]) -> dict[str, Any] | None:
