@@ -15,7 +15,7 @@ from .schedule import Schedule
 from .system import Array
 
 
-def write_sets(path: Path, schedule: Schedule, slices: SlicePicture) -> None:
+def write_sets(path: Path, schedule: Schedule, slices: SlicePicture | None) -> None:
     """Write everything the recoverable sets are made from, in error coordinates, and slices for figures."""
     safety = schedule.safety
     clearance, tracking, kind = safety.clearance, safety.tracking, safety.recoverable.kind
@@ -46,11 +46,12 @@ def write_sets(path: Path, schedule: Schedule, slices: SlicePicture) -> None:
         "start_center": safety.start.c,
         "start_generators": safety.start.G,
     }
-    arrays |= {
-        "slice_t_s": slices.times,
-        "slice_place_m": slices.places,
-        "slice_outline_m": slices.outlines,
-    }
+    if slices is not None:
+        arrays |= {
+            "slice_t_s": slices.times,
+            "slice_place_m": slices.places,
+            "slice_outline_m": slices.outlines,
+        }
     np.savez(path, **arrays)
 
 

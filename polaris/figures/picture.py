@@ -165,7 +165,7 @@ class Picture:
         return least or self.duration
 
     def printed_slices(self) -> Iterator[tuple[float, Array, Array]]:
-        """Time [s], the chaser's place (d,) and the slice (M, e) about it [m], of few instants of the first run.
+        """Time [s], chaser's place (d,) and slice (M, e) about it [m], of few instants of the first run.
 
         The closest approach and some of the switches, or of the decisions if there are none.
         """
@@ -256,6 +256,7 @@ def recoverable_slices(safety: Safety, picture: Picture) -> SlicePicture:
     """
     system, q, K = picture.system, safety.tracking.feedback.nodes_per_cell, picture.planned
     nodes, reference = _slice_nodes(picture, q), picture.reference
+    nodes = nodes[[np.isfinite(safety.recoverable.radius(int(k))) for k in nodes]]  # else all is recoverable
     fine = reference.fine(q)[:K, :-1].reshape(K * q, -1)
     centre = np.vstack([fine, reference.chi[K][None]])[nodes]
     flights = picture.flights.get("polaris")
@@ -264,9 +265,11 @@ def recoverable_slices(safety: Safety, picture: Picture) -> SlicePicture:
     else:
         states = np.swapaxes(flights.states[:, nodes * ((len(flights.times) - 1) // (K * q))], 0, 1)
     flat = picture.frame.flat
-    lift = np.linalg.pinv(system.position)[:, flat].T
-    circle = np.array([[1.0], [-1.0]]) if len(flat) == 1 else directions(24)
-    slices = [_slice(safety, int(k), e, circle, lift) for k, e in zip(nodes, states - centre[:, None], strict=True)]
+    lift = np.asarray(np.linalg.pinv(system.position)[:, flat].T, dtype=float)
+    circle: Array = np.array([[1.0], [-1.0]]) if len(flat) == 1 else directions(24)
+    slices = [
+        _slice(safety, int(k), e, circle, lift) for k, e in zip(nodes, states - centre[:, None], strict=True)
+    ]
     places = states @ system.position.T
     outlines = np.array(slices) + places[:, :, None, flat]
     places[np.isnan(outlines).any(axis=(2, 3))] = np.nan

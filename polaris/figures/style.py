@@ -148,13 +148,25 @@ def save(figure: Any, folder: Path, name: str) -> tuple[Path, Path]:
 
 
 def keep_ticks(axes: Iterable[Any]) -> None:
-    """Give ticks the size of type they have here for good.
+    """Settle how many ticks axes have, and the size of their type.
 
-    Matplotlib counts how many fit by the settings of the moment: outside of `style` there would be others
-    than those the layout was solved for, and they might be cut off.
+    Left alone, matplotlib finds as many as fit by the settings and the width of the moment, however long
+    their labels: others after the layout is solved than before, or outside of `style`.
     """
+    from matplotlib.ticker import AutoLocator
+
     for ax in axes:
         ax.tick_params(labelsize=_STYLE["xtick.labelsize"])
+        place = ax.get_position(original=True)
+        for axis in (ax.xaxis, ax.yaxis):
+            if not isinstance(axis.get_major_locator(), AutoLocator):
+                continue
+            most = min(max(axis.get_tick_space(), 1), 9)
+            if axis is ax.xaxis:
+                texts = axis.get_major_formatter().format_ticks(axis.get_majorticklocs())
+                widest = max(map(text_width, texts), default=0.0) + 0.1
+                most = max(min(most, int(0.85 * place.width * ax.figure.get_figwidth() / widest)), 1)
+            axis.get_major_locator().set_params(nbins=most)
 
 
 def mode_colour(mode: int) -> str:

@@ -3,8 +3,8 @@
 A layer is a mapping with ``name``, ``kind`` (``line``, ``area``, ``mesh`` or ``points``), ``group`` (what
 switches show and hide), ``colour``, ``opacity``, and either ``p``, coordinates by axis in metres (meshes
 also ``f``, corners of the triangles by place), or ``frames``, a list of those. Frame i is shown from
-``t[i]`` on. A layer with ``t`` and ``shift`` is carried along that path, its frames too: they must hold until
-the next one. A ``slice`` is of the instants ``t`` alone; it has frames by run, whose ``at`` is the chaser's place.
+``t[i]`` on. A layer with ``t`` and ``shift`` is carried along that path, its frames too: they must hold
+until the next one. A ``slice`` is of the instants ``t`` alone, with frames by run; ``at`` is the chaser.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ def corners(surface: Surface) -> dict[str, Any]:
 
 
 def slices(times: Array, outlines: Array, places: Array) -> Layer:
-    """Recoverable sets at times (S,) [s] by run, as `SlicePicture` has them; those that are nan are left out."""
+    """Recoverable sets at times (S,) [s] by run, as in `SlicePicture`; those that are nan are left out."""
     if outlines.shape[-1] == 1:  # on the line, over time
         along = np.broadcast_to(times[:, None, None, None], outlines.shape)
         outlines = np.concatenate([along, outlines], axis=-1)

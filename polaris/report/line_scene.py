@@ -45,7 +45,11 @@ def line_scene(picture: Picture, paths: Sequence[Array]) -> dict[str, Any]:
             *_goal(space, end),
             layers.line("initial set", ends, "initial", "#404040", 5),
             layers.line("safe reference", way, "reference", GREY, 3, "dot"),
-            *([layers.slices(cut.times, cut.outlines, cut.places)] if cut and "polaris" in picture.flights else []),
+            *(
+                [layers.slices(cut.times, cut.outlines, cut.places)]
+                if cut and "polaris" in picture.flights
+                else []
+            ),
             *_tube(space),
         ],
     }

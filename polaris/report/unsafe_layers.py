@@ -87,7 +87,9 @@ def _at(obstacle: Obstacle, space: Space, axes: list[int], t: float) -> Layer | 
 def _from(frame: Mapping[str, Any], shift: Array) -> dict[str, Any]:
     """A frame's coordinates seen from where the set has gone by its time: it is carried on from there."""
     points = np.array(frame["p"], dtype=float).T - shift if frame["p"] else np.zeros((0, len(shift)))
-    return {key: frame[key] for key in ("p", "f") if key in frame} | {"p": plain(points.T) if len(points) else []}
+    return {key: frame[key] for key in ("p", "f") if key in frame} | {
+        "p": plain(points.T) if len(points) else []
+    }
 
 
 def _keep_in(obstacle: KeepIn, space: Space, axes: list[int]) -> list[Layer]:

@@ -299,6 +299,8 @@ def assert_well_drawn(figure):
     box = figure.get_tightbbox().transformed(figure.dpi_scale_trans)
     assert box.x0 >= -1 and box.y0 >= -1 and box.x1 <= figure.bbox.x1 + 1 and box.y1 <= figure.bbox.y1 + 1
     for ax in figure.axes:
+        ticks = [text.get_window_extent() for text in ax.get_xticklabels() if text.get_text()]
+        assert ax.name == "3d" or all(a.x1 < b.x0 for a, b in itertools.pairwise(ticks))
         assert not ax.xaxis.get_offset_text().get_text() and not ax.yaxis.get_offset_text().get_text()
         for text in ax.texts:
             assert np.all(np.isfinite(text.get_position()))
@@ -525,10 +527,12 @@ def assert_slices_are_of_their_instants(schedule, picture):
         assert np.abs(slices.times - t).min() < 1e-6 * delta
     for t, places, outlines in zip(slices.times, slices.places, slices.outlines, strict=True):
         step, part = divmod(round(t / delta * q), q)
-        xi = picture.reference.fine(q)[step, part]
+        xi = picture.reference.chi[step] if part == 0 else picture.reference.fine(q)[step, part]
         states = flights.states[:, int(np.argmin(np.abs(flights.times - t)))]
         claimed = recoverable.contains(step * q + part, states - xi)
-        assert claimed[0] or schedule.guarantee != "proved"
+        # A flight under U is inside to its end; S, once it has taken over there, may leave sets that shrink.
+        flew = step == 0 or np.any(picture.modes[max(step - 1 + (part > 0), 0) : step + 1])
+        assert claimed[0] or not flew or schedule.guarantee != "proved"
         np.testing.assert_array_equal(claimed, ~np.isnan(places).any(axis=1))
         for state, place, outline in zip(states[claimed], places[claimed], outlines[claimed], strict=True):
             size = np.ptp(outline, axis=0).max()
@@ -552,7 +556,8 @@ def test_slices_contain_the_chaser_of_every_run():
 
 
 @pytest.mark.parametrize(
-    "seed", [1, 2, 4, 13, *(pytest.param(i, marks=pytest.mark.slow) for i in range(60) if i not in (1, 2, 4, 13))]
+    "seed",
+    [1, 2, 4, 13, *(pytest.param(i, marks=pytest.mark.slow) for i in range(60) if i not in (1, 2, 4, 13))],
 )
 def test_slices_of_random_scenes_are_of_their_instants(seed, tmp_path):
     try:
@@ -564,7 +569,10 @@ def test_slices_of_random_scenes_are_of_their_instants(seed, tmp_path):
     for t, place, outline in picture.printed_slices():
         i = int(np.argmin(np.abs(picture.safe_path()[0] - t)))
         np.testing.assert_allclose(picture.safe_path()[1][i], place, rtol=1e-12)
-        assert picture.system.d == 1 or inside(place[None, picture.frame.flat], outline, 1e-9 * np.ptp(outline)).all()
+        assert (
+            picture.system.d == 1
+            or inside(place[None, picture.frame.flat], outline, 1e-9 * np.ptp(outline)).all()
+        )
 
 
 def test_a_path_is_drawn_under_the_mode_that_flew_it():

@@ -119,7 +119,9 @@ def test_timed_cover_holds_the_satellite_wherever_it_may_be(space, scene):
         points, (k, s) = at(cover, t), divmod(t / DELTA, 1)
         known = (1 - s) * timed.offsets[int(k), 0] + s * timed.offsets[int(k), 1]
         grown = (timed.normals[:, [1, 0, 2]] @ points).max(axis=1) - known
-        assert grown.min() > -2e-3 and grown.max() < 1.0  # of what the proof uses then, and not of all the step
+        assert (
+            grown.min() > -2e-3 and grown.max() < 1.0
+        )  # of what the proof uses then, and not of all the step
         centre = visitor.centre(t, space.system)[[1, 0, 2]]
         for axis in range(3):  # at least the ball and the half widths, to either side
             assert points[axis].max() >= centre[axis] + 9 - 1e-3

@@ -160,7 +160,8 @@ function readout(data, state) {
     return `${panel.title}, ${series.name}${series.meaning ? ", " + series.meaning : ""}: ${at(series, series.y, i, s)}${panel.unit ? " " + panel.unit : ""}${text}`;
   }));
   const slice = state.groups.has("slice") && sliceAt(data, state);
-  if (slice) notes.push(`Recoverable set drawn: at ${short(slice.t)} s${slice.now ? "" : ", not at the time shown"}`);
+  if (slice) notes.push(slice.p ? `Recoverable set drawn: at ${short(slice.t)} s${slice.now ? "" : ", not at the time shown"}`
+    : `Recoverable set at ${short(slice.t)} s: not drawn, for the run shown is outside of it`);
   $("notes").replaceChildren(...notes.map((text) => element("li", { textContent: text })));
 }
 

@@ -24,13 +24,13 @@ function shapeAt(layer, t) {
   return { p: shape.p.map((axis, k) => axis.map((v) => v + between(layer.shift[k], i, s))), f: shape.f };
 }
 
-// The last slice of the run shown at or before t, and whether it is of t itself; null without one.
+// The last slice of the run shown at or before t, without `p` if the run was outside; and whether it is of t itself.
 function sliceAt(data, state) {
   const layer = data.scene.layers.find((one) => one.kind === "slice");
   const pilot = layer && state.shown.find((one) => one.key === layer.pilot), t = state.t + 1e-6 * data.end;
   if (!pilot || t < layer.t[0]) return null;
   const i = place(layer.t, t)[0], frame = (layer.frames[runOf(pilot, state)] || [])[i];
-  return frame ? { ...frame, i, t: layer.t[i], now: t - layer.t[i] <= 2e-6 * data.end } : null;
+  return { ...frame, i, t: layer.t[i], now: t - layer.t[i] <= 2e-6 * data.end };
 }
 
 // The time of a slice, if one is nearer than half a step of the slider.
@@ -41,7 +41,8 @@ function snapped(data, t) {
 }
 
 // Filled at its own time, later dashed about the chaser's place of then; its time stands at it either way.
-function sliceTraces(data, layer, found) {
+function sliceTraces(data, layer, last) {
+  const found = last && last.p ? last : null;
   const { space, range } = data.scene, edge = "#8A7F00", none = [[], [], []];
   const name = found ? `recoverable at ${short(found.t)} s` : layer.name;
   const p = found ? [...found.p, found.p[0].map(() => found.at[2])].slice(0, space) : none, n = p[0].length - 1;
@@ -58,7 +59,7 @@ function sliceTraces(data, layer, found) {
     traceOf(space, name + ": the chaser then", { p: found && !now ? found.at.map((v) => [v]) : none },
       { ...look("place"), kind: "points", size: 4, symbol: "circle-open" }),
     // A trace of its own for each time: plotly shrinks a text in space that changes.
-    traceOf(space, name, { p: found ? foot.map((v) => [v]) : none }, { ...look("time" + (found ? found.i : "")), kind: "text", text: [name], size: 1 }),
+    { ...traceOf(space, name, { p: found ? foot.map((v) => [v]) : none }, { ...look("time" + (found ? found.i : "")), kind: "text", text: [name], size: 1 }), textposition: (space === 3 ? "bottom" : "top") + " center" },
   ];
 }
 
