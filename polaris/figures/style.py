@@ -164,9 +164,10 @@ def keep_ticks(axes: Iterable[Any]) -> None:
             most = min(max(axis.get_tick_space(), 1), 9)
             if axis is ax.xaxis:
                 texts = axis.get_major_formatter().format_ticks(axis.get_majorticklocs())
-                widest = max(map(text_width, texts), default=0.0) + 0.1
-                most = max(min(most, int(0.85 * place.width * ax.figure.get_figwidth() / widest)), 1)
-            axis.get_major_locator().set_params(nbins=most)
+                widest = max(map(text_width, texts), default=0.0) + 0.04
+                width = place.width * ax.figure.get_figwidth() - 0.3  # what the layout may take of it
+                most = max(min(most, int(width / widest)), 1)
+            axis.get_major_locator().set_params(nbins=most, min_n_ticks=min(most, 2))
 
 
 def mode_colour(mode: int) -> str:
