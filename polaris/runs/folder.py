@@ -185,6 +185,7 @@ def write_run(
     from ..report.figures import draw_figures
     from ..synthesis.same_system import check_safety
     from ..synthesis.schedule import Schedule
+    from .picture import picture_of
     from .summary import (guarantee, summary)
 
     of_kind("scenario", scenario, Scenario, "polaris.load_scenario")
@@ -202,9 +203,10 @@ def write_run(
         files.write_schedule(folder, schedule, rules, guarantee(schedule))
         files.write_reference(folder / "reference.csv", schedule.safety.reference)
         files.write_text(folder / "gains.json", files.json_text(files.gains(schedule)))
-        arrays.write_sets(folder / "sets.npz", schedule)
+        shown = {key: item.flights for key, item in flown.items()}
+        arrays.write_sets(folder / "sets.npz", schedule, picture_of(schedule, shown).slices)
         arrays.write_tubes(folder / "tubes.npz", schedule)
-        arrays.write_flights(folder / "trajectories.npz", {key: item.flights for key, item in flown.items()})
+        arrays.write_flights(folder / "trajectories.npz", shown)
         write_certificate(folder, schedule, scenario.name, DATA_FILES)
         written = time.perf_counter()
         note("figures")

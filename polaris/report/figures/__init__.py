@@ -66,11 +66,12 @@ def plot_schedule(schedule: Schedule, ax: Any = None) -> Any:
 def _plot(picture: Picture, ax: Any) -> Any:
     from ..scene.scene import describe
     from .scene import draw_scene, scene_figure
-    from .style import WIDTH, style
+    from .style import WIDTH, keep_ticks, style
 
     with style():
         if ax is not None:
             draw_scene(ax, describe(picture))
+            keep_ticks([ax])
             return ax
         from matplotlib import pyplot
 
@@ -124,6 +125,7 @@ def _scene_3d(picture: Picture, new_figure: Any) -> Any:
 
 
 def _distance(picture: Picture, new_figure: Any) -> Any:
+    from .style import keep_ticks
     from .timelines import draw_distance, draw_input, mode_strip
 
     figure = new_figure(3.6)
@@ -131,22 +133,27 @@ def _distance(picture: Picture, new_figure: Any) -> Any:
     draw_distance(upper, picture)
     draw_input(lower, picture)
     mode_strip(lower, picture)
+    keep_ticks(figure.axes)
     return figure
 
 
 def _modes(picture: Picture, new_figure: Any) -> Any:
+    from .style import keep_ticks
     from .timelines import draw_modes
 
     figure = new_figure(0.6 + 0.28 * len(picture.controllers))
     draw_modes(figure.add_subplot(), picture)
+    keep_ticks(figure.axes)
     return figure
 
 
 def _margin(picture: Picture, new_figure: Any) -> Any:
+    from .style import keep_ticks
     from .timelines import draw_margin
 
     figure = new_figure(2.4)
     figure.set_figheight(2.1 + draw_margin(figure.add_subplot(), picture))
+    keep_ticks(figure.axes)
     return figure
 
 

@@ -15,10 +15,11 @@ import numpy as np
 from ...model.system import Array
 from ...runs.picture import Picture
 from ..scene.items import Item, Scene, Shape, by_mode
-from ..scene.palette import BLACK, GREEN, GREY, LOOKS, OLIVE, ORANGE, RED, mode_colour, tint
+from ..scene.palette import BLACK, DARK_OLIVE, GREEN, GREY, LOOKS, OLIVE, ORANGE, RED, mode_colour, tint
 from ..scene.scene import describe
+from ..scene.unsafe import seconds
 from .closeups import LETTERS, draw_closeup
-from .style import WIDTH, legend_above, shortened
+from .style import WIDTH, keep_ticks, legend_above, shortened
 from .view import View
 
 DOTS, DASHES, LONG, GOAL_DASHES = (0, (1, 1.4)), (0, (3, 1.2)), (0, (5, 1.5)), (0, (4, 2))
@@ -46,6 +47,7 @@ def scene_figure(new_figure: Any, picture: Picture) -> tuple[Any, Any]:
     main = 2.9 / 3.5 * WIDTH * ((y1 - y0) / (x1 - x0) if ax.get_aspect() == 1.0 else 0.6)
     grid.set_height_ratios([main + 0.45 + top, *[panel + 0.75] * rows])
     figure.set_figheight(main + 0.58 + top + rows * (panel + 0.75))
+    keep_ticks(figure.axes)
     return figure, ax
 
 
@@ -68,6 +70,9 @@ def draw_scene(ax: Any, scene: Scene, lettered: bool = False) -> float:
     drawers: tuple[Callable[..., list[Any]], ...] = (_slices, _tube, _start, _goal, _paths)
     handles = [handle for draw in drawers for handle in draw(ax, scene, view)]
     draw_unsafe(ax, scene, view, lettered)
+    for t, _, outline in scene.picture.printed_slices() if scene.time_axis is None else ():
+        if len(view.seen(outline)):
+            view.label(ax, f"{seconds(t)} s", view.clip(outline), DARK_OLIVE)
     if scene.picture.system.mean_motion is not None:
         ax.plot(0, 0, marker="+", color=BLACK, ms=5, mew=0.8, zorder=6)
         system, origin = scene.picture.system, np.zeros(scene.picture.system.d)
@@ -82,17 +87,26 @@ def draw_scene(ax: Any, scene: Scene, lettered: bool = False) -> float:
 
 
 def _slices(ax: Any, scene: Scene, view: View) -> list[Any]:
+    """Few recoverable sets, with the chaser in them; on the line, over time, there is room for all."""
     from matplotlib.collections import PolyCollection
     from matplotlib.patches import Patch
 
-    outlines = [shape.points for item in scene.of("slice") for shape in item.shapes if shape]
-    if not outlines:
-        return []
-    colour, edge = tint(LOOKS["slice"].colour, 0.28), tint(OLIVE, 0.5)
-    ax.add_collection(PolyCollection(outlines, facecolor=colour, edgecolor="none", zorder=1))
-    ax.add_collection(PolyCollection(outlines, facecolor="none", edgecolor=edge, lw=0.35, zorder=1.1))
-    seen = any(len(view.seen(outline)) for outline in outlines)
-    return [Patch(facecolor=colour, edgecolor=edge, lw=0.35, label=LOOKS["slice"].legend)] if seen else []
+    look, slices = LOOKS["slice"], scene.picture.slices
+    if slices is not None and scene.time_axis == 0:
+        ends = slices.outlines[:, 0, :, 0]
+        low, high = ends.min(axis=1), ends.max(axis=1)
+        colour, edge = tint(look.colour, 0.6), tint(look.colour, 0.6)
+        ax.vlines(slices.times, low, high, color=colour, lw=1.0, zorder=1)
+        seen = bool(np.any((high > view.y[0]) & (low < view.y[1])))
+    else:
+        outlines = [outline for _, _, outline in scene.picture.printed_slices()]
+        colour, edge = tint(look.colour, 0.28), tint(OLIVE, 0.5)
+        ax.add_collection(PolyCollection(outlines, facecolor=colour, edgecolor="none", zorder=1))
+        ax.add_collection(PolyCollection(outlines, facecolor="none", edgecolor=edge, lw=0.35, zorder=1.1))
+        for _, place, _ in scene.picture.printed_slices():
+            ax.plot(*place[scene.axes], "o", ms=2.6, mfc=look.colour, mec=DARK_OLIVE, mew=0.6, zorder=6)
+        seen = any(len(view.seen(outline)) for outline in outlines)
+    return [Patch(facecolor=colour, edgecolor=edge, lw=0.35, label=look.legend)] if seen else []
 
 
 def _tube(ax: Any, scene: Scene, view: View) -> list[Any]:

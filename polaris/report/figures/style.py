@@ -6,7 +6,7 @@ Labels are plain text: setting mathematics takes longer than drawing everything 
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
@@ -130,6 +130,29 @@ def save(figure: Any, folder: Path, name: str) -> tuple[Path, Path]:
     figure.savefig(pdf, metadata={"CreationDate": None, "Creator": "polaris", "Producer": None})
     figure.savefig(png, metadata={"Software": "polaris"})
     return pdf, png
+
+
+def keep_ticks(axes: Iterable[Any]) -> None:
+    """Settle how many ticks axes have, and the size of their type.
+
+    Left alone, matplotlib finds as many as fit by the settings and the width of the moment, however long
+    their labels: others after the layout is solved than before, or outside of `style`.
+    """
+    from matplotlib.ticker import AutoLocator
+
+    for ax in axes:
+        ax.tick_params(labelsize=_STYLE["xtick.labelsize"])
+        place = ax.get_position(original=True)
+        for axis in (ax.xaxis, ax.yaxis):
+            if not isinstance(axis.get_major_locator(), AutoLocator):
+                continue
+            most = min(max(axis.get_tick_space(), 1), 9)
+            if axis is ax.xaxis:
+                texts = axis.get_major_formatter().format_ticks(axis.get_majorticklocs())
+                widest = max(map(text_width, texts), default=0.0) + 0.04
+                width = place.width * ax.figure.get_figwidth() - 0.3  # what the layout may take of it
+                most = max(min(most, int(width / widest)), 1)
+            axis.get_major_locator().set_params(nbins=most, min_n_ticks=min(most, 2))
 
 
 def text_width(text: str, size: float = 7.0) -> float:

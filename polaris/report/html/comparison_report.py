@@ -78,7 +78,7 @@ def comparison_data(folder: Path, run: RunFolder, methods: Methods) -> dict[str,
     methods : sequence of mapping
         As in ``comparison.json``; those without arrays are left out.
     """
-    picture, arrays = run.picture(), read_arrays(folder / "comparison.npz")
+    picture, arrays = replace(run.picture(), slices=None), read_arrays(folder / "comparison.npz")
     flown: list[Flown] = []
     for method in (method for method in methods if f"{method['key']}_t_s" in arrays):
         names = ("t_s", "states", "modes", "inputs", "distance_m")

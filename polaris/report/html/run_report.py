@@ -22,6 +22,10 @@ NOTE = (
     "simulated runs, lines are the run shown. The distance of the run shown is taken from where other "
     "satellites are nominally, the band from where they truly were."
 )
+SLICE = (
+    "The recoverable set (yellow) is cut through the state of the run shown, at the time written at it: "
+    "then it is filled, and dashed until the next one."
+)
 
 
 def run_page(folder: RunFolder) -> Page:
@@ -47,7 +51,11 @@ def run_page(folder: RunFolder) -> Page:
             ("numbers", "Metrics", metrics(summary)),
             ("guarantee", "The guarantee", claims.guarantee(claim, recoverable)),
             ("synthesis", "Synthesis", synthesis(summary)),
-            ("reading", "How to read this", f"<p>{NOTE}</p>" + definitions(summary.get("definitions", {}))),
+            (
+                "reading",
+                "How to read this",
+                f"<p>{NOTE} {SLICE}</p>" + definitions(summary.get("definitions", {})),
+            ),
         ),
         run_data(folder),
         footer(summary),

@@ -4,7 +4,7 @@ A layer is a mapping with ``name``, ``kind`` (``line``, ``area``, ``mesh`` or ``
 switches show and hide), ``colour``, ``opacity``, and either ``p``, coordinates by axis in metres (meshes
 also ``f``, corners of the triangles by place), or ``frames``, a list of those. Frame i is shown from
 ``t[i]`` on. A layer with ``t`` and ``shift`` is carried along that path, its frames too: they must hold until
-the next one.
+the next one. A ``slice`` is of the instants ``t`` alone, with frames by run; ``at`` is the chaser.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ def scene_data(scene: Scene) -> dict[str, Any]:
         "equal": scene.time_axis is None,
         "axes": list(scene.labels),
         "range": plain(np.stack([scene.low, scene.high], axis=1)),
-        "layers": [layer(item) for item in scene.items if item.shape is not None],
+        "layers": [*_slices(scene), *(layer(item) for item in scene.items if item.shape is not None)],
     }
 
 
@@ -101,6 +101,28 @@ def layer(item: Item) -> Layer:
     if len(item.shapes) == 1:
         return found | _corners(shape)
     return found | {"frames": [_corners(one) for one in item.shapes]}
+
+
+def _slices(scene: Scene) -> list[Layer]:
+    """Slices of the recoverable sets through the states of each run under Polaris, at their own times."""
+    slices, look = scene.picture.slices, LOOKS["slice"]
+    if slices is None or "polaris" not in scene.picture.flights:
+        return []
+    outlines, places = slices.outlines, slices.places[..., scene.axes]
+    if scene.time_axis == 0:
+        along = np.broadcast_to(slices.times[:, None, None, None], outlines.shape)
+        outlines = np.concatenate([along, outlines], axis=-1)
+        places = np.concatenate([along[:, :, 0], places], axis=-1)
+    frames = [
+        [
+            None if np.isnan(place[-1]) else {"p": plain(closed(outline).T), "at": plain(place)}
+            for outline, place in zip(outlines[:, run], places[:, run], strict=True)
+        ]
+        for run in range(places.shape[1])
+    ]
+    found = {"name": look.name, "kind": "slice", "group": look.group, "colour": look.colour}
+    opacity = {"opacity": OPACITIES["slice"], "pilot": "polaris"}
+    return [found | opacity | {"t": plain(slices.times), "frames": frames}]
 
 
 def _corners(shape: Shape | None) -> dict[str, Any]:

@@ -18,8 +18,8 @@ GREEN, SKY, PURPLE, YELLOW, BLACK = "#009E73", "#56B4E9", "#CC79A7", "#F0E442", 
 RED = "#C0202B"
 """Unsafe sets: darker than the orange, so that they differ in grey too."""
 GREY = "#767676"
-DULL_RED, OLIVE = "#9C4A50", "#8A7F00"
-"""Covers of other satellites, and edges of recoverable sets."""
+DULL_RED, OLIVE, DARK_OLIVE = "#9C4A50", "#8A7F00", "#6B6200"
+"""Covers of other satellites, edges of recoverable sets, and what is written at them."""
 
 MODE_COLOURS = (BLUE, ORANGE, "#7A1FA2", SKY, "#6B4A0F", "#8FB93A", "#1F3A93", "#4D7A00")
 SET_SHADES = ("#9A141D", "#F3A6AB")
@@ -81,7 +81,7 @@ LOOKS = {
     "initial": Look("#404040", "initial set", "", "initial"),
     "reference": Look(GREY, "safe reference", "reference", "reference"),
     "tail": Look("#B5B5B5", "reference after T", "", "reference"),
-    "slice": Look(YELLOW, "recoverable, last slice reached", "recoverable sets", "slice"),
+    "slice": Look(YELLOW, "recoverable set", "recoverable sets", "slice"),
     "tube": Look(SKY, "reachable now", "reachable tube, by mode", "tube"),
     "chief": Look(RED, "chief: keep-out sphere", "chief", "unsafe"),
     "keep": Look(GREY, "keep-in sphere", "", "keep"),

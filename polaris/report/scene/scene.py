@@ -8,7 +8,7 @@ import numpy as np
 
 from ...model.obstacle import directions as directions_in_space
 from ...model.system import Array
-from ...runs.picture import Picture, directions, shown_steps
+from ...runs.picture import Picture, directions
 from .closeups import closeups, is_flat
 from .geometry import (
     flat_outline,
@@ -56,7 +56,6 @@ def describe(picture: Picture, paths: Sequence[Array] | None = None, axes: list[
         *_goal(space, axes),
         *_start(picture, axes),
         *_reference(picture, axes),
-        *_slices(picture, axes),
         *_tube(picture, axes),
     ]
     labels = picture.frame.labels[: len(axes)]
@@ -120,23 +119,6 @@ def _part(part: Part, axes: list[int], at: float | None = None) -> Shape | None:
         return Shape.of(hull(points))
     points = flat_outline(points) if kind == "area" else points
     return Shape(kind, points if at is None else np.column_stack([points, np.full(len(points), at)]))
-
-
-def _slices(picture: Picture, axes: list[int]) -> list[Item]:
-    """Recoverable positions in the plane of the figures, at rest relative to the reference."""
-    if picture.slices is None:
-        return []
-    steps = shown_steps(picture.planned)
-    outlines = picture.slices.centre[:, None] + picture.slices.outline
-    if len(axes) == 2:
-        shapes = [Shape("area", one) for one in outlines]
-    else:
-        third = (picture.reference.chi[steps] @ picture.system.position.T)[:, picture.frame.axes[2]]
-        corner = np.arange(1, outlines.shape[1] - 1)
-        fan = np.stack([np.zeros_like(corner), corner, corner + 1], axis=1)  # a slice is convex
-        level = np.broadcast_to(third[:, None, None], (*outlines.shape[:2], 1))
-        shapes = [Shape("mesh", one, fan) for one in np.concatenate([outlines, level], axis=2)]
-    return [Item("slice", LOOKS["slice"].name, tuple(shapes), steps * picture.reference.delta)]
 
 
 def _tube(picture: Picture, axes: list[int]) -> list[Item]:
