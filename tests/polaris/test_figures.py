@@ -25,7 +25,7 @@ from polaris.report.figures import _FIGURES, NAMES, draw_figures, plot_reference
 from polaris.report.figures.style import new_figure, style
 from polaris.report.figures.timelines import limit_group
 from polaris.report.scene.closeups import MOST, closeups, outline_gap
-from polaris.report.scene.geometry import faces, flat_outline, polygon, stretches, tube_polygons
+from polaris.report.scene.geometry import faces, flat_outline, polygon, stretches, tube_support
 from polaris.report.scene.items import under_mode
 from polaris.report.scene.palette import (
     GREEN,
@@ -510,7 +510,7 @@ def test_polygon_is_circumscribed():
 
 def test_tube_outlines_contain_the_tube():
     tube, rng = tube_of(synthesised()[1]), np.random.default_rng(1)
-    outlines = tube_polygons(tube.centre, tube.generators, tube.bow, parts=3)
+    outlines = polygon(tube_support(tube.centre, tube.generators, tube.bow, 3, directions()), directions())
     q = tube.bow.shape[1]
     edges = np.unique(np.linspace(0, q, 4).astype(int))
     for k in (0, 5, 11):

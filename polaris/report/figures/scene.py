@@ -25,8 +25,8 @@ from .view import View
 DOTS, DASHES, LONG, GOAL_DASHES = (0, (1, 1.4)), (0, (3, 1.2)), (0, (5, 1.5)), (0, (4, 2))
 
 
-def scene_figure(new_figure: Any, picture: Picture) -> tuple[Any, Any]:
-    """A figure of the scene with the close-ups it needs, no higher than they ask for; and its main axes."""
+def scene_figure(picture: Picture, new_figure: Any) -> Any:
+    """A figure of the scene with the close-ups it needs, no higher than they ask for."""
     scene = describe(picture)
     found = scene.closeups
     wide = 1 if len(found) == 1 else 2
@@ -48,7 +48,7 @@ def scene_figure(new_figure: Any, picture: Picture) -> tuple[Any, Any]:
     grid.set_height_ratios([main + 0.45 + top, *[panel + 0.75] * rows])
     figure.set_figheight(main + 0.58 + top + rows * (panel + 0.75))
     keep_ticks(figure.axes)
-    return figure, ax
+    return figure
 
 
 def draw_scene(ax: Any, scene: Scene, lettered: bool = False) -> float:

@@ -8,16 +8,22 @@ import numpy as np
 
 from ...model.system import Array
 from ...runs.picture import Picture
-from ..scene.geometry import faces
+from ..scene.geometry import closed, faces, gapped
 from ..scene.items import Item, Scene, Shape, by_mode
 from ..scene.palette import BLACK, GREEN, GREY, ORANGE, RED, mode_colour, tint
 from ..scene.scene import describe, over_time
 from .scene import DASHES, DOTS, GOAL_DASHES, LONG
+from .style import legend_rows
 
 
-def draw_scene_3d(ax: Any, picture: Picture) -> None:
-    """Draw the scene into axes with ``projection="3d"``."""
+def scene_3d_figure(picture: Picture, new_figure: Any) -> Any:
+    """A figure of the scene in space."""
     space = picture.system.d == 3
+    figure = new_figure(2.5 if space else 3.0)
+    figure.set_layout_engine(None)
+    # The axes draw their own labels outside of what matplotlib takes for their box.
+    place = (-0.1, -0.07, 1.1, 1.08) if space else (-0.05, 0.03, 1.0, 0.93)
+    ax = figure.add_axes(place, projection="3d", computed_zorder=False)
     scene = describe(picture, axes=list(picture.frame.axes)) if space else over_time(picture)
     _paths(ax, scene)
     for item in scene.items:
@@ -30,6 +36,10 @@ def draw_scene_3d(ax: Any, picture: Picture) -> None:
     size = scene.high - scene.low
     ax.set_box_aspect(size if space else (1, np.clip(size[1] / size[0], 0.4, 1.2), 0.7), zoom=1.0)
     ax.view_init(elev=24, azim=-58)
+    handles, _ = ax.get_legend_handles_labels()
+    columns, names = legend_rows(handles, figure.get_figwidth(), 2)
+    figure.legend(handles, names, loc="upper left", ncols=columns)
+    return figure
 
 
 def frame_axes(ax: Any, labels: Any, low: Array, high: Array) -> None:
@@ -72,7 +82,7 @@ def _goal(ax: Any, scene: Scene) -> None:
         points = shape.points
         if shape.kind in ("mesh", "area"):
             drawn = faces(points) if shape.kind == "mesh" else [points]
-            points = np.vstack([np.vstack([one, one[:1], np.full((1, 3), np.nan)]) for one in drawn])
+            points = gapped(map(closed, drawn), 3)
         look: dict[str, Any] = {"lw": 0.8, "ls": GOAL_DASHES}
         if shape.kind == "points":
             look = {"marker": "*", "ls": "none"}

@@ -15,7 +15,8 @@ from ...inspection.inspection import Inspection
 from ...model.system import Array
 from ...runs.inspection import InspectionFolder
 from ...runs.inspection_summary import MEANING
-from ..scene.inspection import AXES, ORDER, gapped, surroundings, thrust_charts
+from ..scene.geometry import gapped
+from ..scene.inspection import AXES, ORDER, surroundings, thrust_charts
 from ..scene.items import Item, Shape
 from ..scene.palette import ANSWERS, BACKUP_MODES, BLACK, BLUE, LOOKS, MARGIN_COLOURS, deputy_colour
 from .numbers import plain
@@ -80,7 +81,7 @@ def fuel_data(run: FuelRun) -> dict[str, Any]:
     }
     drawn = []
     if run.predictions:
-        flights = Shape("line", gapped([one.x[::4, ORDER] for one in run.predictions]))
+        flights = Shape("line", gapped((one.x[::4, ORDER] for one in run.predictions), 3))
         drawn = [Item("predicted", LOOKS["predicted"].name, (flights,))]
     look = {"colour": BLUE, "dash": "solid", "on": True}
     path, who = run.x[chosen][None][..., ORDER], backup[held[:-1]][None]

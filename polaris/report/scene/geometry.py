@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache
 
@@ -58,12 +59,6 @@ def part_edges(q: int, parts: int) -> NDArray[np.int_]:
     return np.unique(np.linspace(0, q, parts + 1).astype(int))
 
 
-def tube_polygons(centre: Array, generators: Array, bow: Array, parts: int, count: int = 32) -> Array:
-    """Outlines of a tube in the plane, shape (K, parts, count, 2); see `tube_support`."""
-    rays = directions(count)
-    return polygon(tube_support(centre, generators, bow, parts, rays), rays)
-
-
 def flat_outline(vertices: Array) -> Array:
     """Convex hull of points in the plane, counter-clockwise, shape (V, 2)."""
     points = sorted({(float(x), float(y)) for x, y in vertices})
@@ -87,6 +82,12 @@ def flat_outline(vertices: Array) -> Array:
 def closed(outline: Array) -> Array:
     """An outline whose last point is its first."""
     return np.vstack([outline, outline[:1]]) if len(outline) else outline
+
+
+def gapped(lines: Iterable[Array], dim: int) -> Array:
+    """Lines (N, dim) as one, with a gap after each."""
+    gap = np.full((1, dim), np.nan)
+    return np.vstack([gap[:0], *(part for line in lines for part in (line, gap))])
 
 
 def stretches(flags: ArrayLike) -> list[tuple[int, int]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +11,7 @@ from ...inspection.flights.simulation import InspectionRun
 from ...inspection.inspection import Inspection
 from ...model.hill import free_flight
 from ...model.system import Array
-from .geometry import ball
+from .geometry import ball, gapped
 from .items import Item, Shape
 from .palette import LOOKS
 
@@ -125,13 +124,8 @@ def surroundings(q: Inspection) -> list[Item]:
     """The chief's sphere, and three circles of the sphere to stay within, in the axes of a scene."""
     angle = np.linspace(0, 2 * np.pi, 73)
     ring = q.distance_max * np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=1)
-    rings = gapped([np.roll(ring, turn, axis=1) for turn in range(3)])
+    rings = gapped((np.roll(ring, turn, axis=1) for turn in range(3)), 3)
     return [
         Item("chief", LOOKS["chief"].name, (Shape.of(ball(q.separation)),)),
         Item("keep", f"{LOOKS['keep'].name}, {q.distance_max:g} m", (Shape("line", rings),)),
     ]
-
-
-def gapped(paths: Sequence[Array]) -> Array:
-    """Paths (N, d) as one line with gaps."""
-    return np.vstack([part for path in paths for part in (path, np.full((1, path.shape[1]), np.nan))])

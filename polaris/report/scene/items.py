@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ...model.system import Array
 from ...runs.picture import Picture
 from .closeups import CloseUp
-from .geometry import Surface, stretches
+from .geometry import Surface, gapped, stretches
 
 if TYPE_CHECKING:
     from ...simulation.baselines import Flights
@@ -49,23 +49,12 @@ class Shape:
 
 @dataclass(frozen=True, eq=False)
 class Mark:
-    """A set at one of the instants that print shows.
+    """The true set at one of the instants that print shows, and what is written there besides its name.
 
-    Attributes
-    ----------
-    time : float
-        [s]
-    shape : Shape
-        The true set (about the nominal centre, for another satellite).
-    told : str
-        What is written at it besides its name.
-    cover : ndarray, shape (V, 2), optional
-        Outline of where another satellite is known to be.
-    place : ndarray, shape (dim,), optional
-        Where the chaser then is [m].
+    Perhaps with the outline (V, 2) of where another satellite is known to be, and the chaser's place (dim,)
+    at that time [m].
     """
 
-    time: float
     shape: Shape
     told: str = ""
     cover: Array | None = None
@@ -143,7 +132,7 @@ class Scene:
     high: Array
     items: tuple[Item, ...] = ()
     time_axis: int | None = None
-    closeups: tuple[CloseUp, ...] = field(default=())
+    closeups: tuple[CloseUp, ...] = ()
 
     def placed(self, positions: Array, times: Array) -> Array:
         """Positions (..., N, d) at times (N,) in the axes of the scene, shape (..., N, dim)."""
@@ -175,16 +164,8 @@ def modes_per_node(flights: Flights) -> NDArray[np.int_]:
 
 
 def under_mode(flown: Array, flags: NDArray[np.bool_]) -> Array:
-    """The stretches of a path (N+1, d) flown under one mode, gaps between them: one line to draw.
-
-    Parameters
-    ----------
-    flown : ndarray, shape (N+1, d)
-    flags : ndarray of bool, shape (N,)
-        Whether the mode flies from each point to the next.
-    """
-    gap = np.full((1, flown.shape[1]), np.nan)
-    return np.vstack([gap[:0], *(part for a, b in stretches(flags) for part in (flown[a : b + 1], gap))])
+    """The stretches of a path (N+1, d) flown under one mode, which `flags` (N,) tells from each point on."""
+    return gapped([flown[a : b + 1] for a, b in stretches(flags)], flown.shape[1])
 
 
 def by_mode(picture: Picture, shown: Array, span: tuple[int, int] | None = None) -> dict[int, Array]:

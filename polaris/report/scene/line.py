@@ -13,6 +13,7 @@ from ...model.system import Array
 from ...runs.picture import Picture
 from .items import Item, Mark, Scene, Shape
 from .palette import LOOKS
+from .space import Space
 
 INSTANTS = 121
 WIDEN = 2.5
@@ -86,16 +87,9 @@ class _Stretch:
 
     def goal(self) -> tuple[float, ...]:
         """Ends of the goal at the horizon [m]; one if it is a point, none if any position will do."""
-        goal, C = self.picture.goal, self.picture.system.position[0]
-        state = getattr(goal, "state", None)
-        if state is not None:
-            return (float(C @ np.asarray(state)),)
-        half = np.asarray(getattr(goal, "half_widths", [np.inf]))
-        if len(half) != len(C) or np.any(np.isinf(half) & (C != 0)):
-            return ()
-        reach = float(np.abs(C[C != 0]) @ half[C != 0])
-        centre = float(C @ np.asarray(goal.center))
-        return (centre - reach, centre + reach)
+        parts = Space(self.picture, np.zeros(1), np.ones(1)).goal()  # what is infinite here has no place
+        points = parts[0].points[:, 0] if parts else np.zeros(0)
+        return tuple(dict.fromkeys((float(points.min()), float(points.max())))) if len(points) else ()
 
 
 def _unsafe(space: _Stretch, obstacle: Obstacle) -> list[Item]:
@@ -109,7 +103,7 @@ def _unsafe(space: _Stretch, obstacle: Obstacle) -> list[Item]:
     at = min(max(int(np.argmax(high - low)), INSTANTS // 4), 3 * INSTANTS // 4)
     widest = np.array([[times[at], low[at]], [times[at], high[at]]])
     band = Shape("area", np.column_stack([np.r_[times, times[::-1]], np.r_[low, high[::-1]]]))
-    marks = (Mark(float(times[at]), Shape("line", widest)),) if high[at] > low[at] else ()
+    marks = (Mark(Shape("line", widest)),) if high[at] > low[at] else ()
     return [Item("unsafe", obstacle.name, (band,), marks=marks)]
 
 
@@ -119,7 +113,7 @@ def _limits(space: _Stretch, obstacle: KeepIn, edges: Array) -> list[Item]:
     ends, middle = [0.0, space.picture.duration], space.picture.duration / 2
     for edge, end in zip(edges, (space.low, space.high), strict=True):
         seen, near = space.low < edge < space.high, np.clip(edge, space.low, space.high)
-        mark = Mark(middle, Shape("points", np.array([[middle, near]])), "" if seen else f": {edge:.4g} m")
+        mark = Mark(Shape("points", np.array([[middle, near]])), "" if seen else f": {edge:.4g} m")
         rim = Shape("line", np.column_stack([ends, [edge, edge]])) if seen else None
         if seen or (np.isfinite(edge) and near == end):
             found.append(Item("keep_in", f"{obstacle.name} (stay inside)", (rim,), marks=(mark,)))

@@ -12,7 +12,7 @@ from ...model.satellite import SatelliteObstacle
 from ...model.shapes import Ball, Polytope
 from ...model.system import Array
 from .closeups import CloseUp
-from .geometry import Surface, ball, boxed, closed, cut_surface, faces, flat_outline, hull, polyhedron
+from .geometry import Surface, ball, boxed, closed, cut_surface, faces, flat_outline, gapped, hull, polyhedron
 from .items import Item, Mark, Shape
 from .space import Space, moves
 
@@ -97,7 +97,7 @@ def _marks(
         cover = space.cover(obstacle, t) if order == 0 and len(axes) == 2 else None
         rim = None if cover is None else flat_outline(cover[:, axes])
         place = path[int(np.argmin(np.abs(known - t)))][axes] if moving else None
-        found.append(Mark(t, shape, f"{seconds(t)} s" if moving else "", rim, place))
+        found.append(Mark(shape, f"{seconds(t)} s" if moving else "", rim, place))
     return tuple(found)
 
 
@@ -151,9 +151,8 @@ def _keep_in(obstacle: KeepIn, space: Space, axes: list[int]) -> list[Item]:
 
 def _sides(obstacle: KeepIn, lines: Array) -> list[Item]:
     """Lines (L, 2, 3) along what the chaser must stay inside, if there are any."""
-    gaps = np.full((len(lines), 1, 3), np.nan)
-    points = np.concatenate([lines, gaps], axis=1).reshape(-1, 3)
-    return [Item("sides", f"{obstacle.name}: its sides", (Shape("line", points),))] if len(lines) else []
+    shape = Shape("line", gapped(lines, 3))
+    return [Item("sides", f"{obstacle.name}: its sides", (shape,))] if len(lines) else []
 
 
 def _edges(corners: Array) -> Array:
@@ -224,7 +223,7 @@ def prisms(space: Space) -> list[Item]:
             found += _sides(obstacle, _edges(pairs[0]))
             continue
         shapes = [Shape.of(hull(pair)) for pair in pairs]
-        marks = [Mark(float(t), one) for t, one in zip(ends, shapes, strict=False) if one]
+        marks = [Mark(one) for one in shapes if one]
         if marks:
             cut = isinstance(obstacle.shape, Polytope) and not obstacle.shape.bounded
             found.append(Item("unsafe", obstacle.name, (marks[-1].shape,), marks=tuple(marks[::-1]), cut=cut))
