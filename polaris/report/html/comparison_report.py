@@ -183,9 +183,8 @@ def _differences(against: str, found: Mapping[str, Mapping[str, Cell]], names: M
 
 def _difference(one: Mapping[str, Any]) -> Cell:
     low, high = one["low"], one["high"]
-    cell = Measure.of(one["metric"]).cell(
-        {"mean": one["difference"], "low": low, "high": high}, difference=True
-    )
+    told = {"mean": one["difference"], "low": low, "high": high}
+    cell = Measure.of(one["metric"]).cell(told, difference=True)
     if low is None or high is None or low > 0 or high < 0 or low == high:
         return cell
     return replace(cell, html=f'{cell.html}<span class="range">perhaps 0</span>')
@@ -196,35 +195,14 @@ def _difference(one: Mapping[str, Any]) -> Cell:
 
 @dataclass
 class Stretch:
-    """Decisions of one method that follow each other with the same mode and reason.
-
-    Attributes
-    ----------
-    mode, reason : any
-        As in the file.
-    begin, end : float
-        Times of the first and the last [s].
-    count : int
-    margin : float or None
-        The least of theirs.
-    """
+    """Decisions of one method in a row with the same mode and reason: times [s], least margin."""
 
     mode: Any
     reason: Any
     begin: float
     end: float
-    count: int = 1
+    count: int = 0
     margin: float | None = None
-
-    def add(self, row: Mapping[str, Any]) -> None:
-        """Take one more decision in."""
-        self.end, self.count = row["t"], self.count + 1
-        self.see(row.get("margin"))
-
-    def see(self, margin: float | None) -> None:
-        """Keep the least margin."""
-        if margin is not None:
-            self.margin = margin if self.margin is None else min(self.margin, margin)
 
 
 def stretches(lines: Iterable[str]) -> dict[str, list[Stretch]]:
@@ -236,17 +214,15 @@ def stretches(lines: Iterable[str]) -> dict[str, list[Stretch]]:
         JSON objects with ``method``, ``t``, ``mode`` and perhaps ``margin`` and ``reason``.
     """
     found: dict[str, list[Stretch]] = {}
-    for line in lines:
-        if not line.strip():
-            continue
-        row = json.loads(line)
+    for row in (json.loads(line) for line in lines if line.strip()):
         own = found.setdefault(str(row["method"]), [])
-        mode, reason = row["mode"], row.get("reason")
-        if own and (own[-1].mode, own[-1].reason) == (mode, reason):
-            own[-1].add(row)
-        else:
+        mode, reason, margin = row["mode"], row.get("reason"), row.get("margin")
+        if not own or (own[-1].mode, own[-1].reason) != (mode, reason):
             own.append(Stretch(mode, reason, row["t"], row["t"]))
-            own[-1].see(row.get("margin"))
+        last = own[-1]
+        last.end, last.count = row["t"], last.count + 1
+        if margin is not None:
+            last.margin = margin if last.margin is None else min(last.margin, margin)
     return found
 
 
@@ -257,9 +233,8 @@ def decisions(path: Path, methods: Methods) -> str:
     with path.open(encoding="utf-8") as file:
         found = stretches(file)
     names = {method["key"]: str(method["name"]) for method in methods}
-    return (
-        "\n".join(_log(names.get(key, key), own) for key, own in found.items()) or "<p>The log is empty.</p>"
-    )
+    logs = "\n".join(_log(names.get(key, key), own) for key, own in found.items())
+    return logs or "<p>The log is empty.</p>"
 
 
 def _margin_cell(margin: float | None) -> Cell:

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from ...inspection.constraints.allowable_set import allowable
 from ...inspection.flights.fuel_run import FuelRun
@@ -21,7 +22,7 @@ from ..scene.items import Item, Shape
 from ..scene.palette import ANSWERS, BACKUP_MODES, BLACK, BLUE, LOOKS, MARGIN_COLOURS, deputy_colour
 from .numbers import plain
 from .scene import layer
-from .timelines import WHO, Panel, kept, limit, pilot
+from .timelines import WHO, Panel, Pilot, input_panel, kept, limit, panel
 
 
 def flight_data(folder: InspectionFolder) -> dict[str, Any]:
@@ -43,20 +44,15 @@ def flight_data(folder: InspectionFolder) -> dict[str, Any]:
         columns = [k for k, one in enumerate(families.family) if one == family]
         if columns:
             margins[name] = h[:, columns]
-    pilots = []
-    for i in range(q.deputies):
-        path, who = run.x[chosen][None, :, i, ORDER], run.status[held[:-1], i][None]
-        look = {"colour": deputy_colour(i), "dash": "solid", "on": True}
-        pilots.append(pilot(f"deputy{i}", f"deputy {i}", ["flight"], t, path, who, **look))
+    pilots = [
+        _pilot(f"deputy{i}", f"deputy {i}", deputy_colour(i), t, run.x[chosen, i], run.status[held[:-1], i])
+        for i in range(q.deputies)
+    ]
     return {
         "scene": _scene(q, run.x[..., :3], _sun(run, chosen)),
         "end": plain(run.t[-1]),
         "open": plain(_closest(t, margins)),
-        "modes": [
-            {"mode": mode, "name": name, "colour": colour}
-            for mode, (name, colour) in ANSWERS.items()
-            if mode in run.status
-        ],
+        "modes": _modes(ANSWERS, run.status),
         "modes_title": "Answers of the filter",
         "by": "pilot",
         "pilots": pilots,
@@ -72,29 +68,21 @@ def fuel_data(run: FuelRun) -> dict[str, Any]:
     chosen = kept(len(run.t), backup)
     t, held = run.t[chosen], np.minimum(chosen, len(run.u) - 1)
     left = {"t": plain(t), "y": plain(q.delta_v_max - run.delta_v[chosen])}
-    fuel = {
-        "key": "fuel",
-        "title": "Velocity change that is left",
-        "unit": "m/s",
-        "limits": [limit(0.0, "fuel limit", "below")],
-        "series": [{"pilot": None, "name": "left", "colour": BLACK} | left],
-    }
+    series = [{"pilot": None, "name": "left", "colour": BLACK} | left]
+    limits = [limit(0.0, "fuel limit", "below")]
+    fuel = panel("fuel", "Velocity change that is left", "m/s", limits, series)
     drawn = []
     if run.predictions:
         flights = Shape("line", gapped((one.x[::4, ORDER] for one in run.predictions), 3))
         drawn = [Item("predicted", LOOKS["predicted"].name, (flights,))]
-    look = {"colour": BLUE, "dash": "solid", "on": True}
-    path, who = run.x[chosen][None][..., ORDER], backup[held[:-1]][None]
     return {
         "scene": _scene(q, run.x[:, :3], drawn),
         "end": plain(end),
         "open": plain(latched),
-        "modes": [
-            {"mode": mode, "name": name, "colour": colour} for mode, (name, colour) in BACKUP_MODES.items()
-        ],
+        "modes": _modes(BACKUP_MODES, (0, 1)),
         "modes_title": WHO,
         "by": "mode",
-        "pilots": [pilot("deputy0", "deputy", ["flight"], t, path, who, **look)],
+        "pilots": [_pilot("deputy0", "deputy", BLUE, t, run.x[chosen], backup[held[:-1]])],
         "panels": [fuel, *_thrusts(q, run.u[held][:, None])],
     }
 
@@ -121,23 +109,34 @@ def _margins(t: Array, found: Mapping[str, Array]) -> list[Panel]:
                 series.append({"pilot": None, "name": name, "meaning": meaning} | line)
         if series:
             title, limits = "Least margin over all deputies", [limit(0.0, "violated", "below")]
-            panel = {"key": f"margin-{unit}", "title": title, "unit": unit, "limits": limits}
-            panels.append(panel | {"series": series})
+            panels.append(panel(f"margin-{unit}", title, unit, limits, series))
     return panels
 
 
 def _thrusts(q: Inspection, u: Array) -> list[Panel]:
     """Thrust of every deputy along each axis, u of shape (N, deputies, 3) [N]."""
-    most, panels = q.thrust_max, []
-    limits = [limit(-most, "", "below"), limit(most, f"limit {most:g}", "above")]
+    panels = []
     for axis, (name, chart) in enumerate(zip(AXES, thrust_charts(q, u), strict=True)):
-        series = [
-            {"pilot": f"deputy{i}", "step": True, "runs": plain(line[None])}
-            for i, line in enumerate(chart.lines.T)
-        ]
-        panel = {"key": f"input{axis}", "title": f"Thrust, {name.lower()}", "unit": "N", "limits": limits}
-        panels.append(panel | {"series": series})
+        lines = enumerate(chart.lines.T)
+        series = [{"pilot": f"deputy{i}", "step": True, "runs": plain(line[None])} for i, line in lines]
+        panels.append(input_panel(axis, f"Thrust, {name.lower()}", "N", q.thrust_max, series, "g"))
     return panels
+
+
+def _pilot(key: str, name: str, colour: str, t: Array, x: Array, modes: NDArray[np.int_]) -> Pilot:
+    """One deputy with states (N, 6); `modes` say what flew it from each sample on."""
+    run = {"p": plain(x[:, ORDER].T), "modes": plain(modes)}
+    told = {"key": key, "name": name, "labels": ["flight"], "t": plain(t), "runs": [run]}
+    return told | {"colour": colour, "dash": "solid", "on": True}
+
+
+def _modes(table: Mapping[int, tuple[str, str]], present: ArrayLike) -> list[dict[str, Any]]:
+    known = set(np.unique(present).tolist())
+    return [
+        {"mode": mode, "name": name, "colour": colour}
+        for mode, (name, colour) in table.items()
+        if mode in known
+    ]
 
 
 def _scene(q: Inspection, paths: Array, more: list[Item]) -> dict[str, Any]:

@@ -86,15 +86,14 @@ def flight_data(
     opened : float, optional
         Time that is shown first [s]; default that of the closest approach.
     """
-    paths = [one.states[0] @ picture.system.position.T for one in flown]
+    C = picture.system.position
+    paths = [one.states[0] @ C.T for one in flown]
     scene = describe(picture, paths, shown_axes(picture, paths))
     pilots, distances, drawn = [], [], []
     for one in flown:
         chosen = kept(len(one.times), one.modes, [int(np.argmin(one.nearest[0]))])
-        held = np.minimum(chosen, one.inputs.shape[1] - 1)
-        times, positions = one.times[chosen], one.states @ picture.system.position.T
-        placed, who = scene.placed(positions[:, chosen], times), one.modes[:, held[:-1]]
-        pilots.append(pilot(one.key, one.name, one.labels, times, placed, who, **one.look))
+        held, positions = np.minimum(chosen, one.inputs.shape[1] - 1), one.states @ C.T
+        pilots.append(pilot(one, chosen, scene.placed(positions[:, chosen], one.times[chosen])))
         if picture.obstacles:  # other satellites are where they are nominally: no file says where they were
             found = signed_distances(picture.obstacles, one.times, positions, picture.system).min(axis=0)
             band = one.nearest[[0, 2]][:, chosen]
@@ -103,7 +102,11 @@ def flight_data(
         drawn.append((one.key, one.inputs[:, held], span))
     bound = proven_distance(picture) if proved else None
     if bound is not None:
-        distances.append(proven_series(bound, picture.reference.delta))
+        distances.append(_proven(bound, picture.reference.delta))
+    panels = [_margins(picture), *_inputs(picture, drawn)]
+    if picture.obstacles:
+        title = "Distance to the nearest unsafe set"
+        panels.insert(0, panel("distance", title, "m", [limit(0.0, "unsafe", "below")], distances))
     present = np.concatenate([picture.modes, *(one.modes.ravel() for one in flown)])
     return {
         "scene": scene_data(scene),
@@ -113,11 +116,7 @@ def flight_data(
         "modes_title": WHO,
         "by": by,
         "pilots": pilots,
-        "panels": [
-            *([distance_panel(distances)] if picture.obstacles else []),
-            margin_panel(picture),
-            *input_panels(picture, drawn),
-        ],
+        "panels": panels,
     }
 
 
@@ -141,25 +140,12 @@ def kept(count: int, modes: ArrayLike = (), must: Sequence[int] = ()) -> NDArray
     return np.unique(np.concatenate([even, changes, must]).astype(int))
 
 
-def pilot(
-    key: str, name: str, labels: Sequence[str], times: Array, paths: Array, modes: NDArray[Any], **style: Any
-) -> Pilot:
-    """One pilot.
-
-    Parameters
-    ----------
-    key, name : str
-    labels : sequence of str, length r
-    times : ndarray, shape (N,)
-        [s]
-    paths : ndarray, shape (r, N, dim)
-        Positions in the axes of the figures [m].
-    modes : ndarray of int, shape (r, N-1)
-    **style : str or bool
-        ``colour``, ``dash``, and whether it is ``on`` at first.
-    """
+def pilot(one: Flown, chosen: NDArray[np.intp], paths: Array) -> Pilot:
+    """One pilot at some samples, with paths (r, N, dim) in the axes of the scene [m] at these."""
+    modes = one.modes[:, np.minimum(chosen[:-1], one.modes.shape[1] - 1)]
     runs = [{"p": plain(path.T), "modes": plain(who)} for path, who in zip(paths, modes, strict=True)]
-    return {"key": key, "name": name, "labels": list(labels), "t": plain(times), "runs": runs} | style
+    told = {"key": one.key, "name": one.name, "labels": list(one.labels), "t": plain(one.times[chosen])}
+    return told | {"runs": runs} | one.look
 
 
 def mode_names(picture: Picture, present: ArrayLike) -> list[dict[str, Any]]:
@@ -167,11 +153,10 @@ def mode_names(picture: Picture, present: ArrayLike) -> list[dict[str, Any]]:
     told = []
     for mode in np.unique(np.asarray(present, dtype=int)).tolist():
         known = 0 <= mode < len(picture.controllers)
-        name = picture.mode_name(mode) if known else f"controller {mode}"
+        name, colour = picture.mode_name(mode) if known else f"controller {mode}", mode_colour(mode)
         if mode == UNKNOWN:
-            told.append({"mode": mode, "name": "filtered input, or not known", "colour": "#9A9A9A"})
-        else:
-            told.append({"mode": mode, "name": name, "colour": mode_colour(mode)})
+            name, colour = "filtered input, or not known", "#9A9A9A"
+        told.append({"mode": mode, "name": name, "colour": colour})
     return told
 
 
@@ -180,62 +165,48 @@ def limit(y: float, text: str, unsafe: str = "") -> dict[str, Any]:
     return {"y": plain(y), "text": text, "unsafe": unsafe}
 
 
-def distance_panel(series: list[dict[str, Any]]) -> Panel:
-    """Distance to the nearest unsafe set."""
-    return {
-        "key": "distance",
-        "title": "Distance to the nearest unsafe set",
-        "unit": "m",
-        "limits": [limit(0.0, "unsafe", "below")],
-        "series": series,
-    }
+def panel(key: str, title: str, unit: str, limits: list[dict[str, Any]], series: list[Any]) -> Panel:
+    """One diagram."""
+    return {"key": key, "title": title, "unit": unit, "limits": limits, "series": series}
 
 
-def proven_series(bound: Array, delta: float) -> dict[str, Any]:
+def input_panel(axis: int, title: str, unit: str, most: float, series: list[Any], form: str = ".4g") -> Panel:
+    """One input between its limits."""
+    limits = [limit(-most, "", "below"), limit(most, f"limit {most:{form}}", "above")]
+    return panel(f"input{axis}", title, unit, limits, series)
+
+
+def _proven(bound: Array, delta: float) -> dict[str, Any]:
     """The distance that is proven, held over every period."""
     K, q = bound.shape
     times = np.append((np.arange(K)[:, None] + np.arange(q) / q).ravel(), K) * delta
-    values = np.append(bound.ravel(), bound[-1, -1])
-    return {
-        "pilot": None,
-        "name": "proven for the schedule: at least",
-        "t": plain(times),
-        "y": plain(values),
-        "step": True,
-        "colour": GREEN,
-        "dash": "solid",
-        "fill": True,
-    }
+    line = {"t": plain(times), "y": plain(np.append(bound.ravel(), bound[-1, -1])), "step": True}
+    look = {"colour": GREEN, "dash": "solid", "fill": True}
+    return {"pilot": None, "name": "proven for the schedule: at least"} | line | look
 
 
-def margin_panel(picture: Picture) -> Panel:
+def _margins(picture: Picture) -> Panel:
     """Room left in the recoverable sets, step by step."""
-    K, delta = len(picture.modes), picture.reference.delta
-    return {
-        "key": "margin",
-        "title": "Containment margin of each step of the schedule",
-        "unit": "share of room",
-        "limits": [limit(0.0, "")],
-        "series": [
-            {
-                "pilot": None,
-                "name": "margin",
-                "bars": True,
-                "t": plain((np.arange(K) + 0.5) * delta),
-                "width": plain(delta),
-                "y": plain(picture.margins),
-                "modes": plain(picture.modes),
-                "text": [
-                    f"margin {directed(share, '.3f')}, limit: {name}"
-                    for share, name in zip(picture.margins, picture.limits, strict=True)
-                ],
-            }
+    delta = picture.reference.delta
+    series = {
+        "pilot": None,
+        "name": "margin",
+        "bars": True,
+        "t": plain((np.arange(len(picture.modes)) + 0.5) * delta),
+        "width": plain(delta),
+        "y": plain(picture.margins),
+        "modes": plain(picture.modes),
+        "text": [
+            f"margin {directed(share, '.3f')}, limit: {name}"
+            for share, name in zip(picture.margins, picture.limits, strict=True)
         ],
     }
+    title = "Containment margin of each step of the schedule"
+    return panel("margin", title, "share of room", [limit(0.0, "")], [series])
 
 
-def input_panels(picture: Picture, drawn: Sequence[tuple[str, Array, Array | None]]) -> list[Panel]:
-    """One panel per input, against its limits.
+def _inputs(picture: Picture, drawn: Sequence[tuple[str, Array, Array | None]]) -> list[Panel]:
+    """One panel per input.
 
     Parameters
     ----------
@@ -244,19 +215,13 @@ def input_panels(picture: Picture, drawn: Sequence[tuple[str, Array, Array | Non
         Inputs of the runs (r, N, m), and least and largest over all runs (2, N, m) if they are known.
     """
     label, names = input_labels(picture.system)
-    what, _, rest = label.partition(" (")
+    what, _, unit = label.rstrip(")").partition(" (")
     found = []
     for axis, (name, most) in enumerate(zip(names, picture.system.u_max.tolist(), strict=True)):
         series = []
         for key, inputs, span in drawn:
-            one: dict[str, Any] = {"pilot": key, "step": True, "runs": plain(inputs[..., axis])}
-            if span is not None:
-                one["band"] = plain(span[..., axis])
-            series.append(one)
-        limits = [limit(-most, "", "below"), limit(most, f"limit {most:.4g}", "above")]
+            band = {} if span is None else {"band": plain(span[..., axis])}
+            series.append({"pilot": key, "step": True, "runs": plain(inputs[..., axis])} | band)
         title = f"{what}, {name}" if what != "Input" else f"Input: {name}"
-        unit = rest.rstrip(")")
-        found.append(
-            {"key": f"input{axis}", "title": title, "unit": unit, "limits": limits, "series": series}
-        )
+        found.append(input_panel(axis, title, unit, most, series))
     return found
