@@ -14,7 +14,8 @@ import numpy as np
 
 from ...model.system import Array
 from ...runs.picture import Picture
-from ..scene.items import Item, Scene, Shape, by_mode
+from ..scene.geometry import Shape
+from ..scene.items import Item, Scene, by_mode
 from ..scene.palette import BLACK, DARK_OLIVE, GREEN, GREY, LOOKS, OLIVE, ORANGE, RED, mode_colour, tint
 from ..scene.scene import describe
 from ..scene.unsafe import seconds

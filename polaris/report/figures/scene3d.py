@@ -8,8 +8,8 @@ import numpy as np
 
 from ...model.system import Array
 from ...runs.picture import Picture
-from ..scene.geometry import closed, faces, gapped
-from ..scene.items import Item, Scene, Shape, by_mode
+from ..scene.geometry import Shape, closed, faces, gapped
+from ..scene.items import Item, Scene, by_mode
 from ..scene.palette import BLACK, GREEN, GREY, ORANGE, RED, mode_colour, tint
 from ..scene.scene import describe, over_time
 from .scene import DASHES, DOTS, GOAL_DASHES, LONG

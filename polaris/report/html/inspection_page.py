@@ -16,9 +16,9 @@ from ...inspection.inspection import Inspection
 from ...model.system import Array
 from ...runs.inspection import InspectionFolder
 from ...runs.inspection_summary import MEANING
-from ..scene.geometry import gapped
+from ..scene.geometry import Shape, gapped
 from ..scene.inspection import AXES, ORDER, surroundings, thrust_charts
-from ..scene.items import Item, Shape
+from ..scene.items import Item
 from ..scene.palette import ANSWERS, BACKUP_MODES, BLACK, BLUE, LOOKS, MARGIN_COLOURS, deputy_colour
 from .numbers import plain
 from .scene import layer

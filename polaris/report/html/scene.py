@@ -16,8 +16,8 @@ import numpy as np
 
 from ...model.system import Array
 from ...runs.picture import Picture
-from ..scene.geometry import closed
-from ..scene.items import Item, Scene, Shape
+from ..scene.geometry import Shape, closed
+from ..scene.items import Item, Scene
 from ..scene.palette import LOOKS
 from ..scene.scene import describe, shown_axes
 from .numbers import plain

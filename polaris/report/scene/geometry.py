@@ -13,6 +13,33 @@ from ...model.shapes import Polytope
 from ...model.system import Array
 from ...runs.picture import directions
 
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """A ``line`` (with gaps where it is nan), single ``points``, an ``area`` in an outline, or a ``mesh``.
+
+    Attributes
+    ----------
+    kind : str
+    points : ndarray, shape (N, dim)
+        [m]
+    faces : ndarray of int, shape (F, 3), optional
+        Corners of the triangles of a mesh.
+    """
+
+    kind: str
+    points: Array
+    faces: NDArray[np.intp] | None = None
+
+    def along(self, axes: list[int]) -> Shape:
+        """The same, its coordinates in another order."""
+        return Shape(self.kind, self.points[:, axes], self.faces)
+
+    def moved(self, shift: Array) -> Shape:
+        """The same elsewhere."""
+        return Shape(self.kind, self.points + shift, self.faces)
+
+
 # -- in the plane -----------------------------------------------------------------------------------
 
 
@@ -99,23 +126,7 @@ def stretches(flags: ArrayLike) -> list[tuple[int, int]]:
 # -- in space ---------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class Surface:
-    """Triangles in space.
-
-    Attributes
-    ----------
-    points : ndarray, shape (V, 3)
-        Corners [m].
-    faces : ndarray of int, shape (F, 3)
-        Corners of every triangle.
-    """
-
-    points: Array
-    faces: NDArray[np.intp]
-
-
-def hull(points: Array) -> Surface | None:
+def hull(points: Array) -> Shape | None:
     """Surface of the convex hull of points (V, 3); None if it has no volume."""
     from scipy.spatial import ConvexHull, QhullError
 
@@ -129,10 +140,10 @@ def hull(points: Array) -> Surface | None:
     used = np.unique(found.simplices)
     place = np.zeros(len(points), dtype=np.intp)
     place[used] = np.arange(len(used))
-    return Surface(points[used], place[found.simplices])
+    return Shape("mesh", points[used], place[found.simplices])
 
 
-def polyhedron(normals: Array, support: Array, inside: Array) -> Surface | None:
+def polyhedron(normals: Array, support: Array, inside: Array) -> Shape | None:
     """Surface of ``{p : normals p <= support}``, bounded.
 
     Parameters
@@ -159,13 +170,13 @@ def polyhedron(normals: Array, support: Array, inside: Array) -> Surface | None:
 
 
 @cache
-def _unit_ball(splits: int) -> Surface:
+def _unit_ball(splits: int) -> Shape:
     golden = (1 + 5**0.5) / 2
     corners = np.array([[-1.0, golden, 0.0], [1.0, golden, 0.0], [-1.0, -golden, 0.0], [1.0, -golden, 0.0]])
     points = np.vstack([np.roll(corners, turn, axis=1) for turn in range(3)])
     for _ in range(splits):
         surface = hull(points / np.linalg.norm(points, axis=1, keepdims=True))
-        assert surface is not None  # a ball's points have a volume
+        assert surface is not None and surface.faces is not None  # a ball's points have a volume
         edges = np.sort(surface.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
         points = np.vstack([surface.points, surface.points[np.unique(edges, axis=0)].mean(axis=1)])
     found = hull(points / np.linalg.norm(points, axis=1, keepdims=True))
@@ -173,10 +184,10 @@ def _unit_ball(splits: int) -> Surface:
     return found
 
 
-def ball(radius: float, splits: int = 2) -> Surface:
+def ball(radius: float, splits: int = 2) -> Shape:
     """A ball about the origin: an icosahedron, its triangles split in four a few times."""
     unit = _unit_ball(splits)
-    return Surface(radius * unit.points, unit.faces)
+    return Shape("mesh", radius * unit.points, unit.faces)
 
 
 def ball_points(radius: float, d: int) -> Array:
@@ -192,7 +203,7 @@ def boxed(H: Array, b: Array, low: Array, high: Array) -> Polytope:
     return Polytope(np.vstack([H, eye, -eye]), np.concatenate([b, high, -low]))
 
 
-def cut_surface(H: Array, b: Array, low: Array, high: Array, closed: bool = True) -> Surface | None:
+def cut_surface(H: Array, b: Array, low: Array, high: Array, closed: bool = True) -> Shape | None:
     """Surface of ``H p <= b`` within a box; None if nothing of it is there.
 
     Parameters
@@ -208,13 +219,13 @@ def cut_surface(H: Array, b: Array, low: Array, high: Array, closed: bool = True
     if not whole.depth > 0:
         return None
     found = polyhedron(whole.H, whole.b, whole.middle)
-    if found is None or closed:
+    if found is None or found.faces is None or closed:
         return found
     near = 1e-6 * float(np.max(high - low))
     on_low = np.abs(found.points - low) <= near
     on_high = np.abs(found.points - high) <= near
     capped = np.any(on_low[found.faces].all(axis=1) | on_high[found.faces].all(axis=1), axis=1)
-    return Surface(found.points, found.faces[~capped]) if np.any(~capped) else None
+    return Shape("mesh", found.points, found.faces[~capped]) if np.any(~capped) else None
 
 
 def faces(vertices: Array) -> list[Array]:

@@ -11,8 +11,8 @@ from ...inspection.flights.simulation import InspectionRun
 from ...inspection.inspection import Inspection
 from ...model.hill import free_flight
 from ...model.system import Array
-from .geometry import ball, gapped
-from .items import Item, Shape
+from .geometry import Shape, ball, gapped
+from .items import Item
 from .palette import LOOKS
 
 AXES = ("Radial", "Along-track", "Cross-track")
@@ -126,6 +126,6 @@ def surroundings(q: Inspection) -> list[Item]:
     ring = q.distance_max * np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=1)
     rings = gapped((np.roll(ring, turn, axis=1) for turn in range(3)), 3)
     return [
-        Item("chief", LOOKS["chief"].name, (Shape.of(ball(q.separation)),)),
+        Item("chief", LOOKS["chief"].name, (ball(q.separation),)),
         Item("keep", f"{LOOKS['keep'].name}, {q.distance_max:g} m", (Shape("line", rings),)),
     ]

@@ -11,40 +11,10 @@ from numpy.typing import NDArray
 from ...model.system import Array
 from ...runs.picture import Picture
 from .closeups import CloseUp
-from .geometry import Surface, gapped, stretches
+from .geometry import Shape, gapped, stretches
 
 if TYPE_CHECKING:
     from ...simulation.baselines import Flights
-
-
-@dataclass(frozen=True, eq=False)
-class Shape:
-    """A ``line`` (with gaps where it is nan), single ``points``, an ``area`` in an outline, or a ``mesh``.
-
-    Attributes
-    ----------
-    kind : str
-    points : ndarray, shape (N, dim)
-        [m]
-    faces : ndarray of int, shape (F, 3), optional
-        Corners of the triangles of a mesh.
-    """
-
-    kind: str
-    points: Array
-    faces: NDArray[np.intp] | None = None
-
-    @classmethod
-    def of(cls, surface: Surface | None, axes: list[int] | None = None) -> Shape | None:
-        """A surface, its coordinates in another order."""
-        if surface is None:
-            return None
-        points = surface.points if axes is None else surface.points[:, axes]
-        return cls("mesh", points, surface.faces)
-
-    def moved(self, shift: Array) -> Shape:
-        """The same elsewhere."""
-        return Shape(self.kind, self.points + shift, self.faces)
 
 
 @dataclass(frozen=True, eq=False)

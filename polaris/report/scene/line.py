@@ -11,7 +11,8 @@ from ...model.keep_in import KeepIn
 from ...model.obstacles import Obstacle
 from ...model.system import Array
 from ...runs.picture import Picture
-from .items import Item, Mark, Scene, Shape
+from .geometry import Shape
+from .items import Item, Mark, Scene
 from .palette import LOOKS
 from .space import Space
 

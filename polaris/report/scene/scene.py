@@ -10,18 +10,11 @@ from ...model.obstacle import directions as directions_in_space
 from ...model.system import Array
 from ...runs.picture import Picture, directions
 from .closeups import closeups, is_flat
-from .geometry import (
-    flat_outline,
-    hull,
-    part_edges,
-    polygon,
-    polyhedron,
-    tube_support,
-)
-from .items import Item, Scene, Shape
+from .geometry import Shape, flat_outline, hull, part_edges, polygon, polyhedron, tube_support
+from .items import Item, Scene
 from .line import line_scene
 from .palette import LOOKS
-from .space import Part, Space
+from .space import Space
 from .unsafe import prisms, unsafe_items
 
 MOST_FRAMES = (960, 240)
@@ -91,7 +84,7 @@ def _start(picture: Picture, axes: list[int]) -> list[Item]:
         shape: Shape | None = Shape("area", polygon(rays @ c + size, rays))
     else:
         thick = np.maximum(size, 1e-3 * float(np.max(size, initial=0.0)))
-        shape = Shape.of(polyhedron(rays, rays @ c + thick, c))
+        shape = polyhedron(rays, rays @ c + thick, c)
     found = [Item("start", "start", (Shape("points", c[None]),))]
     return [*found, Item("initial", LOOKS["initial"].name, (shape,))] if shape else found
 
@@ -109,14 +102,14 @@ def _goal(space: Space, axes: list[int]) -> list[Item]:
     return found
 
 
-def _part(part: Part, axes: list[int], at: float | None = None) -> Shape | None:
+def _part(part: Shape, axes: list[int], at: float | None = None) -> Shape | None:
     """One part of the goal; in the plane perhaps at some height, the time."""
     points = part.points[:, axes]
-    kind = {"curve": "line", "body": "area"}.get(part.kind, "points")
+    kind = part.kind
     if np.all(np.ptp(points, axis=0) == 0):  # a line seen end on, too
         kind, points = "points", points[:1]
     if kind == "area" and len(axes) == 3:
-        return Shape.of(hull(points))
+        return hull(points)
     points = flat_outline(points) if kind == "area" else points
     return Shape(kind, points if at is None else np.column_stack([points, np.full(len(points), at)]))
 
@@ -139,6 +132,6 @@ def _tube(picture: Picture, axes: list[int]) -> list[Item]:
     else:
         inside = centre[:, (edges[:-1] + edges[1:]) // 2].reshape(-1, 3)
         pairs = zip(support.reshape(-1, len(rays)), inside, strict=True)
-        shapes = [Shape.of(polyhedron(rays, b, c)) for b, c in pairs]
+        shapes = [polyhedron(rays, b, c) for b, c in pairs]
     modes = np.repeat(picture.modes, len(edges) - 1) if len(picture.modes) == K else None
     return [Item("tube", LOOKS["tube"].name, tuple(shapes), times.ravel(), modes=modes)]

@@ -15,18 +15,10 @@ from ...model.shapes import Ball, Polytope
 from ...model.system import Array
 from ...planning.goals import Box, EllipticalNMT, LinearNMT, StationaryPoint
 from ...runs.picture import Approach, Picture, directions
-from .geometry import ball_points, boxed, flat_outline
+from .geometry import Shape, ball_points, boxed, flat_outline
 
 NEAR = 0.35
 """How far a flight may stray beyond the safe path, in widths of it, and still widen the view."""
-
-
-@dataclass(frozen=True, eq=False)
-class Part:
-    """A piece of the goal: a ``curve`` through points, a ``point``, or a convex ``body`` with corners."""
-
-    kind: str
-    points: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,22 +122,25 @@ class Space:
             return None
         return np.asarray(obstacle.outline(t, self.picture.system))
 
-    def goal(self) -> list[Part]:
-        """The goal's positions, as far as it limits them; infinite widths are cut to this space."""
+    def goal(self) -> list[Shape]:
+        """The goal's positions as far as it limits them: lines, points, or the corners of a convex ``area``.
+
+        Infinite widths are cut to this space.
+        """
         goal, system = self.picture.goal, self.picture.system
         if isinstance(goal, EllipticalNMT):
             angle = np.linspace(0, 2 * np.pi, 121)
             ring = np.stack([np.sin(angle), 2 * np.cos(angle), np.zeros_like(angle)], axis=1)
             rims = [b for b in (goal.inner_semi_minor, goal.outer_semi_minor) if b > 0]
-            return [Part("curve", b * ring) for b in rims]
+            return [Shape("line", b * ring) for b in rims]
         if isinstance(goal, LinearNMT):
             most = goal.amplitude_max
-            return [Part("curve", np.array([[0.0, goal.along_track, z] for z in (-most, most)]))]
+            return [Shape("line", np.array([[0.0, goal.along_track, z] for z in (-most, most)]))]
         if isinstance(goal, StationaryPoint):
-            return [Part("point", (system.position @ np.asarray(goal.state))[None])]
+            return [Shape("points", (system.position @ np.asarray(goal.state))[None])]
         return self._box(goal) if isinstance(goal, Box) else []
 
-    def _box(self, goal: Box) -> list[Part]:
+    def _box(self, goal: Box) -> list[Shape]:
         C, half = self.picture.system.position, np.asarray(goal.half_widths)
         centre, free = C @ np.asarray(goal.center), np.any(C[:, np.isinf(half)] != 0, axis=1)
         if np.all(free):
@@ -153,16 +148,16 @@ class Space:
         arms = C[:, np.isfinite(half)] * half[np.isfinite(half)]
         arms = arms[:, np.any(arms != 0, axis=0)]
         if arms.shape[1] == 0 and not np.any(free):
-            return [Part("point", centre[None])]
+            return [Shape("points", centre[None])]
         thin = 2e-3 * float(np.max(self.high - self.low)) * np.eye(len(centre))  # to be seen at all
         arms = np.hstack([arms, thin[:, np.abs(arms).sum(axis=1) + free == 0]])
         if np.any(free) or arms.shape[1] > 8:  # axis by axis
             reach = np.abs(arms).sum(axis=1)
             low = np.where(free, self.low, centre - reach)
             high = np.where(free, self.high, centre + reach)
-            return [Part("body", np.array(list(product(*zip(low, high, strict=True)))))]
+            return [Shape("area", np.array(list(product(*zip(low, high, strict=True)))))]
         signs = np.array(list(product((-1.0, 1.0), repeat=arms.shape[1])))
-        return [Part("body", centre + signs @ arms.T)]
+        return [Shape("area", centre + signs @ arms.T)]
 
 
 def _within(obstacle: Obstacle, picture: Picture, near: Approach, depth: float) -> Array:

@@ -12,8 +12,8 @@ from ...model.satellite import SatelliteObstacle
 from ...model.shapes import Ball, Polytope
 from ...model.system import Array
 from .closeups import CloseUp
-from .geometry import Surface, ball, boxed, closed, cut_surface, faces, flat_outline, gapped, hull, polyhedron
-from .items import Item, Mark, Shape
+from .geometry import Shape, ball, boxed, closed, cut_surface, faces, flat_outline, gapped, hull, polyhedron
+from .items import Item, Mark
 from .space import Space, moves
 
 PATH = 121
@@ -79,9 +79,9 @@ def _at(obstacle: Obstacle, space: Space, axes: list[int], t: float) -> Shape | 
         outline = space.outline(obstacle, t, axes)
         return Shape("area", outline) if len(outline) else None
     if isinstance(obstacle.shape, Ball):
-        own = ball(obstacle.shape.radius)
-        return Shape.of(Surface(own.points + obstacle.centre(t, space.picture.system), own.faces), axes)
-    return Shape.of(hull(space.corners(obstacle, t)), axes)
+        return ball(obstacle.shape.radius).moved(obstacle.centre(t, space.picture.system)).along(axes)
+    surface = hull(space.corners(obstacle, t))
+    return surface and surface.along(axes)
 
 
 def _marks(
@@ -136,8 +136,8 @@ def _keep_in(obstacle: KeepIn, space: Space, axes: list[int]) -> list[Item]:
         outline = closed(flat_outline(space.corners(obstacle, 0.0)[:, axes]))
         return [Item("keep_in", name, (Shape("line", outline),))] if len(outline) else []
     inside = obstacle.inside
-    shape = Shape.of(cut_surface(inside.H, inside.b, space.low, space.high, closed=False), axes)
-    found = [Item("keep_in", name, (shape,))] if shape else []
+    surface = cut_surface(inside.H, inside.b, space.low, space.high, closed=False)
+    found = [Item("keep_in", name, (surface.along(axes),))] if surface else []
     if isinstance(obstacle, KeepInCone):
         lines = _rulings(obstacle, space)
     else:
@@ -202,7 +202,7 @@ def _cover(normals: Array, support: Array, axes: list[int]) -> Shape | None:
         return Shape("area", flat_outline(Polytope(normals, support).vertices()[:, axes]))
     solid = polyhedron(normals, support, np.zeros(3))
     if solid is None or len(axes) == 3:
-        return Shape.of(solid, axes)
+        return solid and solid.along(axes)
     return Shape("area", flat_outline(solid.points[:, axes]))
 
 
@@ -222,8 +222,7 @@ def prisms(space: Space) -> list[Item]:
         if isinstance(obstacle, KeepIn):
             found += _sides(obstacle, _edges(pairs[0]))
             continue
-        shapes = [Shape.of(hull(pair)) for pair in pairs]
-        marks = [Mark(one) for one in shapes if one]
+        marks = [Mark(one) for one in map(hull, pairs) if one]
         if marks:
             cut = isinstance(obstacle.shape, Polytope) and not obstacle.shape.bounded
             found.append(Item("unsafe", obstacle.name, (marks[-1].shape,), marks=tuple(marks[::-1]), cut=cut))

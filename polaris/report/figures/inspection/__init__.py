@@ -90,22 +90,18 @@ def _panel(draw: Callable[[Any, Any], None], height: float) -> Callable[[Any], A
     return drawn
 
 
-def _stacked(charts: Callable[[InspectionRun], list[data.Chart]]) -> Callable[[InspectionRun], Any]:
+def _charts(height: float, charts: Callable[[InspectionRun], list[data.Chart]]) -> Callable[[Any], Any]:
     """A figure of charts over each other."""
 
     def drawn(run: InspectionRun) -> Any:
-        figure, found = new_figure(3.9), charts(run)
-        axes = figure.subplots(len(found), 1, sharex=True)
+        figure, found = new_figure(height), charts(run)
+        axes = figure.subplots(len(found), 1, sharex=True, squeeze=False).ravel()
         for ax, chart in zip(axes, found, strict=True):
             draw_chart(ax, run, chart, named=ax is axes[0])
             ax.set_xlabel("Time (s)" if ax is axes[-1] else "")
         return figure
 
     return drawn
-
-
-def _chart(chart: Callable[[InspectionRun], data.Chart], height: float) -> Callable[[InspectionRun], Any]:
-    return _panel(lambda ax, run: draw_chart(ax, run, chart(run)), height)
 
 
 def _overview(run: InspectionRun) -> Any:
@@ -149,13 +145,13 @@ def _paths(run: InspectionRun) -> Any:
 _FIGURES: dict[str, Callable[[InspectionRun], Any]] = {
     "overview": _overview,
     "speed": _panel(draw_speed, 2.8),
-    "velocity": _stacked(data.velocity_charts),
-    "separation": _chart(data.distance_chart, 2.8),
-    "sun": _chart(lambda run: data.sun_chart(run, False), 2.6),
-    "deputy_sun": _chart(lambda run: data.sun_chart(run, True), 2.8),
+    "velocity": _charts(3.9, data.velocity_charts),
+    "separation": _charts(2.8, lambda run: [data.distance_chart(run)]),
+    "sun": _charts(2.6, lambda run: [data.sun_chart(run, False)]),
+    "deputy_sun": _charts(2.8, lambda run: [data.sun_chart(run, True)]),
     "passive": _passive,
-    "thrust": _stacked(lambda run: data.thrust_charts(run.inspection, run.u)),
-    "delta_v": _chart(data.spent_chart, 2.4),
+    "thrust": _charts(3.9, lambda run: data.thrust_charts(run.inspection, run.u)),
+    "delta_v": _charts(2.4, lambda run: [data.spent_chart(run)]),
     "paths_3d": _paths,
 }
 
