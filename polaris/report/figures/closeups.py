@@ -16,7 +16,7 @@ from ..scene.geometry import flat_outline
 from ..scene.palette import BLACK, RED, tint
 from ..scene.space import Space, moves
 from ..scene.unsafe import seconds
-from .style import shortened, text_width
+from .style import draw_safe_path, shortened, text_width
 
 LETTERS = "abcdef"
 
@@ -45,8 +45,6 @@ def draw_closeup(ax: Any, picture: Picture, one: CloseUp, letter: str, aspect: f
 def _in_plane(ax: Any, picture: Picture, one: CloseUp, axes: list[int], aspect: float) -> None:
     from matplotlib.patches import Polygon
 
-    from .scene import draw_safe_path
-
     times, path = picture.safe_path()
     space, origin = Space.of(picture), np.zeros(picture.system.d)
     if moves(one.obstacle, picture):
@@ -71,8 +69,6 @@ def _in_plane(ax: Any, picture: Picture, one: CloseUp, axes: list[int], aspect: 
 
 
 def _over_time(ax: Any, picture: Picture, one: CloseUp) -> None:
-    from .scene import draw_safe_path
-
     times, path = picture.safe_path()
     distance = one.obstacle.signed_distance(times, path, picture.system)
     a, b = one.span

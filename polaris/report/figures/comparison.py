@@ -14,8 +14,8 @@ from ...simulation.baselines import Flights
 from ..scene.items import under_mode
 from ..scene.palette import BLUE, GREEN, GREY, ORANGE, RED
 from ..scene.scene import describe
-from .scene import DOTS, draw_unsafe
-from .style import new_figure, printing, save, shortened
+from .scene import draw_unsafe
+from .style import DOTS, new_figure, printing, save, shortened
 from .view import View
 
 if TYPE_CHECKING:

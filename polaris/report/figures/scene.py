@@ -15,15 +15,13 @@ import numpy as np
 from ...model.system import Array
 from ...runs.picture import Picture
 from ..scene.geometry import Shape
-from ..scene.items import Item, Scene, by_mode
+from ..scene.items import Item, Scene
 from ..scene.palette import BLACK, DARK_OLIVE, GREEN, GREY, LOOKS, OLIVE, ORANGE, RED, mode_colour, tint
 from ..scene.scene import describe
 from ..scene.unsafe import seconds
 from .closeups import LETTERS, draw_closeup
-from .style import WIDTH, keep_ticks, legend_above, shortened
+from .style import DASHES, DOTS, GOAL_DASHES, LONG, WIDTH, draw_safe_path, keep_ticks, legend_above, shortened
 from .view import View
-
-DOTS, DASHES, LONG, GOAL_DASHES = (0, (1, 1.4)), (0, (3, 1.2)), (0, (5, 1.5)), (0, (4, 2))
 
 
 def scene_figure(picture: Picture, new_figure: Any) -> Any:
@@ -206,18 +204,6 @@ def _paths(ax: Any, scene: Scene, view: View) -> list[Any]:
         ax.plot(*flown[-1], marker="s", color=BLACK, ms=2.6, zorder=6)
         ax.plot(*flown[0], marker="o", color=BLACK, ms=2.6, zorder=6)
     return handles
-
-
-def draw_safe_path(ax: Any, picture: Picture, shown: Array, span: tuple[int, int] | None = None) -> list[int]:
-    """Draw the run under Polaris by mode, or the reference without one; the modes drawn."""
-    if "polaris" not in picture.flights:
-        ax.plot(*shown[slice(*(span or (0, len(shown))))].T, color=GREY, lw=1.1, ls=DOTS, zorder=4.5)
-        return []
-    pieces = by_mode(picture, shown, span)
-    for order, (mode, piece) in enumerate(pieces.items()):
-        look = {"lw": 1.5, "zorder": 4 + 0.01 * order, "solid_capstyle": "butt"}
-        ax.plot(*piece.T, color=mode_colour(mode), **look)
-    return list(pieces)
 
 
 # -- unsafe sets ------------------------------------------------------------------------------------

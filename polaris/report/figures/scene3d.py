@@ -12,8 +12,7 @@ from ..scene.geometry import Shape, closed, faces, gapped
 from ..scene.items import Item, Scene, by_mode
 from ..scene.palette import BLACK, GREEN, GREY, ORANGE, RED, mode_colour, tint
 from ..scene.scene import describe, over_time
-from .scene import DASHES, DOTS, GOAL_DASHES, LONG
-from .style import legend_rows
+from .style import DASHES, DOTS, GOAL_DASHES, LONG, legend_rows
 
 
 def scene_3d_figure(picture: Picture, new_figure: Any) -> Any:

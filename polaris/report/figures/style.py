@@ -14,8 +14,15 @@ from typing import Any
 
 import numpy as np
 
+from ...model.system import Array
+from ...runs.picture import Picture
+from ..scene.items import by_mode
+from ..scene.palette import GREY, mode_colour
+
 WIDTH = 3.5
 """Width of a figure [in]: one column of a two-column page."""
+
+DOTS, DASHES, LONG, GOAL_DASHES = (0, (1, 1.4)), (0, (3, 1.2)), (0, (5, 1.5)), (0, (4, 2))
 
 ABOVE: Any = {"loc": "lower left", "bbox_to_anchor": (-0.02, 1.0), "ncols": 3}
 """A legend of one line above the axes."""
@@ -202,3 +209,15 @@ def legend_above(ax: Any, handles: Any, columns: int = 2) -> float:
 def step_edges(values: Any) -> Any:
     """Repeat the last value, so that a step plot reaches the end of the last step."""
     return np.concatenate([values, values[-1:]])
+
+
+def draw_safe_path(ax: Any, picture: Picture, shown: Array, span: tuple[int, int] | None = None) -> list[int]:
+    """Draw the run under Polaris by mode, or the reference without one; the modes drawn."""
+    if "polaris" not in picture.flights:
+        ax.plot(*shown[slice(*(span or (0, len(shown))))].T, color=GREY, lw=1.1, ls=DOTS, zorder=4.5)
+        return []
+    pieces = by_mode(picture, shown, span)
+    for order, (mode, piece) in enumerate(pieces.items()):
+        look = {"lw": 1.5, "zorder": 4 + 0.01 * order, "solid_capstyle": "butt"}
+        ax.plot(*piece.T, color=mode_colour(mode), **look)
+    return list(pieces)

@@ -14,7 +14,8 @@ from ...model.satellite import SatelliteObstacle
 from ...model.shapes import Ball, Polytope
 from ...model.system import Array
 from ...planning.goals import Box, EllipticalNMT, LinearNMT, StationaryPoint
-from ...runs.picture import Approach, Picture, directions
+from ...runs.frame import directions
+from ...runs.picture import Approach, Picture
 from .geometry import Shape, ball_points, boxed, flat_outline
 
 NEAR = 0.35
