@@ -75,18 +75,15 @@ def _tradeoffs(methods: Sequence[Mapping[str, Any]]) -> Any:
         for place, method in zip(y, methods, strict=True):
             colour = GREEN if method["guarantee"] == "proved" else RED
             told = method["metrics"].get(metric)
-            if told is None:
+            told = told if isinstance(told, dict) else {"mean": told}
+            mean, low, high, worst = (told.get(name) for name in ("mean", "low", "high", "worst"))
+            if mean is None:
                 continue
-            if not isinstance(told, dict):
-                ax.plot(told, place, "o", ms=3.2, color=colour)
-                continue
-            if told["mean"] is None:
-                continue
-            if told["low"] is not None and told["high"] is not None:
-                ax.plot([told["low"], told["high"]], [place, place], color=colour, lw=1.4)
-            ax.plot(told["mean"], place, "o", ms=3.2, color=colour)
-            if told["worst"] is not None:
-                ax.plot(told["worst"], place, "|", ms=6, mew=1.0, color=colour)
+            if low is not None and high is not None:
+                ax.plot([low, high], [place, place], color=colour, lw=1.4)
+            ax.plot(mean, place, "o", ms=3.2, color=colour)
+            if worst is not None:
+                ax.plot(worst, place, "|", ms=6, mew=1.0, color=colour)
         if logarithmic:
             ax.set_xscale("log")
         elif metric == "min_distance_m":

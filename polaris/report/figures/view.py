@@ -84,16 +84,9 @@ class View:
         gap = 3 / 72 * per_inch
         low, high = outline.min(axis=0) - gap, outline.max(axis=0) + gap
         mid = (low + high) / 2
-        places = [
-            (mid[0] - w / 2, high[1]),
-            (high[0], mid[1] - h / 2),
-            (mid[0] - w / 2, low[1] - h),
-            (low[0] - w, mid[1] - h / 2),
-            (high[0], high[1]),
-            (high[0], low[1] - h),
-            (low[0] - w, high[1]),
-            (low[0] - w, low[1] - h),
-        ]
+        xs, ys = (low[0] - w, mid[0] - w / 2, high[0]), (low[1] - h, mid[1] - h / 2, high[1])
+        beside = ((1, 2), (2, 1), (1, 0), (0, 1), (2, 2), (2, 0), (0, 2), (0, 0))  # above first, then right
+        places = [(xs[i], ys[j]) for i, j in beside]
         if w < high[0] - low[0] and 1.8 * h < high[1] - low[1]:
             places = [
                 (mid[0] - w / 2, low[1] + share * (high[1] - low[1]) - h / 2) for share in (0.5, 0.25, 0.75)

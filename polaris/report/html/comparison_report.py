@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from ...runs.arrays import read_arrays
-from ...runs.folder import RunFolder, read_json, read_run
+from ...runs.comparison import ComparisonFolder
+from ...runs.folder import read_json, read_run
 from ...synthesis.recoverable import directed
 from ..scene.palette import method_style
 from . import claims
@@ -61,36 +61,23 @@ def comparison_page(folder: Path) -> Page:
             ("guarantee", "The guarantee of the schedule", claims.guarantee(claim, recoverable)),
             ("reading", "How to read this", f"<p>{NOTE}</p>" + definitions(found.get("definitions", {}))),
         ),
-        comparison_data(folder, run, methods),
+        comparison_data(ComparisonFolder(folder, run), methods),
         footer(summary),
     )
 
 
-def comparison_data(folder: Path, run: RunFolder, methods: Methods) -> dict[str, Any]:
-    """What the page's script draws of a comparison.
-
-    Parameters
-    ----------
-    folder : Path
-        With ``comparison.npz``.
-    run : RunFolder
-        Of the schedule: it has the scene.
-    methods : sequence of mapping
-        As in ``comparison.json``; those without arrays are left out.
-    """
-    picture, arrays = replace(run.picture(), slices=None), read_arrays(folder / "comparison.npz")
+def comparison_data(folder: ComparisonFolder, methods: Methods) -> dict[str, Any]:
+    """What the page's script draws of a comparison; methods without flights are left out."""
     flown: list[Flown] = []
-    for method in (method for method in methods if f"{method['key']}_t_s" in arrays):
-        names = ("t_s", "states", "modes", "inputs", "distance_m")
-        own = [arrays[f"{method['key']}_{name}"] for name in names]
-        labels = [str(label) for label in arrays[f"{method['key']}_labels"].tolist()]
+    shown = folder.shown()
+    for method in (method for method in methods if method["key"] in shown):
         look = method_style(len(flown)) | {"on": len(flown) < FIRST}
-        flown.append(Flown(str(method["key"]), str(method["name"]), look, labels, *own))
-    proved = run.summary["guarantee"]["kind"] == "proved"
-    known = [one for one in flown[:FIRST] if np.isfinite(one.nearest[0]).all()]
+        flown.append(Flown(str(method["key"]), str(method["name"]), look, shown[method["key"]]))
+    known = [one.runs for one in flown[:FIRST] if np.isfinite(one.runs.nearest[0]).all()]
     least = [(float(one.nearest[0].min()), float(one.times[np.argmin(one.nearest[0])])) for one in known]
     opened = (min(least)[1] if least else 0.0) or None  # not at the start
-    return flight_data(picture, flown, proved, "pilot", opened)
+    proved = folder.run.summary["guarantee"]["kind"] == "proved"
+    return flight_data(replace(folder.run.picture(), slices=None), flown, proved, "pilot", opened)
 
 
 def tradeoffs(methods: Methods) -> str:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ...rta.arena import Shown
 from ...runs.folder import RunFolder
 from ..scene.items import modes_per_node
 from ..scene.palette import PILOTS
@@ -72,13 +73,12 @@ def run_data(folder: RunFolder) -> dict[str, Any]:
     """
     picture, flown = folder.picture(), []
     for key, (name, _, colour, dash) in PILOTS.items():
-        if key not in picture.flights:
-            continue
-        item = picture.flights[key]
-        who = np.tile(modes_per_node(item), (len(item.labels), 1))
-        look = {"colour": colour, "dash": dash, "on": key == "polaris"}
-        own = (item.labels, item.times, item.states, who, item.inputs, item.nearest, item.input_range)
-        flown.append(Flown(key, name, look, *own))
+        if key in picture.flights:
+            item = picture.flights[key]
+            who = np.tile(modes_per_node(item), (len(item.labels), 1))
+            runs = Shown(item.labels, item.times, item.states, item.inputs, who, item.nearest, [])
+            look = {"colour": colour, "dash": dash, "on": key == "polaris"}
+            flown.append(Flown(key, name, look, runs, item.input_range))
     return flight_data(picture, flown, folder.summary["guarantee"]["kind"] == "proved", "mode")
 
 

@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...model.distances import UNKNOWN, signed_distances
 from ...model.system import Array
+from ...rta.arena import Shown
 from ...runs.picture import Picture
 from ...synthesis.recoverable import directed
 from ..scene.palette import GREEN, input_labels, mode_colour
@@ -39,34 +40,15 @@ Pilot = dict[str, Any]
 
 @dataclass(frozen=True, eq=False)
 class Flown:
-    """The runs of one controller or method that can be shown.
+    """Who flew, how it looks (``colour``, ``dash``, ``on`` at first), the runs that can be shown.
 
-    Attributes
-    ----------
-    key, name : str
-    look : dict
-        ``colour``, ``dash``, and whether it is ``on`` at first.
-    labels : sequence of str, length r
-    times : ndarray, shape (N,)
-        [s]
-    states : ndarray, shape (r, N, n)
-    modes : ndarray of int, shape (r, N-1)
-    inputs : ndarray, shape (r, N-1, m)
-    nearest : ndarray, shape (3, N)
-        Least, mean and largest distance over all runs from the nearest unsafe set [m].
-    input_range : ndarray, shape (2, N-1, m), optional
-        Least and largest input over all runs.
+    Perhaps with the least and largest input over all runs, shape (2, N, m).
     """
 
     key: str
     name: str
     look: dict[str, Any]
-    labels: Sequence[str]
-    times: Array
-    states: Array
-    modes: NDArray[np.int_]
-    inputs: Array
-    nearest: Array
+    runs: Shown
     input_range: Array | None = None
 
 
@@ -87,19 +69,20 @@ def flight_data(
         Time that is shown first [s]; default that of the closest approach.
     """
     C = picture.system.position
-    paths = [one.states[0] @ C.T for one in flown]
+    paths = [one.runs.states[0] @ C.T for one in flown]
     scene = describe(picture, paths, shown_axes(picture, paths))
     pilots, distances, drawn = [], [], []
     for one in flown:
-        chosen = kept(len(one.times), one.modes, [int(np.argmin(one.nearest[0]))])
-        held, positions = np.minimum(chosen, one.inputs.shape[1] - 1), one.states @ C.T
-        pilots.append(pilot(one, chosen, scene.placed(positions[:, chosen], one.times[chosen])))
+        runs, t = one.runs, one.runs.times
+        chosen = kept(len(t), runs.modes, [int(np.argmin(runs.nearest[0]))])
+        held, positions = np.minimum(chosen, runs.inputs.shape[1] - 1), runs.states @ C.T
+        pilots.append(pilot(one, chosen, scene.placed(positions[:, chosen], t[chosen])))
         if picture.obstacles:  # other satellites are where they are nominally: no file says where they were
-            found = signed_distances(picture.obstacles, one.times, positions, picture.system).min(axis=0)
-            band = one.nearest[[0, 2]][:, chosen]
+            found = signed_distances(picture.obstacles, t, positions, picture.system).min(axis=0)
+            band = runs.nearest[[0, 2]][:, chosen]
             distances.append({"pilot": one.key, "runs": plain(found[:, chosen]), "band": plain(band)})
         span = None if one.input_range is None else one.input_range[:, held]
-        drawn.append((one.key, one.inputs[:, held], span))
+        drawn.append((one.key, runs.inputs[:, held], span))
     bound = proven_distance(picture) if proved else None
     if bound is not None:
         distances.append(_proven(bound, picture.reference.delta))
@@ -107,7 +90,7 @@ def flight_data(
     if picture.obstacles:
         title = "Distance to the nearest unsafe set"
         panels.insert(0, panel("distance", title, "m", [limit(0.0, "unsafe", "below")], distances))
-    present = np.concatenate([picture.modes, *(one.modes.ravel() for one in flown)])
+    present = np.concatenate([picture.modes, *(one.runs.modes.ravel() for one in flown)])
     return {
         "scene": scene_data(scene),
         "end": plain(max((one["t"][-1] for one in pilots), default=picture.duration)),
@@ -142,9 +125,10 @@ def kept(count: int, modes: ArrayLike = (), must: Sequence[int] = ()) -> NDArray
 
 def pilot(one: Flown, chosen: NDArray[np.intp], paths: Array) -> Pilot:
     """One pilot at some samples, with paths (r, N, dim) in the axes of the scene [m] at these."""
-    modes = one.modes[:, np.minimum(chosen[:-1], one.modes.shape[1] - 1)]
+    shown = one.runs
+    modes = shown.modes[:, np.minimum(chosen[:-1], shown.modes.shape[1] - 1)]
     runs = [{"p": plain(path.T), "modes": plain(who)} for path, who in zip(paths, modes, strict=True)]
-    told = {"key": one.key, "name": one.name, "labels": list(one.labels), "t": plain(one.times[chosen])}
+    told = {"key": one.key, "name": one.name, "labels": list(shown.labels), "t": plain(shown.times[chosen])}
     return told | {"runs": runs} | one.look
 
 
