@@ -18,7 +18,8 @@ from polaris.model.system import LinearSystem
 from polaris.planning.goals import Box, EllipticalNMT, LinearNMT, StationaryPoint
 from polaris.planning.reference import Reference
 from polaris.report.html.bounds import proven_distance
-from polaris.report.html.scene import scene_of
+from polaris.report.html.scene import scene_data
+from polaris.report.scene.scene import describe, shown_axes
 from polaris.runs.picture import Picture, TubePicture
 from reach.sets.zonotope import Zonotope
 
@@ -51,6 +52,11 @@ def picture(system, obstacles, goal):
         K,
         tube=tube,
     )
+
+
+def scene_of(picture, paths):
+    """The scene of a page."""
+    return scene_data(describe(picture, paths, shown_axes(picture, paths)))
 
 
 def named(scene):

@@ -9,63 +9,38 @@ the next one. A ``slice`` is of the instants ``t`` alone, with frames by run; ``
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from ...model.system import Array
-from ...runs.picture import Picture
 from ..scene.geometry import Shape, closed
 from ..scene.items import Item, Scene
 from ..scene.palette import LOOKS
-from ..scene.scene import describe, shown_axes
 from .numbers import plain
 
 Layer = dict[str, Any]
 
-OPACITIES = {"unsafe": 0.5, "cover": 0.16, "keep_in": 0.16, "goal": 0.2, "ring": 0.12, "initial": 0.4}
-OPACITIES |= {"slice": 0.45, "tube": 0.35, "chief": 0.6}
-"""Of areas and surfaces, by role."""
+AREAS = {"unsafe": 0.5, "cover": 0.16, "keep_in": 0.16, "goal": 0.2, "ring": 0.12, "initial": 0.4}
+AREAS |= {"slice": 0.45, "tube": 0.35, "chief": 0.6}
+"""Opacity of areas and surfaces, by role."""
 
-LINES: dict[str, tuple[float, str]] = {
-    "keep_in": (1.5, "dash"),
-    "sides": (1.0, "solid"),
-    "goal": (2.0, "solid"),
-    "initial": (5.0, "solid"),
-    "reference": (3.0, "dot"),
-    "tail": (1.5, "dot"),
-    "keep": (1.0, "solid"),
-    "sun": (3.0, "dash"),
-    "predicted": (1.5, "solid"),
-}
+LINES = {"keep_in": (1.5, "dash"), "sides": (1.0, "solid"), "goal": (2.0, "solid"), "initial": (5.0, "solid")}
+LINES |= {"reference": (3.0, "dot"), "tail": (1.5, "dot"), "keep": (1.0, "solid"), "sun": (3.0, "dash")}
+LINES |= {"predicted": (1.5, "solid")}
 """Width and dashes of lines, by role."""
 
 POINTS = {"start": ("circle", 4), "goal": ("diamond", 5)}
 """Symbol and size of single points, by role."""
 
 
-def scene_of(picture: Picture, paths: Sequence[Array], axes: list[int] | None = None) -> dict[str, Any]:
-    """The scene of a run folder as the page's script reads it.
-
-    Parameters
-    ----------
-    picture : Picture
-    paths : sequence of ndarray, shape (N, d)
-        Positions flown [m]; the scene is widened for those that stay near it.
-    axes : list of int, optional
-        Position coordinates to draw, two or three; default `shown_axes`.
+def scene_data(scene: Scene) -> dict[str, Any]:
+    """A scene in two or three axes as the page's script reads it.
 
     Returns
     -------
     dict
         ``space`` (2 or 3 axes), ``equal`` (whether one scale serves all), ``axes``, ``range``, ``layers``.
     """
-    return scene_data(describe(picture, paths, shown_axes(picture, paths) if axes is None else axes))
-
-
-def scene_data(scene: Scene) -> dict[str, Any]:
-    """A scene in two or three axes as the page's script reads it; see `scene_of`."""
     return {
         "space": len(scene.labels),
         "equal": scene.time_axis is None,
@@ -82,7 +57,7 @@ def layer(item: Item) -> Layer:
     found: Layer = {"name": item.name, "kind": shape.kind, "group": look.group, "colour": look.colour}
     found["opacity"] = 1.0
     if shape.kind in ("area", "mesh"):
-        found["opacity"] = OPACITIES[item.role]
+        found["opacity"] = AREAS[item.role]
         if item.role == "unsafe" and (shape.kind == "area" or item.cut):
             found["opacity"] = 0.4 if shape.kind == "area" else 0.25
     elif shape.kind == "line":
@@ -121,7 +96,7 @@ def _slices(scene: Scene) -> list[Layer]:
         for run in range(places.shape[1])
     ]
     found = {"name": look.name, "kind": "slice", "group": look.group, "colour": look.colour}
-    opacity = {"opacity": OPACITIES["slice"], "pilot": "polaris"}
+    opacity = {"opacity": AREAS["slice"], "pilot": "polaris"}
     return [found | opacity | {"t": plain(slices.times), "frames": frames}]
 
 

@@ -203,8 +203,8 @@ def boxed(H: Array, b: Array, low: Array, high: Array) -> Polytope:
     return Polytope(np.vstack([H, eye, -eye]), np.concatenate([b, high, -low]))
 
 
-def cut_surface(H: Array, b: Array, low: Array, high: Array, closed: bool = True) -> Shape | None:
-    """Surface of ``H p <= b`` within a box; None if nothing of it is there.
+def cut_surface(H: Array, b: Array, low: Array, high: Array) -> Shape | None:
+    """Surface of ``H p <= b`` within a box, open where it leaves it; None if nothing of it is there.
 
     Parameters
     ----------
@@ -212,15 +212,13 @@ def cut_surface(H: Array, b: Array, low: Array, high: Array, closed: bool = True
         Unit rows; b in m.
     low, high : ndarray, shape (3,)
         The box [m].
-    closed : bool
-        Whether the faces on the box are kept. Without them a cone stays open where it leaves the scene.
     """
     whole = boxed(H, b, low, high)
     if not whole.depth > 0:
         return None
     found = polyhedron(whole.H, whole.b, whole.middle)
-    if found is None or found.faces is None or closed:
-        return found
+    if found is None or found.faces is None:
+        return None
     near = 1e-6 * float(np.max(high - low))
     on_low = np.abs(found.points - low) <= near
     on_high = np.abs(found.points - high) <= near

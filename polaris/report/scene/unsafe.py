@@ -136,7 +136,7 @@ def _keep_in(obstacle: KeepIn, space: Space, axes: list[int]) -> list[Item]:
         outline = closed(flat_outline(space.corners(obstacle, 0.0)[:, axes]))
         return [Item("keep_in", name, (Shape("line", outline),))] if len(outline) else []
     inside = obstacle.inside
-    surface = cut_surface(inside.H, inside.b, space.low, space.high, closed=False)
+    surface = cut_surface(inside.H, inside.b, space.low, space.high)
     found = [Item("keep_in", name, (surface.along(axes),))] if surface else []
     if isinstance(obstacle, KeepInCone):
         lines = _rulings(obstacle, space)
