@@ -52,7 +52,7 @@ def scene_data(scene: Scene) -> dict[str, Any]:
 
 def layer(item: Item) -> Layer:
     """One thing of a scene as the page's script reads it."""
-    shape, look = item.shape, LOOKS["goal" if item.role == "ring" else item.role]
+    shape, look = item.shape, LOOKS[item.role]
     assert shape is not None
     found: Layer = {"name": item.name, "kind": shape.kind, "group": look.group, "colour": look.colour}
     found["opacity"] = 1.0

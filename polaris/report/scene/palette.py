@@ -77,6 +77,7 @@ LOOKS = {
     "keep_in": Look(RED, "stay inside", "stay inside", "unsafe"),
     "sides": Look(RED, "its sides", "", "unsafe"),
     "goal": Look(GREEN, "goal", "goal", "goal"),
+    "ring": Look(GREEN, "goal", "", "goal"),
     "start": Look("#404040", "start", "start", "initial"),
     "initial": Look("#404040", "initial set", "", "initial"),
     "reference": Look(GREY, "safe reference", "reference", "reference"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -55,22 +56,19 @@ def _body(obstacle: Obstacle, space: Space, axes: list[int], found: Sequence[Clo
     shown = space.wider(1.0) if flat else space
     passages = tuple(i for i, one in enumerate(found) if one.obstacle is obstacle)
     moving = moves(obstacle, space.picture)
-    instants_ = [found[i].time for i in passages] or instants(obstacle, space)
-    marks = _marks(obstacle, shown, axes, instants_ if moving else instants_[:1], moving)
+    chosen = [found[i].time for i in passages] or instants(obstacle, space)
+    marks = _marks(obstacle, shown, axes, chosen if moving else chosen[:1], moving)
     cut = isinstance(obstacle.shape, Polytope) and not obstacle.shape.bounded
+    item = Item("unsafe", obstacle.name, (), marks=marks, passages=passages, cut=cut)
     if not moving:
-        shape = _at(obstacle, shown, axes, 0.0)
-        item = Item("unsafe", obstacle.name, (shape,), marks=marks, passages=passages, cut=cut)
-        return [item] if shape else []
+        item = replace(item, shapes=(_at(obstacle, shown, axes, 0.0),))
+        return [item] if item.shape else []
     times = np.linspace(0, space.picture.duration, PATH)
     shift = (obstacle.centre(times, system) - obstacle.centre(0.0, system))[:, axes]
-    if cut:
-        frames = [_at(obstacle, shown, axes, float(t)) for t in times]
-        shapes = tuple(one and one.moved(-gone) for one, gone in zip(frames, shift, strict=True))
-    else:
-        shapes = (_at(obstacle, shown, axes, 0.0),)
+    frames = [_at(obstacle, shown, axes, float(t)) for t in (times if cut else times[:1])]
+    shapes = tuple(one and one.moved(-gone) for one, gone in zip(frames, shift, strict=False))
     way = obstacle.centre(np.linspace(0, space.picture.duration, 201), system)[:, axes]
-    item = Item("unsafe", obstacle.name, shapes, times, shift, None, marks, way, passages, cut)
+    item = replace(item, shapes=shapes, times=times, shift=shift, way=way)
     return [item] if item.shape else []
 
 
