@@ -17,7 +17,7 @@ from concurrent.futures import ProcessPoolExecutor
 import numpy as np
 
 from polaris.inspection.constraints.families import Families
-from polaris.inspection.constraints.sampled import SampledData
+from polaris.inspection.constraints.motion import SampledData
 from polaris.inspection.filters.asif import ActiveSetFilter
 from polaris.inspection.flights.sampling import initial_conditions
 from polaris.inspection.flights.studies import monte_carlo

@@ -12,7 +12,9 @@ import numpy as np
 
 from polaris.model.hill import clohessy_wiltshire
 from polaris.model.timed_polytope import TimedPolytope
-from polaris.planning import EllipticalNMT, PlannerOptions, PlanProblem, StationaryPoint, plan
+from polaris.planning.goals import EllipticalNMT, StationaryPoint
+from polaris.planning.problem import PlannerOptions, PlanProblem
+from polaris.planning.solve import plan
 
 ETA = 0.0012
 CUBE = np.vstack([np.eye(3), -np.eye(3)])

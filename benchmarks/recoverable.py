@@ -13,8 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from polaris.scenario.scenario import load_scenario
-from polaris.synthesis.get_safety import get_safety
-from polaris.synthesis.recoverable import get_recover
+from polaris.synthesis.get_safety import get_recover, get_safety
 from polaris.synthesis.synthesize import synthesize
 
 KINDS = ("ball", "time_varying_ball", "polytope")

@@ -28,15 +28,10 @@ if TYPE_CHECKING:
         SynthesisInfeasible,
     )
     from .model.hill import clohessy_wiltshire, elliptical_nmt, free_flight
+    from .model.keep_in import KeepInCone, KeepInPolytope
     from .model.obstacle import Obstacle
-    from .model.obstacles import (
-        BallObstacle,
-        BoxObstacle,
-        KeepInCone,
-        KeepInPolytope,
-        PolytopeObstacle,
-        SatelliteObstacle,
-    )
+    from .model.obstacles import BallObstacle, BoxObstacle, PolytopeObstacle
+    from .model.satellite import SatelliteObstacle
     from .model.system import LinearSystem
     from .model.timed_polytope import TimedPolytope
     from .planning.goal import Goal
@@ -63,20 +58,22 @@ if TYPE_CHECKING:
     from .scenario.scenario import Scenario, bundled_scenarios, load_scenario
     from .simulation.baselines import Flights, Flown, compare
     from .simulation.falsification.search import Failure, Falsification, falsify
+    from .simulation.metrics import Metrics
     from .simulation.orbit.environment import Environment
     from .simulation.orbit.model_error import ModelError, model_error
     from .simulation.orbit.truth import TrueFlights, fly_true
-    from .simulation.run_metrics import Metrics, Runs, evaluate
+    from .simulation.run_metrics import Runs, evaluate
     from .simulation.simulate import simulate
     from .synthesis.clearance import Clearance
-    from .synthesis.controllers import AffineController, AnyThrust, Controller, Flight
+    from .synthesis.controllers import AffineController, AnyThrust, Controller, TubeSegment
     from .synthesis.end_condition import EndCondition
     from .synthesis.error_bounds import ErrorBounds
     from .synthesis.get_safety import Safety, get_safety
     from .synthesis.problem import Problem
     from .synthesis.recoverable import Margin, RecoverableSet
     from .synthesis.schedule import Schedule, Step
-    from .synthesis.synthesize import SwitchingRules, synthesize
+    from .synthesis.search import SwitchingRules
+    from .synthesis.synthesize import synthesize
     from .synthesis.tracking import Feedback, Tracking
     from .traces import TraceMetrics, evaluate_trace, read_trace, write_trace
 
@@ -93,7 +90,7 @@ _HOMES = {
         "AffineController",
         "AnyThrust",
         "Controller",
-        "Flight",
+        "TubeSegment",
     ),
     ".synthesis.end_condition": ("EndCondition",),
     ".synthesis.error_bounds": ("ErrorBounds",),
@@ -105,10 +102,8 @@ _HOMES = {
         "ScenarioError",
         "SynthesisInfeasible",
     ),
-    ".simulation.run_metrics": (
-        "Metrics",
-        "evaluate",
-    ),
+    ".simulation.metrics": ("Metrics",),
+    ".simulation.run_metrics": ("Runs", "evaluate"),
     ".runs.case": ("replay", "write_case"),
     ".simulation.falsification.search": ("Failure", "Falsification", "falsify"),
     ".report.figures": (
@@ -121,14 +116,9 @@ _HOMES = {
         "free_flight",
     ),
     ".model.obstacle": ("Obstacle",),
-    ".model.obstacles": (
-        "BallObstacle",
-        "BoxObstacle",
-        "KeepInCone",
-        "KeepInPolytope",
-        "PolytopeObstacle",
-        "SatelliteObstacle",
-    ),
+    ".model.obstacles": ("BallObstacle", "BoxObstacle", "PolytopeObstacle"),
+    ".model.keep_in": ("KeepInCone", "KeepInPolytope"),
+    ".model.satellite": ("SatelliteObstacle",),
     ".simulation.orbit.environment": ("Environment",),
     ".simulation.orbit.model_error": ("ModelError", "model_error"),
     ".simulation.orbit.truth": ("TrueFlights", "fly_true"),
@@ -169,14 +159,9 @@ _HOMES = {
         "Schedule",
         "Step",
     ),
-    ".simulation.simulate": (
-        "Runs",
-        "simulate",
-    ),
-    ".synthesis.synthesize": (
-        "SwitchingRules",
-        "synthesize",
-    ),
+    ".simulation.simulate": ("simulate",),
+    ".synthesis.search": ("SwitchingRules",),
+    ".synthesis.synthesize": ("synthesize",),
     ".model.system": ("LinearSystem",),
     ".synthesis.tracking": (
         "Feedback",
@@ -228,7 +213,6 @@ __all__ = [
     "Failure",
     "Falsification",
     "Feedback",
-    "Flight",
     "FlightLoop",
     "Flights",
     "Flown",
@@ -275,6 +259,7 @@ __all__ = [
     "TraceMetrics",
     "Tracking",
     "TrueFlights",
+    "TubeSegment",
     "Zonotope",
     "__version__",
     "bundled_scenarios",

@@ -23,7 +23,7 @@ GROUPS = {
         "TimedPolytope",
     ),
     "Goals": ("EllipticalNMT", "LinearNMT", "StationaryPoint", "Box", "Goal"),
-    "Controllers": ("AffineController", "AnyThrust", "Controller", "Flight"),
+    "Controllers": ("AffineController", "AnyThrust", "Controller", "TubeSegment"),
     "What comes out": (
         "Safety",
         "Schedule",

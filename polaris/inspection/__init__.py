@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from .backup.tracker import Tracker
     from .constraints.allowable_set import allowable
     from .constraints.families import Families, Rows
-    from .constraints.sampled import SampledData
+    from .constraints.motion import SampledData
     from .constraints.strengthening import Strengthening
     from .filters.asif import ActiveSetFilter
     from .filters.decision import Backup, Decision, RunTimeFilter
@@ -44,7 +44,7 @@ _HOMES = {
     ".flights.studies": ("monte_carlo",),
     ".flights.outcome": ("Outcome", "Study"),
     ".flights.primary": ("LQR", "NoInput", "Phases"),
-    ".constraints.sampled": ("SampledData",),
+    ".constraints.motion": ("SampledData",),
     ".flights.sampling": ("initial_conditions",),
     ".filters.simplex": ("ExplicitSimplex", "ImplicitSimplex"),
     ".flights.simulation": ("InspectionRun", "fly", "fly_one"),

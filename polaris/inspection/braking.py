@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from ..model.system import Array
 
@@ -64,3 +64,26 @@ class Braking:
         a, d = self.acceleration, self.depth
         root = np.sqrt(2 * a * np.maximum(np.asarray(nearest) - d / 2, d / 2))
         return np.where(np.asarray(farthest) <= d, 0.0, a**2 / root**3)
+
+    def curvature(
+        self,
+        delta: Array,
+        rate: Array,
+        low: Array,
+        high: Array,
+        third: Array,
+        smooth: NDArray[np.bool_],
+        D: float,
+    ) -> Array:
+        """Bound M on the second derivative of ``-(s(delta) + d(delta)/dt)`` over a period D [s].
+
+        Given that delta's second derivative is within ``[-low, high]`` and its third at least ``-third``; inf
+        where the direction may turn at once (not `smooth`), -inf where h cannot become negative meanwhile.
+        """
+        slowest, quickest = rate - low * D, rate + high * D
+        closest = delta + np.minimum(slowest, 0.0) * D
+        farthest = delta + np.maximum(quickest, 0.0) * D
+        fastest = np.maximum(np.abs(slowest), np.abs(quickest))
+        M = self.bend(closest, farthest) * fastest**2 + self.steepest(closest, farthest) * low + third
+        M = np.where(smooth, M, np.inf)
+        return np.where((self(closest)[0] + slowest >= 0) & (closest >= 0), -np.inf, M)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ..model.hill import free_flight
 from ..model.system import Array
-from .constraints.barriers import dot
+from .vectors import dot
 
 SEGMENT = 20.0
 """Largest spacing [s] of the instants at which every free flight is looked at first."""
@@ -51,14 +51,8 @@ def circle_map(n: float) -> Array:
     Its norm at a state, the amplitude of the flight, is the same all along the flight. The acceleration is
     ``-n^2 (c cos + d sin)``, hence at most n^2 times the amplitude; each further derivative has one more n.
     """
-    to_circle = np.zeros((6, 6))
-    to_circle[0, [0, 4]] = -3.0, -2 / n
-    to_circle[1, 3] = 2 / n
-    to_circle[2, 2] = 1.0
-    to_circle[3, 3] = 1 / n
-    to_circle[4, [0, 4]] = 6.0, 4 / n
-    to_circle[5, 5] = 1 / n
-    return to_circle
+    flights = FreeFlight(np.eye(6), n)
+    return np.concatenate([flights.c.T, flights.d.T])
 
 
 class FreeFlight:
@@ -123,6 +117,8 @@ class ClosestApproach:
         The instants [s], evenly spaced.
     place_maps : ndarray, shape (S+1, 3, 6)
         Positions at the instants, as functions of the state at the start.
+    parts : tuple of 4 ndarrays, shape (3, 6)
+        The constant, linear, cosine and sine parts of eq. 20, as functions of the state at the start.
     speed_gain : tuple of 2 floats
         The speed of a flight never exceeds the first times norm(p) plus the second times norm(v), those
         at its start.
@@ -136,6 +132,8 @@ class ClosestApproach:
         self.positions = np.ascontiguousarray(transitions[:, :3].reshape(-1, 6).T)
         self.velocities = np.ascontiguousarray(transitions[:, 3:].reshape(-1, 6).T)
         self._circle = np.ascontiguousarray(circle_map(mean_motion).T)
+        units = FreeFlight(np.eye(6), mean_motion)
+        self.parts = tuple(np.ascontiguousarray(part.T) for part in (units.a, units.b, units.c, units.d))
         # The maps change by at most 6 n^2 and 4 n per second, and every time is within half a segment of an
         # instant.
         per_metre, per_speed = map_norms(transitions[:, 3:])
@@ -154,15 +152,9 @@ class ClosestApproach:
         beyond : float
             Distances larger than this need not be exact: they may come out smaller, but not below it.
         """
-        flat = z.reshape(-1, 6)
-        if len(flat) <= BLOCK:
-            found = [self._block(flat, beyond)]
-        else:
-            found = [self._block(flat[k : k + BLOCK], beyond) for k in range(0, len(flat), BLOCK)]
-        distance, when, place = (
-            np.concatenate(part) if len(found) > 1 else part[0] for part in zip(*found, strict=True)
-        )
-        shape = z.shape[:-1]
+        flat, shape = z.reshape(-1, 6), z.shape[:-1]
+        found = [self._block(flat[k : k + BLOCK], beyond) for k in range(0, max(len(flat), 1), BLOCK)]
+        distance, when, place = found[0] if len(found) == 1 else map(np.concatenate, zip(*found, strict=True))
         return Approach(distance.reshape(shape), when.reshape(shape), place.reshape(*shape, 3))
 
     def _block(self, z: Array, beyond: float) -> Approach:

@@ -14,10 +14,15 @@ from ..model.checks import number, positive, whole
 from ..model.errors import ScenarioError
 from ..model.hill import clohessy_wiltshire
 from ..model.system import Array
-from .constraints.barriers import CENTRE
+from .vectors import CENTRE
 
 MOST_DEPUTIES = 50
 """Most deputies of one problem: 50 of them have 1,225 pairs and 5,750 constraints."""
+
+UNITS = {"mass": "kg", "mean_motion": "rad/s", "field_of_view": "rad", "passive_time": "s", "thrust_max": "N"}
+UNITS |= dict.fromkeys(("deputy_radius", "chief_radius", "distance_max", "smoothing"), "m")
+UNITS |= dict.fromkeys(("docking_speed", "speed_max", "delta_v_max"), "m/s") | {"speed_slope": "1/s"}
+"""Units of the parameters, all of which are positive."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +66,7 @@ class Inspection:
     ScenarioError
         If a value is out of range, or eq. 28, 32, 36 or 37 does not hold: the thrust is then too weak for
         the constraints to be control invariant. If a collision radius or the field of view is so small
-        that a boundary lies within `polaris.inspection.constraints.barriers.CENTRE` of a centre or an axis.
+        that a boundary lies within `polaris.inspection.vectors.CENTRE` of a centre or an axis.
     """
 
     deputies: int = 5
@@ -83,24 +88,9 @@ class Inspection:
         whole("deputies", self.deputies, 1)
         if self.deputies > MOST_DEPUTIES:
             raise ScenarioError("deputies", self.deputies, f"must be at most {MOST_DEPUTIES}")
-        units = {
-            "mass": "kg",
-            "mean_motion": "rad/s",
-            "deputy_radius": "m",
-            "chief_radius": "m",
-            "docking_speed": "m/s",
-            "delta_v_max": "m/s",
-            "field_of_view": "rad",
-            "distance_max": "m",
-            "passive_time": "s",
-            "speed_max": "m/s",
-            "thrust_max": "N",
-            "smoothing": "m",
-        }
-        for name, unit in units.items():
-            positive(name, getattr(self, name), unit)
-        if self.speed_slope is not None:
-            positive("speed_slope", self.speed_slope, "1/s")
+        for name, unit in UNITS.items():
+            if name != "speed_slope" or self.speed_slope is not None:
+                positive(name, getattr(self, name), unit)
         if self.field_of_view >= np.pi:
             raise ScenarioError("field_of_view", self.field_of_view, "must be below pi rad")
         if self.distance_max <= self.separation:
@@ -114,7 +104,7 @@ class Inspection:
 
     def _check_directions(self) -> None:
         """Directions fade below `CENTRE`: no boundary may come as near to a centre or an axis."""
-        least = min(self.separation, 2 * self.deputy_radius)
+        least = min(self.separation, self.deputy_separation)
         if least <= CENTRE:
             rule = f"two deputies, or one and the chief, must be more than {CENTRE:g} m apart"
             raise ScenarioError("deputy_radius", self.deputy_radius, rule)
@@ -126,15 +116,15 @@ class Inspection:
     def _check_authority(self) -> None:
         """Refuse thrust too weak against the natural motion (eqs. 28, 32, 36 and 37)."""
         n, v, r = self.mean_motion, self.speed_max, self.distance_max
-        fastest = np.sqrt(3) * v
+        fastest, natural = np.sqrt(3) * v, 3 * n**2 * r + 2 * n * v
         slow_down = self.nu_1 * fastest + 3 * n**2 * (fastest - self.docking_speed) / self.nu_1 + 2 * n * v
         inside = r - self.smoothing
         around = 3 * self.fastest**2 / inside if inside > 0 else np.inf  # half of a_max left: see a_inside
         equations = {
-            "eq. 28 (braking before a boundary)": 3 * n**2 * r + 2 * n * v,
-            "eq. 36 (turning before r_max)": 3 * n**2 * r + 2 * n * v + around,
+            "eq. 28 (braking before a boundary)": natural,
+            "eq. 36 (turning before r_max)": natural + around,
             "eq. 32 (dynamic speed limit)": slow_down,
-            "eq. 37 (velocity limit, radial)": 3 * n**2 * r + 2 * n * v,
+            "eq. 37 (velocity limit, radial)": natural,
             "eq. 37 (velocity limit, along-track)": 2 * n * v,
             "eq. 37 (velocity limit, cross-track)": n**2 * r,
         }
@@ -153,6 +143,11 @@ class Inspection:
     def separation(self) -> float:
         """Least distance between the centres of a deputy and the chief [m]."""
         return self.deputy_radius + self.chief_radius
+
+    @property
+    def deputy_separation(self) -> float:
+        """Least distance between the centres of two deputies [m]."""
+        return 2 * self.deputy_radius
 
     @property
     def a_max(self) -> float:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -49,6 +51,20 @@ def whole(field: str, value: object, least: int) -> int:
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)) or value < least:
         raise ScenarioError(field, value, f"must be a whole number >= {least}")
     return int(value)
+
+
+def one_of(field: str, value: object, allowed: Collection[str]) -> None:
+    """Check one word."""
+    if not isinstance(value, str) or value not in allowed:
+        raise ScenarioError(field, value, f"must be one of {', '.join(map(repr, allowed))}")
+
+
+def shaped(field: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
+    """Check a finite array of one shape."""
+    array = as_finite(field, value, len(shape))
+    if array.shape != shape:
+        raise ScenarioError(field, array.shape, f"must have shape {shape}")
+    return array
 
 
 def vector(field: str, value: ArrayLike, size: int | None = None, like: str = "") -> Array:

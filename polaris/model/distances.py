@@ -14,21 +14,8 @@ from numpy.typing import ArrayLike
 
 from .checks import positive
 from .errors import ScenarioError
-from .free_drift import drift_ttc
-from .obstacles import Obstacle
+from .obstacle import Obstacle
 from .system import Array, LinearSystem
-
-__all__ = [
-    "UNKNOWN",
-    "Closest",
-    "closest",
-    "count_switches",
-    "delta_v",
-    "drift_ttc",
-    "mode_shares",
-    "ray_ttc",
-    "signed_distances",
-]
 
 UNKNOWN = -1
 """Mode number of samples whose mode is not known."""

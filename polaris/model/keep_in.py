@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from .checks import MOST_ROWS, number, positive, vector, whole
 from .errors import ScenarioError
-from .obstacle import EXTENT, Obstacle, solid
+from .obstacle import EXTENT, Anchored, solid
 from .shapes import Polytope, Shape, _directed, _in_time
 from .system import Array, LinearSystem
 from .timed_polytope import TimedPolytope
@@ -88,18 +88,13 @@ class OutsideCone:
         return np.where(self.signed_distance(p) <= 0, 0.0, _in_time(np.minimum(side, end), speed))
 
 
-class KeepIn(Obstacle):
+class KeepIn(Anchored):
     """A set at rest that the chaser must stay inside; what is unsafe is its outside."""
 
     @property
     @abstractmethod
     def inside(self) -> Polytope:
         """Polytope within the set, in absolute position."""
-
-    @property
-    @abstractmethod
-    def anchor(self) -> Array:
-        """Position [m] of the shape's origin, shape (d,)."""
 
     def timed_polytopes(self, system: LinearSystem, delta: float, cells: int) -> tuple[TimedPolytope, ...]:
         """One unsafe halfspace ``n p >= b`` per facet, named ``name[f]``."""
@@ -110,24 +105,6 @@ class KeepIn(Obstacle):
             TimedPolytope(f"{self.name}[{f}]", -H[f : f + 1], np.full((cells, 2, 1), kept[f]), keep_in=True)
             for f in range(len(b))
         )
-
-    def centre(
-        self, t: ArrayLike, system: LinearSystem | None = None, state: ArrayLike | None = None
-    ) -> Array:
-        """Position [m] of the shape's origin, at rest."""
-        return np.broadcast_to(self.anchor, (*np.shape(t), len(self.anchor)))
-
-    def velocity_at(
-        self, t: ArrayLike, system: LinearSystem | None = None, state: ArrayLike | None = None
-    ) -> Array:
-        """Zero."""
-        return np.zeros((*np.shape(t), len(self.anchor)))
-
-    def relative_drift(
-        self, t: ArrayLike, x: Array, system: LinearSystem, state: ArrayLike | None = None
-    ) -> tuple[Array, Array, Array]:
-        """See `Obstacle.relative_drift`."""
-        return x, self.centre(t), self.velocity_at(t)
 
     def outline(self, t: float, system: LinearSystem | None = None, extent: float = EXTENT) -> Array:
         """Vertices [m] of the polytope inside, cut to a box of `extent` if it is unbounded."""

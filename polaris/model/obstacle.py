@@ -109,41 +109,17 @@ class Obstacle(ABC):
             raise ScenarioError(self.path, f"{d} axes", f"must have {system.d} axes, as the position has")
 
 
-class RigidObstacle(Obstacle):
-    """A shape of constant size and orientation that stands still or moves at constant velocity."""
-
-    velocity: ArrayLike | None
+class Anchored(Obstacle):
+    """A shape of constant size and orientation about an anchor that keeps its velocity."""
 
     @property
     @abstractmethod
     def anchor(self) -> Array:
         """Position [m] of the shape's origin at t = 0, shape (d,)."""
 
-    @property
-    @abstractmethod
-    def cover(self) -> Polytope:
-        """Polytope around the shape, relative to its origin."""
-
     @cached_property
     def _v(self) -> Array:
-        return np.zeros(len(self.anchor)) if self.velocity is None else np.asarray(self.velocity, dtype=float)
-
-    def _check_motion(self, d: int) -> None:
-        if not self.path:
-            object.__setattr__(self, "path", f"obstacles[{self.name!r}]")
-        if self.velocity is not None:
-            given = vector(f"{self.path}.velocity", self.velocity, d, "the obstacle has axes")
-            object.__setattr__(self, "velocity", given)
-
-    def timed_polytopes(self, system: LinearSystem, delta: float, cells: int) -> tuple[TimedPolytope, ...]:
-        """One timed polytope: the motion is linear in time, so nothing but round-off is added."""
-        self._check_cells(system, delta, cells, len(self.anchor))
-        t = np.arange(cells + 1)[:, None] * delta
-        normals, b = self.cover.H, self.cover.b
-        size = np.abs(b) + np.abs(normals) @ np.abs(self.anchor) + t * (np.abs(normals) @ np.abs(self._v))
-        nodes = b + normals @ self.anchor + t * (normals @ self._v) + ROUNDING * size
-        offsets = np.stack([nodes[:-1], nodes[1:]], axis=1)
-        return (TimedPolytope(self.name, normals, offsets, static=not np.any(self._v)),)
+        return np.zeros(len(self.anchor))
 
     def centre(
         self, t: ArrayLike, system: LinearSystem | None = None, state: ArrayLike | None = None
@@ -162,6 +138,38 @@ class RigidObstacle(Obstacle):
     ) -> tuple[Array, Array, Array]:
         """See `Obstacle.relative_drift`."""
         return x, self.centre(t), self.velocity_at(t)
+
+
+class RigidObstacle(Anchored):
+    """A convex set that stands still or moves at constant velocity: state `anchor`, `shape` and `cover`."""
+
+    velocity: ArrayLike | None
+
+    @property
+    @abstractmethod
+    def cover(self) -> Polytope:
+        """Polytope around the shape, relative to its origin."""
+
+    @cached_property
+    def _v(self) -> Array:
+        return np.zeros(len(self.anchor)) if self.velocity is None else np.asarray(self.velocity, dtype=float)
+
+    def _put(self, path: str, d: int, **fields: object) -> None:
+        """Set the fields as checked, and check the velocity of an obstacle with d axes."""
+        if self.velocity is not None:
+            fields["velocity"] = vector(f"{path}.velocity", self.velocity, d, "the obstacle has axes")
+        for name, value in {"path": path, **fields}.items():
+            object.__setattr__(self, name, value)
+
+    def timed_polytopes(self, system: LinearSystem, delta: float, cells: int) -> tuple[TimedPolytope, ...]:
+        """One timed polytope: the motion is linear in time, so nothing but round-off is added."""
+        self._check_cells(system, delta, cells, len(self.anchor))
+        t = np.arange(cells + 1)[:, None] * delta
+        normals, b = self.cover.H, self.cover.b
+        size = np.abs(b) + np.abs(normals) @ np.abs(self.anchor) + t * (np.abs(normals) @ np.abs(self._v))
+        nodes = b + normals @ self.anchor + t * (normals @ self._v) + ROUNDING * size
+        offsets = np.stack([nodes[:-1], nodes[1:]], axis=1)
+        return (TimedPolytope(self.name, normals, offsets, static=not np.any(self._v)),)
 
     def outline(self, t: float, system: LinearSystem | None = None, extent: float = EXTENT) -> Array:
         """Vertices [m] of the covering polytope at time t."""

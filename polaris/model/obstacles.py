@@ -16,23 +16,10 @@ from numpy.typing import ArrayLike
 
 from .checks import positive, vector
 from .errors import ScenarioError
-from .keep_in import KeepInCone, KeepInPolytope
 from .obstacle import Obstacle, RigidObstacle, directions, solid
-from .satellite import SatelliteObstacle
 from .shapes import Ball, Box, Polytope
 from .system import Array, LinearSystem
 from .timed_polytope import TimedPolytope
-
-__all__ = [
-    "BallObstacle",
-    "BoxObstacle",
-    "KeepInCone",
-    "KeepInPolytope",
-    "Obstacle",
-    "PolytopeObstacle",
-    "SatelliteObstacle",
-    "perceive",
-]
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,9 +50,7 @@ class BoxObstacle(RigidObstacle):
         half = vector(f"{path}.half_widths", self.half_widths, len(center), "center has")
         if np.any(half <= 0):
             raise ScenarioError(f"{path}.half_widths", half.tolist(), "must all be > 0 [m]")
-        object.__setattr__(self, "center", center)
-        object.__setattr__(self, "half_widths", half)
-        self._check_motion(len(center))
+        self._put(path, len(center), center=center, half_widths=half)
 
     @cached_property
     def shape(self) -> Box:
@@ -113,10 +98,9 @@ class BallObstacle(RigidObstacle):
     def __post_init__(self) -> None:
         path = self.path or f"obstacles[{self.name!r}]"
         center = vector(f"{path}.center", self.center)
-        object.__setattr__(self, "center", center)
-        object.__setattr__(self, "radius", positive(f"{path}.radius", self.radius, "m"))
+        radius = positive(f"{path}.radius", self.radius, "m")
         directions(len(center), self.facets, f"{path}.facets")
-        self._check_motion(len(center))
+        self._put(path, len(center), center=center, radius=radius)
 
     @cached_property
     def shape(self) -> Ball:
@@ -166,9 +150,7 @@ class PolytopeObstacle(RigidObstacle):
         polytope = solid(path, self.H, self.b)
         if not self.unbounded and not polytope.bounded:
             raise ScenarioError(f"{path}.H", polytope.H.tolist(), "must bound the set (or unbounded = true)")
-        object.__setattr__(self, "H", polytope.H)
-        object.__setattr__(self, "b", polytope.b)
-        self._check_motion(polytope.d)
+        self._put(path, polytope.d, H=polytope.H, b=polytope.b)
 
     @cached_property
     def shape(self) -> Polytope:
@@ -189,17 +171,9 @@ class PolytopeObstacle(RigidObstacle):
 def perceive(
     obstacles: Sequence[Obstacle], system: LinearSystem, delta: float, cells: int
 ) -> tuple[TimedPolytope, ...]:
-    """Ask the perception oracle for timed polytopes that contain every unsafe set, in the order given.
+    """Timed polytopes that contain every unsafe set, in the order given, over some cells of `delta` [s].
 
-    Parameters
-    ----------
-    obstacles : sequence of Obstacle
-        Keep-in sets included: each of their facets becomes one set with ``keep_in=True``.
-    system : LinearSystem
-    delta : float
-        Length of a cell [s].
-    cells : int
-        Number of cells, those after the horizon included.
+    Each facet of a keep-in set becomes one set with ``keep_in=True``.
 
     Raises
     ------

@@ -159,21 +159,18 @@ class LinearSystem:
             and rate (third order and higher).
         """
         A, C = _exact(self.A), _exact(self.position)
-        velocity = _product(C, A)
-        known = [*C, *velocity]
-        ones = [[Fraction(int(i == j)) for j in range(2 * self.d)] for i in range(2 * self.d)]
-        pivots, rows, made = _eliminated(known, ones)
+        known = np.vstack([C, C @ A])
+        pivots, rows, made = _eliminated(known, _exact(np.eye(2 * self.d)))
         if len(pivots) < 2 * self.d:
             rule = "has no acceleration: the rate of the position, C A x, is no free part of the state"
             raise ScenarioError("system.C", self.position.tolist(), rule)
-        for row in _product(velocity, A):
-            if any(x != y for x, y in zip(_product([[row[j] for j in pivots]], rows)[0], row, strict=True)):
-                rule = "has an acceleration that depends on more states than the position and its rate"
-                raise ScenarioError("system.C", self.position.tolist(), rule)
+        acceleration = C @ A @ A
+        if np.any(acceleration[:, pivots] @ rows != acceleration):
+            rule = "has an acceleration that depends on more states than the position and its rate"
+            raise ScenarioError("system.C", self.position.tolist(), rule)
         E = np.zeros((self.n, self.d))
         try:
-            for j, row in zip(pivots, made, strict=True):
-                E[j] = [float(x) for x in row[self.d :]]
+            E[pivots] = made[:, self.d :].astype(float)
         except OverflowError as error:
             rule = "has a rate too small to compute with: an acceleration would move states without bound"
             raise ScenarioError("system.C", self.position.tolist(), rule) from error
@@ -209,36 +206,28 @@ class LinearSystem:
 # -- exact arithmetic: whether a position has an acceleration must not depend on rounding ----------------
 
 
-def _exact(M: Array) -> list[list[Fraction]]:
-    return [[Fraction(x) for x in row] for row in M.tolist()]
-
-
-def _product(M: list[list[Fraction]], N: list[list[Fraction]]) -> list[list[Fraction]]:
-    columns = list(zip(*N, strict=True))
-    return [
-        [sum((x * y for x, y in zip(row, column, strict=True) if x and y), Fraction(0)) for column in columns]
-        for row in M
-    ]
+def _exact(M: Array) -> NDArray[np.object_]:
+    return np.array([[Fraction(x) for x in row] for row in M.tolist()], dtype=object).reshape(M.shape)
 
 
 def _eliminated(
-    rows: list[list[Fraction]], beside: list[list[Fraction]]
-) -> tuple[list[int], list[list[Fraction]], list[list[Fraction]]]:
+    rows: NDArray[np.object_], beside: NDArray[np.object_]
+) -> tuple[list[int], NDArray[np.object_], NDArray[np.object_]]:
     """Gauss-Jordan elimination with the largest pivots: pivot columns, reduced rows, and what is beside.
 
     Rows that vanish are left out, so that there are as many as pivots.
     """
-    width = len(rows[0])
-    left = [[*row, *more] for row, more in zip(rows, beside, strict=True)]
-    done: list[tuple[int, list[Fraction]]] = []
-    while left:
-        size, i, j = max((abs(row[j]), -i, -j) for i, row in enumerate(left) for j in range(width))
-        if size == 0:
+    width, table = rows.shape[1], np.hstack([rows, beside])
+    pivots: dict[int, int] = {}
+    for _ in range(len(rows)):
+        left = [i for i in range(len(rows)) if i not in pivots.values()]
+        i, j = max(((i, j) for i in left for j in range(width)), key=lambda at: abs(table[at]))
+        if table[i, j] == 0:
             break
-        row = left.pop(-i)
-        row = [x / row[-j] for x in row]
-        left = [[x - other[-j] * y for x, y in zip(other, row, strict=True)] for other in left]
-        done = [(at, [x - other[-j] * y for x, y in zip(other, row, strict=True)]) for at, other in done]
-        done.append((-j, row))
-    done.sort(key=lambda item: item[0])
-    return [j for j, _ in done], [row[:width] for _, row in done], [row[width:] for _, row in done]
+        table[i] = table[i] / table[i, j]
+        others = np.arange(len(table)) != i
+        table[others] = table[others] - np.outer(table[others, j], table[i])
+        pivots[j] = i
+    columns = sorted(pivots)
+    table = table[[pivots[j] for j in columns]]
+    return columns, table[:, :width], table[:, width:]

@@ -18,16 +18,9 @@ Listen = Callable[[float, float], None]
 
 @dataclass(frozen=True)
 class Limits:
-    """How long a back end may search.
+    """How long a back end may search: nodes, and wall time [s] as the last resort.
 
-    Attributes
-    ----------
-    nodes : int
-        Branch-and-bound nodes.
-    seconds : float
-        Wall time, the last resort.
-    patience_nodes, patience_seconds : float
-        The same while it has found nothing.
+    Its patience is the same while it has found nothing.
     """
 
     nodes: int
@@ -59,38 +52,25 @@ def run(
 ) -> tuple[str, bool, float, float]:
     """Solve a PuLP model in place.
 
-    Returns
-    -------
-    status : str
-        "optimal", "infeasible", or what stopped it: "effort_limit" (nodes) or "time_limit".
-    solved : bool
-        Whether there is a solution.
-    bound : float
-        Proven lower bound on the objective.
-    nodes : float
-        Branch-and-bound nodes.
+    Returned are "optimal", "infeasible", or what stopped it ("effort_limit" of nodes, or "time_limit");
+    whether there is a solution; the proven lower bound on the objective; and nodes of the branch and bound.
     """
     solve = _gurobi if options.solver == "gurobi" else _highs
     return solve(lp, options, limits, warm, listen)
 
 
-def _highs(
-    lp: Any, options: PlannerOptions, limits: Limits, warm: bool, listen: Listen | None
-) -> tuple[str, bool, float, float]:
-    import highspy
+def _warm_highs(warm: bool, **options: Any) -> Any:
+    """PuLP's HiGHS with a warm start, which PuLP offers for other solvers only."""
     import pulp
 
     class WarmHiGHS(pulp.HiGHS):  # type: ignore[misc]
-        """PuLP's HiGHS with a warm start, which PuLP offers for other solvers only."""
-
         def callSolver(self, lp: Any) -> None:
-            if warm:
-                known = [(v.index, v.varValue) for v in lp.variables() if v.varValue is not None]
-                if known:
-                    index, value = zip(*known, strict=True)
-                    lp.solverModel.setSolution(
-                        len(index), np.array(index, dtype=np.int32), np.array(value, dtype=float)
-                    )
+            known = [(v.index, v.varValue) for v in lp.variables() if v.varValue is not None]
+            if warm and known:
+                index, value = zip(*known, strict=True)
+                lp.solverModel.setSolution(
+                    len(index), np.array(index, dtype=np.int32), np.array(value, dtype=float)
+                )
             lp.solverModel.run()
 
         def findSolutionValues(self, lp: Any) -> tuple[int, int]:
@@ -99,6 +79,14 @@ def _highs(
             except KeyError:  # statuses that PuLP has no word for, as of a limit on nodes; values are set
                 found = (pulp.LpStatusNotSolved, pulp.LpSolutionNoSolutionFound)
             return found
+
+    return WarmHiGHS(msg=False, **options)
+
+
+def _highs(
+    lp: Any, options: PlannerOptions, limits: Limits, warm: bool, listen: Listen | None
+) -> tuple[str, bool, float, float]:
+    import highspy
 
     gave_up: list[str] = []
 
@@ -111,8 +99,8 @@ def _highs(
             gave_up.append(why)
             answer.user_interrupt = True
 
-    solver = WarmHiGHS(
-        msg=False,
+    solver = _warm_highs(
+        warm,
         gapRel=options.gap / 2,
         timeLimit=max(limits.seconds, 0.05),
         threads=options.threads,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from time import perf_counter
-from typing import TYPE_CHECKING, NoReturn
+from typing import NoReturn
 
 import numpy as np
 
@@ -17,19 +17,16 @@ from .rows import Rows
 from .search import Candidate, Levels, PathSearch
 from .tree import branch
 
-if TYPE_CHECKING:
-    from .solve import Planner
-
 FACTORS = (1.25, 1.5, 2.0, 3.0, 5.0, 10.0)
 EFFORT = 1000
 """Most linear programs solved to find by how much margins must give way."""
 
 
-def unreachable(planner: Planner) -> NoReturn:
+def unreachable(rows: Rows, deadline: float) -> NoReturn:
     """The goal is out of reach even without unsafe sets."""
-    problem, rows = planner.problem, planner.rows
-    goal = problem.goal
-    miss, factor = _miss(rows, planner.left), _thrust_factor(rows, planner.left)
+    problem, goal = rows.problem, rows.problem.goal
+    miss = _miss(rows, deadline - perf_counter())
+    factor = _thrust_factor(rows, deadline - perf_counter())
     condition = (
         f"The goal ({goal.describe()}) cannot be reached in {counted(problem.K, 'step')} of"
         f" {problem.delta:g} s within the input limits, even without unsafe sets:"
@@ -47,14 +44,15 @@ def unreachable(planner: Planner) -> NoReturn:
     raise SynthesisInfeasible(condition, miss, relax)
 
 
-def blocked(planner: Planner) -> NoReturn:
+def blocked(rows: Rows, deadline: float) -> NoReturn:
     """The goal can be reached, but not clear of the unsafe sets."""
-    problem = planner.problem
-    stop = planner.deadline
+    problem = rows.problem
     _start(problem)
-    short, proven = _shortfall(planner, stop)
-    helpful = _droppable(problem, stop)
-    factor = next((f for f in FACTORS if perf_counter() < stop and _works(_stronger(problem, f), stop)), None)
+    short, proven = _shortfall(rows, deadline)
+    helpful = _droppable(problem, deadline)
+    factor = next(
+        (f for f in FACTORS if perf_counter() < deadline and _works(_stronger(problem, f), deadline)), None
+    )
     amount = "" if short is None else f" ({'' if proven else 'at most '}{short:.3g} m short)"
     condition = (
         f"The goal ({problem.goal.describe()}) can be reached within the input limits, but not with the "
@@ -68,7 +66,7 @@ def blocked(planner: Planner) -> NoReturn:
     if factor is not None:
         ways.append(f"input limits {factor:g} times as large")
     relax = (", or ".join(ways) or "a longer horizon or another goal") + "."
-    if perf_counter() > stop:
+    if perf_counter() > deadline:
         relax += " (The time given ran out while this was looked for.)"
     raise SynthesisInfeasible(condition, short, relax)
 
@@ -89,9 +87,9 @@ def _start(problem: PlanProblem) -> None:
             )
 
 
-def _shortfall(planner: Planner, stop: float) -> tuple[float | None, bool]:
+def _shortfall(rows: Rows, stop: float) -> tuple[float | None, bool]:
     """Least length [m] by which all margins must give way, and whether that is proven."""
-    search = PathSearch(planner.rows, stop)
+    search = PathSearch(rows, stop)
     search.set_prices(Levels(0.0, 0.0), short=1e3, fuel=1e-3)
     found = search.first()
     half, most = perf_counter() + 0.5 * max(stop - perf_counter(), 0.0), search.solves + EFFORT
@@ -135,32 +133,31 @@ def _droppable(problem: PlanProblem, stop: float) -> list[str]:
     return names
 
 
-def _wide(a: Array, extra: Array | float) -> Array:
-    return np.hstack([a, -a, np.broadcast_to(np.asarray(extra, dtype=float), (len(a), 1))])
+def _goal_program(rows: Rows, top: Array, elastic: float) -> GrowingLP:
+    """Least extra variable with which the goal's conditions hold, without unsafe sets.
+
+    `top`, shape (2 N + 1,), bounds the input shares either way and the extra variable, each unit of which
+    relaxes every row by `elastic` units of `Rows.length`.
+    """
+    goal, N = rows.problem.goal.conditions, rows.N
+    lp = GrowingLP(np.r_[np.zeros(2 * N), 1.0], np.zeros(2 * N + 1), top)
+    G, g = np.vstack([goal.G, goal.E, -goal.E]), np.r_[goal.g, goal.e, -goal.e]
+    a = rows.state_rows(G, rows.problem.K) / rows.length
+    need = (g - G @ rows.free[rows.problem.K]) / rows.length
+    lp.add(np.hstack([a, -a, np.full((len(a), 1), -elastic)]), -np.inf, need)
+    return lp
 
 
 def _miss(rows: Rows, seconds: float) -> float:
     """Smallest residual [m] of the goal within the input limits."""
-    goal, K = rows.problem.goal.conditions, rows.problem.K
-    free = rows.free[K]
-    lp = GrowingLP(
-        np.r_[np.zeros(2 * rows.N), 1.0], np.zeros(2 * rows.N + 1), np.r_[rows.limit, rows.limit, np.inf]
-    )
-    G = np.vstack([goal.G, goal.E, -goal.E])
-    g = np.r_[goal.g, goal.e, -goal.e]
-    lp.add(_wide(rows.state_rows(G, K) / rows.length, -1.0), -np.inf, (g - G @ free) / rows.length)
-    answer = lp.solve(seconds)
+    answer = _goal_program(rows, np.r_[rows.limit, rows.limit, np.inf], 1.0).solve(seconds)
     return np.inf if answer is None else answer[0] * rows.length
 
 
 def _thrust_factor(rows: Rows, seconds: float) -> float | None:
     """Smallest factor on the input limits with which the goal is reached, without unsafe sets."""
-    goal, K, N = rows.problem.goal.conditions, rows.problem.K, rows.N
-    free, unit = rows.free[K], rows.length
-    lp = GrowingLP(np.r_[np.zeros(2 * N), 1.0], np.zeros(2 * N + 1), np.full(2 * N + 1, np.inf))
-    lp.add(_wide(rows.state_rows(goal.E, K) / unit, 0.0), *((goal.e - goal.E @ free) / unit,) * 2)
-    lp.add(_wide(rows.state_rows(goal.G, K) / unit, 0.0), -np.inf, (goal.g - goal.G @ free) / unit)
-    limits = np.hstack([np.eye(2 * N), -np.r_[rows.limit, rows.limit][:, None]])
-    lp.add(limits, -np.inf, 0.0)
+    lp = _goal_program(rows, np.full(2 * rows.N + 1, np.inf), 0.0)
+    limits = np.r_[rows.limit, rows.limit]
+    lp.add(np.hstack([np.eye(2 * rows.N), -limits[:, None]]), -np.inf, 0.0)
     answer = lp.solve(seconds)
     return None if answer is None else answer[0]

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..model.errors import ScenarioError
 from ..model.system import Array
 from ..model.tolerances import GOAL
 
@@ -73,9 +72,3 @@ class Goal(ABC):
         worst, name = self.residual(np.asarray(x, dtype=float))
         relative = worst / self.conditions.scale
         return (0.0, "") if relative <= GOAL else (relative, name)
-
-
-def positive(name: str, value: float, zero: bool = False) -> None:
-    """Refuse a number that is not finite and positive (or zero, if allowed)."""
-    if not (np.isfinite(value) and (value > 0 or (zero and value == 0))):
-        raise ScenarioError(name, value, f"must be a finite number {'>=' if zero else '>'} 0")

@@ -7,20 +7,22 @@ from functools import cached_property
 
 import numpy as np
 
+from ..model.checks import non_negative, number, positive, whole
 from ..model.errors import ScenarioError
 from ..model.system import Array, as_finite
-from .goal import Goal, GoalConditions, positive
-from .nmt import EllipticalNMT, LinearNMT, ellipse_polygon
+from .goal import Goal, GoalConditions
 
-__all__ = [
-    "Box",
-    "EllipticalNMT",
-    "Goal",
-    "GoalConditions",
-    "LinearNMT",
-    "StationaryPoint",
-    "ellipse_polygon",
-]
+
+def _box(center: Array, half_widths: Array, rate: float) -> GoalConditions:
+    """Two inequalities per bounded state, an equality where the half-width is 0."""
+    half = len(center) // 2
+    weight = np.r_[np.ones(len(center) - half), np.full(half, 1 / rate)]
+    W, middle = np.diag(weight), weight * center
+    fixed, boxed = half_widths == 0, np.isfinite(half_widths) & (half_widths > 0)
+    rows, reach = W[boxed], weight[boxed] * half_widths[boxed]
+    sides = np.r_[middle[boxed] + reach, reach - middle[boxed]]
+    scale = max(1.0, float(np.max(np.abs(center))))
+    return GoalConditions(W[fixed], middle[fixed], np.vstack([rows, -rows]), sides, (), scale)
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +41,7 @@ class StationaryPoint(Goal):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "state", as_finite("goal.state", self.state, 1))
-        positive("goal.rate", self.rate)
+        positive("goal.rate", self.rate, "1/s")
 
     @property
     def n(self) -> int:
@@ -49,17 +51,7 @@ class StationaryPoint(Goal):
     @cached_property
     def conditions(self) -> GoalConditions:
         """One equality per state."""
-        half = self.n // 2
-        weights = np.r_[np.ones(self.n - half), np.full(half, 1 / self.rate)]
-        E = np.diag(weights)
-        return GoalConditions(
-            E,
-            E @ self.state,
-            np.zeros((0, self.n)),
-            np.zeros(0),
-            (),
-            max(1.0, float(np.max(np.abs(self.state)))),
-        )
+        return _box(self.state, np.zeros(self.n), self.rate)
 
     def describe(self) -> str:
         """One line for messages."""
@@ -88,7 +80,7 @@ class Box(Goal):
         if widths.shape != self.center.shape or not np.all(widths >= 0):
             raise ScenarioError("goal.half_widths", self.half_widths, f"must be {self.n} numbers >= 0")
         object.__setattr__(self, "half_widths", widths)
-        positive("goal.rate", self.rate)
+        positive("goal.rate", self.rate, "1/s")
 
     @property
     def n(self) -> int:
@@ -98,19 +90,164 @@ class Box(Goal):
     @cached_property
     def conditions(self) -> GoalConditions:
         """Two inequalities per bounded state, an equality where the half-width is 0."""
-        half = self.n // 2
-        W = np.diag(np.r_[np.ones(self.n - half), np.full(half, 1 / self.rate)])
-        fixed, boxed = self.half_widths == 0, np.isfinite(self.half_widths) & (self.half_widths > 0)
-        rows, center, reach = W[boxed], (W @ self.center)[boxed], np.diag(W)[boxed] * self.half_widths[boxed]
-        return GoalConditions(
-            W[fixed],
-            (W @ self.center)[fixed],
-            np.vstack([rows, -rows]),
-            np.r_[center + reach, reach - center],
-            (),
-            max(1.0, float(np.max(np.abs(self.center)))),
-        )
+        return _box(self.center, self.half_widths, self.rate)
 
     def describe(self) -> str:
         """One line for messages."""
         return "box about (" + ", ".join(f"{s:g}" for s in self.center) + ")"
+
+
+class _HillGoal(Goal):
+    """A goal in Hill's frame; subclasses have a `mean_motion`."""
+
+    mean_motion: float
+
+    @property
+    def n(self) -> int:
+        """Six states of Hill's frame."""
+        return 6
+
+    @property
+    def _rows(self) -> tuple[Array, Array]:
+        """Unit rows of position and of velocity over the mean motion [m], shape (3, 6)."""
+        eye = np.eye(6)
+        return eye[:3], eye[3:] / self.mean_motion
+
+
+def ellipse_polygon(semi_minor: float, sides: int, circumscribed: bool) -> tuple[Array, Array]:
+    """Outward edge normals and offsets of a polygon of the ellipse of semi-axes (b, 2 b).
+
+    Works on the circle of radius b (r_y halved), where the polygon is regular; every normal points
+    outwards. The printed eq. 20 takes ``alpha_y = q_x,j - q_x,j+1``, whose sign is wrong.
+
+    Returns
+    -------
+    normals : ndarray, shape (sides, 2)
+        Unit normals in (r_x, r_y).
+    offsets : ndarray, shape (sides,)
+        ``normals p <= offsets`` inside. Inscribed: within the ellipse. Circumscribed: around it.
+    """
+    angle = 2 * np.pi * (np.arange(sides) + 0.5) / sides
+    normals = np.stack([np.cos(angle), np.sin(angle) / 2], axis=1)
+    radius = semi_minor if circumscribed else semi_minor * np.cos(np.pi / sides)
+    length = np.linalg.norm(normals, axis=1)
+    return normals / length[:, None], radius / length
+
+
+@dataclass(frozen=True)
+class EllipticalNMT(_HillGoal):
+    """End on a closed ellipse about the target (eqs. 20-22, outward normals).
+
+    Parameters
+    ----------
+    mean_motion : float
+        eta [rad/s].
+    inner_semi_minor, outer_semi_minor : float
+        Radial semi-axes [m] between which the ellipse must lie; inner 0 means no inner bound.
+    sides : int
+        Sides of the polygons; the outer one is inscribed and the inner one circumscribed, so that a
+        state that meets the polygons meets the ellipses.
+    cross_track_max : float or None
+        Bound [m] on ``|r_z|`` and on ``|v_z| / eta``; None asks for no cross-track motion.
+    """
+
+    mean_motion: float
+    inner_semi_minor: float
+    outer_semi_minor: float
+    sides: int = 16
+    cross_track_max: float | None = None
+
+    def __post_init__(self) -> None:
+        positive("goal.mean_motion", self.mean_motion, "rad/s")
+        non_negative("goal.inner_semi_minor", self.inner_semi_minor, "m")
+        positive("goal.outer_semi_minor", self.outer_semi_minor, "m")
+        whole("goal.sides", self.sides, 4)
+        room = self.outer_semi_minor * np.cos(np.pi / self.sides)
+        if self.inner_semi_minor >= room:
+            rule = f"must be below {room:g} m (the {self.sides}-sided outer polygon reaches no further)"
+            raise ScenarioError("goal.inner_semi_minor", self.inner_semi_minor, rule)
+        if self.cross_track_max is not None:
+            positive("goal.cross_track_max", self.cross_track_max, "m")
+
+    @cached_property
+    def conditions(self) -> GoalConditions:
+        """Two equalities, the outer polygon, and one side of the inner polygon."""
+        r, v = self._rows
+        E, G, g = [v[1] + 2 * r[0], v[0] - r[1] / 2], [], []
+        if self.cross_track_max is None:
+            E += [r[2], v[2]]
+        else:
+            G += [r[2], -r[2], v[2], -v[2]]
+            g += [self.cross_track_max] * 4
+        outer, outer_b = ellipse_polygon(self.outer_semi_minor, self.sides, circumscribed=False)
+        G += list(outer @ r[:2])
+        g += list(outer_b)
+        inner, inner_b = ellipse_polygon(self.inner_semi_minor, self.sides, circumscribed=True)
+        one_of = ((inner @ r[:2], inner_b),) if self.inner_semi_minor > 0 else ()
+        e = np.zeros(len(E))
+        return GoalConditions(np.array(E), e, np.array(G), np.array(g), one_of, self.outer_semi_minor)
+
+    def semi_minor(self, x: Array) -> float:
+        """Radial semi-axis [m] of the ellipse through the position of x."""
+        return float(np.hypot(x[0], x[1] / 2))
+
+    def residual(self, x: Array) -> tuple[float, str]:
+        """Measured against the ellipses themselves, not their polygons."""
+        eta, b = self.mean_motion, self.semi_minor(x)
+        inner, outer, c = self.inner_semi_minor, self.outer_semi_minor, self.cross_track_max or 0.0
+        terms = [
+            (abs(x[4] / eta + 2 * x[0]), "v_y = -2 eta r_x"),
+            (abs(x[3] / eta - x[1] / 2), "v_x = eta r_y / 2"),
+            (b - outer, f"inside the outer ellipse (semi-minor axis {outer:g} m)"),
+            (inner - b, f"outside the inner ellipse (semi-minor axis {inner:g} m)"),
+            (abs(x[2]) - c, f"cross-track |r_z| <= {c:g} m"),
+            (abs(x[5]) / eta - c, f"cross-track |v_z| <= eta {c:g} m"),
+        ]
+        worst, name = max(terms, key=lambda term: term[0])
+        return max(float(worst), 0.0), name
+
+    def describe(self) -> str:
+        """One line for messages."""
+        return f"elliptical NMT with semi-minor axis {self.inner_semi_minor:g} to {self.outer_semi_minor:g} m"
+
+
+@dataclass(frozen=True)
+class LinearNMT(_HillGoal):
+    """End on a cross-track oscillation through ``(0, along_track, 0)``.
+
+    Parameters
+    ----------
+    mean_motion : float
+        eta [rad/s].
+    amplitude_max : float
+        Largest amplitude [m].
+    along_track : float
+        Along-track position [m].
+    sides : int
+        Sides of the polygon inscribed in the amplitude circle.
+    """
+
+    mean_motion: float
+    amplitude_max: float
+    along_track: float = 0.0
+    sides: int = 16
+
+    def __post_init__(self) -> None:
+        positive("goal.mean_motion", self.mean_motion, "rad/s")
+        positive("goal.amplitude_max", self.amplitude_max, "m")
+        whole("goal.sides", self.sides, 4)
+        number("goal.along_track", self.along_track)
+
+    @cached_property
+    def conditions(self) -> GoalConditions:
+        """Four equalities and a polygon in ``(r_z, v_z / eta)``."""
+        r, v = self._rows
+        angle = 2 * np.pi * (np.arange(self.sides) + 0.5) / self.sides
+        G = np.cos(angle)[:, None] * r[2] + np.sin(angle)[:, None] * v[2]
+        g = np.full(self.sides, self.amplitude_max * np.cos(np.pi / self.sides))
+        E, e = np.array([r[0], r[1], v[0], v[1]]), np.array([0.0, self.along_track, 0.0, 0.0])
+        return GoalConditions(E, e, G, g, (), max(self.amplitude_max, abs(self.along_track), 1.0))
+
+    def describe(self) -> str:
+        """One line for messages."""
+        return f"linear NMT at along-track {self.along_track:g} m, amplitude up to {self.amplitude_max:g} m"

@@ -2,48 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from time import perf_counter
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from .backends import Limits
+from .effort import Allowance, Effort, Spare
 from .model import Answer, Model
 from .rows import Key
 from .search import Candidate, PathSearch
 from .tree import Outcome
 
-if TYPE_CHECKING:
-    from .solve import Planner
-
 MAX_ROUNDS = 60
 MAX_BOOKINGS = 4
 
-Spare = Callable[[Candidate | None], bool]
-"""Whether a stage may be given up early with the path known by then."""
-
-
-@dataclass(frozen=True)
-class Allowance:
-    """How far a stage may go: a count of linear programs or nodes, and a value of `time.perf_counter`."""
-
-    effort: float
-    deadline: float
-
-    def spent(self, used: float) -> str:
-        """What stops the stage, or an empty string."""
-        if used >= self.effort:
-            return "effort_limit"
-        return "time_limit" if perf_counter() > self.deadline else ""
-
 
 def by_back_end(
-    planner: Planner, stage: str, best: Candidate | None, early: Allowance, late: Allowance, spare: Spare
+    effort: Effort, stage: str, best: Candidate | None, early: Allowance, late: Allowance, spare: Spare
 ) -> Outcome:
     """The back end decides the binaries; cells enter when its solution lacks clearance there."""
-    search, gap, before = planner.search, planner.options.gap, planner.stats["nodes"]
+    search, gap, before = effort.search, effort.options.gap, effort.stats["nodes"]
     cells = frozenset(best.choice if best is not None else ())
     bound, ended = -np.inf, "effort_limit"
 
@@ -52,21 +31,21 @@ def by_back_end(
         return value - bound <= gap * abs(value) + 1e-9
 
     def outcome(status: str) -> Outcome:
-        return Outcome(best, bound, status, int(planner.stats["nodes"] - before))
+        return Outcome(best, bound, status, int(effort.stats["nodes"] - before))
 
     for _ in range(MAX_ROUNDS):
         if best is not None and within():
             break
-        stopped = (early if spare(best) else late).spent(planner.used)
+        stopped = (early if spare(best) else late).spent(effort.used)
         if stopped:
             return outcome(stopped)
-        planner.stats["rounds"] += 1
+        effort.stats["rounds"] += 1
         begun = perf_counter()
         by_fuel = best is not None and search.margin_price == 0
         budget = best.fuel * (1 + 1e-6) + 1e-9 if best is not None and by_fuel else np.inf
         model = Model(search, cells, budget)
-        planner.add_time("model", begun)
-        answer = _run(planner, model, stage, best, _limits(planner, best, early, late, spare))
+        effort.add_time("model", begun)
+        answer = _run(effort, model, stage, best, _limits(effort, best, early, late, spare))
         if answer.status == "infeasible":
             bound = search.value(best) if best is not None else np.inf
             return outcome("infeasible" if best is None else "optimal")
@@ -84,10 +63,10 @@ def by_back_end(
 
 
 def _limits(
-    planner: Planner, best: Candidate | None, early: Allowance, late: Allowance, spare: Spare
+    effort: Effort, best: Candidate | None, early: Allowance, late: Allowance, spare: Spare
 ) -> Limits:
     """What is allowed, less what is used. A search that finds nothing may have to end early."""
-    now, used = perf_counter(), planner.used
+    now, used = perf_counter(), effort.used
     last = early if best is not None and spare(best) else late
     limits = Limits(max(int(last.effort - used), 1), last.deadline - now)
     if best is None and spare(None):
@@ -95,23 +74,23 @@ def _limits(
     return limits
 
 
-def _run(planner: Planner, model: Model, stage: str, best: Candidate | None, limits: Limits) -> Answer:
+def _run(effort: Effort, model: Model, stage: str, best: Candidate | None, limits: Limits) -> Answer:
     begun = perf_counter()
-    top = planner.search.value(best) if best is not None else np.inf
+    top = effort.search.value(best) if best is not None else np.inf
 
     def listen(incumbent: float, bound: float) -> None:
-        planner.report(stage, min(top, incumbent), bound)
+        effort.report(stage, min(top, incumbent), bound)
 
     start = None
     if best is not None:
-        seen = planner.search.look(best)
-        facets = {key: planner.search.pick(key, seen) for key, _ in model.z}
+        seen = effort.search.look(best)
+        facets = {key: effort.search.pick(key, seen) for key, _ in model.z}
         start = replace(best, choice=facets | best.choice)
-    answer = model.solve(planner.options, limits, start, listen if planner.options.progress else None)
-    planner.add_time("solver", begun)
+    answer = model.solve(effort.options, limits, start, listen if effort.options.progress else None)
+    effort.add_time("solver", begun)
     for name in ("rows", "cols", "binaries"):
-        planner.stats[name] = max(planner.stats[name], answer.stats.get(name, 0))
-    planner.stats["nodes"] += answer.stats["nodes"]
+        effort.stats[name] = max(effort.stats[name], answer.stats.get(name, 0))
+    effort.stats["nodes"] += answer.stats["nodes"]
     return answer
 
 

@@ -110,24 +110,15 @@ class GrowingLP:
         return self.highs.getModelStatus()
 
     def costs(self, a: Array, lack: Array) -> Array:
-        """Lower bounds on what the optimum loses if one more row has to hold, without solving anything.
+        """Lower bounds, shape (J,), on what the optimum loses if one more row has to hold, without solving.
 
         At the optimum just found every variable and slack that is not basic can only move into the
-        program, at its reduced cost. Written over these, the new row needs a certain amount of
+        program, at its reduced cost. Written over these, a new row ``a x >= need`` needs a certain amount of
         movement; the cheapest way to pay for it is a continuous knapsack. What it leaves out are the
         bounds of the basic variables, so the true cost is the same or higher.
 
-        Parameters
-        ----------
-        a : ndarray, shape (J, n)
-            New rows ``a x >= need``, each on its own.
-        lack : ndarray, shape (J,)
-            ``need - a x`` at the optimum.
-
-        Returns
-        -------
-        ndarray, shape (J,)
-            Infinite where no movement is enough; 0 where nothing is lacking.
+        Each row of a, shape (J, n), stands on its own and lacks ``need - a x``. The bound is infinite where
+        no movement is enough.
         """
         basis, point = self.highs.getBasis(), self.highs.getSolution()
         status = self._highspy.HighsBasisStatus

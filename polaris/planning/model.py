@@ -40,16 +40,10 @@ class Answer:
 
 
 class Model:
-    """The PuLP model of the program at the prices of a search, over some cells.
+    """The PuLP model of the program at the prices of a search, over some disjunctions.
 
-    Parameters
-    ----------
-    search : PathSearch
-        With prices set.
-    cells : collection of (int, int)
-        Disjunctions to state; what is not among them is left out.
-    budget : float
-        Upper bound on the velocity change [m/s] that some optimal path is known to keep.
+    `cells` are the disjunctions to state; `budget` is a velocity change [m/s] that some optimal path is known
+    to keep.
     """
 
     def __init__(self, search: PathSearch, cells: Collection[Key], budget: float = np.inf) -> None:

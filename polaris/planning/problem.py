@@ -8,11 +8,11 @@ from typing import Literal
 
 import numpy as np
 
-from ..model.checks import whole
+from ..model.checks import non_negative, number, one_of, positive, shaped, whole
 from ..model.errors import ScenarioError
-from ..model.system import Array, LinearSystem, as_finite
+from ..model.system import Array, LinearSystem
 from ..model.timed_polytope import TimedPolytope
-from .goals import Goal
+from .goal import Goal
 
 Objective = Literal["margin_then_fuel", "distance", "fuel"]
 OBJECTIVES = ("margin_then_fuel", "distance", "fuel")
@@ -72,36 +72,25 @@ class PlanProblem:
 
     def __post_init__(self) -> None:
         put, sys = object.__setattr__, self.system
-        if self.K < 1:
-            raise ScenarioError("planner.K", self.K, "must be at least 1")
-        if not (np.isfinite(self.delta) and self.delta > 0):
-            raise ScenarioError("planner.delta", self.delta, "must be a finite number > 0")
-        if self.objective not in OBJECTIVES:
-            raise ScenarioError(
-                "planner.objective", self.objective, f"must be one of {', '.join(OBJECTIVES)}"
-            )
-        if not (np.isfinite(self.extra_margin) and self.extra_margin >= 0):
-            raise ScenarioError("planner.extra_margin", self.extra_margin, "must be a finite number >= 0")
-        if self.tail_cells < 0:
-            raise ScenarioError("planner.tail_cells", self.tail_cells, "must be at least 0")
-        put(self, "x0", as_finite("planner.x0", self.x0, 1))
-        put(self, "u_limit", as_finite("planner.u_limit", self.u_limit, 2))
-        if self.x0.shape != (sys.n,):
-            raise ScenarioError("planner.x0", self.x0.shape, f"must have {sys.n} entries")
-        if self.u_limit.shape != (self.K, sys.m) or np.any(self.u_limit < 0):
-            raise ScenarioError(
-                "planner.u_limit", self.u_limit.shape, f"must be ({self.K}, {sys.m}), all >= 0"
-            )
+        whole("planner.K", self.K, 1)
+        whole("planner.tail_cells", self.tail_cells, 0)
+        positive("planner.delta", self.delta, "s")
+        non_negative("planner.extra_margin", self.extra_margin, "m")
+        one_of("planner.objective", self.objective, OBJECTIVES)
+        put(self, "x0", shaped("planner.x0", self.x0, (sys.n,)))
+        put(self, "u_limit", shaped("planner.u_limit", self.u_limit, (self.K, sys.m)))
+        if np.any(self.u_limit < 0):
+            raise ScenarioError("planner.u_limit", float(self.u_limit.min()), "must all be >= 0")
         if self.goal.n != sys.n:
             raise ScenarioError("planner.goal", self.goal.n, f"must be a goal for {sys.n} states")
         if len(self.margins) != len(self.unsafe):
             raise ScenarioError("planner.margins", len(self.margins), f"must be {len(self.unsafe)} arrays")
-        margins = tuple(as_finite(f"planner.margins[{i}]", m, 2) for i, m in enumerate(self.margins))
-        put(self, "margins", margins)
-        for i, (body, margin) in enumerate(zip(self.unsafe, margins, strict=True)):
-            want = (self.K, len(body.normals))
-            if margin.shape != want:
-                raise ScenarioError(f"planner.margins[{i}]", margin.shape, f"must have shape {want}")
+        margins = [
+            shaped(f"planner.margins[{i}]", margin, (self.K, len(body.normals)))
+            for i, (body, margin) in enumerate(zip(self.unsafe, self.margins, strict=True))
+        ]
+        put(self, "margins", tuple(margins))
+        for i, body in enumerate(self.unsafe):
             if body.cells < self.cells and not (body.static and body.cells >= 1):
                 raise ScenarioError(f"planner.unsafe[{i}]", body.cells, f"must cover {self.cells} cells")
 
@@ -177,13 +166,11 @@ class PlannerOptions:
     progress: Callable[[Progress], None] | None = None
 
     def __post_init__(self) -> None:
-        if self.solver not in SOLVERS:
-            raise ScenarioError("planner.solver", self.solver, f"must be one of {', '.join(SOLVERS)}")
+        one_of("planner.solver", self.solver, SOLVERS)
         whole("planner.max_linear_programs", self.max_linear_programs, 1)
         whole("planner.max_nodes", self.max_nodes, 1)
-        if not (np.isfinite(self.time_limit) and self.time_limit > 0):
-            raise ScenarioError("planner.time_limit", self.time_limit, "must be a finite number > 0")
-        if not 0 <= self.gap < 1:
+        positive("planner.time_limit", self.time_limit, "s")
+        if not 0 <= number("planner.gap", self.gap) < 1:
             raise ScenarioError("planner.gap", self.gap, "must be in [0, 1)")
 
 
@@ -270,3 +257,10 @@ class Plan:
     stats: Mapping[str, float] = field(default_factory=dict)
     stages: tuple[Stage, ...] = ()
     cut_by_clock: tuple[str, ...] = ()
+
+
+def relative_gap(value: float, bound: float) -> float:
+    """Relative distance of a value and its bound, infinite while either is missing."""
+    if not (np.isfinite(value) and np.isfinite(bound)):
+        return np.inf
+    return abs(value - bound) / max(abs(value), 1e-9)

@@ -8,17 +8,20 @@ lies above its smallest Bezier coefficient and differs from it by at most ``h^4 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from reach.numerics.linear import discretize, growth
 
+from ..model.errors import NotCertified
 from ..model.system import Array
 from ..model.tolerances import ROUNDING
-from .problem import PlanProblem
+from .problem import Plan, PlanProblem, relative_gap
 from .reference import Reference
 
 ARCS = 8
+"""Parts of a cell."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,29 +48,20 @@ class Recheck:
         return value, np.array([s.argmax(axis=1) for s in self.surplus])
 
 
-def recheck(problem: PlanProblem, nu: Array, arcs: int = ARCS) -> Recheck:
-    """Propagate inputs exactly and bound every clearance over every cell.
-
-    Parameters
-    ----------
-    problem : PlanProblem
-    nu : ndarray, shape (K, m)
-        Inputs; clipped to the limits first.
-    arcs : int
-        Parts of a cell.
-    """
+def recheck(problem: PlanProblem, nu: Array) -> Recheck:
+    """Propagate inputs (K, m), clipped to the limits, exactly; bound every clearance over every cell."""
     system = problem.system
     nu = np.clip(nu, -problem.u_limit, problem.u_limit)
     reference = Reference.propagate(system, problem.delta, problem.x0, nu)
     coasting = reference.extend(problem.tail_cells)
-    lows = path_bounds(problem, coasting, arcs)
+    lows = path_bounds(problem, coasting)
     surplus = tuple(low - problem.required(i) for i, low in enumerate(lows))
     return Recheck(reference, surplus, problem.goal.violation(reference.chi[-1]))
 
 
-def path_bounds(problem: PlanProblem, path: Reference, arcs: int) -> list[Array]:
+def path_bounds(problem: PlanProblem, path: Reference) -> list[Array]:
     """Certified lower bounds [m] on the clearance from every facet over every cell, each (cells, F)."""
-    system, h = problem.system, problem.delta / arcs
+    system, arcs, h = problem.system, ARCS, problem.delta / ARCS
     C, A, B = system.position, system.A, system.B
     x = path.fine(arcs)  # (cells, arcs+1, n)
     u = path.nu[:, None, :]
@@ -90,3 +84,61 @@ def path_bounds(problem: PlanProblem, path: Reference, arcs: int) -> list[Array]
         slack = ROUNDING * (reach @ size + np.max(np.abs(b), axis=1))
         lows.append(np.min(low, axis=1) - slack)
     return lows
+
+
+def certified(
+    problem: PlanProblem,
+    nu: Array,
+    wanted: Array,
+    value: float,
+    bound: float,
+    status: str,
+    **found: Any,
+) -> Plan:
+    """Re-check inputs and make a `Plan` of them, with `found` for its remaining fields.
+
+    Raises
+    ------
+    NotCertified
+        If a clearance, a limit or the goal does not hold.
+    """
+    K = problem.K
+    check = recheck(problem, nu)
+    if problem.unsafe:
+        best, facets = check.best()
+    else:
+        best, facets = np.zeros((0, problem.cells)), np.zeros((0, problem.cells), dtype=int)
+    missing = require(problem, check, best)
+    if missing:
+        raise NotCertified(f"found but not certified: {missing}")
+    nu = check.reference.nu
+    extra: Array = best[:, :K]
+    return Plan(
+        chi=check.reference.chi,
+        nu=nu,
+        facets=np.asarray(facets[:, :K], dtype=int),
+        tail_facets=np.asarray(facets[:, K:], dtype=int),
+        margin=float(np.min(extra, initial=np.inf)),
+        extra=extra,
+        wanted=wanted,
+        delta_v=float(np.sum(np.abs(nu)) * problem.delta / problem.system.mass),
+        status=status,
+        objective=float(value),
+        bound=float(bound),
+        gap=float(relative_gap(value, bound)),
+        **found,
+    )
+
+
+def require(problem: PlanProblem, check: Recheck, best: Array) -> str:
+    """What a re-check finds wrong, or an empty string."""
+    if best.size and np.min(best) < 0:
+        i, k = np.unravel_index(np.argmin(best), best.shape)
+        return (
+            f"clearance from {problem.unsafe[i].name} in cell {k} is {-best[i, k]:.3g} m short of its margin "
+            f"({problem.required(int(i))[k].max():.3g} m)"
+        )
+    amount, name = check.goal
+    if amount > 0:
+        return f"the goal is missed by {amount:.3g} of its scale: {name}"
+    return ""

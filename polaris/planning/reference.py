@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from reach.numerics.linear import discretize
+from reach.numerics.linear import discretize, growth
 
 from ..model.system import Array, LinearSystem
 from ..model.tolerances import REFERENCE
@@ -66,6 +66,12 @@ class Reference:
         arcs = np.einsum("qij,kj->kqi", steps[0], self.chi[:-1])
         arcs += np.einsum("qij,kj->kqi", steps[1], self.nu)
         return np.asarray(arcs)
+
+    def rates(self, nodes: Array) -> Array:
+        """Elementwise bound on ``|x'|`` over each of the q parts between the nodes of `fine`, (K, q, n)."""
+        A = self.system.A
+        rate = nodes[:, :-1] @ A.T + (self.nu @ self.system.B.T)[:, None, :]
+        return np.asarray(np.abs(rate) @ growth(A, self.delta / (nodes.shape[1] - 1)).T)
 
     def extend(self, cells: int) -> Reference:
         """The same trajectory followed by `cells` steps with zero input (coasting)."""

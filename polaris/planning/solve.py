@@ -12,12 +12,12 @@ import numpy as np
 
 from ..model.errors import ClockWarning, NotCertified, OutOfTime
 from . import backends, diagnose
-from .certify import certified, relative_gap
-from .lazy import Allowance, Spare, by_back_end
-from .problem import SOLVERS, Plan, PlannerOptions, PlanProblem, Progress, Stage
+from .effort import Effort, Spare
+from .lazy import by_back_end
+from .problem import SOLVERS, Plan, PlannerOptions, PlanProblem, Stage
+from .recheck import certified
 from .rows import Rows
-from .search import Candidate, Levels, PathSearch
-from .targets import set_targets
+from .search import Candidate, Levels, PathSearch, set_targets
 from .tree import Outcome, branch
 
 SPARE_SHARE = 0.25
@@ -75,61 +75,21 @@ class Planner:
     def __init__(self, problem: PlanProblem, options: PlannerOptions) -> None:
         self.problem, self.options = problem, options
         backends.require(options.solver)
-        self.begun = perf_counter()
+        begun = perf_counter()
         self.rows = Rows(problem)
-        self.search = PathSearch(self.rows, self.begun + options.time_limit)
-        self.seconds: dict[str, float] = {}
-        self.stats = dict.fromkeys(("rows", "cols", "binaries", "nodes", "rounds", "lps"), 0.0)
-        self.stages: list[Stage] = []
-        self._last_report = -np.inf
-
-    @property
-    def deadline(self) -> float:
-        """Value of `time.perf_counter` at which to stop."""
-        return self.search.deadline
-
-    @property
-    def left(self) -> float:
-        """Seconds left."""
-        return self.deadline - perf_counter()
-
-    @property
-    def used(self) -> float:
-        """Effort so far: linear programs, or nodes of the back end."""
-        return self.search.solves if self.options.solver == "facets" else self.stats["nodes"]
-
-    @property
-    def cut_by_clock(self) -> tuple[str, ...]:
-        """Stages that the clock ended early; past the deadline, any linear program may have been."""
-        cut = tuple(stage.name for stage in self.stages if stage.status == "time_limit")
-        return cut or (("path search",) if self.left <= 0 else ())
-
-    def _allow(self, share: float) -> Allowance:
-        """A share of what is left."""
-        options, used = self.options, self.used
-        most = options.max_linear_programs if options.solver == "facets" else options.max_nodes
-        return Allowance(used + share * max(most - used, 0.0), perf_counter() + share * self.left)
-
-    def report(self, stage: str, incumbent: float = np.inf, bound: float = -np.inf) -> None:
-        """Tell the progress callback, a few times a second at most."""
-        now = perf_counter()
-        if self.options.progress is not None and now - self._last_report > 0.1:
-            self._last_report = now
-            gap = relative_gap(incumbent, bound)
-            self.options.progress(Progress(stage, now - self.begun, incumbent, bound, gap))
+        self.search = PathSearch(self.rows, begun + options.time_limit)
+        self.effort = Effort(self.search, options, begun)
 
     def run(self) -> Plan:
         """All stages: least fuel at the full margin; where that is out of reach, at the largest margin."""
-        self.report("path search")
+        self.effort.report("path search")
         base = self.search.solve({})
         if base is None:
             self._none_because(diagnose.unreachable)
-        assert base is not None
         scale = max(base.fuel, 1e-3 * float(np.sum(self.rows.price * self.rows.limit)), 1e-9)
         top = set_targets(self.search, base)
         if top is None:
             self._none_because(diagnose.blocked)
-        assert top is not None
         furthest = self.problem.objective == "distance" and top > 0
         price = scale / MARGIN_TRADE / top if top > 0 else 0.0
         some = self._first(Levels(0.0, top), price, 10 * scale / MARGIN_TRADE)
@@ -151,7 +111,6 @@ class Planner:
         best = reached.best
         if best is None:
             self._none(reached.status)
-        assert best is not None
         unit = 1.0 if furthest else self.problem.extra_margin
         most = min(best.level + (self.search.value(best) - reached.bound) / price, top)
         if furthest:
@@ -176,10 +135,10 @@ class Planner:
         begun = perf_counter()
         self.search.set_prices(levels, margin_price, short_price)
         path = self.search.first()
-        self.add_time("path_search", begun)
+        self.effort.add_time("path_search", begun)
         usable = path is not None and path.short == 0
         by, status = "linear programs by HiGHS", "found" if usable else "none"
-        self.stages.append(Stage("path search", by, status, self.search.solves, 0))
+        self.effort.stages.append(Stage("path search", by, status, self.search.solves, 0))
         return path if usable else None
 
     def _minimise(
@@ -197,26 +156,22 @@ class Planner:
         """
         self.search.set_prices(levels, margin_price)
         begun, solves = perf_counter(), self.search.solves
-        early, late = self._allow(SPARE_SHARE), self._allow(share)
+        early, late = self.effort.allow(SPARE_SHARE), self.effort.allow(share)
         if self.options.solver == "facets":
             found = branch(
                 self.search,
                 best,
                 self.options.gap,
-                lambda path: (early if spare(path) else late).spent(self.used),
-                lambda top, bound: self.report(stage, top, bound),
+                lambda path: (early if spare(path) else late).spent(self.effort.used),
+                lambda top, bound: self.effort.report(stage, top, bound),
             )
-            self.add_time(stage.replace(" ", "_"), begun)
-            self.stats["nodes"] += found.nodes
+            self.effort.add_time(stage.replace(" ", "_"), begun)
+            self.effort.stats["nodes"] += found.nodes
         else:
-            found = by_back_end(self, stage, best, early, late, spare)
+            found = by_back_end(self.effort, stage, best, early, late, spare)
         by, solves = SOLVERS[self.options.solver], self.search.solves - solves
-        self.stages.append(Stage(stage, by, found.status, solves, int(found.nodes)))
+        self.effort.stages.append(Stage(stage, by, found.status, solves, int(found.nodes)))
         return found
-
-    def add_time(self, part: str, begun: float) -> None:
-        """Add the wall time since `begun` to a part."""
-        self.seconds[part] = self.seconds.get(part, 0.0) + perf_counter() - begun
 
     def _out_of_time(self) -> NoReturn:
         raise OutOfTime(
@@ -227,7 +182,7 @@ class Planner:
     def _none(self, status: str) -> NoReturn:
         if status == "infeasible":
             self._none_because(diagnose.blocked)
-        if self.cut_by_clock:
+        if self.effort.cut_by_clock:
             self._out_of_time()
         facets = self.options.solver == "facets"
         name = "max_linear_programs" if facets else "max_nodes"
@@ -236,8 +191,8 @@ class Planner:
             "neither found a plan nor proved that there is none"
         )
 
-    def _none_because(self, explain: Callable[[Planner], NoReturn]) -> NoReturn:
-        if self.left <= 0:
+    def _none_because(self, explain: Callable[[Rows, float], NoReturn]) -> NoReturn:
+        if self.effort.left <= 0:
             self._out_of_time()
         # The program keeps a booked length from every facet. While that is small, "no solution" is an
         # answer; where re-checks have forced it up, it only says that this program has none.
@@ -247,11 +202,11 @@ class Planner:
                 f"no certified plan: with the {booked:.3g} m that the re-check asked to book between the "
                 "waypoints, the program has no solution; take smaller steps"
             )
-        explain(self)
+        explain(self.rows, self.search.deadline)
 
     def _certify(self, path: Candidate, value: float, bound: float, status: str) -> Plan:
-        self.stats["lps"] = self.search.solves
-        self.seconds["total"] = perf_counter() - self.begun
+        self.effort.stats["lps"] = self.search.solves
+        self.effort.seconds["total"] = perf_counter() - self.effort.begun
         nu = path.z.reshape(self.problem.K, -1) * self.problem.system.u_max
         wanted = np.array([e[: self.problem.K, 0] for e in self.rows.extra])
         return certified(
@@ -262,8 +217,8 @@ class Planner:
             bound,
             status,
             solver=self.options.solver,
-            seconds=self.seconds,
-            stats=self.stats,
-            stages=tuple(self.stages),
-            cut_by_clock=self.cut_by_clock,
+            seconds=self.effort.seconds,
+            stats=self.effort.stats,
+            stages=tuple(self.effort.stages),
+            cut_by_clock=self.effort.cut_by_clock,
         )

@@ -60,12 +60,10 @@ def branch(
     stop: Callable[[Candidate | None], str],
     listen: Callable[[float, float], None] = lambda top, bound: None,
 ) -> Outcome:
-    """Minimise the search's objective over all facet choices.
+    """Minimise the search's objective, at the prices set, over all facet choices.
 
     Parameters
     ----------
-    search : PathSearch
-        With prices set.
     best : Candidate or None
         A certified path at the same prices.
     gap : float
@@ -75,59 +73,74 @@ def branch(
     listen : callable
         Told the incumbent and the bound.
     """
-    top = search.value(best) if best is not None else np.inf
-    heap = [Node(-np.inf, 0, {}, None)]
-    count, splits, bound, dropped = 0, 0, -np.inf, np.inf
-
-    def cut() -> float:
-        return top - gap * abs(top) if np.isfinite(top) else np.inf
-
-    def outcome(status: str) -> Outcome:
-        return Outcome(best, min(bound, dropped, top), status, count)
-
-    while heap:
-        bound = max(bound, min(heap[0].bound, top))
-        listen(top, bound)
-        if heap[0].bound >= cut():
-            return outcome("optimal")
-        why = stop(best)
+    tree = _Tree(search, best, gap)
+    while tree.open:
+        tree.bound = max(tree.bound, min(tree.open[0].bound, tree.top))
+        listen(tree.top, tree.bound)
+        if tree.open[0].bound >= tree.cut:
+            return tree.outcome("optimal")
+        why = stop(tree.best) or tree.visit(heapq.heappop(tree.open))
         if why:
-            return outcome(why)
-        node = heapq.heappop(heap)
+            return tree.outcome(why)
+    tree.bound = tree.top
+    return tree.outcome("infeasible" if tree.best is None else "optimal")
+
+
+class _Tree:
+    """Open nodes, lowest bound first, and the best path so far."""
+
+    def __init__(self, search: PathSearch, best: Candidate | None, gap: float) -> None:
+        self.search, self.best, self.gap = search, best, gap
+        self.top = search.value(best) if best is not None else np.inf
+        self.open = [Node(-np.inf, 0, {}, None)]
+        self.bound, self.dropped = -np.inf, np.inf
+        self.count = self.splits = 0
+
+    @property
+    def cut(self) -> float:
+        """Bound from which on a node is of no more use."""
+        return self.top - self.gap * abs(self.top) if np.isfinite(self.top) else np.inf
+
+    def outcome(self, status: str) -> Outcome:
+        return Outcome(self.best, min(self.bound, self.dropped, self.top), status, self.count)
+
+    def visit(self, node: Node) -> str:
+        """Solve a node, and close it, split it or put it back; what stops the search, or an empty string."""
+        search = self.search
         path = search.solve(node.choice, node.start)
-        count += 1
+        self.count += 1
         if path is None:
-            if perf_counter() > search.deadline:
-                return outcome("time_limit")
-            continue
+            return "time_limit" if perf_counter() > search.deadline else ""
         value, start = max(search.value(path), node.bound), (search.lp.basis(), len(node.choice))
-        if heap and value > heap[0].bound and not node.solved:
-            heapq.heappush(heap, Node(value, count, node.choice, start, True))
-            continue
+        if self.open and value > self.open[0].bound and not node.solved:
+            heapq.heappush(self.open, Node(value, self.count, node.choice, start, True))
+            return ""
         seen = search.look(path)
         lacking = search.lacking(path, seen)
-        if not lacking:
-            if value < top:
-                if search.confirmed(path, seen):
-                    best, top = path, search.value(path)
-                else:
-                    heapq.heappush(heap, Node(value, count, node.choice, start))  # solve it again
-            continue
+        if lacking:
+            self._split(node, path, lacking, value, start)
+        elif value < self.top:
+            if search.confirmed(path, seen):
+                self.best, self.top = path, search.value(path)
+            else:
+                heapq.heappush(self.open, Node(value, self.count, node.choice, start))  # solve it again
+        return ""
+
+    def _split(
+        self, node: Node, path: Candidate, lacking: Mapping[Key, float], value: float, start: tuple[Any, int]
+    ) -> None:
         # the goal's disjunctions first, then the cells where most is lacking
         new = sorted(lacking, key=lambda key: (key[0] >= 0, -lacking[key]))
-        bounds = search.bounds(path, new[:LOOK_AT])
-        splits += 1
-        children, least = split(bounds, value, cut())
-        dropped = min(dropped, least)
+        children, least = split(self.search.bounds(path, new[:LOOK_AT]), value, self.cut)
+        self.splits += 1
+        self.dropped = min(self.dropped, least)
         for at_least, more in children:
-            heapq.heappush(heap, Node(at_least, count, {**node.choice, **more}, start))
-        if splits % (DIVE_EVERY if best is not None else DIVE_EVERY_WANTING) == 0:
-            found = search.dive(path.choice)
-            found = search.improve(found) if found is not None else None
-            if found is not None and found.short == 0 and search.value(found) < top:
-                best, top = found, search.value(found)
-    bound = top
-    return outcome("infeasible" if best is None else "optimal")
+            heapq.heappush(self.open, Node(at_least, self.count, {**node.choice, **more}, start))
+        if self.splits % (DIVE_EVERY if self.best is not None else DIVE_EVERY_WANTING) == 0:
+            found = self.search.dive(path.choice)
+            found = self.search.improve(found) if found is not None else None
+            if found is not None and found.short == 0 and self.search.value(found) < self.top:
+                self.best, self.top = found, self.search.value(found)
 
 
 def split(

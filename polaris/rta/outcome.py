@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from ..model.distances import count_switches, mode_shares
 from ..model.system import Array
 from ..simulation.intervals import mean_interval, possible, violation_interval
-from ..simulation.run_metrics import Metrics, Runs, evaluate
+from ..simulation.metrics import Metrics
+from ..simulation.run_metrics import Runs, evaluate
 from .flight import Conditions, Flight
 from .method import FILTERED, Claim
 from .scene import Scene

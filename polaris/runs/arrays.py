@@ -63,11 +63,11 @@ def write_tubes(path: Path, schedule: Schedule) -> None:
     """
     safety = schedule.safety
     q = safety.tracking.feedback.nodes_per_cell
-    width = max(step.flight.nodes.order_count for step in schedule.steps)
-    error = np.stack([step.flight.nodes.c for step in schedule.steps])
+    width = max(step.tube.nodes.order_count for step in schedule.steps)
+    error = np.stack([step.tube.nodes.c for step in schedule.steps])
     generators = np.zeros((*error.shape, width))
     for k, step in enumerate(schedule.steps):
-        generators[k, ..., : step.flight.nodes.order_count] = step.flight.nodes.G
+        generators[k, ..., : step.tube.nodes.order_count] = step.tube.nodes.G
     start = schedule.times[:-1, None]
     np.savez(
         path,
@@ -76,7 +76,7 @@ def write_tubes(path: Path, schedule: Schedule) -> None:
         center=error + safety.reference.fine(q)[: len(error)],
         center_error=error,
         generators=generators,
-        bow=np.stack([step.flight.bow for step in schedule.steps]),
+        bow=np.stack([step.tube.bow for step in schedule.steps]),
         final_center_error=schedule.final.c,
         final_generators=schedule.final.G,
     )

@@ -15,7 +15,7 @@ from ..model.system import (Array)
 from ..model.timed_polytope import (TimedPolytope)
 from ..model.tolerances import (ROUNDING)
 from ..synthesis.clearance import (error_tube)
-from ..synthesis.controllers import (AffineController, Controller, Flight)
+from ..synthesis.controllers import AffineController, Controller, TubeSegment
 from ..synthesis.get_safety import (Safety)
 from ..synthesis.schedule import (Schedule, Step, assumed)
 from ..certificate.document import (FORMAT, VERSION, canonical, digest)
@@ -167,9 +167,9 @@ def _bounds(safety: Safety) -> dict[str, Any]:
 def _enclosures(schedule: Schedule) -> dict[str, Any]:
     """Boxes around the errors at the start of every step and at T, and around the states during steps."""
     safety = schedule.safety
-    sets = [safety.start, *(step.flight.end for step in schedule.steps)]
+    sets = [safety.start, *(step.tube.end for step in schedule.steps)]
     arcs = safety.reference.fine(safety.clearance.q)
-    hulls = [_hull(step.flight, arcs[k], safety, k) for k, step in enumerate(schedule.steps)]
+    hulls = [_hull(step.tube, arcs[k], safety, k) for k, step in enumerate(schedule.steps)]
     center, half = np.array([z.c for z in sets]), np.array([z.half_widths for z in sets])
     lower, upper = np.array([low for low, _ in hulls]), np.array([high for _, high in hulls])
     # Errors are differences of states: they are rounded as the states are, however small they are.
@@ -187,11 +187,11 @@ def _enclosures(schedule: Schedule) -> dict[str, Any]:
 
 def _slopes(step: Step) -> list[Any] | None:
     """Slopes of the bands about a clipped command, by period; None if nothing clips."""
-    slopes = step.flight.slopes
+    slopes = step.tube.slopes
     return None if slopes is None else hexadecimal(slopes)
 
 
-def _hull(flight: Flight, arc: Array, safety: Safety, k: int) -> tuple[Array, Array]:
+def _hull(flight: TubeSegment, arc: Array, safety: Safety, k: int) -> tuple[Array, Array]:
     """Lowest and highest of every state over one step: nodes, what happens between them, the arc's bow."""
     system, h = safety.problem.system, safety.tracking.flow.h
     rate = arc[:-1] @ system.A.T + safety.reference.nu[k] @ system.B.T

@@ -13,6 +13,7 @@ from ..model.errors import ScenarioError
 from .arrays import read_arrays
 from ..model.version import versions
 from ..inspection.enmt import (semi_axes, velocity_error)
+from ..inspection.filters.fuel import FuelLimit
 from ..inspection.flights.fuel_run import (FuelRun, Prediction, fly_fuel_limit)
 from ..inspection.inspection import Inspection
 from ..inspection.flights.primary import (LQR, Phases)
@@ -59,17 +60,9 @@ def fly_fuel_scenario(scenario: InspectionScenario) -> FuelRun:
     assert isinstance(model, FuelLimitModel)
     q, flight = scenario.inspection(), model.flight
     shown = np.linspace(0, flight.duration_s, model.fuel.predictions + 1)[:-1]
-    return fly_fuel_limit(
-        q,
-        there_and_back(q, model),
-        model.initial_state,
-        flight.duration_s,
-        flight.period_s,
-        backup_law(scenario),
-        model.fuel.keep_clear,
-        model.fuel.spent_m_s,
-        shown.tolist(),
-    )
+    filtering = FuelLimit(q, backup_law(scenario), model.fuel.keep_clear, spent=model.fuel.spent_m_s)
+    primary = there_and_back(q, model)
+    return fly_fuel_limit(filtering, primary, model.initial_state, flight.duration_s, shown.tolist())
 
 
 def there_and_back(q: Inspection, model: FuelLimitModel) -> Phases:

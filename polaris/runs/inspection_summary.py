@@ -14,7 +14,13 @@ from ..inspection.constraints.allowable_set import allowable
 from ..rta.projection import (DESIRED, FAILED, FILTERED, SHORT)
 from ..inspection.flights.judge import (JudgedRun, Least)
 from ..scenario.inspection import InspectionScenario
-from ..scenario.filter_tables import DecentralizedFilter
+from ..inspection.filters.one_flight import BACKUP, UNPROVEN
+from ..scenario.filter_tables import (
+    BackupFilter,
+    BarrierFilter,
+    DecentralizedFilter,
+    ExplicitSimplexFilter,
+)
 from ..scenario.inspection_tables import InspectionModel
 from ..inspection.flights.simulation import InspectionRun
 
@@ -47,13 +53,16 @@ COLUMNS = (
     "violated_share",
 )
 
+SWITCHED = {"backup": BACKUP, "unproven": UNPROVEN}
+"""Answers that only filters with a backup controller give."""
+
 DEFINITIONS = {
     "constraints": "least value over the flight, at the start of every control period and at the instants "
     "between; negative is a violation",
     "violated_share": "share of those instants at which anyone violates it",
     "steps": "answers of the filter, one per deputy and period: desired, the input wanted; filtered, the "
     "nearest that satisfies all conditions; short, none does, and this violates them least; failed, no "
-    "answer, no thrust",
+    "answer, no thrust; backup, the backup controller's; unproven, not even this is known to be safe",
     "filter_seconds": "wall time of one answer for all deputies",
     "delta_v_m_s": "sum of the absolute thrusts over mass and time (eq. 25), per deputy",
 }
@@ -82,7 +91,7 @@ def summary(scenario: InspectionScenario, flown: JudgedRun, seconds: Mapping[str
             "kind": model.filter.kind,
             "sharing": model.filter.sharing if isinstance(model.filter, DecentralizedFilter) else None,
             "without": list(model.filter.without),
-            "sampled_data": model.filter.sampled_data,
+            "sampled_data": isinstance(model.filter, BarrierFilter) and model.filter.sampled_data,
         },
         "safe": bool(all(least.value >= 0 for least in flown.constraints.values())),
         "constraints": constraint_rows(flown.constraints),
@@ -131,6 +140,7 @@ def _row(name: str, meaning: str, unit: str, least: Least) -> dict[str, Any]:
 def steps(status: Any) -> dict[str, int]:
     """How many answers of each kind."""
     names = {"desired": DESIRED, "filtered": FILTERED, "short": SHORT, "failed": FAILED}
+    names |= {name: code for name, code in SWITCHED.items() if (status == code).any()}
     return {name: int((status == code).sum()) for name, code in names.items()}
 
 
@@ -155,7 +165,10 @@ def guarantee(scenario: InspectionScenario, flown: JudgedRun) -> dict[str, Any]:
         "first_missed_s": float(flown.run.t[missed[0]]) if len(missed) else None,
         "assumptions": [],
     }
-    if not model.filter.sampled_data:
+    spec = model.filter
+    if not isinstance(spec, BarrierFilter):
+        told |= _by_prediction(spec, flown.run)
+    elif not spec.sampled_data:
         told["reason"] = "the conditions are met at the start of each period only"
     elif shares:
         told["reason"] = "each deputy answers for a pair as if the other did not thrust"
@@ -169,3 +182,24 @@ def guarantee(scenario: InspectionScenario, flown: JudgedRun) -> dict[str, Any]:
         )
         told["assumptions"] = list(ASSUMPTIONS)
     return told
+
+
+def _by_prediction(spec: BackupFilter, run: InspectionRun) -> dict[str, Any]:
+    """What is claimed under a filter that falls back to a backup controller."""
+    if isinstance(spec, ExplicitSimplexFilter):
+        reason = "the barriers are looked at at instants, and what the backup controller does is not proven"
+        return {"reason": reason}
+    missed = np.flatnonzero((run.status == UNPROVEN).any(axis=1))
+    told: dict[str, Any] = {
+        "periods_covered": len(run.status) - len(missed),
+        "first_missed_s": float(run.t[missed[0]]) if len(missed) else None,
+    }
+    if len(missed):
+        return told | {"reason": "not even the backup's flight is proven to keep the constraints everywhere"}
+    if spec.without:
+        return told | {"reason": f"constraints left out: {', '.join(spec.without)}"}
+    reason = (
+        "phi1 to phi6 and phi9 to phi11 hold for all time: every period ends where the backup's flight is "
+        "predicted to its end and proven to keep them. Free flights (phi7, phi8) are not looked at"
+    )
+    return told | {"kind": "by_prediction", "reason": reason, "assumptions": list(ASSUMPTIONS)}

@@ -26,7 +26,7 @@ from ..model.version import versions
 from ..inspection.flights.outcome import Outcome
 from ..inspection.flights.outcome import Study as Filtering
 from .inspection import (InspectionFolder, write_folder)
-from ..inspection.constraints.sampled import SampledData
+from ..inspection.constraints.motion import SampledData
 from ..inspection.flights.sampling import initial_conditions
 from ..scenario.inspection import InspectionScenario
 from ..scenario.filter_tables import DecentralizedFilter

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from reach.sets.zonotope import Zonotope
 
-from ..model.obstacles import Obstacle
+from ..model.obstacle import Obstacle
 from ..model.system import Array, LinearSystem
 from ..planning.reference import Reference
 from .frame import Frame, directions
@@ -30,7 +30,7 @@ SLICES = 240
 
 @dataclass(frozen=True, eq=False)
 class TubePicture:
-    """Reachable set of the position, absolute: see `polaris.synthesis.controllers.Flight`.
+    """Reachable set of the position, absolute: see `polaris.synthesis.controllers.TubeSegment`.
 
     Attributes
     ----------
@@ -237,9 +237,9 @@ def tube_of(schedule: Schedule) -> TubePicture:
     C = schedule.safety.problem.system.position
     q = schedule.safety.tracking.feedback.nodes_per_cell
     xi = schedule.safety.reference.fine(q)[: len(schedule.steps)]
-    flown = [C @ step.flight.nodes for step in schedule.steps]
+    flown = [C @ step.tube.nodes for step in schedule.steps]
     together = Zonotope.stack(flown)
-    bow = np.stack([step.flight.bow @ np.abs(C).T for step in schedule.steps])
+    bow = np.stack([step.tube.bow @ np.abs(C).T for step in schedule.steps])
     return TubePicture(together.c + xi @ C.T, together.G, bow)
 
 

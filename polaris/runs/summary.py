@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..simulation.baselines import Flown
-from ..simulation.run_metrics import DEFINITIONS
+from ..simulation.metrics import (DEFINITIONS)
 from ..planning.problem import SOLVERS
 from ..scenario.scenario import Scenario
 from ..synthesis.schedule import Schedule

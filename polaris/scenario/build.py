@@ -21,7 +21,7 @@ from . import tables as models
 
 if TYPE_CHECKING:
     from ..model.obstacle import Obstacle
-    from ..planning.goals import Goal
+    from ..planning.goal import Goal
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,7 @@ from typing import Annotated, Literal, get_args
 
 from pydantic import Field
 
-from .fields import Flag, NonNegative, Real, ScenarioPart, Text, unit
+from .fields import Flag, NonNegative, Positive, Real, ScenarioPart, Text, Whole, unit
 
 Family = Literal[
     "chief_separation",
@@ -65,8 +65,8 @@ class StrengtheningTable(ScenarioPart):
 # -- the filter -------------------------------------------------------------------------------------
 
 
-class _Filter(ScenarioPart):
-    """What both kinds of filter share."""
+class BarrierFilter(ScenarioPart):
+    """What the barrier filters share."""
 
     without: tuple[Family, ...] = unit("-", "Kinds of constraint that are left out.", default=())
     sampled_data: Flag = unit(
@@ -84,13 +84,13 @@ class _Filter(ScenarioPart):
     )
 
 
-class CentralizedFilter(_Filter):
+class CentralizedFilter(BarrierFilter):
     """One quadratic program for the thrust of all deputies."""
 
     kind: Literal["centralized"] = unit("-", "One filter for all deputies.")
 
 
-class DecentralizedFilter(_Filter):
+class DecentralizedFilter(BarrierFilter):
     """One quadratic program per deputy: it knows where the others are, not what they will do."""
 
     kind: Literal["decentralized"] = unit("-", "A filter for each deputy.")
@@ -102,4 +102,68 @@ class DecentralizedFilter(_Filter):
     )
 
 
+class BackupFilter(ScenarioPart):
+    """What the filters share that fall back to a backup controller, which parks on a closed ellipse."""
+
+    without: tuple[Family, ...] = unit("-", "Kinds of constraint that are left out.", default=())
+    response_s: Positive = unit("s", "Time constant of the backup controller.", default=20.0)
+
+
+class _Switching(BackupFilter):
+    """A filter that passes the desired thrust as it is, or hands over to the backup."""
+
+    dwell_s: NonNegative = unit(
+        "s", "For so long all must have been at its release before a deputy is handed back.", default=30.0
+    )
+
+
+class _Predicting(BackupFilter):
+    """A filter that flies the backup controller ahead; it looks at all constraints but h7 and h8."""
+
+    horizon_s: Positive = unit(
+        "s", "Longest backup flight: all deputies must have settled by then.", default=600.0
+    )
+
+
+class ExplicitSimplexFilter(_Switching):
+    """Passes the desired thrust while every barrier stays at its margin."""
+
+    kind: Literal["explicit_simplex"] = unit("-", "The desired thrust or the backup's, by the barriers.")
+    margin: NonNegative = unit("unit of h", "Least value of every barrier for passing.", default=0.0)
+    release: NonNegative = unit(
+        "unit of h", "Least value of every barrier for handing back; at least the margin.", default=0.05
+    )
+    looks: Whole = unit(
+        "-", "Instants of the coming period at which the barriers are looked at.", default=2, ge=1, le=100
+    )
+
+
+class ImplicitSimplexFilter(_Switching, _Predicting):
+    """Passes the desired thrust while the backup flight after the period keeps the constraints for ever."""
+
+    kind: Literal["implicit_simplex"] = unit(
+        "-", "The desired thrust or the backup's, by the backup's flight."
+    )
+    release_distance_m: NonNegative = unit("m", "Least distances for handing back.", default=2.0)
+    release_speed_m_s: NonNegative = unit("m/s", "Least speeds to spare for handing back.", default=0.02)
+
+
+class ImplicitASIFFilter(_Predicting):
+    """The nearest thrust after which the backup flight keeps the constraints for ever."""
+
+    kind: Literal["implicit_asif"] = unit("-", "Barrier conditions on the backup's flight.")
+    rate_1_s: Positive = unit("1/s", "The function alpha of eq. 7 is this times the value.", default=0.1)
+
+
 Filter = Annotated[CentralizedFilter | DecentralizedFilter, Field(discriminator="kind")]
+"""Those of a Monte Carlo: they answer for many runs at once."""
+
+FlightFilter = Annotated[
+    CentralizedFilter
+    | DecentralizedFilter
+    | ExplicitSimplexFilter
+    | ImplicitSimplexFilter
+    | ImplicitASIFFilter,
+    Field(discriminator="kind"),
+]
+"""Those of one flight."""

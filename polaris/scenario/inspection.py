@@ -21,7 +21,7 @@ from ..inspection.inspection import Inspection
 from ..model.checks import counted
 from ..model.errors import ScenarioError
 from . import inspection_tables as models
-from .filter_tables import Alpha, DecentralizedFilter, Filter
+from .filter_tables import Alpha, FlightFilter
 from .inspection_rules import check
 from .overrides import parse_assignment, put
 from .reading import NOTHING, validate_as, write_toml
@@ -29,8 +29,8 @@ from .scenario import locate, read_scenario_file
 
 if TYPE_CHECKING:
     from ..inspection.constraints.families import Families
-    from ..inspection.filters.explicit import Centralized, Decentralized
     from ..inspection.flights.primary import Primary
+    from ..inspection.flights.simulation import BatchFilter
     from ..model.system import Array
 
 Model = models.InspectionModel | models.FuelLimitModel | models.MonteCarloModel
@@ -190,17 +190,11 @@ class InspectionScenario:
 
         return Families(self.inspection(), self.strengthening(), exact=True)
 
-    def filter(self, spec: Filter, period: float) -> Centralized | Decentralized:
+    def filter(self, spec: FlightFilter, period: float) -> BatchFilter:
         """The filter that a table describes."""
-        from ..inspection.constraints.families import Families
-        from ..inspection.constraints.sampled import SampledData
-        from ..inspection.filters.explicit import Centralized, Decentralized
+        from .filters import build_filter
 
-        sampled = SampledData(period, spec.sampled_data_share) if spec.sampled_data else None
-        families = Families(self.inspection(), self.strengthening(), spec.without, sampled)
-        if isinstance(spec, DecentralizedFilter):
-            return Decentralized(families, spec.sharing)
-        return Centralized(families)
+        return build_filter(spec, self.inspection(), self.strengthening(), period)
 
     def initial(self) -> tuple[Array, float]:
         """States of the deputies, shape (N, 6), and the angle of the sun [rad]."""

@@ -10,7 +10,7 @@ from ..inspection.inspection import Inspection
 from ..model.errors import ScenarioError
 from . import inspection_tables as models
 from .build import whole_parts
-from .filter_tables import FAMILY_NAMES
+from .filter_tables import FAMILY_NAMES, FlightFilter
 
 if TYPE_CHECKING:
     from ..inspection.constraints.families import Families
@@ -48,7 +48,9 @@ def _check_filters(scenario: InspectionScenario) -> None:
     """Build every filter once: the conditions between samples bound the control period."""
     model = scenario.model
     if isinstance(model, models.MonteCarloModel):
-        named = [(f"studies[{k}].filter", study.filter) for k, study in enumerate(model.studies)]
+        named: list[tuple[str, FlightFilter]] = [
+            (f"studies[{k}].filter", study.filter) for k, study in enumerate(model.studies)
+        ]
         table, period = "campaign", model.campaign.period_s
     else:
         assert isinstance(model, models.InspectionModel)

@@ -24,7 +24,7 @@ from .fields import (
     Whole,
     unit,
 )
-from .filter_tables import Filter, StrengtheningTable
+from .filter_tables import Filter, FlightFilter, StrengtheningTable
 
 MOST_PERIODS = 200_000
 """Most control periods of one flight."""
@@ -160,7 +160,7 @@ class InspectionModel(_Scene):
     strengthening: StrengtheningTable = unit(
         "-", "The functions alpha of eq. 7.", default_factory=StrengtheningTable
     )
-    filter: Filter = unit("-", "Who filters the primary controller's thrust.")
+    filter: FlightFilter = unit("-", "Who filters the primary controller's thrust.")
     initial: Initial = unit("-", "Where it starts.")
     flight: FlightTime = unit("-", "Length and control period.", default_factory=FlightTime)
     primary: Phases = unit("-", "Primary controllers, one after another.")

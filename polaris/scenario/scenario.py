@@ -29,11 +29,11 @@ from .tables import Planner, Recoverable, SampledFeedback, ScenarioModel, Schedu
 
 if TYPE_CHECKING:
     from ..model.obstacle import Obstacle
-    from ..planning.goals import Goal
+    from ..planning.goal import Goal
     from ..synthesis.controllers import Controller
     from ..synthesis.get_safety import Safety
     from ..synthesis.problem import Problem
-    from ..synthesis.synthesize import SwitchingRules
+    from ..synthesis.search import SwitchingRules
 
 INSPECTION_KINDS = ("inspection", "fuel_limit", "monte_carlo")
 """What `polaris.scenario.inspection` loads, by the key ``kind`` at the top of the file."""
@@ -223,7 +223,7 @@ class Scenario:
 
     def switching_rules(self) -> SwitchingRules:
         """Options of Algorithm 2."""
-        from ..synthesis.synthesize import SwitchingRules
+        from ..synthesis.search import SwitchingRules
 
         rules = self.schedule
         weights = tuple(spec.weight for spec in self.experimental_specs())

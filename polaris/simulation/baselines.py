@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from ..model.checks import of_kind
 from ..model.system import Array
 from ..synthesis.schedule import Schedule
-from .run_metrics import Metrics, Runs, evaluate
+from .metrics import Metrics
+from .run_metrics import Runs, evaluate
 from .simulate import simulate
 
 BATCH = 1000

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from functools import cached_property
+from collections.abc import Callable, Sequence
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,17 @@ from reach.numerics.linear import discretize
 from ..model.system import Array
 from ..synthesis.controllers import AffineController, AnyThrust, Controller
 from ..synthesis.schedule import Schedule
+
+
+def runge_kutta(rate: Callable[[int, Array], Array], x: Array, dt: float, first: Array) -> Array:
+    """State a step of dt [s] later by the classical scheme of fourth order.
+
+    `rate` is given how many half-steps have passed and the state there; `first` is its value at the start.
+    """
+    second = rate(1, x + dt / 2 * first)
+    third = rate(1, x + dt / 2 * second)
+    fourth = rate(2, x + dt * third)
+    return np.asarray(x + dt / 6 * (first + 2 * second + 2 * third + fourth))
 
 
 class Integrator:
@@ -93,15 +104,8 @@ class Integrator:
     def _stepped(self, number: int, k: int, x: Array, w: Array) -> tuple[Array, Array, Array, Array]:
         """Fly one cell step by step: under any law, clipped or not.
 
-        Returns
-        -------
-        states : ndarray, shape (q, R, n)
-            At the end of every period.
-        inputs : ndarray, shape (q, R, m)
-            Applied at the start of every period.
-        demanded : ndarray, shape (q, R)
-        spent : ndarray, shape (R,)
-            Sum over the steps of the 1-norm of the input.
+        Returned are states at the end of every period (q, R, n), inputs applied at its start (q, R, m), the
+        largest demand within it (q, R), and the sum over the steps of the 1-norm of the input (R,).
         """
         R, system, limit = len(x), self.system, self.system.u_max
         states, inputs = np.empty((self.q, R, system.n)), np.empty((self.q, R, system.m))
@@ -121,12 +125,8 @@ class Integrator:
             if self.sampled:
                 x = x @ Ad.T + u @ Bd.T + w[step] @ Dd.T
             else:
-                place = number, k, 2 * step
-                first = x @ system.A.T + u @ system.B.T + force
-                second = self.rate(*place, 1, x + self.dt / 2 * first, force)
-                third = self.rate(*place, 1, x + self.dt / 2 * second, force)
-                fourth = self.rate(*place, 2, x + self.dt * third, force)
-                x = x + self.dt / 6 * (first + 2 * second + 2 * third + fourth)
+                rate = partial(self.rate, number, k, 2 * step, force=force)
+                x = runge_kutta(rate, x, self.dt, x @ system.A.T + u @ system.B.T + force)
             spent += np.abs(u).sum(axis=1)
             states[node] = x
         return states, inputs, demanded, spent
@@ -140,48 +140,47 @@ class Integrator:
         law, limit = self.schedule.controllers[number], self.system.u_max
         if not isinstance(law, AffineController):
             return None
-        if self.sampled:
-            return self._held_unclipped(law, number, k, x, w) if self.substeps == 1 else None
-        loop, carried, pushed = self._scheme(number)
-        own = self.own.get(number, self.safe)[k]
-        places = [own[:-1:2], own[1::2], own[1::2], own[2::2]]  # of the law's reference, at the four stages
-        known = [(law.own.nu[k] + place @ law.gain.T) @ self.system.B.T for place in places]
-        forced = [
-            part[:, None] + w @ push for part, push in zip(self._stages(loop, known), pushed, strict=True)
-        ]
+        if self.sampled and self.substeps > 1:
+            return None
+        own = self.own.get(number, self.safe)[k]  # of the law's reference, at whole and half steps
+        scheme = self._held_scheme if self.sampled else self._runge_kutta_scheme
+        carried, forced, places = scheme(law, number, k, own, w)
         path = np.empty((len(w) + 1, *x.shape))
         path[0] = x
         for step in range(len(w)):
             path[step + 1] = path[step] @ carried[-1] + forced[-1][step]
         raw = law.own.nu[k] + (own[:-1:2, None] - path[:-1]) @ law.gain.T
-        if not np.all(np.abs(raw) <= limit):
-            return None
-        for i in (1, 2, 3):
-            inner = path[:-1] @ carried[i] + forced[i]
-            if not np.all(np.abs(law.own.nu[k] + (places[i][:, None] - inner) @ law.gain.T) <= limit):
-                return None
-        per_node = (np.abs(raw) / limit).max(axis=2).reshape(self.q, self.substeps, len(x))
-        spent = np.abs(raw).sum(axis=(0, 2))
-        return path[self.substeps :: self.substeps], raw[:: self.substeps], per_node.max(axis=1), spent
-
-    def _held_unclipped(
-        self, law: AffineController, number: int, k: int, x: Array, w: Array
-    ) -> tuple[Array, Array, Array, Array] | None:
-        """The same for inputs held over each step, which is then exact."""
-        Ad, Bd, Dd = self._held
-        limit = self.system.u_max
-        own = self.own.get(number, self.safe)[k][:-1:2]
-        forced = ((law.own.nu[k] + own @ law.gain.T) @ Bd.T)[:, None] + w @ Dd.T
-        carried = (Ad - Bd @ law.gain).T
-        path = np.empty((len(w) + 1, *x.shape))
-        path[0] = x
-        for step in range(len(w)):
-            path[step + 1] = path[step] @ carried + forced[step]
-        raw = law.own.nu[k] + (own[:, None] - path[:-1]) @ law.gain.T
         size = np.abs(raw)
         if not np.all(size <= limit):
             return None
-        return path[1:], raw, (size / limit).max(axis=2), size.sum(axis=(0, 2))
+        for i, place in enumerate(places):  # the stages within the steps
+            inner = path[:-1] @ carried[i] + forced[i]
+            if not np.all(np.abs(law.own.nu[k] + (place[:, None] - inner) @ law.gain.T) <= limit):
+                return None
+        per_node = (size / limit).max(axis=2).reshape(self.q, self.substeps, len(x)).max(axis=1)
+        return path[self.substeps :: self.substeps], raw[:: self.substeps], per_node, size.sum(axis=(0, 2))
+
+    def _held_scheme(
+        self, law: AffineController, number: int, k: int, own: Array, w: Array
+    ) -> tuple[list[Array], list[Array], list[Array]]:
+        """Inputs held over each step, which is exact: as `_runge_kutta_scheme`, without stages within."""
+        Ad, Bd, Dd = self._held
+        forced = ((law.own.nu[k] + own[:-1:2] @ law.gain.T) @ Bd.T)[:, None] + w @ Dd.T
+        return [(Ad - Bd @ law.gain).T], [forced], []
+
+    def _runge_kutta_scheme(
+        self, law: AffineController, number: int, k: int, own: Array, w: Array
+    ) -> tuple[list[Array], list[Array], list[Array]]:
+        """How the state enters the stages within a step and its end, what is added there, and the references.
+
+        The references are those of the stages within a step alone.
+        """
+        loop, carried, pushed = self._scheme(number)
+        places = [own[:-1:2], own[1::2], own[1::2], own[2::2]]
+        known = [(law.own.nu[k] + place @ law.gain.T) @ self.system.B.T for place in places]
+        stages = zip(self._stages(loop, known), pushed, strict=True)
+        forced = [part[:, None] + w @ push for part, push in stages]
+        return carried[1:], forced[1:], places[1:]
 
     def _scheme(self, number: int) -> tuple[Array, list[Array], list[Array]]:
         """Closed loop of a law, and how a state and a disturbance held over a step enter its stages."""

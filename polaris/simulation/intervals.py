@@ -16,19 +16,17 @@ POSSIBLE = {"experimental_share": (0.0, 1.0)} | dict.fromkeys(
 """Least and largest value of metrics that cannot have any; no confidence bound lies outside."""
 
 
-def violation_interval(violations: int, runs: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
+def violation_interval(violations: int, runs: int) -> tuple[float, float]:
     """Clopper and Pearson's two-sided interval on a probability.
 
     Parameters
     ----------
     violations, runs : int
         How many of how many.
-    confidence : float
-        In (0, 1).
     """
     from scipy.stats import binomtest
 
-    found = binomtest(violations, runs).proportion_ci(confidence)
+    found = binomtest(violations, runs).proportion_ci(CONFIDENCE)
     return float(found.low), float(found.high)
 
 
@@ -39,7 +37,7 @@ def possible(metric: str, difference: bool = False) -> tuple[float, float]:
 
 
 def mean_interval(
-    values: Array, confidence: float = CONFIDENCE, within: tuple[float, float] = (-np.inf, np.inf)
+    values: Array, within: tuple[float, float] = (-np.inf, np.inf)
 ) -> tuple[float, float | None, float | None]:
     """Mean of some runs and Student's t interval about it; no interval for a single run.
 
@@ -47,8 +45,6 @@ def mean_interval(
     ----------
     values : ndarray, shape (R,)
         Finite.
-    confidence : float
-        In (0, 1).
     within : (float, float)
         Values that are possible at all (`possible`): the interval is cut to them.
     """
@@ -57,12 +53,12 @@ def mean_interval(
     mean = float(values.mean())
     if len(values) < 2:
         return mean, None, None
-    half = float(t.ppf((1 + confidence) / 2, len(values) - 1) * values.std(ddof=1) / np.sqrt(len(values)))
+    half = float(t.ppf((1 + CONFIDENCE) / 2, len(values) - 1) * values.std(ddof=1) / np.sqrt(len(values)))
     return mean, max(mean - half, within[0]), min(mean + half, within[1])
 
 
-def lower_bound(successes: int, runs: int, confidence: float = CONFIDENCE) -> float:
+def lower_bound(successes: int, runs: int) -> float:
     """Clopper and Pearson's lower bound on a probability of success, one-sided."""
     from scipy.stats import binomtest
 
-    return float(binomtest(successes, runs, alternative="greater").proportion_ci(confidence).low)
+    return float(binomtest(successes, runs, alternative="greater").proportion_ci(CONFIDENCE).low)

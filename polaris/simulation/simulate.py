@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from ..model.checks import of_kind, whole
+from ..model.checks import of_kind, one_of, whole
 from ..model.errors import ScenarioError
 from ..model.system import Array
 from ..synthesis.schedule import Schedule
@@ -61,16 +61,7 @@ def simulate(
     Feedback is integrated by a fourth-order Runge-Kutta scheme on the exact reference (continuous
     feedback) or by exact zero-order hold (sampled feedback). Thrusters clip every command.
     """
-    of_kind("schedule", schedule, Schedule, "polaris.synthesize")
-    whole("simulation.runs", n, 1)
-    whole("simulation.seed", seed, 0)
-    for name, given, allowed in (("initial", initial, INITIALS), ("disturbance", disturbance, DISTURBANCES)):
-        if given not in allowed:
-            raise ScenarioError(f"simulation.{name}", given, f"must be one of {', '.join(allowed)}")
-    if mode is not None and whole("simulation.mode", mode, 0) >= len(schedule.controllers):
-        raise ScenarioError("simulation.mode", mode, f"must be below {len(schedule.controllers)}")
-    if substeps is not None:
-        whole("simulation.substeps", substeps, 1)
+    _check(schedule, n, seed, mode, initial, disturbance, substeps)
     rng = np.random.default_rng(seed)
     safety = schedule.safety
     cells = safety.reference.cells if tail else safety.problem.K
@@ -89,6 +80,26 @@ def simulate(
     return Runs(schedule, times, states, inputs, demanded, delta_v, modes)
 
 
+def _check(
+    schedule: Schedule,
+    n: int,
+    seed: int,
+    mode: int | None,
+    initial: str,
+    disturbance: str,
+    substeps: int | None,
+) -> None:
+    of_kind("schedule", schedule, Schedule, "polaris.synthesize")
+    whole("simulation.runs", n, 1)
+    whole("simulation.seed", seed, 0)
+    one_of("simulation.initial", initial, INITIALS)
+    one_of("simulation.disturbance", disturbance, DISTURBANCES)
+    if mode is not None and whole("simulation.mode", mode, 0) >= len(schedule.controllers):
+        raise ScenarioError("simulation.mode", mode, f"must be below {len(schedule.controllers)}")
+    if substeps is not None:
+        whole("simulation.substeps", substeps, 1)
+
+
 def initial_states(schedule: Schedule, n: int, rng: np.random.Generator, initial: Initial) -> Array:
     """States drawn from Theta, shape (n, states); ``mixed`` takes corners for half of them."""
     theta = schedule.safety.problem.initial_set
@@ -99,6 +110,3 @@ def initial_states(schedule: Schedule, n: int, rng: np.random.Generator, initial
         count = n if initial == "corners" else n - n // 2
         b[:count] = np.where(b[:count] < 0, -1.0, 1.0)
     return np.asarray(theta.c + b @ theta.G.T)
-
-
-__all__ = ["Runs", "simulate"]

@@ -14,7 +14,8 @@ from ..model.system import Array
 from ..model.tolerances import ROUNDING
 from .clearance import Clearance
 from .error_bounds import ErrorBounds
-from .recoverable import Margin, grow_bow, left
+from .recoverable import Margin, left
+from .tracking import at_nodes
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,8 +107,8 @@ class BallSets:
         )
 
     def margin(self, k: int, nodes: Zonotope, bow: Array) -> Margin:
-        """Margin of a flight over cell k."""
-        extra = np.linalg.norm(grow_bow(bow) @ np.abs(self.bounds.W).T, axis=-1)
+        """Margin of a tube over cell k."""
+        extra = np.linalg.norm(at_nodes(bow) @ np.abs(self.bounds.W).T, axis=-1)
         return self._margins(k, (nodes.norm_bound(self.bounds.W) + extra) * (1 + ROUNDING))
 
     def margin_at(self, k: int, start: Zonotope) -> Margin:

@@ -8,14 +8,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from reach.numerics.linear import growth
 from reach.sets.zonotope import Zonotope
 
 from ..model.system import Array
 from ..model.timed_polytope import TimedPolytope
 from ..model.tolerances import ROUNDING
 from ..planning.reference import Reference
-from .tracking import Tracking
+from .tracking import Tracking, at_nodes
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +99,21 @@ class Clearance:
     facets: NDArray[np.int_]
     planned: int
     jump: Array
+
+    @classmethod
+    def along(
+        cls,
+        reference: Reference,
+        tracking: Tracking,
+        unsafe: tuple[TimedPolytope, ...],
+        start: Zonotope,
+        planned: int,
+        jump: Array,
+    ) -> Clearance:
+        """Room along a reference, by the facets that leave most beyond S's tube from a set of errors."""
+        return cls(
+            tracking, reference, unsafe, best_facets(tracking, reference, unsafe, start), planned, jump
+        )
 
     @property
     def q(self) -> int:
@@ -191,10 +205,8 @@ def facet_room(
     system, h = tracking.system, reference.delta / q
     nodes = reference.fine(q) if nodes is None else nodes
     cells = reference.cells
-    rate = nodes[:, :-1] @ system.A.T + (reference.nu @ system.B.T)[:, None, :]
-    grown = np.abs(rate) @ growth(system.A, h).T
-    bow = h**2 / 8 * grown @ np.abs(unsafe.normals @ system.position @ system.A).T  # (cells, q, F)
-    bow = np.maximum(np.pad(bow, ((0, 0), (0, 1), (0, 0))), np.pad(bow, ((0, 0), (1, 0), (0, 0))))
+    across = np.abs(unsafe.normals @ system.position @ system.A)
+    bow = at_nodes(h**2 / 8 * reference.rates(nodes) @ across.T)
     distance = (nodes @ system.position.T) @ unsafe.normals.T - unsafe.fine(q)[:cells]
     size = np.abs(nodes @ system.position.T).sum(axis=-1, keepdims=True) + np.abs(unsafe.fine(q)[:cells])
     return np.asarray(distance - bow - ROUNDING * size)

@@ -6,30 +6,29 @@ safe reference, so that its tube is compared with the recoverable sets directly.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 
-from reach.numerics.linear import powers
 from reach.sets.zonotope import Zonotope
 from reach.tubes.flow import LinearFlow
 
-from ..model.errors import ScenarioError
 from ..model.system import Array, LinearSystem
 from ..model.tolerances import ROUNDING
 from ..planning.reference import Reference
-from . import intersample as between
+from .affine_law import AffineLaw
+from .intersample import affine_bow, clipped_bow
 from .saturation import clipped_step
-from .tracking import Feedback, Tracking
+from .tracking import Tracking, at_nodes
 
 ORDER = 6.0
 """Generators per dimension kept at the end of a step; what is merged has decayed by then."""
 
 
 @dataclass(frozen=True, eq=False)
-class Flight:
+class TubeSegment:
     """Reachable set of one controller over one planning step, sound in continuous time.
 
     Attributes
@@ -63,7 +62,7 @@ class Controller(Protocol):
         """Name in tables and figures."""
         ...
 
-    def fly(self, start: Zonotope, k: int) -> Flight:
+    def fly(self, start: Zonotope, k: int) -> TubeSegment:
         """Reachable set over step k from a set in error coordinates."""
         ...
 
@@ -77,7 +76,7 @@ class Controller(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class AffineController:
+class AffineController(AffineLaw):
     """``u = mu_U(t) + Lambda_U (xi_U(t) - x)``, unlimited or clipped to the thrust limits.
 
     With ``clips=False`` the command itself must respect the limits: where the tube shows that it
@@ -95,73 +94,14 @@ class AffineController:
     reference : Reference
         The safe reference, on which the error coordinates rest.
     own : Reference
-        The controller's own reference (the same object if shared), on the same steps.
+        The law's own reference (the same object if shared), on the same steps.
     tracking : Tracking
         The safety tracker (for switches between nodes).
     clips : bool
         Whether commands beyond the limits are part of the model.
     """
 
-    name: str
-    system: LinearSystem
-    gain: Array
-    reference: Reference
-    own: Reference
-    tracking: Tracking
-    clips: bool = False
-    _cache: dict[bytes, LinearFlow] = field(default_factory=dict, repr=False)
-
-    def __post_init__(self) -> None:
-        shape = (self.system.m, self.system.n)
-        if np.shape(self.gain) != shape or not np.all(np.isfinite(self.gain)):
-            raise ScenarioError(f"{self.name}.gain", np.shape(self.gain), f"must be finite, of shape {shape}")
-        if self.own.delta != self.reference.delta:
-            rule = f"must have steps of {self.reference.delta:g} s, as the safe reference has"
-            raise ScenarioError(f"{self.name}.own", self.own.delta, rule)
-
-    @property
-    def feedback(self) -> Feedback:
-        """Continuous or sampled, as the safety controller."""
-        return self.tracking.feedback
-
-    @cached_property
-    def flow(self) -> LinearFlow:
-        """Error dynamics about the controller's own reference, unsaturated."""
-        return self.feedback.flow(self.system, self.gain, self.reference.delta)
-
-    @cached_property
-    def _powers(self) -> Array:
-        return powers(self.flow.phi, self.feedback.nodes_per_cell)
-
-    @cached_property
-    def _disturbance(self) -> Zonotope:
-        return self.flow.disturbance_nodes(self.feedback.nodes_per_cell)
-
-    @cached_property
-    def offset(self) -> Array:
-        """``xi_U - xi`` at the nodes of every cell, shape (K, q+1, n)."""
-        q, cells = self.feedback.nodes_per_cell, min(self.own.cells, self.reference.cells)
-        return self.own.fine(q)[:cells] - self.reference.fine(q)[:cells]
-
-    @cached_property
-    def period_box(self) -> Array:
-        """Elementwise bound on what the disturbance adds within a period, shape (n,).
-
-        Whatever the law does meanwhile: unclipped, clipped (the clip has slope at most 1, so nothing
-        grows faster than ``|A| + |B| |Lambda_U|`` lets it), or giving way to S at any instant.
-        """
-        if self.feedback.sampled:
-            return self.flow.period_box
-        fastest = np.maximum(np.abs(self.flow.A_c), np.abs(self.tracking.flow.A_c))
-        if self.clips:
-            fastest = np.maximum(fastest, np.abs(self.system.A) + np.abs(self.system.B) @ np.abs(self.gain))
-        return LinearFlow.continuous(fastest, self.system.D, self.system.w_max, self.flow.h).period_box
-
-    def command(self, k: int, xi: Array, own: Array, x: Array) -> Array:
-        """Thrust command before clipping, shape (..., m)."""
-        return np.asarray(self.own.nu[k] + (own - x) @ self.gain.T)
-
-    def fly(self, start: Zonotope, k: int) -> Flight:
+    def fly(self, start: Zonotope, k: int) -> TubeSegment:
         """Reachable set over step k.
 
         Where the tube of the unclipped law stays within the thrust limits, the clipped law is the
@@ -169,27 +109,26 @@ class AffineController:
         """
         zeta = self.offset[k]
         d = start - zeta[0]
-        nodes = self._powers @ d + self._disturbance
-        bow = between.affine_bow(self, nodes[:-1], k)
+        nodes = self.powers @ d + self.disturbance
+        bow = affine_bow(self, nodes[:-1], k)
         excess, axis = self._over_limit(nodes, bow, k)
         refused, slopes = "", None
         if excess > 0 and self.clips:
             nodes, slopes = self._clipped_nodes(d, k)
-            bow = between.clipped_bow(self, nodes[:-1], k)
+            bow = clipped_bow(self, nodes[:-1], k)
         elif excess > 0:
             refused = f"its command may exceed the limit of {self.system.input_names[axis]} by {excess:.3g}"
         # The two references are stored states: what separates them is known up to their round-off.
         bow = bow + self.reference.rounding[k] + self.own.rounding[k]
         error = nodes + zeta
         end = error[-1].inflate(self.reference.rounding[k] + self.own.rounding[k])
-        return Flight(error, bow, end.reduce(ORDER), refused, slopes)
+        return TubeSegment(error, bow, end.reduce(ORDER), refused, slopes)
 
     def _over_limit(self, nodes: Zonotope, bow: Array, k: int) -> tuple[float, int]:
         """By how much the unclipped command may exceed the limits in the step [N], and on which axis."""
         centre = self.own.nu[k] - nodes.c @ self.gain.T
         spread = np.abs(self.gain @ nodes.G).sum(axis=-1)
-        booked = np.maximum(np.pad(bow, ((0, 1), (0, 0))), np.pad(bow, ((1, 0), (0, 0))))
-        spread += booked @ np.abs(self.gain).T
+        spread += at_nodes(bow) @ np.abs(self.gain).T
         excess = (np.abs(centre) + spread) * (1 + ROUNDING) - self.system.u_max
         return float(excess.max()), int(np.argmax(excess.max(axis=0)))
 
@@ -200,11 +139,6 @@ class AffineController:
             nodes.append(node)
             slopes.append(slope)
         return Zonotope.stack(nodes), np.array(slopes)
-
-    @cached_property
-    def open_flow(self) -> LinearFlow:
-        """Motion under a known input: what bounds a clipped law before its command is known."""
-        return LinearFlow.continuous(self.system.A, self.system.D, self.system.w_max, self.flow.h)
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,7 +170,7 @@ class AnyThrust:
         direction = -(x @ self.system.position.T) @ self.system.position @ self.system.A @ self.system.B
         return np.asarray(np.sign(direction) * self.system.u_max)
 
-    def fly(self, start: Zonotope, k: int) -> Flight:
+    def fly(self, start: Zonotope, k: int) -> TubeSegment:
         """Reachable set over step k under every input within the limits."""
         push = self._push
         step = -(self.flow.input_map(self.system.B) @ self.reference.nu[k])
@@ -252,7 +186,7 @@ class AnyThrust:
             self.flow.bow(stack[:-1]) + self.flow.h**2 / 8 * np.abs(self.system.A) @ self.flow.growth @ drift
         )
         bow = bent + self.flow.period_box + self.tracking.flow.period_box
-        return Flight(stack, bow, nodes[-1].inflate(self.reference.rounding[k]).reduce(ORDER))
+        return TubeSegment(stack, bow, nodes[-1].inflate(self.reference.rounding[k]).reduce(ORDER))
 
 
 def construct_s(tracking: Tracking, reference: Reference) -> AffineController:

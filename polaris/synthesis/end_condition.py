@@ -32,14 +32,11 @@ class EndCondition:
         Last instant covered [s]; infinite, T + one period, or T.
     reason : str
         Why the claim holds, or why it does not.
-    retry : bool
-        Whether a reference constrained to end safely might prove more.
     """
 
     horizon: str
     until: float
     reason: str
-    retry: bool = False
 
     @property
     def proven(self) -> bool:
@@ -111,16 +108,8 @@ def judge_end(
     tail: int,
     sets: tuple[TimedPolytope, ...],
     start: Margin,
-    jump: Array,
 ) -> EndCondition:
-    """Decide what is proven after T from the margin of Theta with the tail included.
-
-    Parameters
-    ----------
-    start : Margin
-        Margin of Theta in the first recoverable set, which includes every limit up to the end of
-        the tail.
-    """
+    """Decide what is proven after T from the margin `start` of Theta, every limit of the tail included."""
     T, delta = planned * tracking.delta, tracking.delta
     until = (planned + tail) * delta
     if not start.inside:

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from reach.numerics.linear import powers
 
+from ..model.checks import one_of
 from ..model.errors import ScenarioError
 from ..model.system import Array
 from ..model.tolerances import ROUNDING
@@ -71,8 +72,7 @@ def get_err_bounds(
     ScenarioError
         If the method is unknown or the weight is singular.
     """
-    if method not in ("envelope", "lyapunov"):
-        raise ScenarioError("tracking.bound", method, "must be 'envelope' or 'lyapunov'")
+    one_of("tracking.bound", method, ("envelope", "lyapunov"))
     flow, system = tracking.flow, tracking.system
     W = _weight(tracking, weight)
     inverse = np.asarray(np.linalg.inv(W), dtype=float)

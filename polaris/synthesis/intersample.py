@@ -1,4 +1,4 @@
-"""What a flight does between its nodes: elementwise bounds for `Flight.bow`.
+"""What a flight does between its nodes: elementwise bounds for `TubeSegment.bow`.
 
 Under continuous feedback two things are bounded at once: the path itself, and the curve
 ``y(t)`` of where the error ends up at the next node if S takes over at t (docs/theory.md, Lemma 5).
@@ -7,17 +7,13 @@ Under sampled feedback S can only take over at a node.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from reach.sets.zonotope import Zonotope
 
 from ..model.system import Array
+from .affine_law import AffineLaw
 from .saturation import clipped_motion
-
-if TYPE_CHECKING:
-    from .controllers import AffineController
 
 
 def _size(z: Zonotope) -> Array:
@@ -25,82 +21,60 @@ def _size(z: Zonotope) -> Array:
     return np.asarray(np.abs(z.c) + z.half_widths)
 
 
-def affine_bow(law: AffineController, start: Zonotope, k: int) -> Array:
-    """Bow of an unclipped flight after each node, shape (q, n).
+def affine_bow(law: AffineLaw, start: Zonotope, k: int) -> Array:
+    """Bow of an unclipped tube after each node, shape (q, n).
 
-    Parameters
-    ----------
-    law : AffineController
-    start : Zonotope
-        Stack of q sets: the states about the law's own reference at the nodes.
-    k : int
-        Planning step.
+    `start` is a stack of q sets, the states about the law's own reference at the nodes; k the planning step.
     """
     flow, safe = law.flow, law.tracking
     image = flow.A_c @ start
     if law.feedback.sampled:
-        rate = _size(image) @ law.open_flow.growth.T
-        path = rate @ np.abs(law.system.A).T
-        return _book(law, path + _own_curvature(law, k))
+        return _bow(law, k, _size(image) @ law.open_flow.growth.T @ np.abs(law.system.A).T)
     rate = _size(image) @ flow.growth.T
     path = _size(flow.A_c @ image) @ flow.growth.T
     difference = safe.gain - law.gain
     known = law.own.nu[k] - law.reference.nu[k] + law.offset[k][:-1] @ safe.gain.T
     inputs = np.abs(known + start.c @ difference.T) + np.abs(difference @ start.G).sum(axis=-1)
-    slope = rate @ np.abs(difference).T
-    switch = _switch(law, inputs, slope, k)
-    return _book(law, np.maximum(path + _own_curvature(law, k), switch))
+    return _bow(law, k, path, _switch(law, inputs, rate @ np.abs(difference).T, k))
 
 
-def clipped_bow(law: AffineController, start: Zonotope, k: int) -> Array:
-    """Bow of a flight whose command may be clipped, shape (q, n); arguments as `affine_bow`."""
+def clipped_bow(law: AffineLaw, start: Zonotope, k: int) -> Array:
+    """Bow of a tube whose command may be clipped, shape (q, n); arguments as `affine_bow`."""
     system, safe, mu = law.system, law.tracking, law.own.nu[k]
     extent = _size(start)
     command = _size(law.gain @ start) + np.maximum(np.abs(mu) - system.u_max, 0)
     if law.feedback.sampled:
         push = np.minimum(command, system.u_max + np.abs(mu))
         rate = (_size(system.A @ start) + push @ np.abs(system.B).T) @ law.open_flow.growth.T
-        path = rate @ np.abs(system.A).T
-        return _book(law, path + _own_curvature(law, k))
+        return _bow(law, k, rate @ np.abs(system.A).T)
     moved, push = clipped_motion(law, extent, command, mu)
     rate = (extent + moved) @ np.abs(system.A).T + push @ np.abs(system.B).T
     path = rate @ (np.abs(system.A) + np.abs(system.B) @ np.abs(law.gain)).T
     known = mu - law.reference.nu[k] + law.offset[k][:-1] @ safe.gain.T
     inputs = np.abs(known) + push + _size(safe.gain @ start)
-    slope = rate @ (np.abs(safe.gain) + np.abs(law.gain)).T
-    switch = _switch(law, inputs, slope, k)
-    return _book(law, np.maximum(path + _own_curvature(law, k), switch))
+    return _bow(law, k, path, _switch(law, inputs, rate @ (np.abs(safe.gain) + np.abs(law.gain)).T, k))
 
 
-def _own_rate(law: AffineController, k: int) -> Array:
+def _bow(law: AffineLaw, k: int, path: Array, switch: Array | float = 0.0) -> Array:
+    """``h^2/8`` times the curvature of path and zeta, or of a switch; and the disturbance of a period."""
+    own = _own_rate(law, k) @ np.abs(law.system.A).T  # |zeta''|
+    return np.asarray(law.flow.h**2 / 8 * np.maximum(path + own, switch) + law.period_box)
+
+
+def _own_rate(law: AffineLaw, k: int) -> Array:
     """``|zeta'|`` over each period, for ``zeta = xi_U - xi``, shape (q, n)."""
     system = law.system
     push = (law.own.nu[k] - law.reference.nu[k]) @ system.B.T
     return np.asarray(np.abs(law.offset[k][:-1] @ system.A.T + push) @ law.open_flow.growth.T)
 
 
-def _own_curvature(law: AffineController, k: int) -> Array:
-    """``|zeta''|`` over each period, shape (q, n)."""
-    return np.asarray(_own_rate(law, k) @ np.abs(law.system.A).T)
-
-
-def _switch(law: AffineController, inputs: Array, slope: Array, k: int) -> Array:
+def _switch(law: AffineLaw, inputs: Array, slope: Array, k: int) -> Array:
     """``|y''| = |e^{A_c (t1 - t)} (B Delta' - A_c B Delta)|``, Delta the difference of U's input and S's.
 
-    Parameters
-    ----------
-    inputs : ndarray, shape (q, m)
-        Bound on ``|Delta|`` at the nodes.
-    slope : ndarray, shape (q, m)
-        Bound on ``|Delta'|`` over the periods, but for the share of zeta.
+    Bounds, shape (q, m): `inputs` on ``|Delta|`` at the nodes, `slope` on ``|Delta'|`` but for zeta's share.
     """
     system, safe = law.system, law.tracking
     slope = slope + _own_rate(law, k) @ np.abs(safe.gain).T
     inputs = inputs + law.flow.h * slope
     inner = slope @ np.abs(system.B).T + inputs @ np.abs(safe.flow.A_c @ system.B).T
     return np.asarray(inner @ safe.flow.growth.T)
-
-
-def _book(law: AffineController, curvature: Array) -> Array:
-    """``h^2/8`` times the curvature, and what the disturbance adds within a period."""
-    return np.asarray(law.flow.h**2 / 8 * curvature + law.period_box)

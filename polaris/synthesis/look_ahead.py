@@ -53,14 +53,10 @@ class _Path:
 
 @dataclass(frozen=True, eq=False)
 class LookAhead:
-    """The search.
+    """The search, for K steps from a set.
 
     Parameters
     ----------
-    start : Zonotope
-        Set at the beginning.
-    K : int
-        Number of steps.
     prove : callable
         See `Prove`.
     size : callable

@@ -13,7 +13,8 @@ from reach.sets.zonotope import Zonotope
 from ..model.system import Array
 from ..model.tolerances import ROUNDING
 from .clearance import Clearance
-from .recoverable import Margin, grow_bow, left
+from .recoverable import Margin, left
+from .tracking import at_nodes
 
 COARSE = (0.5, 0.05)
 """Shares of the room up to which a bound by the norm stands for what a set needs, tried in this order."""
@@ -215,8 +216,8 @@ class PolytopeSets:
         return Margin(worst, self.names[limit0], time, *found)
 
     def margin(self, k: int, nodes: Zonotope, bow: Array) -> Margin:
-        """Margin of a flight over cell k."""
-        grown, W = grow_bow(bow), self.clearance.tracking.W
+        """Margin of a tube over cell k."""
+        grown, W = at_nodes(bow), self.clearance.tracking.W
         # States between two nodes, and those of a switch there, are as large as the larger node's.
         radius = float(np.max(nodes.norm_bound(W) + np.linalg.norm(grown @ np.abs(W).T, axis=-1)))
         return self._margins(k * self.clearance.q, nodes, grown, radius)

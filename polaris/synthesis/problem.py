@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 from numpy.typing import ArrayLike
 
 from reach.sets.zonotope import Zonotope
 
-from ..model.checks import MAX_STEPS, non_negative, number, positive, whole
+from ..model.checks import MAX_STEPS, non_negative, number, one_of, positive, whole
 from ..model.errors import ScenarioError
 from ..model.system import Array, LinearSystem
-from ..planning.goals import Goal
+from ..planning.goal import Goal
 from ..planning.problem import Objective, PlannerOptions
 
 RECOVERABLE_KINDS = ("polytope", "time_varying_ball", "ball", "paper_ball")
@@ -99,6 +100,41 @@ class Problem:
         non_negative("extra_margin", self.extra_margin, "m")
         if not 0 <= number("thrust_reserve", self.thrust_reserve) < 1:
             raise ScenarioError("thrust_reserve", self.thrust_reserve, "must be in [0, 1)")
-        if self.recoverable not in RECOVERABLE_KINDS:
-            rule = f"must be one of {', '.join(RECOVERABLE_KINDS)}"
-            raise ScenarioError("recoverable", self.recoverable, rule)
+        one_of("recoverable", self.recoverable, RECOVERABLE_KINDS)
+
+
+ARGUMENTS = ("initial_set", "K", "delta", "Q", "R", "goal")
+"""What a bare system needs besides."""
+
+
+def as_problem(asked: Any, arguments: Mapping[str, Any], options: Mapping[str, Any]) -> Problem:
+    """What `get_safety` is asked, in any of its forms, as a `Problem`.
+
+    `arguments` are the positional ones but the first, by name, which only a bare system reads; `options`
+    further fields of `Problem`.
+    """
+    if callable(getattr(asked, "problem", None)):
+        asked = asked.problem()
+    if isinstance(asked, Problem):
+        return replace(asked, **options) if options else asked
+    if not isinstance(asked, LinearSystem) and not all(hasattr(asked, name) for name in "ABC"):
+        rule = "must be a Scenario (polaris.load_scenario reads a file), a Problem, a LinearSystem or a"
+        given = asked if isinstance(asked, str) else type(asked).__name__
+        raise ScenarioError("problem", given, f"{rule} control.StateSpace")
+    known = {"goal": None, **arguments, **options}
+    missing = [name for name in ARGUMENTS if known[name] is None]
+    if missing:
+        raise TypeError(f"get_safety(system, ...) also needs {', '.join(missing)}")
+    if not isinstance(asked, LinearSystem):
+        if "u_max" not in known:
+            raise TypeError("get_safety(control.StateSpace, ...) also needs u_max")
+        extra = {name: known.pop(name) for name in ("u_max", "w_max", "D", "C", "mass") if name in known}
+        asked = LinearSystem.from_statespace(asked, **extra)
+    wrong = sorted(set(known) - {field.name for field in fields(Problem)})
+    if wrong:
+        raise TypeError(f"get_safety(LinearSystem, ...) does not take {', '.join(wrong)}")
+    if not isinstance(known["unsafe"], Iterable):
+        raise ScenarioError(
+            "unsafe", type(known["unsafe"]).__name__, "must be a tuple of obstacles, even of one"
+        )
+    return Problem(asked, **known | {"unsafe": tuple(known["unsafe"])})

@@ -15,11 +15,8 @@ from numpy.typing import NDArray
 
 from reach.sets.zonotope import Zonotope
 
-from ..model.errors import ScenarioError
 from ..model.system import Array
-from .clearance import Clearance
-from .controllers import Flight
-from .error_bounds import ErrorBounds
+from .controllers import TubeSegment
 
 
 @dataclass(frozen=True)
@@ -70,7 +67,7 @@ class RecoverableSet(Protocol):
         ...
 
     def margin(self, k: int, nodes: Zonotope, bow: Array) -> Margin:
-        """Margin of a flight over cell k: sets at its q+1 nodes, bow over the q parts (see Flight)."""
+        """Margin of a tube over cell k: sets at its q+1 nodes, bow over the q parts (see TubeSegment)."""
         ...
 
     def margin_at(self, k: int, start: Zonotope) -> Margin:
@@ -86,24 +83,9 @@ class RecoverableSet(Protocol):
         ...
 
 
-def contains_flight(recoverable: RecoverableSet, k: int, flight: Flight) -> Margin:
+def contains_tube(recoverable: RecoverableSet, k: int, tube: TubeSegment) -> Margin:
     """Line 13 of Algorithm 2: how far the reach set over ``[t1, t2]`` is inside, pointwise in time."""
-    return recoverable.margin(k, flight.nodes, flight.bow)
-
-
-def get_recover(kind: str, clearance: Clearance, bounds: ErrorBounds) -> RecoverableSet:
-    """Build the recoverable sets of one kind (the paper's GetRecover)."""
-    from .ball_sets import BallSets
-    from .polytope_sets import PolytopeSets
-
-    if not clearance.unsafe and kind == "paper_ball":
-        rule = "has nothing to keep clear of: there are no unsafe sets"
-        raise ScenarioError("recoverable.kind", kind, rule)
-    if kind == "polytope":
-        return PolytopeSets(clearance)
-    if kind in ("ball", "time_varying_ball", "paper_ball"):
-        return BallSets(clearance, bounds, kind)
-    raise ValueError(f"unknown kind of recoverable set: {kind}")
+    return recoverable.margin(k, tube.nodes, tube.bow)
 
 
 def directed(value: float, form: str, up: bool = False) -> str:
@@ -133,8 +115,3 @@ def left(need: Array, room: Array) -> Array:
     some = room > 0
     share = np.where(some, np.nextafter(1 - need / np.where(some, room, 1), -np.inf), -np.inf)
     return np.asarray(np.where(np.isnan(share), -np.inf, share))  # what cannot be worked out is not met
-
-
-def grow_bow(bow: Array) -> Array:
-    """Bow at every node: the larger of the two parts that meet there, shape (q+1, n)."""
-    return np.asarray(np.maximum(np.pad(bow, ((0, 1), (0, 0))), np.pad(bow, ((1, 0), (0, 0)))))

@@ -19,10 +19,11 @@ from ..model.system import Array, LinearSystem
 from ..model.tolerances import ROUNDING
 from ..planning.reference import Reference
 from .ball_sets import BallSets
-from .controllers import AffineController, AnyThrust, Controller, Flight
+from .controllers import AffineController, AnyThrust, Controller, TubeSegment
 from .end_condition import judge_end, tail_length
 from .error_bounds import get_err_bounds
-from .get_safety import Safety, perceive_unsafe
+from .get_safety import Safety
+from .planning_problem import perceive_unsafe
 from .problem import Problem
 
 SYSTEM = ("A", "B", "D", "u_max", "w_max", "position", "mass", "mean_motion")
@@ -101,7 +102,7 @@ def _check_proof(safety: Safety, problem: Problem) -> None:
         length = tail_length(safety.tracking)
         rule = f"must be followed by {length} steps without input where {safety.end.horizon} is claimed"
         raise ScenarioError("safety.reference", f"{tail} steps after the end", rule)
-    end = judge_end(safety.tracking, reference, problem.K, tail, clearance.unsafe, margin, clearance.jump)
+    end = judge_end(safety.tracking, reference, problem.K, tail, clearance.unsafe, margin)
     _same("safety.end.horizon", safety.end.horizon, end.horizon, "one that its own parts show")
     _same("safety.end.until", safety.end.until, end.until, "one that its own parts show")
 
@@ -150,7 +151,7 @@ def check_controller(controller: Controller, safety: Safety) -> None:
     _check_reference(f"{name}.own", getattr(controller, "own", reference), problem)
 
 
-def check_flight(controller: Controller, start: Zonotope, flight: Any, safety: Safety) -> Flight:
+def check_segment(controller: Controller, start: Zonotope, tube: Any, safety: Safety) -> TubeSegment:
     """What a controller of a class of one's own returns: sets of the right shapes that hold the start.
 
     Raises
@@ -158,26 +159,26 @@ def check_flight(controller: Controller, start: Zonotope, flight: Any, safety: S
     ScenarioError
         If it is no tube from that start over one step.
     """
-    if type(controller) in (AffineController, AnyThrust) and isinstance(flight, Flight):
-        return flight
+    if type(controller) in (AffineController, AnyThrust) and isinstance(tube, TubeSegment):
+        return tube
     name, n, q = f"{controller.name}.fly", safety.problem.system.n, safety.tracking.feedback.nodes_per_cell
-    if not isinstance(flight, Flight):
-        raise ScenarioError(name, type(flight).__name__, "must return a polaris.Flight")
-    _same(f"{name}.nodes", flight.nodes.c.shape, (q + 1, n), "one set per node of the step")
-    _same(f"{name}.bow", np.shape(flight.bow), (q, n), "one row per part of the step")
-    _same(f"{name}.end", flight.end.c.shape, (n,), "one set of states")
-    if flight.refused:
-        return flight
-    if not np.all(flight.bow >= 0):
-        raise ScenarioError(f"{name}.bow", float(np.min(flight.bow)), "must not be negative")
+    if not isinstance(tube, TubeSegment):
+        raise ScenarioError(name, type(tube).__name__, "must return a polaris.TubeSegment")
+    _same(f"{name}.nodes", tube.nodes.c.shape, (q + 1, n), "one set per node of the step")
+    _same(f"{name}.bow", np.shape(tube.bow), (q, n), "one row per part of the step")
+    _same(f"{name}.end", tube.end.c.shape, (n,), "one set of states")
+    if tube.refused:
+        return tube
+    if not np.all(tube.bow >= 0):
+        raise ScenarioError(f"{name}.bow", float(np.min(tube.bow)), "must not be negative")
     rows = np.vstack([np.eye(n), -np.eye(n)])
-    for told, inner, outer in (("nodes", start, flight.nodes[0]), ("end", flight.nodes[-1], flight.end)):
+    for told, inner, outer in (("nodes", start, tube.nodes[0]), ("end", tube.nodes[-1], tube.end)):
         size = np.abs(inner.c) + inner.half_widths
         short = inner.support(rows) - outer.support(rows) - ROUNDING * np.concatenate([size, size])
         if not np.all(short <= 0):
             rule = "must contain " + ("the set it starts from" if told == "nodes" else "its last node")
             raise ScenarioError(f"{name}.{told}", f"{float(np.nanmax(short)):.3g} short", rule)
-    return flight
+    return tube
 
 
 def _same_system(field: str, found: LinearSystem, wanted: LinearSystem) -> None:

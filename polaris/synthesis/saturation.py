@@ -2,45 +2,26 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from reach.numerics.linear import discretize
 from reach.numerics.relaxation import clip_relaxation
 from reach.sets.zonotope import Zonotope
-from reach.tubes.flow import LinearFlow
 
 from ..model.system import Array
-
-if TYPE_CHECKING:
-    from .controllers import AffineController
-
+from .affine_law import AffineLaw
 
 SLOPES = 8
 """Different slopes of the relaxed clip per axis: each needs its own matrix exponentials, kept."""
 
 
-def clipped_step(law: AffineController, d: Zonotope, mu: Array) -> tuple[Zonotope, Array]:
+def clipped_step(law: AffineLaw, d: Zonotope, mu: Array) -> tuple[Zonotope, Array]:
     """Enclose the next node of ``d' = A d + B (clip(mu - Lambda_U d) - mu) + D w``.
 
     The clip is replaced by an affine band over the range of the command: at the node for sampled
-    feedback (the input is then held), over the whole period for continuous feedback.
-
-    Parameters
-    ----------
-    law : AffineController
-    d : Zonotope
-        State relative to the controller's own reference at the node.
-    mu : ndarray, shape (m,)
-        Its own reference input over the period.
-
-    Returns
-    -------
-    Zonotope
-        States at the next node.
-    slope : ndarray, shape (m,)
-        Slope of the affine band, of each input: what the set rests on, and a certificate repeats.
+    feedback (the input is then held), over the whole period for continuous feedback. d is relative to the
+    law's own reference, mu, shape (m,), that reference's input. Returned with the set are the slopes of
+    the band, shape (m,): what the set rests on, and a certificate repeats.
     """
     system = law.system
     image = law.gain @ d
@@ -51,7 +32,7 @@ def clipped_step(law: AffineController, d: Zonotope, mu: Array) -> tuple[Zonotop
     moved, _ = clipped_motion(law, np.abs(d.c) + d.half_widths, command, mu)
     drift = np.abs(law.gain) @ moved
     slope, offset, radius = clip_relaxation(lo - drift, hi + drift, system.u_max, SLOPES)
-    step = _relaxed_flow(law, slope)
+    step = law.relaxed_flow(slope)
     known = step.input_map(system.B) @ (slope * mu + offset - mu)
     out = step.phi @ d + known + step.period_zonotope
     if np.any(radius > 0):
@@ -59,7 +40,7 @@ def clipped_step(law: AffineController, d: Zonotope, mu: Array) -> tuple[Zonotop
     return out.reduce(6), slope
 
 
-def clipped_motion(law: AffineController, extent: Array, command: Array, mu: Array) -> tuple[Array, Array]:
+def clipped_motion(law: AffineLaw, extent: Array, command: Array, mu: Array) -> tuple[Array, Array]:
     """How far a clipped law moves within one period, and how hard it can push, elementwise.
 
     Parameters
@@ -73,11 +54,9 @@ def clipped_motion(law: AffineController, extent: Array, command: Array, mu: Arr
 
     Returns
     -------
-    moved : ndarray, shape (..., n)
-        Bound on ``|d(s) - d(0)|`` over the period, disturbance included.
-    push : ndarray, shape (..., m)
-        Bound on ``|clip(mu - Lambda_U d) - mu|`` over the period: at most ``|Lambda_U d|``, because
-        the clip has slope at most 1 (and moves mu by what it exceeds), and at most what the thrusters have.
+    moved, push : ndarray, shapes (..., n) and (..., m)
+        Bounds on ``|d(s) - d(0)|``, disturbance included, and on ``|clip(mu - Lambda_U d) - mu|``: at most
+        ``|Lambda_U d|``, as the clip has slope at most 1, and at most what the thrusters have.
     """
     system, loose = law.system, law.open_flow
     most = system.u_max + np.abs(mu)
@@ -89,19 +68,10 @@ def clipped_motion(law: AffineController, extent: Array, command: Array, mu: Arr
     return still + loose.h * push @ np.abs(system.B).T @ loose.growth.T, push
 
 
-def _sampled(law: AffineController, d: Zonotope, mu: Array, lo: Array, hi: Array) -> tuple[Zonotope, Array]:
+def _sampled(law: AffineLaw, d: Zonotope, mu: Array, lo: Array, hi: Array) -> tuple[Zonotope, Array]:
     system, h = law.system, law.flow.h
     slope, offset, radius = clip_relaxation(lo, hi, system.u_max)
     Ah, Bh = discretize(system.A, system.B, h)
     out = (Ah - Bh @ (slope[:, None] * law.gain)) @ d + Bh @ (slope * mu + offset - mu)
     band = Zonotope(np.zeros(system.n), Bh * radius)
     return (out + band + law.flow.period_zonotope).reduce(6), slope
-
-
-def _relaxed_flow(law: AffineController, slope: Array) -> LinearFlow:
-    key = slope.tobytes()
-    if key not in law._cache:
-        system = law.system
-        A_c = system.A - system.B @ (slope[:, None] * law.gain)
-        law._cache[key] = LinearFlow.continuous(A_c, system.D, system.w_max, law.flow.h)
-    return law._cache[key]

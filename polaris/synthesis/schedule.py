@@ -14,7 +14,7 @@ from reach.sets.zonotope import Zonotope
 from ..certificate.document import assumptions
 from ..model.satellite import SatelliteObstacle
 from ..model.system import Array
-from .controllers import Controller, Flight
+from .controllers import Controller, TubeSegment
 from .get_safety import Safety
 from .recoverable import Margin
 
@@ -27,7 +27,7 @@ class Step:
     ----------
     mode : int
         0 is S, 1, 2, ... the experimental controllers.
-    flight : Flight
+    tube : TubeSegment
         Reachable set over the step, in error coordinates.
     margin : Margin
         How far it is inside the recoverable sets. Steps under S need no margin: from a recoverable
@@ -35,7 +35,7 @@ class Step:
     """
 
     mode: int
-    flight: Flight
+    tube: TubeSegment
     margin: Margin
 
 
@@ -105,12 +105,6 @@ class Schedule:
         return np.array([step.margin.value for step in self.steps])
 
 
-def describe_guarantee(schedule: Schedule) -> tuple[str, tuple[str, ...]]:
-    """The kind of the claim and what it assumes; how far it reaches is in `Safety.end`."""
-    arithmetic = "arithmetic: in double precision, its round-off covered by booked tolerances"
-    return schedule.safety.guarantee, (*assumed(schedule.safety), arithmetic)
-
-
 def assumed(safety: Safety) -> list[str]:
     """What run and certificate both rest on, in words."""
     problem, tracking, cells = safety.problem, safety.tracking, safety.reference.cells
@@ -123,3 +117,8 @@ def assumed(safety: Safety) -> list[str]:
         horizon=safety.end.horizon,
         until=safety.end.until if np.isfinite(safety.end.until) else None,
     )
+
+
+def assumptions_of(safety: Safety) -> tuple[str, ...]:
+    """What a schedule's guarantee rests on; how far it reaches is in `Safety.end`."""
+    return *assumed(safety), "arithmetic: in double precision, its round-off covered by booked tolerances"

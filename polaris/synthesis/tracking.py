@@ -23,11 +23,7 @@ but collected in one ball. Smaller: more rows per recoverable set, and a larger 
 def solve_are(A: Array, B: Array, Q: Array, R: Array) -> tuple[Array, Array]:
     """Solve the algebraic Riccati equation (eq. 7); return P and the gain ``R^-1 B' P``.
 
-    Parameters
-    ----------
-    A, B : ndarray, shapes (n, n), (n, m)
-    Q, R : ndarray, shapes (n, n), (m, m)
-        State weight (positive semidefinite) and input weight (positive definite).
+    Q is positive semidefinite, R positive definite.
 
     Raises
     ------
@@ -61,6 +57,13 @@ def lqr_gain(system: LinearSystem, Q: ArrayLike, R: ArrayLike) -> Array:
             raise ScenarioError(name, matrix.shape, f"must be {size} numbers or a {size} x {size} matrix")
         weights.append((matrix + matrix.T) / 2)
     return solve_are(system.A, system.B, *weights)[1]
+
+
+def at_nodes(parts: Array) -> Array:
+    """Bounds at q+1 nodes from those on the q parts between them, shape (..., q+1, n): the larger of both."""
+    before = [(0, 0)] * (parts.ndim - 2)
+    left, right = (np.pad(parts, [*before, ends, (0, 0)]) for ends in ((0, 1), (1, 0)))
+    return np.asarray(np.maximum(left, right))
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from polaris.inspection.constraints.families import Families
-from polaris.inspection.constraints.sampled import SampledData
+from polaris.inspection.constraints.motion import SampledData
 from polaris.inspection.filters.asif import ActiveSetFilter
 from polaris.inspection.filters.explicit import Centralized
 from polaris.inspection.flights.sampling import initial_conditions
@@ -254,7 +254,7 @@ def test_a_backup_that_raises_is_recorded(drawn):
 
 
 def test_leaving_out_everything_is_refused():
-    from polaris.inspection.constraints.strengthening import FAMILIES
+    from polaris.inspection.constraints.catalogue import FAMILIES
 
     with pytest.raises(ScenarioError, match="must leave a constraint"):
         Families(Q, without=FAMILIES)

@@ -6,11 +6,12 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from polaris.inspection.braking import Braking
-from polaris.inspection.constraints.allowable_rows import AllowableRows
-from polaris.inspection.constraints.allowable_set import allowable
-from polaris.inspection.constraints.barriers import CENTRE, Radial, Speed, SunCone, Velocity, rounded_length
+from polaris.inspection.constraints.allowable_set import AllowableRows, allowable
+from polaris.inspection.constraints.barriers import Radial, SunCone
 from polaris.inspection.constraints.families import Families
+from polaris.inspection.constraints.speeds import Speed, Velocity
 from polaris.inspection.inspection import Inspection
+from polaris.inspection.vectors import CENTRE, rounded_length
 
 from . import oracle
 
@@ -25,30 +26,30 @@ def forms():
     """Name, barrier, and the paper's formula as a function of state and sun angle."""
     yield (
         "h1",
-        Radial("h1", 10.0, BRAKING),
+        Radial(10.0, BRAKING),
         lambda z, sun: oracle.h_outside(z, 10.0, A_, DEPTH),
     )
     yield (
         "h2",
-        Radial("h2", 10.0, Braking(2 * A_, DEPTH, BACK)),
+        Radial(10.0, Braking(2 * A_, DEPTH, BACK)),
         lambda z, sun: oracle.h_outside(z, 10.0, 2 * A_, DEPTH),
     )
-    yield "h3", Speed("h3", 0.2, 2 * N_), lambda z, sun: oracle.h_speed(z, 0.2, 2 * N_)
+    yield "h3", Speed(0.2, 2 * N_), lambda z, sun: oracle.h_speed(z, 0.2, 2 * N_)
     for side in (1.0, -1.0):
         yield (
             f"h4{side:+.0f}",
-            SunCone("h4", HALF, N_, BRAKING, side),
+            SunCone(HALF, N_, BRAKING, side),
             lambda z, sun, side=side: oracle.h_cone(z, sun, HALF, N_, A_, DEPTH, side),
         )
     yield (
         "h6",
-        Radial("h6", 1000.0, BRAKING, -1.0),
+        Radial(1000.0, BRAKING, -1.0),
         lambda z, sun: oracle.h_inside(z, 1000.0, A_, DEPTH),
     )
     for axis in range(3):
         yield (
             f"h{9 + axis}",
-            Velocity("v", axis, 1.0),
+            Velocity(axis, 1.0),
             lambda z, sun, axis=axis: oracle.h_velocity(z, axis, 1.0),
         )
 
@@ -317,7 +318,7 @@ def test_keeping_h_keeps_phi(seed):
     now, then = allowable(q, x, sun), allowable(q, drifted, sun - q.mean_motion * later)
     # The way back across a cone is one of the signed distance: on it the angle may turn a little further in.
     rows = AllowableRows(q)
-    signed = [rows(x, sun).value, rows(drifted, sun - q.mean_motion * later).value]
+    signed = [rows(x, sun).h, rows(drifted, sun - q.mean_motion * later).h]
     names = np.array([label.split("[")[0].rstrip("+-") for label in families.labels])
     for name, of in INSIDE.items():
         held = h[:, names == name]
@@ -328,7 +329,7 @@ def test_keeping_h_keeps_phi(seed):
         back = then[of] - now[of]
         if name in ("h4", "h5"):
             held = h[:, names == name]
-            apart = np.array([kind.rstrip("+-") == of for kind in rows.kind])
+            apart = np.array([f"phi{number}".rstrip("+-") == of for number in rows.number])
             back, outside = (signed[1] - signed[0])[:, apart], signed[0][:, apart] < 0
         assert (back[outside & (held >= 0)] > 0).all(), name
     for name in ("h9", "h10", "h11"):

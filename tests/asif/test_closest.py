@@ -201,7 +201,7 @@ def test_gradient_of_the_infimum(seed):
     rng = np.random.default_rng(seed)
     z = np.r_[rng.uniform(-300, 300, 3), rng.uniform(-1, 1, 3)]
     approach = ClosestApproach(N_ORBIT, 500.0)
-    passive = Passive("h7", 10.0, approach)
+    passive = Passive(10.0, approach)
     found = passive(z)
     assert found.h == pytest.approx(infimum(z, N_ORBIT, 500.0) - 10.0, abs=1e-6)
     at = approach(z).when
@@ -221,7 +221,7 @@ def test_gradient_of_the_infimum(seed):
 
 
 def test_passive_at_the_centre_is_finite():
-    passive = Passive("h7", np.full(2, 10.0), ClosestApproach(N_ORBIT, 500.0))
+    passive = Passive(np.full(2, 10.0), ClosestApproach(N_ORBIT, 500.0))
     z = np.zeros((2, 6))
     z[1, 3] = 0.1
     with np.errstate(all="raise", under="ignore"):

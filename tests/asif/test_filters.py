@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog
 
 from polaris.inspection.constraints.families import Families
-from polaris.inspection.constraints.sampled import SampledData
+from polaris.inspection.constraints.motion import SampledData
 from polaris.inspection.filters.explicit import SHARINGS, Centralized, Decentralized
 from polaris.inspection.inspection import Inspection
 from polaris.rta.projection import DESIRED, SHORT

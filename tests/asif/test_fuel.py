@@ -11,8 +11,8 @@ from polaris.inspection.enmt import velocity_error
 from polaris.inspection.filters.fuel import FuelLimit, clearance
 from polaris.inspection.filters.implicit import ImplicitASIF
 from polaris.inspection.filters.simplex import ImplicitSimplex
-from polaris.inspection.flights.fuel_run import fly_fuel_limit, wasteful
-from polaris.inspection.flights.primary import LQR
+from polaris.inspection.flights.fuel_run import fly_fuel_limit
+from polaris.inspection.flights.primary import LQR, Phases
 from polaris.inspection.inspection import Inspection
 from polaris.model.errors import ScenarioError
 from polaris.model.hill import elliptical_nmt
@@ -23,8 +23,14 @@ ONE, TWO = Inspection(deputies=1), Inspection(deputies=2)
 START = [300.0, -200.0, 100.0, 0.0, 0.0, 0.0]
 
 
+def wasteful(q):
+    """Aggressive LQR that uses as much fuel as it can: outwards to 400 m and back, without end."""
+    inner, outer = LQR(q, 100.0), LQR(q, 400.0)
+    return Phases(np.arange(0.0, 20_000.0, 400.0).tolist(), [inner, outer] * 25)
+
+
 def run(law=None, **options):
-    return fly_fuel_limit(ONE, wasteful(ONE), START, law=law, **options)
+    return fly_fuel_limit(FuelLimit(ONE, law), wasteful(ONE), START, **options)
 
 
 @pytest.mark.parametrize(
@@ -60,7 +66,7 @@ def test_fig_9_fuel_stays_below_the_limit_and_thrust_goes_to_zero(law):
 
 def test_without_the_filter_the_limit_would_be_broken_by_far():
     q = Inspection(deputies=1, delta_v_max=1e5)
-    r = fly_fuel_limit(q, wasteful(q), START, 200.0)
+    r = fly_fuel_limit(FuelLimit(q), wasteful(q), START, 200.0)
     assert r.delta_v[-1] > 1.5 * ONE.delta_v_max
     assert r.latched_at is None
     assert r.reason is None
@@ -89,12 +95,10 @@ def test_the_printed_condition_breaks_the_limit_and_ours_does_not():
         assert fly(True) <= limit
         q = Inspection(deputies=1, delta_v_max=float(limit))
         ours = fly_fuel_limit(
-            q,
+            FuelLimit(q, Parking(q, period=period, response=60.0)),
             lambda t, x: np.ones((1, 1, 3)),
             [200.0, -100, 0, 0, 0, 0],
             2000.0,
-            period,
-            Parking(q, period=20.0, response=60.0),
         )
         assert ours.delta_v[-1] <= limit
         assert not ours.exhausted
@@ -134,8 +138,8 @@ def test_the_limit_is_kept_by_the_condition_alone(seed):
 def test_a_chief_in_the_way_is_left_clear_of():
     """The deputy is sent straight at the chief, with fuel enough."""
     x0 = [0.0, -400.0, 0.0, 0.0, 0.0, 0.0]
-    free = fly_fuel_limit(ONE, LQR(ONE), x0, 700.0, keep_clear=False)
-    kept = fly_fuel_limit(ONE, LQR(ONE), x0, 700.0)
+    free = fly_fuel_limit(FuelLimit(ONE, keep_clear=False), LQR(ONE), x0, 700.0)
+    kept = fly_fuel_limit(FuelLimit(ONE), LQR(ONE), x0, 700.0)
     assert np.linalg.norm(free.x[:, :3], axis=1).min() < ONE.separation
     assert np.linalg.norm(kept.x[:, :3], axis=1).min() >= ONE.separation
     assert "chief" in kept.reason
@@ -168,7 +172,7 @@ def test_clearance_is_below_what_dense_samples_show():
 
 def test_fuel_nearly_used_up_at_the_start():
     """Backup at once; thrust is cut where the fuel ends; the limit holds."""
-    r = fly_fuel_limit(ONE, wasteful(ONE), [100.0, 50.0, 0.0, 0.5, 0.0, 0.0], 300.0, spent=19.99)
+    r = fly_fuel_limit(FuelLimit(ONE, spent=19.99), wasteful(ONE), [100.0, 50.0, 0.0, 0.5, 0.0, 0.0], 300.0)
     assert r.latched_at == 0.0
     assert r.exhausted
     assert r.delta_v[-1] <= ONE.delta_v_max
@@ -186,7 +190,7 @@ def test_no_fuel_at_all_is_no_thrust_at_all(spent):
 
 
 def test_at_the_centre_of_the_chief_the_backup_leads_away():
-    r = fly_fuel_limit(ONE, LQR(ONE), np.zeros(6), 3000.0)
+    r = fly_fuel_limit(FuelLimit(ONE), LQR(ONE), np.zeros(6), 3000.0)
     assert r.latched_at == 0.0
     assert "chief" in r.reason
     assert np.linalg.norm(r.x[-1, :3]) > ONE.separation
@@ -278,11 +282,9 @@ def test_arguments():
     with pytest.raises(ScenarioError, match="law"):
         FuelLimit(TWO, Coast(ONE))
     with pytest.raises(ScenarioError, match="deputies"):
-        fly_fuel_limit(TWO, wasteful(TWO), START)
+        fly_fuel_limit(FuelLimit(TWO), wasteful(TWO), START)
     with pytest.raises(ScenarioError, match="period"):
-        fly_fuel_limit(ONE, wasteful(ONE), START, 10.0, 3.0)
-    with pytest.raises(ScenarioError, match="period"):
-        fly_fuel_limit(ONE, wasteful(ONE), START, 10.0, 2.0, Parking(ONE))
+        fly_fuel_limit(FuelLimit(ONE, Parking(ONE, period=3.0)), wasteful(ONE), START, 10.0)
 
 
 def test_odd_times_are_answered_and_told():

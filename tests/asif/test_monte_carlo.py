@@ -9,7 +9,7 @@ import pytest
 
 from polaris.inspection.constraints.allowable_set import allowable
 from polaris.inspection.constraints.families import Families
-from polaris.inspection.constraints.sampled import SampledData
+from polaris.inspection.constraints.motion import SampledData
 from polaris.inspection.filters.explicit import Centralized
 from polaris.inspection.flights.outcome import STUDIES, Study
 from polaris.inspection.flights.primary import LQR, NoInput

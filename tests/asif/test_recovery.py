@@ -5,7 +5,7 @@ import pytest
 
 from polaris.inspection.constraints.allowable_set import allowable
 from polaris.inspection.constraints.families import Families
-from polaris.inspection.constraints.sampled import SampledData
+from polaris.inspection.constraints.motion import SampledData
 from polaris.inspection.filters.explicit import SHARINGS, make_filter
 from polaris.inspection.inspection import Inspection
 from polaris.rta.projection import FAILED

@@ -12,8 +12,9 @@ from polaris.inspection.closest import ClosestApproach
 from polaris.inspection.constraints.allowable_set import allowable
 from polaris.inspection.constraints.barriers import Radial, SunCone
 from polaris.inspection.constraints.families import Families
-from polaris.inspection.constraints.sampled import SampledData, SpeedInSquares, VelocitySide, curvature
-from polaris.inspection.constraints.segments import PassiveSegments
+from polaris.inspection.constraints.motion import SampledData
+from polaris.inspection.constraints.passive import PassiveSegments
+from polaris.inspection.constraints.speeds import SpeedInSquares, VelocitySide
 from polaris.inspection.constraints.strengthening import Strengthening
 from polaris.inspection.filters.explicit import Centralized, Decentralized
 from polaris.inspection.inspection import Inspection
@@ -48,7 +49,7 @@ class Attack:
         drift = z @ cw_matrix(self.n).T
         limit = np.full(z.shape[:-1], np.sqrt(3) * self.thrust)
         motion = self.data.motion(z, drift, self.n, limit)
-        M = np.broadcast_to(curvature(self.barrier, z, sun, motion), found.h.shape)
+        M = np.broadcast_to(self.barrier.curvature(z, sun, motion), found.h.shape)
         if found.h.shape != z.shape[:-1]:
             drift = np.repeat(drift, found.h.shape[-1] // z.shape[-2], axis=-2)
         natural = np.einsum("...i,...i->...", found.gradient, drift) + found.change
@@ -155,14 +156,14 @@ def attacks(kind, n, period, thrust, share=0.5):
     a = 0.8 * thrust
     braking = Braking(a, 0.1, 0.2)
     if kind == "outside":
-        return Attack(Radial("h1", 10.0, braking), n, period, thrust, share)
+        return Attack(Radial(10.0, braking), n, period, thrust, share)
     if kind == "inside":
-        return Attack(Radial("h6", 1000.0, braking, -1.0), n, period, thrust, share)
+        return Attack(Radial(1000.0, braking, -1.0), n, period, thrust, share)
     if kind == "cone":
-        return Attack(SunCone("h4", np.pi / 6, n, braking), n, period, thrust, share)
+        return Attack(SunCone(np.pi / 6, n, braking), n, period, thrust, share)
     if kind == "speed":
-        return SpeedAttack(SpeedInSquares("h3", 0.2, 2 * n), n, period, thrust, share)
-    return VelocityAttack(VelocitySide("h9", 0, 1.0), n, period, thrust, share)
+        return SpeedAttack(SpeedInSquares(0.2, 2 * n), n, period, thrust, share)
+    return VelocityAttack(VelocitySide(0, 1.0), n, period, thrust, share)
 
 
 KINDS = ("outside", "inside", "cone", "speed", "velocity")
@@ -234,10 +235,12 @@ def test_curvature_bounds_hold_from_outside_too(kind, factor):
 
 def test_the_attack_finds_what_the_curvature_is_for(monkeypatch):
     """Without M the same attack succeeds: the tests above can fail."""
-    monkeypatch.setattr("tests.asif.test_sampled.curvature", lambda barrier, z, sun, motion: 0.0 * z[..., 0])
     for kind in KINDS:
         rng = np.random.default_rng(1)
         attack = attacks(kind, 1.027e-3, 1.0, 1 / 12)
+        monkeypatch.setattr(
+            type(attack.barrier), "curvature", lambda barrier, z, sun, motion: 0.0 * z[..., 0]
+        )
         z, sun = near_the_boundary(kind, attack.barrier, rng, 300, 0.066)
         one, two = rng.choice([-1 / 12, 1 / 12], (2, 300, 3))
         assert attack.shortfall(z, sun, one, two)[0].max() > 1e-6, kind
@@ -290,7 +293,7 @@ def test_passive_rows_keep_every_flight_of_the_period_clear(period):
     n, thrust, radius, K = 1.027e-3, 1 / 12, 10.0, 40
     rng = np.random.default_rng(5)
     approach = ClosestApproach(n, 500.0)
-    barrier = PassiveSegments("h7", np.full(K, radius), approach)
+    barrier = PassiveSegments(np.full(K, radius), approach)
     attack = Attack(barrier, n, period, thrust)
     z = flights(rng, K, n, radius)
     h, G, need, _ = attack.rows(z, 0.0)
@@ -320,7 +323,7 @@ def test_passive_rows_keep_every_flight_of_the_period_clear(period):
                 best = np.vstack([best, good + low * (bad - good)])
         path = attack.fly(np.repeat(z[k][None], len(best), axis=0), best)
         assert approach(path).distance.min() >= radius - 1e-6
-        alone = PassiveSegments("h7", np.full(len(best), radius), approach)
+        alone = PassiveSegments(np.full(len(best), radius), approach)
         after = alone(path[-1]).h.reshape(len(best), -1, 2).min(axis=2)
         before = h[k].reshape(-1, 2).min(axis=1)
         # Stretch by stretch what was promised is there for the next sample, whose directions are its own.
@@ -336,7 +339,7 @@ def test_a_flight_stays_within_its_bow_of_the_chords(n):
     rng = np.random.default_rng(2)
     K = 300
     z = np.concatenate([rng.uniform(-500, 500, (K, 3)), rng.uniform(-1, 1, (K, 3))], axis=1)
-    barrier = PassiveSegments("h7", np.zeros(K), approach)
+    barrier = PassiveSegments(np.zeros(K), approach)
     per_amplitude = barrier._reach[2]
     bow = per_amplitude * barrier._amplitude(z)[0]
     ends = (z @ approach.positions).reshape(K, -1, 3)
@@ -352,7 +355,7 @@ def test_h_of_the_stretches_is_below_the_true_clearance():
     approach = ClosestApproach(1.027e-3, 500.0)
     rng = np.random.default_rng(8)
     z = flights(rng, 500, 1.027e-3, 10.0)
-    h = PassiveSegments("h7", np.full(500, 10.0), approach)(z).h.reshape(500, -1).min(axis=1)
+    h = PassiveSegments(np.full(500, 10.0), approach)(z).h.reshape(500, -1).min(axis=1)
     true = approach(z).distance - 10.0
     assert (h <= true).all() and np.median(true - h) < 0.5
 

@@ -9,8 +9,12 @@ import pytest
 
 import polaris
 from docs.generate.scenario_docs import inspection_schema
-from polaris.inspection.constraints.strengthening import FAMILIES, PRESETS
-from polaris.inspection.flights.judge import CONSTRAINTS, fly_scenario, fly_unfiltered, judge
+from polaris.inspection.constraints.catalogue import CONSTRAINTS, FAMILIES
+from polaris.inspection.constraints.families import Families
+from polaris.inspection.constraints.strengthening import PRESETS
+from polaris.inspection.filters.explicit import Filtered
+from polaris.inspection.flights.judge import fly_scenario, judge
+from polaris.inspection.flights.simulation import fly_one
 from polaris.inspection.inspection import Inspection
 from polaris.model.errors import ScenarioError
 from polaris.scenario.filter_tables import FAMILY_NAMES
@@ -273,6 +277,21 @@ def test_broken_scenario_is_one_line_with_field_value_and_rule(case):
 
 
 # -- flights ----------------------------------------------------------------------------------------
+
+
+class Unfiltered:
+    """No filter at all: what is desired, within the thrust limits."""
+
+    def __init__(self, q):
+        self.limit, self.families = q.thrust_max, Families(q, without=("passive", "deputy_passive"))
+
+    def batch(self, x, sun, desired):
+        u = np.clip(desired, -self.limit, self.limit)
+        return Filtered(u, np.zeros(u.shape[:2], dtype=np.int8), self.families(x, sun))
+
+
+def fly_unfiltered(q, primary, x, sun, duration):
+    return fly_one(q, Unfiltered(q), primary, x, sun, duration)
 
 
 def test_primary_alone_breaks_what_the_filter_keeps():

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from polaris.inspection.flights.judge import CONSTRAINTS, fly_scenario
+from polaris.inspection.constraints.catalogue import CONSTRAINTS
+from polaris.inspection.flights.judge import fly_scenario
 from polaris.rta.projection import SHORT
 from polaris.scenario.inspection import load_inspection
 

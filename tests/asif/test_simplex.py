@@ -25,7 +25,7 @@ GENTLE = 2e4  # velocity weight of a primary that brakes
 def both(q):
     without = ("deputy_sun",) if q.deputies > 1 else ()
     yield ExplicitSimplex(Families(q, without=without), sun_start=np.pi)
-    yield ImplicitSimplex(q, sun_start=np.pi, without=("phi5",))
+    yield ImplicitSimplex(q, sun_start=np.pi, without=("deputy_sun",))
 
 
 def fly(f, primary, x, count):
@@ -161,6 +161,20 @@ def test_missing_input_is_backup_without_a_latch():
         assert "desired input" in d.fallback
         assert not f.latched.any()
         assert f.filter(1.0, x, np.zeros((1, 3))).status == "desired"
+
+
+def test_a_backup_that_fails_is_answered_and_told():
+    def raises(t, x):
+        raise RuntimeError("no")
+
+    for broken, word in (
+        (raises, "RuntimeError"),
+        (lambda t, x: np.zeros(3), "shape"),
+        (lambda t, x: x[:, :3] * np.nan, "finite"),
+    ):
+        d = ExplicitSimplex(FAMILIES_2, broken).filter(0.0, formation(TWO), None)
+        assert "the backup controller failed" in d.fallback and word in d.fallback
+        assert d.status == "backup" and not d.u.any()
 
 
 def test_malformed_values_are_answered():

@@ -372,12 +372,12 @@ def test_a_case_that_was_not_decided_in_time_is_tried_again(tmp_path, monkeypatc
 
 def test_a_schedule_that_hangs_on_the_clock_is_not_flown(tmp_path, monkeypatch):
     """Another machine might fly another one."""
-    from polaris.planning.solve import Planner
+    from polaris.planning.effort import Effort
 
     batch._made.cache_clear()
     with monkeypatch.context() as late:
-        struck = property(lambda self: ("fuel",) if self.problem.unsafe else ())
-        late.setattr(Planner, "cut_by_clock", struck)
+        struck = property(lambda self: ("fuel",) if self.search.rows.problem.unsafe else ())
+        late.setattr(Effort, "cut_by_clock", struck)
         found = run_campaign(make_cases([TINY]), 3, tmp_path / "c").summary
     assert found["flown"] == 0 and "raise planner.time_limit_s" in found["cases"][0]["failure"]
     assert found["cases"][0]["exit_code"] == 4

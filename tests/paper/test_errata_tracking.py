@@ -10,7 +10,7 @@ from scipy.linalg import expm
 from polaris.model.hill import clohessy_wiltshire
 from polaris.model.system import LinearSystem
 from polaris.synthesis.error_bounds import get_err_bounds
-from polaris.synthesis.recoverable import get_recover
+from polaris.synthesis.get_safety import get_recover
 from polaris.synthesis.tracking import Feedback, Tracking, choose_feedback, lqr_gain
 
 from ..polaris.conftest import small_safety

@@ -36,13 +36,13 @@ def test_note_14_eq_34_is_undefined_on_the_axis():
     axis = np.array([-1.0, 0.0, 0.0])
     with np.errstate(invalid="ignore"):
         assert np.isnan(printed_projection(200 * axis, axis, np.pi / 6)).all()
-    cone = SunCone("h4", np.pi / 6, n, Braking(Q.a_max, 0.1, Q.return_speed))
+    cone = SunCone(np.pi / 6, n, Braking(Q.a_max, 0.1, Q.return_speed))
     on, beside = (cone(np.r_[200 * axis + [0, off, 0], 0.1, 0.2, 0.0], 0.0) for off in (0.0, 1e-9))
     assert np.isfinite(on.gradient).all() and on.h == pytest.approx(beside.h, abs=1e-6)
     # Elsewhere it is the printed projection: its distance is the signed distance used here.
     p = np.array([-300.0, 250.0, 40.0])
     gap = np.linalg.norm(p - printed_projection(p, axis, np.pi / 6))
-    assert cone.approach(np.r_[p, 0, 0, 0], 0.0)[0] == pytest.approx(gap)
+    assert cone.phi(np.r_[p, 0, 0, 0], 0.0).h == pytest.approx(gap)
 
 
 @pytest.mark.parametrize("place", [[9.0, 0, 0], [1000.1, 0, 0]])
@@ -83,8 +83,9 @@ def test_note_16_the_printed_cone_turns_the_wrong_way():
     as_printed = gap @ (v - np.cross([0, 0, n], p_c))
     assert abs(as_printed) > 0.5  # half a metre per second of error
     assert gap @ (v - np.cross([0, 0, -n], p_c)) == pytest.approx(0.0, abs=1e-12)
-    cone = SunCone("h4", half, n, Braking(Q.a_max, Q.smoothing, Q.return_speed))
-    assert cone.approach(np.r_[p, v], sun)[1] == pytest.approx(0.0, abs=1e-12)
+    cone = SunCone(half, n, Braking(Q.a_max, Q.smoothing, Q.return_speed))
+    phi = cone.phi(np.r_[p, v], sun)
+    assert phi.gradient[:3] @ v + phi.change == pytest.approx(0.0, abs=1e-12)
     # Being one with the cone, the barrier's explicit change with time cancels the motion's part.
     found = cone(np.r_[p, v], sun)
     moving = np.r_[v, np.cross(spin, v)]

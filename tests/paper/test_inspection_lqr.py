@@ -16,8 +16,15 @@ def hautus_rank(A, B, eigenvalue):
     return np.linalg.matrix_rank(np.hstack([A - eigenvalue * np.eye(len(A)), B]))
 
 
+def whole(A, B):
+    """Eq. 40 as it reads: all six errors are integrated, not the three positions alone."""
+    larger = np.zeros((12, 12))
+    larger[:6, :6], larger[6:, :6] = A[:6, :6], np.eye(6)
+    return larger, np.vstack([B[:6], np.zeros((6, 3))])
+
+
 def test_item_15_integral_of_the_whole_error_is_uncontrollable_at_zero():
-    A, B = augmented(PROBLEM, whole_error=True)
+    A, B = whole(*augmented(PROBLEM))
     assert A.shape == (12, 12)
     assert hautus_rank(A, B, 0.0) == 9
     # A left null vector, written down: integral of velocity error minus position error is constant.
@@ -28,7 +35,7 @@ def test_item_15_integral_of_the_whole_error_is_uncontrollable_at_zero():
 
 
 def test_item_15_riccati_equation_of_the_whole_error_has_no_stabilising_solution():
-    A, B = augmented(PROBLEM, whole_error=True)
+    A, B = whole(*augmented(PROBLEM))
     try:
         gain = np.asarray(control.lqr(A, B, np.eye(12), np.eye(3))[0])
     except (np.linalg.LinAlgError, control.ControlArgument, ValueError):

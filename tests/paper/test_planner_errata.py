@@ -9,9 +9,11 @@ from scipy.optimize import linprog
 
 from polaris.model.hill import clohessy_wiltshire
 from polaris.model.timed_polytope import TimedPolytope
-from polaris.planning import EllipticalNMT, PlanProblem, plan, recheck
-from polaris.planning.goals import ellipse_polygon
+from polaris.planning.goals import EllipticalNMT, ellipse_polygon
+from polaris.planning.problem import PlanProblem
+from polaris.planning.recheck import recheck
 from polaris.planning.rows import Rows
+from polaris.planning.solve import plan
 
 ETA = 0.0012
 CW = clohessy_wiltshire(ETA, 10.0, 1.0)

@@ -7,7 +7,7 @@ import pytest
 
 from polaris.model.hill import clohessy_wiltshire
 from polaris.model.obstacles import BoxObstacle
-from polaris.planning import EllipticalNMT
+from polaris.planning.goals import EllipticalNMT
 from polaris.planning.reference import Reference
 from polaris.scenario.scenario import load_scenario
 from polaris.synthesis.controllers import AffineController, AnyThrust

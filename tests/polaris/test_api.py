@@ -7,11 +7,12 @@ import polaris
 from polaris.model.errors import NotCertified, ScenarioError, SynthesisInfeasible
 from polaris.model.obstacles import BallObstacle, BoxObstacle
 from polaris.model.system import LinearSystem
-from polaris.planning import Box, StationaryPoint
+from polaris.planning.goals import Box, StationaryPoint
 from polaris.simulation.simulate import simulate
 from polaris.synthesis.controllers import AffineController, AnyThrust
 from polaris.synthesis.get_safety import get_safety
-from polaris.synthesis.synthesize import SwitchingRules, synthesize
+from polaris.synthesis.search import SwitchingRules
+from polaris.synthesis.synthesize import synthesize
 from reach.sets.zonotope import Zonotope
 
 from .tiny import synthesised

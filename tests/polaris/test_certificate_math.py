@@ -165,7 +165,7 @@ def test_any_slopes_give_sets_that_contain_what_is_flown(name):
 @pytest.mark.parametrize("name", ["clipped", "clipped, sampled"])
 def test_with_the_slopes_stored_and_enough_generators_sets_lie_within_the_stored_ones(name):
     schedule, argument = scene(name)
-    assert any(step.flight.slopes is not None for step in schedule.steps)
+    assert any(step.tube.slopes is not None for step in schedule.steps)
     sets, flown = argument.tubes(argument.reference(), Merging(160))
     doc, rows = argument.document, np.vstack([np.eye(argument.n), -np.eye(argument.n)])
     for k, z in enumerate(sets):

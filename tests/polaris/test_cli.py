@@ -382,7 +382,7 @@ def test_infeasible_and_out_of_time_for_real(tmp_path, monkeypatch):
 def test_a_clock_that_struck_is_told_whatever_is_asked(tmp_path, monkeypatch):
     """On standard error, quiet or not, in summary.json, and in what Python returns."""
     from polaris.model.errors import ClockWarning
-    from polaris.planning.solve import Planner
+    from polaris.planning.effort import Effort
     from polaris.synthesis.synthesize import synthesize
 
     options = ["--no-figures", "--set", "simulation.runs=2"]
@@ -394,8 +394,8 @@ def test_a_clock_that_struck_is_told_whatever_is_asked(tmp_path, monkeypatch):
     assert all("HiGHS" in stage["by"] for stage in planner["stages"])
 
     # not in the plan of the unaware reference, which is not used then
-    struck = property(lambda self: ("fuel",) if self.problem.unsafe else ())
-    monkeypatch.setattr(Planner, "cut_by_clock", struck)
+    struck = property(lambda self: ("fuel",) if self.search.rows.problem.unsafe else ())
+    monkeypatch.setattr(Effort, "cut_by_clock", struck)
     out = tmp_path / "late"
     for quiet in ("-q", "--json"):
         done = CliRunner().invoke(cli.app, ["run", str(TINY), "--out", str(out), quiet, *options])
@@ -412,12 +412,12 @@ def test_a_clock_that_struck_is_told_whatever_is_asked(tmp_path, monkeypatch):
 def test_a_reference_that_the_clock_cut_short_is_not_used(monkeypatch):
     """The unaware reference is the cheapest plan; half-way to it is something else each time."""
     from polaris.model.errors import ClockWarning, OutOfTime
-    from polaris.planning.solve import Planner
+    from polaris.planning.effort import Effort
     from polaris.synthesis.get_safety import get_safety
 
     scenario = load_scenario("static")
     safety = get_safety(scenario)
-    monkeypatch.setattr(Planner, "cut_by_clock", property(lambda self: ("fuel",)))
+    monkeypatch.setattr(Effort, "cut_by_clock", property(lambda self: ("fuel",)))
     with pytest.warns(ClockWarning), pytest.raises(OutOfTime, match="time_limit_s"):
         scenario.controllers(safety)
 

@@ -15,7 +15,8 @@ from polaris.rta.scene import Scene
 from polaris.simulation.falsification.search import falsify
 from polaris.simulation.simulate import simulate
 from polaris.synthesis.controllers import AffineController
-from polaris.synthesis.synthesize import SwitchingRules, _Search, synthesize, with_margins
+from polaris.synthesis.search import Search, SwitchingRules, with_margins
+from polaris.synthesis.synthesize import synthesize
 
 from .closed_loops import Attack, Loop, attack, attack_monitor
 from .random_scenarios import synthesised
@@ -56,7 +57,7 @@ def judge(seed, found):
 def reckless(schedule):
     """The same schedule with U all the way, called proved."""
     search, start, steps = (
-        _Search(schedule.safety, schedule.controllers, SwitchingRules()),
+        Search(schedule.safety, schedule.controllers, SwitchingRules()),
         schedule.safety.start,
         [],
     )

@@ -191,9 +191,9 @@ def test_a_tube_that_is_too_thin_is_caught():
         replace(
             step,
             flight=replace(
-                step.flight,
-                nodes=replace(step.flight.nodes, G=0.3 * step.flight.nodes.G),
-                bow=0 * step.flight.bow,
+                step.tube,
+                nodes=replace(step.tube.nodes, G=0.3 * step.tube.nodes.G),
+                bow=0 * step.tube.bow,
             ),
         )
         for step in schedule.steps

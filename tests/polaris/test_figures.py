@@ -10,14 +10,9 @@ from matplotlib.text import Text
 
 from polaris.model.errors import PolarisError
 from polaris.model.hill import clohessy_wiltshire
-from polaris.model.obstacles import (
-    BallObstacle,
-    BoxObstacle,
-    KeepInCone,
-    KeepInPolytope,
-    PolytopeObstacle,
-    SatelliteObstacle,
-)
+from polaris.model.keep_in import KeepInCone, KeepInPolytope
+from polaris.model.obstacles import BallObstacle, BoxObstacle, PolytopeObstacle
+from polaris.model.satellite import SatelliteObstacle
 from polaris.model.system import LinearSystem
 from polaris.planning.goals import Box, EllipticalNMT, LinearNMT, StationaryPoint
 from polaris.planning.reference import Reference

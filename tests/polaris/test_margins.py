@@ -10,7 +10,8 @@ from polaris.model.errors import PolarisError
 from polaris.simulation.disturbances import adjoint_worst_case
 from polaris.simulation.integration import Integrator
 from polaris.synthesis.controllers import AffineController, AnyThrust
-from polaris.synthesis.recoverable import directed, get_recover, left
+from polaris.synthesis.get_safety import get_recover
+from polaris.synthesis.recoverable import directed, left
 from reach.numerics.linear import discretize
 
 from .random_scenarios import synthesised
@@ -31,7 +32,7 @@ class Exact(Integrator):
 
     def _unclipped(self, number, k, x, w):
         law, steps = self.schedule.controllers[number], slice(k * self.steps_per_cell, None)
-        if self.sampled or (number and self.schedule.steps[k].flight.slopes is not None):
+        if self.sampled or (number and self.schedule.steps[k].tube.slopes is not None):
             return super()._unclipped(number, k, x, w)
         if isinstance(law, AnyThrust):
             (Ad, Bd, Dd), path = self._held, [x]
@@ -116,7 +117,7 @@ def linear(schedule, k):
 
 def clipped(steps):
     """Whether anything may have clipped in some steps."""
-    return any(step.flight.slopes is not None for step in steps)
+    return any(step.tube.slopes is not None for step in steps)
 
 
 def examined(seeds, folder):

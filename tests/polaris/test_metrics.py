@@ -12,21 +12,16 @@ from polaris.model.distances import (
     closest,
     count_switches,
     delta_v,
-    drift_ttc,
     mode_shares,
     ray_ttc,
     signed_distances,
 )
 from polaris.model.errors import ScenarioError
+from polaris.model.free_drift import drift_ttc
 from polaris.model.hill import clohessy_wiltshire, free_flight
-from polaris.model.obstacles import (
-    BallObstacle,
-    BoxObstacle,
-    KeepInCone,
-    KeepInPolytope,
-    PolytopeObstacle,
-    SatelliteObstacle,
-)
+from polaris.model.keep_in import KeepInCone, KeepInPolytope
+from polaris.model.obstacles import BallObstacle, BoxObstacle, PolytopeObstacle
+from polaris.model.satellite import SatelliteObstacle
 from polaris.model.system import LinearSystem
 
 ETA = 0.0012

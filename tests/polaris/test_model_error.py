@@ -186,7 +186,7 @@ def test_schedule_is_safe_in_the_nonlinear_motion(name):
     # The tubes of the linear model contain the nonlinear motion.
     q = schedule.safety.clearance.q
     for k, step in enumerate(schedule.steps):
-        nodes = step.flight.nodes
+        nodes = step.tube.nodes
         e = flown.runs.states[:, k * q : (k + 1) * q + 1] - schedule.safety.clearance.nodes[k]
         assert np.all(np.abs(e - nodes.c) <= nodes.half_widths * (1 + 1e-9) + 1e-3)
 

@@ -23,26 +23,14 @@ from polaris.model.errors import (
 from polaris.model.hill import clohessy_wiltshire
 from polaris.model.system import LinearSystem
 from polaris.model.timed_polytope import TimedPolytope
-from polaris.planning import (
-    Box,
-    EllipticalNMT,
-    LinearNMT,
-    Plan,
-    PlannerOptions,
-    PlanProblem,
-    StationaryPoint,
-    backends,
-    diagnose,
-    lazy,
-    plan,
-    recheck,
-    search,
-    solve,
-    tree,
-)
+from polaris.planning import backends, diagnose, effort, lazy, search, solve, tree
+from polaris.planning.goals import Box, EllipticalNMT, LinearNMT, StationaryPoint
 from polaris.planning.lp import GrowingLP
+from polaris.planning.problem import Plan, PlannerOptions, PlanProblem
+from polaris.planning.recheck import recheck
 from polaris.planning.rows import Rows
 from polaris.planning.search import Levels, PathSearch
+from polaris.planning.solve import plan
 from polaris.scenario.scenario import load_scenario
 from polaris.synthesis.get_safety import get_safety
 
@@ -391,7 +379,7 @@ def test_least_fuel_gets_its_share_where_the_margin_is_out_of_reach():
 
 def clock(monkeypatch, tell):
     """Give the planner another clock."""
-    for module in (solve, lazy, search, tree, diagnose):
+    for module in (solve, effort, lazy, search, tree, diagnose):
         monkeypatch.setattr(module, "perf_counter", tell)
 
 
@@ -495,9 +483,9 @@ def test_time_limit_is_kept_and_incumbent_is_certified():
 
 
 def test_failed_recheck_is_an_error(monkeypatch):
-    from polaris.planning import certify
-
-    monkeypatch.setattr(certify, "require", lambda *_: "clearance from box is short")
+    monkeypatch.setattr(
+        sys.modules["polaris.planning.recheck"], "require", lambda *_: "clearance from box is short"
+    )
     with pytest.raises(NotCertified, match="found but not certified"):
         plan(problem([STATIC]))
 
@@ -581,7 +569,8 @@ def test_no_back_end_is_called_or_loaded_where_the_tree_decides():
     code = (
         "import sys; sys.path.insert(0, '.'); import numpy as np\n"
         "from polaris.model.hill import clohessy_wiltshire\n"
-        "from polaris.planning import EllipticalNMT, PlanProblem, plan\n"
+        "from polaris.planning.goals import EllipticalNMT\n"
+        "from polaris.planning.problem import PlanProblem\nfrom polaris.planning.solve import plan\n"
         "cw, start = clohessy_wiltshire(0.0012, 10.0, 1.0), np.array([0, -1000, 0, 0, 0, 0.0])\n"
         "goal = EllipticalNMT(0.0012, 100.0, 250.0)\n"
         "p = PlanProblem(cw, start, 60, 50.0, (), (), np.ones((60, 3)), goal)\n"

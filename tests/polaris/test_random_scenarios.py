@@ -163,7 +163,7 @@ def clipped_verdicts(seeds, folder):
             schedule = synthesize(scenario)
         except PolarisError:
             continue
-        if schedule.guarantee == "proved" and any(step.flight.slopes is not None for step in schedule.steps):
+        if schedule.guarantee == "proved" and any(step.tube.slopes is not None for step in schedule.steps):
             yield seed, verify_document(certificate(schedule, scenario.name))
 
 

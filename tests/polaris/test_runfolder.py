@@ -268,8 +268,7 @@ def test_no_obstacles_reads_null_and_not_infinity():
 
 def test_true_states_of_another_satellite_stay_in_what_is_known():
     from polaris.model.hill import clohessy_wiltshire
-    from polaris.model.obstacles import SatelliteObstacle
-    from polaris.model.truth import true_states
+    from polaris.model.satellite import SatelliteObstacle, true_states
 
     system = clohessy_wiltshire(0.0012, 10.0, 0.1, 1e-5)
     visitor = SatelliteObstacle(

@@ -11,10 +11,10 @@ from polaris.planning.reference import Reference
 from polaris.scenario.scenario import load_scenario
 from polaris.synthesis.ball_sets import BallSets
 from polaris.synthesis.clearance import best_facets
-from polaris.synthesis.controllers import AffineController, AnyThrust, Flight, construct_s
-from polaris.synthesis.get_safety import get_safety
-from polaris.synthesis.recoverable import get_recover
-from polaris.synthesis.synthesize import SwitchingRules, synthesize
+from polaris.synthesis.controllers import AffineController, AnyThrust, TubeSegment, construct_s
+from polaris.synthesis.get_safety import get_recover, get_safety
+from polaris.synthesis.search import SwitchingRules
+from polaris.synthesis.synthesize import synthesize
 from polaris.synthesis.tracking import Feedback, Tracking
 from reach.sets.zonotope import Zonotope
 
@@ -244,5 +244,5 @@ def test_a_tube_that_is_none_is_refused(change, told):
 
 def test_an_honest_tube_of_a_class_of_its_own_is_taken():
     assert proof(Tube(lambda f: f)).modes.tolist() == proof(small_controllers()["coasting"]).modes.tolist()
-    assert isinstance(Tube(lambda f: f).fly(small_safety().start, 0), Flight)
+    assert isinstance(Tube(lambda f: f).fly(small_safety().start, 0), TubeSegment)
     assert isinstance(small_safety().controller, AffineController)

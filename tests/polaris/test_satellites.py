@@ -11,9 +11,8 @@ from scipy.linalg import expm
 
 from polaris.model.errors import ScenarioError, SynthesisInfeasible
 from polaris.model.hill import clohessy_wiltshire
-from polaris.model.obstacles import SatelliteObstacle
+from polaris.model.satellite import SatelliteObstacle, true_states
 from polaris.model.system import LinearSystem
-from polaris.model.truth import true_states
 from polaris.runs.folder import write_run
 from polaris.scenario.scenario import Scenario
 from polaris.simulation.baselines import compare

@@ -11,9 +11,9 @@ from polaris.model.errors import ScenarioError, SynthesisInfeasible
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.simulate import simulate
 from polaris.synthesis.controllers import AffineController
-from polaris.synthesis.get_safety import get_safety
-from polaris.synthesis.recoverable import get_recover
-from polaris.synthesis.synthesize import SwitchingRules, synthesize
+from polaris.synthesis.get_safety import get_recover, get_safety
+from polaris.synthesis.search import SwitchingRules
+from polaris.synthesis.synthesize import synthesize
 
 from .conftest import small_controllers, small_problem, small_safety, synthesised
 
@@ -57,7 +57,7 @@ def attack(name, n, seed):
     for k in np.flatnonzero(schedule.modes > 0):
         for node in (k * q, k * q + q // 2, (k + 1) * q - 1):
             assert safety.recoverable.contains(node, errors[:, node]).all()
-        start = schedule.steps[k].flight.nodes[0]
+        start = schedule.steps[k].tube.nodes[0]
         D = np.vstack([np.eye(start.dim), -np.eye(start.dim)])
         assert np.all(errors[:, k * q] @ D.T <= start.support(D) + 1e-6 * (1 + np.abs(start.support(D))))
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from polaris.model.obstacles import BoxObstacle
 from polaris.model.system import LinearSystem
-from polaris.planning import Box
+from polaris.planning.goals import Box
 from polaris.planning.reference import Reference
 from polaris.rta.scene import Scene
 from polaris.scenario.scenario import load_scenario

@@ -13,7 +13,7 @@ import pytest
 from polaris.model.errors import NotCertified
 from polaris.model.obstacles import BoxObstacle
 from polaris.model.system import LinearSystem
-from polaris.planning import Box
+from polaris.planning.goals import Box
 from polaris.planning.reference import Reference
 from polaris.rta.arena import METHODS
 from polaris.rta.flight import _Engine

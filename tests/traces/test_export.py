@@ -8,15 +8,9 @@ import pytest
 from polaris.model.distances import UNKNOWN, ray_ttc, signed_distances
 from polaris.model.errors import ScenarioError
 from polaris.model.hill import clohessy_wiltshire, elliptical_nmt
-from polaris.model.obstacles import (
-    BallObstacle,
-    BoxObstacle,
-    KeepInCone,
-    KeepInPolytope,
-    PolytopeObstacle,
-    SatelliteObstacle,
-)
-from polaris.model.truth import true_states
+from polaris.model.keep_in import KeepInCone, KeepInPolytope
+from polaris.model.obstacles import BallObstacle, BoxObstacle, PolytopeObstacle
+from polaris.model.satellite import SatelliteObstacle, true_states
 from polaris.runs.folder import write_run
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.baselines import compare

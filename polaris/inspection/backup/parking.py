@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Protocol
 
 import control
 import numpy as np
@@ -50,46 +49,63 @@ class Outlook:
     slips: Array
     distance: Array
 
+    @classmethod
+    def of(
+        cls,
+        settled: NDArray[np.bool_],
+        delta_v: Array,
+        ellipse: Array,
+        strays: Array,
+        slips: Array,
+        distance: Array,
+    ) -> Outlook:
+        """With what holds where a deputy has settled; nothing is known elsewhere."""
+        delta_v, strays, slips = (np.where(settled, bound, np.inf) for bound in (delta_v, strays, slips))
+        return cls(settled, delta_v, ellipse, strays, slips, np.where(settled, distance, -np.inf))
 
-class Law(Protocol):
+
+class Law(ABC):
     """A backup controller whose flights can be predicted: all that it remembers is handed to it.
 
-    Attributes
+    Parameters
     ----------
     inspection : Inspection
     period : float
         Time for which each thrust is held [s].
+
+    Attributes
+    ----------
     motion : tuple of ndarray
         Exact motion over a period, ``x -> Phi x + Gamma u``.
     """
 
-    inspection: Inspection
-    period: float
-    motion: tuple[Array, Array]
-
-    def start(self, x: Array) -> Array:
-        """What the law remembers when it takes over at states (N, 6); shape (N, m)."""
-        ...
-
-    def thrust(self, x: Array, memory: Array) -> tuple[Array, Array]:
-        """Thrust of the next period [N], shape (N, 3), within the limits, and the memory after it."""
-        ...
-
-    def settled(self, x: Array, memory: Array, share: float = 1.0) -> NDArray[np.bool_]:
-        """Whether the loop is linear from here on, shape (N,), with at most a share of the thrust."""
-        ...
-
-    def outlook(self, x: Array, memory: Array) -> Outlook:
-        """What is known about all the future."""
-        ...
-
-
-class Memoryless(ABC):
-    """A law that depends on the state alone: a flight's rest is the flight from where it has come to."""
-
     def __init__(self, inspection: Inspection, period: float = 1.0) -> None:
         self.inspection, self.period = inspection, positive("period", period, "s")
         self.motion = inspection.held(self.period)
+
+    @abstractmethod
+    def start(self, x: Array) -> Array:
+        """What the law remembers when it takes over at states (N, 6); shape (N, m)."""
+
+    @abstractmethod
+    def thrust(self, x: Array, memory: Array) -> tuple[Array, Array]:
+        """Thrust of the next period [N], shape (N, 3), within the limits, and the memory after it."""
+
+    @abstractmethod
+    def settled(self, x: Array, memory: Array, share: float = 1.0) -> NDArray[np.bool_]:
+        """Whether the loop is linear from here on, shape (N,), with at most a share of the thrust."""
+
+    @abstractmethod
+    def outlook(self, x: Array, memory: Array) -> Outlook:
+        """What is known about all the future."""
+
+    @abstractmethod
+    def __call__(self, t: float, x: Array) -> Array:
+        """Thrust [N], shape (N, 3), at finite states (N, 6): as a `Backup`."""
+
+
+class Memoryless(Law):
+    """A law that depends on the state alone: a flight's rest is the flight from where it has come to."""
 
     def start(self, x: Array) -> Array:
         """Nothing: shape (N, 0)."""
@@ -100,20 +116,8 @@ class Memoryless(ABC):
         return self(0.0, x), memory
 
     @abstractmethod
-    def __call__(self, t: float, x: Array) -> Array:
-        """Thrust [N]."""
-
-    @abstractmethod
     def thrust_slope(self, x: Array) -> Array:
         """Derivative of the thrust by the state, shape (N, 3, 6)."""
-
-    @abstractmethod
-    def settled(self, x: Array, memory: Array, share: float = 1.0) -> NDArray[np.bool_]:
-        """Whether the loop is linear from here on, shape (N,), with at most a share of the thrust."""
-
-    @abstractmethod
-    def outlook(self, x: Array, memory: Array) -> Outlook:
-        """What is known about all the future."""
 
 
 class Coast(Memoryless):
@@ -255,28 +259,26 @@ class Parking(Memoryless):
         settled = self.settled(x, memory)
         delta_v = self._thrusts.total(e).sum(axis=1) * D / q.mass
         fastest = 1.1 * np.linalg.norm(self._errors.peak(e), axis=1)
-        a = semi_axes(x, n)[0]
-        return Outlook(
-            settled,
-            np.where(settled, delta_v, np.inf),
-            self.ellipses.nearest(x),
-            np.where(settled, 2 * moved, np.inf),
-            np.where(settled, 2 * n * moved + fastest, np.inf),
-            np.where(settled, a - moved, -np.inf),
-        )
+        nearest, a = self.ellipses.nearest(x), semi_axes(x, n)[0]
+        return Outlook.of(settled, delta_v, nearest, 2 * moved, 2 * n * moved + fastest, a - moved)
+
+
+def lqr_weights(inspection: Inspection, response: float) -> tuple[float, list[float]]:
+    """Stiffness [N/m] and weights of the six states for a time constant [s] of the velocity error.
+
+    The weights are such that, without gravity, a velocity error decays with it and a position error with
+    twice that.
+    """
+    damping = inspection.mass / positive("response", response, "s")
+    stiffness = damping / (4 * response)
+    return stiffness, [stiffness**2] * 3 + [damping**2 - 2 * inspection.mass * stiffness] * 3
 
 
 def lqr_gain(inspection: Inspection, response: float) -> Array:
-    """Gain of an LQR on the six states [N/m, N s/m], shape (3, 6).
-
-    The weights are such that, without gravity, a velocity error decays with the time constant
-    `response` [s] and a position error with twice that.
-    """
+    """Gain of an LQR on the six states [N/m, N s/m], shape (3, 6); see `lqr_weights`."""
     q = inspection
     system = clohessy_wiltshire(q.mean_motion, q.mass, q.thrust_max)
-    damping = q.mass / positive("response", response, "s")
-    stiffness = damping / (4 * response)
-    weights = [stiffness**2] * 3 + [damping**2 - 2 * q.mass * stiffness] * 3
+    weights = lqr_weights(q, response)[1]
     gain = np.array(control.lqr(system.A, system.B, np.diag(weights), np.eye(3))[0])
     gain[2, [0, 1, 3, 4]] = 0.0  # the cross-track motion is apart; what the solver leaves is rounding
     gain[:2, 2::3] = 0.0

@@ -6,44 +6,28 @@ import control
 import numpy as np
 from numpy.typing import NDArray
 
-from ...model.checks import positive
 from ...model.hill import clohessy_wiltshire
 from ...model.system import Array
 from ..enmt import Ellipses, semi_axes, stopping_point
 from ..inspection import Inspection
-from .parking import Outlook
+from .parking import Law, Outlook, lqr_weights
 from .settled import Decay
 
 BRAKING = 0.5
 """Share of the thrust with which the stopping point of the reference is estimated."""
 
 
-def augmented(inspection: Inspection, whole_error: bool = False) -> tuple[Array, Array]:
-    """System of the tracking error and its integral.
-
-    Parameters
-    ----------
-    inspection : Inspection
-    whole_error : bool
-        Integrate all six errors, as eq. 40 reads, instead of the position's three. Then the eigenvalue 0
-        is uncontrollable: position error and integral of velocity error differ by a constant that no
-        input moves. No stabilising gain exists.
-
-    Returns
-    -------
-    A : ndarray, shape (9, 9) or (12, 12)
-    B : ndarray, shape (9, 3) or (12, 3)
-    """
+def augmented(inspection: Inspection) -> tuple[Array, Array]:
+    """System of the tracking error and the integral of its positions, shapes (9, 9) and (9, 3)."""
     q = inspection
     system = clohessy_wiltshire(q.mean_motion, q.mass, q.thrust_max)
-    extra = 6 if whole_error else 3
-    A = np.zeros((6 + extra, 6 + extra))
+    A = np.zeros((9, 9))
     A[:6, :6] = system.A
-    A[6:, :extra] = np.eye(extra)
-    return A, np.vstack([system.B, np.zeros((extra, 3))])
+    A[6:, :3] = np.eye(3)
+    return A, np.vstack([system.B, np.zeros((3, 3))])
 
 
-class Tracker:
+class Tracker(Law):
     """LQR with integral action about a reference that moves on an eNMT: ``u = clip(-K_1 e - K_2 z)``.
 
     Eq. 41 builds the desired state from the present position. Its position error is identically zero: so
@@ -82,16 +66,13 @@ class Tracker:
         period: float = 1.0,
         response: float = 20.0,
     ) -> None:
-        q = self.inspection = inspection
-        self.period = positive("period", period, "s")
+        super().__init__(inspection, period)
+        q = inspection
         self.ellipses = Ellipses.of(q) if ellipses is None else ellipses
         A, B = augmented(q)
-        damping = q.mass / positive("response", response, "s")
-        stiffness = damping / (4 * response)
-        weights = [stiffness**2] * 3 + [damping**2 - 2 * q.mass * stiffness] * 3
+        stiffness, weights = lqr_weights(q, response)
         weights += [(stiffness / (8 * response)) ** 2] * 3
         self.gain = np.asarray(control.lqr(A, B, np.diag(weights), np.eye(3))[0])
-        self.motion = q.held(self.period)
         loop = np.zeros((9, 9))
         loop[:6, :6] = self.motion[0]
         loop[:6] -= self.motion[1] @ self.gain
@@ -139,14 +120,9 @@ class Tracker:
         push = 1.1 * np.sqrt(3) * q.thrust_max / q.mass
         strays = np.linalg.norm(peaks[:, :3], axis=1) + push * D**2 / 8
         slips = np.linalg.norm(peaks[:, 3:], axis=1) + push * D / 2
-        return Outlook(
-            settled,
-            np.where(settled, self._thrusts.total(s).sum(axis=1) * D / q.mass, np.inf),
-            memory[:, :6],
-            np.where(settled, strays, np.inf),
-            np.where(settled, slips, np.inf),
-            np.where(settled, semi_axes(memory, q.mean_motion)[0] - strays, -np.inf),
-        )
+        spent = self._thrusts.total(s).sum(axis=1) * D / q.mass
+        distance = semi_axes(memory, q.mean_motion)[0] - strays
+        return Outlook.of(settled, spent, memory[:, :6], strays, slips, distance)
 
     def reset(self) -> None:
         """Forget the references; the next call chooses new ones."""

@@ -1,23 +1,22 @@
-"""The allowable set: phi1 to phi6 and phi9 to phi11 (eqs. 12 to 19, 23, 24), as the paper defines them.
+"""The allowable set: phi1 to phi6 and phi9 to phi11 (eqs. 12 to 19, 23, 24).
 
+`allowable` has them as the paper defines them, in its units: what flights are judged by, independent of
+the filters' formulas. `AllowableRows` has them as filters use them: with gradients, bounded between samples.
 phi7 and phi8 (passively safe manoeuvres) are h7 and h8; see `polaris.inspection.constraints.passive`.
 """
 
 from __future__ import annotations
+
+from collections.abc import Collection
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ...model.system import Array
 from ..inspection import Inspection
-from .barriers import dot
-
-NAMES = ("phi1", "phi2", "phi3", "phi4", "phi5", "phi6", "phi9", "phi10", "phi11")
-"""In the order of the columns of `allowable`; phi5 counts both orders of a pair."""
-
-
-def _length(vectors: Array) -> Array:
-    return np.asarray(np.sqrt(dot(vectors, vectors)))
+from ..vectors import length
+from .barriers import Evaluation
+from .table import Table
 
 
 def _sun_angle(vectors: Array, sun: Array) -> Array:
@@ -35,20 +34,20 @@ def allowable(inspection: Inspection, x: Array, sun: ArrayLike) -> dict[str, Arr
     Returns
     -------
     dict of str to ndarray
-        By `NAMES`, each of shape (..., N), or (..., P) for phi2 and phi5 of the P pairs. phi5 is the
-        smaller of its values for (i, j) and (j, i).
+        phi1 to phi6, phi9 to phi11, each of shape (..., N), or (..., P) for phi2 and phi5 of the P pairs.
+        phi5 is the smaller of its values for (i, j) and (j, i).
     """
     q = inspection
     sun = np.asarray(sun, dtype=float)[..., None]
     p, v = x[..., :3], x[..., 3:]
     apart = p[..., q.pairs[:, 0], :] - p[..., q.pairs[:, 1], :]
-    distance = _length(p)
+    distance = length(p)
     between = _sun_angle(apart, sun)
     limit = q.speed_max**2
     return {
         "phi1": distance - q.separation,
-        "phi2": _length(apart) - 2 * q.deputy_radius,
-        "phi3": q.docking_speed + q.nu_1 * distance - _length(v),
+        "phi2": length(apart) - q.deputy_separation,
+        "phi3": q.docking_speed + q.nu_1 * distance - length(v),
         "phi4": _sun_angle(-p, sun) - q.field_of_view / 2,
         "phi5": np.minimum(between, np.pi - between) - q.field_of_view / 2,
         "phi6": q.distance_max - distance,
@@ -56,3 +55,70 @@ def allowable(inspection: Inspection, x: Array, sun: ArrayLike) -> dict[str, Arr
         "phi10": limit - v[..., 1] ** 2,
         "phi11": limit - v[..., 2] ** 2,
     }
+
+
+class AllowableRows(Table):
+    """phi1 to phi6 and phi9 to phi11 with gradients, as rows; phi4 and phi5 in metres, not as angles.
+
+    Parameters
+    ----------
+    inspection : Inspection
+    without : collection of str
+        Families left out.
+
+    Attributes
+    ----------
+    labels : tuple of str, length M
+        Names of the rows: ``phi1[2]``, ``phi5+[0,3]``. For `family`, `first` and `second` see `Table`.
+    is_speed : ndarray of bool, shape (M,)
+        Whether a row is about velocities.
+    """
+
+    def __init__(self, inspection: Inspection, without: Collection[str] = ()) -> None:
+        super().__init__(inspection, without)
+        self.labels = self.names("phi")
+        self.is_speed = self.among("speed", "velocity")
+
+    def __call__(self, x: Array, sun: Array) -> Evaluation:
+        """Values, gradients by the first deputy's state (the second's is the negative), changes with time.
+
+        Shapes (S, M), (S, M, 6) and (S, M), at states (S, N, 6) and sun angles (S,) [rad].
+        """
+        every = self.stack(x)
+        shape = (len(x), len(self.family))
+        phi = np.empty(shape), np.empty((*shape, 6)), np.empty(shape)
+        start = 0
+        for group in self.groups:
+            rows = slice(start, start := start + len(group.family))
+            for whole, part in zip(phi, group.barrier.phi(every[:, group.at], sun[:, None]), strict=True):
+                whole[:, rows] = part
+        return Evaluation(*phi)
+
+    def between(self, value: Array, x: Array, period: float, push: float) -> Array:
+        """Lower bounds between each two samples, shape (S-1, M).
+
+        Parameters
+        ----------
+        value : ndarray, shape (S, M)
+        x : ndarray, shape (S, N, 6)
+            Samples `period` [s] apart.
+        push : float
+            Largest acceleration by thrust of one deputy [m/s^2], constant between samples.
+
+        Notes
+        -----
+        Distances change no faster than the position moves (seen from the turning cone, for phi4 and
+        phi5): between two samples they are at least the mean of both less half the path. Speeds lie on
+        a chord but for the jerk; the largest is at an end.
+        """
+        n, D = self.inspection.mean_motion, period
+        z = self.relative(x)
+        r, v = length(z[..., :3]), length(z[..., 3:])
+        r, v = np.maximum(r[1:], r[:-1]), np.maximum(v[1:], v[:-1])
+        acceleration = np.where(self.second >= 0, 2.0, 1.0) * push + 3 * n**2 * r + 2 * n * v
+        slip = v + np.where(self.among("sun", "deputy_sun"), n * r, 0.0)
+        path = D * (slip + 1.2 * acceleration * D / 2)
+        middle = (value[1:] + value[:-1] - path) / 2
+        jerk = 1.2 * (3 * n**2 * v + 2 * n * acceleration) * D**2 / 8
+        lost = np.where(self.among("speed"), jerk + self.inspection.nu_1 * path / 2, 2 * v * jerk)
+        return np.where(self.is_speed, np.minimum(value[1:], value[:-1]) - lost, middle)

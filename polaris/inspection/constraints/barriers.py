@@ -1,34 +1,30 @@
-"""Control-invariant constraints h1 to h6 and h9 to h11: value, gradient, explicit change with time.
+"""Barriers about the positions: spheres (h1, h2, h6) and sun cones (h4, h5), and what every barrier offers.
 
 All act on states ``z = [p, v]`` in Hill's frame: of one deputy, or of one relative to another (the motion
 is linear, so both obey the same equations). They broadcast over leading axes, and their parameters over
-rows, so that one object evaluates a whole family at once.
+rows, so that one object evaluates a whole family at once. Each is the one account of its constraint: of
+phi, of the control-invariant h, of their gradients and explicit changes with time, and of the bound on the
+curvature of h between samples.
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ...model.system import Array
 from ..braking import Braking
-
-CENTRE = 0.1
-"""Below this distance [m] from a centre or an axis, directions fade to zero instead of jumping.
-
-Both lie inside what must be avoided, or are far from any boundary: nothing admissible is changed.
-"""
-
-STANDSTILL = 1e-6
-"""Below this speed [m/s] the length of the velocity is rounded off, upwards by at most half of it."""
+from ..vectors import CENTRE, dot, length, rounded_length, turning
+from .motion import Motion
 
 
 class Evaluation(NamedTuple):
-    """A barrier at some states.
+    """A barrier, or the constraint that it keeps, at some states.
 
     Attributes
     ----------
@@ -45,55 +41,30 @@ class Evaluation(NamedTuple):
     change: Array | float
 
 
-class Barrier(Protocol):
-    """A control-invariant constraint ``h(t, z) >= 0``."""
+class Barrier(ABC):
+    """A constraint ``phi(t, z) >= 0`` and a control-invariant ``h(t, z) >= 0`` that keeps it."""
 
-    @property
-    def name(self) -> str:
-        """What it is called."""
-        ...
+    @abstractmethod
+    def __call__(self, z: Array, sun: ArrayLike = 0.0) -> Evaluation:
+        """Evaluate h at states of shape (..., 6) and sun angles [rad] that broadcast against (...)."""
 
-    def __call__(self, z: Array, sun: ArrayLike) -> Evaluation:
-        """Evaluate at states of shape (..., 6) and sun angles [rad] that broadcast against (...)."""
-        ...
+    def phi(self, z: Array, sun: ArrayLike = 0.0) -> Evaluation:
+        """Evaluate the constraint itself; it is h unless braking must begin before the boundary."""
+        return self(z, sun)
 
-
-def dot(a: Array, b: Array) -> Array:
-    """Inner products along the last axis."""
-    # The first is quicker for a few vectors, the second for thousands.
-    return np.asarray(np.vecdot(a, b) if a.size < 1000 else np.einsum("...i,...i->...", a, b))
-
-
-def rounded_length(vectors: Array, least: float) -> tuple[Array, Array]:
-    """Length and direction, both continuous: below `least` the length is a parabola (never too small)."""
-    length = np.sqrt(dot(vectors, vectors))
-    if not (length < least).any():
-        return length, vectors / length[..., None]
-    bounded = np.maximum(length, least)
-    rounded = length + (bounded - length) ** 2 / (2 * least)
-    return rounded, vectors / bounded[..., None]
-
-
-def _sideways(vectors: Array, outward: Array, along: Array, distance: Array) -> Array:
-    """Change of a direction for a motion along `vectors`: their part across it, over the distance.
-
-    Closer than `CENTRE` a direction is the position over `CENTRE`, and all of the motion changes it.
-    """
-    if (distance <= CENTRE).any():
-        along = np.where(distance > CENTRE, along, 0.0)
-        distance = np.maximum(distance, CENTRE)
-    return (vectors - along[..., None] * outward) / distance[..., None]
+    def curvature(self, z: Array, sun: ArrayLike, motion: Motion) -> Array:
+        """Bound M on ``-d^2 h / dt^2``; ``-inf`` where h cannot become negative within the period."""
+        raise TypeError(f"no bound for {type(self).__name__}")
 
 
 @dataclass(frozen=True, eq=False)
-class Radial:
+class Radial(Barrier):
     """Stop before a sphere: h1 (eq. 29), h2 (eq. 30) from outside, h6 (eq. 36) from inside.
 
     ``h = s(delta) + d(delta)/dt`` with ``delta = side (norm(p) - radius)``.
 
     Parameters
     ----------
-    name : str
     radius : array_like
         [m]
     braking : Braking
@@ -102,7 +73,6 @@ class Radial:
         +1 to stay outside, -1 to stay inside.
     """
 
-    name: str
     radius: Array | float
     braking: Braking
     side: Array | float = 1.0
@@ -114,43 +84,36 @@ class Radial:
         speed, slope = self.braking(self.side * (distance - self.radius))
         away = dot(toward, v)
         gradient = np.empty(z.shape)
-        gradient[..., :3] = slope[..., None] * toward + _sideways(v, toward, away, distance)
+        gradient[..., :3] = slope[..., None] * toward + turning(v, toward, away, distance)
         gradient[..., 3:] = toward
         gradient *= np.asarray(self.side)[..., None]
         return Evaluation(speed + self.side * away, gradient, 0.0)
 
+    def phi(self, z: Array, sun: ArrayLike = 0.0) -> Evaluation:
+        """Evaluate the signed distance delta [m] itself."""
+        distance, toward = rounded_length(z[..., :3], CENTRE)
+        gradient = np.zeros(z.shape)
+        gradient[..., :3] = np.asarray(self.side)[..., None] * toward
+        return Evaluation(self.side * (distance - self.radius), gradient, 0.0)
 
-@dataclass(frozen=True, eq=False)
-class Speed:
-    """Slower when nearer: h3 = phi3 (eq. 14), ``nu_0 + nu_1 norm(p) - norm(v)``.
-
-    Parameters
-    ----------
-    name : str
-    docking_speed : float
-        nu_0 [m/s].
-    slope : float
-        nu_1 [1/s].
-    """
-
-    name: str
-    docking_speed: float
-    slope: float
-
-    def __call__(self, z: Array, sun: ArrayLike = 0.0) -> Evaluation:
-        """Evaluate at states of shape (..., 6)."""
-        # The rounded distance exceeds the distance: at the centre the limit is nu_1 CENTRE / 2 too high,
-        # 1e-4 m/s, and only there, ten metres inside the chief.
+    def curvature(self, z: Array, sun: ArrayLike, motion: Motion) -> Array:
+        """Bound M; see `Barrier.curvature`."""
+        side, D = np.asarray(self.side), motion.period
         distance, outward = rounded_length(z[..., :3], CENTRE)
-        speed, ahead = rounded_length(z[..., 3:], STANDSTILL)
-        gradient = np.empty(z.shape)
-        gradient[..., :3] = self.slope * outward
-        gradient[..., 3:] = -ahead
-        return Evaluation(self.docking_speed + self.slope * distance - speed, gradient, 0.0)
+        nearest = distance - motion.speed * D
+        near = np.maximum(nearest, CENTRE)
+        around = motion.speed**2 / near  # centripetal, pushes outwards
+        speed, push = motion.speed, motion.acceleration
+        low, high = push + np.where(side > 0, 0.0, around), push + np.where(side > 0, around, 0.0)
+        # third derivative: 3 v_t a_t / r - 3 r' v_t^2 / r^2 + jerk, and r' v_t^2 <= 2 / sqrt(27) speed^3
+        third = 3 * speed * push / near + 1.155 * speed**3 / near**2 + motion.jerk
+        delta = np.asarray(side * (distance - np.asarray(self.radius)))
+        rate = np.asarray(side * dot(outward, z[..., 3:]))
+        return self.braking.curvature(delta, rate, low, high, third, nearest > CENTRE, D)
 
 
 @dataclass(frozen=True, eq=False)
-class SunCone:
+class SunCone(Barrier):
     """Stop before the cone of positions from which the sensor would see the sun: h4, h5 (eqs. 33 to 35).
 
     The cone has its apex at the origin, its axis along ``-r_s`` (`side` +1) and half the field of view
@@ -164,7 +127,6 @@ class SunCone:
 
     Parameters
     ----------
-    name : str
     half_angle : float
         theta [rad].
     mean_motion : float
@@ -174,16 +136,10 @@ class SunCone:
         +1 for the cone about ``-r_s``, -1 for the one about ``r_s``.
     """
 
-    name: str
     half_angle: float
     mean_motion: float
     braking: Braking
     side: Array | float = 1.0
-
-    def approach(self, z: Array, sun: ArrayLike) -> tuple[Array, Array, Array]:
-        """Signed distance [m], its rate [m/s] and the distance from the axis [m], each of shape (...)."""
-        delta, normal, _, _, radius = self._geometry(z[..., :3], sun)
-        return delta, dot(normal, z[..., 3:] - (z @ self._turn)[..., :3]), radius
 
     @cached_property
     def _turn(self) -> Array:
@@ -206,7 +162,7 @@ class SunCone:
         c, s = np.cos(self.half_angle), np.sin(self.half_angle)
         return c * radius - s * along, c * outward - s * axis, axis, outward, radius
 
-    def __call__(self, z: Array, sun: ArrayLike) -> Evaluation:
+    def __call__(self, z: Array, sun: ArrayLike = 0.0) -> Evaluation:
         """Evaluate at states of shape (..., 6)."""
         delta, normal, axis, outward, radius = self._geometry(z[..., :3], sun)
         speed, slope = self.braking(delta)
@@ -218,36 +174,30 @@ class SunCone:
         c, s = np.cos(self.half_angle), np.sin(self.half_angle)
         gradient = np.empty(z.shape)
         gradient[..., :3] = slope[..., None] * normal + normal @ self._turn[:3, :3]
-        gradient[..., :3] += c * _sideways(across, outward, away, radius)
+        gradient[..., :3] += c * turning(across, outward, away, radius)
         gradient[..., 3:] = normal
         return Evaluation(speed + c * away - s * forward, gradient, -dot(gradient, turned))
 
-
-@dataclass(frozen=True, eq=False)
-class Velocity:
-    """Structural limit along one axis: h9, h10, h11 = phi9, phi10, phi11 (eq. 23), ``v_max^2 - v_axis^2``.
-
-    Parameters
-    ----------
-    name : str
-    axis : int or array of int
-        0, 1 or 2.
-    limit : float
-        v_max [m/s].
-    """
-
-    name: str
-    axis: int | NDArray[np.intp]
-    limit: float
-
-    @cached_property
-    def direction(self) -> Array:
-        """Unit vector along the axis, shape (..., 3)."""
-        return np.asarray(np.eye(3)[self.axis])
-
-    def __call__(self, z: Array, sun: ArrayLike = 0.0) -> Evaluation:
-        """Evaluate at states of shape (..., 6)."""
-        along = dot(z[..., 3:], self.direction)
+    def phi(self, z: Array, sun: ArrayLike = 0.0) -> Evaluation:
+        """Evaluate the signed distance delta [m] itself."""
+        delta, normal, *_ = self._geometry(z[..., :3], sun)
         gradient = np.zeros(z.shape)
-        gradient[..., 3:] = (-2 * along)[..., None] * self.direction
-        return Evaluation(self.limit**2 - along**2, gradient, 0.0)
+        gradient[..., :3] = normal
+        # What the sun's turning changes is what turning the position back would.
+        return Evaluation(delta, gradient, -dot(normal, (z @ self._turn)[..., :3]))
+
+    def curvature(self, z: Array, sun: ArrayLike, motion: Motion) -> Array:
+        """Bound M; see `Barrier.curvature`."""
+        n, D, c = self.mean_motion, motion.period, np.cos(self.half_angle)
+        delta, normal, _, _, radius = self._geometry(z[..., :3], sun)
+        rate = dot(normal, z[..., 3:] - (z @ self._turn)[..., :3])
+        far = length(z[..., :3]) + motion.speed * D
+        # Everything as seen from the turning cone.
+        slip = motion.speed + n * far
+        push = motion.acceleration + 2 * n * slip + n**2 * far
+        jerk = motion.jerk + n * motion.acceleration + 2 * n * push + n**2 * slip
+        nearest = radius - slip * D
+        near = np.maximum(nearest, CENTRE)
+        third = c * (3 * slip * push / near + 1.155 * slip**3 / near**2) + jerk
+        high = push + c * slip**2 / near
+        return self.braking.curvature(delta, rate, push, high, third, nearest > CENTRE, D)

@@ -1,25 +1,29 @@
-"""Passively safe manoeuvres: h7 = phi7 (eq. 21) and h8 = phi8 (eq. 22)."""
+"""Passively safe manoeuvres: h7 = phi7 (eq. 21) and h8 = phi8 (eq. 22), and their form for sampled data."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ...model.system import Array
-from ..closest import ClosestApproach
-from .barriers import Evaluation, rounded_length
+from ..closest import ClosestApproach, circle_map, map_norms
+from ..vectors import dot, rounded_length
+from .barriers import Barrier, Evaluation
+from .motion import Motion
+
+BOW = 0.01
+"""Least distance [m] by which a free flight is assumed to stray from its chords."""
 
 
 @dataclass(frozen=True, eq=False)
-class Passive:
+class Passive(Barrier):
     """Clear of a sphere for T seconds without thrust: ``inf norm(p(t)) - radius`` over free flight.
 
     Parameters
     ----------
-    name : str
     radius : array_like
         [m]
     approach : ClosestApproach
@@ -27,7 +31,6 @@ class Passive:
         Values larger than this [m] need not be exact: they may come out smaller, but not below it.
     """
 
-    name: str
     radius: Array | float
     approach: ClosestApproach
     beyond: float = np.inf
@@ -36,23 +39,83 @@ class Passive:
         """Evaluate at states of shape (..., 6)."""
         found = self.approach(z, self.beyond + float(np.max(self.radius)))
         outward = rounded_length(found.place, 1e-9)[1]
-        gradient = _carried_back(outward, self.approach.mean_motion, found.when)
+        still, drift, circle, across = (outward @ part for part in self.approach.parts)
+        angle = (self.approach.mean_motion * found.when)[..., None]
+        gradient = still + drift * found.when[..., None] + circle * np.cos(angle) + across * np.sin(angle)
         return Evaluation(found.distance - self.radius, gradient, 0.0)
 
 
-def _carried_back(direction: Array, n: float, t: Array) -> Array:
-    """``Phi_p(t)^T direction``: gradient of a position after free flight (eq. 20) by the state before."""
-    still, drift, circle, across = (direction @ part for part in _parts(n))
-    angle = (n * t)[..., None]
-    return np.asarray(still + drift * t[..., None] + circle * np.cos(angle) + across * np.sin(angle))
+@dataclass(frozen=True, eq=False)
+class PassiveSegments(Barrier):
+    """Passively safe manoeuvres as conditions on chords: two per stretch of each free flight.
 
+    Over a stretch of length L the flight leaves its chord by at most ``L^2 / 8`` times its acceleration,
+    hence by less than ``bow = n^2 L^2 / 8 (amplitude^2 + margin^2)^(1/2)`` (see `circle_map`; the margin
+    makes it smooth). A direction is chosen per stretch, towards the chord's point nearest to the origin; the
+    flight stays clear there if both ends of the chord lie beyond ``radius + bow`` along that direction.
+    Every instant of the flight is covered, not only the closest approach, whose place may jump within a
+    period. The directions at the next sample are the best for the chords then, and the bow is a function of
+    the state: h at the next sample is no less than what was left of it.
 
-@cache
-def _parts(n: float) -> tuple[Array, ...]:
-    """The constant, linear, cosine and sine parts of eq. 20, each of shape (3, 6)."""
-    still, drift, circle, across = np.zeros((4, 3, 6))
-    still[0, [0, 4]], still[1, [1, 3]] = (4, 2 / n), (1, -2 / n)
-    drift[1, [0, 4]] = -6 * n, -3
-    circle[0, [0, 4]], circle[1, 3], circle[2, 2] = (-3, -2 / n), 2 / n, 1
-    across[0, 3], across[1, [0, 4]], across[2, 5] = 1 / n, (6, 4 / n), 1 / n
-    return still, drift, circle, across
+    Parameters
+    ----------
+    radius : array_like, shape (K,)
+        One for each flight [m].
+    approach : ClosestApproach
+    """
+
+    radius: Array | float
+    approach: ClosestApproach
+
+    @property
+    def rows(self) -> int:
+        """Rows per flight."""
+        return 2 * (len(self.approach.times) - 1)
+
+    @cached_property
+    def _reach(self) -> tuple[Array, Array, float, float, Array]:
+        """Gains of acceleration and jerk for each row; bow per amplitude; margin [m]; map to the circle."""
+        gain_a, gain_j = map_norms(self.approach.place_maps)
+        n = self.approach.mean_motion
+        per_amplitude = float(n * self.approach.times[1]) ** 2 / 8
+        ends = np.repeat(np.arange(len(gain_a)), 2)[1:-1]
+        return gain_a[ends], gain_j[ends], per_amplitude, BOW / per_amplitude, circle_map(n)
+
+    def __call__(self, z: Array, sun: ArrayLike = 0.0) -> Evaluation:
+        """Evaluate K flights, shape (..., K, 6); the rows of a flight follow each other, (..., K rows)."""
+        ends = (z @ self.approach.positions).reshape(*z.shape[:-1], -1, 3)
+        start, chord = ends[..., :-1, :], np.diff(ends, axis=-2)
+        part = np.clip(-dot(start, chord) / np.maximum(dot(chord, chord), 1e-30), 0.0, 1.0)
+        outward = rounded_length(start + part[..., None] * chord, 1e-9)[1]
+        first = dot(outward, start)
+        _, _, per_amplitude, _, to_circle = self._reach
+        amplitude, circle = self._amplitude(z)
+        h = np.stack([first, first + dot(outward, chord)], axis=-1)
+        h = h - (np.asarray(self.radius) + per_amplitude * amplitude)[..., None, None]
+        Phi = self.approach.place_maps
+        gradient = np.stack(
+            [
+                np.einsum("...si,sij->...sj", outward, Phi[:-1]),
+                np.einsum("...si,sij->...sj", outward, Phi[1:]),
+            ],
+            axis=-2,
+        )
+        growth = (per_amplitude / amplitude)[..., None] * (circle @ to_circle)
+        gradient -= growth[..., None, None, :]
+        shape = (*z.shape[:-2], z.shape[-2] * self.rows)
+        return Evaluation(h.reshape(shape), gradient.reshape(*shape, 6), 0.0)
+
+    def _amplitude(self, z: Array) -> tuple[Array, Array]:
+        """Amplitude with its margin [m], and the vectors it is the length of."""
+        circle = z @ self._reach[4].T
+        return np.sqrt(dot(circle, circle) + self._reach[3] ** 2), circle
+
+    def curvature(self, z: Array, sun: ArrayLike, motion: Motion) -> Array:
+        """Bound M, for each row."""
+        gain_a, gain_j, per_amplitude, margin, to_circle = self._reach
+        M = motion.acceleration[..., None] * gain_a + motion.jerk[..., None] * gain_j
+        # In free flight the amplitude does not change; thrust moves the turning vectors at this rate.
+        rate = np.linalg.norm(to_circle[:, 3:], 2) * motion.thrust
+        least = np.maximum(self._amplitude(z)[0] - rate * motion.period, margin)
+        M += (per_amplitude * (rate**2 / least + self.approach.mean_motion * rate))[..., None]
+        return M.reshape(*M.shape[:-2], -1)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,19 +10,7 @@ from numpy.typing import ArrayLike
 from ...model.checks import number
 from ...model.errors import ScenarioError
 from ...model.system import Array
-
-FAMILIES = (
-    "chief_separation",
-    "deputy_separation",
-    "speed",
-    "sun",
-    "deputy_sun",
-    "keep_in",
-    "passive",
-    "deputy_passive",
-    "velocity",
-)
-"""The kinds of barrier, in the order of h1 to h11; velocity stands for h9, h10 and h11."""
+from .catalogue import FAMILIES
 
 
 @dataclass(frozen=True)
@@ -84,16 +71,9 @@ class Strengthening:
         return float(real.min()) * (1 + 1e-9) + self.bias
 
 
-def evaluate(
-    h: Array,
-    c1: Array | float,
-    c2: Array | float,
-    c3: Array | float,
-    bias: Array | float,
-    recovery: Array | float,
-    push: Array | float,
-) -> Array:
-    """Many strengthening functions at once; the parameters broadcast against h."""
+def evaluate(h: Array, *numbers: Array | float) -> Array:
+    """Many strengthening functions at once; their `Strengthening.numbers` broadcast against h."""
+    c1, c2, c3, bias, recovery, push = numbers
     s = h - bias
     size = np.abs(s)
     alpha = s * (c1 + size * (c2 + size * c3))
@@ -102,8 +82,6 @@ def evaluate(
         alpha = np.where(outside, recovery * alpha - push, alpha)
     return np.asarray(alpha)
 
-
-Preset = Mapping[str, Strengthening]
 
 _CUBIC = (0.01, 0.0, 0.001)
 _FAR = Strengthening(_CUBIC, 0.0, 10.0, 0.01)

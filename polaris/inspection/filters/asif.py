@@ -5,16 +5,15 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from ...model.system import Array
-from ...rta.projection import DESIRED, FAILED, SHORT
-from ..constraints.barriers import dot
+from ...rta.projection import FAILED, SHORT
 from ..constraints.families import Families, Rows
-from ..constraints.sampled import SampledData
+from ..constraints.motion import SampledData
 from ..constraints.strengthening import Strengthening
 from ..inspection import Inspection
-from .decision import Backup, Decision
+from ..vectors import dot
+from .decision import Answer, Backup, CallByCall, named
 from .explicit import CENTRALIZED, make_filter
 from .received import Received, Receiver
 
@@ -22,7 +21,7 @@ TIGHT = 1e-7
 """A condition counts as active if the input misses equality by less [N]."""
 
 
-class ActiveSetFilter:
+class ActiveSetFilter(CallByCall):
     """Nearest input that keeps every constraint (eq. 5), with defined answers to bad input.
 
     - A deputy whose state is unknown is taken to be where its last state and thrust lead (see
@@ -59,75 +58,52 @@ class ActiveSetFilter:
         backup: Backup | None = None,
         sun_start: float = 0.0,
     ) -> None:
-        self.inspection, self.backup, self.sun_start = inspection, backup, sun_start
+        self.backup, self.sun_start = backup, sun_start
         self.families = Families(inspection, strengthening, without, sampled)
         self.batch = make_filter(self.families, sharing)
         labels = np.array(self.families.labels)
         # Several rows may stand for one constraint; they follow each other.
         self._starts = np.flatnonzero(np.append(True, labels[1:] != labels[:-1]))
         self._names = tuple(labels[self._starts].tolist())
-        self.reset()
+        super().__init__(inspection, None if sampled is None else sampled.period)
 
     def reset(self) -> None:
         """Forget the last states: a new flight begins."""
-        sampled = self.families.sampled
-        self._receiver = Receiver(self.inspection, None if sampled is None else sampled.period)
+        self._receiver = Receiver(self.inspection, self._receiver.period)
 
-    def filter(self, t: float, x: ArrayLike, u_des: ArrayLike | None) -> Decision:
-        """Decide on the inputs of the next control period; see `RunTimeFilter`."""
-        got = self._receiver.receive(t, x, u_des)
-        notes = [note for note in (got.fallback(),) if note]
+    def _answer(self, got: Received) -> Answer:
+        replaced = ~(got.given & got.known)
         if not got.estimated.all():
-            nothing = np.zeros_like(got.u)
-            decision = Decision(nothing, np.ones(len(nothing), dtype=bool), (), {}, "coast", "; ".join(notes))
-        else:
-            decision = self._filtered(got, notes)
-        self._receiver.applied(decision.u)
-        return decision
-
-    def _backup(self, t: float, x: Array, reasons: list[str]) -> Array:
-        """The backup controller's input; no thrust where it has none to give, which is recorded."""
-        if self.backup is None:
-            return np.zeros((len(x), 3))
-        try:
-            u = np.asarray(self.backup(t, x), dtype=float)
-        except Exception as error:  # whatever it is, the filter must answer
-            reasons.append(f"the backup controller failed: {type(error).__name__}")
-            return np.zeros((len(x), 3))
-        if u.shape != (len(x), 3):
-            reasons.append(f"the backup controller failed: an answer of shape {u.shape}")
-            return np.zeros((len(x), 3))
-        if not np.isfinite(u).all():
-            reasons.append("the backup controller failed: an answer that is not finite")
-        limit = self.inspection.thrust_max
-        return np.where(np.isfinite(u), np.clip(u, -limit, limit), 0.0)
-
-    def _filtered(self, got: Received, reasons: list[str]) -> Decision:
-        t, x, replaced = got.t, got.x, ~(got.given & got.known)
+            every = np.ones(len(got.u), dtype=bool)
+            return Answer(np.zeros_like(got.u), every, ~every, every, {}, [])
+        notes: list[str] = []
         desired = got.wanted
         if replaced.any():
-            desired = np.where(replaced[:, None], self._backup(t, x, reasons), desired)
+            desired = np.where(replaced[:, None], self._backed_up(self.backup, got, notes), desired)
         # Commands beyond a million times the limit are as good as that; squares of huge ones overflow.
         most = 1e6 * self.inspection.thrust_max
-        sun = self.inspection.sun_angle([t], self.sun_start)
-        found = self.batch.batch(x[None], sun, np.clip(desired, -most, most)[None])
+        sun = self.inspection.sun_angle([got.t], self.sun_start)
+        found = self.batch.batch(got.x[None], sun, np.clip(desired, -most, most)[None])
         u, status, rows = found.u[0], found.status[0], found.rows
-        name = "filtered" if (status > DESIRED).any() else "desired"
-        if replaced.any():
-            name = "backup"
-        if (status >= SHORT).any():
-            name = "short"
         if (failed := status == FAILED).any():
-            name = "backup"
-            reasons.append("the program failed")
-            u = np.where(failed[:, None], self._backup(t, x, reasons), u)
-        margins = dict(zip(self._names, np.minimum.reduceat(rows.h[0], self._starts).tolist(), strict=True))
-        intervened = (u != desired).any(axis=1) | replaced
-        active = self._active(rows, u) if intervened.any() else ()
-        missed = self._missed(rows, u) if (status >= SHORT).any() else {}
-        if name == "short":
-            reasons.append(f"no input satisfies all conditions: least violation, misses {_told(missed)}")
-        return Decision(u, intervened, active, margins, name, "; ".join(reasons) or None, missed)
+            notes.append("the program failed")
+            u = np.where(failed[:, None], self._backed_up(self.backup, got, notes), u)
+        answer = Answer(
+            u,
+            (u != desired).any(axis=1) | replaced,
+            replaced | failed,
+            np.zeros(len(u), dtype=bool),
+            named(self._names, np.minimum.reduceat(rows.h[0], self._starts)),
+            notes,
+            short=bool((status >= SHORT).any() and not failed.any()),
+        )
+        if answer.intervened.any():
+            answer.active = self._active(rows, u)
+        if (status >= SHORT).any():
+            answer.missed = self._missed(rows, u)
+        if answer.short:
+            notes.append(f"no input satisfies all conditions: least violation, misses {_told(answer.missed)}")
+        return answer
 
     def _missed(self, rows: Rows, u: Array) -> dict[str, float]:
         """Constraints whose condition is not met, and by how much [N]."""

@@ -1,7 +1,9 @@
-"""What every run-time filter answers, and what it asks of a backup controller."""
+"""The one call of every run-time filter: receive, decide, put into words; and what a backup controller is."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -9,6 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...model.system import Array
+from ..inspection import Inspection
+from .received import Received, Receiver
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +36,10 @@ class Decision:
         Why the answer is not the filter's regular one; None if it is.
     missed : dict of str to float
         Conditions that the answer does not meet, by name, and by how much [N]; inf where no input changes it.
+    on_backup : ndarray of bool, shape (N,)
+        Whose input is the backup controller's, or none.
+    unproven : bool
+        A filter that rests on its backup could not show that even this keeps the constraints.
     """
 
     u: Array
@@ -41,6 +49,8 @@ class Decision:
     status: str
     fallback: str | None = None
     missed: dict[str, float] = field(default_factory=dict, repr=False)
+    on_backup: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool), repr=False)
+    unproven: bool = False
 
 
 class RunTimeFilter(Protocol):
@@ -68,3 +78,114 @@ class Backup(Protocol):
     def __call__(self, t: float, x: Array) -> Array:
         """Thrust [N], shape (N, 3), within the limits, for finite states of shape (N, 6)."""
         ...
+
+
+@dataclass(frozen=True)
+class Switch:
+    """One entry of the log of a filter that switches.
+
+    Attributes
+    ----------
+    t : float
+        [s]
+    deputy : int
+    to : str
+        ``backup`` or ``desired``.
+    reason : str
+    """
+
+    t: float
+    deputy: int
+    to: str
+    reason: str
+
+
+@dataclass
+class Answer:
+    """What a filter has decided, before it is put into words: see `Decision`.
+
+    `backup` and `coasting` say whose input is the backup's, and whose is none because nothing else is
+    possible; `notes` what is not regular; `short` that no input satisfies all conditions.
+    """
+
+    u: Array
+    intervened: NDArray[np.bool_]
+    backup: NDArray[np.bool_]
+    coasting: NDArray[np.bool_]
+    margins: dict[str, float]
+    notes: list[str]
+    active: tuple[str, ...] = ()
+    missed: dict[str, float] = field(default_factory=dict)
+    short: bool = False
+    unproven: bool = False
+
+    @property
+    def status(self) -> str:
+        """One word for all deputies."""
+        if self.coasting.all():
+            return "coast"
+        if self.short:
+            return "short"
+        if (self.backup & ~self.coasting).any():
+            return "backup"
+        return "filtered" if self.intervened.any() else "desired"
+
+
+class CallByCall(ABC):
+    """A `RunTimeFilter`: takes in each call, has a subclass decide, words the decision, remembers the thrust.
+
+    Parameters
+    ----------
+    inspection : Inspection
+    period : float, optional
+        Longest time [s] for which an answer may be held; default any.
+    """
+
+    def __init__(self, inspection: Inspection, period: float | None) -> None:
+        self.inspection = inspection
+        self._receiver = Receiver(inspection, period)
+
+    def filter(self, t: float, x: ArrayLike, u_des: ArrayLike | None) -> Decision:
+        """Decide on the inputs of the next control period; see `RunTimeFilter`."""
+        got = self._receiver.receive(t, x, u_des)
+        answer = self._answer(got)
+        self._receiver.applied(answer.u)
+        said = "; ".join(note for note in (got.fallback(), *answer.notes) if note) or None
+        return Decision(
+            answer.u,
+            answer.intervened,
+            answer.active,
+            answer.margins,
+            answer.status,
+            said,
+            answer.missed,
+            answer.backup | answer.coasting,
+            answer.unproven,
+        )
+
+    @abstractmethod
+    def _answer(self, got: Received) -> Answer:
+        """Decide on what has been received."""
+
+    def _backed_up(self, backup: Backup | None, got: Received, notes: list[str]) -> Array:
+        """The backup controller's input; no thrust where it has none to give, which is recorded."""
+        nothing, failed = np.zeros((self.inspection.deputies, 3)), "the backup controller failed: "
+        if backup is None:
+            return nothing
+        try:
+            u = np.asarray(backup(got.t, got.x), dtype=float)
+        except Exception as error:  # whatever it is, the filter must answer
+            notes.append(f"{failed}{type(error).__name__}")
+            return nothing
+        if u.shape != nothing.shape:
+            notes.append(f"{failed}an answer of shape {u.shape}")
+            return nothing
+        if not np.isfinite(u).all():
+            notes.append(f"{failed}an answer that is not finite")
+        limit = self.inspection.thrust_max
+        return np.where(np.isfinite(u), np.clip(u, -limit, limit), 0.0)
+
+
+def named(labels: Sequence[str], values: Array, shown: NDArray[np.bool_] | bool = True) -> dict[str, float]:
+    """Values by their names; nan where they are not to be shown."""
+    return dict(zip(labels, np.where(shown, values, np.nan).tolist(), strict=True))

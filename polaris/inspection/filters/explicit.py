@@ -61,22 +61,15 @@ class Centralized:
 
     def project(self, rows: Rows, desired: Array) -> tuple[Array, Statuses]:
         """Nearest inputs that satisfy all rows, shapes (R, N, 3) and (R, N)."""
-        families = self.families
-        limit = families.inspection.thrust_max
+        families, limit = self.families, self.families.inspection.thrust_max
         u = np.clip(desired, -limit, limit)
         status = _unchanged(u, desired)
         broken = ~(np.einsum("rmv,rmv->rm", rows.G, families.relative(u)) >= rows.bound)  # nan: not met
         runs = np.flatnonzero(broken.any(axis=1))
         if len(runs):
-            found = project_coupled(
-                rows.G[runs],
-                rows.bound[runs],
-                desired[runs],
-                limit,
-                families.first,
-                families.second,
-                families.rank(rows.h[runs]),
-            )
+            G, bound, rank = rows.G[runs], rows.bound[runs], families.rank(rows.h[runs])
+            who = families.first, families.second
+            found = project_coupled(G, bound, desired[runs], limit, *who, rank)
             u[runs] = found.u
             worse = found.status[:, None]
             status[runs] = np.where(worse > FILTERED, worse, _unchanged(found.u, desired[runs]))

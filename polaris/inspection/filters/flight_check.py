@@ -7,38 +7,23 @@ are not among them: under a backup law thrusters are assumed to work.
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass
 
 import numpy as np
 
 from ...model.hill import free_flight
 from ...model.system import Array
-from ..backup.backup_flight import BackupFlight, fly_backup, periods
+from ..backup.backup_flight import fly_backup, periods
 from ..backup.parking import Memoryless, Outlook
-from ..constraints.allowable_rows import AllowableRows, dot
+from ..constraints.allowable_set import AllowableRows
 from ..enmt import semi_axes
+from ..vectors import length
+from .received import Received
 
 PHASES = 360
 """Instants at which a parking orbit is looked at over one revolution."""
 
 SHARE = 0.02
 """Share of the thrust limit below which a flight is taken to have arrived on its parking orbit."""
-
-
-@dataclass(frozen=True, eq=False)
-class Checked:
-    """A backup flight, judged.
-
-    Attributes
-    ----------
-    margin : ndarray, shape (M,)
-        Lower bound of each constraint over all time, in its unit; -inf for rows of deputies that have not
-        settled within the horizon.
-    flight : BackupFlight
-    """
-
-    margin: Array
-    flight: BackupFlight
 
 
 class FlightCheck:
@@ -52,7 +37,7 @@ class FlightCheck:
     sun_start : float
         Sun angle at t = 0 [rad].
     without : collection of str
-        Constraints left out.
+        Families left out.
     """
 
     def __init__(
@@ -62,26 +47,41 @@ class FlightCheck:
         self.rows = AllowableRows(law.inspection, without)
         self.sun_start = sun_start
         self.steps = periods(horizon, law.period)
+        self.inherited = Inherited(law.period)
         revolution = 2 * np.pi / law.inspection.mean_motion
         self._times = np.linspace(0.0, revolution, PHASES + 1)
         self._orbit = free_flight(law.inspection.mean_motion, self._times)
 
-    def __call__(self, t: float, x: Array, u: Array | None = None) -> Checked:
-        """Judge the flight from states (N, 6) at t [s], after one period of the thrust u, if given.
+    def __call__(self, t: float, x: Array, u: Array | None = None) -> Array:
+        """Lower bounds of all constraints over all time, in their units, shape (M,).
 
-        With u, the period itself is judged too, from its start.
+        From states (N, 6) at t [s], with a period of the thrust u first, if given; -inf for deputies that
+        have not settled within the horizon.
         """
         law, q = self.law, self.inspection
         first = x if u is None else x @ law.motion[0].T + u @ law.motion[1].T
         flight = fly_backup(law, first, law.start(first), self.steps, SHARE)
         states = flight.x if u is None else np.concatenate([x[None], flight.x])
         at = t + law.period * np.arange(len(states))
-        value = self.rows(states, q.sun_angle(at, self.sun_start)).value
+        value = self.rows(states, q.sun_angle(at, self.sun_start)).h
         margin = value.min(axis=0)
         push = np.sqrt(3) * q.thrust_max / q.mass
         if len(states) > 1:
             margin = np.minimum(margin, self.rows.between(value, states, law.period, push).min(axis=0))
-        return Checked(np.minimum(margin, self.parked(float(at[-1]), flight.outlook)), flight)
+        return np.asarray(np.minimum(margin, self.parked(float(at[-1]), flight.outlook)))
+
+    def proves(self, got: Received, u: Array, good: bool) -> bool:
+        """Note what the thrust u (N, 3) leads to; whether the flight after it is proven to stay allowable.
+
+        It is if all states are known and its bounds are good, or if it is the rest of one that was proven.
+        """
+        proven = bool(got.known.all()) and (good or self.inherited.holds(got.t, got.x))
+        if proven:
+            Phi, Gamma = self.law.motion
+            self.inherited.prove(got.t, got.x @ Phi.T + u @ Gamma.T)
+        else:
+            self.inherited.clear()
+        return proven
 
     def parked(self, t: float, outlook: Outlook) -> Array:
         """Lower bounds for ever after the flight has settled at t [s], shape (M,).
@@ -93,23 +93,21 @@ class FlightCheck:
         orbit = np.einsum("sij,nj->sni", self._orbit, outlook.ellipse)
         # Free flight returns exactly for these states; rounding and the drift of a state that is not
         # quite on an eNMT are far below a millimetre.
-        value = rows(orbit, q.sun_angle(t + self._times, self.sun_start)).value
+        value = rows(orbit, q.sun_angle(t + self._times, self.sun_start)).h
         least = rows.between(value, orbit, float(self._times[1]), 0.0).min(axis=0)
         # Distances are never below the semi-minor axis, of one orbit or of the difference of two.
         semi_minor = semi_axes(rows.relative(outlook.ellipse), q.mean_motion)[0]
-        radius = np.where(rows.second >= 0, 2 * q.deputy_radius, q.separation)
-        outside = np.isin(rows.kind, ("phi1", "phi2"))
+        radius = np.where(rows.second >= 0, q.deputy_separation, q.separation)
+        outside = rows.among("chief_separation", "deputy_separation")
         least = np.where(outside, np.maximum(least, semi_minor - radius), least)
         stray = outlook.strays[rows.first] + np.where(rows.second >= 0, outlook.strays[rows.second], 0.0)
         slip = outlook.slips[rows.first]
-        lost = np.where(np.array(rows.kind) == "phi3", slip + q.nu_1 * stray, stray)
-        speed = np.sqrt(dot(orbit[..., 3:], orbit[..., 3:])).max(axis=0)[rows.first]
-        squares = rows.is_speed & (np.array(rows.kind) != "phi3")
+        lost = np.where(rows.among("speed"), slip + q.nu_1 * stray, stray)
+        speed = length(orbit[..., 3:]).max(axis=0)[rows.first]
         with np.errstate(invalid="ignore"):
-            lost = np.where(squares, slip * (2 * speed + slip), lost)
-            return np.asarray(
-                np.where(np.isfinite(lost), least - np.where(np.isfinite(lost), lost, 0.0), -np.inf)
-            )
+            lost = np.where(rows.among("velocity"), slip * (2 * speed + slip), lost)
+        settled = np.isfinite(lost)
+        return np.asarray(np.where(settled, least - np.where(settled, lost, 0.0), -np.inf))
 
 
 class Inherited:
@@ -117,17 +115,12 @@ class Inherited:
 
     The bounds of `FlightCheck` are not sharp, and those of a rest may come out lower than those of the
     whole. What has been proven stays proven: if the deputies are where the proven flight has them, at the
-    time for which it has them there.
-
-    Parameters
-    ----------
-    period : float
-        [s]
+    time for which it has them there. The period is in seconds.
     """
 
     def __init__(self, period: float) -> None:
         self.period = period
-        self._due, self._x = np.nan, np.empty((0, 6))
+        self.clear()
 
     def prove(self, t: float, x: Array) -> None:
         """Note that the backup flight from the states x (N, 6) at t + period is proven."""
@@ -135,7 +128,7 @@ class Inherited:
 
     def clear(self) -> None:
         """Nothing is proven."""
-        self._due = np.nan
+        self._due, self._x = np.nan, np.empty((0, 6))
 
     def holds(self, t: float, x: Array) -> bool:
         """Whether the flight from x at t is proven; states may differ by rounding."""

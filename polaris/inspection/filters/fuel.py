@@ -1,31 +1,15 @@
 """The fuel limit: a latched switching filter (eq. 39) that keeps enough fuel to reach a parking orbit.
 
-Fuel is counted as ``delta_v = integral (|F_x| + |F_y| + |F_z|) / m dt`` (eq. 25). Thrust is held for a
-period, so that the integral is a sum, exactly.
-
-Why the limit is kept, for a deputy that satisfies the condition once. Let b(x) be an upper bound on all
-that the backup law ever spends when it takes over at the state x: what its predicted flight spends until it
-has settled, and a bound on everything after (`BackupFlight.delta_v`). Let u be what is desired, D the
-period and x' the state after it. The desired input passes only if
+Fuel is counted as ``delta_v = integral (|F_x| + |F_y| + |F_z|) / m dt`` (eq. 25); thrust is held for a
+period, so that the integral is a sum. With b(x) an upper bound on all that the backup law ever spends from
+the state x, and x' the state after a period D of the desired input u, that input passes only if
 
     spent + norm_1(u) D / m + b(x') <= delta_v_max.                                              (*)
 
-Eq. 39 as printed looks at b(x) instead: then the coming period's fuel, and what it adds to the velocity that
-the backup must take away, are nobody's. By induction, at the start of each period either the deputy is
-latched, or ``spent + b(x) <= delta_v_max``. It holds after a desired period by (*). If (*) fails, the backup
-takes over at x, whose own bound was (*) of the period before; from then on it flies the flight that was
-predicted, the law and its memory being those of the prediction, and never spends more than b(x). This holds
-for all time and without disturbances: the flight is predicted, not corrected. Beyond the model (unmodelled
-forces, a filter that starts with too little fuel) the last rule keeps the limit: thrust that would exceed it
-is scaled down, finally to zero. Then the limit holds, but the parking orbit may not be reached.
-
-The same condition with the predicted distance from the chief (`keep_clear`) keeps the deputy away from it:
-after latching nothing but that is claimed.
+Why this keeps the limit is proven in ``docs/inspection-theory.md``, section 6.
 """
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -35,28 +19,11 @@ from ...model.system import Array
 from ..backup.backup_flight import BackupFlight, fly_backup, periods
 from ..backup.parking import Law, Parking
 from ..inspection import Inspection
-from .decision import Decision
-from .received import Received, Receiver
+from .decision import Answer, CallByCall, Switch
+from .received import Received, listed
 
 
-@dataclass(frozen=True)
-class Latch:
-    """When and why a deputy was switched to the backup for good.
-
-    Attributes
-    ----------
-    t : float
-        [s]
-    deputy : int
-    reason : str
-    """
-
-    t: float
-    deputy: int
-    reason: str
-
-
-class FuelLimit:
+class FuelLimit(CallByCall):
     """Switching filter for the fuel limit; follows `RunTimeFilter`.
 
     Each deputy is on its own. The desired input passes as long as, after one period of it, the backup law
@@ -79,7 +46,7 @@ class FuelLimit:
     spent : ndarray, shape (N,)
         Delta-v of all inputs answered so far [m/s], each held for one period.
     latched : ndarray of bool, shape (N,)
-    log : list of Latch
+    log : list of Switch
     predicted : BackupFlight or None
         The flight on which the last decision rests: of all deputies, from the end of the coming period.
 
@@ -103,7 +70,7 @@ class FuelLimit:
         horizon: float = 3000.0,
         spent: ArrayLike = 0.0,
     ) -> None:
-        q = self.inspection = inspection
+        q = inspection
         self.law = Parking(q) if law is None else law
         if self.law.inspection != q:
             raise ScenarioError("law", type(law).__name__, "must be for the same inspection problem")
@@ -114,33 +81,37 @@ class FuelLimit:
             raise ScenarioError("spent", spent, f"must be one or {q.deputies} finite numbers >= 0 [m/s]")
         self.spent = np.array(np.broadcast_to(before, (q.deputies,)))
         self.latched = np.zeros(q.deputies, dtype=bool)
-        self.log: list[Latch] = []
+        self.log: list[Switch] = []
         self.predicted: BackupFlight | None = None
-        self._receiver = Receiver(q, self.law.period)
+        super().__init__(q, self.law.period)
         self._memory: list[Array | None] = [None] * q.deputies
         self._due = np.inf
         self._applied = np.zeros((q.deputies, 3))
 
-    def filter(self, t: float, x: ArrayLike, u_des: ArrayLike | None) -> Decision:
-        """Decide on the thrust of the next period; see `RunTimeFilter.filter`."""
-        got = self._receiver.receive(t, x, u_des)
+    def _answer(self, got: Received) -> Answer:
+        q, able = self.inspection, got.known & got.given
         self._count_delay(got.t)
         reserve = np.full(len(got.x), np.nan)
-        asked = np.flatnonzero(~self.latched & got.known & got.given)
+        asked = np.flatnonzero(~self.latched & able)
         if len(asked):
             reserve[asked], reasons = self._look_ahead(got, asked)
             for i, reason in zip(asked, reasons, strict=True):
                 if reason:
                     self.latched[i] = True
-                    self.log.append(Latch(got.t, int(i), reason))
+                    self.log.append(Switch(got.t, int(i), "backup", reason))
         u = self._thrust(got)
         allowed = self._affordable(u)
         exhausted = (allowed < 1) & got.known
-        u = u * allowed[:, None]
-        self.spent = self.spent + np.abs(u).sum(axis=1) * self.law.period / self.inspection.mass
-        self._receiver.applied(u)
-        self._applied = u
-        return self._decision(got, u, reserve, exhausted)
+        self._applied = u = u * allowed[:, None]
+        self.spent = self.spent + np.abs(u).sum(axis=1) * self.law.period / q.mass
+        latched = ~able | self.latched
+        margins = {f"phi12[{i}]": float(q.delta_v_max - self.spent[i]) for i in range(q.deputies)}
+        margins |= {f"reserve[{i}]": float(reserve[i]) for i in range(q.deputies)}
+        active = tuple(f"latched[{i}]" for i in np.flatnonzero(self.latched))
+        active += tuple(f"phi12[{i}]" for i in np.flatnonzero(exhausted))
+        notes = [f"fuel exhausted: deputy {listed(exhausted)}"] if exhausted.any() else []
+        intervened = latched | got.clipped | exhausted
+        return Answer(u, intervened, latched, exhausted | ~got.known, margins, notes, active)
 
     def _look_ahead(self, got: Received, asked: NDArray[np.intp]) -> tuple[Array, list[str]]:
         """Condition (*) for some: reserves [m/s], and why the backup must take over ('' if it need not)."""
@@ -199,43 +170,14 @@ class FuelLimit:
         left = np.maximum(q.delta_v_max - self.spent, 0.0) * (1 - 1e-12)
         return np.where(cost > left, left / np.where(cost > 0, cost, 1.0), 1.0)
 
-    def _decision(self, got: Received, u: Array, reserve: Array, exhausted: NDArray[np.bool_]) -> Decision:
-        q = self.inspection
-        passed = got.known & got.given & ~self.latched
-        intervened = ~passed | got.clipped | exhausted
-        if (~passed & got.known & ~exhausted).any():
-            status = "backup"
-        elif (exhausted | ~got.known).all():
-            status = "coast"
-        else:
-            status = "filtered" if intervened.any() else "desired"
-        margins = {f"phi12[{i}]": float(q.delta_v_max - self.spent[i]) for i in range(q.deputies)}
-        margins |= {f"reserve[{i}]": float(reserve[i]) for i in range(q.deputies)}
-        active = tuple(f"latched[{i}]" for i in np.flatnonzero(self.latched))
-        active += tuple(f"phi12[{i}]" for i in np.flatnonzero(exhausted))
-        notes = [got.fallback()] if got.fallback() else []
-        if exhausted.any():
-            notes.append(f"fuel exhausted: deputy {', '.join(map(str, np.flatnonzero(exhausted)))}")
-        return Decision(u, intervened, active, margins, status, "; ".join(map(str, notes)) or None)
-
 
 def clearance(flight: BackupFlight, x: Array, u: Array, inspection: Inspection, period: float) -> Array:
     """Lower bound on the distance from the chief, less the separation [m], over all time; shape (N,).
 
-    From the given states through one period of the thrust u, along the flight, and for ever after. Between
-    two samples a position is at least ``(r_k + r_{k+1} - length) / 2`` away, where the path's length is at
-    most the period times the larger speed at its ends and half of what the acceleration adds.
-
-    Parameters
-    ----------
-    flight : BackupFlight
-        From the states after that period.
-    x : ndarray, shape (N, 6)
-    u : ndarray, shape (N, 3)
-        [N]
-    inspection : Inspection
-    period : float
-        [s]
+    From the states x (N, 6) through one period [s] of the thrust u (N, 3), along the flight after it, and
+    for ever after. Between two samples a position is at least ``(r_k + r_{k+1} - length) / 2`` away, where
+    the path's length is at most the period times the larger speed at its ends and half of what the
+    acceleration adds.
     """
     q = inspection
     states = np.concatenate([x[None], flight.x])

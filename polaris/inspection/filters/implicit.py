@@ -1,22 +1,8 @@
 """Implicit active set invariance filter: safety is that of the flight under a backup law.
 
-For a sample of the backup flight, at the time tau after the present, let ``g(t, x) = phi(flight(tau, x))``
-with the constraint taken at t + tau. Its rate under the input u is
-``grad phi S(tau) (f(x) + B u) + d(phi)/dt``, S being the derivative of the flight's state by its first. Each
-such rate must be at least ``-rate g`` (eq. 7), along the flight and along the parking orbit on which it ends.
-
-What holds, and what does not:
-
-- The conditions concern samples of the flight, and the present instant of a continuous time. By themselves
-  they guarantee nothing for thrust held over a period, and they may have no solution.
-- Therefore every answer is tried first: one period of it is flown, then the backup law until all deputies
-  have settled, and every constraint is bounded over all time (`FlightCheck`). If a bound is negative the
-  backup's thrust is answered instead. From a state whose own backup flight passes, it passes again, because
-  that flight is the rest of the one before (`Inherited`). Hence: once in the set of states whose backup
-  flight passes, always in it, and phi1 to phi6 and phi9 to phi11 hold for all time; without disturbances,
-  with exact states, and up to rounding.
-- From a state outside that set nothing is guaranteed; it is recorded.
-- phi7 and phi8 are not enforced.
+Every constraint along that flight, and along the parking orbit on which it ends, gives a condition on the
+present input (eq. 7); every answer is tried before it is given. What holds, and what does not, is in
+``docs/inspection-theory.md``, section 6.
 """
 
 from __future__ import annotations
@@ -24,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Collection
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from ...model.checks import positive
 from ...model.hill import free_flight
@@ -33,9 +19,9 @@ from ...rta.projection import FILTERED, solve
 from ..backup.backup_flight import BackupFlight, fly_backup, sensitivities
 from ..backup.parking import Memoryless, Parking
 from ..inspection import Inspection
-from .decision import Decision
-from .flight_check import FlightCheck, Inherited
-from .received import Received, Receiver
+from .decision import Answer, CallByCall, named
+from .flight_check import FlightCheck
+from .received import Received
 
 SAMPLES = 40
 """Most samples along the flight for which there is a condition."""
@@ -44,7 +30,7 @@ ORBIT = 24
 """Samples along the parking orbit."""
 
 
-class ImplicitASIF:
+class ImplicitASIF(CallByCall):
     """Nearest input under which the backup flight stays allowable; a `RunTimeFilter`.
 
     One filter for all deputies, who each fly their own backup; pairs are included.
@@ -61,7 +47,7 @@ class ImplicitASIF:
     sun_start : float
         Sun angle at t = 0 [rad].
     without : collection of str
-        Constraints left out, of "phi1" to "phi6", "phi9" to "phi11".
+        Families of constraints left out.
 
     Notes
     -----
@@ -81,12 +67,10 @@ class ImplicitASIF:
         sun_start: float = 0.0,
         without: Collection[str] = (),
     ) -> None:
-        self.inspection = inspection
         self.law: Memoryless = Parking(inspection) if law is None else law
         self.check = FlightCheck(self.law, horizon, sun_start, without)
         self.rate = positive("rate", rate, "1/s")
-        self._receiver = Receiver(inspection, self.law.period)
-        self._proven = Inherited(self.law.period)
+        super().__init__(inspection, self.law.period)
         times = np.linspace(0.0, 2 * np.pi / inspection.mean_motion, ORBIT, endpoint=False)
         self._times, self._orbit = times, free_flight(inspection.mean_motion, times)
 
@@ -121,7 +105,7 @@ class ImplicitASIF:
             slopes_at = np.concatenate([slopes_at, np.einsum("sij,njk->snik", self._orbit, turn)])
             at = np.concatenate([at, t + law.period * (count - 1) + self._times])
         phi = rows(states, q.sun_angle(at, self.check.sun_start))
-        along = np.zeros((*phi.value.shape, q.deputies, 6))  # derivative by every deputy's present state
+        along = np.zeros((*phi.h.shape, q.deputies, 6))  # derivative by every deputy's present state
         every = np.arange(len(rows.first))
         along[:, every, rows.first] = np.einsum("smi,smij->smj", phi.gradient, slopes_at[:, rows.first])
         pair = np.flatnonzero(rows.second >= 0)
@@ -129,44 +113,29 @@ class ImplicitASIF:
             "smi,smij->smj", phi.gradient[:, pair], slopes_at[:, rows.second[pair]]
         )
         drift = np.einsum("smni,ni->sm", along, x @ q.A.T) + phi.change
-        return along[..., 3:] / q.mass, -drift - self.rate * phi.value, phi.value
+        return along[..., 3:] / q.mass, -drift - self.rate * phi.h, phi.h
 
-    def filter(self, t: float, x: ArrayLike, u_des: ArrayLike | None) -> Decision:
-        """Decide on the thrust of the next period; see `RunTimeFilter.filter`."""
-        got = self._receiver.receive(t, x, u_des)
-        backup = np.where(got.known[:, None], self.law(got.t, got.x), 0.0)
-        wanted = np.where((got.known & got.given)[:, None], got.u, backup)
+    def _answer(self, got: Received) -> Answer:
+        able, every = got.known & got.given, np.ones(len(got.u), dtype=bool)
         counted = got.counted(self.check.rows.first, self.check.rows.second)
-        u, notes = self._filtered(got, wanted, counted)
+        backup = np.where(got.known[:, None], self.law(got.t, got.x), 0.0)
+        u, notes = self._filtered(got, np.where(able[:, None], got.u, backup), counted)
         tried = self.check(got.t, got.x, u)
-        inherited = self._proven.holds(got.t, got.x) and bool(got.known.all())
-        trouble = counted & ~(tried.margin >= 0)
-        active: tuple[str, ...] = ()
-        on_backup = False
-        if trouble.any() or notes:
-            active = tuple(self.check.rows.labels[k] for k in np.flatnonzero(trouble))
-            if trouble.any():
-                notes.append("the backup flight after the filtered input would not stay allowable")
-            u, on_backup = backup, True
-            tried = self.check(got.t, got.x, u)
-            if not inherited and (counted & ~(tried.margin >= 0)).any():
-                notes.append("the backup flight itself is not proven to stay allowable")
-        if got.known.all() and (inherited or (tried.margin >= 0).all()):
-            self._proven.prove(got.t, tried.flight.x[0])
-        else:
-            self._proven.clear()
-        self._receiver.applied(u)
-        intervened = ~(got.known & got.given) | got.clipped | (np.abs(u - got.u).max(axis=1) > 0)
-        if not got.known.any():
-            status = "coast"
-        elif on_backup:
-            status = "backup"
-        else:
-            status = "filtered" if intervened.any() else "desired"
-        margin = np.where(counted, tried.margin, np.nan)
-        margins = dict(zip(self.check.rows.labels, map(float, margin), strict=True))
-        said = [note for note in (got.fallback(), *notes) if note]
-        return Decision(u, intervened, active, margins, status, "; ".join(said) or None)
+        trouble = counted & ~(tried >= 0)
+        on_backup = bool(trouble.any() or notes)
+        active = tuple(np.array(self.check.rows.labels)[trouble].tolist())
+        if trouble.any():
+            notes.append("the backup flight after the filtered input would not stay allowable")
+        if on_backup:
+            u, tried = backup, self.check(got.t, got.x, backup)
+        good = not (counted & ~(tried >= 0)).any()
+        unproven = not self.check.proves(got, u, good) and not good
+        if unproven:
+            notes.append("the backup flight itself is not proven to stay allowable")
+        intervened = ~able | got.clipped | (np.abs(u - got.u).max(axis=1) > 0)
+        margins = named(self.check.rows.labels, tried, counted)
+        none = every & (not got.known.any())
+        return Answer(u, intervened, every & on_backup, none, margins, notes, active, unproven=unproven)
 
     def _filtered(self, got: Received, wanted: Array, counted: NDArray[np.bool_]) -> tuple[Array, list[str]]:
         """Solve the quadratic program; no notes if it has a solution."""

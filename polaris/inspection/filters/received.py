@@ -26,24 +26,16 @@ class Received:
         [s]
     x : ndarray, shape (N, 6)
         States, always finite: estimates where unknown, zeros where there is no estimate either.
-    known : ndarray of bool, shape (N,)
-        Whose state was measured.
-    estimated : ndarray of bool, shape (N,)
-        Whose state is known or was propagated from the last good one.
-    u : ndarray, shape (N, 3)
-        Desired thrust, clipped to the limits [N]; zero where not given.
-    given : ndarray of bool, shape (N,)
-        Whose desired thrust came in time and was finite.
-    clipped : ndarray of bool, shape (N,)
-        Whose desired thrust was beyond the limits.
-    clock : str or None
-        What was wrong with the time; None if nothing.
+    known, estimated : ndarray of bool, shape (N,)
+        Whose state was measured; whose was, or was propagated from the last good one.
+    u, wanted : ndarray, shape (N, 3)
+        Desired thrust, clipped to the limits and before [N]; zero where not given.
+    given, clipped : ndarray of bool, shape (N,)
+        Whose desired thrust came in time and was finite; whose was beyond the limits.
+    odd : tuple of str
+        What was wrong with the time, and what was no numbers of the right shape, in words.
     steady : bool
         Whether the time went on from the last call's without a break: what lasted till then lasts.
-    wanted : ndarray, shape (N, 3)
-        Desired thrust before clipping [N]; zero where not given.
-    malformed : tuple of str
-        What was no numbers of the right shape, in words.
     """
 
     t: float
@@ -54,8 +46,7 @@ class Received:
     given: NDArray[np.bool_]
     clipped: NDArray[np.bool_]
     wanted: Array
-    malformed: tuple[str, ...] = ()
-    clock: str | None = None
+    odd: tuple[str, ...] = ()
     steady: bool = True
 
     def counted(self, first: NDArray[np.intp], second: NDArray[np.intp]) -> NDArray[np.bool_]:
@@ -64,22 +55,23 @@ class Received:
 
     def fallback(self) -> str | None:
         """What was missing, in words; None if nothing."""
-        parts = [*([self.clock] if self.clock else []), *self.malformed]
+        parts = [*self.odd]
         if not self.known.all():
-            parts.append(f"state not known: deputy {_listed(~self.known)}")
+            parts.append(f"state not known: deputy {listed(~self.known)}")
         if not self.given.all():
-            parts.append(f"desired input missing or not finite: deputy {_listed(~self.given)}")
+            parts.append(f"desired input missing or not finite: deputy {listed(~self.given)}")
         return "; ".join(parts) or None
 
 
-def _listed(chosen: NDArray[np.bool_]) -> str:
+def listed(chosen: NDArray[np.bool_]) -> str:
+    """Their numbers, in words."""
     return ", ".join(map(str, np.flatnonzero(chosen)))
 
 
 class Receiver:
     """Check what a filter is handed; remember the last good states and the thrusts since.
 
-    Times are taken as they come, and what is odd about one is said in `Received.clock`:
+    Times are taken as they come, and what is odd about one is said in `Received.odd`:
 
     - one that is not a finite number is replaced by the last plus the last step (0 at the first call);
     - one that stands still is the same instant again;
@@ -108,11 +100,12 @@ class Receiver:
         States and desired thrusts that are no numbers of the right shape are not known and not given:
         whatever a primary controller or navigation hands over, there is an answer.
         """
-        q, malformed = self.inspection, []
+        q = self.inspection
         t, clock, steady = self._time(t)
+        odd = [clock] if clock else []
         states = numbers(x, (q.deputies, 6))
         if states is None:
-            malformed.append(f"the states are malformed: {kind_of(x)}")
+            odd.append(f"the states are malformed: {kind_of(x)}")
             states = np.full((q.deputies, 6), np.nan)
         known = np.asarray((np.abs(states) <= FARTHEST).all(axis=1))  # false for nan and inf
         seen, estimate = self._estimate(t)
@@ -123,15 +116,13 @@ class Receiver:
         self._applied = np.zeros((q.deputies, 3))
         asked = numbers(u_des, (q.deputies, 3))
         if asked is None and u_des is not None:
-            malformed.append(f"the desired input is malformed: {kind_of(u_des)}")
+            odd.append(f"the desired input is malformed: {kind_of(u_des)}")
         wanted = np.full((q.deputies, 3), np.nan) if asked is None else asked
         given = np.asarray(np.isfinite(wanted).all(axis=1))
         wanted = np.where(given[:, None], wanted, 0.0)
         u = np.clip(wanted, -q.thrust_max, q.thrust_max)
         clipped = np.asarray((u != wanted).any(axis=1))
-        return Received(
-            t, states, known, estimated, u, given, clipped, wanted, tuple(malformed), clock, steady
-        )
+        return Received(t, states, known, estimated, u, given, clipped, wanted, tuple(odd), steady)
 
     def applied(self, u: Array) -> None:
         """Note the thrust [N], shape (N, 3), that was answered to the last call."""

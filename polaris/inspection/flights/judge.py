@@ -1,33 +1,25 @@
-"""Fly a scenario of the inspection problem and judge the flight, also between the samples."""
+"""Judge flights: least values of all constraints, when and for whom, also between the samples."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...model.system import Array
 from ...scenario.inspection import InspectionScenario
 from ...scenario.inspection_tables import InspectionModel
-from ..constraints.allowable_set import NAMES, allowable
+from ..constraints.allowable_set import allowable
+from ..constraints.catalogue import CONSTRAINTS, FAMILIES, PAIRWISE, PASSIVE
 from ..constraints.families import Families
-from ..constraints.strengthening import FAMILIES, PRESETS
+from ..constraints.table import Index
 from ..filters.explicit import Filtered
-from ..inspection import Inspection
-from .primary import Primary
 from .simulation import BatchFilter, InspectionRun, fly_one
 
 CHUNK = 256
 """States judged at a time."""
-
-PASSIVE = {"phi7": "passive", "phi8": "deputy_passive"}
-"""The constraints that are their own barriers."""
-
-CONSTRAINTS = (*NAMES[:6], *PASSIVE, *NAMES[6:])
-"""phi1 to phi11."""
 
 
 @dataclass(frozen=True)
@@ -119,25 +111,49 @@ def fly_scenario(
     return JudgedRun(run, constraints, barriers, np.array(watch.seconds))
 
 
-class Unfiltered:
-    """No filter at all: what is desired, within the thrust limits. For comparison."""
+class Keeper:
+    """Keeps the least value of one constraint over each of R runs.
 
-    def __init__(self, families: Families) -> None:
-        self.families = families
+    Parameters
+    ----------
+    places : ndarray of int, shape (K, 2)
+        The deputies that its values are about; the second is -1 where there is one only.
+    runs : int
 
-    def batch(self, x: Array, sun: Array, desired: Array) -> Filtered:
-        """Clip the desired inputs."""
-        limit = self.families.inspection.thrust_max
-        u = np.clip(desired, -limit, limit)
-        return Filtered(u, np.zeros(u.shape[:2], dtype=np.int8), self.families(x, sun))
+    Attributes
+    ----------
+    value, time, at_samples : ndarray, shape (R,)
+        See `Least`.
+    deputies : ndarray of int, shape (R, 2)
+    violated : ndarray of int, shape (R,)
+        Instants at which it was negative for anyone, of the `seen`.
+    """
 
+    def __init__(self, places: Index, runs: int = 1) -> None:
+        self.places, self.seen = places, 0
+        self.value, self.at_samples = np.full(runs, np.inf), np.full(runs, np.inf)
+        self.time, self.violated = np.zeros(runs), np.zeros(runs, dtype=np.intp)
+        self.deputies = np.tile(places[0], (runs, 1))
 
-def fly_unfiltered(
-    inspection: Inspection, primary: Primary, x: Array, sun: float, duration: float, period: float = 1.0
-) -> InspectionRun:
-    """Fly the primary controller alone, as `polaris.inspection.flights.simulation.fly_one`."""
-    light = Families(inspection, dict(PRESETS["afrl"]), without=("passive", "deputy_passive"))
-    return fly_one(inspection, Unfiltered(light), primary, x, sun, duration, period)
+    def see(self, t: Array, values: Array, sampled: bool) -> None:
+        """Take note of values (R, T, K) at the instants t (T,), and whether periods start there."""
+        values = np.where(np.isnan(values), -np.inf, values)  # what cannot be told is not safe
+        flat = values.reshape(len(values), -1)
+        least, place = flat.min(axis=1), flat.argmin(axis=1)
+        if sampled:
+            self.at_samples = np.minimum(self.at_samples, least)
+        k, who = np.divmod(place, values.shape[2])
+        better = least < self.value
+        self.value, self.time = np.where(better, least, self.value), np.where(better, t[k], self.time)
+        self.deputies = np.where(better[:, None], self.places[who], self.deputies)
+        self.violated += (values < 0).any(axis=2).sum(axis=1)
+        self.seen += len(t)
+
+    def least(self, run: int = 0) -> Least:
+        """What was found of one run."""
+        deputies = tuple(i for i in self.deputies[run].tolist() if i >= 0)
+        value, time_, at_samples = (float(part[run]) for part in (self.value, self.time, self.at_samples))
+        return Least(value, time_, deputies, at_samples, float(self.violated[run]) / self.seen)
 
 
 def judge(run: InspectionRun, families: Families, between: int) -> tuple[dict[str, Least], dict[str, Least]]:
@@ -151,29 +167,26 @@ def judge(run: InspectionRun, families: Families, between: int) -> tuple[dict[st
     between : int
         Instants inside each period that are judged, too.
     """
-    keepers: dict[str, _Keeper] = {}
-    pairs: list[tuple[int, ...]] = [tuple(map(int, pair)) for pair in run.inspection.pairs]
-    alone: list[tuple[int, ...]] = [(i,) for i in range(run.inspection.deputies)]
-    who = list(zip(families.first.tolist(), families.second.tolist(), strict=True))
-    columns = {name: [k for k, f in enumerate(families.family) if f == name] for name in FAMILIES}
+    who = np.stack([families.first, families.second], axis=1)
+    rows = {name: np.flatnonzero(families.among(name)) for name in FAMILIES}
+    rows = {name: chosen for name, chosen in rows.items() if len(chosen)}
+    alone = np.stack([np.arange(run.inspection.deputies), np.full(run.inspection.deputies, -1)], axis=1)
+    keepers = {name: Keeper(who[chosen]) for name, chosen in rows.items()}
+    for name in CONSTRAINTS:
+        places = run.inspection.pairs if name in PAIRWISE else alone
+        if len(places) and (name not in PASSIVE or PASSIVE[name] in rows):
+            keepers[name] = Keeper(places)
     for t, x, sun, sampled in _instants(run, between):
-        phi = allowable(run.inspection, x, sun)
         h = families(x, sun).h
-        found = {name: h[:, chosen] for name, chosen in columns.items() if chosen}
-        alike = {name: [who[k] for k in chosen] for name, chosen in columns.items()}
-        for name, family in PASSIVE.items():
-            if family in found:
-                keepers.setdefault(name, _Keeper(alike[family])).see(t, found[family], sampled)
-        for name, values in phi.items():
-            everyone = pairs if name in ("phi2", "phi5") else alone
-            if everyone:
-                keepers.setdefault(name, _Keeper(everyone)).see(t, values, sampled)
-        for name, values in found.items():
-            keepers.setdefault(name, _Keeper(alike[name])).see(t, values, sampled)
-    return (
-        {name: keepers[name].least for name in CONSTRAINTS if name in keepers},
-        {name: keepers[name].least for name in FAMILIES if name in keepers},
+        found = {name: h[:, chosen] for name, chosen in rows.items()} | allowable(run.inspection, x, sun)
+        found |= {name: found[family] for name, family in PASSIVE.items() if family in found}
+        for name, keeper in keepers.items():
+            keeper.see(t, found[name][None], sampled)
+    constraints, barriers = (
+        {name: keepers[name].least() for name in names if name in keepers}
+        for names in (CONSTRAINTS, FAMILIES)
     )
+    return constraints, barriers
 
 
 def _instants(run: InspectionRun, between: int) -> Iterator[tuple[Array, Array, Array, bool]]:
@@ -190,31 +203,3 @@ def _instants(run: InspectionRun, between: int) -> Iterator[tuple[Array, Array, 
         for k in range(0, len(t), CHUNK):
             cut = slice(k, k + CHUNK)
             yield t[cut], x[cut], sun[cut], part == 0
-
-
-class _Keeper:
-    """Keeps the least value of one constraint."""
-
-    def __init__(self, who: Sequence[tuple[int, ...]]) -> None:
-        self.who = who
-        self.value = self.at_samples = np.inf
-        self.time, self.deputies = 0.0, who[0]
-        self.bad = self.seen = 0
-
-    def see(self, t: Array, values: NDArray[np.float64], sampled: bool) -> None:
-        """Take note of values of shape (instants, deputies or pairs)."""
-        values = np.where(np.isnan(values), -np.inf, values)
-        k, place = np.unravel_index(int(values.argmin()), values.shape)
-        worst = float(values[k, place])
-        if sampled:
-            self.at_samples = min(self.at_samples, worst)
-        if worst < self.value:
-            self.value, self.time, self.deputies = worst, float(t[k]), self.who[int(place)]
-        self.bad += int((values < 0).any(axis=1).sum())
-        self.seen += len(t)
-
-    @property
-    def least(self) -> Least:
-        """What was found."""
-        deputies = tuple(i for i in self.deputies if i >= 0)
-        return Least(self.value, self.time, deputies, self.at_samples, self.bad / self.seen)

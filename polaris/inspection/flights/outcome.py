@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ...model.system import Array
 from ..constraints.families import Families
-from ..constraints.sampled import SampledData
+from ..constraints.motion import SampledData
 from ..constraints.strengthening import Strengthening
 from ..filters.explicit import CENTRALIZED, make_filter
 from ..inspection import Inspection

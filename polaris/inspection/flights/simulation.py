@@ -57,6 +57,14 @@ class Step:
     between: Array
 
 
+def whole_periods(duration: float, period: float) -> int:
+    """Periods [s] in a duration [s]; a ScenarioError if that is no whole number."""
+    count = int(np.rint(positive("duration", duration, "s") / positive("period", period, "s")))
+    if not np.isclose(count * period, duration, rtol=1e-9) or count < 1:
+        raise ScenarioError("period", period, f"must divide the duration {duration:g} s")
+    return count
+
+
 def fly(
     inspection: Inspection,
     filtering: BatchFilter,
@@ -91,9 +99,7 @@ def fly(
     ndarray, shape (R, N, 6)
         Final states.
     """
-    count = int(np.rint(positive("duration", duration, "s") / positive("period", period, "s")))
-    if not np.isclose(count * period, duration, rtol=1e-9) or count < 1:
-        raise ScenarioError("period", period, f"must divide the duration {duration:g} s")
+    count = whole_periods(duration, period)
     parts = whole("between", between, 0) + 1
     moves = [inspection.held(period * (b + 1) / parts) for b in range(parts)]
     for k in range(count):

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...inspection.constraints.allowable_set import allowable
+from ...inspection.constraints.catalogue import PASSIVE
 from ...inspection.flights.fuel_run import FuelRun
-from ...inspection.flights.judge import PASSIVE
 from ...inspection.flights.simulation import InspectionRun
 from ...inspection.inspection import Inspection
 from ...model.system import Array

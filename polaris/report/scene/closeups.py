@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...model.keep_in import KeepIn
-from ...model.obstacles import Obstacle
+from ...model.obstacle import Obstacle
 from ...model.satellite import SatelliteObstacle
 from ...model.shapes import Ball, Polytope
 from ...model.system import Array

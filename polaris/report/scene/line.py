@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...model.keep_in import KeepIn
-from ...model.obstacles import Obstacle
+from ...model.obstacle import Obstacle
 from ...model.system import Array
 from ...runs.picture import Picture
 from .geometry import Shape

@@ -45,6 +45,8 @@ ANSWERS = {
     1: ("filtered", ORANGE),
     2: ("no answer satisfies all: violated least", PURPLE),
     3: ("failed: no thrust", RED),
+    4: ("backup", GREEN),
+    5: ("backup, not proven", RED),
 }
 """What a filter of the inspection problem answered."""
 BACKUP_MODES = {0: ("primary controller", ORANGE), 1: ("backup controller", BLUE)}

@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 
 from ...model.keep_in import KeepIn
-from ...model.obstacles import Obstacle
+from ...model.obstacle import Obstacle
 from ...model.satellite import SatelliteObstacle
 from ...model.shapes import Ball, Polytope
 from ...model.system import Array

@@ -16,7 +16,7 @@ from ..atomic import (check_file, replacing_file)
 from ..tables import (columns, write_csv)
 from ...simulation.run_metrics import (Runs)
 from ...model.system import (Array, LinearSystem)
-from ...model.truth import true_states
+from ...model.satellite import true_states
 from .batch import (Task, fly_mode, schedule_of)
 from .folder import CampaignFolder
 

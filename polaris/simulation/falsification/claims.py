@@ -112,8 +112,8 @@ class Claims:
         need = np.empty((self.cells, q + 1, len(rows)))
         bow = np.zeros((self.cells, q, len(rows)))
         for k, step in enumerate(self.schedule.steps):
-            need[k] = support(step.flight.nodes, rows)
-            bow[k] = step.flight.bow @ np.abs(rows).T
+            need[k] = support(step.tube.nodes, rows)
+            bow[k] = step.tube.bow @ np.abs(rows).T
         if self.cells > K:
             at_end = self.schedule.final.inflate(safety.clearance.jump)
             tube = error_tube(safety.tracking, at_end, rows).need

@@ -14,7 +14,7 @@ from ...model.system import Array
 from ...synthesis.recoverable import directed
 from ...synthesis.schedule import Schedule
 from ..integration import Integrator
-from ..simulate import Runs
+from ..run_metrics import Runs
 from .attacks import Attack, Attacker
 from .claims import Claims
 from .measure import EXACT_INPUT, EXACT_M, Attained, attained

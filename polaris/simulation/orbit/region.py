@@ -15,8 +15,8 @@ from ...model.satellite import SatelliteObstacle
 from ...model.system import Array, LinearSystem
 from ...synthesis.clearance import error_tube
 from ...synthesis.get_safety import Safety
-from ...synthesis.recoverable import grow_bow
 from ...synthesis.schedule import Schedule
+from ...synthesis.tracking import at_nodes
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,9 +66,9 @@ def visited(schedule: Schedule) -> Region:
     curve = _curve(safety)
     lower, upper = [], []
     for k, step in enumerate(schedule.steps):
-        booked = grow_bow(step.flight.bow) + grow_bow(curve[k])
-        middle = safety.clearance.nodes[k] + step.flight.nodes.c
-        width = step.flight.nodes.half_widths + booked
+        booked = at_nodes(step.tube.bow) + at_nodes(curve[k])
+        middle = safety.clearance.nodes[k] + step.tube.nodes.c
+        width = step.tube.nodes.half_widths + booked
         lower.append((middle - width).min(axis=0))
         upper.append((middle + width).max(axis=0))
     names = tuple(schedule.controllers[int(mode)].name for mode in schedule.modes)
@@ -83,10 +83,8 @@ def visited(schedule: Schedule) -> Region:
 
 def _curve(safety: Safety) -> Array:
     """Bow of the reference between its nodes, shape (cells, q, n)."""
-    system, h = safety.problem.system, safety.tracking.flow.h
-    nodes = safety.clearance.nodes
-    rate = nodes[:, :-1] @ system.A.T + (safety.reference.nu @ system.B.T)[:, None, :]
-    return np.asarray(h**2 / 8 * np.abs(rate) @ (np.abs(system.A) @ growth(system.A, h)).T)
+    rates = safety.reference.rates(safety.clearance.nodes)
+    return np.asarray(safety.tracking.flow.h**2 / 8 * rates @ np.abs(safety.problem.system.A).T)
 
 
 def _under_s(safety: Safety, start: Zonotope, first: int, curve: Array) -> Region:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ...model.system import Array
 from ...synthesis.schedule import Schedule
-from ..integration import Integrator
+from ..integration import Integrator, runge_kutta
 from ..run_metrics import Runs
 from ..simulate import Initial, initial_states
 from .environment import Environment
@@ -99,28 +99,27 @@ def _march(grid: Integrator, env: Environment, y: Array, ballistic: Array, push:
         number = int(grid.modes[k])
         controller = grid.schedule.controllers[number]
 
-        def asked(state: Array, later: int) -> Array:
+        def asked(later: int, state: Array) -> Array:
             return grid.command(controller, number, k, 2 * within, state[:, :6], later)  # noqa: B023
 
-        def rate(state: Array, later: int, held: Array | None) -> tuple[Array, Array]:
-            u = np.clip(asked(state, later), -limit, limit) if held is None else held
+        def moved(u: Array, state: Array) -> tuple[Array, Array]:
             x_rate, target_rate, left_out = relative_rate(env, state[:, 6:], state[:, :6], ballistic)
             x_rate = x_rate + u @ system.B.T
             x_rate[:, 3:] += push
             return np.concatenate([x_rate, target_rate], axis=1), left_out + push
 
         if sub == 0 or not grid.sampled:
-            raw = asked(y, 0)
+            raw = asked(0, y)
             demanded[node] = np.maximum(demanded[node], np.max(np.abs(raw) / limit, axis=1))
             u = np.clip(raw, -limit, limit)
         if sub == 0:
             inputs[node] = u
-        held = u if grid.sampled else None
-        first, left_out = rate(y, 0, u)
-        second, _ = rate(y + dt / 2 * first, 1, held)
-        third, _ = rate(y + dt / 2 * second, 1, held)
-        fourth, _ = rate(y + dt * third, 2, held)
-        y = y + dt / 6 * (first + 2 * second + 2 * third + fourth)
+
+        def rate(later: int, state: Array) -> Array:
+            return moved(u if grid.sampled else np.clip(asked(later, state), -limit, limit), state)[0]  # noqa: B023
+
+        first, left_out = moved(u, y)
+        y = runge_kutta(rate, y, dt, first)
         residual[node] = np.maximum(residual[node], np.linalg.norm(left_out, axis=1))
         spent += np.abs(u).sum(axis=1) * dt / system.mass
         path[node + 1] = y
@@ -150,16 +149,11 @@ def drift_true(env: Environment, target: Array, x: Array, ballistic: Array, h: f
     ballistic : ndarray, shape (R,)
     """
 
-    def rate(state: Array) -> Array:
+    def rate(later: int, state: Array) -> Array:
         x_rate, target_rate, _ = relative_rate(env, state[:, 6:], state[:, :6], ballistic)
         return np.concatenate([x_rate, target_rate], axis=1)
 
-    y = np.concatenate([x, target], axis=1)
-    path = [y]
+    path = [np.concatenate([x, target], axis=1)]
     for _ in range(nodes):
-        first = rate(y)
-        second = rate(y + h / 2 * first)
-        third = rate(y + h / 2 * second)
-        y = y + h / 6 * (first + 2 * second + 2 * third + rate(y + h * third))
-        path.append(y)
+        path.append(runge_kutta(rate, path[-1], h, rate(0, path[-1])))
     return np.stack(path, axis=1)[..., :6]

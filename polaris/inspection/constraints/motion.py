@@ -1,0 +1,110 @@
+"""Sampled-data safety: barrier conditions that hold between samples, not only at them.
+
+The filter holds its input for a period D. If ``d^2 h / dt^2 >= -M`` over the period whatever the admissible
+input, then ``h(t) >= h + t dh/dt - M t^2 / 2``. So
+
+    dh/dt >= -share h / D + M D / 2,    0 < share <= 1,
+
+at the sample gives ``h(t) >= (1 - share t / D) h + M t (D - t) / 2 >= (1 - share) h`` over the whole period.
+Each barrier bounds its M from the state at the sample and the `Motion` that is possible within a period. A
+row that no admissible input can make negative within the period gets ``-inf``: it may be dropped. One for
+which there is no bound gets ``inf``: no input satisfies it. The proofs are in ``docs/inspection-theory.md``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...model.checks import number, positive
+from ...model.errors import ScenarioError
+from ...model.system import Array
+from ..vectors import length
+
+
+@dataclass(frozen=True)
+class SampledData:
+    """How the barrier conditions are tightened.
+
+    Parameters
+    ----------
+    period : float
+        Control period D [s].
+    share : float
+        Part of h that may be lost in one period, in (0, 1]. Less is calmer.
+
+    Raises
+    ------
+    ScenarioError
+        If a number is out of range.
+    """
+
+    period: float
+    share: float = 0.5
+
+    def __post_init__(self) -> None:
+        positive("period", self.period, "s")
+        if not 0 < number("share", self.share) <= 1:
+            raise ScenarioError("share", self.share, "must be in (0, 1]")
+
+    def growth(self, n: float) -> float:
+        """How much larger than at its start the acceleration may be within a period.
+
+        Raises
+        ------
+        ScenarioError
+            If the period is so long that there is no bound: ``2 n D + 3 (n D)^2 >= 1``, D above 1 / (3 n).
+        """
+        D = self.period
+        rest = 1 - 2 * n * D - 3 * n**2 * D**2
+        if rest <= 0:
+            raise ScenarioError(
+                "period", D, f"must be below {1 / (3 * n):.6g} s, a third over the mean motion"
+            )
+        return 1 / rest
+
+    def motion(self, z: Array, drift: Array, n: float, thrust: Array) -> Motion:
+        """Bounds over the period.
+
+        Parameters
+        ----------
+        z : ndarray, shape (..., 6)
+            States of deputies, or of deputies relative to each other, at the sample.
+        drift : ndarray, shape (..., 6)
+            Their natural rates.
+        n : float
+            Mean motion [rad/s].
+        thrust : ndarray, shape (...)
+            Largest acceleration by thrust [m/s^2].
+        """
+        D, speed = self.period, length(z[..., 3:])
+        # a <= natural + thrust + 3 n^2 (speed + a D) D + 2 n a D, solved for a.
+        a = (length(drift[..., 3:]) + thrust + 3 * n**2 * speed * D) * self.growth(n)
+        fastest = speed + a * D
+        return Motion(D, fastest, a, 3 * n**2 * fastest + 2 * n * a, np.asarray(thrust, dtype=float))
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Bounds on the motion over one period, each of shape (...).
+
+    Attributes
+    ----------
+    period : float
+        [s]
+    speed, acceleration, jerk, thrust : ndarray
+        [m/s], [m/s^2], [m/s^3]; thrust is the part of the acceleration that is held [m/s^2].
+    """
+
+    period: float
+    speed: Array
+    acceleration: Array
+    jerk: Array
+    thrust: Array
+
+    def __getitem__(self, place: NDArray[np.intp] | slice) -> Motion:
+        """The bounds of some states."""
+        parts = (self.speed, self.acceleration, self.jerk, self.thrust)
+        return Motion(self.period, *(part[..., place] for part in parts))

@@ -1,0 +1,117 @@
+"""Barriers about the velocities: h3 (eq. 14) and h9 to h11 (eq. 23), and their forms for sampled data."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ...model.system import Array
+from ..vectors import CENTRE, STANDSTILL, dot, rounded_length
+from .barriers import Barrier, Evaluation
+from .motion import Motion
+
+
+@dataclass(frozen=True, eq=False)
+class Speed(Barrier):
+    """Slower when nearer: h3 = phi3 (eq. 14), ``nu_0 + nu_1 norm(p) - norm(v)``.
+
+    Parameters
+    ----------
+    docking_speed : float
+        nu_0 [m/s].
+    slope : float
+        nu_1 [1/s].
+    """
+
+    docking_speed: float
+    slope: float
+
+    def _parts(self, z: Array) -> tuple[Array, Array, Array, Array]:
+        """Allowed speed and the direction outwards; the speed and its direction."""
+        # The rounded distance exceeds the distance: at the centre the limit is nu_1 CENTRE / 2 too high,
+        # 1e-4 m/s, and only there, ten metres inside the chief.
+        distance, outward = rounded_length(z[..., :3], CENTRE)
+        return self.docking_speed + self.slope * distance, outward, *rounded_length(z[..., 3:], STANDSTILL)
+
+    def __call__(self, z: Array, sun: ArrayLike = 0.0) -> Evaluation:
+        """Evaluate at states of shape (..., 6)."""
+        limit, outward, speed, ahead = self._parts(z)
+        gradient = np.concatenate([self.slope * outward, -ahead], axis=-1)
+        return Evaluation(limit - speed, gradient, 0.0)
+
+
+class SpeedInSquares(Speed):
+    """phi3 through squares, which stay smooth where the speed is zero.
+
+    ``g = (nu_0 + nu_1 r)^2 - norm(v)^2`` has the sign of phi3. What is returned is ``g / w`` with
+    ``w = nu_0 + nu_1 r + norm(v)`` held fixed: its value is that of phi3.
+    """
+
+    def __call__(self, z: Array, sun: ArrayLike = 0.0) -> Evaluation:
+        """Evaluate at states of shape (..., 6)."""
+        limit, outward, speed, _ = self._parts(z)
+        gradient = np.empty(z.shape)
+        gradient[..., :3] = (2 * limit * self.slope)[..., None] * outward
+        gradient[..., 3:] = -2 * z[..., 3:]
+        return Evaluation(limit - speed, gradient / (limit + speed)[..., None], 0.0)
+
+    def curvature(self, z: Array, sun: ArrayLike, motion: Motion) -> Array:
+        """Bound M; ``-inf`` where the limit cannot be reached within the period."""
+        limit, _, speed, _ = self._parts(z)
+        D, a = motion.period, motion.acceleration
+        change = self.slope * motion.speed * D
+        M = 2 * (limit + change) * self.slope * a + 2 * a**2 + 2 * motion.speed * motion.jerk
+        return np.where(motion.speed <= limit - change, -np.inf, M / (limit + speed))
+
+
+@dataclass(frozen=True, eq=False)
+class Velocity(Barrier):
+    """Structural limit along one axis: h9, h10, h11 = phi9, phi10, phi11 (eq. 23), ``v_max^2 - v_axis^2``.
+
+    Parameters
+    ----------
+    axis : int or array of int
+        0, 1 or 2.
+    limit : float
+        v_max [m/s].
+    """
+
+    axis: int | NDArray[np.intp]
+    limit: float
+
+    @cached_property
+    def direction(self) -> Array:
+        """Unit vector along the axis, shape (..., 3)."""
+        return np.asarray(np.eye(3)[self.axis])
+
+    def __call__(self, z: Array, sun: ArrayLike = 0.0) -> Evaluation:
+        """Evaluate at states of shape (..., 6)."""
+        along = dot(z[..., 3:], self.direction)
+        gradient = np.zeros(z.shape)
+        gradient[..., 3:] = (-2 * along)[..., None] * self.direction
+        return Evaluation(self.limit**2 - along**2, gradient, 0.0)
+
+
+class VelocitySide(Velocity):
+    """phi9 to phi11 on the nearer side: ``(v_max - |v_axis|) w``, with ``w = v_max + |v_axis|`` held fixed.
+
+    Linear in the velocity, so that its curvature is the jerk's, and its gradient never vanishes.
+    """
+
+    def __call__(self, z: Array, sun: ArrayLike = 0.0) -> Evaluation:
+        """Evaluate at states of shape (..., 6)."""
+        along = dot(z[..., 3:], self.direction)
+        gradient = np.zeros(z.shape)
+        gradient[..., 3:] = -np.copysign(self.limit + np.abs(along), along)[..., None] * self.direction
+        return Evaluation(self.limit**2 - along**2, gradient, 0.0)
+
+    def curvature(self, z: Array, sun: ArrayLike, motion: Motion) -> Array:
+        """Bound M; ``-inf`` where the limit cannot be reached within the period, ``inf`` where both can."""
+        speed = np.abs(dot(z[..., 3:], self.direction))
+        # Thrust is within a box whose half-diagonal is motion.thrust; the rest is natural motion.
+        change = (motion.acceleration - (1 - 1 / np.sqrt(3)) * motion.thrust) * motion.period
+        M = np.where(change < self.limit + speed, (self.limit + speed) * motion.jerk, np.inf)
+        return np.where(speed + change <= self.limit, -np.inf, M)

@@ -1,0 +1,74 @@
+"""What a run of the planner has used of its effort and its time, and how far it may still go."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from time import perf_counter
+
+import numpy as np
+
+from .problem import PlannerOptions, Progress, Stage, relative_gap
+from .search import Candidate, PathSearch
+
+Spare = Callable[[Candidate | None], bool]
+"""Whether a stage may be given up early with the path known by then."""
+
+
+@dataclass(frozen=True)
+class Allowance:
+    """How far a stage may go: a count of linear programs or nodes, and a value of `time.perf_counter`."""
+
+    effort: float
+    deadline: float
+
+    def spent(self, used: float) -> str:
+        """What stops the stage, or an empty string."""
+        if used >= self.effort:
+            return "effort_limit"
+        return "time_limit" if perf_counter() > self.deadline else ""
+
+
+class Effort:
+    """Account of one run: wall time by part [s], counts (`Plan.stats`), and stages so far."""
+
+    def __init__(self, search: PathSearch, options: PlannerOptions, begun: float) -> None:
+        self.search, self.options, self.begun = search, options, begun
+        self.seconds: dict[str, float] = {}
+        self.stats = dict.fromkeys(("rows", "cols", "binaries", "nodes", "rounds", "lps"), 0.0)
+        self.stages: list[Stage] = []
+        self._last_report = -np.inf
+
+    @property
+    def left(self) -> float:
+        """Seconds left."""
+        return self.search.deadline - perf_counter()
+
+    @property
+    def used(self) -> float:
+        """Effort so far: linear programs, or nodes of the back end."""
+        return self.search.solves if self.options.solver == "facets" else self.stats["nodes"]
+
+    @property
+    def cut_by_clock(self) -> tuple[str, ...]:
+        """Stages that the clock ended early; past the deadline, any linear program may have been."""
+        cut = tuple(stage.name for stage in self.stages if stage.status == "time_limit")
+        return cut or (("path search",) if self.left <= 0 else ())
+
+    def allow(self, share: float) -> Allowance:
+        """A share of what is left."""
+        options, used = self.options, self.used
+        most = options.max_linear_programs if options.solver == "facets" else options.max_nodes
+        return Allowance(used + share * max(most - used, 0.0), perf_counter() + share * self.left)
+
+    def report(self, stage: str, incumbent: float = np.inf, bound: float = -np.inf) -> None:
+        """Tell the progress callback, a few times a second at most."""
+        now = perf_counter()
+        if self.options.progress is not None and now - self._last_report > 0.1:
+            self._last_report = now
+            gap = relative_gap(incumbent, bound)
+            self.options.progress(Progress(stage, now - self.begun, incumbent, bound, gap))
+
+    def add_time(self, part: str, begun: float) -> None:
+        """Add the wall time since `begun` to a part."""
+        self.seconds[part] = self.seconds.get(part, 0.0) + perf_counter() - begun

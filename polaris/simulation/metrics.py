@@ -1,0 +1,165 @@
+"""Metrics of simulated runs, one entry per run, and how a summary joins them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..model.system import Array
+
+DEFINITIONS = {
+    "runs": "closed-loop runs from random and extreme initial states, under random and worst disturbances",
+    "min_distance_m": "least signed distance to any true unsafe set over all runs and times; negative inside",
+    "min_distance_mean_m": "mean over runs of each run's least distance",
+    "mean_distance_m": "mean over runs and times of the signed distance to the nearest unsafe set",
+    "min_ttc_s": "least time, over all runs and times, until a straight line at the present velocity "
+    "enters an unsafe set; null if none ever does",
+    "min_ttc_free_drift_s": "the same with thrusters off from the start of each step, looking ahead for "
+    "drift_horizon_s; null if none enters",
+    "experimental_share": "share of time under experimental controllers, mean over runs",
+    "switches": "changes of controller within a run, most over runs",
+    "delta_v_m_s": "velocity change (integral of the 1-norm of the input over the mass), mean over runs",
+    "delta_v_max_m_s": "velocity change, largest over runs",
+    "collided": "whether any run entered a true unsafe set",
+    "collided_runs": "number of runs that entered a true unsafe set",
+    "max_thrust_ratio": "largest commanded over available thrust, over runs, times and axes; "
+    "above 1 it was clipped",
+    "max_thrust_ratio_safety": "the same while S flies, at most 1 where it is proven; null if it never does",
+    "max_thrust_ratio_experimental": "the same while an experimental controller flies; null if none does",
+}
+"""What each number of a summary means, and how it joins the runs."""
+
+
+@dataclass(frozen=True, eq=False)
+class Metrics:
+    """Metrics of every run of one controller.
+
+    Attributes
+    ----------
+    controller : str
+        Who flew: ``polaris`` (the schedule) or the name of one controller.
+    names : tuple of str
+        Unsafe sets.
+    times : ndarray, shape (N+1,)
+        [s]
+    min_distance : ndarray, shape (R,)
+        Least signed distance to a true unsafe set [m]; inf without any.
+    mean_distance : ndarray, shape (R,)
+        Mean over the instants of the distance to the nearest of them [m]; inf without any.
+    closest_time : ndarray, shape (R,)
+        When it was least [s]; nan without unsafe sets.
+    closest_set : ndarray of int, shape (R,)
+        Which unsafe set; -1 without any.
+    min_ttc, min_ttc_free_drift : ndarray, shape (R,)
+        Least time to collision [s], by a straight line and by free drift; inf if none.
+    drift_horizon : float
+        How far free drift looks ahead [s].
+    experimental_share : ndarray, shape (R,)
+        Share of time under experimental controllers.
+    switches : ndarray of int, shape (R,)
+        Changes of controller.
+    delta_v : ndarray, shape (R,)
+        [m/s]
+    collided : ndarray of bool, shape (R,)
+        Whether the run entered a true unsafe set.
+    max_thrust_ratio : ndarray, shape (R,)
+        Commanded over available thrust.
+    max_thrust_ratio_safety, max_thrust_ratio_experimental : ndarray, shape (R,)
+        The same while S flies, and while an experimental controller does; nan if none ever does.
+    nearest : ndarray, shape (3, N+1)
+        Distance to the nearest unsafe set at every instant [m]: least, mean and largest over runs.
+    """
+
+    controller: str
+    names: tuple[str, ...]
+    times: Array
+    min_distance: Array
+    mean_distance: Array
+    closest_time: Array
+    closest_set: NDArray[np.int64]
+    min_ttc: Array
+    min_ttc_free_drift: Array
+    drift_horizon: float
+    experimental_share: Array
+    switches: NDArray[np.int64]
+    delta_v: Array
+    collided: NDArray[np.bool_]
+    max_thrust_ratio: Array
+    max_thrust_ratio_safety: Array
+    max_thrust_ratio_experimental: Array
+    nearest: Array
+
+    @classmethod
+    def join(cls, parts: Sequence[Metrics]) -> Metrics:
+        """Metrics of several batches of runs of the same controller, together."""
+        if len(parts) == 1:
+            return parts[0]
+        weights = np.array([len(part.min_distance) for part in parts], dtype=float)
+        nearest = np.stack([part.nearest for part in parts])
+        mean = np.tensordot(weights / weights.sum(), nearest[:, 1], axes=1)
+        per_run: dict[str, Any] = {
+            field.name: np.concatenate([getattr(part, field.name) for part in parts])
+            for field in fields(cls)
+            if field.name not in ("controller", "names", "times", "drift_horizon", "nearest")
+        }
+        together = np.stack([nearest[:, 0].min(axis=0), mean, nearest[:, 2].max(axis=0)])
+        return replace(parts[0], nearest=together, **per_run)
+
+    @property
+    def worst(self) -> int:
+        """The run that came closest to an unsafe set."""
+        return int(np.argmin(self.min_distance))
+
+    def summary(self) -> dict[str, Any]:
+        """The numbers of a run folder's summary, joined over runs as `DEFINITIONS` says; strict JSON."""
+        return {
+            "controller": self.controller,
+            "runs": len(self.min_distance),
+            "min_distance_m": _finite(self.min_distance.min()),
+            "min_distance_mean_m": _finite(self.min_distance.mean()),
+            "mean_distance_m": _finite(self.mean_distance.mean()),
+            "min_ttc_s": _finite(self.min_ttc.min()),
+            "min_ttc_free_drift_s": _finite(self.min_ttc_free_drift.min()),
+            "drift_horizon_s": self.drift_horizon,
+            "experimental_share": float(self.experimental_share.mean()),
+            "switches": int(self.switches.max()),
+            "delta_v_m_s": float(self.delta_v.mean()),
+            "delta_v_max_m_s": float(self.delta_v.max()),
+            "collided": bool(self.collided.any()),
+            "collided_runs": int(self.collided.sum()),
+            "max_thrust_ratio": float(self.max_thrust_ratio.max()),
+            "max_thrust_ratio_safety": _finite(self.max_thrust_ratio_safety.max()),
+            "max_thrust_ratio_experimental": _finite(self.max_thrust_ratio_experimental.max()),
+        }
+
+    def columns(self) -> dict[str, Array]:
+        """One array per metric, one entry per run; units in the names."""
+        return {
+            "min_distance_m": self.min_distance,
+            "mean_distance_m": self.mean_distance,
+            "closest_time_s": self.closest_time,
+            "closest_set": np.array([*self.names, ""])[self.closest_set],
+            "min_ttc_s": self.min_ttc,
+            "min_ttc_free_drift_s": self.min_ttc_free_drift,
+            "experimental_share": self.experimental_share,
+            "switches": self.switches,
+            "delta_v_m_s": self.delta_v,
+            "collided": self.collided,
+            "max_thrust_ratio": self.max_thrust_ratio,
+            "max_thrust_ratio_safety": self.max_thrust_ratio_safety,
+            "max_thrust_ratio_experimental": self.max_thrust_ratio_experimental,
+        }
+
+    def to_pandas(self) -> Any:
+        """`columns` as a ``pandas.DataFrame`` (pandas is not a dependency; install it first)."""
+        import pandas  # type: ignore[import-untyped,import-not-found,unused-ignore]
+
+        return pandas.DataFrame(self.columns())
+
+
+def _finite(value: Any) -> float | None:
+    return float(value) if np.isfinite(value) else None

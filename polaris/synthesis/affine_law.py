@@ -1,0 +1,96 @@
+"""The data of an affine feedback law: what its tube, its clip and its motion between nodes all read."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from reach.numerics.linear import powers
+from reach.sets.zonotope import Zonotope
+from reach.tubes.flow import LinearFlow
+
+from ..model.errors import ScenarioError
+from ..model.system import Array, LinearSystem
+from ..planning.reference import Reference
+from .tracking import Feedback, Tracking
+
+
+@dataclass(frozen=True, eq=False)
+class AffineLaw:
+    """``u = mu_U(t) + Lambda_U (xi_U(t) - x)``, clipped by the thrusters; fields as in `AffineController`."""
+
+    name: str
+    system: LinearSystem
+    gain: Array
+    reference: Reference
+    own: Reference
+    tracking: Tracking
+    clips: bool = False
+    _relaxed: dict[bytes, LinearFlow] = field(default_factory=dict, repr=False)
+
+    def __post_init__(self) -> None:
+        shape = (self.system.m, self.system.n)
+        if np.shape(self.gain) != shape or not np.all(np.isfinite(self.gain)):
+            raise ScenarioError(f"{self.name}.gain", np.shape(self.gain), f"must be finite, of shape {shape}")
+        if self.own.delta != self.reference.delta:
+            rule = f"must have steps of {self.reference.delta:g} s, as the safe reference has"
+            raise ScenarioError(f"{self.name}.own", self.own.delta, rule)
+
+    @property
+    def feedback(self) -> Feedback:
+        """Continuous or sampled, as the safety controller."""
+        return self.tracking.feedback
+
+    @cached_property
+    def flow(self) -> LinearFlow:
+        """Error dynamics about the law's own reference, unsaturated."""
+        return self.feedback.flow(self.system, self.gain, self.reference.delta)
+
+    @cached_property
+    def open_flow(self) -> LinearFlow:
+        """Motion under a known input: what bounds a clipped law before its command is known."""
+        return LinearFlow.continuous(self.system.A, self.system.D, self.system.w_max, self.flow.h)
+
+    def relaxed_flow(self, slope: Array) -> LinearFlow:
+        """Error dynamics where the clip lets a share `slope`, shape (m,), of the feedback through."""
+        key = slope.tobytes()
+        if key not in self._relaxed:
+            A_c = self.system.A - self.system.B @ (slope[:, None] * self.gain)
+            self._relaxed[key] = LinearFlow.continuous(A_c, self.system.D, self.system.w_max, self.flow.h)
+        return self._relaxed[key]
+
+    @cached_property
+    def powers(self) -> Array:
+        """Transitions from the start of a cell to its nodes, shape (q+1, n, n)."""
+        return powers(self.flow.phi, self.feedback.nodes_per_cell)
+
+    @cached_property
+    def disturbance(self) -> Zonotope:
+        """What the disturbance adds by every node of a cell."""
+        return self.flow.disturbance_nodes(self.feedback.nodes_per_cell)
+
+    @cached_property
+    def offset(self) -> Array:
+        """``xi_U - xi`` at the nodes of every cell, shape (K, q+1, n)."""
+        q, cells = self.feedback.nodes_per_cell, min(self.own.cells, self.reference.cells)
+        return self.own.fine(q)[:cells] - self.reference.fine(q)[:cells]
+
+    @cached_property
+    def period_box(self) -> Array:
+        """Elementwise bound on what the disturbance adds within a period, shape (n,).
+
+        Whatever the law does meanwhile: unclipped, clipped (the clip has slope at most 1, so nothing
+        grows faster than ``|A| + |B| |Lambda_U|`` lets it), or giving way to S at any instant.
+        """
+        if self.feedback.sampled:
+            return self.flow.period_box
+        fastest = np.maximum(np.abs(self.flow.A_c), np.abs(self.tracking.flow.A_c))
+        if self.clips:
+            fastest = np.maximum(fastest, np.abs(self.system.A) + np.abs(self.system.B) @ np.abs(self.gain))
+        return LinearFlow.continuous(fastest, self.system.D, self.system.w_max, self.flow.h).period_box
+
+    def command(self, k: int, xi: Array, own: Array, x: Array) -> Array:
+        """Thrust command before clipping, shape (..., m)."""
+        return np.asarray(self.own.nu[k] + (own - x) @ self.gain.T)

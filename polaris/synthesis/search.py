@@ -1,0 +1,202 @@
+"""The choices that Algorithm 2 leaves: which controller comes first, how long it lasts, how many switches."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+from reach.sets.zonotope import Zonotope
+
+from ..model.checks import of_kind, one_of, positive, whole
+from ..model.errors import ScenarioError
+from .controllers import Controller, TubeSegment
+from .get_safety import Safety
+from .look_ahead import SAFETY, LookAhead
+from .problem import Problem
+from .recoverable import Margin, contains_tube
+from .same_system import check_controller, check_safety, check_segment
+from .schedule import Schedule, Step, assumptions_of
+
+Decided = tuple[int, TubeSegment, Margin | None]
+"""Mode, tube and margin of one step; S is given its margins in the end (`with_margins`)."""
+
+
+@dataclass(frozen=True)
+class SwitchingRules:
+    """Options of Algorithm 2 beyond the paper.
+
+    Parameters
+    ----------
+    strategy : {"greedy", "look_ahead"}
+        ``greedy`` is Algorithm 2 as printed: U whenever it is contained. ``look_ahead`` searches for
+        the schedule with most (weighted) use of U. It is never worse than greedy, nor than itself under
+        stricter rules (dwell times above 8 steps: those of `polaris.synthesis.look_ahead.rungs`).
+    min_dwell : int
+        Steps a controller keeps, once switched to.
+    max_switches : int or None
+        Cap on the number of switches. One is always held back for the return to S, so a cap of 0
+        leaves S alone, and the last one may stay unused.
+    weights : tuple of float
+        Worth of one step under each experimental controller, in their order of preference.
+    beam : int
+        Schedules that ``look_ahead`` keeps at every step for each number of switches and controller.
+    """
+
+    strategy: str = "greedy"
+    min_dwell: int = 1
+    max_switches: int | None = None
+    weights: tuple[float, ...] = ()
+    beam: int = 1
+
+    def __post_init__(self) -> None:
+        one_of("schedule.strategy", self.strategy, ("greedy", "look_ahead"))
+        whole("schedule.min_dwell_steps", self.min_dwell, 1)
+        whole("schedule.beam", self.beam, 1)
+        if self.max_switches is not None:
+            whole("schedule.max_switches", self.max_switches, 0)
+        for weight in self.weights:
+            positive("schedule.weights", weight, "-")
+
+
+@dataclass(frozen=True, eq=False)
+class Branch:
+    """A schedule under construction: the set reached at step k, and how it came about."""
+
+    reached: Zonotope
+    steps: tuple[Decided, ...] = ()
+    held: int = 0
+    switches: int = 0
+
+    @property
+    def k(self) -> int:
+        """Number of steps decided."""
+        return len(self.steps)
+
+    @property
+    def mode(self) -> int:
+        """Mode of the last step; S before the first."""
+        return self.steps[-1][0] if self.steps else SAFETY
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """Controllers over one `Safety`, and the rules by which they take turns."""
+
+    safety: Safety
+    controllers: tuple[Controller, ...]
+    rules: SwitchingRules
+    progress: Callable[[int, int], None] | None = None
+    begun: float = field(default_factory=time.perf_counter)
+
+    @classmethod
+    def over(
+        cls,
+        scenario: Any,
+        safety: Safety,
+        experimental: Sequence[Controller] | None,
+        rules: SwitchingRules | None,
+        progress: Callable[[int, int], None] | None,
+    ) -> Search:
+        """Take controllers and rules from the scenario where they are not given; refuse what does not fit.
+
+        What does not belong together is refused because its tubes would mean nothing.
+        """
+        of_kind("safety", safety, Safety, "polaris.get_safety")
+        if experimental is None:
+            experimental = scenario.controllers(safety) if hasattr(scenario, "controllers") else ()
+        if rules is None:
+            rules = scenario.switching_rules() if hasattr(scenario, "switching_rules") else SwitchingRules()
+        problem = scenario.problem() if callable(getattr(scenario, "problem", None)) else scenario
+        if not isinstance(experimental, Sequence) or isinstance(experimental, str):
+            rule = "must be a list of controllers, even of one"
+            raise ScenarioError("experimental", type(experimental).__name__, rule)
+        check_safety(safety, problem if isinstance(problem, Problem) else safety.problem)
+        for controller in experimental:
+            check_controller(controller, safety)
+        if len(rules.weights) > len(experimental):
+            rule = f"must be at most one per controller ({len(experimental)})"
+            raise ScenarioError("schedule.weights", f"{len(rules.weights)} weights", rule)
+        return cls(safety, (safety.controller, *experimental), rules, progress)
+
+    def options(self, branch: Branch) -> Iterator[tuple[int, int]]:
+        """Modes to try from a branch, each with the steps it must last; S last, and always possible."""
+        k, K, cap = branch.k, self.safety.problem.K, self.rules.max_switches
+        if self.rules.strategy == "look_ahead":
+            yield self.planned[k], 1  # proven before; a law that answers otherwise now gives way to S
+            yield SAFETY, 1
+            return
+        if self.progress and k:
+            self.progress(k, K)
+        settled = k == 0 or branch.held >= self.rules.min_dwell
+        spent = branch.switches + (k > 0) + 1  # there, and back to S should it fail
+        for mode in range(1, len(self.controllers)):
+            if mode == branch.mode:
+                yield mode, 1
+            elif settled and (cap is None or spent <= cap):
+                yield mode, self.rules.min_dwell
+        yield SAFETY, 1  # U has always flown its whole dwell, so S may take over
+
+    def fly(self, branch: Branch, mode: int, steps: int) -> Branch | None:
+        """Let one controller fly the next steps; None if it is not proven recoverable throughout."""
+        for _ in range(min(steps, self.safety.problem.K - branch.k)):
+            flown = self.step(branch.reached, branch.k, mode)
+            if flown is None:
+                return None
+            switched = branch.k > 0 and mode != branch.mode
+            held = 1 if switched or branch.k == 0 else branch.held + 1
+            branch = Branch(flown[0].end, (*branch.steps, (mode, *flown)), held, branch.switches + switched)
+        return branch
+
+    def step(self, start: Zonotope, k: int, mode: int) -> tuple[TubeSegment, Margin | None] | None:
+        """Lines 12, 13 and 18: the tube of one controller over step k, if it is proven recoverable."""
+        controller = self.controllers[mode]
+        segment = check_segment(controller, start, controller.fly(start, k), self.safety)  # GetReach
+        if mode == SAFETY:
+            return segment, None  # S stays safe from where it took over
+        if segment.refused:
+            return None
+        margin = contains_tube(self.safety.recoverable, k, segment)
+        return (segment, margin) if margin.inside else None
+
+    @cached_property
+    def planned(self) -> tuple[int, ...]:
+        """Modes of the best of many schedules, each proven step by step as the greedy one (`look_ahead`)."""
+
+        def prove(start: Zonotope, k: int, mode: int) -> Zonotope | None:
+            flown = self.step(start, k, mode)
+            return None if flown is None else flown[0].end
+
+        weights, W = self.rules.weights, self.safety.tracking.W
+        more = len(self.controllers) - 1 - len(weights)
+        search = LookAhead(
+            self.safety.start,
+            self.safety.problem.K,
+            prove,
+            lambda reached: float(reached.norm_bound(W)),
+            (0.0, *weights, *[1.0] * more),
+            self.rules.beam,
+        )
+        return search.best(self.rules.min_dwell, self.rules.max_switches, self.progress)
+
+    def schedule(self, branch: Branch) -> Schedule:
+        """The schedule that a complete branch stands for, with what it rests on."""
+        safety = self.safety
+        if self.progress and self.rules.strategy == "greedy":
+            self.progress(branch.k, branch.k)
+        steps = with_margins(safety, branch.steps)
+        seconds = {**safety.seconds, "schedule": time.perf_counter() - self.begun}
+        assumptions = assumptions_of(safety)
+        return Schedule(
+            safety, self.controllers, steps, branch.reached, safety.guarantee, assumptions, seconds
+        )
+
+
+def with_margins(safety: Safety, flown: Sequence[Decided]) -> tuple[Step, ...]:
+    """The chosen steps, with the margins of those under S filled in (the proof does not need them)."""
+    return tuple(
+        Step(mode, segment, margin or contains_tube(safety.recoverable, k, segment))
+        for k, (mode, segment, margin) in enumerate(flown)
+    )

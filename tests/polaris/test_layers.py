@@ -1,0 +1,192 @@
+"""Who may import whom: the rank of every room, and no circle between files, over all imports there are.
+
+Imports inside functions and under ``TYPE_CHECKING`` count as well: a file that needs another one only now and
+then, or only for its types, still cannot be read or moved without it.
+"""
+
+import ast
+from collections import defaultdict
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+ROOT = Path(__file__).parents[2]
+
+RANKS = {
+    "reach": 0,
+    "polaris.certificate": 0,  # a leaf: it imports nothing of either package
+    "polaris.model": 1,
+    "polaris.planning": 2,
+    "polaris.synthesis": 3,
+    "polaris.simulation": 4,
+    "polaris.rta": 5,
+    "polaris.inspection": 6,
+    "polaris.scenario": 7,
+    "polaris.runs": 8,
+    "polaris.report": 9,
+    "polaris.traces": 9,
+    "polaris.cli": 10,
+    "polaris": 11,  # the door of the package
+}
+"""A room imports from itself and from rooms of lower rank."""
+
+TOGETHER = ("reach.sets.",)
+"""Files that know one another: the operations of a pair of sets are found from either of the two."""
+
+KNOWN = {
+    ("polaris.inspection.constraints.sampled", "polaris.inspection.constraints.segments"),
+    ("polaris.inspection.flights.judge", "polaris.scenario.inspection"),
+    ("polaris.inspection.flights.judge", "polaris.scenario.inspection_tables"),
+    ("polaris.runs.comparison", "polaris.report.figures.comparison"),
+    ("polaris.runs.folder", "polaris.report.figures"),
+    ("polaris.runs.inspection", "polaris.report.figures.inspection"),
+    ("polaris.runs.inspection", "polaris.runs.fuel_limit"),
+    ("polaris.runs.inspection", "polaris.runs.monte_carlo"),
+    ("polaris.runs.monte_carlo", "polaris.cli.console"),
+    ("polaris.scenario.inspection_rules", "polaris.runs.fuel_limit"),
+    ("polaris.scenario.inspection_rules", "polaris.scenario.inspection"),
+    ("reach.numerics.arguments", "reach.verify.specification"),
+    ("reach.verify.verification", "reach.verify.avoidance"),
+}
+"""Imports that still break a rule, by file: each must go, and none may be added."""
+
+
+def module(path):
+    """Dotted name of a file given relative to the root."""
+    parts = path.with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def imports(root, packages=("polaris", "reach")):
+    """All imports between files of some packages: {(importer, imported): names}."""
+    files = {module(path.relative_to(root)): path for p in packages for path in (root / p).rglob("*.py")}
+    found = defaultdict(set)
+    for name, path in files.items():
+        package = name.split(".") if path.name == "__init__.py" else name.split(".")[:-1]
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                targets = [(alias.name, "") for alias in node.names]
+            elif isinstance(node, ast.ImportFrom):
+                above = package[: len(package) + 1 - node.level] if node.level else []
+                base = ".".join([*above, *([node.module] if node.module else [])])
+                targets = [
+                    (inner if (inner := f"{base}.{alias.name}") in files else base, alias.name)
+                    for alias in node.names
+                ]
+            else:
+                continue
+            for target, what in targets:
+                if target in files and target != name:
+                    found[name, target].add(what)
+    return dict(found)
+
+
+def room(name):
+    """Room of a module: its folder below the package, or the package itself."""
+    inner = ".".join(name.split(".")[:2])
+    return inner if inner in RANKS else name.split(".")[0]
+
+
+def upward(found):
+    """Imports from a room of the same rank or a higher one, the room itself aside."""
+    return {(a, b) for a, b in found if room(a) != room(b) and RANKS[room(a)] <= RANKS[room(b)]}
+
+
+def circular(found):
+    """Imports that lie on a circle of files, those among files that belong together aside."""
+    names = sorted({name for edge in found for name in edge})
+    at = {name: i for i, name in enumerate(names)}
+    edges = np.array([(at[a], at[b]) for a, b in found], dtype=int).reshape(-1, 2)
+    graph = coo_array((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(len(names), len(names)))
+    _, circle = connected_components(graph, directed=True, connection="strong")
+    together = {(a, b) for a, b in found if any(a.startswith(p) and b.startswith(p) for p in TOGETHER)}
+    return {(a, b) for a, b in found if circle[at[a]] == circle[at[b]]} - together
+
+
+def told(edges, found):
+    return "\n".join(f"{a} imports {', '.join(sorted(found[a, b]))} from {b}" for a, b in sorted(edges))
+
+
+def violations(found, known=frozenset()):
+    """What breaks the rules, and which known violations are none any more."""
+    rest = {edge: names for edge, names in found.items() if edge not in known}
+    broken = upward(rest) | circular(rest)
+    return broken, set(known) - (upward(found) | circular(found))
+
+
+def test_no_room_imports_upwards_and_no_files_import_in_a_circle():
+    found = imports(ROOT)
+    broken, gone = violations(found, KNOWN)
+    assert not broken, f"these imports go upwards or in a circle:\n{told(broken, found)}"
+    assert not gone, f"these are mended, so take them off the list: {sorted(gone)}"
+
+
+def test_there_are_at_most_twelve_rooms_and_nothing_lies_between_them():
+    rooms = {path.name for path in (ROOT / "polaris").iterdir() if path.is_dir() and any(path.glob("*.py"))}
+    assert {f"polaris.{name}" for name in rooms} == {name for name in RANKS if name.startswith("polaris.")}
+    assert len(rooms) <= 12
+    assert {path.name for path in (ROOT / "polaris").glob("*.py")} == {"__init__.py", "__main__.py"}
+
+
+def test_the_certificate_imports_nothing_of_the_packages_it_judges():
+    found = imports(ROOT)
+    assert not [edge for edge in found if room(edge[0]) == "polaris.certificate" != room(edge[1])]
+
+
+TREE = {
+    "polaris/__init__.py": "from .cli.app import app",
+    "polaris/cli/__init__.py": "",
+    "polaris/cli/app.py": "from ..model.system import System\nfrom polaris.planning import solve, tree",
+    "polaris/model/__init__.py": "",
+    "polaris/model/system.py": "import numpy as np\nfrom reach import sets",
+    "polaris/planning/__init__.py": "from .solve import plan",
+    "polaris/planning/solve.py": "from ..model import system\nfrom .tree import branch",
+    "polaris/planning/tree.py": "from reach.sets.ball import Ball",
+    "reach/__init__.py": "",
+    "reach/sets/__init__.py": "",
+    "reach/sets/ball.py": "from .box import Box",
+    "reach/sets/box.py": "def hull():\n    from .ball import Ball",
+}
+
+
+FOUND = {
+    "upwards": ("polaris.model.system", "from polaris.cli.app import app", {"polaris.cli.app"}),
+    "lazily": (
+        "polaris.model.system",
+        "def f():\n    from ..planning import tree",
+        {"polaris.planning.tree"},
+    ),
+    "for types": (
+        "polaris.model.system",
+        "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from ..planning.tree import Tree",
+        {"polaris.planning.tree"},
+    ),
+    "through the door": ("polaris.model.system", "from .. import version", {"polaris"}),
+    "from the library": ("reach.sets.box", "import polaris.model.system", {"polaris.model.system"}),
+    "in a circle": (
+        "polaris.planning.tree",
+        "def grow():\n    from .solve import plan",
+        {"polaris.planning.solve"},
+    ),
+}
+
+
+@pytest.mark.parametrize(("name", "line", "targets"), FOUND.values(), ids=FOUND)
+def test_the_walker_finds(name, line, targets, tmp_path):
+    """On a small tree that keeps the rules, and with one line too many."""
+    for file, text in TREE.items():
+        (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / file).write_text(text, encoding="utf-8")
+    assert violations(imports(tmp_path)) == (set(), set())
+    with (tmp_path / name.replace(".", "/")).with_suffix(".py").open("a", encoding="utf-8") as out:
+        out.write(f"\n{line}\n")
+    found = imports(tmp_path)
+    broken, _ = violations(found)
+    assert {(name, target) for target in targets} <= broken
+    assert all(part in told(broken, found) for part in (name, *targets))
+    assert violations(found, broken) == (set(), set())
+    mended = ("polaris.cli.app", "polaris.planning.tree")
+    assert violations(found, broken | {mended}) == (set(), {mended})
