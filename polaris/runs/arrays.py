@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from ..model.system import Array
 from ..simulation.baselines import Flights
 from ..synthesis.schedule import Schedule
-from .picture import SlicePicture, TubePicture, recoverable_slices, shown_steps
+from .picture import SlicePicture, TubePicture
 
 
-def write_sets(path: Path, schedule: Schedule) -> None:
+def write_sets(path: Path, schedule: Schedule, slices: SlicePicture | None) -> None:
     """Write everything the recoverable sets are made from, in error coordinates, and slices for figures."""
     safety = schedule.safety
     clearance, tracking, kind = safety.clearance, safety.tracking, safety.recoverable.kind
@@ -46,12 +46,11 @@ def write_sets(path: Path, schedule: Schedule) -> None:
         "start_center": safety.start.c,
         "start_generators": safety.start.G,
     }
-    slices = recoverable_slices(safety)
     if slices is not None:
         arrays |= {
-            "slice_step": shown_steps(safety.problem.K),
-            "slice_center_m": slices.centre,
-            "slice_outline_m": slices.outline,
+            "slice_t_s": slices.times,
+            "slice_place_m": slices.places,
+            "slice_outline_m": slices.outlines,
         }
     np.savez(path, **arrays)
 
@@ -138,8 +137,8 @@ def read_tube(path: Path, C: Array) -> TubePicture:
 
 
 def read_slices(path: Path) -> SlicePicture | None:
-    """Slices out of what `write_sets` wrote."""
+    """Slices out of what `write_sets` wrote; None of a folder whose slices were not those of its runs."""
     arrays = read_arrays(path)
-    if "slice_outline_m" not in arrays:
+    if "slice_place_m" not in arrays:
         return None
-    return SlicePicture(arrays["slice_center_m"], arrays["slice_outline_m"])
+    return SlicePicture(arrays["slice_t_s"], arrays["slice_place_m"], arrays["slice_outline_m"])

@@ -31,7 +31,7 @@ from . import arrays
 from . import tables as files
 from .certificate import write_certificate
 from .folder import SCENARIO, Draw, RunFolder, RunKind, read_json, write_folder
-from .picture import Picture
+from .picture import Picture, picture_of
 from .stages import Stages
 
 if TYPE_CHECKING:
@@ -123,9 +123,9 @@ def _write(folder: Path, scenario: ScheduleScenario, found: FlownSchedule) -> No
     files.write_schedule(folder, schedule, rules, guarantee(schedule))
     files.write_reference(folder / "reference.csv", schedule.safety.reference)
     files.write_text(folder / "gains.json", files.json_text(files.gains(schedule)))
-    arrays.write_sets(folder / "sets.npz", schedule)
-    arrays.write_tubes(folder / "tubes.npz", schedule)
     flights = {key: item.flights for key, item in found.flown.items()}
+    arrays.write_sets(folder / "sets.npz", schedule, picture_of(schedule, flights).slices)
+    arrays.write_tubes(folder / "tubes.npz", schedule)
     arrays.write_flights(folder / "trajectories.npz", flights)
     write_certificate(folder, schedule, scenario.name, DATA_FILES)
 

@@ -143,7 +143,8 @@ def test_tubes_contain_the_runs(folder):
 def test_sets_hold_the_radius_of_every_node(folder):
     safety = synthesised()[1].safety
     with np.load(folder.path / "sets.npz", allow_pickle=False) as sets:
-        assert str(sets["kind"]) == "polytope" and sets["slice_outline_m"].shape[1:] == (24, 2)
+        assert str(sets["kind"]) == "polytope" and sets["slice_outline_m"].shape[1:] == (5, 24, 2)
+        assert sets["slice_place_m"].shape == (len(sets["slice_t_s"]), 5, 2)
         q = safety.tracking.feedback.nodes_per_cell
         assert sets["radius"][3] == safety.recoverable.radius(3 * q)
         assert sets["obstacle_room_m"].shape == (safety.reference.cells, q + 1, 2)

@@ -247,6 +247,7 @@ def test_every_method_is_in_the_tables_and_in_the_scene(comparison, tmp_path):
     html = report_of(comparison, tmp_path)
     told, data = words(html), data_of(html)
     assert [one["key"] for one in data["pilots"]] == ["schedule", "safety", "experimental", "filter_0"]
+    assert "slice" not in {layer["group"] for layer in data["scene"]["layers"]}  # they are not of these runs
     for name in ("Polaris schedule", "S alone", "U alone", "filter 0", "needs a licence"):
         assert name in told
     assert "4.5 to 5.5" in told and "worst 4" in told and "never heard of (m)" in told

@@ -51,12 +51,6 @@ ASSUMPTIONS = {
 }
 
 
-
-
-
-
-
-
 def summarise(folder: CampaignFolder, worst: int = 5) -> dict[str, Any]:
     """Contents of ``summary.json``.
 

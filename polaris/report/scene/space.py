@@ -1,4 +1,4 @@
-"""What a scene holds, whoever draws it: the part of space that is shown, and the sets and the goal in it."""
+"""The part of space that a scene shows, and the sets and the goal in it."""
 
 from __future__ import annotations
 
@@ -8,27 +8,18 @@ from itertools import product
 
 import numpy as np
 
-from reach.sets.zonotope import Zonotope
-
 from ...model.keep_in import KeepIn
 from ...model.obstacle import Obstacle
 from ...model.satellite import SatelliteObstacle
 from ...model.shapes import Ball, Polytope
 from ...model.system import Array
 from ...planning.goals import Box, EllipticalNMT, LinearNMT, StationaryPoint
-from ...runs.picture import Approach, Picture, directions
-from .geometry import ball, boxed, flat_outline
+from ...runs.frame import directions
+from ...runs.picture import Approach, Picture
+from .geometry import Shape, ball_points, boxed, flat_outline
 
 NEAR = 0.35
 """How far a flight may stray beyond the safe path, in widths of it, and still widen the view."""
-
-
-@dataclass(frozen=True, eq=False)
-class Part:
-    """A piece of the goal: a ``curve`` through points, a ``point``, or a convex ``body`` with corners."""
-
-    kind: str
-    points: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +50,7 @@ class Space:
             Positions flown [m]; those that stay near widen the view. Default the picture's first runs.
         """
         flat = picture.frame.flat
-        start = position_set(picture)
+        start = picture.initial_positions
         reach = np.abs(start.G).sum(axis=-1)
         points = np.vstack([*picture.path(), picture.safe_path()[1], start.c - reach, start.c + reach])
         size = float(np.max(np.ptp(points[:, flat], axis=0)))
@@ -110,7 +101,7 @@ class Space:
         centre = np.asarray(obstacle.centre(t, system))
         shape = obstacle.inside if isinstance(obstacle, KeepIn) else obstacle.shape
         if isinstance(shape, Ball):
-            return centre + ball(shape.radius, system.d)
+            return centre + ball_points(shape.radius, system.d)
         assert isinstance(shape, Polytope)  # there are no others
         if isinstance(obstacle, KeepIn):
             centre = np.zeros(system.d)
@@ -132,22 +123,25 @@ class Space:
             return None
         return np.asarray(obstacle.outline(t, self.picture.system))
 
-    def goal(self) -> list[Part]:
-        """The goal's positions, as far as it limits them; infinite widths are cut to this space."""
+    def goal(self) -> list[Shape]:
+        """The goal's positions as far as it limits them: lines, points, or the corners of a convex ``area``.
+
+        Infinite widths are cut to this space.
+        """
         goal, system = self.picture.goal, self.picture.system
         if isinstance(goal, EllipticalNMT):
             angle = np.linspace(0, 2 * np.pi, 121)
             ring = np.stack([np.sin(angle), 2 * np.cos(angle), np.zeros_like(angle)], axis=1)
             rims = [b for b in (goal.inner_semi_minor, goal.outer_semi_minor) if b > 0]
-            return [Part("curve", b * ring) for b in rims]
+            return [Shape("line", b * ring) for b in rims]
         if isinstance(goal, LinearNMT):
             most = goal.amplitude_max
-            return [Part("curve", np.array([[0.0, goal.along_track, z] for z in (-most, most)]))]
+            return [Shape("line", np.array([[0.0, goal.along_track, z] for z in (-most, most)]))]
         if isinstance(goal, StationaryPoint):
-            return [Part("point", (system.position @ np.asarray(goal.state))[None])]
+            return [Shape("points", (system.position @ np.asarray(goal.state))[None])]
         return self._box(goal) if isinstance(goal, Box) else []
 
-    def _box(self, goal: Box) -> list[Part]:
+    def _box(self, goal: Box) -> list[Shape]:
         C, half = self.picture.system.position, np.asarray(goal.half_widths)
         centre, free = C @ np.asarray(goal.center), np.any(C[:, np.isinf(half)] != 0, axis=1)
         if np.all(free):
@@ -155,21 +149,16 @@ class Space:
         arms = C[:, np.isfinite(half)] * half[np.isfinite(half)]
         arms = arms[:, np.any(arms != 0, axis=0)]
         if arms.shape[1] == 0 and not np.any(free):
-            return [Part("point", centre[None])]
+            return [Shape("points", centre[None])]
         thin = 2e-3 * float(np.max(self.high - self.low)) * np.eye(len(centre))  # to be seen at all
         arms = np.hstack([arms, thin[:, np.abs(arms).sum(axis=1) + free == 0]])
         if np.any(free) or arms.shape[1] > 8:  # axis by axis
             reach = np.abs(arms).sum(axis=1)
             low = np.where(free, self.low, centre - reach)
             high = np.where(free, self.high, centre + reach)
-            return [Part("body", np.array(list(product(*zip(low, high, strict=True)))))]
+            return [Shape("area", np.array(list(product(*zip(low, high, strict=True)))))]
         signs = np.array(list(product((-1.0, 1.0), repeat=arms.shape[1])))
-        return [Part("body", centre + signs @ arms.T)]
-
-
-def position_set(picture: Picture) -> Zonotope:
-    """Initial positions."""
-    return picture.system.position @ picture.initial_set
+        return [Shape("area", centre + signs @ arms.T)]
 
 
 def _within(obstacle: Obstacle, picture: Picture, near: Approach, depth: float) -> Array:
@@ -186,51 +175,3 @@ def moves(obstacle: Obstacle, picture: Picture) -> bool:
     """Whether an obstacle changes place within the horizon."""
     times = np.linspace(0, picture.duration, 5)
     return bool(np.ptp(obstacle.centre(times, picture.system), axis=0).max() > 0)
-
-
-def plane_gap(obstacle: Obstacle, picture: Picture, axes: Sequence[int]) -> Array:
-    """How far the safe path is from a set at the same time, as both look along the other axes [m].
-
-    Negative where the path is drawn within the set. Of another satellite the timed cover counts.
-
-    Parameters
-    ----------
-    obstacle : Obstacle
-        Not a keep-in set.
-    axes : sequence of two int
-
-    Returns
-    -------
-    ndarray, shape (N,)
-        At the times of `Picture.safe_path`.
-    """
-    axes, system = list(axes), picture.system
-    times, path = picture.safe_path()
-    if isinstance(obstacle, SatelliteObstacle):
-        (timed,) = obstacle.timed_polytopes(system, picture.reference.delta, picture.planned)
-        cell = np.clip(times / picture.reference.delta, 0, picture.planned)
-        k = np.minimum(cell.astype(int), picture.planned - 1)
-        s = (cell - k)[:, None]
-        return _edge_on(timed.normals, timed.offsets[k, 0] * (1 - s) + timed.offsets[k, 1] * s, path, axes)
-    path = path - obstacle.centre(times, system)
-    if isinstance(obstacle.shape, Ball):
-        return np.asarray(np.linalg.norm(path[:, axes], axis=1) - obstacle.shape.radius)
-    assert isinstance(obstacle.shape, Polytope)  # there are no others
-    if not obstacle.shape.bounded:
-        return _edge_on(obstacle.shape.H, obstacle.shape.b[None], path, axes)
-    return outline_gap(flat_outline(obstacle.shape.vertices()[:, axes]), path[:, axes])
-
-
-def outline_gap(outline: Array, points: Array) -> Array:
-    """How far points (N, 2) are from the convex set within an outline (V, 2), at least; negative inside."""
-    edge = np.roll(outline, -1, axis=0) - outline
-    normal = np.stack([edge[:, 1], -edge[:, 0]], axis=1)
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    return np.asarray((points @ normal.T - np.sum(normal * outline, axis=1)).max(axis=1))
-
-
-def _edge_on(normals: Array, offsets: Array, path: Array, axes: list[int]) -> Array:
-    """Gap to the facets ``normals p = offsets`` that are seen edge on; -inf if there are none."""
-    rows = np.all(np.abs(np.delete(normals, axes, axis=1)) < 1e-9, axis=1)
-    gap = path @ normals[rows].T - offsets[:, rows]
-    return np.asarray(gap.max(axis=1, initial=-np.inf))
