@@ -35,7 +35,7 @@ import polaris
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md"))]
-RUN = [ROOT / "README.md", DOCS / "tutorial.md", DOCS / "reach-tutorial.md"]
+RUN = [ROOT / "README.md", DOCS / "tour.md", DOCS / "tutorial.md", DOCS / "reach-tutorial.md"]
 
 BLOCK = re.compile(
     r"(?:^<!-- check: (?P<check>.+?) -->\n)?^```(?P<kind>\w*)\n(?P<body>.*?)^```$", re.M | re.S
@@ -200,7 +200,7 @@ def test_slow_commands_do_what_they_show(path, shell):
 
 
 def scenario_rows():
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    text = (DOCS / "tour.md").read_text(encoding="utf-8")
     table = text.split("## The bundled scenarios", 1)[1].split("\n\n")[1]
     cells = [[cell.strip() for cell in row.strip("|").split("|")] for row in table.splitlines()[2:]]
     return {row[0].strip("`"): row[2:] for row in cells}
@@ -273,6 +273,19 @@ def test_every_page_is_in_the_navigation():
     assert sorted(listed) == sorted(path.name for path in DOCS.glob("*.md"))
 
 
+def test_citations_and_references_fit():
+    """A page cites by key, each key is explained in one place, and nothing is listed that nobody cites."""
+    texts = {path.name: path.read_text(encoding="utf-8") for path in PAGES}
+    keys = re.findall(r"^### (\w+)$", texts.pop("references.md"), re.M)
+    found = re.findall(r"\[\[(\w+)\]\((?:docs/)?references\.md#(\w+)\)\]", "".join(texts.values()))
+    assert {key for key, _ in found} == set(keys)
+    assert all(anchor == key.lower() for key, anchor in found)
+
+
+def test_readme_is_short():
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 200
+
+
 def test_version_is_the_same_everywhere():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     assert f"version: {project['version']}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
@@ -296,7 +309,7 @@ def site(tmp_path_factory):
 
 @pytest.mark.parametrize("page", INTERFACES.values())
 def test_interface_page_shows_docstrings_as_tables(page, site):
-    """Each name has a heading; sections of docstrings are tables, and none is left as a heading of the page."""
+    """Each name has a heading; sections of docstrings are tables, none a heading of the page."""
     text = (site / page.replace(".md", ".html")).read_text(encoding="utf-8")
     for name in documented(page):
         assert f' id="{name}"' in text, name

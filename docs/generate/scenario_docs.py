@@ -61,7 +61,7 @@ _INSPECTION = """\
 A file with a key `kind` at the top describes no switching schedule but deputies that inspect a chief
 ([inspection](inspection.md)). States are those of Hill's frame. `polaris check`, `--set` and the errors are
 the same; the schema is [`inspection.schema.json`](inspection.schema.json). Defaults are the values of Table 1
-of Dunlap, van Wijk and Hobbs where the paper prints one.
+of [[DVH23](references.md#dvh23)] where the paper prints one.
 """
 
 
