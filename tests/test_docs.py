@@ -282,6 +282,13 @@ def test_citations_and_references_fit():
     assert all(anchor == key.lower() for key, anchor in found)
 
 
+def test_recipes_name_files_that_exist():
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    paths = set(re.findall(r"`((?:polaris|tests|docs|reach|scenarios)/[\w./-]*|[A-Z]+\.md)`", text))
+    assert len(paths) > 20
+    assert not [path for path in sorted(paths) if not (ROOT / path).exists()]
+
+
 def test_readme_is_short():
     assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 200
 
