@@ -11,8 +11,9 @@ from ..model.errors import OutOfTime, ScenarioError
 from ..model.hill import elliptical_nmt
 from ..model.system import Array, LinearSystem, as_finite
 from ..model.tolerances import SOLVER_BOOK_INPUT
-from ..planning import PlanProblem, plan
+from ..planning.problem import PlanProblem
 from ..planning.reference import Reference
+from ..planning.solve import plan
 from ..synthesis.controllers import AffineController, AnyThrust, Controller
 from ..synthesis.get_safety import Safety
 from ..synthesis.problem import Problem
