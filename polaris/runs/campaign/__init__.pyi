@@ -1,0 +1,14 @@
+from .cases import Case as Case
+from .cases import make_cases as make_cases
+from .cases import parse_grid as parse_grid
+from .drive import Interrupted as Interrupted
+from .drive import run_campaign as run_campaign
+from .folder import CampaignFolder as CampaignFolder
+from .folder import read_campaign as read_campaign
+from .plan import Plan as Plan
+from .replay import Replayed as Replayed
+from .replay import find_worst as find_worst
+from .replay import replay_run as replay_run
+from .workers import Workers as Workers
+from .workers import cluster as cluster
+from .workers import local as local
