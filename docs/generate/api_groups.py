@@ -155,7 +155,7 @@ REACH_GROUPS = {
         "hybrid_tube",
         "HybridTube",
         "Segment",
-        "Fan",
+        "Flowpipes",
         "verify_hybrid",
         "HybridVerdict",
         "falsify_hybrid",

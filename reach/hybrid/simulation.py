@@ -10,11 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import expm
 
 from ..numerics.arguments import checked
+from ..numerics.checks import Array
 from ..numerics.errors import ReachError
 from ..sets.polytope import HPolytope
 from .automaton import HybridAutomaton, Mode, Transition
-
-Array = NDArray[np.float64]
 
 TOUCH = 1e-9
 """A state this close to a face, relative to the terms of its row, counts as on it."""

@@ -12,12 +12,10 @@ from math import factorial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from .checks import Array
 from .errors import Unresolved
-
-Array = NDArray[np.float64]
 
 FLUSH = 1e-36
 """Entries below this share of the largest of their row are set to zero: denormal numbers are slow."""

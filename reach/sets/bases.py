@@ -8,9 +8,8 @@ from math import comb
 import numpy as np
 from numpy.typing import NDArray
 
+from ..numerics.checks import Array
 from ..numerics.programs import Maximum
-
-Array = NDArray[np.float64]
 
 MOST_BASES = 4096
 """Bases kept; and most that Qhull may be expected to return."""

@@ -10,10 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..numerics.arguments import checked
-from ..numerics.errors import ReachError
-from ..numerics.rounding import add_down, add_up, gamma
-from .convex import (
-    SetOperators,
+from ..numerics.checks import (
+    Array,
     as_alike,
     as_factor,
     as_map,
@@ -27,12 +25,13 @@ from .convex import (
     selector,
     stacked,
 )
+from ..numerics.errors import ReachError
+from ..numerics.rounding import add_down, add_up, gamma
+from .convex import SetOperators
 
 if TYPE_CHECKING:
     from .polytope import HPolytope
     from .zonotope import Zonotope
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

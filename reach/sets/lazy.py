@@ -9,10 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..numerics.arguments import checked
-from ..numerics.errors import ReachError
-from ..numerics.rounding import gamma
-from .convex import (
-    SetOperators,
+from ..numerics.checks import (
+    Array,
     as_factor,
     as_matrix,
     as_one_vector,
@@ -20,15 +18,15 @@ from .convex import (
     require_same_dim,
     require_sets,
     require_single,
-    weighed,
 )
+from ..numerics.errors import ReachError
+from ..numerics.rounding import gamma
+from .convex import SetOperators, weighed
+from .distance import contains_by_distance
 from .interval import Interval
-from .membership import contains_by_distance
 
 if TYPE_CHECKING:
     from .polytope import HPolytope
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,15 +12,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..numerics.arguments import checked
+from ..numerics.checks import Array, as_factor, as_matrix, as_numbers, as_one_vector, as_vector
 from ..numerics.errors import ReachError
-from ..numerics.exact import integers, mixture
 from ..numerics.programs import Maximum, maximise
-from ..numerics.rounding import gamma
+from ..numerics.rounding import gamma, integers, mixture
 from .bases import Bases
-from .convex import SetOperators, as_factor, as_matrix, as_numbers, as_one_vector, as_vector, weighed
+from .convex import SetOperators, weighed
 from .interval import Interval
-
-Array = NDArray[np.float64]
 
 EXACT_MOST = 24
 """Largest dimension in which inequalities are mixed without rounding."""

@@ -5,20 +5,16 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from ..numerics.arguments import checked
-from ..numerics.exact import integers
+from ..numerics.checks import Array, require_same_dim, require_single
 from ..numerics.programs import maximise
-from ..numerics.rounding import gamma
-from .answer import Answer
-from .convex import require_same_dim, require_single, weighed
+from ..numerics.rounding import gamma, integers
+from .convex import Answer, weighed
 from .distance import nearest, unit_sizes
 from .lifted import Lifted, lifted
 from .polytope import HPolytope
-
-Array = NDArray[np.float64]
 
 COMMON = 1e-9
 """Points of the two sets this close, in sizes of the sets, count as a common point."""

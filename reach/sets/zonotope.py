@@ -11,10 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..numerics.arguments import checked
-from ..numerics.errors import ReachError
-from ..numerics.rounding import gamma
-from .convex import (
-    SetOperators,
+from ..numerics.checks import (
+    Array,
     as_alike,
     as_count,
     as_factor,
@@ -29,11 +27,12 @@ from .convex import (
     selector,
     stacked,
 )
-from .facets import facet_normals, unit_columns, volume
+from ..numerics.errors import ReachError
+from ..numerics.rounding import gamma
+from .convex import SetOperators
+from .facets import facet_normals, least_level, unit_columns, volume
 from .interval import Interval
 from .polytope import HPolytope
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -259,11 +258,9 @@ class Zonotope(SetOperators):
         slack : float
             Points reached with ``|b_i| <= 1 + slack`` count as inside.
         """
-        from .membership import zonotope_level
-
         require_single(self, "contains")
         x = as_vector(points, self.dim)
-        levels = [zonotope_level(self, p) for p in x.reshape(-1, self.dim)]
+        levels = [least_level(self.c, self.G, p) for p in x.reshape(-1, self.dim)]
         return np.array(levels).reshape(x.shape[:-1]) <= 1 + slack
 
     # -- enclosures -----------------------------------------------------------------------------
@@ -305,7 +302,7 @@ class Zonotope(SetOperators):
     @checked
     def meet_halfspace(self, normal: ArrayLike, offset: ArrayLike) -> Zonotope:
         """Enclosure of the part with ``normal . x <= offset``; see `reach.sets.intersection`."""
-        from .intersection import meet_halfspace
+        from .clipping import meet_halfspace
 
         return meet_halfspace(self, normal, offset)
 

@@ -10,16 +10,14 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import expm, matrix_balance, solve_continuous_lyapunov, solve_discrete_lyapunov
 
 from ..numerics.arguments import checked
+from ..numerics.checks import Array
 from ..numerics.errors import ReachError
 from ..numerics.linear import discretize, growth, powers, require_square
-from ..sets.ball import ball_generators
+from ..sets.ellipsoid import ball_generators
 from ..sets.zonotope import Zonotope
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,10 +9,9 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
+from ..numerics.checks import Array
 from ..numerics.exponentials import CANCELLED, Action, exponential, flushed, scaled, thin_exponential, times
 from .systems import LinearSystem
-
-Array = NDArray[np.float64]
 
 SPARSE = 0.1
 """Share of entries below which products with A use its sparse form."""

@@ -1,23 +1,20 @@
-"""Marching over time: blocks of steps, of one length or as long as a tolerance allows."""
+"""Stepping over time: blocks of steps, of one length or as long as a tolerance allows."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator
 from time import perf_counter
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ..numerics.checks import Array, is_positive, per_row, require_positive
 from ..numerics.errors import ReachError, ReachWarning, Unresolved
-from ..sets.convex import as_numbers
 from .adjoint import Adjoint, Block, Overflow
-from .bounds import March, collect
-from .known_input import Ahead
+from .bounds import RowBounds, collect
+from .known_input import Forecast
 from .rows import ROUNDING
-
-Array = NDArray[np.float64]
 
 MAX_STEPS = 2_000_000
 BLOCK = 64
@@ -40,7 +37,7 @@ FINEST = 2.0**-40
 """Shortest step of the automatic choice, as a share of the horizon."""
 
 
-def march(
+def carry_rows(
     adjoint: Adjoint,
     D: Array,
     horizon: float,
@@ -50,19 +47,19 @@ def march(
     keep: bool = False,
     substeps: int = 1,
     deadline: float = np.inf,
-) -> March:
+) -> RowBounds:
     """Carry rows D over the horizon, with a step (in substeps) or by a tolerance (see `support_tube`)."""
-    _is_number("horizon", horizon)
+    require_positive("horizon", horizon)
     if step is not None and tolerance is not None:
         raise ReachError("give a step or a tolerance, not both")
     if step is not None:
-        _is_number("step", step)
+        require_positive("step", step)
     if adjoint.system.discrete:
         if horizon != round(horizon) or step not in (None, 1):
             given = f"got horizon {horizon!r} and step {step!r}"
             raise ReachError(f"a discrete system takes a whole number of steps of 1, {given}")
         step = 1.0
-    if step is None and adjoint.pieces > 1:
+    if step is None and adjoint.input_pieces > 1:
         raise ReachError("an input that changes its set needs a step, best one that divides its breaks")
     if step is not None:
         return regular(adjoint, D, horizon, step, substeps, keep, deadline)
@@ -71,16 +68,6 @@ def march(
         raise ReachError(f"the tolerance must be finite and > 0, got {tolerance!r}")
     ceiling = np.full(len(D), -np.inf) if limit is None else per_row("limit", limit, len(D))
     return collect(adjoint, D, horizon, adaptive(adjoint, D, horizon, goal, ceiling, deadline), keep)
-
-
-def _positive(value: Any) -> bool:
-    real = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
-    return bool(real and 0 < value < np.inf)
-
-
-def _is_number(name: str, value: float) -> None:
-    if not _positive(value):
-        raise ReachError(f"the {name} must be a finite number > 0, got {value!r}")
 
 
 def in_time(deadline: float) -> None:
@@ -94,23 +81,15 @@ def in_time(deadline: float) -> None:
         raise Unresolved("time ran out")
 
 
-def per_row(name: str, value: ArrayLike, r: int) -> Array:
-    """One number for each of r rows."""
-    numbers = as_numbers(f"the {name}", value)
-    if numbers.shape not in ((), (1,), (r,)) or np.any(np.isnan(numbers)):
-        raise ReachError(f"the {name} must be a number or {r} of them, got {value!r}")
-    return np.broadcast_to(numbers, (r,))
-
-
 def substeps(adjoint: Adjoint, step: float | None, horizon: float = 0.0, rows: int = 1) -> int:
     """Parts, a power of two, that a given step is carried in so that little turns in one.
 
     Up to `PARTS`; more where the whole run, if its horizon is given, stays `CHEAP`.
     """
-    if step is None or adjoint.system.discrete or not _positive(step):
+    if step is None or adjoint.system.discrete or not is_positive(step):
         return 1
     most = np.log2(PARTS)
-    if _positive(horizon):
+    if is_positive(horizon):
         most = max(most, np.floor(np.log2(CHEAP / max(rows * adjoint.system.dim * horizon / step, 1.0))))
     return int(2 ** np.clip(np.ceil(np.log2(max(2 * step * adjoint.rows.norm, 1.0))), 0, most))
 
@@ -130,14 +109,14 @@ def warn_if_wide(bounds: Array, attained: Array, sizes: Array) -> None:
 
 def regular(
     adjoint: Adjoint, D: Array, horizon: float, step: float, parts: int, keep: bool, deadline: float
-) -> March:
+) -> RowBounds:
     """Steps of one length, each carried in some parts."""
     if horizon / step > MAX_STEPS:
         raise Unresolved(f"more than {MAX_STEPS:,} steps: horizon {horizon:g}, step {step:g}")
     count = max(int(np.ceil(horizon / step * (1 - 1e-12))), 1) * parts
     size = int(np.clip(ENTRIES // D.size, BLOCK, count))
     h = horizon / count
-    ahead = look_ahead(adjoint, D, horizon)
+    ahead = forecast(adjoint, D, horizon)
     adjoint.watch(adjoint.rows.lags(h, horizon), 0.0 if ahead is None else ahead.states)
 
     def blocks() -> Iterator[tuple[float, Block]]:
@@ -154,9 +133,9 @@ def regular(
     return run
 
 
-def look_ahead(adjoint: Adjoint, D: Array, horizon: float) -> Ahead | None:
+def forecast(adjoint: Adjoint, D: Array, horizon: float) -> Forecast | None:
     """What a nominal input will ask of steps, if there is one."""
-    return None if adjoint.system.nominal is None else Ahead(adjoint.system, D, horizon)
+    return None if adjoint.system.nominal is None else Forecast(adjoint.system, D, horizon)
 
 
 def adaptive(
@@ -170,7 +149,7 @@ def adaptive(
     """
     rows = D * adjoint.rows.scale
     level = int(np.clip(np.ceil(np.log2(max(horizon * adjoint.rows.norm, 1.0))), 0, 40))
-    ahead = look_ahead(adjoint, D, horizon)
+    ahead = forecast(adjoint, D, horizon)
     if ahead is not None:
         ceiling = np.full(len(D), -np.inf)  # what is compared with it leaves the nominal input out
     adjoint.watch(adjoint.rows.lags(horizon * 2.0**-level, horizon), 0.0 if ahead is None else ahead.states)

@@ -7,22 +7,21 @@ from itertools import groupby
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import sparse
 from scipy.linalg import expm
 from scipy.sparse.linalg import expm_multiply
 
 from ..numerics.arguments import checked
+from ..numerics.checks import Array, as_numbers, single_set
 from ..numerics.errors import ReachError
 from ..numerics.exponentials import times
 from ..sets.convex import ConvexSet
 from .adjoint import Adjoint
-from .augment import centered
-from .known_input import known
-from .stepping import march
-from .systems import LinearSystem, numbers, single_set
-
-Array = NDArray[np.float64]
+from .augment import augmented
+from .known_input import known_response
+from .stepping import carry_rows
+from .systems import LinearSystem
 
 DENSE_MOST = 400
 """States up to which a simulation forms exponentials."""
@@ -79,7 +78,7 @@ def simulate(system: LinearSystem, x0: ArrayLike, instants: ArrayLike, inputs: A
     advance = _discrete if system.discrete else _sparse if system.dim > DENSE_MOST else _dense
     advance(system, states, t, u)
     if system.nominal is not None:
-        states += known(system, np.zeros((1, system.dim)), t, np.diff(t)).states
+        states += known_response(system, np.zeros((1, system.dim)), t, np.diff(t)).states
     return Trajectory(t, states, u)
 
 
@@ -151,17 +150,17 @@ def worst_case(
     Unresolved
         If the tolerance cannot be met.
     """
-    d = np.atleast_2d(numbers("direction", direction))
+    d = np.atleast_2d(as_numbers("direction", direction))
     if d.shape != (1, system.dim) or not np.all(np.isfinite(d)):
         raise ReachError(f"the direction must be {system.dim} finite numbers, got {direction!r}")
     single_set("the initial set", initial)
     if horizon == 0:
         return Trajectory(np.zeros(1), initial.support_vector(d), np.zeros((0, system.inputs)))
-    around, start = (system, initial) if system.discrete else centered(system, initial)
+    around, start = (system, initial) if system.discrete else augmented(system, initial)
     adjoint, row = Adjoint(around, start), np.hstack([d, np.zeros((1, around.dim - system.dim))])
     if step is None and tolerance is None and not system.discrete:
         step = horizon / STEPS
-    run = march(adjoint, row, horizon, step, tolerance, limit=[np.inf], keep=True)
+    run = carry_rows(adjoint, row, horizon, step, tolerance, limit=[np.inf], keep=True)
     assert run.rows is not None
     rows = run.rows[:, 0, : system.dim]
     x0 = initial.support_vector(rows[-1])

@@ -7,14 +7,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg import expm
 
 from ..numerics.arguments import check_fields
+from ..numerics.checks import Array, as_numbers
 from ..numerics.errors import ReachError
-from .systems import numbers
 
-Array = NDArray[np.float64]
 Bound = ArrayLike | Callable[[float, float], ArrayLike] | None
 
 CONSISTENT = 1e-6
@@ -128,7 +127,7 @@ def sample(name: str, M: Any, shape: tuple[int, ...], times: Array) -> Sampled:
 
 
 def _checked(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
-    matrix = numbers(name, value)
+    matrix = as_numbers(name, value)
     if matrix.shape != shape or not np.all(np.isfinite(matrix)):
         raise ReachError(f"{name} must be finite and of shape {shape}, got shape {matrix.shape}")
     return matrix
@@ -138,7 +137,7 @@ def _bound(name: str, bound: Bound, shape: tuple[int, ...], times: Array) -> Arr
     if bound is None:
         return np.full((len(times) - 1, *shape), np.inf)
     over = bound if callable(bound) else lambda a, b: bound
-    found = [numbers(name, over(float(a), float(b))) for a, b in zip(times[:-1], times[1:], strict=True)]
+    found = [as_numbers(name, over(float(a), float(b))) for a, b in zip(times[:-1], times[1:], strict=True)]
     for values in found:
         if values.shape != shape or not np.all(values >= 0):
             raise ReachError(f"the {name} must be >= 0 and of shape {shape}, got {values!r}")

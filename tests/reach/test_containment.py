@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from reach.numerics.errors import ReachError
-from reach.numerics.exact import cross, integers
-from reach.sets.answer import Answer
+from reach.numerics.rounding import cross, integers
 from reach.sets.containment import contains
+from reach.sets.convex import Answer
 from reach.sets.ellipsoid import Ellipsoid
 from reach.sets.interval import Interval
 from reach.sets.norms import largest_norm

@@ -4,15 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
+from ..numerics.checks import Array, as_numbers
 from ..numerics.errors import ReachError
-from ..sets.convex import as_numbers
 from ..sets.polytope import HPolytope
 from ..tubes.trajectory import Trajectory
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
