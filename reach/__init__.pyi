@@ -20,7 +20,6 @@ from .numerics.linear import powers as powers
 from .numerics.relaxation import clip_relaxation as clip_relaxation
 from .sets.clipping import enclosing_hull as enclosing_hull
 from .sets.clipping import meet_halfspace as meet_halfspace
-from .sets.containment import contains as contains
 from .sets.convex import Answer as Answer
 from .sets.convex import ConvexSet as ConvexSet
 from .sets.ellipsoid import Ellipsoid as Ellipsoid
@@ -32,10 +31,11 @@ from .sets.lazy import MinkowskiSum as MinkowskiSum
 from .sets.norms import NormBracket as NormBracket
 from .sets.norms import largest_norm as largest_norm
 from .sets.outlines import outline as outline
+from .sets.pairs import contains as contains
+from .sets.pairs import disjoint as disjoint
 from .sets.polytope import HPolytope as HPolytope
 from .sets.reduction import reduce as reduce
 from .sets.reduction import reduction_loss as reduction_loss
-from .sets.separation import disjoint as disjoint
 from .sets.zonotope import Zonotope as Zonotope
 from .tubes.flow import LinearFlow as LinearFlow
 from .tubes.flow import state_scale as state_scale

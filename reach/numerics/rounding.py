@@ -49,6 +49,14 @@ def integers(*arrays: Array) -> list[Whole]:
     return out
 
 
+def is_product(product: Array, left: Array, right: Array) -> bool:
+    """Whether ``product = left @ right`` holds without rounding; not where something is not finite."""
+    if not (np.all(np.isfinite(product)) and np.all(np.isfinite(left))):
+        return False
+    whole, first, second, one = integers(product, left, right, np.ones(1))
+    return np.array_equal(first @ second, whole * one[0])
+
+
 def floats(whole: Whole) -> Array:
     """Columns divided by their largest entry, each entry correctly rounded; zero columns stay zero."""
     largest = np.abs(whole).max(axis=0, initial=0)

@@ -8,8 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ..numerics.arguments import checked
-from ..numerics.checks import Array, as_count, require_same_dim, require_single
+from ..numerics.checks import Array
 from ..numerics.errors import ReachError
 from ..numerics.rounding import Whole, floats, gamma, integers
 from .convex import Answer, weighed
@@ -31,60 +30,26 @@ MOST = 20_000
 TOUCHING = "the sets touch to within rounding"
 
 
-@checked
-def contains(outer: Any, inner: Any, method: Method = "auto", most: int = MOST) -> Answer:
-    """Whether `inner` lies in `outer`.
+def with_bounds(method: Callable[..., Answer]) -> Callable[..., Answer]:
+    """The method for polytopes in bounded sets: one without bounds leaves the interval hull too."""
 
-    Parameters
-    ----------
-    outer : Interval, HPolytope, Zonotope, Ellipsoid, or AffineImage or Intersection of such
-        A single set; an ellipsoid must not be flat, the map of an image must have an inverse.
-    inner : set of this library
-        A single set. An empty polytope lies in everything.
-    method : {"auto", "exact", "sufficient"}
-        For an outer zonotope: all its facets (polynomial in a fixed dimension; the question is
-        co-NP-complete in general, Kulmburg and Althoff 2021), or one linear program that proves
-        containment or nothing (Sadraddini and Tedrake 2019). For an inner zonotope and an outer
-        ellipsoid: branch and bound over signs, or norm bounds. All other pairs have one method.
-        "auto" is exact up to `most` and sufficient beyond (and asks the quick method first).
-    most : int
-        Most facets or branches looked at.
+    def within(outer: Any, inner: HPolytope, how: Method, most: int) -> Answer:
+        if inner.is_bounded:
+            return method(outer, inner, how, most)
+        return in_polytope(outer.interval_hull().to_polytope(), inner, how, most)
 
-    Returns
-    -------
-    Answer
-        Zonotopes and intervals in polytopes, intervals and (exactly) zonotopes are always decided:
-        sets that touch are settled in integer arithmetic.
-
-    Raises
-    ------
-    ReachError
-        If the dimensions differ, a set is a stack, the outer set is of another kind, or
-        ``method="exact"`` would take more than `most`.
-    """
-    require_same_dim(outer, inner)
-    if not isinstance(method, str) or method not in ("auto", "exact", "sufficient"):
-        raise ReachError(f"method must be 'auto', 'exact' or 'sufficient', got {method!r}")
-    most = as_count("most", most)
-    for one in (outer, inner):
-        require_single(one, "contains")
-    if getattr(inner, "is_empty", False):
-        return Answer(True, np.inf) if inner.proved_empty else Answer(None, 0.0, reason=TOUCHING)
-    body: Any = outer
-    for kind, inside in INSIDE.items():
-        if isinstance(outer, kind):
-            if isinstance(inner, HPolytope) and not inner.is_bounded and kind not in OPEN:
-                body, inside = body.interval_hull().to_polytope(), _in_polytope  # it leaves this one too
-            return inside(body, inner, method, most)
-    raise ReachError(f"containment in a {type(outer).__name__} is not offered: enclose or convert it first")
+    return within
 
 
-def _in_interval(outer: Interval, inner: Any, method: Method, most: int) -> Answer:
-    return _in_polytope(outer.to_polytope(), inner, method, most)
+def in_interval(outer: Interval, inner: Any, method: Method, most: int) -> Answer:
+    """By the inequalities of the box."""
+    return in_polytope(outer.to_polytope(), inner, method, most)
 
 
-def _in_intersection(outer: Intersection, inner: Any, method: Method, most: int) -> Answer:
+def in_intersection(outer: Intersection, inner: Any, method: Method, most: int) -> Answer:
     """Inside every part."""
+    from .pairs import contains
+
     answers = [contains(part, inner, method, most) for part in outer.parts]
     for wanted in (False, None):
         found = [answer for answer in answers if answer.holds is wanted]
@@ -93,12 +58,14 @@ def _in_intersection(outer: Intersection, inner: Any, method: Method, most: int)
     return min(answers, key=lambda answer: answer.margin)
 
 
-def _in_image(outer: AffineImage, inner: Any, method: Method, most: int) -> Answer:
+def in_image(outer: AffineImage, inner: Any, method: Method, most: int) -> Answer:
     """The inner set drawn back through the map, what that can be wrong by booked on every axis.
 
     With W close to the inverse of M and ``F = 1 - W M``, the x with ``M x + v = y`` differs from
     ``W (y - v)`` by ``F x``, and ``|F| s <= t s`` with ``|W (y - v)| <= s`` shows ``|x| <= s / (1 - t)``.
     """
+    from .pairs import contains
+
     M, v, n = outer.M, outer.v, outer.dim
     W = inverse(M)
     if not np.all(np.isfinite(inner.extent)):
@@ -124,7 +91,7 @@ def _in_image(outer: AffineImage, inner: Any, method: Method, most: int) -> Answ
     return Answer(None, found.margin if found.holds is None else 0.0, reason=found.reason or TOUCHING)
 
 
-def _in_polytope(outer: HPolytope, inner: Any, method: Method, most: int) -> Answer:
+def in_polytope(outer: HPolytope, inner: Any, method: Method, most: int) -> Answer:
     """Every row against the support of the inner set."""
 
     def settle(left: NDArray[np.intp]) -> list[bool | None]:
@@ -204,7 +171,7 @@ def _doubled(*sets: Zonotope | Interval) -> tuple[tuple[Whole, Whole], int]:
     return (first + second, np.diag(second - first)), rest[-1][0]
 
 
-def _in_ellipsoid(outer: Ellipsoid, inner: Any, method: Method, most: int) -> Answer:
+def in_ellipsoid(outer: Ellipsoid, inner: Any, method: Method, most: int) -> Answer:
     """The largest norm of the inner set, in coordinates in which the ellipsoid is the unit ball."""
     n = outer.dim
     if outer.L.shape[1] != n or not np.linalg.cond(outer.L) < 1e12:
@@ -235,7 +202,7 @@ def _in_ellipsoid(outer: Ellipsoid, inner: Any, method: Method, most: int) -> An
     return Answer(None, 1 - upper, reason=TOUCHING if upper < 1 + 1e-6 else "the norm is only bracketed")
 
 
-def _in_zonotope(outer: Zonotope, inner: Any, method: Method, most: int) -> Answer:
+def in_zonotope(outer: Zonotope, inner: Any, method: Method, most: int) -> Answer:
     """All facets, or one linear program, as the method says."""
     if method == "exact":
         return _in_facets(outer, inner, facet_normals(outer.G, most))
@@ -258,20 +225,6 @@ def _by_program(outer: Zonotope, inner: Any) -> Answer:
         worst = D[np.argmax(excess)]
         return Answer(False, 1 - scale, np.asarray(inner.support_vector(worst)), worst)
     return Answer(None, 1 - scale, reason="the linear program is only sufficient")
-
-
-INSIDE: dict[type, Callable[[Any, Any, Method, int], Answer]] = {
-    Interval: _in_interval,
-    HPolytope: _in_polytope,
-    Zonotope: _in_zonotope,
-    Ellipsoid: _in_ellipsoid,
-    AffineImage: _in_image,
-    Intersection: _in_intersection,
-}
-"""How containment is asked, by the kind of the outer set."""
-
-OPEN = (HPolytope, AffineImage, Intersection)
-"""Kinds of outer sets that may be unbounded."""
 
 
 def scale_to_hold(outer: Zonotope, inner: Zonotope) -> float:

@@ -3,14 +3,23 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import TYPE_CHECKING, Any, Protocol, Self, cast, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..numerics.checks import Array, as_matrix, as_one_vector, as_vector, require_sets, selector
+from ..numerics.checks import (
+    Array,
+    as_factor,
+    as_matrix,
+    as_one_vector,
+    as_vector,
+    require_sets,
+    selector,
+)
 from ..numerics.errors import ReachError
 from ..numerics.rounding import gamma
 
@@ -27,73 +36,42 @@ class ConvexSet(Protocol):
     """
 
     @property
+    @abstractmethod
     def dim(self) -> int:
         """Dimension n of the space."""
 
     @property
+    @abstractmethod
     def center(self) -> Array:
         """A point of the set, the centre of symmetry where there is one, shape (n,)."""
 
+    @abstractmethod
     def support(self, directions: ArrayLike) -> Array:
         """Largest ``d . x`` over the set, shape (..., r) for rows (..., r, n), () for one (n,)."""
 
+    @abstractmethod
     def support_vector(self, directions: ArrayLike) -> Array:
         """Points of the set that attain the support, shape of `directions`."""
 
+    @abstractmethod
     def interval_hull(self) -> Interval:
         """Smallest axis-aligned box around the set, rounded outwards."""
 
+    @abstractmethod
     def contains(self, points: ArrayLike, slack: float = 1e-9) -> NDArray[np.bool_]:
         """Whether each point lies in the set, shape (...) for points (..., n)."""
 
 
-class SetOperators(ABC):
+class SetOperators(ConvexSet, ABC):
     """Operators as on paper: ``M @ X``, ``X + Y``, ``X + v``, ``a * X``, ``-X``, ``x in X``, ``X <= Y``.
 
     All are exact; what a class cannot represent comes back as a lazily evaluated
-    `reach.MinkowskiSum` or `reach.AffineImage`. Enclosures have names, never operators.
+    `reach.MinkowskiSum` or `reach.AffineImage`. Enclosures have names, never operators. What depends on
+    the classes of both sets is found in the table of `reach.sets.pairs`.
     """
 
     # Let ``M @ X`` and ``v + X`` reach this class instead of numpy's broadcasting.
     __array_ufunc__ = None
-
-    @property
-    @abstractmethod
-    def dim(self) -> int:
-        """Dimension n of the space."""
-
-    @abstractmethod
-    def __rmatmul__(self, M: ArrayLike) -> Any:
-        """Linear image ``M @ X``."""
-
-    @abstractmethod
-    def __add__(self, other: Any) -> Any:
-        """Minkowski sum with another set, or translation by a vector."""
-
-    @abstractmethod
-    def __mul__(self, factor: float) -> Any:
-        """Scaled copy ``{a x}``."""
-
-    @abstractmethod
-    def contains(self, points: ArrayLike, slack: float = 1e-9) -> NDArray[np.bool_]:
-        """Whether each point lies in the set."""
-
-    @property
-    @abstractmethod
-    def center(self) -> Array:
-        """A point of the set."""
-
-    @abstractmethod
-    def support(self, directions: ArrayLike) -> Array:
-        """Largest ``d . x`` over the set."""
-
-    @abstractmethod
-    def support_vector(self, directions: ArrayLike) -> Array:
-        """Points of the set that attain the support."""
-
-    @abstractmethod
-    def interval_hull(self) -> Interval:
-        """Smallest axis-aligned box around the set, rounded outwards."""
 
     @property
     @abstractmethod
@@ -104,6 +82,35 @@ class SetOperators(ABC):
     @abstractmethod
     def terms(self) -> int:
         """Number of products summed in one value of the support function."""
+
+    def _translated(self, v: Array) -> Any:
+        """The set moved by one vector."""
+        from .lazy import AffineImage
+
+        return AffineImage(np.eye(self.dim), self, v)
+
+    def _scaled(self, a: float) -> Any:
+        """The set times a number."""
+        return a * np.eye(self.dim) @ self
+
+    def __rmatmul__(self, M: ArrayLike) -> Any:
+        """Linear image ``M @ X``."""
+        from .lazy import AffineImage
+
+        M = as_matrix(M, self.dim)
+        return AffineImage(M, self, np.zeros(M.shape[0]))
+
+    def __add__(self, other: Any) -> Any:
+        """Minkowski sum with another set, or translation by a vector."""
+        if isinstance(other, SetOperators):
+            from .pairs import minkowski_sum
+
+            return minkowski_sum(self, other)
+        return self._translated(as_one_vector(other, self.dim))
+
+    def __mul__(self, factor: float) -> Any:
+        """Scaled copy ``{a x}``."""
+        return self._scaled(as_factor(factor))
 
     def support_up(self, directions: ArrayLike) -> Array:
         """Support with its rounding booked: never below the true value, shape (..., r)."""
@@ -134,17 +141,22 @@ class SetOperators(ABC):
         return bool(self.contains(as_one_vector(point, self.dim)))
 
     def __and__(self, other: Any) -> Any:
-        """Intersection with another set: a polytope where both are given by inequalities, else lazy.
+        """Intersection with another set: a box of two boxes, a polytope of inequalities, else lazy.
 
         See `reach.Intersection`; a lazy one is bounded from outside where it is evaluated.
+
+        Raises
+        ------
+        ReachError
+            If two boxes have no point in common.
         """
-        from .intersection import intersect
+        from .pairs import intersect
 
         return intersect(self, other)
 
     def __le__(self, other: Any) -> bool:
         """Whether this set is proved to lie in the other one; see `reach.contains`."""
-        from .containment import contains
+        from .pairs import contains
 
         return bool(contains(other, self))
 
@@ -225,6 +237,18 @@ class SetOperators(ABC):
         polygon = outline(self.project(dims))
         ax.fill(polygon[:, 0], polygon[:, 1], **({"alpha": 0.5} | style))
         return ax
+
+
+def find(table: Mapping[tuple[type, ...], Any], *sets: Any) -> Any:
+    """The entry of a table for the classes of some sets; None if there is none.
+
+    The order of fallbacks: the classes themselves; then the bases of the last set's class, nearest
+    first, up to ``object``; then those of the set before it, each again with all of the last's.
+    """
+    exact = table.get(tuple(type(X) for X in sets))
+    if exact is not None:
+        return exact
+    return next((table[key] for key in product(*(type(X).__mro__ for X in sets)) if key in table), None)
 
 
 def magnitude(X: ConvexSet, directions: ArrayLike) -> Array:

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import combinations, product
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import gamma as gamma_function
 
 from ..numerics.arguments import checked
-from ..numerics.checks import Array, as_factor, as_matrix, as_numbers, as_one_vector, as_vector
+from ..numerics.checks import Array, as_factor, as_matrix, as_numbers, as_vector
 from ..numerics.errors import ReachError
 from ..numerics.rounding import gamma
 from .convex import SetOperators
@@ -148,17 +147,10 @@ class Ellipsoid(SetOperators):
         M = as_matrix(M, self.dim)
         return Ellipsoid(M @ self.c, M @ self.L)
 
-    def __add__(self, other: Any) -> Any:
-        """Translation by a vector, or the (lazy) Minkowski sum with a set."""
-        from .lazy import minkowski_sum
+    def _translated(self, v: Array) -> Ellipsoid:
+        return Ellipsoid(self.c + v, self.L)
 
-        if isinstance(other, SetOperators):
-            return minkowski_sum(self, other)
-        return Ellipsoid(self.c + as_one_vector(other, self.dim), self.L)
-
-    def __mul__(self, factor: float) -> Ellipsoid:
-        """Scaled copy ``{a x}``."""
-        a = as_factor(factor)
+    def _scaled(self, a: float) -> Ellipsoid:
         return Ellipsoid(a * self.c, a * self.L)
 
     # -- other descriptions -----------------------------------------------------------------------

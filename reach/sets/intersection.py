@@ -12,9 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 from ..numerics.arguments import checked
 from ..numerics.checks import (
     Array,
-    as_factor,
-    as_matrix,
-    as_one_vector,
     as_vector,
     require_same_dim,
     require_single,
@@ -23,27 +20,6 @@ from ..numerics.errors import ReachError
 from ..numerics.rounding import gamma
 from .convex import SetOperators, weighed
 from .interval import Interval
-from .polytope import HPolytope
-
-
-def intersect(first: Any, second: Any) -> Any:
-    """The points of both sets: an `HPolytope` where both are given by inequalities, else lazy.
-
-    Raises
-    ------
-    ReachError
-        If the dimensions differ or a set is a stack.
-    """
-    require_same_dim(first, second)
-    parts = [part for X in (first, second) for part in (X.parts if isinstance(X, Intersection) else (X,))]
-    for part in parts:
-        require_single(part, "an intersection")
-    rows = [part.to_polytope() for part in parts if isinstance(part, Interval | HPolytope)]
-    others = [part for part in parts if not isinstance(part, Interval | HPolytope)]
-    if rows:
-        A, b = np.vstack([P.A for P in rows]), np.hstack([P.b for P in rows])
-        others = [HPolytope(A, b), *others]
-    return others[0] if len(others) == 1 else Intersection(tuple(others))
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +67,7 @@ class Intersection(SetOperators):
     @cached_property
     def proved_empty(self) -> bool:
         """Whether it is proved that there is no point in all parts."""
-        from .separation import disjoint
+        from .pairs import disjoint, intersect
 
         if any(getattr(part, "is_empty", False) and part.proved_empty for part in self.parts):
             return True
@@ -178,24 +154,3 @@ class Intersection(SetOperators):
     def contains(self, points: ArrayLike, slack: float = 1e-9) -> NDArray[np.bool_]:
         """Whether each point is in all parts, each judged with this slack, shape (...) for (..., n)."""
         return np.asarray(np.all([part.contains(points, slack) for part in self.parts], axis=0))
-
-    # -- operations -----------------------------------------------------------------------------
-
-    def __rmatmul__(self, M: ArrayLike) -> Any:
-        """Linear image, lazy: the image of an intersection is smaller than that of the images."""
-        from .lazy import AffineImage
-
-        M = as_matrix(M, self.dim)
-        return AffineImage(M, self, np.zeros(M.shape[0]))
-
-    def __add__(self, other: Any) -> Any:
-        """Translation by a vector, or the lazy Minkowski sum with a set."""
-        from .lazy import AffineImage, minkowski_sum
-
-        if isinstance(other, SetOperators):
-            return minkowski_sum(self, other)
-        return AffineImage(np.eye(self.dim), self, as_one_vector(other, self.dim))
-
-    def __mul__(self, factor: float) -> Any:
-        """Scaled copy ``{a x}``, lazy."""
-        return as_factor(factor) * np.eye(self.dim) @ self

@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 from ..numerics.arguments import checked
 from ..numerics.checks import (
     Array,
-    as_factor,
     as_matrix,
     as_one_vector,
     as_vector,
@@ -110,15 +109,10 @@ class AffineImage(SetOperators):
         M = as_matrix(M, self.dim)
         return AffineImage(M @ self.M, self.base, M @ self.v)
 
-    def __add__(self, other: Any) -> Any:
-        """Minkowski sum with another set, or translation by a vector."""
-        if isinstance(other, SetOperators):
-            return minkowski_sum(self, other)
-        return AffineImage(self.M, self.base, self.v + as_one_vector(other, self.dim))
+    def _translated(self, v: Array) -> AffineImage:
+        return AffineImage(self.M, self.base, self.v + v)
 
-    def __mul__(self, factor: float) -> AffineImage:
-        """Scaled copy ``{a x}``."""
-        a = as_factor(factor)
+    def _scaled(self, a: float) -> AffineImage:
         return AffineImage(a * self.M, self.base, a * self.v)
 
     def to_polytope(self) -> HPolytope:
@@ -233,20 +227,8 @@ class MinkowskiSum(SetOperators):
         """Linear image: the sum of the images."""
         return MinkowskiSum(tuple(as_matrix(M, self.dim) @ part for part in self.parts))
 
-    def __add__(self, other: Any) -> MinkowskiSum:
-        """Minkowski sum with another set, or translation by a vector."""
-        if isinstance(other, SetOperators):
-            return minkowski_sum(self, other)
-        return MinkowskiSum((self.parts[0] + as_one_vector(other, self.dim), *self.parts[1:]))
+    def _translated(self, v: Array) -> MinkowskiSum:
+        return MinkowskiSum((self.parts[0] + v, *self.parts[1:]))
 
-    def __mul__(self, factor: float) -> MinkowskiSum:
-        """Scaled copy ``{a x}``."""
-        return MinkowskiSum(tuple(part * as_factor(factor) for part in self.parts))
-
-
-def minkowski_sum(*sets: Any) -> MinkowskiSum:
-    """Lazy Minkowski sum; nested sums are flattened."""
-    for part in sets:
-        require_single(part, "a lazy Minkowski sum")
-    flat = [part for s in sets for part in (s.parts if isinstance(s, MinkowskiSum) else (s,))]
-    return MinkowskiSum(tuple(flat))
+    def _scaled(self, a: float) -> MinkowskiSum:
+        return MinkowskiSum(tuple(part * a for part in self.parts))

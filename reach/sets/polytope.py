@@ -15,7 +15,7 @@ from ..numerics.arguments import checked
 from ..numerics.checks import Array, as_factor, as_matrix, as_numbers, as_one_vector, as_vector
 from ..numerics.errors import ReachError
 from ..numerics.programs import Maximum, maximise
-from ..numerics.rounding import gamma, integers, mixture
+from ..numerics.rounding import gamma, is_product, mixture
 from .bases import Bases
 from .convex import SetOperators, weighed
 from .interval import Interval
@@ -317,49 +317,27 @@ class HPolytope(SetOperators):
     def __rmatmul__(self, M: ArrayLike) -> Any:
         """Linear image: a polytope where its inequalities are free of rounding, else a lazy `AffineImage`.
 
-        `AffineImage.to_polytope` encloses that by inequalities, where the map has an inverse.
+        `AffineImage.to_polytope` encloses that by inequalities, where the map has an inverse. Translations
+        and scaled copies are polytopes under the same condition.
         """
-        from .lazy import AffineImage
-
         M = as_matrix(M, self.dim)
-        lazy = AffineImage(M, self, np.zeros(M.shape[0]))
-        if M.shape != (self.dim, self.dim) or not np.linalg.cond(M) < 1 / np.finfo(float).eps:
-            return lazy
-        rows = np.asarray(np.linalg.solve(M.T, self.A.T).T, dtype=np.float64)
-        if not np.all(np.isfinite(rows)):
-            return lazy
-        whole, times, old, one = integers(rows, M, self.A, np.ones(1))
-        exact = np.array_equal(whole @ times, old * one[0])
-        return HPolytope(rows, self.b) if exact else lazy
+        if M.shape == (self.dim, self.dim) and np.linalg.cond(M) < 1 / np.finfo(float).eps:
+            rows = np.asarray(np.linalg.solve(M.T, self.A.T).T, dtype=np.float64)
+            if is_product(self.A, rows, M):
+                return HPolytope(rows, self.b)
+        return super().__rmatmul__(M)
 
-    def __add__(self, other: Any) -> Any:
-        """Translation by a vector, or the (lazy) Minkowski sum with a set.
-
-        A translation that cannot be written without rounding stays a lazy `AffineImage` as well.
-        """
-        from .lazy import AffineImage, minkowski_sum
-
-        if isinstance(other, SetOperators):
-            return minkowski_sum(self, other)
-        v = as_one_vector(other, self.dim)
+    def _translated(self, v: Array) -> Any:
         b = self.b + self.A @ v
-        A, old, new, whole, one = integers(self.A, self.b, b, v, np.ones(1))
-        if np.all(np.isfinite(b)) and np.array_equal(old * one[0] + A @ whole, new * one[0]):
+        if is_product(b, np.c_[self.b, self.A], np.r_[1.0, v]):
             return HPolytope(self.A, b)
-        return AffineImage(np.eye(self.dim), self, v)
+        return super()._translated(v)
 
-    def __mul__(self, factor: float) -> Any:
-        """Scaled copy ``{a x}``; as for translations."""
-        from .lazy import AffineImage
-
-        a = as_factor(factor)
-        if a == 0:
-            return np.zeros((self.dim, self.dim)) @ self
+    def _scaled(self, a: float) -> Any:
         b = abs(a) * self.b
-        old, new, whole, one = integers(self.b, b, np.abs([a]), np.ones(1))
-        if np.all(np.isfinite(b)) and np.array_equal(old * whole[0], new * one[0]):
-            return HPolytope(np.sign(a) * self.A, b)
-        return AffineImage(a * np.eye(self.dim), self, np.zeros(self.dim))
+        if a == 0 or not is_product(b, self.b[:, None], np.array([abs(a)])):
+            return super()._scaled(a)
+        return HPolytope(np.sign(a) * self.A, b)
 
     def intersect_halfspace(self, normal: ArrayLike, offset: float) -> HPolytope:
         """Part of the set with ``normal . x <= offset`` (exact)."""

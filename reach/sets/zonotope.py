@@ -15,7 +15,6 @@ from ..numerics.checks import (
     Array,
     as_alike,
     as_count,
-    as_factor,
     as_map,
     as_numbers,
     as_rows,
@@ -25,18 +24,17 @@ from ..numerics.checks import (
     require_single,
     require_stackable,
     selector,
-    stacked,
 )
 from ..numerics.errors import ReachError
 from ..numerics.rounding import gamma
 from .convex import SetOperators
 from .facets import facet_normals, least_level, unit_columns, volume
-from .interval import Interval
+from .interval import Interval, SetStack
 from .polytope import HPolytope
 
 
 @dataclass(frozen=True, eq=False)
-class Zonotope(SetOperators):
+class Zonotope(SetStack):
     """``{c + G b : |b_i| <= 1}``, or a stack of such sets.
 
     Parameters
@@ -54,6 +52,8 @@ class Zonotope(SetOperators):
 
     c: Array
     G: Array
+
+    names = ("c", "G")
 
     def __post_init__(self) -> None:
         c, G = as_numbers("c", self.c), as_numbers("G", self.G)
@@ -99,19 +99,9 @@ class Zonotope(SetOperators):
     # -- facts ----------------------------------------------------------------------------------
 
     @property
-    def dim(self) -> int:
-        """Dimension n of the space."""
-        return int(self.c.shape[-1])
-
-    @property
     def order_count(self) -> int:
         """Number g of generators."""
         return int(self.G.shape[-1])
-
-    @property
-    def batch(self) -> tuple[int, ...]:
-        """Leading axes."""
-        return self.c.shape[:-1]
 
     @property
     def half_widths(self) -> Array:
@@ -139,17 +129,6 @@ class Zonotope(SetOperators):
         slack = np.where(moving > 1, moving * np.finfo(float).eps, 0.0)
         return Interval.ball(self.c, self.half_widths * (1 + slack))
 
-    def __getitem__(self, index: Any) -> Zonotope:
-        """Select from the batch axes."""
-        if not self.batch:
-            raise ReachError("a single zonotope cannot be indexed")
-        return Zonotope(stacked(self.c, index), stacked(self.G, index))
-
-    def __len__(self) -> int:
-        if not self.batch:
-            raise ReachError("a single zonotope has no length")
-        return self.batch[0]
-
     # -- operations, all exact ------------------------------------------------------------------
 
     def __rmatmul__(self, M: ArrayLike) -> Zonotope:
@@ -167,30 +146,17 @@ class Zonotope(SetOperators):
     def __add__(self, other: SetOperators) -> Any: ...
 
     def __add__(self, other: Any) -> Any:
-        """Minkowski sum with another set, or translation by a vector.
+        """Minkowski sum with another set, or translation by vectors.
 
         Zonotopes and intervals give a zonotope, other sets a lazy `reach.MinkowskiSum`.
         """
-        if isinstance(other, Interval):
-            other = other.to_zonotope()
-        if isinstance(other, Zonotope):
-            require_same_dim(self, other)
-            require_alike(self.batch, other.batch)
-            c = self.c + other.c
-            parts = [np.broadcast_to(z.G, (*c.shape, z.order_count)) for z in (self, other)]
-            return Zonotope(c, np.concatenate(parts, axis=-1))
-        if isinstance(other, SetOperators):
-            from .lazy import minkowski_sum
+        return super().__add__(other)
 
-            return minkowski_sum(self, other)
-        v = as_vector(other, self.dim)
-        require_alike(v.shape[:-1], self.batch)
+    def _translated(self, v: Array) -> Zonotope:
         c = self.c + v
         return Zonotope(c, np.broadcast_to(self.G, (*c.shape, self.order_count)))
 
-    def __mul__(self, factor: float) -> Zonotope:
-        """Scaled copy ``{a x}``."""
-        a = as_factor(factor)
+    def _scaled(self, a: float) -> Zonotope:
         return Zonotope(a * self.c, a * self.G)
 
     def project(self, dims: Sequence[int]) -> Zonotope:
