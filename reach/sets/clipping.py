@@ -14,7 +14,6 @@ from ..numerics.arguments import checked
 from ..numerics.checks import Array, as_vector, require_alike, require_same_dim
 from ..numerics.errors import ReachError
 from ..numerics.rounding import gamma
-from .convex import weighed
 from .polytope import HPolytope
 from .zonotope import Zonotope
 
@@ -65,7 +64,7 @@ def clip(Z: Zonotope, H: Array, low: Array, high: Array) -> tuple[Zonotope, NDAr
     ----------
     Z : Zonotope, batch (M,)
     H, low, high : ndarray, shapes (q, n), (q,), (q,)
-        As from `strips`.
+        As from `strips`; or one of each per member, (M, q, n), (M, q), (M, q).
 
     Returns
     -------
@@ -75,19 +74,20 @@ def clip(Z: Zonotope, H: Array, low: Array, high: Array) -> tuple[Zonotope, NDAr
         False where the intersection is proved to be empty.
     """
     meets = np.ones(len(Z), dtype=bool)
-    if len(H) == 0 or len(Z) == 0:
+    q = H.shape[-2]
+    if q == 0 or len(Z) == 0:
         return Z, meets
-    slack = gamma(Z.terms + 2 * len(H)) * (np.abs(H) @ Z.extent[..., None])[..., 0]
+    slack = gamma(Z.terms + 2 * q) * (np.abs(H) @ Z.extent[..., None])[..., 0]
     slack = slack + gamma(4) * np.where(np.isfinite(high), np.abs(high), np.abs(low))
     lows, highs = low - slack, high + slack
     narrowed, meets = _narrow(Z, H, lows, highs, meets)
     cut, grew = narrowed, False
-    for j in range(len(H)):
-        cut, changed = _strip(cut, H[j], lows[:, j], highs[:, j], slack[:, j], meets)
+    for j in range(q):
+        cut, changed = _strip(cut, H[..., j, :], lows[:, j], highs[:, j], slack[:, j], meets)
         grew = grew or changed
     if grew:
         cut, meets = _narrow(cut, H, lows, highs, meets)
-    margin = gamma(8 * (Z.order_count + len(H))) * Z.extent
+    margin = gamma(8 * (Z.order_count + q)) * Z.extent
     return Zonotope(
         np.where(meets[:, None], cut.c, Z.c),
         np.where(meets[:, None, None], cut.inflate(margin).G, Z._pad(cut.order_count + Z.dim).G),
@@ -104,7 +104,7 @@ def _narrow(
     meets = meets.copy()
     with np.errstate(divide="ignore", invalid="ignore"):
         for _ in range(SWEEPS):
-            for j in range(len(H)):
+            for j in range(H.shape[-2]):
                 w = a[:, j]
                 least, most = np.minimum(w * lo, w * hi), np.maximum(w * lo, w * hi)
                 total_least, total_most = least.sum(1, keepdims=True), most.sum(1, keepdims=True)
@@ -131,8 +131,8 @@ def _strip(
 
     The gain may be large, so what rounding does to values of ``h x`` is booked in the strip itself.
     """
-    a = (h @ Z.G).reshape(len(Z), -1)
-    d, reach = Z.c @ h, np.abs(a).sum(axis=1)
+    a = (h[..., None, :] @ Z.G)[:, 0]
+    d, reach = (Z.c * h).sum(axis=-1), np.abs(a).sum(axis=1)
     low, high = np.maximum(low, d - reach), np.minimum(high, d + reach)
     s, middle = np.maximum((high - low) / 2, 0) + 2 * slack, (high + low) / 2
     worth = meets & (s < WORTH * reach)
@@ -205,9 +205,8 @@ def enclosing_hull(first: Zonotope, second: Zonotope) -> Zonotope:
 def meet_halfspace(zonotope: Zonotope, normal: ArrayLike, offset: ArrayLike) -> Zonotope:
     """Enclose the part of a zonotope with ``normal . x <= offset``.
 
-    Each coefficient is first confined to the range that the inequality leaves it; then the strip
-    between the least value of ``normal . x`` and the offset is applied as an observer would
-    (Bravo, Alamo and Camacho 2006), if that makes the interval hull smaller.
+    See `clip`: coefficients are narrowed, then the strip between the least value of ``normal . x`` and
+    the offset is intersected where that is worth it.
 
     Parameters
     ----------
@@ -232,48 +231,14 @@ def meet_halfspace(zonotope: Zonotope, normal: ArrayLike, offset: ArrayLike) -> 
         raise ReachError("offset must be finite")
     require_alike(a.shape[:-1], b.shape, zonotope.batch)
     shape = np.broadcast_shapes(a.shape[:-1], b.shape, zonotope.batch)
-    n, g = zonotope.dim, zonotope.order_count
+    n, g, M = zonotope.dim, zonotope.order_count, int(np.prod(shape))
+    norms = np.linalg.norm(a, axis=-1)
+    norms = np.where(norms > 0, norms, 1.0)
+    H, high = a / norms[..., None], b / norms + gamma(n) * np.abs(b / norms)
+    H, high = np.broadcast_to(H, (*shape, n)).reshape(M, 1, n), np.broadcast_to(high, shape).reshape(M, 1)
     c, G = np.broadcast_to(zonotope.c, (*shape, n)), np.broadcast_to(zonotope.G, (*shape, n, g))
-    a, b = np.broadcast_to(a, (*shape, n)), np.broadcast_to(b, shape)
-    booked = gamma(n + g) * (weighed(a[..., None, :], np.abs(c) + np.abs(G).sum(axis=-1))[..., 0] + np.abs(b))
-    room = b - (a * c).sum(axis=-1) + booked  # a G beta <= room
-    pull = (a[..., None, :] @ G)[..., 0, :]
-    total = np.abs(pull).sum(axis=-1)
-    if np.any(room + total < 0):
+    stack = Zonotope(c.reshape(M, n), G.reshape(M, n, g))
+    cut, meets = clip(stack, H, np.full_like(high, -np.inf), high)
+    if not np.all(meets):
         raise ReachError("no point of the zonotope satisfies normal . x <= offset")
-    # Each coefficient, the others at their least: sign(pull) beta <= most.
-    share = room[..., None] + (total[..., None] - np.abs(pull))
-    most = np.divide(share, np.abs(pull), out=np.ones_like(share), where=np.abs(pull) > np.abs(share))
-    most = np.clip(most + gamma(g), -1, 1)
-    middle = np.where(most < 1, np.sign(pull) * (most - 1) / 2, 0.0)
-    half = np.where(most < 1, (1 + most) / 2 + gamma(1), 1.0)
-    confined = Zonotope(c + (G @ middle[..., None])[..., 0], G * half[..., None, :])
-    strip = _strip_halfspace(confined, a, b)
-    size = np.where(zonotope.half_widths > 0, zonotope.half_widths, 1.0)
-    better = (strip.half_widths / size).sum(axis=-1) < (confined.half_widths / size).sum(axis=-1)
-    padded = np.concatenate([confined.G, np.zeros((*shape, n, 1))], axis=-1)
-    out = Zonotope(
-        np.where(better[..., None], strip.c, confined.c), np.where(better[..., None, None], strip.G, padded)
-    )
-    changed = better | np.any(most < 1, axis=-1)
-    extent = np.abs(c) + np.abs(G).sum(axis=-1)
-    turned = np.abs(out.c - c) + np.abs(out.G).sum(axis=-1)
-    return out.inflate(np.where(changed[..., None], 4 * gamma(n + g) * (extent + turned), 0.0))
-
-
-def _strip_halfspace(zonotope: Zonotope, a: Array, b: Array) -> Zonotope:
-    """Observer correction by the strip ``-support(-a) <= a . x <= b``; sound for any gain."""
-    c, G = zonotope.c, zonotope.G
-    pull = (a[..., None, :] @ G)[..., 0, :]
-    value = (a * c).sum(axis=-1)
-    least = value - np.abs(pull).sum(axis=-1)
-    top = np.minimum(b, value + np.abs(pull).sum(axis=-1))
-    middle, width = (top + least) / 2, np.abs(top - least) / 2
-    spread = (G @ pull[..., None])[..., 0]
-    weight = (pull**2).sum(axis=-1) + width**2
-    gain = spread / np.where(weight > 0, weight, 1.0)[..., None]
-    turned = G - gain[..., :, None] * pull[..., None, :]
-    return Zonotope(
-        c + gain * (middle - value)[..., None],
-        np.concatenate([turned, (gain * width[..., None])[..., None]], axis=-1),
-    )
+    return Zonotope(cut.c.reshape(*shape, n), cut.G.reshape(*shape, n, cut.order_count))
