@@ -79,15 +79,8 @@ def hybrid_tube(
         raise ReachError(f"jumps must be at least 0, got {jumps}")
     if not (np.isfinite(horizon) and horizon > 0):
         raise ReachError(f"the horizon must be a finite number > 0, got {horizon!r}")
-    assert automaton.start is not None
-    mode = automaton[automaton.start]
-    start = initial if isinstance(initial, Zonotope) else initial.interval_hull().to_zonotope()
-    start = start if start.batch else Zonotope(start.c[None], start.G[None])
-    if start.dim != mode.system.dim:
-        raise ReachError(f"the initial set has dimension {start.dim}, mode {mode.name!r} {mode.system.dim}")
     worklist = Worklist(automaton, float(horizon), step, tolerance, clusters, order, reduction)
-    start, meets = clip(start, *strips([mode.invariant], mode.system.dim))
-    pending = [Starts(mode, start[meets], np.zeros((int(meets.sum()), 2)))] if np.any(meets) else []
+    pending = _entries(automaton, initial)
     segments: list[Segment] = []
     for depth in range(jumps + 1):
         entered: list[Starts] = []
@@ -101,6 +94,18 @@ def hybrid_tube(
         if not pending:
             return HybridTube(tuple(segments), float(horizon), True)
     return HybridTube(tuple(segments), float(horizon), False)
+
+
+def _entries(automaton: HybridAutomaton, initial: ConvexSet) -> list[Starts]:
+    """The part of the initial set that the invariant of the first mode leaves, if any."""
+    assert automaton.start is not None
+    mode = automaton[automaton.start]
+    start = initial if isinstance(initial, Zonotope) else initial.interval_hull().to_zonotope()
+    start = start if start.batch else Zonotope(start.c[None], start.G[None])
+    if start.dim != mode.system.dim:
+        raise ReachError(f"the initial set has dimension {start.dim}, mode {mode.name!r} {mode.system.dim}")
+    start, meets = clip(start, *strips([mode.invariant], mode.system.dim))
+    return [Starts(mode, start[meets], np.zeros((int(meets.sum()), 2)))] if np.any(meets) else []
 
 
 def _positive(name: str, given: Any, whole: bool) -> None:

@@ -100,13 +100,12 @@ def verify_hybrid(
     """
     begun = perf_counter()
     require_single(initial, "verify_hybrid")
-    seed = as_count("seed", seed)
     for name, asked in specs.items():
         for spec in asked:
             if spec.region.dim != automaton[name].system.dim:
                 raise ReachError(f"a region for mode {name!r} has dimension {spec.region.dim}")
     limit = int(options.get("jumps", JUMPS))
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(as_count("seed", seed))
     found = falsify_hybrid(automaton, initial, specs, horizon, dt=dt, jumps=limit)
     tube, reason = None, ""
     if found is None:

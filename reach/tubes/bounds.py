@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -54,22 +54,15 @@ class RowBounds:
         """The same bounds with one node in s; steps must be alike within each group of s."""
         if s == 1:
             return self
-        coarse = [s**2 * part.reshape(-1, s, part.shape[1]).max(axis=1) for part in (self.bow, self.bend)]
+        bow, bend = (s**2 * part.reshape(-1, s, part.shape[1]).max(axis=1) for part in (self.bow, self.bend))
         kinks = self.kinks[:-1].reshape(-1, s, self.kinks.shape[1])[:, 1:].sum(axis=1)
-        coarse[0] += np.diff(self.times[::s])[:, None] / 4 * kinks
-        return RowBounds(
-            self.times[::s],
-            self.first[::s],
-            self.attained[::s],
-            self.driven[::s],
-            self.kinks[::s],
-            self.upper[::s],
-            self.lower[::s],
-            coarse[0],
-            coarse[1],
-            self.rounding[::s],
-            None if self.rows is None else self.rows[::s],
-        )
+        bow = bow + np.diff(self.times[::s])[:, None] / 4 * kinks
+        nodes = {name: getattr(self, name)[::s] for name in NODES if getattr(self, name) is not None}
+        return replace(self, **nodes, bow=bow, bend=bend)
+
+
+NODES = ("times", "first", "attained", "driven", "kinks", "upper", "lower", "rounding", "rows")
+"""Fields of `RowBounds` that belong to nodes."""
 
 
 def collect(

@@ -82,10 +82,7 @@ class LinearFlow:
     @cached_property
     def period_box(self) -> Array:
         """Elementwise bound on the response to the disturbance within one period, shape (n,)."""
-        n, p = self.D.shape
-        block = np.zeros((n + p, n + p))
-        block[:n, :n], block[:n, n:] = np.abs(self.A_x), np.abs(self.D)
-        reached = expm(block * self.h)[:n, n:]
+        reached = discretize(np.abs(self.A_x), np.abs(self.D), self.h)[1]
         # |D| w is bounded row by row by the 2-norm of the row times w_max; the sum over columns of
         # the integral is an upper bound either way.
         return np.asarray(reached.sum(axis=1) * self.w_max)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,6 +13,7 @@ from scipy.linalg import expm
 from ..numerics.checks import Array, per_row
 from ..numerics.errors import ReachError
 from ..numerics.exponentials import times
+from ..numerics.linear import powers
 from ..sets.zonotope import Zonotope
 from .adjoint import Adjoint
 from .augment import augmented
@@ -147,10 +149,7 @@ def flowpipes(
     h, done = step, 0.0
     while done < horizon or not blocks:
         left = horizon - done
-        if h >= left * (1 - 1e-12):
-            length, count = left, 1
-        else:
-            length, count = h, int(min(BLOCK, left // h))
+        length, count = (left, 1) if h >= left * (1 - 1e-12) else (h, int(min(BLOCK, left // h)))
         block = stepper.block(done, length, count)
         error = 0.0 if limit is None else float((block.bow / limit).max())
         if not np.all(np.isfinite(block.bow)):
@@ -172,15 +171,12 @@ def flowpipes(
 
 def _joined(blocks: list[Flowpipes]) -> Flowpipes:
     first = blocks[0]
-    return Flowpipes(
-        np.concatenate([first.times, *(b.times[1:] for b in blocks[1:])]),
-        first.offset,
-        first.start,
-        np.concatenate([first.maps, *(b.maps[1:] for b in blocks[1:])]),
-        np.concatenate([b.bow for b in blocks]),
-        np.concatenate([b.low for b in blocks]),
-        np.concatenate([b.high for b in blocks]),
-    )
+
+    def joined(name: str, after: int) -> Any:
+        return np.concatenate([getattr(first, name), *(getattr(b, name)[after:] for b in blocks[1:])])
+
+    steps = {name: joined(name, 0) for name in ("bow", "low", "high")}
+    return replace(first, times=joined("times", 1), maps=joined("maps", 1), **steps)
 
 
 class _Stepper:
@@ -241,15 +237,8 @@ class _Stepper:
             low, high, added = -ends[:, n:], ends[:, :n], sums[-1]
         self._next = every[-1], added, work
         nodes = np.asarray(begin + h * np.arange(count + 1), dtype=float)
-        return Flowpipes(
-            nodes,
-            self.offset,
-            self.start,
-            np.asarray(coarse / self.propagator.scale, dtype=float),
-            bow,
-            low,
-            high,
-        )
+        maps = np.asarray(coarse / self.propagator.scale, dtype=float)
+        return Flowpipes(nodes, self.offset, self.start, maps, bow, low, high)
 
     def accept(self, block: Flowpipes) -> None:
         """Go on from the end of the last block."""
@@ -297,10 +286,7 @@ def input_response(system: LinearSystem, time: float, step: float) -> Zonotope:
     grow = expm((np.abs(A) - np.abs(diagonal) + np.maximum(diagonal, 0)) * h)
     first = np.hstack([h * half @ BU, h**2 / 4 * (A @ half @ BU)])
     rest = h**3 / 24 * (grow @ (np.abs(A @ A) @ np.abs(BU).sum(axis=1)))
-    maps = np.empty((count, n, n))
-    maps[0] = np.eye(n)
-    for j in range(1, count):
-        maps[j] = whole @ maps[j - 1]
+    maps = powers(whole, count - 1)
     G = np.moveaxis(maps @ first, 0, 1).reshape(n, -1)
     box = np.abs(maps).sum(axis=0) @ rest
     box = box + ROUNDING * (n + count) * np.abs(G).sum(axis=1)

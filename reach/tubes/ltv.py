@@ -22,13 +22,14 @@ from numpy.typing import ArrayLike
 from ..numerics.arguments import checked
 from ..numerics.checks import Array, as_numbers, single_set
 from ..numerics.errors import ReachError
+from ..numerics.exponentials import exponentials
 from ..sets.convex import ConvexSet
 from ..sets.zonotope import Zonotope
 from .adjoint import attained_support, extent
 from .rows import ROUNDING
 from .stepping import warn_if_wide
 from .support_tube import SupportTube
-from .varying import Varying, exponentials, sample
+from .varying import Varying, sample
 from .zonotope_tube import ZonotopeTube
 
 MAX_STEPS = 20_000

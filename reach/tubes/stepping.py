@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from time import perf_counter
 
 import numpy as np
@@ -37,18 +38,24 @@ FINEST = 2.0**-40
 """Shortest step of the automatic choice, as a share of the horizon."""
 
 
-def carry_rows(
-    adjoint: Adjoint,
-    D: Array,
-    horizon: float,
-    step: float | None,
-    tolerance: ArrayLike | None,
-    limit: ArrayLike | None = None,
-    keep: bool = False,
-    substeps: int = 1,
-    deadline: float = np.inf,
-) -> RowBounds:
-    """Carry rows D over the horizon, with a step (in substeps) or by a tolerance (see `support_tube`)."""
+@dataclass(frozen=True, eq=False)
+class Steps:
+    """How a horizon is stepped through: with a step or by a tolerance, see `reach.support_tube`.
+
+    A step is carried in some `parts`; rows are kept if asked for; `deadline` is a time of `perf_counter`.
+    """
+
+    step: float | None = None
+    tolerance: ArrayLike | None = None
+    limit: ArrayLike | None = None
+    parts: int = 1
+    keep: bool = False
+    deadline: float = np.inf
+
+
+def carry_rows(adjoint: Adjoint, D: Array, horizon: float, steps: Steps) -> RowBounds:
+    """Carry rows D over the horizon."""
+    step, tolerance = steps.step, steps.tolerance
     require_positive("horizon", horizon)
     if step is not None and tolerance is not None:
         raise ReachError("give a step or a tolerance, not both")
@@ -62,12 +69,13 @@ def carry_rows(
     if step is None and adjoint.input_pieces > 1:
         raise ReachError("an input that changes its set needs a step, best one that divides its breaks")
     if step is not None:
-        return regular(adjoint, D, horizon, step, substeps, keep, deadline)
+        return regular(adjoint, D, horizon, replace(steps, step=step))
     goal = None if tolerance is None else per_row("tolerance", tolerance, len(D))
     if goal is not None and not np.all((goal > 0) & np.isfinite(goal)):
         raise ReachError(f"the tolerance must be finite and > 0, got {tolerance!r}")
-    ceiling = np.full(len(D), -np.inf) if limit is None else per_row("limit", limit, len(D))
-    return collect(adjoint, D, horizon, adaptive(adjoint, D, horizon, goal, ceiling, deadline), keep)
+    ceiling = np.full(len(D), -np.inf) if steps.limit is None else per_row("limit", steps.limit, len(D))
+    blocks = adaptive(adjoint, D, horizon, goal, ceiling, steps.deadline)
+    return collect(adjoint, D, horizon, blocks, steps.keep)
 
 
 def in_time(deadline: float) -> None:
@@ -107,10 +115,10 @@ def warn_if_wide(bounds: Array, attained: Array, sizes: Array) -> None:
         )
 
 
-def regular(
-    adjoint: Adjoint, D: Array, horizon: float, step: float, parts: int, keep: bool, deadline: float
-) -> RowBounds:
+def regular(adjoint: Adjoint, D: Array, horizon: float, steps: Steps) -> RowBounds:
     """Steps of one length, each carried in some parts."""
+    step, parts = steps.step, steps.parts
+    assert step is not None
     if horizon / step > MAX_STEPS:
         raise Unresolved(f"more than {MAX_STEPS:,} steps: horizon {horizon:g}, step {step:g}")
     count = max(int(np.ceil(horizon / step * (1 - 1e-12))), 1) * parts
@@ -122,12 +130,12 @@ def regular(
     def blocks() -> Iterator[tuple[float, Block]]:
         rows = D * adjoint.rows.scale
         for k in range(0, count, size):
-            in_time(deadline)
+            in_time(steps.deadline)
             block = adjoint.block(rows, h, min(size, count - k))
             yield h, block
             rows = block.rows[-1]
 
-    run = collect(adjoint, D, horizon, blocks(), keep, parts)
+    run = collect(adjoint, D, horizon, blocks(), steps.keep, parts)
     if not np.all((run.bow + run.bend).max(axis=0) <= USELESS / ROUNDING * run.rounding.max(axis=0)):
         raise Unresolved(f"the step {step:g} is too long: nothing useful is known between two nodes")
     return run
@@ -154,9 +162,8 @@ def adaptive(
         ceiling = np.full(len(D), -np.inf)  # what is compared with it leaves the nominal input out
     adjoint.watch(adjoint.rows.lags(horizon * 2.0**-level, horizon), 0.0 if ahead is None else ahead.states)
     done, patience, steps = 0.0, 0, 0
-    reached, spent, known, sums = np.zeros((4, len(D)))
-    if goal is None:
-        known = foreseen(adjoint, rows, horizon)
+    reached, spent, sums, met = np.zeros((4, len(D)))
+    known = foreseen(adjoint, rows, horizon) if goal is None else met
     while done < 1:
         in_time(deadline)
         h = 2.0**-level
@@ -174,12 +181,7 @@ def adaptive(
         if goal is None:
             start, gained = adjoint.sizes(block.rows, h * horizon)
             met = np.maximum(known, start + sums + gained)
-        least = ROUNDING * adjoint.system.dim * block.size[0, 0]
-        if goal is None:  # no finer than what is booked for rounding
-            least = ROUNDING * adjoint.system.dim * (block.size[0] + horizon * block.size[1]).max(axis=0)
-        tolerance = np.maximum(SHARE * met, least) if goal is None else goal
-        if np.any(tolerance < least):
-            raise Unresolved(f"the tolerance {tolerance} is below the rounding of the bounds")
+        tolerance = _allowed(adjoint, block, horizon, goal, met)
         gain = block.upper.sum(axis=1)
         with np.errstate(invalid="ignore"):
             loss = (block.upper - block.lower).sum(axis=(0, 1))
@@ -204,6 +206,17 @@ def adaptive(
         easy = error < 0.01 or (error < 0.1 and patience <= 0)
         if easy and level > 0 and (done * 2.0 ** (level - 1)).is_integer():
             level -= 1
+
+
+def _allowed(adjoint: Adjoint, block: Block, horizon: float, goal: Array | None, met: Array) -> Array:
+    """The goal, or else a share of the largest values met, but no finer than what is booked for rounding."""
+    share = ROUNDING * adjoint.system.dim
+    if goal is None:
+        least = share * (block.size[0] + horizon * block.size[1]).max(axis=0)
+        return np.asarray(np.maximum(SHARE * met, least))
+    if np.any(goal < share * block.size[0, 0]):
+        raise Unresolved(f"the tolerance {goal} is below the rounding of the bounds")
+    return goal
 
 
 def foreseen(adjoint: Adjoint, rows: Array, horizon: float) -> Array:

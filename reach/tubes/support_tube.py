@@ -14,7 +14,7 @@ from ..numerics.errors import ReachError
 from ..sets.convex import ConvexSet
 from .adjoint import Adjoint
 from .augment import augmented
-from .stepping import carry_rows, substeps, warn_if_wide
+from .stepping import Steps, carry_rows, substeps, warn_if_wide
 from .systems import LinearSystem
 
 
@@ -121,7 +121,7 @@ def support_tube(
     rows = np.hstack([D, np.zeros((len(D), around.dim - system.dim))])
     adjoint = Adjoint(around, start)
     parts = substeps(adjoint, step, horizon, len(D))
-    run = carry_rows(adjoint, rows, horizon, step, tolerance, limit, substeps=parts, deadline=deadline)
+    run = carry_rows(adjoint, rows, horizon, Steps(step, tolerance, limit, parts, deadline=deadline))
     upper, lower = run.first + run.upper + run.rounding, run.attained + run.lower - run.rounding
     interval = np.maximum(upper[1:], upper[:-1]) + run.bow + run.bend
     interval = interval.reshape(-1, parts, len(D)).max(axis=1)

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import expm
 
 from ..numerics.arguments import check_fields
 from ..numerics.checks import Array, as_numbers
@@ -149,13 +148,3 @@ def _consistent(name: str, seen: Array, bound: Array) -> None:
         k, i, j = np.unravel_index(np.argmax(seen - bound * (1 + CONSISTENT)), seen.shape)
         given = f"values change by {seen[k, i, j]:g} in entry ({i}, {j}) of step {k}"
         raise ReachError(f"the bound on the {name} is too small: {given}, the bound is {bound[k, i, j]:g}")
-
-
-def exponentials(X: Array) -> Array:
-    """``e^X`` of a stack of matrices (K, n, n), by Taylor's series together where norms are small."""
-    if np.abs(X).sum(axis=-1).max(initial=0.0) > 1:
-        return np.asarray(expm(X))
-    out = np.broadcast_to(np.eye(X.shape[-1]), X.shape)
-    for k in range(19, 0, -1):  # 1 / 20! < 5e-19
-        out = np.eye(X.shape[-1]) + X @ out / k
-    return np.asarray(out)

@@ -16,7 +16,7 @@ from .adjoint import Adjoint, is_symmetric
 from .augment import augmented
 from .bounds import RowBounds
 from .rows import ROUNDING
-from .stepping import carry_rows, substeps, warn_if_wide
+from .stepping import Steps, carry_rows, substeps, warn_if_wide
 from .support_tube import locate
 from .systems import LinearSystem
 
@@ -137,7 +137,7 @@ def zonotope_tube(
         tolerance = None if tolerance is None else np.tile(tolerance, 2)
     adjoint = Adjoint(around, start)
     parts = substeps(adjoint, step, horizon, len(rows))
-    run = carry_rows(adjoint, rows, horizon, step, tolerance, keep=True, substeps=parts)
+    run = carry_rows(adjoint, rows, horizon, Steps(step, tolerance, parts=parts, keep=True))
     coarse = run.every(parts)
     if step is not None and not system.discrete:
         nodes = (run.first + run.upper + run.rounding).max(axis=0)
