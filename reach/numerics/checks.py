@@ -183,3 +183,19 @@ def per_row(name: str, value: ArrayLike, r: int) -> Array:
     if numbers.shape not in ((), (1,), (r,)) or np.any(np.isnan(numbers)):
         raise ReachError(f"the {name} must be a number or {r} of them, got {value!r}")
     return np.broadcast_to(numbers, (r,))
+
+
+def as_directions(name: str, value: ArrayLike, n: int) -> Array:
+    """Finite rows (r, n), at least one; a single vector is one row."""
+    D = np.atleast_2d(as_numbers(name, value))
+    if D.ndim != 2 or D.shape[1] != n or len(D) == 0 or not np.all(np.isfinite(D)):
+        raise ReachError(f"{name} must be finite rows of length {n}, got shape {D.shape}")
+    return D
+
+
+def as_frame(value: ArrayLike | None, n: int) -> Array:
+    """An invertible matrix of n columns; the coordinate axes if none is given."""
+    F = np.eye(n) if value is None else as_numbers("frame", value)
+    if F.shape != (n, n) or not np.all(np.isfinite(F)) or np.linalg.matrix_rank(F) < n:
+        raise ReachError(f"the frame must be an invertible matrix of {n} rows")
+    return F

@@ -84,8 +84,6 @@ class Ellipsoid(SetOperators):
             raise ReachError(f"P must be positive definite, got an eigenvalue {values.min():.3g}")
         return cls(as_numbers("center", center), vectors * np.sqrt(level / values))
 
-    # -- facts ----------------------------------------------------------------------------------
-
     @property
     def dim(self) -> int:
         """Dimension n of the space."""
@@ -110,8 +108,6 @@ class Ellipsoid(SetOperators):
     def terms(self) -> int:
         """Number of products summed in one value of the support function."""
         return self.dim + int(self.L.shape[1])
-
-    # -- questions ------------------------------------------------------------------------------
 
     def support(self, directions: ArrayLike) -> Array:
         """Largest value of each direction over the set, shape (..., r) for rows (..., r, n)."""
@@ -140,8 +136,6 @@ class Ellipsoid(SetOperators):
         missed = np.abs(u @ scaled.T - gap / size).max(axis=-1, initial=0.0)
         return np.asarray((np.linalg.norm(u, axis=-1) <= 1 + slack) & (missed <= slack))
 
-    # -- operations, all exact ------------------------------------------------------------------
-
     def __rmatmul__(self, M: ArrayLike) -> Ellipsoid:
         """Linear image ``M @ X``."""
         M = as_matrix(M, self.dim)
@@ -152,8 +146,6 @@ class Ellipsoid(SetOperators):
 
     def _scaled(self, a: float) -> Ellipsoid:
         return Ellipsoid(a * self.c, a * self.L)
-
-    # -- other descriptions -----------------------------------------------------------------------
 
     def enclosing_zonotope(self, frame: ArrayLike | None = None) -> Zonotope:
         """Zonotope around the set: the image of `reach.ball_generators`, or a parallelotope in a frame.

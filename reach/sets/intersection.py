@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -13,17 +12,15 @@ from ..numerics.arguments import checked
 from ..numerics.checks import (
     Array,
     as_vector,
-    require_same_dim,
-    require_single,
 )
 from ..numerics.errors import ReachError
 from ..numerics.rounding import gamma
-from .convex import SetOperators, weighed
+from .convex import weighed
 from .interval import Interval
+from .lazy import OfParts
 
 
-@dataclass(frozen=True, eq=False)
-class Intersection(SetOperators):
+class Intersection(OfParts):
     """``{x : x in X_i for all i}``, kept unevaluated.
 
     Its support is an upper bound: any way to write ``d = d_1 + ... + d_k`` bounds it by the sum of the
@@ -37,27 +34,10 @@ class Intersection(SetOperators):
         Single sets of one dimension, at least one of them bounded.
     """
 
-    parts: tuple[Any, ...]
-
     def __post_init__(self) -> None:
-        if not isinstance(self.parts, tuple | list) or not self.parts:
-            raise ReachError("an intersection needs a tuple of at least one set")
-        object.__setattr__(self, "parts", tuple(self.parts))
-        for part in self.parts:
-            require_same_dim(self.parts[0], part)
-            require_single(part, "an intersection")
+        super().__post_init__()
         if not np.all(np.isfinite(self.extent)):
             raise ReachError("one part of an intersection that is not a polytope must be bounded")
-
-    @property
-    def dim(self) -> int:
-        """Dimension n of the space."""
-        return int(self.parts[0].dim)
-
-    @property
-    def terms(self) -> int:
-        """Number of products summed in one value of the support function."""
-        return sum(int(part.terms) for part in self.parts)
 
     @cached_property
     def extent(self) -> Array:
@@ -82,8 +62,6 @@ class Intersection(SetOperators):
     def is_empty(self) -> bool:
         """Whether no point is in all parts, as far as that is proved."""
         return self.proved_empty
-
-    # -- questions ------------------------------------------------------------------------------
 
     @cached_property
     def _search(self) -> Any:

@@ -131,8 +131,6 @@ class Interval(SetStack):
         require_stackable(parts, cls)
         return cls(np.stack([part.lo for part in parts]), np.stack([part.hi for part in parts]))
 
-    # -- facts ----------------------------------------------------------------------------------
-
     @property
     def center(self) -> Array:
         """Midpoint, shape (..., n)."""
@@ -157,8 +155,6 @@ class Interval(SetStack):
     def terms(self) -> int:
         """Number of products summed in one value of the support function."""
         return self.dim
-
-    # -- questions ------------------------------------------------------------------------------
 
     def support(self, directions: ArrayLike) -> Array:
         """Largest value of each direction over the set, shape (..., r) for rows (..., r, n)."""
@@ -187,8 +183,6 @@ class Interval(SetStack):
         x, extra = as_vector(points, self.dim), slack * (self.hi - self.lo) / 2 + gamma(1) * self.extent
         return np.asarray(np.all((self.lo - extra <= x) & (x <= self.hi + extra), axis=-1))
 
-    # -- operations, rounded outwards ------------------------------------------------------------------
-
     def __rmatmul__(self, M: ArrayLike) -> Zonotope:
         """Linear image ``M @ X``, a zonotope."""
         return as_map(M, self.dim) @ self.to_zonotope()
@@ -210,8 +204,6 @@ class Interval(SetStack):
         """Smallest box that holds both."""
         require_same_dim(self, other)
         return Interval(np.minimum(self.lo, other.lo), np.maximum(self.hi, other.hi))
-
-    # -- other descriptions -----------------------------------------------------------------------
 
     def to_zonotope(self) -> Zonotope:
         """The same box as a zonotope (exact; half-widths rounded up)."""

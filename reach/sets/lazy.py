@@ -152,7 +152,31 @@ def inverse(M: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class MinkowskiSum(SetOperators):
+class OfParts(SetOperators):
+    """What is made of single sets of one dimension, kept unevaluated."""
+
+    parts: tuple[Any, ...]
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.parts, tuple | list) or not self.parts:
+            raise ReachError(f"{type(self).__name__} needs a tuple of at least one set")
+        object.__setattr__(self, "parts", tuple(self.parts))
+        for part in self.parts:
+            require_same_dim(self.parts[0], part)
+            require_single(part, f"a lazy {type(self).__name__}")
+
+    @property
+    def dim(self) -> int:
+        """Dimension n of the space."""
+        return int(self.parts[0].dim)
+
+    @property
+    def terms(self) -> int:
+        """Number of products summed in one value of the support function."""
+        return sum(int(part.terms) for part in self.parts)
+
+
+class MinkowskiSum(OfParts):
     """``{x_1 + ... + x_k : x_i in X_i}``, kept unevaluated.
 
     Parameters
@@ -160,21 +184,6 @@ class MinkowskiSum(SetOperators):
     parts : tuple of ConvexSet
         Single sets of one dimension.
     """
-
-    parts: tuple[Any, ...]
-
-    def __post_init__(self) -> None:
-        if not isinstance(self.parts, tuple | list) or not self.parts:
-            raise ReachError("a Minkowski sum needs a tuple of at least one set")
-        object.__setattr__(self, "parts", tuple(self.parts))
-        for part in self.parts:
-            require_same_dim(self.parts[0], part)
-            require_single(part, "a lazy Minkowski sum")
-
-    @property
-    def dim(self) -> int:
-        """Dimension n of the space."""
-        return int(self.parts[0].dim)
 
     @property
     def center(self) -> Array:
@@ -205,11 +214,6 @@ class MinkowskiSum(SetOperators):
     def extent(self) -> Array:
         """Elementwise bound on the points, before rounding, shape (n,)."""
         return np.asarray(sum(part.extent for part in self.parts))
-
-    @property
-    def terms(self) -> int:
-        """Number of products summed in one value of the support function."""
-        return sum(int(part.terms) for part in self.parts)
 
     def interval_hull(self) -> Interval:
         """Smallest box around the set, rounded outwards."""

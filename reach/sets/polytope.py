@@ -274,8 +274,6 @@ class HPolytope(SetOperators):
         room = slack * (np.abs(x) @ np.abs(self.A.T) + np.abs(self.b))
         return np.asarray(np.all(x @ self.A.T <= self.b + room, axis=-1))
 
-    # -- operations, all exact ------------------------------------------------------------------
-
     def __rmatmul__(self, M: ArrayLike) -> Any:
         """Linear image: a polytope where its inequalities are free of rounding, else a lazy `AffineImage`.
 
@@ -305,8 +303,6 @@ class HPolytope(SetOperators):
         """Part of the set with ``normal . x <= offset`` (exact)."""
         row = as_one_vector(normal, self.dim)
         return HPolytope(np.vstack([self.A, row]), np.r_[self.b, as_factor(offset, "offset")])
-
-    # -- other descriptions -----------------------------------------------------------------------
 
     def to_polytope(self) -> HPolytope:
         """The set itself."""

@@ -64,8 +64,6 @@ class Zonotope(SetStack):
         object.__setattr__(self, "c", c)
         object.__setattr__(self, "G", G)
 
-    # -- constructors ---------------------------------------------------------------------------
-
     @classmethod
     def box(cls, center: ArrayLike, half_widths: ArrayLike) -> Zonotope:
         """Axis-aligned box (exact). Batches allowed; a half-width below zero is refused."""
@@ -95,8 +93,6 @@ class Zonotope(SetStack):
         if missing == 0:
             return self
         return Zonotope(self.c, np.concatenate([self.G, np.zeros((*self.c.shape, missing))], axis=-1))
-
-    # -- facts ----------------------------------------------------------------------------------
 
     @property
     def order_count(self) -> int:
@@ -128,8 +124,6 @@ class Zonotope(SetStack):
         moving = np.count_nonzero(self.G, axis=-1)
         slack = np.where(moving > 1, moving * np.finfo(float).eps, 0.0)
         return Interval.ball(self.c, self.half_widths * (1 + slack))
-
-    # -- operations, all exact ------------------------------------------------------------------
 
     def __rmatmul__(self, M: ArrayLike) -> Zonotope:
         """Linear image ``M @ Z``; M may carry batch axes that broadcast with the set's."""
@@ -229,8 +223,6 @@ class Zonotope(SetStack):
         levels = [least_level(self.c, self.G, p) for p in x.reshape(-1, self.dim)]
         return np.array(levels).reshape(x.shape[:-1]) <= 1 + slack
 
-    # -- enclosures -----------------------------------------------------------------------------
-
     @checked
     def hull(self, other: Zonotope) -> Zonotope:
         """Enclosure of the convex hull of two sets whose generators correspond one to one.
@@ -271,8 +263,6 @@ class Zonotope(SetStack):
         from .clipping import meet_halfspace
 
         return meet_halfspace(self, normal, offset)
-
-    # -- other descriptions -----------------------------------------------------------------------
 
     def to_zonotope(self) -> Zonotope:
         """The set itself."""

@@ -72,8 +72,6 @@ class LinearFlow:
         if not (self.h > 0 and self.w_max >= 0 and np.isfinite(self.h) and np.isfinite(self.w_max)):
             raise ReachError(f"h must be > 0 and w_max >= 0, both finite, got {self.h!r} and {self.w_max!r}")
 
-    # -- what happens between two nodes -----------------------------------------------------------
-
     @cached_property
     def growth(self) -> Array:
         """Elementwise bound on ``|e^{A_x s}|`` for s in [0, h]."""
@@ -123,8 +121,6 @@ class LinearFlow:
         curvature = (self.A_x @ self.A_c) @ nodes
         extent = np.abs(curvature.c) + curvature.half_widths
         return np.asarray(self.h**2 / 8 * extent @ self.growth.T)
-
-    # -- the contraction norm -----------------------------------------------------------------------
 
     @property
     def lyapunov(self) -> tuple[Array, float]:
@@ -183,8 +179,6 @@ class LinearFlow:
         W, _, slack = self._contraction
         stack = W @ powers(self.phi, count) @ np.linalg.inv(W)
         return np.asarray(np.linalg.norm(stack, 2, axis=(-2, -1)) * (1 + slack))
-
-    # -- responses to the disturbance, along rows -----------------------------------------------------
 
     @checked
     def disturbance_support(self, rows: Array, count: int) -> Array:

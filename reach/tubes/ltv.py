@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..numerics.arguments import checked
-from ..numerics.checks import Array, as_numbers, single_set
+from ..numerics.checks import Array, as_directions, as_frame, as_numbers, single_set
 from ..numerics.errors import ReachError
 from ..numerics.exponentials import exponentials
 from ..sets.convex import ConvexSet
@@ -117,10 +117,8 @@ def ltv_support_tube(
     ReachError
         If shapes do not fit, numbers are not finite, or the bounds on derivatives do not hold.
     """
-    D = np.atleast_2d(as_numbers("directions", directions))
-    n, r = system.dim, len(D)
-    if D.ndim != 2 or D.shape[1] != n or r == 0 or not np.all(np.isfinite(D)):
-        raise ReachError(f"directions must be finite rows of length {n}, got shape {D.shape}")
+    D, n = as_directions("directions", directions, system.dim), system.dim
+    r = len(D)
     sweep = _Sweep(system, initial, horizon, step, begin)
     rows = np.vstack([D, np.eye(n), -np.eye(n)])
     run = sweep.run(rows, slice(r, r + n), slice(r + n, None), np.eye(n))
@@ -162,9 +160,7 @@ def ltv_zonotope_tube(
         As for `reach.ltv_support_tube`.
     """
     n = system.dim
-    F = np.eye(n) if frame is None else as_numbers("frame", frame)
-    if F.shape != (n, n) or not np.all(np.isfinite(F)) or np.linalg.matrix_rank(F) < n:
-        raise ReachError(f"the frame must be an invertible matrix of {n} rows")
+    F = as_frame(frame, n)
     single_set("the initial set", initial)
     start = initial if isinstance(initial, Zonotope) else initial.interval_hull().to_zonotope()
     sweep = _Sweep(system, start, horizon, step, begin)

@@ -154,8 +154,6 @@ class Rows:
             out = found @ vectors if self.action is None else found(vectors.T, h, 1)[-1].T
         return np.where(np.isnan(out), np.inf, out)
 
-    # -- rounding ---------------------------------------------------------------------------------
-
     def lags(self, h: float, horizon: float) -> list[float]:
         """Powers of two of a step, up to the horizon; none where exponentials are not to be formed."""
         if self.action is not None or (self.A.shape[0] > WATCHED and self.parts is None):

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..numerics.arguments import checked
-from ..numerics.checks import Array, as_numbers
+from ..numerics.checks import Array, as_directions, as_numbers
 from ..numerics.errors import ReachError
 from ..sets.convex import ConvexSet
 from .adjoint import Adjoint
@@ -114,9 +114,7 @@ def support_tube(
         If the tolerance cannot be met, in the time given, or a bound is beyond floating point.
     """
     deadline = perf_counter() + max_seconds
-    D = np.atleast_2d(as_numbers("directions", directions))
-    if D.ndim != 2 or D.shape[1] != system.dim or len(D) == 0 or not np.all(np.isfinite(D)):
-        raise ReachError(f"directions must be finite rows of length {system.dim}, got shape {D.shape}")
+    D = as_directions("directions", directions, system.dim)
     around, start = (system, initial) if system.discrete else augmented(system, initial)
     rows = np.hstack([D, np.zeros((len(D), around.dim - system.dim))])
     adjoint = Adjoint(around, start)

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..numerics.arguments import checked
-from ..numerics.checks import Array, as_numbers, per_row, single_set
-from ..numerics.errors import ReachError
+from ..numerics.checks import Array, as_frame, as_numbers, per_row, single_set
 from ..sets.convex import ConvexSet
 from ..sets.zonotope import Zonotope
 from .adjoint import Adjoint, is_symmetric
@@ -121,9 +120,7 @@ def zonotope_tube(
     Unresolved
         If the tolerance cannot be met or a bound is beyond floating point.
     """
-    F = np.eye(system.dim) if frame is None else as_numbers("frame", frame)
-    if F.shape != (system.dim,) * 2 or not np.all(np.isfinite(F)) or np.linalg.matrix_rank(F) < len(F):
-        raise ReachError(f"the frame must be an invertible matrix of {system.dim} rows")
+    F = as_frame(frame, system.dim)
     single_set("the initial set", initial)
     box = initial if isinstance(initial, Zonotope) else initial.interval_hull()
     around, start = augmented(system, box)
