@@ -47,7 +47,7 @@ def test_every_stored_set_contains_the_exact_one_and_is_hardly_larger(name):
     _, schedule = synthesised(name)
     rng, wider = np.random.default_rng(0), []
     for k, step in enumerate(schedule.steps):
-        law, stored = schedule.controllers[step.mode], step.flight
+        law, stored = schedule.controllers[step.mode], step.tube
         if not isinstance(law, AffineController) or stored.slopes is not None:
             continue  # where the input is any, or a command may be clipped, there is no exact set to compare
         n, zeta = law.system.n, law.offset[k]
