@@ -27,9 +27,9 @@ class QuickProspect:
     """
 
     def __init__(self, prospect: Prospect) -> None:
-        self.prospect, scene = prospect, prospect.scene
+        self.prospect, grid = prospect, prospect.grid
         recovery, demand = prospect.recovery, prospect.demand
-        n, self._c, self._delay, self._last = scene.system.n, scene.nodes, scene.delay, scene.last
+        n, self._c, self._delay, self._last = grid.system.n, grid.nodes, grid.delay, grid.last
         self._r, self._near, self._count = len(recovery.rows), demand.near, len(demand.tall)
         self._stack, self._known = prospect.stack, prospect.known
         self._near_rows = np.ascontiguousarray(demand.tall[: self._near].T)
@@ -123,4 +123,4 @@ class QuickProspect:
             return "limits beyond the loop's memory"
         lag, row = divmod(self._where, self._r)
         node = self._end + lag
-        return f"{self.prospect.recovery._names[row]} at t = {node * self.prospect.scene.h:g} s"
+        return f"{self.prospect.recovery._names[row]} at t = {node * self.prospect.grid.h:g} s"

@@ -15,13 +15,13 @@ from polaris.model.obstacles import BoxObstacle
 from polaris.model.system import LinearSystem
 from polaris.planning.goals import Box
 from polaris.planning.reference import Reference
-from polaris.rta.arena import METHODS
+from polaris.rta.decision_grid import DecisionGrid
 from polaris.rta.flight import _Engine
 from polaris.rta.method import FILTERED, Seen
-from polaris.rta.monitor import Monitor
+from polaris.rta.methods import METHODS
+from polaris.rta.methods.monitor import Monitor
 from polaris.rta.prospect import Leg
 from polaris.rta.recovery import Recovery
-from polaris.rta.scene import Scene
 from polaris.synthesis.controllers import AffineController, AnyThrust
 from polaris.synthesis.get_safety import get_safety
 from polaris.synthesis.problem import Problem
@@ -131,7 +131,7 @@ SCENES = {
 @pytest.mark.parametrize("key", ["monitor", "simplex_explicit", "asif_implicit"])
 def test_no_conspiracy_leads_into_a_set_or_asks_s_for_too_much(setting, key):
     made, *options = SCENES[setting]
-    scene = Scene.of(line(**made), *options)
+    scene = DecisionGrid.of(line(**made), *options)
     least, demand, share = attack(scene, METHODS[key](scene))
     assert least > 0
     assert demand <= 1
@@ -140,7 +140,7 @@ def test_no_conspiracy_leads_into_a_set_or_asks_s_for_too_much(setting, key):
 
 @pytest.mark.parametrize("order", [1, 2])
 def test_the_attack_breaks_a_monitor_without_its_limits(order):
-    scene = Scene.of(line(order=order), 0.25)
+    scene = DecisionGrid.of(line(order=order), 0.25)
     monitor = Monitor(scene)
     monitor.recovery.reciprocals[:] = 0.0
     monitor.recovery._far_reciprocals[:] = 0.0
@@ -151,7 +151,7 @@ def test_the_attack_breaks_a_monitor_without_its_limits(order):
 
 
 def test_a_reference_of_u_that_jumps_is_predicted_and_its_clip_seen():
-    scene = Scene.of(line(any_thrust=False, jump=True, goal=3.0), 0.25)
+    scene = DecisionGrid.of(line(any_thrust=False, jump=True, goal=3.0), 0.25)
     monitor, engine, rng = Monitor(scene, "declared"), _Engine(scene), np.random.default_rng(0)
     prospect, compared = monitor.declared[1, 0], 0
     none = np.zeros((20, 1))
@@ -175,7 +175,7 @@ def test_a_reference_of_u_that_jumps_is_predicted_and_its_clip_seen():
 
 
 def test_what_lies_beyond_the_memory_leaves_room_for_the_path_of_u():
-    scene = Scene.of(line(order=1, weight=0.5), 0.25)
+    scene = DecisionGrid.of(line(order=1, weight=0.5), 0.25)
     recovery = Recovery(scene)
     o, beyond = len(recovery.bow), scene.tracking.memory
     assert 0 < beyond < scene.last
@@ -189,7 +189,7 @@ def test_what_lies_beyond_the_memory_leaves_room_for_the_path_of_u():
 
 @pytest.mark.parametrize("key", ["monitor", "simplex_explicit", "asif_implicit"])
 def test_a_start_that_is_not_recoverable_is_refused(key):
-    scene = Scene.of(line(), 0.25)
+    scene = DecisionGrid.of(line(), 0.25)
     safety = scene.schedule.safety
     method = METHODS[key](scene)
     assert method.claim.kind == "proved"
@@ -197,7 +197,7 @@ def test_a_start_that_is_not_recoverable_is_refused(key):
     object.__setattr__(safety, "start", start)
     try:
         with pytest.raises(NotCertified, match="first recoverable set"):
-            METHODS[key](Scene.of(scene.schedule, 0.25))
+            METHODS[key](DecisionGrid.of(scene.schedule, 0.25))
     finally:
         object.__setattr__(safety, "start", Zonotope(start.c, start.G / 20))
 
@@ -205,7 +205,7 @@ def test_a_start_that_is_not_recoverable_is_refused(key):
 @pytest.mark.parametrize("key", ["monitor", "simplex_explicit", "asif_implicit"])
 @pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf])
 def test_an_estimate_that_is_no_number_is_flown_by_s(key, wrong):
-    scene = Scene.of(line(), 0.25)
+    scene = DecisionGrid.of(line(), 0.25)
     method = METHODS[key](scene)
     for runs in (1, 2):
         method.start(runs)

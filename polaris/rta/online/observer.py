@@ -7,8 +7,8 @@ import numpy as np
 from ...model.foreign import numbers
 from ...model.system import Array
 from ...model.tolerances import TIME
-from ..estimate import BoxFilter, BoxMotion
-from ..scene import Scene
+from ..decision_grid import DecisionGrid
+from .estimate import BoxFilter, BoxMotion
 from .faults import Fault
 from .reading import Reader, Reading
 from .runtime_options import Limits
@@ -19,7 +19,7 @@ class Observer:
 
     Parameters
     ----------
-    scene : Scene
+    grid : DecisionGrid
     limits : Limits
     farthest : float
         Entries of the state beyond this are taken for faults.
@@ -27,14 +27,14 @@ class Observer:
         Number of consecutive measurements that must agree; at the start the initial set vouches for them.
     """
 
-    def __init__(self, scene: Scene, limits: Limits, farthest: float, trusted: int) -> None:
-        self.scene = scene
-        self._same = TIME * scene.period
-        self._reader = Reader(scene, limits.max_age, farthest, self._same)
-        theta = scene.schedule.safety.problem.initial_set
+    def __init__(self, grid: DecisionGrid, limits: Limits, farthest: float, trusted: int) -> None:
+        self.grid = grid
+        self._same = TIME * grid.period
+        self._reader = Reader(grid, limits.max_age, farthest, self._same)
+        theta = grid.schedule.safety.problem.initial_set
         half = np.abs(theta.G).sum(axis=1)
-        motion = BoxMotion(scene.system, scene.period, limits.memory + self._same)
-        for usual in (0.0, scene.period):  # worked out before the flight
+        motion = BoxMotion(grid.system, grid.period, limits.memory + self._same)
+        for usual in (0.0, grid.period):  # worked out before the flight
             motion.over(usual)
         self.filter = BoxFilter(motion, theta.c - half, theta.c + half)
         self.agreed = self._enough = trusted
@@ -48,12 +48,12 @@ class Observer:
         if applied is None:
             self.filter.flown(None, None, fresh)
             return None
-        m = self.scene.system.m
+        m = self.grid.system.m
         low = high = numbers(applied, (m,))
         bounds = numbers(applied, (2, m)) if low is None else None
         if bounds is not None:
             low, high = bounds
-        limit = self.scene.system.u_max * (1 + TIME)
+        limit = self.grid.system.u_max * (1 + TIME)
         good = low is not None and high is not None
         if low is not None and high is not None:
             good = bool(((-limit <= low) & (low <= high) & (high <= limit)).all())
@@ -79,7 +79,7 @@ class Observer:
             return reading.state
         # Only the measurement's own error bound counts here: an earlier one may have lied.
         low, high = self.filter.ahead(reading.state, reading.half_widths, age)
-        if not (high - low <= 2 * self.scene.half_widths).all():
+        if not (high - low <= 2 * self.grid.half_widths).all():
             faults.append(Fault("measurement", f"late: {age:.6g} s old, too old to tell the state by now"))
             return None
         return np.asarray((low + high) / 2)
@@ -99,6 +99,6 @@ class Observer:
                 self.agreed += 1
                 self.conflicts *= self.agreed < self._enough
                 return
-            name = self.scene.system.state_names[conflict]
+            name = self.grid.system.state_names[conflict]
             faults.append(Fault("estimate", f"conflict: {name} contradicts earlier measurements"))
             self.conflicts, self.agreed = self.conflicts + 1, 0  # the box stays: what lied is not let in

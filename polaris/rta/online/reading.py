@@ -8,8 +8,8 @@ import numpy as np
 
 from ...model.foreign import numbers, real
 from ...model.system import Array
-from ..estimate import Measurement
-from ..scene import Scene
+from ..decision_grid import DecisionGrid
+from .estimate import Measurement
 from .faults import Fault, largest
 
 
@@ -26,7 +26,7 @@ class Reader:
 
     Parameters
     ----------
-    scene : Scene
+    grid : DecisionGrid
     max_age : float
         Oldest measurement that may be used [s].
     farthest : float
@@ -35,10 +35,10 @@ class Reader:
         Stamps closer than this are equal [s].
     """
 
-    def __init__(self, scene: Scene, max_age: float, farthest: float, same: float) -> None:
-        self.scene, self.max_age, self.farthest, self.same = scene, max_age, farthest, same
-        self._shape = (scene.system.n,)
-        self._half = scene.half_widths
+    def __init__(self, grid: DecisionGrid, max_age: float, farthest: float, same: float) -> None:
+        self.grid, self.max_age, self.farthest, self.same = grid, max_age, farthest, same
+        self._shape = (grid.system.n,)
+        self._half = grid.half_widths
         self._half_list = self._half.tolist()
         self._newest = -np.inf
         self._state = b""

@@ -6,18 +6,18 @@ from collections.abc import Iterable
 from itertools import cycle
 from typing import Any
 
-from ..monitor import Monitor
+from ..methods.monitor import Monitor
 from .decision_log import restored
 from .faults import Fault
 from .runtime import OnlineMonitor
-from .runtime_options import Answer, RuntimeOptions
+from .runtime_options import OnlineDecision, RuntimeOptions
 
 LATE = "monitor: deadline missed"
 
 
 def replay_log(
     records: Iterable[dict[str, Any]], monitor: Monitor, options: RuntimeOptions | None = None
-) -> list[Answer]:
+) -> list[OnlineDecision]:
     """Feed what a log says arrived to a new runtime with the same options.
 
     The answers are those of the flight, bit for bit, missed deadlines and faults of U included: the log
