@@ -103,7 +103,7 @@ def main(
 
 
 def verb(name: str, **how: Any) -> Callable[[Callable[..., int | None]], Callable[..., None]]:
-    """Add a verb to the application, `how` as typer takes it; it returns its exit code, or nothing where it went well."""
+    """Add a verb, `how` as typer takes it; it returns its exit code, or nothing where it went well."""
 
     def add(work: Callable[..., int | None]) -> Callable[..., None]:
         @wraps(work)

@@ -119,9 +119,9 @@ class Recovery:
 
     @cached_property
     def booked(self) -> Array:
-        """What S's disturbance and the path between nodes need of every row, shape (L r,)."""
+        """What S's disturbance, round-off and the path between nodes need of every row, shape (L r,)."""
         tracking = self.grid.tracking
-        out = tracking.disturbance(self.rows)[: self.lags].copy()
+        out = (tracking.disturbance(self.rows) + self.grid.clearance.round_off(self.rows))[: self.lags]
         out[:, : len(self.bow)] += self.bow + self._bent * tracking.disturbance_radius
         return np.asarray(out.reshape(-1) * (1 + ROUNDING))
 
@@ -183,15 +183,27 @@ class Recovery:
         return np.hstack([index, thrust])
 
     @cached_property
+    def _jump(self) -> Array:
+        """What the jump into the tail has taken of `limits`; it counts as a need of the whole room."""
+        out = np.zeros_like(self.limits)
+        out[self.grid.last :] = self.grid.clearance.jump_need(self.rows)
+        return out
+
+    @cached_property
     def reciprocals(self) -> Array:
-        """``1 / limits``, flat: node by node, row by row."""
+        """``1 / (limits + jump)``, flat: node by node, row by row."""
+        whole = self.limits + self._jump
         with np.errstate(divide="ignore"):
-            return np.asarray(np.where(self.limits > 0, 1 / self.limits, NEVER).reshape(-1))
+            return np.asarray(np.where(whole > 0, 1 / whole, NEVER).reshape(-1))
+
+    @cached_property
+    def taken(self) -> Array:
+        """Share of the room that the jump needs, flat as `reciprocals`."""
+        return np.asarray(self._jump.reshape(-1) * self.reciprocals)
 
     def window(self, node: int) -> Array:
-        """Reciprocals of the limits that a set at a node must meet, shape (L r,)."""
-        r = len(self.rows)
-        return self.reciprocals[node * r : (node + self.lags) * r]
+        """The limits that a set at a node must meet, shape (L r,)."""
+        return np.asarray(self.limits[node : node + self.lags].reshape(-1))
 
     def size(self, G: Array) -> float:
         """Bound on ``norm(W e)`` over the set about zero with these generators (n, g)."""
@@ -204,7 +216,8 @@ class Recovery:
         near = min(max(NEAR // len(self.rows), 1), self.lags) * len(self.rows)
         size = np.linalg.norm(self.matrix[:, :-1] @ self.grid.tracking.W_inverse, axis=1)
         slope = (size * (1 + ROUNDING) + self.matrix[:, -1]).reshape(self.lags, -1) * self._tightest_ever
-        base = booked.reshape(self.lags, -1) * self._tightest_ever
+        ever = self.taken.reshape(-1, len(self.rows)).max(axis=0)
+        base = booked.reshape(self.lags, -1) * self._tightest_ever + ever
         first = near // len(self.rows)
         return Demand(
             np.ascontiguousarray(tall),
@@ -235,11 +248,14 @@ class Recovery:
         first, vector = node * len(self.rows), _extended(e, size)
         need = vector @ demand.tall[: demand.near].T
         need *= self.reciprocals[first : first + demand.near]
-        share = np.maximum(need.max(axis=-1), size * self._far_reciprocals[node])
+        need += self.taken[first : first + demand.near]
+        beyond = self.far_shares[node, :, 0] + np.multiply.outer(size, self.far_shares[node, :, 1])
+        share = np.maximum(need.max(axis=-1), beyond.max(axis=-1))
         later = demand.base + demand.slope * size
         if (later > 1).any():
             rest = vector @ demand.tall[demand.near :].T
             rest *= self.reciprocals[first + demand.near : first + len(demand.tall)]
+            rest += self.taken[first + demand.near : first + len(demand.tall)]
             later = rest.max(axis=-1, initial=0.0)
         return np.asarray(np.maximum(share, later))
 
@@ -251,11 +267,14 @@ class Recovery:
 
     def far(self, node: int) -> float:
         """Largest ``norm(W e)`` at a node with which all limits beyond the memory are met."""
-        return float(self._far[min(node, len(self._far) - 1)])
+        allowed = self._far[0]
+        return float(allowed[min(node, len(allowed) - 1)])
 
     @cached_property
-    def _far(self) -> Array:
-        """The same at all nodes, shape (nodes + L + 1,).
+    def _far(self) -> tuple[Array, Array, Array]:
+        """The same at all nodes; shares of the room needed without any error, and per unit of ``norm(W e)``.
+
+        Shape (nodes + L + 1,) each.
 
         What `bow` and `_bent` book is booked here too: U may take over when S has flown for longer than
         the memory, and the facets of the node where it does were met by this condition alone.
@@ -264,24 +283,40 @@ class Recovery:
         tail, o = (clearance.cells - clearance.planned) * clearance.q, len(self.bow)
         # Of every period: what its cell allows where it begins, and where it ends.
         ends = np.stack([self._limits(np.arange(clearance.q) + end) for end in (0, 1)])
-        ends -= tracking.disturbance(self.rows)[-1] * (1 + ROUNDING)
+        disturbance = tracking.disturbance(self.rows)[-1] + clearance.round_off(self.rows)
+        need = np.zeros_like(ends) + disturbance * (1 + ROUNDING)
         path = (self.bow + self._bent * tracking.disturbance_radius) * (1 + ROUNDING)
-        ends[:, : self.grid.last + 1, :o] -= path  # after T nobody but S flies
+        need[:, : self.grid.last + 1, :o] += path  # after T nobody but S flies
         weight = np.linalg.norm(self.rows @ tracking.W_inverse, axis=1) + tracking.curvature(self.rows)
         weight[:o] += self._bent
         # The tail repeats itself for ever: an error is at least as old as one tail when that begins.
         weight *= tracking.decay[min(tail, len(tracking.decay) - 1) if tail else -1]
-        begins, done = np.min(ends / np.maximum(weight, 1e-300), axis=2)
-        allowed = np.minimum(begins, np.append(done[1:], np.inf))
-        suffix = np.minimum.accumulate(allowed[::-1])[::-1]
-        last = self.grid.last if tail else len(suffix) - 1
-        return np.asarray(suffix[np.minimum(np.arange(len(suffix)) + tracking.memory, last)])
+        allowed = np.min((ends - need) / np.maximum(weight, 1e-300), axis=2)
+        possible, whole = allowed > 0, np.maximum(ends + self._jump, 1 / NEVER)
+        base = np.where(possible, np.max((need + self._jump) / whole, axis=2), NEVER)
+        steep = np.where(possible, np.max(weight / whole, axis=2), NEVER)
+        last = self.grid.last if tail else len(self.limits) - 1
+        at = np.minimum(np.arange(len(self.limits)) + tracking.memory, last)
+        shares = (self._later(part, 0.0, np.maximum)[at] for part in (base, steep))
+        return self._later(allowed, np.inf, np.minimum)[at], *shares
+
+    @staticmethod
+    def _later(ends: Array, none: float, pick: np.ufunc) -> Array:
+        """Least or largest from a node on, of what holds where its period begins and where it ends."""
+        both = pick(ends[0], np.append(ends[1][1:], none))
+        return np.asarray(pick.accumulate(both[::-1])[::-1])
 
     @cached_property
-    def _far_reciprocals(self) -> Array:
-        """``1 / norm(W e)`` allowed by the limits beyond the memory, per node."""
-        with np.errstate(divide="ignore"):
-            return np.asarray(np.where(self._far > 0, 1 / self._far, NEVER))
+    def far_shares(self) -> Array:
+        """Share of the room beyond the memory: at most the larger of two ``a + b norm(W e)``, (nodes, 2, 2).
+
+        The largest of the limits' shares is convex in the norm, and at most 1 at the largest allowed. Below
+        that the chord lies above it, beyond that the line of the steepest share.
+        """
+        allowed, base, steep = self._far
+        slope = np.where(allowed > 0, (1 - base) / np.where(allowed > 0, allowed, 1.0), NEVER)
+        beyond = 1 - steep * np.where(np.isinf(allowed), 0.0, allowed)
+        return np.stack([np.stack([base, slope], axis=1), np.stack([beyond, steep], axis=1)], axis=1)
 
     @cached_property
     def _names(self) -> list[str]:

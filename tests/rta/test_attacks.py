@@ -5,6 +5,7 @@ lag, and the estimate is displaced away from it by its whole bound. Negative con
 finds what a method without its limits lets through.
 """
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -13,6 +14,7 @@ import pytest
 from polaris.model.errors import NotCertified
 from polaris.model.obstacles import BoxObstacle
 from polaris.model.system import LinearSystem
+from polaris.model.tolerances import ROUNDING
 from polaris.planning.goals import Box
 from polaris.planning.reference import Reference
 from polaris.rta.decision_grid import DecisionGrid
@@ -24,6 +26,7 @@ from polaris.rta.prospect import Leg
 from polaris.rta.recovery import Recovery
 from polaris.synthesis.controllers import AffineController, AnyThrust
 from polaris.synthesis.get_safety import get_safety
+from polaris.synthesis.polytope_sets import PolytopeSets
 from polaris.synthesis.problem import Problem
 from polaris.synthesis.synthesize import synthesize
 from polaris.synthesis.tracking import lqr_gain
@@ -143,7 +146,7 @@ def test_the_attack_breaks_a_monitor_without_its_limits(order):
     scene = DecisionGrid.of(line(order=order), 0.25)
     monitor = Monitor(scene)
     monitor.recovery.reciprocals[:] = 0.0
-    monitor.recovery._far_reciprocals[:] = 0.0
+    monitor.recovery.far_shares[:] = 0.0
     for prospect in monitor.cautious.values():
         object.__setattr__(prospect.demand, "base", 0.0)
         object.__setattr__(prospect.demand, "slope", 0.0)
@@ -214,3 +217,26 @@ def test_an_estimate_that_is_no_number_is_flown_by_s(key, wrong):
                 Seen(0, np.full((runs, 2), wrong), np.zeros((runs, 1)), np.zeros(runs, dtype=int))
             )
         assert (choice.mode == 0).all()
+
+
+@pytest.mark.parametrize(
+    ("made", "jump"), [({"order": 1, "weight": 0.5}, [0.0]), ({"goal": 3.0}, [0.02, 0.0])]
+)
+def test_no_margin_of_the_monitor_exceeds_the_share_of_the_whole_room_that_is_left(made, jump):
+    """A jump of the reference counts as a need of the whole room, and so does what lies beyond the memory."""
+    scene = DecisionGrid.of(line(**made), 0.25)
+    clearance, n = replace(scene.clearance, jump=np.array(jump)), len(jump)
+    recovery, sets = Recovery(replace(scene, clearance=clearance)), PolytopeSets(clearance)
+    rng, tightest, behind = np.random.default_rng(0), np.inf, 0
+    for cell in range(clearance.planned):
+        node = cell * clearance.q
+        for _ in range(5):
+            start = Zonotope.box(rng.uniform(-0.1, 0.2, n) / 2 ** np.arange(n), rng.uniform(0.0, 0.01, n))
+            size = np.linalg.norm(scene.tracking.W @ start.c) + recovery.size(start.G)
+            share = float(recovery.share(node, start.c, size, recovery.demand(start.G)))
+            left = sets.margin_at(cell, start)
+            assert 1 - share <= left.value + 3 * ROUNDING  # which both book, in their own ways
+            tightest = min(tightest, left.value - (1 - share))
+            behind += left.time >= clearance.planned * scene.tracking.delta
+    assert tightest < 0.05  # and it does not throw away much
+    assert behind > 5 or not any(jump)

@@ -13,8 +13,7 @@ from polaris.rta.methods.monitor import Monitor
 from polaris.rta.online.decision_log import DecisionLog
 from polaris.rta.online.estimate import Measurement
 from polaris.rta.online.loop import FlightLoop
-from polaris.rta.online.replay import replay_log
-from polaris.rta.online.runtime import OnlineMonitor
+from polaris.rta.online.runtime import OnlineMonitor, replay_log
 from polaris.rta.online.runtime_options import RuntimeOptions
 
 from . import oddities

@@ -78,7 +78,7 @@ def test_monitor_without_its_limits_lets_u_collide():
     made = scene("robot")
     monitor = Monitor(made)
     monitor.recovery.reciprocals[:] = 0.0  # nothing limits any more
-    monitor.recovery._far_reciprocals[:] = 0.0
+    monitor.recovery.far_shares[:] = 0.0
     for prospect in (*monitor.cautious.values(), *monitor.declared.values()):
         object.__setattr__(prospect.demand, "base", 0.0)
         object.__setattr__(prospect.demand, "slope", 0.0)

@@ -9,8 +9,7 @@ import pytest
 from polaris.model.foreign import kind_of, numbers, real, settled
 from polaris.rta.online.decision_log import DecisionLog, plain
 from polaris.rta.online.estimate import Measurement
-from polaris.rta.online.replay import replay_log
-from polaris.rta.online.runtime import OnlineMonitor
+from polaris.rta.online.runtime import OnlineMonitor, replay_log
 from polaris.rta.online.runtime_options import RuntimeOptions
 
 from . import oddities

@@ -17,8 +17,7 @@ from polaris.rta.decision_grid import DecisionGrid
 from polaris.rta.methods.monitor import Monitor
 from polaris.rta.online.decision_log import DecisionLog, plain, read_log, restored
 from polaris.rta.online.estimate import BoxFilter, BoxMotion, Measurement
-from polaris.rta.online.replay import replay_log
-from polaris.rta.online.runtime import OnlineMonitor
+from polaris.rta.online.runtime import OnlineMonitor, replay_log
 from polaris.rta.online.runtime_options import RuntimeOptions
 from polaris.scenario.scenario import load_scenario
 from polaris.synthesis.synthesize import synthesize

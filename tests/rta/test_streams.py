@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from polaris.rta.online.decision_log import DecisionLog, read_log
-from polaris.rta.online.replay import replay_log
-from polaris.rta.online.runtime import OnlineMonitor
+from polaris.rta.online.runtime import OnlineMonitor, replay_log
 from polaris.rta.online.runtime_options import OnlineDecision, RuntimeOptions
 
 from . import streams

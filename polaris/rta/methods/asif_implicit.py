@@ -98,7 +98,9 @@ class ImplicitASIF(Method):
         first = node * len(recovery.rows)
         window = recovery.reciprocals[first : first + demand.near]
         need = np.concatenate([moved, size[:, None], np.ones((R, 1))], axis=1) @ demand.tall[: demand.near].T
-        limit = np.divide(1 - SLACK, window, out=np.full(len(window), UNLIMITED), where=window > 0)
+        limit = np.minimum(recovery.window(node)[: demand.near], UNLIMITED)
+        slack = SLACK * np.abs(limit)
+        limit = limit - slack
         room = limit - need
         allowed = room - self._kept(k, e, limit)
         desired = seen.desired / grid.system.u_max
@@ -116,7 +118,7 @@ class ImplicitASIF(Method):
             else:
                 lost[run] = True
         # Whatever the solver says, what it found is checked; what cannot be worked out is not met.
-        lost |= ~(((room - u @ self.rows.T) * window).min(axis=1) >= -SLACK)
+        lost |= ~(room - u @ self.rows.T >= -slack).all(axis=1)
         lost |= ~(self._inner(k, e, size, u) <= 1)
         mode = np.where(lost, 0, FILTERED)
         why = np.where(lost, 2, np.where((margin < 0) & (u != desired).any(axis=1), 1, 0))

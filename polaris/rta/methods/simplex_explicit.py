@@ -52,9 +52,8 @@ class ExplicitSimplex(Latched):
             if node > grid.last:
                 out[k] = -np.inf
                 continue
-            window = recovery.window(node)
-            limit = np.divide(1.0, window, out=np.full(len(window), np.inf), where=window > 0)
-            out[k] = min(float(((limit - demand.tall[:, -1]) / slope).min()), recovery.far(node))
+            left = recovery.window(node) - demand.tall[:, -1]
+            out[k] = min(float((left / slope).min()), recovery.far(node))
         return out
 
     def margin(self, seen: Seen) -> Array:

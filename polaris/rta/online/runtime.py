@@ -9,7 +9,8 @@ documentation says why the proof survives, and what cannot be caught.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from itertools import cycle
 from math import isfinite
 from typing import Any, NamedTuple
 
@@ -20,10 +21,9 @@ from ...model.foreign import Unreadable, kind_of, settled
 from ...model.system import Array
 from ..methods.monitor import Monitor
 from .decision_clock import DecisionClock
-from .decision_log import DecisionLog, plain
+from .decision_log import DecisionLog, plain, restored
 from .estimate import Measurement
-from .faults import Fault
-from .guard import Guard
+from .faults import Fault, Guard
 from .observer import Observer
 from .runtime_options import OnlineDecision, RuntimeOptions
 
@@ -210,3 +210,44 @@ class OnlineMonitor:
             log.write(record)
         except Exception:  # whatever is wrong with a log must not end the flight
             self._unwritten.append(Fault("log", "the line before could not be written"))
+
+
+LATE = "monitor: deadline missed"
+
+
+def replay_log(
+    records: Iterable[dict[str, Any]], monitor: Monitor, options: RuntimeOptions | None = None
+) -> list[OnlineDecision]:
+    """Feed what a log says arrived to a new runtime with the same options.
+
+    The answers are those of the flight, bit for bit, missed deadlines and faults of U included: the log
+    says where they were.
+
+    Parameters
+    ----------
+    records : iterable of dict
+        As `polaris.rta.online.decision_log.read_log` gives them, from the first decision on.
+    monitor : Monitor
+    options : RuntimeOptions, optional
+    """
+    wall = _Wall()
+    online = OnlineMonitor(monitor, options, timer=wall)
+    answers = []
+    for record in records:
+        wall.late = LATE in record["faults"]
+        if record["resynchronised"] is not None:
+            online.resynchronise(restored(record["resynchronised"]))
+        online.guard.faults += [Fault("controller", text) for text in record["controller"]]
+        names = ("now", "measurement", "applied", "reference", "number")
+        answers.append(online.step(*(restored(record.get(name)) for name in names)))
+    return answers
+
+
+class _Wall:
+    """A clock that is read at the beginning and at the end of every step."""
+
+    def __init__(self) -> None:
+        self.late, self._end = False, cycle((False, True))
+
+    def __call__(self) -> float:
+        return float("inf") if next(self._end) and self.late else 0.0
