@@ -98,13 +98,13 @@ class Either:
 Shape = Real | Whole | Text | Flag | Null | Anything | Rows | Table | Named | Kinds | Either
 
 
-def keyed(keys: Mapping[str, Shape]) -> Table:
+def keyed(keys: Mapping[str, Any]) -> Table:
     """A table from one mapping, in which the keys that may be missing end in a question mark."""
     needed = {key: item for key, item in keys.items() if not key.endswith("?")}
     return Table(needed, {key[:-1]: item for key, item in keys.items() if key.endswith("?")})
 
 
-def kinds(tables: Mapping[str, Mapping[str, Shape]]) -> Kinds:
+def kinds(tables: Mapping[str, Mapping[str, Any]]) -> Kinds:
     """Several tables, from the keys that each has besides ``kind``."""
     return Kinds({kind: keyed({"kind": Text((kind,)), **keys}) for kind, keys in tables.items()})
 

@@ -136,13 +136,9 @@ def compare_methods(
     results, shown, refused = {}, {}, {}
     for key in keys:
         begun = time.perf_counter()
-        try:
-            made: Callable[..., Method] = METHODS[key]
-            method = made(grid, **options.get(key, {}))
-        except PolarisError as error:
-            if isinstance(error, ScenarioError) and error.field in options.get(key, {}):
-                raise
-            refused[key] = str(error)
+        method = _made(key, grid, options.get(key, {}))
+        if isinstance(method, str):
+            refused[key] = method
             continue
         built = time.perf_counter() - begun
 
@@ -152,6 +148,17 @@ def compare_methods(
 
         results[key], shown[key] = _flown(grid, key, method, parts, built, report)
     return Comparison(grid, runs, seed, results, shown, refused)
+
+
+def _made(key: str, grid: DecisionGrid, options: Mapping[str, float]) -> Method | str:
+    """A method on the grid, or why it does not admit it; an option of its own that is wrong is raised."""
+    made: Callable[..., Method] = METHODS[key]
+    try:
+        return made(grid, **options)
+    except PolarisError as error:
+        if isinstance(error, ScenarioError) and error.field in options:
+            raise
+        return str(error)
 
 
 def tunable() -> list[str]:
