@@ -297,8 +297,12 @@ class Recovery:
         steep = np.where(possible, np.max(weight / whole, axis=2), NEVER)
         last = self.grid.last if tail else len(self.limits) - 1
         at = np.minimum(np.arange(len(self.limits)) + tracking.memory, last)
-        shares = (self._later(part, 0.0, np.maximum)[at] for part in (base, steep))
-        return self._later(allowed, np.inf, np.minimum)[at], *shares
+        least, most = (np.inf, np.minimum), (0.0, np.maximum)
+        return (
+            self._later(allowed, *least)[at],
+            self._later(base, *most)[at],
+            self._later(steep, *most)[at],
+        )
 
     @staticmethod
     def _later(ends: Array, none: float, pick: np.ufunc) -> Array:
