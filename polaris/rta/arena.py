@@ -173,7 +173,8 @@ def _options(tuning: Tuning) -> dict[str, dict[str, float]]:
         if name not in tunable():
             raise ScenarioError("tuning", name, f"must be one of {', '.join(tunable())}")
         key, _, option = name.partition(".")
-        counted = METHODS[key].option is not None and METHODS[key].option.unit == "decisions"
+        found = METHODS[key].option
+        counted = found is not None and found.unit == "decisions"
         out[key] = {option: int(value) if counted and float(value).is_integer() else value}
     return out
 
