@@ -19,13 +19,10 @@ class _Compare(TyperCommand):
         from ..rta.arena import tunable
         from ..rta.methods import METHODS
 
-        known = {
-            "methods": f"Methods by key, separated by commas; default all: {', '.join(METHODS)}.",
-            "tune": f"Tune a method: {', '.join(tunable())}; repeatable.",
-        }
+        known = {"methods": METHODS, "tune": tunable()}
         for one in self.params:
-            if isinstance(one, TyperOption):
-                one.help = known.get(str(one.name), one.help)
+            if isinstance(one, TyperOption) and one.name in known:
+                one.help = f"{one.help} Known: {', '.join(known[one.name])}."
         super().format_help(ctx, formatter)
 
 
