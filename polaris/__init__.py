@@ -51,7 +51,7 @@ if TYPE_CHECKING:
     from .rta.online.runtime_options import Answer, RuntimeOptions
     from .rta.outcome import Outcome
     from .rta.scene import Scene
-    from .runs.campaign import CampaignFolder, make_cases, read_campaign, run_campaign
+    from .runs.campaign import CampaignFolder, CampaignPlan, make_cases, read_campaign, run_campaign
     from .runs.case import replay, write_case
     from .runs.comparison import ComparisonFolder, read_comparison, write_comparison
     from .runs.folder import RunFolder, read_run, write_run
@@ -168,7 +168,7 @@ _HOMES = {
         "Tracking",
     ),
     ".model.timed_polytope": ("TimedPolytope",),
-    ".runs.campaign": ("CampaignFolder", "make_cases", "read_campaign", "run_campaign"),
+    ".runs.campaign": ("CampaignFolder", "CampaignPlan", "make_cases", "read_campaign", "run_campaign"),
     ".report": ("write_report",),
     ".rta.arena": ("Comparison", "compare_methods"),
     ".rta.online.decision_log": ("DecisionLog", "read_log"),
@@ -197,6 +197,7 @@ __all__ = [
     "Box",
     "BoxObstacle",
     "CampaignFolder",
+    "CampaignPlan",
     "Choice",
     "Claim",
     "Clearance",

@@ -79,6 +79,7 @@ GROUPS = {
     ),
     "Campaigns, traces, reports": (
         "run_campaign",
+        "CampaignPlan",
         "make_cases",
         "read_campaign",
         "CampaignFolder",
@@ -170,7 +171,7 @@ ASIF_GROUPS = {
     "Backup controllers": ("Backup", "Coast", "Parking", "Tracker", "Outlook"),
     "Fuel limit": ("FuelLimit", "fly_fuel_limit", "FuelRun"),
     "Flights": ("fly", "fly_one", "InspectionRun", "NoInput", "LQR", "Phases"),
-    "Monte Carlo": ("initial_conditions", "monte_carlo", "Study", "Outcome"),
+    "Monte Carlo": ("initial_conditions", "fly_block", "Study", "Outcome"),
 }
 """Every public name of `polaris.inspection`, in the order of the page."""
 

@@ -65,8 +65,7 @@ def add_commands(app: typer.Typer, guard: Guard) -> None:
         """Search for a run that breaks what a schedule claims; save it as a case."""
         with guard():
             from ..runs.atomic import check_file
-            from ..runs.case import write_case
-            from ..runs.load import load_target
+            from ..runs.case import load_target, write_case
             from ..simulation.falsification.search import falsify
 
             if out is not None:

@@ -1,4 +1,4 @@
-"""What the commands ``polaris run`` and ``polaris campaign`` do for the inspection problem."""
+"""What the command ``polaris run`` does for the inspection problem."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def run_inspection(
     if not quiet:
         from .inspection_text import show_flight
 
-        _finish(folder, as_json, figures, show_flight)
+        finish(folder, as_json, figures, show_flight)
 
 
 def _run_fuel(
@@ -86,10 +86,11 @@ def _run_fuel(
     if not quiet:
         from .inspection_text import show_fuel
 
-        _finish(folder, as_json, figures, show_fuel)
+        finish(folder, as_json, figures, show_fuel)
 
 
-def _finish(folder: InspectionFolder, as_json: bool, figures: bool, show: Callable[[Any, str], None]) -> None:
+def finish(folder: InspectionFolder, as_json: bool, figures: bool, show: Callable[[Any, str], None]) -> None:
+    """Print what a run came to."""
     if as_json:
         sys.stdout.write((folder.path / "summary.json").read_text(encoding="utf-8"))
         return
@@ -104,29 +105,3 @@ def told_valid(name: str, overrides: list[str]) -> str:
 
     scenario = load_inspection(name).with_assignments(overrides)
     return f"{scenario.name} is valid: {scenario.outline()}"
-
-
-def campaign_inspection(
-    name: str,
-    workers: int,
-    out: str | None,
-    overrides: list[str],
-    figures: bool,
-    as_json: bool,
-    quiet: bool,
-) -> None:
-    """Fly the Monte Carlo of a scenario, write its run folder, and print what it came to."""
-    from ..runs.atomic import check_target
-    from ..runs.monte_carlo import run_campaign
-    from ..scenario.inspection import load_inspection
-    from .console import Stages
-    from .inspection_text import show_campaign
-
-    stages = Stages(quiet or as_json)
-    loaded = load_inspection(name).with_assignments(overrides)
-    if loaded.kind != "monte_carlo":
-        raise ScenarioError("scenario", name, "is one flight: polaris run flies it")
-    target = str(check_target(out if out is not None else f"runs/{loaded.name}"))
-    folder = run_campaign(target, loaded, workers, overrides, figures, stages)
-    if not quiet:
-        _finish(folder, as_json, figures, show_campaign)

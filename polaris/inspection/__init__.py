@@ -23,11 +23,10 @@ if TYPE_CHECKING:
     from .filters.implicit import ImplicitASIF
     from .filters.simplex import ExplicitSimplex, ImplicitSimplex
     from .flights.fuel_run import FuelRun, fly_fuel_limit
-    from .flights.outcome import Outcome, Study
     from .flights.primary import LQR, NoInput, Phases
     from .flights.sampling import initial_conditions
     from .flights.simulation import InspectionRun, fly, fly_one
-    from .flights.studies import monte_carlo
+    from .flights.studies import Outcome, Study, fly_block
     from .inspection import Inspection
 
 _HOMES = {
@@ -41,8 +40,7 @@ _HOMES = {
     ".flights.fuel_run": ("FuelRun", "fly_fuel_limit"),
     ".filters.implicit": ("ImplicitASIF",),
     ".inspection": ("Inspection",),
-    ".flights.studies": ("monte_carlo",),
-    ".flights.outcome": ("Outcome", "Study"),
+    ".flights.studies": ("Outcome", "Study", "fly_block"),
     ".flights.primary": ("LQR", "NoInput", "Phases"),
     ".constraints.motion": ("SampledData",),
     ".flights.sampling": ("initial_conditions",),
@@ -85,10 +83,10 @@ __all__ = [
     "Tracker",
     "allowable",
     "fly",
+    "fly_block",
     "fly_fuel_limit",
     "fly_one",
     "initial_conditions",
-    "monte_carlo",
 ]
 
 

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..simulation.baselines import Flights
-from .picture import (SlicePicture, TubePicture, recoverable_slices, shown_steps)
-from ..synthesis.schedule import Schedule
 from ..model.system import Array
+from ..simulation.baselines import Flights
+from ..synthesis.schedule import Schedule
+from .picture import SlicePicture, TubePicture, recoverable_slices, shown_steps
 
 
 def write_sets(path: Path, schedule: Schedule) -> None:

@@ -16,7 +16,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from ..model.errors import ScenarioError
-from .ownership import (CAMPAIGN, Ours, beside_name, discard, keep, listed, tidy, write_manifest)
+from .ownership import CAMPAIGN, Ours, beside_name, discard, keep, listed, tidy, write_manifest
 
 MARKS = ("summary.json", "comparison.json")
 """Files by which folders of versions without a manifest are known."""

@@ -1,28 +1,30 @@
-"""Counterexamples as files: everything needed to fly one again, numbers exact to the bit."""
+"""What is attacked, and counterexamples as files: all that is needed to fly one again, exact to the bit."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import tomllib
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..synthesis.controllers import AffineController
 from ..model.errors import ScenarioError
-from ..simulation.integration import Integrator
-from .atomic import replacing_file
-from .tables import (json_text, write_text)
-from ..scenario.scenario import Scenario
-from ..synthesis.schedule import Schedule
-from ..synthesis.synthesize import synthesize
 from ..model.system import Array
+from ..scenario.scenario import Scenario, load_scenario
 from ..simulation.falsification.attacks import Attack
 from ..simulation.falsification.claims import Claims
 from ..simulation.falsification.measure import attained
-from ..simulation.falsification.search import (Failure, Falsification, violation)
+from ..simulation.falsification.search import Failure, Falsification, violation
+from ..simulation.integration import Integrator
+from ..synthesis.controllers import AffineController
+from ..synthesis.schedule import Schedule
+from ..synthesis.synthesize import synthesize
+from .atomic import replacing_file
+from .folder import read_run, readable
+from .tables import json_text, read_reference, write_text
 
 FORMAT = "polaris case"
 VERSION = 1
@@ -40,6 +42,29 @@ def digest(schedule: Schedule) -> str:
     for array in arrays:
         found.update(np.ascontiguousarray(array).tobytes())
     return found.hexdigest()
+
+
+def load_target(target: str) -> tuple[Scenario, Schedule]:
+    """Synthesise a scenario, or that of a run folder.
+
+    Raises
+    ------
+    ScenarioError
+        If there is no such scenario, or the schedule made again is not that of the folder.
+    """
+    if not Path(target).is_dir():
+        scenario = load_scenario(target)
+        return scenario, synthesize(scenario)
+    folder = read_run(target)
+    schedule = synthesize(folder.scenario)
+    reference = schedule.safety.reference
+    with readable(folder.path):
+        kept = read_reference(folder.path / "reference.csv", reference.system, reference.delta)
+    same = np.array_equal(kept.chi, reference.chi) and np.array_equal(kept.nu, reference.nu)
+    if not same or folder.schedule.get("modes") != schedule.modes.tolist():
+        rule = "holds another schedule than its scenario gives here (edited, or other versions)"
+        raise ScenarioError("run folder", target, rule)
+    return folder.scenario, schedule
 
 
 def write_case(path: str | Path, scenario: Scenario, found: Falsification) -> Path:
@@ -134,17 +159,9 @@ def _numbers(row: list[str]) -> Array:
 
 def _packed(rows: Array) -> list[list[Any]]:
     """Rows, each with the number of times it follows itself."""
-    out: list[list[Any]] = []
-    for row in rows:
-        text = _hex(row)
-        if out and out[-1][1] == text:
-            out[-1][0] += 1
-        else:
-            out.append([1, text])
-    return out
+    return [[len(list(group)), row] for row, group in groupby(map(_hex, rows))]
 
 
 def _unpacked(packed: list[list[Any]]) -> Array:
-    return np.concatenate([np.repeat(_numbers(row)[None], int(count), axis=0) for count, row in packed])[
-        :, None
-    ]
+    rows = [np.repeat(_numbers(row)[None], int(count), axis=0) for count, row in packed]
+    return np.concatenate(rows)[:, None]

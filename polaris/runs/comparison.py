@@ -25,14 +25,14 @@ from typing import Any
 import numpy as np
 
 from ..model.errors import ScenarioError
-from .atomic import (check_target, replacing)
-from .arrays import read_arrays
-from .tables import (json_text, strict, write_text)
-from .folder import (RunFolder, read_json, read_run, readable, write_run)
-from ..scenario.scenario import Scenario
 from ..model.version import versions
-from ..rta.arena import (METHODS, Comparison, Shown)
+from ..rta.arena import METHODS, Comparison, Shown
 from ..rta.outcome import DEFINITIONS
+from ..scenario.scenario import Scenario
+from .arrays import read_arrays
+from .atomic import check_target, replacing
+from .folder import RunFolder, read_json, read_run, readable, write_run
+from .tables import json_text, strict, write_text
 
 FILES = ("comparison.json", "comparison.npz", "decisions.jsonl")
 

@@ -32,13 +32,13 @@ import numpy as np
 
 from ..model.checks import of_kind
 from ..model.errors import ScenarioError
-from .atomic import (check_target, replacing)
-from ..scenario.scenario import (Scenario, load_scenario)
+from ..scenario.scenario import Scenario, load_scenario
+from .atomic import check_target, replacing
 
 if TYPE_CHECKING:
     from ..simulation.baselines import Flown
-    from .picture import Picture
     from ..synthesis.schedule import Schedule
+    from .picture import Picture
 
 CERTIFICATE = "certificate.json"
 
@@ -178,14 +178,14 @@ def write_run(
         If `out` is something else than a run folder, or cannot be written, or the schedule is that of
         another scenario.
     """
-    from . import arrays
-    from . import tables as files
-    from .certificate import (write_certificate)
-    from ..simulation.baselines import compare
     from ..report.figures import draw_figures
+    from ..simulation.baselines import compare
     from ..synthesis.same_system import check_safety
     from ..synthesis.schedule import Schedule
-    from .summary import (guarantee, summary)
+    from . import arrays
+    from . import tables as files
+    from .certificate import write_certificate
+    from .summary import guarantee, summary
 
     of_kind("scenario", scenario, Scenario, "polaris.load_scenario")
     of_kind("schedule", schedule, Schedule, "polaris.synthesize")

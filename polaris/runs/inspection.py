@@ -24,20 +24,20 @@ from typing import Any
 
 import numpy as np
 
-from ..model.errors import ScenarioError
-from .atomic import (check_target, replacing)
-from .arrays import read_arrays
-from .tables import (json_text, write_csv, write_text)
-from .folder import (read_json, readable, scenario_text)
-from . import inspection_summary as report
 from ..inspection.flights.judge import JudgedRun
-from ..scenario.inspection import (InspectionScenario, load_inspection)
 from ..inspection.flights.simulation import InspectionRun
+from ..model.errors import ScenarioError
+from ..scenario.inspection import InspectionScenario, load_inspection
+from . import inspection_summary as report
+from .arrays import read_arrays
+from .atomic import check_target, replacing
+from .folder import read_json, readable, scenario_text
+from .tables import json_text, write_csv, write_text
 
 DATA_FILES = {
     "inspection": ("scenario.toml", "constraints.csv", "flight.npz"),
     "fuel_limit": ("scenario.toml", "fuel.npz"),
-    "monte_carlo": ("scenario.toml", "failures.csv", "campaign.npz"),
+    "monte_carlo": ("scenario.toml", "failures.csv", "manifest.json"),
 }
 """What a run folder holds besides the summary, by kind of scenario."""
 
@@ -81,8 +81,8 @@ class InspectionFolder:
         return [folder / name for name in names]
 
     def _draw(self, folder: Path) -> list[Path]:
-        from .monte_carlo import read_campaign
-        from ..report.figures.inspection import (draw_campaign, draw_flight, draw_fuel_run)
+        from ..report.figures.inspection import draw_campaign, draw_flight, draw_fuel_run
+        from .monte_carlo import read_picture
 
         if self.scenario.kind == "fuel_limit":
             from .fuel_limit import read_fuel
@@ -92,7 +92,7 @@ class InspectionFolder:
             return draw_fuel_run(flown, folder)
         if self.scenario.kind == "monte_carlo":
             with readable(self.path):
-                picture = read_campaign(self.path / "campaign.npz")
+                picture = read_picture(self.path)
             return draw_campaign(picture, folder)
         return draw_flight(self.flight(), folder)
 
@@ -170,16 +170,7 @@ def _cells(row: Mapping[str, Any]) -> list[Any]:
 
 def write_flight(path: Path, run: InspectionRun) -> None:
     """Write everything a flight consists of."""
-    np.savez(
-        path,
-        t_s=run.t,
-        states=run.x,
-        sun_rad=run.sun,
-        thrust_N=run.u,
-        desired_N=run.desired,
-        status=run.status,
-        barriers=run.h,
-    )
+    np.savez(path, **run.arrays())
 
 
 def read_flight(path: Path, scenario: InspectionScenario) -> InspectionRun:

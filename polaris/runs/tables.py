@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from ..synthesis.controllers import AffineController
-from ..planning.reference import Reference
-from ..synthesis.schedule import Schedule
 from ..model.system import LinearSystem
+from ..planning.reference import Reference
+from ..synthesis.controllers import AffineController
+from ..synthesis.schedule import Schedule
 
 STEP_COLUMNS = (
     "step",

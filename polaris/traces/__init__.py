@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from .evaluation import evaluate_trace
-from .export import Export, export_method, export_run, to_trace
-from .legacy import LegacyMetrics
+from .export import Export, export_run, to_trace
+from .legacy import LegacyMetrics, evaluate_legacy
 from .model import (
     NORMAL,
     SAFETY,
@@ -18,9 +18,8 @@ from .model import (
     UnsafeTrace,
 )
 from .reading import parse_trace, read_trace
-from .restamping import restamp
 from .results import AgentMetrics, Separation, Spread, TraceMetrics
-from .settings import Heading
+from .settings import Heading, restamp
 from .writing import trace_data, write_trace
 
 __all__ = [
@@ -41,8 +40,8 @@ __all__ = [
     "Trace",
     "TraceMetrics",
     "UnsafeTrace",
+    "evaluate_legacy",
     "evaluate_trace",
-    "export_method",
     "export_run",
     "parse_trace",
     "read_trace",

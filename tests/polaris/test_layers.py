@@ -37,7 +37,6 @@ TOGETHER = ("reach.sets.",)
 """Files that know one another: the operations of a pair of sets are found from either of the two."""
 
 KNOWN = {
-    ("polaris.inspection.constraints.sampled", "polaris.inspection.constraints.segments"),
     ("polaris.inspection.flights.judge", "polaris.scenario.inspection"),
     ("polaris.inspection.flights.judge", "polaris.scenario.inspection_tables"),
     ("polaris.runs.comparison", "polaris.report.figures.comparison"),
@@ -45,7 +44,6 @@ KNOWN = {
     ("polaris.runs.inspection", "polaris.report.figures.inspection"),
     ("polaris.runs.inspection", "polaris.runs.fuel_limit"),
     ("polaris.runs.inspection", "polaris.runs.monte_carlo"),
-    ("polaris.runs.monte_carlo", "polaris.cli.console"),
     ("polaris.scenario.inspection_rules", "polaris.runs.fuel_limit"),
     ("polaris.scenario.inspection_rules", "polaris.scenario.inspection"),
     ("reach.numerics.arguments", "reach.verify.specification"),
