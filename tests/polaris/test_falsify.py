@@ -189,7 +189,7 @@ def test_a_tube_that_is_too_thin_is_caught():
     thin = tuple(
         replace(
             step,
-            flight=replace(
+            tube=replace(
                 step.tube,
                 nodes=replace(step.tube.nodes, G=0.3 * step.tube.nodes.G),
                 bow=0 * step.tube.bow,
