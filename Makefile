@@ -42,13 +42,11 @@ bench: $(BENCH) ## Run the benchmarks and print their tables
 	@for name in $(basename $(notdir $(wildcard benchmarks/*.py))) arch; do \
 	  echo "== $$name"; $(BIN)/python -m "benchmarks.$$name" || exit 1; done
 
-schema: $(BASE) ## Rewrite the generated pages: scenario schema and reference, interfaces, assurance
+schema: $(BASE) ## Rewrite the generated pages: schemas and reference of scenarios
 	$(BIN)/python -m docs.generate.scenario_docs
-	$(BIN)/python -m docs.generate.api_docs
-	$(BIN)/python -m docs.generate.assurance_docs
 
 docs: $(DOCS) schema ## Build the documentation into build/docs
-	$(BIN)/mkdocs build --strict --site-dir build/docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --site-dir build/docs
 
 clean: ## Remove what the targets made (runs are kept)
 	rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis

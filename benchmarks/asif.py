@@ -24,7 +24,7 @@ from polaris.inspection.flights.sampling import initial_conditions
 from polaris.inspection.inspection import Inspection
 from polaris.runs.campaign import local
 from polaris.runs.monte_carlo import run_monte_carlo
-from polaris.scenario.inspection import load_inspection
+from polaris.scenario.scenario import load_scenario
 
 
 def time_filter(deputies: int, sharing: str, sampled: bool, calls: int = 2000) -> tuple[float, float, float]:
@@ -79,7 +79,7 @@ def main() -> None:
 
 
 def _monte_carlo(runs: int, workers: int) -> None:
-    scenario = load_inspection("inspection-monte-carlo").with_assignments([f"campaign.runs={runs}"])
+    scenario = load_scenario("inspection-monte-carlo").with_assignments([f"campaign.runs={runs}"])
     begun = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
         summary = run_monte_carlo(Path(folder) / "c", scenario, executor=local(workers)).summary

@@ -21,6 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
+from polaris.report.figures import draw_run
 from polaris.rta.arena import TUNING, compare_methods
 from polaris.rta.outcome import Outcome
 from polaris.rta.scene import Scene
@@ -228,7 +229,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         tables[name], comparison = scene_table(schedule, given.runs, tuned)
         if given.write and name in FIGURES:
             with tempfile.TemporaryDirectory() as place:
-                folder = write_comparison(Path(place) / "one", scenarios[name], comparison)
+                folder = write_comparison(Path(place) / "one", scenarios[name], comparison, draw=draw_run)
                 for figure in FIGURES[name]:
                     target = PAGE.parent / "figures" / f"comparison-{name}-{figure}.png"
                     shutil.copyfile(folder.path / "figures" / f"{figure}.png", target)

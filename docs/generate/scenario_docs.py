@@ -1,4 +1,4 @@
-"""Write the scenario formats' JSON Schemas and their reference page from the models.
+"""Write the scenario formats' JSON Schemas, and the tables of their reference page, from the models.
 
 Run ``python -m docs.generate.scenario_docs`` after a change to the models; a test compares the files.
 """
@@ -6,59 +6,27 @@ Run ``python -m docs.generate.scenario_docs`` after a change to the models; a te
 from __future__ import annotations
 
 import json
+import re
 import sys
 from collections.abc import Iterator
+from functools import reduce
+from operator import or_
 from pathlib import Path
 from typing import Any
 
 from pydantic import TypeAdapter
 
-from polaris.scenario.inspection import KINDS
-from polaris.scenario.inspection import Model as InspectionModels
+from polaris.scenario.scenario import KINDS, InspectionScenario
 from polaris.scenario.tables import ScenarioModel
+
+INSPECTIONS = {name: kind.MODEL for name, kind in KINDS.items() if issubclass(kind, InspectionScenario)}
+"""Model of each kind of scenario of the inspection problem."""
 
 SCHEMA_FILE = "scenario.schema.json"
 INSPECTION_FILE = "inspection.schema.json"
 REFERENCE_FILE = "scenario-reference.md"
 
-_INTRODUCTION = """\
-# Scenario reference
-
-<!-- Generated from the models by `python -m docs.generate.scenario_docs`. Do not edit. -->
-
-A scenario is one TOML file. Unknown keys are refused, numbers must be finite, and units stand in
-the names of the fields or in the tables below. States are written in the order of the system's
-state vector; in Hill's frame that is `[r_x, r_y, r_z, v_x, v_y, v_z]` (x radial, y along-track, z
-cross-track) in m and m/s. A system has *n* states, *m* inputs and *d* position coordinates (6, 3
-and 3 in Hill's frame).
-
-`polaris check FILE` validates a file and does nothing else. `polaris run FILE --set
-planner.solver=gurobi` replaces single values; lists count from 0, as in `--set
-obstacles[0].radius_m=25`. Editors that know JSON Schema complete and check the file when its first
-line is `#:schema ` followed by the path of [`scenario.schema.json`](scenario.schema.json).
-
-The planner keeps 1 mm more clearance of every unsafe set than the proof needs, whatever the size of the
-scene. Where the clearances themselves are of that size (a scene of millimetres, or kilometres given as
-numbers near 1), it finds nothing: state such a scene in another unit, with `kind = "linear"`, so that its
-clearances are numbers well above 0.001. Nothing else depends on the unit.
-
-**The same from Python.** Classes take what the tables hold under the same names without the unit at
-the end, in SI units: `center_m` is `center`, `thrust_accel_max_m_s2` is `thrust_accel_max`,
-`min_dwell_steps` is `min_dwell`. Other names: `normals` and `offsets_m` are `H` and `b` ($Hp\\le
-b$), `half_angle_deg` is `half_angle_rad`; `horizon.duration_s` and `step_s` become `K` and `delta`,
-and `input_max`, `disturbance_max` of a system are `u_max`, `w_max`. Messages name the field of the
-file, from Python too.
-"""
-
-
-_INSPECTION = """\
-# Scenarios of the inspection problem
-
-A file with a key `kind` at the top describes no switching schedule but deputies that inspect a chief
-([inspection](inspection.md)). States are those of Hill's frame. `polaris check`, `--set` and the errors are
-the same; the schema is [`inspection.schema.json`](inspection.schema.json). Defaults are the values of Table 1
-of Dunlap, van Wijk and Hobbs where the paper prints one.
-"""
+DOCS = Path(__file__).resolve().parents[1]
 
 
 def schema() -> dict[str, Any]:
@@ -73,7 +41,7 @@ def schema() -> dict[str, Any]:
 
 def inspection_schema() -> dict[str, Any]:
     """JSON Schema of the scenarios of the inspection problem, one model for each kind."""
-    found: dict[str, Any] = _tidy(TypeAdapter(InspectionModels).json_schema())
+    found: dict[str, Any] = _tidy(TypeAdapter(reduce(or_, INSPECTIONS.values())).json_schema())
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "oneOf": found["anyOf"],
@@ -97,80 +65,80 @@ def _tidy(node: Any) -> Any:
     return kept
 
 
-def schema_text() -> str:
-    """The schema as it is written to the file."""
-    return json.dumps(schema(), indent=2, ensure_ascii=False) + "\n"
-
-
-def inspection_schema_text() -> str:
-    """The schema of the inspection problem as it is written to the file."""
-    return json.dumps(inspection_schema(), indent=2, ensure_ascii=False) + "\n"
-
-
 # -- the reference page -----------------------------------------------------------------------------
 
 
 def reference_text() -> str:
-    """The reference page as Markdown."""
+    """The reference page: the committed text with both of its generated parts made anew."""
+    text = (DOCS / REFERENCE_FILE).read_text(encoding="utf-8")
+    for part, lines in (("schedule", _schedule_lines()), ("inspection", _inspection_lines())):
+        pattern = rf"(<!-- {part}: .+? -->\n\n).*?(\n\n<!-- end -->)"
+        made = "\n".join(lines).strip("\n")
+        text = re.sub(pattern, lambda found, made=made: found[1] + made + found[2], text, flags=re.S)
+    return text
+
+
+def _schedule_lines() -> Iterator[str]:
+    """Top level, then every table with what it may hold."""
     whole = schema()
     tables = whole["$defs"]
-    lines = [_INTRODUCTION, "## Top level", "", *_fields(whole, tables, whole["required"])]
+    yield from ("## Top level", "", *_fields(whole, tables))
     for key, node in whole["properties"].items():
         members = list(_members(node, tables))
         if not members:
             continue
-        heading = f"[[{key}]]" if node.get("type") == "array" else f"[{key}]"
-        lines += ["", f"## `{heading}`"]
-        if len(members) > 1:
-            lines += ["", node["description"]]
+        heading = _heading(key, node)
+        yield from ("", f"## `{heading}`")
+        yield from _choices(node, members, tables, "" if key == "recoverable" else "###")
         for member in members:
-            lines += _section(member, tables, heading)
             reference = member["properties"].get("reference")
             if reference:
-                lines += ["", "#### `reference` of a controller"]
-                for choice in _members(reference, tables):
-                    lines += _section(choice, tables, "reference")
-    return "\n".join([*lines, "", *_inspection_lines()]) + "\n"
+                yield from ("", "#### `reference` of a controller")
+                yield from _choices({}, list(_members(reference, tables)), tables, "#####")
 
 
 def _inspection_lines() -> Iterator[str]:
-    """The part on the inspection problem: top level by kind, then every table once."""
+    """Top level by kind, then every table once."""
     tables = inspection_schema()["$defs"]
-    yield _INSPECTION.rstrip("\n")
     seen: dict[str, str] = {}
-    for kind, model in KINDS.items():
+    for kind, model in INSPECTIONS.items():
         whole = tables[model.__name__]
         yield from ("", f'## `kind = "{kind}"`', "", whole["description"], "")
-        yield from _fields(whole, tables, whole["required"])
+        yield from _fields(whole, tables)
         for key, node in whole["properties"].items():
             members = list(_members(node, tables))
-            heading = f"[[{key}]]" if node.get("type") == "array" else f"[{key}]"
             names = json.dumps(members, sort_keys=True)
             if not members:
                 continue
+            heading = _heading(key, node)
             yield from ("", f"### `{heading}` of `{kind}`")
             if names in seen:
                 yield from ("", f"As `{heading}` of `{seen[names]}`.")
                 continue
             seen[names] = kind
-            if len(members) > 1:
-                yield from ("", node["description"])
-            for member in members:
-                yield from _section(member, tables, "reference")
+            yield from _choices(node, members, tables, "#####")
             if key == "strengthening":
                 yield from ("", "#### Function of one kind of constraint")
-                yield from _section(tables["Alpha"], tables, heading)
+                yield from _choices({}, [tables["Alpha"]], tables, "###")
 
 
-def _section(member: dict[str, Any], tables: dict[str, Any], heading: str) -> Iterator[str]:
-    """One table of the file: its kind, what it is, its fields."""
-    kind = member["properties"].get("kind")
-    if kind and heading != "[recoverable]":
-        words = " or ".join(f'`kind = "{word}"`' for word in _words(kind))
-        level = "#####" if heading == "reference" else "###"
-        yield from ("", f"{level} {words}")
-    yield from ("", member["description"], "")
-    yield from _fields(member, tables, member.get("required", []))
+def _heading(key: str, node: dict[str, Any]) -> str:
+    return f"[[{key}]]" if node.get("type") == "array" else f"[{key}]"
+
+
+def _choices(
+    node: dict[str, Any], members: list[dict[str, Any]], tables: dict[str, Any], level: str
+) -> Iterator[str]:
+    """Every table that a field may hold: its kind (none without a level), what it is, its fields."""
+    if len(members) > 1 and node:
+        yield from ("", node["description"])
+    for member in members:
+        kind = member["properties"].get("kind")
+        if kind and level:
+            words = " or ".join(f'`kind = "{word}"`' for word in _words(kind))
+            yield from ("", f"{level} {words}")
+        yield from ("", member["description"], "")
+        yield from _fields(member, tables)
 
 
 def _members(node: dict[str, Any], tables: dict[str, Any]) -> Iterator[dict[str, Any]]:
@@ -184,11 +152,11 @@ def _members(node: dict[str, Any], tables: dict[str, Any]) -> Iterator[dict[str,
         yield from _members(node["items"], tables)
 
 
-def _fields(table: dict[str, Any], tables: dict[str, Any], required: list[str]) -> Iterator[str]:
+def _fields(table: dict[str, Any], tables: dict[str, Any]) -> Iterator[str]:
     yield "| Field | Value | Unit | Default | Meaning |"
     yield "|---|---|---|---|---|"
     for key, node in table["properties"].items():
-        shown = _default(node) if key not in required else "required"
+        shown = _default(node) if key not in table.get("required", ()) else "required"
         cells = (f"`{key}`", _value(node, tables), node["unit"], shown, node["description"])
         yield "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
@@ -234,17 +202,22 @@ def _range(node: dict[str, Any]) -> str:
     return " " + ", ".join(bounds) if bounds else ""
 
 
-def write(folder: Path) -> tuple[Path, Path, Path]:
+def texts() -> dict[str, str]:
+    """What the files hold, by their names."""
+    schemas = {SCHEMA_FILE: schema(), INSPECTION_FILE: inspection_schema()}
+    written = {name: json.dumps(node, indent=2, ensure_ascii=False) + "\n" for name, node in schemas.items()}
+    return {**written, REFERENCE_FILE: reference_text()}
+
+
+def write(folder: Path) -> list[Path]:
     """Write all files into a folder; return their paths."""
     folder.mkdir(parents=True, exist_ok=True)
-    paths = folder / SCHEMA_FILE, folder / INSPECTION_FILE, folder / REFERENCE_FILE
-    texts = schema_text(), inspection_schema_text(), reference_text()
-    for path, text in zip(paths, texts, strict=True):
-        path.write_text(text, encoding="utf-8", newline="\n")
-    return paths
+    for name, text in texts().items():
+        (folder / name).write_text(text, encoding="utf-8", newline="\n")
+    return [folder / name for name in texts()]
 
 
 if __name__ == "__main__":
-    target = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).resolve().parents[1]
+    target = Path(sys.argv[1]) if len(sys.argv) > 1 else DOCS
     for written in write(target):
         print(written)

@@ -20,6 +20,9 @@ def version() -> str:
     return metadata.version(DISTRIBUTION)
 
 
+__version__ = version()
+
+
 def versions() -> dict[str, str]:
     """Versions of everything a result depends on, by name."""
     import platform

@@ -11,9 +11,8 @@ from pathlib import Path
 
 from ..model.errors import ScenarioError
 from ..runs.atomic import check_file, replacing_file
-from ..runs.folder import DATA_FILES, read_run, readable
-from ..runs.inspection import is_inspection
-from ..runs.inspection import read_run as read_inspection
+from ..runs.folder import readable
+from ..runs.run import read_run
 from .html.page import Page, page_html
 
 __all__ = ["report_page", "write_report"]
@@ -52,21 +51,21 @@ def write_report(folder: str | Path, out: str | Path | None = None) -> Path:
 def report_page(folder: str | Path) -> Page:
     """What the report of a folder says; see `write_report`."""
     path = Path(folder)
+    if not path.is_dir():
+        raise ScenarioError("report", str(folder), _no_folder(path))
+    run = read_run(path)
     with readable(path):
-        if (path / "comparison.json").is_file():
+        if run.kind.name == "comparison":
             from .html.comparison_report import comparison_page
 
             return comparison_page(path)
-        if all((path / name).is_file() for name in DATA_FILES):
+        if run.kind.name == "schedule":
             from .html.run_report import run_page
 
-            return run_page(read_run(path))
-        if is_inspection(path):
-            from .html.inspection_report import inspection_page
+            return run_page(run)
+        from .html.inspection_report import inspection_page
 
-            return inspection_page(read_inspection(path))
-    what = "must be a run folder or a comparison" if path.is_dir() else _no_folder(path)
-    raise ScenarioError("report", str(folder), what)
+        return inspection_page(run)
 
 
 def _no_folder(path: Path) -> str:

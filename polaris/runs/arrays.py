@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from ..model.system import Array
 from ..simulation.baselines import Flights
 from ..synthesis.schedule import Schedule
-from .picture import SlicePicture, TubePicture, recoverable_slices, shown_steps
+from .picture import SlicePicture, TubePicture
 
 
-def write_sets(path: Path, schedule: Schedule) -> None:
+def write_sets(path: Path, schedule: Schedule, slices: SlicePicture | None) -> None:
     """Write everything the recoverable sets are made from, in error coordinates, and slices for figures."""
     safety = schedule.safety
     clearance, tracking, kind = safety.clearance, safety.tracking, safety.recoverable.kind
@@ -46,12 +46,11 @@ def write_sets(path: Path, schedule: Schedule) -> None:
         "start_center": safety.start.c,
         "start_generators": safety.start.G,
     }
-    slices = recoverable_slices(safety)
     if slices is not None:
         arrays |= {
-            "slice_step": shown_steps(safety.problem.K),
-            "slice_center_m": slices.centre,
-            "slice_outline_m": slices.outline,
+            "slice_t_s": slices.times,
+            "slice_place_m": slices.places,
+            "slice_outline_m": slices.outlines,
         }
     np.savez(path, **arrays)
 
@@ -83,20 +82,26 @@ def write_tubes(path: Path, schedule: Schedule) -> None:
     )
 
 
+FLIGHTS = {
+    "controller": "controller",
+    "labels": "labels",
+    "t_s": "times",
+    "states": "states",
+    "inputs": "inputs",
+    "modes": "modes",
+    "distance_m": "nearest",
+    "input_range": "input_range",
+}
+"""Attribute of the flights of a controller by the name of its array."""
+
+
 def write_flights(path: Path, flown: Mapping[str, Flights]) -> None:
     """Write some runs of every controller and the envelope of all of them."""
-    arrays: dict[str, Any] = {}
-    for key, flights in flown.items():
-        arrays |= {
-            f"{key}_controller": np.array(flights.controller),
-            f"{key}_labels": np.array(flights.labels),
-            f"{key}_t_s": flights.times,
-            f"{key}_states": flights.states,
-            f"{key}_inputs": flights.inputs,
-            f"{key}_modes": flights.modes,
-            f"{key}_distance_m": flights.nearest,
-            f"{key}_input_range": flights.input_range,
-        }
+    arrays: dict[str, Any] = {
+        f"{key}_{name}": np.array(getattr(flights, held))
+        for key, flights in flown.items()
+        for name, held in FLIGHTS.items()
+    }
     np.savez(path, **arrays)
 
 
@@ -106,15 +111,22 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
         return {name: file[name] for name in file.files}
 
 
+def read_finite(path: Path, finite: Iterable[str]) -> dict[str, NDArray[Any]]:
+    """All arrays of a file, some of which must be of finite numbers; `ValueError` if they are not."""
+    arrays = read_arrays(path)
+    if not all(np.isfinite(arrays[name]).all() for name in finite):
+        raise ValueError(f"{path.name}: numbers that are not finite")
+    return arrays
+
+
 def read_flights(path: Path) -> dict[str, Flights]:
     """Read what `write_flights` wrote."""
-    arrays = read_arrays(path)
-    out = {}
+    arrays, out = read_arrays(path), {}
     for key in ("safety", "experimental", "polaris"):
         if f"{key}_t_s" in arrays:
-            names = ("controller", "labels", "t_s", "states", "inputs", "modes", "distance_m", "input_range")
-            controller, labels, *rest = (arrays[f"{key}_{name}"] for name in names)
-            out[key] = Flights(str(controller), tuple(labels.tolist()), *rest)
+            found: dict[str, Any] = {held: arrays[f"{key}_{name}"] for name, held in FLIGHTS.items()}
+            found |= {"controller": str(found["controller"]), "labels": tuple(found["labels"].tolist())}
+            out[key] = Flights(**found)
     return out
 
 
@@ -125,8 +137,8 @@ def read_tube(path: Path, C: Array) -> TubePicture:
 
 
 def read_slices(path: Path) -> SlicePicture | None:
-    """Slices out of what `write_sets` wrote."""
+    """Slices out of what `write_sets` wrote; None of a folder whose slices were not those of its runs."""
     arrays = read_arrays(path)
-    if "slice_outline_m" not in arrays:
+    if "slice_place_m" not in arrays:
         return None
-    return SlicePicture(arrays["slice_center_m"], arrays["slice_outline_m"])
+    return SlicePicture(arrays["slice_t_s"], arrays["slice_place_m"], arrays["slice_outline_m"])

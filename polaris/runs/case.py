@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import tomllib
 from itertools import groupby
@@ -13,38 +12,25 @@ import numpy as np
 
 from ..model.errors import ScenarioError
 from ..model.system import Array
-from ..scenario.scenario import Scenario, load_scenario
+from ..scenario.scenario import ScheduleScenario, load_scenario
 from ..simulation.falsification.attacks import Attack
 from ..simulation.falsification.claims import Claims
 from ..simulation.falsification.measure import attained
 from ..simulation.falsification.search import Failure, Falsification, violation
 from ..simulation.integration import Integrator
-from ..synthesis.controllers import AffineController
 from ..synthesis.schedule import Schedule
 from ..synthesis.synthesize import synthesize
 from .atomic import replacing_file
-from .folder import read_run, readable
+from .folder import readable
+from .run import read_run
+from .schedule import SCHEDULE, digest
 from .tables import json_text, read_reference, write_text
 
 FORMAT = "polaris case"
 VERSION = 1
 
 
-def digest(schedule: Schedule) -> str:
-    """SHA-256 of what a schedule does: modes, references, gains, limits."""
-    found = hashlib.sha256()
-    safety = schedule.safety
-    system = safety.problem.system
-    arrays = [schedule.modes, safety.reference.chi, safety.reference.nu, safety.tracking.gain, system.u_max]
-    for law in schedule.controllers:
-        if isinstance(law, AffineController):
-            arrays += [law.gain, law.own.chi, law.own.nu]
-    for array in arrays:
-        found.update(np.ascontiguousarray(array).tobytes())
-    return found.hexdigest()
-
-
-def load_target(target: str) -> tuple[Scenario, Schedule]:
+def load_target(target: str) -> tuple[ScheduleScenario, Schedule]:
     """Synthesise a scenario, or that of a run folder.
 
     Raises
@@ -53,28 +39,30 @@ def load_target(target: str) -> tuple[Scenario, Schedule]:
         If there is no such scenario, or the schedule made again is not that of the folder.
     """
     if not Path(target).is_dir():
-        scenario = load_scenario(target)
+        scenario = load_scenario(target, only=ScheduleScenario)
         return scenario, synthesize(scenario)
     folder = read_run(target)
+    if folder.kind is not SCHEDULE:
+        raise ScenarioError("run folder", target, f"must be of a schedule, not of kind {folder.kind.name!r}")
     schedule = synthesize(folder.scenario)
     reference = schedule.safety.reference
     with readable(folder.path):
         kept = read_reference(folder.path / "reference.csv", reference.system, reference.delta)
     same = np.array_equal(kept.chi, reference.chi) and np.array_equal(kept.nu, reference.nu)
-    if not same or folder.schedule.get("modes") != schedule.modes.tolist():
+    if not same or folder.json("schedule.json").get("modes") != schedule.modes.tolist():
         rule = "holds another schedule than its scenario gives here (edited, or other versions)"
         raise ScenarioError("run folder", target, rule)
     return folder.scenario, schedule
 
 
-def write_case(path: str | Path, scenario: Scenario, found: Falsification) -> Path:
+def write_case(path: str | Path, scenario: ScheduleScenario, found: Falsification) -> Path:
     """Save the counterexample of a search.
 
     Parameters
     ----------
     path : path
         A JSON file, replaced if it is there.
-    scenario : Scenario
+    scenario : ScheduleScenario
         What was synthesised, overrides included.
     found : Falsification
         With a failure.
@@ -100,14 +88,14 @@ def write_case(path: str | Path, scenario: Scenario, found: Falsification) -> Pa
     return target
 
 
-def replay(path: str | Path) -> tuple[Failure | None, Scenario]:
+def replay(path: str | Path) -> tuple[Failure | None, ScheduleScenario]:
     """Fly a saved case again: synthesise its schedule, check that it is the same, simulate.
 
     Returns
     -------
     failure : Failure or None
         What it violates now.
-    scenario : Scenario
+    scenario : ScheduleScenario
         Of the case.
 
     Raises
@@ -116,7 +104,7 @@ def replay(path: str | Path) -> tuple[Failure | None, Scenario]:
         If the file is no case, or its scenario no longer gives the schedule it was found on.
     """
     data = _read(Path(path))
-    scenario = Scenario.from_dict(tomllib.loads(data["scenario"]), Path(path).name)
+    scenario = ScheduleScenario.from_dict(tomllib.loads(data["scenario"]), Path(path).name)
     schedule = synthesize(scenario)
     if digest(schedule) != data["schedule"]:
         rule = "belongs to another schedule than its scenario gives here (other versions of the solver?)"

@@ -11,14 +11,14 @@ import numpy as np
 
 from reach.numerics.linear import growth
 
-from ..model.system import (Array)
-from ..model.timed_polytope import (TimedPolytope)
-from ..model.tolerances import (ROUNDING)
-from ..synthesis.clearance import (error_tube)
+from ..certificate.document import FORMAT, VERSION, canonical, digest
+from ..model.system import Array
+from ..model.timed_polytope import TimedPolytope
+from ..model.tolerances import ROUNDING
+from ..synthesis.clearance import error_tube
 from ..synthesis.controllers import AffineController, Controller, TubeSegment
-from ..synthesis.get_safety import (Safety)
-from ..synthesis.schedule import (Schedule, Step, assumed)
-from ..certificate.document import (FORMAT, VERSION, canonical, digest)
+from ..synthesis.get_safety import Safety
+from ..synthesis.schedule import Schedule, Step, assumed
 
 
 def hexadecimal(values: Any) -> Any:
@@ -51,14 +51,52 @@ def certificate(schedule: Schedule, name: str, files: Iterable[Path] = ()) -> di
     dict
         JSON data; see docs/certificate.md.
     """
-    safety = schedule.safety
-    system, tracking = safety.problem.system, safety.tracking
-    until = safety.end.until
+    safety, until = schedule.safety, schedule.safety.end.until
     data: dict[str, Any] = {
         "format": FORMAT,
         "schema_version": VERSION,
         "scenario": {"name": name},
         "artefacts": {path.name: file_hash(path) for path in files},
+        **_setting(safety),
+        "unsafe_sets": [_unsafe(item, safety.reference.cells) for item in safety.clearance.unsafe],
+        "facets": safety.clearance.facets.tolist(),
+        "reference": {
+            "states": hexadecimal(safety.reference.chi),
+            "inputs": hexadecimal(safety.reference.nu),
+        },
+        "controllers": [_controller(item, safety) for item in schedule.controllers],
+        "schedule": {
+            "modes": schedule.modes.tolist(),
+            "margins": [hexadecimal(m) if np.isfinite(m) else None for m in schedule.margins.tolist()],
+        },
+        **_bounds(safety),
+        "recoverable": {
+            "kind": safety.recoverable.kind,
+            "weight": hexadecimal(safety.tracking.W),
+            "radius": [
+                None if np.isinf(radius) else hexadecimal(radius)  # where nothing is claimed from there on
+                for radius in (
+                    safety.recoverable.radius(k * safety.clearance.q) for k in range(safety.problem.K + 1)
+                )
+            ],
+        },
+        "enclosures": _enclosures(schedule),
+        "end": {
+            "horizon": safety.end.horizon,
+            "until": hexadecimal(until) if np.isfinite(until) else None,
+            "reason": safety.end.reason,
+        },
+        "guarantee": schedule.guarantee,
+        "assumptions": assumed(safety),
+    }
+    data["digest"] = digest(data)
+    return data
+
+
+def _setting(safety: Safety) -> dict[str, Any]:
+    """The system, its sampling, and where it starts."""
+    system, tracking = safety.problem.system, safety.tracking
+    return {
         "system": {
             "kind": "linear" if system.mean_motion is None else "clohessy_wiltshire",
             "mean_motion": None if system.mean_motion is None else hexadecimal(system.mean_motion),
@@ -81,39 +119,7 @@ def certificate(schedule: Schedule, name: str, files: Iterable[Path] = ()) -> di
             "center": hexadecimal(safety.problem.initial_set.c),
             "generators": hexadecimal(safety.problem.initial_set.G.T),
         },
-        "unsafe_sets": [_unsafe(item, safety.reference.cells) for item in safety.clearance.unsafe],
-        "facets": safety.clearance.facets.tolist(),
-        "reference": {
-            "states": hexadecimal(safety.reference.chi),
-            "inputs": hexadecimal(safety.reference.nu),
-        },
-        "controllers": [_controller(item, safety) for item in schedule.controllers],
-        "schedule": {
-            "modes": schedule.modes.tolist(),
-            "margins": [hexadecimal(m) if np.isfinite(m) else None for m in schedule.margins.tolist()],
-        },
-        **_bounds(safety),
-        "recoverable": {
-            "kind": safety.recoverable.kind,
-            "weight": hexadecimal(tracking.W),
-            "radius": [
-                None if np.isinf(radius) else hexadecimal(radius)  # where nothing is claimed from there on
-                for radius in (
-                    safety.recoverable.radius(k * safety.clearance.q) for k in range(safety.problem.K + 1)
-                )
-            ],
-        },
-        "enclosures": _enclosures(schedule),
-        "end": {
-            "horizon": safety.end.horizon,
-            "until": hexadecimal(until) if np.isfinite(until) else None,
-            "reason": safety.end.reason,
-        },
-        "guarantee": schedule.guarantee,
-        "assumptions": assumed(safety),
     }
-    data["digest"] = digest(data)
-    return data
 
 
 def write_certificate(folder: Path, schedule: Schedule, name: str, files: Iterable[str]) -> None:

@@ -1,158 +1,93 @@
-"""Comparison folders: everything one comparison found, written beside and renamed into place.
-
-A comparison folder holds
+"""Folders of comparisons of run-time methods.
 
 ================== ==================================================================================
-run/               the run folder of the schedule (`polaris.runs.folder`)
+run/               the run folder of the schedule (`polaris.runs.schedule`)
 comparison.json    protocol, metrics of every method with intervals, claims, differences run by run
 comparison.npz     some flights of every method, and the envelope of all of them
 decisions.jsonl    decisions of every method in the run that came closest, one JSON object per line
 figures/           PDF and PNG
 ================== ==================================================================================
-
-The same scenario, seed and options give the same bytes, but for the times measured and ``created``.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..model.errors import ScenarioError
-from ..model.version import versions
 from ..rta.arena import METHODS, Comparison, Shown
 from ..rta.outcome import DEFINITIONS
-from ..scenario.scenario import Scenario
+from ..scenario.scenario import ScheduleScenario
 from .arrays import read_arrays
-from .atomic import check_target, replacing
-from .folder import RunFolder, read_json, read_run, readable, write_run
-from .tables import json_text, strict, write_text
+from .folder import Draw, RunFolder, RunKind, read_json, write_folder
+from .schedule import SCHEDULE, write_run
+from .stages import Stages
+from .tables import strict, write_text
 
-FILES = ("comparison.json", "comparison.npz", "decisions.jsonl")
+ARRAYS = {
+    "t_s": "times",
+    "states": "states",
+    "inputs": "inputs",
+    "modes": "modes",
+    "distance_m": "nearest",
+}
+"""Attribute of the flights of a method by the name of its array."""
 
 
 @dataclass(frozen=True, eq=False)
-class ComparisonFolder:
-    """A comparison folder on disk.
+class ComparisonPicture:
+    """What figures show of a comparison.
 
     Attributes
     ----------
-    path : Path
+    table : dict
+        Contents of ``comparison.json``.
     run : RunFolder
         Of the schedule.
+    shown : dict of str to Shown
+        The flights kept, by method, without their decisions.
     """
 
-    path: Path
+    table: dict[str, Any]
     run: RunFolder
-
-    @property
-    def table(self) -> dict[str, Any]:
-        """Contents of ``comparison.json``."""
-        return read_json(self.path / "comparison.json")
-
-    def shown(self) -> dict[str, Shown]:
-        """The flights kept, by method, without their decisions."""
-        arrays = read_arrays(self.path / "comparison.npz")
-        out = {}
-        with readable(self.path):
-            for method in self.table["methods"]:
-                key = method["key"]
-                if f"{key}_t_s" in arrays:
-                    names = ("t_s", "states", "inputs", "modes", "distance_m")
-                    t, states, inputs, modes, nearest = (arrays[f"{key}_{name}"] for name in names)
-                    labels = tuple(map(str, arrays[f"{key}_labels"]))
-                    out[key] = Shown(labels, t, states, inputs, modes, nearest, [])
-        return out
-
-    def draw(self) -> list[Path]:
-        """Redraw the figures from the files; the old ones stay until all are drawn."""
-        from ..report.figures.comparison import draw_comparison
-
-        folder = self.path / "figures"
-        with replacing(folder) as beside:
-            names = [path.name for path in draw_comparison(self, beside)]
-        return [folder / name for name in names]
-
-
-def is_comparison(path: str | Path) -> bool:
-    """Whether there is a comparison folder."""
-    return (Path(path) / "comparison.json").is_file()
-
-
-def read_comparison(path: str | Path) -> ComparisonFolder:
-    """Open a comparison folder.
-
-    Raises
-    ------
-    ScenarioError
-        If it is none.
-    """
-    folder = Path(path)
-    for name in FILES:
-        if not (folder / name).is_file():
-            raise ScenarioError("comparison folder", str(path), f"must be one; it has no {name}")
-    return ComparisonFolder(folder, read_run(folder / "run"))
+    shown: dict[str, Shown]
 
 
 def write_comparison(
     out: str | Path,
-    scenario: Scenario,
+    scenario: ScheduleScenario,
     comparison: Comparison,
     *,
-    overrides: Sequence[str] = (),
-    figures: bool = True,
-    progress: Callable[[str], None] | None = None,
-) -> ComparisonFolder:
+    draw: Draw | None = None,
+    stages: Stages | None = None,
+) -> RunFolder:
     """Write a comparison folder, replacing an older one once everything is written.
 
     Parameters
     ----------
     out : path
-    scenario : Scenario
+    scenario : ScheduleScenario
         What was compared on.
     comparison : Comparison
         Result of `polaris.rta.arena.compare_methods`.
-    overrides : sequence of str
-        Texts ``key=value`` that changed the scenario.
-    figures : bool
-        Whether to draw the figures.
-    progress : callable, optional
-        Called with the name of what is being done.
+    draw : callable, optional
+        Puts the figures into the folder before it takes its place; `polaris.draw_run` can do so later.
+    stages : Stages, optional
+        Told what is being done.
 
     Raises
     ------
     ScenarioError
         If `out` is something else than a folder of ours, or cannot be written.
     """
-    target, note = check_target(out), progress or (lambda what: None)
-    with replacing(target) as folder:
-        note("run folder")
-        write_run(folder / "run", scenario, comparison.scene.schedule, overrides=overrides, figures=False)
-        note("files")
-        write_text(folder / "comparison.json", json_text(told(scenario, comparison)))
-        np.savez_compressed(folder / "comparison.npz", **_arrays(comparison.shown))
-        lines = [
-            json.dumps(strict({"method": key, **decision}))
-            for key, shown in comparison.shown.items()
-            for decision in shown.decisions
-        ]
-        write_text(folder / "decisions.jsonl", "\n".join(lines) + "\n")
-        if figures:
-            from ..report.figures.comparison import draw_comparison
-
-            note("figures")
-            (folder / "figures").mkdir()
-            draw_comparison(ComparisonFolder(folder, read_run(folder / "run")), folder / "figures")
-    return ComparisonFolder(target, read_run(target / "run"))
+    return write_folder(out, COMPARISON, scenario, comparison, draw=draw, stages=stages)
 
 
-def told(scenario: Scenario, comparison: Comparison) -> dict[str, Any]:
+def _tell(scenario: ScheduleScenario, comparison: Comparison, seconds: Mapping[str, float]) -> dict[str, Any]:
     """Contents of ``comparison.json``."""
     scene = comparison.scene
     methods = [
@@ -182,9 +117,6 @@ def told(scenario: Scenario, comparison: Comparison) -> dict[str, Any]:
         for key, why in comparison.refused.items()
     ]
     return {
-        "schema_version": 1,
-        "scenario": scenario.name,
-        "title": scenario.model.title,
         "protocol": {
             "runs": comparison.runs,
             "seed": comparison.seed,
@@ -196,8 +128,6 @@ def told(scenario: Scenario, comparison: Comparison) -> dict[str, Any]:
         "definitions": DEFINITIONS,
         "methods": sorted(methods, key=lambda one: list(METHODS).index(str(one["key"]))),
         "paired": comparison.paired(),
-        "versions": versions(),
-        "created": datetime.now(UTC).isoformat(timespec="seconds"),
     }
 
 
@@ -210,15 +140,39 @@ PROTOCOL = (
 )
 
 
-def _arrays(shown: Mapping[str, Shown]) -> dict[str, Any]:
-    out: dict[str, Any] = {}
-    for key, one in shown.items():
-        out |= {
-            f"{key}_t_s": one.times,
-            f"{key}_labels": np.array(one.labels, dtype=str),
-            f"{key}_states": one.states,
-            f"{key}_inputs": one.inputs,
-            f"{key}_modes": one.modes,
-            f"{key}_distance_m": one.nearest,
-        }
-    return out
+def _write(folder: Path, scenario: ScheduleScenario, comparison: Comparison) -> None:
+    write_run(folder / "run", scenario, comparison.scene.schedule)
+    arrays: dict[str, Any] = {}
+    for key, one in comparison.shown.items():
+        arrays[f"{key}_labels"] = np.array(one.labels, dtype=str)
+        arrays |= {f"{key}_{name}": getattr(one, held) for name, held in ARRAYS.items()}
+    np.savez_compressed(folder / "comparison.npz", **arrays)
+    lines = [
+        json.dumps(strict({"method": key, **decision}))
+        for key, shown in comparison.shown.items()
+        for decision in shown.decisions
+    ]
+    write_text(folder / "decisions.jsonl", "\n".join(lines) + "\n")
+
+
+def _read(folder: Path, scenario: ScheduleScenario) -> ComparisonPicture:
+    table, arrays = read_json(folder / "comparison.json"), read_arrays(folder / "comparison.npz")
+    shown = {}
+    for method in table["methods"]:
+        key = method["key"]
+        if f"{key}_t_s" in arrays:
+            labels = tuple(map(str, arrays[f"{key}_labels"]))
+            flown: dict[str, Any] = {held: arrays[f"{key}_{name}"] for name, held in ARRAYS.items()}
+            shown[key] = Shown(labels, **flown, decisions=[])
+    return ComparisonPicture(table, RunFolder(folder / "run", scenario, SCHEDULE), shown)
+
+
+COMPARISON = RunKind(
+    "comparison",
+    ("comparison.json", "comparison.npz"),
+    _write,
+    _tell,
+    _read,
+    summary="comparison.json",
+)
+"""What a comparison leaves."""

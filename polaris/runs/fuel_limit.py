@@ -1,95 +1,53 @@
-"""The fuel limit, from a scenario to a run folder (figure 9)."""
+"""Run folders of a flight into the fuel limit (figure 9): scenario, summary, ``fuel.npz``, figures."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from datetime import UTC, datetime
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from ..model.errors import ScenarioError
-from .arrays import read_arrays
-from ..model.version import versions
-from ..inspection.enmt import (semi_axes, velocity_error)
+from ..inspection.enmt import semi_axes, velocity_error
 from ..inspection.filters.fuel import FuelLimit
-from ..inspection.flights.fuel_run import (FuelRun, Prediction, fly_fuel_limit)
-from ..inspection.inspection import Inspection
-from ..inspection.flights.primary import (LQR, Phases)
-from .inspection import (InspectionFolder, write_folder)
-from ..scenario.inspection import InspectionScenario
+from ..inspection.flights.fuel_run import FuelRun, Prediction, fly_fuel_limit
 from ..scenario.inspection_tables import FuelLimitModel
+from ..scenario.scenario import FuelLimitScenario
+from .arrays import read_finite
+from .folder import SCENARIO, RunKind
+from .stages import Stages
 
-if TYPE_CHECKING:
-    from ..inspection.backup.parking import Law
+ARRAYS = {"t_s": "t", "states": "x", "thrust_N": "u", "desired_N": "desired", "delta_v_m_s": "delta_v"}
+"""Attribute of a flight by the name of its array."""
 
-
-def backup_law(scenario: InspectionScenario) -> Law:
-    """The backup controller that a scenario names."""
-    from ..inspection.backup.parking import Parking
-    from ..inspection.enmt import Ellipses
-    from ..inspection.backup.tracker import Tracker
-
-    model = scenario.model
-    assert isinstance(model, FuelLimitModel)
-    given, q = model.fuel, scenario.inspection()
-    usual = Ellipses.of(q)
-    try:
-        ellipses = Ellipses(
-            q.mean_motion,
-            usual.least if given.semi_minor_least_m is None else given.semi_minor_least_m,
-            usual.largest if given.semi_minor_largest_m is None else given.semi_minor_largest_m,
-            usual.cross_track if given.cross_track_m is None else given.cross_track_m,
-        )
-    except ScenarioError as error:
-        names = {"least": "semi_minor_least_m", "largest": "semi_minor_largest_m"}
-        field = f"fuel.{names.get(error.field, error.field)}"
-        raise ScenarioError(field, error.given, error.rule) from error
-    law = Parking if given.backup == "parking" else Tracker
-    try:
-        return law(q, ellipses, model.flight.period_s, given.response_s)
-    except ScenarioError as error:
-        field = "flight.period_s" if error.field == "period" else f"fuel.{error.field}_s"
-        raise ScenarioError(field, error.given, error.rule) from error
+PREDICTED = {"t_s": "t", "states": "x", "delta_v_m_s": "delta_v"}
+"""The same for a predicted flight."""
 
 
-def fly_fuel_scenario(scenario: InspectionScenario) -> FuelRun:
-    """Fly a scenario of the kind ``fuel_limit``."""
-    model = scenario.model
-    assert isinstance(model, FuelLimitModel)
-    q, flight = scenario.inspection(), model.flight
+def fly_fuel(scenario: FuelLimitScenario, stages: Stages | None = None) -> FuelRun:
+    """Fly one deputy into its fuel limit."""
+    model, flight = scenario.model, scenario.model.flight
     shown = np.linspace(0, flight.duration_s, model.fuel.predictions + 1)[:-1]
-    filtering = FuelLimit(q, backup_law(scenario), model.fuel.keep_clear, spent=model.fuel.spent_m_s)
-    primary = there_and_back(q, model)
-    return fly_fuel_limit(filtering, primary, model.initial_state, flight.duration_s, shown.tolist())
-
-
-def there_and_back(q: Inspection, model: FuelLimitModel) -> Phases:
-    """Regulators to the outer and to the inner target in turn."""
-    given = model.primary
-    weights = (given.position_weight_1_m2, given.velocity_weight_s2_m2, given.thrust_weight_1_N2)
-    inner, outer = LQR(q, given.distance_m / 4, *weights), LQR(q, given.distance_m, *weights)
-    starts = np.arange(0.0, model.flight.duration_s, given.swing_s)
-    return Phases(starts.tolist(), [outer if k % 2 else inner for k in range(len(starts))])
+    with (stages or Stages()).stage("flight"):
+        filtering = FuelLimit(
+            scenario.inspection(), scenario.backup(), model.fuel.keep_clear, spent=model.fuel.spent_m_s
+        )
+        return fly_fuel_limit(
+            filtering, scenario.primary(), model.initial_state, flight.duration_s, shown.tolist()
+        )
 
 
 # -- in numbers -------------------------------------------------------------------------------------
 
 
-def summary(scenario: InspectionScenario, run: FuelRun, seconds: Mapping[str, float]) -> dict[str, Any]:
-    """Contents of ``summary.json`` of a flight into the fuel limit."""
+def _tell(scenario: FuelLimitScenario, run: FuelRun, seconds: Mapping[str, float]) -> dict[str, Any]:
+    """Contents of ``summary.json``."""
     model, q = scenario.model, run.inspection
-    assert isinstance(model, FuelLimitModel)
     left = q.delta_v_max - run.delta_v
     distance = np.linalg.norm(run.x[:, :3], axis=1)
     quiet = np.flatnonzero(np.abs(run.u).sum(axis=1) > 1e-6 * q.thrust_max)
     a, c = semi_axes(run.x[-1], q.mean_motion)
     return {
-        "schema_version": 1,
-        "scenario": scenario.name,
-        "kind": scenario.kind,
-        "title": model.title,
         "duration_s": float(run.t[-1]),
         "period_s": model.flight.period_s,
         "backup": model.fuel.backup,
@@ -123,8 +81,6 @@ def summary(scenario: InspectionScenario, run: FuelRun, seconds: Mapping[str, fl
             "filter_seconds": "wall time of one decision before the switch, prediction included",
         },
         "seconds": dict(seconds),
-        "versions": versions(),
-        "created": datetime.now(UTC).isoformat(timespec="seconds"),
     }
 
 
@@ -150,77 +106,48 @@ def guarantee(model: FuelLimitModel, run: FuelRun) -> dict[str, Any]:
     }
 
 
-# -- run folder -------------------------------------------------------------------------------------
+# -- arrays -----------------------------------------------------------------------------------------
 
 
-def write_fuel_run(
-    out: str | Path,
-    scenario: InspectionScenario,
-    run: FuelRun,
-    *,
-    overrides: Sequence[str] = (),
-    seconds: Mapping[str, float] | None = None,
-    figures: bool = True,
-    progress: Callable[[str], None] = lambda what: None,
-) -> InspectionFolder:
-    """Write the run folder of a flight into the fuel limit; see `polaris.runs.inspection.write_run`."""
-
-    def contents(folder: Path) -> dict[str, Any]:
-        write_fuel(folder / "fuel.npz", run)
-        return summary(scenario, run, seconds or {})
-
-    return write_folder(out, scenario, contents, overrides, figures, progress)
-
-
-def write_fuel(path: Path, run: FuelRun) -> None:
+def _write(folder: Path, scenario: FuelLimitScenario, run: FuelRun) -> None:
     """Write the flight and the predicted backup flights."""
-    arrays: dict[str, Any] = {}
-    for k, one in enumerate(run.predictions):
-        arrays |= {
-            f"prediction_{k}_t_s": one.t,
-            f"prediction_{k}_states": one.x,
-            f"prediction_{k}_delta_v_m_s": one.delta_v,
-        }
+    predicted = {
+        f"prediction_{k}_{name}": getattr(one, held)
+        for k, one in enumerate(run.predictions)
+        for name, held in PREDICTED.items()
+    }
     np.savez(
-        path,
-        t_s=run.t,
-        states=run.x,
-        thrust_N=run.u,
-        desired_N=run.desired,
-        delta_v_m_s=run.delta_v,
+        folder / "fuel.npz",
+        **{name: getattr(run, held) for name, held in ARRAYS.items()},
         latched_at_s=np.array(np.nan if run.latched_at is None else run.latched_at),
         predictions=np.array(len(run.predictions)),
-        **arrays,
+        **predicted,
     )
 
 
-def read_fuel(path: Path, scenario: InspectionScenario) -> FuelRun:
-    """Read what `write_fuel` wrote; reasons and wall times are in the summary only."""
-    arrays = read_arrays(path)
-    t, x, u, desired, spent = (
-        arrays[name] for name in ("t_s", "states", "thrust_N", "desired_N", "delta_v_m_s")
-    )
-    K = len(t) - 1
-    if (x.shape, u.shape, desired.shape, spent.shape) != ((K + 1, 6), (K, 3), (K, 3), (K + 1,)):
+def _read(folder: Path, scenario: FuelLimitScenario) -> FuelRun:
+    """The flight, bit for bit; reasons and wall times are in the summary only."""
+    arrays = read_finite(folder / "fuel.npz", ("t_s", "states", "thrust_N", "delta_v_m_s"))
+    K = len(arrays["t_s"]) - 1
+    if [arrays[name].shape for name in ARRAYS] != [(K + 1,), (K + 1, 6), (K, 3), (K, 3), (K + 1,)]:
         raise ValueError("fuel.npz: arrays of the wrong shape")
-    if not all(np.isfinite(values).all() for values in (t, x, u, spent)):
-        raise ValueError("fuel.npz: numbers that are not finite")
     latched = float(arrays["latched_at_s"])
     predictions = tuple(
-        Prediction(*(arrays[f"prediction_{k}_{name}"] for name in ("t_s", "states", "delta_v_m_s")))
+        Prediction(*(arrays[f"prediction_{k}_{name}"] for name in PREDICTED))
         for k in range(int(arrays["predictions"]))
     )
+    flown: dict[str, Any] = {held: arrays[name] for name, held in ARRAYS.items()}
     return FuelRun(
         scenario.inspection(),
-        t,
-        x,
-        u,
-        desired,
-        spent,
-        None if np.isnan(latched) else latched,
-        None,
-        predictions,
-        False,
-        0.0,
-        0.0,
+        **flown,
+        latched_at=None if np.isnan(latched) else latched,
+        reason=None,
+        predictions=predictions,
+        exhausted=False,
+        slowest_decision=0.0,
+        median_decision=0.0,
     )
+
+
+FUEL_LIMIT = RunKind("fuel_limit", (SCENARIO, "fuel.npz"), _write, _tell, _read, fly_fuel)
+"""What a flight into the fuel limit leaves."""

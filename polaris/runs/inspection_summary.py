@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..model.version import versions
 from ..inspection.constraints.allowable_set import allowable
-from ..rta.projection import (DESIRED, FAILED, FILTERED, SHORT)
-from ..inspection.flights.judge import (JudgedRun, Least)
-from ..scenario.inspection import InspectionScenario
 from ..inspection.filters.one_flight import BACKUP, UNPROVEN
+from ..inspection.flights.judge import JudgedRun, Least
+from ..inspection.flights.simulation import InspectionRun
+from ..rta.projection import DESIRED, FAILED, FILTERED, SHORT
 from ..scenario.filter_tables import (
     BackupFilter,
     BarrierFilter,
@@ -22,7 +20,7 @@ from ..scenario.filter_tables import (
     ExplicitSimplexFilter,
 )
 from ..scenario.inspection_tables import InspectionModel
-from ..inspection.flights.simulation import InspectionRun
+from ..scenario.scenario import FlightScenario
 
 MEANING = {
     "phi1": ("separation from the chief", "m"),
@@ -74,16 +72,11 @@ ASSUMPTIONS = (
 )
 
 
-def summary(scenario: InspectionScenario, flown: JudgedRun, seconds: Mapping[str, float]) -> dict[str, Any]:
+def tell(scenario: FlightScenario, flown: JudgedRun, seconds: Mapping[str, float]) -> dict[str, Any]:
     """Contents of ``summary.json`` for one flight."""
     model, run = scenario.model, flown.run
-    assert isinstance(model, InspectionModel)
     spent = run.delta_v[-1]
     return {
-        "schema_version": 1,
-        "scenario": scenario.name,
-        "kind": scenario.kind,
-        "title": model.title,
         "deputies": run.inspection.deputies,
         "duration_s": float(run.t[-1]),
         "period_s": model.flight.period_s,
@@ -103,11 +96,9 @@ def summary(scenario: InspectionScenario, flown: JudgedRun, seconds: Mapping[str
             "p99": float(np.quantile(flown.seconds, 0.99)),
             "largest": float(flown.seconds.max()),
         },
-        "guarantee": guarantee(scenario, flown),
+        "guarantee": guarantee(model, flown),
         "definitions": DEFINITIONS,
         "seconds": dict(seconds),
-        "versions": versions(),
-        "created": datetime.now(UTC).isoformat(timespec="seconds"),
     }
 
 
@@ -151,10 +142,8 @@ def covered_periods(run: InspectionRun) -> NDArray[np.bool_]:
     return np.asarray(safe & (run.h >= 0).all(axis=1) & (run.status < SHORT).all(axis=1))
 
 
-def guarantee(scenario: InspectionScenario, flown: JudgedRun) -> dict[str, Any]:
+def guarantee(model: InspectionModel, flown: JudgedRun) -> dict[str, Any]:
     """What is claimed of one flight, and on what assumptions."""
-    model = scenario.model
-    assert isinstance(model, InspectionModel)
     covered = covered_periods(flown.run)
     missed = np.flatnonzero(~covered)
     shares = isinstance(model.filter, DecentralizedFilter) and model.filter.sharing == "coasting"

@@ -6,7 +6,7 @@ Besides what every campaign holds (see `polaris.runs.campaign.folder`), the fold
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,14 +16,14 @@ from numpy.typing import NDArray
 
 from ..model.errors import PolarisError
 from ..model.system import Array
-from ..scenario.inspection import InspectionScenario
+from ..scenario.scenario import MonteCarloScenario
 from .atomic import replacing_file
 from .campaign.drive import run_campaign
 from .campaign.folder import CampaignFolder, read_campaign, write_beside
-from .campaign.inspections import BLOCK, InspectionRuns, case_of, initial_states, monte_carlo_model, outcomes
+from .campaign.inspections import BLOCK, InspectionRuns, case_of, initial_states, outcomes
 from .campaign.plan import CampaignPlan
 from .campaign.workers import Workers
-from .folder import scenario_text
+from .folder import SCENARIO, RunKind
 from .tables import write_csv
 
 FAILURE_COLUMNS = ("study", "run", "what", "deputies", "time_s", "value")
@@ -31,11 +31,10 @@ FAILURE_COLUMNS = ("study", "run", "what", "deputies", "time_s", "value")
 
 def run_monte_carlo(
     out: str | Path,
-    scenario: InspectionScenario,
+    scenario: MonteCarloScenario,
     *,
     executor: Executor | Workers | None = None,
     fresh: bool = False,
-    overrides: Sequence[str] = (),
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> CampaignFolder:
     """Fly all studies from drawn initial conditions, and write the run folder, without figures.
@@ -44,14 +43,11 @@ def run_monte_carlo(
     ----------
     out : path
         If it holds the same campaign, only what is missing is flown.
-    scenario : InspectionScenario
-        Of the kind ``monte_carlo``.
+    scenario : MonteCarloScenario
     executor : concurrent.futures.Executor or Workers, optional
         Who flies, as in `run_campaign`; does not change the results.
     fresh : bool
         Replace another campaign.
-    overrides : sequence of str
-        Texts ``key=value`` that changed the scenario, noted in its copy.
     progress : callable
         Told the runs done and all of them, per study.
 
@@ -62,7 +58,7 @@ def run_monte_carlo(
     PolarisError
         If no initial conditions are found, or workers are lost again and again.
     """
-    model = monte_carlo_model(scenario)
+    model = scenario.model
     kind = InspectionRuns(tuple(study.name for study in model.studies))
     plan = CampaignPlan((case_of(scenario),), model.campaign.runs, model.campaign.seed, BLOCK, kind)
     folder = run_campaign(plan, out, executor=executor, fresh=fresh, progress=progress)
@@ -70,7 +66,7 @@ def run_monte_carlo(
         error = PolarisError(failure["message"])
         error.exit_code = failure["exit_code"]
         raise error
-    write_beside(folder.path / "scenario.toml", scenario_text(scenario, overrides))
+    write_beside(folder.path / SCENARIO, scenario.copy_text())
     rows = [
         [name, one["run"], one["what"], " ".join(map(str, one["deputies"])), one["time"], one["value"]]
         for name, outcome in outcomes(folder.plan.cases[0], folder.parts.read(0)).items()
@@ -107,8 +103,7 @@ class CampaignPicture:
     counts: NDArray[np.intp]
 
 
-def read_picture(path: Path) -> CampaignPicture:
-    """Read what the figures need of a campaign's folder."""
+def _read(path: Path, scenario: MonteCarloScenario) -> CampaignPicture:
     folder = read_campaign(path, same_version=False)
     columns = folder.parts.read(0)
     found, x = outcomes(folder.plan.cases[0], columns), initial_states(columns)
@@ -122,3 +117,7 @@ def read_picture(path: Path) -> CampaignPicture:
             counts[s, whats.index(one["what"])] += 1
     success = np.array([outcome.success for outcome in found.values()])
     return CampaignPicture(x, tuple(found), success, failed, tuple(whats), counts)
+
+
+MONTE_CARLO = RunKind("monte_carlo", (SCENARIO, "failures.csv", "manifest.json"), None, None, _read)
+"""What many flights leave; `run_monte_carlo` writes it, as they are flown."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -11,17 +11,21 @@ from numpy.typing import NDArray
 
 from reach.sets.zonotope import Zonotope
 
-from ..model.obstacle import (Obstacle)
+from ..model.obstacle import Obstacle
+from ..model.system import Array, LinearSystem
 from ..planning.reference import Reference
-from ..model.system import (Array, LinearSystem)
+from .frame import Frame, directions
 
 if TYPE_CHECKING:
     from ..simulation.baselines import Flights
     from ..synthesis.get_safety import Safety
     from ..synthesis.schedule import Schedule
 
-SLICES = 8
-"""Recoverable sets shown along the path."""
+PRINTED = 4
+"""Most slices in a printed figure."""
+
+SLICES = 240
+"""Decisions, and besides them switches, up to which all get a slice of their recoverable set."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,18 +47,24 @@ class TubePicture:
 
 @dataclass(frozen=True, eq=False)
 class SlicePicture:
-    """Recoverable errors of position, at rest relative to the reference, at some instants.
+    """Positions that are recoverable at some instants, with all else of the state as it then is in a run.
+
+    A slice contains the place of its own run: those that are not recoverable have none. It says nothing
+    of other instants, nor of other runs, whose velocities differ.
 
     Attributes
     ----------
-    centre : ndarray, shape (S, 2)
-        Reference position [m] in the plane of the figures.
-    outline : ndarray, shape (S, M, 2)
-        Recoverable errors [m] in the same plane.
+    times : ndarray, shape (S,)
+        [s]
+    places : ndarray, shape (S, R, d)
+        Where the chaser then is in each run [m]; nan if not recoverable.
+    outlines : ndarray, shape (S, R, M, 2) or, on the line, (S, R, 2, 1)
+        Slices in the plane of the figures [m], through the chaser's place; nan likewise.
     """
 
-    centre: Array
-    outline: Array
+    times: Array
+    places: Array
+    outlines: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,6 +135,16 @@ class Picture:
         d = self.system.d
         return first.reshape(-1, d), rest.reshape(-1, d)
 
+    def path_times(self, parts: int = 8) -> Array:
+        """Times [s] of the positions of `path` up to T."""
+        steps = np.arange(self.planned)[:, None] + np.linspace(0, 1, parts + 1)
+        return np.asarray(steps.ravel() * self.reference.delta)
+
+    @property
+    def initial_positions(self) -> Zonotope:
+        """Positions of the initial set."""
+        return self.system.position @ self.initial_set
+
     def positions(self, flights: Flights, run: int = 0) -> Array:
         """Positions of one run [m], shape (N+1, d)."""
         return np.asarray(flights.states[run] @ self.system.position.T)
@@ -134,10 +154,7 @@ class Picture:
         flights = self.flights.get("polaris")
         if flights is not None:
             return flights.times, self.positions(flights)
-        before, _ = self.path()
-        parts = len(before) // self.planned
-        steps = np.arange(self.planned)[:, None] + np.linspace(0, 1, parts)
-        return steps.ravel() * self.reference.delta, before
+        return self.path_times(), self.path()[0]
 
     def approach(self, obstacle: Obstacle) -> Approach:
         """When the safe path comes closest to an unsafe set (of another satellite, where it is nominally)."""
@@ -153,6 +170,21 @@ class Picture:
         least = min(found, key=lambda one: one.distance).time if found else 0.0
         return least or self.duration
 
+    def printed_slices(self) -> Iterator[tuple[float, Array, Array]]:
+        """Time [s], chaser's place (d,) and slice (M, e) about it [m], of few instants of the first run.
+
+        The closest approach and some of the switches, or of the decisions if there are none.
+        """
+        if self.slices is None:
+            return
+        times, known = self.slices.times, np.flatnonzero(~np.isnan(self.slices.places[:, 0, 0]))
+        switches = (np.flatnonzero(np.diff(self.modes)) + 1) * self.reference.delta
+        spread = switches if len(switches) else np.linspace(0, self.duration, PRINTED)
+        wanted = [self.closest, *spread[np.linspace(0, len(spread) - 1, PRINTED - 1).astype(int)]]
+        near = {int(known[np.argmin(np.abs(times[known] - t))]) for t in wanted} if len(known) else set()
+        for i in sorted(near):
+            yield float(times[i]), self.slices.places[i, 0], self.slices.outlines[i, 0]
+
     def mode_name(self, mode: int) -> str:
         """How legends call a controller."""
         if mode == 0:
@@ -162,6 +194,11 @@ class Picture:
 
 def picture_of_safety(safety: Safety) -> Picture:
     """What Algorithm 1 found."""
+    picture = _bare(safety)
+    return replace(picture, slices=recoverable_slices(safety, picture))
+
+
+def _bare(safety: Safety) -> Picture:
     problem = safety.problem
     return Picture(
         "Safe reference",
@@ -171,19 +208,19 @@ def picture_of_safety(safety: Safety) -> Picture:
         problem.initial_set,
         safety.reference,
         problem.K,
-        slices=recoverable_slices(safety),
     )
 
 
-def picture_of(schedule: Schedule) -> Picture:
-    """What Algorithm 2 found, flown once without disturbance."""
+def picture_of(schedule: Schedule, flights: Mapping[str, Flights] | None = None) -> Picture:
+    """What Algorithm 2 found, as flown, by default once without disturbance."""
     from ..simulation.baselines import fly_nominal
 
-    flights = {"polaris": fly_nominal(schedule, None, "polaris")}
-    if len(schedule.controllers) > 1:
-        flights["experimental"] = fly_nominal(schedule, 1, schedule.controllers[1].name)
-    return replace(
-        picture_of_safety(schedule.safety),
+    if flights is None:
+        flights = {"polaris": fly_nominal(schedule, None, "polaris")}
+        if len(schedule.controllers) > 1:
+            flights["experimental"] = fly_nominal(schedule, 1, schedule.controllers[1].name)
+    picture = replace(
+        _bare(schedule.safety),
         title="Switching schedule",
         controllers=tuple(controller.name for controller in schedule.controllers),
         modes=schedule.modes,
@@ -192,6 +229,7 @@ def picture_of(schedule: Schedule) -> Picture:
         flights=flights,
         tube=tube_of(schedule),
     )
+    return replace(picture, slices=recoverable_slices(schedule.safety, picture))
 
 
 def tube_of(schedule: Schedule) -> TubePicture:
@@ -205,82 +243,85 @@ def tube_of(schedule: Schedule) -> TubePicture:
     return TubePicture(together.c + xi @ C.T, together.G, bow)
 
 
-def shown_steps(planned: int, most: int = SLICES) -> NDArray[np.int_]:
-    """Steps at whose start recoverable sets are shown."""
-    return np.unique(np.linspace(0, planned - 1, min(most, planned)).astype(int))
+def _slice_nodes(picture: Picture, q: int) -> NDArray[np.int_]:
+    """Nodes that get slices: decisions, switches first, and where the path is closest to an unsafe set."""
+    K, switches = picture.planned, np.flatnonzero(np.diff(picture.modes)) + 1
+    parts = [np.arange(K), switches]
+    steps = [part[np.linspace(0, len(part) - 1, min(SLICES, len(part))).astype(int)] for part in parts]
+    near = np.array([picture.approach(obstacle).time for obstacle in picture.obstacles]) * q
+    nodes = np.round(near / picture.reference.delta)
+    known = nodes[np.abs(near - nodes * picture.reference.delta) <= 1e-6 * picture.reference.delta]
+    return np.unique(np.concatenate([*(q * part for part in steps), known]).astype(int))
 
 
-def recoverable_slices(safety: Safety, steps: Sequence[int] | None = None) -> SlicePicture | None:
-    """Slice the recoverable sets at the start of some steps with the plane of the figures.
+def recoverable_slices(safety: Safety, picture: Picture) -> SlicePicture:
+    """Slice the recoverable sets through the states of all runs under Polaris, else through the reference.
 
-    Works on any kind of set: each is convex and asked only whether it contains points, which are
-    tried along rays on ever finer scales (to 0.3 % of a step of the first). None on the line.
+    Works on any kind of set: each is convex and asked only whether it contains points, which are tried
+    along rays on ever finer scales (to 0.2 % of a step of the first): outlines lie within the sets.
     """
-    system, reference = safety.problem.system, safety.reference
-    frame = Frame.of(system)
-    if system.d < 2:
-        return None
-    chosen = shown_steps(safety.problem.K) if steps is None else np.asarray(steps)
-    circle = directions(24)
-    rays = circle @ np.linalg.pinv(system.position)[:, frame.flat].T  # (M, n)
-    sizes = np.linalg.norm(rays @ safety.tracking.W.T, axis=1)
-    q = safety.tracking.feedback.nodes_per_cell
-    outlines = []
-    for k in chosen:
-        node = int(k) * q
-        known = safety.recoverable.radius(node) / sizes  # a ball that is inside
-        low = np.zeros_like(known)
-        scales = known[:, None] * np.geomspace(0.9, 1e3, 10)
-        for _ in range(5):
-            low, high = _bracket(safety, node, rays, low, scales)
-            scales = low[:, None] + (high - low)[:, None] * np.linspace(0, 1, 6)[1:-1]
-        outlines.append(low[:, None] * circle)
-    centre = reference.chi[chosen] @ system.position.T
-    return SlicePicture(centre[:, frame.flat], np.array(outlines))
+    system, q, K = picture.system, safety.tracking.feedback.nodes_per_cell, picture.planned
+    nodes, reference = _slice_nodes(picture, q), picture.reference
+    nodes = nodes[[np.isfinite(safety.recoverable.radius(int(k))) for k in nodes]]  # else all is recoverable
+    fine = reference.fine(q)[:K, :-1].reshape(K * q, -1)
+    centre = np.vstack([fine, reference.chi[K][None]])[nodes]
+    flights = picture.flights.get("polaris")
+    if flights is None:
+        states = centre[:, None]
+    else:
+        states = np.swapaxes(flights.states[:, nodes * ((len(flights.times) - 1) // (K * q))], 0, 1)
+    flat = picture.frame.flat
+    lift = np.asarray(np.linalg.pinv(system.position)[:, flat].T, dtype=float)
+    circle: Array = np.array([[1.0], [-1.0]]) if len(flat) == 1 else directions(24)
+    slices = [
+        _slice(safety, int(k), e, circle, lift) for k, e in zip(nodes, states - centre[:, None], strict=True)
+    ]
+    places = states @ system.position.T
+    outlines = np.array(slices) + places[:, :, None, flat]
+    places[np.isnan(outlines).any(axis=(2, 3))] = np.nan
+    kept = np.isin(nodes % q, 0) | ~np.isnan(places[:, 0, 0])
+    return SlicePicture(nodes[kept] * reference.delta / q, places[kept], outlines[kept])
 
 
-def _bracket(safety: Safety, node: int, rays: Array, low: Array, scales: Array) -> tuple[Array, Array]:
-    """Largest scale inside (at least `low`) and the next one, per ray."""
-    errors = (rays[:, None] * scales[..., None]).reshape(-1, rays.shape[1])
-    inside = np.asarray(safety.recoverable.contains(node, errors)).reshape(scales.shape)
-    known = np.concatenate([low[:, None], scales, scales[:, -1:]], axis=1)
-    count = np.cumprod(inside, axis=1).sum(axis=1)
-    place = np.arange(len(rays))
-    return known[place, count], known[place, count + 1]
+def _slice(safety: Safety, node: int, errors: Array, circle: Array, lift: Array) -> Array:
+    """Outlines (R, M, e) about the positions of errors (R, n); nan where one is not recoverable."""
+    found = np.full((len(errors), *circle.shape), np.nan)
+    inside = np.flatnonzero(safety.recoverable.contains(node, errors))
+    if not len(inside):
+        return found
+    errors = errors[inside]
+    rays = np.broadcast_to(circle, (len(errors), *circle.shape))
+    shift = np.zeros((len(errors), circle.shape[1]))
+    if circle.shape[1] == 2:
+        # Seen from near the boundary the far side has few rays: go to the middle of a first outline.
+        coarse = rays[:, ::3]
+        shift = (_reach(safety, node, errors, coarse @ lift, 2)[..., None] * coarse).mean(axis=1)
+        # One ray goes through the place itself, so that the polygon contains it.
+        back = -shift / np.maximum(np.linalg.norm(shift, axis=1, keepdims=True), 1e-300)
+        back[~np.any(shift, axis=1)] = circle[0]
+        turn = np.stack([back, back[:, ::-1] * [-1.0, 1.0]], axis=1)  # rows: first ray, and across it
+        rays = circle @ turn
+    least = np.zeros(rays.shape[:2])
+    least[:, 0] = np.linalg.norm(shift, axis=1)
+    size = _reach(safety, node, errors + shift @ lift, rays @ lift, 4, least)
+    found[inside] = shift[:, None] + size[..., None] * rays
+    return found
 
 
-@dataclass(frozen=True)
-class Frame:
-    """Which coordinates a figure shows, and what they are called.
-
-    Attributes
-    ----------
-    axes : tuple of int
-        Position coordinates, horizontal one first. In Hill's frame along-track is drawn to the
-        right and radial (outward) upward, neither reversed; the third is cross-track.
-    labels : tuple of str
-        Axis labels with units, in the same order.
-    """
-
-    axes: tuple[int, ...]
-    labels: tuple[str, ...]
-
-    @classmethod
-    def of(cls, system: LinearSystem) -> Frame:
-        """Frame of a system: Hill's, or plain position coordinates."""
-        if system.mean_motion is not None and system.d == 3:
-            names = ("Along-track (m)", "Radial (m)", "Cross-track (m)")
-            return cls((1, 0, 2), names)
-        letters = "xyz"
-        return cls(tuple(range(system.d)), tuple(f"Position {letters[i]} (m)" for i in range(system.d)))
-
-    @property
-    def flat(self) -> list[int]:
-        """The two coordinates (or the one) of a plane view."""
-        return list(self.axes[:2])
-
-
-def directions(count: int = 32) -> Array:
-    """Unit vectors all round, shape (count, 2)."""
-    angle = 2 * np.pi * np.arange(count) / count
-    return np.stack([np.cos(angle), np.sin(angle)], axis=1)
+def _reach(
+    safety: Safety, node: int, errors: Array, rays: Array, times: int, least: Array | float = 0.0
+) -> Array:
+    """How far recoverable errors (R, n) stay so along rays (R, M, n), at least, shape (R, M)."""
+    W = safety.tracking.W
+    norm = np.maximum(np.linalg.norm(errors @ W.T, axis=1), safety.recoverable.radius(node))
+    scales = (norm[:, None] / np.linalg.norm(rays @ W.T, axis=2))[..., None] * np.geomspace(1e-3, 1e3, 16)
+    low, high = np.zeros(rays.shape[:2]) + least, scales[..., -1]
+    for _ in range(times):
+        scales, high = np.maximum(scales, low[..., None]), np.maximum(high, low)
+        tried = errors[:, None, None] + scales[..., None] * rays[:, :, None]
+        inside = safety.recoverable.contains(node, tried.reshape(-1, errors.shape[1])).reshape(scales.shape)
+        known = np.concatenate([low[..., None], scales, high[..., None]], axis=2)
+        count = np.cumprod(inside, axis=2).sum(axis=2)[..., None]
+        low, high = (np.take_along_axis(known, count + i, axis=2)[..., 0] for i in (0, 1))
+        scales = low[..., None] + (high - low)[..., None] * np.linspace(0, 1, 6)[1:-1]
+    return low

@@ -69,28 +69,12 @@ def write_csv(path: Path, header: tuple[str, ...], rows: list[list[Any]]) -> Non
 
 def step_rows(schedule: Schedule) -> list[dict[str, Any]]:
     """One row per step of the schedule."""
-    times = schedule.times
-    return [
-        dict(
-            zip(
-                STEP_COLUMNS,
-                (
-                    k,
-                    times[k],
-                    times[k + 1],
-                    step.mode,
-                    schedule.controllers[step.mode].name,
-                    step.margin.value,
-                    step.margin.limit,
-                    step.margin.time,
-                    step.margin.need,
-                    step.margin.room,
-                ),
-                strict=True,
-            )
-        )
-        for k, step in enumerate(schedule.steps)
-    ]
+    times, rows = schedule.times, []
+    for k, step in enumerate(schedule.steps):
+        margin, name = step.margin, schedule.controllers[step.mode].name
+        told = (margin.value, margin.limit, margin.time, margin.need, margin.room)
+        rows.append(dict(zip(STEP_COLUMNS, (k, times[k], times[k + 1], step.mode, name, *told), strict=True)))
+    return rows
 
 
 def write_schedule(folder: Path, schedule: Schedule, rules: Mapping[str, Any], guarantee: Any) -> None:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,27 +20,6 @@ from . import tables as models
 
 if TYPE_CHECKING:
     from ..model.obstacle import Obstacle
-    from ..planning.goal import Goal
-
-
-@dataclass(frozen=True, eq=False)
-class TrackingSpec:
-    """What the safety controller's tracking part is made of.
-
-    Attributes
-    ----------
-    Q, R : ndarray, shapes (n, n), (m, m)
-        LQR weights as full, symmetric matrices.
-    bound : {"envelope", "lyapunov"}
-        Method of the error bound.
-    weight : {"auto", "identity"} or ndarray, shape (n, n)
-        Weight W of the error norm ``norm(W e)``; a diagonal matrix if given.
-    """
-
-    Q: Array
-    R: Array
-    bound: Literal["envelope", "lyapunov"]
-    weight: Literal["auto", "identity"] | Array
 
 
 def whole_parts(total: float, part: float) -> int | None:
@@ -110,89 +88,6 @@ def full_weight(weight: ArrayLike) -> Array:
     return np.asarray((matrix + matrix.T) / 2)
 
 
-def build_tracking(spec: models.Tracking) -> TrackingSpec:
-    """LQR weights as matrices, and the norm."""
-    weight: Literal["auto", "identity"] | Array
-    if spec.weight == "auto" or spec.weight == "identity":
-        weight = spec.weight
-    else:
-        weight = np.diag(np.asarray(spec.weight, dtype=float))
-    return TrackingSpec(full_weight(spec.Q), full_weight(spec.R), spec.bound, weight)
-
-
-def build_goal(spec: scene.Goal, system: LinearSystem) -> Goal:
-    """Where the reference must end."""
-    from ..planning import goals
-
-    rate = 1e-2 if system.mean_motion is None else system.mean_motion
-    match spec:
-        case scene.EllipticalNMTGoal():
-            eta = _mean_motion(system, "goal.kind", spec.kind)
-            return goals.EllipticalNMT(
-                eta, spec.inner_semi_minor_m, spec.outer_semi_minor_m, spec.sides, spec.cross_track_max_m
-            )
-        case scene.LinearNMTGoal():
-            eta = _mean_motion(system, "goal.kind", spec.kind)
-            return goals.LinearNMT(eta, spec.amplitude_max_m, spec.along_track_m)
-        case scene.StationaryGoal():
-            return goals.StationaryPoint(np.array(spec.state, dtype=float), rate)
-        case scene.BoxGoal():
-            return goals.Box(np.array(spec.center, dtype=float), np.array(spec.half_widths), rate)
-
-
-def _mean_motion(system: LinearSystem, field: str, given: object) -> float:
-    if system.mean_motion is None:
-        raise ScenarioError(field, given, "needs Hill's frame (system.kind = 'clohessy_wiltshire')")
-    return system.mean_motion
-
-
-def build_obstacle(spec: scene.Obstacle, path: str) -> Obstacle:
-    """One unsafe set of the perception oracle; `path` is its place in the file, for messages."""
-    from ..model import obstacles as unsafe
-    from ..model.satellite import SatelliteObstacle
-
-    match spec:
-        case scene.BoxObstacle():
-            return unsafe.BoxObstacle(
-                spec.name, spec.center_m, spec.half_widths_m, spec.velocity_m_s, path=path
-            )
-        case scene.BallObstacle():
-            return unsafe.BallObstacle(
-                spec.name, spec.center_m, spec.radius_m, spec.velocity_m_s, spec.facets, path=path
-            )
-        case scene.PolytopeObstacle():
-            return unsafe.PolytopeObstacle(
-                spec.name, spec.normals, spec.offsets_m, spec.velocity_m_s, spec.unbounded, path=path
-            )
-        case scene.SatelliteObstacle():
-            return SatelliteObstacle(
-                spec.name,
-                spec.state,
-                spec.state_half_widths,
-                spec.radius_m,
-                spec.thrust_accel_max_m_s2,
-                spec.facets,
-                path=path,
-            )
-
-
-def build_keep_in(spec: scene.KeepIn, path: str) -> Obstacle:
-    """One keep-in set; `path` is its place in the file, for messages."""
-    from ..model import keep_in
-
-    if isinstance(spec, scene.KeepInPolytope):
-        return keep_in.KeepInPolytope(spec.name, spec.normals, spec.offsets_m, path=path)
-    return keep_in.KeepInCone(
-        spec.name,
-        spec.apex_m,
-        spec.axis,
-        math.radians(spec.half_angle_deg),
-        spec.facets,
-        spec.length_m,
-        path=path,
-    )
-
-
 def in_file_terms(error: ScenarioError, path: str, spec: scene.Obstacle | scene.KeepIn) -> ScenarioError:
     """The domain's own error with the field's name in the file (``H`` is called normals there)."""
     name = error.field.rpartition(".")[2]
@@ -210,14 +105,10 @@ def build_obstacles(model: models.ScenarioModel) -> tuple[Obstacle, ...]:
     ScenarioError
         If one of them is not a set the perception oracle can deal with.
     """
-
-    def build(make: Any, path: str, spec: Any) -> Obstacle:
+    made = []
+    for path, part in model.scene_parts():
         try:
-            made: Obstacle = make(spec, path)
+            made.append(part.build(path))
         except ScenarioError as error:
-            raise in_file_terms(error, path, spec) from error
-        return made
-
-    outside = [build(build_obstacle, f"obstacles[{i}]", spec) for i, spec in enumerate(model.obstacles)]
-    inside = [build(build_keep_in, f"keep_in[{i}]", spec) for i, spec in enumerate(model.keep_in)]
-    return (*outside, *inside)
+            raise in_file_terms(error, path, part) from error
+    return tuple(made)

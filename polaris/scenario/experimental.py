@@ -18,7 +18,7 @@ from ..synthesis.controllers import AffineController, AnyThrust, Controller
 from ..synthesis.get_safety import Safety
 from ..synthesis.problem import Problem
 from ..synthesis.tracking import lqr_gain
-from .scene_tables import Affine, Experimental
+from .scene_tables import Affine, Experimental, hill_rate
 
 
 def gain_of(spec: Affine, system: LinearSystem, path: str) -> Array:
@@ -60,10 +60,12 @@ def own_reference(spec: Any, gain: Array, safety: Safety, path: str) -> Referenc
     if spec.kind == "shared":
         return safety.reference
     if spec.kind == "nmt":
-        if system.mean_motion is None:
-            raise ScenarioError(f"{path}.kind", spec.kind, "needs Hill's frame")
         x0 = elliptical_nmt(
-            system.mean_motion, spec.semi_minor_m, spec.phase_rad, spec.cross_track_m, spec.cross_phase_rad
+            hill_rate(system, f"{path}.kind", spec.kind),
+            spec.semi_minor_m,
+            spec.phase_rad,
+            spec.cross_track_m,
+            spec.cross_phase_rad,
         )
         return Reference.propagate(system, delta, x0, np.zeros((K, system.m)))
     if spec.kind == "setpoint":

@@ -1,18 +1,9 @@
-"""Scenarios of the inspection problem: load one by name or path, override a value, build its objects.
-
->>> from polaris.scenario.inspection import load_inspection
->>> load_inspection("inspection").inspection().deputies
-5
-"""
+"""Scenarios of the inspection problem: one flight under a filter, one into the fuel limit, many."""
 
 from __future__ import annotations
 
-import copy
 import difflib
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,27 +11,17 @@ from ..inspection.constraints.strengthening import PRESETS, Strengthening
 from ..inspection.inspection import Inspection
 from ..model.checks import counted
 from ..model.errors import ScenarioError
+from . import inspection_rules as rules
 from . import inspection_tables as models
+from .base import Scenario, kept
 from .filter_tables import Alpha, FlightFilter
-from .inspection_rules import check
-from .overrides import parse_assignment, put
-from .reading import NOTHING, validate_as, write_toml
-from .scenario import locate, read_scenario_file
 
 if TYPE_CHECKING:
+    from ..inspection.backup.parking import Law
     from ..inspection.constraints.families import Families
     from ..inspection.flights.primary import Primary
     from ..inspection.flights.simulation import BatchFilter
     from ..model.system import Array
-
-Model = models.InspectionModel | models.FuelLimitModel | models.MonteCarloModel
-
-KINDS: dict[str, type[Model]] = {
-    "inspection": models.InspectionModel,
-    "fuel_limit": models.FuelLimitModel,
-    "monte_carlo": models.MonteCarloModel,
-}
-"""Kinds of scenario by the key ``kind`` at the top of the file."""
 
 _PARAMETERS = {
     "mass": "mass_kg",
@@ -58,90 +39,17 @@ _PARAMETERS = {
 }
 
 
-@dataclass(frozen=True, eq=False)
-class InspectionScenario:
-    """A validated scenario of the inspection problem and the builders of what it describes.
+class InspectionScenario(Scenario):
+    """What the scenarios of the inspection problem share; see `Scenario`."""
 
-    Parameters
-    ----------
-    model : InspectionModel or another of `KINDS`
-        The fields as in the file.
-    source : str or None
-        Where it came from, for messages.
-    text : str or None
-        The file's text; None once a value has been overridden.
-
-    Raises
-    ------
-    ScenarioError
-        If a rule that joins several fields is broken.
-    """
-
-    model: Model
-    source: str | None = None
-    text: str | None = None
-
-    def __post_init__(self) -> None:
-        try:
-            check(self)
-        except ScenarioError as error:
-            given = NOTHING if error.given is None else error.given
-            raise ScenarioError(error.field, given, error.rule, error.where or self.source) from error
-
-    @classmethod
-    def from_dict(cls, document: Mapping[str, Any], source: str | None = None) -> InspectionScenario:
-        """Validate nested data shaped like the TOML file."""
-        return cls(validate_as(model_of(document, source), document, source), source)
-
-    # -- overrides and data ---------------------------------------------------------------------
-
-    def with_overrides(self, values: Mapping[str, Any]) -> InspectionScenario:
-        """Return a copy with several values replaced together, as in `Scenario.set`."""
-        if not values:
-            return self
-        document = self.to_dict()
-        for key, value in values.items():
-            put(document, key, copy.deepcopy(value), self.source)
-        return self.from_dict(document, self.source)
-
-    def with_assignments(self, assignments: Iterable[str]) -> InspectionScenario:
-        """Return a copy changed by texts ``key=value`` as given to ``--set``."""
-        return self.with_overrides(dict(parse_assignment(text) for text in assignments))
+    model: models.InspectionModel | models.FuelLimitModel | models.MonteCarloModel
 
     @property
-    def name(self) -> str:
-        """Short name."""
-        return self.model.name
+    def deputies(self) -> int:
+        """Number N of deputies."""
+        raise NotImplementedError
 
-    @property
-    def kind(self) -> str:
-        """One of `KINDS`."""
-        return self.model.kind
-
-    def to_dict(self) -> dict[str, Any]:
-        """All values, defaults included, as nested plain data."""
-        return self.model.model_dump(mode="json", exclude_none=True)
-
-    def to_toml(self) -> str:
-        """All values, defaults included, as TOML that loads back to the same scenario."""
-        return write_toml(self.to_dict())
-
-    def outline(self) -> str:
-        """What it describes, on one line."""
-        model, crew = self.model, counted(self.deputies, "deputy", "deputies")
-        if isinstance(model, models.MonteCarloModel):
-            plan, studies = model.campaign, ", ".join(study.name for study in model.studies)
-            return f"{counted(plan.runs, 'run')} of {crew} for {plan.duration_s:g} s, studies: {studies}"
-        flight = model.flight
-        if isinstance(model, models.FuelLimitModel):
-            flown = f"1 deputy, {flight.duration_s:g} s in periods of {flight.period_s:g} s"
-            return f"{flown}, fuel limit {model.parameters.delta_v_max_m_s:g} m/s"
-        return (
-            f"{crew}, {flight.duration_s:g} s in periods of {flight.period_s:g} s, {model.filter.kind} filter"
-        )
-
-    # -- the domain's objects -------------------------------------------------------------------
-
+    @kept
     def inspection(self) -> Inspection:
         """The problem."""
         given = self.model.parameters
@@ -152,19 +60,15 @@ class InspectionScenario:
             field = f"parameters.{_PARAMETERS.get(error.field, error.field)}"
             raise ScenarioError(field, error.given, error.rule) from error
 
-    @property
-    def deputies(self) -> int:
-        """Number N of deputies."""
-        if isinstance(self.model, models.MonteCarloModel):
-            return self.model.campaign.deputies
-        if isinstance(self.model, models.FuelLimitModel):
-            return 1
-        initial = self.model.initial
-        return len(initial.states) if isinstance(initial, models.InitialStates) else initial.deputies
 
+class FilteredScenario(InspectionScenario):
+    """What flights under barrier filters share."""
+
+    model: models.InspectionModel | models.MonteCarloModel
+
+    @kept
     def strengthening(self) -> dict[str, Strengthening]:
         """The functions alpha, for every family."""
-        assert not isinstance(self.model, models.FuelLimitModel)
         table = self.model.strengthening
         if table.preset not in PRESETS:
             near = difflib.get_close_matches(table.preset, PRESETS, n=1)
@@ -179,9 +83,8 @@ class InspectionScenario:
                 try:
                     chosen[family] = Strengthening((c1, c2, c3), given.bias, given.recovery, given.push)
                 except ScenarioError as error:
-                    raise ScenarioError(
-                        f"strengthening.{family}.{error.field}", error.given, error.rule
-                    ) from error
+                    field = f"strengthening.{family}.{error.field}"
+                    raise ScenarioError(field, error.given, error.rule) from error
         return chosen
 
     def families(self) -> Families:
@@ -196,11 +99,50 @@ class InspectionScenario:
 
         return build_filter(spec, self.inspection(), self.strengthening(), period)
 
+    def _check_filter(self, path: str, spec: FlightFilter, table: str, period: float) -> None:
+        """Build a filter once: the conditions between samples bound the control period."""
+        rules.check_left_out(path, spec)
+        try:
+            self.filter(spec, period)
+        except ScenarioError as error:
+            field = f"{table}.period_s" if error.field == "period" else f"{path}.{error.field}"
+            raise ScenarioError(field, error.given, error.rule) from error
+
+
+class FlightScenario(FilteredScenario):
+    """One flight of N deputies under a filter."""
+
+    model: models.InspectionModel
+    MODEL = models.InspectionModel
+
+    def _check(self) -> None:
+        model, initial = self.model, self.model.initial
+        rules.check_time("flight", model.flight.duration_s, model.flight.period_s)
+        self.inspection()
+        rules.check_phases(model)
+        if isinstance(initial, models.InitialStates):
+            rules.check_states(initial)
+        self.strengthening()
+        self._check_filter("filter", model.filter, "flight", model.flight.period_s)
+        if isinstance(initial, models.InitialStates):
+            rules.check_start(self.families(), initial)
+
+    def outline(self) -> str:
+        """What it describes, on one line."""
+        crew, flight = counted(self.deputies, "deputy", "deputies"), self.model.flight
+        flown = f"{crew}, {flight.duration_s:g} s in periods of {flight.period_s:g} s"
+        return f"{flown}, {self.model.filter.kind} filter"
+
+    @property
+    def deputies(self) -> int:
+        """Number N of deputies."""
+        initial = self.model.initial
+        return len(initial.states) if isinstance(initial, models.InitialStates) else initial.deputies
+
     def initial(self) -> tuple[Array, float]:
         """States of the deputies, shape (N, 6), and the angle of the sun [rad]."""
         from ..inspection.flights.sampling import initial_conditions
 
-        assert isinstance(self.model, models.InspectionModel)
         given = self.model.initial
         if isinstance(given, models.InitialStates):
             return np.array(given.states, dtype=float), float(np.radians(given.sun_angle_deg))
@@ -211,65 +153,94 @@ class InspectionScenario:
         """The primary controller, phase by phase."""
         from ..inspection.flights.primary import LQR, NoInput, Phases
 
-        assert isinstance(self.model, models.InspectionModel)
-        q = self.inspection()
         controllers: list[Primary] = []
         for phase in self.model.primary:
             if isinstance(phase, models.NoThrust):
                 controllers.append(NoInput())
-                continue
-            distance = phase.distance_m if isinstance(phase, models.ToDistance) else 0.0
-            controllers.append(
-                LQR(
-                    q,
-                    distance,
-                    phase.position_weight_1_m2,
-                    phase.velocity_weight_s2_m2,
-                    phase.thrust_weight_1_N2,
-                )
-            )
+            else:
+                distance = phase.distance_m if isinstance(phase, models.ToDistance) else 0.0
+                controllers.append(LQR(self.inspection(), distance, *phase.weights))
         return Phases([phase.start_s for phase in self.model.primary], controllers)
 
 
-# -- loading ----------------------------------------------------------------------------------------
+class FuelLimitScenario(InspectionScenario):
+    """One deputy and its fuel limit."""
+
+    model: models.FuelLimitModel
+    MODEL = models.FuelLimitModel
+    deputies = 1
+
+    def _check(self) -> None:
+        model = self.model
+        rules.check_time("flight", model.flight.duration_s, model.flight.period_s)
+        rules.check_fuel(model, self.inspection())
+        self.backup()
+
+    def outline(self) -> str:
+        """What it describes, on one line."""
+        flight, limit = self.model.flight, self.model.parameters.delta_v_max_m_s
+        flown = f"1 deputy, {flight.duration_s:g} s in periods of {flight.period_s:g} s"
+        return f"{flown}, fuel limit {limit:g} m/s"
+
+    @kept
+    def backup(self) -> Law:
+        """The backup controller."""
+        from ..inspection.backup.parking import Parking
+        from ..inspection.backup.tracker import Tracker
+        from ..inspection.enmt import Ellipses
+
+        given, q = self.model.fuel, self.inspection()
+        usual = Ellipses.of(q)
+        try:
+            ellipses = Ellipses(
+                q.mean_motion,
+                usual.least if given.semi_minor_least_m is None else given.semi_minor_least_m,
+                usual.largest if given.semi_minor_largest_m is None else given.semi_minor_largest_m,
+                usual.cross_track if given.cross_track_m is None else given.cross_track_m,
+            )
+        except ScenarioError as error:
+            names = {"least": "semi_minor_least_m", "largest": "semi_minor_largest_m"}
+            field = f"fuel.{names.get(error.field, error.field)}"
+            raise ScenarioError(field, error.given, error.rule) from error
+        law = Parking if given.backup == "parking" else Tracker
+        try:
+            return law(q, ellipses, self.model.flight.period_s, given.response_s)
+        except ScenarioError as error:
+            field = "flight.period_s" if error.field == "period" else f"fuel.{error.field}_s"
+            raise ScenarioError(field, error.given, error.rule) from error
+
+    def primary(self) -> Primary:
+        """Regulators to the outer and to the inner target in turn."""
+        from ..inspection.flights.primary import LQR, Phases
+
+        q, given = self.inspection(), self.model.primary
+        targets = [LQR(q, distance, *given.weights) for distance in (given.distance_m / 4, given.distance_m)]
+        starts = np.arange(0.0, self.model.flight.duration_s, given.swing_s)
+        return Phases(starts.tolist(), [targets[k % 2] for k in range(len(starts))])
 
 
-def model_of(document: Mapping[str, Any], where: str | None = None) -> type[Model]:
-    """Model of a document by its key ``kind``.
+class MonteCarloScenario(FilteredScenario):
+    """Many flights from drawn initial conditions, for one or more filters."""
 
-    Raises
-    ------
-    ScenarioError
-        If there is no such kind.
-    """
-    kind = document.get("kind", NOTHING)
-    if isinstance(kind, str) and kind in KINDS:
-        return KINDS[kind]
-    near = difflib.get_close_matches(kind, KINDS, n=1, cutoff=0.5) if isinstance(kind, str) else []
-    hint = f"; did you mean {near[0]}?" if near else ""
-    words = ", ".join(map(repr, KINDS))
-    raise ScenarioError("kind", kind, f"must be one of {words}, or left out for a schedule{hint}", where)
+    model: models.MonteCarloModel
+    MODEL = models.MonteCarloModel
 
+    def _check(self) -> None:
+        campaign = self.model.campaign
+        rules.check_time("campaign", campaign.duration_s, campaign.period_s)
+        rules.check_studies(self.model)
+        self.inspection()
+        self.strengthening()
+        for k, study in enumerate(self.model.studies):
+            self._check_filter(f"studies[{k}].filter", study.filter, "campaign", campaign.period_s)
 
-def load_inspection(
-    name_or_path: str | Path, overrides: Mapping[str, Any] | None = None
-) -> InspectionScenario:
-    """Load a bundled scenario of the inspection problem by its name, or one's own by its path.
+    def outline(self) -> str:
+        """What it describes, on one line."""
+        plan, crew = self.model.campaign, counted(self.deputies, "deputy", "deputies")
+        studies = ", ".join(study.name for study in self.model.studies)
+        return f"{counted(plan.runs, 'run')} of {crew} for {plan.duration_s:g} s, studies: {studies}"
 
-    Parameters
-    ----------
-    name_or_path : str or Path
-        A name listed by ``polaris scenarios`` or the path of a TOML file.
-    overrides : mapping, optional
-        Values to replace before validation.
-
-    Raises
-    ------
-    ScenarioError
-        If there is no such scenario, or it is not valid: names the field, what was given, the rule.
-    """
-    document, written, where = read_scenario_file(locate(name_or_path))
-    for key, value in (overrides or {}).items():
-        put(document, key, copy.deepcopy(value), where)
-    model = validate_as(model_of(document, where), document, where)
-    return InspectionScenario(model, where, None if overrides else written)
+    @property
+    def deputies(self) -> int:
+        """Number N of deputies."""
+        return self.model.campaign.deputies

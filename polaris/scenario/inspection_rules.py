@@ -14,60 +14,16 @@ from .filter_tables import FAMILY_NAMES, FlightFilter
 
 if TYPE_CHECKING:
     from ..inspection.constraints.families import Families
-    from .inspection import InspectionScenario
 
 
-def check(scenario: InspectionScenario) -> None:
-    """Run every check.
-
-    Raises
-    ------
-    ScenarioError
-        At the first rule that is broken.
-    """
-    model = scenario.model
-    if isinstance(model, models.MonteCarloModel):
-        _check_time("campaign", model.campaign.duration_s, model.campaign.period_s)
-        _check_studies(model)
-    else:
-        _check_time("flight", model.flight.duration_s, model.flight.period_s)
-    q = scenario.inspection()
-    if isinstance(model, models.FuelLimitModel):
-        _check_fuel(scenario, model, q)
-        return
-    if isinstance(model, models.InspectionModel):
-        _check_states(model)
-        _check_phases(model)
-    scenario.strengthening()
-    _check_filters(scenario)
-    if isinstance(model, models.InspectionModel) and isinstance(model.initial, models.InitialStates):
-        _check_start(scenario.families(), model.initial)
+def check_left_out(path: str, spec: FlightFilter) -> None:
+    """A filter enforces something."""
+    if len(set(spec.without)) == len(FAMILY_NAMES):
+        raise ScenarioError(f"{path}.without", list(spec.without), "must leave something to enforce")
 
 
-def _check_filters(scenario: InspectionScenario) -> None:
-    """Build every filter once: the conditions between samples bound the control period."""
-    model = scenario.model
-    if isinstance(model, models.MonteCarloModel):
-        named: list[tuple[str, FlightFilter]] = [
-            (f"studies[{k}].filter", study.filter) for k, study in enumerate(model.studies)
-        ]
-        table, period = "campaign", model.campaign.period_s
-    else:
-        assert isinstance(model, models.InspectionModel)
-        named, table, period = [("filter", model.filter)], "flight", model.flight.period_s
-    for path, spec in named:
-        if len(set(spec.without)) == len(FAMILY_NAMES):
-            raise ScenarioError(f"{path}.without", list(spec.without), "must leave something to enforce")
-        try:
-            scenario.filter(spec, period)
-        except ScenarioError as error:
-            field = f"{table}.period_s" if error.field == "period" else f"{path}.{error.field}"
-            raise ScenarioError(field, error.given, error.rule) from error
-
-
-def _check_fuel(scenario: InspectionScenario, model: models.FuelLimitModel, q: Inspection) -> None:
-    from ..runs.fuel_limit import backup_law
-
+def check_fuel(model: models.FuelLimitModel, q: Inspection) -> None:
+    """Where a flight into the fuel limit starts, and with how much."""
     if len(model.initial_state) != 6:
         raise ScenarioError("initial_state", list(model.initial_state), "must have 6 numbers")
     distance = float(np.linalg.norm(model.initial_state[:3]))
@@ -77,10 +33,10 @@ def _check_fuel(scenario: InspectionScenario, model: models.FuelLimitModel, q: I
     if model.fuel.spent_m_s > q.delta_v_max:
         rule = f"must not exceed the limit, {q.delta_v_max:g} m/s"
         raise ScenarioError("fuel.spent_m_s", model.fuel.spent_m_s, rule)
-    backup_law(scenario)
 
 
-def _check_time(table: str, duration: float, period: float) -> None:
+def check_time(table: str, duration: float, period: float) -> None:
+    """Periods divide the flight, and there are not too many."""
     count = whole_parts(duration, period)
     if not count:
         raise ScenarioError(f"{table}.period_s", period, f"must divide duration_s = {duration:g} s")
@@ -89,21 +45,23 @@ def _check_time(table: str, duration: float, period: float) -> None:
         raise ScenarioError(f"{table}.period_s", period, rule)
 
 
-def _check_studies(model: models.MonteCarloModel) -> None:
+def check_studies(model: models.MonteCarloModel) -> None:
+    """Studies have names of their own."""
     names = [study.name for study in model.studies]
     for k, name in enumerate(names):
         if name in names[:k]:
             raise ScenarioError(f"studies[{k}].name", name, "must differ from those before it")
 
 
-def _check_states(model: models.InspectionModel) -> None:
-    if isinstance(model.initial, models.InitialStates):
-        for k, state in enumerate(model.initial.states):
-            if len(state) != 6:
-                raise ScenarioError(f"initial.states[{k}]", list(state), "must have 6 numbers")
+def check_states(given: models.InitialStates) -> None:
+    """Six numbers for each deputy."""
+    for k, state in enumerate(given.states):
+        if len(state) != 6:
+            raise ScenarioError(f"initial.states[{k}]", list(state), "must have 6 numbers")
 
 
-def _check_phases(model: models.InspectionModel) -> None:
+def check_phases(model: models.InspectionModel) -> None:
+    """The phases of the primary controller follow one another from 0 on."""
     starts = [phase.start_s for phase in model.primary]
     if starts[0] != 0:
         raise ScenarioError("primary[0].start_s", starts[0], "must be 0")
@@ -113,7 +71,7 @@ def _check_phases(model: models.InspectionModel) -> None:
             raise ScenarioError(f"primary[{k}].start_s", starts[k], rule)
 
 
-def _check_start(families: Families, given: models.InitialStates) -> None:
+def check_start(families: Families, given: models.InitialStates) -> None:
     """Every constraint must hold at the start: a filter keeps a flight safe, it does not make it so."""
     from ..inspection.constraints.allowable_set import allowable
 

@@ -122,6 +122,11 @@ class _Regulator(ScenarioPart):
     velocity_weight_s2_m2: NonNegative = unit("s^2/m^2", "Weight of the velocity.", default=1.0)
     thrust_weight_1_N2: Positive = unit("1/N^2", "Weight of the thrust.", default=1.0)
 
+    @property
+    def weights(self) -> tuple[float, float, float]:
+        """Weights of position, velocity and thrust."""
+        return self.position_weight_1_m2, self.velocity_weight_s2_m2, self.thrust_weight_1_N2
+
 
 class ToChief(_Regulator):
     """A linear-quadratic regulator that draws every deputy to the chief."""
@@ -202,6 +207,11 @@ class Wasteful(ScenarioPart):
     position_weight_1_m2: Positive = unit("1/m^2", "Weight of the position.", default=1e-6)
     velocity_weight_s2_m2: NonNegative = unit("s^2/m^2", "Weight of the velocity.", default=0.0)
     thrust_weight_1_N2: Positive = unit("1/N^2", "Weight of the thrust.", default=1.0)
+
+    @property
+    def weights(self) -> tuple[float, float, float]:
+        """Weights of position, velocity and thrust."""
+        return self.position_weight_1_m2, self.velocity_weight_s2_m2, self.thrust_weight_1_N2
 
 
 class FuelFlight(ScenarioPart):

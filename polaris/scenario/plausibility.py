@@ -6,7 +6,8 @@ import numpy as np
 from scipy.linalg import expm
 
 from ..model.system import LinearSystem
-from .scenario import Scenario
+from .base import Scenario
+from .schedule import ScheduleScenario
 
 FAR = 1.0
 """Times its own size that a scene is crossed in one step at full thrust: worth a note."""
@@ -26,6 +27,8 @@ def doubts(scenario: Scenario) -> list[str]:
     scenario : Scenario
         Valid; what no scenario may be is refused before.
     """
+    if not isinstance(scenario, ScheduleScenario):
+        return []
     system, step = scenario.system(), scenario.step
     found = []
     if scenario.steps > MANY_STEPS:
@@ -70,7 +73,7 @@ def _pushed(system: LinearSystem, step: float) -> tuple[np.ndarray, np.ndarray]:
     return push @ system.u_max, np.linalg.norm(shove, axis=1) * system.w_max
 
 
-def _size(scenario: Scenario, system: LinearSystem) -> float:
+def _size(scenario: ScheduleScenario, system: LinearSystem) -> float:
     """Largest distance [m] between the start, the frame's origin and the obstacles; 0 if there is none."""
     origin = np.zeros(system.d)
     places = [origin, system.position @ scenario.initial_set().c]

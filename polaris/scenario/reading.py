@@ -16,7 +16,6 @@ from pydantic_core import ErrorDetails
 from ..model.checks import counted
 from ..model.errors import ScenarioError
 from .fields import LARGEST, NAME_PATTERN
-from .tables import ScenarioModel
 
 MAX_BYTES = 1_000_000
 """Largest scenario file read; the largest sensible one is a hundred times smaller."""
@@ -104,12 +103,7 @@ def parse_toml(text: str, where: str) -> dict[str, Any]:
 # -- validation -------------------------------------------------------------------------------------
 
 
-def validate(document: Mapping[str, Any], where: str | None = None) -> ScenarioModel:
-    """Validate the fields of a switching scenario; see `validate_as`."""
-    return validate_as(ScenarioModel, document, where)
-
-
-def validate_as(model: type[Model], document: Mapping[str, Any], where: str | None = None) -> Model:
+def validate(model: type[Model], document: Mapping[str, Any], where: str | None = None) -> Model:
     """Validate the fields of a document one by one (no rules that join several fields).
 
     Raises
@@ -129,7 +123,7 @@ def explain(
     problems: Sequence[ErrorDetails],
     document: Mapping[str, Any],
     where: str | None,
-    model: type[BaseModel] = ScenarioModel,
+    model: type[BaseModel],
 ) -> ScenarioError:
     """Turn pydantic's list of problems into one error: the likeliest cause first."""
     found = [one for one in (_locate(problem, document, model) for problem in problems) if one]
@@ -182,46 +176,42 @@ def _locate(
     return join_path(path), value, _rule(kind, context, value, problem["msg"])
 
 
+_RULES = {
+    "greater_than": "must be > {gt:g}",
+    "greater_than_equal": "must be >= {ge:g}",
+    "less_than": "must be < {lt:g}",
+    "less_than_equal": "must be <= {le:g}",
+    "finite_number": "must be a finite number",
+    "float_type": "must be a number",
+    "int_type": "must be a whole number",
+    "int_from_float": "must be a whole number",
+    "int_parsing_size": "must be a whole number",
+    "string_type": "must be text in quotes",
+    "literal_error": "must be {expected}",
+    "tuple_type": "must be a list",
+    "list_type": "must be a list",
+    "too_long": "must have at most {max_length} entries",
+    "string_pattern_mismatch": f"must consist of letters, digits, _ and -, as in {NAME_PATTERN}",
+    "string_too_long": "must have at most {max_length} characters",
+    "string_too_short": "must not be empty",
+    "model_type": "must be a table",
+    "model_attributes_type": "must be a table",
+    "dict_type": "must be a table",
+}
+"""The rule that was broken, in plain words, by pydantic's name of it."""
+
+
 def _rule(kind: str, context: Mapping[str, Any], value: Any, message: str) -> str:
     """The rule that was broken, in plain words."""
-    too_big = isinstance(value, int) and not isinstance(value, bool) and abs(value) > LARGEST
-    match kind:
-        case "greater_than":
-            return f"must be > {context['gt']:g}"
-        case "greater_than_equal":
-            return f"must be >= {context['ge']:g}"
-        case "less_than":
-            return f"must be < {context['lt']:g}"
-        case "less_than_equal":
-            return f"must be <= {context['le']:g}"
-        case "finite_number":
-            return "must be a finite number"
-        case "float_type":
-            return f"must be a number of at most {LARGEST:g}" if too_big else "must be a number"
-        case "int_type" | "int_from_float" | "int_parsing_size":
-            return "must be a whole number"
-        case "string_type":
-            return "must be text in quotes"
-        case "literal_error":
-            return f"must be {context['expected']}"
-        case "tuple_type" | "list_type":
-            return "must be a list"
-        case "too_short":
-            return f"must have at least {counted(context['min_length'], 'entry', 'entries')}"
-        case "too_long":
-            return f"must have at most {context['max_length']} entries"
-        case "string_pattern_mismatch":
-            return f"must consist of letters, digits, _ and -, as in {NAME_PATTERN}"
-        case "string_too_long":
-            return f"must have at most {context['max_length']} characters"
-        case "string_too_short":
-            return "must not be empty"
-        case "model_type" | "model_attributes_type" | "dict_type":
-            return "must be a table"
-        case "value_error":
-            return printable(str(context.get("error", message)))
-        case _:
-            return printable(message[:1].lower() + message[1:])
+    if kind == "float_type" and type(value) is int and abs(value) > LARGEST:
+        return f"must be a number of at most {LARGEST:g}"
+    if kind == "too_short":
+        return f"must have at least {counted(context['min_length'], 'entry', 'entries')}"
+    if kind == "value_error":
+        return printable(str(context.get("error", message)))
+    if kind in _RULES:
+        return _RULES[kind].format(**context)
+    return printable(message[:1].lower() + message[1:])
 
 
 def _unknown_key(location: Sequence[str | int], model: type[BaseModel]) -> str:

@@ -6,29 +6,20 @@ run in an order in which each may rely on those before it (shapes before anythin
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from ..model.checks import counted
 from ..model.errors import ScenarioError
+from ..model.obstacle import Obstacle, directions
 from ..model.satellite import SatelliteObstacle
 from ..model.system import LinearSystem
 from . import scene_tables as scene
 from . import tables as models
-from .build import (
-    build_goal,
-    build_initial_set,
-    build_obstacle,
-    build_obstacles,
-    build_system,
-    in_file_terms,
-    whole_parts,
-)
+from .build import in_file_terms, whole_parts
 from .fields import MAX_STEPS
-from .geometry import check_start_and_goal
-from .numerics import check_numerics, check_weights, weights
 
 MAX_SPEED_M_S = 100.0
 """Fastest relative motion [m/s] of an obstacle: beyond it this is conjunction screening, not
@@ -36,30 +27,6 @@ proximity operations, and one step of the plan would jump over it."""
 
 HILL_RANGE_M = 1e5
 """Range [m] within which Hill's linear equations are taken to hold."""
-
-
-def check(model: models.ScenarioModel) -> None:
-    """Run every check.
-
-    Raises
-    ------
-    ScenarioError
-        At the first rule that is broken.
-    """
-    check_system(model.system)
-    check_orbit(model)
-    system = build_system(model.system)
-    check_shapes(model, system)
-    check_time(model)
-    check_numerics(model, system)
-    for path, Q, R in weights(model):
-        check_weights(path, Q, R, system)
-    check_controllers(model, system)
-    check_names(model)
-    check_scene(model, system)
-    build_goal(model.goal, system)
-    build_obstacles(model)
-    check_start_and_goal(model, system, build_initial_set(model.initial_set, system))
 
 
 # -- shapes -----------------------------------------------------------------------------------------
@@ -120,7 +87,7 @@ def check_shapes(model: models.ScenarioModel, system: LinearSystem) -> None:
     if isinstance(goal, scene.BoxGoal):
         _length("goal.center", goal.center, n)
         _length("goal.half_widths", goal.half_widths, n)
-    for path, obstacle in scene_parts(model):
+    for path, obstacle in model.scene_parts():
         for name in ("center_m", "half_widths_m", "velocity_m_s", "apex_m", "axis"):
             vector = getattr(obstacle, name, None)
             if vector is not None:
@@ -140,14 +107,6 @@ def check_shapes(model: models.ScenarioModel, system: LinearSystem) -> None:
         if controller.gain is not None and (len(controller.gain), len(controller.gain[0])) != (m, n):
             shape = f"{len(controller.gain)} x {len(controller.gain[0])} numbers"
             raise ScenarioError(f"experimental[{i}].gain", shape, f"must be {m} x {n} numbers")
-
-
-def scene_parts(model: models.ScenarioModel) -> Iterator[tuple[str, scene.Obstacle | scene.KeepIn]]:
-    """Obstacles and keep-in sets with their paths in the TOML."""
-    for i, obstacle in enumerate(model.obstacles):
-        yield f"obstacles[{i}]", obstacle
-    for i, keep_in in enumerate(model.keep_in):
-        yield f"keep_in[{i}]", keep_in
 
 
 def _length(field: str, vector: tuple[Any, ...], count: int) -> None:
@@ -189,15 +148,14 @@ def check_controllers(model: models.ScenarioModel, system: LinearSystem) -> None
     """References that only Hill's frame has."""
     for i, controller in enumerate(model.experimental):
         on_orbit = isinstance(controller, scene.Affine) and controller.reference.kind == "nmt"
-        if on_orbit and system.mean_motion is None:
-            rule = "needs Hill's frame (system.kind = 'clohessy_wiltshire')"
-            raise ScenarioError(f"experimental[{i}].reference.kind", "nmt", rule)
+        if on_orbit:
+            scene.hill_rate(system, f"experimental[{i}].reference.kind", "nmt")
 
 
 def check_names(model: models.ScenarioModel) -> None:
     """Names are unique: obstacles and keep-in sets together, controllers among themselves."""
     groups: tuple[list[tuple[str, str]], ...] = (
-        [(path, part.name) for path, part in scene_parts(model)],
+        [(path, part.name) for path, part in model.scene_parts()],
         [(f"experimental[{i}]", controller.name) for i, controller in enumerate(model.experimental)],
     )
     for group in groups:
@@ -212,51 +170,24 @@ def check_names(model: models.ScenarioModel) -> None:
             raise ScenarioError(f"experimental[{i}].name", controller.name, rule)
 
 
-def check_scene(model: models.ScenarioModel, system: LinearSystem) -> None:
+def check_scene(model: models.ScenarioModel, unsafe: Sequence[Obstacle], system: LinearSystem) -> None:
     """There is something to be safe from, and it is what proximity operations deal with."""
-    if not model.obstacles and not model.keep_in:
+    if not unsafe:
         raise ScenarioError("obstacles", [], "give at least one obstacle or keep-in set")
-    for path, part in scene_parts(model):
-        velocity = getattr(part, "velocity_m_s", None)
-        field = f"{path}.velocity_m_s"
-        if isinstance(part, scene.SatelliteObstacle):
-            velocity, field = tuple(system.velocity @ np.array(part.state)), f"{path}.state"
+    for (path, part), item in zip(model.scene_parts(), unsafe, strict=True):
+        moving, velocity = "velocity_m_s", getattr(part, "velocity_m_s", None) or 0.0
+        if isinstance(item, SatelliteObstacle):
+            moving, velocity = "state", system.velocity @ np.asarray(item.state)
             try:
-                other = build_obstacle(part, path)
-                assert isinstance(other, SatelliteObstacle)
-                other.pushes(system)
+                item.pushes(system)
+                directions(system.d, item.facets, f"{path}.facets")
             except ScenarioError as error:
                 raise in_file_terms(error, path, part) from error
-        if velocity is not None and np.linalg.norm(velocity) > MAX_SPEED_M_S:
-            speed = f"{np.linalg.norm(velocity):.4g} m/s"
-            raise ScenarioError(field, speed, f"must move at most at {MAX_SPEED_M_S:g} m/s")
-        facets = getattr(part, "facets", None)
-        if system.d == 3 and not isinstance(part, scene.KeepInCone) and facets not in (None, 6, 14, 18, 26):
-            raise ScenarioError(f"{path}.facets", facets, "must be 6, 14, 18 or 26 in space")
-        if isinstance(part, scene.BoxObstacle) and min(part.half_widths_m) <= 0:
-            raise ScenarioError(f"{path}.half_widths_m", list(part.half_widths_m), "must be > 0")
-        if isinstance(part, scene.KeepInCone):
-            if not np.any(part.axis):
-                raise ScenarioError(f"{path}.axis", list(part.axis), "must not be zero")
-            if system.d == 1:
-                raise ScenarioError(f"{path}.kind", part.kind, "needs a position of two or three coordinates")
-        if isinstance(part, scene.PolytopeObstacle | scene.KeepInPolytope):
-            for row, normal in enumerate(part.normals):
-                if not np.any(normal):
-                    raise ScenarioError(f"{path}.normals[{row}]", list(normal), "must not be zero")
+        if (speed := float(np.linalg.norm(velocity))) > MAX_SPEED_M_S:
+            rule = f"must move at most at {MAX_SPEED_M_S:g} m/s"
+            raise ScenarioError(f"{path}.{moving}", f"{speed:.4g} m/s", rule)
     if system.mean_motion is not None:
         reach = float(np.linalg.norm(system.position @ np.array(model.initial_set.center)))
         if reach > HILL_RANGE_M:
             rule = f"must start within {HILL_RANGE_M:g} m of the target, where Hill's linear equations hold"
             raise ScenarioError("initial_set.center", f"{reach:.4g} m away", rule)
-    goal = model.goal
-    if isinstance(goal, scene.EllipticalNMTGoal):
-        room = goal.outer_semi_minor_m * float(np.cos(np.pi / goal.sides))
-        if goal.inner_semi_minor_m >= room:
-            rule = f"must be below {room:.6g} (how far the outer polygon of {goal.sides} sides reaches)"
-            raise ScenarioError("goal.inner_semi_minor_m", goal.inner_semi_minor_m, rule)
-    if isinstance(goal, scene.StationaryGoal):
-        drift = float(np.abs(system.A @ np.array(goal.state)).max())
-        if drift > 1e-9 * max(1.0, float(np.abs(goal.state).max())) * max(1.0, float(np.abs(system.A).max())):
-            rule = f"must keep itself without input (A x = 0, here {drift:.3g}); else use kind 'box'"
-            raise ScenarioError("goal.state", list(goal.state), rule)

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+import math
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
+import numpy as np
 from pydantic import Field
 
+from ..model import keep_in, obstacles, satellite
+from ..model.errors import ScenarioError
+from ..model.obstacle import Obstacle as Unsafe
+from ..model.system import LinearSystem
 from .fields import (
     DiagonalOrMatrix,
     Flag,
@@ -23,7 +29,21 @@ from .fields import (
     unit,
 )
 
+if TYPE_CHECKING:
+    from ..planning import goals as ends
+
 # -- where it ends ----------------------------------------------------------------------------------
+
+
+USUAL_RATE = 1e-2
+"""Rate [rad/s] by which velocities are weighed against positions where there is no orbit."""
+
+
+def hill_rate(system: LinearSystem, field: str, given: object) -> float:
+    """Mean motion [rad/s] of what needs Hill's frame."""
+    if system.mean_motion is None:
+        raise ScenarioError(field, given, "needs Hill's frame (system.kind = 'clohessy_wiltshire')")
+    return system.mean_motion
 
 
 class EllipticalNMTGoal(ScenarioPart):
@@ -37,6 +57,22 @@ class EllipticalNMTGoal(ScenarioPart):
         "m", "Bound on |r_z| and on |v_z|/eta at the end; without it both must be 0.", default=None
     )
 
+    def build(self, system: LinearSystem) -> ends.EllipticalNMT:
+        """The goal."""
+        from ..planning.goals import EllipticalNMT
+
+        room = self.outer_semi_minor_m * float(np.cos(np.pi / self.sides))
+        if self.inner_semi_minor_m >= room:
+            rule = f"must be below {room:.6g} (how far the outer polygon of {self.sides} sides reaches)"
+            raise ScenarioError("goal.inner_semi_minor_m", self.inner_semi_minor_m, rule)
+        return EllipticalNMT(
+            hill_rate(system, "goal.kind", self.kind),
+            self.inner_semi_minor_m,
+            self.outer_semi_minor_m,
+            self.sides,
+            self.cross_track_max_m,
+        )
+
 
 class LinearNMTGoal(ScenarioPart):
     """End on a cross-track oscillation through a point of the along-track axis. Hill's frame only."""
@@ -44,6 +80,12 @@ class LinearNMTGoal(ScenarioPart):
     kind: Literal["linear_nmt"] = unit("-", "Linear natural motion trajectory.")
     amplitude_max_m: Positive = unit("m", "Largest amplitude of the oscillation.")
     along_track_m: Number = unit("m", "Along-track position r_y.", default=0.0)
+
+    def build(self, system: LinearSystem) -> ends.LinearNMT:
+        """The goal."""
+        from ..planning.goals import LinearNMT
+
+        return LinearNMT(hill_rate(system, "goal.kind", self.kind), self.amplitude_max_m, self.along_track_m)
 
 
 class StationaryGoal(ScenarioPart):
@@ -56,6 +98,17 @@ class StationaryGoal(ScenarioPart):
         "For a point that needs holding, use kind box.",
     )
 
+    def build(self, system: LinearSystem) -> ends.StationaryPoint:
+        """The goal."""
+        from ..planning.goals import StationaryPoint
+
+        state = np.array(self.state, dtype=float)
+        drift = float(np.abs(system.A @ state).max())
+        if drift > 1e-9 * max(1.0, float(np.abs(state).max())) * max(1.0, float(np.abs(system.A).max())):
+            rule = f"must keep itself without input (A x = 0, here {drift:.3g}); else use kind 'box'"
+            raise ScenarioError("goal.state", list(self.state), rule)
+        return StationaryPoint(state, system.mean_motion or USUAL_RATE)
+
 
 class BoxGoal(ScenarioPart):
     """End anywhere in a box of states."""
@@ -65,6 +118,14 @@ class BoxGoal(ScenarioPart):
     half_widths: OpenWidthVector = unit(
         "m, m/s (state order)", "Half-width per state, n numbers >= 0; inf where any value will do."
     )
+
+    def build(self, system: LinearSystem) -> ends.Box:
+        """The goal."""
+        from ..planning.goals import Box
+
+        return Box(
+            np.array(self.center, dtype=float), np.array(self.half_widths), system.mean_motion or USUAL_RATE
+        )
 
 
 Goal = Annotated[EllipticalNMTGoal | LinearNMTGoal | StationaryGoal | BoxGoal, Field(discriminator="kind")]
@@ -101,6 +162,11 @@ class BoxObstacle(ScenarioPart):
     half_widths_m: WidthVector = unit("m", "Half-width per axis, d numbers > 0.")
     velocity_m_s: Vector | None = _velocity()
 
+    def build(self, path: str) -> Unsafe:
+        """The unsafe set."""
+        box = obstacles.BoxObstacle
+        return box(self.name, self.center_m, self.half_widths_m, self.velocity_m_s, path=path)
+
 
 class BallObstacle(ScenarioPart):
     """A ball, at rest or moving straight; it is planned around as a circumscribed polytope."""
@@ -111,6 +177,11 @@ class BallObstacle(ScenarioPart):
     radius_m: Positive = unit("m", "Radius.")
     velocity_m_s: Vector | None = _velocity()
     facets: Whole | None = _facets()
+
+    def build(self, path: str) -> Unsafe:
+        """The unsafe set."""
+        ball = obstacles.BallObstacle
+        return ball(self.name, self.center_m, self.radius_m, self.velocity_m_s, self.facets, path=path)
 
 
 class PolytopeObstacle(ScenarioPart):
@@ -126,6 +197,12 @@ class PolytopeObstacle(ScenarioPart):
         "Must be true for a set without bounds (a wall), so that a forgotten row is noticed.",
         default=False,
     )
+
+    def build(self, path: str) -> Unsafe:
+        """The unsafe set."""
+        return obstacles.PolytopeObstacle(
+            self.name, self.normals, self.offsets_m, self.velocity_m_s, self.unbounded, path=path
+        )
 
 
 class SatelliteObstacle(ScenarioPart):
@@ -150,6 +227,12 @@ class SatelliteObstacle(ScenarioPart):
     )
     facets: Whole | None = _facets()
 
+    def build(self, path: str) -> Unsafe:
+        """The unsafe set."""
+        known, push = (self.state, self.state_half_widths), self.thrust_accel_max_m_s2
+        made = satellite.SatelliteObstacle
+        return made(self.name, *known, self.radius_m, push, self.facets, path=path)
+
 
 Obstacle = Annotated[
     BoxObstacle | BallObstacle | PolytopeObstacle | SatelliteObstacle, Field(discriminator="kind")
@@ -163,6 +246,10 @@ class KeepInPolytope(ScenarioPart):
     name: Name = _name()
     normals: Matrix = unit("-", "Outward facet normals, F rows of d numbers; any length but 0.")
     offsets_m: Vector = unit("m (for unit normals)", "Offsets, F numbers.")
+
+    def build(self, path: str) -> Unsafe:
+        """The set outside of which is unsafe."""
+        return keep_in.KeepInPolytope(self.name, self.normals, self.offsets_m, path=path)
 
 
 class KeepInCone(ScenarioPart):
@@ -179,6 +266,11 @@ class KeepInCone(ScenarioPart):
     length_m: Positive | None = unit(
         "m", "Height at which the cone is cut off; endless without it.", default=None
     )
+
+    def build(self, path: str) -> Unsafe:
+        """The set outside of which is unsafe."""
+        cone, angle = keep_in.KeepInCone, math.radians(self.half_angle_deg)
+        return cone(self.name, self.apex_m, self.axis, angle, self.facets, self.length_m, path=path)
 
 
 KeepIn = Annotated[KeepInPolytope | KeepInCone, Field(discriminator="kind")]

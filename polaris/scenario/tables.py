@@ -303,3 +303,8 @@ class ScenarioModel(ScenarioPart):
     )
     schedule: Schedule = unit("-", "How the switching schedule is chosen.", default_factory=Schedule)
     simulation: Simulation = unit("-", "Closed-loop runs.", default_factory=Simulation)
+
+    def scene_parts(self) -> list[tuple[str, Obstacle | KeepIn]]:
+        """Obstacles and keep-in sets with their paths in the file."""
+        outside = [(f"obstacles[{i}]", part) for i, part in enumerate(self.obstacles)]
+        return [*outside, *((f"keep_in[{i}]", part) for i, part in enumerate(self.keep_in))]

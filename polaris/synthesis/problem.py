@@ -8,7 +8,7 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
-from reach.sets.zonotope import Zonotope
+from reach.sets.zonotope import Zonotope as Zonotope  # the door of the package finds it here
 
 from ..model.checks import MAX_STEPS, non_negative, number, one_of, positive, whole
 from ..model.errors import ScenarioError

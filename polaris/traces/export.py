@@ -205,15 +205,14 @@ def export_run(
         If the folder is none, is damaged, or has no such flight.
     """
     from ..runs.arrays import read_flights
-    from ..runs.comparison import is_comparison, read_comparison
-    from ..runs.folder import read_run, readable
+    from ..runs.folder import readable
+    from ..runs.run import read_run
 
-    if is_comparison(folder):
-        comparison = read_comparison(folder)
-        run, option = comparison.run, "--method"
-        flights: Mapping[str, Any] = comparison.shown()
+    run = read_run(folder)
+    option = "--method" if run.kind.name == "comparison" else "--controller"
+    if option == "--method":
+        flights: Mapping[str, Any] = run.picture().shown
     else:
-        run, option = read_run(folder), "--controller"
         with readable(run.path):
             flights = read_flights(run.path / "trajectories.npz")
     flown, row = _chosen(flights, option, pilot or ("schedule" if option == "--method" else "polaris"), label)

@@ -204,7 +204,7 @@ def falsify_hybrid(
 
     Parameters
     ----------
-    automaton, initial, specs, horizon, dt
+    automaton, initial, specs, horizon, dt : as in `verify_hybrid`
         As for `verify_hybrid`.
     runs : int
         Random trajectories to try; with 0, the earliest and the latest transitions from the centre

@@ -5,14 +5,14 @@ import pytest
 from typer.testing import CliRunner
 
 from polaris.cli import app as cli
-from polaris.inspection.flights.judge import fly_scenario
 from polaris.report.figures import inspection as figures
 from polaris.report.figures.inspection.monte_carlo import draw_failures, draw_initial_conditions
-from polaris.report.figures.inspection.paths import free_flights, nearest_deputy
 from polaris.report.figures.style import new_figure, style
-from polaris.runs.fuel_limit import fly_fuel_scenario
+from polaris.report.scene.inspection import free_flights, nearest_deputy
+from polaris.runs.fuel_limit import fly_fuel
+from polaris.runs.inspection import fly_flight
 from polaris.runs.monte_carlo import CampaignPicture
-from polaris.scenario.inspection import load_inspection
+from polaris.scenario.scenario import load_scenario
 
 
 def invoke(*args):
@@ -21,7 +21,7 @@ def invoke(*args):
 
 @pytest.fixture(scope="module")
 def run():
-    return fly_scenario(load_inspection("inspection").with_assignments(["flight.duration_s=30"])).run
+    return fly_flight(load_scenario("inspection").with_assignments(["flight.duration_s=30"])).run
 
 
 def inside(figure):
@@ -60,20 +60,20 @@ def test_free_flights_are_those_of_the_deputy_that_comes_nearest(run):
 
 
 def test_one_deputy_has_no_figures_of_pairs(tmp_path, monkeypatch):
-    lone = load_inspection("inspection").with_assignments(
+    lone = load_scenario("inspection").with_assignments(
         ["flight.duration_s=5", "initial.states=[[0, -300, 0, 0, 0, 0]]"]
     )
     monkeypatch.setattr(figures, "FLIGHT_FIGURES", ("speed", "separation"))
-    drawn = figures.draw_flight(fly_scenario(lone).run, tmp_path)
+    drawn = figures.draw_flight(fly_flight(lone).run, tmp_path)
     assert [path.name for path in drawn] == ["speed.pdf", "speed.png"]
 
 
 def test_fuel_figures_are_drawn_with_and_without_a_switch(tmp_path):
     for spent, switched in ((0.0, False), (19.0, True)):
-        scenario = load_inspection("fuel-limit").with_assignments(
+        scenario = load_scenario("fuel-limit").with_assignments(
             ["flight.duration_s=200", f"fuel.spent_m_s={spent}", "fuel.predictions=3"]
         )
-        flown = fly_fuel_scenario(scenario)
+        flown = fly_fuel(scenario)
         assert (flown.latched_at is not None) == switched
         names = {path.name for path in figures.draw_fuel_run(flown, tmp_path)}
         assert names == {f"{name}.{kind}" for name in ("path", "fuel", "thrust") for kind in ("pdf", "png")}
@@ -107,7 +107,7 @@ def test_plot_redraws_the_same_bytes_from_the_files_alone(tmp_path, monkeypatch)
     monkeypatch.setattr(figures, "FLIGHT_FIGURES", ("speed", "sun"))
     assert invoke("run", "inspection", "--set", "flight.duration_s=5", "--out", tmp_path / "a").exit_code == 0
     folder = tmp_path / "a" / "figures"
-    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    before = {path.name: path.read_bytes() for path in folder.glob("[!.]*")}
     assert sorted(before) == ["speed.pdf", "speed.png", "sun.pdf", "sun.png"]
     for path in folder.iterdir():
         path.unlink()

@@ -16,10 +16,9 @@ from polaris.inspection.filters.one_flight import BACKUP, UNPROVEN
 from polaris.inspection.filters.simplex import ExplicitSimplex, Guarded, ImplicitSimplex
 from polaris.model.errors import ScenarioError
 from polaris.rta.projection import FILTERED
-from polaris.runs.inspection import read_run
-from polaris.scenario.inspection import load_inspection
+from polaris.runs.run import read_run
 from polaris.scenario.reading import write_toml
-from polaris.scenario.scenario import scenario_folder
+from polaris.scenario.scenario import load_scenario, scenario_folder
 
 PERIODS = 25
 STATES = [[-180.0, -60.0, 40.0, 0.0, 0.0, 0.0], [-200.0, 90.0, -30.0, 0.0, 0.0, 0.0]]
@@ -64,7 +63,7 @@ def flown(request, tmp_path_factory):
 def test_flight_is_that_of_the_filter_asked_by_hand(flown):
     kind, folder, _ = flown
     scenario = read_run(folder).scenario
-    run = read_run(folder).flight()
+    run = read_run(folder).picture()
     q, primary = scenario.inspection(), scenario.primary()
     filtering, x = by_hand(kind, q, scenario.strengthening(), float(run.sun[0])), run.x[0]
     Phi, Gamma = q.held(1.0)
@@ -123,10 +122,10 @@ def test_nothing_is_claimed_where_the_backup_is_not_proven(tmp_path):
 )
 def test_broken_table_is_one_line_with_field_and_rule(table, field, rule):
     with pytest.raises(ScenarioError) as caught:
-        load_inspection("inspection", {"filter": table})
+        load_scenario("inspection", {"filter": table})
     assert caught.value.field == field and rule in caught.value.rule, str(caught.value)
 
 
 def test_many_runs_at_once_are_for_barrier_filters():
     with pytest.raises(ScenarioError, match="centralized"):
-        load_inspection("inspection-monte-carlo", {"studies[0].filter": {"kind": "implicit_asif"}})
+        load_scenario("inspection-monte-carlo", {"studies[0].filter": {"kind": "implicit_asif"}})

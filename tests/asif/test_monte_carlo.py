@@ -17,7 +17,7 @@ from polaris.inspection.inspection import Inspection
 from polaris.model.errors import ScenarioError
 from polaris.runs.campaign import local
 from polaris.runs.monte_carlo import run_monte_carlo
-from polaris.scenario.inspection import load_inspection
+from polaris.scenario.scenario import load_scenario
 
 Q = Inspection()
 
@@ -155,7 +155,7 @@ def test_a_primary_controller_that_attacks_is_filtered(drawn):
 @pytest.mark.slow
 def test_the_papers_monte_carlo(tmp_path):
     """2,000 runs: the paper has 100 %, 90.95 % and 100 %; shared conditions lose none."""
-    folder = run_monte_carlo(tmp_path / "c", load_inspection("inspection-monte-carlo"), executor=local(2))
+    folder = run_monte_carlo(tmp_path / "c", load_scenario("inspection-monte-carlo"), executor=local(2))
     success = {study["name"]: study["success_share"] for study in folder.summary["studies"]}
     assert folder.summary["runs"] == 2000
     assert success["centralized"] == 1.0

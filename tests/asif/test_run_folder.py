@@ -11,11 +11,9 @@ from typer.testing import CliRunner
 
 from polaris.cli import app as cli
 from polaris.model.errors import ScenarioError
-from polaris.runs.fuel_limit import read_fuel
-from polaris.runs.inspection import is_inspection, read_run
 from polaris.runs.inspection_summary import covered_periods
-from polaris.runs.monte_carlo import read_picture
-from polaris.scenario.inspection import load_inspection
+from polaris.runs.run import read_run
+from polaris.scenario.scenario import load_scenario
 from polaris.simulation.intervals import lower_bound
 
 SHORT = ("--set", "flight.duration_s=20")
@@ -57,9 +55,9 @@ def summary(folder):
 
 def test_flight_folder_holds_what_was_flown(folders):
     folder = folders["inspection"]
-    run, told = read_run(folder).flight(), summary(folder)
+    run, told = read_run(folder).picture(), summary(folder)
     assert run.x.shape == (21, 5, 6) and run.u.shape == (20, 5, 3)
-    assert np.array_equal(run.x[0], load_inspection("inspection").initial()[0])
+    assert np.array_equal(run.x[0], load_scenario("inspection").initial()[0])
     Phi, Gamma = run.inspection.held(1.0)
     assert np.allclose(run.x[1:], run.x[:-1] @ Phi.T + run.u @ Gamma.T, rtol=0, atol=1e-9)
     assert np.abs(run.u).max() <= 1.0 and told["delta_v_m_s"] == pytest.approx(run.delta_v[-1])
@@ -76,7 +74,7 @@ def test_flight_folder_holds_what_was_flown(folders):
 
 
 def test_periods_that_began_unsafe_or_had_no_solution_are_not_covered(folders):
-    run = read_run(folders["inspection"]).flight()
+    run = read_run(folders["inspection"]).picture()
     assert covered_periods(run).all()
     status, h, x = run.status.copy(), run.h.copy(), run.x.copy()
     status[3, 1], h[5, 0], x[7, 2, :3] = 2, -1e-9, 0.0
@@ -104,7 +102,7 @@ def test_nothing_is_claimed_beyond_what_the_filter_gives(tmp_path, settings, wor
 
 def test_fuel_folder_holds_what_was_flown(folders):
     folder, told = folders["fuel_limit"], summary(folders["fuel_limit"])
-    run = read_fuel(folder / "fuel.npz", read_run(folder).scenario)
+    run = read_run(folder).picture()
     assert run.x.shape == (21, 6) and told["latched_at_s"] is None and told["safe"]
     spent = np.abs(run.u).sum() / run.inspection.mass
     assert run.delta_v[-1] == pytest.approx(spent) == told["delta_v_m_s"]
@@ -138,7 +136,7 @@ def test_nothing_is_claimed_of_a_flight_that_begins_on_backup(tmp_path, settings
 
 
 def test_campaign_folder_holds_what_was_flown(folders):
-    told, picture = summary(folders["monte_carlo"]), read_picture(folders["monte_carlo"])
+    told, picture = summary(folders["monte_carlo"]), read_run(folders["monte_carlo"]).picture()
     assert [study["name"] for study in told["studies"]] == list(picture.studies)
     assert picture.x.shape == (2, 2, 6) and told["guarantee"]["kind"] == "statistical"
     for study, success in zip(told["studies"], picture.success, strict=True):
@@ -176,7 +174,10 @@ def test_overrides_are_noted_and_read_back(folders):
     text = (folders["inspection"] / "scenario.toml").read_text(encoding="utf-8")
     assert "#   flight.duration_s=20" in text
     assert read_run(folders["inspection"]).scenario.model.flight.duration_s == 20.0
-    assert is_inspection(folders["inspection"]) and not is_inspection(folders["inspection"].parent)
+    for kind, folder in folders.items():
+        assert read_run(folder).kind.name == read_run(folder).scenario.kind == kind
+    with pytest.raises(ScenarioError, match=r"must be a run folder; it has no scenario\.toml"):
+        read_run(folders["inspection"].parent)
 
 
 # -- failing ----------------------------------------------------------------------------------------
@@ -201,11 +202,11 @@ def test_arrays_that_do_not_belong_together_are_refused(folders, tmp_path):
         arrays = {name: file[name] for name in file.files}
     np.savez(folder / "flight.npz", **{**arrays, "states": arrays["states"][:-1]})
     with pytest.raises(ScenarioError, match="wrong shape"):
-        read_run(folder).flight()
+        read_run(folder).picture()
     arrays["states"][3, 1, 2] = np.nan
     np.savez(folder / "flight.npz", **arrays)
     with pytest.raises(ScenarioError, match="not finite"):
-        read_run(folder).flight()
+        read_run(folder).picture()
 
 
 @pytest.mark.parametrize(
@@ -217,8 +218,8 @@ def test_arrays_that_do_not_belong_together_are_refused(folders, tmp_path):
         (("run", "inspection", "--solver", "highs"), ("planner", "unknown key")),
         (("run", "inspection", "--set", "flight.periode_s=1"), ("did you mean period_s",)),
         (("run", "inspection", "--set", "initial.states[7][0]=1"), ("initial.states[7]",)),
-        (("falsify", "inspection"), ("load_inspection",)),
-        (("model-error", "fuel-limit"), ("load_inspection",)),
+        (("falsify", "inspection"), ("'schedule' here",)),
+        (("model-error", "fuel-limit"), ("'schedule' here",)),
     ],
 )
 def test_bad_input_is_one_message_and_exit_code_2(tmp_path, monkeypatch, arguments, words):

@@ -13,14 +13,23 @@ from polaris.inspection.constraints.catalogue import CONSTRAINTS, FAMILIES
 from polaris.inspection.constraints.families import Families
 from polaris.inspection.constraints.strengthening import PRESETS
 from polaris.inspection.filters.explicit import Filtered
-from polaris.inspection.flights.judge import fly_scenario, judge
+from polaris.inspection.flights.judge import judge
 from polaris.inspection.flights.simulation import fly_one
 from polaris.inspection.inspection import Inspection
 from polaris.model.errors import ScenarioError
+from polaris.runs.inspection import fly_flight
 from polaris.scenario.filter_tables import FAMILY_NAMES
-from polaris.scenario.inspection import KINDS, InspectionScenario, load_inspection
 from polaris.scenario.overrides import put
-from polaris.scenario.scenario import bundled_files, load_scenario, scenario_folder
+from polaris.scenario.scenario import (
+    KINDS,
+    FlightScenario,
+    InspectionScenario,
+    Scenario,
+    ScheduleScenario,
+    bundled_files,
+    load_scenario,
+    scenario_folder,
+)
 
 NAMES = ("fuel-limit", "inspection", "inspection-decentralized", "inspection-monte-carlo")
 BASE = {"fuel": "fuel-limit", "campaign": "inspection-monte-carlo", "flight": "inspection"}
@@ -41,7 +50,7 @@ def test_bundled_scenarios_of_both_kinds_are_apart():
 
 @pytest.mark.parametrize("name", NAMES)
 def test_bundled_scenario_loads_and_reads_back(name):
-    scenario = load_inspection(name)
+    scenario = load_scenario(name)
     assert scenario.name == name and scenario.kind in KINDS and scenario.outline()
     assert InspectionScenario.from_dict(tomllib.loads(scenario.to_toml())).model == scenario.model
     text = (scenario_folder() / f"{name}.toml").read_text(encoding="utf-8")
@@ -50,9 +59,9 @@ def test_bundled_scenario_loads_and_reads_back(name):
 
 
 def test_table_1_is_what_the_problem_has_by_default():
-    defaults = load_inspection("inspection-monte-carlo").inspection()
+    defaults = load_scenario("inspection-monte-carlo").inspection()
     assert defaults == Inspection()
-    assert load_inspection("inspection").inspection() == Inspection()
+    assert load_scenario("inspection").inspection() == Inspection()
 
 
 def test_families_of_the_models_are_those_of_the_filters():
@@ -60,7 +69,7 @@ def test_families_of_the_models_are_those_of_the_filters():
 
 
 def test_strengthening_takes_the_preset_where_nothing_else_is_given():
-    scenario = load_inspection("inspection-monte-carlo")
+    scenario = load_scenario("inspection-monte-carlo")
     assert scenario.strengthening() == PRESETS["polaris"]
     changed = scenario.with_assignments(["strengthening.speed={ coefficients = [0.5, 0, 0], bias = 0.01 }"])
     assert changed.strengthening()["speed"].numbers == (0.5, 0.0, 0.0, 0.01, 1.0, 0.0)
@@ -68,7 +77,7 @@ def test_strengthening_takes_the_preset_where_nothing_else_is_given():
 
 
 def test_filter_is_what_the_table_says():
-    scenario = load_inspection("inspection-decentralized").with_assignments(
+    scenario = load_scenario("inspection-decentralized").with_assignments(
         ["filter.sharing=half", 'filter.without=["sun"]', "filter.sampled_data_share=0.25"]
     )
     filtering = scenario.filter(scenario.model.filter, 1.0)
@@ -80,14 +89,14 @@ def test_filter_is_what_the_table_says():
 
 def test_drawn_states_are_safe_and_the_same_for_the_same_seed():
     drawn = {"kind": "latin_hypercube", "deputies": 2, "seed": 3}
-    scenario = load_inspection("inspection", {"initial": drawn})
+    scenario = load_scenario("inspection", {"initial": drawn})
     (x, sun), (again, _) = scenario.initial(), scenario.initial()
     assert x.shape == (2, 6) and np.array_equal(x, again)
     assert (scenario.families()(x[None], np.array([sun])).h >= 0).all()
 
 
 def test_phases_take_over_in_turn():
-    scenario = load_inspection("inspection")
+    scenario = load_scenario("inspection")
     primary, x = scenario.primary(), scenario.initial()[0]
     inwards, outwards = primary(0.0, x[None])[0], primary(1000.0, x[None])[0]
     p = x[:, :3]
@@ -95,22 +104,24 @@ def test_phases_take_over_in_turn():
 
 
 def test_both_scenes_start_from_the_same_states():
-    one, other = load_inspection("inspection"), load_inspection("inspection-decentralized")
+    one, other = load_scenario("inspection"), load_scenario("inspection-decentralized")
     assert one.model.initial == other.model.initial and one.model.primary == other.model.primary
 
 
-def test_schedules_refuse_inspections_and_say_who_loads_them():
-    with pytest.raises(ScenarioError, match="load_inspection"):
-        load_scenario("inspection")
-    with pytest.raises(ScenarioError, match="left out for a schedule"):
-        load_inspection("static")
+def test_one_loader_gives_each_kind_and_only_that_if_asked():
+    with pytest.raises(ScenarioError, match="must be a scenario of the kind 'schedule' here"):
+        load_scenario("inspection", only=ScheduleScenario)
+    with pytest.raises(ScenarioError, match="'schedule'; must be a scenario of the kind 'inspection' here"):
+        load_scenario("static", only=FlightScenario)
+    assert all(type(load_scenario(name)) is KINDS[load_scenario(name).kind] for name in ("static", *NAMES))
 
 
 # -- broken files -----------------------------------------------------------------------------------
 
 STATES = document("inspection")["initial"]["states"]
 BROKEN = {
-    "no kind": ("flight", {"kind": None}, "kind", "must be one of"),
+    "no kind": ("flight", {"kind": None}, "parameters", "unknown key"),
+    "kind of a schedule": ("flight", {"kind": "schedule"}, "kind", "left out for a schedule"),
     "unknown kind": ("flight", {"kind": "inspecton"}, "kind", "did you mean inspection"),
     "kind is a number": ("flight", {"kind": 3}, "kind", "must be one of"),
     "version 2": ("flight", {"schema_version": 2}, "schema_version", "must be 1"),
@@ -269,7 +280,7 @@ def test_broken_scenario_is_one_line_with_field_value_and_rule(case):
     for key, value in changes.items():
         put(data, key, value, None)
     with pytest.raises(ScenarioError) as caught:
-        InspectionScenario.from_dict(data, "broken.toml")
+        Scenario.from_dict(data, "broken.toml")
     error = caught.value
     text = str(error)
     assert error.field == field and rule in error.rule, text
@@ -295,7 +306,7 @@ def fly_unfiltered(q, primary, x, sun, duration):
 
 
 def test_primary_alone_breaks_what_the_filter_keeps():
-    scenario = load_inspection("inspection").with_assignments(["flight.duration_s=1200"])
+    scenario = load_scenario("inspection").with_assignments(["flight.duration_s=1200"])
     x, sun = scenario.initial()
     alone = fly_unfiltered(scenario.inspection(), scenario.primary(), x, sun, 1200.0)
     broken = {name for name, least in judge(alone, scenario.families(), 0)[0].items() if least.value < 0}
@@ -303,8 +314,8 @@ def test_primary_alone_breaks_what_the_filter_keeps():
 
 
 def test_every_constraint_is_judged_and_holds_for_a_while():
-    scenario = load_inspection("inspection").with_assignments(["flight.duration_s=60", "flight.between=3"])
-    flown = fly_scenario(scenario)
+    scenario = load_scenario("inspection").with_assignments(["flight.duration_s=60", "flight.between=3"])
+    flown = fly_flight(scenario)
     assert tuple(flown.constraints) == CONSTRAINTS and tuple(flown.barriers) == FAMILIES
     for least in (*flown.constraints.values(), *flown.barriers.values()):
         assert 0 <= least.value <= least.at_samples and 0 <= least.time <= 60.0
@@ -313,7 +324,7 @@ def test_every_constraint_is_judged_and_holds_for_a_while():
 
 def test_judge_sees_what_happens_between_samples():
     """A deputy that flies past the chief within one period: clear at both samples, inside between them."""
-    scenario = load_inspection("inspection").with_assignments(["initial.states=[[0, 300, 0, 0, 0, 0]]"])
+    scenario = load_scenario("inspection").with_assignments(["initial.states=[[0, 300, 0, 0, 0, 0]]"])
     x = np.array([[0.0, 20.0, 0.0, 0.0, -40.0, 0.0]])
     run = fly_unfiltered(scenario.inspection(), lambda t, x: np.zeros((1, 1, 3)), x, 0.0, 1.0)
     at_samples = judge(run, scenario.families(), 0)[0]["phi1"]
@@ -326,7 +337,7 @@ def test_judge_sees_what_happens_between_samples():
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["inspection", "inspection-decentralized"])
 def test_every_constraint_holds_over_the_whole_scene(name):
-    flown = fly_scenario(load_inspection(name))
+    flown = fly_flight(load_scenario(name))
     assert min(least.value for least in flown.constraints.values()) >= 0
     assert (flown.run.status < 2).all(), "every program has a solution"
     desired = np.abs(flown.run.desired).max(axis=(1, 2))

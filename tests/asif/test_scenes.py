@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from polaris.inspection.constraints.catalogue import CONSTRAINTS
-from polaris.inspection.flights.judge import fly_scenario
 from polaris.rta.projection import SHORT
-from polaris.scenario.inspection import load_inspection
+from polaris.runs.inspection import fly_flight
+from polaris.scenario.scenario import load_scenario
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["inspection", "inspection-decentralized"])
 def test_every_constraint_is_kept_for_the_whole_flight(name):
-    flown = fly_scenario(load_inspection(name))
+    flown = fly_flight(load_scenario(name))
     assert set(flown.constraints) == set(CONSTRAINTS)
     assert flown.run.t[-1] == 3000.0
     for constraint, least in flown.constraints.items():

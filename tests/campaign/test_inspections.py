@@ -11,9 +11,9 @@ from typer.testing import CliRunner
 from polaris.cli import app as cli
 from polaris.model.errors import PolarisError, ScenarioError
 from polaris.runs.campaign import batch, find_worst, inspections, local, read_campaign, replay_run
-from polaris.runs.inspection import read_run
-from polaris.runs.monte_carlo import read_picture, run_monte_carlo
-from polaris.scenario.inspection import load_inspection
+from polaris.runs.monte_carlo import run_monte_carlo
+from polaris.runs.run import read_run
+from polaris.scenario.scenario import load_scenario
 from tests.campaign.scene import TINY, table
 
 STUDIES = ("centralized", "decentralized", "decentralized-no-h5", "decentralized-shared")
@@ -22,7 +22,7 @@ RUNS = 5
 
 def scenario(*changed):
     small = ("campaign.deputies=2", "campaign.duration_s=3", f"campaign.runs={RUNS}")
-    return load_inspection("inspection-monte-carlo").with_assignments((*small, *changed))
+    return load_scenario("inspection-monte-carlo", (*small, *changed))
 
 
 @pytest.fixture(autouse=True)
@@ -51,7 +51,7 @@ def seen(monkeypatch):
 
 
 def test_all_studies_fly_the_same_conditions_and_the_picture_is_that_of_the_table(flown):
-    columns, picture = flown.parts.read(0), read_picture(flown.path)
+    columns, picture = flown.parts.read(0), read_run(flown.path).picture()
     assert len(columns["run"]) == RUNS * len(STUDIES) and picture.studies == STUDIES
     assert len(list((flown.path / "runs").glob("case-*.parquet"))) == 3
     for k, name in enumerate(STUDIES):

@@ -20,10 +20,8 @@ import numpy as np
 
 from polaris.certificate.checker import verify
 from polaris.certificate.document import canonical, digest
-from polaris.runs.folder import write_run
+from polaris.runs.run import run
 from polaris.scenario.reading import write_toml
-from polaris.scenario.scenario import load_scenario
-from polaris.synthesis.synthesize import synthesize
 
 from .corruptions import restate
 from .tiny import TINY
@@ -35,10 +33,10 @@ TABLES = ("schedule.csv", "reference.csv")
 
 def make(assignments, folder):
     """A run of a variant of the tiny scene in which U flies in the middle, too."""
-    scenario = load_scenario(TINY).with_assignments(["tracking.R=[60,60]", "simulation.runs=2", *assignments])
-    schedule = synthesize(scenario)
-    assert schedule.guarantee == "proved" and 1 in schedule.modes
-    return write_run(folder / "run", scenario, schedule, figures=False).path
+    variant = ["tracking.R=[60,60]", "simulation.runs=2", *assignments]
+    made = run(TINY, folder / "run", overrides=variant)
+    assert made.summary["guarantee"]["kind"] == "proved" and 1 in made.json("schedule.json")["modes"]
+    return made.path
 
 
 class Forger:

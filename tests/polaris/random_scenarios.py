@@ -530,10 +530,11 @@ def synthesised(seed: int, folder: Path) -> tuple[Any, Any]:
 
 def written(seed: int, folder: Path) -> Path:
     """Run folder of a random scene; raises as `synthesised` does."""
-    from polaris.runs.folder import write_run
+    from polaris.runs.run import run
 
-    scenario, schedule = synthesised(seed, folder)
-    return write_run(folder / f"random-{seed}", scenario, schedule, figures=False).path
+    path = folder / f"random-{seed}.toml"
+    path.write_text(random_scenario(seed), encoding="utf-8")
+    return run(path, folder / f"random-{seed}").path
 
 
 def main(arguments: Sequence[str]) -> None:

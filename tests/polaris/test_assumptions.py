@@ -9,10 +9,10 @@ from rich.console import Console
 
 from polaris.certificate.document import Document, assumptions, digest
 from polaris.certificate.verdict import Rejected
-from polaris.cli.console import show_summary
+from polaris.cli.show import show_summary
 from polaris.report.html.claims import guarantee as told_in_report
 from polaris.runs.certificate import certificate
-from polaris.runs.summary import summary
+from polaris.runs.schedule import SCHEDULE, FlownSchedule
 from polaris.scenario.scenario import load_scenario
 from polaris.synthesis.synthesize import synthesize
 
@@ -73,7 +73,7 @@ def test_those_that_apply_and_no_others_are_said_everywhere_in_the_same_words(na
 
 def test_screen_and_report_say_all_of_them():
     scenario, schedule = scene("tiny")
-    result = summary(scenario, schedule, flown(), {})
+    result = {"title": scenario.title, **SCHEDULE.tell(scenario, FlownSchedule(schedule, flown()), {})}
     console = Console(record=True, width=300, highlight=False)
     show_summary(result, "folder", console)
     screen, page = console.export_text(), told_in_report(result["guarantee"], "polytope")

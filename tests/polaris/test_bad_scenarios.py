@@ -268,8 +268,8 @@ BROKEN = {
     ),
     "polytope with a row of zeros": (
         {"obstacles[0]": {**WALL, "normals": [[0, 0, 0]]}},
-        "obstacles[0].normals[0]",
-        "must not be zero",
+        "obstacles[0].normals",
+        "row 0 must not be zero",
     ),
     "polytope with a row forgotten": (
         {"obstacles[0]": {**WALL, "unbounded": False}},
@@ -428,8 +428,8 @@ BROKEN_LINEAR = {
             "keep_in": [{"kind": "cone", "name": "c", "apex_m": [-9], "axis": [1], "half_angle_deg": 5}],
             "experimental": [{"kind": "any_thrust", "name": "u"}],
         },
-        "keep_in[0].kind",
-        "two or three",
+        "keep_in[0].apex_m",
+        "2 or 3 axes",
     ),
 }
 

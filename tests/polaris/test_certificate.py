@@ -19,7 +19,7 @@ from polaris.certificate.checker import verify, verify_document
 from polaris.certificate.document import digest
 from polaris.cli.app import app
 from polaris.runs.certificate import certificate, write_certificate
-from polaris.runs.folder import write_run
+from polaris.runs.schedule import write_run
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.baselines import compare
 from polaris.synthesis.synthesize import synthesize
@@ -34,7 +34,7 @@ MODULES = sorted(path.stem for path in PACKAGE.glob("*.py") if path.stem != "wri
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
-    return write_run(tmp_path_factory.mktemp("runs") / "tiny", *synthesised(), flown(), figures=False).path
+    return write_run(tmp_path_factory.mktemp("runs") / "tiny", *synthesised(), flown()).path
 
 
 @cache
@@ -60,7 +60,7 @@ def verify_bundled(name, folder):
     """Write what the checker reads of a run folder, and check it."""
     scenario, schedule = bundled(name)
     few = compare(schedule, 2, 0)
-    verdict = verify(write_run(folder / name, scenario, schedule, few, figures=False).path)
+    verdict = verify(write_run(folder / name, scenario, schedule, few).path)
     assert verdict.outcome == "VERIFIED", verdict.text()
     assert verdict.seconds < 60
     return verdict
@@ -145,7 +145,7 @@ def test_what_is_not_known_is_unknown():
 
 def test_the_same_run_gives_the_same_certificate(run, tmp_path):
     scenario, schedule = synthesised()
-    again = write_run(tmp_path / "again", scenario, schedule, figures=False).path
+    again = write_run(tmp_path / "again", scenario, schedule).path
     assert (again / "certificate.json").read_bytes() == (run / "certificate.json").read_bytes()
 
 

@@ -8,7 +8,7 @@ pytest.importorskip("flint")
 
 from polaris.certificate.checker import verify_document
 from polaris.runs.certificate import certificate
-from polaris.runs.folder import write_run
+from polaris.runs.schedule import write_run
 from polaris.scenario.scenario import load_scenario
 from polaris.synthesis.synthesize import synthesize
 
@@ -25,7 +25,7 @@ def soft():
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    return write_run(tmp_path_factory.mktemp("runs") / "soft", *soft(), figures=False).path
+    return write_run(tmp_path_factory.mktemp("runs") / "soft", *soft()).path
 
 
 @cache

@@ -10,8 +10,8 @@ from typer.testing import CliRunner
 
 from polaris.cli.app import app
 from polaris.model.errors import ScenarioError
-from polaris.runs.case import digest, load_target, replay, write_case
-from polaris.runs.folder import write_run
+from polaris.runs.case import load_target, replay, write_case
+from polaris.runs.schedule import digest, write_run
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.disturbances import adjoint_worst_case
 from polaris.simulation.falsification.attacks import Attack, Attacker
@@ -238,7 +238,7 @@ def test_case_that_was_changed_is_refused(tmp_path):
 
 def test_run_folder_is_attacked_if_it_is_what_its_scenario_gives(tmp_path):
     scenario, schedule = tiny()
-    folder = write_run(tmp_path / "run", scenario, schedule, tiny_flown(), figures=False).path
+    folder = write_run(tmp_path / "run", scenario, schedule, tiny_flown()).path
     loaded, again = load_target(str(folder))
     assert digest(again) == digest(schedule) and loaded.name == scenario.name
     file = folder / "schedule.json"

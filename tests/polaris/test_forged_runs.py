@@ -14,7 +14,7 @@ pytest.importorskip("flint")
 
 from scipy.linalg import solve_continuous_are
 
-from polaris.runs.folder import write_run
+from polaris.runs.schedule import write_run
 from polaris.simulation.baselines import compare
 
 from .conftest import synthesised as bundled
@@ -352,7 +352,7 @@ def test_every_field_forged_is_refused(forgers, kind):
 @pytest.mark.parametrize("name", ["static", "dynamic", "hold_point", "keep_out", "robot"])
 def test_every_field_of_a_bundled_run_forged_is_refused(name, tmp_path):
     scenario, schedule = bundled(name)
-    run = write_run(tmp_path / name, scenario, schedule, compare(schedule, 2, 0), figures=False).path
+    run = write_run(tmp_path / name, scenario, schedule, compare(schedule, 2, 0)).path
     forger = Forger(run, tmp_path)
     cases = list(one_at_a_time(forger, 2, 1, 0.5))
     claims = [case for case in cases if not excused(case[0], EXCUSED)]

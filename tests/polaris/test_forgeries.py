@@ -10,12 +10,12 @@ import pytest
 pytest.importorskip("flint")
 
 
+import polaris
 from polaris.certificate.checker import verify, verify_document
 from polaris.certificate.document import canonical, digest
 from polaris.certificate.perception import _check_cone, _check_keep_in
 from polaris.certificate.verdict import Rejected, Undecided
 from polaris.runs.certificate import certificate
-from polaris.runs.folder import write_run
 from polaris.scenario.scenario import load_scenario
 from polaris.synthesis.synthesize import synthesize
 
@@ -24,10 +24,8 @@ from .tiny import TINY
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
-    scenario = load_scenario(TINY).with_assignments(["tracking.R=[60, 60]", "simulation.runs=2"])
-    return write_run(
-        tmp_path_factory.mktemp("runs") / "forged", scenario, synthesize(scenario), figures=False
-    ).path
+    out, variant = tmp_path_factory.mktemp("runs") / "forged", ["tracking.R=[60, 60]", "simulation.runs=2"]
+    return polaris.run(TINY, out, overrides=variant).path
 
 
 @pytest.fixture

@@ -16,7 +16,7 @@ from polaris.certificate.checker import verify, verify_document
 from polaris.certificate.document import digest
 from polaris.model.errors import PolarisError
 from polaris.runs.certificate import certificate
-from polaris.runs.folder import write_run
+from polaris.runs.schedule import write_run
 from polaris.scenario.reading import write_toml
 from polaris.scenario.scenario import load_scenario
 from polaris.synthesis.synthesize import synthesize
@@ -47,7 +47,7 @@ def verdicts(seeds, folder):
         yield (
             seed,
             schedule,
-            verify(write_run(folder / f"run-{seed}", scenario, schedule, figures=False).path),
+            verify(write_run(folder / f"run-{seed}", scenario, schedule).path),
         )
 
 

@@ -15,11 +15,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from polaris.model.errors import ScenarioError
+from polaris.report.figures import draw_run
 from polaris.runs import atomic as replacing
 from polaris.runs import ownership
 from polaris.runs.atomic import CannotWrite, check_file, check_target
-from polaris.runs.folder import read_run, write_run
 from polaris.runs.ownership import tidy
+from polaris.runs.run import read_run
+from polaris.runs.schedule import write_run
 from tests.leftovers import left_by_a_dead_process
 
 from .tiny import TINY, flown, synthesised
@@ -58,7 +60,7 @@ def test_a_newer_run_replaces_what_polaris_wrote_and_nothing_else(tmp_path, monk
     monkeypatch.setattr("polaris.report.figures.draw_figures", draw)
     scenario, schedule = synthesised()
     target = tmp_path / "run"
-    write_run(target, scenario, schedule, flown())
+    write_run(target, scenario, schedule, flown(), draw=draw_run)
     mine = {
         "notes.txt": b"mine",
         "figures/annotated.png": b"mine too",
@@ -70,18 +72,18 @@ def test_a_newer_run_replaces_what_polaris_wrote_and_nothing_else(tmp_path, monk
         (target / name).write_bytes(text)
     (target / "empty").mkdir()
     (target / "report.html").write_bytes(b"of the older run")
-    other = scenario.set("simulation.seed", 5)
-    write_run(target, other, schedule, flown(), overrides=["simulation.seed=5"], figures=False)
+    other = scenario.with_assignments(["simulation.seed=5"])
+    write_run(target, other, schedule, flown())
     found = contents(target)
     assert mine.items() <= found.items() and (target / "empty").is_dir()
     assert read_run(target).scenario.simulation.seed == 5
     # figures and report of the older run would belong to nothing any more
     assert [name for name in found if name.startswith("figures/")] == ["figures/annotated.png"]
     assert "report.html" not in found
-    read_run(target).draw()
+    draw_run(read_run(target))
     assert (target / "figures" / "annotated.png").read_bytes() == b"mine too"
     assert (target / "figures" / "scene.pdf").read_bytes() == b"drawn"
-    write_run(target, other, schedule, flown(), figures=False)
+    write_run(target, other, schedule, flown())
     assert [name for name in contents(target) if name.startswith("figures/")] == ["figures/annotated.png"]
     assert [path.name for path in tmp_path.iterdir()] == ["run"]
 
@@ -245,7 +247,7 @@ def test_unwritable_files_are_found_before_the_work(tmp_path, monkeypatch):
         "polaris.report.report_page",
         "polaris.synthesis.get_safety.get_safety",
         "polaris.synthesis.synthesize.synthesize",
-        "polaris.inspection.flights.judge.fly_scenario",
+        "polaris.inspection.flights.simulation.fly_one",
     ):
         monkeypatch.setattr(name, work)
     monkeypatch.setattr("polaris.runs.campaign.folder.read_campaign", lambda path: None)
@@ -359,7 +361,7 @@ signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 sys.path.insert(0, ".")
 from polaris.cli.app import app
 from tests.polaris.tiny import TINY
-import polaris.runs.folder, polaris.simulation.baselines  # the libraries may write caches of their own
+import polaris.runs.run  # the libraries may write caches of their own
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]), resource.RLIM_INFINITY))
 app(["run", str(TINY), "--out", sys.argv[1], "-q", *sys.argv[3:]])
 """

@@ -11,7 +11,9 @@ from typer.testing import CliRunner
 
 from polaris.cli.app import app
 from polaris.model.errors import ScenarioError
-from polaris.runs.folder import DATA_FILES, read_run, write_run
+from polaris.report.figures import draw_run
+from polaris.runs.run import read_run
+from polaris.runs.schedule import DATA_FILES, write_run
 
 from .tiny import TINY, flown, synthesised
 
@@ -19,7 +21,7 @@ from .tiny import TINY, flown, synthesised
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     scenario, schedule = synthesised()
-    return write_run(tmp_path_factory.mktemp("runs") / "tiny", scenario, schedule, flown())
+    return write_run(tmp_path_factory.mktemp("runs") / "tiny", scenario, schedule, flown(), draw=draw_run)
 
 
 def load_strict(path):
@@ -32,15 +34,13 @@ def load_strict(path):
 def test_all_files_are_there_and_nothing_else(folder):
     names = {path.name for path in folder.path.iterdir()}
     assert names == {*DATA_FILES, "certificate.json", "summary.json", "figures", ".polaris.json"}
-    assert len(list((folder.path / "figures").iterdir())) == 10
+    assert len(list((folder.path / "figures").glob("[!.]*"))) == 10
     assert [path.name for path in folder.path.parent.iterdir()] == ["tiny"]
 
 
 def test_same_seed_same_bytes_times_apart(folder, tmp_path):
     scenario, schedule = synthesised()
-    again = write_run(
-        tmp_path / "again", scenario, schedule, figures=False
-    )  # flown anew from the scenario's seed
+    again = write_run(tmp_path / "again", scenario, schedule)  # flown anew from the scenario's seed
     for name in (*DATA_FILES, "certificate.json"):  # and figures: see test_figures
         assert (again.path / name).read_bytes() == (folder.path / name).read_bytes(), name
     summaries = [folder.summary, again.summary]
@@ -143,7 +143,8 @@ def test_tubes_contain_the_runs(folder):
 def test_sets_hold_the_radius_of_every_node(folder):
     safety = synthesised()[1].safety
     with np.load(folder.path / "sets.npz", allow_pickle=False) as sets:
-        assert str(sets["kind"]) == "polytope" and sets["slice_outline_m"].shape[1:] == (24, 2)
+        assert str(sets["kind"]) == "polytope" and sets["slice_outline_m"].shape[1:] == (5, 24, 2)
+        assert sets["slice_place_m"].shape == (len(sets["slice_t_s"]), 5, 2)
         q = safety.tracking.feedback.nodes_per_cell
         assert sets["radius"][3] == safety.recoverable.radius(3 * q)
         assert sets["obstacle_room_m"].shape == (safety.reference.cells, q + 1, 2)
@@ -155,10 +156,10 @@ def test_sets_hold_the_radius_of_every_node(folder):
 def test_a_newer_run_replaces_the_older_one(tmp_path):
     scenario, schedule = synthesised()
     target = tmp_path / "deep" / "er"
-    write_run(target, scenario, schedule, flown(), figures=False)
+    write_run(target, scenario, schedule, flown())
     (target / "note.txt").write_text("mine", encoding="utf-8")
-    other, noted = scenario.set("simulation.seed", 5), ["simulation.seed=5"]
-    write_run(target, other, schedule, flown(), overrides=noted, figures=False)
+    other = scenario.with_assignments(["simulation.seed=5"])
+    write_run(target, other, schedule, flown())
     assert (target / "note.txt").read_text(encoding="utf-8") == "mine"
     assert read_run(target).scenario.simulation.seed == 5
     assert [path.name for path in target.parent.iterdir()] == ["er"]
@@ -167,7 +168,7 @@ def test_a_newer_run_replaces_the_older_one(tmp_path):
 def test_an_empty_folder_is_taken(tmp_path):
     scenario, schedule = synthesised()
     (tmp_path / "empty").mkdir()
-    written = write_run(tmp_path / "empty", scenario, schedule, flown(), figures=False)
+    written = write_run(tmp_path / "empty", scenario, schedule, flown())
     assert written.summary["scenario"] == "tiny"
 
 

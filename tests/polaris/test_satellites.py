@@ -13,7 +13,7 @@ from polaris.model.errors import ScenarioError, SynthesisInfeasible
 from polaris.model.hill import clohessy_wiltshire
 from polaris.model.satellite import SatelliteObstacle, true_states
 from polaris.model.system import LinearSystem
-from polaris.runs.folder import write_run
+from polaris.runs.schedule import write_run
 from polaris.scenario.scenario import Scenario
 from polaris.simulation.baselines import compare
 from polaris.synthesis.clearance import error_tube
@@ -276,7 +276,7 @@ def test_a_proved_run_is_verified_and_none_made_with_d_is(monkeypatch, tmp_path)
         schedule = synthesize(scenario)
         assert schedule.guarantee == "proved"
         few = compare(schedule, 2, 0)
-        told.append(verify(write_run(tmp_path / "run", scenario, schedule, few, figures=False).path))
+        told.append(verify(write_run(tmp_path / "run", scenario, schedule, few).path))
     assert told[0].outcome == "VERIFIED", told[0].text()
     assert (told[1].outcome, told[1].claim) == ("REJECTED", "unsafe_sets")
 

@@ -30,10 +30,10 @@ def test_bundled_scenario_builds_all_its_objects(name):
     assert theta.c.shape == (system.n,) and theta.G.shape[0] == system.n
     assert len(scenario.obstacles()) == len(scenario.model.obstacles) + len(scenario.model.keep_in)
     assert scenario.goal().n == system.n
-    tracking = scenario.tracking()
+    tracking = scenario.problem()
     assert tracking.Q.shape == (system.n, system.n) and tracking.R.shape == (system.m, system.m)
     assert scenario.steps * scenario.step == pytest.approx(scenario.model.horizon.duration_s)
-    assert scenario.experimental_specs()
+    assert scenario.model.experimental
     assert scenario.text == (scenario_folder() / f"{name}.toml").read_text(encoding="utf-8")
 
 
@@ -162,14 +162,14 @@ def test_generators_are_rows_in_the_file_and_columns_in_the_set():
 def test_full_weight_matrices_and_their_diagonals_agree():
     scenario = load_scenario(SPACE)
     full = scenario.set("tracking.Q", np.diag([0.04] * 3 + [400.0] * 3))
-    assert np.array_equal(full.tracking().Q, scenario.tracking().Q)
+    assert np.array_equal(full.problem().Q, scenario.problem().Q)
 
 
 def test_weight_of_the_norm():
     scenario = load_scenario(SPACE)
-    assert scenario.tracking().weight == "auto"
+    assert scenario.problem().weight == "auto"
     assert np.array_equal(
-        scenario.set("tracking.weight", [1] * 3 + [9] * 3).tracking().weight[3:, 3:], 9 * np.eye(3)
+        scenario.set("tracking.weight", [1] * 3 + [9] * 3).problem().weight[3:, 3:], 9 * np.eye(3)
     )
 
 
@@ -185,11 +185,6 @@ def test_thrust_limit_per_axis_or_for_all():
     scenario = load_scenario(SPACE)
     assert scenario.system().u_max.tolist() == [0.1, 0.1, 0.1]
     assert scenario.set("system.thrust_max_N", [0.1, 0.1, 0.05]).system().u_max.tolist() == [0.1, 0.1, 0.05]
-
-
-def test_periods():
-    assert load_scenario(SPACE).periods_per_step is None
-    assert load_scenario(FLOOR).periods_per_step == 5
 
 
 def test_models_cannot_be_changed():

@@ -26,6 +26,7 @@ from polaris.certificate.verdict import Rejected
 from polaris.model.errors import ScenarioError
 from polaris.scenario.reading import read_document, validate
 from polaris.scenario.scenario import bundled_scenarios, load_scenario, locate
+from polaris.scenario.tables import ScenarioModel
 
 from .forging import chosen, places, replaced
 from .tiny import TINY
@@ -211,7 +212,7 @@ def test_the_table_and_the_models_refuse_the_same(scene):
             [0.5],
         ):
             changed = replaced(data, at, other)
-            expected = refused(validate, changed, None)
+            expected = refused(validate, ScenarioModel, changed)
             assert refused(conform, changed, SCENARIO, "scenario", "file") == expected, (at, other)
             counts[expected] += 1
     assert min(counts.values()) >= 20

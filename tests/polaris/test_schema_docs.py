@@ -9,40 +9,24 @@ import jsonschema
 import pytest
 
 import polaris
-from docs.generate.scenario_docs import (
-    INSPECTION_FILE,
-    REFERENCE_FILE,
-    SCHEMA_FILE,
-    inspection_schema,
-    inspection_schema_text,
-    reference_text,
-    schema,
-    schema_text,
-    write,
-)
+from docs.generate.scenario_docs import inspection_schema, reference_text, schema, texts, write
 from polaris.scenario import scene_tables as scene
 from polaris.scenario import tables as scenario_model
-from polaris.scenario.inspection import load_inspection
 from polaris.scenario.scenario import bundled_scenarios, load_scenario
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 
 
-@pytest.mark.parametrize(
-    ("name", "text"),
-    [
-        (SCHEMA_FILE, schema_text),
-        (INSPECTION_FILE, inspection_schema_text),
-        (REFERENCE_FILE, reference_text),
-    ],
-)
-def test_committed_file_is_up_to_date(name, text):
+@pytest.mark.parametrize("name", texts())
+def test_committed_file_is_up_to_date(name):
     committed = (DOCS / name).read_text(encoding="utf-8")
-    assert committed == text(), "run: python -m docs.generate.scenario_docs"
+    assert committed == texts()[name], "run: python -m docs.generate.scenario_docs"
 
 
 def test_writing_gives_the_same_bytes(tmp_path):
-    for path in write(tmp_path / "new"):
+    written = write(tmp_path / "new")
+    assert len(written) == 3
+    for path in written:
         assert path.read_bytes() == (DOCS / path.name).read_bytes()
 
 
@@ -101,7 +85,7 @@ def test_schema_is_valid_and_accepts_the_bundled_scenarios():
 def test_inspection_schema_is_valid_and_refuses_what_the_models_refuse():
     validator = jsonschema.Draft202012Validator(inspection_schema())
     validator.check_schema(inspection_schema())
-    document = load_inspection("inspection").to_dict()
+    document = load_scenario("inspection").to_dict()
     assert validator.is_valid(document)
     for table, field, value in (
         ("parameters", "mass_kg", -1),
@@ -130,6 +114,14 @@ def test_schema_refuses_what_the_models_refuse(key, value):
     assert not jsonschema.Draft202012Validator(schema()).is_valid(document)
 
 
+def test_both_parts_of_the_reference_are_made_anew(monkeypatch):
+    monkeypatch.setattr("docs.generate.scenario_docs._schedule_lines", lambda: ["one"])
+    monkeypatch.setattr("docs.generate.scenario_docs._inspection_lines", lambda: ["two"])
+    text = reference_text()
+    assert text.startswith("# Scenario reference\n") and "\n# Scenarios of the inspection problem\n" in text
+    assert re.findall(r"-->\n\n(.*?)\n\n<!-- end -->", text, re.S) == ["one", "two"]
+
+
 def test_reference_names_every_field_of_every_table():
     text = reference_text()
     for table, node in _tables():
@@ -144,7 +136,7 @@ def test_reference_table_rows_have_five_cells():
 
 
 def test_schema_is_json():
-    assert json.loads(schema_text())["title"] == "Polaris scenario"
+    assert json.loads(texts()["scenario.schema.json"])["title"] == "Polaris scenario"
 
 
 UNIT = re.compile(r"_(m_s2|rad_s|m_s|deg|rad|steps|kg|N|m|s)$")

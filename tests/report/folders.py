@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 
-from polaris.runs.folder import write_run
+from polaris.runs.schedule import write_run
 
 from ..polaris.tiny import flown, synthesised
 
@@ -21,7 +21,7 @@ def fewer():
 
 def write_tiny(target):
     """An ordinary run folder without figures."""
-    return write_run(target, *synthesised(), fewer(), figures=False).path
+    return write_run(target, *synthesised(), fewer()).path
 
 
 def rewrite_json(path, change):

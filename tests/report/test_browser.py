@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from polaris.cli import app as cli
 from polaris.report import write_report
-from polaris.runs.folder import read_run
+from polaris.runs.run import read_run
 
 from .folders import EVIL, rename, write_comparison, write_tiny
 
@@ -113,14 +113,12 @@ def move_slider(browser, share):
     script = """const slider = document.getElementById('time');
     slider.value = slider.max * arguments[0];
     slider.dispatchEvent(new Event('input'));
-    return Number(slider.value);"""
-    t = browser.execute_script(script, share)
-    wait(
-        browser,
-        "return Math.abs(document.getElementById('timelines').layout.shapes[0].x0 - arguments[0]) < 1e-9",
-        t,
-    )
-    return t
+    return [Number(slider.value), Number(slider.max)];"""
+    t, end = browser.execute_script(script, share)
+    # A decision nearby takes its place.
+    script = """const x = document.getElementById('timelines').layout.shapes[0].x0;
+    return Math.abs(x - arguments[0]) <= arguments[1] && [x];"""
+    return wait(browser, script, t, end / 1000)[0]
 
 
 def trace(browser, uid):
@@ -172,7 +170,7 @@ def test_moving_sets_and_tubes_follow_the_time(browser, page):
     open_page(browser, page)
     script = """return Object.fromEntries(document.getElementById('scene').data
     .filter((one) => arguments[0].includes(one.name)).map((one) => [one.name, one.x]));"""
-    names = ["trolley", "reachable now", "recoverable, last slice reached", "pillar"]
+    names = ["trolley", "reachable now", "pillar"]
     move_slider(browser, 0.0)
     wait(browser, AT_START)
     early = browser.execute_script(script, names)
@@ -181,8 +179,43 @@ def test_moving_sets_and_tubes_follow_the_time(browser, page):
     wait(browser, MOVED, "pilotpolarisnow", before[0][0])
     late = browser.execute_script(script, names)
     assert set(late) == set(names) and late["pillar"] == early["pillar"]
-    assert all(late[name] != early[name] for name in names[:3])
+    assert all(late[name] != early[name] for name in names[:2])
     assert np.allclose(np.array(late["trolley"]) - early["trolley"], -0.05 * 9, atol=1e-4)
+
+
+SLICE = """const seen = document.getElementById('scene').data;
+const name = (document.getElementById('notes').textContent.match(/drawn: at ([^ ]+) s/) || [])[1];
+const [area, edge, place, text, here] = ['slice', 'sliceedge', 'sliceplace', 'slicetime', 'pilotpolarisnow']
+  .map((uid) => seen.find((one) => one.uid === uid || (uid === 'slicetime' && one.uid.startsWith(uid))));
+const drawn = here && text.name === `recoverable at ${name} s` && edge.name === text.name;
+return drawn && { t: Number(name), filled: area.x.length > 0, dash: edge.line.dash, text: text.text[0],
+  here: [here.x[0], here.y[0]], place: [place.x[0], place.y[0]], outline: [edge.x, edge.y] };"""
+
+
+def test_a_recoverable_set_holds_the_chaser_or_bears_its_own_time(browser, page):
+    open_page(browser, page)
+    filled = 0
+    for share in (None, 0.0, 0.04, 0.13, 0.25, 0.376, 0.5, 0.62, 0.75, 0.99):
+        if share is not None:
+            before = trace(browser, "pilotpolarisnow")
+            t = move_slider(browser, share)
+            until = time.monotonic() + MOST
+            while trace(browser, "pilotpolarisnow") == before:
+                assert time.monotonic() < until
+                time.sleep(0.1)
+        else:
+            t = browser.execute_script("return document.getElementById('timelines').layout.shapes[0].x0")
+        found = wait(browser, SLICE)
+        edge = np.array(found["outline"]).T
+        along, now = np.diff(edge, axis=0), abs(found["t"] - t) < 1e-3
+        beside = np.array(found["here" if now else "place"]) - edge[:-1]
+        assert np.all(along[:, 0] * beside[:, 1] - along[:, 1] * beside[:, 0] > -1e-4)
+        assert found["text"] == f"recoverable at {found['t']:.4g} s" and found["t"] < t + 1e-3
+        assert (found["filled"], found["dash"]) == ((True, "solid") if now else (False, "dash"))
+        assert now or found["place"] != found["here"]
+        filled += now
+    assert 2 <= filled < 10  # where it opens, and at the start
+    assert_quiet(browser)
 
 
 @pytest.mark.slow

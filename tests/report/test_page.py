@@ -13,12 +13,12 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from polaris.cli import app as cli
-from polaris.cli.console import show_summary
+from polaris.cli.show import show_summary
 from polaris.model.errors import ScenarioError
 from polaris.report import write_report
 from polaris.report.html.page import own_script, page_html, plotly
 from polaris.report.html.timelines import kept
-from polaris.runs.folder import read_run
+from polaris.runs.run import read_run
 
 from .folders import EVIL, rename, rewrite_json, write_comparison, write_tiny
 from .test_pieces import Tags
@@ -114,7 +114,7 @@ def test_timelines_are_those_of_the_folder(run, html):
     folder, data = read_run(run), data_of(html)
     panels = {panel["key"]: panel for panel in data["panels"]}
     (margin,) = panels["margin"]["series"]
-    margins = [step["margin"] for step in folder.schedule["steps"]]
+    margins = [step["margin"] for step in folder.json("schedule.json")["steps"]]
     assert np.allclose(
         [np.nan if v is None else v for v in margin["y"]],
         [np.nan if v is None else v for v in margins],
@@ -247,6 +247,7 @@ def test_every_method_is_in_the_tables_and_in_the_scene(comparison, tmp_path):
     html = report_of(comparison, tmp_path)
     told, data = words(html), data_of(html)
     assert [one["key"] for one in data["pilots"]] == ["schedule", "safety", "experimental", "filter_0"]
+    assert "slice" not in {layer["group"] for layer in data["scene"]["layers"]}  # they are not of these runs
     for name in ("Polaris schedule", "S alone", "U alone", "filter 0", "needs a licence"):
         assert name in told
     assert "4.5 to 5.5" in told and "worst 4" in told and "never heard of (m)" in told

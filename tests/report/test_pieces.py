@@ -8,13 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from polaris.report.figures.geometry import boxed
 from polaris.report.html.comparison_report import stretches
 from polaris.report.html.html import Cell, badge, number_cell, table, text_cell
 from polaris.report.html.measures import Measure
 from polaris.report.html.numbers import escaped, plain, script_json, shown
-from polaris.report.html.solids import ball, cut_surface, hull, polyhedron
-from polaris.report.html.timelines import MOST, kept, style_of
+from polaris.report.html.timelines import MOST, kept
+from polaris.report.scene.geometry import ball, boxed, cut_surface, hull, polyhedron
+from polaris.report.scene.palette import method_style as style_of
 
 CUBE = np.vstack([np.eye(3), -np.eye(3)])
 
@@ -195,9 +195,8 @@ def test_sets_without_volume_have_no_surface():
 def test_cone_is_cut_to_the_scene_and_stays_open():
     H = np.array([[-1.0, 1, 0], [-1.0, -1, 0], [-1.0, 0, 1], [-1.0, 0, -1]]) / np.sqrt(2)
     low, high = np.array([-1.0, -20, -20]), np.array([10.0, 20, 20])
-    closed, opened = (cut_surface(H, np.zeros(4), low, high, closed=shut) for shut in (True, False))
-    assert np.allclose(closed.points.max(axis=0), [10, 10, 10])
-    assert len(opened.faces) == 4 and len(closed.faces) == 6
+    opened = cut_surface(H, np.zeros(4), low, high)
+    assert np.allclose(opened.points.max(axis=0), [10, 10, 10]) and len(opened.faces) == 4
     assert cut_surface(H, np.zeros(4), high + 90 * np.array([0, 1, 1]), high + 100) is None
 
 

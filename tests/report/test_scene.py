@@ -13,7 +13,8 @@ from polaris.model.system import LinearSystem
 from polaris.planning.goals import Box, EllipticalNMT, LinearNMT, StationaryPoint
 from polaris.planning.reference import Reference
 from polaris.report.html.bounds import proven_distance
-from polaris.report.html.scene import scene_of
+from polaris.report.html.scene import scene_data
+from polaris.report.scene.scene import describe, shown_axes
 from polaris.runs.picture import Picture, TubePicture
 from reach.sets.zonotope import Zonotope
 
@@ -48,8 +49,21 @@ def picture(system, obstacles, goal):
     )
 
 
+def scene_of(picture, paths):
+    """The scene of a page."""
+    return scene_data(describe(picture, paths, shown_axes(picture, paths)))
+
+
 def named(scene):
     return {layer["name"]: layer for layer in scene["layers"]}
+
+
+def at(layer, t):
+    """Coordinates (dim, N) of a layer at t, as the page's script finds them; None if there are none."""
+    times = np.array(layer["t"])
+    points = np.array(layer["frames"][int(np.searchsorted(times, t, side="right")) - 1]["p"])
+    shift = [np.interp(t, times, axis) for axis in layer["shift"]]
+    return points + np.array(shift)[:, None] if points.size else None
 
 
 @pytest.fixture(scope="module")
@@ -91,17 +105,24 @@ def test_moving_sets_are_where_they_are_at_each_time(scene):
     ball = found["ball"]
     middle = np.array(ball["p"]).mean(axis=1) + np.array(ball["shift"])[:, -1]
     assert np.allclose(middle, [0, 0.5 * K * DELTA, 0], atol=1e-4) and ball["t"][-1] == K * DELTA
-    shutter = found["shutter"]["frames"]
-    edges = [min(frame["p"][0]) if frame["p"] else np.inf for frame in shutter]
-    assert edges[-1] == pytest.approx(90 - 0.2 * K * DELTA, abs=1e-3) and np.all(np.diff(edges) <= 1e-9)
+    for t in np.linspace(0, K * DELTA, 1001):  # between its frames too
+        points = at(found["shutter"], t)
+        assert points is None or points[0].min() == pytest.approx(90 - 0.2 * t, abs=1e-3)
+    assert points is not None
 
 
 def test_timed_cover_holds_the_satellite_wherever_it_may_be(space, scene):
     found = named(scene)
     cover = found["visitor is within"]
     visitor = space.obstacles[4]
-    for t, frame in zip(cover["t"], cover["frames"], strict=True):
-        points = np.array(frame["p"])
+    (timed,) = visitor.timed_polytopes(space.system, DELTA, K)
+    for t in np.linspace(0, K * DELTA, 301)[:-1]:
+        points, (k, s) = at(cover, t), divmod(t / DELTA, 1)
+        known = (1 - s) * timed.offsets[int(k), 0] + s * timed.offsets[int(k), 1]
+        grown = (timed.normals[:, [1, 0, 2]] @ points).max(axis=1) - known
+        assert (
+            grown.min() > -2e-3 and grown.max() < 1.0
+        )  # of what the proof uses then, and not of all the step
         centre = visitor.centre(t, space.system)[[1, 0, 2]]
         for axis in range(3):  # at least the ball and the half widths, to either side
             assert points[axis].max() >= centre[axis] + 9 - 1e-3

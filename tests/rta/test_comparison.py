@@ -8,11 +8,13 @@ from typer.testing import CliRunner
 
 from polaris.cli.app import app
 from polaris.model.errors import ScenarioError
+from polaris.report.figures import draw_run
 from polaris.rta.arena import METHODS, TUNING, compare_methods
 from polaris.rta.flight import Conditions, Flight, fly
 from polaris.rta.method import Claim
 from polaris.rta.outcome import DEFINITIONS, Outcome, flown, measure
-from polaris.runs.comparison import read_comparison, write_comparison
+from polaris.runs.comparison import write_comparison
+from polaris.runs.run import read_run
 from tests.polaris.tiny import TINY, synthesised
 from tests.rta.scenes import corridor, robot, scene
 
@@ -157,7 +159,7 @@ def test_methods_are_tuned_and_the_folder_says_how(tmp_path):
               "simulation.horizon": 2.0, "reachability.horizon": 3.0}  # fmt: skip
     keys = [name.split(".")[0] for name in tuning]
     comparison = compare_methods(schedule, 1, 0, methods=keys, tuning=tuning)
-    table = write_comparison(tmp_path / "one", scenario, comparison, figures=False).table
+    table = write_comparison(tmp_path / "one", scenario, comparison).summary
     told = {
         f"{one['key']}.{name}": value for one in table["methods"] for name, value in one["settings"].items()
     }
@@ -182,14 +184,14 @@ def test_a_scene_that_a_method_does_not_admit_is_told():
 def test_folder_holds_what_was_found(tmp_path):
     scenario, schedule = synthesised()
     comparison = compare_methods(schedule, 4, 0, methods=FEW)
-    folder = write_comparison(tmp_path / "one", scenario, comparison, figures=False)
-    table = read_comparison(tmp_path / "one").table
+    folder = write_comparison(tmp_path / "one", scenario, comparison)
+    table = read_run(tmp_path / "one").summary
     assert [method["key"] for method in table["methods"]] == [key for key in METHODS if key in FEW]
     for method in table["methods"]:
         told = comparison.outcomes[method["key"]].summary()
         assert method["metrics"]["min_distance_m"] == told["min_distance_m"]
         assert set(method["metrics"]) <= set(DEFINITIONS)
-    shown = folder.shown()
+    shown = folder.picture().shown
     for key in FEW:
         assert np.array_equal(shown[key].states, comparison.shown[key].states)
     lines = [json.loads(line) for line in (folder.path / "decisions.jsonl").read_text().splitlines()]
@@ -204,9 +206,11 @@ def test_folder_holds_what_was_found(tmp_path):
 @pytest.mark.slow
 def test_figures_are_drawn_again_alike(tmp_path):
     scenario, schedule = synthesised()
-    folder = write_comparison(tmp_path / "one", scenario, compare_methods(schedule, 4, 0, methods=FEW))
+    folder = write_comparison(
+        tmp_path / "one", scenario, compare_methods(schedule, 4, 0, methods=FEW), draw=draw_run
+    )
     before = {path.name: path.read_bytes() for path in (folder.path / "figures").glob("[!.]*")}
-    folder.draw()
+    draw_run(folder)
     assert before == {path.name: path.read_bytes() for path in (folder.path / "figures").glob("[!.]*")}
     assert {"paths.png", "tradeoffs.pdf"} <= set(before)
 
@@ -224,7 +228,7 @@ def test_command(tmp_path):
     assert table["protocol"]["runs"] == 3 and len(table["methods"]) == 3
     assert table["methods"][2]["settings"] == {"dwell": 4.0}
     for arguments, told in (
-        (["compare", "inspection"], "is of the inspection problem"),
+        (["compare", "inspection"], "must be a scenario of the kind 'schedule'"),
         (["compare", "robot", "--methods", "nonsense"], "must be one of"),
         (["compare", "robot", "--estimate-error", "much"], "must be numbers"),
         (["compare", str(TINY), "--tune", "monitor.dwell"], "must be METHOD.OPTION=NUMBER"),

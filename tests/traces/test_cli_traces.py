@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from polaris.cli import app as cli
 from polaris.rta.arena import compare_methods
 from polaris.runs.comparison import write_comparison
-from polaris.runs.folder import write_run
+from polaris.runs.schedule import write_run
 from polaris.traces import AgentTrace, BallTrace, Trace, evaluate_trace, read_trace, write_trace
 
 from ..polaris.tiny import flown, synthesised
@@ -36,7 +36,7 @@ def path(tmp_path):
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     scenario, schedule = synthesised()
-    return write_run(tmp_path_factory.mktemp("run") / "tiny", scenario, schedule, flown(), figures=False)
+    return write_run(tmp_path_factory.mktemp("run") / "tiny", scenario, schedule, flown())
 
 
 def test_evaluate_prints_a_table(path):
@@ -179,13 +179,13 @@ def compared(tmp_path_factory):
     scenario, schedule = synthesised()
     found = compare_methods(schedule, 4, 0, methods=("experimental", "schedule", "asif_implicit"))
     out = tmp_path_factory.mktemp("compared") / "tiny"
-    return write_comparison(out, scenario, found, figures=False)
+    return write_comparison(out, scenario, found)
 
 
 @pytest.mark.parametrize("method", ["experimental", "schedule", "asif_implicit"])
 def test_export_of_a_method_has_its_least_distance(compared, tmp_path, method):
     """The run shown as closest, against the envelope of all runs that comparison.npz keeps."""
-    path, shown = tmp_path / "t.json", compared.shown()[method]
+    path, shown = tmp_path / "t.json", compared.picture().shown[method]
     done = invoke("export", compared.path, path, "--method", method, "--run", "closest")
     assert done.exit_code == 0 and f"run 'closest' of {method}, {len(shown.times)} samples" in done.stdout
     found = evaluate_trace(read_trace(path)).agents["chaser"]

@@ -5,17 +5,15 @@ from functools import cache
 import numpy as np
 import pytest
 
+import polaris
 from polaris.model.distances import UNKNOWN, ray_ttc, signed_distances
 from polaris.model.errors import ScenarioError
 from polaris.model.hill import clohessy_wiltshire, elliptical_nmt
 from polaris.model.keep_in import KeepInCone, KeepInPolytope
 from polaris.model.obstacles import BallObstacle, BoxObstacle, PolytopeObstacle
 from polaris.model.satellite import SatelliteObstacle, true_states
-from polaris.runs.folder import write_run
-from polaris.scenario.scenario import load_scenario
+from polaris.runs.schedule import write_run
 from polaris.simulation.baselines import compare
-from polaris.synthesis.get_safety import get_safety
-from polaris.synthesis.synthesize import synthesize
 from polaris.traces import AgentTrace, Trace, evaluate_trace, export_run, read_trace, to_trace, write_trace
 
 from ..polaris.tiny import synthesised
@@ -32,14 +30,11 @@ def folder(tmp_path_factory):
 
     @cache
     def make(name):
-        if name == "tiny":
-            scenario, schedule = synthesised()
-        else:
-            scenario = load_scenario(name).with_assignments(["simulation.runs=1"])
-            safety = get_safety(scenario.problem())
-            schedule = synthesize(scenario, safety, scenario.controllers(safety))
         out = tmp_path_factory.mktemp(name) / "run"
-        return write_run(out, scenario, schedule, compare(schedule, 1, 0), figures=False)
+        if name != "tiny":
+            return polaris.run(name, out, overrides=["simulation.runs=1"])
+        scenario, schedule = synthesised()
+        return write_run(out, scenario, schedule, compare(schedule, 1, 0))
 
     return make
 
@@ -81,7 +76,8 @@ def test_exported_run_agrees_with_the_summary(name, controller, folder, tmp_path
     ttc = np.inf if told["min_ttc_s"] is None else told["min_ttc_s"]
     assert min(item.ttc.min for item in found.unsafe) == pytest.approx(ttc, rel=1e-6)
     if name != "dynamic":  # another satellite drifts, a set of a trace keeps its velocity
-        every = (len(agent.times) - 1) // len(run.schedule["modes"])  # the summary asks at starts of steps
+        steps = len(run.json("schedule.json")["modes"])  # the summary asks at their starts
+        every = (len(agent.times) - 1) // steps
         starts = AgentTrace(agent.times[::every], agent.states[::every])
         asked = evaluate_trace(Trace({"chaser": starts}, exported.unsafe), system=system)
         drift = np.inf if told["min_ttc_free_drift_s"] is None else told["min_ttc_free_drift_s"]

@@ -40,7 +40,7 @@ class ActiveSetFilter(CallByCall):
     inspection : Inspection
     sharing : str
         ``centralized``, or how a decentralized filter shares (see `Decentralized`).
-    strengthening, without, sampled
+    strengthening, without, sampled : as in `Families`
         See `Families`.
     backup : Backup, optional
         Default: no thrust.

@@ -9,14 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...model.system import Array
-from ...scenario.inspection import InspectionScenario
-from ...scenario.inspection_tables import InspectionModel
 from ..constraints.allowable_set import allowable
 from ..constraints.catalogue import CONSTRAINTS, FAMILIES, PAIRWISE, PASSIVE
 from ..constraints.families import Families
 from ..constraints.table import Index
 from ..filters.explicit import Filtered
-from .simulation import BatchFilter, InspectionRun, fly_one
+from .simulation import BatchFilter, InspectionRun
 
 CHUNK = 256
 """States judged at a time."""
@@ -87,28 +85,6 @@ class Stopwatch:
         self.seconds.append(time.perf_counter() - begun)
         self.told(len(self.seconds))
         return found
-
-
-def fly_scenario(
-    scenario: InspectionScenario, progress: Callable[[int, int], None] = lambda done, total: None
-) -> JudgedRun:
-    """Fly a scenario of the kind ``inspection`` and judge the flight.
-
-    Parameters
-    ----------
-    scenario : InspectionScenario
-    progress : callable, optional
-        Called with the periods flown and their number.
-    """
-    model = scenario.model
-    assert isinstance(model, InspectionModel)
-    duration, period = model.flight.duration_s, model.flight.period_s
-    total = int(np.rint(duration / period))
-    watch = Stopwatch(scenario.filter(model.filter, period), lambda done: progress(done, total))
-    x, sun = scenario.initial()
-    run = fly_one(scenario.inspection(), watch, scenario.primary(), x, sun, duration, period)
-    constraints, barriers = judge(run, scenario.families(), model.flight.between)
-    return JudgedRun(run, constraints, barriers, np.array(watch.seconds))
 
 
 class Keeper:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -154,18 +154,6 @@ class InspectionRun:
         """Spent velocity change of each deputy [m/s] (eq. 25), shape (K+1, N)."""
         steps = np.abs(self.u).sum(axis=2) / self.inspection.mass * np.diff(self.t)[:, None]
         return np.concatenate([np.zeros((1, steps.shape[1])), np.cumsum(steps, axis=0)])
-
-    def arrays(self) -> dict[str, Any]:
-        """Everything the flight consists of, by the names that files have for it."""
-        return {
-            "t_s": self.t,
-            "states": self.x,
-            "sun_rad": self.sun,
-            "thrust_N": self.u,
-            "desired_N": self.desired,
-            "status": self.status,
-            "barriers": self.h,
-        }
 
 
 def fly_one(

@@ -6,17 +6,20 @@ matplotlib is imported when the first figure is drawn.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from ...runs.picture import Picture
-    from ...synthesis.get_safety import Safety
-    from ...synthesis.schedule import Schedule
+from ...model.checks import of_kind
+from ...runs.folder import RunFolder
+from ...runs.picture import Picture, picture_of, picture_of_safety
+from ...synthesis.get_safety import Safety
+from ...synthesis.schedule import Schedule
+from ..scene.scene import describe
+from .scene import draw_scene, scene_figure
+from .scene3d import scene_3d_figure
+from .style import WIDTH, keep_ticks, new_figure, printing, save, style
+from .timelines import distance_figure, margin_figure, modes_figure
 
-__all__ = ["NAMES", "draw_figures", "plot_reference", "plot_schedule"]
-
-NAMES = ("scene", "scene_3d", "distance", "modes", "margin")
-"""Figures of a run folder."""
+__all__ = ["NAMES", "draw_figures", "draw_run", "plot_reference", "plot_schedule"]
 
 
 def plot_reference(safety: Safety, ax: Any = None) -> Any:
@@ -33,10 +36,6 @@ def plot_reference(safety: Safety, ax: Any = None) -> Any:
     -------
     matplotlib axes
     """
-    from ...model.checks import of_kind
-    from ...runs.picture import picture_of_safety
-    from ...synthesis.get_safety import Safety
-
     of_kind("safety", safety, Safety, "polaris.get_safety")
     return _plot(picture_of_safety(safety), ax)
 
@@ -55,26 +54,55 @@ def plot_schedule(schedule: Schedule, ax: Any = None) -> Any:
     -------
     matplotlib axes
     """
-    from ...model.checks import of_kind
-    from ...runs.picture import picture_of
-    from ...synthesis.schedule import Schedule
-
     of_kind("schedule", schedule, Schedule, "polaris.synthesize")
     return _plot(picture_of(schedule), ax)
 
 
 def _plot(picture: Picture, ax: Any) -> Any:
-    from .scene import draw_scene, scene_figure
-    from .style import WIDTH, style
-
     with style():
         if ax is not None:
-            draw_scene(ax, picture)
+            draw_scene(ax, describe(picture))
+            keep_ticks([ax])
             return ax
         from matplotlib import pyplot
 
         shown = lambda height: pyplot.figure(figsize=(WIDTH, height), layout="constrained")  # noqa: E731
-        return scene_figure(shown, picture)[1]
+        return scene_figure(picture, shown).axes[0]
+
+
+def draw_run(folder: RunFolder) -> list[Path]:
+    """Draw the figures of a run folder from its files alone; older ones stay until all are drawn.
+
+    Parameters
+    ----------
+    folder : RunFolder
+        Of any kind, as from `polaris.read_run`.
+
+    Returns
+    -------
+    list of Path
+        PDF and PNG files in its folder ``figures``.
+
+    Raises
+    ------
+    ScenarioError
+        If a file is missing or damaged, or the place cannot be written to.
+    """
+    from ...runs.atomic import replacing
+    from .comparison import draw_comparison
+    from .inspection import draw_campaign, draw_flight, draw_fuel_run
+
+    draw: Any = {
+        "schedule": draw_figures,
+        "inspection": draw_flight,
+        "fuel_limit": draw_fuel_run,
+        "monte_carlo": draw_campaign,
+        "comparison": draw_comparison,
+    }[folder.kind.name]
+    picture, place = folder.picture(), folder.path / "figures"
+    with replacing(place) as beside:
+        names = [path.name for path in draw(picture, beside)]
+    return [place / name for name in names]
 
 
 def draw_figures(picture: Picture, folder: Path) -> list[Path]:
@@ -87,66 +115,18 @@ def draw_figures(picture: Picture, folder: Path) -> list[Path]:
     folder : Path
         Must exist.
     """
-    from .style import new_figure, printing, save
-
-    written: list[Path] = []
     with printing():
-        for name in NAMES:
-            if name == "scene_3d" and picture.system.d == 1:
-                continue
-            figure = _FIGURES[name](picture, new_figure)
-            written += save(figure, folder, name)
-    return written
+        names = [name for name in NAMES if name != "scene_3d" or picture.system.d > 1]
+        return [path for name in names for path in save(_FIGURES[name](picture, new_figure), folder, name)]
 
 
-def _scene(picture: Picture, new_figure: Any) -> Any:
-    from .scene import scene_figure
+_FIGURES = {
+    "scene": scene_figure,
+    "scene_3d": scene_3d_figure,
+    "distance": distance_figure,
+    "modes": modes_figure,
+    "margin": margin_figure,
+}
 
-    return scene_figure(new_figure, picture)[0]
-
-
-def _scene_3d(picture: Picture, new_figure: Any) -> Any:
-    from .scene3d import draw_scene_3d
-    from .style import legend_rows
-
-    space = picture.system.d == 3
-    figure = new_figure(2.5 if space else 3.0)
-    figure.set_layout_engine(None)
-    # The axes draw their own labels outside of what matplotlib takes for their box.
-    place = (-0.1, -0.07, 1.1, 1.08) if space else (-0.05, 0.03, 1.0, 0.93)
-    ax = figure.add_axes(place, projection="3d", computed_zorder=False)
-    draw_scene_3d(ax, picture)
-    handles, _ = ax.get_legend_handles_labels()
-    columns, names = legend_rows(handles, figure.get_figwidth(), 2)
-    figure.legend(handles, names, loc="upper left", ncols=columns)
-    return figure
-
-
-def _distance(picture: Picture, new_figure: Any) -> Any:
-    from .timelines import draw_distance, draw_input, mode_strip
-
-    figure = new_figure(3.6)
-    upper, lower = figure.subplots(2, 1, sharex=True)
-    draw_distance(upper, picture)
-    draw_input(lower, picture)
-    mode_strip(lower, picture)
-    return figure
-
-
-def _modes(picture: Picture, new_figure: Any) -> Any:
-    from .timelines import draw_modes
-
-    figure = new_figure(0.6 + 0.28 * len(picture.controllers))
-    draw_modes(figure.add_subplot(), picture)
-    return figure
-
-
-def _margin(picture: Picture, new_figure: Any) -> Any:
-    from .timelines import draw_margin
-
-    figure = new_figure(2.4)
-    figure.set_figheight(2.1 + draw_margin(figure.add_subplot(), picture))
-    return figure
-
-
-_FIGURES = dict(zip(NAMES, (_scene, _scene_3d, _distance, _modes, _margin), strict=True))
+NAMES = tuple(_FIGURES)
+"""Figures of a run folder."""

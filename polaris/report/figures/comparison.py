@@ -11,16 +11,16 @@ import numpy as np
 
 from ...runs.picture import Picture
 from ...simulation.baselines import Flights
-from .closeups import closeups
-from .paths import under_mode
-from .space import Space
-from .style import BLUE, GREEN, GREY, ORANGE, RED, new_figure, printing, save, shortened
-from .unsafe import draw_unsafe
+from ..scene.items import under_mode
+from ..scene.palette import BLUE, GREEN, GREY, ORANGE, RED
+from ..scene.scene import describe
+from .scene import draw_unsafe
+from .style import DOTS, new_figure, printing, save, shortened
 from .view import View
 
 if TYPE_CHECKING:
     from ...rta.arena import Shown
-    from ...runs.comparison import ComparisonFolder
+    from ...runs.comparison import ComparisonPicture
 
 MODES = ((1, ORANGE, "U's input"), (-1, GREY, "filtered input"), (0, BLUE, "S"))
 
@@ -34,22 +34,22 @@ PANELS: tuple[tuple[str, str, bool], ...] = (
 """Metric, label, and whether its axis is logarithmic."""
 
 
-def draw_comparison(folder: ComparisonFolder, out: Path) -> list[Path]:
+def draw_comparison(found: ComparisonPicture, out: Path) -> list[Path]:
     """Draw ``paths`` (every method's run that came closest) and ``tradeoffs`` (metrics with intervals).
 
     Parameters
     ----------
-    folder : ComparisonFolder
+    found : ComparisonPicture
     out : Path
         Where PDF and PNG files go.
     """
-    methods = [method for method in folder.table["methods"] if method["available"]]
+    methods = [method for method in found.table["methods"] if method["available"]]
     drawn: list[Path] = []
     with printing():
         drawn += save(_tradeoffs(methods), out, "tradeoffs")
-        picture = folder.run.picture()
+        picture = found.run.picture()
         if picture.system.d > 1:
-            drawn += save(_paths(picture, methods, folder.shown()), out, "paths")
+            drawn += save(_paths(picture, methods, found.shown), out, "paths")
     return drawn
 
 
@@ -75,18 +75,15 @@ def _tradeoffs(methods: Sequence[Mapping[str, Any]]) -> Any:
         for place, method in zip(y, methods, strict=True):
             colour = GREEN if method["guarantee"] == "proved" else RED
             told = method["metrics"].get(metric)
-            if told is None:
+            told = told if isinstance(told, dict) else {"mean": told}
+            mean, low, high, worst = (told.get(name) for name in ("mean", "low", "high", "worst"))
+            if mean is None:
                 continue
-            if not isinstance(told, dict):
-                ax.plot(told, place, "o", ms=3.2, color=colour)
-                continue
-            if told["mean"] is None:
-                continue
-            if told["low"] is not None and told["high"] is not None:
-                ax.plot([told["low"], told["high"]], [place, place], color=colour, lw=1.4)
-            ax.plot(told["mean"], place, "o", ms=3.2, color=colour)
-            if told["worst"] is not None:
-                ax.plot(told["worst"], place, "|", ms=6, mew=1.0, color=colour)
+            if low is not None and high is not None:
+                ax.plot([low, high], [place, place], color=colour, lw=1.4)
+            ax.plot(mean, place, "o", ms=3.2, color=colour)
+            if worst is not None:
+                ax.plot(worst, place, "|", ms=6, mew=1.0, color=colour)
         if logarithmic:
             ax.set_xscale("log")
         elif metric == "min_distance_m":
@@ -103,7 +100,7 @@ def _tradeoffs(methods: Sequence[Mapping[str, Any]]) -> Any:
 def _paths(picture: Picture, methods: Sequence[Mapping[str, Any]], shown: Mapping[str, Shown]) -> Any:
     from matplotlib.lines import Line2D
 
-    view = View.of(Space.of(picture))
+    view, alone = View.of(describe(picture)), replace(picture, tube=None, slices=None)
     columns = 3 if view.aspect < 0.8 else 4
     rows = -(-len(methods) // columns)
     width = 7.2
@@ -121,10 +118,9 @@ def _paths(picture: Picture, methods: Sequence[Mapping[str, Any]], shown: Mappin
         name = shortened(str(method["name"]), width / columns - 0.9) + told
         ax.set_title(name, fontsize=7, color=GREEN if method["guarantee"] == "proved" else RED)
         ax.tick_params(labelsize=6)
-        ax.plot(*picture.path()[0][:, flat].T, color=GREY, lw=0.6, ls=(0, (1, 1.4)), zorder=2)
+        ax.plot(*picture.path()[0][:, flat].T, color=GREY, lw=0.6, ls=DOTS, zorder=2)
         own = {} if one is None else {"polaris": _flights(method["name"], one)}
-        own_picture = replace(picture, flights=own)
-        draw_unsafe(ax, Space.of(own_picture), _Mute(view.x, view.y, view.points), closeups(own_picture))
+        draw_unsafe(ax, describe(replace(alone, flights=own)), _Mute(view.x, view.y, view.points))
         if one is not None:
             flown = (one.states[0] @ picture.system.position.T)[:, flat]
             for mode, colour, _ in MODES:
@@ -140,18 +136,9 @@ def _paths(picture: Picture, methods: Sequence[Mapping[str, Any]], shown: Mappin
 
 def _flights(name: str, shown: Shown) -> Flights:
     """The run that came closest, as the other figures know flights."""
-    first = slice(0, 1)
+    states, inputs, modes = shown.states[:1], shown.inputs[:1], shown.modes[0]
     ranges = np.stack([shown.inputs.min(axis=0), shown.inputs.max(axis=0)])
-    return Flights(
-        name,
-        shown.labels[:1],
-        shown.times,
-        shown.states[first],
-        shown.inputs[first],
-        shown.modes[0],
-        shown.nearest,
-        ranges,
-    )
+    return Flights(name, shown.labels[:1], shown.times, states, inputs, modes, shown.nearest, ranges)
 
 
 class _Mute(View):

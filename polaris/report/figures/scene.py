@@ -1,27 +1,33 @@
-"""The scene in the plane of motion: the paper's Figure 2, and close-ups where the plane does not tell."""
+"""The scene in the plane of motion: the paper's Figure 2, and close-ups where the plane does not tell.
+
+A moving set is drawn at the closest approach and once before and after, on its dotted way; each time is
+written at the set and at the chaser's place. Dashed: keep-in sets, and sets that the plane does not show to
+be passed. A thin line about another satellite is where it is known to be.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
+from ...model.system import Array
 from ...runs.picture import Picture
-from .closeups import CloseUp, closeups, draw_closeup
-from .geometry import flat_outline, tube_polygons, zonotope_outline
-from .line import draw_line_scene
-from .paths import DASHES, DOTS, draw_safe_path
-from .space import Space, position_set
-from .style import BLACK, GREEN, GREY, ORANGE, WIDTH, YELLOW, legend_above, mode_colour, tint
-from .unsafe import draw_unsafe
+from ..scene.geometry import Shape
+from ..scene.items import Item, Scene
+from ..scene.palette import BLACK, DARK_OLIVE, GREEN, GREY, LOOKS, OLIVE, ORANGE, RED, mode_colour, tint
+from ..scene.scene import describe
+from ..scene.unsafe import seconds
+from .closeups import LETTERS, draw_closeup
+from .style import DASHES, DOTS, GOAL_DASHES, LONG, WIDTH, draw_safe_path, keep_ticks, legend_above, shortened
 from .view import View
 
-GOAL_DASHES = (0, (4, 2))
 
-
-def scene_figure(new_figure: Any, picture: Picture) -> tuple[Any, Any]:
-    """A figure of the scene with the close-ups it needs, no higher than they ask for; and its main axes."""
-    found = closeups(picture)
+def scene_figure(picture: Picture, new_figure: Any) -> Any:
+    """A figure of the scene with the close-ups it needs, no higher than they ask for."""
+    scene = describe(picture)
+    found = scene.closeups
     wide = 1 if len(found) == 1 else 2
     rows = -(-len(found) // wide)
     figure = new_figure(3.0)
@@ -30,7 +36,7 @@ def scene_figure(new_figure: Any, picture: Picture) -> tuple[Any, Any]:
     heights = [3.0, *[panel] * rows]
     grid = figure.add_gridspec(1 + rows, wide, height_ratios=heights)
     ax = figure.add_subplot(grid[0, :])
-    top = draw_scene(ax, picture, found)
+    top = draw_scene(ax, scene, lettered=True)
     for i, one in enumerate(found):
         last = wide == 2 and i == len(found) - 1 and i % 2 == 0
         place = grid[1 + i // wide, :] if last else grid[1 + i // wide, i % wide]
@@ -40,131 +46,234 @@ def scene_figure(new_figure: Any, picture: Picture) -> tuple[Any, Any]:
     main = 2.9 / 3.5 * WIDTH * ((y1 - y0) / (x1 - x0) if ax.get_aspect() == 1.0 else 0.6)
     grid.set_height_ratios([main + 0.45 + top, *[panel + 0.75] * rows])
     figure.set_figheight(main + 0.58 + top + rows * (panel + 0.75))
-    return figure, ax
+    keep_ticks(figure.axes)
+    return figure
 
 
-LETTERS = "abcdef"
-
-
-def draw_scene(ax: Any, picture: Picture, found: list[CloseUp] | None = None) -> float:
+def draw_scene(ax: Any, scene: Scene, lettered: bool = False) -> float:
     """Draw everything in the plane of motion; on the line, position over time. Height of the legend [in].
 
     Parameters
     ----------
     ax : matplotlib axes
-    picture : Picture
-    found : list of CloseUp, optional
-        Close-ups drawn beside it, in the order of their letters; by default there are none.
+    scene : Scene
+        In two axes.
+    lettered : bool
+        Whether close-ups are drawn beside it, in the order of their letters.
     """
-    if picture.system.d == 1:
-        return draw_line_scene(ax, picture)
-    frame, space = picture.frame, Space.of(picture)
-    view = View.of(space)
-    ax.set_aspect("equal")
-    ax.set(xlim=view.x, ylim=view.y, xlabel=frame.labels[0], ylabel=frame.labels[1])
+    view = View.of(scene)
+    if scene.time_axis is None:
+        ax.set_aspect("equal")
+    ax.set(xlim=view.x, ylim=view.y, xlabel=scene.labels[0], ylabel=scene.labels[1])
     ax.grid(True)
-    handles = [*_sets(ax, picture, view), *_goal(ax, space, view), *_paths(ax, picture, view)]
-    letters = None if found is None else {id(one): LETTERS[i] for i, one in enumerate(found)}
-    draw_unsafe(ax, space, view, closeups(picture) if found is None else found, letters)
-    if picture.system.mean_motion is not None:
+    drawers: tuple[Callable[..., list[Any]], ...] = (_slices, _tube, _start, _goal, _paths)
+    handles = [handle for draw in drawers for handle in draw(ax, scene, view)]
+    draw_unsafe(ax, scene, view, lettered)
+    for t, _, outline in scene.picture.printed_slices() if scene.time_axis is None else ():
+        if len(view.seen(outline)):
+            view.label(ax, f"{seconds(t)} s", view.clip(outline), DARK_OLIVE)
+    if scene.picture.system.mean_motion is not None:
         ax.plot(0, 0, marker="+", color=BLACK, ms=5, mew=0.8, zorder=6)
-        origin = np.zeros(picture.system.d)
-        near = [obstacle.signed_distance(0.0, origin, picture.system) for obstacle in picture.obstacles]
+        system, origin = scene.picture.system, np.zeros(scene.picture.system.d)
+        near = [obstacle.signed_distance(0.0, origin, system) for obstacle in scene.picture.obstacles]
         # Else an unsafe set round the target has its own name there.
         if np.all(np.array(near) > 0) and view.contains(np.zeros(2)):
             view.label(ax, "target", np.zeros((1, 2)), BLACK)
     return legend_above(ax, handles, 2)
 
 
-def _sets(ax: Any, picture: Picture, view: View) -> list[Any]:
-    """Recoverable sets, tube, initial set: drawn lightly. Handles of those that can be seen."""
+# -- sets that are drawn lightly --------------------------------------------------------------------
+
+
+def _slices(ax: Any, scene: Scene, view: View) -> list[Any]:
+    """Few recoverable sets, with the chaser in them; on the line, over time, there is room for all."""
     from matplotlib.collections import PolyCollection
-    from matplotlib.patches import Patch, PathPatch, Polygon
+    from matplotlib.patches import Patch
+
+    look, slices = LOOKS["slice"], scene.picture.slices
+    if slices is not None and scene.time_axis == 0:
+        ends = slices.outlines[:, 0, :, 0]
+        low, high = ends.min(axis=1), ends.max(axis=1)
+        colour, edge = tint(look.colour, 0.6), tint(look.colour, 0.6)
+        ax.vlines(slices.times, low, high, color=colour, lw=1.0, zorder=1)
+        seen = bool(np.any((high > view.y[0]) & (low < view.y[1])))
+    else:
+        outlines = [outline for _, _, outline in scene.picture.printed_slices()]
+        colour, edge = tint(look.colour, 0.28), tint(OLIVE, 0.5)
+        ax.add_collection(PolyCollection(outlines, facecolor=colour, edgecolor="none", zorder=1))
+        ax.add_collection(PolyCollection(outlines, facecolor="none", edgecolor=edge, lw=0.35, zorder=1.1))
+        for _, place, _ in scene.picture.printed_slices():
+            ax.plot(*place[scene.axes], "o", ms=2.6, mfc=look.colour, mec=DARK_OLIVE, mew=0.6, zorder=6)
+        seen = any(len(view.seen(outline)) for outline in outlines)
+    return [Patch(facecolor=colour, edgecolor=edge, lw=0.35, label=look.legend)] if seen else []
+
+
+def _tube(ax: Any, scene: Scene, view: View) -> list[Any]:
+    """The tube by mode; the handle is of the mode that can be seen best beside the path."""
+    from matplotlib.patches import Patch, PathPatch
     from matplotlib.path import Path
 
-    handles: list[Any] = []
-    axes = picture.frame.flat
-    if picture.slices is not None:
-        outlines = picture.slices.outline + picture.slices.centre[:, None]
-        colour, edge = tint(YELLOW, 0.28), tint("#8A7F00", 0.5)
-        ax.add_collection(PolyCollection(list(outlines), facecolor=colour, edgecolor="none", zorder=1))
-        ax.add_collection(
-            PolyCollection(list(outlines), facecolor="none", edgecolor=edge, lw=0.35, zorder=1.1)
-        )
-        if any(len(view.seen(outline)) for outline in outlines):
-            handles.append(Patch(facecolor=colour, edgecolor=edge, lw=0.35, label="recoverable sets"))
-    if picture.tube is not None:
-        tube = picture.tube
-        polygons = tube_polygons(
-            tube.centre[..., axes], tube.generators[..., axes, :], tube.bow[..., axes], parts=4
-        )
-        line = 4 / 72 / view.width * (view.x[1] - view.x[0])  # else hidden under the path
-        seen: dict[int, Any] = {}
-        for mode in np.unique(picture.modes):
-            chosen = polygons[picture.modes == mode].reshape(-1, *polygons.shape[-2:])
+    seen: dict[int, Any] = {}
+    for item in scene.of("tube"):
+        assert item.modes is not None  # there is no tube without a schedule
+        outlines = np.stack([shape.points for shape in item.shapes if shape])
+        for mode in np.unique(item.modes):
+            chosen = outlines[item.modes == mode]
             colour = tint(mode_colour(int(mode)), 0.3)
             together = Path.make_compound_path_from_polys(chosen)
             patch = PathPatch(together, facecolor=colour, edgecolor=colour, lw=0.2, zorder=2)
             ax.add_artist(patch)  # not add_patch, which would go through every corner for its limits
-            wide = int(np.sum(np.min(np.ptp(chosen, axis=1), axis=1) > line))
-            if wide:
-                seen[wide] = Patch(facecolor=colour, label="reachable tube, by mode")
-        if seen:
-            handles.append(seen[max(seen)])
-    theta = zonotope_outline(position_set(picture), axes)
-    ax.add_patch(Polygon(theta, closed=True, facecolor="none", edgecolor=BLACK, lw=0.6, zorder=5))
+            size = np.ptp(chosen, axis=1) / view.inch(ax)
+            wide = int(np.sum((size[:, 1] if scene.time_axis == 0 else size.min(axis=1)) > 4 / 72))
+            if wide:  # else hidden under the path
+                seen[wide] = Patch(facecolor=colour, label=LOOKS["tube"].legend)
+    return [seen[max(seen)]] if seen else []
+
+
+def _start(ax: Any, scene: Scene, view: View) -> list[Any]:
+    for item in scene.of("initial"):
+        shape = item.shape
+        if shape and shape.kind == "line":
+            ax.plot(*shape.points.T, color=BLACK, lw=3, clip_on=False, zorder=6)
+        elif shape:
+            _outline(ax, shape.points, 0.6, "-", BLACK, 5)
+    return []
+
+
+def _goal(ax: Any, scene: Scene, view: View) -> list[Any]:
+    """The goal as far as it is in view, on the line if it all is; a handle if it is."""
+    from matplotlib.lines import Line2D
+
+    over = scene.time_axis == 0
+    handles: list[Any] = []
+    line: dict[str, Any] = {"color": GREEN, "lw": 3 if over else 0.7, "ls": "-" if over else GOAL_DASHES}
+    star: dict[str, Any] = {"marker": "*", "color": GREEN, "ls": "none"}
+    shapes = [item.shape for item in scene.of("goal") if item.shape]
+    for shape in shapes:
+        points, look = shape.points, star | {"ms": 6} if shape.kind == "points" else line
+        inside = np.all((points >= scene.low) & (points <= scene.high))
+        if over and not inside:
+            continue
+        if shape.kind == "points":
+            ax.plot(*points[0], **star, ms=12, mec="white", mew=0.4, zorder=5.5, clip_on=not over)
+        elif shape.kind == "area":
+            _outline(ax, points, 0.7, GOAL_DASHES, GREEN, 2.5)
+        else:
+            ax.plot(*points.T, **line, zorder=6 if over else 2.5, clip_on=not over)
+        if not handles and (inside or len(view.seen(points))):
+            label = "goal ring" if len(shapes) == 2 else LOOKS["goal"].legend
+            handles.append(Line2D([], [], label=label, **look))
     return handles
 
 
-def _goal(ax: Any, space: Space, view: View) -> list[Any]:
-    """The goal as far as it is in view; a handle if it is."""
-    from matplotlib.lines import Line2D
+def _outline(
+    ax: Any, outline: Array, width: float, dashes: Any, edge: Any, order: float, face: Any = "none"
+) -> None:
     from matplotlib.patches import Polygon
 
-    axes = space.picture.frame.flat
-    handles: list[Any] = []
-    line: dict[str, Any] = {"color": GREEN, "lw": 0.7, "ls": GOAL_DASHES}
-    star: dict[str, Any] = {"marker": "*", "color": GREEN, "ls": "none"}
-    for part in space.goal():
-        flat = part.points[:, axes]
-        if part.kind == "point" or np.all(np.ptp(flat, axis=0) == 0):  # a line seen end on, too
-            ax.plot(*flat[0], **star, ms=12, mec="white", mew=0.4, zorder=5.5)
-            seen, own = view.contains(flat[0]), star | {"ms": 6}
-        else:
-            if part.kind == "body":
-                flat = flat_outline(flat)
-                ax.add_patch(
-                    Polygon(flat, facecolor="none", edgecolor=GREEN, lw=0.7, ls=GOAL_DASHES, zorder=2.5)
-                )
-            else:
-                ax.plot(*flat.T, **line, zorder=2.5)
-            seen, own = len(view.seen(flat)) > 0, line
-        if seen and not handles:
-            rings = len(space.goal()) == 2
-            handles.append(Line2D([], [], label="goal ring" if rings else "goal", **own))
-    return handles
+    ax.add_patch(Polygon(outline, facecolor=face, edgecolor=edge, lw=width, ls=dashes, zorder=order))
 
 
-def _paths(ax: Any, picture: Picture, view: View) -> list[Any]:
+# -- paths ------------------------------------------------------------------------------------------
+
+
+def _paths(ax: Any, scene: Scene, view: View) -> list[Any]:
     """Reference, U alone, and the trajectory under Polaris coloured by mode."""
     from matplotlib.lines import Line2D
 
-    axes = picture.frame.flat
-    before, after = (path[:, axes] for path in picture.path())
-    ax.plot(*before.T, color=GREY, lw=1.1, ls=DOTS, zorder=4.5)
-    handles = [Line2D([], [], color=GREY, lw=1.1, ls=DOTS, label="reference")]
-    if len(after):
-        ax.plot(*after.T, color=tint(GREY, 0.6), lw=0.7, ls=DOTS, zorder=2.6)
-    if "experimental" in picture.flights:
-        alone = picture.positions(picture.flights["experimental"])[:, axes]
+    handles = []
+    for item in scene.of("reference", "tail"):
+        look: dict[str, Any] = {"color": GREY, "lw": 1.1, "ls": DOTS}
+        if item.role == "tail":
+            look = {"color": tint(GREY, 0.6), "lw": 0.7, "ls": DOTS}
+        else:
+            handles.append(Line2D([], [], label=LOOKS["reference"].legend, **look))
+        assert item.shape is not None
+        ax.plot(*item.shape.points.T, zorder=4.5 if item.role == "reference" else 2.6, **look)
+    alone = scene.flown("experimental")
+    if alone is not None:
         ax.plot(*alone.T, color=ORANGE, lw=0.9, ls=DASHES, zorder=3.5)
         if view.contains(alone).sum() > 1:
             handles.append(Line2D([], [], color=ORANGE, lw=0.9, ls=DASHES, label="U alone"))
-    flown = picture.safe_path()[1][:, axes]
+    picture, flown = scene.picture, scene.safe_path()
     for mode in draw_safe_path(ax, picture, flown):
         handles.append(
             Line2D([], [], color=mode_colour(mode), lw=1.5, label=f"under {picture.mode_name(mode)}")
         )
-    ax.plot(*flown[-1], marker="s", color=BLACK, ms=2.6, zorder=6)
-    ax.plot(*flown[0], marker="o", color=BLACK, ms=2.6, zorder=6)
+    if scene.time_axis is None:
+        ax.plot(*flown[-1], marker="s", color=BLACK, ms=2.6, zorder=6)
+        ax.plot(*flown[0], marker="o", color=BLACK, ms=2.6, zorder=6)
     return handles
+
+
+# -- unsafe sets ------------------------------------------------------------------------------------
+
+
+def draw_unsafe(ax: Any, scene: Scene, view: View, lettered: bool = False) -> None:
+    """Draw every unsafe set and keep-in set with its name."""
+    for item in scene.items:
+        if item.role == "unsafe" and scene.time_axis == 0:
+            _band(ax, item, view)
+        elif item.role == "unsafe":
+            _unsafe(ax, item, view, lettered)
+        elif item.role == "keep_in":
+            _keep_in(ax, item, view)
+
+
+def _unsafe(ax: Any, item: Item, view: View, lettered: bool) -> None:
+    """One set at some instants, the most important one first."""
+    aside = len(item.passages) > 0
+    letters = ", ".join(LETTERS[i] for i in item.passages)
+    note = "" if not aside else f" (see {letters})" if lettered else " (out of plane)"
+    for mark in item.marks:
+        first, outline = mark is item.marks[0], mark.shape.points
+        if not (len(view.seen(outline)) or (not aside and view.within(outline))):
+            continue  # out of view; or passed out of the plane, and all of the view
+        _set(ax, outline, first, aside)
+        if mark.cover is not None:
+            _outline(ax, mark.cover, 0.5, LONG if aside else "-", RED, 1.6)
+            view.avoid(view.seen(mark.cover))
+        parts = [shortened(item.name, 1.5) if first else "", mark.told]
+        text = ", ".join(filter(None, parts)) + (note if first else "")
+        view.label(ax, text, view.clip(outline), RED)
+    if item.way is not None:
+        ax.plot(*item.way.T, color=tint(RED, 0.6), lw=0.6, ls=(0, (1, 2)), zorder=1.4)
+    for mark in item.marks:
+        if mark.place is not None and view.contains(mark.place):
+            ax.plot(*mark.place, "o", ms=3, mfc="white", mec=RED, mew=0.7, zorder=6)
+            view.label(ax, mark.told, mark.place[None], RED)
+
+
+def _set(ax: Any, outline: Array, first: bool, aside: bool) -> None:
+    if aside:
+        _outline(ax, outline, 0.7, LONG, tint(RED, 1.0 if first else 0.5), 1.5)
+        return
+    _outline(ax, outline, 0.0, "-", "none", 1.5, tint(RED, 0.45 if first else 0.2))
+    _outline(ax, outline, 0.6, "-", tint(RED, 1.0 if first else 0.5), 1.6)
+
+
+def _band(ax: Any, item: Item, view: View) -> None:
+    assert item.shape is not None
+    _outline(ax, item.shape.points, 0.6, "-", RED, 3, tint(RED, 0.45))
+    for mark in item.marks:
+        view.label(ax, shortened(item.name, 1.5), mark.shape.points, RED)
+
+
+def _keep_in(ax: Any, item: Item, view: View) -> None:
+    """Draw a keep-in set and write its name: on the line in the middle, else at the end that is in view."""
+    name, _, inside = item.name.rpartition(" (")
+    told = f"{shortened(name, 1.5)} ({inside}"
+    if item.shape is not None:
+        ax.plot(*item.shape.points.T, color=RED, lw=0.8, ls=LONG, zorder=3 if item.marks else 1.6)
+    if item.marks:
+        view.label(ax, told + item.marks[0].told, item.marks[0].shape.points, RED)
+        return
+    seen = view.seen(_rim(item.shape))
+    if len(seen):
+        far = seen[np.argmax(np.linalg.norm(seen - view.points.mean(axis=0), axis=1))]
+        view.avoid(seen)
+        view.label(ax, told, far[None], RED)
+
+
+def _rim(shape: Shape | None) -> Array:
+    return np.zeros((0, 2)) if shape is None else shape.points[:-1]

@@ -1,4 +1,4 @@
-"""How every figure looks: colours safe for colour-blind readers, type readable at column width.
+"""How every printed figure looks: type readable at column width, quick to embed, the same bytes every time.
 
 Labels are plain text: setting mathematics takes longer than drawing everything else.
 """
@@ -6,7 +6,7 @@ Labels are plain text: setting mathematics takes longer than drawing everything 
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
@@ -14,25 +14,18 @@ from typing import Any
 
 import numpy as np
 
-from ...model.system import LinearSystem
+from ...model.system import Array
+from ...runs.picture import Picture
+from ..scene.items import by_mode
+from ..scene.palette import GREY, mode_colour
 
 WIDTH = 3.5
 """Width of a figure [in]: one column of a two-column page."""
 
-# Okabe and Ito's palette; the paper's orange for U and blue for S are in it.
-BLUE, ORANGE, VERMILION = "#0072B2", "#E69F00", "#D55E00"
-GREEN, SKY, PURPLE, YELLOW, BLACK = "#009E73", "#56B4E9", "#CC79A7", "#F0E442", "#000000"
-RED = "#C0202B"
-"""Unsafe sets: darker than the orange, so that they differ in grey too."""
-GREY = "#767676"
+DOTS, DASHES, LONG, GOAL_DASHES = (0, (1, 1.4)), (0, (3, 1.2)), (0, (5, 1.5)), (0, (4, 2))
 
-# No two kinds of thing share a colour: controllers have hues of their own, unsafe sets are red, inputs grey
-# or black, goals green, recoverable sets yellow.
-MODE_COLOURS = (BLUE, ORANGE, "#7A1FA2", SKY, "#6B4A0F", "#8FB93A", "#1F3A93", "#4D7A00")
-SET_SHADES = ("#9A141D", "#F3A6AB")
-"""Darkest and lightest of unsafe sets that are told apart."""
-INPUT_SHADES = ("#3C3C3C", "#D4D4D4")
-"""The same of inputs."""
+ABOVE: Any = {"loc": "lower left", "bbox_to_anchor": (-0.02, 1.0), "ncols": 3}
+"""A legend of one line above the axes."""
 
 _STYLE: Any = {
     "font.family": "sans-serif",
@@ -146,26 +139,27 @@ def save(figure: Any, folder: Path, name: str) -> tuple[Path, Path]:
     return pdf, png
 
 
-def mode_colour(mode: int) -> str:
-    """Colour of a controller: blue is S, orange the preferred experimental one."""
-    return MODE_COLOURS[mode % len(MODE_COLOURS)]
+def keep_ticks(axes: Iterable[Any]) -> None:
+    """Settle how many ticks axes have, and the size of their type.
 
+    Left alone, matplotlib finds as many as fit by the settings and the width of the moment, however long
+    their labels: others after the layout is solved than before, or outside of `style`.
+    """
+    from matplotlib.ticker import AutoLocator
 
-def tint(colour: str, share: float) -> tuple[float, float, float]:
-    """The colour mixed with white: opaque, so that overlapping areas do not darken."""
-    from matplotlib.colors import to_rgb
-
-    r, g, b = (1 - share + share * value for value in to_rgb(colour))
-    return r, g, b
-
-
-def shades(ends: tuple[str, str], count: int) -> list[tuple[float, float, float]]:
-    """As many colours between two, so that things of one kind differ; the middle one if there is one only."""
-    from matplotlib.colors import to_rgb
-
-    dark, light = (np.array(to_rgb(colour)) for colour in ends)
-    places = [0.35] if count == 1 else np.linspace(0, 1, count)
-    return [tuple(float(v) for v in dark + s * (light - dark)) for s in places]  # type: ignore[misc]
+    for ax in axes:
+        ax.tick_params(labelsize=_STYLE["xtick.labelsize"])
+        place = ax.get_position(original=True)
+        for axis in (ax.xaxis, ax.yaxis):
+            if not isinstance(axis.get_major_locator(), AutoLocator):
+                continue
+            most = min(max(axis.get_tick_space(), 1), 9)
+            if axis is ax.xaxis:
+                texts = axis.get_major_formatter().format_ticks(axis.get_majorticklocs())
+                widest = max(map(text_width, texts), default=0.0) + 0.04
+                width = place.width * ax.figure.get_figwidth() - 0.3  # what the layout may take of it
+                most = max(min(most, int(width / widest)), 1)
+            axis.get_major_locator().set_params(nbins=most, min_n_ticks=min(most, 2))
 
 
 def text_width(text: str, size: float = 7.0) -> float:
@@ -212,12 +206,18 @@ def legend_above(ax: Any, handles: Any, columns: int = 2) -> float:
     return 0.145 * -(-len(names) // columns)
 
 
-def input_labels(system: LinearSystem) -> tuple[str, tuple[str, ...]]:
-    """What the input is called, with its unit, and the name of each axis."""
-    names = tuple(name.removesuffix(" thrust") for name in system.input_names)
-    return "Input" if names == system.input_names else "Thrust (N)", names
-
-
 def step_edges(values: Any) -> Any:
     """Repeat the last value, so that a step plot reaches the end of the last step."""
     return np.concatenate([values, values[-1:]])
+
+
+def draw_safe_path(ax: Any, picture: Picture, shown: Array, span: tuple[int, int] | None = None) -> list[int]:
+    """Draw the run under Polaris by mode, or the reference without one; the modes drawn."""
+    if "polaris" not in picture.flights:
+        ax.plot(*shown[slice(*(span or (0, len(shown))))].T, color=GREY, lw=1.1, ls=DOTS, zorder=4.5)
+        return []
+    pieces = by_mode(picture, shown, span)
+    for order, (mode, piece) in enumerate(pieces.items()):
+        look = {"lw": 1.5, "zorder": 4 + 0.01 * order, "solid_capstyle": "butt"}
+        ax.plot(*piece.T, color=mode_colour(mode), **look)
+    return list(pieces)

@@ -6,175 +6,155 @@ import re
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ...runs.picture import Picture
-from .geometry import stretches
-from .style import (
+from ..scene.geometry import stretches
+from ..scene.palette import (
     BLACK,
     GREY,
     INPUT_SHADES,
+    PILOTS,
     RED,
     SET_SHADES,
     input_labels,
-    legend_above,
     mode_colour,
     shades,
-    step_edges,
     tint,
 )
+from .style import keep_ticks, legend_above, step_edges
 
 INPUT_DASHES: tuple[Any, ...] = ("-", (0, (4, 1.2)), (0, (1.2, 1)))
 
+FLOWN: dict[str, tuple[Any, float, float]] = {
+    "polaris": ("-", 1.6, 3.1),
+    "safety": ((0, (4, 1.2)), 1.0, 3.2),
+    "experimental": ((0, (3, 1, 1, 1)), 1.0, 3.0),
+}
+"""Dashes, width and order of those that flew."""
 
-def draw_distance(ax: Any, picture: Picture) -> None:
-    """Draw the distance to the nearest unsafe set over time: least over runs, band up to the largest."""
-    from matplotlib.lines import Line2D
 
-    shown = (
-        ("polaris", "Polaris", BLACK, "-", 3.1),
-        ("safety", "S alone", mode_colour(0), (0, (4, 1.2)), 3.2),
-        ("experimental", "U alone", mode_colour(1), (0, (3, 1, 1, 1)), 3.0),
-    )
+def distance_figure(picture: Picture, new_figure: Any) -> Any:
+    """Distance to the nearest unsafe set, and below it the input."""
+    figure = new_figure(3.6)
+    upper, lower = figure.subplots(2, 1, sharex=True)
+    _distance(upper, picture)
+    _input(lower, picture)
+    for mode in np.unique(picture.modes):  # along the foot, which controller flies
+        look = {"transform": lower.get_xaxis_transform(), "zorder": 5}
+        _bars(lower, picture, picture.modes == mode, (0, 0.035), mode_colour(int(mode)), **look)
+    keep_ticks(figure.axes)
+    return figure
+
+
+def _distance(ax: Any, picture: Picture) -> None:
+    """Least distance over runs, band up to the largest."""
     handles, lowest, highest = [], 0.0, 0.0
-    for key, text, colour, dashes, order in shown:
-        flights = picture.flights.get(key)
+    for key, (dashes, width, order) in FLOWN.items():
+        flights, (_, name, colour, _) = picture.flights.get(key), PILOTS[key]
         if flights is None or not np.all(np.isfinite(flights.nearest)):
             continue
         least, _, most = flights.nearest
         ax.fill_between(flights.times, least, most, color=tint(colour, 0.25), lw=0, zorder=order - 1)
-        width = 1.6 if key == "polaris" else 1.0
-        ax.plot(flights.times, least, color=colour, ls=dashes, lw=width, zorder=order)
-        handles.append(Line2D([], [], color=colour, ls=dashes, lw=width, label=text))
+        look = {"color": colour, "ls": dashes, "lw": width, "label": name}
+        handles += ax.plot(flights.times, least, zorder=order, **look)
         lowest, highest = min(lowest, float(least.min())), max(highest, float(most.max()))
     pad = 0.06 * (highest - lowest) + 1e-9
     bottom = lowest - 2 * pad
-    ax.axhspan(bottom, 0, color=tint(RED, 0.16), lw=0, zorder=0.5)
-    ax.axhline(0, color=RED, lw=0.7, zorder=0.6)
-    ax.text(
-        0.99, 0.0, "unsafe", color=RED, fontsize=7, ha="right", va="top", transform=ax.get_yaxis_transform()
-    )
+    _beyond(ax, 0.0, bottom)
+    place = {"ha": "right", "va": "top", "transform": ax.get_yaxis_transform()}
+    ax.text(0.99, 0.0, "unsafe", color=RED, fontsize=7, **place)
     ax.set(xlim=(0, picture.duration), ylim=(bottom, highest + pad), ylabel="Distance (m)")
     ax.grid(True)
     legend_above(ax, handles, 3)
 
 
-def draw_input(ax: Any, picture: Picture) -> None:
-    """Draw the input under Polaris: nominal run, band over all runs, limits shaded."""
-    from matplotlib.lines import Line2D
-
-    flights = picture.flights["polaris"]
-    limit = picture.system.u_max
+def _input(ax: Any, picture: Picture) -> None:
+    """Input under Polaris: nominal run, band over all runs, limits shaded."""
+    flights, limit = picture.flights["polaris"], picture.system.u_max
     label, names = input_labels(picture.system)
     same = bool(np.all(limit == limit[0]))
-    scale = np.ones_like(limit) if same else limit
-    top = float(limit[0]) if same else 1.0
+    scale, top = (np.ones_like(limit), float(limit[0])) if same else (limit, 1.0)
     handles = []
-    colours = shades((BLACK, "#8C8C8C"), len(names))
-    for axis, (name, colour) in enumerate(zip(names, colours, strict=True)):
-        dashes = INPUT_DASHES[axis % 3]
+    for axis, (name, colour) in enumerate(zip(names, shades((BLACK, "#8C8C8C"), len(names)), strict=True)):
         low, high = (step_edges(bound[:, axis]) / scale[axis] for bound in flights.input_range)
         ax.fill_between(flights.times, low, high, step="post", color=tint(GREY, 0.25), lw=0, zorder=2)
         nominal = step_edges(flights.inputs[0][:, axis]) / scale[axis]
-        ax.step(flights.times, nominal, where="post", color=colour, ls=dashes, lw=1.0, zorder=3)
-        handles.append(Line2D([], [], color=colour, ls=dashes, lw=1.0, label=name))
-    for side in (-1, 1):
-        ax.axhspan(side * top, side * 1.2 * top, color=tint(RED, 0.16), lw=0, zorder=0.5)
-        ax.axhline(side * top, color=RED, lw=0.7, zorder=0.6)
-    ax.set(
-        xlim=(0, picture.duration),
-        ylim=(-1.2 * top, 1.2 * top),
-        xlabel="Time (s)",
-        ylabel=label if same else f"{label.split(' (')[0]} / limit",
-    )
+        look = {"color": colour, "ls": INPUT_DASHES[axis % 3], "lw": 1.0, "label": name, "zorder": 3}
+        handles += ax.plot(flights.times, nominal, drawstyle="steps-post", **look)
+    for side in (-top, top):
+        _beyond(ax, side, 1.2 * side)
+    label = label if same else f"{label.split(' (')[0]} / limit"
+    ax.set(xlim=(0, picture.duration), ylim=(-1.2 * top, 1.2 * top), xlabel="Time (s)", ylabel=label)
     ax.grid(True)
     legend_above(ax, handles, 3)
 
 
-def draw_modes(ax: Any, picture: Picture) -> None:
-    """Draw one row per controller: when it flies, and its share of the time."""
-    delta, modes = picture.reference.delta, picture.modes
+def modes_figure(picture: Picture, new_figure: Any) -> Any:
+    """One row per controller: when it flies, and its share of the time."""
     rows = len(picture.controllers)
+    figure = new_figure(0.6 + 0.28 * rows)
+    ax = figure.add_subplot()
     for mode in range(rows):
-        spans = [(start * delta, (stop - start) * delta) for start, stop in stretches(modes == mode)]
-        row = rows - 1 - mode
+        row, flags = rows - 1 - mode, picture.modes == mode
         ax.broken_barh([(0, picture.duration)], (row - 0.3, 0.6), facecolor="#F2F2F2", lw=0)
-        ax.broken_barh(spans, (row - 0.3, 0.6), facecolor=mode_colour(mode), lw=0)
-        ax.text(
-            1.01,
-            row,
-            f"{np.mean(modes == mode):.0%}",
-            fontsize=7,
-            va="center",
-            transform=ax.get_yaxis_transform(),
-        )
+        _bars(ax, picture, flags, (row - 0.3, 0.6), mode_colour(mode))
+        place = {"va": "center", "transform": ax.get_yaxis_transform()}
+        ax.text(1.01, row, f"{np.mean(flags):.0%}", fontsize=7, **place)
     ax.set(xlim=(0, picture.duration), ylim=(-0.6, rows - 0.4), xlabel="Time (s)")
-    names = [picture.mode_name(mode) for mode in range(rows)]
-    ax.set_yticks(range(rows), names[::-1])
+    ax.set_yticks(range(rows), [picture.mode_name(mode) for mode in range(rows)][::-1])
     ax.tick_params(axis="y", length=0)
     ax.spines["left"].set_visible(False)
+    keep_ticks(figure.axes)
+    return figure
 
 
-def draw_margin(ax: Any, picture: Picture) -> float:
-    """Draw the containment margin of every step, and below it what limits it; height of the legend [in]."""
+def margin_figure(picture: Picture, new_figure: Any) -> Any:
+    """The containment margin of every step, and below it what limits it."""
     from matplotlib.patches import Patch
 
-    modes, delta = picture.modes, picture.reference.delta
+    figure = new_figure(2.4)
+    ax, modes, delta = figure.add_subplot(), picture.modes, picture.reference.delta
     floor = -0.3 if np.any(picture.margins < 0) else -0.03
     margins = np.clip(np.nan_to_num(picture.margins, neginf=floor), floor, 1.0)
     start = np.arange(len(modes)) * delta
     handles: list[Any] = []
     for mode in np.unique(modes):
-        chosen = modes == mode
-        colour = mode_colour(int(mode))
+        chosen, colour = modes == mode, mode_colour(int(mode))
         ax.bar(start[chosen], margins[chosen], width=delta, align="edge", color=colour, lw=0.2, ec="white")
         handles.append(Patch(facecolor=colour, label=picture.mode_name(int(mode))))
     ax.axhline(0, color=BLACK, lw=0.6)
-    names = [limit_group(name) for name in picture.limits]
+    names = np.array([limit_group(name) for name in picture.limits])
     place, height = floor - 0.17, 0.12
-    thrust, sets = (
-        [name for name in dict.fromkeys(names) if (name in picture.system.input_names) == wanted]
-        for wanted in (True, False)
-    )
-    told = dict(zip(thrust, shades(INPUT_SHADES, len(thrust)), strict=True))
-    told |= dict(zip(sets, shades(SET_SHADES, len(sets)), strict=True))
-    for name, shade in told.items():
-        chosen = np.array([other == name for other in names])
-        spans = [(a * delta, (b - a) * delta) for a, b in stretches(chosen)]
-        ax.broken_barh(spans, (place, height), facecolor=shade, lw=0)
-        handles.append(Patch(facecolor=shade, label=name))
-    ax.text(
-        -0.015,
-        place + height / 2,
-        "limit",
-        fontsize=7,
-        ha="right",
-        va="center",
-        transform=ax.get_yaxis_transform(),
-    )
-    ax.set(
-        xlim=(0, picture.duration),
-        ylim=(place - 0.03, 1.0),
-        xlabel="Time (s)",
-        ylabel="Margin (share of room left)",
-    )
+    for wanted, ends in ((True, INPUT_SHADES), (False, SET_SHADES)):
+        own = [name for name in dict.fromkeys(names) if (name in picture.system.input_names) == wanted]
+        for name, shade in zip(own, shades(ends, len(own)), strict=True):
+            _bars(ax, picture, names == name, (place, height), shade)
+            handles.append(Patch(facecolor=shade, label=name))
+    look = {"ha": "right", "va": "center", "transform": ax.get_yaxis_transform()}
+    ax.text(-0.015, place + height / 2, "limit", fontsize=7, **look)
+    label = "Margin (share of room left)"
+    ax.set(xlim=(0, picture.duration), ylim=(place - 0.03, 1.0), xlabel="Time (s)", ylabel=label)
     ax.set_yticks([0, 0.25, 0.5, 0.75, 1.0])
     ax.grid(True, axis="y")
-    return legend_above(ax, handles, 3)
+    figure.set_figheight(2.1 + legend_above(ax, handles, 3))
+    keep_ticks(figure.axes)
+    return figure
 
 
-def mode_strip(ax: Any, picture: Picture) -> None:
-    """Mark along the foot of the axes which controller flies."""
+def _bars(
+    ax: Any, picture: Picture, flags: ArrayLike, rows: tuple[float, float], colour: Any, **look: Any
+) -> None:
+    """Bars over the steps (K,) that are flagged."""
     delta = picture.reference.delta
-    for mode in np.unique(picture.modes):
-        spans = [(a * delta, (b - a) * delta) for a, b in stretches(picture.modes == mode)]
-        ax.broken_barh(
-            spans,
-            (0, 0.035),
-            facecolor=mode_colour(int(mode)),
-            lw=0,
-            transform=ax.get_xaxis_transform(),
-            zorder=5,
-        )
+    spans = [(a * delta, (b - a) * delta) for a, b in stretches(flags)]
+    ax.broken_barh(spans, rows, facecolor=colour, lw=0, **look)
+
+
+def _beyond(ax: Any, value: float, end: float) -> None:
+    """A limit, and what lies beyond it."""
+    ax.axhspan(value, end, color=tint(RED, 0.16), lw=0, zorder=0.5)
+    ax.axhline(value, color=RED, lw=0.7, zorder=0.6)
 
 
 def limit_group(name: str) -> str:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ...model.system import Array
-from .space import Space
+from ..scene.items import Scene
 from .style import text_width
 
 
@@ -31,12 +31,14 @@ class View:
         self.taken: list[tuple[float, float, float, float]] = []
 
     @classmethod
-    def of(cls, space: Space, width: float = 2.8) -> View:
-        """The plane of the figures of a space."""
-        axes = space.picture.frame.flat
-        (x0, y0), (x1, y1) = space.low[axes], space.high[axes]
-        paths = [*space.picture.path(), *map(space.picture.positions, space.picture.flights.values())]
-        return cls((float(x0), float(x1)), (float(y0), float(y1)), np.vstack(paths)[:, axes], width)
+    def of(cls, scene: Scene, width: float = 2.8) -> View:
+        """What a scene in two axes shows."""
+        (x0, y0), (x1, y1) = scene.low.tolist(), scene.high.tolist()
+        flown = [scene.flown(key) for key in scene.picture.flights]
+        drawn = [item.shape.points for item in scene.of("reference", "tail") if item.shape]
+        return cls(
+            (x0, x1), (y0, y1), np.vstack([*drawn, *(path for path in flown if path is not None)]), width
+        )
 
     @property
     def aspect(self) -> float:
@@ -54,6 +56,17 @@ class View:
         edge = ((1 - s) * outline + s * np.roll(outline, -1, axis=0)).reshape(-1, 2)
         return np.asarray(edge[self.contains(edge)])
 
+    def within(self, outline: Array) -> bool:
+        """Whether an outline goes round all of the view."""
+        (x0, y0), (x1, y1) = outline.min(axis=0), outline.max(axis=0)
+        return bool(x0 < self.x[0] and y0 < self.y[0] and x1 > self.x[1] and y1 > self.y[1])
+
+    def inch(self, ax: Any) -> Array:
+        """What one inch of these axes is along x and y, in their units."""
+        # On paper, one scale serves both axes or they have a shape of their own.
+        shape = self.aspect if ax.get_aspect() == 1.0 else 0.6
+        return np.array([self.x[1] - self.x[0], (self.y[1] - self.y[0]) / shape]) / self.width
+
     def clip(self, outline: Array) -> Array:
         """Cut an outline to the view."""
         return np.clip(outline, (self.x[0], self.y[0]), (self.x[1], self.y[1]))
@@ -66,22 +79,14 @@ class View:
         """Write a name beside an outline, or into it if it is large, where fewest lines pass."""
         from matplotlib.patheffects import withStroke
 
-        per_inch = np.array([self.x[1] - self.x[0], self.y[1] - self.y[0]]) / self.width
-        per_inch[1] /= ax_aspect(ax, self.aspect)
+        per_inch = self.inch(ax)
         w, h = np.array([text_width(text) + 0.04, 8.5 / 72]) * per_inch
         gap = 3 / 72 * per_inch
         low, high = outline.min(axis=0) - gap, outline.max(axis=0) + gap
         mid = (low + high) / 2
-        places = [
-            (mid[0] - w / 2, high[1]),
-            (high[0], mid[1] - h / 2),
-            (mid[0] - w / 2, low[1] - h),
-            (low[0] - w, mid[1] - h / 2),
-            (high[0], high[1]),
-            (high[0], low[1] - h),
-            (low[0] - w, high[1]),
-            (low[0] - w, low[1] - h),
-        ]
+        xs, ys = (low[0] - w, mid[0] - w / 2, high[0]), (low[1] - h, mid[1] - h / 2, high[1])
+        beside = ((1, 2), (2, 1), (1, 0), (0, 1), (2, 2), (2, 0), (0, 2), (0, 0))  # above first, then right
+        places = [(xs[i], ys[j]) for i, j in beside]
         if w < high[0] - low[0] and 1.8 * h < high[1] - low[1]:
             places = [
                 (mid[0] - w / 2, low[1] + share * (high[1] - low[1]) - h / 2) for share in (0.5, 0.25, 0.75)
@@ -102,8 +107,3 @@ class View:
         place = {"ha": "center", "va": "center", "zorder": 8, "clip_on": True}
         drawn = ax.text(x + w / 2, y + h / 2, text, color=colour, fontsize=7, **place)
         drawn.set_path_effects([withStroke(linewidth=1.6, foreground="white")])
-
-
-def ax_aspect(ax: Any, aspect: float) -> float:
-    """Height over width of axes on paper, if one scale serves both they have the view's `aspect`."""
-    return aspect if ax.get_aspect() == 1.0 else 0.6

@@ -11,15 +11,20 @@ from typing import Any
 
 import numpy as np
 
-from ...runs.folder import read_json, read_run
+from ...runs.comparison import ComparisonPicture
+from ...runs.run import read_run
 from ...synthesis.recoverable import directed
+from ..scene.palette import method_style
 from . import claims
-from .comparison_page import comparison_data
 from .html import Cell, badge, items, number_cell, table, text_cell
 from .measures import TITLES, Measure
 from .numbers import escaped, shown
 from .page import Page
 from .run_report import NOTE, definitions, footer
+from .timelines import Flown, flight_data
+
+FIRST = 4
+"""Methods that are shown at first; the others can be chosen."""
 
 MOST_STRETCHES = 40
 """Stretches of alike decisions that are listed of each method."""
@@ -35,9 +40,9 @@ def comparison_page(folder: Path) -> Page:
     ScenarioError
         If a file in it is missing or damaged.
     """
-    found = read_json(folder / "comparison.json")
-    run = read_run(folder / "run")
-    summary, methods = run.summary, found["methods"]
+    picture: ComparisonPicture = read_run(folder).picture()
+    found, summary = picture.table, picture.run.summary
+    methods = found["methods"]
     claim = summary["guarantee"]
     proved = claim["kind"] == "proved"
     name, recoverable = escaped(found["scenario"]), str(summary["synthesis"]["recoverable"])
@@ -56,9 +61,23 @@ def comparison_page(folder: Path) -> Page:
             ("guarantee", "The guarantee of the schedule", claims.guarantee(claim, recoverable)),
             ("reading", "How to read this", f"<p>{NOTE}</p>" + definitions(found.get("definitions", {}))),
         ),
-        comparison_data(folder, run, methods),
+        comparison_data(picture),
         footer(summary),
     )
+
+
+def comparison_data(picture: ComparisonPicture) -> dict[str, Any]:
+    """What the page's script draws of a comparison; methods without flights are left out."""
+    flown: list[Flown] = []
+    shown = picture.shown
+    for method in (method for method in picture.table["methods"] if method["key"] in shown):
+        look = method_style(len(flown)) | {"on": len(flown) < FIRST}
+        flown.append(Flown(str(method["key"]), str(method["name"]), look, shown[method["key"]]))
+    known = [one.runs for one in flown[:FIRST] if np.isfinite(one.runs.nearest[0]).all()]
+    least = [(float(one.nearest[0].min()), float(one.times[np.argmin(one.nearest[0])])) for one in known]
+    opened = (min(least)[1] if least else 0.0) or None  # not at the start
+    proved = picture.run.summary["guarantee"]["kind"] == "proved"
+    return flight_data(replace(picture.run.picture(), slices=None), flown, proved, "pilot", opened)
 
 
 def tradeoffs(methods: Methods) -> str:
@@ -151,9 +170,8 @@ def _differences(against: str, found: Mapping[str, Mapping[str, Cell]], names: M
 
 def _difference(one: Mapping[str, Any]) -> Cell:
     low, high = one["low"], one["high"]
-    cell = Measure.of(one["metric"]).cell(
-        {"mean": one["difference"], "low": low, "high": high}, difference=True
-    )
+    told = {"mean": one["difference"], "low": low, "high": high}
+    cell = Measure.of(one["metric"]).cell(told, difference=True)
     if low is None or high is None or low > 0 or high < 0 or low == high:
         return cell
     return replace(cell, html=f'{cell.html}<span class="range">perhaps 0</span>')
@@ -164,35 +182,14 @@ def _difference(one: Mapping[str, Any]) -> Cell:
 
 @dataclass
 class Stretch:
-    """Decisions of one method that follow each other with the same mode and reason.
-
-    Attributes
-    ----------
-    mode, reason : any
-        As in the file.
-    begin, end : float
-        Times of the first and the last [s].
-    count : int
-    margin : float or None
-        The least of theirs.
-    """
+    """Decisions of one method in a row with the same mode and reason: times [s], least margin."""
 
     mode: Any
     reason: Any
     begin: float
     end: float
-    count: int = 1
+    count: int = 0
     margin: float | None = None
-
-    def add(self, row: Mapping[str, Any]) -> None:
-        """Take one more decision in."""
-        self.end, self.count = row["t"], self.count + 1
-        self.see(row.get("margin"))
-
-    def see(self, margin: float | None) -> None:
-        """Keep the least margin."""
-        if margin is not None:
-            self.margin = margin if self.margin is None else min(self.margin, margin)
 
 
 def stretches(lines: Iterable[str]) -> dict[str, list[Stretch]]:
@@ -204,17 +201,15 @@ def stretches(lines: Iterable[str]) -> dict[str, list[Stretch]]:
         JSON objects with ``method``, ``t``, ``mode`` and perhaps ``margin`` and ``reason``.
     """
     found: dict[str, list[Stretch]] = {}
-    for line in lines:
-        if not line.strip():
-            continue
-        row = json.loads(line)
+    for row in (json.loads(line) for line in lines if line.strip()):
         own = found.setdefault(str(row["method"]), [])
-        mode, reason = row["mode"], row.get("reason")
-        if own and (own[-1].mode, own[-1].reason) == (mode, reason):
-            own[-1].add(row)
-        else:
+        mode, reason, margin = row["mode"], row.get("reason"), row.get("margin")
+        if not own or (own[-1].mode, own[-1].reason) != (mode, reason):
             own.append(Stretch(mode, reason, row["t"], row["t"]))
-            own[-1].see(row.get("margin"))
+        last = own[-1]
+        last.end, last.count = row["t"], last.count + 1
+        if margin is not None:
+            last.margin = margin if last.margin is None else min(last.margin, margin)
     return found
 
 
@@ -225,9 +220,8 @@ def decisions(path: Path, methods: Methods) -> str:
     with path.open(encoding="utf-8") as file:
         found = stretches(file)
     names = {method["key"]: str(method["name"]) for method in methods}
-    return (
-        "\n".join(_log(names.get(key, key), own) for key, own in found.items()) or "<p>The log is empty.</p>"
-    )
+    logs = "\n".join(_log(names.get(key, key), own) for key, own in found.items())
+    return logs or "<p>The log is empty.</p>"
 
 
 def _margin_cell(margin: float | None) -> Cell:

@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from ...model.checks import counted
-from ...runs.folder import readable
-from ...runs.inspection import InspectionFolder
+from ...runs.folder import RunFolder
 from ...runs.inspection_summary import MEANING
 from . import claims
 from .html import Cell, badge, number_cell, table, text_cell
@@ -37,7 +36,7 @@ OWN = (
 """Keys of a summary that the table of its values leaves out."""
 
 
-def inspection_page(folder: InspectionFolder) -> Page:
+def inspection_page(folder: RunFolder) -> Page:
     """The report of a run folder of the inspection problem.
 
     Raises
@@ -57,10 +56,7 @@ def inspection_page(folder: InspectionFolder) -> Page:
             ("numbers", "Metrics", _values(summary)),
         ]
     elif kind == "fuel_limit":
-        from ...runs.fuel_limit import read_fuel
-
-        with readable(folder.path):
-            data = fuel_data(read_fuel(folder.path / "fuel.npz", folder.scenario))
+        data = fuel_data(folder.picture())
         parts = [("numbers", "Metrics", _values(summary))]
     else:
         parts = [("studies", "Studies", _studies(summary)), ("numbers", "Metrics", _values(summary))]

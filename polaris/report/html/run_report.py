@@ -5,18 +5,27 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
+from ...rta.arena import Shown
 from ...runs.folder import RunFolder
+from ..scene.items import modes_per_node
+from ..scene.palette import PILOTS
 from . import claims
 from .html import Cell, badge, items, table
 from .measures import TITLES, Measure
 from .numbers import escaped
 from .page import Page
-from .run_page import NAMES, run_data
+from .timelines import Flown, flight_data
 
 NOTE = (
     "Drawn paths keep at most 400 samples of a run; the tables use all of them. Bands reach over all "
     "simulated runs, lines are the run shown. The distance of the run shown is taken from where other "
     "satellites are nominally, the band from where they truly were."
+)
+SLICE = (
+    "The recoverable set (yellow) is cut through the state of the run shown, at the time written at it: "
+    "then it is filled, and dashed until the next one."
 )
 
 
@@ -43,11 +52,34 @@ def run_page(folder: RunFolder) -> Page:
             ("numbers", "Metrics", metrics(summary)),
             ("guarantee", "The guarantee", claims.guarantee(claim, recoverable)),
             ("synthesis", "Synthesis", synthesis(summary)),
-            ("reading", "How to read this", f"<p>{NOTE}</p>" + definitions(summary.get("definitions", {}))),
+            (
+                "reading",
+                "How to read this",
+                f"<p>{NOTE} {SLICE}</p>" + definitions(summary.get("definitions", {})),
+            ),
         ),
         run_data(folder),
         footer(summary),
     )
+
+
+def run_data(folder: RunFolder) -> dict[str, Any]:
+    """What the page's script draws of a run folder.
+
+    Raises
+    ------
+    ScenarioError
+        If a file is missing or damaged.
+    """
+    picture, flown = folder.picture(), []
+    for key, (name, _, colour, dash) in PILOTS.items():
+        if key in picture.flights:
+            item = picture.flights[key]
+            who = np.tile(modes_per_node(item), (len(item.labels), 1))
+            runs = Shown(item.labels, item.times, item.states, item.inputs, who, item.nearest, [])
+            look = {"colour": colour, "dash": dash, "on": key == "polaris"}
+            flown.append(Flown(key, name, look, runs, item.input_range))
+    return flight_data(picture, flown, folder.summary["guarantee"]["kind"] == "proved", "mode")
 
 
 def metrics(summary: Mapping[str, Any]) -> str:
@@ -61,7 +93,7 @@ def metrics(summary: Mapping[str, Any]) -> str:
         rows.append([Cell(escaped(measure.title)), *(measure.cell(summary[name].get(key)) for name in who)])
     return table(
         "From simulated runs, under random and worst-case disturbances",
-        ["", *(NAMES[name] for name in who)],
+        ["", *(PILOTS[name][0] for name in who)],
         rows,
     )
 

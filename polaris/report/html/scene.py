@@ -1,183 +1,109 @@
-"""The scene of a schedule: the part of space that is shown, and everything in it but the flights."""
+"""A scene as the page's script reads it: lines, areas and surfaces, at rest or moving.
+
+A layer is a mapping with ``name``, ``kind`` (``line``, ``area``, ``mesh`` or ``points``), ``group`` (what
+switches show and hide), ``colour``, ``opacity``, and either ``p``, coordinates by axis in metres (meshes
+also ``f``, corners of the triangles by place), or ``frames``, a list of those. Frame i is shown from
+``t[i]`` on. A layer with ``t`` and ``shift`` is carried along that path, its frames too: they must hold until
+the next one. A ``slice`` is of the instants ``t`` alone, with frames by run; ``at`` is the chaser.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from reach.sets.zonotope import Zonotope
-
-from ...model.obstacle import directions as directions_in_space
-from ...model.system import Array
-from ...runs.picture import Picture, shown_steps
-from ..figures.closeups import is_flat
-from ..figures.geometry import flat_outline, tube_polygons, zonotope_outline
-from ..figures.space import Part, Space, position_set
-from ..figures.style import GREEN, GREY, YELLOW
-from . import layers
-from .layers import Layer
-from .line_scene import line_scene
+from ..scene.geometry import Shape, closed
+from ..scene.items import Item, Scene
+from ..scene.palette import LOOKS
 from .numbers import plain
-from .solids import Surface, hull, polyhedron
-from .unsafe_layers import unsafe_layers
 
-MOST_FRAMES = 240
-"""Most sets of a tube that are drawn: neighbours within a step are drawn as one beyond it."""
+Layer = dict[str, Any]
 
-TUBE, SLICE, INITIAL = "#56B4E9", YELLOW, "#404040"
+AREAS = {"unsafe": 0.5, "cover": 0.16, "keep_in": 0.16, "goal": 0.2, "ring": 0.12, "initial": 0.4}
+AREAS |= {"slice": 0.45, "tube": 0.35, "chief": 0.6}
+"""Opacity of areas and surfaces, by role."""
+
+LINES = {"keep_in": (1.5, "dash"), "sides": (1.0, "solid"), "goal": (2.0, "solid"), "initial": (5.0, "solid")}
+LINES |= {"reference": (3.0, "dot"), "tail": (1.5, "dot"), "keep": (1.0, "solid"), "sun": (3.0, "dash")}
+LINES |= {"predicted": (1.5, "solid")}
+"""Width and dashes of lines, by role."""
+
+POINTS = {"start": ("circle", 4), "goal": ("diamond", 5)}
+"""Symbol and size of single points, by role."""
 
 
-def shown_axes(picture: Picture, paths: Sequence[Array]) -> list[int]:
-    """Position coordinates that are drawn: the plane of motion if it shows all, else all of them."""
-    frame = picture.frame
-    return frame.flat if is_flat(picture, paths) else list(frame.axes)
-
-
-def scene_of(picture: Picture, paths: Sequence[Array], axes: list[int] | None = None) -> dict[str, Any]:
-    """The scene of a run folder as the page's script reads it.
-
-    Parameters
-    ----------
-    picture : Picture
-    paths : sequence of ndarray, shape (N, d)
-        Positions flown [m]; the scene is widened for those that stay near it.
-    axes : list of int, optional
-        Position coordinates to draw, two or three; default `shown_axes`.
+def scene_data(scene: Scene) -> dict[str, Any]:
+    """A scene in two or three axes as the page's script reads it.
 
     Returns
     -------
     dict
         ``space`` (2 or 3 axes), ``equal`` (whether one scale serves all), ``axes``, ``range``, ``layers``.
     """
-    if picture.system.d == 1:
-        return line_scene(picture, paths)
-    axes = shown_axes(picture, paths) if axes is None else axes
-    space = Space.of(picture, paths)
-    found = [
-        *unsafe_layers(space, axes),
-        *_goal(space, axes),
-        *_start(picture, axes),
-        *_reference(picture, axes),
-        *_slices(picture, axes),
-        *_tube(picture, axes),
-    ]
     return {
-        "space": len(axes),
-        "equal": True,
-        "axes": list(picture.frame.labels[: len(axes)]),
-        "range": plain(np.stack([space.low, space.high], axis=1)[axes]),
-        "layers": found,
+        "space": len(scene.labels),
+        "equal": scene.time_axis is None,
+        "axes": list(scene.labels),
+        "range": plain(np.stack([scene.low, scene.high], axis=1)),
+        "layers": [*_slices(scene), *(layer(item) for item in scene.items if item.shape is not None)],
     }
 
 
-def _reference(picture: Picture, axes: list[int]) -> list[Layer]:
-    before, after = picture.path(4)
-    found = [layers.line("safe reference", before[:, axes], "reference", GREY, 3, "dot")]
-    if len(after):
-        found.append(layers.line("reference after T", after[:, axes], "reference", "#B5B5B5", 1.5, "dot"))
-    return found
+def layer(item: Item) -> Layer:
+    """One thing of a scene as the page's script reads it."""
+    shape, look = item.shape, LOOKS[item.role]
+    assert shape is not None
+    found: Layer = {"name": item.name, "kind": shape.kind, "group": look.group, "colour": look.colour}
+    found["opacity"] = 1.0
+    if shape.kind in ("area", "mesh"):
+        found["opacity"] = AREAS[item.role]
+        if item.role == "unsafe" and (shape.kind == "area" or item.cut):
+            found["opacity"] = 0.4 if shape.kind == "area" else 0.25
+    elif shape.kind == "line":
+        found["width"], found["dash"] = LINES[item.role]
+        if item.role == "goal" and len(shape.points) == 2:
+            found["width"] = 5.0
+    else:
+        found["symbol"], found["size"] = POINTS[item.role]
+    if item.role in ("unsafe", "chief"):
+        found["label"] = item.name.partition(":")[0] if item.role == "chief" else item.name
+    if item.times is None:
+        return found | _corners(shape)
+    found["t"] = plain(item.times)
+    if item.shift is not None:
+        found["shift"] = plain(item.shift.T)
+    if len(item.shapes) == 1:
+        return found | _corners(shape)
+    return found | {"frames": [_corners(one) for one in item.shapes]}
 
 
-def _start(picture: Picture, axes: list[int]) -> list[Layer]:
-    start = position_set(picture)
-    centre = np.asarray(start.c)[axes][None]
-    found = [layers.markers("start", centre, "initial", INITIAL, "circle", 4)]
-    drawn = _body("initial set", start, axes, "initial", INITIAL, 0.4)
-    return [*found, drawn] if drawn else found
-
-
-def _body(
-    name: str, body: Zonotope, axes: list[int], group: str, colour: str, opacity: float
-) -> Layer | None:
-    """One set of positions."""
-    if len(axes) == 2:
-        return layers.area(name, zonotope_outline(body, axes), group, colour, opacity)
-    rays = directions_in_space(3)
-    c, G = body.c[axes], body.G[axes]
-    size = np.abs(rays @ G).sum(axis=-1)
-    surface = polyhedron(rays, rays @ c + np.maximum(size, 1e-3 * float(np.max(size, initial=0.0))), c)
-    return None if surface is None else layers.mesh(name, surface, group, colour, opacity)
-
-
-def _goal(space: Space, axes: list[int]) -> list[Layer]:
-    """The goal's positions: rings of ellipses, a stretch, a point or a box."""
-    parts = space.goal()
-    found = [drawn for part in parts if (drawn := _part(part, axes))]
-    if len(parts) == 2 and len(axes) == 3:
-        rims = [part.points[:, axes] for part in parts]
-        found.append(layers.mesh("goal", _strip(*rims), "goal", GREEN, 0.12))
-    return found
-
-
-def _part(part: Part, axes: list[int]) -> Layer | None:
-    points = part.points[:, axes]
-    if part.kind == "point" or np.all(np.ptp(points, axis=0) == 0):  # a line seen end on, too
-        return layers.markers("goal", points[:1], "goal", GREEN, "diamond", 5)
-    if part.kind == "curve":
-        return layers.line("goal", points, "goal", GREEN, 2 if len(points) > 2 else 5)
-    if len(axes) == 2:
-        return layers.area("goal", flat_outline(points), "goal", GREEN, 0.2)
-    surface = hull(points)
-    return None if surface is None else layers.mesh("goal", surface, "goal", GREEN, 0.2)
-
-
-def _strip(inner: Array, outer: Array) -> Surface:
-    """The ring between two outlines of as many points."""
-    a = np.arange(len(inner) - 1)
-    b = a + len(inner)
-    faces = np.vstack([np.stack([a, a + 1, b], axis=1), np.stack([a + 1, b + 1, b], axis=1)])
-    return Surface(np.vstack([inner, outer]), faces)
-
-
-def _slices(picture: Picture, axes: list[int]) -> list[Layer]:
-    """Recoverable positions in the plane of the figures, at rest relative to the reference."""
-    if picture.slices is None:
+def _slices(scene: Scene) -> list[Layer]:
+    """Slices of the recoverable sets through the states of each run under Polaris, at their own times."""
+    slices, look = scene.picture.slices, LOOKS["slice"]
+    if slices is None or "polaris" not in scene.picture.flights:
         return []
-    steps = shown_steps(picture.planned)
-    times = steps * picture.reference.delta
-    outlines = picture.slices.centre[:, None] + picture.slices.outline
-    if len(axes) == 3:
-        third = (picture.reference.chi[steps] @ picture.system.position.T)[:, picture.frame.axes[2]]
-        level = np.broadcast_to(third[:, None, None], (*outlines.shape[:2], 1))
-        outlines = np.concatenate([outlines, level], axis=2)
-    name = "recoverable, last slice reached"
-    if len(axes) == 3:
-        corner = np.arange(1, outlines.shape[1] - 1)
-        fan = np.stack([np.zeros_like(corner), corner, corner + 1], axis=1)  # a slice is convex
-        flat = [Surface(outline, fan) for outline in outlines]
-        model = layers.mesh(name, flat[0], "slice", SLICE, 0.5)
-        return [layers.framed(model, times, [layers.corners(one) for one in flat])]
-    filled = layers.area(name, outlines[0], "slice", SLICE, 0.45)
-    return [layers.framed(filled, times, [{"p": plain(layers.closed(one).T)} for one in outlines])]
-
-
-def _tube(picture: Picture, axes: list[int]) -> list[Layer]:
-    """Where the spacecraft may be over each part of a step, whatever the disturbance."""
-    tube = picture.tube
-    if tube is None or not len(tube.bow):
-        return []
-    K, q = tube.bow.shape[:2]
-    parts = max(1, min(q, MOST_FRAMES // K))
-    edges = np.unique(np.linspace(0, q, parts + 1).astype(int))
-    times = (np.arange(K)[:, None] + edges[:-1] / q) * picture.reference.delta
-    centre, generators, bow = tube.centre[..., axes], tube.generators[..., axes, :], tube.bow[..., axes]
-    model: Layer = {"name": "reachable now", "group": "tube", "colour": TUBE, "opacity": 0.35}
-    if len(axes) == 2:
-        outlines = tube_polygons(centre, generators, bow, parts, 24).reshape(-1, 24, 2)
-        frames = [{"p": plain(layers.closed(outline).T)} for outline in outlines]
-        return [layers.framed(model | {"kind": "area"}, times.ravel(), frames)]
-    rays = directions_in_space(3)
-    node = centre @ rays.T + np.abs(np.einsum("ri,kqig->kqrg", rays, generators)).sum(axis=-1)
-    between = np.maximum(node[:, :-1], node[:, 1:]) + bow @ np.abs(rays).T
-    support = np.stack(
-        [between[:, a:b].max(axis=1) for a, b in zip(edges[:-1], edges[1:], strict=True)], axis=1
-    )
-    inside = np.stack([centre[:, (a + b) // 2] for a, b in zip(edges[:-1], edges[1:], strict=True)], axis=1)
-    solids = [
-        polyhedron(rays, b, c)
-        for b, c in zip(support.reshape(-1, len(rays)), inside.reshape(-1, 3), strict=True)
+    outlines, places = slices.outlines, slices.places[..., scene.axes]
+    if scene.time_axis == 0:
+        along = np.broadcast_to(slices.times[:, None, None, None], outlines.shape)
+        outlines = np.concatenate([along, outlines], axis=-1)
+        places = np.concatenate([along[:, :, 0], places], axis=-1)
+    frames = [
+        [
+            None if np.isnan(place[-1]) else {"p": plain(closed(outline).T), "at": plain(place)}
+            for outline, place in zip(outlines[:, run], places[:, run], strict=True)
+        ]
+        for run in range(places.shape[1])
     ]
-    frames = [layers.corners(solid) if solid else {"p": []} for solid in solids]
-    return [layers.framed(model | {"kind": "mesh"}, times.ravel(), frames)]
+    found = {"name": look.name, "kind": "slice", "group": look.group, "colour": look.colour}
+    opacity = {"opacity": AREAS["slice"], "pilot": "polaris"}
+    return [found | opacity | {"t": plain(slices.times), "frames": frames}]
+
+
+def _corners(shape: Shape | None) -> dict[str, Any]:
+    """Coordinates by axis, and triangles of a surface."""
+    if shape is None:
+        return {"p": []}
+    points = closed(shape.points) if shape.kind == "area" else shape.points
+    told = {"p": plain(points.T)}
+    return told if shape.faces is None else told | {"f": plain(shape.faces.T)}

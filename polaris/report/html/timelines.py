@@ -12,6 +12,7 @@ the pilot's, ``step`` if it is held until the next sample, and perhaps a ``band`
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,35 +20,87 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...model.distances import UNKNOWN, signed_distances
 from ...model.system import Array
+from ...rta.arena import Shown
 from ...runs.picture import Picture
 from ...synthesis.recoverable import directed
-from ..figures.style import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION, input_labels, mode_colour
+from ..scene.palette import GREEN, input_labels, mode_colour
+from ..scene.scene import describe, shown_axes
+from .bounds import proven_distance
 from .numbers import plain
+from .scene import scene_data
 
 MOST = 400
 """Most samples of a run that are drawn, besides changes of controller."""
-
-# S alone and U alone come first, in the colours of S and U.
-COLOURS = (
-    BLUE,
-    ORANGE,
-    BLACK,
-    GREEN,
-    PURPLE,
-    VERMILION,
-    SKY,
-    "#6B4A0F",
-    "#8A8A8A",
-    "#B8860B",
-    "#7A1FA2",
-    "#4D7A00",
-)
-DASHES = ("solid", "dash", "dot", "dashdot", "longdash")
 
 WHO = "Who flies"
 
 Panel = dict[str, Any]
 Pilot = dict[str, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Flown:
+    """Who flew, how it looks (``colour``, ``dash``, ``on`` at first), the runs that can be shown.
+
+    Perhaps with the least and largest input over all runs, shape (2, N, m).
+    """
+
+    key: str
+    name: str
+    look: dict[str, Any]
+    runs: Shown
+    input_range: Array | None = None
+
+
+def flight_data(
+    picture: Picture, flown: Sequence[Flown], proved: bool, by: str, opened: float | None = None
+) -> dict[str, Any]:
+    """What the page's script draws of a schedule and of those that flew it.
+
+    Parameters
+    ----------
+    picture : Picture
+    flown : sequence of Flown
+    proved : bool
+        Whether the distance that is proven is shown.
+    by : str
+        Whether paths are coloured by ``mode`` or by ``pilot``.
+    opened : float, optional
+        Time that is shown first [s]; default that of the closest approach.
+    """
+    C = picture.system.position
+    paths = [one.runs.states[0] @ C.T for one in flown]
+    scene = describe(picture, paths, shown_axes(picture, paths))
+    pilots, distances, drawn = [], [], []
+    for one in flown:
+        runs, t = one.runs, one.runs.times
+        chosen = kept(len(t), runs.modes, [int(np.argmin(runs.nearest[0]))])
+        held, positions = np.minimum(chosen, runs.inputs.shape[1] - 1), runs.states @ C.T
+        pilots.append(pilot(one, chosen, scene.placed(positions[:, chosen], t[chosen])))
+        if picture.obstacles:  # other satellites are where they are nominally: no file says where they were
+            found = signed_distances(picture.obstacles, t, positions, picture.system).min(axis=0)
+            band = runs.nearest[[0, 2]][:, chosen]
+            distances.append({"pilot": one.key, "runs": plain(found[:, chosen]), "band": plain(band)})
+        span = None if one.input_range is None else one.input_range[:, held]
+        drawn.append((one.key, runs.inputs[:, held], span))
+    bound = proven_distance(picture) if proved else None
+    if bound is not None:
+        distances.append(_proven(bound, picture.reference.delta))
+    panels = [_margins(picture), *_inputs(picture, drawn)]
+    if picture.obstacles:
+        title = "Distance to the nearest unsafe set"
+        panels.insert(0, panel("distance", title, "m", [limit(0.0, "unsafe", "below")], distances))
+    present = np.concatenate([picture.modes, *(one.runs.modes.ravel() for one in flown)])
+    return {
+        "scene": scene_data(scene),
+        "end": plain(max((one["t"][-1] for one in pilots), default=picture.duration)),
+        "open": plain(picture.closest if opened is None else opened),
+        "modes": mode_names(picture, present),
+        "modes_title": WHO,
+        "by": by,
+        "pilots": pilots,
+        "panels": panels,
+    }
 
 
 def kept(count: int, modes: ArrayLike = (), must: Sequence[int] = ()) -> NDArray[np.intp]:
@@ -70,41 +123,13 @@ def kept(count: int, modes: ArrayLike = (), must: Sequence[int] = ()) -> NDArray
     return np.unique(np.concatenate([even, changes, must]).astype(int))
 
 
-def style_of(place: int) -> dict[str, str]:
-    """Colour and dashes of the i-th pilot: no two of the first fifty are alike."""
-    return {
-        "colour": COLOURS[place % len(COLOURS)],
-        "dash": DASHES[(place // len(COLOURS) + place) % len(DASHES)],
-    }
-
-
-def pilot(
-    key: str, name: str, labels: Sequence[str], times: Array, paths: Array, modes: Array, **style: Any
-) -> Pilot:
-    """One pilot.
-
-    Parameters
-    ----------
-    key, name : str
-    labels : sequence of str, length r
-    times : ndarray, shape (N,)
-        [s]
-    paths : ndarray, shape (r, N, dim)
-        Positions in the axes of the figures [m].
-    modes : ndarray of int, shape (r, N-1)
-    **style : str or bool
-        ``colour``, ``dash``, and whether it is ``on`` at first.
-    """
+def pilot(one: Flown, chosen: NDArray[np.intp], paths: Array) -> Pilot:
+    """One pilot at some samples, with paths (r, N, dim) in the axes of the scene [m] at these."""
+    shown = one.runs
+    modes = shown.modes[:, np.minimum(chosen[:-1], shown.modes.shape[1] - 1)]
     runs = [{"p": plain(path.T), "modes": plain(who)} for path, who in zip(paths, modes, strict=True)]
-    return {"key": key, "name": name, "labels": list(labels), "t": plain(times), "runs": runs} | style
-
-
-def paths_of(picture: Picture, times: Array, states: Array, axes: list[int]) -> Array:
-    """Positions of runs along the axes of the scene, from states (r, N, n); on the line, over time."""
-    positions = (states @ picture.system.position.T)[..., axes]
-    if picture.system.d > 1:
-        return np.asarray(positions)
-    return np.stack([np.broadcast_to(times, positions.shape[:2]), positions[..., 0]], axis=-1)
+    told = {"key": one.key, "name": one.name, "labels": list(shown.labels), "t": plain(shown.times[chosen])}
+    return told | {"runs": runs} | one.look
 
 
 def mode_names(picture: Picture, present: ArrayLike) -> list[dict[str, Any]]:
@@ -112,24 +137,11 @@ def mode_names(picture: Picture, present: ArrayLike) -> list[dict[str, Any]]:
     told = []
     for mode in np.unique(np.asarray(present, dtype=int)).tolist():
         known = 0 <= mode < len(picture.controllers)
-        name = picture.mode_name(mode) if known else f"controller {mode}"
+        name, colour = picture.mode_name(mode) if known else f"controller {mode}", mode_colour(mode)
         if mode == UNKNOWN:
-            told.append({"mode": mode, "name": "filtered input, or not known", "colour": "#9A9A9A"})
-        else:
-            told.append({"mode": mode, "name": name, "colour": mode_colour(mode)})
+            name, colour = "filtered input, or not known", "#9A9A9A"
+        told.append({"mode": mode, "name": name, "colour": colour})
     return told
-
-
-def own_distance(picture: Picture, times: Array, states: Array) -> Array | None:
-    """Distance of every run from the nearest unsafe set, shape (r, N) [m]; None if there is none.
-
-    Other satellites are where they are nominally: a run folder does not say where they truly were.
-    """
-    if not picture.obstacles:
-        return None
-    positions = states @ picture.system.position.T
-    found = signed_distances(picture.obstacles, times, positions, picture.system)
-    return np.asarray(found.min(axis=0))
 
 
 def limit(y: float, text: str, unsafe: str = "") -> dict[str, Any]:
@@ -137,62 +149,48 @@ def limit(y: float, text: str, unsafe: str = "") -> dict[str, Any]:
     return {"y": plain(y), "text": text, "unsafe": unsafe}
 
 
-def distance_panel(series: list[dict[str, Any]]) -> Panel:
-    """Distance to the nearest unsafe set."""
-    return {
-        "key": "distance",
-        "title": "Distance to the nearest unsafe set",
-        "unit": "m",
-        "limits": [limit(0.0, "unsafe", "below")],
-        "series": series,
-    }
+def panel(key: str, title: str, unit: str, limits: list[dict[str, Any]], series: list[Any]) -> Panel:
+    """One diagram."""
+    return {"key": key, "title": title, "unit": unit, "limits": limits, "series": series}
 
 
-def proven_series(bound: Array, delta: float) -> dict[str, Any]:
+def input_panel(axis: int, title: str, unit: str, most: float, series: list[Any], form: str = ".4g") -> Panel:
+    """One input between its limits."""
+    limits = [limit(-most, "", "below"), limit(most, f"limit {most:{form}}", "above")]
+    return panel(f"input{axis}", title, unit, limits, series)
+
+
+def _proven(bound: Array, delta: float) -> dict[str, Any]:
     """The distance that is proven, held over every period."""
     K, q = bound.shape
     times = np.append((np.arange(K)[:, None] + np.arange(q) / q).ravel(), K) * delta
-    values = np.append(bound.ravel(), bound[-1, -1])
-    return {
-        "pilot": None,
-        "name": "proven for the schedule: at least",
-        "t": plain(times),
-        "y": plain(values),
-        "step": True,
-        "colour": GREEN,
-        "dash": "solid",
-        "fill": True,
-    }
+    line = {"t": plain(times), "y": plain(np.append(bound.ravel(), bound[-1, -1])), "step": True}
+    look = {"colour": GREEN, "dash": "solid", "fill": True}
+    return {"pilot": None, "name": "proven for the schedule: at least"} | line | look
 
 
-def margin_panel(picture: Picture) -> Panel:
+def _margins(picture: Picture) -> Panel:
     """Room left in the recoverable sets, step by step."""
-    K, delta = len(picture.modes), picture.reference.delta
-    return {
-        "key": "margin",
-        "title": "Containment margin of each step of the schedule",
-        "unit": "share of room",
-        "limits": [limit(0.0, "")],
-        "series": [
-            {
-                "pilot": None,
-                "name": "margin",
-                "bars": True,
-                "t": plain((np.arange(K) + 0.5) * delta),
-                "width": plain(delta),
-                "y": plain(picture.margins),
-                "modes": plain(picture.modes),
-                "text": [
-                    f"margin {directed(share, '.3f')}, limit: {name}"
-                    for share, name in zip(picture.margins, picture.limits, strict=True)
-                ],
-            }
+    delta = picture.reference.delta
+    series = {
+        "pilot": None,
+        "name": "margin",
+        "bars": True,
+        "t": plain((np.arange(len(picture.modes)) + 0.5) * delta),
+        "width": plain(delta),
+        "y": plain(picture.margins),
+        "modes": plain(picture.modes),
+        "text": [
+            f"margin {directed(share, '.3f')}, limit: {name}"
+            for share, name in zip(picture.margins, picture.limits, strict=True)
         ],
     }
+    title = "Containment margin of each step of the schedule"
+    return panel("margin", title, "share of room", [limit(0.0, "")], [series])
 
 
-def input_panels(picture: Picture, drawn: Sequence[tuple[str, Array, Array | None]]) -> list[Panel]:
-    """One panel per input, against its limits.
+def _inputs(picture: Picture, drawn: Sequence[tuple[str, Array, Array | None]]) -> list[Panel]:
+    """One panel per input.
 
     Parameters
     ----------
@@ -201,19 +199,13 @@ def input_panels(picture: Picture, drawn: Sequence[tuple[str, Array, Array | Non
         Inputs of the runs (r, N, m), and least and largest over all runs (2, N, m) if they are known.
     """
     label, names = input_labels(picture.system)
-    what, _, rest = label.partition(" (")
+    what, _, unit = label.rstrip(")").partition(" (")
     found = []
     for axis, (name, most) in enumerate(zip(names, picture.system.u_max.tolist(), strict=True)):
         series = []
         for key, inputs, span in drawn:
-            one: dict[str, Any] = {"pilot": key, "step": True, "runs": plain(inputs[..., axis])}
-            if span is not None:
-                one["band"] = plain(span[..., axis])
-            series.append(one)
-        limits = [limit(-most, "", "below"), limit(most, f"limit {most:.4g}", "above")]
+            band = {} if span is None else {"band": plain(span[..., axis])}
+            series.append({"pilot": key, "step": True, "runs": plain(inputs[..., axis])} | band)
         title = f"{what}, {name}" if what != "Input" else f"Input: {name}"
-        unit = rest.rstrip(")")
-        found.append(
-            {"key": f"input{axis}", "title": title, "unit": unit, "limits": limits, "series": series}
-        )
+        found.append(input_panel(axis, title, unit, most, series))
     return found

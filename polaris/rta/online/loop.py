@@ -98,7 +98,7 @@ class FlightLoop:
         number : int
             Of the decision, missed ones included: counted by timer ticks, say, not by dividing `now`. It is
             the second opinion on the clock.
-        now, measurement, applied, reference
+        now, measurement, applied, reference : as in `OnlineMonitor.step`
             As of `OnlineMonitor.step`.
         """
         answer = self.online.step(now, measurement, applied, reference, number)

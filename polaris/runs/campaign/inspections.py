@@ -20,9 +20,9 @@ from ...model.errors import ScenarioError
 from ...model.system import Array
 from ...model.version import versions
 from ...scenario.filter_tables import DecentralizedFilter
-from ...scenario.inspection import InspectionScenario
-from ...scenario.inspection_tables import MonteCarloModel
+from ...scenario.scenario import MonteCarloScenario
 from ...simulation.intervals import CONFIDENCE, lower_bound
+from ..inspection import flight_arrays
 from .batch import Batch, Case, Results, Task, Trajectory
 
 BLOCK = 100
@@ -92,7 +92,7 @@ class InspectionRuns:
     ) -> tuple[dict[str, Array], InspectionRun | None]:
         """Columns of one study, shapes (runs,), and one of the runs if asked for."""
         scenario, drawn, studies = _made(task.text)
-        plan, q = monte_carlo_model(scenario).campaign, scenario.inspection()
+        plan, q = scenario.model.campaign, scenario.inspection()
         x, sun = (values[task.first :] for values in drawn.first(task.first + task.runs))
         kept = None if run is None else Kept(run)
         outcome = fly_block(q, studies[mode], x, sun, plan.duration_s, plan.period_s, kept=kept)
@@ -111,13 +111,12 @@ class InspectionRuns:
         """As `Kind.summarise`."""
         (case,) = results.cases
         scenario = _made(case.text)[0]
-        model = monte_carlo_model(scenario)
-        plan = model.campaign
+        plan = scenario.model.campaign
         told = {
             "schema_version": 1,
             "scenario": scenario.name,
             "kind": scenario.kind,
-            "title": model.title,
+            "title": scenario.title,
             "runs": results.runs,
             "deputies": plan.deputies,
             "duration_s": plan.duration_s,
@@ -139,20 +138,14 @@ class InspectionRuns:
         }
 
 
-def case_of(scenario: InspectionScenario) -> Case:
+def case_of(scenario: MonteCarloScenario) -> Case:
     """The one case of a Monte Carlo; its number of runs is the plan's, so that more runs extend it."""
-    return Case(scenario.name, (), scenario.with_overrides({"campaign.runs": 1}).to_toml())
+    return Case(scenario.name, (), scenario.set("campaign.runs", 1).to_toml())
 
 
-def monte_carlo_model(scenario: InspectionScenario) -> MonteCarloModel:
-    """The fields of a Monte Carlo."""
-    assert isinstance(scenario.model, MonteCarloModel)
-    return scenario.model
-
-
-def studies_of(scenario: InspectionScenario) -> dict[str, Study]:
+def studies_of(scenario: MonteCarloScenario) -> dict[str, Study]:
     """The studies of a scenario by name."""
-    model, alpha = monte_carlo_model(scenario), scenario.strengthening()
+    model, alpha = scenario.model, scenario.strengthening()
     return {
         study.name: Study(
             study.name,
@@ -185,10 +178,10 @@ def initial_states(columns: Mapping[str, Array]) -> Array:
 
 
 @lru_cache(2)
-def _made(text: str) -> tuple[InspectionScenario, InitialConditions, dict[str, Study]]:
+def _made(text: str) -> tuple[MonteCarloScenario, InitialConditions, dict[str, Study]]:
     """What a process needs of a case: whoever flies draws the initial conditions."""
-    scenario = InspectionScenario.from_dict(tomllib.loads(text))
-    drawn = InitialConditions(scenario.families(), monte_carlo_model(scenario).campaign.seed)
+    scenario = MonteCarloScenario.from_dict(tomllib.loads(text))
+    drawn = InitialConditions(scenario.families(), scenario.model.campaign.seed)
     return scenario, drawn, studies_of(scenario)
 
 
@@ -221,4 +214,4 @@ def _trajectory(run: InspectionRun) -> Trajectory:
     for i in range(deputies):
         table |= {f"deputy_{i}_u_{axis}_N": run.u[:, i, k] for k, axis in enumerate("xyz")}
         table[f"deputy_{i}_status"] = run.status[:, i]
-    return Trajectory(run.arrays(), table)
+    return Trajectory(flight_arrays(run), table)

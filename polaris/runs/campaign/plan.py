@@ -13,7 +13,7 @@ from ...model.checks import whole
 from ...model.errors import ScenarioError
 from ...model.version import version
 from ...scenario.overrides import parse_assignment
-from ...scenario.scenario import Scenario, load_scenario
+from ...scenario.scenario import Scenario, ScheduleScenario, load_scenario
 from .batch import Case, Kind, Task
 from .inspections import InspectionRuns
 from .schedules import ScheduleRuns
@@ -135,7 +135,7 @@ class CampaignPlan:
 
 
 def make_cases(
-    scenarios: Sequence[str | Scenario],
+    scenarios: Sequence[str | ScheduleScenario],
     grid: Mapping[str, Sequence[Any]] | None = None,
     overrides: Sequence[str] = (),
 ) -> tuple[Case, ...]:
@@ -143,7 +143,7 @@ def make_cases(
 
     Parameters
     ----------
-    scenarios : sequence of str or Scenario
+    scenarios : sequence of str or ScheduleScenario
         Names, paths, or scenarios already loaded.
     grid : mapping, optional
         Values by key, as in ``{"planner.extra_margin_m": [10, 20]}``; the last key changes fastest.
@@ -167,7 +167,7 @@ def make_cases(
             raise ScenarioError(f"--grid {key}", list(given), "must have at least one value, each once")
     found: list[Case] = []
     for scenario in scenarios:
-        loaded = load_scenario(scenario) if isinstance(scenario, str) else scenario
+        loaded = load_scenario(scenario, only=ScheduleScenario) if isinstance(scenario, str) else scenario
         loaded = loaded.with_assignments(overrides)
         for combination in itertools.product(*values.values()):
             chosen = dict(zip(values, combination, strict=True))

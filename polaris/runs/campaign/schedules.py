@@ -180,14 +180,14 @@ def schedule_of(text: str) -> Made:
 
 @lru_cache(KEPT)
 def _made(text: str) -> Made:
-    from ...scenario.scenario import Scenario
+    from ...scenario.scenario import ScheduleScenario
     from ...synthesis.synthesize import synthesize
-    from ..case import digest
+    from ..schedule import digest
 
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ClockWarning)  # told below
-            schedule = synthesize(Scenario.from_dict(tomllib.loads(text)))
+            schedule = synthesize(ScheduleScenario.from_dict(tomllib.loads(text)))
     except PolarisError as error:
         return Made(None, failure=str(error), code=error.exit_code)
     except np.linalg.LinAlgError as error:

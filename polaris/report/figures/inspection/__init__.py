@@ -5,29 +5,21 @@ matplotlib is imported when the first figure is drawn.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ....inspection.flights.simulation import InspectionRun
+from ...scene import inspection as data
+from ..style import WIDTH, new_figure, printing, save
+from .charts import draw_chart, draw_free_distance, draw_speed
+from .fuel import draw_fuel, draw_fuel_thrust, draw_path
+from .monte_carlo import draw_failures, draw_initial_conditions
+from .paths import draw_passive, draw_paths
 
 if TYPE_CHECKING:
     from ....inspection.flights.fuel_run import FuelRun
     from ....runs.monte_carlo import CampaignPicture
-
-FLIGHT_FIGURES = (
-    "overview",
-    "speed",
-    "velocity",
-    "separation",
-    "sun",
-    "deputy_sun",
-    "passive",
-    "thrust",
-    "delta_v",
-    "paths_3d",
-)
-"""Figures of a flight."""
 
 
 def draw_flight(run: InspectionRun, folder: Path) -> list[Path]:
@@ -39,15 +31,9 @@ def draw_flight(run: InspectionRun, folder: Path) -> list[Path]:
     folder : Path
         Must exist.
     """
-    from ..style import printing, save
-
     alone = run.inspection.deputies == 1
-    written: list[Path] = []
-    with printing():
-        for name in FLIGHT_FIGURES:
-            if not (alone and name in ("separation", "deputy_sun")):
-                written += save(_FIGURES[name](run), folder, name)
-    return written
+    names = [name for name in FLIGHT_FIGURES if not (alone and name in ("separation", "deputy_sun"))]
+    return _written(((name, _FIGURES[name](run)) for name in names), folder)
 
 
 def draw_fuel_run(run: FuelRun, folder: Path) -> list[Path]:
@@ -59,20 +45,8 @@ def draw_fuel_run(run: FuelRun, folder: Path) -> list[Path]:
     folder : Path
         Must exist.
     """
-    from ..style import new_figure, printing, save
-    from .fuel import draw_fuel, draw_fuel_thrust, draw_path
-
-    written: list[Path] = []
-    with printing():
-        for name, draw, height in (
-            ("path", draw_path, 2.0),
-            ("fuel", draw_fuel, 2.6),
-            ("thrust", draw_fuel_thrust, 2.4),
-        ):
-            figure = new_figure(height)
-            draw(figure.add_subplot(), run)
-            written += save(figure, folder, name)
-    return written
+    drawers = (("path", draw_path, 2.0), ("fuel", draw_fuel, 2.6), ("thrust", draw_fuel_thrust, 2.4))
+    return _written(((name, _panel(draw, height)(run)) for name, draw, height in drawers), folder)
 
 
 def draw_campaign(picture: CampaignPicture, folder: Path) -> list[Path]:
@@ -84,79 +58,75 @@ def draw_campaign(picture: CampaignPicture, folder: Path) -> list[Path]:
     folder : Path
         Must exist.
     """
-    from ..style import WIDTH, new_figure, printing, save
-    from .monte_carlo import draw_failures, draw_initial_conditions
 
-    count = len(picture.studies)
-    columns = min(count, 2)
-    rows = -(-count // columns)
-    with printing():
+    def figures() -> Iterable[tuple[str, Any]]:
+        count = len(picture.studies)
+        columns = min(count, 2)
+        rows = -(-count // columns)
         wide = new_figure(0.7 + 2.0 * rows, WIDTH if columns == 1 else 1.35 * WIDTH)
         axes = wide.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
         draw_initial_conditions(axes.ravel(), picture)
+        yield "initial_conditions", wide
         bars = new_figure(0.8 + 0.5 * count, 1.35 * WIDTH)
         draw_failures(bars.add_subplot(), picture)
-        return [*save(wide, folder, "initial_conditions"), *save(bars, folder, "failures")]
+        yield "failures", bars
+
+    return _written(figures(), folder)
+
+
+def _written(figures: Iterable[tuple[str, Any]], folder: Path) -> list[Path]:
+    with printing():
+        return [path for name, figure in figures for path in save(figure, folder, name)]
+
+
+def _panel(draw: Callable[[Any, Any], None], height: float) -> Callable[[Any], Any]:
+    """A figure of one panel."""
+
+    def drawn(run: Any) -> Any:
+        figure = new_figure(height)
+        draw(figure.add_subplot(), run)
+        return figure
+
+    return drawn
+
+
+def _charts(height: float, charts: Callable[[InspectionRun], list[data.Chart]]) -> Callable[[Any], Any]:
+    """A figure of charts over each other."""
+
+    def drawn(run: InspectionRun) -> Any:
+        figure, found = new_figure(height), charts(run)
+        axes = figure.subplots(len(found), 1, sharex=True, squeeze=False).ravel()
+        for ax, chart in zip(axes, found, strict=True):
+            draw_chart(ax, run, chart, named=ax is axes[0])
+            ax.set_xlabel("Time (s)" if ax is axes[-1] else "")
+        return figure
+
+    return drawn
 
 
 def _overview(run: InspectionRun) -> Any:
-    from ..style import WIDTH, new_figure
-    from .limits import draw_deputy_sun, draw_separation, draw_speed, draw_sun
-    from .paths import draw_passive
-    from .thrust import draw_all_thrust
-
-    alone = run.inspection.deputies == 1
     figure = new_figure(7.2, 2 * WIDTH)
-    axes = figure.subplots(3, 2)
-    drawers: list[tuple[Any, Callable[..., None]]] = [
-        (axes[0, 0], draw_speed),
-        (axes[0, 1], draw_separation),
-        (axes[1, 0], draw_sun),
-        (axes[1, 1], draw_deputy_sun),
-        (axes[2, 0], draw_passive),
-        (axes[2, 1], draw_all_thrust),
-    ]
-    for letter, (ax, draw) in zip("abcdef", drawers, strict=True):
-        if alone and draw in (draw_separation, draw_deputy_sun):
-            ax.set_axis_off()
-            continue
-        draw(ax, run)
-        ax.text(-0.16, 1.02, f"({letter})", transform=ax.transAxes, ha="right", va="bottom", fontsize=8)
+    axes = figure.subplots(3, 2).ravel()
+    draw_speed(axes[0], run)
+    draw_chart(axes[2], run, data.sun_chart(run, False))
+    if run.inspection.deputies > 1:
+        draw_chart(axes[1], run, data.distance_chart(run))
+        draw_chart(axes[3], run, data.sun_chart(run, True))
+    else:
+        axes[1].set_axis_off()
+        axes[3].set_axis_off()
+    draw_passive(axes[4], run)
+    for chart in data.thrust_charts(run.inspection, run.u):
+        draw_chart(axes[5], run, chart, width=0.35, named=False)
+    axes[5].set_ylabel("Thrust (N)")
+    for letter, ax in zip("abcdef", axes, strict=True):
+        if ax.axison:
+            ax.text(-0.16, 1.02, f"({letter})", transform=ax.transAxes, ha="right", va="bottom", fontsize=8)
     return figure
 
 
-def _single(module: str, name: str, height: float) -> Callable[[InspectionRun], Any]:
-    def draw(run: InspectionRun) -> Any:
-        from importlib import import_module
-
-        from ..style import new_figure
-
-        figure = new_figure(height)
-        getattr(import_module(f"{__name__}.{module}"), name)(figure.add_subplot(), run)
-        return figure
-
-    return draw
-
-
-def _three(module: str, name: str) -> Callable[[InspectionRun], Any]:
-    def draw(run: InspectionRun) -> Any:
-        from importlib import import_module
-
-        from ..style import new_figure
-
-        figure = new_figure(3.9)
-        getattr(import_module(f"{__name__}.{module}"), name)(figure.subplots(3, 1, sharex=True), run)
-        return figure
-
-    return draw
-
-
 def _passive(run: InspectionRun) -> Any:
-    from ..style import new_figure
-    from .paths import draw_free_distance, draw_passive, nearest_deputy
-
-    deputy = nearest_deputy(run)
-    figure = new_figure(5.0)
+    figure, deputy = new_figure(5.0), data.nearest_deputy(run)
     upper, lower = figure.subplots(2, 1, height_ratios=(1.4, 1))
     draw_passive(upper, run, deputy)
     draw_free_distance(lower, run, deputy)
@@ -164,9 +134,6 @@ def _passive(run: InspectionRun) -> Any:
 
 
 def _paths(run: InspectionRun) -> Any:
-    from ..style import new_figure
-    from .paths import draw_paths
-
     figure = new_figure(3.3)
     figure.set_layout_engine(None)
     ax = figure.add_axes((0.02, 0.05, 0.88, 0.86), projection="3d", computed_zorder=False)
@@ -177,13 +144,16 @@ def _paths(run: InspectionRun) -> Any:
 
 _FIGURES: dict[str, Callable[[InspectionRun], Any]] = {
     "overview": _overview,
-    "speed": _single("limits", "draw_speed", 2.8),
-    "velocity": _three("limits", "draw_velocity"),
-    "separation": _single("limits", "draw_separation", 2.8),
-    "sun": _single("limits", "draw_sun", 2.6),
-    "deputy_sun": _single("limits", "draw_deputy_sun", 2.8),
+    "speed": _panel(draw_speed, 2.8),
+    "velocity": _charts(3.9, data.velocity_charts),
+    "separation": _charts(2.8, lambda run: [data.distance_chart(run)]),
+    "sun": _charts(2.6, lambda run: [data.sun_chart(run, False)]),
+    "deputy_sun": _charts(2.8, lambda run: [data.sun_chart(run, True)]),
     "passive": _passive,
-    "thrust": _three("thrust", "draw_thrust"),
-    "delta_v": _single("thrust", "draw_delta_v", 2.4),
+    "thrust": _charts(3.9, lambda run: data.thrust_charts(run.inspection, run.u)),
+    "delta_v": _charts(2.4, lambda run: [data.spent_chart(run)]),
     "paths_3d": _paths,
 }
+
+FLIGHT_FIGURES = tuple(_FIGURES)
+"""Figures of a flight."""

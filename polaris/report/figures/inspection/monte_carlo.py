@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..style import BLACK, BLUE, GREY, ORANGE, PURPLE, RED, SKY, VERMILION, tint
+from ...scene.palette import BLACK, BLUE, GREY, ORANGE, PURPLE, RED, SKY, VERMILION, tint
 
 if TYPE_CHECKING:
     from ....runs.monte_carlo import CampaignPicture

@@ -2,7 +2,7 @@
 
 const LAPSE = 24; // seconds in which playing shows a whole flight
 const GROUPS = { unsafe: "unsafe sets", goal: "goal", initial: "initial set", reference: "safe reference",
-  slice: "recoverable sets (slices)", tube: "reachable set", sun: "sun", keep: "keep-in sphere", predicted: "predicted backup flights" };
+  slice: "recoverable set (of the run under Polaris)", tube: "reachable set", sun: "sun", keep: "keep-in sphere", predicted: "predicted backup flights" };
 const SWATCH = { unsafe: "#C0202B", goal: "#009E73", initial: "#404040", reference: "#767676", slice: "#E3D63B",
   tube: "#56B4E9", sun: "#E69F00", keep: "#767676", predicted: "#56B4E9" };
 
@@ -86,7 +86,7 @@ function start() {
 
   controls(data, state, redraw);
   Object.assign($("time"), { min: 0, max: data.end, step: data.end / 1000, value: 0 });
-  $("time").addEventListener("input", () => { play(false); setTime(Number($("time").value)); });
+  $("time").addEventListener("input", () => { play(false); setTime(snapped(data, Number($("time").value))); });
   $("play").addEventListener("click", () => play(!state.playing));
   setTime(data.open || 0);
   untouched = true;
@@ -97,9 +97,9 @@ function start() {
     timelines.on("plotly_hover", (event) => {
       if (state.playing || at(event) === pointed) return;
       pointed = at(event);
-      setTime(pointed);
+      setTime(snapped(data, pointed));
     });
-    timelines.on("plotly_click", (event) => { play(false); setTime(at(event)); });
+    timelines.on("plotly_click", (event) => { play(false); setTime(snapped(data, at(event))); });
   });
 }
 
@@ -132,8 +132,8 @@ function controls(data, state, redraw) {
     if (box.checked) state.groups.add(group); else state.groups.delete(group);
     redraw();
   })));
-  if (state.groups.has("tube") || state.groups.has("slice")) {
-    $("groups").append(tick("both at all times, not only now", false, SWATCH.tube, (box) => { state.always = box.checked; redraw(); }));
+  if (state.groups.has("tube")) {
+    $("groups").append(tick("reachable set at all times, not only now", false, SWATCH.tube, (box) => { state.always = box.checked; redraw(); }));
   }
 }
 
@@ -159,6 +159,9 @@ function readout(data, state) {
     const text = series.text ? ` (${series.text[i]})` : "";
     return `${panel.title}, ${series.name}${series.meaning ? ", " + series.meaning : ""}: ${at(series, series.y, i, s)}${panel.unit ? " " + panel.unit : ""}${text}`;
   }));
+  const slice = state.groups.has("slice") && sliceAt(data, state);
+  if (slice) notes.push(slice.p ? `Recoverable set drawn: at ${short(slice.t)} s${slice.now ? "" : ", not at the time shown"}`
+    : `Recoverable set at ${short(slice.t)} s: not drawn, for the run shown is outside of it`);
   $("notes").replaceChildren(...notes.map((text) => element("li", { textContent: text })));
 }
 

@@ -17,14 +17,50 @@ const between = (values, i, s) => (s === 0 ? values[i] : values[i] * (1 - s) + v
 
 // Coordinates and triangles of a layer at t; null while nothing of it is there.
 function shapeAt(layer, t) {
-  if (layer.frames) {
-    if (t < layer.t[0]) return null;
-    const frame = layer.frames[place(layer.t, t)[0]];
-    return frame.p.length ? frame : null;
-  }
-  if (!layer.shift) return layer;
-  const [i, s] = place(layer.t, t);
-  return { p: layer.p.map((axis, k) => axis.map((v) => v + between(layer.shift[k], i, s))), f: layer.f };
+  if (!layer.t) return layer;
+  if (t < layer.t[0]) return null;
+  const [i, s] = place(layer.t, t), shape = layer.frames ? layer.frames[i] : layer;
+  if (!shape.p.length || !layer.shift) return shape.p.length ? shape : null;
+  return { p: shape.p.map((axis, k) => axis.map((v) => v + between(layer.shift[k], i, s))), f: shape.f };
+}
+
+// The last slice of the run shown at or before t, without `p` if the run was outside; and whether it is of t itself.
+function sliceAt(data, state) {
+  const layer = data.scene.layers.find((one) => one.kind === "slice");
+  const pilot = layer && state.shown.find((one) => one.key === layer.pilot), t = state.t + 1e-6 * data.end;
+  if (!pilot || t < layer.t[0]) return null;
+  const i = place(layer.t, t)[0], frame = (layer.frames[runOf(pilot, state)] || [])[i];
+  return { ...frame, i, t: layer.t[i], now: t - layer.t[i] <= 2e-6 * data.end };
+}
+
+// The time of a slice, if one is nearer than half a step of the slider.
+function snapped(data, t) {
+  const layer = data.scene.layers.find((one) => one.kind === "slice");
+  const near = layer ? layer.t.reduce((a, b) => (Math.abs(b - t) < Math.abs(a - t) ? b : a)) : t;
+  return Math.abs(near - t) <= data.end / 2000 ? near : t;
+}
+
+// Filled at its own time, later dashed about the chaser's place of then; its time stands at it either way.
+function sliceTraces(data, layer, last) {
+  const found = last && last.p ? last : null;
+  const { space, range } = data.scene, edge = "#8A7F00", none = [[], [], []];
+  const name = found ? `recoverable at ${short(found.t)} s` : layer.name;
+  const p = found ? [...found.p, found.p[0].map(() => found.at[2])].slice(0, space) : none, n = p[0].length - 1;
+  const fan = [0, 1, 2].map((k) => Array.from({ length: Math.max(n - 2, 0) }, (_, j) => (k ? j + k : 0)));
+  const now = found && found.now, cut = (v, k) => Math.min(Math.max(v, range[k][0]), range[k][1]);
+  const foot = found && p.map((axis, k) => {
+    const low = cut(Math.min(...axis), k), high = cut(Math.max(...axis), k);
+    return k === 1 ? low : (low + high) / 2;
+  });
+  const look = (part) => ({ colour: edge, opacity: 1, uid: "slice" + part });
+  return [
+    traceOf(space, name, now ? { p, f: fan } : { p: none }, { ...layer, kind: space === 3 ? "mesh" : "area", uid: "slice" }),
+    traceOf(space, name, { p }, { ...look("edge"), kind: "line", width: space === 3 ? 4 : 2, dash: now ? "solid" : "dash" }),
+    traceOf(space, name + ": the chaser then", { p: found && !now ? found.at.map((v) => [v]) : none },
+      { ...look("place"), kind: "points", size: 4, symbol: "circle-open" }),
+    // A trace of its own for each time: plotly shrinks a text in space that changes.
+    { ...traceOf(space, name, { p: found ? foot.map((v) => [v]) : none }, { ...look("time" + (found ? found.i : "")), kind: "text", text: [name], size: 1 }), textposition: (space === 3 ? "bottom" : "top") + " center" },
+  ];
 }
 
 // All frames of a layer as one body, for a tube that is shown at all times.
@@ -92,7 +128,8 @@ function sceneTraces(data, state) {
   const { space, layers } = data.scene, traces = [], labels = { p: [[], [], []], text: [] };
   layers.forEach((layer, n) => {
     if (!state.groups.has(layer.group)) return;
-    const all = state.always && (layer.group === "tube" || layer.group === "slice");
+    if (layer.kind === "slice") { traces.push(...sliceTraces(data, layer, sliceAt(data, state))); return; }
+    const all = state.always && layer.group === "tube";
     const shape = all ? whole(layer) : shapeAt(layer, state.t);
     traces.push(traceOf(space, layer.name, shape, { ...layer, uid: "layer" + n }));
     if (layer.label && shape) {

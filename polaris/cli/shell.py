@@ -1,0 +1,219 @@
+"""What the verbs of the command line share: the application, their options, and how they end."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import signal
+import sys
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import wraps
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+
+import typer
+
+from reach.numerics.errors import ReachError
+
+from ..model.errors import ClockWarning, PolarisError
+
+if TYPE_CHECKING:
+    from ..runs.folder import RunFolder
+
+app = typer.Typer(
+    name="polaris",
+    help="Switching schedules between a safety controller and experimental ones, proven before the flight.",
+    epilog="Exit codes: 0 done, 2 bad input, 3 no safe synthesis, 4 not certified in the time given,"
+    " 5 a counterexample, a bound or a certificate that does not hold, 6 a certificate not decided."
+    " Code 0 with a warning on standard error: done, but nothing is proven (recoverable kind paper_ball).",
+    rich_markup_mode=None,  # markup swallows [m/s] or <scenario>
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+)
+
+REFUTED = 5
+"""Exit code: a counterexample was found, or a declared bound does not hold."""
+
+# -- options ----------------------------------------------------------------------------------------
+
+
+def complete_scenario(incomplete: str) -> list[str]:
+    """Names of bundled scenarios and of files that a shell may complete a word to."""
+    from ..scenario.scenario import bundled_files
+
+    names = [name for name in bundled_files() if name.startswith(incomplete)]
+    folder, _, start = incomplete.rpartition("/")
+    try:
+        here = sorted(
+            os.scandir(folder or ("/" if incomplete.startswith("/") else ".")), key=lambda one: one.name
+        )
+    except OSError:
+        return names
+    prefix = incomplete[: len(incomplete) - len(start)]
+    files = [
+        f"{prefix}{one.name}{'/' if one.is_dir() else ''}"
+        for one in here
+        if one.name.startswith(start) and (one.is_dir() or one.name.endswith(".toml")) and one.name[0] != "."
+    ]
+    return names + files
+
+
+Name = Annotated[
+    str,
+    typer.Argument(
+        metavar="NAME_OR_FILE",
+        help="A bundled scenario (see `polaris scenarios`) or a file.",
+        autocompletion=complete_scenario,
+    ),
+]
+Assignments = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Override a value, as in planner.gap=0.01; repeatable."),
+]
+Figures = Annotated[
+    bool, typer.Option("--figures/--no-figures", help="Draw the figures; `polaris plot` can do so later.")
+]
+Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON, and nothing else.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        from ..model.version import version
+
+        typer.echo(f"polaris {version()}")
+        raise typer.Exit
+
+
+@app.callback()
+def main(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+) -> None:
+    """Options that come before the command."""
+    # The matrices here are small: threads of the linear algebra library cost more than they give, and
+    # one thread adds up in the same order every time. It is read when numpy is first imported.
+    for library in ("OPENBLAS", "OMP", "MKL"):
+        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+
+
+# -- what verbs have in common ----------------------------------------------------------------------
+
+
+def verb(name: str) -> Callable[[Callable[..., int | None]], Callable[..., None]]:
+    """Add a verb to the application; it returns its exit code, or nothing where it went well."""
+
+    def add(work: Callable[..., int | None]) -> Callable[..., None]:
+        @wraps(work)
+        def guarded(*args: Any, **options: Any) -> None:
+            with answering():
+                code = work(*args, **options)
+            if code:
+                raise typer.Exit(code)
+
+        app.command(name)(guarded)
+        return guarded
+
+    return add
+
+
+def drawing(figures: bool) -> Any:
+    """What draws figures, if they are wanted."""
+    if not figures:
+        return None
+    from ..report.figures import draw_run
+
+    return draw_run
+
+
+def print_json(data: object) -> None:
+    """Print a result as JSON."""
+    from ..runs.tables import json_text
+
+    sys.stdout.write(json_text(data))
+
+
+def finish(
+    folder: RunFolder, show: Callable[[Any, str], None], figures: bool, as_json: bool, quiet: bool
+) -> None:
+    """Tell what a run folder holds: its summary as JSON or as text, and how to draw what was not drawn."""
+    if as_json:
+        sys.stdout.write((folder.path / folder.kind.summary).read_text(encoding="utf-8"))
+    elif not quiet:
+        show(folder.summary, str(folder.path))
+        if not figures:
+            typer.echo(f"To draw the figures: polaris plot {shlex.quote(str(folder.path))}")
+
+
+# -- how it ends ------------------------------------------------------------------------------------
+
+
+@contextmanager
+def answering() -> Iterator[None]:
+    """Turn everything that can go wrong into one message and an exit code; tell of a clock that struck."""
+    ends = [signal.SIGTERM, *([signal.SIGHUP] if hasattr(signal, "SIGHUP") else [])]
+    heard = [number for number in ends if signal.getsignal(number) != signal.SIG_IGN]  # nohup
+    before = {number: signal.signal(number, _terminated) for number in heard}
+    try:
+        with _warning():
+            yield
+    except PolarisError as error:
+        _fail(str(error), error.exit_code)
+    except KeyboardInterrupt:
+        _fail("interrupted; no run folder was changed", 130)
+    except BrokenPipeError:
+        raise typer.Exit(0) from None
+    except MemoryError:
+        _fail("out of memory; fewer steps, runs or obstacles need less", 1)
+    except OSError as error:
+        _fail(f"{error.filename or 'the system'}: {error.strerror or error}", 2)
+    except ReachError as error:  # numbers beyond floating point
+        _fail(f"not certified: {error}", 4)
+    except (typer.Exit, typer.Abort):
+        raise
+    except Exception as error:  # a fault of the program: still one message, with where it happened
+        _fail(f"internal fault ({_where(error)}): {type(error).__name__}: {error}", 1)
+    finally:
+        for number, known in before.items():
+            signal.signal(number, known)
+
+
+@contextmanager
+def _warning() -> Iterator[None]:
+    """Warnings of the planner's clock on standard error, each once, even if asked to be quiet."""
+    with warnings.catch_warnings():
+        told: list[str] = []
+        known = warnings.showwarning
+
+        def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+            if not issubclass(category, ClockWarning):
+                known(message, category, *where, **more)
+            elif str(message) not in told:
+                told.append(str(message))
+
+        warnings.simplefilter("always", ClockWarning)
+        warnings.showwarning = show
+        try:
+            yield
+        finally:
+            for text in told:
+                typer.echo(f"warning: {text}", err=True)
+
+
+def _terminated(number: int, frame: Any) -> NoReturn:
+    """Leave like after an error, so that nothing half-written stays."""
+    raise SystemExit(128 + number)
+
+
+def _where(error: BaseException) -> str:
+    trace = error.__traceback__
+    while trace is not None and trace.tb_next is not None:
+        trace = trace.tb_next
+    return f"{trace.tb_frame.f_globals.get('__name__', '?')}:{trace.tb_lineno}" if trace else "?"
+
+
+def _fail(message: str, code: int) -> NoReturn:
+    typer.echo(f"error: {' '.join(message.split())}", err=True)
+    raise typer.Exit(code) from None

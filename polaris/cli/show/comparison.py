@@ -1,0 +1,77 @@
+"""What the command line shows of a comparison of run-time methods."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Mapping
+from typing import Any
+
+from rich.box import SIMPLE
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from ...model.checks import counted
+from .printing import Printout
+
+SAFETY = (
+    ("violations", "viola-\ntions"),
+    ("min_distance_m", "least\ndist. m"),
+    ("mean_distance_m", "mean\ndist. m"),
+    ("min_ttc_s", "least\nTTC s"),
+    ("min_ttc_free_drift_s", "drift\nTTC s"),
+)
+COST = (
+    ("experimental_share", "share\nof U"),
+    ("switches", "swit-\nches"),
+    ("delta_v_m_s", "delta-v\nm/s"),
+    ("deviation", "devia-\ntion"),
+    ("decision_median_us", "deci-\nsion µs"),
+    ("decision_p99_us", "p99\nµs"),
+    ("synthesis_s", "offline\ns"),
+)
+"""Metrics of the two tables, and their heads."""
+LEAST = ("min_distance_m", "min_ttc_s", "min_ttc_free_drift_s")
+
+
+def show_comparison(summary: Mapping[str, Any], folder: str, console: Console | None = None) -> None:
+    """Print the comparison as a table, and where its folder lies."""
+    out = Printout(console)
+    out.say(f"{summary['title']}: {counted(summary['protocol']['runs'], 'run')} per method", "bold")
+    flown = [method for method in summary["methods"] if method["available"]]
+    for columns in (SAFETY, COST):
+        shown = Table(pad_edge=False, padding=(0, 1, 0, 0), box=SIMPLE)
+        shown.add_column("method", min_width=20, max_width=22)
+        if columns is SAFETY:
+            shown.add_column("guarantee", no_wrap=True)
+        for _, head in columns:
+            shown.add_column(head, justify="right", no_wrap=True)
+        for method in flown:
+            claim = [method["guarantee"]] if columns is SAFETY else []
+            cells = [_cell(key, method["metrics"].get(key)) for key, _ in columns]
+            shown.add_row(Text(method["name"]), *claim, *cells)
+        out.table(shown)
+    out.say("Least distance and TTC: worst over all runs. The others: means over runs, whose")
+    out.say("95 % intervals and paired differences are in comparison.json and in the report.")
+    for method in summary["methods"]:
+        if not method["available"]:
+            out.say(f"not available: {method['key']} ({method['reach']})")
+    out.say(f"Comparison folder: {folder}")
+    out.say(f"Interactive report: polaris report {shlex.quote(folder)}")
+
+
+def _cell(key: str, told: Any) -> str:
+    if not isinstance(told, dict):
+        return "-" if told is None else _number(told)
+    if key in LEAST:
+        return "none" if told["worst"] is None else _number(told["worst"])
+    if key == "violations":
+        return str(told["mean"])
+    return "-" if told["mean"] is None else _number(told["mean"])
+
+
+def _number(value: float) -> str:
+    """Three digits; thousands written out, less than a thousandth as 0."""
+    if abs(value) < 1e-3:
+        return "0"
+    return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.3g}"

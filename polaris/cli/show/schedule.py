@@ -1,0 +1,83 @@
+"""What the command line shows of a run of a schedule."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from ...model.checks import counted
+from ...synthesis.recoverable import directed
+from .printing import RED, Printout, alarming, table
+
+TITLES = {"safety": "S alone", "experimental": "U alone", "polaris": "Polaris"}
+
+ROWS = (
+    ("least distance to an unsafe set", "min_distance_m", "{:.4g} m", "no unsafe set"),
+    ("least time to collision, straight on", "min_ttc_s", "{:.4g} s", "none"),
+    ("least time to collision, free drift", "min_ttc_free_drift_s", "{:.4g} s", "none"),
+    ("share of experimental control", "experimental_share", "{:.1%}", ""),
+    ("switches", "switches", "{:d}", ""),
+    ("velocity change, mean", "delta_v_m_s", "{:.4g} m/s", ""),
+    ("largest demand of thrust by S", "max_thrust_ratio_safety", "{:.1%}", "-"),
+    ("largest demand of thrust by U", "max_thrust_ratio_experimental", "{:.1%}", "-"),
+)
+"""Title, key, form, and what stands where there is no value."""
+
+
+def show_summary(summary: Mapping[str, Any], folder: str, console: Console | None = None) -> None:
+    """Print the metrics, the guarantee with its assumptions, and where the folder lies."""
+    out = Printout(console)
+    out.say(str(summary["title"]), "bold")
+    out.table(_metrics(summary))
+    synthesis, claim = summary["synthesis"], summary["guarantee"]
+    seconds, plan = synthesis["seconds"], synthesis["planner"]
+    parts = [name for name in ("bounds", "plan", "recoverable", "schedule") if name in seconds]
+    stages = ", ".join(f"{name} {seconds[name]:.2f}" for name in parts)
+    clearance = directed(plan["margin_m"], ".4g")
+    reached = f"{plan['delta_v_m_s']:.4g} m/s, clearance {clearance} m beyond the tube"
+    out.say(f"Plan: {_planned(plan)}, {reached}.")
+    start, limit = synthesis["start_margin"], synthesis["start_limit"]
+    if start is not None:
+        out.say(f"Start: {directed(start, '.1%')} of the room is left, least at {limit}.")
+    out.say(f"Synthesis: {seconds['total']:.2f} s ({stages}).")
+    proved = claim["kind"] == "proved"
+    out.say(f"Guarantee: {_claim(claim)}", "bold" if proved else RED)
+    out.assume(claim["assumptions"] if proved else ())
+    out.say(f"Run folder: {folder}")
+
+
+def _planned(plan: Mapping[str, Any]) -> str:
+    """How the planner ended, and who solved it."""
+    gap = "" if plan["gap"] is None else f" with a gap of {plan['gap']:.2g}"
+    ended = {
+        "optimal": "optimal",
+        "effort_limit": f"stopped at the limit of its effort{gap}",
+        "time_limit": f"stopped by the clock{gap}",
+    }[plan["status"]]
+    return f"{ended} ({plan['solver_name']})"
+
+
+def _claim(claim: Mapping[str, Any]) -> str:
+    if claim["kind"] != "proved":
+        return "none; this option is not sound, and nothing is proven"
+    reach = {
+        "infinite": "for all time",
+        "one_period": f"until {claim['until_s'] or 0:.6g} s",
+        "none": "up to the end of the schedule only",
+    }[claim["horizon"]]
+    return f"{claim['kind']}, safe {reach} ({claim['reason']}), assuming that"
+
+
+def _metrics(summary: Mapping[str, Any]) -> Table:
+    shown = [key for key in TITLES if key in summary]
+    runs = summary[shown[-1]]["runs"]
+    found = table(f"{counted(runs, 'simulated run')} each", *(TITLES[key] for key in shown))
+    for title, key, form, absent in ROWS:
+        values = [summary[who][key] for who in shown]
+        found.add_row(title, *(absent if value is None else form.format(value) for value in values))
+    hits = [int(summary[who]["collided_runs"]) for who in shown]
+    found.add_row("runs that enter an unsafe set", *(alarming(str(count), count > 0) for count in hits))
+    return found

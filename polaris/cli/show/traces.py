@@ -1,0 +1,106 @@
+"""Metrics of traces as tables."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from ...model.checks import counted
+from ...traces.legacy import LegacyMetrics, Raises
+from ...traces.results import AgentMetrics, Separation, Spread, TraceMetrics
+from .printing import Printout, alarming
+
+
+def show_metrics(found: TraceMetrics | LegacyMetrics, console: Console | None = None) -> None:
+    """Print what `polaris.traces.evaluate_trace` found, as tables."""
+    if isinstance(found, LegacyMetrics):
+        _show_legacy(found, Printout(console))
+    else:
+        _show_metrics(found, Printout(console))
+
+
+def _show_metrics(found: TraceMetrics, out: Printout) -> None:
+    axes = "" if found.dims is None else f", {counted(found.dims, 'axis', 'axes')}"
+    for name, agent in found.agents.items():
+        out.say(f"{name}: {counted(agent.samples, 'sample')} over {agent.duration:.6g} s{axes}", "bold")
+        if agent.unsafe or agent.others:
+            out.table(_separations((*agent.unsafe, *agent.others)))
+            out.say(f"velocity: {agent.velocity}")
+        else:
+            out.say("no unsafe set, no other agent")
+        out.say(_controllers(agent))
+        if agent.running_times is not None:
+            mean, most, least = agent.running_times
+            out.say(f"decision: mean {mean:.3g} s, max {most:.3g} s, min {least:.3g} s")
+    for note in found.notes:
+        out.say(f"note: {note}")
+
+
+def _controllers(agent: AgentMetrics) -> str:
+    shares = ", ".join(f"{mode} {share:.1%}" for mode, share in agent.usage.items() if share > 0)
+    return f"share of time: {shares}; switches: {agent.switches}"
+
+
+QUANTITIES = (("distance", "distance [m]"), ("ttc", "TTC, straight [s]"), ("drift_ttc", "TTC, drift [s]"))
+
+
+def _separations(items: Iterable[Separation]) -> Table:
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    table.add_column("to")
+    table.add_column("quantity", no_wrap=True)
+    for head in ("min", "mean", "max", "min at [s]", "on course"):
+        table.add_column(Text(head), justify="right", no_wrap=True)
+    for item in items:
+        title = Text(f"{item.name} ({item.kind})")
+        if item.distance is None:
+            table.add_row(title, "never there at the same time")
+            continue
+        for key, quantity in QUANTITIES:
+            spread: Spread | None = getattr(item, key)
+            if spread is None:
+                continue
+            values = (spread.min, spread.mean, spread.max, spread.at)
+            shown = ["-" if math.isnan(value) else f"{value:.5g}" for value in values]
+            course = "" if key == "distance" else f"{spread.share:.1%}"
+            table.add_row(title, Text(quantity), alarming(shown[0], spread.min <= 0), *shown[1:], course)
+            title = Text("")
+    return table
+
+
+# -- the numbers of RTAEval -------------------------------------------------------------------------
+
+LEGACY_FORMS = {
+    "controllerUsage": "untrusted, safety, switches",
+    "compute_dists": "min, max, mean per set",
+    "compute_agent_dists": "min, max, mean per agent",
+    "compute_unsafe_TTC": "min, max, mean per set",
+    "compute_agent_TTC": "min, max, mean per agent",
+    "running_times": "avg, max, min",
+}
+
+
+def _show_legacy(found: LegacyMetrics, out: Printout) -> None:
+    """Print what RTAEval's methods return, in their order."""
+    for name, methods in found.agents.items():
+        out.say(f"{name}: as RTAEval computes it, defects included", "bold")
+        table = Table(box=None, pad_edge=False, header_style="bold")
+        for head in ("method", "returns", "value"):
+            table.add_column(head)
+        for method, value in methods.items():
+            table.add_row(method, LEGACY_FORMS[method], Text(_shown(value)))
+        out.table(table)
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, Raises):
+        return str(value)
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{name}: {_shown(item)}" for name, item in value.items()) + "}"
+    if isinstance(value, tuple):
+        return ", ".join(_shown(item) for item in value)
+    return f"{value:.6g}"

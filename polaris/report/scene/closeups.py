@@ -1,0 +1,157 @@
+"""Where the plane of motion shows the safe path within an unsafe set that it passes above or below."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...model.keep_in import KeepIn
+from ...model.obstacle import Obstacle
+from ...model.satellite import SatelliteObstacle
+from ...model.shapes import Ball, Polytope
+from ...model.system import Array
+from ...runs.picture import Picture
+from .geometry import flat_outline, stretches
+from .space import Space
+
+MOST = 6
+"""Most close-ups of a figure: those that are passed nearest."""
+
+FLAT = 0.05
+"""Motion out of the plane that nobody would see, as a share of its size."""
+
+
+@dataclass(frozen=True, eq=False)
+class CloseUp:
+    """One passage of one unsafe set.
+
+    Attributes
+    ----------
+    obstacle : Obstacle
+    time, distance : float
+        Of the closest approach of this passage [s], [m].
+    axes : list of two int, or None
+        Position coordinates that show the gap; None if only the distance over time does.
+    span : (int, int)
+        First and one-past-last sample of the safe path at which they do.
+    """
+
+    obstacle: Obstacle
+    time: float
+    distance: float
+    axes: list[int] | None
+    span: tuple[int, int]
+
+
+def closeups(picture: Picture) -> list[CloseUp]:
+    """Passages that the plane of the figures does not show to be safe, in the order of time.
+
+    A passage is a stretch of the safe path that is drawn within a set at the same time but is outside it. A
+    set that is truly entered has none.
+    """
+    if picture.system.d < 3:
+        return []
+    path, space = picture.safe_path()[1], Space.of(picture)
+    found: list[CloseUp] = []
+    for obstacle in picture.obstacles:
+        if isinstance(obstacle, KeepIn) or not len(space.corners(obstacle, picture.approach(obstacle).time)):
+            continue
+        distance = obstacle.signed_distance(picture.safe_path()[0], path, picture.system)
+        if np.all(distance > 0):
+            found += _passages(obstacle, space, distance)
+    nearest = sorted(found, key=lambda one: one.distance)[:MOST]
+    return sorted(nearest, key=lambda one: one.time)
+
+
+def _passages(obstacle: Obstacle, space: Space, distance: Array) -> list[CloseUp]:
+    """Passages of one set, until the panels together show the distance (N,) of all samples."""
+    picture, frame = space.picture, space.picture.frame
+    times, path = picture.safe_path()
+    planes = [[frame.axes[0], frame.axes[2]], [frame.axes[1], frame.axes[2]]]
+    hidden = plane_gap(obstacle, picture, frame.flat) <= 0
+    gaps = [plane_gap(obstacle, picture, axes) for axes in planes] if hidden.any() else []
+    found = []
+    while hidden.any():
+        at = int(np.flatnonzero(hidden)[np.argmin(distance[hidden])])
+        best = int(np.argmax([gap[at] for gap in gaps]))
+        axes = planes[best] if gaps[best][at] > 0 else None
+        shows = distance > 0 if axes is None else gaps[best] > 0
+        cover = space.cover(obstacle, float(times[at]))
+        if axes is not None and cover is not None:  # the one that is drawn, for all of the stretch
+            gone = obstacle.centre(times, picture.system) - obstacle.centre(times[at], picture.system)
+            shows &= outline_gap(flat_outline(cover[:, axes]), (path - gone)[:, axes]) > 0
+            shows[at] = True
+        span = next((a, b) for a, b in stretches(shows) if a <= at < b)
+        hidden[slice(*span)] = False
+        if cover is None:
+            at = span[0] + int(np.argmin(distance[slice(*span)]))
+        found.append(CloseUp(obstacle, float(times[at]), float(distance[at]), axes, span))
+    return found
+
+
+def is_flat(picture: Picture, paths: Sequence[Array] = ()) -> bool:
+    """Whether the plane of the figures shows all there is to see: motion within it, past all sets.
+
+    Parameters
+    ----------
+    picture : Picture
+    paths : sequence of ndarray, shape (N, d)
+        Further positions flown [m].
+    """
+    if picture.system.d < 3:
+        return True
+    space = Space.of(picture)
+    shown = (*picture.path(), picture.safe_path()[1], *paths)
+    third = np.concatenate([path[:, picture.frame.axes[2]] for path in shown])
+    size = float(np.max((space.high - space.low)[picture.frame.flat]))
+    return bool(np.ptp(third) <= FLAT * size) and not closeups(picture)
+
+
+def plane_gap(obstacle: Obstacle, picture: Picture, axes: Sequence[int]) -> Array:
+    """How far the safe path is from a set at the same time, as both look along the other axes [m].
+
+    Negative where the path is drawn within the set. Of another satellite the timed cover counts.
+
+    Parameters
+    ----------
+    obstacle : Obstacle
+        Not a keep-in set.
+    axes : sequence of two int
+
+    Returns
+    -------
+    ndarray, shape (N,)
+        At the times of `Picture.safe_path`.
+    """
+    axes, system = list(axes), picture.system
+    times, path = picture.safe_path()
+    if isinstance(obstacle, SatelliteObstacle):
+        (timed,) = obstacle.timed_polytopes(system, picture.reference.delta, picture.planned)
+        cell = np.clip(times / picture.reference.delta, 0, picture.planned)
+        k = np.minimum(cell.astype(int), picture.planned - 1)
+        s = (cell - k)[:, None]
+        return _edge_on(timed.normals, timed.offsets[k, 0] * (1 - s) + timed.offsets[k, 1] * s, path, axes)
+    path = path - obstacle.centre(times, system)
+    if isinstance(obstacle.shape, Ball):
+        return np.asarray(np.linalg.norm(path[:, axes], axis=1) - obstacle.shape.radius)
+    assert isinstance(obstacle.shape, Polytope)  # there are no others
+    if not obstacle.shape.bounded:
+        return _edge_on(obstacle.shape.H, obstacle.shape.b[None], path, axes)
+    return outline_gap(flat_outline(obstacle.shape.vertices()[:, axes]), path[:, axes])
+
+
+def outline_gap(outline: Array, points: Array) -> Array:
+    """How far points (N, 2) are from the convex set within an outline (V, 2), at least; negative inside."""
+    edge = np.roll(outline, -1, axis=0) - outline
+    normal = np.stack([edge[:, 1], -edge[:, 0]], axis=1)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    return np.asarray((points @ normal.T - np.sum(normal * outline, axis=1)).max(axis=1))
+
+
+def _edge_on(normals: Array, offsets: Array, path: Array, axes: list[int]) -> Array:
+    """Gap to the facets ``normals p = offsets`` that are seen edge on; -inf if there are none."""
+    rows = np.all(np.abs(np.delete(normals, axes, axis=1)) < 1e-9, axis=1)
+    gap = path @ normals[rows].T - offsets[:, rows]
+    return np.asarray(gap.max(axis=1, initial=-np.inf))

@@ -1,0 +1,177 @@
+"""The part of space that a scene shows, and the sets and the goal in it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from ...model.keep_in import KeepIn
+from ...model.obstacle import Obstacle
+from ...model.satellite import SatelliteObstacle
+from ...model.shapes import Ball, Polytope
+from ...model.system import Array
+from ...planning.goals import Box, EllipticalNMT, LinearNMT, StationaryPoint
+from ...runs.frame import directions
+from ...runs.picture import Approach, Picture
+from .geometry import Shape, ball_points, boxed, flat_outline
+
+NEAR = 0.35
+"""How far a flight may stray beyond the safe path, in widths of it, and still widen the view."""
+
+
+@dataclass(frozen=True, eq=False)
+class Space:
+    """The part of space a scene shows, and the sets in it.
+
+    Everything is in the system's coordinates; whoever draws picks the axes.
+
+    Attributes
+    ----------
+    picture : Picture
+    low, high : ndarray, shape (d,)
+        [m]
+    """
+
+    picture: Picture
+    low: Array
+    high: Array
+
+    @classmethod
+    def of(cls, picture: Picture, paths: Sequence[Array] | None = None) -> Space:
+        """Room for the safe path and reference, what is flown about them, and what they come near.
+
+        Parameters
+        ----------
+        picture : Picture
+        paths : sequence of ndarray, shape (N, d), optional
+            Positions flown [m]; those that stay near widen the view. Default the picture's first runs.
+        """
+        flat = picture.frame.flat
+        start = picture.initial_positions
+        reach = np.abs(start.G).sum(axis=-1)
+        points = np.vstack([*picture.path(), picture.safe_path()[1], start.c - reach, start.c + reach])
+        size = float(np.max(np.ptp(points[:, flat], axis=0)))
+        for path in (
+            [picture.positions(item) for item in picture.flights.values()] if paths is None else paths
+        ):
+            beyond = np.maximum(points.min(axis=0) - path, path - points.max(axis=0))[:, flat]
+            if np.all(beyond < NEAR * size):
+                points = np.vstack([points, path])
+        low, high = points.min(axis=0), points.max(axis=0)
+        reach = 0.3 * float(np.max((high - low)[flat]))
+        seen = [points]
+        for obstacle in picture.obstacles:
+            if isinstance(obstacle, KeepIn):
+                continue
+            near = picture.approach(obstacle)
+            if isinstance(obstacle.shape, Polytope) and not obstacle.shape.bounded:
+                outline = _within(obstacle, picture, near, reach)
+            else:
+                outline = cls(picture, low, high).corners(obstacle, near.time)
+            seen.append(np.clip(outline, low - reach, high + reach))
+        points = np.vstack(seen)
+        low, high = points.min(axis=0), points.max(axis=0)
+        pad = 0.05 * float(np.max((high - low)[flat])) + 1e-9 * (1 + float(np.abs(points).max()))
+        low, high = low - pad, high + pad
+        # No figure is more than 2.2 times as wide as it is high, or higher than wide; none is quite flat.
+        size, middle = high - low, (high + low) / 2
+        if len(flat) == 2:
+            x, y = flat
+            size[x] = max(size[x], size[y])
+            size[y] = max(size[y], size[x] / 2.2)
+            size = np.maximum(size, 0.35 * size[x])
+        return cls(picture, middle - size / 2, middle + size / 2)
+
+    def wider(self, share: float) -> Space:
+        """The same with more room on every side of the plane, as a share of its size."""
+        more = np.zeros(len(self.low))
+        flat = self.picture.frame.flat
+        more[flat] = share * (self.high - self.low)[flat]
+        return Space(self.picture, self.low - more, self.high + more)
+
+    def corners(self, obstacle: Obstacle, t: float) -> Array:
+        """Corners (V, d) of the true set at t (another satellite's about its nominal place).
+
+        Of a keep-in set the inside. Unbounded sets are cut to this space; V is 0 if nothing is left.
+        """
+        system = self.picture.system
+        centre = np.asarray(obstacle.centre(t, system))
+        shape = obstacle.inside if isinstance(obstacle, KeepIn) else obstacle.shape
+        if isinstance(shape, Ball):
+            return centre + ball_points(shape.radius, system.d)
+        assert isinstance(shape, Polytope)  # there are no others
+        if isinstance(obstacle, KeepIn):
+            centre = np.zeros(system.d)
+        if shape.bounded:
+            return shape.vertices() + centre
+        cut = boxed(shape.H, shape.b + shape.H @ centre, self.low, self.high)
+        return cut.vertices() if cut.depth > 0 else np.zeros((0, system.d))
+
+    def outline(self, obstacle: Obstacle, t: float, axes: Sequence[int]) -> Array:
+        """Outline (V, 2) of the true set seen along the other axes; V is 0 if nothing is there."""
+        if isinstance(obstacle.shape, Ball):
+            centre = np.asarray(obstacle.centre(t, self.picture.system))
+            return np.asarray(centre[list(axes)] + obstacle.shape.radius * directions(64))
+        return flat_outline(self.corners(obstacle, t)[:, list(axes)])
+
+    def cover(self, obstacle: Obstacle, t: float) -> Array | None:
+        """Corners (V, d) within which another satellite is known to be at t, its radius included."""
+        if not isinstance(obstacle, SatelliteObstacle):
+            return None
+        return np.asarray(obstacle.outline(t, self.picture.system))
+
+    def goal(self) -> list[Shape]:
+        """The goal's positions as far as it limits them: lines, points, or the corners of a convex ``area``.
+
+        Infinite widths are cut to this space.
+        """
+        goal, system = self.picture.goal, self.picture.system
+        if isinstance(goal, EllipticalNMT):
+            angle = np.linspace(0, 2 * np.pi, 121)
+            ring = np.stack([np.sin(angle), 2 * np.cos(angle), np.zeros_like(angle)], axis=1)
+            rims = [b for b in (goal.inner_semi_minor, goal.outer_semi_minor) if b > 0]
+            return [Shape("line", b * ring) for b in rims]
+        if isinstance(goal, LinearNMT):
+            most = goal.amplitude_max
+            return [Shape("line", np.array([[0.0, goal.along_track, z] for z in (-most, most)]))]
+        if isinstance(goal, StationaryPoint):
+            return [Shape("points", (system.position @ np.asarray(goal.state))[None])]
+        return self._box(goal) if isinstance(goal, Box) else []
+
+    def _box(self, goal: Box) -> list[Shape]:
+        C, half = self.picture.system.position, np.asarray(goal.half_widths)
+        centre, free = C @ np.asarray(goal.center), np.any(C[:, np.isinf(half)] != 0, axis=1)
+        if np.all(free):
+            return []
+        arms = C[:, np.isfinite(half)] * half[np.isfinite(half)]
+        arms = arms[:, np.any(arms != 0, axis=0)]
+        if arms.shape[1] == 0 and not np.any(free):
+            return [Shape("points", centre[None])]
+        thin = 2e-3 * float(np.max(self.high - self.low)) * np.eye(len(centre))  # to be seen at all
+        arms = np.hstack([arms, thin[:, np.abs(arms).sum(axis=1) + free == 0]])
+        if np.any(free) or arms.shape[1] > 8:  # axis by axis
+            reach = np.abs(arms).sum(axis=1)
+            low = np.where(free, self.low, centre - reach)
+            high = np.where(free, self.high, centre + reach)
+            return [Shape("area", np.array(list(product(*zip(low, high, strict=True)))))]
+        signs = np.array(list(product((-1.0, 1.0), repeat=arms.shape[1])))
+        return [Shape("area", centre + signs @ arms.T)]
+
+
+def _within(obstacle: Obstacle, picture: Picture, near: Approach, depth: float) -> Array:
+    """A point within an unbounded set, past where the path comes closest to it; none if it is far."""
+    if near.distance > depth:
+        return np.zeros((0, picture.system.d))
+    probes = near.place + 1e-3 * depth * np.vstack([np.eye(picture.system.d), -np.eye(picture.system.d)])
+    ahead, behind = np.split(obstacle.signed_distance(near.time, probes, picture.system), 2)
+    away = (ahead - behind) / max(float(np.linalg.norm(ahead - behind)), 1e-300)
+    return np.asarray((near.place - (near.distance + 0.5 * depth) * away)[None])
+
+
+def moves(obstacle: Obstacle, picture: Picture) -> bool:
+    """Whether an obstacle changes place within the horizon."""
+    times = np.linspace(0, picture.duration, 5)
+    return bool(np.ptp(obstacle.centre(times, picture.system), axis=0).max() > 0)

@@ -1,0 +1,227 @@
+"""Unsafe sets and keep-in sets in a scene in the plane, in space, or in the plane over time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ...model.keep_in import KeepIn, KeepInCone
+from ...model.obstacle import Obstacle
+from ...model.satellite import SatelliteObstacle
+from ...model.shapes import Ball, Polytope
+from ...model.system import Array
+from .closeups import CloseUp
+from .geometry import Shape, ball, boxed, closed, cut_surface, faces, flat_outline, gapped, hull, polyhedron
+from .items import Item, Mark
+from .space import Space, moves
+
+PATH = 121
+"""Instants between which a moving set is carried evenly."""
+
+APART = 2.2
+"""A moving set is marked before and after the closest approach where it has moved so many times its width."""
+
+PRISMS = 5
+"""Instants between which a set that moves in the plane is a prism along the axis of time."""
+
+
+def unsafe_items(space: Space, axes: list[int], found: Sequence[CloseUp]) -> list[Item]:
+    """All unsafe sets of a scene in the plane or in space.
+
+    Parameters
+    ----------
+    space : Space
+        What is shown: unbounded sets are cut to it, in the plane to more, so that they fill any frame.
+    axes : list of int
+        The two or three position coordinates that are drawn.
+    found : sequence of CloseUp
+        Passages out of the plane.
+    """
+    items: list[Item] = []
+    for obstacle in space.picture.obstacles:
+        if isinstance(obstacle, KeepIn):
+            items += _keep_in(obstacle, space.wider(1.0) if len(axes) == 2 else space, axes)
+            continue
+        items += _body(obstacle, space, axes, found)
+        if isinstance(obstacle, SatelliteObstacle):
+            items += _covers(obstacle, space, axes)
+    return items
+
+
+def _body(obstacle: Obstacle, space: Space, axes: list[int], found: Sequence[CloseUp]) -> list[Item]:
+    """The true set: once, and the way it goes; a moving wall cut to the scene at every instant."""
+    system, flat = space.picture.system, len(axes) == 2
+    shown = space.wider(1.0) if flat else space
+    passages = tuple(i for i, one in enumerate(found) if one.obstacle is obstacle)
+    moving = moves(obstacle, space.picture)
+    chosen = [found[i].time for i in passages] or instants(obstacle, space)
+    marks = _marks(obstacle, shown, axes, chosen if moving else chosen[:1], moving)
+    cut = isinstance(obstacle.shape, Polytope) and not obstacle.shape.bounded
+    item = Item("unsafe", obstacle.name, (), marks=marks, passages=passages, cut=cut)
+    if not moving:
+        item = replace(item, shapes=(_at(obstacle, shown, axes, 0.0),))
+        return [item] if item.shape else []
+    times = np.linspace(0, space.picture.duration, PATH)
+    shift = (obstacle.centre(times, system) - obstacle.centre(0.0, system))[:, axes]
+    frames = [_at(obstacle, shown, axes, float(t)) for t in (times if cut else times[:1])]
+    shapes = tuple(one and one.moved(-gone) for one, gone in zip(frames, shift, strict=False))
+    way = obstacle.centre(np.linspace(0, space.picture.duration, 201), system)[:, axes]
+    item = replace(item, shapes=shapes, times=times, shift=shift, way=way)
+    return [item] if item.shape else []
+
+
+def _at(obstacle: Obstacle, space: Space, axes: list[int], t: float) -> Shape | None:
+    if len(axes) == 2:
+        outline = space.outline(obstacle, t, axes)
+        return Shape("area", outline) if len(outline) else None
+    if isinstance(obstacle.shape, Ball):
+        return ball(obstacle.shape.radius).moved(obstacle.centre(t, space.picture.system)).along(axes)
+    surface = hull(space.corners(obstacle, t))
+    return surface and surface.along(axes)
+
+
+def _marks(
+    obstacle: Obstacle, space: Space, axes: list[int], times: list[float], moving: bool
+) -> tuple[Mark, ...]:
+    """The set at some instants, the most important one first, and where the chaser then is."""
+    known, path = space.picture.safe_path()
+    found = []
+    for order, t in enumerate(times):
+        shape = _at(obstacle, space, axes, t)
+        if shape is None:
+            continue
+        cover = space.cover(obstacle, t) if order == 0 and len(axes) == 2 else None
+        rim = None if cover is None else flat_outline(cover[:, axes])
+        place = path[int(np.argmin(np.abs(known - t)))][axes] if moving else None
+        found.append(Mark(shape, f"{seconds(t)} s" if moving else "", rim, place))
+    return tuple(found)
+
+
+def seconds(t: float) -> str:
+    """A time in a figure."""
+    return f"{t:.0f}" if t >= 100 else f"{t:.3g}"
+
+
+def instants(obstacle: Obstacle, space: Space) -> list[float]:
+    """When a set is marked: at the closest approach, and if it moves once before and after, if in view."""
+    picture, axes = space.picture, space.picture.frame.flat
+    closest = picture.approach(obstacle).time
+    if not moves(obstacle, picture):
+        return [0.0]
+    times = np.unique(np.append(np.linspace(0, picture.duration, 201), closest))
+    centres = np.asarray(obstacle.centre(times, picture.system))
+    seen = np.all((centres > space.low) & (centres < space.high), axis=1)
+    outline = space.outline(obstacle, closest, axes)
+    at = int(np.searchsorted(times, closest))
+    if not len(outline):
+        return [closest]
+    gone = np.linalg.norm((centres - centres[at])[:, axes], axis=1)
+    wanted = APART * float(np.max(np.ptp(outline, axis=0)))
+    found = [closest]
+    for side in (np.arange(at), np.arange(at + 1, len(times))):
+        side = side[seen[side] & (gone[side] > 0.5 * wanted)]
+        if len(side):
+            found.append(float(times[side[np.argmin(np.abs(gone[side] - wanted))]]))
+    return found
+
+
+def _keep_in(obstacle: KeepIn, space: Space, axes: list[int]) -> list[Item]:
+    """What the chaser must stay inside: a surface, open where it leaves the scene, and lines along it."""
+    name = f"{obstacle.name} (stay inside)"
+    if len(axes) == 2:
+        outline = closed(flat_outline(space.corners(obstacle, 0.0)[:, axes]))
+        return [Item("keep_in", name, (Shape("line", outline),))] if len(outline) else []
+    inside = obstacle.inside
+    surface = cut_surface(inside.H, inside.b, space.low, space.high)
+    found = [Item("keep_in", name, (surface.along(axes),))] if surface else []
+    if isinstance(obstacle, KeepInCone):
+        lines = _rulings(obstacle, space)
+    else:
+        within = boxed(inside.H, inside.b, space.low, space.high)
+        lines = _edges(within.vertices() if within.depth > 0 else np.zeros((0, 3)))
+        near = 1e-6 * float(np.max(space.high - space.low))
+        on = np.stack([np.abs(lines - space.low) <= near, np.abs(lines - space.high) <= near])
+        lines = lines[~np.any(on.all(axis=2), axis=(0, 2))]
+    return found + _sides(obstacle, lines[..., axes])
+
+
+def _sides(obstacle: KeepIn, lines: Array) -> list[Item]:
+    """Lines (L, 2, 3) along what the chaser must stay inside, if there are any."""
+    shape = Shape("line", gapped(lines, 3))
+    return [Item("sides", f"{obstacle.name}: its sides", (shape,))] if len(lines) else []
+
+
+def _edges(corners: Array) -> Array:
+    """Edges of the convex hull of points in space, shape (L, 2, 3)."""
+    lines = [np.stack([one, np.roll(one, -1, axis=0)], axis=1) for one in faces(corners)]
+    return np.concatenate(lines) if lines else np.zeros((0, 2, 3))
+
+
+def _rulings(obstacle: KeepInCone, space: Space) -> Array:
+    """Lines from a cone's tip along its sides, shape (L, 2, 3): its surface alone is hard to read."""
+    tip, axis = obstacle.anchor, np.asarray(obstacle.axis)
+    aside = np.linalg.svd(axis[None])[2][1:]
+    angle = np.linspace(0, 2 * np.pi, 12, endpoint=False)
+    ways = axis + np.tan(obstacle.half_angle_rad) * np.stack([np.cos(angle), np.sin(angle)], axis=1) @ aside
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ends = np.where(
+            ways > 0, (space.high - tip) / ways, np.where(ways < 0, (space.low - tip) / ways, np.inf)
+        )
+    reach = np.maximum(ends.min(axis=1), 0.0)
+    if obstacle.length is not None:
+        reach = np.minimum(reach, obstacle.length)
+    return np.stack([np.broadcast_to(tip, ways.shape), tip + reach[:, None] * ways], axis=1)
+
+
+def _covers(obstacle: SatelliteObstacle, space: Space, axes: list[int]) -> list[Item]:
+    """The timed cover within which another satellite is known to be, as the proof uses it.
+
+    Its offsets run evenly over a step, as the nominal place does here from one decision to the next: seen
+    from there, the larger ones of either end hold for all of the step.
+    """
+    picture = space.picture
+    system, K = picture.system, picture.planned
+    times = np.asarray(np.arange(K + 1) * picture.reference.delta)
+    (timed,) = obstacle.timed_polytopes(system, picture.reference.delta, K)
+    centres = obstacle.centre(times, system)
+    gone = centres @ timed.normals.T
+    ends = np.maximum(timed.offsets[:, 0] - gone[:-1], timed.offsets[:, 1] - gone[1:])
+    ends = np.vstack([ends, timed.offsets[-1, 1] - gone[-1]])
+    shapes = tuple(_cover(timed.normals, b, axes) for b in ends)
+    item = Item("cover", f"{obstacle.name} is within", shapes, times, centres[:, axes])
+    return [item] if item.shape else []
+
+
+def _cover(normals: Array, support: Array, axes: list[int]) -> Shape | None:
+    """A cover about its middle."""
+    if normals.shape[1] != 3:
+        return Shape("area", flat_outline(Polytope(normals, support).vertices()[:, axes]))
+    solid = polyhedron(normals, support, np.zeros(3))
+    if solid is None or len(axes) == 3:
+        return solid and solid.along(axes)
+    return Shape("area", flat_outline(solid.points[:, axes]))
+
+
+def prisms(space: Space) -> list[Item]:
+    """What sets in the plane cover from one instant to the next, with time as third axis."""
+    picture, axes = space.picture, space.picture.frame.flat
+    low, high = space.low[axes], space.high[axes]
+    found: list[Item] = []
+    for obstacle in picture.obstacles:
+        ends = np.linspace(0, picture.duration, PRISMS if moves(obstacle, picture) else 2)
+        outlines = [space.wider(1.0).outline(obstacle, float(t), axes) for t in ends]
+        levels = [
+            np.column_stack([np.clip(one, low, high), np.full(len(one), t)])
+            for one, t in zip(outlines, ends, strict=True)
+        ]
+        pairs = [np.vstack(pair) for pair in zip(levels[:-1], levels[1:], strict=True)]
+        if isinstance(obstacle, KeepIn):
+            found += _sides(obstacle, _edges(pairs[0]))
+            continue
+        marks = [Mark(one) for one in map(hull, pairs) if one]
+        if marks:
+            cut = isinstance(obstacle.shape, Polytope) and not obstacle.shape.bounded
+            found.append(Item("unsafe", obstacle.name, (marks[-1].shape,), marks=tuple(marks[::-1]), cut=cut))
+    return found

@@ -1,0 +1,129 @@
+"""Run a scenario of any kind into a folder, and open a folder of any kind."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from ..model.errors import ScenarioError
+from ..scenario.scenario import Scenario, load_scenario
+from .atomic import check_target
+from .comparison import COMPARISON
+from .folder import SCENARIO, Draw, RunFolder, RunKind, write_folder
+from .fuel_limit import FUEL_LIMIT
+from .inspection import FLIGHT
+from .monte_carlo import MONTE_CARLO
+from .schedule import SCHEDULE
+from .stages import Stages
+
+KINDS: dict[str, RunKind] = {kind.name: kind for kind in (SCHEDULE, FLIGHT, FUEL_LIMIT, MONTE_CARLO)}
+"""What a run leaves, by the kind of its scenario."""
+
+
+def run(
+    scenario: str | Path | Scenario,
+    out: str | Path | None = None,
+    *,
+    overrides: Sequence[str] = (),
+    draw: Draw | None = None,
+    stages: Stages | None = None,
+) -> RunFolder:
+    """Run a scenario and write what was found into a folder, as ``polaris run`` does.
+
+    A schedule is synthesised, proven and flown in simulation; a flight of the inspection problem is flown
+    under its filter and judged, one into the fuel limit until the backup has taken over.
+
+    Parameters
+    ----------
+    scenario : str, Path or Scenario
+        A bundled name, a file, or what `load_scenario` returned.
+    out : path, optional
+        The run folder, replaced if it is there; default ``runs/<name of the scenario>``.
+    overrides : sequence of str
+        Texts ``key=value`` as for ``--set``, which the folder notes.
+    draw : callable, optional
+        Puts the figures into the folder: `polaris.draw_run`, which can also do so later.
+    stages : Stages, optional
+        Told what is being done, and how far it is.
+
+    Returns
+    -------
+    RunFolder
+
+    Raises
+    ------
+    ScenarioError
+        If the scenario is not valid, of many flights (``polaris campaign`` flies those), or `out` is
+        something else than a run folder or cannot be written.
+    SynthesisInfeasible, NotCertified
+        If there is no schedule, or none is found in the time given.
+
+    Examples
+    --------
+    >>> import polaris, tempfile
+    >>> with tempfile.TemporaryDirectory() as place:
+    ...     folder = polaris.run("inspection", f"{place}/short", overrides=["flight.duration_s=5"])
+    ...     print(folder.summary["safe"], folder.picture().x.shape)
+    True (6, 5, 6)
+    """
+    stages = stages or Stages()
+    if not isinstance(scenario, Scenario):
+        scenario = load_scenario(scenario, overrides, only=Scenario)
+    elif overrides:
+        scenario = scenario.with_assignments(overrides)
+    kind = KINDS[scenario.kind]
+    if kind.fly is None:
+        rule = "is a campaign of many flights: polaris campaign runs it"
+        raise ScenarioError("scenario", scenario.name, rule)
+    target = check_target(out if out is not None else f"runs/{scenario.name}")
+    found = kind.fly(scenario, stages)
+    with stages.stage("run folder"):
+        return write_folder(target, kind, scenario, found, seconds=stages.seconds, draw=draw, stages=stages)
+
+
+def read_run(path: str | Path) -> RunFolder:
+    """Open a run folder: of a schedule, a flight, a flight into the fuel limit, many flights, a comparison.
+
+    Raises
+    ------
+    ScenarioError
+        If it is none, its scenario cannot be read, or a file is no longer what was written with the
+        others: what a changed scenario shows was never proven.
+    """
+    folder = Path(path)
+    kind = _kind_of(folder)
+    for name in kind.files:
+        if not (folder / name).is_file():
+            has_none = f"must be a run folder; it has no {name}"
+            rule = has_none if folder.is_dir() else "there is no such folder"
+            raise ScenarioError("run folder", str(path), rule)
+    if kind is COMPARISON:
+        return RunFolder(folder, read_run(folder / "run").scenario, kind)
+    for name, known in _hashes(folder / "certificate.json").items():
+        if name in kind.files and hashlib.sha256((folder / name).read_bytes()).hexdigest() != known:
+            rule = "is not what was written with the other files (edited, or damaged); run the scenario again"
+            raise ScenarioError("run folder", str(folder / name), rule)
+    return RunFolder(folder, load_scenario(folder / SCENARIO), kind)
+
+
+def _kind_of(folder: Path) -> RunKind:
+    """What a folder holds, as far as the files that tell it can be read."""
+    if (folder / COMPARISON.summary).is_file():
+        return COMPARISON
+    try:
+        told = tomllib.loads((folder / SCENARIO).read_text(encoding="utf-8")).get("kind")
+    except (OSError, ValueError):
+        return SCHEDULE
+    return KINDS.get(told, SCHEDULE) if isinstance(told, str) else SCHEDULE
+
+
+def _hashes(path: Path) -> dict[str, Any]:
+    """Hashes by file name as a certificate has them; none without one that can be read."""
+    try:
+        return dict(json.loads(path.read_text(encoding="utf-8"))["artefacts"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return {}

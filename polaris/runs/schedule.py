@@ -1,0 +1,220 @@
+"""Run folders of switching schedules.
+
+================== ==================================================================================
+scenario.toml      the scenario, with the overrides applied
+schedule.csv/json  who flies each step, with its containment margin and what limits it
+reference.csv      states and inputs of the safe reference, coasting tail included
+gains.json         system, gains, error bounds
+sets.npz           what the recoverable sets are made from
+tubes.npz          reachable sets of every step
+trajectories.npz   some simulated runs of S, U and Polaris
+certificate.json   what `polaris verify` checks, with the hashes of the files above
+summary.json       metrics, guarantee, times
+figures/           PDF and PNG, drawn from the files above alone
+================== ==================================================================================
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..model.checks import of_kind
+from ..planning.problem import SOLVERS
+from ..scenario.scenario import ScheduleScenario
+from ..simulation.metrics import DEFINITIONS
+from ..synthesis.controllers import AffineController
+from . import arrays
+from . import tables as files
+from .certificate import write_certificate
+from .folder import SCENARIO, Draw, RunFolder, RunKind, read_json, write_folder
+from .picture import Picture, picture_of
+from .stages import Stages
+
+if TYPE_CHECKING:
+    from ..simulation.baselines import Flown
+    from ..synthesis.schedule import Schedule
+
+DATA_FILES = (
+    SCENARIO,
+    "schedule.csv",
+    "schedule.json",
+    "reference.csv",
+    "gains.json",
+    "sets.npz",
+    "tubes.npz",
+    "trajectories.npz",
+)
+
+
+@dataclass(frozen=True, eq=False)
+class FlownSchedule:
+    """A schedule, and the simulated runs of S, U and Polaris."""
+
+    schedule: Schedule
+    flown: Mapping[str, Flown]
+
+
+def digest(schedule: Schedule) -> str:
+    """SHA-256 of what a schedule does: modes, references, gains, limits."""
+    found = hashlib.sha256()
+    safety = schedule.safety
+    system = safety.problem.system
+    arrays = [schedule.modes, safety.reference.chi, safety.reference.nu, safety.tracking.gain, system.u_max]
+    for law in schedule.controllers:
+        if isinstance(law, AffineController):
+            arrays += [law.gain, law.own.chi, law.own.nu]
+    for array in arrays:
+        found.update(np.ascontiguousarray(array).tobytes())
+    return found.hexdigest()
+
+
+def fly_schedule(scenario: ScheduleScenario, stages: Stages) -> FlownSchedule:
+    """Synthesise a schedule, prove it, and fly it in simulation."""
+    from ..simulation.baselines import compare
+    from ..synthesis.get_safety import get_safety
+    from ..synthesis.synthesize import synthesize
+
+    with stages.stage("safety controller"):
+        problem = scenario.problem()
+        safety = get_safety(replace(problem, planner=replace(problem.planner, progress=stages.planner)))
+    with stages.stage("experimental controllers"):
+        experimental = scenario.controllers(safety)
+    with stages.stage("schedule"):
+        counting = stages.counting("schedule: step {} of {}")
+        schedule = synthesize(scenario, safety, experimental, progress=counting)
+    with stages.stage("simulation"):
+        plan, counting = scenario.simulation, stages.counting("simulation: {} of {} runs")
+        return FlownSchedule(schedule, compare(schedule, plan.runs, plan.seed, counting))
+
+
+def write_run(
+    out: str | Path,
+    scenario: ScheduleScenario,
+    schedule: Schedule,
+    flown: Mapping[str, Flown] | None = None,
+    *,
+    draw: Draw | None = None,
+) -> RunFolder:
+    """Write the run folder of a schedule, replacing an older one once everything is written.
+
+    Parameters
+    ----------
+    out : path
+        The folder; its parents are made.
+    scenario : ScheduleScenario
+        What was synthesised; it is copied into the folder.
+    schedule : Schedule
+        Result of `synthesize` on it.
+    flown : mapping, optional
+        Result of `compare`; flown here as the scenario's ``[simulation]`` says if not given.
+    draw : callable, optional
+        Puts the figures into the folder before it takes its place; `polaris.draw_run` can do so later.
+
+    Raises
+    ------
+    ScenarioError
+        If `out` is something else than a run folder, or cannot be written, or the schedule is that of
+        another scenario.
+    """
+    from ..simulation.baselines import compare
+    from ..synthesis.same_system import check_safety
+    from ..synthesis.schedule import Schedule
+
+    of_kind("scenario", scenario, ScheduleScenario, "polaris.load_scenario")
+    of_kind("schedule", schedule, Schedule, "polaris.synthesize")
+    check_safety(schedule.safety, scenario.problem())  # or the folder would tell of a proof of something else
+    if flown is None:
+        flown = compare(schedule, scenario.simulation.runs, scenario.simulation.seed)
+    return write_folder(out, SCHEDULE, scenario, FlownSchedule(schedule, flown), draw=draw)
+
+
+def _write(folder: Path, scenario: ScheduleScenario, found: FlownSchedule) -> None:
+    schedule, rules = found.schedule, asdict(scenario.switching_rules())
+    files.write_schedule(folder, schedule, rules, guarantee(schedule))
+    files.write_reference(folder / "reference.csv", schedule.safety.reference)
+    files.write_text(folder / "gains.json", files.json_text(files.gains(schedule)))
+    flights = {key: item.flights for key, item in found.flown.items()}
+    arrays.write_sets(folder / "sets.npz", schedule, picture_of(schedule, flights).slices)
+    arrays.write_tubes(folder / "tubes.npz", schedule)
+    arrays.write_flights(folder / "trajectories.npz", flights)
+    write_certificate(folder, schedule, scenario.name, DATA_FILES)
+
+
+def _tell(scenario: ScheduleScenario, found: FlownSchedule, seconds: Mapping[str, float]) -> dict[str, Any]:
+    """Contents of ``summary.json``."""
+    schedule, safety = found.schedule, found.schedule.safety
+    plan, stages = safety.plan, dict(schedule.seconds)
+    names = {"experimental controllers": "experimental"}
+    around = {  # the schedule tells itself, part by part, how long the two stages of its synthesis took
+        names.get(name, name): time
+        for name, time in seconds.items()
+        if name not in ("safety controller", "schedule")
+    }
+    return {
+        **{key: item.metrics.summary() for key, item in found.flown.items()},
+        "synthesis": {
+            "recoverable": safety.recoverable.kind,
+            "experimental_share": schedule.share(),
+            "switches": schedule.switches,
+            "start_margin": safety.start_margin.value,
+            "start_limit": safety.start_margin.limit,
+            "planner": {
+                "status": plan.status,
+                "solver": plan.solver,
+                "solver_name": SOLVERS[plan.solver],
+                "cut_by_clock": list(safety.cut_by_clock),
+                "stages": [asdict(stage) for stage in plan.stages],
+                "gap": plan.gap,
+                "delta_v_m_s": plan.delta_v,
+                "margin_m": plan.margin,
+                "size": plan.stats,
+            },
+            "seconds": {**stages, "total": sum(stages.values()), "plan_parts": plan.seconds, **around},
+        },
+        "guarantee": guarantee(schedule),
+        "definitions": DEFINITIONS,
+        "seed": scenario.simulation.seed,
+    }
+
+
+def guarantee(schedule: Schedule) -> dict[str, Any]:
+    """What is claimed, until when, why, and on what assumptions."""
+    end = schedule.safety.end
+    return {
+        "kind": schedule.guarantee,
+        "horizon": end.horizon,
+        "until_s": end.until if np.isfinite(end.until) else None,
+        "reason": end.reason,
+        "assumptions": list(schedule.assumptions),
+    }
+
+
+def _read(folder: Path, scenario: ScheduleScenario) -> Picture:
+    told, system = read_json(folder / "schedule.json"), scenario.system()
+    steps = told["steps"]
+    return Picture(
+        scenario.title,
+        system,
+        scenario.obstacles(),
+        scenario.goal(),
+        scenario.initial_set(),
+        files.read_reference(folder / "reference.csv", system, scenario.step),
+        len(steps),
+        tuple(controller["name"] for controller in told["controllers"]),
+        np.array(told["modes"], dtype=int),
+        np.array([-np.inf if step["margin"] is None else step["margin"] for step in steps], dtype=float),
+        tuple(step["limit"] for step in steps),
+        arrays.read_flights(folder / "trajectories.npz"),
+        arrays.read_tube(folder / "tubes.npz", system.position),
+        arrays.read_slices(folder / "sets.npz"),
+    )
+
+
+SCHEDULE = RunKind("schedule", DATA_FILES, _write, _tell, _read, fly_schedule)
+"""What a run of a schedule leaves."""

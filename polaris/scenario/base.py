@@ -1,0 +1,200 @@
+"""What scenarios of every kind share: their data, their overrides, and that what was built once is kept."""
+
+from __future__ import annotations
+
+import copy
+import difflib
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from functools import wraps
+from typing import Any, ClassVar, Self, TypeVar
+
+from ..model.errors import ScenarioError
+from .fields import ScenarioPart
+from .overrides import parse_assignment, put
+from .reading import NOTHING, validate, write_toml
+
+KINDS: dict[str, type[Scenario]] = {}
+"""Class of every kind, by the key ``kind`` at the top of the file; `polaris.scenario.scenario` fills it."""
+
+SCHEDULE = "schedule"
+"""Kind of a file without the key ``kind``."""
+
+Owner = TypeVar("Owner")
+Built = TypeVar("Built")
+
+
+def kept(build: Callable[[Owner], Built]) -> Callable[[Owner], Built]:
+    """Make a method without arguments keep its result: what the rules asked for is not built again."""
+    name = f"_kept_{build.__name__}"
+
+    @wraps(build)
+    def method(self: Owner) -> Built:
+        if name not in vars(self):
+            vars(self)[name] = build(self)
+        built: Built = vars(self)[name]
+        return built
+
+    return method
+
+
+@dataclass(frozen=True, eq=False)
+class Scenario:
+    """A validated scenario; subclasses, one for each kind, build what it describes.
+
+    Parameters
+    ----------
+    model : ScenarioPart
+        The fields as in the file.
+    source : str or None
+        Where it came from, for messages.
+    text : str or None
+        The file's text, comments included; None once a value has been overridden.
+    overrides : tuple of str
+        Texts ``key=value`` that changed it, which are noted in copies of it.
+
+    Raises
+    ------
+    ScenarioError
+        If a rule that joins several fields is broken.
+    """
+
+    model: Any
+    source: str | None = None
+    text: str | None = None
+    overrides: tuple[str, ...] = ()
+
+    MODEL: ClassVar[type[ScenarioPart]]
+
+    def __post_init__(self) -> None:
+        try:
+            self._check()
+        except ScenarioError as error:
+            given = NOTHING if error.given is None else error.given
+            raise ScenarioError(error.field, given, error.rule, error.where or self.source) from error
+
+    def _check(self) -> None:
+        """Every rule that joins several fields; raises `ScenarioError` at the first that is broken."""
+        raise NotImplementedError
+
+    @classmethod
+    def from_dict(cls, document: Mapping[str, Any], source: str | None = None) -> Self:
+        """Validate nested data shaped like the TOML file; its key ``kind`` says of which class.
+
+        Raises
+        ------
+        ScenarioError
+            If it is not valid, or of another kind than the class it is asked of.
+        """
+        return cls._of(document, source)
+
+    @classmethod
+    def _of(
+        cls,
+        document: Mapping[str, Any],
+        source: str | None,
+        text: str | None = None,
+        overrides: Iterable[str] = (),
+    ) -> Self:
+        kind = document.get("kind", SCHEDULE)
+        found = KINDS.get(kind) if isinstance(kind, str) else None
+        if found is None or document.get("kind") == SCHEDULE:
+            named = [name for name in KINDS if name != SCHEDULE]
+            near = difflib.get_close_matches(kind, named, n=1, cutoff=0.5) if isinstance(kind, str) else []
+            hint = f"; did you mean {near[0]}?" if near else ""
+            rule = f"must be one of {', '.join(map(repr, named))}, or left out for a schedule{hint}"
+            raise ScenarioError("kind", kind, rule, source)
+        if not issubclass(found, cls):
+            wanted = [name for name, known in KINDS.items() if issubclass(known, cls)]
+            rule = f"must be a scenario of the kind {' or '.join(map(repr, wanted))} here"
+            raise ScenarioError("kind", kind, rule, source)
+        return found(validate(found.MODEL, document, source), source, text, tuple(overrides))
+
+    # -- overrides ------------------------------------------------------------------------------
+
+    def set(self, key: str, value: Any) -> Self:
+        """Return a copy with one value replaced.
+
+        Parameters
+        ----------
+        key : str
+            Where, as in ``planner.solver`` or ``obstacles[0].radius_m``. A whole table may be given
+            too: ``scenario.set("goal", {"kind": "box", ...})``. None removes an optional value.
+        value : object
+            The new value.
+
+        Raises
+        ------
+        ScenarioError
+            If there is no such key or the result is not a valid scenario.
+        """
+        return self.with_overrides({key: value})
+
+    def with_overrides(self, values: Mapping[str, Any]) -> Self:
+        """Return a copy with several values replaced together, as in `set`; checked once, at the end."""
+        return self._changed(values, ()) if values else self
+
+    def with_assignments(self, assignments: Iterable[str]) -> Self:
+        """Return a copy changed by texts ``key=value`` as given to ``--set``, which it notes.
+
+        The value is read as TOML (``0.5``, ``[1, 2]``, ``true``, ``{ kind = "ball" }``); what is not
+        TOML is taken for text, so ``planner.solver=gurobi`` needs no quotes.
+        """
+        texts = list(assignments)
+        values = dict(map(parse_assignment, texts))
+        return self._changed(values, (*self.overrides, *texts)) if texts else self
+
+    def _changed(self, values: Mapping[str, Any], noted: Iterable[str]) -> Self:
+        return self._of(overridden(self.to_dict(), values, self.source), self.source, None, noted)
+
+    # -- as data --------------------------------------------------------------------------------
+
+    @property
+    def name(self) -> str:
+        """Short name."""
+        return str(self.model.name)
+
+    @property
+    def title(self) -> str:
+        """One line for figures and tables."""
+        return str(self.model.title)
+
+    @property
+    def kind(self) -> str:
+        """The key ``kind`` at the top of the file, ``schedule`` without it."""
+        return str(getattr(self.model, "kind", SCHEDULE))
+
+    def outline(self) -> str:
+        """What it describes, on one line."""
+        raise NotImplementedError
+
+    def to_dict(self) -> dict[str, Any]:
+        """All values, defaults included, as nested plain data."""
+        data: dict[str, Any] = _lists(self.model.model_dump(exclude_none=True))
+        return data
+
+    def to_toml(self) -> str:
+        """All values, defaults included, as TOML that loads back to the same scenario."""
+        return write_toml(self.to_dict())
+
+    def copy_text(self) -> str:
+        """Text of its copy in a run folder: its own, or all values under a note of what changed."""
+        text = self.text if self.text is not None else self.to_toml()
+        if not self.overrides:
+            return text
+        noted = "".join(f"#   {' '.join(line.split())}\n" for line in self.overrides)
+        return f"# Written with these overrides, which the values below include:\n{noted}\n{text}"
+
+
+def overridden(document: dict[str, Any], values: Mapping[str, Any], where: str | None) -> dict[str, Any]:
+    """The document, with values replaced in it."""
+    for key, value in values.items():
+        put(document, key, copy.deepcopy(value), where)
+    return document
+
+
+def _lists(data: Any) -> Any:
+    """The same data with lists for tuples, as a TOML reader gives it."""
+    if isinstance(data, dict):
+        return {key: _lists(value) for key, value in data.items()}
+    return [_lists(value) for value in data] if isinstance(data, (list, tuple)) else data

@@ -1,0 +1,167 @@
+"""Scenarios of switching schedules: what Algorithms 1 and 2 are asked."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from reach.sets.zonotope import Zonotope
+
+from ..model.checks import counted
+from ..model.system import LinearSystem
+from . import build, numerics, rules
+from .base import Scenario, kept
+from .geometry import check_start_and_goal
+from .tables import Planner, Recoverable, SampledFeedback, ScenarioModel, Schedule, Simulation
+
+if TYPE_CHECKING:
+    from ..model.obstacle import Obstacle
+    from ..planning.goal import Goal
+    from ..synthesis.controllers import Controller
+    from ..synthesis.get_safety import Safety
+    from ..synthesis.problem import Problem
+    from ..synthesis.search import SwitchingRules
+
+
+class ScheduleScenario(Scenario):
+    """A scenario of a switching schedule; see `Scenario`."""
+
+    model: ScenarioModel
+    MODEL = ScenarioModel
+
+    def _check(self) -> None:
+        model = self.model
+        rules.check_system(model.system)
+        rules.check_orbit(model)
+        system = self.system()
+        rules.check_shapes(model, system)
+        rules.check_time(model)
+        numerics.check_numerics(model, system)
+        for path, Q, R in numerics.weights(model):
+            numerics.check_weights(path, Q, R, system)
+        rules.check_controllers(model, system)
+        rules.check_names(model)
+        rules.check_scene(model, self.obstacles(), system)
+        self.goal()
+        check_start_and_goal(model, self.obstacles(), system, self.initial_set())
+
+    def outline(self) -> str:
+        """What it describes, on one line."""
+        system, sets = self.system(), len(self.model.obstacles) + len(self.model.keep_in)
+        return (
+            f"{counted(system.n, 'state')}, {counted(system.m, 'input')},"
+            f" {counted(self.steps, 'step')} of {self.step:g} s, unsafe sets: {sets},"
+            f" experimental controllers: {len(self.model.experimental)}"
+        )
+
+    # -- the fields -----------------------------------------------------------------------------
+
+    @property
+    def steps(self) -> int:
+        """Number K of steps."""
+        count = build.whole_parts(self.model.horizon.duration_s, self.model.horizon.step_s)
+        assert count is not None  # checked on construction
+        return count
+
+    @property
+    def step(self) -> float:
+        """Step delta [s]."""
+        return self.model.horizon.step_s
+
+    @property
+    def recoverable(self) -> Recoverable:
+        """Which recoverable sets."""
+        return self.model.recoverable
+
+    @property
+    def planner(self) -> Planner:
+        """How the reference is planned."""
+        return self.model.planner
+
+    @property
+    def schedule(self) -> Schedule:
+        """How the switching schedule is chosen."""
+        return self.model.schedule
+
+    @property
+    def simulation(self) -> Simulation:
+        """Closed-loop runs."""
+        return self.model.simulation
+
+    # -- the domain's objects -------------------------------------------------------------------
+
+    @kept
+    def system(self) -> LinearSystem:
+        """The controlled system."""
+        return build.build_system(self.model.system)
+
+    @kept
+    def initial_set(self) -> Zonotope:
+        """The initial set Theta, shape (n,); a ball is enclosed by a zonotope."""
+        return build.build_initial_set(self.model.initial_set, self.system())
+
+    @kept
+    def obstacles(self) -> tuple[Obstacle, ...]:
+        """Unsafe sets of the perception oracle: obstacles first, then keep-in sets."""
+        return build.build_obstacles(self.model)
+
+    @kept
+    def goal(self) -> Goal:
+        """Where the reference must end."""
+        return self.model.goal.build(self.system())
+
+    def controllers(self, safety: Safety) -> tuple[Controller, ...]:
+        """The experimental controllers on a safety controller's reference, in order of preference.
+
+        Raises
+        ------
+        ScenarioError
+            If one is malformed.
+        SynthesisInfeasible, NotCertified
+            If the plan that an ``unaware`` reference stands for cannot be found.
+        """
+        from .experimental import build_controllers
+
+        return build_controllers(self.model.experimental, safety)
+
+    @kept
+    def problem(self) -> Problem:
+        """The problem that Algorithm 1 is asked."""
+        from ..planning.problem import PlannerOptions
+        from ..synthesis.problem import Problem
+        from .experimental import gains_of
+
+        system, tracking, planner = self.system(), self.model.tracking, self.planner
+        feedback, weight = self.model.feedback, tracking.weight
+        return Problem(
+            system=system,
+            initial_set=self.initial_set(),
+            unsafe=self.obstacles(),
+            K=self.steps,
+            delta=self.step,
+            Q=build.full_weight(tracking.Q),
+            R=build.full_weight(tracking.R),
+            goal=self.goal(),
+            recoverable=self.recoverable.kind,
+            period=feedback.period_s if isinstance(feedback, SampledFeedback) else None,
+            bound=tracking.bound,
+            weight=weight if isinstance(weight, str) else build.full_weight(weight),
+            objective=planner.objective,
+            extra_margin=planner.extra_margin_m,
+            thrust_reserve=planner.thrust_reserve,
+            planner=PlannerOptions(
+                solver=planner.solver,
+                max_linear_programs=planner.max_linear_programs,
+                max_nodes=planner.max_nodes,
+                time_limit=planner.time_limit_s,
+                gap=planner.gap,
+            ),
+            gains=gains_of(self.model.experimental, system),
+        )
+
+    def switching_rules(self) -> SwitchingRules:
+        """Options of Algorithm 2."""
+        from ..synthesis.search import SwitchingRules
+
+        rules = self.schedule
+        weights = tuple(spec.weight for spec in self.model.experimental)
+        return SwitchingRules(rules.strategy, rules.min_dwell_steps, rules.max_switches, weights, rules.beam)
