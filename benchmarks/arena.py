@@ -12,11 +12,11 @@ import time
 
 import numpy as np
 
-from polaris.rta.alone import Precomputed
-from polaris.rta.arena import METHODS
+from polaris.rta.decision_grid import DecisionGrid
 from polaris.rta.flight import Conditions, fly
 from polaris.rta.method import Seen
-from polaris.rta.scene import Scene
+from polaris.rta.methods import METHODS
+from polaris.rta.methods.schedule import Precomputed
 from polaris.scenario.scenario import load_scenario
 from polaris.synthesis.synthesize import synthesize
 
@@ -35,7 +35,7 @@ def decisions(scene):
 
 def main(names):
     for name in names:
-        scene = Scene.of(synthesize(load_scenario(name)))
+        scene = DecisionGrid.of(synthesize(load_scenario(name)))
         methods = {key: METHODS[key](scene) for key in TIMED}
         seen = list(decisions(scene))
         spent = {key: np.empty(len(seen)) for key in TIMED}

@@ -21,27 +21,23 @@ from pathlib import Path
 
 import numpy as np
 
+from docs.generate.method_docs import PAGE, put
 from polaris.report.figures import draw_run
-from polaris.rta.arena import TUNING, compare_methods
-from polaris.rta.outcome import Outcome
-from polaris.rta.scene import Scene
+from polaris.rta.arena import compare_methods
+from polaris.rta.decision_grid import DecisionGrid
+from polaris.rta.method import Method, Option
+from polaris.rta.method_result import MethodResult
+from polaris.rta.methods import METHODS
 from polaris.runs.comparison import write_comparison
 from polaris.scenario.scenario import load_scenario
 from polaris.synthesis.synthesize import synthesize
 
-PAGE = Path(__file__).parents[1] / "docs" / "comparison.md"
 SCENES = ("static", "dynamic", "robot")
 RUNS, SWEPT_RUNS = 30, 10
 FIGURES = {"static": ("paths", "tradeoffs"), "dynamic": ("tradeoffs",)}
 
-VALUES = {
-    "dwell": (1, 3, 10, 30, 100),
-    "alpha": (1, 2, 5, 10, 20, 50, 100, 200, 1000),
-    "slope": (0.01, 0.03, 0.1, 0.3, 1.0),
-    "horizon": (0.05, 0.1, 0.2, 0.4),
-}
-UNITS = {"dwell": "decisions", "alpha": "per duration", "slope": "", "horizon": "of the duration"}
-SWEPT = ("monitor", "asif_explicit", "asif_implicit", "simulation", "reachability")
+SWEPT = tuple(key for key, one in METHODS.items() if "option" in vars(one))
+VALUES = {key: METHODS[key].option.values for key in SWEPT}
 BETTER = 0.98
 """Deviations that differ by less are alike; a scene's own value gets a row if it is better by more."""
 
@@ -69,16 +65,15 @@ def read_cell(text: str) -> Cell:
     return Cell(int(hit or 0), float(share) / 100, float(delta_v), float(deviation))
 
 
-def scaled(scene: Scene, option: str, value: float) -> float:
+def scaled(scene: DecisionGrid, option: Option, value: float) -> float:
     """A value of the sweep in the option's own unit."""
     duration = scene.last * scene.h
-    return value * {"alpha": 1 / duration, "horizon": duration}.get(option, 1.0)
+    return value * {"per duration": 1 / duration, "of the duration": duration}.get(option.unit, 1.0)
 
 
-def standing(scene: Scene, method: object) -> float:
+def standing(scene: DecisionGrid, method: Method) -> float:
     """The other way round: what a method was tuned with, in the sweep's units."""
-    (option, value), *_ = method.settings.items()
-    return value / scaled(scene, option, 1.0)
+    return method.settings[method.option.name] / scaled(scene, method.option, 1.0)
 
 
 Sweep = dict[str, dict[float, dict[str, Cell]]]
@@ -89,13 +84,13 @@ def sweep(schedules: Mapping[str, object], runs: int, methods: Iterable[str] = S
     """Every value of every option on every scene."""
     out: Sweep = {}
     for key in methods:
-        option = TUNING[key]
-        out[key] = {value: {} for value in VALUES[option]}
+        option = METHODS[key].option
+        out[key] = {value: {} for value in VALUES[key]}
         for name, schedule in schedules.items():
-            scene = Scene.of(schedule)
-            for value in VALUES[option]:
-                tuning = {f"{key}.{option}": scaled(scene, option, value)}
-                one = compare_methods(schedule, runs, 0, methods=(key,), tuning=tuning).outcomes[key]
+            scene = DecisionGrid.of(schedule)
+            for value in VALUES[key]:
+                tuning = {f"{key}.{option.name}": scaled(scene, option, value)}
+                one = compare_methods(schedule, runs, 0, methods=(key,), tuning=tuning).results[key]
                 hit, m = int(one.metrics.collided.sum()), one.metrics
                 out[key][value][name] = Cell(
                     hit,
@@ -103,7 +98,7 @@ def sweep(schedules: Mapping[str, object], runs: int, methods: Iterable[str] = S
                     float(m.delta_v.mean()),
                     float(one.deviation.mean()),
                 )
-                print(f"  {key}.{option} = {value:g} on {name}: {out[key][value][name]}", flush=True)
+                print(f"  {key}.{option.name} = {value:g} on {name}: {out[key][value][name]}", flush=True)
     return out
 
 
@@ -136,13 +131,12 @@ def sweep_table(swept: Sweep) -> str:
     lines = ["| Option | Value | " + " | ".join(f"`{name}`" for name in scenes) + " |"]
     lines.append("|---" * (2 + len(scenes)) + "|")
     for key, values in swept.items():
-        option, default = TUNING[key], chosen(values)
+        option, default = METHODS[key].option, chosen(values)
         for value, cells in values.items():
-            told = f"{value:g} {UNITS[option]}".strip()
+            told = f"{value:g} {option.unit}".strip()
             told = f"**{told}**" if value == default else told
-            lines.append(
-                f"| `{key}.{option}` | {told} | " + " | ".join(str(cells[name]) for name in scenes) + " |"
-            )
+            shown = " | ".join(str(cells[name]) for name in scenes)
+            lines.append(f"| `{key}.{option.name}` | {told} | {shown} |")
     return "\n".join(lines)
 
 
@@ -164,7 +158,7 @@ COLUMNS = ("Method", "Proven", "Violations", "Least distance m", "Mean distance 
            "Delta-v m/s", "Deviation")  # fmt: skip
 
 
-def row(name: str, one: Outcome) -> str:
+def row(name: str, one: MethodResult) -> str:
     """One method in a scene's table."""
     told = one.summary()
 
@@ -185,32 +179,23 @@ def row(name: str, one: Outcome) -> str:
 
 def scene_table(schedule: object, runs: int, tuned: Mapping[str, float]) -> tuple[str, object]:
     """All methods on one scene, those with a value of this scene's own twice."""
-    scene = Scene.of(schedule)
+    scene = DecisionGrid.of(schedule)
     comparison = compare_methods(schedule, runs, 0)
     lines = ["| " + " | ".join(COLUMNS) + " |", "|---" * len(COLUMNS) + "|"]
-    for key, one in comparison.outcomes.items():
+    for key, one in comparison.results.items():
         lines.append(row(one.name, one))
         if key in tuned:
-            option = TUNING[key]
-            tuning = {f"{key}.{option}": scaled(scene, option, tuned[key])}
-            other = compare_methods(schedule, runs, 0, methods=(key,), tuning=tuning).outcomes[key]
-            told = f"{tuned[key]:g} {UNITS[option]}".strip()
-            lines.append(row(f"{one.name}, {option} {told}", other))
+            option = METHODS[key].option
+            tuning = {f"{key}.{option.name}": scaled(scene, option, tuned[key])}
+            other = compare_methods(schedule, runs, 0, methods=(key,), tuning=tuning).results[key]
+            told = f"{tuned[key]:g} {option.unit}".strip()
+            lines.append(row(f"{one.name}, {option.name} {told}", other))
     return "\n".join(lines), comparison
 
 
 def blocks(text: str) -> dict[str, str]:
     """The generated parts of the page, by name."""
     return dict(re.findall(r"<!-- table ([\w-]+) -->\n\n(.*?)\n\n<!-- end -->", text, flags=re.S))
-
-
-def put(text: str, name: str, table: str) -> str:
-    """The page with one part replaced."""
-    pattern = rf"(<!-- table {name} -->\n\n).*?(\n\n<!-- end -->)"
-    out, count = re.subn(pattern, lambda found: found[1] + table + found[2], text, flags=re.S)
-    if count != 1:
-        raise SystemExit(f"{PAGE}: no place for the table {name}")
-    return out
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

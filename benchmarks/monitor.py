@@ -18,13 +18,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from polaris.rta.alone import Alone
-from polaris.rta.estimate import Measurement
+from polaris.rta.decision_grid import DecisionGrid
 from polaris.rta.flight import Conditions, fly
-from polaris.rta.monitor import Monitor
+from polaris.rta.methods.alone import SafetyAlone
+from polaris.rta.methods.monitor import Monitor
 from polaris.rta.online.decision_log import DecisionLog
+from polaris.rta.online.estimate import Measurement
 from polaris.rta.online.runtime import OnlineMonitor
-from polaris.rta.scene import Scene
 from polaris.scenario.scenario import load_scenario
 from polaris.synthesis.synthesize import synthesize
 
@@ -47,9 +47,9 @@ def blocks(way: Callable[[], Callable[[int], object]], turns: int) -> np.ndarray
 
 def ways(monitor: Monitor) -> dict[str, Callable[[], Callable[[int], object]]]:
     """What is timed, by name; each makes a new decider that is asked for k = 0, 1 ... in turn."""
-    scene = monitor.scene
+    scene = monitor.grid
     conditions = Conditions.draw(scene, 2, 0).only(1)
-    flight = fly(scene, Alone(scene, 0), conditions)
+    flight = fly(scene, SafetyAlone(scene), conditions)
     seen = flight.states[0, :: scene.nodes][: len(conditions.errors)] + conditions.errors[:, 0]
     errors = seen - scene.xi[: len(seen) * scene.nodes : scene.nodes]
     told = [(k * scene.period, Measurement(k * scene.period, x)) for k, x in enumerate(seen)]
@@ -77,7 +77,7 @@ def main() -> None:
     arguments = parser.parse_args()
     print(f"{'[us]':10}{'':20}{'median':>10}{'p99':>10}{'best':>12}{'p99':>10}")
     for name in arguments.scenarios:
-        monitor = Monitor(Scene.of(synthesize(load_scenario(name)), half_widths=0.005))
+        monitor = Monitor(DecisionGrid.of(synthesize(load_scenario(name)), half_widths=0.005))
         for what, way in ways(monitor).items():
             found = blocks(way, arguments.turns)
             middle, best = np.median(found, axis=0), found.min(axis=0)

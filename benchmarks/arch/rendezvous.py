@@ -142,7 +142,7 @@ def clearance(tube: HybridTube) -> float:
     """Proved lower bound on the distance from the target after the abort (maximum norm)."""
     low = []
     for segment in tube.of("abort"):
-        distances = -segment.fan.support(-AXES)
+        distances = -segment.flowpipes.support(-AXES)
         low.append(distances.max(axis=-1)[segment.alive].min())
     return float(min(low))
 

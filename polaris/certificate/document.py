@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from .assumptions import SATELLITES, assumptions
+from .decoding import listed, name, number, one_of, table, vector, whole
 from .file_keys import CERTIFICATE
 from .files import contents
 from .structure import conform, strict_json
@@ -30,64 +32,6 @@ MOST_GENERATORS = 1000
 """Most generators of the initial set."""
 MOST_STATES = 32
 """Most states of a system: Lyapunov's equation is solved as n^2 linear ones."""
-
-
-SATELLITES = (
-    "other satellites: each obeys x' = A x + D w with the same A, D and bound on w, and adds no more "
-    "acceleration than is declared for it"
-)
-"""Assumed where there are any."""
-
-
-def assumptions(
-    w_max: float,
-    period: float | None,
-    *,
-    resting: bool = True,
-    satellites: bool = False,
-    horizon: str = "none",
-    until: float | None = None,
-) -> list[str]:
-    """What a certificate rests on and no checker can confirm: the one list, for runs and certificates.
-
-    Parameters
-    ----------
-    w_max : float
-        Bound on the disturbance.
-    period : float or None
-        Control period [s] of sampled feedback.
-    resting : bool
-        Whether any unsafe set is at rest.
-    satellites : bool
-        Whether any is another satellite.
-    horizon : {"infinite", "one_period", "none"}
-        How long safety is claimed.
-    until : float or None
-        Last instant of a claim of one further period [s].
-    """
-    if period is None:
-        law = "every controller acts continuously on the exact state"
-    else:
-        law = f"every controller renews its input each {period:g} s, in time and with the exact state"
-    ever = horizon == "infinite"
-    if horizon == "none" or not (ever or until):
-        fuel = "fuel: enough for every command up to T"
-    else:
-        end = "for ever" if ever else f"until {until:g} s"
-        fuel = f"after T: the safety controller flies on {end}, and there is fuel for every command"
-    rest = ["sets at rest: they stay at rest" + (" for ever" if ever else "")]
-    return [
-        f"model: x' = A x + B u + D w, |u_i| <= u_max, norm(w, 2) <= {w_max:g} and otherwise arbitrary",
-        "initial state: inside the initial set",
-        "chaser: a point, its own size being part of the unsafe sets",
-        "perception: every unsafe set lies in its timed polytope",
-        *(rest if resting else []),
-        *([SATELLITES] if satellites else []),
-        f"sampling: {law}",
-        "clocks: exact; schedule, reference and unsafe sets count from the same instant",
-        "experimental controllers: each obeys its declared model",
-        fuel,
-    ]
 
 
 def digest(data: dict[str, Any]) -> str:
@@ -174,14 +118,18 @@ class Document:
             raise Rejected("format", f"{type(error).__name__}: {error}") from error
 
     def _decode(self, data: dict[str, Any]) -> None:
-        system, sampling = data["system"], data["sampling"]
-        self.steps, self.q = _whole(sampling["steps"], 1), _whole(sampling["nodes_per_step"], 1)
+        self._decode_system(data["system"], data["sampling"])
+        self._decode_scene(data)
+        self._decode_schedule(data)
+        self._decode_bounds(data)
+        self._decode_words(data)
+
+    def _decode_system(self, system: dict[str, Any], sampling: dict[str, Any]) -> None:
+        self.steps, self.q = whole(sampling["steps"], 1), whole(sampling["nodes_per_step"], 1)
         if self.q > MOST_NODES:
             raise ValueError(f"more than {MOST_NODES} periods in a step")
-        self.delta, self.sampled = (
-            number(sampling["step"]),
-            _one_of(sampling["kind"], ("continuous", "sampled")),
-        )
+        self.delta, feedback = number(sampling["step"]), one_of(sampling["kind"], ("continuous", "sampled"))
+        self.sampled = feedback == "sampled"
         if not self.delta > 0:
             raise ValueError("the step must be positive")
         self.system_kind = str(system["kind"])
@@ -198,7 +146,10 @@ class Document:
         self.mean_motion = None if eta is None else number(eta)
         if not (self.mass > 0 and (self.mean_motion is None or self.mean_motion > 0)):
             raise Rejected("system", "mass and mean motion must be positive")
-        self.input_names = [_name(name) for name in listed(system["input_names"])]
+        self.input_names = [name(one) for one in listed(system["input_names"])]
+
+    def _decode_scene(self, data: dict[str, Any]) -> None:
+        n, m, d = len(self.A), len(self.u_max), len(self.C)
         self.center = vector(data["initial_set"]["center"], n)
         self.generators = table(data["initial_set"]["generators"], None, n)
         if len(self.generators) > MOST_GENERATORS:
@@ -210,31 +161,35 @@ class Document:
             raise Undecided("sampling", f"more than {MOST_NODES_IN_ALL} periods")
         if len(self.states) != self.cells + 1 or self.cells < self.steps or len(self.input_names) != m:
             raise ValueError("the reference must have one state more than inputs, and cover every step")
-        d, cells = len(self.C), self.cells
+        cells = self.cells
         self.unsafe = [_unsafe(item, d, cells) for item in data["unsafe_sets"]]
-        self.facets = [[_whole(f, 0) for f in listed(row)] for row in listed(data["facets"])]
+        self.facets = [[whole(f, 0) for f in listed(row)] for row in listed(data["facets"])]
         counts = [len(item.normals) for item in self.unsafe]
         if len(self.facets) != cells or any(
             len(row) != len(counts) or any(f >= c for f, c in zip(row, counts, strict=True))
             for row in self.facets
         ):
             raise ValueError("facets must name one facet of every unsafe set in every cell")
+
+    def _decode_schedule(self, data: dict[str, Any]) -> None:
+        n, m = len(self.A), len(self.u_max)
         self.laws = [_law(item, m, n, self.steps) for item in data["controllers"]]
         kinds = [law.kind for law in self.laws]
         if kinds[:1] != ["safety"] or "safety" in kinds[1:]:
             raise ValueError("mode 0, and no other, must be the safety controller")
         schedule, K = data["schedule"], self.steps
-        self.modes = [_whole(mode, 0) for mode in listed(schedule["modes"])]
+        self.modes = [whole(mode, 0) for mode in listed(schedule["modes"])]
         self.margins = [-math.inf if x is None else number(x) for x in listed(schedule["margins"])]
         if len(self.modes) != K or len(self.margins) != K or max(self.modes) >= len(self.laws):
             raise ValueError("modes and margins must have one entry per step, of a known mode")
+
+    def _decode_bounds(self, data: dict[str, Any]) -> None:
+        n, m, d, K = len(self.A), len(self.u_max), len(self.C), self.steps
         bounds, sets, boxes = data["error_bounds"], data["recoverable"], data["enclosures"]
         self.tube = table(bounds["per_step"], K, 2 * (d + m))
         self.settled = vector(bounds["settled"], 2 * (d + m))
         self.peaks = table(data["thrust"]["peak"], K, m)
-        self.recoverable = _one_of(
-            sets["kind"], ("polytope", "time_varying_ball", "ball", "paper_ball"), plain=True
-        )
+        self.recoverable = one_of(sets["kind"], ("polytope", "time_varying_ball", "ball", "paper_ball"))
         self.weight = table(sets["weight"], n, n)
         self.radius = _radii(sets["radius"], K, self.cells > K)
         self.box_center, self.box_half = (
@@ -243,8 +198,10 @@ class Document:
         )
         self.lower, self.upper = table(boxes["lower"], K, n), table(boxes["upper"], K, n)
         self.slopes = _slopes(boxes["slopes"], K, self.q, m)
+
+    def _decode_words(self, data: dict[str, Any]) -> None:
         end = data["end"]
-        self.horizon = _one_of(end["horizon"], ("infinite", "one_period", "none"), plain=True)
+        self.horizon = one_of(end["horizon"], ("infinite", "one_period", "none"))
         self.until = None if end["until"] is None else number(end["until"])
         self.reason = end["reason"]
         self.guarantee = str(data["guarantee"])
@@ -261,7 +218,7 @@ class Document:
             raise Rejected(
                 "assumptions", "the certificate rests on other assumptions than those of its format"
             )
-        self.scenario = _name(data["scenario"]["name"])
+        self.scenario = name(data["scenario"]["name"])
         self.artefacts = {str(name): str(known) for name, known in data["artefacts"].items()}
 
 
@@ -285,45 +242,6 @@ def read(path: Path) -> Document:
     return Document(data)
 
 
-# -- decoding ---------------------------------------------------------------------------------------
-
-
-def number(text: Any) -> float:
-    """Decode one finite float from the one hexadecimal text that stands for it: "10" is neither 10 nor 16."""
-    if not isinstance(text, str):
-        raise ValueError(f"{text!r} is not hexadecimal text")
-    value = float.fromhex(text)
-    if not math.isfinite(value):
-        raise ValueError(f"{text!r} is not finite")
-    if value.hex() != text:
-        raise ValueError(f"{text!r} is not written {value.hex()}")
-    return value
-
-
-def listed(items: Any) -> list[Any]:
-    """A list, and nothing else that has items."""
-    if not isinstance(items, list):
-        raise TypeError(f"{ascii(items)[:80]} is no list")
-    return items
-
-
-def vector(items: Any, size: int | None = None) -> list[float]:
-    """Decode a list of numbers."""
-    values = [number(item) for item in listed(items)]
-    if size is not None and len(values) != size:
-        raise ValueError(f"{len(values)} numbers where {size} are needed")
-    return values
-
-
-def table(rows: Any, height: int | None = None, width: int | None = None) -> list[list[float]]:
-    """Decode a list of lists of numbers, all equally long."""
-    width = len(listed(rows)[0]) if width is None else width
-    values = [vector(row, width) for row in listed(rows)]
-    if height is not None and len(values) != height:
-        raise ValueError(f"{len(values)} rows where {height} are needed")
-    return values
-
-
 def _radii(items: Any, steps: int, tail: bool) -> list[float]:
     """Radii at the start of every step and at T; the last is null if nothing follows T."""
     if not tail and len(listed(items)) == steps + 1 and items[-1] is None:
@@ -343,25 +261,6 @@ def _slopes(items: Any, steps: int, periods: int, m: int) -> list[list[list[floa
     return found
 
 
-def _name(value: Any) -> str:
-    """A name that is printed as it is: no line breaks, nothing that a terminal obeys."""
-    if not isinstance(value, str) or not value.isprintable() or len(value) > 200:
-        raise ValueError(f"{ascii(value)[:80]} is no name")
-    return value
-
-
-def _whole(value: Any, least: int) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or value < least:
-        raise ValueError(f"{value!r} is not a whole number of at least {least}")
-    return value
-
-
-def _one_of(value: Any, known: tuple[str, ...], plain: bool = False) -> Any:
-    if value not in known:
-        raise ValueError(f"{value!r} is not one of {', '.join(known)}")
-    return value if plain else value == known[1]
-
-
 def _unsafe(item: dict[str, Any], d: int, cells: int) -> UnsafeSet:
     normals = table(item["normals"], None, d)
     pairs = listed(item["offsets"])
@@ -373,19 +272,19 @@ def _unsafe(item: dict[str, Any], d: int, cells: int) -> UnsafeSet:
         # Everything measures distances along normals, and slacks are relative to them.
         if not abs(math.fsum(x * x for x in normal) - 1) <= UNIT:
             raise Rejected("unsafe_sets", f"a normal of {item['name']!r} is no unit vector")
-    return UnsafeSet(_name(item["name"]), item["keep_in"] is True, normals, first, last)
+    return UnsafeSet(name(item["name"]), item["keep_in"] is True, normals, first, last)
 
 
 def _law(item: dict[str, Any], m: int, n: int, steps: int) -> Law:
-    kind = _one_of(item["kind"], KINDS, plain=True)
+    kind = one_of(item["kind"], KINDS)
     if kind == "any_thrust":
-        return Law(_name(item["name"]), kind, None, None, None)
+        return Law(name(item["name"]), kind, None, None, None)
     gain = table(item["gain"], m, n)
     if ("own_states" in item) != ("own_inputs" in item):
         raise ValueError(f"{item['name']} has half a reference of its own")
     if "own_states" not in item:
-        return Law(_name(item["name"]), kind, gain, None, None)
+        return Law(name(item["name"]), kind, gain, None, None)
     states, inputs = table(item["own_states"], None, n), table(item["own_inputs"], None, m)
     if min(len(states), len(inputs)) < steps:
         raise ValueError(f"the reference of {item['name']} must cover every step")
-    return Law(_name(item["name"]), kind, gain, states, inputs)
+    return Law(name(item["name"]), kind, gain, states, inputs)

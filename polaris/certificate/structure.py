@@ -98,6 +98,22 @@ class Either:
 Shape = Real | Whole | Text | Flag | Null | Anything | Rows | Table | Named | Kinds | Either
 
 
+def keyed(keys: Mapping[str, Any]) -> Table:
+    """A table from one mapping, in which the keys that may be missing end in a question mark."""
+    needed = {key: item for key, item in keys.items() if not key.endswith("?")}
+    return Table(needed, {key[:-1]: item for key, item in keys.items() if key.endswith("?")})
+
+
+def kinds(tables: Mapping[str, Mapping[str, Any]]) -> Kinds:
+    """Several tables, from the keys that each has besides ``kind``."""
+    return Kinds({kind: keyed({"kind": Text((kind,)), **keys}) for kind, keys in tables.items()})
+
+
+def every(item: Shape, words: str) -> dict[str, Shape]:
+    """Keys of one shape, named in a row."""
+    return dict.fromkeys(words.split(), item)
+
+
 def conform(value: Any, shape: Shape, claim: str, where: str) -> None:
     """Refuse a value that is not of a shape.
 

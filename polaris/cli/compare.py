@@ -5,12 +5,31 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand, TyperOption
 
 from ..model.errors import ScenarioError
 from .shell import Assignments, Figures, Json, Name, Quiet, drawing, finish, verb
 
 
-@verb("compare")
+class _Compare(TyperCommand):
+    """Reads which methods there are, and what they are tuned by, only when help is asked for."""
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        """Complete the help of two options."""
+        from ..rta.arena import tunable
+        from ..rta.methods import METHODS
+
+        known = {
+            "methods": f"Methods by key, separated by commas; default all: {', '.join(METHODS)}.",
+            "tune": f"Tune a method: {', '.join(tunable())}; repeatable.",
+        }
+        for one in self.params:
+            if isinstance(one, TyperOption):
+                one.help = known.get(str(one.name), one.help)
+        super().format_help(ctx, formatter)
+
+
+@verb("compare", cls=_Compare)
 def compare_command(
     scenario: Name,
     runs: Annotated[int, typer.Option(min=1, help="Runs per method.")] = 50,
@@ -34,8 +53,7 @@ def compare_command(
         typer.Option(
             "--tune",
             metavar="METHOD.OPTION=VALUE",
-            help="Tune a method: monitor.dwell, monitor_declared.dwell, asif_explicit.alpha,"
-            " asif_implicit.slope, simulation.horizon, reachability.horizon; repeatable.",
+            help="Tune a method; repeatable.",
         ),
     ] = None,
     out: Annotated[
@@ -47,17 +65,12 @@ def compare_command(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Fly every run-time assurance method on one scene, under the same disturbances, and compare.
-
-    Methods: the precomputed schedule, the online monitor (U not trusted, or at its declared law),
-    explicit and implicit simplex, explicit and implicit ASIF, look-ahead by simulation and by
-    reachability, S alone, U alone.
-    """
+    """Fly every run-time assurance method on one scene, under the same disturbances, and compare."""
     from .console import ShownStages
 
     stages = ShownStages(quiet or as_json)
     with stages.stage("load"):
-        from ..rta.arena import METHODS, compare_methods
+        from ..rta.arena import compare_methods
         from ..runs.atomic import check_target
         from ..runs.comparison import write_comparison
         from ..scenario.scenario import ScheduleScenario, load_scenario
@@ -66,7 +79,7 @@ def compare_command(
 
         loaded = load_scenario(scenario, assignments or (), only=ScheduleScenario)
         target = check_target(out if out is not None else f"runs/{loaded.name}-comparison")
-        chosen = tuple(METHODS) if methods is None else tuple(methods.replace(" ", "").split(","))
+        chosen = None if methods is None else methods.replace(" ", "").split(",")
         half, tuning = _numbers(estimate_error), _tuning(tune or [])
     with stages.stage("schedule"):
         schedule = synthesize(loaded)

@@ -102,8 +102,8 @@ def main(
 # -- what verbs have in common ----------------------------------------------------------------------
 
 
-def verb(name: str) -> Callable[[Callable[..., int | None]], Callable[..., None]]:
-    """Add a verb to the application; it returns its exit code, or nothing where it went well."""
+def verb(name: str, **how: Any) -> Callable[[Callable[..., int | None]], Callable[..., None]]:
+    """Add a verb, `how` as typer takes it; it returns its exit code, or nothing where it went well."""
 
     def add(work: Callable[..., int | None]) -> Callable[..., None]:
         @wraps(work)
@@ -113,7 +113,7 @@ def verb(name: str) -> Callable[[Callable[..., int | None]], Callable[..., None]
             if code:
                 raise typer.Exit(code)
 
-        app.command(name)(guarded)
+        app.command(name, **how)(guarded)
         return guarded
 
     return add

@@ -8,7 +8,8 @@ from itertools import combinations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import expm
+
+from reach.numerics.linear import discretize
 
 from ..model.checks import number, positive, whole
 from ..model.errors import ScenarioError
@@ -192,11 +193,7 @@ class Inspection:
     def held(self, duration: float) -> tuple[Array, Array]:
         """Exact motion over a time with the thrust held: ``x(t + duration) = Phi x + Gamma u``."""
         number("duration", duration)
-        block = np.zeros((9, 9))
-        block[:6, :6] = self.A
-        block[3:6, 6:] = np.eye(3) / self.mass
-        moved = expm(block * duration)
-        return moved[:6, :6], moved[:6, 6:]
+        return discretize(self.A, np.vstack([np.zeros((3, 3)), np.eye(3) / self.mass]), duration)
 
     def sun_angle(self, t: ArrayLike, start: ArrayLike = 0.0) -> Array:
         """Angle theta_s of the sun from the x axis [rad] at the time t [s]; it turns at ``-n`` (eq. 11)."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,44 +12,14 @@ import numpy as np
 from ..model.checks import of_kind, whole
 from ..model.errors import PolarisError, ScenarioError
 from ..synthesis.schedule import Schedule
-from .alone import Alone, Precomputed
-from .asif_explicit import ExplicitASIF
-from .asif_implicit import ImplicitASIF
+from .decision_grid import DecisionGrid
 from .flight import Conditions, Flight, fly
-from .lookahead import ForwardReachability, Simulation
 from .method import Method
-from .monitor import Monitor
-from .outcome import Outcome, flown, measure
-from .scene import Scene
-from .simplex import ExplicitSimplex, ImplicitSimplex
+from .method_result import MethodResult, flown, measure
+from .methods import METHODS
 
 BATCH = 100
 """Runs flown at a time, to bound the memory used."""
-
-METHODS: dict[str, Callable[..., Method]] = {
-    "safety": lambda scene: Alone(scene, 0),
-    "experimental": lambda scene: Alone(scene, 1),
-    "schedule": Precomputed,
-    "monitor": Monitor,
-    "monitor_declared": partial(Monitor, trust="declared"),
-    "simplex_explicit": ExplicitSimplex,
-    "simplex_implicit": ImplicitSimplex,
-    "asif_explicit": ExplicitASIF,
-    "asif_implicit": ImplicitASIF,
-    "simulation": Simulation,
-    "reachability": ForwardReachability,
-}
-"""How each method is made for a scene, by its name on the command line."""
-
-TUNING = {
-    "monitor": "dwell",
-    "monitor_declared": "dwell",
-    "asif_explicit": "alpha",
-    "asif_implicit": "slope",
-    "simulation": "horizon",
-    "reachability": "horizon",
-}
-"""What may be tuned, by method; the others have nothing of the kind."""
 
 Tuning = Mapping[str, float]
 
@@ -92,28 +61,28 @@ class Comparison:
 
     Attributes
     ----------
-    scene : Scene
+    grid : DecisionGrid
     runs, seed : int
-    outcomes : dict of str to Outcome
+    results : dict of str to MethodResult
         By method.
     shown : dict of str to Shown
     refused : dict of str to str
         Methods that the scene does not admit, and why.
     """
 
-    scene: Scene
+    grid: DecisionGrid
     runs: int
     seed: int
-    outcomes: dict[str, Outcome]
+    results: dict[str, MethodResult]
     shown: dict[str, Shown]
     refused: dict[str, str]
 
     def paired(self, reference: str = "schedule") -> list[dict[str, Any]]:
         """Differences of every method to one of them, run by run."""
-        if reference not in self.outcomes:
+        if reference not in self.results:
             return []
-        other = self.outcomes[reference]
-        return [row for key, one in self.outcomes.items() if key != reference for row in one.against(other)]
+        other = self.results[reference]
+        return [row for key, one in self.results.items() if key != reference for row in one.against(other)]
 
 
 def compare_methods(
@@ -121,7 +90,7 @@ def compare_methods(
     runs: int = 50,
     seed: int = 0,
     *,
-    methods: Sequence[str] = tuple(METHODS),
+    methods: Sequence[str] | None = None,
     period: float | None = None,
     latency: float = 0.0,
     half_widths: Any = 0.0,
@@ -136,16 +105,15 @@ def compare_methods(
         Result of `synthesize`, with an experimental controller.
     runs, seed : int
         Number of runs, and what their conditions are drawn from (`Conditions.draw`).
-    methods : sequence of str
-        Keys of `METHODS`.
+    methods : sequence of str, optional
+        Keys of `polaris.rta.method.METHODS`; default all.
     period, latency : float
-        Between decisions, and from measurement to effect [s]; see `Scene.of`.
+        Between decisions, and from measurement to effect [s]; see `DecisionGrid.of`.
     half_widths : array_like
         Largest error of the state estimate.
     tuning : mapping of str to float, optional
-        Values by ``method.option``: ``monitor.dwell`` and ``monitor_declared.dwell`` [decisions],
-        ``asif_explicit.alpha`` [1/s], ``asif_implicit.slope``, ``simulation.horizon`` and
-        ``reachability.horizon`` [s]. The defaults are those of the methods.
+        Values by ``method.option``, such as ``monitor.dwell`` (see `tunable`). The defaults are those of the
+        methods.
     progress : callable, optional
         Called with (method, decisions flown, decisions in all).
 
@@ -156,25 +124,21 @@ def compare_methods(
     """
     of_kind("schedule", schedule, Schedule, "polaris.synthesize")
     whole("runs", runs, 1)
-    for key in methods:
+    keys = list(dict.fromkeys(METHODS if methods is None else methods))
+    for key in keys:
         if key not in METHODS:
             raise ScenarioError("methods", key, f"must be one of {', '.join(METHODS)}")
     options = _options(tuning or {})
     if len(schedule.controllers) < 2:
         raise ScenarioError("experimental", "none", "a comparison needs an experimental controller")
-    scene = Scene.of(schedule, period, latency, half_widths)
-    parts = [
-        Conditions.draw(scene, min(BATCH, runs - first), seed + first) for first in range(0, runs, BATCH)
-    ]
-    outcomes, shown, refused = {}, {}, {}
-    for key in dict.fromkeys(methods):
+    grid = DecisionGrid.of(schedule, period, latency, half_widths)
+    parts = [Conditions.draw(grid, min(BATCH, runs - first), seed + first) for first in range(0, runs, BATCH)]
+    results, shown, refused = {}, {}, {}
+    for key in keys:
         begun = time.perf_counter()
-        try:
-            method = METHODS[key](scene, **options.get(key, {}))
-        except PolarisError as error:
-            if isinstance(error, ScenarioError) and error.field in options.get(key, {}):
-                raise
-            refused[key] = str(error)
+        method = _made(key, grid, options.get(key, {}))
+        if isinstance(method, str):
+            refused[key] = method
             continue
         built = time.perf_counter() - begun
 
@@ -182,69 +146,85 @@ def compare_methods(
             if progress:
                 progress(key, done, total)
 
-        outcomes[key], shown[key] = _flown(scene, key, method, parts, built, report)
-    return Comparison(scene, runs, seed, outcomes, shown, refused)
+        results[key], shown[key] = _flown(grid, key, method, parts, built, report)
+    return Comparison(grid, runs, seed, results, shown, refused)
+
+
+def _made(key: str, grid: DecisionGrid, options: Mapping[str, float]) -> Method | str:
+    """A method on the grid, or why it does not admit it; an option of its own that is wrong is raised."""
+    made: Callable[..., Method] = METHODS[key]
+    try:
+        return made(grid, **options)
+    except PolarisError as error:
+        if isinstance(error, ScenarioError) and error.field in options:
+            raise
+        return str(error)
+
+
+def tunable() -> list[str]:
+    """What may be tuned: ``method.option`` each."""
+    return [f"{key}.{one.option.name}" for key, one in METHODS.items() if one.option]
 
 
 def _options(tuning: Tuning) -> dict[str, dict[str, float]]:
     """Options by method."""
     out: dict[str, dict[str, float]] = {}
     for name, value in tuning.items():
+        if name not in tunable():
+            raise ScenarioError("tuning", name, f"must be one of {', '.join(tunable())}")
         key, _, option = name.partition(".")
-        if TUNING.get(key) != option:
-            known = ", ".join(f"{one}.{other}" for one, other in TUNING.items())
-            raise ScenarioError("tuning", name, f"must be one of {known}")
-        whole_number = option == "dwell" and float(value).is_integer()
-        out[key] = {option: int(value) if whole_number else value}
+        found = METHODS[key].option
+        counted = found is not None and found.unit == "decisions"
+        out[key] = {option: int(value) if counted and float(value).is_integer() else value}
     return out
 
 
 def _flown(
-    scene: Scene,
+    grid: DecisionGrid,
     key: str,
     method: Method,
     parts: Sequence[Conditions],
     built: float,
     progress: Callable[[int, int], None],
-) -> tuple[Outcome, Shown]:
+) -> tuple[MethodResult, Shown]:
     """Fly one method in all conditions, and once alone to time its decisions."""
     found, deviations, counts, kept = [], [], np.zeros(len(method.reasons), dtype=int), None
     for conditions in parts:
-        flight = fly(scene, method, conditions, progress)
-        metrics = measure(scene, flight, conditions, method.name)
+        flight = fly(grid, method, conditions, progress)
+        metrics = measure(grid, flight, conditions, method.name)
         if kept is None or metrics.min_distance.min() < kept[1].min_distance.min():
             kept = flight, metrics
         found.append(metrics)
         deviations.append(flight.deviation)
         counts += np.bincount(flight.why.ravel(), minlength=len(counts))
-    seconds = fly(scene, method, parts[0].only(0)).seconds
-    outcome = Outcome(
+    seconds = fly(grid, method, parts[0].only(0)).seconds
+    outcome = MethodResult(
         key,
         method.name,
         method.claim,
         type(found[0]).join(found),
         np.concatenate(deviations),
         (float(np.median(seconds)), float(np.percentile(seconds, 99))),
-        _synthesis(scene, key) + built,
+        _synthesis(grid, key) + built,
         dict(zip(method.reasons, counts.tolist(), strict=True)),
-        dict(getattr(method, "settings", {})),
+        method.settings,
     )
     assert kept is not None
-    return outcome, _show(scene, method, *kept, nearest=outcome.metrics.nearest)
+    return outcome, _show(grid, method, *kept, nearest=outcome.metrics.nearest)
 
 
-def _show(scene: Scene, method: Method, flight: Flight, metrics: Any, nearest: Any) -> Shown:
+def _show(grid: DecisionGrid, method: Method, flight: Flight, metrics: Any, nearest: Any) -> Shown:
     worst = metrics.worst
     chosen = [worst, *(run for run in range(len(flight.states)) if run != worst)][: 1 + SHOWN]
-    who = flown(scene, flight)
+    who = flown(grid, flight)
     decisions = [
         {
-            "t": k * scene.period,
-            "mode": int(who[worst, min(k * scene.nodes + scene.delay, who.shape[1] - 1)]),
+            "t": k * grid.period,
+            "mode": int(who[worst, min(k * grid.nodes + grid.delay, who.shape[1] - 1)]),
             "margin": float(flight.margins[worst, k]) if np.isfinite(flight.margins[worst, k]) else None,
             "reason": method.reasons[int(flight.why[worst, k])],
         }
-        for k in range(scene.decisions)
+        for k in range(grid.decisions)
     ]
     labels = ("closest", *(f"run {run}" for run in chosen[1:]))
     return Shown(
@@ -258,9 +238,9 @@ def _show(scene: Scene, method: Method, flight: Flight, metrics: Any, nearest: A
     )
 
 
-def _synthesis(scene: Scene, key: str) -> float:
+def _synthesis(grid: DecisionGrid, key: str) -> float:
     """Wall time of what the method needs of the two algorithms [s]."""
-    seconds = scene.schedule.seconds
+    seconds = grid.schedule.seconds
     if key == "experimental":
         return 0.0
     return sum(spent for stage, spent in seconds.items() if key == "schedule" or stage != "schedule")

@@ -17,8 +17,8 @@ from ..simulation.disturbances import disturbances
 from ..simulation.integration import Integrator
 from ..simulation.simulate import initial_states
 from ..synthesis.controllers import AffineController
+from .decision_grid import DecisionGrid
 from .method import FILTERED, Method, Seen
-from .scene import Scene
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +43,7 @@ class Conditions:
     seed: int
 
     @classmethod
-    def draw(cls, scene: Scene, runs: int, seed: int) -> Conditions:
+    def draw(cls, grid: DecisionGrid, runs: int, seed: int) -> Conditions:
         """Half of the runs under random disturbances, half under worst cases.
 
         The worst cases are those of the flights of S alone, of U alone and of the schedule, in equal
@@ -52,12 +52,12 @@ class Conditions:
         """
         whole("runs", runs, 1)
         rng = np.random.default_rng(whole("seed", seed, 0))
-        schedule, planned = scene.fine_schedule, scene.clearance.planned
-        alone = [np.full(planned, mode) for mode in range(min(len(scene.controllers), 2))]
+        schedule, planned = grid.fine_schedule, grid.clearance.planned
+        alone = [np.full(planned, mode) for mode in range(min(len(grid.controllers), 2))]
         plans = [schedule.modes, *alone]
         x0 = initial_states(schedule, runs, rng, "mixed")
         flights = [Integrator(schedule, modes, 1) for modes in plans]
-        theta = scene.schedule.safety.problem.initial_set
+        theta = grid.schedule.safety.problem.initial_set
         share, parts, first = runs // 2, [], 0
         for number, flight in enumerate(flights):
             count = (share + number) // len(plans)
@@ -69,7 +69,7 @@ class Conditions:
                     x0[first : first + count] = theta.c + corner
                 first += count
         parts.append(disturbances(flights[0], runs - first, rng, "random")[0])
-        errors = rng.uniform(-1, 1, (scene.decisions, runs, scene.system.n)) * scene.half_widths
+        errors = rng.uniform(-1, 1, (grid.decisions, runs, grid.system.n)) * grid.half_widths
         return cls(x0, np.concatenate(parts, axis=1), errors, seed)
 
     def only(self, run: int) -> Conditions:
@@ -116,7 +116,7 @@ class Flight:
 
 
 def fly(
-    scene: Scene,
+    grid: DecisionGrid,
     method: Method,
     conditions: Conditions,
     progress: Callable[[int, int], None] | None = None,
@@ -126,47 +126,47 @@ def fly(
     Feedback laws are integrated by a fourth-order Runge-Kutta scheme between the nodes (continuous
     feedback) or held exactly (sampled feedback); inputs of a filter are held for a decision period.
     """
-    return _Engine(scene).fly(method, conditions, progress)
+    return _Engine(grid).fly(method, conditions, progress)
 
 
 class _Engine:
     """Integration from node to node, every run under its own mode."""
 
-    def __init__(self, scene: Scene) -> None:
-        self.scene, self.system = scene, scene.system
-        self.sampled = scene.tracking.feedback.sampled
-        self.parts = 1 if self.sampled else max(ceil(scene.h * scene.fastest / 0.1), 1)
-        self.dt = scene.h / self.parts
+    def __init__(self, grid: DecisionGrid) -> None:
+        self.grid, self.system = grid, grid.system
+        self.sampled = grid.tracking.feedback.sampled
+        self.parts = 1 if self.sampled else max(ceil(grid.h * grid.fastest / 0.1), 1)
+        self.dt = grid.h / self.parts
 
     @cached_property
     def _arcs(self) -> dict[int, Array]:
         """References at the half-steps of every cell, shape (cells, 2 q parts + 1, n), by mode."""
-        count = 2 * self.scene.clearance.q * self.parts
-        safe = self.scene.clearance.reference.fine(count)
+        count = 2 * self.grid.clearance.q * self.parts
+        safe = self.grid.clearance.reference.fine(count)
         out = {}
-        for mode, law in enumerate(self.scene.controllers):
+        for mode, law in enumerate(self.grid.controllers):
             out[mode] = law.own.fine(count) if isinstance(law, AffineController) else safe
         return out
 
     def fly(
         self, method: Method, conditions: Conditions, progress: Callable[[int, int], None] | None
     ) -> Flight:
-        scene, system = self.scene, self.system
-        R, D, c = len(conditions.x0), scene.decisions, scene.nodes
-        delay = scene.delay if method.delayed else 0
+        grid, system = self.grid, self.system
+        R, D, c = len(conditions.x0), grid.decisions, grid.nodes
+        delay = grid.delay if method.delayed else 0
         N = D * c
         states, inputs = np.empty((N + 1, R, system.n)), np.empty((N, R, system.m))
         demanded, modes = np.zeros((N, R)), np.zeros((N, R), dtype=int)
         margins, why = np.full((D, R), np.nan), np.zeros((D, R), dtype=int)
         seconds, delta_v, deviation = np.zeros(D), np.zeros(R), np.zeros(R)
         flying, u = np.zeros(R, dtype=int), np.zeros((R, system.m))
-        preferred = min(1, len(scene.controllers) - 1)
+        preferred = min(1, len(grid.controllers) - 1)
         method.start(R)
         states[0] = x = conditions.x0
         for k in range(D):
             if progress and k % 50 == 0:
                 progress(k, D)
-            desired = scene.clipped(preferred, k * c, x)
+            desired = grid.clipped(preferred, k * c, x)
             seen = Seen(k, x + conditions.errors[k], desired, flying)
             begun = time.perf_counter()
             choice = method.decide(seen)
@@ -178,7 +178,7 @@ class _Engine:
                     u = u if choice.u is None else choice.u
                 node = k * c + i
                 if i:
-                    desired = scene.clipped(preferred, node, x)
+                    desired = grid.clipped(preferred, node, x)
                 x, inputs[node], demanded[node], spent = self.step(node, flying, u, x, conditions.w[node])
                 states[node + 1], modes[node] = x, flying
                 delta_v += spent * self.dt / system.mass
@@ -186,7 +186,7 @@ class _Engine:
             if delay == c:
                 flying = choice.mode
                 u = u if choice.u is None else choice.u
-        times = np.asarray(np.arange(N + 1) * scene.h, dtype=float)
+        times = np.asarray(np.arange(N + 1) * grid.h, dtype=float)
         return Flight(
             times,
             states.swapaxes(0, 1),
@@ -217,15 +217,15 @@ class _Engine:
         return out[0], out[1], out[2], out[3]
 
     def _under(self, mode: int, node: int, u: Array, x: Array, w: Array) -> tuple[Array, Array, Array, Array]:
-        Ad, Bd, Dd = self.scene.held
+        Ad, Bd, Dd = self.grid.held
         limit = self.system.u_max
         if mode == FILTERED or self.sampled:
-            raw = u if mode == FILTERED else self.scene.command(mode, node, x)
+            raw = u if mode == FILTERED else self.grid.command(mode, node, x)
             applied = np.clip(raw, -limit, limit)
             demand = (np.abs(raw) / limit).max(axis=1)
             following = x @ Ad.T + applied @ Bd.T + w @ Dd.T
             return following, applied, demand, np.abs(applied).sum(axis=1) * self.parts
-        k, place = divmod(node, self.scene.clearance.q)
+        k, place = divmod(node, self.grid.clearance.q)
         force = w @ self.system.D.T
         first = np.zeros(0)
         demand, spent = np.zeros(len(x)), np.zeros(len(x))
@@ -245,7 +245,7 @@ class _Engine:
         return x, first, demand, spent
 
     def _command(self, mode: int, k: int, half: int, x: Array) -> Array:
-        law = self.scene.controllers[mode]
+        law = self.grid.controllers[mode]
         return law.command(k, self._arcs[0][k, half], self._arcs[mode][k, half], x)
 
     def _rate(self, mode: int, k: int, half: int, x: Array, force: Array) -> Array:

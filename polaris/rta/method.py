@@ -1,18 +1,22 @@
-"""The one protocol of all run-time assurance methods, and what they answer."""
+"""The one protocol of all run-time assurance methods, their registry, and what they answer."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Protocol
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..model.system import Array
-from .scene import Scene
+from .decision_grid import DecisionGrid
 
 FILTERED = -1
 """Mode of a period in which neither S nor U flies but an input that a filter has chosen."""
+
+METHODS: dict[str, type[Method]] = {}
+"""Every method by its key, in the order of tables; classes put themselves in."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +62,11 @@ class Choice:
     why: NDArray[np.int_]
     u: Array | None = None
 
+    @classmethod
+    def between(cls, inside: NDArray[np.bool_], margin: Array) -> Choice:
+        """U where it is accepted (reason 0), S elsewhere (reason 1)."""
+        return cls(np.where(inside, 1, 0), margin, np.where(inside, 0, 1))
+
 
 @dataclass(frozen=True)
 class Claim:
@@ -74,41 +83,115 @@ class Claim:
     reach: str
 
 
-class Method(Protocol):
-    """A run-time assurance method on one scene."""
+@dataclass(frozen=True)
+class Option:
+    """What a method can be tuned by: a keyword of its class, ``--tune KEY.NAME=VALUE`` on the command line.
 
-    key: str
+    Attributes
+    ----------
+    name, meaning, default : str
+        For the documentation.
+    values : tuple of float
+        What the benchmark of the comparison page tries.
+    unit : {"", "decisions", "per duration", "of the duration"}
+        Of those values; durations are those of the flight.
+    """
+
     name: str
-    reasons: tuple[str, ...]
-    delayed: bool
-    """Whether it decides on a measurement, so that the latency passes before a decision takes effect."""
+    meaning: str
+    default: str
+    values: tuple[float, ...]
+    unit: str = ""
+
+
+class Method(ABC):
+    """A run-time assurance method on one grid; a class with a `key` registers itself.
+
+    Parameters
+    ----------
+    grid : DecisionGrid
+
+    Attributes
+    ----------
+    key, name : str
+        On the command line, and for people.
+    how : str
+        How it decides, for the documentation.
+    proven : bool
+        Whether its promise is proved.
+    reasons : tuple of str
+        What `Choice.why` points into.
+    option : Option or None
+        What it can be tuned by.
+    delayed : bool
+        Whether it decides on a measurement, so that the latency passes before a decision takes effect.
+    place : int
+        Where it stands in tables.
+    settings : dict of str to float
+        What it was tuned with.
+    """
+
+    key: ClassVar[str]
+    name: str
+    how: ClassVar[str]
+    proven: ClassVar[bool] = False
+    reasons: ClassVar[tuple[str, ...]]
+    option: ClassVar[Option | None] = None
+    delayed: ClassVar[bool] = True
+    place: ClassVar[int] = 100
+
+    def __init_subclass__(cls) -> None:
+        if "key" in vars(cls):
+            METHODS[cls.key] = cls
+            ordered = sorted(METHODS.items(), key=lambda item: item[1].place)
+            METHODS.clear()
+            METHODS.update(ordered)
+
+    def __init__(self, grid: DecisionGrid) -> None:
+        self.grid = grid
+        self.settings: dict[str, float] = {}
 
     @property
     def claim(self) -> Claim:
-        """What it promises."""
-        ...
+        """What it promises here; a proof also rests on what S does at the end."""
+        if self.proven:
+            return Claim("proved", f"{self.reach}; {self.grid.schedule.safety.end.reason}")
+        return Claim("none", self.reach)
 
-    def start(self, runs: int) -> None:
+    @property
+    @abstractmethod
+    def reach(self) -> str:
+        """What its proof rests on, or what is missing for one."""
+
+    def start(self, runs: int) -> None:  # noqa: B027
         """Forget everything; so many runs will be decided at once."""
-        ...
 
+    @abstractmethod
     def decide(self, seen: Seen) -> Choice:
         """Decide who flies until the next decision takes effect."""
-        ...
 
 
-class Memoryless:
-    """A method that remembers nothing from one decision to the next."""
+class Latched(Method):
+    """U as long as `margin` has never been negative; then S to the end."""
 
-    delayed = True
+    reasons = ("inside", "leaving", "latched in S")
 
-    def __init__(self, scene: Scene) -> None:
-        self.scene = scene
+    def __init__(self, grid: DecisionGrid) -> None:
+        super().__init__(grid)
+        self._latched: NDArray[np.bool_] = np.zeros(0, dtype=bool)
 
     def start(self, runs: int) -> None:
-        """Nothing to forget."""
+        """Nobody is latched."""
+        self._latched = np.zeros(runs, dtype=bool)
 
+    @abstractmethod
+    def margin(self, seen: Seen) -> Array:
+        """What is judged by, shape (R,)."""
 
-def accept(inside: NDArray[np.bool_], margin: Array, mode: int = 1) -> Choice:
-    """U where it is accepted (reason 0), S elsewhere (reason 1)."""
-    return Choice(np.where(inside, mode, 0), margin, np.where(inside, 0, 1))
+    def decide(self, seen: Seen) -> Choice:
+        """Switch once."""
+        margin = self.margin(seen)
+        leaving = ~(margin >= 0)  # what cannot be worked out is not inside
+        why = np.where(self._latched, 2, np.where(leaving, 1, 0))
+        self._latched = self._latched | leaving
+        return Choice(np.where(self._latched, 0, 1), margin, why)

@@ -15,8 +15,8 @@ from reach.tubes.flow import LinearFlow
 from ..model.system import Array
 from ..model.tolerances import ROUNDING
 from ..synthesis.controllers import AffineController
+from .decision_grid import DecisionGrid
 from .recovery import Recovery
-from .scene import Scene
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,13 +54,13 @@ class Leg:
     @classmethod
     def declared(cls, recovery: Recovery, mode: int) -> Leg:
         """A controller at its declared law, unclipped."""
-        scene, law = recovery.scene, recovery.scene.controllers[mode]
+        grid, law = recovery.grid, recovery.grid.controllers[mode]
         assert isinstance(law, AffineController)
-        system, nodes = scene.system, scene.last
-        flow = scene.tracking.feedback.flow(system, law.gain, scene.tracking.delta)
+        system, nodes = grid.system, grid.last
+        flow = grid.tracking.feedback.flow(system, law.gain, grid.tracking.delta)
         zeta = np.zeros((nodes, 2, system.n))
-        if mode in scene.own:
-            clearance = scene.clearance
+        if mode in grid.own:
+            clearance = grid.clearance
             arcs = law.own.fine(clearance.q)[: clearance.planned] - clearance.nodes[: clearance.planned]
             zeta = np.stack([arcs[:, :-1], arcs[:, 1:]], axis=2).reshape(nodes, 2, system.n)
         return cls(flow, zeta[:, 1] - zeta[:, 0] @ flow.phi.T, flow.period_zonotope.G, law, zeta)
@@ -68,14 +68,14 @@ class Leg:
     @classmethod
     def held(cls, recovery: Recovery) -> Leg:
         """An input that is held from node to node, less what it does: ``input_map`` adds that."""
-        scene, flow = recovery.scene, recovery.open_flow
-        steps = -scene.mu[: scene.last] @ flow.input_map(scene.system.B).T
+        grid, flow = recovery.grid, recovery.open_flow
+        steps = -grid.mu[: grid.last] @ flow.input_map(grid.system.B).T
         return cls(flow, steps, flow.period_zonotope.G)
 
     @classmethod
     def any_thrust(cls, recovery: Recovery) -> Leg:
         """Anything within the thrust limits."""
-        system, held = recovery.scene.system, cls.held(recovery)
+        system, held = recovery.grid.system, cls.held(recovery)
         size = np.abs(system.B) @ system.u_max
         push = held.flow.input_zonotope(system.B, np.diag(system.u_max), size)
         return replace(held, G=np.hstack([push.G, held.G]))
@@ -104,17 +104,17 @@ class Prospect:
     """
 
     def __init__(self, recovery: Recovery, before: Leg | None, leg: Leg, half_widths: Array) -> None:
-        scene = recovery.scene
-        n, c = scene.system.n, scene.nodes
-        self.recovery, self.scene = recovery, scene
-        stages = [Stage(np.eye(n), np.zeros((scene.last, n)), np.diag(half_widths))]
-        for i in range(scene.delay + c):
-            flying = before if before is not None and i < scene.delay else leg
+        grid = recovery.grid
+        n, c = grid.system.n, grid.nodes
+        self.recovery, self.grid = recovery, grid
+        stages = [Stage(np.eye(n), np.zeros((grid.last, n)), np.diag(half_widths))]
+        for i in range(grid.delay + c):
+            flying = before if before is not None and i < grid.delay else leg
             stages.append(flying.after(stages[-1], i))
-        self.inner, self.end = stages[scene.delay + 1 : -1], stages[-1]
-        self.command = _Command(scene, leg, stages[scene.delay :]) if leg.law is not None else None
+        self.inner, self.end = stages[grid.delay + 1 : -1], stages[-1]
+        self.command = _Command(grid, leg, stages[grid.delay :]) if leg.law is not None else None
         # One product gives the end, what the norms need, and the commands.
-        W = scene.tracking.W
+        W = grid.tracking.W
         blocks = [self.end.M, *(W @ stage.M for stage in stages)]
         known = [self.end.offset, *(stage.offset @ W.T for stage in stages)]
         if self.command is not None:
@@ -136,15 +136,15 @@ class Prospect:
         e : ndarray, shape (R, n) or (n,)
             Errors as measured at it.
         """
-        n, first = e.shape[-1], k * self.scene.nodes + self.scene.delay
-        if first + self.scene.nodes > self.scene.last:  # nothing is planned up to the next moment of effect
+        n, first = e.shape[-1], k * self.grid.nodes + self.grid.delay
+        if first + self.grid.nodes > self.grid.last:  # nothing is planned up to the next moment of effect
             return np.full(e.shape[:-1], np.inf), np.ones(e.shape[:-1], dtype=bool)
         moved = e @ self.stack
         moved += self.known[k]
         size = self._size(moved, n)
-        share = self.recovery.share(first + self.scene.nodes, moved[..., :n], size, self.demand)
+        share = self.recovery.share(first + self.grid.nodes, moved[..., :n], size, self.demand)
         for j, (stage, demand) in enumerate(zip(self.inner, self.inner_demand, strict=True)):
-            there = e @ stage.M.T + stage.offset[k * self.scene.nodes]
+            there = e @ stage.M.T + stage.offset[k * self.grid.nodes]
             share = np.maximum(share, self.recovery.facets_share(first + j + 1, there, size, demand))
         if self.command is None:
             return share, True
@@ -158,29 +158,20 @@ class Prospect:
         squares = (moved[..., n : self.commands] ** 2).reshape(*moved.shape[:-1], -1, n)
         return np.asarray(np.sqrt(squares.sum(axis=-1).max(axis=-1)) + self.radius)
 
-    def tightest(self, k: int, e: Array) -> str:
-        """What an error (n,) measured at decision k comes nearest to."""
-        node = k * self.scene.nodes + self.scene.delay + self.scene.nodes
-        if node > self.scene.last:
-            return "the end of the plan"
-        moved = e @ self.end.M.T + self.end.offset[k * self.scene.nodes]
-        size = float(np.linalg.norm(self.scene.tracking.W @ moved)) + self.radius
-        return self.recovery.tightest(node, moved, size, self.demand)
-
 
 class _Command:
     """Where the command of a declared law stays within the thrust limits over all of its periods."""
 
-    def __init__(self, scene: Scene, leg: Leg, stages: list[Stage]) -> None:
-        law, system, q = leg.law, scene.system, scene.clearance.q
+    def __init__(self, grid: DecisionGrid, leg: Leg, stages: list[Stage]) -> None:
+        law, system, q = leg.law, grid.system, grid.clearance.q
         assert law is not None
         count = len(stages[0].offset)
-        W_size = np.linalg.norm(scene.tracking.W_inverse, axis=1)
-        sampled = scene.tracking.feedback.sampled
+        W_size = np.linalg.norm(grid.tracking.W_inverse, axis=1)
+        sampled = grid.tracking.feedback.sampled
         matrices, known, room, per_size = [], [], [], []
-        steps = np.repeat(law.own.nu[: scene.clearance.planned], q, axis=0)[:count]
+        steps = np.repeat(law.own.nu[: grid.clearance.planned], q, axis=0)[:count]
         for j in range(len(stages) - 1):
-            cells = np.minimum(np.arange(count) + scene.delay + j, count - 1)
+            cells = np.minimum(np.arange(count) + grid.delay + j, count - 1)
             for end in (0,) if sampled else (0, 1):
                 stage = stages[j + end]
                 zeta = leg.zeta[cells, end]

@@ -27,15 +27,16 @@ class QuickProspect:
     """
 
     def __init__(self, prospect: Prospect) -> None:
-        self.prospect, scene = prospect, prospect.scene
+        self.prospect, grid = prospect, prospect.grid
         recovery, demand = prospect.recovery, prospect.demand
-        n, self._c, self._delay, self._last = scene.system.n, scene.nodes, scene.delay, scene.last
+        n, self._c, self._delay, self._last = grid.system.n, grid.nodes, grid.delay, grid.last
         self._r, self._near, self._count = len(recovery.rows), demand.near, len(demand.tall)
         self._stack, self._known = prospect.stack, prospect.known
         self._near_rows = np.ascontiguousarray(demand.tall[: self._near].T)
         self._far_rows = np.ascontiguousarray(demand.tall[self._near :].T)
         self._base, self._slope, self._radius = demand.base, demand.slope, prospect.radius
-        self._reciprocals, self._beyond = recovery.reciprocals, recovery._far_reciprocals.tolist()
+        self._reciprocals, self._taken = recovery.reciprocals, recovery.taken
+        self._beyond = recovery.far_shares.tolist()
         self._norms = [(i, i + n) for i in range(n, prospect.commands, n)]
         self._n, self._commands, command = n, prospect.commands, prospect.command
         rooms = [] if command is None else zip(command.room.tolist(), command.per_size.tolist(), strict=True)
@@ -88,15 +89,17 @@ class QuickProspect:
         at, near = end * self._r, self._near
         need = np.dot(vector, self._near_rows, out=self._need)
         np.multiply(need, self._reciprocals[at : at + near], out=need)
+        np.add(need, self._taken[at : at + near], out=need)
         self._where = where = int(need.argmax())
         share = float(need[where])
-        beyond = size * self._beyond[end]
+        beyond = max([base + slope * size for base, slope in self._beyond[end]])
         if beyond > share:
             share, self._where = beyond, -1
         later = self._base + self._slope * size
         if later > 1:
             rest = np.dot(vector, self._far_rows, out=self._rest)
             np.multiply(rest, self._reciprocals[at + near : at + self._count], out=rest)
+            np.add(rest, self._taken[at + near : at + self._count], out=rest)
             later, where = 0.0, int(rest.argmax()) if len(rest) else 0
             if len(rest) and rest[where] > share:
                 self._where, later = near + where, float(rest[where])
@@ -123,4 +126,4 @@ class QuickProspect:
             return "limits beyond the loop's memory"
         lag, row = divmod(self._where, self._r)
         node = self._end + lag
-        return f"{self.prospect.recovery._names[row]} at t = {node * self.prospect.scene.h:g} s"
+        return f"{self.prospect.recovery._names[row]} at t = {node * self.prospect.grid.h:g} s"

@@ -25,7 +25,7 @@ from ..model.errors import NotCertified
 from ..model.system import Array
 from ..model.tolerances import ROUNDING
 from ..synthesis.polytope_sets import PolytopeSets
-from .scene import Scene
+from .decision_grid import DecisionGrid
 
 NEVER = 1e200
 """Reciprocal of a limit that leaves no room; times any error it is still a number."""
@@ -61,13 +61,13 @@ class Recovery:
 
     Parameters
     ----------
-    scene : Scene
+    grid : DecisionGrid
     """
 
-    scene: Scene
+    grid: DecisionGrid
 
     @classmethod
-    def certified(cls, scene: Scene) -> Recovery:
+    def certified(cls, grid: DecisionGrid) -> Recovery:
         """The conditions, if the initial set meets them at the first node: what every proof starts from.
 
         Raises
@@ -75,7 +75,7 @@ class Recovery:
         NotCertified
             If it does not.
         """
-        found = cls(scene)
+        found = cls(grid)
         if not found.start_share <= 1:
             raise NotCertified(
                 "the initial set is not inside the first recoverable set of the run-time methods:"
@@ -86,30 +86,30 @@ class Recovery:
     @cached_property
     def sets(self) -> PolytopeSets:
         """The recoverable sets of `polaris.synthesis.polytope_sets`, on the fine grid."""
-        return PolytopeSets(self.scene.clearance)
+        return PolytopeSets(self.grid.clearance)
 
     @cached_property
     def start_share(self) -> float:
         """Share of the room that the initial set needs at the first node."""
-        start = self.scene.schedule.safety.start
-        size = np.asarray(np.linalg.norm(self.scene.tracking.W @ start.c) + self.size(start.G))
+        start = self.grid.schedule.safety.start
+        size = np.asarray(np.linalg.norm(self.grid.tracking.W @ start.c) + self.size(start.G))
         return float(self.share(0, start.c, size, self.demand(start.G)))
 
     @cached_property
     def rows(self) -> Array:
         """Facets, then ``+Lambda`` and ``-Lambda``, shape (r, n)."""
-        gain = self.scene.tracking.gain
-        return np.vstack([self.scene.clearance.obstacle_rows[0], gain, -gain])
+        gain = self.grid.tracking.gain
+        return np.vstack([self.grid.clearance.obstacle_rows[0], gain, -gain])
 
     @property
     def lags(self) -> int:
         """Number L of nodes each set looks ahead to, its own included."""
-        return len(self.scene.tracking.transitions)
+        return len(self.grid.tracking.transitions)
 
     @cached_property
     def matrix(self) -> Array:
         """``[row phi^l, what is booked per unit of norm(W e)]``, shape (L r, n + 1), lag by lag."""
-        tracking = self.scene.tracking
+        tracking = self.grid.tracking
         carried = self.rows @ tracking.transitions
         booked = tracking.curvature(self.rows) * tracking.decay_before[:, None]
         booked[:, : len(self._bent)] += self._bent * tracking.decay_before[:, None]
@@ -119,9 +119,9 @@ class Recovery:
 
     @cached_property
     def booked(self) -> Array:
-        """What S's disturbance and the path between nodes need of every row, shape (L r,)."""
-        tracking = self.scene.tracking
-        out = tracking.disturbance(self.rows)[: self.lags].copy()
+        """What S's disturbance, round-off and the path between nodes need of every row, shape (L r,)."""
+        tracking = self.grid.tracking
+        out = (tracking.disturbance(self.rows) + self.grid.clearance.round_off(self.rows))[: self.lags]
         out[:, : len(self.bow)] += self.bow + self._bent * tracking.disturbance_radius
         return np.asarray(out.reshape(-1) * (1 + ROUNDING))
 
@@ -130,8 +130,8 @@ class Recovery:
     @cached_property
     def open_flow(self) -> LinearFlow:
         """Motion under a known input, from node to node."""
-        system = self.scene.system
-        return LinearFlow.continuous(system.A, system.D, system.w_max, self.scene.h)
+        system = self.grid.system
+        return LinearFlow.continuous(system.A, system.D, system.w_max, self.grid.h)
 
     @cached_property
     def bow(self) -> Array:
@@ -140,10 +140,10 @@ class Recovery:
         Where neither enters the position's rate at once, by ``h^2/8`` times the second derivative; else
         by what they add within a period, and the same of the chord.
         """
-        system, flow = self.scene.system, self.open_flow
-        rows = self.scene.clearance.obstacle_rows[0]
+        system, flow = self.grid.system, self.open_flow
+        rows = self.grid.clearance.obstacle_rows[0]
         spread = 2 * system.u_max  # |u - mu|
-        pushed = LinearFlow.continuous(system.A, system.B * spread, 1.0, self.scene.h).period_box
+        pushed = LinearFlow.continuous(system.A, system.B * spread, 1.0, self.grid.h).period_box
         within = pushed + flow.period_box
         rate = rows @ system.A
         bend = np.abs(rate @ system.A) @ within + np.abs(rate @ system.B) @ spread
@@ -154,8 +154,8 @@ class Recovery:
     @cached_property
     def _bent(self) -> Array:
         """The same by the error itself, per unit of ``norm(W e)`` at the start of the period, (o,)."""
-        flow, rows = self.open_flow, self.scene.clearance.obstacle_rows[0]
-        size = np.linalg.norm(self.scene.tracking.W_inverse, axis=1)
+        flow, rows = self.open_flow, self.grid.clearance.obstacle_rows[0]
+        size = np.linalg.norm(self.grid.tracking.W_inverse, axis=1)
         return np.asarray(flow.h**2 / 8 * np.abs(rows @ flow.A_x @ flow.A_x) @ flow.growth @ size)
 
     # -- limits ---------------------------------------------------------------------------------------
@@ -163,12 +163,12 @@ class Recovery:
     @cached_property
     def limits(self) -> Array:
         """Least room of every row at every node (at a border, of both cells), shape (nodes + L + 1, r)."""
-        q = self.scene.clearance.q
+        q = self.grid.clearance.q
         return np.minimum(self._limits(np.arange(q)), self._limits(np.array([q])))
 
     def _limits(self, places: NDArray[np.int_]) -> Array:
         """The same at some of every cell's nodes, infinite elsewhere."""
-        cells, q, room = self.scene.clearance.cells, self.scene.clearance.q, self.sets.room
+        cells, q, room = self.grid.clearance.cells, self.grid.clearance.q, self.sets.room
         out = np.full((cells * q + 1 + self.lags, len(self.rows)), np.inf)
         at = np.arange(cells)[:, None] * q + places
         np.minimum.at(out, (at[:, :, None], self._index[:, None, :]), room[:, places])
@@ -177,34 +177,47 @@ class Recovery:
     @cached_property
     def _index(self) -> NDArray[np.int_]:
         """Row of every limit in every cell, shape (cells, limits)."""
-        clearance, m = self.scene.clearance, self.scene.system.m
+        clearance, m = self.grid.clearance, self.grid.system.m
         rows, index = clearance.obstacle_rows
         thrust = np.broadcast_to(len(rows) + np.arange(2 * m), (clearance.cells, 2 * m))
         return np.hstack([index, thrust])
 
     @cached_property
+    def _jump(self) -> Array:
+        """What the jump into the tail has taken of `limits`; it counts as a need of the whole room."""
+        out = np.zeros_like(self.limits)
+        out[self.grid.last :] = self.grid.clearance.jump_need(self.rows)
+        return out
+
+    @cached_property
     def reciprocals(self) -> Array:
-        """``1 / limits``, flat: node by node, row by row."""
+        """``1 / (limits + jump)``, flat: node by node, row by row."""
+        whole = self.limits + self._jump
         with np.errstate(divide="ignore"):
-            return np.asarray(np.where(self.limits > 0, 1 / self.limits, NEVER).reshape(-1))
+            return np.asarray(np.where(whole > 0, 1 / whole, NEVER).reshape(-1))
+
+    @cached_property
+    def taken(self) -> Array:
+        """Share of the room that the jump needs, flat as `reciprocals`."""
+        return np.asarray(self._jump.reshape(-1) * self.reciprocals)
 
     def window(self, node: int) -> Array:
-        """Reciprocals of the limits that a set at a node must meet, shape (L r,)."""
-        r = len(self.rows)
-        return self.reciprocals[node * r : (node + self.lags) * r]
+        """The limits that a set at a node must meet, shape (L r,)."""
+        return np.asarray(self.limits[node : node + self.lags].reshape(-1))
 
     def size(self, G: Array) -> float:
         """Bound on ``norm(W e)`` over the set about zero with these generators (n, g)."""
-        return float(Zonotope(np.zeros(len(G)), G).norm_bound(self.scene.tracking.W))
+        return float(Zonotope(np.zeros(len(G)), G).norm_bound(self.grid.tracking.W))
 
     def demand(self, G: Array) -> Demand:
         """What sets with generators G (n, g) need of the rows."""
         booked = self.booked + np.abs(self.matrix[:, :-1] @ G).sum(axis=1) * (1 + ROUNDING)
         tall = np.hstack([self.matrix, booked[:, None]])
         near = min(max(NEAR // len(self.rows), 1), self.lags) * len(self.rows)
-        size = np.linalg.norm(self.matrix[:, :-1] @ self.scene.tracking.W_inverse, axis=1)
+        size = np.linalg.norm(self.matrix[:, :-1] @ self.grid.tracking.W_inverse, axis=1)
         slope = (size * (1 + ROUNDING) + self.matrix[:, -1]).reshape(self.lags, -1) * self._tightest_ever
-        base = booked.reshape(self.lags, -1) * self._tightest_ever
+        ever = self.taken.reshape(-1, len(self.rows)).max(axis=0)
+        base = booked.reshape(self.lags, -1) * self._tightest_ever + ever
         first = near // len(self.rows)
         return Demand(
             np.ascontiguousarray(tall),
@@ -235,11 +248,14 @@ class Recovery:
         first, vector = node * len(self.rows), _extended(e, size)
         need = vector @ demand.tall[: demand.near].T
         need *= self.reciprocals[first : first + demand.near]
-        share = np.maximum(need.max(axis=-1), size * self._far_reciprocals[node])
+        need += self.taken[first : first + demand.near]
+        beyond = self.far_shares[node, :, 0] + np.multiply.outer(size, self.far_shares[node, :, 1])
+        share = np.maximum(need.max(axis=-1), beyond.max(axis=-1))
         later = demand.base + demand.slope * size
         if (later > 1).any():
             rest = vector @ demand.tall[demand.near :].T
             rest *= self.reciprocals[first + demand.near : first + len(demand.tall)]
+            rest += self.taken[first + demand.near : first + len(demand.tall)]
             later = rest.max(axis=-1, initial=0.0)
         return np.asarray(np.maximum(share, later))
 
@@ -251,43 +267,60 @@ class Recovery:
 
     def far(self, node: int) -> float:
         """Largest ``norm(W e)`` at a node with which all limits beyond the memory are met."""
-        return float(self._far[min(node, len(self._far) - 1)])
+        allowed = self._far[0]
+        return float(allowed[min(node, len(allowed) - 1)])
 
     @cached_property
-    def _far(self) -> Array:
-        """The same at all nodes, shape (nodes + L + 1,).
+    def _far(self) -> tuple[Array, Array, Array]:
+        """The same at all nodes; shares of the room needed without any error, and per unit of ``norm(W e)``.
+
+        Shape (nodes + L + 1,) each.
 
         What `bow` and `_bent` book is booked here too: U may take over when S has flown for longer than
         the memory, and the facets of the node where it does were met by this condition alone.
         """
-        tracking, clearance = self.scene.tracking, self.scene.clearance
+        tracking, clearance = self.grid.tracking, self.grid.clearance
         tail, o = (clearance.cells - clearance.planned) * clearance.q, len(self.bow)
         # Of every period: what its cell allows where it begins, and where it ends.
         ends = np.stack([self._limits(np.arange(clearance.q) + end) for end in (0, 1)])
-        ends -= tracking.disturbance(self.rows)[-1] * (1 + ROUNDING)
+        disturbance = tracking.disturbance(self.rows)[-1] + clearance.round_off(self.rows)
+        need = np.zeros_like(ends) + disturbance * (1 + ROUNDING)
         path = (self.bow + self._bent * tracking.disturbance_radius) * (1 + ROUNDING)
-        ends[:, : self.scene.last + 1, :o] -= path  # after T nobody but S flies
+        need[:, : self.grid.last + 1, :o] += path  # after T nobody but S flies
         weight = np.linalg.norm(self.rows @ tracking.W_inverse, axis=1) + tracking.curvature(self.rows)
         weight[:o] += self._bent
         # The tail repeats itself for ever: an error is at least as old as one tail when that begins.
         weight *= tracking.decay[min(tail, len(tracking.decay) - 1) if tail else -1]
-        begins, done = np.min(ends / np.maximum(weight, 1e-300), axis=2)
-        allowed = np.minimum(begins, np.append(done[1:], np.inf))
-        suffix = np.minimum.accumulate(allowed[::-1])[::-1]
-        last = self.scene.last if tail else len(suffix) - 1
-        return np.asarray(suffix[np.minimum(np.arange(len(suffix)) + tracking.memory, last)])
+        allowed = np.min((ends - need) / np.maximum(weight, 1e-300), axis=2)
+        possible, whole = allowed > 0, np.maximum(ends + self._jump, 1 / NEVER)
+        base = np.where(possible, np.max((need + self._jump) / whole, axis=2), NEVER)
+        steep = np.where(possible, np.max(weight / whole, axis=2), NEVER)
+        last = self.grid.last if tail else len(self.limits) - 1
+        at = np.minimum(np.arange(len(self.limits)) + tracking.memory, last)
+        least, most = (np.inf, np.minimum), (0.0, np.maximum)
+        return (
+            self._later(allowed, *least)[at],
+            self._later(base, *most)[at],
+            self._later(steep, *most)[at],
+        )
+
+    @staticmethod
+    def _later(ends: Array, none: float, pick: np.ufunc) -> Array:
+        """Least or largest from a node on, of what holds where its period begins and where it ends."""
+        both = pick(ends[0], np.append(ends[1][1:], none))
+        return np.asarray(pick.accumulate(both[::-1])[::-1])
 
     @cached_property
-    def _far_reciprocals(self) -> Array:
-        """``1 / norm(W e)`` allowed by the limits beyond the memory, per node."""
-        with np.errstate(divide="ignore"):
-            return np.asarray(np.where(self._far > 0, 1 / self._far, NEVER))
+    def far_shares(self) -> Array:
+        """Share of the room beyond the memory: at most the larger of two ``a + b norm(W e)``, (nodes, 2, 2).
 
-    def tightest(self, node: int, e: Array, size: float, demand: Demand) -> str:
-        """Name of the limit that a set about e (n,) is nearest to, and when [s] S meets it."""
-        need = _extended(e, np.asarray(size)) @ demand.tall.T * self.window(node)
-        lag, row = divmod(int(np.argmax(need)), len(self.rows))
-        return f"{self._names[row]} at t = {(node + lag) * self.scene.h:g} s"
+        The largest of the limits' shares is convex in the norm, and at most 1 at the largest allowed. Below
+        that the chord lies above it, beyond that the line of the steepest share.
+        """
+        allowed, base, steep = self._far
+        slope = np.where(allowed > 0, (1 - base) / np.where(allowed > 0, allowed, 1.0), NEVER)
+        beyond = 1 - steep * np.where(np.isinf(allowed), 0.0, allowed)
+        return np.stack([np.stack([base, slope], axis=1), np.stack([beyond, steep], axis=1)], axis=1)
 
     @cached_property
     def _names(self) -> list[str]:

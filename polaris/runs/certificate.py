@@ -12,22 +12,29 @@ import numpy as np
 from reach.numerics.linear import growth
 
 from ..certificate.document import FORMAT, VERSION, canonical, digest
-from ..model.system import Array
+from ..model.system import Array, LinearSystem
 from ..model.timed_polytope import TimedPolytope
 from ..model.tolerances import ROUNDING
 from ..synthesis.clearance import error_tube
 from ..synthesis.controllers import AffineController, Controller, TubeSegment
 from ..synthesis.get_safety import Safety
-from ..synthesis.schedule import Schedule, Step, assumed
+from ..synthesis.schedule import Schedule, assumed
 
 
 def hexadecimal(values: Any) -> Any:
-    """The same nested lists, floats as exact hexadecimal text."""
-    if isinstance(values, list):
+    """The same nested data, floats as exact hexadecimal text; words, whole numbers and None stay."""
+    if isinstance(values, dict):
+        return {key: hexadecimal(item) for key, item in values.items()}
+    if isinstance(values, np.ndarray):
+        return hexadecimal(values.tolist())
+    if isinstance(values, (list, tuple)):
         return [hexadecimal(item) for item in values]
-    if isinstance(values, (np.ndarray, tuple)):
-        return hexadecimal(np.asarray(values, dtype=float).tolist())
-    return float(values).hex()
+    return values.hex() if isinstance(values, float) else values
+
+
+def _claimed(value: float) -> float | None:
+    """None where nothing is claimed."""
+    return float(value) if np.isfinite(value) else None
 
 
 def file_hash(path: Path) -> str:
@@ -51,75 +58,37 @@ def certificate(schedule: Schedule, name: str, files: Iterable[Path] = ()) -> di
     dict
         JSON data; see docs/certificate.md.
     """
-    safety, until = schedule.safety, schedule.safety.end.until
+    safety = schedule.safety
+    start, end, feedback = safety.problem.initial_set, safety.end, safety.tracking.feedback
+    K, q = safety.problem.K, feedback.nodes_per_cell
+    kind = "sampled" if feedback.sampled else "continuous"
     data: dict[str, Any] = {
         "format": FORMAT,
         "schema_version": VERSION,
         "scenario": {"name": name},
         "artefacts": {path.name: file_hash(path) for path in files},
-        **_setting(safety),
+        "system": _system(safety.problem.system),
+        "sampling": {"kind": kind, "step": float(safety.problem.delta), "steps": K, "nodes_per_step": q},
+        "initial_set": {"center": start.c, "generators": start.G.T},
         "unsafe_sets": [_unsafe(item, safety.reference.cells) for item in safety.clearance.unsafe],
-        "facets": safety.clearance.facets.tolist(),
-        "reference": {
-            "states": hexadecimal(safety.reference.chi),
-            "inputs": hexadecimal(safety.reference.nu),
-        },
+        "facets": safety.clearance.facets,
+        "reference": {"states": safety.reference.chi, "inputs": safety.reference.nu},
         "controllers": [_controller(item, safety) for item in schedule.controllers],
-        "schedule": {
-            "modes": schedule.modes.tolist(),
-            "margins": [hexadecimal(m) if np.isfinite(m) else None for m in schedule.margins.tolist()],
-        },
+        "schedule": {"modes": schedule.modes, "margins": [_claimed(m) for m in schedule.margins]},
         **_bounds(safety),
         "recoverable": {
             "kind": safety.recoverable.kind,
-            "weight": hexadecimal(safety.tracking.W),
-            "radius": [
-                None if np.isinf(radius) else hexadecimal(radius)  # where nothing is claimed from there on
-                for radius in (
-                    safety.recoverable.radius(k * safety.clearance.q) for k in range(safety.problem.K + 1)
-                )
-            ],
+            "weight": safety.tracking.W,
+            "radius": [_claimed(safety.recoverable.radius(k * q)) for k in range(K + 1)],
         },
         "enclosures": _enclosures(schedule),
-        "end": {
-            "horizon": safety.end.horizon,
-            "until": hexadecimal(until) if np.isfinite(until) else None,
-            "reason": safety.end.reason,
-        },
+        "end": {"horizon": end.horizon, "until": _claimed(end.until), "reason": end.reason},
         "guarantee": schedule.guarantee,
         "assumptions": assumed(safety),
     }
+    data = hexadecimal(data)
     data["digest"] = digest(data)
     return data
-
-
-def _setting(safety: Safety) -> dict[str, Any]:
-    """The system, its sampling, and where it starts."""
-    system, tracking = safety.problem.system, safety.tracking
-    return {
-        "system": {
-            "kind": "linear" if system.mean_motion is None else "clohessy_wiltshire",
-            "mean_motion": None if system.mean_motion is None else hexadecimal(system.mean_motion),
-            "mass": hexadecimal(system.mass),
-            "A": hexadecimal(system.A),
-            "B": hexadecimal(system.B),
-            "C": hexadecimal(system.position),
-            "D": hexadecimal(system.D),
-            "input_max": hexadecimal(system.u_max),
-            "disturbance_max": hexadecimal(system.w_max),
-            "input_names": list(system.input_names),
-        },
-        "sampling": {
-            "kind": "sampled" if tracking.feedback.sampled else "continuous",
-            "step": hexadecimal(safety.problem.delta),
-            "steps": safety.problem.K,
-            "nodes_per_step": tracking.feedback.nodes_per_cell,
-        },
-        "initial_set": {
-            "center": hexadecimal(safety.problem.initial_set.c),
-            "generators": hexadecimal(safety.problem.initial_set.G.T),
-        },
-    }
 
 
 def write_certificate(folder: Path, schedule: Schedule, name: str, files: Iterable[str]) -> None:
@@ -128,28 +97,34 @@ def write_certificate(folder: Path, schedule: Schedule, name: str, files: Iterab
     (folder / "certificate.json").write_text(canonical(data) + "\n", encoding="utf-8", newline="\n")
 
 
-def _unsafe(item: TimedPolytope, cells: int) -> dict[str, Any]:
+def _system(system: LinearSystem) -> dict[str, Any]:
     return {
-        "name": item.name,
-        "keep_in": item.keep_in,
-        "normals": hexadecimal(item.normals),
-        "offsets": hexadecimal(item.offsets[:cells]),
+        "kind": "linear" if system.mean_motion is None else "clohessy_wiltshire",
+        "mean_motion": None if system.mean_motion is None else float(system.mean_motion),
+        "mass": float(system.mass),
+        "A": system.A,
+        "B": system.B,
+        "C": system.position,
+        "D": system.D,
+        "input_max": system.u_max,
+        "disturbance_max": float(system.w_max),
+        "input_names": list(system.input_names),
     }
+
+
+def _unsafe(item: TimedPolytope, cells: int) -> dict[str, Any]:
+    known = {"name": item.name, "keep_in": item.keep_in}
+    return {**known, "normals": item.normals, "offsets": item.offsets[:cells]}
 
 
 def _controller(item: Controller, safety: Safety) -> dict[str, Any]:
     if item is safety.controller:
-        return {"name": item.name, "kind": "safety", "gain": hexadecimal(safety.controller.gain)}
+        return {"name": item.name, "kind": "safety", "gain": safety.controller.gain}
     if not isinstance(item, AffineController):
         return {"name": item.name, "kind": "any_thrust"}
-    entry = {
-        "name": item.name,
-        "kind": "saturated_affine" if item.clips else "affine",
-        "gain": hexadecimal(item.gain),
-    }
-    if item.own is not safety.reference:
-        entry |= {"own_states": hexadecimal(item.own.chi), "own_inputs": hexadecimal(item.own.nu)}
-    return entry
+    kind = "saturated_affine" if item.clips else "affine"
+    own = {} if item.own is safety.reference else {"own_states": item.own.chi, "own_inputs": item.own.nu}
+    return {"name": item.name, "kind": kind, "gain": item.gain, **own}
 
 
 def _bounds(safety: Safety) -> dict[str, Any]:
@@ -162,11 +137,8 @@ def _bounds(safety: Safety) -> dict[str, Any]:
     nu = safety.reference.nu[:K]
     peak = np.maximum(above + nu, below - nu)
     return {
-        "error_bounds": {
-            "per_step": hexadecimal(tube),
-            "settled": hexadecimal(tracking.disturbance(rows)[-1]),
-        },
-        "thrust": {"peak": hexadecimal(peak * (1 + ROUNDING))},
+        "error_bounds": {"per_step": tube, "settled": tracking.disturbance(rows)[-1]},
+        "thrust": {"peak": peak * (1 + ROUNDING)},
     }
 
 
@@ -183,18 +155,12 @@ def _enclosures(schedule: Schedule) -> dict[str, Any]:
     booked = ROUNDING * (states + 1e-6 * states.max())
     beyond = ROUNDING * (np.abs(lower) + np.abs(upper)) + booked
     return {
-        "center": hexadecimal(center),
-        "half_widths": hexadecimal(half + ROUNDING * (np.abs(center) + half) + booked),
-        "lower": hexadecimal(lower - beyond),
-        "upper": hexadecimal(upper + beyond),
-        "slopes": [_slopes(step) for step in schedule.steps],
+        "center": center,
+        "half_widths": half + ROUNDING * (np.abs(center) + half) + booked,
+        "lower": lower - beyond,
+        "upper": upper + beyond,
+        "slopes": [step.tube.slopes for step in schedule.steps],  # None where nothing clips
     }
-
-
-def _slopes(step: Step) -> list[Any] | None:
-    """Slopes of the bands about a clipped command, by period; None if nothing clips."""
-    slopes = step.tube.slopes
-    return None if slopes is None else hexadecimal(slopes)
 
 
 def _hull(flight: TubeSegment, arc: Array, safety: Safety, k: int) -> tuple[Array, Array]:

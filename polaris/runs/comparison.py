@@ -19,8 +19,9 @@ from typing import Any
 
 import numpy as np
 
-from ..rta.arena import METHODS, Comparison, Shown
-from ..rta.outcome import DEFINITIONS
+from ..rta.arena import Comparison, Shown
+from ..rta.method_result import DEFINITIONS
+from ..rta.methods import METHODS
 from ..scenario.scenario import ScheduleScenario
 from .arrays import read_arrays
 from .folder import Draw, RunFolder, RunKind, read_json, write_folder
@@ -89,7 +90,7 @@ def write_comparison(
 
 def _tell(scenario: ScheduleScenario, comparison: Comparison, seconds: Mapping[str, float]) -> dict[str, Any]:
     """Contents of ``comparison.json``."""
-    scene = comparison.scene
+    scene = comparison.grid
     methods = [
         {
             "key": key,
@@ -101,7 +102,7 @@ def _tell(scenario: ScheduleScenario, comparison: Comparison, seconds: Mapping[s
             "settings": one.settings,
             "metrics": one.summary(),
         }
-        for key, one in comparison.outcomes.items()
+        for key, one in comparison.results.items()
     ]
     methods += [
         {
@@ -141,7 +142,7 @@ PROTOCOL = (
 
 
 def _write(folder: Path, scenario: ScheduleScenario, comparison: Comparison) -> None:
-    write_run(folder / "run", scenario, comparison.scene.schedule)
+    write_run(folder / "run", scenario, comparison.grid.schedule)
     arrays: dict[str, Any] = {}
     for key, one in comparison.shown.items():
         arrays[f"{key}_labels"] = np.array(one.labels, dtype=str)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from reach.sets.ball import ball_generators
+from reach.sets.ellipsoid import ball_generators
 from reach.sets.zonotope import Zonotope
 
 from ..model.errors import ScenarioError

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from reach.sets.zonotope import Zonotope
 
-from ..certificate.document import assumptions
+from ..certificate.assumptions import assumptions
 from ..model.satellite import SatelliteObstacle
 from ..model.system import Array
 from .controllers import Controller, TubeSegment

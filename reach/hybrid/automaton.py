@@ -7,16 +7,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..numerics.arguments import check_fields
+from ..numerics.checks import as_numbers
 from ..numerics.errors import ReachError
-from ..sets.convex import ConvexSet, as_numbers
+from ..sets.convex import ConvexSet
 from ..sets.polytope import HPolytope
 from ..sets.zonotope import Zonotope
 from ..tubes.systems import LinearSystem
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,14 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..numerics.checks import Array, Index
 from ..numerics.errors import ReachError
 from ..sets.clipping import clip, strips
 from ..sets.zonotope import Zonotope
-from ..tubes.flowpipes import Fan
+from ..tubes.flowpipes import Flowpipes
 from .automaton import Mode
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +31,7 @@ class Segment:
     Attributes
     ----------
     mode : Mode
-    fan : Fan
+    flowpipes : Flowpipes
         Bounds and sets over the steps, at times since the mode was entered.
     entered : ndarray, shape (N, 2)
         Absolute times between which start set i is entered.
@@ -44,7 +42,7 @@ class Segment:
     """
 
     mode: Mode
-    fan: Fan
+    flowpipes: Flowpipes
     entered: Array
     alive: NDArray[np.bool_]
     depth: int
@@ -57,8 +55,8 @@ class Segment:
 
     def span(self, k: Index, i: Index) -> Array:
         """Absolute times that steps k of starts i may cover, shape (len(k), 2)."""
-        low = self.entered[i, 0] + self.fan.times[k]
-        return np.stack([low, self.entered[i, 1] + self.fan.times[k + 1]], axis=-1)
+        low = self.entered[i, 0] + self.flowpipes.times[k]
+        return np.stack([low, self.entered[i, 1] + self.flowpipes.times[k + 1]], axis=-1)
 
     @property
     def intervals(self) -> tuple[Array, Zonotope]:
@@ -72,11 +70,11 @@ class Segment:
 
     def cut(self, k: Index, i: Index) -> tuple[Zonotope, NDArray[np.bool_]]:
         """Sets over steps k of starts i, cut by the invariant, and whether anything is left of each."""
-        return clip(self.fan.sets(k, i), *strips([self.mode.invariant], self.mode.system.dim))
+        return clip(self.flowpipes.sets(k, i), *strips([self.mode.invariant], self.mode.system.dim))
 
     def support(self, directions: ArrayLike) -> Array:
         """Upper bound of each direction over the whole segment, shape (r,); -inf if it is empty."""
-        values = self.fan.support(np.atleast_2d(np.asarray(directions, dtype=float)))
+        values = self.flowpipes.support(np.atleast_2d(np.asarray(directions, dtype=float)))
         return np.asarray(np.where(self.alive[..., None], values, -np.inf).max(axis=(0, 1)))
 
 

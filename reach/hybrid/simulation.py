@@ -10,11 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import expm
 
 from ..numerics.arguments import checked
+from ..numerics.checks import Array
 from ..numerics.errors import ReachError
 from ..sets.polytope import HPolytope
 from .automaton import HybridAutomaton, Mode, Transition
-
-Array = NDArray[np.float64]
 
 TOUCH = 1e-9
 """A state this close to a face, relative to the terms of its row, counts as on it."""
@@ -108,16 +107,13 @@ def simulate_hybrid(
         raise ReachError(
             f"dt and horizon must be > 0 and give at most {MOST_SAMPLES:,} samples, got {dt!r}, {horizon!r}"
         )
-    assert automaton.start is not None
-    x, t, name = np.asarray(x0, dtype=float), 0.0, automaton.start
+    x, t, name = np.asarray(x0, dtype=float), 0.0, str(automaton.start)
     if x.shape != (automaton[name].system.dim,):
         raise ReachError(f"the initial state must have shape ({automaton[name].system.dim},), got {x.shape}")
     visits: list[Visit] = []
     while True:
-        mode = automaton[name]
-        drawn = rng if policy == "random" else None
-        u = _input(mode, drawn)
-        move = _Motion(mode, x, u, dt)
+        mode, drawn = automaton[name], rng if policy == "random" else None
+        move = _Motion(mode, x, _input(mode, drawn), dt)
         left, bound = horizon - t, longest_stay(automaton, name, t)
         end, stops = move.leaves(min(left, bound))
         stops = stops or bound < left

@@ -1,7 +1,7 @@
 """Tubes of hybrid automata: every trajectory, at all times, whatever transitions it takes.
 
-A wave at a time: all start sets of one mode are followed at once (see `flowpipes`), the parts that can
-take a transition become the start sets of the next wave. No trajectory is lost: steps are enclosed
+A worklist of start sets: all those of one mode are followed at once (see `flowpipes`), the parts that can
+take a transition become the next entries. No trajectory is lost: steps are enclosed
 continuously in time, guards and invariants cut by enclosures, and the absolute time at which a mode
 was entered is kept as an interval.
 """
@@ -15,13 +15,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..numerics.arguments import checked
+from ..numerics.checks import as_count, as_numbers
 from ..numerics.errors import ReachError
 from ..sets.clipping import clip, strips
-from ..sets.convex import ConvexSet, as_count, as_numbers
+from ..sets.convex import ConvexSet
 from ..sets.zonotope import Zonotope
 from .automaton import HybridAutomaton
 from .segments import HybridTube, Segment, Starts
-from .worklist import Waves
+from .worklist import Worklist
 
 JUMPS = 50
 """Most transitions of one trajectory, if nothing else is said."""
@@ -53,7 +54,7 @@ def hybrid_tube(
     tolerance : array_like of shape (n,) or a number, or mapping from mode names, optional
         Steps are halved until the state leaves the set that joins two nodes by less than this.
     clusters : int or mapping from names of target modes, optional
-        What crosses in one transition of one wave is merged into at most so many start sets, each
+        What crosses in one transition at one depth is merged into at most so many start sets, each
         one stretch of time. By default nothing is merged: every step that crosses a guard becomes a
         start set of its own, and all of them are followed together.
     order : float
@@ -78,28 +79,33 @@ def hybrid_tube(
         raise ReachError(f"jumps must be at least 0, got {jumps}")
     if not (np.isfinite(horizon) and horizon > 0):
         raise ReachError(f"the horizon must be a finite number > 0, got {horizon!r}")
+    worklist = Worklist(automaton, float(horizon), step, tolerance, clusters, order, reduction)
+    pending = _entries(automaton, initial)
+    segments: list[Segment] = []
+    for depth in range(jumps + 1):
+        entered: list[Starts] = []
+        for starts in pending:
+            segment = worklist.follow(starts, depth)
+            segments.append(segment)
+            for transition in automaton.leaving(starts.mode.name):
+                crossing = worklist.cross(segment, transition)
+                entered += [crossing] if crossing is not None else []
+        pending = worklist.gathered(entered)
+        if not pending:
+            return HybridTube(tuple(segments), float(horizon), True)
+    return HybridTube(tuple(segments), float(horizon), False)
+
+
+def _entries(automaton: HybridAutomaton, initial: ConvexSet) -> list[Starts]:
+    """The part of the initial set that the invariant of the first mode leaves, if any."""
     assert automaton.start is not None
     mode = automaton[automaton.start]
     start = initial if isinstance(initial, Zonotope) else initial.interval_hull().to_zonotope()
     start = start if start.batch else Zonotope(start.c[None], start.G[None])
     if start.dim != mode.system.dim:
         raise ReachError(f"the initial set has dimension {start.dim}, mode {mode.name!r} {mode.system.dim}")
-    settings = Waves(automaton, float(horizon), step, tolerance, clusters, order, reduction)
     start, meets = clip(start, *strips([mode.invariant], mode.system.dim))
-    wave = [Starts(mode, start[meets], np.zeros((int(meets.sum()), 2)))] if np.any(meets) else []
-    segments: list[Segment] = []
-    for depth in range(jumps + 1):
-        entered: list[Starts] = []
-        for starts in wave:
-            segment = settings.follow(starts, depth)
-            segments.append(segment)
-            for transition in automaton.leaving(starts.mode.name):
-                crossing = settings.cross(segment, transition)
-                entered += [crossing] if crossing is not None else []
-        wave = settings.gathered(entered)
-        if not wave:
-            return HybridTube(tuple(segments), float(horizon), True)
-    return HybridTube(tuple(segments), float(horizon), False)
+    return [Starts(mode, start[meets], np.zeros((int(meets.sum()), 2)))] if np.any(meets) else []
 
 
 def _positive(name: str, given: Any, whole: bool) -> None:

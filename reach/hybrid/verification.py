@@ -11,21 +11,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..numerics.arguments import checked
+from ..numerics.checks import Array, Index, as_count, require_single
 from ..numerics.errors import ReachError
 from ..numerics.rounding import gamma
 from ..sets.clipping import clip, strips
-from ..sets.convex import ConvexSet, as_count, require_single
+from ..sets.convex import ConvexSet
 from ..sets.polytope import HPolytope
 from ..sets.zonotope import Zonotope
-from ..verify.specification import Always, Never
+from ..verification.specification import Always, Never
 from .automaton import HybridAutomaton
 from .replay import replay_hybrid
 from .segments import HybridTube, Segment
 from .simulation import HybridTrajectory, Policy, Visit, inside, simulate_hybrid
 from .tube import JUMPS, hybrid_tube
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 Specs = Mapping[str, Sequence[Always | Never]]
 
 DEEP = 1e-6
@@ -101,13 +100,12 @@ def verify_hybrid(
     """
     begun = perf_counter()
     require_single(initial, "verify_hybrid")
-    seed = as_count("seed", seed)
     for name, asked in specs.items():
         for spec in asked:
             if spec.region.dim != automaton[name].system.dim:
                 raise ReachError(f"a region for mode {name!r} has dimension {spec.region.dim}")
     limit = int(options.get("jumps", JUMPS))
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(as_count("seed", seed))
     found = falsify_hybrid(automaton, initial, specs, horizon, dt=dt, jumps=limit)
     tube, reason = None, ""
     if found is None:
@@ -154,11 +152,11 @@ def doubtful(segment: Segment, spec: Always | Never) -> tuple[Index, Index]:
         rows, limits = rows[open_], limits[open_]
         if len(rows) == 0:
             return np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp)
-        high = segment.fan.support(rows)
-        safe = np.all(high + gamma(segment.fan.start.terms + 8) * np.abs(high) <= limits, axis=-1)
+        high = segment.flowpipes.support(rows)
+        safe = np.all(high + gamma(segment.flowpipes.start.terms + 8) * np.abs(high) <= limits, axis=-1)
     else:
-        low = -segment.fan.support(-rows)
-        safe = np.any(low - gamma(segment.fan.start.terms + 8) * np.abs(low) > limits, axis=-1)
+        low = -segment.flowpipes.support(-rows)
+        safe = np.any(low - gamma(segment.flowpipes.start.terms + 8) * np.abs(low) > limits, axis=-1)
     k, i = np.nonzero(asked & ~safe)
     left = np.ones(len(k), dtype=bool)
     here = strips(
@@ -166,7 +164,7 @@ def doubtful(segment: Segment, spec: Always | Never) -> tuple[Index, Index]:
     )
     for j in range(0, len(k), PART):
         part = slice(j, j + PART)
-        sets, meets = clip(segment.fan.sets(k[part], i[part]), *here)
+        sets, meets = clip(segment.flowpipes.sets(k[part], i[part]), *here)
         if isinstance(spec, Always):
             left[part] = meets & np.any(_outer(sets, rows) > limits, axis=-1)
         else:

@@ -1,4 +1,4 @@
-"""Waves of a hybrid tube: all start sets of a mode followed at once, and what crosses from them."""
+"""Worklist of a hybrid tube: all start sets of a mode followed at once, and what crosses from them."""
 
 from __future__ import annotations
 
@@ -9,19 +9,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..numerics.checks import Array
 from ..numerics.errors import ReachError
 from ..sets.clipping import clip, hull_of, strips
 from ..sets.zonotope import Zonotope
-from ..tubes.flowpipes import Carrier, Fan, fan, input_response
+from ..tubes.flowpipes import Flowpipes, Propagator, flowpipes, input_response
 from .automaton import HybridAutomaton, Mode, Transition
 from .segments import Segment, Starts
 
-Array = NDArray[np.float64]
-
 
 @dataclass(frozen=True, eq=False)
-class Waves:
-    """What `reach.hybrid_tube` was asked for, and the parts of a wave."""
+class Worklist:
+    """What `reach.hybrid_tube` was asked for, and the steps of its worklist."""
 
     automaton: HybridAutomaton
     horizon: float
@@ -30,19 +29,21 @@ class Waves:
     clusters: Any
     order: float
     reduction: str
-    carriers: dict[str, Carrier] = field(default_factory=dict)
+    propagators: dict[str, Propagator] = field(default_factory=dict)
 
     def _of(self, value: Any, mode: Mode) -> Any:
         return value.get(mode.name) if isinstance(value, Mapping) else value
 
-    def _fan(self, mode: Mode, sets: Zonotope, length: float, **more: Any) -> Fan:
+    def _flowpipes(self, mode: Mode, sets: Zonotope, length: float, **more: Any) -> Flowpipes:
         step = self._of(self.step, mode)
         if step is None:
             raise ReachError(f"mode {mode.name!r} has no step")
-        if mode.name not in self.carriers:
-            self.carriers[mode.name] = Carrier(mode.system)
-        carrier = self.carriers[mode.name]
-        return fan(carrier, sets, length, step=step, tolerance=self._of(self.tolerance, mode), **more)
+        if mode.name not in self.propagators:
+            self.propagators[mode.name] = Propagator(mode.system)
+        propagator = self.propagators[mode.name]
+        return flowpipes(
+            propagator, sets, length, step=step, tolerance=self._of(self.tolerance, mode), **more
+        )
 
     def _stay(self, starts: Starts | Segment) -> Array:
         """Longest time in the mode after each entry, shape (N,).
@@ -64,13 +65,13 @@ class Waves:
         H, low, high = strips([mode.invariant], mode.system.dim)
         alive: list[NDArray[np.bool_]] = [np.ones((1, len(until)), dtype=bool)]
 
-        def going(block: Fan) -> NDArray[np.bool_]:
+        def going(block: Flowpipes) -> NDArray[np.bool_]:
             inside = meets(block, H, low, high) & (block.times[:-1, None] <= until)
             inside = np.logical_and.accumulate(np.vstack([alive[-1][-1:], inside]))[1:]
             alive.append(inside)
             return np.asarray(inside[-1])
 
-        flow = self._fan(mode, starts.sets, float(until.max()), going=going)
+        flow = self._flowpipes(mode, starts.sets, float(until.max()), going=going)
         return Segment(mode, flow, starts.entered, np.concatenate(alive[1:]), depth)
 
     def cross(self, segment: Segment, t: Transition) -> Starts | None:
@@ -91,11 +92,11 @@ class Waves:
         return Starts(target, sets[hit], entered[hit]) if np.any(hit) else None
 
     def _guarded(self, segment: Segment, here: tuple[Array, Array, Array]) -> tuple[Zonotope, Array] | None:
-        k, i = np.nonzero(segment.alive & meets(segment.fan, *here))
+        k, i = np.nonzero(segment.alive & meets(segment.flowpipes, *here))
         if len(k) == 0:
             return None
         entered = np.minimum(segment.span(k, i), self.horizon)
-        return segment.fan.sets(k, i), entered
+        return segment.flowpipes.sets(k, i), entered
 
     def _timed(self, segment: Segment, t: Transition) -> tuple[Zonotope, Array] | None:
         """Sets over the local times at which a window or dwell time allows the transition."""
@@ -104,15 +105,15 @@ class Waves:
         dwell = t.dwell or (0.0, np.inf)
         # A start is dead from the beginning of its first step that misses the invariant.
         lasting = segment.alive.sum(axis=0)
-        death = segment.fan.times[lasting]
+        death = segment.flowpipes.times[lasting]
         first = np.maximum(np.maximum(window[0] - b, dwell[0]), 0.0)
         last = np.minimum(np.minimum(window[1] - a, dwell[1]), np.minimum(self._stay(segment), death))
         open_ = np.nonzero((first <= last) & (lasting > 0))[0]
         if len(open_) == 0:
             return None
         first, last = first[open_], last[open_]
-        plain = segment.fan.start[open_].project(range(segment.mode.system.dim))
-        flow = self._fan(segment.mode, plain, float((last - first).max()), offset=first)
+        plain = segment.flowpipes.start[open_].project(range(segment.mode.system.dim))
+        flow = self._flowpipes(segment.mode, plain, float((last - first).max()), offset=first)
         k, j = np.nonzero(flow.times[:-1, None] <= last - first)
         sets = flow.sets(k, j)
         if segment.mode.system.U and np.any(first):
@@ -135,14 +136,14 @@ class Waves:
                 np.broadcast_to(response.c, sets.c.shape),
                 np.broadcast_to(response.G, (*sets.c.shape, response.order_count)),
             )
-        k = np.searchsorted(segment.fan.times, until * (1 - 1e-12)) - 1
-        k = np.clip(k, 0, segment.fan.shape[0] - 1)
-        low, high = segment.fan.low[k], segment.fan.high[k]
+        k = np.searchsorted(segment.flowpipes.times, until * (1 - 1e-12)) - 1
+        k = np.clip(k, 0, segment.flowpipes.shape[0] - 1)
+        low, high = segment.flowpipes.low[k], segment.flowpipes.high[k]
         return (sets + (low + high) / 2).inflate((high - low) / 2)
 
     def gathered(self, entered: list[Starts]) -> list[Starts]:
-        """Starts of a wave, one entry per mode, merged and reduced."""
-        wave = []
+        """Start sets to go on with, one entry per mode, merged and reduced."""
+        pending = []
         for mode in self.automaton.modes:
             same = [s for s in entered if s.mode is mode]
             if not same:
@@ -155,11 +156,11 @@ class Waves:
             times = np.concatenate([s.entered for s in same])
             used = np.any(sets.G != 0, axis=(0, 1))
             sets = Zonotope(sets.c, sets.G[..., used])
-            wave.append(Starts(mode, sets.reduce(self.order, self.reduction), times))
-        return wave
+            pending.append(Starts(mode, sets.reduce(self.order, self.reduction), times))
+        return pending
 
 
-def meets(flow: Fan, H: Array, low: Array, high: Array) -> NDArray[np.bool_]:
+def meets(flow: Flowpipes, H: Array, low: Array, high: Array) -> NDArray[np.bool_]:
     """Whether each step of each start may meet strips, shape (K, N)."""
     out = np.ones(flow.shape, dtype=bool)
     if len(H) == 0:

@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from .checks import is_set
 from .errors import ReachError, Unresolved
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -66,7 +67,7 @@ def as_kind(name: str, kind: str, value: Any) -> Any:
             continue
         if option not in _KINDS:
             if option[:1].isupper() and option.isidentifier() and option not in _FREE:
-                if any(base.__name__ == option for base in type(value).__mro__):
+                if _is_a(value, option):
                     return value
                 continue
             return value
@@ -98,6 +99,11 @@ _WORDS = {
 }
 
 
+def _is_a(value: Any, *names: str) -> bool:
+    """Whether a value's class, or one it derives from, has one of some names."""
+    return any(base.__name__ in names for base in type(value).__mro__)
+
+
 def _number(value: Any) -> Any:
     if isinstance(value, bool | np.bool_) or not isinstance(value, int | float | np.number | np.ndarray):
         return _WRONG
@@ -115,8 +121,7 @@ def _flag(value: Any) -> Any:
 
 
 def _set(value: Any) -> Any:
-    known = hasattr(type(value), "support") and hasattr(type(value), "interval_hull")
-    return value if known else _WRONG
+    return value if is_set(value) else _WRONG
 
 
 def _numbers(value: Any) -> Any:
@@ -146,14 +151,14 @@ def _sequence(value: Any) -> Any:
 
 def _specs(value: Any) -> Any:
     """Sequences of specifications by the names of modes."""
-    from ..verify.specification import Always, Never
-
     if not isinstance(value, Mapping):
         return _WRONG
-    good = (isinstance(k, str) and isinstance(v, Sequence) for k, v in value.items())
-    if not all(good) or not all(isinstance(spec, Always | Never) for v in value.values() for spec in v):
-        return _WRONG
-    return value
+    good = all(isinstance(k, str) and isinstance(v, Sequence) for k, v in value.items())
+    return (
+        value
+        if good and all(_is_a(spec, "Always", "Never") for v in value.values() for spec in v)
+        else _WRONG
+    )
 
 
 def _wholes(value: Any) -> Any:

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from .arguments import checked
+from .checks import Array
 from .errors import ReachError
-
-Array = NDArray[np.float64]
 
 
 def require_square(name: str, M: Array) -> None:

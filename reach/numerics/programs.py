@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .checks import Array
 from .errors import ReachError
-
-Array = NDArray[np.float64]
 
 TOLERANCE = 1e-10
 """Feasibility asked of the solver, on equilibrated data. Whatever is proved is re-checked without it."""

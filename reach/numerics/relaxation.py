@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from ..sets.convex import require_alike
 from .arguments import checked
+from .checks import Array, require_alike
 from .errors import ReachError
-
-Array = NDArray[np.float64]
 
 
 @checked

@@ -1,11 +1,21 @@
-"""Outward rounding: what floating-point sums can be wrong by, booked on the safe side."""
+"""Rounding: what floating-point sums can be wrong by, and exact integers where that leaves things open.
+
+Every finite float is an integer times a power of two, so a common power turns arrays into Python
+integers, on which numpy's object arrays compute without rounding.
+"""
 
 from __future__ import annotations
+
+from fractions import Fraction
+from itertools import combinations
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from .checks import Array
+
+Whole = NDArray[np.object_]
 
 
 def gamma(terms: int) -> float:
@@ -24,3 +34,87 @@ def add_up(a: Array, b: Array) -> Array:
 def add_down(a: Array, b: Array) -> Array:
     """The sum, rounded down; unchanged where it is exact."""
     return -add_up(-a, -b)
+
+
+def integers(*arrays: Array) -> list[Whole]:
+    """The same numbers times one common power of two, as Python integers."""
+    parts = [np.frexp(np.asarray(a, dtype=float)) for a in arrays]
+    used = [e[m != 0] for m, e in parts if np.any(m != 0)]
+    lowest = min((int(e.min()) for e in used), default=0)
+    out = []
+    for mantissa, exponent in parts:
+        digits = (mantissa * 2.0**53).astype(np.int64).astype(object)
+        shift = np.where(mantissa != 0, exponent - lowest, 0).astype(object)
+        out.append(np.asarray(digits * 2**shift, dtype=object))
+    return out
+
+
+def is_product(product: Array, left: Array, right: Array) -> bool:
+    """Whether ``product = left @ right`` holds without rounding; not where something is not finite."""
+    if not (np.all(np.isfinite(product)) and np.all(np.isfinite(left))):
+        return False
+    whole, first, second, one = integers(product, left, right, np.ones(1))
+    return np.array_equal(first @ second, whole * one[0])
+
+
+def floats(whole: Whole) -> Array:
+    """Columns divided by their largest entry, each entry correctly rounded; zero columns stay zero."""
+    largest = np.abs(whole).max(axis=0, initial=0)
+    return np.asarray(whole / np.where(largest > 0, largest, 1), dtype=float)
+
+
+def cross(columns: NDArray[Any]) -> NDArray[Any]:
+    """Vectors orthogonal to n - 1 given ones (the generalised cross product), column by column.
+
+    Parameters
+    ----------
+    columns : ndarray, shape (n - 1, n, k)
+        k groups of n - 1 vectors; floats, or Python integers for an exact answer.
+
+    Returns
+    -------
+    ndarray, shape (n, k)
+        Zero where the n - 1 vectors are linearly dependent.
+
+    Notes
+    -----
+    Laplace expansion, minors shared between the n determinants: no division, no pivoting.
+    """
+    n, k = columns.shape[1], columns.shape[2]
+    minors: dict[tuple[int, ...], Any] = {(): np.ones(k, dtype=columns.dtype)}
+    for j in range(n - 1):
+        minors = {
+            rows: sum(
+                (-1) ** (at + j) * columns[j, row] * minors[rows[:at] + rows[at + 1 :]]
+                for at, row in enumerate(rows)
+            )
+            for rows in combinations(range(n), j + 1)
+        }
+    every = tuple(range(n))
+    return np.stack([(-1) ** i * minors[every[:i] + every[i + 1 :]] for i in range(n)])
+
+
+def mixture(rows: Array, target: Array) -> list[Fraction] | None:
+    """Exact weights of rows (k, n), k <= n, whose sum is a target (n,); None if there are none, or many.
+
+    Gauss elimination on fractions.
+    """
+    k = len(rows)
+    whole, wanted = integers(rows, target)
+    system = [
+        [Fraction(int(v)) for v in column] + [Fraction(int(t))]
+        for column, t in zip(whole.T, wanted, strict=True)
+    ]
+    for j in range(k):
+        at = next((i for i in range(j, len(system)) if system[i][j]), None)
+        if at is None:
+            return None
+        system[j], system[at] = system[at], system[j]
+        pivot = system[j]
+        for i in range(len(system)):
+            if i != j and system[i][j]:
+                share = system[i][j] / pivot[j]
+                system[i] = [a - share * p for a, p in zip(system[i], pivot, strict=True)]
+    if any(line[k] for line in system[k:]):
+        return None
+    return [system[j][k] / system[j][j] for j in range(k)]

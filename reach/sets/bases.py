@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import lru_cache
 from math import comb
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..numerics.programs import Maximum
-
-Array = NDArray[np.float64]
+from ..numerics.checks import Array
+from ..numerics.programs import Maximum, maximise
 
 MOST_BASES = 4096
 """Bases kept; and most that Qhull may be expected to return."""
@@ -18,6 +18,8 @@ INSIDE = 1e-11
 """A multiplier above minus this, rows scaled alike, counts as not negative."""
 OUTSIDE = 1e-10
 """A vertex may break a row by this share of the sizes of its terms."""
+FEW = 4
+"""Directions up to which each is one linear program."""
 ENTRIES = 2_000_000
 """Numbers handled at once."""
 
@@ -33,11 +35,12 @@ class Bases:
     ----------
     A : ndarray, shape (m, n)
     b : ndarray, shape (m,)
-    inside : ndarray, shape (n,), or None
-        A point in the middle of a bounded set: all bases are then found at once by Qhull, where they are few.
+    inside : callable
+        A point in the middle of a bounded set, shape (n,): all bases are then found at once by Qhull,
+        where they are few. None of a set without bounds.
     """
 
-    def __init__(self, A: Array, b: Array, inside: Array | None) -> None:
+    def __init__(self, A: Array, b: Array, inside: Callable[[], Array | None]) -> None:
         self.A, self.b, n = A, b, A.shape[1]
         self.columns = np.abs(A).max(axis=0)
         self.columns = np.where(self.columns > 0, self.columns, 1.0)
@@ -45,8 +48,34 @@ class Bases:
         self.rows = A / self.columns / self.norms[:, None]
         self.members = np.zeros((0, n), dtype=np.intp)
         self.inverses, self.points = np.zeros((0, n, n)), np.zeros((0, n))
-        if inside is not None and n > 1 and 2 * comb(len(b), n // 2) <= MOST_BASES:
-            self._add(self._enumerated(inside))
+        self._inside: Callable[[], Array | None] | None = inside
+        self.program = lru_cache(1024)(lambda direction: maximise(np.frombuffer(direction), A, b))
+
+    def answers(self, D: Array) -> tuple[Array, Array, Array]:
+        """Values (...), points (..., n) and multipliers (..., m) of the largest along directions (..., n).
+
+        A few directions go through a linear program each. Of many, those whose maximum lies at a vertex
+        that is known already need none.
+        """
+        rows, shape = D.reshape(-1, D.shape[-1]), D.shape[:-1]
+        if len(rows) > FEW:
+            values, points, multipliers = self.maxima(rows)
+        else:
+            solved = [self.program(d.tobytes()) for d in rows]
+            values = np.array([one.value for one in solved])
+            points = np.array([one.point for one in solved])
+            multipliers = np.array([one.multipliers for one in solved])
+        return values.reshape(shape), points.reshape(D.shape), multipliers.reshape((*shape, len(self.b)))
+
+    def _enumerate(self) -> None:
+        """All bases at once, where they are few; asked for with the first many directions."""
+        n, inside = self.A.shape[1], self._inside
+        self._inside = None
+        if inside is None or n == 1 or 2 * comb(len(self.b), n // 2) > MOST_BASES:
+            return
+        middle = inside()
+        if middle is not None:
+            self._add(self._enumerated(middle))
 
     def _enumerated(self, inside: Array) -> NDArray[np.intp]:
         """Rows that meet in the vertices: facets, cut into simplices, of the polar set."""
@@ -82,15 +111,12 @@ class Bases:
         self.inverses = np.concatenate([self.inverses, inverses])
         self.points = np.vstack([self.points, points])
 
-    def maxima(self, D: Array, program: Callable[[bytes], Maximum]) -> tuple[Array, Array, Array]:
+    def maxima(self, D: Array) -> tuple[Array, Array, Array]:
         """Values (r,), points (r, n) and multipliers (r, m) along rows (r, n).
 
-        Parameters
-        ----------
-        D : ndarray, shape (r, n)
-        program : callable
-            Solves the linear program of one direction, for those in the cone of no basis.
+        Those in the cone of no basis that is known go through a linear program.
         """
+        self._enumerate()
         r, (m, n) = len(D), self.A.shape
         values, points, multipliers = np.full(r, np.nan), np.full((r, n), np.nan), np.zeros((r, m))
         scaled = D / self.columns
@@ -112,7 +138,7 @@ class Bases:
             left = np.flatnonzero(np.isnan(values))
         while len(left):
             at, left = left[0], left[1:]
-            found = program(D[at].tobytes())
+            found = self.program(D[at].tobytes())
             values[at], points[at], multipliers[at] = found.value, found.point, found.multipliers
             known = len(self.members)
             if np.isfinite(found.value) and known < MOST_BASES:

@@ -8,13 +8,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from ..numerics.arguments import checked
+from ..numerics.checks import Array, as_vector, require_alike, require_same_dim
+from ..numerics.errors import ReachError
 from ..numerics.rounding import gamma
 from .polytope import HPolytope
 from .zonotope import Zonotope
-
-Array = NDArray[np.float64]
 
 SWEEPS = 3
 """Passes over the rows while coefficients are narrowed."""
@@ -63,7 +64,7 @@ def clip(Z: Zonotope, H: Array, low: Array, high: Array) -> tuple[Zonotope, NDAr
     ----------
     Z : Zonotope, batch (M,)
     H, low, high : ndarray, shapes (q, n), (q,), (q,)
-        As from `strips`.
+        As from `strips`; or one of each per member, (M, q, n), (M, q), (M, q).
 
     Returns
     -------
@@ -73,19 +74,20 @@ def clip(Z: Zonotope, H: Array, low: Array, high: Array) -> tuple[Zonotope, NDAr
         False where the intersection is proved to be empty.
     """
     meets = np.ones(len(Z), dtype=bool)
-    if len(H) == 0 or len(Z) == 0:
+    q = H.shape[-2]
+    if q == 0 or len(Z) == 0:
         return Z, meets
-    slack = gamma(Z.terms + 2 * len(H)) * (np.abs(H) @ Z.extent[..., None])[..., 0]
+    slack = gamma(Z.terms + 2 * q) * (np.abs(H) @ Z.extent[..., None])[..., 0]
     slack = slack + gamma(4) * np.where(np.isfinite(high), np.abs(high), np.abs(low))
     lows, highs = low - slack, high + slack
     narrowed, meets = _narrow(Z, H, lows, highs, meets)
     cut, grew = narrowed, False
-    for j in range(len(H)):
-        cut, changed = _strip(cut, H[j], lows[:, j], highs[:, j], slack[:, j], meets)
+    for j in range(q):
+        cut, changed = _strip(cut, H[..., j, :], lows[:, j], highs[:, j], slack[:, j], meets)
         grew = grew or changed
     if grew:
         cut, meets = _narrow(cut, H, lows, highs, meets)
-    margin = gamma(8 * (Z.order_count + len(H))) * Z.extent
+    margin = gamma(8 * (Z.order_count + q)) * Z.extent
     return Zonotope(
         np.where(meets[:, None], cut.c, Z.c),
         np.where(meets[:, None, None], cut.inflate(margin).G, Z._pad(cut.order_count + Z.dim).G),
@@ -102,7 +104,7 @@ def _narrow(
     meets = meets.copy()
     with np.errstate(divide="ignore", invalid="ignore"):
         for _ in range(SWEEPS):
-            for j in range(len(H)):
+            for j in range(H.shape[-2]):
                 w = a[:, j]
                 least, most = np.minimum(w * lo, w * hi), np.maximum(w * lo, w * hi)
                 total_least, total_most = least.sum(1, keepdims=True), most.sum(1, keepdims=True)
@@ -129,8 +131,8 @@ def _strip(
 
     The gain may be large, so what rounding does to values of ``h x`` is booked in the strip itself.
     """
-    a = (h @ Z.G).reshape(len(Z), -1)
-    d, reach = Z.c @ h, np.abs(a).sum(axis=1)
+    a = (h[..., None, :] @ Z.G)[:, 0]
+    d, reach = (Z.c * h).sum(axis=-1), np.abs(a).sum(axis=1)
     low, high = np.maximum(low, d - reach), np.minimum(high, d + reach)
     s, middle = np.maximum((high - low) / 2, 0) + 2 * slack, (high + low) / 2
     worth = meets & (s < WORTH * reach)
@@ -160,3 +162,83 @@ def hull_of(Z: Zonotope) -> Zonotope:
     half = half + gamma(8 * Z.dim) * size  # the frame is orthogonal but for rounding
     columns = frame * scale[:, None]
     return Zonotope(columns @ middle, columns * half)
+
+
+@checked
+def enclosing_hull(first: Zonotope, second: Zonotope) -> Zonotope:
+    """Zonotope around the convex hull of two zonotopes; stacks broadcast.
+
+    `Zonotope.hull` holds both sets for any pairing of their generators; this takes the pairing (and
+    the signs) with the least total distance, generators left over being paired with none.
+
+    Raises
+    ------
+    ReachError
+        If the dimensions differ.
+    """
+    from scipy.optimize import linear_sum_assignment
+
+    require_same_dim(first, second)
+    require_alike(first.batch, second.batch)
+    shape = np.broadcast_shapes(first.batch, second.batch)
+    width = first.order_count + second.order_count
+    a, b = (Zonotope(z.c + np.zeros((*shape, 1)), z.G + np.zeros((*shape, 1, 1))) for z in (first, second))
+    size = np.maximum(a.half_widths, b.half_widths)
+    size = np.where(size > 0, size, 1.0)[..., None]
+    missing = [np.zeros((*shape, first.dim, width - z.order_count)) for z in (a, b)]
+    G, H = (np.concatenate([z.G, zero], axis=-1) for z, zero in zip((a, b), missing, strict=True))
+    near, far = (
+        np.linalg.norm((G / size)[..., :, None] - sign * (H / size)[..., None, :], axis=-3)
+        for sign in (1, -1)
+    )
+    paired = np.empty_like(H)
+    for at in np.ndindex(shape):
+        order = linear_sum_assignment(np.minimum(near[at], far[at]))[1]
+        pick = np.arange(width), order
+        paired[at] = H[at][:, order] * np.where(near[at][pick] <= far[at][pick], 1.0, -1.0)
+    used = np.any(G != 0, axis=-2) | np.any(paired != 0, axis=-2)
+    kept = used.any(axis=tuple(range(len(shape))))
+    return Zonotope(a.c, G[..., kept]).hull(Zonotope(b.c, paired[..., kept]))
+
+
+@checked
+def meet_halfspace(zonotope: Zonotope, normal: ArrayLike, offset: ArrayLike) -> Zonotope:
+    """Enclose the part of a zonotope with ``normal . x <= offset``.
+
+    See `clip`: coefficients are narrowed, then the strip between the least value of ``normal . x`` and
+    the offset is intersected where that is worth it.
+
+    Parameters
+    ----------
+    zonotope : Zonotope
+        One set or a stack.
+    normal : array_like, shape (..., n)
+    offset : array_like, shape (...)
+        Both broadcast with the stack.
+
+    Returns
+    -------
+    Zonotope
+        With up to n + 1 generators more: one for the strip, n for the rounding.
+
+    Raises
+    ------
+    ReachError
+        If no point of (one of) the set(s) is left.
+    """
+    a, b = as_vector(normal, zonotope.dim), np.asarray(offset, dtype=float)
+    if not np.all(np.isfinite(b)):
+        raise ReachError("offset must be finite")
+    require_alike(a.shape[:-1], b.shape, zonotope.batch)
+    shape = np.broadcast_shapes(a.shape[:-1], b.shape, zonotope.batch)
+    n, g, M = zonotope.dim, zonotope.order_count, int(np.prod(shape))
+    norms = np.linalg.norm(a, axis=-1)
+    norms = np.where(norms > 0, norms, 1.0)
+    H, high = a / norms[..., None], b / norms + gamma(n) * np.abs(b / norms)
+    H, high = np.broadcast_to(H, (*shape, n)).reshape(M, 1, n), np.broadcast_to(high, shape).reshape(M, 1)
+    c, G = np.broadcast_to(zonotope.c, (*shape, n)), np.broadcast_to(zonotope.G, (*shape, n, g))
+    stack = Zonotope(c.reshape(M, n), G.reshape(M, n, g))
+    cut, meets = clip(stack, H, np.full_like(high, -np.inf), high)
+    if not np.all(meets):
+        raise ReachError("no point of the zonotope satisfies normal . x <= offset")
+    return Zonotope(cut.c.reshape(*shape, n), cut.G.reshape(*shape, n, cut.order_count))

@@ -8,23 +8,19 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ..numerics.arguments import checked
+from ..numerics.checks import Array
 from ..numerics.errors import ReachError
-from ..numerics.exact import Whole, floats, integers
-from ..numerics.rounding import gamma
-from .answer import Answer
-from .convex import as_count, require_same_dim, require_single, weighed
+from ..numerics.rounding import Whole, floats, gamma, integers
+from .convex import Answer, weighed
 from .ellipsoid import Ellipsoid
 from .facets import FLAT, combination_count, facet_normals
+from .intersection import Intersection
 from .interval import Interval
 from .lazy import AffineImage, inverse
-from .meet import Intersection
 from .norms import largest_norm
 from .polytope import HPolytope
-from .sufficient import scale_to_hold
 from .zonotope import Zonotope
 
-Array = NDArray[np.float64]
 Method = Literal["auto", "exact", "sufficient"]
 Settle = Callable[[NDArray[np.intp]], list[bool | None]]
 
@@ -34,60 +30,26 @@ MOST = 20_000
 TOUCHING = "the sets touch to within rounding"
 
 
-@checked
-def contains(outer: Any, inner: Any, method: Method = "auto", most: int = MOST) -> Answer:
-    """Whether `inner` lies in `outer`.
+def with_bounds(method: Callable[..., Answer]) -> Callable[..., Answer]:
+    """The method for polytopes in bounded sets: one without bounds leaves the interval hull too."""
 
-    Parameters
-    ----------
-    outer : Interval, HPolytope, Zonotope, Ellipsoid, or AffineImage or Intersection of such
-        A single set; an ellipsoid must not be flat, the map of an image must have an inverse.
-    inner : set of this library
-        A single set. An empty polytope lies in everything.
-    method : {"auto", "exact", "sufficient"}
-        For an outer zonotope: all its facets (polynomial in a fixed dimension; the question is
-        co-NP-complete in general, Kulmburg and Althoff 2021), or one linear program that proves
-        containment or nothing (Sadraddini and Tedrake 2019). For an inner zonotope and an outer
-        ellipsoid: branch and bound over signs, or norm bounds. All other pairs have one method.
-        "auto" is exact up to `most` and sufficient beyond (and asks the quick method first).
-    most : int
-        Most facets or branches looked at.
+    def within(outer: Any, inner: HPolytope, how: Method, most: int) -> Answer:
+        if inner.is_bounded:
+            return method(outer, inner, how, most)
+        return in_polytope(outer.interval_hull().to_polytope(), inner, how, most)
 
-    Returns
-    -------
-    Answer
-        Zonotopes and intervals in polytopes, intervals and (exactly) zonotopes are always decided:
-        sets that touch are settled in integer arithmetic.
-
-    Raises
-    ------
-    ReachError
-        If the dimensions differ, a set is a stack, the outer set is of another kind, or
-        ``method="exact"`` would take more than `most`.
-    """
-    require_same_dim(outer, inner)
-    if not isinstance(method, str) or method not in ("auto", "exact", "sufficient"):
-        raise ReachError(f"method must be 'auto', 'exact' or 'sufficient', got {method!r}")
-    most = as_count("most", most)
-    for one in (outer, inner):
-        require_single(one, "contains")
-    if getattr(inner, "is_empty", False):
-        return Answer(True, np.inf) if inner.proved_empty else Answer(None, 0.0, reason=TOUCHING)
-    body: Any = outer
-    for kind, inside in INSIDE.items():
-        if isinstance(outer, kind):
-            if isinstance(inner, HPolytope) and not inner.is_bounded and kind not in OPEN:
-                body, inside = body.interval_hull().to_polytope(), _in_polytope  # it leaves this one too
-            return inside(body, inner, method, most)
-    raise ReachError(f"containment in a {type(outer).__name__} is not offered: enclose or convert it first")
+    return within
 
 
-def _in_interval(outer: Interval, inner: Any, method: Method, most: int) -> Answer:
-    return _in_polytope(outer.to_polytope(), inner, method, most)
+def in_interval(outer: Interval, inner: Any, method: Method, most: int) -> Answer:
+    """By the inequalities of the box."""
+    return in_polytope(outer.to_polytope(), inner, method, most)
 
 
-def _in_intersection(outer: Intersection, inner: Any, method: Method, most: int) -> Answer:
+def in_intersection(outer: Intersection, inner: Any, method: Method, most: int) -> Answer:
     """Inside every part."""
+    from .pairs import contains
+
     answers = [contains(part, inner, method, most) for part in outer.parts]
     for wanted in (False, None):
         found = [answer for answer in answers if answer.holds is wanted]
@@ -96,12 +58,14 @@ def _in_intersection(outer: Intersection, inner: Any, method: Method, most: int)
     return min(answers, key=lambda answer: answer.margin)
 
 
-def _in_image(outer: AffineImage, inner: Any, method: Method, most: int) -> Answer:
+def in_image(outer: AffineImage, inner: Any, method: Method, most: int) -> Answer:
     """The inner set drawn back through the map, what that can be wrong by booked on every axis.
 
     With W close to the inverse of M and ``F = 1 - W M``, the x with ``M x + v = y`` differs from
     ``W (y - v)`` by ``F x``, and ``|F| s <= t s`` with ``|W (y - v)| <= s`` shows ``|x| <= s / (1 - t)``.
     """
+    from .pairs import contains
+
     M, v, n = outer.M, outer.v, outer.dim
     W = inverse(M)
     if not np.all(np.isfinite(inner.extent)):
@@ -127,7 +91,7 @@ def _in_image(outer: AffineImage, inner: Any, method: Method, most: int) -> Answ
     return Answer(None, found.margin if found.holds is None else 0.0, reason=found.reason or TOUCHING)
 
 
-def _in_polytope(outer: HPolytope, inner: Any, method: Method, most: int) -> Answer:
+def in_polytope(outer: HPolytope, inner: Any, method: Method, most: int) -> Answer:
     """Every row against the support of the inner set."""
 
     def settle(left: NDArray[np.intp]) -> list[bool | None]:
@@ -207,7 +171,7 @@ def _doubled(*sets: Zonotope | Interval) -> tuple[tuple[Whole, Whole], int]:
     return (first + second, np.diag(second - first)), rest[-1][0]
 
 
-def _in_ellipsoid(outer: Ellipsoid, inner: Any, method: Method, most: int) -> Answer:
+def in_ellipsoid(outer: Ellipsoid, inner: Any, method: Method, most: int) -> Answer:
     """The largest norm of the inner set, in coordinates in which the ellipsoid is the unit ball."""
     n = outer.dim
     if outer.L.shape[1] != n or not np.linalg.cond(outer.L) < 1e12:
@@ -238,7 +202,7 @@ def _in_ellipsoid(outer: Ellipsoid, inner: Any, method: Method, most: int) -> An
     return Answer(None, 1 - upper, reason=TOUCHING if upper < 1 + 1e-6 else "the norm is only bracketed")
 
 
-def _in_zonotope(outer: Zonotope, inner: Any, method: Method, most: int) -> Answer:
+def in_zonotope(outer: Zonotope, inner: Any, method: Method, most: int) -> Answer:
     """All facets, or one linear program, as the method says."""
     if method == "exact":
         return _in_facets(outer, inner, facet_normals(outer.G, most))
@@ -263,15 +227,46 @@ def _by_program(outer: Zonotope, inner: Any) -> Answer:
     return Answer(None, 1 - scale, reason="the linear program is only sufficient")
 
 
-INSIDE: dict[type, Callable[[Any, Any, Method, int], Answer]] = {
-    Interval: _in_interval,
-    HPolytope: _in_polytope,
-    Zonotope: _in_zonotope,
-    Ellipsoid: _in_ellipsoid,
-    AffineImage: _in_image,
-    Intersection: _in_intersection,
-}
-"""How containment is asked, by the kind of the outer set."""
+def scale_to_hold(outer: Zonotope, inner: Zonotope) -> float:
+    """A factor t with ``inner`` inside ``{c + t G b}`` of the outer set, proved; inf if none was found.
 
-OPEN = (HPolytope, AffineImage, Intersection)
-"""Kinds of outer sets that may be unbounded."""
+    The least t for which ``[G_in, c_in - c] = G Gamma`` with row sums ``sum_j |Gamma_ij| <= t``
+    (Sadraddini and Tedrake 2019, theorem 3). What rounding leaves of the equation is mapped back
+    through a right inverse of G and added to the rows, so t needs no trust in the solver. For a flat
+    outer set there is no right inverse, hence no proof.
+    """
+    from scipy import sparse
+    from scipy.optimize import linprog
+
+    size = outer.half_widths
+    if np.any(size == 0):
+        return np.inf
+    G = outer.G[:, np.any(outer.G != 0, axis=0)] / size[:, None]
+    target = np.c_[inner.G, inner.c - outer.c] / size[:, None]
+    target = target[:, np.any(target != 0, axis=0)]
+    (n, p), q = G.shape, target.shape[1]
+    R = np.linalg.pinv(G)
+    defect = np.abs(np.eye(n) - G @ R) + gamma(p) * (np.abs(G) @ np.abs(R))
+    loss = float(defect.sum(axis=1).max())
+    if not loss < 0.5:
+        return np.inf
+    if q == 0:
+        return 0.0
+    equal = sparse.hstack(
+        [sparse.kron(sparse.eye(q), G), -sparse.kron(sparse.eye(q), G), np.zeros((n * q, 1))]
+    )
+    sums = sparse.kron(np.ones((1, 2 * q)), sparse.eye(p))
+    solved = linprog(
+        np.r_[np.zeros(2 * p * q), 1.0],
+        sparse.hstack([sums, -np.ones((p, 1))]).tocsr(),
+        np.zeros(p),
+        equal.tocsr(),
+        target.T.ravel(),
+        bounds=(0, None),
+    )
+    if solved.status != 0:
+        return np.inf
+    Gamma = (solved.x[: p * q] - solved.x[p * q : -1]).reshape(q, p).T
+    left = np.abs(target - G @ Gamma) + gamma(p) * (np.abs(target) + np.abs(G) @ np.abs(Gamma))
+    repair = np.abs(R).sum(axis=1) * left.max(axis=0).sum() / (1 - loss)
+    return float((np.abs(Gamma).sum(axis=1) + repair).max() * (1 + gamma(q)))

@@ -3,20 +3,29 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
 from typing import TYPE_CHECKING, Any, Protocol, Self, cast, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..numerics.checks import (
+    Array,
+    as_factor,
+    as_matrix,
+    as_one_vector,
+    as_vector,
+    require_sets,
+    selector,
+)
 from ..numerics.errors import ReachError
 from ..numerics.rounding import gamma
 
 if TYPE_CHECKING:
     from .interval import Interval
     from .zonotope import Zonotope
-
-Array = NDArray[np.float64]
 
 
 @runtime_checkable
@@ -27,73 +36,42 @@ class ConvexSet(Protocol):
     """
 
     @property
+    @abstractmethod
     def dim(self) -> int:
         """Dimension n of the space."""
 
     @property
+    @abstractmethod
     def center(self) -> Array:
         """A point of the set, the centre of symmetry where there is one, shape (n,)."""
 
+    @abstractmethod
     def support(self, directions: ArrayLike) -> Array:
         """Largest ``d . x`` over the set, shape (..., r) for rows (..., r, n), () for one (n,)."""
 
+    @abstractmethod
     def support_vector(self, directions: ArrayLike) -> Array:
         """Points of the set that attain the support, shape of `directions`."""
 
+    @abstractmethod
     def interval_hull(self) -> Interval:
         """Smallest axis-aligned box around the set, rounded outwards."""
 
+    @abstractmethod
     def contains(self, points: ArrayLike, slack: float = 1e-9) -> NDArray[np.bool_]:
         """Whether each point lies in the set, shape (...) for points (..., n)."""
 
 
-class SetOperators(ABC):
+class SetOperators(ConvexSet, ABC):
     """Operators as on paper: ``M @ X``, ``X + Y``, ``X + v``, ``a * X``, ``-X``, ``x in X``, ``X <= Y``.
 
     All are exact; what a class cannot represent comes back as a lazily evaluated
-    `reach.MinkowskiSum` or `reach.AffineImage`. Enclosures have names, never operators.
+    `reach.MinkowskiSum` or `reach.AffineImage`. Enclosures have names, never operators. What depends on
+    the classes of both sets is found in the table of `reach.sets.pairs`.
     """
 
     # Let ``M @ X`` and ``v + X`` reach this class instead of numpy's broadcasting.
     __array_ufunc__ = None
-
-    @property
-    @abstractmethod
-    def dim(self) -> int:
-        """Dimension n of the space."""
-
-    @abstractmethod
-    def __rmatmul__(self, M: ArrayLike) -> Any:
-        """Linear image ``M @ X``."""
-
-    @abstractmethod
-    def __add__(self, other: Any) -> Any:
-        """Minkowski sum with another set, or translation by a vector."""
-
-    @abstractmethod
-    def __mul__(self, factor: float) -> Any:
-        """Scaled copy ``{a x}``."""
-
-    @abstractmethod
-    def contains(self, points: ArrayLike, slack: float = 1e-9) -> NDArray[np.bool_]:
-        """Whether each point lies in the set."""
-
-    @property
-    @abstractmethod
-    def center(self) -> Array:
-        """A point of the set."""
-
-    @abstractmethod
-    def support(self, directions: ArrayLike) -> Array:
-        """Largest ``d . x`` over the set."""
-
-    @abstractmethod
-    def support_vector(self, directions: ArrayLike) -> Array:
-        """Points of the set that attain the support."""
-
-    @abstractmethod
-    def interval_hull(self) -> Interval:
-        """Smallest axis-aligned box around the set, rounded outwards."""
 
     @property
     @abstractmethod
@@ -104,6 +82,35 @@ class SetOperators(ABC):
     @abstractmethod
     def terms(self) -> int:
         """Number of products summed in one value of the support function."""
+
+    def _translated(self, v: Array) -> Any:
+        """The set moved by one vector."""
+        from .lazy import AffineImage
+
+        return AffineImage(np.eye(self.dim), self, v)
+
+    def _scaled(self, a: float) -> Any:
+        """The set times a number."""
+        return a * np.eye(self.dim) @ self
+
+    def __rmatmul__(self, M: ArrayLike) -> Any:
+        """Linear image ``M @ X``."""
+        from .lazy import AffineImage
+
+        M = as_matrix(M, self.dim)
+        return AffineImage(M, self, np.zeros(M.shape[0]))
+
+    def __add__(self, other: Any) -> Any:
+        """Minkowski sum with another set, or translation by a vector."""
+        if isinstance(other, SetOperators):
+            from .pairs import minkowski_sum
+
+            return minkowski_sum(self, other)
+        return self._translated(as_one_vector(other, self.dim))
+
+    def __mul__(self, factor: float) -> Any:
+        """Scaled copy ``{a x}``."""
+        return self._scaled(as_factor(factor))
 
     def support_up(self, directions: ArrayLike) -> Array:
         """Support with its rounding booked: never below the true value, shape (..., r)."""
@@ -134,17 +141,22 @@ class SetOperators(ABC):
         return bool(self.contains(as_one_vector(point, self.dim)))
 
     def __and__(self, other: Any) -> Any:
-        """Intersection with another set: a polytope where both are given by inequalities, else lazy.
+        """Intersection with another set: a box of two boxes, a polytope of inequalities, else lazy.
 
         See `reach.Intersection`; a lazy one is bounded from outside where it is evaluated.
+
+        Raises
+        ------
+        ReachError
+            If two boxes have no point in common.
         """
-        from .meet import intersect
+        from .pairs import intersect
 
         return intersect(self, other)
 
     def __le__(self, other: Any) -> bool:
         """Whether this set is proved to lie in the other one; see `reach.contains`."""
-        from .containment import contains
+        from .pairs import contains
 
         return bool(contains(other, self))
 
@@ -227,6 +239,18 @@ class SetOperators(ABC):
         return ax
 
 
+def find(table: Mapping[tuple[type, ...], Any], *sets: Any) -> Any:
+    """The entry of a table for the classes of some sets; None if there is none.
+
+    The order of fallbacks: the classes themselves; then the bases of the last set's class, nearest
+    first, up to ``object``; then those of the set before it, each again with all of the last's.
+    """
+    exact = table.get(tuple(type(X) for X in sets))
+    if exact is not None:
+        return exact
+    return next((table[key] for key in product(*(type(X).__mro__ for X in sets)) if key in table), None)
+
+
 def magnitude(X: ConvexSet, directions: ArrayLike) -> Array:
     """Largest ``|d . x|`` over a set, shape (..., r) for rows (..., r, n)."""
     D = np.asarray(directions, dtype=float)
@@ -240,139 +264,34 @@ def weighed(rows: Array, extent: Array) -> Array:
     return np.asarray(np.where(rows != 0, np.abs(rows) * np.where(rows != 0, extent, 0.0), 0.0).sum(axis=-1))
 
 
-def as_numbers(name: str, value: Any) -> Array:
-    """An array of floats, or one clear error."""
-    if isinstance(value, np.ndarray) and value.dtype == float:
-        return value
-    try:
-        found = np.asarray(value)
-        if found.dtype.kind not in "biufO":
-            raise TypeError("they are not real numbers")
-        return np.asarray(found, dtype=float)
-    except (TypeError, ValueError, OverflowError) as exc:
-        raise ReachError(f"{name} must be numbers, got {type(value).__name__}: {exc}") from None
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """Answer to a question about two sets; true in an ``if`` only when proved.
 
+    Attributes
+    ----------
+    holds : bool or None
+        True: proved, rounding included. False: `witness` shows why not. None: not decided, either
+        because the method is only sufficient or because the sets touch to within rounding.
+    margin : float
+        By how much it holds, never too large; negative where it does not. For containment in a
+        polytope or an interval: the distance to the nearest facet. In a zonotope or an ellipsoid:
+        one minus the factor by which it must be scaled about its centre to hold the inner set. For
+        disjointness: the distance of the sets, 0 where they meet.
+    witness : ndarray, shape (n,), or None
+        With a "no": a point of the inner set outside the outer one; a point in both sets.
+    direction : ndarray, shape (n,), or None
+        What separates: the facet that the witness is beyond; for disjoint sets a d with
+        ``d . x < d . y`` for all their points.
+    reason : str
+        Why it was not decided.
+    """
 
-def as_vector(value: ArrayLike, n: int) -> Array:
-    """A finite vector (or stack of them) of n entries, or one clear error."""
-    vector = as_numbers("a vector", value)
-    if vector.ndim == 0 or vector.shape[-1] != n:
-        raise ReachError(f"expected vectors of {n} entries, got shape {vector.shape}")
-    if not np.all(np.isfinite(vector)):
-        raise ReachError("a vector must have finite entries, got nan or inf")
-    return vector
+    holds: bool | None
+    margin: float
+    witness: Array | None = None
+    direction: Array | None = None
+    reason: str = ""
 
-
-def as_rows(value: ArrayLike, n: int, batch: tuple[int, ...]) -> Array:
-    """Finite rows (..., r, n), or one vector (n,), that go together with a stack of sets."""
-    D = as_vector(value, n)
-    if batch and D.ndim > 2:
-        require_alike(D.shape[:-2], batch)
-    return D
-
-
-def as_one_vector(value: ArrayLike, n: int) -> Array:
-    """A finite vector of n entries, or one clear error."""
-    vector = as_vector(value, n)
-    if vector.ndim != 1:
-        raise ReachError(f"expected one vector of {n} entries, got shape {vector.shape}")
-    return vector
-
-
-def as_map(value: ArrayLike, n: int) -> Array:
-    """A finite matrix (or stack of them) that acts on dimension n, or one clear error."""
-    M = as_numbers("a map", value)
-    if M.ndim < 2 or M.shape[-1] != n:
-        raise ReachError(f"cannot apply a map of shape {M.shape} to a set of dimension {n}")
-    if not np.all(np.isfinite(M)):
-        raise ReachError("a map must have finite entries, got nan or inf")
-    return M
-
-
-def as_matrix(value: ArrayLike, n: int) -> Array:
-    """A finite matrix with n columns, or one clear error."""
-    M = as_map(value, n)
-    if M.ndim != 2:
-        raise ReachError(f"a map of a single set must be one matrix, got shape {M.shape}")
-    return M
-
-
-def as_factor(value: float, name: str = "a factor") -> float:
-    """A finite number, or one clear error."""
-    number = as_numbers(name, value)
-    if number.ndim != 0 or not np.isfinite(number):
-        raise ReachError(f"{name} must be one finite number, got {value!r}")
-    return float(number)
-
-
-def as_count(name: str, value: Any) -> int:
-    """A whole number >= 0, or one clear error."""
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 0:
-        raise ReachError(f"{name} must be a whole number >= 0, got {value!r}")
-    return int(value)
-
-
-def require_same_dim(a: ConvexSet | SetOperators, b: ConvexSet | SetOperators) -> None:
-    """Refuse what is no set, and sets of different dimensions."""
-    require_sets(a, b)
-    if a.dim != b.dim:
-        raise ReachError(f"sets of dimensions {a.dim} and {b.dim} do not go together")
-
-
-def require_sets(*values: Any) -> None:
-    """Refuse what is not a convex set."""
-    for value in values:
-        if not (hasattr(type(value), "support") and hasattr(type(value), "interval_hull")):
-            raise ReachError(f"a convex set is needed, got {type(value).__name__}")
-
-
-def as_alike(first: str, a: ArrayLike, second: str, b: ArrayLike) -> tuple[Array, Array]:
-    """Two arrays of numbers broadcast with each other, at least vectors."""
-    one, other = as_numbers(first, a), as_numbers(second, b)
-    try:
-        one, other = np.broadcast_arrays(one, other)
-    except ValueError:
-        raise ReachError(
-            f"{first} and {second} do not go together: shapes {one.shape}, {other.shape}"
-        ) from None
-    return one, other
-
-
-def require_alike(*shapes: tuple[int, ...]) -> None:
-    """Refuse stacks that do not broadcast with each other."""
-    try:
-        np.broadcast_shapes(*shapes)
-    except ValueError:
-        raise ReachError(f"stacks of shapes {', '.join(map(str, shapes))} do not go together") from None
-
-
-def require_stackable(parts: Any, kind: type) -> None:
-    """Refuse what is not a sequence of sets of one kind and shape."""
-    good = isinstance(parts, list | tuple) and parts and all(isinstance(part, kind) for part in parts)
-    if not good or len({(part.dim, part.batch) for part in parts}) > 1:
-        raise ReachError(f"a stack needs a sequence of {kind.__name__} of one dimension and shape")
-
-
-def stacked(values: Array, index: Any) -> Array:
-    """What an index selects from a stack, or one clear error."""
-    try:
-        return np.asarray(values[index])
-    except (IndexError, TypeError, ValueError) as exc:
-        raise ReachError(f"an index selects from the batch axes: {exc}") from None
-
-
-def require_single(X: Any, what: str) -> None:
-    """Refuse a stack of sets."""
-    if getattr(X, "batch", ()):
-        raise ReachError(f"{what} asks a single set, got a stack of shape {X.batch}")
-
-
-def selector(dims: Sequence[int], n: int) -> Array:
-    """Rows of the identity that pick coordinates, shape (len(dims), n)."""
-    try:
-        picked = [as_count("an entry of dims", i) for i in dims]
-    except TypeError:
-        raise ReachError(f"dims must be a sequence of numbers, got {dims!r}") from None
-    if not picked or len(set(picked)) != len(picked) or not all(0 <= i < n for i in picked):
-        raise ReachError(f"dims must be different numbers from 0 to {n - 1}, got {picked}")
-    return np.asarray(np.eye(n)[picked])
+    def __bool__(self) -> bool:
+        return self.holds is True

@@ -9,14 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from ..numerics.checks import Array
 from ..numerics.errors import ReachError
 from ..numerics.programs import maximise
 from .distance import nearest, unit_sizes
 from .lifted import lifted
 from .polytope import HPolytope
 from .zonotope import Zonotope
-
-Array = NDArray[np.float64]
 
 CUTS = 30
 """Supporting planes that a round part is given, one after the other, in the search along one direction."""

@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from .convex import ConvexSet, require_same_dim
-
-Array = NDArray[np.float64]
+from ..numerics.checks import Array, as_vector, require_same_dim
+from .convex import ConvexSet
 
 STEPS = 300
 """Most support vectors asked of each set: polytopes need far fewer, round sets that touch use them up."""
@@ -104,3 +103,15 @@ def _least_norm(points: Array) -> Array | None:
         return None
     total = float(found.sum())
     return np.asarray(found / total) if total > 0 else np.full(k, 1 / k)
+
+
+def contains_by_distance(X: ConvexSet, points: ArrayLike, slack: float) -> NDArray[np.bool_]:
+    """Whether each point is within `slack` of the set, measured in sizes of its interval hull.
+
+    A point is outside only if a direction shows it.
+    """
+    from .zonotope import Zonotope
+
+    x, size = as_vector(points, X.dim), unit_sizes(X.interval_hull().half_widths)
+    least = [nearest(Zonotope.point(p), X, size).least for p in x.reshape(-1, X.dim)]
+    return np.array(least).reshape(x.shape[:-1]) <= slack

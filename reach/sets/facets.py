@@ -1,4 +1,4 @@
-"""Facets and volume of zonotopes, by the combinations of their generators."""
+"""Facets and volume of zonotopes by the combinations of their generators, membership by a linear program."""
 
 from __future__ import annotations
 
@@ -6,12 +6,10 @@ from itertools import combinations
 from math import comb
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..numerics.checks import Array
 from ..numerics.errors import ReachError
-from ..numerics.exact import Whole, cross, floats, integers
-
-Array = NDArray[np.float64]
+from ..numerics.rounding import Whole, cross, floats, gamma, integers
 
 FLAT = 1e-9
 """Ratio of singular values (axes scaled to unit size) below which a zonotope is treated as flat."""
@@ -90,3 +88,30 @@ def volume(G: Array, most: int) -> Array:
     groups = np.array(list(combinations(range(g), n)), dtype=int).reshape(-1, n)
     minors = np.moveaxis(G[..., groups], -3, -2)
     return np.asarray(2.0**n * np.abs(np.linalg.det(minors)).sum(axis=-1))
+
+
+def least_level(c: Array, G: Array, point: Array) -> float:
+    """Least t with ``point = c + G b`` and ``|b_i| <= t``; inf if there is none.
+
+    Along an axis on which the set is flat the rounding of the point is forgiven.
+    """
+    from scipy.optimize import linprog
+
+    G, scale, gap = G[:, np.any(G != 0, axis=0)], np.abs(G).sum(axis=1), point - c
+    if np.any(np.abs(gap[scale == 0]) > gamma(1) * np.abs(c[scale == 0])):
+        return np.inf
+    G, gap = G[scale > 0] / scale[scale > 0, None], gap[scale > 0] / scale[scale > 0]
+    least = float(np.abs(gap).max(initial=0.0))
+    g = G.shape[1]
+    if g == 0 or least > 2:  # far outside the interval hull: the bound is answer enough
+        return least if g else 0.0
+    bound = np.block([[np.eye(g), -np.ones((g, 1))], [-np.eye(g), -np.ones((g, 1))]])
+    solved = linprog(
+        np.r_[np.zeros(g), 1.0],
+        bound,
+        np.zeros(2 * g),
+        np.c_[G, np.zeros(len(G))],
+        gap,
+        bounds=[(None, None)] * g + [(0, None)],
+    )
+    return float(solved.fun) if solved.status == 0 else np.inf

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..numerics.arguments import checked
-from ..numerics.errors import ReachError
-from ..numerics.rounding import add_down, add_up, gamma
-from .convex import (
-    SetOperators,
+from ..numerics.checks import (
+    Array,
     as_alike,
-    as_factor,
     as_map,
     as_numbers,
     as_rows,
@@ -27,16 +24,59 @@ from .convex import (
     selector,
     stacked,
 )
+from ..numerics.errors import ReachError
+from ..numerics.rounding import add_down, add_up, gamma
+from .convex import SetOperators
 
 if TYPE_CHECKING:
     from .polytope import HPolytope
     from .zonotope import Zonotope
 
-Array = NDArray[np.float64]
+
+class SetStack(SetOperators):
+    """A set, or a stack of them along leading axes of its two arrays (their names in `names`)."""
+
+    names: ClassVar[tuple[str, str]]
+
+    @property
+    def _arrays(self) -> tuple[Array, Array]:
+        return getattr(self, self.names[0]), getattr(self, self.names[1])
+
+    @property
+    def dim(self) -> int:
+        """Dimension n of the space."""
+        return int(self._arrays[0].shape[-1])
+
+    @property
+    def batch(self) -> tuple[int, ...]:
+        """Leading axes."""
+        return self._arrays[0].shape[:-1]
+
+    def __getitem__(self, index: Any) -> Self:
+        """Select from the batch axes."""
+        if not self.batch:
+            raise ReachError(f"a single {type(self).__name__} cannot be indexed")
+        parts = [stacked(part, index) for part in self._arrays]
+        if parts[0].ndim == 0 or parts[0].shape[-1] != self.dim:
+            raise ReachError(f"an index selects from the batch axes {self.batch} only, got {index!r}")
+        return type(self)(*parts)
+
+    def __len__(self) -> int:
+        if not self.batch:
+            raise ReachError(f"a single {type(self).__name__} has no length")
+        return self.batch[0]
+
+    def __add__(self, other: Any) -> Any:
+        """Minkowski sum with another set, or translation by vectors that broadcast with the batch."""
+        if isinstance(other, SetOperators):
+            return super().__add__(other)
+        v = as_vector(other, self.dim)
+        require_alike(v.shape[:-1], self.batch)
+        return self._translated(v)
 
 
 @dataclass(frozen=True, eq=False)
-class Interval(SetOperators):
+class Interval(SetStack):
     """``{x : lo <= x <= hi}``, or a stack of such boxes.
 
     Parameters
@@ -52,6 +92,8 @@ class Interval(SetOperators):
 
     lo: Array
     hi: Array
+
+    names = ("lo", "hi")
 
     def __post_init__(self) -> None:
         lo, hi = as_numbers("lo", self.lo), as_numbers("hi", self.hi)
@@ -89,18 +131,6 @@ class Interval(SetOperators):
         require_stackable(parts, cls)
         return cls(np.stack([part.lo for part in parts]), np.stack([part.hi for part in parts]))
 
-    # -- facts ----------------------------------------------------------------------------------
-
-    @property
-    def dim(self) -> int:
-        """Dimension n of the space."""
-        return int(self.lo.shape[-1])
-
-    @property
-    def batch(self) -> tuple[int, ...]:
-        """Leading axes."""
-        return self.lo.shape[:-1]
-
     @property
     def center(self) -> Array:
         """Midpoint, shape (..., n)."""
@@ -116,20 +146,6 @@ class Interval(SetOperators):
         """Product of the widths, shape (...)."""
         return np.asarray(np.prod(self.hi - self.lo, axis=-1))
 
-    def __getitem__(self, index: Any) -> Interval:
-        """Select from the batch axes."""
-        if not self.batch:
-            raise ReachError("a single interval cannot be indexed")
-        lo, hi = stacked(self.lo, index), stacked(self.hi, index)
-        if lo.ndim == 0 or lo.shape[-1] != self.dim:
-            raise ReachError(f"an index selects from the batch axes {self.batch} only, got {index!r}")
-        return Interval(lo, hi)
-
-    def __len__(self) -> int:
-        if not self.batch:
-            raise ReachError("a single interval has no length")
-        return self.batch[0]
-
     @property
     def extent(self) -> Array:
         """Elementwise bound on the points, before rounding, shape (..., n)."""
@@ -139,8 +155,6 @@ class Interval(SetOperators):
     def terms(self) -> int:
         """Number of products summed in one value of the support function."""
         return self.dim
-
-    # -- questions ------------------------------------------------------------------------------
 
     def support(self, directions: ArrayLike) -> Array:
         """Largest value of each direction over the set, shape (..., r) for rows (..., r, n)."""
@@ -169,50 +183,16 @@ class Interval(SetOperators):
         x, extra = as_vector(points, self.dim), slack * (self.hi - self.lo) / 2 + gamma(1) * self.extent
         return np.asarray(np.all((self.lo - extra <= x) & (x <= self.hi + extra), axis=-1))
 
-    # -- operations, all exact ------------------------------------------------------------------
-
     def __rmatmul__(self, M: ArrayLike) -> Zonotope:
         """Linear image ``M @ X``, a zonotope."""
         return as_map(M, self.dim) @ self.to_zonotope()
 
-    def __add__(self, other: Any) -> Any:
-        """Minkowski sum (with an interval: an interval), or translation; rounded outwards."""
-        from .lazy import minkowski_sum
-        from .zonotope import Zonotope
-
-        if isinstance(other, Zonotope):
-            return other + self
-        if isinstance(other, SetOperators) and not isinstance(other, Interval):
-            return minkowski_sum(self, other)
-        if isinstance(other, Interval):
-            require_same_dim(self, other)
-            require_alike(self.batch, other.batch)
-            return Interval(add_down(self.lo, other.lo), add_up(self.hi, other.hi))
-        v = as_vector(other, self.dim)
-        require_alike(v.shape[:-1], self.batch)
+    def _translated(self, v: Array) -> Interval:
         return Interval(add_down(self.lo, v), add_up(self.hi, v))
 
-    def __mul__(self, factor: float) -> Interval:
-        """Scaled copy ``{a x}``."""
-        a = as_factor(factor)
+    def _scaled(self, a: float) -> Interval:
         ends = (a * self.lo, a * self.hi)
         return Interval(*(ends if a >= 0 else ends[::-1]))
-
-    def __and__(self, other: Any) -> Any:
-        """Intersection: a box with another box, else as for all sets (see `SetOperators`).
-
-        Raises
-        ------
-        ReachError
-            If two boxes have no point in common.
-        """
-        if not isinstance(other, Interval):
-            return super().__and__(other)
-        require_same_dim(self, other)
-        lo, hi = np.maximum(self.lo, other.lo), np.minimum(self.hi, other.hi)
-        if np.any(lo > hi):
-            raise ReachError("the intersection of the intervals is empty")
-        return Interval(lo, hi)
 
     def project(self, dims: Sequence[int]) -> Interval:
         """Coordinates in the order given (exact)."""
@@ -224,8 +204,6 @@ class Interval(SetOperators):
         """Smallest box that holds both."""
         require_same_dim(self, other)
         return Interval(np.minimum(self.lo, other.lo), np.maximum(self.hi, other.hi))
-
-    # -- other descriptions -----------------------------------------------------------------------
 
     def to_zonotope(self) -> Zonotope:
         """The same box as a zonotope (exact; half-widths rounded up)."""

@@ -9,26 +9,23 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..numerics.arguments import checked
-from ..numerics.errors import ReachError
-from ..numerics.rounding import gamma
-from .convex import (
-    SetOperators,
-    as_factor,
+from ..numerics.checks import (
+    Array,
     as_matrix,
     as_one_vector,
     as_vector,
     require_same_dim,
     require_sets,
     require_single,
-    weighed,
 )
+from ..numerics.errors import ReachError
+from ..numerics.rounding import gamma
+from .convex import SetOperators, weighed
+from .distance import contains_by_distance
 from .interval import Interval
-from .membership import contains_by_distance
 
 if TYPE_CHECKING:
     from .polytope import HPolytope
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,15 +109,10 @@ class AffineImage(SetOperators):
         M = as_matrix(M, self.dim)
         return AffineImage(M @ self.M, self.base, M @ self.v)
 
-    def __add__(self, other: Any) -> Any:
-        """Minkowski sum with another set, or translation by a vector."""
-        if isinstance(other, SetOperators):
-            return minkowski_sum(self, other)
-        return AffineImage(self.M, self.base, self.v + as_one_vector(other, self.dim))
+    def _translated(self, v: Array) -> AffineImage:
+        return AffineImage(self.M, self.base, self.v + v)
 
-    def __mul__(self, factor: float) -> AffineImage:
-        """Scaled copy ``{a x}``."""
-        a = as_factor(factor)
+    def _scaled(self, a: float) -> AffineImage:
         return AffineImage(a * self.M, self.base, a * self.v)
 
     def to_polytope(self) -> HPolytope:
@@ -160,7 +152,31 @@ def inverse(M: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class MinkowskiSum(SetOperators):
+class OfParts(SetOperators):
+    """What is made of single sets of one dimension, kept unevaluated."""
+
+    parts: tuple[Any, ...]
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.parts, tuple | list) or not self.parts:
+            raise ReachError(f"{type(self).__name__} needs a tuple of at least one set")
+        object.__setattr__(self, "parts", tuple(self.parts))
+        for part in self.parts:
+            require_same_dim(self.parts[0], part)
+            require_single(part, f"a lazy {type(self).__name__}")
+
+    @property
+    def dim(self) -> int:
+        """Dimension n of the space."""
+        return int(self.parts[0].dim)
+
+    @property
+    def terms(self) -> int:
+        """Number of products summed in one value of the support function."""
+        return sum(int(part.terms) for part in self.parts)
+
+
+class MinkowskiSum(OfParts):
     """``{x_1 + ... + x_k : x_i in X_i}``, kept unevaluated.
 
     Parameters
@@ -168,21 +184,6 @@ class MinkowskiSum(SetOperators):
     parts : tuple of ConvexSet
         Single sets of one dimension.
     """
-
-    parts: tuple[Any, ...]
-
-    def __post_init__(self) -> None:
-        if not isinstance(self.parts, tuple | list) or not self.parts:
-            raise ReachError("a Minkowski sum needs a tuple of at least one set")
-        object.__setattr__(self, "parts", tuple(self.parts))
-        for part in self.parts:
-            require_same_dim(self.parts[0], part)
-            require_single(part, "a lazy Minkowski sum")
-
-    @property
-    def dim(self) -> int:
-        """Dimension n of the space."""
-        return int(self.parts[0].dim)
 
     @property
     def center(self) -> Array:
@@ -214,11 +215,6 @@ class MinkowskiSum(SetOperators):
         """Elementwise bound on the points, before rounding, shape (n,)."""
         return np.asarray(sum(part.extent for part in self.parts))
 
-    @property
-    def terms(self) -> int:
-        """Number of products summed in one value of the support function."""
-        return sum(int(part.terms) for part in self.parts)
-
     def interval_hull(self) -> Interval:
         """Smallest box around the set, rounded outwards."""
         total = self.parts[0].interval_hull()
@@ -235,20 +231,8 @@ class MinkowskiSum(SetOperators):
         """Linear image: the sum of the images."""
         return MinkowskiSum(tuple(as_matrix(M, self.dim) @ part for part in self.parts))
 
-    def __add__(self, other: Any) -> MinkowskiSum:
-        """Minkowski sum with another set, or translation by a vector."""
-        if isinstance(other, SetOperators):
-            return minkowski_sum(self, other)
-        return MinkowskiSum((self.parts[0] + as_one_vector(other, self.dim), *self.parts[1:]))
+    def _translated(self, v: Array) -> MinkowskiSum:
+        return MinkowskiSum((self.parts[0] + v, *self.parts[1:]))
 
-    def __mul__(self, factor: float) -> MinkowskiSum:
-        """Scaled copy ``{a x}``."""
-        return MinkowskiSum(tuple(part * as_factor(factor) for part in self.parts))
-
-
-def minkowski_sum(*sets: Any) -> MinkowskiSum:
-    """Lazy Minkowski sum; nested sums are flattened."""
-    for part in sets:
-        require_single(part, "a lazy Minkowski sum")
-    flat = [part for s in sets for part in (s.parts if isinstance(s, MinkowskiSum) else (s,))]
-    return MinkowskiSum(tuple(flat))
+    def _scaled(self, a: float) -> MinkowskiSum:
+        return MinkowskiSum(tuple(part * a for part in self.parts))

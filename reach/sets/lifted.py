@@ -6,16 +6,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from ..numerics.checks import Array
+from .intersection import Intersection
 from .interval import Interval
 from .lazy import AffineImage, MinkowskiSum
-from .meet import Intersection
 from .polytope import HPolytope
 from .zonotope import Zonotope
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

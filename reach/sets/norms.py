@@ -5,17 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..numerics.arguments import checked
+from ..numerics.checks import Array, require_single
 from ..numerics.rounding import gamma
-from .convex import SetOperators, require_single
+from .convex import SetOperators
 from .ellipsoid import Ellipsoid
 from .interval import Interval
 from .lazy import AffineImage, MinkowskiSum
 from .zonotope import Zonotope
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

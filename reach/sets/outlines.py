@@ -5,17 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..numerics.checks import Array, require_sets
 from ..numerics.errors import ReachError
-from .convex import require_sets
 from .ellipsoid import Ellipsoid
+from .intersection import Intersection
 from .interval import Interval
 from .lazy import AffineImage, MinkowskiSum
-from .meet import Intersection
 from .zonotope import Zonotope
-
-Array = NDArray[np.float64]
 
 OUTLINE = 128
 """Supporting lines that a round set is drawn with; it is overestimated by 0.03 %."""

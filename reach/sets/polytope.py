@@ -2,34 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..numerics.arguments import checked
+from ..numerics.checks import Array, as_factor, as_matrix, as_numbers, as_one_vector, as_vector
 from ..numerics.errors import ReachError
-from ..numerics.exact import integers, mixture
-from ..numerics.programs import Maximum, maximise
-from ..numerics.rounding import gamma
+from ..numerics.programs import maximise
+from ..numerics.rounding import gamma, is_product, mixture
 from .bases import Bases
-from .convex import SetOperators, as_factor, as_matrix, as_numbers, as_one_vector, as_vector, weighed
+from .convex import SetOperators, weighed
 from .interval import Interval
-
-Array = NDArray[np.float64]
 
 EXACT_MOST = 24
 """Largest dimension in which inequalities are mixed without rounding."""
 
-FEW = 4
-"""Directions up to which each is one linear program."""
-
 FLATNESS = 1e-9
 """An inscribed radius above minus this, relative to the offsets, counts as 'not empty'."""
+
+
+def _mixed(rows: Array, levels: Array, target: Array) -> Fraction | None:
+    """Level of the mixture of rows, with weights >= 0 and without rounding, that is a target row."""
+    weights = mixture(rows, target)
+    if weights is None or min(weights, default=0) < 0:
+        return None
+    return sum((w * Fraction(b) for w, b in zip(weights, levels, strict=True)), Fraction(0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,8 +63,6 @@ class HPolytope(SetOperators):
             raise ReachError(f"row {int(np.argmin(A.any(axis=1)))} of A is zero")
         object.__setattr__(self, "A", A)
         object.__setattr__(self, "b", b)
-
-    # -- facts ----------------------------------------------------------------------------------
 
     @property
     def dim(self) -> int:
@@ -100,14 +100,9 @@ class HPolytope(SetOperators):
         used = np.argsort(-self._ball[2] * np.linalg.norm(self.A, axis=1), kind="stable")[: self.dim + 1]
         used = used[self._ball[2][used] > 0]
         sizes = np.exp2(np.round(np.log2(np.linalg.norm(self.A[used], axis=1))))
-        rows = np.c_[self.A[used] / sizes[:, None], np.ones(len(used))]
-        weights = mixture(rows, np.eye(self.dim + 1)[-1])
-        if weights is None or min(weights) < 0:
-            return False
-        levels = self.b[used] / sizes
-        if not np.all(np.isfinite(levels)):
-            return False
-        return sum(w * Fraction(b) for w, b in zip(weights, levels, strict=True)) < 0
+        rows, levels = np.c_[self.A[used] / sizes[:, None], np.ones(len(used))], self.b[used] / sizes
+        level = _mixed(rows, levels, np.eye(self.dim + 1)[-1]) if np.all(np.isfinite(levels)) else None
+        return level is not None and level < 0
 
     def proved_below(self, row: Array, offset: float) -> bool:
         """Whether rows, mixed without rounding, show ``row . x <= offset`` for all points (Farkas).
@@ -116,19 +111,15 @@ class HPolytope(SetOperators):
         """
         if self.dim > EXACT_MOST:
             return False
-        same = np.all(row == self.A, axis=1) & (self.b <= offset)
-        if same.any():
+        if np.any(np.all(row == self.A, axis=1) & (self.b <= offset)):
             return True
-        found = self._program(np.asarray(row, dtype=float).tobytes())
+        found = self._bases.program(np.asarray(row, dtype=float).tobytes())
         if not np.isfinite(found.value):
             return False
-        sets = [*self._bases.basis(found), np.flatnonzero(found.multipliers > 0)]
-        for used in sets:
-            weights = mixture(self.A[used], row) if len(used) <= self.dim else None
-            if weights is not None and min(weights, default=0) >= 0:
-                level = sum(w * Fraction(b) for w, b in zip(weights, self.b[used], strict=True))
-                if level <= Fraction(offset):
-                    return True
+        for used in (*self._bases.basis(found), np.flatnonzero(found.multipliers > 0)):
+            level = _mixed(self.A[used], self.b[used], row) if len(used) <= self.dim else None
+            if level is not None and level <= Fraction(offset):
+                return True
         return False
 
     @cached_property
@@ -166,12 +157,13 @@ class HPolytope(SetOperators):
         if self.is_empty:
             raise ReachError("the polytope is empty")
 
-    # -- questions ------------------------------------------------------------------------------
-
     @cached_property
-    def _axes(self) -> list[Maximum]:
-        """The linear programs along the positive, then the negative axes."""
-        return self._programs(np.vstack([np.eye(self.dim), -np.eye(self.dim)]))
+    def _axis_bounds(self) -> tuple[Array, Array]:
+        """Weak duality along the positive, then the negative axes; levels (2 n,) are nan without a bound."""
+        axes = np.vstack([np.eye(self.dim), -np.eye(self.dim)])
+        self._refuse_empty()
+        found = [self._bases.program(axis.tobytes()) for axis in axes]
+        return self.weak_duality(axes, np.array([one.multipliers for one in found]))
 
     @property
     def terms(self) -> int:
@@ -186,11 +178,9 @@ class HPolytope(SetOperators):
         ``P w <= t w``, t < 1, then proves ``|x| <= w / (1 - t)``.
         """
         n, unbounded = self.dim, np.full(self.dim, np.inf)
-        if not all(np.isfinite(found.value) for found in self._axes):
+        levels, residuals = self._axis_bounds
+        if not np.all(np.isfinite(levels)):
             return unbounded
-        levels, residuals = self.weak_duality(
-            np.vstack([np.eye(n), -np.eye(n)]), np.array([found.multipliers for found in self._axes])
-        )
         u, P = np.maximum(levels[:n], levels[n:]), np.maximum(residuals[:n], residuals[n:])
         w = np.maximum(u, max(1e-8 * u.max(), np.finfo(float).tiny))
         shrink = float(np.max(P @ w / w))
@@ -222,8 +212,7 @@ class HPolytope(SetOperators):
         The bound of `support_up` where there is one, else what the solver says (1e-9 relative). An
         empty set is refused.
         """
-        D = as_vector(directions, self.dim)
-        values, _, multipliers = self._answers(D)
+        D, values, _, multipliers = self._answers(directions)
         proved = self._proved(D, values, multipliers)
         return np.where(np.isfinite(proved), proved, values)
 
@@ -232,51 +221,26 @@ class HPolytope(SetOperators):
 
         Of a bounded set there always is one.
         """
-        D = as_vector(directions, self.dim)
-        values, _, multipliers = self._answers(D)
+        D, values, _, multipliers = self._answers(directions)
         return self._proved(D, values, multipliers)
 
     def support_down(self, directions: ArrayLike) -> Array:
         """Value at the solver's point less its tolerance, shape (..., r); inf if unbounded."""
-        D = as_vector(directions, self.dim)
-        values, points, _ = self._answers(D)
+        D, values, points, _ = self._answers(directions)
         known = np.isfinite(values)
         sizes = np.where(known[..., None], points, 0.0), np.where(known, values, 0.0)
         room = (np.abs(D) * np.abs(sizes[0])).sum(axis=-1) + np.abs(sizes[1])
         return np.asarray(values - FLATNESS * room)
 
     @cached_property
-    def _program(self) -> Callable[[bytes], Maximum]:
-        return lru_cache(1024)(lambda direction: maximise(np.frombuffer(direction), self.A, self.b))
-
-    def _programs(self, D: Array) -> list[Maximum]:
-        self._refuse_empty()
-        return [self._program(d.tobytes()) for d in D.reshape(-1, self.dim)]
-
-    @cached_property
     def _bases(self) -> Bases:
-        return Bases(self.A, self.b, self.center if self.is_bounded else None)
+        return Bases(self.A, self.b, lambda: self.center if self.is_bounded else None)
 
-    def _answers(self, D: Array) -> tuple[Array, Array, Array]:
-        """Values (...), points (..., n) and multipliers (..., m) of the largest along directions.
-
-        A few directions go through a linear program each. Of many, those whose maximum lies at a vertex
-        that is known already need none.
-        """
-        rows = D.reshape(-1, self.dim)
-        if len(rows) > FEW:
-            self._refuse_empty()
-            found = self._bases.maxima(rows, self._program)
-        else:
-            solved = self._programs(D)
-            found = (
-                np.array([one.value for one in solved]).reshape(-1),
-                np.array([one.point for one in solved]).reshape(-1, self.dim),
-                np.array([one.multipliers for one in solved]).reshape(-1, len(self.b)),
-            )
-        values, points, multipliers = found
-        shape = D.shape[:-1]
-        return values.reshape(shape), points.reshape(D.shape), multipliers.reshape((*shape, len(self.b)))
+    def _answers(self, directions: ArrayLike) -> tuple[Array, Array, Array, Array]:
+        """Directions (..., n), and the values, points and multipliers of the largest along them."""
+        D = as_vector(directions, self.dim)
+        self._refuse_empty()
+        return D, *self._bases.answers(D)
 
     def _proved(self, D: Array, values: Array, multipliers: Array) -> Array:
         level, residual = self.weak_duality(D, np.where(np.isfinite(multipliers), multipliers, 0.0))
@@ -284,8 +248,7 @@ class HPolytope(SetOperators):
 
     def support_vector(self, directions: ArrayLike) -> Array:
         """Points of the set that attain the support, shape of `directions`; refused where unbounded."""
-        D = as_vector(directions, self.dim)
-        points = self._answers(D)[1]
+        points = self._answers(directions)[2]
         if np.any(np.isnan(points)):
             raise ReachError("the polytope is unbounded in a direction asked for")
         return points
@@ -300,10 +263,7 @@ class HPolytope(SetOperators):
         """
         if not self.is_bounded:
             raise ReachError("the polytope is unbounded: it has no interval hull")
-        n = self.dim
-        level, residual = self.weak_duality(
-            np.vstack([np.eye(n), -np.eye(n)]), np.array([found.multipliers for found in self._axes])
-        )
+        n, (level, residual) = self.dim, self._axis_bounds
         ends = level + residual @ self.extent
         return Interval(np.minimum(-ends[n:], ends[:n]), ends[:n])
 
@@ -314,61 +274,35 @@ class HPolytope(SetOperators):
         room = slack * (np.abs(x) @ np.abs(self.A.T) + np.abs(self.b))
         return np.asarray(np.all(x @ self.A.T <= self.b + room, axis=-1))
 
-    # -- operations, all exact ------------------------------------------------------------------
-
     def __rmatmul__(self, M: ArrayLike) -> Any:
         """Linear image: a polytope where its inequalities are free of rounding, else a lazy `AffineImage`.
 
-        `AffineImage.to_polytope` encloses that by inequalities, where the map has an inverse.
+        `AffineImage.to_polytope` encloses that by inequalities, where the map has an inverse. Translations
+        and scaled copies are polytopes under the same condition.
         """
-        from .lazy import AffineImage
-
         M = as_matrix(M, self.dim)
-        lazy = AffineImage(M, self, np.zeros(M.shape[0]))
-        if M.shape != (self.dim, self.dim) or not np.linalg.cond(M) < 1 / np.finfo(float).eps:
-            return lazy
-        rows = np.asarray(np.linalg.solve(M.T, self.A.T).T, dtype=np.float64)
-        if not np.all(np.isfinite(rows)):
-            return lazy
-        whole, times, old, one = integers(rows, M, self.A, np.ones(1))
-        exact = np.array_equal(whole @ times, old * one[0])
-        return HPolytope(rows, self.b) if exact else lazy
+        if M.shape == (self.dim, self.dim) and np.linalg.cond(M) < 1 / np.finfo(float).eps:
+            rows = np.asarray(np.linalg.solve(M.T, self.A.T).T, dtype=np.float64)
+            if is_product(self.A, rows, M):
+                return HPolytope(rows, self.b)
+        return super().__rmatmul__(M)
 
-    def __add__(self, other: Any) -> Any:
-        """Translation by a vector, or the (lazy) Minkowski sum with a set.
-
-        A translation that cannot be written without rounding stays a lazy `AffineImage` as well.
-        """
-        from .lazy import AffineImage, minkowski_sum
-
-        if isinstance(other, SetOperators):
-            return minkowski_sum(self, other)
-        v = as_one_vector(other, self.dim)
+    def _translated(self, v: Array) -> Any:
         b = self.b + self.A @ v
-        A, old, new, whole, one = integers(self.A, self.b, b, v, np.ones(1))
-        if np.all(np.isfinite(b)) and np.array_equal(old * one[0] + A @ whole, new * one[0]):
+        if is_product(b, np.c_[self.b, self.A], np.r_[1.0, v]):
             return HPolytope(self.A, b)
-        return AffineImage(np.eye(self.dim), self, v)
+        return super()._translated(v)
 
-    def __mul__(self, factor: float) -> Any:
-        """Scaled copy ``{a x}``; as for translations."""
-        from .lazy import AffineImage
-
-        a = as_factor(factor)
-        if a == 0:
-            return np.zeros((self.dim, self.dim)) @ self
+    def _scaled(self, a: float) -> Any:
         b = abs(a) * self.b
-        old, new, whole, one = integers(self.b, b, np.abs([a]), np.ones(1))
-        if np.all(np.isfinite(b)) and np.array_equal(old * whole[0], new * one[0]):
-            return HPolytope(np.sign(a) * self.A, b)
-        return AffineImage(a * np.eye(self.dim), self, np.zeros(self.dim))
+        if a == 0 or not is_product(b, self.b[:, None], np.array([abs(a)])):
+            return super()._scaled(a)
+        return HPolytope(np.sign(a) * self.A, b)
 
     def intersect_halfspace(self, normal: ArrayLike, offset: float) -> HPolytope:
         """Part of the set with ``normal . x <= offset`` (exact)."""
         row = as_one_vector(normal, self.dim)
         return HPolytope(np.vstack([self.A, row]), np.r_[self.b, as_factor(offset, "offset")])
-
-    # -- other descriptions -----------------------------------------------------------------------
 
     def to_polytope(self) -> HPolytope:
         """The set itself."""

@@ -9,12 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..numerics.arguments import checked
+from ..numerics.checks import Array, require_alike, require_same_dim
 from ..numerics.errors import ReachError
 from ..numerics.rounding import gamma
-from .convex import require_alike, require_same_dim
 from .zonotope import Zonotope
 
-Array = NDArray[np.float64]
 Order = NDArray[np.signedinteger[Any]]
 
 CONDITION_LIMIT = 1e8

@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from ..numerics.arguments import checked
-from ..numerics.exact import integers
+from ..numerics.checks import Array
 from ..numerics.programs import maximise
-from ..numerics.rounding import gamma
-from .answer import Answer
-from .convex import require_same_dim, require_single, weighed
+from ..numerics.rounding import gamma, integers
+from .convex import Answer, weighed
 from .distance import nearest, unit_sizes
 from .lifted import Lifted, lifted
 from .polytope import HPolytope
-
-Array = NDArray[np.float64]
 
 COMMON = 1e-9
 """Points of the two sets this close, in sizes of the sets, count as a common point."""
@@ -26,52 +22,38 @@ COMMON = 1e-9
 CLOSER = "the sets are closer than rounding can tell"
 
 
-@checked
-def disjoint(X: Any, Y: Any) -> Answer:
-    """Whether two sets have no point in common.
-
-    Sets with flat faces go through one linear program, sets with an ellipsoid in them through
-    Wolfe's nearest points (`reach.sets.distance`). Either finds a direction; a "yes" is said only if the
-    supports of both sets along it, rounding booked, really leave a gap, a "no" only if the point
-    found passes the inequalities of both sets when they are asked again.
-
-    Parameters
-    ----------
-    X, Y : set of this library
-        Single sets, at most one of them unbounded unless both are polytopes.
-
-    Returns
-    -------
-    Answer
-        ``margin`` is a proved lower bound on the Euclidean distance, ``direction`` separates (an
-        unbounded polytope: its part within the interval hull of the other set), ``witness`` is a
-        common point (to 1e-9 of the sets' sizes).
-
-    Raises
-    ------
-    ReachError
-        If the dimensions differ or a set is a stack.
-    """
-    require_same_dim(X, Y)
-    for one in (X, Y):
-        require_single(one, "disjoint")
-        if getattr(one, "is_empty", False):
-            return Answer(True, np.inf) if one.proved_empty else Answer(None, 0.0, reason=CLOSER)
+def by_shape(X: Any, Y: Any) -> Answer:
+    """One linear program where both sets have flat faces, else nearest points."""
     middle, size, units = _frame(X, Y)
     first, second = lifted(X, middle, size), lifted(Y, middle, size)
     if first is not None and second is not None:
         return _by_program(X, Y, first, second, units)
-    for one, other in ((X, Y), (Y, X)):
-        if isinstance(one, HPolytope) and not one.is_bounded:
-            box = other.interval_hull()
-            apart = disjoint(X, box) if one is X else disjoint(box, Y)
-            within = one & box.to_polytope()
-            return (
-                apart if apart or within.is_empty else disjoint(*((within, Y) if one is X else (X, within)))
-            )
     found = nearest(X, Y, units)
     room = -float(X.support_up(found.direction) + Y.support_up(-found.direction))
     return _answer(X, Y, found.direction, room, found.x, found.y, units)
+
+
+def polytope_and_other(X: HPolytope, Y: Any) -> Answer:
+    """Of an unbounded polytope and a round set only the part within the other's interval hull is asked."""
+    from .pairs import disjoint
+
+    if not _is_open_beside(X, Y):
+        return by_shape(X, Y)
+    box = Y.interval_hull()
+    apart, within = disjoint(X, box), X & box
+    return apart if apart or within.is_empty else disjoint(within, Y)
+
+
+def other_and_polytope(X: Any, Y: HPolytope) -> Answer:
+    """The same the other way round: what separates leads from X to Y."""
+    if not _is_open_beside(Y, X):
+        return by_shape(X, Y)
+    found = polytope_and_other(Y, X)
+    return found if found.direction is None else replace(found, direction=-found.direction)
+
+
+def _is_open_beside(P: HPolytope, other: Any) -> bool:
+    return not P.is_bounded and lifted(other, *_frame(P, other)[:2]) is None
 
 
 def _frame(X: Any, Y: Any) -> tuple[Array, Array, Array]:

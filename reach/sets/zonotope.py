@@ -11,13 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..numerics.arguments import checked
-from ..numerics.errors import ReachError
-from ..numerics.rounding import gamma
-from .convex import (
-    SetOperators,
+from ..numerics.checks import (
+    Array,
     as_alike,
     as_count,
-    as_factor,
     as_map,
     as_numbers,
     as_rows,
@@ -27,17 +24,17 @@ from .convex import (
     require_single,
     require_stackable,
     selector,
-    stacked,
 )
-from .facets import facet_normals, unit_columns, volume
-from .interval import Interval
+from ..numerics.errors import ReachError
+from ..numerics.rounding import gamma
+from .convex import SetOperators
+from .facets import facet_normals, least_level, unit_columns, volume
+from .interval import Interval, SetStack
 from .polytope import HPolytope
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Zonotope(SetOperators):
+class Zonotope(SetStack):
     """``{c + G b : |b_i| <= 1}``, or a stack of such sets.
 
     Parameters
@@ -56,6 +53,8 @@ class Zonotope(SetOperators):
     c: Array
     G: Array
 
+    names = ("c", "G")
+
     def __post_init__(self) -> None:
         c, G = as_numbers("c", self.c), as_numbers("G", self.G)
         if c.ndim == 0 or G.ndim != c.ndim + 1 or G.shape[:-1] != c.shape:
@@ -64,8 +63,6 @@ class Zonotope(SetOperators):
             raise ReachError("centre and generators must be finite numbers")
         object.__setattr__(self, "c", c)
         object.__setattr__(self, "G", G)
-
-    # -- constructors ---------------------------------------------------------------------------
 
     @classmethod
     def box(cls, center: ArrayLike, half_widths: ArrayLike) -> Zonotope:
@@ -97,22 +94,10 @@ class Zonotope(SetOperators):
             return self
         return Zonotope(self.c, np.concatenate([self.G, np.zeros((*self.c.shape, missing))], axis=-1))
 
-    # -- facts ----------------------------------------------------------------------------------
-
-    @property
-    def dim(self) -> int:
-        """Dimension n of the space."""
-        return int(self.c.shape[-1])
-
     @property
     def order_count(self) -> int:
         """Number g of generators."""
         return int(self.G.shape[-1])
-
-    @property
-    def batch(self) -> tuple[int, ...]:
-        """Leading axes."""
-        return self.c.shape[:-1]
 
     @property
     def half_widths(self) -> Array:
@@ -140,19 +125,6 @@ class Zonotope(SetOperators):
         slack = np.where(moving > 1, moving * np.finfo(float).eps, 0.0)
         return Interval.ball(self.c, self.half_widths * (1 + slack))
 
-    def __getitem__(self, index: Any) -> Zonotope:
-        """Select from the batch axes."""
-        if not self.batch:
-            raise ReachError("a single zonotope cannot be indexed")
-        return Zonotope(stacked(self.c, index), stacked(self.G, index))
-
-    def __len__(self) -> int:
-        if not self.batch:
-            raise ReachError("a single zonotope has no length")
-        return self.batch[0]
-
-    # -- operations, all exact ------------------------------------------------------------------
-
     def __rmatmul__(self, M: ArrayLike) -> Zonotope:
         """Linear image ``M @ Z``; M may carry batch axes that broadcast with the set's."""
         M = as_map(M, self.dim)
@@ -168,30 +140,17 @@ class Zonotope(SetOperators):
     def __add__(self, other: SetOperators) -> Any: ...
 
     def __add__(self, other: Any) -> Any:
-        """Minkowski sum with another set, or translation by a vector.
+        """Minkowski sum with another set, or translation by vectors.
 
         Zonotopes and intervals give a zonotope, other sets a lazy `reach.MinkowskiSum`.
         """
-        if isinstance(other, Interval):
-            other = other.to_zonotope()
-        if isinstance(other, Zonotope):
-            require_same_dim(self, other)
-            require_alike(self.batch, other.batch)
-            c = self.c + other.c
-            parts = [np.broadcast_to(z.G, (*c.shape, z.order_count)) for z in (self, other)]
-            return Zonotope(c, np.concatenate(parts, axis=-1))
-        if isinstance(other, SetOperators):
-            from .lazy import minkowski_sum
+        return super().__add__(other)
 
-            return minkowski_sum(self, other)
-        v = as_vector(other, self.dim)
-        require_alike(v.shape[:-1], self.batch)
+    def _translated(self, v: Array) -> Zonotope:
         c = self.c + v
         return Zonotope(c, np.broadcast_to(self.G, (*c.shape, self.order_count)))
 
-    def __mul__(self, factor: float) -> Zonotope:
-        """Scaled copy ``{a x}``."""
-        a = as_factor(factor)
+    def _scaled(self, a: float) -> Zonotope:
         return Zonotope(a * self.c, a * self.G)
 
     def project(self, dims: Sequence[int]) -> Zonotope:
@@ -259,14 +218,10 @@ class Zonotope(SetOperators):
         slack : float
             Points reached with ``|b_i| <= 1 + slack`` count as inside.
         """
-        from .membership import zonotope_level
-
         require_single(self, "contains")
         x = as_vector(points, self.dim)
-        levels = [zonotope_level(self, p) for p in x.reshape(-1, self.dim)]
+        levels = [least_level(self.c, self.G, p) for p in x.reshape(-1, self.dim)]
         return np.array(levels).reshape(x.shape[:-1]) <= 1 + slack
-
-    # -- enclosures -----------------------------------------------------------------------------
 
     @checked
     def hull(self, other: Zonotope) -> Zonotope:
@@ -305,11 +260,9 @@ class Zonotope(SetOperators):
     @checked
     def meet_halfspace(self, normal: ArrayLike, offset: ArrayLike) -> Zonotope:
         """Enclosure of the part with ``normal . x <= offset``; see `reach.sets.intersection`."""
-        from .intersection import meet_halfspace
+        from .clipping import meet_halfspace
 
         return meet_halfspace(self, normal, offset)
-
-    # -- other descriptions -----------------------------------------------------------------------
 
     def to_zonotope(self) -> Zonotope:
         """The set itself."""

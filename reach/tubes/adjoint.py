@@ -16,9 +16,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from ..numerics.checks import Array, single_set
 from ..numerics.errors import ReachError, Unresolved
 from ..numerics.exponentials import FLUSHED, scaled, times
 from ..sets.convex import ConvexSet
@@ -26,10 +26,7 @@ from ..sets.ellipsoid import Ellipsoid
 from ..sets.interval import Interval
 from ..sets.zonotope import Zonotope
 from .rows import Rows
-from .systems import LinearSystem, single_set
-
-Array = NDArray[np.float64]
-
+from .systems import LinearSystem
 
 SMALL = 2000
 """Entries that a product with a sparse input map must save to be worth it."""
@@ -94,14 +91,14 @@ class Adjoint:
         self.system, self.rows = system, Rows(system)
         A, s = self.rows.A, self.rows.scale
         self.initial, self._shrink = in_units(initial, s)
-        self.inputs, self.pieces = system.U, max(len(system.U), int(np.any(system.c)))
+        self.inputs, self.input_pieces = system.U, max(len(system.U), int(np.any(system.c)))
         self._A2 = A @ A if isinstance(A, np.ndarray) else None
         B, c = scaled(system.B, 1 / s), system.c / s
         thin = not isinstance(B, np.ndarray) and B.nnz < min(np.prod(B.shape) / 4, np.prod(B.shape) - SMALL)
         B = B if thin or isinstance(B, np.ndarray) else B.toarray()
         sizes = [extent("the initial set", initial) / s]
         sizes += [abs(B) @ extent("an input set", U) + np.abs(c) for U in system.U]
-        sizes += [np.abs(c)] if self.pieces > len(system.U) else []
+        sizes += [np.abs(c)] if self.input_pieces > len(system.U) else []
         # [B c], A [B c], A^2 [B c] side by side: one product along many rows.
         force = [sparse.hstack([B, c[:, None]], format="csr") if thin else np.hstack([B, c[:, None]])]
         force += [A @ force[0], A @ (A @ force[0])]
@@ -144,7 +141,7 @@ class Adjoint:
     def values(self, rows: Array) -> tuple[Array, Array]:
         """Largest absolute values along rows (m, r, n): of the first part, and the rate of inputs, (m, r)."""
         rate, along = np.zeros(rows.shape[:2]), self.along(rows)[0]
-        for i in range(self.pieces):
+        for i in range(self.input_pieces):
             rate += self.magnitudes(i, along)
         return _magnitude(self.initial, rows if self._shrink is None else rows / self._shrink), rate
 
@@ -172,11 +169,11 @@ class Adjoint:
         attained = attained_support(self.initial, shrunk, first)
         absolute = np.abs(R)
         size = np.moveaxis(times(absolute, self.weights + FLUSHED * self.weights.sum(axis=0)), -1, 0)
-        shape = (count, self.pieces, R.shape[1])
+        shape = (count, self.input_pieces, R.shape[1])
         upper, lower, bend = np.empty(shape), np.empty(shape), np.zeros(shape)
         if self.system.discrete:
             along = self.along(R[:-1])[0]
-            for i in range(self.pieces):
+            for i in range(self.input_pieces):
                 upper[:, i] = self.supports(i, along)
                 lower[:, i] = self.supports(i, along, attained=True)
             return Block(R, first, attained, upper, lower, np.zeros((count, R.shape[1])), bend, size)
@@ -186,10 +183,10 @@ class Adjoint:
         closing = times(np.abs(self._curved(R2)[:-1]), self._grown[h])
         closing = h**2 / 8 * np.where(np.isnan(closing), np.inf, closing)
         R2 = R2 / self._shrink if self._shrink is not None else R2
-        along = self.along(R) if self.pieces else R
+        along = self.along(R) if self.input_pieces else R
         _in_range(R2, along)
         p2 = _ends(_magnitude(self.initial, R2)) + closing[..., 0]
-        for i in range(self.pieces):
+        for i in range(self.input_pieces):
             value = self.supports(i, along[0])
             q2 = _ends(self.magnitudes(i, along[2])) + closing[..., 1 + i]
             q1 = _ends(self.magnitudes(i, along[1])) + h / 2 * q2

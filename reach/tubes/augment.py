@@ -6,21 +6,19 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from ..numerics.checks import single_set
 from ..numerics.errors import ReachError
 from ..sets.convex import ConvexSet
 from ..sets.ellipsoid import Ellipsoid
 from ..sets.interval import Interval
 from ..sets.lazy import AffineImage
 from ..sets.zonotope import Zonotope
-from .systems import LinearSystem, single_set
-
-Array = NDArray[np.float64]
+from .systems import LinearSystem
 
 
-def centered(system: LinearSystem, start: Any) -> tuple[LinearSystem, Any]:
+def augmented(system: LinearSystem, start: Any) -> tuple[LinearSystem, Any]:
     """The system with its drift and the centre of its input moved into one more state, constantly 1.
 
     What is left of the input varies about 0. Of an input that changes its set only the drift is moved.
@@ -60,10 +58,10 @@ def centered(system: LinearSystem, start: Any) -> tuple[LinearSystem, Any]:
         A[:n, :n], A[:n, n], A[n, n] = system.A, drift, one
         B = np.vstack([sparse.csr_matrix(system.B).toarray(), np.zeros((1, m))])
     bigger = replace(system, A=A, B=B, U=inputs or None, c=None)
-    return bigger, _with_one(start)
+    return bigger, _with_constant(start)
 
 
-def _with_one(start: ConvexSet) -> Any:
+def _with_constant(start: ConvexSet) -> Any:
     n = start.dim
     if isinstance(start, Interval):
         return Interval(np.r_[start.lo, 1.0], np.r_[start.hi, 1.0])

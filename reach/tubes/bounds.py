@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..numerics.checks import Array
 from .adjoint import Adjoint, Block, Overflow
-from .known_input import known
-from .pieces import bends, piece_starts, totals
+from .known_input import known_response
 from .rows import ROUNDING
-
-Array = NDArray[np.float64]
+from .systems import LinearSystem
 
 
 @dataclass(frozen=True, eq=False)
-class March:
+class RowBounds:
     """Bounds along r rows over K steps.
 
     Attributes
@@ -26,7 +24,7 @@ class March:
     first, attained : ndarray, shape (K+1, r)
         Support of the initial set, moved on without unknown inputs, at the nodes; and what one of
         its points attains.
-    known : ndarray, shape (K+1, r)
+    driven : ndarray, shape (K+1, r)
         The part of it that a nominal input causes.
     kinks : ndarray, shape (K+1, r)
         By how much the slope of that part jumps at the nodes.
@@ -43,7 +41,7 @@ class March:
     times: Array
     first: Array
     attained: Array
-    known: Array
+    driven: Array
     kinks: Array
     upper: Array
     lower: Array
@@ -52,26 +50,19 @@ class March:
     rounding: Array
     rows: Array | None
 
-    def every(self, s: int) -> March:
+    def every(self, s: int) -> RowBounds:
         """The same bounds with one node in s; steps must be alike within each group of s."""
         if s == 1:
             return self
-        coarse = [s**2 * part.reshape(-1, s, part.shape[1]).max(axis=1) for part in (self.bow, self.bend)]
+        bow, bend = (s**2 * part.reshape(-1, s, part.shape[1]).max(axis=1) for part in (self.bow, self.bend))
         kinks = self.kinks[:-1].reshape(-1, s, self.kinks.shape[1])[:, 1:].sum(axis=1)
-        coarse[0] += np.diff(self.times[::s])[:, None] / 4 * kinks
-        return March(
-            self.times[::s],
-            self.first[::s],
-            self.attained[::s],
-            self.known[::s],
-            self.kinks[::s],
-            self.upper[::s],
-            self.lower[::s],
-            coarse[0],
-            coarse[1],
-            self.rounding[::s],
-            None if self.rows is None else self.rows[::s],
-        )
+        bow = bow + np.diff(self.times[::s])[:, None] / 4 * kinks
+        nodes = {name: getattr(self, name)[::s] for name in NODES if getattr(self, name) is not None}
+        return replace(self, **nodes, bow=bow, bend=bend)
+
+
+NODES = ("times", "first", "attained", "driven", "kinks", "upper", "lower", "rounding", "rows")
+"""Fields of `RowBounds` that belong to nodes."""
 
 
 def collect(
@@ -81,7 +72,7 @@ def collect(
     blocks: Iterable[tuple[float, Block]],
     keep: bool,
     parts: int = 1,
-) -> March:
+) -> RowBounds:
     """Put blocks together: sums of the steps, shifted for every input set, and the rounding."""
     found: list[tuple[Array, ...]] = []
     begin: tuple[Array, ...] = ()
@@ -108,9 +99,9 @@ def collect(
         raise Overflow("the bounds or their rounding are beyond floating point")
     motion, kinks = np.zeros((2, *first.shape))
     if adjoint.system.nominal is not None:
-        by = known(adjoint.system, D, times, steps)
+        by = known_response(adjoint.system, D, times, steps)
         motion, kinks, bow = by.values, by.kinks, bow + by.bow
-    return March(
+    return RowBounds(
         times,
         first + motion,
         attained + motion,
@@ -142,3 +133,44 @@ def booked(adjoint: Adjoint, D: Array, times: Array, steps: Array, states: Array
     work = adjoint.system.dim + np.r_[0.0, np.cumsum(1 + steps * adjoint.rows.work)]
     total = np.vstack([np.zeros((1, len(D))), np.cumsum(steps[:, None] * change[1:], axis=0)])
     return np.asarray(ROUNDING * work[:, None] * (state + total))
+
+
+def piece_starts(system: LinearSystem, times: Array, parts: int) -> tuple[list[int], float]:
+    """Node at which every input set begins, and by how much all breaks lie off their nodes together.
+
+    Between a break and the node it is moved to, the wrong set is taken: what that may add is booked.
+    """
+    starts, missed = [0], 0.0
+    for b in system.breaks:
+        if b >= times[-1]:
+            starts.append(len(times))
+            continue
+        k = parts * int(np.argmin(np.abs(times[::parts] - b)))
+        starts.append(k)
+        missed += float(abs(times[k] - b))
+    return starts, missed
+
+
+def totals(steps: Array, starts: list[int]) -> Array:
+    """Integral of the inputs at every node from what the steps add per input set, shape (K+1, r).
+
+    At time t the set that begins at b and ends at e has acted over the lags ``t - e`` to ``t - b``.
+    """
+    K, pieces, r = steps.shape
+    sums = np.concatenate([np.zeros((1, pieces, r)), np.cumsum(steps, axis=0)])
+    out, k = np.zeros((K + 1, r)), np.arange(K + 1)
+    for i in range(pieces):
+        out += sums[np.maximum(k - starts[i], 0), i]
+        if i + 1 < pieces:
+            out -= sums[np.maximum(k - starts[i + 1], 0), i]
+    return out
+
+
+def bends(bend: Array, starts: list[int]) -> Array:
+    """Bow of the integral between nodes, shape (K, r): the rates at both ends of every set's lags."""
+    K, pieces, r = bend.shape
+    out = np.zeros((K, r))
+    for i in range(pieces):
+        for start in starts[i : i + 2]:
+            out[start:] += bend[: max(K - start, 0), i]
+    return out

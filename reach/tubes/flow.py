@@ -10,16 +10,14 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import expm, matrix_balance, solve_continuous_lyapunov, solve_discrete_lyapunov
 
 from ..numerics.arguments import checked
+from ..numerics.checks import Array
 from ..numerics.errors import ReachError
 from ..numerics.linear import discretize, growth, powers, require_square
-from ..sets.ball import ball_generators
+from ..sets.ellipsoid import ball_generators
 from ..sets.zonotope import Zonotope
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,8 +72,6 @@ class LinearFlow:
         if not (self.h > 0 and self.w_max >= 0 and np.isfinite(self.h) and np.isfinite(self.w_max)):
             raise ReachError(f"h must be > 0 and w_max >= 0, both finite, got {self.h!r} and {self.w_max!r}")
 
-    # -- what happens between two nodes -----------------------------------------------------------
-
     @cached_property
     def growth(self) -> Array:
         """Elementwise bound on ``|e^{A_x s}|`` for s in [0, h]."""
@@ -84,10 +80,7 @@ class LinearFlow:
     @cached_property
     def period_box(self) -> Array:
         """Elementwise bound on the response to the disturbance within one period, shape (n,)."""
-        n, p = self.D.shape
-        block = np.zeros((n + p, n + p))
-        block[:n, :n], block[:n, n:] = np.abs(self.A_x), np.abs(self.D)
-        reached = expm(block * self.h)[:n, n:]
+        reached = discretize(np.abs(self.A_x), np.abs(self.D), self.h)[1]
         # |D| w is bounded row by row by the 2-norm of the row times w_max; the sum over columns of
         # the integral is an upper bound either way.
         return np.asarray(reached.sum(axis=1) * self.w_max)
@@ -128,8 +121,6 @@ class LinearFlow:
         curvature = (self.A_x @ self.A_c) @ nodes
         extent = np.abs(curvature.c) + curvature.half_widths
         return np.asarray(self.h**2 / 8 * extent @ self.growth.T)
-
-    # -- the contraction norm -----------------------------------------------------------------------
 
     @property
     def lyapunov(self) -> tuple[Array, float]:
@@ -188,8 +179,6 @@ class LinearFlow:
         W, _, slack = self._contraction
         stack = W @ powers(self.phi, count) @ np.linalg.inv(W)
         return np.asarray(np.linalg.norm(stack, 2, axis=(-2, -1)) * (1 + slack))
-
-    # -- responses to the disturbance, along rows -----------------------------------------------------
 
     @checked
     def disturbance_support(self, rows: Array, count: int) -> Array:

@@ -1,27 +1,28 @@
-"""Tubes of many start sets at once: one march of rows, applied to a stack of zonotopes."""
+"""Tubes of many start sets at once: rows are carried once and applied to a stack of zonotopes."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import expm
 
+from ..numerics.checks import Array, per_row
 from ..numerics.errors import ReachError
 from ..numerics.exponentials import times
+from ..numerics.linear import powers
 from ..sets.zonotope import Zonotope
 from .adjoint import Adjoint
-from .augment import centered
+from .augment import augmented
 from .rows import ROUNDING
-from .stepping import MAX_STEPS, per_row, substeps
+from .stepping import MAX_STEPS, substeps
 from .systems import LinearSystem
 
-Array = NDArray[np.float64]
-
 BLOCK = 32
-"""Steps marched together."""
+"""Steps carried together."""
 ENTRIES = 1_000_000
 """Numbers handled at once where a stack is worked through in parts."""
 HALVINGS = 16
@@ -29,7 +30,7 @@ HALVINGS = 16
 
 
 @dataclass(frozen=True, eq=False)
-class Fan:
+class Flowpipes:
     """Sets that hold ``x(t)`` over time steps, for every one of N start sets.
 
     Start i is followed from its own time `offset[i]` on: at node k it is at local time
@@ -82,8 +83,8 @@ class Fan:
         return (a.hull(b) + middle).inflate(self.bow[k, i] + half)
 
 
-class Carrier:
-    """One system made ready for many fans: its drift in the state, its exponentials kept.
+class Propagator:
+    """One system made ready for many flowpipes: its drift in the state, its exponentials kept.
 
     Parameters
     ----------
@@ -93,7 +94,7 @@ class Carrier:
 
     def __init__(self, system: LinearSystem) -> None:
         self.system, n = system, system.dim
-        around, _ = centered(system, Zonotope.point(np.zeros(n)))
+        around, _ = augmented(system, Zonotope.point(np.zeros(n)))
         self.dim = around.dim
         self.adjoint = Adjoint(around, Zonotope.point(np.zeros(self.dim)))
         self.rows = self.adjoint.rows
@@ -107,21 +108,21 @@ class Carrier:
         return Zonotope(one, np.concatenate([start.G, np.zeros((len(start), 1, start.order_count))], axis=1))
 
 
-def fan(
-    carrier: Carrier,
+def flowpipes(
+    propagator: Propagator,
     start: Zonotope,
     horizon: float,
     *,
     step: float,
     tolerance: ArrayLike | None = None,
     offset: Array | None = None,
-    going: Callable[[Fan], NDArray[np.bool_]] | None = None,
-) -> Fan:
+    going: Callable[[Flowpipes], NDArray[np.bool_]] | None = None,
+) -> Flowpipes:
     """Follow a stack of start sets over a horizon.
 
     Parameters
     ----------
-    carrier : Carrier
+    propagator : Propagator
     start : Zonotope, batch (N,)
     horizon : float
         At least 0.
@@ -133,26 +134,23 @@ def fan(
         Local time from which every start is followed. The response to the inputs is then not
         contained: see `respond`.
     going : callable, optional
-        Asked about every block of steps: which starts (N,) are still to be followed. The march
+        Asked about every block of steps: which starts (N,) are still to be followed. Stepping
         ends when there are none.
     """
     if not (np.isfinite(step) and step > 0 and np.isfinite(horizon) and horizon >= 0):
         raise ReachError(f"step and horizon must be finite and > 0, got {step!r} and {horizon!r}")
     if horizon / step > MAX_STEPS:
         raise ReachError(f"more than {MAX_STEPS:,} steps: horizon {horizon:g}, step {step:g}")
-    march = _Marcher(carrier, start, offset, step, horizon)
-    limit = None if tolerance is None else per_row("tolerance", tolerance, carrier.system.dim)
+    stepper = _Stepper(propagator, start, offset, step, horizon)
+    limit = None if tolerance is None else per_row("tolerance", tolerance, propagator.system.dim)
     if limit is not None and not np.all(limit > 0):
         raise ReachError(f"the tolerance must be > 0, got {tolerance!r}")
-    blocks: list[Fan] = []
+    blocks: list[Flowpipes] = []
     h, done = step, 0.0
     while done < horizon or not blocks:
         left = horizon - done
-        if h >= left * (1 - 1e-12):
-            length, count = left, 1
-        else:
-            length, count = h, int(min(BLOCK, left // h))
-        block = march.block(done, length, count)
+        length, count = (left, 1) if h >= left * (1 - 1e-12) else (h, int(min(BLOCK, left // h)))
+        block = stepper.block(done, length, count)
         error = 0.0 if limit is None else float((block.bow / limit).max())
         if not np.all(np.isfinite(block.bow)):
             error = np.inf
@@ -161,7 +159,7 @@ def fan(
             continue
         if error == np.inf:
             raise ReachError(f"the step {step:g} is too long: the bounds are beyond floating point")
-        march.accept(block)
+        stepper.accept(block)
         blocks.append(block)
         done = horizon if length == left else done + count * length
         if going is not None and not np.any(going(block)):
@@ -171,36 +169,33 @@ def fan(
     return _joined(blocks)
 
 
-def _joined(blocks: list[Fan]) -> Fan:
+def _joined(blocks: list[Flowpipes]) -> Flowpipes:
     first = blocks[0]
-    return Fan(
-        np.concatenate([first.times, *(b.times[1:] for b in blocks[1:])]),
-        first.offset,
-        first.start,
-        np.concatenate([first.maps, *(b.maps[1:] for b in blocks[1:])]),
-        np.concatenate([b.bow for b in blocks]),
-        np.concatenate([b.low for b in blocks]),
-        np.concatenate([b.high for b in blocks]),
-    )
+
+    def joined(name: str, after: int) -> Any:
+        return np.concatenate([getattr(first, name), *(getattr(b, name)[after:] for b in blocks[1:])])
+
+    steps = {name: joined(name, 0) for name in ("bow", "low", "high")}
+    return replace(first, times=joined("times", 1), maps=joined("maps", 1), **steps)
 
 
-class _Marcher:
-    """Blocks of a fan, one after the other."""
+class _Stepper:
+    """Blocks of flowpipes, one after the other."""
 
     def __init__(
-        self, carrier: Carrier, start: Zonotope, offset: Array | None, step: float, horizon: float
+        self, propagator: Propagator, start: Zonotope, offset: Array | None, step: float, horizon: float
     ) -> None:
-        n, d, s, rows = carrier.system.dim, carrier.dim, carrier.scale, carrier.rows
-        self.n, self.carrier, self.start = n, carrier, carrier.lifted(start)
+        n, d, s, rows = propagator.system.dim, propagator.dim, propagator.scale, propagator.rows
+        self.n, self.propagator, self.start = n, propagator, propagator.lifted(start)
         self.x = Zonotope(self.start.c / s, self.start.G / s[:, None])
         self.extent = self.x.extent
         self.offset = np.zeros(len(start)) if offset is None else np.asarray(offset, dtype=float)
         late = float(self.offset.max(initial=0.0))
         self.M = len(start) if np.ptp(self.offset) else 1
-        self.forced = carrier.adjoint.pieces > 0 and late == 0
+        self.forced = propagator.adjoint.input_pieces > 0 and late == 0
         self.rows = np.eye(n, d) * s
         if late > 0:
-            A = carrier.A if isinstance(carrier.A, np.ndarray) else carrier.A.toarray()
+            A = propagator.A if isinstance(propagator.A, np.ndarray) else propagator.A.toarray()
             self.rows = (self.rows @ expm(A * self.offset[: self.M, None, None])).reshape(-1, d)
         elif self.forced:
             self.rows = np.vstack([self.rows, -self.rows])
@@ -209,15 +204,15 @@ class _Marcher:
         longest = horizon + late
         lags = rows.lags(min(step, longest), longest) if longest > 0 else []
         if self.forced:
-            carrier.adjoint.watch(lags)
+            propagator.adjoint.watch(lags)
         self.weights = rows.weights(lags, rows.weights(lags, self.extent.T)).T
 
-    def block(self, begin: float, h: float, count: int) -> Fan:
+    def block(self, begin: float, h: float, count: int) -> Flowpipes:
         """Steps that follow what was accepted, not yet accepted themselves."""
-        n, M, A, rows = self.n, self.M, self.carrier.A, self.carrier.rows
-        parts = substeps(self.carrier.adjoint, h) if h > 0 else 1
+        n, M, A, rows = self.n, self.M, self.propagator.A, self.propagator.rows
+        parts = substeps(self.propagator.adjoint, h) if h > 0 else 1
         f = h / parts
-        raw = self.carrier.adjoint.block(self.rows, f, count * parts) if self.forced else None
+        raw = self.propagator.adjoint.block(self.rows, f, count * parts) if self.forced else None
         every = rows.carry(self.rows, f, count * parts) if raw is None else raw.rows
         R = every[:, : M * n].reshape(count * parts + 1, M, n, -1)
         R2 = times(times(R, A), A)
@@ -242,17 +237,10 @@ class _Marcher:
             low, high, added = -ends[:, n:], ends[:, :n], sums[-1]
         self._next = every[-1], added, work
         nodes = np.asarray(begin + h * np.arange(count + 1), dtype=float)
-        return Fan(
-            nodes,
-            self.offset,
-            self.start,
-            np.asarray(coarse / self.carrier.scale, dtype=float),
-            bow,
-            low,
-            high,
-        )
+        maps = np.asarray(coarse / self.propagator.scale, dtype=float)
+        return Flowpipes(nodes, self.offset, self.start, maps, bow, low, high)
 
-    def accept(self, block: Fan) -> None:
+    def accept(self, block: Flowpipes) -> None:
         """Go on from the end of the last block."""
         self.rows, self.sum, self.work = self._next
 
@@ -281,7 +269,7 @@ def input_response(system: LinearSystem, time: float, step: float) -> Zonotope:
     """Zonotope around the response to the inputs after some time, with two generators per step.
 
     Over a step the input counts by its mean and its first moment, ``|moment| <= h^2/4``; what is
-    left is of third order and enclosed by a box. The centre of the input set is in the fan's drift.
+    left is of third order and enclosed by a box. The centre of the input set is in the flowpipes' drift.
     """
     n = system.dim
     U = system.U[0]
@@ -298,10 +286,7 @@ def input_response(system: LinearSystem, time: float, step: float) -> Zonotope:
     grow = expm((np.abs(A) - np.abs(diagonal) + np.maximum(diagonal, 0)) * h)
     first = np.hstack([h * half @ BU, h**2 / 4 * (A @ half @ BU)])
     rest = h**3 / 24 * (grow @ (np.abs(A @ A) @ np.abs(BU).sum(axis=1)))
-    maps = np.empty((count, n, n))
-    maps[0] = np.eye(n)
-    for j in range(1, count):
-        maps[j] = whole @ maps[j - 1]
+    maps = powers(whole, count - 1)
     G = np.moveaxis(maps @ first, 0, 1).reshape(n, -1)
     box = np.abs(maps).sum(axis=0) @ rest
     box = box + ROUNDING * (n + count) * np.abs(G).sum(axis=1)

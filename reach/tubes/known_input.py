@@ -7,15 +7,13 @@ from itertools import groupby
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from ..numerics.checks import Array
 from ..numerics.exponentials import times
 from .rows import Rows
 from .signals import Signal
 from .systems import LinearSystem
-
-Array = NDArray[np.float64]
 
 SNAP = 1e-14
 """A knot as near to a node as this share of the horizon is the node."""
@@ -26,7 +24,7 @@ AHEAD = 256
 
 
 @dataclass(frozen=True, eq=False)
-class Known:
+class KnownResponse:
     """The part of ``d x(t)`` that a known signal causes, for r rows d.
 
     Attributes
@@ -47,7 +45,7 @@ class Known:
     states: Array
 
 
-def known(system: LinearSystem, D: Array, nodes: Array, steps: Array) -> Known:
+def known_response(system: LinearSystem, D: Array, nodes: Array, steps: Array) -> KnownResponse:
     """Follow ``y' = A y + B u_0(t)``, ``y(0) = 0``, over nodes whose distances are `steps`.
 
     Where the signal jumps between two nodes the slope jumps, by J, and the line is left by J times a
@@ -59,23 +57,23 @@ def known(system: LinearSystem, D: Array, nodes: Array, steps: Array) -> Known:
         force, y = times(signal(nodes), system.B.T), np.zeros((K + 1, system.dim))
         for k in range(K):
             y[k + 1] = system.A @ y[k] + force[k]
-        return Known(times(y, D.T), np.zeros((K, r)), np.zeros((K + 1, r)), y)
-    pieces = _Pieces(signal, nodes, steps)
-    first = np.nonzero(pieces.starts)[0]
-    y, curve = _follow(system, D, pieces)
+        return KnownResponse(times(y, D.T), np.zeros((K, r)), np.zeros((K + 1, r)), y)
+    substeps = _Substeps(signal, nodes, steps)
+    first = np.nonzero(substeps.starts)[0]
+    y, curve = _follow(system, D, substeps)
     # The input before and after every border between two sub-steps.
-    before = pieces.u[:-1] + pieces.w[:-1] * pieces.length[:-1, None]
-    jump = np.zeros((len(pieces.length) + 1, r))
-    jump[1:-1] = np.abs(times(pieces.u[1:] - before, np.asarray(D @ system.B).T))
-    at_node = np.r_[pieces.starts, True]
+    before = substeps.u[:-1] + substeps.w[:-1] * substeps.length[:-1, None]
+    jump = np.zeros((len(substeps.length) + 1, r))
+    jump[1:-1] = np.abs(times(substeps.u[1:] - before, np.asarray(D @ system.B).T))
+    at_node = np.r_[substeps.starts, True]
     kinks, inside = jump[at_node], np.where(at_node[:, None], 0.0, jump)[:-1]
     bow = steps[:, None] ** 2 / 8 * np.maximum.reduceat(curve, first, axis=0)
     bow += steps[:, None] / 4 * np.add.reduceat(inside, first, axis=0)
     y = y[at_node]
-    return Known(times(y, D.T), bow, kinks, y)
+    return KnownResponse(times(y, D.T), bow, kinks, y)
 
 
-class _Pieces:
+class _Substeps:
     """Steps cut at the knots of the signal: lengths, segments, and the input ``u + w s`` in each."""
 
     def __init__(self, signal: Signal, nodes: Array, steps: Array) -> None:
@@ -97,7 +95,7 @@ class _Pieces:
         self.u = signal(middle) - self.w * self.length[:, None] / 2
 
 
-def _follow(system: LinearSystem, D: Array, pieces: _Pieces) -> tuple[Array, Array]:
+def _follow(system: LinearSystem, D: Array, substeps: _Substeps) -> tuple[Array, Array]:
     """The trajectory at the ends of all sub-steps, and the largest second derivative along D in each.
 
     The state is followed together with the input and its slope: ``z' = A_z z``.
@@ -113,14 +111,16 @@ def _follow(system: LinearSystem, D: Array, pieces: _Pieces) -> tuple[Array, Arr
     forward, across = Rows(LinearSystem(A)), Rows(LinearSystem(A.T))
     D2 = times(times(np.hstack([D, np.zeros((len(D), 2 * m))]), A), A)
     D4 = np.abs(times(times(D2, A), A)) * forward.scale
-    y, curve = np.zeros((len(pieces.length) + 1, n)), np.empty((len(pieces.length), len(D)))
+    y, curve = np.zeros((len(substeps.length) + 1, n)), np.empty((len(substeps.length), len(D)))
     most = max(ENTRIES // (n + 2 * m), 64)
-    for _, run in groupby(range(len(pieces.length)), key=lambda i: (pieces.length[i], pieces.segment[i])):
+    for _, run in groupby(
+        range(len(substeps.length)), key=lambda i: (substeps.length[i], substeps.segment[i])
+    ):
         indices = list(run)
         for k in range(0, len(indices), most):
             i, count = indices[k], len(indices[k : k + most])
-            h = float(pieces.length[i])
-            z = np.concatenate([y[i], pieces.u[i], pieces.w[i]])
+            h = float(substeps.length[i])
+            z = np.concatenate([y[i], substeps.u[i], substeps.w[i]])
             Z = across.carry(z[None] * across.scale, h, count)[:, 0] / across.scale
             y[i + 1 : i + 1 + count] = Z[1:, :n]
             size = np.abs(Z @ D2.T)
@@ -129,7 +129,7 @@ def _follow(system: LinearSystem, D: Array, pieces: _Pieces) -> tuple[Array, Arr
     return y, curve
 
 
-class Ahead:
+class Forecast:
     """What a known signal will ask of steps, looked at in cells before they are chosen."""
 
     def __init__(self, system: LinearSystem, D: Array, horizon: float) -> None:
@@ -140,7 +140,7 @@ class Ahead:
         jumps = np.nonzero((np.diff(signal.times) == 0) & np.any(np.diff(signal.values, axis=0), axis=1))[0]
         self.jumps = signal.times[jumps] / horizon
         self.sizes = np.abs((signal.values[jumps + 1] - signal.values[jumps]) @ np.asarray(D @ system.B).T)
-        found = known(system, D, np.linspace(0, horizon, cells + 1), steps)
+        found = known_response(system, D, np.linspace(0, horizon, cells + 1), steps)
         self.horizon, self.curve = horizon, found.bow * 8 / steps[:, None] ** 2
         self.states = np.abs(found.states).max(axis=0)
 

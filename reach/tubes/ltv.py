@@ -17,21 +17,20 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..numerics.arguments import checked
+from ..numerics.checks import Array, as_directions, as_frame, as_numbers, single_set
 from ..numerics.errors import ReachError
+from ..numerics.exponentials import exponentials
 from ..sets.convex import ConvexSet
 from ..sets.zonotope import Zonotope
 from .adjoint import attained_support, extent
 from .rows import ROUNDING
 from .stepping import warn_if_wide
 from .support_tube import SupportTube
-from .systems import numbers, single_set
-from .varying import Varying, exponentials, sample
+from .varying import Varying, sample
 from .zonotope_tube import ZonotopeTube
-
-Array = NDArray[np.float64]
 
 MAX_STEPS = 20_000
 
@@ -61,7 +60,7 @@ class LTVSystem:
 
     def __post_init__(self) -> None:
         A = self.A.value(0.0) if isinstance(self.A, Varying) else self.A
-        A = numbers("A", A)
+        A = as_numbers("A", A)
         if A.ndim != 2 or A.shape[0] != A.shape[1] or len(A) == 0:
             raise ReachError(f"A must be square, got shape {A.shape}")
         n = len(A)
@@ -118,10 +117,8 @@ def ltv_support_tube(
     ReachError
         If shapes do not fit, numbers are not finite, or the bounds on derivatives do not hold.
     """
-    D = np.atleast_2d(numbers("directions", directions))
-    n, r = system.dim, len(D)
-    if D.ndim != 2 or D.shape[1] != n or r == 0 or not np.all(np.isfinite(D)):
-        raise ReachError(f"directions must be finite rows of length {n}, got shape {D.shape}")
+    D, n = as_directions("directions", directions, system.dim), system.dim
+    r = len(D)
     sweep = _Sweep(system, initial, horizon, step, begin)
     rows = np.vstack([D, np.eye(n), -np.eye(n)])
     run = sweep.run(rows, slice(r, r + n), slice(r + n, None), np.eye(n))
@@ -163,9 +160,7 @@ def ltv_zonotope_tube(
         As for `reach.ltv_support_tube`.
     """
     n = system.dim
-    F = np.eye(n) if frame is None else numbers("frame", frame)
-    if F.shape != (n, n) or not np.all(np.isfinite(F)) or np.linalg.matrix_rank(F) < n:
-        raise ReachError(f"the frame must be an invertible matrix of {n} rows")
+    F = as_frame(frame, n)
     single_set("the initial set", initial)
     start = initial if isinstance(initial, Zonotope) else initial.interval_hull().to_zonotope()
     sweep = _Sweep(system, start, horizon, step, begin)
@@ -260,7 +255,7 @@ class _Sweep:
         )
 
     def run(self, rows: Array, plus: slice, minus: slice, F: Array) -> _Run:
-        """March forward; `plus` and `minus` are the rows inv(F) and their opposites, which bound x."""
+        """RowBounds forward; `plus` and `minus` are the rows inv(F) and their opposites, which bound x."""
         K, n, h = len(self.P), self.n, self.h
         first, upper, lower = (np.zeros((K + 1, len(rows))) for _ in range(3))
         bow, maps, later = np.empty((K, len(rows))), np.empty((K + 1, n, n)), np.empty((K, n, n))

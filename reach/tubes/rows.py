@@ -9,10 +9,9 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
+from ..numerics.checks import Array
 from ..numerics.exponentials import CANCELLED, Action, exponential, flushed, scaled, thin_exponential, times
 from .systems import LinearSystem
-
-Array = NDArray[np.float64]
 
 SPARSE = 0.1
 """Share of entries below which products with A use its sparse form."""
@@ -154,8 +153,6 @@ class Rows:
             found = self._closings[h]
             out = found @ vectors if self.action is None else found(vectors.T, h, 1)[-1].T
         return np.where(np.isnan(out), np.inf, out)
-
-    # -- rounding ---------------------------------------------------------------------------------
 
     def lags(self, h: float, horizon: float) -> list[float]:
         """Powers of two of a step, up to the horizon; none where exponentials are not to be formed."""

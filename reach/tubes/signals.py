@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ..numerics.checks import Array, as_numbers
 from ..numerics.errors import ReachError
-from ..sets.convex import as_numbers
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,23 +1,21 @@
-"""Marching over time: blocks of steps, of one length or as long as a tolerance allows."""
+"""Stepping over time: blocks of steps, of one length or as long as a tolerance allows."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from time import perf_counter
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ..numerics.checks import Array, is_positive, per_row, require_positive
 from ..numerics.errors import ReachError, ReachWarning, Unresolved
-from ..sets.convex import as_numbers
 from .adjoint import Adjoint, Block, Overflow
-from .bounds import March, collect
-from .known_input import Ahead
+from .bounds import RowBounds, collect
+from .known_input import Forecast
 from .rows import ROUNDING
-
-Array = NDArray[np.float64]
 
 MAX_STEPS = 2_000_000
 BLOCK = 64
@@ -40,47 +38,44 @@ FINEST = 2.0**-40
 """Shortest step of the automatic choice, as a share of the horizon."""
 
 
-def march(
-    adjoint: Adjoint,
-    D: Array,
-    horizon: float,
-    step: float | None,
-    tolerance: ArrayLike | None,
-    limit: ArrayLike | None = None,
-    keep: bool = False,
-    substeps: int = 1,
-    deadline: float = np.inf,
-) -> March:
-    """Carry rows D over the horizon, with a step (in substeps) or by a tolerance (see `support_tube`)."""
-    _is_number("horizon", horizon)
+@dataclass(frozen=True, eq=False)
+class Steps:
+    """How a horizon is stepped through: with a step or by a tolerance, see `reach.support_tube`.
+
+    A step is carried in some `parts`; rows are kept if asked for; `deadline` is a time of `perf_counter`.
+    """
+
+    step: float | None = None
+    tolerance: ArrayLike | None = None
+    limit: ArrayLike | None = None
+    parts: int = 1
+    keep: bool = False
+    deadline: float = np.inf
+
+
+def carry_rows(adjoint: Adjoint, D: Array, horizon: float, steps: Steps) -> RowBounds:
+    """Carry rows D over the horizon."""
+    step, tolerance = steps.step, steps.tolerance
+    require_positive("horizon", horizon)
     if step is not None and tolerance is not None:
         raise ReachError("give a step or a tolerance, not both")
     if step is not None:
-        _is_number("step", step)
+        require_positive("step", step)
     if adjoint.system.discrete:
         if horizon != round(horizon) or step not in (None, 1):
             given = f"got horizon {horizon!r} and step {step!r}"
             raise ReachError(f"a discrete system takes a whole number of steps of 1, {given}")
         step = 1.0
-    if step is None and adjoint.pieces > 1:
+    if step is None and adjoint.input_pieces > 1:
         raise ReachError("an input that changes its set needs a step, best one that divides its breaks")
     if step is not None:
-        return regular(adjoint, D, horizon, step, substeps, keep, deadline)
+        return regular(adjoint, D, horizon, replace(steps, step=step))
     goal = None if tolerance is None else per_row("tolerance", tolerance, len(D))
     if goal is not None and not np.all((goal > 0) & np.isfinite(goal)):
         raise ReachError(f"the tolerance must be finite and > 0, got {tolerance!r}")
-    ceiling = np.full(len(D), -np.inf) if limit is None else per_row("limit", limit, len(D))
-    return collect(adjoint, D, horizon, adaptive(adjoint, D, horizon, goal, ceiling, deadline), keep)
-
-
-def _positive(value: Any) -> bool:
-    real = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
-    return bool(real and 0 < value < np.inf)
-
-
-def _is_number(name: str, value: float) -> None:
-    if not _positive(value):
-        raise ReachError(f"the {name} must be a finite number > 0, got {value!r}")
+    ceiling = np.full(len(D), -np.inf) if steps.limit is None else per_row("limit", steps.limit, len(D))
+    blocks = adaptive(adjoint, D, horizon, goal, ceiling, steps.deadline)
+    return collect(adjoint, D, horizon, blocks, steps.keep)
 
 
 def in_time(deadline: float) -> None:
@@ -94,23 +89,15 @@ def in_time(deadline: float) -> None:
         raise Unresolved("time ran out")
 
 
-def per_row(name: str, value: ArrayLike, r: int) -> Array:
-    """One number for each of r rows."""
-    numbers = as_numbers(f"the {name}", value)
-    if numbers.shape not in ((), (1,), (r,)) or np.any(np.isnan(numbers)):
-        raise ReachError(f"the {name} must be a number or {r} of them, got {value!r}")
-    return np.broadcast_to(numbers, (r,))
-
-
 def substeps(adjoint: Adjoint, step: float | None, horizon: float = 0.0, rows: int = 1) -> int:
     """Parts, a power of two, that a given step is carried in so that little turns in one.
 
     Up to `PARTS`; more where the whole run, if its horizon is given, stays `CHEAP`.
     """
-    if step is None or adjoint.system.discrete or not _positive(step):
+    if step is None or adjoint.system.discrete or not is_positive(step):
         return 1
     most = np.log2(PARTS)
-    if _positive(horizon):
+    if is_positive(horizon):
         most = max(most, np.floor(np.log2(CHEAP / max(rows * adjoint.system.dim * horizon / step, 1.0))))
     return int(2 ** np.clip(np.ceil(np.log2(max(2 * step * adjoint.rows.norm, 1.0))), 0, most))
 
@@ -128,35 +115,35 @@ def warn_if_wide(bounds: Array, attained: Array, sizes: Array) -> None:
         )
 
 
-def regular(
-    adjoint: Adjoint, D: Array, horizon: float, step: float, parts: int, keep: bool, deadline: float
-) -> March:
+def regular(adjoint: Adjoint, D: Array, horizon: float, steps: Steps) -> RowBounds:
     """Steps of one length, each carried in some parts."""
+    step, parts = steps.step, steps.parts
+    assert step is not None
     if horizon / step > MAX_STEPS:
         raise Unresolved(f"more than {MAX_STEPS:,} steps: horizon {horizon:g}, step {step:g}")
     count = max(int(np.ceil(horizon / step * (1 - 1e-12))), 1) * parts
     size = int(np.clip(ENTRIES // D.size, BLOCK, count))
     h = horizon / count
-    ahead = look_ahead(adjoint, D, horizon)
+    ahead = forecast(adjoint, D, horizon)
     adjoint.watch(adjoint.rows.lags(h, horizon), 0.0 if ahead is None else ahead.states)
 
     def blocks() -> Iterator[tuple[float, Block]]:
         rows = D * adjoint.rows.scale
         for k in range(0, count, size):
-            in_time(deadline)
+            in_time(steps.deadline)
             block = adjoint.block(rows, h, min(size, count - k))
             yield h, block
             rows = block.rows[-1]
 
-    run = collect(adjoint, D, horizon, blocks(), keep, parts)
+    run = collect(adjoint, D, horizon, blocks(), steps.keep, parts)
     if not np.all((run.bow + run.bend).max(axis=0) <= USELESS / ROUNDING * run.rounding.max(axis=0)):
         raise Unresolved(f"the step {step:g} is too long: nothing useful is known between two nodes")
     return run
 
 
-def look_ahead(adjoint: Adjoint, D: Array, horizon: float) -> Ahead | None:
+def forecast(adjoint: Adjoint, D: Array, horizon: float) -> Forecast | None:
     """What a nominal input will ask of steps, if there is one."""
-    return None if adjoint.system.nominal is None else Ahead(adjoint.system, D, horizon)
+    return None if adjoint.system.nominal is None else Forecast(adjoint.system, D, horizon)
 
 
 def adaptive(
@@ -170,14 +157,13 @@ def adaptive(
     """
     rows = D * adjoint.rows.scale
     level = int(np.clip(np.ceil(np.log2(max(horizon * adjoint.rows.norm, 1.0))), 0, 40))
-    ahead = look_ahead(adjoint, D, horizon)
+    ahead = forecast(adjoint, D, horizon)
     if ahead is not None:
         ceiling = np.full(len(D), -np.inf)  # what is compared with it leaves the nominal input out
     adjoint.watch(adjoint.rows.lags(horizon * 2.0**-level, horizon), 0.0 if ahead is None else ahead.states)
     done, patience, steps = 0.0, 0, 0
-    reached, spent, known, sums = np.zeros((4, len(D)))
-    if goal is None:
-        known = foreseen(adjoint, rows, horizon)
+    reached, spent, sums, met = np.zeros((4, len(D)))
+    known = foreseen(adjoint, rows, horizon) if goal is None else met
     while done < 1:
         in_time(deadline)
         h = 2.0**-level
@@ -195,12 +181,7 @@ def adaptive(
         if goal is None:
             start, gained = adjoint.sizes(block.rows, h * horizon)
             met = np.maximum(known, start + sums + gained)
-        least = ROUNDING * adjoint.system.dim * block.size[0, 0]
-        if goal is None:  # no finer than what is booked for rounding
-            least = ROUNDING * adjoint.system.dim * (block.size[0] + horizon * block.size[1]).max(axis=0)
-        tolerance = np.maximum(SHARE * met, least) if goal is None else goal
-        if np.any(tolerance < least):
-            raise Unresolved(f"the tolerance {tolerance} is below the rounding of the bounds")
+        tolerance = _allowed(adjoint, block, horizon, goal, met)
         gain = block.upper.sum(axis=1)
         with np.errstate(invalid="ignore"):
             loss = (block.upper - block.lower).sum(axis=(0, 1))
@@ -225,6 +206,17 @@ def adaptive(
         easy = error < 0.01 or (error < 0.1 and patience <= 0)
         if easy and level > 0 and (done * 2.0 ** (level - 1)).is_integer():
             level -= 1
+
+
+def _allowed(adjoint: Adjoint, block: Block, horizon: float, goal: Array | None, met: Array) -> Array:
+    """The goal, or else a share of the largest values met, but no finer than what is booked for rounding."""
+    share = ROUNDING * adjoint.system.dim
+    if goal is None:
+        least = share * (block.size[0] + horizon * block.size[1]).max(axis=0)
+        return np.asarray(np.maximum(SHARE * met, least))
+    if np.any(goal < share * block.size[0, 0]):
+        raise Unresolved(f"the tolerance {goal} is below the rounding of the bounds")
+    return goal
 
 
 def foreseen(adjoint: Adjoint, rows: Array, horizon: float) -> Array:

@@ -9,14 +9,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..numerics.arguments import checked
+from ..numerics.checks import Array, as_directions, as_numbers
 from ..numerics.errors import ReachError
-from ..sets.convex import ConvexSet, as_numbers
+from ..sets.convex import ConvexSet
 from .adjoint import Adjoint
-from .augment import centered
-from .stepping import march, substeps, warn_if_wide
-from .systems import LinearSystem, numbers
-
-Array = NDArray[np.float64]
+from .augment import augmented
+from .stepping import Steps, carry_rows, substeps, warn_if_wide
+from .systems import LinearSystem
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,14 +114,12 @@ def support_tube(
         If the tolerance cannot be met, in the time given, or a bound is beyond floating point.
     """
     deadline = perf_counter() + max_seconds
-    D = np.atleast_2d(numbers("directions", directions))
-    if D.ndim != 2 or D.shape[1] != system.dim or len(D) == 0 or not np.all(np.isfinite(D)):
-        raise ReachError(f"directions must be finite rows of length {system.dim}, got shape {D.shape}")
-    around, start = (system, initial) if system.discrete else centered(system, initial)
+    D = as_directions("directions", directions, system.dim)
+    around, start = (system, initial) if system.discrete else augmented(system, initial)
     rows = np.hstack([D, np.zeros((len(D), around.dim - system.dim))])
     adjoint = Adjoint(around, start)
     parts = substeps(adjoint, step, horizon, len(D))
-    run = march(adjoint, rows, horizon, step, tolerance, limit, substeps=parts, deadline=deadline)
+    run = carry_rows(adjoint, rows, horizon, Steps(step, tolerance, limit, parts, deadline=deadline))
     upper, lower = run.first + run.upper + run.rounding, run.attained + run.lower - run.rounding
     interval = np.maximum(upper[1:], upper[:-1]) + run.bow + run.bend
     interval = interval.reshape(-1, parts, len(D)).max(axis=1)

@@ -6,14 +6,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import sparse
 
+from ..numerics.checks import as_numbers, single_set
 from ..numerics.errors import ReachError
-from ..sets.convex import ConvexSet, as_numbers
+from ..sets.convex import ConvexSet
 from .signals import Signal
-
-Array = NDArray[np.float64]
 
 FILLED = 0.25
 """Share of entries from which a matrix in a sparse container is handled as a dense one."""
@@ -87,10 +86,10 @@ class LinearSystem:
         for U in pieces:
             if U.dim != B.shape[1]:
                 raise ReachError(f"U must have dimension {B.shape[1]}, the columns of B, got {U.dim}")
-        c = np.zeros(n) if self.c is None else numbers("c", self.c)
+        c = np.zeros(n) if self.c is None else as_numbers("c", self.c)
         if c.shape != (n,) or not np.all(np.isfinite(c)):
             raise ReachError(f"c must be {n} finite numbers, got {self.c!r}")
-        breaks = numbers("breaks", self.breaks)
+        breaks = as_numbers("breaks", self.breaks)
         if breaks.shape != (max(len(pieces) - 1, 0),) or not (
             np.all(np.isfinite(breaks)) and np.all(np.diff(breaks, prepend=0.0) > 0)
         ):
@@ -150,22 +149,9 @@ def _matrix(name: str, value: ArrayLike) -> Any:
         matrix: Any = sparse.csr_matrix(value, dtype=float)
         entries = matrix.data
     else:
-        matrix = entries = numbers(name, value)
+        matrix = entries = as_numbers(name, value)
     if matrix.ndim != 2:
         raise ReachError(f"{name} must be a matrix, got shape {matrix.shape}")
     if not np.all(np.isfinite(entries)):
         raise ReachError(f"{name} has entries that are not finite numbers")
     return matrix
-
-
-def numbers(name: str, value: ArrayLike) -> Array:
-    """An array of floats, or one clear error."""
-    return as_numbers(name, value)
-
-
-def single_set(name: str, value: Any) -> None:
-    """Refuse what is not one convex set."""
-    if not hasattr(type(value), "support") or not hasattr(type(value), "interval_hull"):
-        raise ReachError(f"{name} must be a convex set, got {type(value).__name__}")
-    if getattr(value, "batch", ()):
-        raise ReachError(f"{name} must be a single set, got a stack of shape {value.batch}")

@@ -7,22 +7,21 @@ from itertools import groupby
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import sparse
 from scipy.linalg import expm
 from scipy.sparse.linalg import expm_multiply
 
 from ..numerics.arguments import checked
+from ..numerics.checks import Array, as_numbers, single_set
 from ..numerics.errors import ReachError
 from ..numerics.exponentials import times
 from ..sets.convex import ConvexSet
 from .adjoint import Adjoint
-from .augment import centered
-from .known_input import known
-from .stepping import march
-from .systems import LinearSystem, numbers, single_set
-
-Array = NDArray[np.float64]
+from .augment import augmented
+from .known_input import known_response
+from .stepping import Steps, carry_rows
+from .systems import LinearSystem
 
 DENSE_MOST = 400
 """States up to which a simulation forms exponentials."""
@@ -79,7 +78,7 @@ def simulate(system: LinearSystem, x0: ArrayLike, instants: ArrayLike, inputs: A
     advance = _discrete if system.discrete else _sparse if system.dim > DENSE_MOST else _dense
     advance(system, states, t, u)
     if system.nominal is not None:
-        states += known(system, np.zeros((1, system.dim)), t, np.diff(t)).states
+        states += known_response(system, np.zeros((1, system.dim)), t, np.diff(t)).states
     return Trajectory(t, states, u)
 
 
@@ -151,35 +150,26 @@ def worst_case(
     Unresolved
         If the tolerance cannot be met.
     """
-    d = np.atleast_2d(numbers("direction", direction))
+    d = np.atleast_2d(as_numbers("direction", direction))
     if d.shape != (1, system.dim) or not np.all(np.isfinite(d)):
         raise ReachError(f"the direction must be {system.dim} finite numbers, got {direction!r}")
     single_set("the initial set", initial)
     if horizon == 0:
         return Trajectory(np.zeros(1), initial.support_vector(d), np.zeros((0, system.inputs)))
-    around, start = (system, initial) if system.discrete else centered(system, initial)
+    around, start = (system, initial) if system.discrete else augmented(system, initial)
     adjoint, row = Adjoint(around, start), np.hstack([d, np.zeros((1, around.dim - system.dim))])
     if step is None and tolerance is None and not system.discrete:
         step = horizon / STEPS
-    run = march(adjoint, row, horizon, step, tolerance, limit=[np.inf], keep=True)
+    run = carry_rows(adjoint, row, horizon, Steps(step, tolerance, [np.inf], keep=True))
     assert run.rows is not None
     rows = run.rows[:, 0, : system.dim]
     x0 = initial.support_vector(rows[-1])
     instants = (run.times[-1] - run.times)[::-1]
     instants[0] = 0.0
     if not system.U:
-        return simulate(
-            system, x0, [0.0, horizon] if not system.discrete else instants, _none(system, instants)
-        )
-    if system.discrete:
-        middle = rows[:-1][::-1]
-    else:
-        # No input is held across a change of its set.
-        ends, backwards = instants, rows[::-1]
-        instants = np.union1d(ends, system.breaks[system.breaks < horizon])
-        s, k = (instants[:-1] + instants[1:]) / 2, np.searchsorted(ends, instants[:-1], side="right") - 1
-        share = ((s - ends[k]) / (ends[k + 1] - ends[k]))[:, None]
-        middle = (1 - share) * backwards[k] + share * backwards[k + 1]
+        instants = instants if system.discrete else instants[[0, -1]]
+        return simulate(system, x0, instants, np.zeros((len(instants) - 1, system.inputs)))
+    instants, middle = (instants, rows[:-1][::-1]) if system.discrete else _held(system, instants, rows[::-1])
     piece = np.searchsorted(system.breaks, (instants[:-1] + instants[1:]) / 2, side="right")
     u = np.empty((len(middle), system.inputs))
     for i, U in enumerate(system.U):
@@ -187,5 +177,9 @@ def worst_case(
     return simulate(system, x0, instants, u)
 
 
-def _none(system: LinearSystem, instants: Array) -> Array:
-    return np.zeros((len(instants) - 1 if system.discrete else 1, system.inputs))
+def _held(system: LinearSystem, ends: Array, rows: Array) -> tuple[Array, Array]:
+    """Instants between which inputs are held, none across a change of its set; rows in their middle."""
+    instants = np.union1d(ends, system.breaks[system.breaks < ends[-1]])
+    s, k = (instants[:-1] + instants[1:]) / 2, np.searchsorted(ends, instants[:-1], side="right") - 1
+    share = ((s - ends[k]) / (ends[k + 1] - ends[k]))[:, None]
+    return instants, (1 - share) * rows[k] + share * rows[k + 1]

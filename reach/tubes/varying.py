@@ -7,14 +7,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import expm
+from numpy.typing import ArrayLike
 
 from ..numerics.arguments import check_fields
+from ..numerics.checks import Array, as_numbers
 from ..numerics.errors import ReachError
-from .systems import numbers
 
-Array = NDArray[np.float64]
 Bound = ArrayLike | Callable[[float, float], ArrayLike] | None
 
 CONSISTENT = 1e-6
@@ -128,7 +126,7 @@ def sample(name: str, M: Any, shape: tuple[int, ...], times: Array) -> Sampled:
 
 
 def _checked(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
-    matrix = numbers(name, value)
+    matrix = as_numbers(name, value)
     if matrix.shape != shape or not np.all(np.isfinite(matrix)):
         raise ReachError(f"{name} must be finite and of shape {shape}, got shape {matrix.shape}")
     return matrix
@@ -138,7 +136,7 @@ def _bound(name: str, bound: Bound, shape: tuple[int, ...], times: Array) -> Arr
     if bound is None:
         return np.full((len(times) - 1, *shape), np.inf)
     over = bound if callable(bound) else lambda a, b: bound
-    found = [numbers(name, over(float(a), float(b))) for a, b in zip(times[:-1], times[1:], strict=True)]
+    found = [as_numbers(name, over(float(a), float(b))) for a, b in zip(times[:-1], times[1:], strict=True)]
     for values in found:
         if values.shape != shape or not np.all(values >= 0):
             raise ReachError(f"the {name} must be >= 0 and of shape {shape}, got {values!r}")
@@ -150,13 +148,3 @@ def _consistent(name: str, seen: Array, bound: Array) -> None:
         k, i, j = np.unravel_index(np.argmax(seen - bound * (1 + CONSISTENT)), seen.shape)
         given = f"values change by {seen[k, i, j]:g} in entry ({i}, {j}) of step {k}"
         raise ReachError(f"the bound on the {name} is too small: {given}, the bound is {bound[k, i, j]:g}")
-
-
-def exponentials(X: Array) -> Array:
-    """``e^X`` of a stack of matrices (K, n, n), by Taylor's series together where norms are small."""
-    if np.abs(X).sum(axis=-1).max(initial=0.0) > 1:
-        return np.asarray(expm(X))
-    out = np.broadcast_to(np.eye(X.shape[-1]), X.shape)
-    for k in range(19, 0, -1):  # 1 / 20! < 5e-19
-        out = np.eye(X.shape[-1]) + X @ out / k
-    return np.asarray(out)

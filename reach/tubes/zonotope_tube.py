@@ -5,21 +5,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..numerics.arguments import checked
-from ..numerics.errors import ReachError
+from ..numerics.checks import Array, as_frame, as_numbers, per_row, single_set
 from ..sets.convex import ConvexSet
 from ..sets.zonotope import Zonotope
 from .adjoint import Adjoint, is_symmetric
-from .augment import centered
-from .bounds import March
+from .augment import augmented
+from .bounds import RowBounds
 from .rows import ROUNDING
-from .stepping import march, per_row, substeps, warn_if_wide
+from .stepping import Steps, carry_rows, substeps, warn_if_wide
 from .support_tube import locate
-from .systems import LinearSystem, numbers, single_set
-
-Array = NDArray[np.float64]
+from .systems import LinearSystem
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +70,7 @@ class ZonotopeTube:
 
     def support(self, directions: ArrayLike) -> Array:
         """Bounds on ``d x(t)`` over every interval for rows d, shape (K, r) for rows (r, n)."""
-        D = np.atleast_2d(numbers("directions", directions))
+        D = np.atleast_2d(as_numbers("directions", directions))
         nodes = self.nodes.support(D)
         return np.asarray(np.maximum(nodes[1:], nodes[:-1]) + self.bow @ np.abs(D @ self.frame).T)
 
@@ -122,13 +120,11 @@ def zonotope_tube(
     Unresolved
         If the tolerance cannot be met or a bound is beyond floating point.
     """
-    F = np.eye(system.dim) if frame is None else numbers("frame", frame)
-    if F.shape != (system.dim,) * 2 or not np.all(np.isfinite(F)) or np.linalg.matrix_rank(F) < len(F):
-        raise ReachError(f"the frame must be an invertible matrix of {system.dim} rows")
+    F = as_frame(frame, system.dim)
     single_set("the initial set", initial)
     box = initial if isinstance(initial, Zonotope) else initial.interval_hull()
-    around, start = centered(system, box)
-    generated = start if isinstance(start, Zonotope) else centered(system, box.to_zonotope())[1]
+    around, start = augmented(system, box)
+    generated = start if isinstance(start, Zonotope) else augmented(system, box.to_zonotope())[1]
     inverse: Array = np.asarray(np.linalg.inv(F))
     rows = np.hstack([inverse, np.zeros((len(F), around.dim - system.dim))])
     if tolerance is not None:
@@ -138,7 +134,7 @@ def zonotope_tube(
         tolerance = None if tolerance is None else np.tile(tolerance, 2)
     adjoint = Adjoint(around, start)
     parts = substeps(adjoint, step, horizon, len(rows))
-    run = march(adjoint, rows, horizon, step, tolerance, keep=True, substeps=parts)
+    run = carry_rows(adjoint, rows, horizon, Steps(step, tolerance, parts=parts, keep=True))
     coarse = run.every(parts)
     if step is not None and not system.discrete:
         nodes = (run.first + run.upper + run.rounding).max(axis=0)
@@ -146,13 +142,13 @@ def zonotope_tube(
     return _enclose(coarse, generated, F, inverse)
 
 
-def _enclose(run: March, start: Zonotope, F: Array, inverse: Array) -> ZonotopeTube:
+def _enclose(run: RowBounds, start: Zonotope, F: Array, inverse: Array) -> ZonotopeTube:
     n = len(F)
     assert run.rows is not None
     image = run.rows[:, :n] @ start
     # The second half of the rows is the first half with the sign turned, or left out if alike.
     high, low = (run.upper[:, rows] + run.rounding[:, rows] for rows in (slice(n), slice(-n, None)))
-    middle, widths = (high - low) / 2 + run.known[:, :n], (high + low) / 2
+    middle, widths = (high - low) / 2 + run.driven[:, :n], (high + low) / 2
     size = np.abs(image.c + middle) + image.half_widths + widths
     widths = widths + ROUNDING * n * size @ (np.abs(inverse) @ np.abs(F)).T  # F inverse is not the identity
     G = np.concatenate([F @ image.G, F * widths[:, None, :]], axis=-1)

@@ -417,18 +417,18 @@ class Watched:
     ----------
     loop : Loop
         Of the monitor's own fine schedule; controllers that it does not trust may do anything.
-    monitor : polaris.rta.monitor.Monitor
+    monitor : polaris.rta.methods.monitor.Monitor
     way : ndarray, shape (N, R, n)
         The state told is off by the whole error, against this direction.
     """
 
     def __init__(self, loop: Loop, monitor: Any, way: Array) -> None:
-        self.loop, self.monitor, self.scene, self.way = loop, monitor, monitor.scene, way
+        self.loop, self.monitor, self.grid, self.way = loop, monitor, monitor.grid, way
         self.flying = self.next = np.zeros(way.shape[1], dtype=int)
 
     def __call__(self, i: int, x: Array) -> NDArray[np.int_]:
         """Modes from a step on."""
-        scene, delay = self.scene, self.scene.delay * self.loop.parts
+        scene, delay = self.grid, self.grid.delay * self.loop.parts
         each = scene.nodes * self.loop.parts
         k, j = divmod(i, each)
         if delay == each and j == 0:
@@ -445,9 +445,9 @@ class Watched:
 
 def attack_monitor(monitor: Any, runs: int, seed: int, rounds: int = 3) -> tuple[Attacked, float]:
     """The same under an online monitor: no hand-overs but its own. Also the share of time under U."""
-    schedule = monitor.scene.fine_schedule
+    schedule = monitor.grid.fine_schedule
     loop, rng = (
-        Loop(schedule, 0 if monitor.scene.tracking.feedback.sampled else 2),
+        Loop(schedule, 0 if monitor.grid.tracking.feedback.sampled else 2),
         np.random.default_rng(seed),
     )
     if monitor.trust == "thrust_limits":

@@ -4,7 +4,8 @@ import copy
 import math
 from contextlib import suppress
 
-from polaris.certificate.document import assumptions, digest
+from polaris.certificate.assumptions import assumptions
+from polaris.certificate.document import digest
 
 
 def plain(value):

@@ -228,7 +228,7 @@ def wrong_calls():
         "a schedule to evaluate": lambda: polaris.evaluate(schedule),
         "a scenario to compare": lambda: polaris.compare(scenario),
         "a scenario to compare_methods": lambda: polaris.compare_methods(scenario),
-        "a scenario to Scene.of": lambda: polaris.Scene.of(scenario),
+        "a scenario to DecisionGrid.of": lambda: polaris.DecisionGrid.of(scenario),
         "a scenario to falsify": lambda: polaris.falsify(scenario),
         "a scenario to plot_schedule": lambda: polaris.plot_schedule(scenario),
         "a schedule to plot_reference": lambda: polaris.plot_reference(schedule),

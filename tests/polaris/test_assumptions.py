@@ -7,7 +7,8 @@ from functools import cache
 import pytest
 from rich.console import Console
 
-from polaris.certificate.document import Document, assumptions, digest
+from polaris.certificate.assumptions import assumptions
+from polaris.certificate.document import Document, digest
 from polaris.certificate.verdict import Rejected
 from polaris.cli.show import show_summary
 from polaris.report.html.claims import guarantee as told_in_report

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from polaris.certificate.document import assumptions
+from polaris.certificate.assumptions import assumptions
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "assurance.md").read_text(encoding="utf-8")

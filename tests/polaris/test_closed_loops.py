@@ -10,8 +10,8 @@ import pytest
 
 from polaris.model.errors import NotCertified, PolarisError
 from polaris.planning.reference import Reference
-from polaris.rta.monitor import Monitor
-from polaris.rta.scene import Scene
+from polaris.rta.decision_grid import DecisionGrid
+from polaris.rta.methods.monitor import Monitor
 from polaris.simulation.falsification.search import falsify
 from polaris.simulation.simulate import simulate
 from polaris.synthesis.controllers import AffineController
@@ -81,7 +81,7 @@ def monitored(seed, schedule):
     half = safety.start.half_widths * float(rng.choice([0, 0.3]))
     try:
         return Monitor(
-            Scene.of(schedule, period, latency, half), str(rng.choice(["declared", "thrust_limits"]))
+            DecisionGrid.of(schedule, period, latency, half), str(rng.choice(["declared", "thrust_limits"]))
         )
     except NotCertified:
         return None

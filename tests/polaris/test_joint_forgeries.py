@@ -12,7 +12,8 @@ pytest.importorskip("flint")
 
 from polaris.certificate.artefacts import SUMMARY
 from polaris.certificate.checker import verify, verify_document
-from polaris.certificate.document import UnsafeSet, canonical, digest, number
+from polaris.certificate.decoding import number
+from polaris.certificate.document import UnsafeSet, canonical, digest
 from polaris.certificate.inputs import _check_goal, _check_initial_set
 from polaris.certificate.perception import _check_obstacle, _row_support
 from polaris.certificate.repeated import _check_claim

@@ -293,7 +293,7 @@ def test_every_public_function_is_tried():
     values = (
         "Answer",
         "ConvexSet",
-        "Fan",
+        "Flowpipes",
         "HybridTrajectory",
         "HybridTube",
         "HybridVerdict",

@@ -6,14 +6,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from reach.numerics.errors import ReachError
-from reach.numerics.exact import cross, integers
-from reach.sets.answer import Answer
-from reach.sets.containment import contains
+from reach.numerics.rounding import cross, integers
+from reach.sets.convex import Answer
 from reach.sets.ellipsoid import Ellipsoid
 from reach.sets.interval import Interval
 from reach.sets.norms import largest_norm
+from reach.sets.pairs import contains, disjoint
 from reach.sets.polytope import HPolytope
-from reach.sets.separation import disjoint
 from reach.sets.zonotope import Zonotope
 
 from .strategies import directions, ellipsoids, intervals, polytopes, sets, size, vectors, zonotopes

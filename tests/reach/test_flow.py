@@ -12,8 +12,11 @@ from polaris.synthesis.tracking import lqr_gain
 from reach.numerics.errors import ReachError
 from reach.numerics.linear import discretize, growth, powers
 from reach.numerics.relaxation import clip_relaxation
+from reach.sets.ellipsoid import Ellipsoid
 from reach.sets.zonotope import Zonotope
 from reach.tubes.flow import LinearFlow
+from reach.tubes.systems import LinearSystem
+from tests.reach import truth
 
 SYSTEM = clohessy_wiltshire(0.0012, 10.0, 1.0, 1e-4)
 GAIN = lqr_gain(SYSTEM, [1, 1, 1, 1e3, 1e3, 1e3], [1e4] * 3)
@@ -204,3 +207,44 @@ def test_clip_relaxation_is_exact_away_from_the_limits():
 def test_clip_relaxation_refuses_nonsense(lo, hi, limit):
     with pytest.raises(ReachError):
         clip_relaxation(lo, hi, limit)
+
+
+RANDOM = [(kind, seed) for kind in truth.KINDS if kind != "zero" for seed in range(12)]
+
+
+@pytest.mark.parametrize(("kind", "seed"), RANDOM)
+def test_of_84_random_systems_nothing_that_is_reached_is_missed(kind, seed):
+    """Stiff, unstable, lagging ones: closed form and worst inputs of the adjoint against all bounds."""
+    rng, sampled = np.random.default_rng([seed, len(kind)]), seed % 2 == 0
+    n, p, count, h, w_max = *rng.integers(1, 4, 2), 3, 0.25, 10.0 ** rng.uniform(-2, 1)
+    A, D, B = truth.matrix(kind, n, rng), rng.normal(size=(n, p)), rng.normal(size=(n, 2))
+    size = 1.0
+    if kind == "units":
+        size = np.abs(A).max(axis=1)
+        D, B = D * size[:, None], B * size[:, None]
+    K = rng.normal(size=(2, n)) * (rng.random() < 0.7) / size
+    f = LinearFlow.sampled(A, B, K, D, w_max, h) if sampled else LinearFlow.continuous(A, D, w_max, h)
+    rows = np.vstack([np.eye(n), -np.eye(n), rng.normal(size=(2, n)) / size])
+    bound, nodes, within = f.disturbance_support(rows, count), f.disturbance_nodes(count), f.period_zonotope
+    ball, rest = Ellipsoid.ball(np.zeros(p), w_max), Zonotope.point(np.zeros(n))
+    reached, attained = np.zeros(len(rows)), np.zeros(len(rows))
+    times = np.linspace(0, h, 9)
+    for k, images in enumerate(rows @ powers(f.phi, count - 1)):
+        system = LinearSystem(A, D, ball)
+        exact, error = truth.exact(system, rest, h, images, count=128)
+        worst = np.array([truth.worst(system, rest, times, d) for d in images])
+        grain = 1e-9 * np.abs(images) @ (f.growth @ np.abs(D).sum(axis=1)) * w_max
+        assert np.all(exact - error <= within.support(images) + grain)
+        assert np.all(worst <= within.support(images) + grain)
+        reached, attained = reached + exact - error, attained + worst
+        grain = grain + 1e-9 * np.abs(bound[k + 1])
+        assert np.all(np.maximum(reached, attained) <= bound[k + 1] + grain)
+        assert np.all(np.maximum(reached, attained) <= nodes[k + 1].support(rows) + grain)
+    assert np.all(np.abs(f.input_map(D) @ rng.uniform(-1, 1, p) * w_max / p) <= f.period_box * (1 + 1e-9))
+    start = truth.body("zonotope", n, rng)
+    bow = f.bow(start)
+    for e in truth.vertices(start, 6, rng):
+        for share in np.linspace(0, 1, 9):
+            As, Bs = discretize(A, B, share * h)
+            path, chord = (As - Bs @ K if sampled else As) @ e, (1 - share) * e + share * (f.phi @ e)
+            assert np.all(np.abs(path - chord) <= bow * (1 + 1e-9) + 1e-9 * np.abs(f.phi) @ np.abs(e))

@@ -259,7 +259,7 @@ def test_a_window_at_time_zero_of_no_width():
     )
     tube = hybrid_tube(automaton, BOX, 1.0, step=0.1)
     assert np.all(tube.of("b")[0].entered == 0.0)
-    start = tube.of("b")[0].fan.start
+    start = tube.of("b")[0].flowpipes.start
     assert np.allclose(start[0].interval_hull().hi, BOX.interval_hull().hi, atol=1e-12)
     holds_all(automaton, BOX, 1.0, tube)
 
@@ -286,8 +286,8 @@ def test_fast_and_slow_motion_by_a_tolerance():
     automaton = HybridAutomaton([Mode("a", LinearSystem(np.diag([-50.0, -0.1])))])
     tube = hybrid_tube(automaton, BOX, 20.0, step=2.0, tolerance=1e-3)
     (segment,) = tube.segments
-    assert np.all(segment.fan.bow <= 1e-3)
-    lengths = np.diff(segment.fan.times)
+    assert np.all(segment.flowpipes.bow <= 1e-3)
+    lengths = np.diff(segment.flowpipes.times)
     assert lengths.max() > 20 * lengths.min()
     holds_all(automaton, BOX, 20.0, tube)
 

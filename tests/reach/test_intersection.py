@@ -6,9 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from reach.numerics.errors import ReachError
-from reach.sets.containment import contains
-from reach.sets.hulls import enclosing_hull
-from reach.sets.intersection import meet_halfspace
+from reach.sets.clipping import enclosing_hull, meet_halfspace
+from reach.sets.pairs import contains
 from reach.sets.zonotope import Zonotope
 
 from .strategies import directions, numbers, vectors, zonotopes

@@ -6,8 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from reach.numerics.errors import ReachError
-from reach.numerics.exact import integers
-from reach.numerics.rounding import add_down, add_up
+from reach.numerics.rounding import add_down, add_up, integers
 from reach.sets.interval import Interval
 from reach.sets.zonotope import Zonotope
 

@@ -8,7 +8,7 @@ from scipy import sparse
 from scipy.integrate import solve_ivp
 
 from reach import Interval, LinearSystem, ReachError, Signal, Zonotope, support_tube, zonotope_tube
-from reach.tubes.known_input import known
+from reach.tubes.known_input import known_response
 from reach.tubes.trajectory import worst_case
 from tests.reach import truth
 
@@ -58,7 +58,7 @@ def test_values_are_joined_and_held_at_the_ends():
 def test_the_motion_is_that_of_a_solver(make):
     system = LinearSystem(make(A), B, nominal=RAMPS)
     nodes = np.linspace(0, 3, 38)
-    found = known(system, np.eye(2), nodes, np.full(37, 3 / 37))
+    found = known_response(system, np.eye(2), nodes, np.full(37, 3 / 37))
     assert np.allclose(found.states, motion(system, RAMPS, nodes), atol=1e-11)
 
 

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from reach.numerics.errors import ReachError
-from reach.sets.containment import contains
+from reach.sets.pairs import contains
 from reach.sets.reduction import METHODS, mean_width, reduce, reduction_loss
 from reach.sets.zonotope import Zonotope
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from reach.numerics.errors import ReachError
-from reach.sets.ball import ball_generators
+from reach.sets.ellipsoid import ball_generators
 from reach.sets.zonotope import Zonotope
 
 # Eighths: exact in binary, and never so small beside the centre that the points themselves are rounded.

@@ -8,7 +8,7 @@ from polaris.model.obstacles import BoxObstacle
 from polaris.model.system import LinearSystem
 from polaris.planning.goals import Box
 from polaris.planning.reference import Reference
-from polaris.rta.scene import Scene
+from polaris.rta.decision_grid import DecisionGrid
 from polaris.scenario.scenario import load_scenario
 from polaris.synthesis.controllers import AffineController, AnyThrust
 from polaris.synthesis.get_safety import get_safety
@@ -54,4 +54,4 @@ def corridor(period=None, unknown=False):
 def scene(name="corridor", period=None, latency=0.0, half=0.0, feedback=None, unknown=False):
     """A scene on which methods fly."""
     schedule = robot() if name == "robot" else corridor(feedback, unknown)
-    return Scene.of(schedule, period, latency, half)
+    return DecisionGrid.of(schedule, period, latency, half)

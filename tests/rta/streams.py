@@ -5,10 +5,10 @@ from functools import cache
 
 import numpy as np
 
-from polaris.rta.estimate import Measurement
+from polaris.rta.decision_grid import DecisionGrid
 from polaris.rta.flight import Conditions, _Engine
-from polaris.rta.monitor import Monitor
-from polaris.rta.scene import Scene
+from polaris.rta.methods.monitor import Monitor
+from polaris.rta.online.estimate import Measurement
 from polaris.scenario.scenario import load_scenario
 from polaris.synthesis.synthesize import synthesize
 
@@ -23,7 +23,7 @@ def robot_schedule():
 @cache
 def robot(latency=0.0, trust="thrust_limits", half=HALF):
     """Monitor on the bundled scenario ``robot``: 300 decisions every 0.05 s."""
-    return Monitor(Scene.of(robot_schedule(), latency=latency, half_widths=half), trust)
+    return Monitor(DecisionGrid.of(robot_schedule(), latency=latency, half_widths=half), trust)
 
 
 @dataclass
@@ -262,7 +262,7 @@ def fly_streams(monitor, operators, deciders, seed, second_clock=(), applied=())
     steps : list (runs) of lists of Step
     states : ndarray, shape (nodes + 1, R, n)
     """
-    scene, runs = monitor.scene, len(operators)
+    scene, runs = monitor.grid, len(operators)
     conditions, engine = Conditions.draw(scene, runs, seed), _Engine(scene)
     c = scene.nodes
     x, past = conditions.x0, [[] for _ in range(runs)]
@@ -314,7 +314,7 @@ def inside_unsafe(scene, states):
 
 def need_of_recovery(monitor, node, x):
     """Share of the room that S needs from exact states (R, n) at a node; above 1: not recoverable."""
-    scene, recovery = monitor.scene, monitor.recovery
+    scene, recovery = monitor.grid, monitor.recovery
     e = x - scene.xi[node]
     exact = recovery.demand(np.zeros((scene.system.n, 1)))
     return recovery.share(node, e, np.linalg.norm(e @ scene.tracking.W.T, axis=-1), exact)

@@ -5,6 +5,7 @@ lag, and the estimate is displaced away from it by its whole bound. Negative con
 finds what a method without its limits lets through.
 """
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -13,17 +14,19 @@ import pytest
 from polaris.model.errors import NotCertified
 from polaris.model.obstacles import BoxObstacle
 from polaris.model.system import LinearSystem
+from polaris.model.tolerances import ROUNDING
 from polaris.planning.goals import Box
 from polaris.planning.reference import Reference
-from polaris.rta.arena import METHODS
+from polaris.rta.decision_grid import DecisionGrid
 from polaris.rta.flight import _Engine
 from polaris.rta.method import FILTERED, Seen
-from polaris.rta.monitor import Monitor
+from polaris.rta.methods import METHODS
+from polaris.rta.methods.monitor import Monitor
 from polaris.rta.prospect import Leg
 from polaris.rta.recovery import Recovery
-from polaris.rta.scene import Scene
 from polaris.synthesis.controllers import AffineController, AnyThrust
 from polaris.synthesis.get_safety import get_safety
+from polaris.synthesis.polytope_sets import PolytopeSets
 from polaris.synthesis.problem import Problem
 from polaris.synthesis.synthesize import synthesize
 from polaris.synthesis.tracking import lqr_gain
@@ -131,7 +134,7 @@ SCENES = {
 @pytest.mark.parametrize("key", ["monitor", "simplex_explicit", "asif_implicit"])
 def test_no_conspiracy_leads_into_a_set_or_asks_s_for_too_much(setting, key):
     made, *options = SCENES[setting]
-    scene = Scene.of(line(**made), *options)
+    scene = DecisionGrid.of(line(**made), *options)
     least, demand, share = attack(scene, METHODS[key](scene))
     assert least > 0
     assert demand <= 1
@@ -140,10 +143,10 @@ def test_no_conspiracy_leads_into_a_set_or_asks_s_for_too_much(setting, key):
 
 @pytest.mark.parametrize("order", [1, 2])
 def test_the_attack_breaks_a_monitor_without_its_limits(order):
-    scene = Scene.of(line(order=order), 0.25)
+    scene = DecisionGrid.of(line(order=order), 0.25)
     monitor = Monitor(scene)
     monitor.recovery.reciprocals[:] = 0.0
-    monitor.recovery._far_reciprocals[:] = 0.0
+    monitor.recovery.far_shares[:] = 0.0
     for prospect in monitor.cautious.values():
         object.__setattr__(prospect.demand, "base", 0.0)
         object.__setattr__(prospect.demand, "slope", 0.0)
@@ -151,7 +154,7 @@ def test_the_attack_breaks_a_monitor_without_its_limits(order):
 
 
 def test_a_reference_of_u_that_jumps_is_predicted_and_its_clip_seen():
-    scene = Scene.of(line(any_thrust=False, jump=True, goal=3.0), 0.25)
+    scene = DecisionGrid.of(line(any_thrust=False, jump=True, goal=3.0), 0.25)
     monitor, engine, rng = Monitor(scene, "declared"), _Engine(scene), np.random.default_rng(0)
     prospect, compared = monitor.declared[1, 0], 0
     none = np.zeros((20, 1))
@@ -175,7 +178,7 @@ def test_a_reference_of_u_that_jumps_is_predicted_and_its_clip_seen():
 
 
 def test_what_lies_beyond_the_memory_leaves_room_for_the_path_of_u():
-    scene = Scene.of(line(order=1, weight=0.5), 0.25)
+    scene = DecisionGrid.of(line(order=1, weight=0.5), 0.25)
     recovery = Recovery(scene)
     o, beyond = len(recovery.bow), scene.tracking.memory
     assert 0 < beyond < scene.last
@@ -189,7 +192,7 @@ def test_what_lies_beyond_the_memory_leaves_room_for_the_path_of_u():
 
 @pytest.mark.parametrize("key", ["monitor", "simplex_explicit", "asif_implicit"])
 def test_a_start_that_is_not_recoverable_is_refused(key):
-    scene = Scene.of(line(), 0.25)
+    scene = DecisionGrid.of(line(), 0.25)
     safety = scene.schedule.safety
     method = METHODS[key](scene)
     assert method.claim.kind == "proved"
@@ -197,7 +200,7 @@ def test_a_start_that_is_not_recoverable_is_refused(key):
     object.__setattr__(safety, "start", start)
     try:
         with pytest.raises(NotCertified, match="first recoverable set"):
-            METHODS[key](Scene.of(scene.schedule, 0.25))
+            METHODS[key](DecisionGrid.of(scene.schedule, 0.25))
     finally:
         object.__setattr__(safety, "start", Zonotope(start.c, start.G / 20))
 
@@ -205,7 +208,7 @@ def test_a_start_that_is_not_recoverable_is_refused(key):
 @pytest.mark.parametrize("key", ["monitor", "simplex_explicit", "asif_implicit"])
 @pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf])
 def test_an_estimate_that_is_no_number_is_flown_by_s(key, wrong):
-    scene = Scene.of(line(), 0.25)
+    scene = DecisionGrid.of(line(), 0.25)
     method = METHODS[key](scene)
     for runs in (1, 2):
         method.start(runs)
@@ -214,3 +217,26 @@ def test_an_estimate_that_is_no_number_is_flown_by_s(key, wrong):
                 Seen(0, np.full((runs, 2), wrong), np.zeros((runs, 1)), np.zeros(runs, dtype=int))
             )
         assert (choice.mode == 0).all()
+
+
+@pytest.mark.parametrize(
+    ("made", "jump"), [({"order": 1, "weight": 0.5}, [0.0]), ({"goal": 3.0}, [0.02, 0.0])]
+)
+def test_no_margin_of_the_monitor_exceeds_the_share_of_the_whole_room_that_is_left(made, jump):
+    """A jump of the reference counts as a need of the whole room, and so does what lies beyond the memory."""
+    scene = DecisionGrid.of(line(**made), 0.25)
+    clearance, n = replace(scene.clearance, jump=np.array(jump)), len(jump)
+    recovery, sets = Recovery(replace(scene, clearance=clearance)), PolytopeSets(clearance)
+    rng, tightest, behind = np.random.default_rng(0), np.inf, 0
+    for cell in range(clearance.planned):
+        node = cell * clearance.q
+        for _ in range(5):
+            start = Zonotope.box(rng.uniform(-0.1, 0.2, n) / 2 ** np.arange(n), rng.uniform(0.0, 0.01, n))
+            size = np.linalg.norm(scene.tracking.W @ start.c) + recovery.size(start.G)
+            share = float(recovery.share(node, start.c, size, recovery.demand(start.G)))
+            left = sets.margin_at(cell, start)
+            assert 1 - share <= left.value + 3 * ROUNDING  # which both book, in their own ways
+            tightest = min(tightest, left.value - (1 - share))
+            behind += left.time >= clearance.planned * scene.tracking.delta
+    assert tightest < 0.05  # and it does not throw away much
+    assert behind > 5 or not any(jump)

@@ -9,10 +9,11 @@ from typer.testing import CliRunner
 from polaris.cli.app import app
 from polaris.model.errors import ScenarioError
 from polaris.report.figures import draw_run
-from polaris.rta.arena import METHODS, TUNING, compare_methods
+from polaris.rta.arena import compare_methods
 from polaris.rta.flight import Conditions, Flight, fly
 from polaris.rta.method import Claim
-from polaris.rta.outcome import DEFINITIONS, Outcome, flown, measure
+from polaris.rta.method_result import DEFINITIONS, MethodResult, flown, measure
+from polaris.rta.methods import METHODS
 from polaris.runs.comparison import write_comparison
 from polaris.runs.run import read_run
 from tests.polaris.tiny import TINY, synthesised
@@ -42,7 +43,7 @@ def flight_of(modes, why, inputs=None):
 
 
 def outcome(metrics, deviation, key="one"):
-    return Outcome(key, key, Claim("none", ""), metrics, deviation, (1e-6, 2e-6), 0.5, {"a": 1})
+    return MethodResult(key, key, Claim("none", ""), metrics, deviation, (1e-6, 2e-6), 0.5, {"a": 1})
 
 
 def test_filtered_inputs_count_as_us_only_where_they_are_the_desired_ones():
@@ -95,7 +96,7 @@ def test_deviation_is_that_from_what_u_wants():
 def test_paired_differences_are_far_narrower_than_the_spread_of_runs():
     comparison = compare_methods(robot(), 12, 1, methods=("safety", "schedule"))
     rows = {row["metric"]: row for row in comparison.paired() if row["method"] == "safety"}
-    safety, schedule = (comparison.outcomes[key] for key in ("safety", "schedule"))
+    safety, schedule = (comparison.results[key] for key in ("safety", "schedule"))
     differences = safety.columns["delta_v_m_s"] - schedule.columns["delta_v_m_s"]
     row = rows["delta_v_m_s"]
     assert row["difference"] == pytest.approx(differences.mean())
@@ -121,7 +122,7 @@ def test_no_difference_is_made_of_infinite_times():
 
 def test_violations_come_with_clopper_and_pearsons_interval():
     comparison = compare_methods(robot(), 10, 0, methods=("safety", "experimental"))
-    safe, alone = (comparison.outcomes[key].summary()["violations"] for key in ("safety", "experimental"))
+    safe, alone = (comparison.results[key].summary()["violations"] for key in ("safety", "experimental"))
     assert (safe["mean"], alone["mean"]) == (0, 10)
     assert safe["high"] == pytest.approx(10 * (1 - 0.025**0.1), rel=1e-6)
     assert alone["low"] == pytest.approx(10 * 0.025**0.1, rel=1e-6)
@@ -130,7 +131,7 @@ def test_violations_come_with_clopper_and_pearsons_interval():
 def test_batches_make_no_difference_to_what_is_joined(monkeypatch):
     monkeypatch.setattr("polaris.rta.arena.BATCH", 4)
     comparison = compare_methods(robot(), 10, 0, methods=("schedule",))
-    assert len(comparison.outcomes["schedule"].metrics.min_distance) == 10
+    assert len(comparison.results["schedule"].metrics.min_distance) == 10
 
 
 @pytest.mark.parametrize(
@@ -164,8 +165,8 @@ def test_methods_are_tuned_and_the_folder_says_how(tmp_path):
         f"{one['key']}.{name}": value for one in table["methods"] for name, value in one["settings"].items()
     }
     assert told == tuning
-    for key, option in TUNING.items():
-        found = compare_methods(schedule, 1, 0, methods=(key,)).outcomes[key].settings
+    for key, option in ((key, one.option.name) for key, one in METHODS.items() if one.option):
+        found = compare_methods(schedule, 1, 0, methods=(key,)).results[key].settings
         assert set(found) == {option} and found[option] != tuning.get(f"{key}.{option}")
     for wrong in ({"monitor.alpha": 1.0}, {"nothing": 1.0}, {"schedule.dwell": 2}, {"monitor.dwell": 1.5}):
         with pytest.raises(ScenarioError, match="tuning|dwell"):
@@ -175,10 +176,10 @@ def test_methods_are_tuned_and_the_folder_says_how(tmp_path):
 def test_a_scene_that_a_method_does_not_admit_is_told():
     schedule = corridor()
     comparison = compare_methods(schedule, 2, 0, methods=("safety", "asif_explicit"), half_widths=0.0)
-    assert set(comparison.outcomes) | set(comparison.refused) == {"safety", "asif_explicit"}
+    assert set(comparison.results) | set(comparison.refused) == {"safety", "asif_explicit"}
     far = compare_methods(schedule, 2, 0, methods=("monitor",), half_widths=5.0)
-    assert far.outcomes["monitor"].metrics.experimental_share.max() == 0.0  # S throughout, and safe
-    assert not far.outcomes["monitor"].metrics.collided.any()
+    assert far.results["monitor"].metrics.experimental_share.max() == 0.0  # S throughout, and safe
+    assert not far.results["monitor"].metrics.collided.any()
 
 
 def test_folder_holds_what_was_found(tmp_path):
@@ -188,14 +189,14 @@ def test_folder_holds_what_was_found(tmp_path):
     table = read_run(tmp_path / "one").summary
     assert [method["key"] for method in table["methods"]] == [key for key in METHODS if key in FEW]
     for method in table["methods"]:
-        told = comparison.outcomes[method["key"]].summary()
+        told = comparison.results[method["key"]].summary()
         assert method["metrics"]["min_distance_m"] == told["min_distance_m"]
         assert set(method["metrics"]) <= set(DEFINITIONS)
     shown = folder.picture().shown
     for key in FEW:
         assert np.array_equal(shown[key].states, comparison.shown[key].states)
     lines = [json.loads(line) for line in (folder.path / "decisions.jsonl").read_text().splitlines()]
-    assert len(lines) == len(FEW) * comparison.scene.decisions
+    assert len(lines) == len(FEW) * comparison.grid.decisions
     assert {line["reason"] for line in lines if line["method"] == "monitor"} <= {
         "U is recoverable",
         "U is not recoverable",

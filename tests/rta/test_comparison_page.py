@@ -6,7 +6,8 @@ import re
 import pytest
 
 from benchmarks import comparison as page
-from polaris.rta.arena import METHODS, TUNING
+from docs.generate import method_docs
+from polaris.rta.methods import METHODS
 from polaris.scenario.scenario import load_scenario
 from polaris.synthesis.synthesize import synthesize
 from tests.rta.scenes import scene
@@ -32,7 +33,9 @@ def value(name, method, column):
 
 
 def test_the_page_holds_every_table():
-    assert set(TABLES) == {"sweep", *page.SCENES}
+    written = method_docs.tables()
+    assert set(TABLES) == {*written, "sweep", *page.SCENES}
+    assert {name: TABLES[name] for name in written} == written, "run: python -m docs.generate.method_docs"
     for name in page.SCENES:
         made = len(rows(TABLES[name]))
         assert made >= len(METHODS), name
@@ -40,10 +43,12 @@ def test_the_page_holds_every_table():
 
 def test_defaults_are_what_the_sweep_of_the_page_says():
     swept, defaults = page.read_sweep(TABLES["sweep"])
-    assert set(swept) == set(page.SWEPT) and set(page.SWEPT) | {"monitor_declared"} == set(TUNING)
+    assert set(swept) == set(page.SWEPT) and set(page.SWEPT) | {"monitor_declared"} == {
+        key for key, one in METHODS.items() if one.option
+    }
     made = scene("robot")
     for key, values in swept.items():
-        assert tuple(values) == page.VALUES[TUNING[key]]
+        assert tuple(values) == page.VALUES[key]
         assert page.chosen(values) == defaults[key]
         assert page.standing(made, METHODS[key](made)) == pytest.approx(defaults[key]), key
     assert METHODS["monitor_declared"](made).settings == METHODS["monitor"](made).settings
@@ -53,8 +58,8 @@ def test_scenes_have_a_row_for_a_value_that_is_better_there():
     swept, _ = page.read_sweep(TABLES["sweep"])
     for name in page.SCENES:
         for key, values in swept.items():
-            best, option = page.own(values, name), TUNING[key]
-            marked = [row for row in rows(TABLES[name]) if f", {option} " in row and made_by(row) == key]
+            best, option = page.own(values, name), METHODS[key].option
+            marked = [row for row in rows(TABLES[name]) if f", {option.name} " in row and made_by(row) == key]
             assert len(marked) == (best is not None), (name, key, best)
 
 
@@ -163,7 +168,8 @@ def test_a_scenes_table_is_flown_again(name):
 @pytest.mark.parametrize("name", page.SCENES)
 def test_the_sweep_is_flown_again(name, monkeypatch):
     """But for the longest look-aheads, which take as long as all the rest."""
-    monkeypatch.setitem(page.VALUES, "horizon", page.VALUES["horizon"][:-1])
+    for key in ("simulation", "reachability"):
+        monkeypatch.setitem(page.VALUES, key, page.VALUES[key][:-1])
     found = page.sweep({name: synthesize(load_scenario(name))}, page.SWEPT_RUNS)
     swept, _ = page.read_sweep(TABLES["sweep"])
     for key, values in found.items():

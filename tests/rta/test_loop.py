@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 
 from polaris.model.errors import ScenarioError
-from polaris.rta.estimate import Measurement
-from polaris.rta.monitor import Monitor
+from polaris.rta.decision_grid import DecisionGrid
+from polaris.rta.methods.monitor import Monitor
 from polaris.rta.online.decision_log import DecisionLog
+from polaris.rta.online.estimate import Measurement
 from polaris.rta.online.loop import FlightLoop
-from polaris.rta.online.replay import replay_log
-from polaris.rta.online.runtime import OnlineMonitor
+from polaris.rta.online.runtime import OnlineMonitor, replay_log
 from polaris.rta.online.runtime_options import RuntimeOptions
-from polaris.rta.scene import Scene
 
 from . import oddities
 from .streams import inside_unsafe, need_of_recovery, robot_schedule
@@ -28,7 +27,7 @@ SETTINGS = {"no latency": (0.05, 0.0), "late": (0.25, 0.1), "a whole period late
 @cache
 def monitor(setting="no latency"):
     period, latency = SETTINGS[setting]
-    return Monitor(Scene.of(robot_schedule(), period=period, latency=latency, half_widths=HALF))
+    return Monitor(DecisionGrid.of(robot_schedule(), period=period, latency=latency, half_widths=HALF))
 
 
 def loop(setting="no latency", log=None, laws=None, options=PATIENT):
@@ -44,7 +43,7 @@ class World:
     """
 
     def __init__(self, flying, seed, rates, fails=0.0):
-        self.loop, self.scene = flying, flying.scene
+        self.loop, self.grid = flying, flying.grid
         self.rng, self.rates, self.fails = np.random.default_rng(seed), rates, fails
         self.modes, self.answers, self.states, self.strict = [], {}, [], True
 
@@ -57,12 +56,12 @@ class World:
                 raise [ValueError, SystemExit, KeyboardInterrupt][int(self.rng.integers(3))]
             odd = {**oddities.unreadable(2), **oddities.not_finite(2)}
             return odd[list(odd)[int(self.rng.integers(len(odd)))]]
-        u = 3 * self.scene.command(1, min(int((t + 1e-9) / self.scene.h), len(self.scene.mu) - 1), x)
+        u = 3 * self.grid.command(1, min(int((t + 1e-9) / self.grid.h), len(self.grid.mu) - 1), x)
         x += np.nan  # U may spoil what it is given
         return u
 
     def decide(self, k, t, x):
-        scene, rng = self.scene, self.rng
+        scene, rng = self.grid, self.rng
         if self.happens("missed"):
             return
         now, number = t, k
@@ -80,7 +79,7 @@ class World:
         self.answers[k] = self.loop.decide(number, now, measured)
 
     def fly(self):
-        scene, rng = self.scene, self.rng
+        scene, rng = self.grid, self.rng
         Ad, Bd, Dd = scene.held
         theta = scene.schedule.safety.problem.initial_set
         x = theta.c + theta.G @ rng.choice([-1, 1], theta.G.shape[1])
@@ -105,7 +104,7 @@ class World:
 
     def permitted(self):
         """By mode: what the answers of the flight allow at every node, by hand."""
-        scene, out = self.scene, np.zeros(len(self.modes), dtype=int)
+        scene, out = self.grid, np.zeros(len(self.modes), dtype=int)
         for k, answer in self.answers.items():
             first = k * scene.nodes + scene.delay
             out[first : first + scene.nodes] = answer.mode
@@ -117,7 +116,7 @@ def wanted(t, x):
 
 
 def world(setting, seed, rates, fails=0.0, log=None):
-    scene, made = monitor(setting).scene, []
+    scene, made = monitor(setting).grid, []
     plan = loop(setting).laws[0]  # S has a clock of its own
 
     def safe(t, x):
@@ -140,7 +139,7 @@ STREAMS = [
 
 
 def check(setting, seed, rates, fails):
-    scene = monitor(setting).scene
+    scene = monitor(setting).grid
     flown = world(setting, seed, rates, fails).fly()
     states = np.array(flown.states)
     assert not inside_unsafe(scene, states[:, None]).any()
@@ -182,14 +181,14 @@ def test_a_loop_that_ignores_the_end_of_permissions_does_harm():
         flown.loop._take_effect = endless
         states = np.array(flown.fly().states)
         need = need_of_recovery(monitor(), len(states) - 1, states[-1][None])[0]
-        harm += bool(inside_unsafe(monitor().scene, states[:, None]).any() or need > 1)
+        harm += bool(inside_unsafe(monitor().grid, states[:, None]).any() or need > 1)
     assert harm
 
 
 @pytest.mark.parametrize("setting", SETTINGS)
 def test_missed_calls_cost_only_what_they_would_have_allowed(setting):
     """U at its declared law, undisturbed by anything else: with and without missed calls."""
-    scene = monitor(setting).scene
+    scene = monitor(setting).grid
     flying, x, modes = loop(setting), scene.xi[0].copy(), []
     missed = {3, 11, 12, 20}
     quiet = range(scene.nodes * 26)
@@ -216,7 +215,7 @@ def test_the_log_of_a_corrupted_flight_is_replayed(tmp_path):
 def permitted_loop(laws=None):
     """A loop in which U has just been allowed to fly, for the whole of a period."""
     flying = loop("late", laws=laws)
-    scene = flying.scene
+    scene = flying.grid
     for k in (0, 1):
         answer = flying.decide(k, k * scene.period, Measurement(k * scene.period, scene.xi[k * scene.nodes]))
     assert answer.mode == 1
@@ -225,7 +224,7 @@ def permitted_loop(laws=None):
 
 def test_answers_wait_for_their_moment():
     flying = loop("late")
-    scene = flying.scene
+    scene = flying.grid
     period, first = scene.period, scene.latency
     x = scene.xi[scene.delay]
     assert flying.decide(0, 0.0, Measurement(0.0, scene.xi[0])).mode == 1
@@ -239,7 +238,7 @@ def test_answers_wait_for_their_moment():
 
 def test_an_answer_that_comes_after_its_moment_is_too_late():
     flying = loop("late")
-    scene = flying.scene
+    scene = flying.grid
     assert flying.command(scene.latency, scene.xi[scene.delay]).mode == 0
     assert flying.decide(0, 0.0, Measurement(0.0, scene.xi[0])).mode == 1
     assert flying.command(scene.latency, scene.xi[scene.delay]).mode == 0
@@ -263,7 +262,7 @@ def test_permissions_do_not_survive_a_clock_that_runs_backwards_within_them():
 
 def test_a_reading_far_ahead_costs_no_more_than_what_it_ends():
     flying, effect, x = permitted_loop()
-    scene = flying.scene
+    scene = flying.grid
     assert [flying.command(now, x).mode for now in (effect, 1e308, effect + 0.05)] == [1, 0, 0]
     for k in (2, 3):
         flying.decide(k, k * scene.period, Measurement(k * scene.period, scene.xi[k * scene.nodes]))
@@ -282,7 +281,7 @@ def test_a_state_that_is_none_means_s_on_the_last_good_one(kind):
     flying, effect, x = permitted_loop([safe, *loop().laws[1:]])
     assert flying.command(effect, x).mode == 1
     mode, u, _ = flying.command(effect + 0.05, wrong)
-    assert mode == 0 and u.tolist() == [0.0, flying.scene.system.u_max[1]]
+    assert mode == 0 and u.tolist() == [0.0, flying.grid.system.u_max[1]]
     assert seen[0][0] == effect + 0.05 and seen[0][1].tolist() == x.tolist()
 
 
@@ -293,10 +292,10 @@ def test_u_loses_its_permission_with_its_first_fault():
         calls.append(t)
         raise SystemExit
 
-    flying, effect, x = permitted_loop([loop().laws[0], *[failing] * (len(monitor().scene.controllers) - 1)])
+    flying, effect, x = permitted_loop([loop().laws[0], *[failing] * (len(monitor().grid.controllers) - 1)])
     assert flying.command(effect, x).mode == flying.command(effect + 0.05, x).mode == 0
     assert calls == [effect]
-    scene = flying.scene
+    scene = flying.grid
     reasons = [
         flying.decide(k, k * scene.period, Measurement(k * scene.period, scene.xi[k * scene.nodes])).reason
         for k in (2, 3)

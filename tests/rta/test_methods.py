@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from polaris.model.errors import ScenarioError
-from polaris.rta.arena import METHODS
-from polaris.rta.asif_explicit import ExplicitASIF
-from polaris.rta.asif_implicit import ImplicitASIF
 from polaris.rta.flight import Conditions, fly
-from polaris.rta.lookahead import Simulation
 from polaris.rta.method import FILTERED
-from polaris.rta.monitor import Monitor
-from polaris.rta.outcome import measure
+from polaris.rta.method_result import measure
+from polaris.rta.methods import METHODS
+from polaris.rta.methods.asif_explicit import ExplicitASIF
+from polaris.rta.methods.asif_implicit import ImplicitASIF
+from polaris.rta.methods.monitor import Monitor
+from polaris.rta.methods.simulation import Simulation
 from tests.rta.scenes import scene
 
 PROVED = ("safety", "schedule", "monitor", "monitor_declared", "simplex_explicit", "asif_implicit")
@@ -78,7 +78,7 @@ def test_monitor_without_its_limits_lets_u_collide():
     made = scene("robot")
     monitor = Monitor(made)
     monitor.recovery.reciprocals[:] = 0.0  # nothing limits any more
-    monitor.recovery._far_reciprocals[:] = 0.0
+    monitor.recovery.far_shares[:] = 0.0
     for prospect in (*monitor.cautious.values(), *monitor.declared.values()):
         object.__setattr__(prospect.demand, "base", 0.0)
         object.__setattr__(prospect.demand, "slope", 0.0)

@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 
 from polaris.model.foreign import kind_of, numbers, real, settled
-from polaris.rta.estimate import Measurement
 from polaris.rta.online.decision_log import DecisionLog, plain
-from polaris.rta.online.replay import replay_log
-from polaris.rta.online.runtime import OnlineMonitor
+from polaris.rta.online.estimate import Measurement
+from polaris.rta.online.runtime import OnlineMonitor, replay_log
 from polaris.rta.online.runtime_options import RuntimeOptions
 
 from . import oddities
@@ -29,7 +28,7 @@ def online(log=None, options=FREE):
 
 
 def honest(k):
-    scene = robot().scene
+    scene = robot().grid
     return k * scene.period, Measurement(k * scene.period, scene.xi[k * scene.nodes].copy())
 
 
@@ -54,7 +53,7 @@ def test_nothing_that_u_raises_ends_the_flight(which):
 
 @pytest.mark.parametrize("clothes", oddities.readable([0.0, 0.0]))
 def test_numbers_in_odd_clothes_are_commands(clothes):
-    flight, limit = online(), robot().scene.system.u_max
+    flight, limit = online(), robot().grid.system.u_max
     values = np.array([0.25, -10.0]) * limit
     u = flight.command(lambda: oddities.readable(values)[clothes])
     assert type(u) is np.ndarray and u.tolist() == [0.25 * limit[0], -limit[1]]

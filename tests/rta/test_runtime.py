@@ -13,13 +13,12 @@ from hypothesis import strategies as st
 
 from polaris.model.errors import ScenarioError
 from polaris.model.system import LinearSystem
-from polaris.rta.estimate import BoxFilter, BoxMotion, Measurement
-from polaris.rta.monitor import Monitor
+from polaris.rta.decision_grid import DecisionGrid
+from polaris.rta.methods.monitor import Monitor
 from polaris.rta.online.decision_log import DecisionLog, plain, read_log, restored
-from polaris.rta.online.replay import replay_log
-from polaris.rta.online.runtime import OnlineMonitor
+from polaris.rta.online.estimate import BoxFilter, BoxMotion, Measurement
+from polaris.rta.online.runtime import OnlineMonitor, replay_log
 from polaris.rta.online.runtime_options import RuntimeOptions
-from polaris.rta.scene import Scene
 from polaris.scenario.scenario import load_scenario
 from polaris.synthesis.synthesize import synthesize
 
@@ -32,7 +31,7 @@ HALF = 0.01
 @cache
 def monitor(latency=0.0, trust="thrust_limits", half=HALF):
     """The bundled scenario ``static``: 1800 decisions, one per second."""
-    return Monitor(Scene.of(_static(), latency=latency, half_widths=half), trust)
+    return Monitor(DecisionGrid.of(_static(), latency=latency, half_widths=half), trust)
 
 
 @cache
@@ -46,18 +45,18 @@ class Flight:
     def __init__(self, mon=None, log=None, timer=lambda: 0.0, **options):
         self.mon = mon or monitor()
         self.online = OnlineMonitor(self.mon, RuntimeOptions(**{**PATIENT, **options}), log, timer)
-        self.scene = self.mon.scene
+        self.grid = self.mon.grid
 
     def at(self, k):
-        return self.scene.xi[k * self.scene.nodes].copy()
+        return self.grid.xi[k * self.grid.nodes].copy()
 
     def honest(self, k, **changed):
-        told = {"stamp": k * self.scene.period, "state": self.at(k), **changed}
+        told = {"stamp": k * self.grid.period, "state": self.at(k), **changed}
         return Measurement(**told)
 
     def step(self, k, measurement="honest", now=None, **told):
         measured = self.honest(k) if measurement == "honest" else measurement
-        return self.online.step(k * self.scene.period if now is None else now, measured, **told)
+        return self.online.step(k * self.grid.period if now is None else now, measured, **told)
 
     def steps(self, first, last):
         return [self.step(k) for k in range(first, last)]
@@ -72,7 +71,7 @@ def test_honest_measurements_let_u_fly_with_the_monitors_own_answer():
     for answer in flight.steps(0, 20):
         mode, margin = flight.mon.judge_one(answer.k, np.zeros(6), 1)
         assert (answer.mode, answer.margin, answer.faults) == (mode, margin, ()) and mode == 1
-        assert answer.until == (answer.k + 1) * flight.scene.period
+        assert answer.until == (answer.k + 1) * flight.grid.period
         assert answer.reason.startswith("nearest limit: ") and " at t = " in answer.reason
 
 
@@ -119,7 +118,7 @@ def test_half_widths_must_be_error_bounds(half):
 
 def test_a_delayed_measurement_is_used_if_the_state_is_still_known_well_enough():
     wide = monitor(half=0.1)
-    fine, scene = np.full(6, 1e-4), wide.scene
+    fine, scene = np.full(6, 1e-4), wide.grid
     flight = Flight(wide)
     flight.step(0)
     for k, half, mode in ((1, fine, 1), (2, np.full(6, 0.1), 0)):
@@ -162,7 +161,7 @@ def test_a_slow_lie_is_found_when_the_inputs_are_known():
     flight, half = Flight(), np.array([HALF] * 3 + [HALF / 20] * 3)
     for k in range(60):
         drift = np.array([0, 0.5 * HALF * k, 0, 0, 0, 0])
-        u = np.clip(flight.scene.mu[max(k - 1, 0)], -flight.scene.system.u_max, flight.scene.system.u_max)
+        u = np.clip(flight.grid.mu[max(k - 1, 0)], -flight.grid.system.u_max, flight.grid.system.u_max)
         answer = flight.step(k, flight.honest(k, state=flight.at(k) + drift, half_widths=half), applied=u)
         if "estimate" in families(answer):
             break
@@ -284,7 +283,7 @@ def test_latency_is_what_calls_may_be_late_by():
 
 def test_the_plan_ends():
     flight = Flight()
-    end = flight.scene.decisions
+    end = flight.grid.decisions
     answers = [flight.step(k, reference=float(k)) for k in range(end - 5, end + 2)]
     assert answers[-2].reason == "the plan has ended" and answers[-1].mode == 0
 
@@ -295,7 +294,7 @@ def test_the_plan_ends():
 def test_faults_of_u_mean_s_from_the_next_decision_and_latch():
     ticks = iter([0.0, 0.0, 9.0, 9.0])
     flight = Flight(latch=4, budget=5.0)
-    command, limit = flight.online.command, flight.scene.system.u_max
+    command, limit = flight.online.command, flight.grid.system.u_max
     np.testing.assert_array_equal(command(lambda x: 10 * x, limit), limit)  # clipped, as by the thrusters
     flight.step(0)
     bad = {
@@ -510,10 +509,10 @@ def test_a_motion_too_fast_to_bound_is_refused():
 @pytest.mark.parametrize("trust", ["declared", "thrust_limits"])
 def test_one_error_is_judged_as_many_are(period, latency, trust):
     schedule = tiny.synthesised()[1]
-    mon = Monitor(Scene.of(schedule, period=period, latency=latency, half_widths=0.002), trust)
-    rng, spread = np.random.default_rng(0), mon.scene.tracking.W_inverse.T
+    mon = Monitor(DecisionGrid.of(schedule, period=period, latency=latency, half_widths=0.002), trust)
+    rng, spread = np.random.default_rng(0), mon.grid.tracking.W_inverse.T
     seen = set()
-    for k in range(0, mon.scene.decisions, 7):
+    for k in range(0, mon.grid.decisions, 7):
         e = rng.normal(size=(12, 4)) @ spread * rng.uniform(0, 0.3, (12, 1))
         flown = rng.integers(0, 2, 12)
         modes, _ = mon.judge(k, e, flown)

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from polaris.rta.online.decision_log import DecisionLog, read_log
-from polaris.rta.online.replay import replay_log
-from polaris.rta.online.runtime import OnlineMonitor
-from polaris.rta.online.runtime_options import Answer, RuntimeOptions
+from polaris.rta.online.runtime import OnlineMonitor, replay_log
+from polaris.rta.online.runtime_options import OnlineDecision, RuntimeOptions
 
 from . import streams
 from .streams import HALF, fly_streams, inside_unsafe, need_of_recovery, plans, robot
@@ -22,7 +21,7 @@ LATENCIES = [0.0, 0.05]
 def flown(latency):
     """(monitor, operators, steps, states) of the streams of one latency; every second has two clocks."""
     monitor = robot(latency)
-    scene = monitor.scene
+    scene = monitor.grid
     operators = plans(int(latency > 0), scene.decisions, scene.system.n)
     deciders = [OnlineMonitor(monitor, PATIENT).step for _ in operators]
     runs = len(operators)
@@ -46,14 +45,14 @@ def test_there_are_enough_streams_and_both_controllers_fly():
 @pytest.mark.parametrize("latency", LATENCIES)
 def test_no_stream_leads_into_an_unsafe_set(latency):
     monitor, _, _, states = flown(latency)
-    assert not inside_unsafe(monitor.scene, states).any()
+    assert not inside_unsafe(monitor.grid, states).any()
 
 
 @pytest.mark.parametrize("latency", LATENCIES)
 def test_u_only_flies_where_s_can_still_take_over(latency):
     """At the moment of effect, and at the moment at which the permission ends."""
     monitor, _, steps, states = flown(latency)
-    scene = monitor.scene
+    scene = monitor.grid
     need = np.array([need_of_recovery(monitor, node, x) for node, x in enumerate(states)])
     checked = 0
     for run, mine in enumerate(steps):
@@ -107,7 +106,7 @@ def test_lies_that_grow_are_found(latency):
 def test_without_the_checks_the_same_streams_do_harm():
     """The monitor on whatever arrived last, at whatever the clock says: shows that the tests can fail."""
     monitor = robot()
-    scene = monitor.scene
+    scene = monitor.grid
 
     class Unchecked:
         def __init__(self):
@@ -122,7 +121,7 @@ def test_without_the_checks_the_same_streams_do_harm():
             e = np.clip(self.state, -1e6, 1e6) - scene.xi[self.k]
             mode, margin = monitor.judge_one(self.k, e, self.flown)
             self.flown = mode
-            return Answer(self.k, mode, margin, np.inf, "")
+            return OnlineDecision(self.k, mode, margin, np.inf, "")
 
     operators = plans(0, scene.decisions, scene.system.n, each=8, mixed=0)
     operators = [mine for mine in operators if isinstance(mine[0], (streams.Flattering, streams.Drifting))]
@@ -134,7 +133,7 @@ def test_without_the_checks_the_same_streams_do_harm():
 
 def test_a_replayed_log_gives_the_same_decisions(tmp_path):
     monitor = robot()
-    scene = monitor.scene
+    scene = monitor.grid
     operators = plans(3, scene.decisions, scene.system.n)[::4]
     logs = [DecisionLog(tmp_path / f"{run}.jsonl", flush_every=50) for run in range(len(operators))]
     deciders = [OnlineMonitor(monitor, PATIENT, log).step for log in logs]

@@ -17,7 +17,7 @@ import numpy as np
 from ...model.checks import whole
 from ...model.errors import ScenarioError
 from ...model.foreign import LONGEST, Unreadable, kind_of
-from ..estimate import Measurement
+from .estimate import Measurement
 
 DIGITS = 10_000
 """Binary digits from which on a whole number cannot be written."""

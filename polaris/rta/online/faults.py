@@ -1,8 +1,14 @@
-"""What can go wrong in flight: families of faults."""
+"""What can go wrong in flight: families of faults, and calls of U that cannot end the flight."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ...model.foreign import kind_of, numbers
+from ...model.system import Array
 
 FAMILIES = ("clock", "missed", "measurement", "estimate", "controller", "monitor", "log", "rule")
 """Where faults come from; ``rule``: no fault of its own, but S is kept (dwell, latch, re-acquisition)."""
@@ -42,3 +48,60 @@ def largest(values: list[float]) -> float:
     if total - total != 0.0:  # only for nan and infinities
         return float("nan")
     return max(max(values), -min(values))
+
+
+class Guard:
+    """Calls U, checks its command, and collects its faults.
+
+    Parameters
+    ----------
+    u_max : ndarray, shape (m,)
+        [N]
+    budget : float
+        Wall time of one call [s].
+    timer : callable
+        Monotonic wall clock [s].
+    """
+
+    def __init__(self, u_max: Array, budget: float, timer: Callable[[], float]) -> None:
+        self.u_max, self._budget, self._timer = u_max, budget, timer
+        self.faults: list[Fault] = []
+
+    def command(self, law: Callable[..., Any], *arguments: Any) -> Array | None:
+        """Command of U, clipped to the limits [N]; None if it is at fault, and S must fly at once.
+
+        Nothing that U raises gets through, ``SystemExit`` and ``KeyboardInterrupt`` included: an interrupt
+        from the keyboard during a call counts as a fault of U. Reading what it returns belongs to the call,
+        and to its time budget.
+
+        Parameters
+        ----------
+        law : callable
+            The experimental controller.
+        *arguments
+            What it is called with.
+        """
+        begun = self._timer()
+        try:
+            answer = law(*arguments)
+        except BaseException as error:  # whatever an experiment raises must not end the flight
+            return self._refused(f"raised {kind_of(error)}")
+        u = numbers(answer, self.u_max.shape)
+        late = self._timer() - begun > self._budget  # an answer may be worked out only when it is read
+        if u is None:
+            return self._refused(f"the command is malformed: {kind_of(answer)}")
+        u = u.copy()  # U may go on writing into its own
+        if not np.isfinite(u).all():
+            return self._refused("the command is not finite")
+        if late:
+            return self._refused("over its time budget")
+        return np.asarray(np.clip(u, -self.u_max, self.u_max))
+
+    def _refused(self, text: str) -> Array | None:
+        self.faults.append(Fault("controller", text))
+        return None
+
+    def taken(self) -> list[Fault]:
+        """The faults since the last time."""
+        found, self.faults = self.faults, []
+        return found

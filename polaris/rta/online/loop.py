@@ -13,9 +13,9 @@ from ...model.errors import ScenarioError
 from ...model.foreign import numbers, real
 from ...model.system import Array
 from ...model.tolerances import TIME
-from ..estimate import Measurement
+from .estimate import Measurement
 from .runtime import OnlineMonitor
-from .runtime_options import Answer
+from .runtime_options import OnlineDecision
 
 Law = Callable[[float, Array], ArrayLike]
 
@@ -62,23 +62,23 @@ class FlightLoop:
     """
 
     def __init__(self, online: OnlineMonitor, laws: Sequence[Law] | None = None) -> None:
-        self.online, self.scene = online, online.scene
-        count = len(self.scene.controllers)
+        self.online, self.grid = online, online.grid
+        count = len(self.grid.controllers)
         if laws is not None and len(laws) != count:
             raise ScenarioError("laws", len(laws), f"must be {count}, one per controller, S first")
         self.laws = tuple(laws) if laws is not None else tuple(map(self._declared, range(count)))
-        self._same = TIME * self.scene.period
-        self._waiting: list[tuple[float, Answer]] = []  # by moment of effect
+        self._same = TIME * self.grid.period
+        self._waiting: list[tuple[float, OnlineDecision]] = []  # by moment of effect
         self._mode, self._until = 0, -inf  # who may fly, and how long
         self._newest = -inf  # every reading of the clock must be later
-        self._told, self._x = 0.0, self.scene.xi[0].copy()  # last readings that could be used
+        self._told, self._x = 0.0, self.grid.xi[0].copy()  # last readings that could be used
 
     def _declared(self, mode: int) -> Law:
-        last = len(self.scene.mu) - 1
+        last = len(self.grid.mu) - 1
 
         def law(t: float, x: Array) -> Array:
-            node = int(min(max((t + self._same) / self.scene.h, 0.0), last))
-            return self.scene.clipped(mode, node, x)
+            node = int(min(max((t + self._same) / self.grid.h, 0.0), last))
+            return self.grid.clipped(mode, node, x)
 
         return law
 
@@ -90,7 +90,7 @@ class FlightLoop:
         *,
         applied: ArrayLike | None = None,
         reference: float | None = None,
-    ) -> Answer:
+    ) -> OnlineDecision:
         """Ask the monitor, once per period; never raises.
 
         Parameters
@@ -106,12 +106,12 @@ class FlightLoop:
             self._revoke()
             return answer
         # The monitor has checked this reading: a later one of `command` was wrong, no earlier one can follow.
-        instant = answer.k * self.scene.period
+        instant = answer.k * self.grid.period
         tolerance = self.online.limits.tolerance
         if self._newest > instant + 2 * tolerance + self._same:
             self._newest = -inf
         self._newest = max(self._newest, instant - tolerance - self._same)
-        effect = instant + self.scene.latency
+        effect = instant + self.grid.latency
         if answer.mode == 0 or effect > self._newest + self._same:  # else it came after its moment of effect
             self._waiting = [*self._waiting[-1:], (effect, answer)]
         return answer
@@ -148,7 +148,7 @@ class FlightLoop:
             if u is not None:
                 return Command(self._mode, u, min(self._until, self._next()))
             self._revoke()
-        limit = self.scene.system.u_max
+        limit = self.grid.system.u_max
         u = np.clip(np.asarray(self.laws[0](self._told, self._x.copy()), dtype=float), -limit, limit)
         return Command(0, np.asarray(u), self._next())
 

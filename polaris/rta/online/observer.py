@@ -2,16 +2,100 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
-from ...model.foreign import numbers
+from ...model.foreign import numbers, real
 from ...model.system import Array
 from ...model.tolerances import TIME
-from ..estimate import BoxFilter, BoxMotion
-from ..scene import Scene
-from .faults import Fault
-from .reading import Reader, Reading
+from ..decision_grid import DecisionGrid
+from .estimate import BoxFilter, BoxMotion, Measurement
+from .faults import Fault, largest
 from .runtime_options import Limits
+
+
+class Reading(NamedTuple):
+    """A measurement whose form is in order: finite, of the right shape, in time."""
+
+    stamp: float
+    state: Array
+    half_widths: Array
+
+
+class Reader:
+    """What may be used of measurements that arrive.
+
+    Parameters
+    ----------
+    grid : DecisionGrid
+    max_age : float
+        Oldest measurement that may be used [s].
+    farthest : float
+        Entries beyond this are taken for faults.
+    same : float
+        Stamps closer than this are equal [s].
+    """
+
+    def __init__(self, grid: DecisionGrid, max_age: float, farthest: float, same: float) -> None:
+        self.grid, self.max_age, self.farthest, self.same = grid, max_age, farthest, same
+        self._shape = (grid.system.n,)
+        self._half = grid.half_widths
+        self._half_list = self._half.tolist()
+        self._newest = -np.inf
+        self._state = b""
+
+    def read(self, measurement: object, instant: float) -> Reading | Fault:
+        """Check a measurement at the instant of a decision [s]; a good one is remembered."""
+        if not isinstance(measurement, Measurement):
+            if measurement is None:
+                return Fault("measurement", "missing")
+            return Fault("measurement", "malformed: not a measurement")
+        stamp = real(measurement.stamp)
+        x = numbers(measurement.state, self._shape)
+        if stamp is None or x is None:
+            return Fault("measurement", f"malformed: the {'stamp' if stamp is None else 'state'}")
+        wrong = self._in_time(stamp, instant)
+        if wrong is not None:
+            return wrong
+        size = largest(x.tolist())
+        if size != size:
+            return Fault("measurement", "the state is not finite")
+        if size > self.farthest:
+            return Fault("measurement", f"absurd: an entry beyond {self.farthest:g}")
+        half = self._half
+        if measurement.half_widths is not None:
+            given = self._bound(measurement.half_widths)
+            if isinstance(given, Fault):
+                return given
+            half = given
+        contents = x.tobytes()
+        repeated, self._newest, self._state = contents == self._state, stamp, contents
+        if repeated:
+            return Fault("measurement", "frozen: the same state as before with a new stamp")
+        return Reading(stamp, x, half)
+
+    def _in_time(self, stamp: float, instant: float) -> Fault | None:
+        age = instant - stamp
+        if age - age != 0.0:
+            return Fault("measurement", "the stamp is not finite")
+        if age < -self.same:
+            return Fault("measurement", "future: newer than the decision's instant")
+        if stamp <= self._newest + self.same:
+            what = "duplicated" if stamp >= self._newest - self.same else "reordered"
+            return Fault("measurement", f"{what}: not newer than the last one, so missing")
+        if age > self.max_age:
+            return Fault("measurement", f"stale: {age:.6g} s old")
+        return None
+
+    def _bound(self, value: object) -> Array | Fault:
+        half = numbers(value, self._shape)
+        if half is None:
+            return Fault("measurement", "malformed: the half widths")
+        for given, most in zip(half.tolist(), self._half_list, strict=True):
+            if not 0 <= given <= most:  # also for nan
+                return Fault("measurement", "half widths: not between zero and the scene's")
+        return half
 
 
 class Observer:
@@ -19,7 +103,7 @@ class Observer:
 
     Parameters
     ----------
-    scene : Scene
+    grid : DecisionGrid
     limits : Limits
     farthest : float
         Entries of the state beyond this are taken for faults.
@@ -27,14 +111,14 @@ class Observer:
         Number of consecutive measurements that must agree; at the start the initial set vouches for them.
     """
 
-    def __init__(self, scene: Scene, limits: Limits, farthest: float, trusted: int) -> None:
-        self.scene = scene
-        self._same = TIME * scene.period
-        self._reader = Reader(scene, limits.max_age, farthest, self._same)
-        theta = scene.schedule.safety.problem.initial_set
+    def __init__(self, grid: DecisionGrid, limits: Limits, farthest: float, trusted: int) -> None:
+        self.grid = grid
+        self._same = TIME * grid.period
+        self._reader = Reader(grid, limits.max_age, farthest, self._same)
+        theta = grid.schedule.safety.problem.initial_set
         half = np.abs(theta.G).sum(axis=1)
-        motion = BoxMotion(scene.system, scene.period, limits.memory + self._same)
-        for usual in (0.0, scene.period):  # worked out before the flight
+        motion = BoxMotion(grid.system, grid.period, limits.memory + self._same)
+        for usual in (0.0, grid.period):  # worked out before the flight
             motion.over(usual)
         self.filter = BoxFilter(motion, theta.c - half, theta.c + half)
         self.agreed = self._enough = trusted
@@ -48,12 +132,12 @@ class Observer:
         if applied is None:
             self.filter.flown(None, None, fresh)
             return None
-        m = self.scene.system.m
+        m = self.grid.system.m
         low = high = numbers(applied, (m,))
         bounds = numbers(applied, (2, m)) if low is None else None
         if bounds is not None:
             low, high = bounds
-        limit = self.scene.system.u_max * (1 + TIME)
+        limit = self.grid.system.u_max * (1 + TIME)
         good = low is not None and high is not None
         if low is not None and high is not None:
             good = bool(((-limit <= low) & (low <= high) & (high <= limit)).all())
@@ -79,7 +163,7 @@ class Observer:
             return reading.state
         # Only the measurement's own error bound counts here: an earlier one may have lied.
         low, high = self.filter.ahead(reading.state, reading.half_widths, age)
-        if not (high - low <= 2 * self.scene.half_widths).all():
+        if not (high - low <= 2 * self.grid.half_widths).all():
             faults.append(Fault("measurement", f"late: {age:.6g} s old, too old to tell the state by now"))
             return None
         return np.asarray((low + high) / 2)
@@ -99,6 +183,6 @@ class Observer:
                 self.agreed += 1
                 self.conflicts *= self.agreed < self._enough
                 return
-            name = self.scene.system.state_names[conflict]
+            name = self.grid.system.state_names[conflict]
             faults.append(Fault("estimate", f"conflict: {name} contradicts earlier measurements"))
             self.conflicts, self.agreed = self.conflicts + 1, 0  # the box stays: what lied is not let in

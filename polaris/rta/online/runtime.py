@@ -1,15 +1,16 @@
 """The online monitor in flight: one call per decision that never raises, and always has an answer.
 
-`polaris.rta.monitor` proves that U may fly if the measured state is within its error bound and the decision
-is made in time. Here that is made sure of as far as it can be: measurements, clock, the experimental
-controller and the monitor itself are checked, and whatever is wrong with one of them, S flies. The page
-"Online monitor" of the documentation says why the proof survives, and what cannot be caught.
+The monitor proves that U may fly if the measured state is within its error bound and the decision is made in
+time. Here that is made sure of as far as it can be: measurements, clock, the experimental controller and the
+monitor itself are checked, and whatever is wrong with one of them, S flies. The page "Online monitor" of the
+documentation says why the proof survives, and what cannot be caught.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from itertools import cycle
 from math import isfinite
 from typing import Any, NamedTuple
 
@@ -18,14 +19,13 @@ from numpy.typing import ArrayLike
 
 from ...model.foreign import Unreadable, kind_of, settled
 from ...model.system import Array
-from ..estimate import Measurement
-from ..monitor import Monitor
+from ..methods.monitor import Monitor
 from .decision_clock import DecisionClock
-from .decision_log import DecisionLog, plain
-from .faults import Fault
-from .guard import Guard
+from .decision_log import DecisionLog, plain, restored
+from .estimate import Measurement
+from .faults import Fault, Guard
 from .observer import Observer
-from .runtime_options import Answer, RuntimeOptions
+from .runtime_options import OnlineDecision, RuntimeOptions
 
 
 class _Told(NamedTuple):
@@ -63,13 +63,13 @@ class OnlineMonitor:
         log: DecisionLog | None = None,
         timer: Callable[[], float] = time.perf_counter,
     ) -> None:
-        self.monitor, self.scene = monitor, monitor.scene
+        self.monitor, self.grid = monitor, monitor.grid
         self.options = options or RuntimeOptions()
-        self.limits = self.options.limits(self.scene)
+        self.limits = self.options.limits(self.grid)
         self._log, self._timer = log, timer
-        self.clock = DecisionClock(self.scene.period, self.limits.tolerance, self.limits.drift)
-        self.observer = Observer(self.scene, self.limits, self.options.farthest, self.options.reacquire)
-        self.guard = Guard(self.scene.system.u_max, self.limits.budget, timer)
+        self.clock = DecisionClock(self.grid.period, self.limits.tolerance, self.limits.drift)
+        self.observer = Observer(self.grid, self.limits, self.options.farthest, self.options.reacquire)
+        self.guard = Guard(self.grid.system.u_max, self.limits.budget, timer)
         self._flown, self._dwelt, self._strikes = 0, self.options.min_dwell, 0
         self._unwritten: list[Fault] = []  # of the log
         self._latch: list[Fault] = []  # why S flies for good
@@ -90,7 +90,7 @@ class OnlineMonitor:
         applied: ArrayLike | None = None,
         reference: float | None = None,
         number: int | None = None,
-    ) -> Answer:
+    ) -> OnlineDecision:
         """Decide who flies from the moment of effect on; never raises, whatever it is told.
 
         Every argument is read once, at the beginning; what it was is logged.
@@ -138,9 +138,9 @@ class OnlineMonitor:
 
     def _left(self, k: int, now: Any) -> float:
         """Wall time [s] for a call at this reading: the deadline, but not beyond the moment of effect."""
-        if not self.scene.latency or k < 0:
+        if not self.grid.latency or k < 0:
             return self.limits.deadline
-        return min(self.limits.deadline, k * self.scene.period + self.scene.latency - float(now))
+        return min(self.limits.deadline, k * self.grid.period + self.grid.latency - float(now))
 
     def _own_fault(self, text: str, faults: list[Fault]) -> None:
         self._strikes += 1
@@ -161,13 +161,13 @@ class OnlineMonitor:
         wrong = self.observer.note_inputs(told.applied)
         if wrong is not None:
             faults.append(wrong)
-        state = None if k is None else self.observer.observe(told.measurement, k * self.scene.period, faults)
+        state = None if k is None else self.observer.observe(told.measurement, k * self.grid.period, faults)
         self._latched(faults)
         if k is None or state is None:
             return -1 if k is None else k, 0, np.nan, ""
-        if k >= self.scene.decisions:
+        if k >= self.grid.decisions:
             return k, 0, np.nan, "the plan has ended"
-        e = state - self.scene.xi[k * self.scene.nodes]
+        e = state - self.grid.xi[k * self.grid.nodes]
         mode, margin, limit = self.monitor.explained(k, e, before)
         if mode and not self._flown and self._dwelt < self.options.min_dwell:
             faults.append(Fault("rule", f"dwell: {self._dwelt} of {self.options.min_dwell} decisions in S"))
@@ -183,20 +183,20 @@ class OnlineMonitor:
         if agreed < o.reacquire:
             faults.append(Fault("rule", f"re-acquiring: {agreed} of {o.reacquire} measurements agree"))
 
-    def _answer(self, k: int, mode: int, margin: float, reason: str, faults: list[Fault]) -> Answer:
+    def _answer(self, k: int, mode: int, margin: float, reason: str, faults: list[Fault]) -> OnlineDecision:
         until, wrong = -np.inf, [fault for fault in faults if not fault.harmless]
         mode = 0 if wrong else mode
         if mode:
-            until, self._dwelt = (k + 1) * self.scene.period + self.scene.latency, self.options.min_dwell
+            until, self._dwelt = (k + 1) * self.grid.period + self.grid.latency, self.options.min_dwell
         else:
             self._dwelt = 1 if self._flown else self._dwelt + 1
         self._flown = mode
         if wrong:
             reason = str(wrong[0])
         unwritten, self._unwritten = self._unwritten, []
-        return Answer(k, mode, margin, until, reason, (*faults, *unwritten))
+        return OnlineDecision(k, mode, margin, until, reason, (*faults, *unwritten))
 
-    def _record(self, log: DecisionLog, answer: Answer, noted: list[Fault], told: _Told) -> None:
+    def _record(self, log: DecisionLog, answer: OnlineDecision, noted: list[Fault], told: _Told) -> None:
         try:
             record = {
                 "k": answer.k,
@@ -210,3 +210,44 @@ class OnlineMonitor:
             log.write(record)
         except Exception:  # whatever is wrong with a log must not end the flight
             self._unwritten.append(Fault("log", "the line before could not be written"))
+
+
+LATE = "monitor: deadline missed"
+
+
+def replay_log(
+    records: Iterable[dict[str, Any]], monitor: Monitor, options: RuntimeOptions | None = None
+) -> list[OnlineDecision]:
+    """Feed what a log says arrived to a new runtime with the same options.
+
+    The answers are those of the flight, bit for bit, missed deadlines and faults of U included: the log
+    says where they were.
+
+    Parameters
+    ----------
+    records : iterable of dict
+        As `polaris.rta.online.decision_log.read_log` gives them, from the first decision on.
+    monitor : Monitor
+    options : RuntimeOptions, optional
+    """
+    wall = _Wall()
+    online = OnlineMonitor(monitor, options, timer=wall)
+    answers = []
+    for record in records:
+        wall.late = LATE in record["faults"]
+        if record["resynchronised"] is not None:
+            online.resynchronise(restored(record["resynchronised"]))
+        online.guard.faults += [Fault("controller", text) for text in record["controller"]]
+        names = ("now", "measurement", "applied", "reference", "number")
+        answers.append(online.step(*(restored(record.get(name)) for name in names)))
+    return answers
+
+
+class _Wall:
+    """A clock that is read at the beginning and at the end of every step."""
+
+    def __init__(self) -> None:
+        self.late, self._end = False, cycle((False, True))
+
+    def __call__(self) -> float:
+        return float("inf") if next(self._end) and self.late else 0.0

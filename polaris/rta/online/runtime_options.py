@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from ...model.checks import positive, whole
 from ...model.errors import ScenarioError
 from ...model.tolerances import FARTHEST
-from ..scene import Scene
+from ..decision_grid import DecisionGrid
 from .faults import Fault
 
 
@@ -71,7 +71,7 @@ class RuntimeOptions:
             if getattr(self, name) is not None:
                 whole(name, getattr(self, name), 1)
 
-    def limits(self, scene: Scene) -> Limits:
+    def limits(self, grid: DecisionGrid) -> Limits:
         """All of them as numbers for one scene.
 
         Raises
@@ -79,16 +79,16 @@ class RuntimeOptions:
         ScenarioError
             If the tolerance is half of the scene's period or more.
         """
-        period, most = scene.period, 0.499 * scene.period
+        period, most = grid.period, 0.499 * grid.period
         if self.tolerance is not None and self.tolerance > most:
             raise ScenarioError("tolerance", self.tolerance, f"must be below half the period of {period:g} s")
         max_age = _default(self.max_age, period)
         return Limits(
             max_age,
             max(_default(self.memory, 10 * period), max_age, period),
-            _default(self.tolerance, max(min(scene.latency, most), 1e-6 * period)),
+            _default(self.tolerance, max(min(grid.latency, most), 1e-6 * period)),
             _default(self.drift, period / 100),
-            _default(self.deadline, scene.latency or period),
+            _default(self.deadline, grid.latency or period),
             _default(self.budget, period),
         )
 
@@ -110,7 +110,7 @@ def _default(value: float | None, other: float) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class OnlineDecision:
     """Who flies from the moment of effect on.
 
     Attributes

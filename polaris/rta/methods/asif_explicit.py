@@ -11,14 +11,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..model.checks import positive
-from ..model.errors import ScenarioError
-from ..model.obstacles import BallObstacle
-from ..model.system import Array
-from .method import FILTERED, Choice, Claim, Memoryless, Seen
-from .projection import FILTERED as SOLVED
-from .projection import project
-from .scene import Scene
+from ...model.checks import positive
+from ...model.errors import ScenarioError
+from ...model.obstacles import BallObstacle
+from ...model.system import Array
+from ..decision_grid import DecisionGrid
+from ..method import FILTERED, Choice, Method, Option, Seen
+from ..projection import FILTERED as SOLVED
+from ..projection import project
 
 SLOPE = 10.0
 """Slope of the class-K function, per duration of the flight: chosen by ``benchmarks/comparison.py``."""
@@ -27,12 +27,12 @@ UNCHANGED = 1e-9
 """Share of the thrust limits by which an input may differ and still count as the desired one."""
 
 
-class ExplicitASIF(Memoryless):
+class ExplicitASIF(Method):
     """The filter.
 
     Parameters
     ----------
-    scene : Scene
+    grid : DecisionGrid
     alpha : float, optional
         Slope of the class-K function [1/s]; default `SLOPE` per duration of the flight.
 
@@ -43,16 +43,26 @@ class ExplicitASIF(Memoryless):
         to meet the input.
     """
 
-    key = "asif_explicit"
-    name = "Explicit ASIF"
-    reasons: tuple[str, ...] = ("desired input", "filtered", "no input satisfies all conditions: S")
+    key, name, place = "asif_explicit", "Explicit ASIF", 7
+    how = (
+        "barrier functions of every obstacle (closing speed from which full thrust can brake), nearest input"
+        " by a quadratic program"
+    )
+    option = Option(
+        "alpha",
+        "slope of the class-K function: by what share per second a barrier may fall [1/s]",
+        f"{SLOPE:g}, divided by the duration of the flight",
+        (1, 2, 5, 10, 20, 50, 100, 200, 1000),
+        "per duration",
+    )
+    reasons = ("desired input", "filtered", "no input satisfies all conditions: S")
 
-    def __init__(self, scene: Scene, alpha: float | None = None) -> None:
-        super().__init__(scene)
-        duration = scene.last * scene.h
+    def __init__(self, grid: DecisionGrid, alpha: float | None = None) -> None:
+        super().__init__(grid)
+        duration = grid.last * grid.h
         self.alpha = SLOPE / duration if alpha is None else positive("alpha", alpha, "1/s")
         self.settings = {"alpha": self.alpha}
-        system = scene.system
+        system = grid.system
         C, A = system.position, system.A
         self.direct = bool(np.any(C @ system.B))
         rate = C if self.direct else C @ A
@@ -61,20 +71,18 @@ class ExplicitASIF(Memoryless):
             raise ScenarioError(
                 "method", self.key, "the input moves the position only by its third derivative"
             )
-        self.balls = {o.name: o for o in scene.schedule.safety.problem.unsafe if isinstance(o, BallObstacle)}
-        self.sets = [unsafe for unsafe in scene.unsafe if unsafe.name not in self.balls]
-        parts = np.split(scene.facets[1], scene.facets[2][1:], axis=1)
-        self.offsets = [
-            part for part, u in zip(parts, scene.unsafe, strict=False) if u.name not in self.balls
-        ]
-        span = float(np.abs(scene.xi @ self.drift.T).max(initial=0.0))
+        self.balls = {o.name: o for o in grid.schedule.safety.problem.unsafe if isinstance(o, BallObstacle)}
+        self.sets = [unsafe for unsafe in grid.unsafe if unsafe.name not in self.balls]
+        parts = np.split(grid.facets[1], grid.facets[2][1:], axis=1)
+        self.offsets = [part for part, u in zip(parts, grid.unsafe, strict=False) if u.name not in self.balls]
+        span = float(np.abs(grid.xi @ self.drift.T).max(initial=0.0))
         self.brakes = [self._brake(unsafe.name, unsafe.normals, span) for unsafe in self.sets]
         # Along the direction in which the thrusters push least a ball must be met too.
         self.ball_brake = self._brake("balls", _directions(system.d), span).min() if self.balls else 0.0
 
     def _brake(self, name: str, normals: Array, span: float) -> Array:
         """Deceleration [m/s^2] by full thrust along normals (F, d), against drift and disturbance."""
-        system = self.scene.system
+        system = self.grid.system
         found = np.abs(normals @ self.push) @ system.u_max - span
         found -= np.linalg.norm(normals @ self.kick, axis=1) * system.w_max
         if np.any(found <= 0) and not self.direct:
@@ -82,35 +90,34 @@ class ExplicitASIF(Memoryless):
         return np.asarray(found)
 
     @property
-    def claim(self) -> Claim:
-        """None: conditions at the decisions only, and programs that may have no solution."""
-        return Claim(
-            "none",
-            f"barrier conditions hold at the instants of decision, every {self.scene.period:g} s, if the"
-            " programs have solutions; neither is proven",
+    def reach(self) -> str:
+        """Conditions at the decisions only, and programs that may have no solution."""
+        return (
+            f"barrier conditions hold at the instants of decision, every {self.grid.period:g} s, if the"
+            " programs have solutions; neither is proven"
         )
 
     def decide(self, seen: Seen) -> Choice:
         """Solve one program for every run."""
-        x, scene = seen.estimate, self.scene
+        x, grid = seen.estimate, self.grid
         R = len(x)
-        if not scene.unsafe:
+        if not grid.unsafe:
             return Choice(np.full(R, FILTERED), np.full(R, np.inf), np.zeros(R, dtype=int), seen.desired)
-        node = seen.k * scene.nodes
-        p, v = x @ scene.system.position.T, x @ scene.system.velocity.T
+        node = seen.k * grid.nodes
+        p, v = x @ grid.system.position.T, x @ grid.system.velocity.T
         found = [self._facets(i, node, x, p, v) for i in range(len(self.sets))]
         found += [self._ball(ball, node, x, p, v) for ball in self.balls.values()]
         h = np.stack([one[0] for one in found], axis=1)
         rows, bound = np.stack([one[1] for one in found], axis=1), np.stack([one[2] for one in found], axis=1)
-        rows = rows * scene.system.u_max
+        rows = rows * grid.system.u_max
         length = np.maximum(np.linalg.norm(rows, axis=2), 1e-12)
-        answer = project(rows / length[..., None], bound / length, seen.desired / scene.system.u_max, 1.0)
+        answer = project(rows / length[..., None], bound / length, seen.desired / grid.system.u_max, 1.0)
         lost = answer.status > SOLVED
-        u = np.where(lost[:, None], 0.0, answer.u) * scene.system.u_max
+        u = np.where(lost[:, None], 0.0, answer.u) * grid.system.u_max
         return Choice(
             np.where(lost, 0, FILTERED),
             h.min(axis=1),
-            np.where(lost, 2, (np.abs(u - seen.desired) > UNCHANGED * scene.system.u_max).any(axis=1)),
+            np.where(lost, 2, (np.abs(u - seen.desired) > UNCHANGED * grid.system.u_max).any(axis=1)),
             u,
         )
 
@@ -118,9 +125,9 @@ class ExplicitASIF(Memoryless):
         """Barrier (R,), row (R, m) and bound (R,) of one polytope: of its facet with the largest barrier."""
         offsets, normals = self.offsets[i], self.sets[i].normals
         here, after = offsets[node], offsets[min(node + 1, len(offsets) - 1)]
-        speed = (after - here) / self.scene.h
-        d = p @ normals.T - here - np.abs(normals @ self.scene.system.position) @ self.scene.half_widths
-        error = np.abs(normals @ self.scene.system.velocity) @ self.scene.half_widths
+        speed = (after - here) / self.grid.h
+        d = p @ normals.T - here - np.abs(normals @ self.grid.system.position) @ self.grid.half_widths
+        error = np.abs(normals @ self.grid.system.velocity) @ self.grid.half_widths
         closing = v @ normals.T - speed - (0.0 if self.direct else error)
         allowed, slope = self._allowed(d, self.brakes[i])
         h = d if self.direct else closing + allowed
@@ -128,7 +135,7 @@ class ExplicitASIF(Memoryless):
         run = np.arange(len(x))
         chosen = normals[best]
         known = ((x @ self.drift.T) * chosen).sum(axis=1)
-        known -= np.linalg.norm(chosen @ self.kick, axis=1) * self.scene.system.w_max
+        known -= np.linalg.norm(chosen @ self.kick, axis=1) * self.grid.system.w_max
         if self.direct:
             known = known - speed[best]
         else:
@@ -139,8 +146,8 @@ class ExplicitASIF(Memoryless):
         self, ball: BallObstacle, node: int, x: Array, p: Array, v: Array
     ) -> tuple[Array, Array, Array]:
         """The same of a ball."""
-        system, half = self.scene.system, self.scene.half_widths
-        t = node * self.scene.h
+        system, half = self.grid.system, self.grid.half_widths
+        t = node * self.grid.h
         away = p - ball.centre(t)
         distance = np.maximum(np.linalg.norm(away, axis=1), 1e-9)
         normal = away / distance[:, None]
@@ -164,7 +171,7 @@ class ExplicitASIF(Memoryless):
         The layer is what the brake makes good within about three decision periods from rest. Half of it is
         kept as a distance, for what happens between the instants at which the conditions hold.
         """
-        depth = 4 * np.maximum(brake, 1e-300) * self.scene.period**2
+        depth = 4 * np.maximum(brake, 1e-300) * self.grid.period**2
         d = d - depth / 2
         root = np.sqrt(2 * brake * np.maximum(d - depth / 2, depth / 2))
         steep = np.sqrt(brake / depth)

@@ -1,4 +1,4 @@
-"""Verification in one call: proven, violated with a trajectory that shows it, or unknown."""
+"""Staying in a polytope: one tube along its normals, sharper where it must be."""
 
 from __future__ import annotations
 
@@ -8,106 +8,27 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..numerics.arguments import checked
-from ..numerics.errors import ReachError, Unresolved
+from ..numerics.checks import Array
+from ..numerics.errors import Unresolved
 from ..sets.convex import ConvexSet
 from ..sets.polytope import HPolytope
 from ..tubes.support_tube import SupportTube, support_tube
-from ..tubes.systems import LinearSystem, numbers, single_set
+from ..tubes.systems import LinearSystem
 from ..tubes.trajectory import Trajectory, worst_case
-from .specification import Always, Never, Verdict
-
-Array = NDArray[np.float64]
+from .specification import Verdict
 
 REPLAY = 1e-9
 """A replayed trajectory must pass a limit by this share of its size before it counts as a violation."""
+
 SHARPER = 8.0
 """Factor by which the tolerance shrinks while neither proof nor violation is found."""
+
 FIRST, LAST = 0.05, 1e-7
 """First and last tolerance, as shares of the size of the quantity bounded."""
+
 GRID = 10_000
 """Most steps that a first grid takes to have every change of the input set on a node."""
-
-
-@checked
-def verify(
-    system: LinearSystem,
-    initial: ConvexSet,
-    spec: Always | Never,
-    horizon: float,
-    *,
-    max_seconds: float = 60.0,
-) -> Verdict:
-    """Decide whether every trajectory meets a specification, in continuous time.
-
-    Bounds are made sharper until they prove it, until a trajectory breaks it, or until time or
-    precision runs out. For `Always` and for `Never` of one halfspace there is nothing between: the
-    bound and the trajectory close in on each other.
-
-    Parameters
-    ----------
-    system : LinearSystem
-    initial : ConvexSet
-    spec : Always or Never
-    horizon : float
-        May be 0: then the initial set is asked.
-    max_seconds : float
-        Wall time after which the answer is "unknown".
-
-    Raises
-    ------
-    ReachError
-        If dimensions differ, or the times of the specification lie outside the horizon.
-    """
-    window = _window(system, spec, horizon)
-    single_set("the initial set", initial)
-    begun = perf_counter()
-    deadline = begun + max_seconds
-    region = spec.region
-    if len(region.b) == 0:
-        return _without_limits(system, initial, spec, window[0], begun)
-    if isinstance(spec, Never) and len(region.b) == 1:
-        # Out of one halfspace is inside the opposite one, its boundary excluded.
-        region = HPolytope(-region.A, np.nextafter(-region.b, -np.inf))
-    elif isinstance(spec, Never):
-        from .avoidance import verify_never
-
-        return verify_never(system, initial, region, window, begun, deadline)
-    return verify_always(system, initial, region, window, begun, deadline)
-
-
-def _window(system: LinearSystem, spec: Any, horizon: float) -> tuple[float, float]:
-    """First and last time that a specification speaks of."""
-    if not isinstance(spec, Always | Never):
-        raise ReachError(f"the specification must be Always or Never, got {type(spec).__name__}")
-    if spec.region.dim != system.dim:
-        raise ReachError(f"the region has dimension {spec.region.dim}, the system {system.dim} states")
-    if not (numbers("horizon", horizon).shape == () and 0 <= horizon < np.inf):
-        raise ReachError(f"the horizon must be a finite number >= 0, got {horizon!r}")
-    during = (0.0, horizon) if spec.during is None else spec.during
-    if numbers("during", during).shape != (2,) or not 0 <= during[0] <= during[1] <= horizon:
-        raise ReachError(f"`during` must be two times within [0, {horizon:g}], got {spec.during!r}")
-    first, last = float(during[0]), float(during[1])
-    if system.discrete:
-        first, last = float(np.ceil(first)), float(np.floor(last))
-        if first > last:
-            raise ReachError(f"`during` must hold a whole number of steps, got {spec.during!r}")
-    return first, last
-
-
-def _without_limits(
-    system: LinearSystem, initial: ConvexSet, spec: Always | Never, time: float, begun: float
-) -> Verdict:
-    """Of a region that is everything there is nothing to compute."""
-    none, path = np.zeros(0), None
-    if isinstance(spec, Always):
-        status, margin, reason = "proven", np.inf, "the region has no limits"
-    else:
-        path = worst_case(system, initial, time, np.ones(system.dim))
-        status, margin, reason = "violated", -np.inf, "the region to avoid has no limits"
-    return Verdict(status, margin, none, none, path, 0, perf_counter() - begun, reason)
 
 
 def visited(system: LinearSystem, initial: ConvexSet, horizon: float, deadline: float) -> Array:

@@ -4,20 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
+from ..numerics.checks import Array, as_numbers
 from ..numerics.errors import ReachError
-from ..sets.convex import as_numbers
 from ..sets.polytope import HPolytope
 from ..tubes.trajectory import Trajectory
 
-Array = NDArray[np.float64]
-
 
 @dataclass(frozen=True, eq=False)
-class Always:
-    """The state stays in a polytope.
+class Specification:
+    """What is asked of the state at all times of an interval.
 
     Parameters
     ----------
@@ -32,35 +27,19 @@ class Always:
     during: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
-        _checked(self)
+        if not isinstance(self.region, HPolytope):
+            given = type(self.region).__name__
+            raise ReachError(f"its region must be an HPolytope, got {given}; use its to_polytope()")
+        if self.during is not None and as_numbers("during", self.during).shape != (2,):
+            raise ReachError(f"`during` must be two times, got {self.during!r}")
 
 
-@dataclass(frozen=True, eq=False)
-class Never:
-    """The state never enters a polytope (its boundary belongs to it).
-
-    Parameters
-    ----------
-    region : HPolytope
-        May be unbounded.
-    during : tuple of float, optional
-        As for `Always`.
-    """
-
-    region: HPolytope
-    during: tuple[float, float] | None = None
-
-    def __post_init__(self) -> None:
-        _checked(self)
+class Always(Specification):
+    """The state stays in a polytope."""
 
 
-def _checked(spec: Always | Never) -> None:
-    """Refuse what is no region, and what are no two times."""
-    if not isinstance(spec.region, HPolytope):
-        given = type(spec.region).__name__
-        raise ReachError(f"its region must be an HPolytope, got {given}; use its to_polytope()")
-    if spec.during is not None and as_numbers("during", spec.during).shape != (2,):
-        raise ReachError(f"`during` must be two times, got {spec.during!r}")
+class Never(Specification):
+    """The state never enters a polytope (its boundary belongs to it)."""
 
 
 @dataclass(frozen=True, eq=False)

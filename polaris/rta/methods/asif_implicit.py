@@ -11,16 +11,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..model.checks import positive
-from ..model.errors import ScenarioError
-from ..model.system import Array
-from ..model.tolerances import ROUNDING
-from .method import FILTERED, Choice, Claim, Memoryless, Seen
-from .projection import FILTERED as SOLVED
-from .projection import project
-from .prospect import Leg, Prospect
-from .recovery import Recovery
-from .scene import Scene
+from ...model.checks import positive
+from ...model.errors import ScenarioError
+from ...model.system import Array
+from ...model.tolerances import ROUNDING
+from ..decision_grid import DecisionGrid
+from ..method import FILTERED, Choice, Method, Option, Seen
+from ..projection import FILTERED as SOLVED
+from ..projection import project
+from ..prospect import Leg, Prospect
+from ..recovery import Recovery
 
 SLACK = 1e-6
 """Share of the room kept free for what the solver leaves unsatisfied."""
@@ -30,12 +30,12 @@ UNLIMITED = 1e200
 """Room of a row that nothing limits."""
 
 
-class ImplicitASIF(Memoryless):
+class ImplicitASIF(Method):
     """The filter.
 
     Parameters
     ----------
-    scene : Scene
+    grid : DecisionGrid
     slope : float
         Share of the room of a row that one decision may use up, above 0 and at most 1: the slope of a linear
         class-K function in discrete time, times the period. Below 1 inputs are bent earlier and less; where
@@ -49,58 +49,61 @@ class ImplicitASIF(Memoryless):
         If the slope is out of range.
     """
 
-    key = "asif_implicit"
-    name = "Implicit ASIF"
-    reasons: tuple[str, ...] = ("desired input", "filtered", "no input is recoverable: S")
+    key, name, place, proven = "asif_implicit", "Implicit ASIF", 8, True
+    how = (
+        "nearest input from which S can still take over; rows of the recoverable sets, exact in discrete"
+        " time, estimate error and disturbance booked"
+    )
+    option = Option(
+        "slope", "share of the room of a row that one decision may use up", "1", (0.01, 0.03, 0.1, 0.3, 1.0)
+    )
+    reach = "state estimate within its error bound"
+    reasons = ("desired input", "filtered", "no input is recoverable: S")
 
-    def __init__(self, scene: Scene, slope: float = 1.0) -> None:
-        super().__init__(scene)
+    def __init__(self, grid: DecisionGrid, slope: float = 1.0) -> None:
+        super().__init__(grid)
         self.slope = positive("slope", slope, "")
         if self.slope > 1:
             raise ScenarioError("slope", slope, "must be above 0 and at most 1")
         self.settings = {"slope": self.slope}
-        self.recovery = Recovery.certified(scene)
-        before = Leg.any_thrust(self.recovery) if scene.delay else None
-        self.prospect = Prospect(self.recovery, before, Leg.held(self.recovery), scene.half_widths)
+        self.recovery = Recovery.certified(grid)
+        before = Leg.any_thrust(self.recovery) if grid.delay else None
+        self.prospect = Prospect(self.recovery, before, Leg.held(self.recovery), grid.half_widths)
         # What an input of full thrust (per axis) held until the next moment of effect adds at its end.
-        phi, step = self.recovery.open_flow.phi, self.recovery.open_flow.input_map(scene.system.B)
+        phi, step = self.recovery.open_flow.phi, self.recovery.open_flow.input_map(grid.system.B)
         moved = np.zeros_like(step)
         self.moves = []
-        for _ in range(scene.nodes):
+        for _ in range(grid.nodes):
             moved = phi @ moved + step
-            self.moves.append(moved * scene.system.u_max)
+            self.moves.append(moved * grid.system.u_max)
         self.moved = self.moves[-1]
         demand = self.prospect.demand
         self.rows = demand.tall[: demand.near, :-2] @ self.moved
         self.most = np.abs(self.rows).sum(axis=1)
-        W = scene.tracking.W
+        W = grid.tracking.W
         self.pushed = max(float(np.linalg.norm(np.abs(W @ m).sum(axis=1))) for m in self.moves) * (
             1 + ROUNDING
         )
 
-    @property
-    def claim(self) -> Claim:
-        """Proved."""
-        end = self.scene.schedule.safety.end.reason
-        return Claim("proved", f"state estimate within its error bound; {end}")
-
     def decide(self, seen: Seen) -> Choice:
         """Solve one program for every run whose desired input is not recoverable."""
-        scene, recovery, demand = self.scene, self.recovery, self.prospect.demand
+        grid, recovery, demand = self.grid, self.recovery, self.prospect.demand
         k, R = seen.k, len(seen.estimate)
-        node = k * scene.nodes + scene.delay + scene.nodes
-        if node > scene.last:
+        node = k * grid.nodes + grid.delay + grid.nodes
+        if node > grid.last:
             return Choice(np.zeros(R, dtype=int), np.full(R, -np.inf), np.full(R, 2), seen.desired)
-        e = seen.estimate - scene.xi[k * scene.nodes]
-        moved = e @ self.prospect.end.M.T + self.prospect.end.offset[k * scene.nodes]
+        e = seen.estimate - grid.xi[k * grid.nodes]
+        moved = e @ self.prospect.end.M.T + self.prospect.end.offset[k * grid.nodes]
         size = self.prospect.size(k, e) + self.pushed
         first = node * len(recovery.rows)
         window = recovery.reciprocals[first : first + demand.near]
         need = np.concatenate([moved, size[:, None], np.ones((R, 1))], axis=1) @ demand.tall[: demand.near].T
-        limit = np.divide(1 - SLACK, window, out=np.full(len(window), UNLIMITED), where=window > 0)
+        limit = np.minimum(recovery.window(node)[: demand.near], UNLIMITED)
+        slack = SLACK * np.abs(limit)
+        limit = limit - slack
         room = limit - need
         allowed = room - self._kept(k, e, limit)
-        desired = seen.desired / scene.system.u_max
+        desired = seen.desired / grid.system.u_max
         left = (allowed - desired @ self.rows.T) * window
         margin, u = left.min(axis=1), desired.copy()
         later = np.maximum(demand.base + demand.slope * size, size / max(recovery.far(node), 1e-300))
@@ -115,11 +118,11 @@ class ImplicitASIF(Memoryless):
             else:
                 lost[run] = True
         # Whatever the solver says, what it found is checked; what cannot be worked out is not met.
-        lost |= ~(((room - u @ self.rows.T) * window).min(axis=1) >= -SLACK)
+        lost |= ~(room - u @ self.rows.T >= -slack).all(axis=1)
         lost |= ~(self._inner(k, e, size, u) <= 1)
         mode = np.where(lost, 0, FILTERED)
         why = np.where(lost, 2, np.where((margin < 0) & (u != desired).any(axis=1), 1, 0))
-        return Choice(mode, margin, why, u * scene.system.u_max)
+        return Choice(mode, margin, why, u * grid.system.u_max)
 
     def _kept(self, k: int, e: Array, limit: Array) -> Array | float:
         """Room that this decision must leave at every limit, shape (R, rows).
@@ -129,9 +132,9 @@ class ImplicitASIF(Memoryless):
         if self.slope == 1:
             return 0.0
         demand, r = self.prospect.demand, len(self.recovery.rows)
-        later = (self.scene.delay + self.scene.nodes) * r  # the same instants, seen from now
+        later = (self.grid.delay + self.grid.nodes) * r  # the same instants, seen from now
         rows = demand.tall[later : later + demand.near]
-        size = np.linalg.norm(e @ self.scene.tracking.W.T, axis=1) + self.prospect.radius
+        size = np.linalg.norm(e @ self.grid.tracking.W.T, axis=1) + self.prospect.radius
         need = np.concatenate([e, size[:, None], np.ones((len(e), 1))], axis=1) @ rows.T
         kept = np.zeros((len(e), len(limit)))
         kept[:, : len(rows)] = np.maximum(limit[: len(rows)] - need, 0.0)
@@ -142,8 +145,8 @@ class ImplicitASIF(Memoryless):
         out = np.zeros(len(e))
         pairs = zip(self.prospect.inner, self.prospect.inner_demand, self.moves[:-1], strict=True)
         for j, (stage, demand, moved) in enumerate(pairs):
-            there = e @ stage.M.T + stage.offset[k * self.scene.nodes] + u @ moved.T
-            node = k * self.scene.nodes + self.scene.delay + j + 1
+            there = e @ stage.M.T + stage.offset[k * self.grid.nodes] + u @ moved.T
+            node = k * self.grid.nodes + self.grid.delay + j + 1
             out = np.maximum(out, self.recovery.facets_share(node, there, size, demand))
         return out
 

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import nnls
 
+from ..numerics.checks import Array
 from ..numerics.errors import Unresolved
 from ..numerics.rounding import gamma
 from ..sets.convex import ConvexSet
@@ -24,10 +25,8 @@ from ..sets.polytope import HPolytope
 from ..tubes.stepping import in_time
 from ..tubes.systems import LinearSystem
 from ..tubes.trajectory import STEPS, Trajectory, simulate, worst_case
+from .invariance import FIRST, LAST, REPLAY, SHARPER, seen, sharp_tube, visited
 from .specification import Verdict
-from .verification import FIRST, LAST, REPLAY, SHARPER, seen, sharp_tube, visited
-
-Array = NDArray[np.float64]
 
 MOST_DIRECTIONS = 64
 MOST_STEPS = 20_000

@@ -16,10 +16,10 @@ from math import factorial
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..model.errors import ScenarioError
-from ..model.foreign import Unreadable, kind_of, settled
-from ..model.system import Array, LinearSystem
-from ..model.tolerances import ROUNDING, TIME
+from ...model.errors import ScenarioError
+from ...model.foreign import Unreadable, kind_of, settled
+from ...model.system import Array, LinearSystem
+from ...model.tolerances import ROUNDING, TIME
 
 FARTHEST_MOTION = 20.0
 """Largest ``norm(A, 1)`` times duration over which boxes are moved: beyond it they bound nothing."""

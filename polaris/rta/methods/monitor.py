@@ -15,25 +15,25 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..model.checks import whole
-from ..model.errors import ScenarioError
-from ..model.system import Array
-from ..synthesis.controllers import AffineController
-from .method import Choice, Claim, Seen
-from .prospect import Leg, Prospect
-from .quick import QuickProspect
-from .recovery import Recovery
-from .scene import Scene
+from ...model.checks import whole
+from ...model.errors import ScenarioError
+from ...model.system import Array
+from ...synthesis.controllers import AffineController
+from ..decision_grid import DecisionGrid
+from ..method import Choice, Method, Option, Seen
+from ..prospect import Leg, Prospect
+from ..quick import QuickProspect
+from ..recovery import Recovery
 
 TRUST = ("declared", "thrust_limits")
 
 
-class Monitor:
+class Monitor(Method):
     """The online monitor as a method of the arena.
 
     Parameters
     ----------
-    scene : Scene
+    grid : DecisionGrid
     trust : {"declared", "thrust_limits"}
         What is assumed of U: by default nothing but the thrust limits, so that no fault of U can break the
         proof; ``declared``: its law (and its thrust limits where the law would clip). Controllers that may do
@@ -49,42 +49,45 @@ class Monitor:
         If the initial set is not inside the first of its recoverable sets.
     """
 
-    key = "monitor"
-    name = "Polaris online monitor"
-    reasons: tuple[str, ...] = ("U is recoverable", "U is not recoverable", "dwell in S")
-    delayed = True
+    key, name, place, proven = "monitor", "Polaris online monitor", 3, True
+    how = (
+        "U flies if everything that any input within the thrust limits can reach until the next decision"
+        " takes effect is recoverable ([more](online-monitor.md))"
+    )
+    option = Option(
+        "dwell", "decisions for which S keeps control once it has it", "1", (1, 3, 10, 30, 100), "decisions"
+    )
+    reasons = ("U is recoverable", "U is not recoverable", "dwell in S")
 
-    def __init__(self, scene: Scene, trust: str = "thrust_limits", dwell: int = 1) -> None:
+    def __init__(self, grid: DecisionGrid, trust: str = "thrust_limits", dwell: int = 1) -> None:
         if trust not in TRUST:
             raise ScenarioError("trust", trust, f"must be one of {', '.join(TRUST)}")
+        super().__init__(grid)
         self.dwell = whole("dwell", dwell, 1)
         self.settings = {"dwell": float(self.dwell)}
-        if trust == "declared":
-            self.key, self.name = "monitor_declared", "Polaris online monitor, U at its declared law"
-        self.scene, self.recovery, self.trust = scene, Recovery.certified(scene), trust
+        self.recovery, self.trust = Recovery.certified(grid), trust
         any_thrust, safe = Leg.any_thrust(self.recovery), Leg.declared(self.recovery, 0)
-        befores = {0: safe, 1: any_thrust} if scene.delay else {0: None, 1: None}
+        befores = {0: safe, 1: any_thrust} if grid.delay else {0: None, 1: None}
         self.cautious = {
-            flown: Prospect(self.recovery, before, any_thrust, scene.half_widths)
+            flown: Prospect(self.recovery, before, any_thrust, grid.half_widths)
             for flown, before in befores.items()
         }
         self.declared: dict[tuple[int, int], Prospect] = {}
-        for mode, law in enumerate(scene.controllers):
+        for mode, law in enumerate(grid.controllers):
             if mode and trust == "declared" and isinstance(law, AffineController):
                 leg = Leg.declared(self.recovery, mode)
                 for flown, before in befores.items():
-                    self.declared[mode, flown] = Prospect(self.recovery, before, leg, scene.half_widths)
+                    self.declared[mode, flown] = Prospect(self.recovery, before, leg, grid.half_widths)
         every = {**self.declared, **{(0, flown): prospect for flown, prospect in self.cautious.items()}}
         self._quick = {key: QuickProspect(prospect) for key, prospect in every.items()}
         self._since = np.zeros(0, dtype=int)
         self.start_share = self.recovery.start_share
 
     @property
-    def claim(self) -> Claim:
-        """Proved; see the module."""
+    def reach(self) -> str:
+        """See the module."""
         what = "its declared model" if self.trust == "declared" else "nothing but its thrust limits"
-        end = self.scene.schedule.safety.end.reason
-        return Claim("proved", f"state estimate within its error bound, U obeys {what}; {end}")
+        return f"state estimate within its error bound, U obeys {what}"
 
     def start(self, runs: int) -> None:
         """Nobody dwells."""
@@ -92,7 +95,7 @@ class Monitor:
 
     def decide(self, seen: Seen) -> Choice:
         """The first controller that is recoverable, in order of preference; else S."""
-        e = seen.estimate - self.scene.xi[seen.k * self.scene.nodes]
+        e = seen.estimate - self.grid.xi[seen.k * self.grid.nodes]
         if len(e) == 1:
             return self._decide_one(seen.k, e[0], int(seen.mode[0]))
         mode, margin = self.judge(seen.k, e, seen.mode)
@@ -124,10 +127,10 @@ class Monitor:
         """
         R = len(e)
         mode, margin = np.zeros(R, dtype=int), np.full(R, -np.inf)
-        for candidate in range(1, len(self.scene.controllers)):
+        for candidate in range(1, len(self.grid.controllers)):
             share = np.full(R, np.inf)
-            for before in (0, 1) if self.scene.delay else (0,):
-                mine = ((flown != 0) == before) if self.scene.delay else np.ones(R, dtype=bool)
+            for before in (0, 1) if self.grid.delay else (0,):
+                mine = ((flown != 0) == before) if self.grid.delay else np.ones(R, dtype=bool)
                 if mine.any():
                     share[mine] = self._share(k, e[mine], candidate, before)
             undecided = mode == 0
@@ -155,8 +158,8 @@ class Monitor:
 
     def _quickest(self, k: int, e: Array, flown: int) -> tuple[int, float, QuickProspect | None]:
         """Mode; share of the room and prospect of the controller chosen, or of the best refused."""
-        before, best, nearest = 1 if self.scene.delay and flown else 0, np.inf, None
-        for candidate in range(1, len(self.scene.controllers)):
+        before, best, nearest = 1 if self.grid.delay and flown else 0, np.inf, None
+        for candidate in range(1, len(self.grid.controllers)):
             prospect = self._quick.get((candidate, before), self._quick[0, before])
             share = prospect.share(k, e)
             if not prospect.holds:
@@ -167,3 +170,13 @@ class Monitor:
             if nearest is None or share < best:
                 best, nearest = share, prospect
         return 0, best, nearest
+
+
+class DeclaredMonitor(Monitor):
+    """The same, U trusted."""
+
+    key, name, place = "monitor_declared", "Polaris online monitor, U at its declared law", 4
+    how = "everything that U can reach at its declared law is recoverable"
+
+    def __init__(self, grid: DecisionGrid, dwell: int = 1) -> None:
+        super().__init__(grid, "declared", dwell)

@@ -30,7 +30,7 @@ WHOLE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
+class DecisionGrid:
     """A schedule's scene, on a grid fine enough for every decision.
 
     Parameters
@@ -67,7 +67,7 @@ class Scene:
         period: float | None = None,
         latency: float = 0.0,
         half_widths: Any = 0.0,
-    ) -> Scene:
+    ) -> DecisionGrid:
         """Lay the fine grid.
 
         Parameters

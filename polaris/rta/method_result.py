@@ -13,9 +13,9 @@ from ..model.system import Array
 from ..simulation.intervals import mean_interval, possible, violation_interval
 from ..simulation.metrics import Metrics
 from ..simulation.run_metrics import Runs, evaluate
+from .decision_grid import DecisionGrid
 from .flight import Conditions, Flight
 from .method import FILTERED, Claim
-from .scene import Scene
 
 UNCHANGED = 0
 """Reason of a filter's decision that lets the desired input pass (`Method.reasons`)."""
@@ -49,7 +49,7 @@ Times = tuple[float, float]
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
+class MethodResult:
     """All flights of one method.
 
     Attributes
@@ -113,7 +113,7 @@ class Outcome:
         out["synthesis_s"] = self.synthesis_s
         return out
 
-    def against(self, other: Outcome) -> list[dict[str, Any]]:
+    def against(self, other: MethodResult) -> list[dict[str, Any]]:
         """Differences to another method, run by run, with 95 % intervals of their means."""
         rows = []
         mine, theirs = self.columns, other.columns
@@ -133,11 +133,11 @@ class Outcome:
         return rows
 
 
-def measure(scene: Scene, flight: Flight, conditions: Conditions, name: str) -> Metrics:
+def measure(grid: DecisionGrid, flight: Flight, conditions: Conditions, name: str) -> Metrics:
     """Metrics of the flights of one method against the true unsafe sets."""
-    planned = np.zeros(scene.clearance.planned, dtype=int)  # modes differ from run to run: counted below
+    planned = np.zeros(grid.clearance.planned, dtype=int)  # modes differ from run to run: counted below
     runs = Runs(
-        scene.schedule,
+        grid.schedule,
         flight.times,
         flight.states,
         flight.inputs,
@@ -146,24 +146,24 @@ def measure(scene: Scene, flight: Flight, conditions: Conditions, name: str) -> 
         planned,
     )
     found = evaluate(runs, conditions.seed, name)
-    who = flown(scene, flight)
+    who = flown(grid, flight)
     share = mode_shares(flight.times, who)
     experimental = sum((part for mode, part in share.items() if mode > 0), np.zeros(len(who)))
     return replace(
         found,
         experimental_share=np.asarray(experimental),
         # A filtered input is not an unknown mode: changes to it and from it count.
-        switches=count_switches(np.where(who == FILTERED, len(scene.controllers), who)),
+        switches=count_switches(np.where(who == FILTERED, len(grid.controllers), who)),
         max_thrust_ratio_safety=_largest(flight.demanded, who == 0),
         max_thrust_ratio_experimental=_largest(flight.demanded, who > 0),
     )
 
 
-def flown(scene: Scene, flight: Flight) -> NDArray[np.int_]:
+def flown(grid: DecisionGrid, flight: Flight) -> NDArray[np.int_]:
     """Who flew after every node, shape (R, N): filtered inputs that are the desired ones count as U's."""
-    why = np.repeat(flight.why, scene.nodes, axis=1)
-    if scene.delay:
-        why = np.concatenate([why[:, :1].repeat(scene.delay, axis=1), why[:, : -scene.delay]], axis=1)
+    why = np.repeat(flight.why, grid.nodes, axis=1)
+    if grid.delay:
+        why = np.concatenate([why[:, :1].repeat(grid.delay, axis=1), why[:, : -grid.delay]], axis=1)
     return np.where((flight.modes == FILTERED) & (why == UNCHANGED), 1, flight.modes)
 
 

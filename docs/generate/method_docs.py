@@ -1,0 +1,46 @@
+"""Write the tables of run-time methods and of their options in ``docs/comparison.md`` from the registry.
+
+Run ``python -m docs.generate.method_docs`` after a change to a method; a test compares the page.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from polaris.rta.methods import METHODS
+
+PAGE = Path(__file__).parents[1] / "comparison.md"
+
+
+def put(text: str, name: str, table: str) -> str:
+    """The page with one generated part replaced."""
+    pattern = rf"(<!-- table {name} -->\n\n).*?(\n\n<!-- end -->)"
+    out, count = re.subn(pattern, lambda found: found[1] + table + found[2], text, flags=re.S)
+    if count != 1:
+        raise SystemExit(f"{PAGE}: no place for the table {name}")
+    return out
+
+
+def tables() -> dict[str, str]:
+    """Both tables, by the name of their place."""
+    methods = ["| Key | Method | How it decides | Proven |", "|---|---|---|---|"]
+    tuning = ["| Option | Meaning | Default |", "|---|---|---|"]
+    for key, one in METHODS.items():
+        proven = "yes" if one.proven else "no"
+        methods.append(f"| `{key}` | {one.name} | {one.how} | {proven} |")
+        if one.option:
+            tuning.append(f"| `{key}.{one.option.name}` | {one.option.meaning} | {one.option.default} |")
+    return {"methods": "\n".join(methods), "tuning": "\n".join(tuning)}
+
+
+def main() -> None:
+    """Rewrite the page."""
+    text = PAGE.read_text(encoding="utf-8")
+    for name, table in tables().items():
+        text = put(text, name, table)
+    PAGE.write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

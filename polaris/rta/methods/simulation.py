@@ -1,0 +1,94 @@
+"""Look-ahead by simulation: U flies if its undisturbed flight keeps clear for a while.
+
+It does not ask whether S could still take over when that turns bad: this is what it is here to show.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+
+from ...model.checks import positive
+from ...model.system import Array
+from ..decision_grid import DecisionGrid
+from ..method import Choice, Method, Option, Seen
+
+LEAST = 20
+"""Decisions that are looked ahead at least."""
+
+HORIZON = Option(
+    "horizon",
+    "how far it looks [s]",
+    f"0.4 of the flight, at least {LEAST} decisions",
+    (0.05, 0.1, 0.2, 0.4),
+    "of the duration",
+)
+
+
+class Simulation(Method):
+    """Undisturbed flight of U from measured states, on every `stride`-th node.
+
+    Parameters
+    ----------
+    grid : DecisionGrid
+    horizon : float, optional
+        How far it looks [s]; default `ahead` of the flight's duration, at least `LEAST` decisions.
+    """
+
+    key, name, place = "simulation", "Look-ahead by simulation", 9
+    how = "one undisturbed flight of U over a share of the horizon keeps clear"
+    option = HORIZON
+    reasons = ("the predicted flight keeps clear", "the predicted flight enters an unsafe set")
+    ahead: ClassVar[float] = 0.4
+    """Share of the duration looked ahead by default: chosen by ``benchmarks/comparison.py``."""
+
+    def __init__(self, grid: DecisionGrid, horizon: float | None = None) -> None:
+        super().__init__(grid)
+        usual = max(self.ahead * grid.last * grid.h, LEAST * grid.period)
+        self.horizon = usual if horizon is None else positive("horizon", horizon, "s")
+        self.settings = {"horizon": self.horizon}
+        sampled, fastest = grid.tracking.feedback.sampled, grid.fastest
+        # A tenth of the fastest time constant, at least one node.
+        self.stride = 1 if sampled or fastest == 0 else max(int(0.1 / fastest / grid.h), 1)
+        self.count = max(int(np.ceil(self.horizon / (self.stride * grid.h))), 1)
+        Ad, Bd, _ = grid.held
+        self.phi, self.gamma = np.eye(len(Ad)), np.zeros_like(Bd)
+        for _ in range(self.stride):
+            self.phi, self.gamma = Ad @ self.phi, Ad @ self.gamma + Bd
+        self.last = len(grid.own.get(1, grid.xi)) - 1
+        self.spread: Array | None = None  # what sets about the prediction add, shape (count + 1, F)
+
+    @property
+    def reach(self) -> str:
+        """Nothing beyond the horizon."""
+        return (
+            f"one undisturbed flight of U over {self.horizon:g} s; nothing says that S can still take over"
+            " at its end, or under disturbances"
+        )
+
+    def decide(self, seen: Seen) -> Choice:
+        """Predict, and look at the least distance [m]."""
+        node, x = seen.k * self.grid.nodes, seen.estimate
+        room = self._room(node, x, 0)
+        for i in range(1, self.count + 1):
+            if node + self.stride > self.last:
+                break
+            x = self._step(node, x)
+            node += self.stride
+            room = np.minimum(room, self._room(node, x, i))
+        return Choice.between(room > 0, room)
+
+    def _step(self, node: int, x: Array) -> Array:
+        """States a step later, the clipped command of the middle held: second order in the step."""
+        u = self.grid.clipped(1, node, x)
+        if not self.grid.tracking.feedback.sampled:
+            after = min(node + self.stride, self.last)
+            u = (u + self.grid.clipped(1, after, x @ self.phi.T + u @ self.gamma.T)) / 2
+        return np.asarray(x @ self.phi.T + u @ self.gamma.T)
+
+    def _room(self, node: int, x: Array, step: int) -> Array:
+        """Distance to the nearest perceived unsafe set at a node, by its farthest facet, (R,)."""
+        normals, offsets, _ = self.grid.facets
+        out = x @ (normals @ self.grid.system.position).T - offsets[node]
+        return self.grid.nearest(out if self.spread is None else out - self.spread[step])

@@ -1,0 +1,200 @@
+"""What is asked of two sets: one table from the classes of both to the function that answers.
+
+Where a pair has no entry of its own, the bases of the classes are tried in the order of
+`reach.sets.convex.find`: the second set gives way first, then the first. So ``(HPolytope, SetOperators)``
+serves a polytope and any set of the library, unless the other set's class has an entry with it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from ..numerics.arguments import checked
+from ..numerics.checks import as_count, require_alike, require_same_dim, require_single
+from ..numerics.errors import ReachError
+from ..numerics.rounding import add_down, add_up
+from . import containment as inside
+from . import separation as apart
+from .containment import MOST, Method
+from .convex import Answer, SetOperators, find
+from .ellipsoid import Ellipsoid
+from .intersection import Intersection
+from .interval import Interval
+from .lazy import AffineImage, MinkowskiSum
+from .polytope import HPolytope
+from .zonotope import Zonotope
+
+
+@checked
+def contains(outer: Any, inner: Any, method: Method = "auto", most: int = MOST) -> Answer:
+    """Whether `inner` lies in `outer`.
+
+    Parameters
+    ----------
+    outer : Interval, HPolytope, Zonotope, Ellipsoid, or AffineImage or Intersection of such
+        A single set; an ellipsoid must not be flat, the map of an image must have an inverse.
+    inner : set of this library
+        A single set. An empty polytope lies in everything.
+    method : {"auto", "exact", "sufficient"}
+        For an outer zonotope: all its facets (polynomial in a fixed dimension; the question is
+        co-NP-complete in general, Kulmburg and Althoff 2021), or one linear program that proves
+        containment or nothing (Sadraddini and Tedrake 2019). For an inner zonotope and an outer
+        ellipsoid: branch and bound over signs, or norm bounds. All other pairs have one method.
+        "auto" is exact up to `most` and sufficient beyond (and asks the quick method first).
+    most : int
+        Most facets or branches looked at.
+
+    Returns
+    -------
+    Answer
+        Zonotopes and intervals in polytopes, intervals and (exactly) zonotopes are always decided:
+        sets that touch are settled in integer arithmetic.
+
+    Raises
+    ------
+    ReachError
+        If the dimensions differ, a set is a stack, the outer set is of another kind, or
+        ``method="exact"`` would take more than `most`.
+    """
+    require_same_dim(outer, inner)
+    if not isinstance(method, str) or method not in ("auto", "exact", "sufficient"):
+        raise ReachError(f"method must be 'auto', 'exact' or 'sufficient', got {method!r}")
+    most = as_count("most", most)
+    for one in (outer, inner):
+        require_single(one, "contains")
+    if getattr(inner, "is_empty", False):
+        return Answer(True, np.inf) if inner.proved_empty else Answer(None, 0.0, reason=inside.TOUCHING)
+    answer = find(CONTAINS, outer, inner)
+    if answer is None:
+        given = type(outer).__name__
+        raise ReachError(f"containment in a {given} is not offered: enclose or convert it first")
+    return answer(outer, inner, method, most)  # type: ignore[no-any-return]
+
+
+@checked
+def disjoint(X: Any, Y: Any) -> Answer:
+    """Whether two sets have no point in common.
+
+    Sets with flat faces go through one linear program, sets with an ellipsoid in them through
+    Wolfe's nearest points (`reach.sets.distance`). Either finds a direction; a "yes" is said only if the
+    supports of both sets along it, rounding booked, really leave a gap, a "no" only if the point
+    found passes the inequalities of both sets when they are asked again.
+
+    Parameters
+    ----------
+    X, Y : set of this library
+        Single sets, at most one of them unbounded unless both are polytopes.
+
+    Returns
+    -------
+    Answer
+        ``margin`` is a proved lower bound on the Euclidean distance, ``direction`` separates (an
+        unbounded polytope: its part within the interval hull of the other set), ``witness`` is a
+        common point (to 1e-9 of the sets' sizes).
+
+    Raises
+    ------
+    ReachError
+        If the dimensions differ or a set is a stack.
+    """
+    require_same_dim(X, Y)
+    for one in (X, Y):
+        require_single(one, "disjoint")
+        if getattr(one, "is_empty", False):
+            return Answer(True, np.inf) if one.proved_empty else Answer(None, 0.0, reason=apart.CLOSER)
+    return find(DISJOINT, X, Y)(X, Y)  # type: ignore[no-any-return]
+
+
+def intersect(X: Any, Y: Any) -> Any:
+    """The points of both sets: a box of two boxes, an `HPolytope` of inequalities, else lazy.
+
+    Raises
+    ------
+    ReachError
+        If the dimensions differ, a set is a stack (but for boxes), or two boxes have no point in common.
+    """
+    require_same_dim(X, Y)
+    return find(INTERSECTION, X, Y)(X, Y)
+
+
+def minkowski_sum(X: Any, Y: Any) -> Any:
+    """The sums of a point of each set: an interval or a zonotope where that is exact, else lazy."""
+    return find(MINKOWSKI_SUM, X, Y)(X, Y)
+
+
+def _box_of_boxes(X: Interval, Y: Interval) -> Interval:
+    lo, hi = np.maximum(X.lo, Y.lo), np.minimum(X.hi, Y.hi)
+    if np.any(lo > hi):
+        raise ReachError("the intersection of the intervals is empty")
+    return Interval(lo, hi)
+
+
+def _shared_points(X: Any, Y: Any) -> Any:
+    """One polytope of all inequalities, and the other sets; lazy unless one of both is all there is."""
+    parts = [part for one in (X, Y) for part in (one.parts if isinstance(one, Intersection) else (one,))]
+    for part in parts:
+        require_single(part, "an intersection")
+    rows = [part.to_polytope() for part in parts if isinstance(part, Interval | HPolytope)]
+    others = [part for part in parts if not isinstance(part, Interval | HPolytope)]
+    if rows:
+        others = [HPolytope(np.vstack([P.A for P in rows]), np.hstack([P.b for P in rows])), *others]
+    return others[0] if len(others) == 1 else Intersection(tuple(others))
+
+
+def _sum_of_boxes(X: Interval, Y: Interval) -> Interval:
+    require_same_dim(X, Y)
+    require_alike(X.batch, Y.batch)
+    return Interval(add_down(X.lo, Y.lo), add_up(X.hi, Y.hi))
+
+
+def _joined_generators(X: Zonotope | Interval, Y: Zonotope | Interval) -> Zonotope:
+    a, b = (one.to_zonotope() for one in (X, Y))
+    require_same_dim(a, b)
+    require_alike(a.batch, b.batch)
+    c = a.c + b.c
+    parts = [np.broadcast_to(z.G, (*c.shape, z.order_count)) for z in (a, b)]
+    return Zonotope(c, np.concatenate(parts, axis=-1))
+
+
+def _lazy_sum(X: Any, Y: Any) -> MinkowskiSum:
+    """Kept unevaluated; nested sums are flattened."""
+    for part in (X, Y):
+        require_single(part, "a lazy Minkowski sum")
+    parts = [part for one in (X, Y) for part in (one.parts if isinstance(one, MinkowskiSum) else (one,))]
+    return MinkowskiSum(tuple(parts))
+
+
+Table = dict[tuple[type, ...], Callable[..., Any]]
+
+CONTAINS: Table = {
+    (Interval, object): inside.in_interval,
+    (Interval, HPolytope): inside.with_bounds(inside.in_interval),
+    (HPolytope, object): inside.in_polytope,
+    (Zonotope, object): inside.in_zonotope,
+    (Zonotope, HPolytope): inside.with_bounds(inside.in_zonotope),
+    (Ellipsoid, object): inside.in_ellipsoid,
+    (Ellipsoid, HPolytope): inside.with_bounds(inside.in_ellipsoid),
+    (AffineImage, object): inside.in_image,
+    (Intersection, object): inside.in_intersection,
+}
+"""Of the outer set's class, then the inner one's. No entry: not offered."""
+
+DISJOINT: Table = {
+    (HPolytope, HPolytope): apart.by_shape,
+    (HPolytope, object): apart.polytope_and_other,
+    (object, HPolytope): apart.other_and_polytope,
+    (object, object): apart.by_shape,
+}
+
+INTERSECTION: Table = {(Interval, Interval): _box_of_boxes, (object, object): _shared_points}
+
+MINKOWSKI_SUM: Table = {
+    (Interval, Interval): _sum_of_boxes,
+    (Interval, Zonotope): lambda X, Y: _joined_generators(Y, X),
+    (Zonotope, Interval): _joined_generators,
+    (Zonotope, Zonotope): _joined_generators,
+    (SetOperators, SetOperators): _lazy_sum,
+}
