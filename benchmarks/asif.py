@@ -11,8 +11,9 @@ programs. Times are from the call to the answer, margins by name included.
 from __future__ import annotations
 
 import argparse
+import tempfile
 import time
-from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
 
 import numpy as np
 
@@ -20,8 +21,10 @@ from polaris.inspection.constraints.families import Families
 from polaris.inspection.constraints.motion import SampledData
 from polaris.inspection.filters.asif import ActiveSetFilter
 from polaris.inspection.flights.sampling import initial_conditions
-from polaris.inspection.flights.studies import monte_carlo
 from polaris.inspection.inspection import Inspection
+from polaris.runs.campaign import local
+from polaris.runs.monte_carlo import run_monte_carlo
+from polaris.scenario.scenario import load_scenario
 
 
 def time_filter(deputies: int, sharing: str, sampled: bool, calls: int = 2000) -> tuple[float, float, float]:
@@ -76,17 +79,14 @@ def main() -> None:
 
 
 def _monte_carlo(runs: int, workers: int) -> None:
-    inspection = Inspection()
+    scenario = load_scenario("inspection-monte-carlo").with_assignments([f"campaign.runs={runs}"])
     begun = time.perf_counter()
-    x, sun, accepted = initial_conditions(Families(inspection), runs, seed=1)
-    print(f"{runs} initial conditions in {time.perf_counter() - begun:.1f} s, {accepted:.2%} of the samples")
-    begun = time.perf_counter()
-    with ProcessPoolExecutor(workers) as executor:
-        outcomes = monte_carlo(inspection, x, sun, executor=executor)
+    with tempfile.TemporaryDirectory() as folder:
+        summary = run_monte_carlo(Path(folder) / "c", scenario, executor=local(workers)).summary
     spent = time.perf_counter() - begun
-    print(f"{len(outcomes)} studies of {runs} runs in {spent:.1f} s on {workers} processes")
-    for name, outcome in outcomes.items():
-        print(f"{name:34} success {outcome.success.mean():.2%}")
+    print(f"{len(summary['studies'])} studies of {runs} runs in {spent:.1f} s on {workers} processes")
+    for study in summary["studies"]:
+        print(f"{study['name']:34} success {study['success_share']:.2%}")
 
 
 if __name__ == "__main__":

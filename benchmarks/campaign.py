@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-from polaris.runs.campaign import Workers, cluster, local, make_cases, run_campaign
+from polaris.runs.campaign import CampaignPlan, Workers, cluster, local, make_cases, run_campaign
 from polaris.runs.campaign.workers import InProcess
 
 BATCH = 250
@@ -62,7 +62,8 @@ def seconds(name: str, workers: Workers, runs: int, repeats: int) -> float:
     with tempfile.TemporaryDirectory() as folder:
         for repeat in range(repeats + 1):
             begun = time.perf_counter()
-            run_campaign(cases, runs, Path(folder) / str(repeat), executor=workers, batch=BATCH, seed=repeat)
+            plan = CampaignPlan(cases, runs, repeat, BATCH)
+            run_campaign(plan, Path(folder) / str(repeat), executor=workers)
             spent.append(time.perf_counter() - begun)
     return min(spent[1:])
 

@@ -50,6 +50,7 @@ from .rta.online.runtime import replay_log as replay_log
 from .rta.online.runtime_options import OnlineDecision as OnlineDecision
 from .rta.online.runtime_options import RuntimeOptions as RuntimeOptions
 from .runs.campaign import CampaignFolder as CampaignFolder
+from .runs.campaign import CampaignPlan as CampaignPlan
 from .runs.campaign import make_cases as make_cases
 from .runs.campaign import read_campaign as read_campaign
 from .runs.campaign import run_campaign as run_campaign

@@ -62,24 +62,25 @@ def evaluate_command(
     """Measure a trace: distances, times to collision, usage of modes, switches."""
     from ..model.checks import positive
     from ..model.hill import clohessy_wiltshire
-    from ..traces.evaluation import evaluate_trace
-    from ..traces.reading import read_trace
+    from ..traces import LegacyMetrics, TraceMetrics, evaluate_legacy, evaluate_trace, read_trace
     from ..traces.settings import parse_velocity
     from .show.traces import show_metrics
 
+    if legacy and (restamp or mean_motion is not None or agent_radius != 0):
+        rule = "excludes --restamp, --mean-motion and --agent-radius: RTAEval has none of them"
+        raise ScenarioError("--legacy", True, rule)
     system = None
     if mean_motion is not None:
         eta = positive("--mean-motion", mean_motion, "rad/s")
         system = clohessy_wiltshire(eta, mass=1.0, u_max=1.0)
-    found = evaluate_trace(
-        read_trace(trace),
-        dims=dims,
-        velocity=parse_velocity(velocity, heading, speed),
-        restamp=restamp,
-        system=system,
-        agent_radius=agent_radius,
-        legacy_rtaeval=legacy,
-    )
+    read, wanted = read_trace(trace), parse_velocity(velocity, heading, speed)
+    found: TraceMetrics | LegacyMetrics
+    if legacy:
+        found = evaluate_legacy(read, dims=dims, velocity=wanted)
+    else:
+        found = evaluate_trace(
+            read, dims=dims, velocity=wanted, restamp=restamp, system=system, agent_radius=agent_radius
+        )
     if as_json:
         print_json(found.summary())
     elif not quiet:
@@ -116,19 +117,18 @@ def export_command(
     from ..model.checks import counted
     from ..runs.atomic import check_file
     from ..runs.run import read_run
-    from ..traces.export import export_method, export_run
+    from ..traces.export import export_run
     from ..traces.writing import write_trace
 
     check_file(trace, "trace", (".json",))
-    if method is None and read_run(run).kind.name != "comparison":
-        pilot = (controller or Controller.polaris).value
-        found = export_run(run, pilot, label, nominal=nominal)
-    elif controller is not None:
+    compared = read_run(run).kind.name == "comparison"
+    if controller is not None and (compared or method is not None):
         rule = "must be left out for a comparison, which has methods"
         raise ScenarioError("--controller", controller.value, rule)
-    else:
-        pilot = method or "schedule"
-        found = export_method(run, pilot, label, nominal=nominal)
+    if method is not None and not compared:
+        raise ScenarioError("--method", method, f"{run} must be a comparison folder")
+    pilot = method or ("schedule" if compared else (controller or Controller.polaris).value)
+    found = export_run(run, pilot, label, nominal=nominal)
     path = write_trace(trace, found.trace)
     if not quiet:
         agent = next(iter(found.trace.agents.values()))

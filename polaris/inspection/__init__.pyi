@@ -20,8 +20,6 @@ from .filters.simplex import ExplicitSimplex as ExplicitSimplex
 from .filters.simplex import ImplicitSimplex as ImplicitSimplex
 from .flights.fuel_run import FuelRun as FuelRun
 from .flights.fuel_run import fly_fuel_limit as fly_fuel_limit
-from .flights.outcome import Outcome as Outcome
-from .flights.outcome import Study as Study
 from .flights.primary import LQR as LQR
 from .flights.primary import NoInput as NoInput
 from .flights.primary import Phases as Phases
@@ -29,5 +27,7 @@ from .flights.sampling import initial_conditions as initial_conditions
 from .flights.simulation import InspectionRun as InspectionRun
 from .flights.simulation import fly as fly
 from .flights.simulation import fly_one as fly_one
-from .flights.studies import monte_carlo as monte_carlo
+from .flights.studies import Outcome as Outcome
+from .flights.studies import Study as Study
+from .flights.studies import fly_block as fly_block
 from .inspection import Inspection as Inspection

@@ -1,10 +1,10 @@
-"""Counterexamples as files: everything needed to fly one again, numbers exact to the bit."""
+"""What is attacked, and counterexamples as files: all that is needed to fly one again, exact to the bit."""
 
 from __future__ import annotations
 
-import hashlib
 import json
 import tomllib
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -18,31 +18,41 @@ from ..simulation.falsification.claims import Claims
 from ..simulation.falsification.measure import attained
 from ..simulation.falsification.search import Failure, Falsification, violation
 from ..simulation.integration import Integrator
-from ..synthesis.controllers import AffineController
 from ..synthesis.schedule import Schedule
 from ..synthesis.synthesize import synthesize
 from .atomic import replacing_file
 from .folder import readable
 from .run import read_run
-from .schedule import SCHEDULE
+from .schedule import SCHEDULE, digest
 from .tables import json_text, read_reference, write_text
 
 FORMAT = "polaris case"
 VERSION = 1
 
 
-def digest(schedule: Schedule) -> str:
-    """SHA-256 of what a schedule does: modes, references, gains, limits."""
-    found = hashlib.sha256()
-    safety = schedule.safety
-    system = safety.problem.system
-    arrays = [schedule.modes, safety.reference.chi, safety.reference.nu, safety.tracking.gain, system.u_max]
-    for law in schedule.controllers:
-        if isinstance(law, AffineController):
-            arrays += [law.gain, law.own.chi, law.own.nu]
-    for array in arrays:
-        found.update(np.ascontiguousarray(array).tobytes())
-    return found.hexdigest()
+def load_target(target: str) -> tuple[ScheduleScenario, Schedule]:
+    """Synthesise a scenario, or that of a run folder.
+
+    Raises
+    ------
+    ScenarioError
+        If there is no such scenario, or the schedule made again is not that of the folder.
+    """
+    if not Path(target).is_dir():
+        scenario = load_scenario(target, only=ScheduleScenario)
+        return scenario, synthesize(scenario)
+    folder = read_run(target)
+    if folder.kind is not SCHEDULE:
+        raise ScenarioError("run folder", target, f"must be of a schedule, not of kind {folder.kind.name!r}")
+    schedule = synthesize(folder.scenario)
+    reference = schedule.safety.reference
+    with readable(folder.path):
+        kept = read_reference(folder.path / "reference.csv", reference.system, reference.delta)
+    same = np.array_equal(kept.chi, reference.chi) and np.array_equal(kept.nu, reference.nu)
+    if not same or folder.json("schedule.json").get("modes") != schedule.modes.tolist():
+        rule = "holds another schedule than its scenario gives here (edited, or other versions)"
+        raise ScenarioError("run folder", target, rule)
+    return folder.scenario, schedule
 
 
 def write_case(path: str | Path, scenario: ScheduleScenario, found: Falsification) -> Path:
@@ -137,45 +147,9 @@ def _numbers(row: list[str]) -> Array:
 
 def _packed(rows: Array) -> list[list[Any]]:
     """Rows, each with the number of times it follows itself."""
-    out: list[list[Any]] = []
-    for row in rows:
-        text = _hex(row)
-        if out and out[-1][1] == text:
-            out[-1][0] += 1
-        else:
-            out.append([1, text])
-    return out
+    return [[len(list(group)), row] for row, group in groupby(map(_hex, rows))]
 
 
 def _unpacked(packed: list[list[Any]]) -> Array:
-    return np.concatenate([np.repeat(_numbers(row)[None], int(count), axis=0) for count, row in packed])[
-        :, None
-    ]
-
-
-# -- what to attack ---------------------------------------------------------------------------------
-
-
-def load_target(target: str) -> tuple[ScheduleScenario, Schedule]:
-    """Synthesise a scenario, or that of a run folder.
-
-    Raises
-    ------
-    ScenarioError
-        If there is no such scenario, or the schedule made again is not that of the folder.
-    """
-    if not Path(target).is_dir():
-        scenario = load_scenario(target, only=ScheduleScenario)
-        return scenario, synthesize(scenario)
-    folder = read_run(target)
-    if folder.kind is not SCHEDULE:
-        raise ScenarioError("run folder", target, f"must be of a schedule, not of kind {folder.kind.name!r}")
-    schedule = synthesize(folder.scenario)
-    reference = schedule.safety.reference
-    with readable(folder.path):
-        kept = read_reference(folder.path / "reference.csv", reference.system, reference.delta)
-    same = np.array_equal(kept.chi, reference.chi) and np.array_equal(kept.nu, reference.nu)
-    if not same or folder.json("schedule.json").get("modes") != schedule.modes.tolist():
-        rule = "holds another schedule than its scenario gives here (edited, or other versions)"
-        raise ScenarioError("run folder", target, rule)
-    return folder.scenario, schedule
+    rows = [np.repeat(_numbers(row)[None], int(count), axis=0) for count, row in packed]
+    return np.concatenate(rows)[:, None]

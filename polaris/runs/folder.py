@@ -36,9 +36,10 @@ class RunKind:
         As the scenario's kind, or ``comparison``.
     files : tuple of str
         All files but the summary and the certificate.
-    write : callable
-        Writes the files, but for the scenario's copy, from a folder, the scenario and what was found.
-    tell : callable
+    write : callable or None
+        Writes the files, but for the scenario's copy, from a folder, the scenario and what was found. None,
+        as `tell`, where a campaign writes them as its runs come.
+    tell : callable or None
         What the summary says of a scenario, what was found, and wall times.
     read : callable
         Reads from a folder and its scenario what figures and pages are drawn from.
@@ -50,8 +51,8 @@ class RunKind:
 
     name: str
     files: tuple[str, ...]
-    write: Callable[[Path, Any, Any], None]
-    tell: Callable[[Any, Any, Mapping[str, float]], dict[str, Any]]
+    write: Callable[[Path, Any, Any], None] | None
+    tell: Callable[[Any, Any, Mapping[str, float]], dict[str, Any]] | None
     read: Callable[[Path, Any], Any]
     fly: Callable[[Any, Stages], Any] | None = None
     summary: str = "summary.json"
@@ -138,6 +139,7 @@ def write_folder(
     ScenarioError
         If `out` is something else than a run folder, or cannot be written.
     """
+    assert kind.write is not None
     target, note = check_target(out), (stages or Stages()).note
     spent = dict(seconds or {})
     with replacing(target) as folder:
@@ -160,6 +162,7 @@ def write_folder(
 def _summarise(
     folder: Path, kind: RunKind, scenario: Scenario, found: Any, seconds: Mapping[str, float]
 ) -> None:
+    assert kind.tell is not None
     told = {
         "schema_version": 1,
         "scenario": scenario.name,

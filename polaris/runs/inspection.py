@@ -12,6 +12,7 @@ figures/           PDF and PNG, drawn from the files above alone
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -58,7 +59,12 @@ def _write(folder: Path, scenario: FlightScenario, found: JudgedRun) -> None:
     for row in rows:
         row["deputies"] = " ".join(map(str, row["deputies"]))
     write_csv(folder / "constraints.csv", told.COLUMNS, [[row[key] for key in told.COLUMNS] for row in rows])
-    np.savez(folder / "flight.npz", **{name: getattr(found.run, held) for name, held in ARRAYS.items()})
+    np.savez(folder / "flight.npz", **flight_arrays(found.run))
+
+
+def flight_arrays(run: InspectionRun) -> dict[str, Any]:
+    """Everything a flight consists of, by the names that files have for it."""
+    return {name: getattr(run, held) for name, held in ARRAYS.items()}
 
 
 def _read(folder: Path, scenario: FlightScenario) -> InspectionRun:

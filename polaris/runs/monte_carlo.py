@@ -1,163 +1,80 @@
-"""The Monte Carlo of the inspection problem, from a scenario to a run folder (figure 8).
+"""The Monte Carlo of the inspection problem: a campaign whose folder is a run folder too (figure 8).
 
-The folder holds ``scenario.toml``, ``summary.json``, ``failures.csv`` (every failure of every study),
-``campaign.npz`` (initial conditions and results of every run) and ``figures/``.
+Besides what every campaign holds (see `polaris.runs.campaign.folder`), the folder holds ``scenario.toml``,
+``failures.csv`` (every failure of every study) and ``figures/``.
 """
 
 from __future__ import annotations
 
-import multiprocessing
-from collections import Counter
-from collections.abc import Mapping
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..inspection.constraints.motion import SampledData
-from ..inspection.flights.outcome import Outcome
-from ..inspection.flights.outcome import Study as Filtering
-from ..inspection.flights.sampling import initial_conditions
-from ..inspection.flights.studies import monte_carlo
+from ..model.errors import PolarisError
 from ..model.system import Array
-from ..scenario.filter_tables import DecentralizedFilter
 from ..scenario.scenario import MonteCarloScenario
-from ..simulation.intervals import CONFIDENCE, lower_bound
-from .arrays import read_arrays
-from .folder import SCENARIO, Draw, RunFolder, RunKind, write_folder
-from .stages import Stages
+from .atomic import replacing_file
+from .campaign.drive import run_campaign
+from .campaign.folder import CampaignFolder, read_campaign, write_beside
+from .campaign.inspections import BLOCK, InspectionRuns, case_of, initial_states, outcomes
+from .campaign.plan import CampaignPlan
+from .campaign.workers import Workers
+from .folder import SCENARIO, RunKind
 from .tables import write_csv
 
 FAILURE_COLUMNS = ("study", "run", "what", "deputies", "time_s", "value")
 
 
-def run_campaign(
+def run_monte_carlo(
     out: str | Path,
     scenario: MonteCarloScenario,
-    workers: int = 1,
-    draw: Draw | None = None,
-    stages: Stages | None = None,
-) -> RunFolder:
-    """Draw initial conditions, fly all studies from them, and write the run folder.
+    *,
+    executor: Executor | Workers | None = None,
+    fresh: bool = False,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> CampaignFolder:
+    """Fly all studies from drawn initial conditions, and write the run folder, without figures.
 
     Parameters
     ----------
     out : path
+        If it holds the same campaign, only what is missing is flown.
     scenario : MonteCarloScenario
-    workers : int
-        Processes; their number does not change the results.
-    draw : callable, optional
-        Puts the figures into the folder, as `polaris.draw_run` does.
-    stages : Stages, optional
-        Shows progress.
+    executor : concurrent.futures.Executor or Workers, optional
+        Who flies, as in `run_campaign`; does not change the results.
+    fresh : bool
+        Replace another campaign.
+    progress : callable
+        Told the runs done and all of them, per study.
+
+    Raises
+    ------
+    ScenarioError
+        If the folder holds something else.
+    PolarisError
+        If no initial conditions are found, or workers are lost again and again.
     """
-    stages, plan = stages or Stages(), scenario.model.campaign
-    with stages.stage("initial conditions"):
-        x, sun, acceptance = initial_conditions(scenario.families(), plan.runs, plan.seed)
-    with stages.stage("runs"):
-        progress = stages.counting("runs: block {} of {}")
-        options = (scenario.inspection(), x, sun, filterings(scenario), plan.duration_s, plan.period_s)
-        if workers > 1:
-            context = multiprocessing.get_context("spawn")
-            with ProcessPoolExecutor(workers, mp_context=context) as executor:
-                found = monte_carlo(*options, executor=executor, progress=progress)
-        else:
-            found = monte_carlo(*options, progress=progress)
-    flown = Flown(x, sun, acceptance, found)
-    with stages.stage("run folder"):
-        return write_folder(
-            out, MONTE_CARLO, scenario, flown, seconds=stages.seconds, draw=draw, stages=stages
-        )
-
-
-@dataclass(frozen=True, eq=False)
-class Flown:
-    """Initial conditions, the share of those drawn that were accepted, and what each study came to."""
-
-    x: Array
-    sun: Array
-    acceptance: float
-    found: Mapping[str, Outcome]
-
-
-def filterings(scenario: MonteCarloScenario) -> list[Filtering]:
-    """The studies of a scenario."""
     model = scenario.model
-    alpha, period = scenario.strengthening(), model.campaign.period_s
-    return [
-        Filtering(
-            study.name,
-            study.filter.sharing if isinstance(study.filter, DecentralizedFilter) else "centralized",
-            tuple(study.filter.without),
-            alpha,
-            SampledData(period, study.filter.sampled_data_share) if study.filter.sampled_data else None,
-        )
-        for study in model.studies
+    kind = InspectionRuns(tuple(study.name for study in model.studies))
+    plan = CampaignPlan((case_of(scenario),), model.campaign.runs, model.campaign.seed, BLOCK, kind)
+    folder = run_campaign(plan, out, executor=executor, fresh=fresh, progress=progress)
+    for failure in folder.failures().values():
+        error = PolarisError(failure["message"])
+        error.exit_code = failure["exit_code"]
+        raise error
+    write_beside(folder.path / SCENARIO, scenario.copy_text())
+    rows = [
+        [name, one["run"], one["what"], " ".join(map(str, one["deputies"])), one["time"], one["value"]]
+        for name, outcome in outcomes(folder.plan.cases[0], folder.parts.read(0)).items()
+        for one in outcome.failures()
     ]
-
-
-# -- in numbers -------------------------------------------------------------------------------------
-
-
-def failure_rows(found: Mapping[str, Outcome]) -> list[list[Any]]:
-    """Lines of ``failures.csv``."""
-    rows: list[list[Any]] = []
-    for name, outcome in found.items():
-        for one in outcome.failures():
-            who = one["deputies"]
-            assert isinstance(who, tuple)
-            rows.append([name, one["run"], one["what"], " ".join(map(str, who)), one["time"], one["value"]])
-    return rows
-
-
-def _tell(scenario: MonteCarloScenario, flown: Flown, seconds: Mapping[str, float]) -> dict[str, Any]:
-    """Contents of ``summary.json`` of a campaign."""
-    plan = scenario.model.campaign
-    return {
-        "runs": plan.runs,
-        "deputies": plan.deputies,
-        "duration_s": plan.duration_s,
-        "period_s": plan.period_s,
-        "seed": plan.seed,
-        "acceptance": flown.acceptance,
-        "studies": [_study(name, outcome) for name, outcome in flown.found.items()],
-        "guarantee": {
-            "kind": "statistical",
-            "reason": f"the lower bounds on the probability of success hold with {CONFIDENCE:.0%} confidence "
-            "each, for initial conditions drawn as here and flights of this length, as far as the instants "
-            "that were looked at show",
-            "assumptions": [
-                "the initial conditions count as independent; Latin hypercube samples are so only nearly"
-            ],
-        },
-        "definitions": {
-            "success": "no constraint was negative, at the samples, between them and at the end, and every "
-            "program had a solution; constraints left out of the filter are left out of this",
-            "failures": "runs with that failure; a run may have several",
-            "acceptance": "share of the drawn initial conditions that satisfied every constraint",
-        },
-        "seconds": dict(seconds),
-    }
-
-
-def _study(name: str, outcome: Outcome) -> dict[str, Any]:
-    runs, successes = len(outcome.success), int(outcome.success.sum())
-    return {
-        "name": name,
-        "successes": successes,
-        "success_share": successes / runs,
-        "success_share_lower_95": lower_bound(successes, runs),
-        "failures": dict(sorted(Counter(str(one["what"]) for one in outcome.failures()).items())),
-        "least": {key: float(values.min()) for key, values in outcome.least.items()},
-        "interventions_share": float(outcome.interventions.mean()),
-        "delta_v_mean_m_s": float(outcome.delta_v.mean()),
-    }
-
-
-# -- arrays -----------------------------------------------------------------------------------------
+    with replacing_file(folder.path / "failures.csv") as beside:
+        write_csv(beside, FAILURE_COLUMNS, rows)
+    return folder
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,55 +103,21 @@ class CampaignPicture:
     counts: NDArray[np.intp]
 
 
-def write_campaign(path: Path, x: Array, sun: Array, found: Mapping[str, Outcome]) -> None:
-    """Write initial conditions and results of every run."""
+def _read(path: Path, scenario: MonteCarloScenario) -> CampaignPicture:
+    folder = read_campaign(path, same_version=False)
+    columns = folder.parts.read(0)
+    found, x = outcomes(folder.plan.cases[0], columns), initial_states(columns)
     failures = [outcome.failures() for outcome in found.values()]
-    whats = sorted({str(one["what"]) for rows in failures for one in rows})
+    whats = sorted({one["what"] for rows in failures for one in rows})
     failed = np.zeros((len(found), *x.shape[:2]), dtype=bool)
     counts = np.zeros((len(found), len(whats)), dtype=np.intp)
     for s, rows in enumerate(failures):
         for one in rows:
-            run, who = one["run"], one["deputies"]
-            assert isinstance(run, int) and isinstance(who, tuple)
-            failed[s, run, list(who)] = True
-            counts[s, whats.index(str(one["what"]))] += 1
-    arrays: dict[str, Any] = {}
-    for k, outcome in enumerate(found.values()):
-        arrays |= {f"least_{k}_{name}": values for name, values in outcome.least.items()}
-        arrays |= {f"interventions_{k}": outcome.interventions, f"delta_v_{k}_m_s": outcome.delta_v}
-        arrays[f"short_{k}_s"] = outcome.short
-    np.savez(
-        path,
-        states=x,
-        sun_rad=sun,
-        studies=np.array(list(found), dtype=str),
-        success=np.array([outcome.success for outcome in found.values()]),
-        failed=failed,
-        whats=np.array(whats, dtype=str),
-        counts=counts,
-        **arrays,
-    )
+            failed[s, one["run"], list(one["deputies"])] = True
+            counts[s, whats.index(one["what"])] += 1
+    success = np.array([outcome.success for outcome in found.values()])
+    return CampaignPicture(x, tuple(found), success, failed, tuple(whats), counts)
 
 
-def read_campaign(path: Path) -> CampaignPicture:
-    """Read what the figures need of it."""
-    arrays = read_arrays(path)
-    x, success, failed, counts = (arrays[name] for name in ("states", "success", "failed", "counts"))
-    studies, whats = (tuple(map(str, arrays[name])) for name in ("studies", "whats"))
-    shapes = ((len(studies), len(x)), (len(studies), *x.shape[:2]), (len(studies), len(whats)))
-    if x.ndim != 3 or (success.shape, failed.shape, counts.shape) != shapes or not np.isfinite(x).all():
-        raise ValueError("campaign.npz: arrays of the wrong shape, or not finite")
-    return CampaignPicture(x, studies, success.astype(bool), failed.astype(bool), whats, counts)
-
-
-def _write(folder: Path, scenario: MonteCarloScenario, flown: Flown) -> None:
-    write_csv(folder / "failures.csv", FAILURE_COLUMNS, failure_rows(flown.found))
-    write_campaign(folder / "campaign.npz", flown.x, flown.sun, flown.found)
-
-
-def _read(folder: Path, scenario: MonteCarloScenario) -> CampaignPicture:
-    return read_campaign(folder / "campaign.npz")
-
-
-MONTE_CARLO = RunKind("monte_carlo", (SCENARIO, "failures.csv", "campaign.npz"), _write, _tell, _read)
-"""What a campaign leaves."""
+MONTE_CARLO = RunKind("monte_carlo", (SCENARIO, "failures.csv", "manifest.json"), None, None, _read)
+"""What many flights leave; `run_monte_carlo` writes it, as they are flown."""

@@ -35,8 +35,11 @@ RESULTS = (
     "summary.json",
     "runs/",
     "runs/case-*-batch-*.parquet",
+    "runs/case-*-batch-*.npz",
     "failed/",
     "failed/case-*.json",
+    "scenario.toml",
+    "failures.csv",
 )
 """What a campaign writes into its folder as it goes."""
 

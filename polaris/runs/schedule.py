@@ -16,6 +16,7 @@ figures/           PDF and PNG, drawn from the files above alone
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -27,6 +28,7 @@ from ..model.checks import of_kind
 from ..planning.problem import SOLVERS
 from ..scenario.scenario import ScheduleScenario
 from ..simulation.metrics import DEFINITIONS
+from ..synthesis.controllers import AffineController
 from . import arrays
 from . import tables as files
 from .certificate import write_certificate
@@ -56,6 +58,20 @@ class FlownSchedule:
 
     schedule: Schedule
     flown: Mapping[str, Flown]
+
+
+def digest(schedule: Schedule) -> str:
+    """SHA-256 of what a schedule does: modes, references, gains, limits."""
+    found = hashlib.sha256()
+    safety = schedule.safety
+    system = safety.problem.system
+    arrays = [schedule.modes, safety.reference.chi, safety.reference.nu, safety.tracking.gain, system.u_max]
+    for law in schedule.controllers:
+        if isinstance(law, AffineController):
+            arrays += [law.gain, law.own.chi, law.own.nu]
+    for array in arrays:
+        found.update(np.ascontiguousarray(array).tobytes())
+    return found.hexdigest()
 
 
 def fly_schedule(scenario: ScheduleScenario, stages: Stages) -> FlownSchedule:

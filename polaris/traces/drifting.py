@@ -13,7 +13,7 @@ from ..model.shapes import Shape
 from ..model.system import Array, LinearSystem
 from ..simulation.run_metrics import drift_horizon
 from .model import AgentTrace, Trace
-from .placing import Part, Placed, Rigid
+from .placing import Part, Placed
 
 MOST_SAMPLES = 200
 """Samples of one agent from which free drift is followed."""
@@ -77,7 +77,7 @@ class Drift:
         return chosen, np.asarray(np.min(found, axis=0))
 
     def _part(self, agent: AgentTrace, part: Part, chosen: NDArray[np.int64]) -> Array:
-        groups = [chosen] if isinstance(part, Rigid) else [chosen[i : i + 1] for i in range(len(chosen))]
+        groups = [chosen] if part.rigid else [chosen[i : i + 1] for i in range(len(chosen))]
         out = []
         for rows in groups:
             body = Moving("set", part.shape(int(rows[0])), part.centre[rows], part.velocity[rows])

@@ -2,52 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Literal, TypedDict, Unpack, overload
-
 import numpy as np
 
 from ..model.checks import non_negative
 from ..model.distances import UNKNOWN, count_switches, mode_shares
-from ..model.errors import ScenarioError
 from ..model.shapes import Ball
 from ..model.system import Array, LinearSystem
 from .drifting import Drift
-from .legacy import LegacyMetrics, legacy_metrics
 from .model import MODE_NAMES, AgentTrace, Trace
 from .motion import between, interpolate
 from .placing import place
-from .restamping import restamp as restamped
-from .restamping import stamped_by_simulator
 from .results import AgentMetrics, Separation, Spread, TraceMetrics
-from .settings import Velocity, doubtful, find_dims, find_velocity
-
-
-class Options(TypedDict, total=False):
-    """Options of `evaluate_trace` but for the one that says what it returns."""
-
-    dims: int | None
-    velocity: Velocity
-    restamp: bool
-    system: LinearSystem | None
-    agent_radius: float
-
-
-@overload
-def evaluate_trace(
-    trace: Trace, *, legacy_rtaeval: Literal[False] = ..., **options: Unpack[Options]
-) -> TraceMetrics: ...
-
-
-@overload
-def evaluate_trace(
-    trace: Trace, *, legacy_rtaeval: Literal[True], **options: Unpack[Options]
-) -> LegacyMetrics: ...
-
-
-@overload
-def evaluate_trace(
-    trace: Trace, *, legacy_rtaeval: bool, **options: Unpack[Options]
-) -> TraceMetrics | LegacyMetrics: ...
+from .settings import Velocity, doubtful, find_dims, find_velocity, stamped_by_simulator
+from .settings import restamp as restamped
 
 
 def evaluate_trace(
@@ -58,8 +25,7 @@ def evaluate_trace(
     restamp: bool = False,
     system: LinearSystem | None = None,
     agent_radius: float = 0.0,
-    legacy_rtaeval: bool = False,
-) -> TraceMetrics | LegacyMetrics:
+) -> TraceMetrics:
     """Measure every agent of a trace, at its own stamps.
 
     Parameters
@@ -71,26 +37,19 @@ def evaluate_trace(
     velocity : sequence of int, Heading or "differences", optional
         Entries of the states (from 0) that are the velocity, or its direction and size, or differences of
         positions over time. Default: the entries after the position where there are just as many and the
-        position changes as they say, else differences; with `legacy_rtaeval` angles and speed there, if so.
+        position changes as they say, else differences.
     restamp : bool
         Undo the stamps of RTAEval's simulator first.
     system : LinearSystem, optional
         For times to collision along free drift; its position must be the first entries of the states.
     agent_radius : float
         Agents count as having met within this distance [m].
-    legacy_rtaeval : bool
-        Give the numbers that RTAEval gives, defects included.
 
     Raises
     ------
     ScenarioError
         If the options do not fit the trace, or a set is empty.
     """
-    if legacy_rtaeval:
-        if restamp or system is not None or agent_radius != 0:
-            rule = "excludes --restamp, --mean-motion and --agent-radius: RTAEval has none of them"
-            raise ScenarioError("--legacy", True, rule)
-        return legacy_metrics(trace, find_dims(trace, dims), velocity)
     non_negative("--agent-radius", agent_radius, "m")
     trace = restamped(trace) if restamp else trace
     d = find_dims(trace, dims)

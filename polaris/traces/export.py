@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -98,24 +98,7 @@ def to_trace(
     ScenarioError
         On shapes that do not fit, or states that do not begin with the position.
     """
-    if not np.array_equal(system.position, np.eye(system.d, system.n)):
-        raise ScenarioError(
-            "system.C", system.position.tolist(), "a trace's states must begin with the position"
-        )
-    given, count = trace_modes(modes), np.size(times)
-    if len(given) not in (count - 1, count):
-        raise ScenarioError("modes", given.shape, f"must be {count - 1}, one per step, or {count}")
-    agent = AgentTrace(
-        np.asarray(times, dtype=float),
-        np.asarray(states, dtype=float),
-        given if len(given) == count else np.r_[given, given[-1:]],
-        np.asarray(running_times, dtype=float),
-        where=f"agents.{name}",
-    )
-    if agent.n != system.n:
-        raise ScenarioError(
-            "states", agent.states.shape, f"must have {system.n} columns, as the system has states"
-        )
+    agent = _agent(name, system, np.asarray(times, dtype=float), states, modes, running_times)
     unsafe: dict[str, AnySet] = {}
     notes: list[str] = []
     for obstacle in obstacles:
@@ -128,25 +111,34 @@ def to_trace(
     return Export(Trace({name: agent}, unsafe), tuple(notes))
 
 
+def _agent(
+    name: str, system: LinearSystem, t: Array, states: ArrayLike, modes: ArrayLike, running_times: ArrayLike
+) -> AgentTrace:
+    if not np.array_equal(system.position, np.eye(system.d, system.n)):
+        shown = system.position.tolist()
+        raise ScenarioError("system.C", shown, "a trace's states must begin with the position")
+    given, count = trace_modes(modes), np.size(t)
+    if len(given) not in (count - 1, count):
+        raise ScenarioError("modes", given.shape, f"must be {count - 1}, one per step, or {count}")
+    given = given if len(given) == count else np.r_[given, given[-1:]]
+    x, spent = np.asarray(states, dtype=float), np.asarray(running_times, dtype=float)
+    agent = AgentTrace(t, x, given, spent, where=f"agents.{name}")
+    if agent.n != system.n:
+        rule = f"must have {system.n} columns, as the system has states"
+        raise ScenarioError("states", agent.states.shape, rule)
+    return agent
+
+
 def _sets(
     obstacle: Obstacle, t: Array, system: LinearSystem, satellites: Mapping[str, ArrayLike], nominal: bool
 ) -> tuple[dict[str, AnySet], str | None]:
     """Sets of a trace for one obstacle, and what to say about them."""
     name = obstacle.name
     if isinstance(obstacle, SatelliteObstacle) and (nominal or name in satellites):
-        true = satellites.get(name)
-        ball = BallTrace(
-            t,
-            obstacle.centre(t, system, true),
-            np.full(len(t), obstacle.radius),
-            obstacle.velocity_at(t, system, true),
-        )
-        told = (
-            None
-            if name in satellites
-            else f"{name}: another satellite, as a ball about where it is nominally"
-        )
-        return {name: ball}, told
+        true, radii = satellites.get(name), np.full(len(t), obstacle.radius)
+        ball = BallTrace(t, obstacle.centre(t, system, true), radii, obstacle.velocity_at(t, system, true))
+        told = f"{name}: another satellite, as a ball about where it is nominally"
+        return {name: ball}, None if name in satellites else told
     if isinstance(obstacle, (BallObstacle, BoxObstacle)):
         centers = obstacle.centre(t)
         if isinstance(obstacle, BallObstacle):
@@ -190,85 +182,20 @@ def _covers(obstacle: Obstacle, t: Array, system: LinearSystem) -> list[tuple[Ti
 
 
 def export_run(
-    folder: str | Path,
-    controller: str = "polaris",
-    label: str = "closest",
-    *,
-    nominal: bool = False,
+    folder: str | Path, pilot: str | None = None, label: str = "closest", *, nominal: bool = False
 ) -> Export:
-    """One run of a run folder, as a trace.
+    """One flight of a run folder or a comparison folder, as a trace.
 
     Parameters
     ----------
     folder : path
-        A folder that ``polaris run`` wrote.
-    controller : {"polaris", "safety", "experimental"}
-        Whose run.
+        A folder that ``polaris run`` or ``polaris compare`` wrote.
+    pilot : str, optional
+        Whose flight. In a run folder: ``polaris`` (default), ``safety``, ``experimental``. In a comparison:
+        ``schedule`` (default), ``monitor``, ``asif_implicit``, ...; while an input is filtered, the mode is
+        unknown.
     label : str
-        Which of its runs: ``closest``, ``nominal``, ``run 0``, ...
-    nominal : bool
-        As in `to_trace`.
-
-    Raises
-    ------
-    ScenarioError
-        If the folder is none, is damaged, or has no such run.
-    """
-    from ..runs.arrays import read_flights
-    from ..runs.folder import readable
-    from ..runs.run import read_run
-
-    run = read_run(folder)
-    with readable(run.path):
-        flights = read_flights(run.path / "trajectories.npz")
-    flown, row = _chosen(flights, "--controller", controller, label)
-    modes = np.repeat(flown.modes, (len(flown.times) - 1) // len(flown.modes))
-    return to_trace(
-        flown.times,
-        flown.states[row],
-        modes,
-        run.scenario.obstacles(),
-        run.scenario.system(),
-        nominal=nominal,
-    )
-
-
-class _Labelled(Protocol):
-    @property
-    def labels(self) -> tuple[str, ...]: ...
-
-
-Kept = TypeVar("Kept", bound=_Labelled)
-
-
-def _chosen(kept: Mapping[str, Kept], option: str, key: str, label: str) -> tuple[Kept, int]:
-    """The flights that an option names, and the row of the one with the label."""
-    if key not in kept:
-        raise ScenarioError(option, key, f"must be one of {', '.join(kept)}")
-    labels = kept[key].labels
-    if label not in labels:
-        raise ScenarioError("--run", label, f"must be one of {', '.join(labels)}")
-    return kept[key], labels.index(label)
-
-
-def export_method(
-    folder: str | Path,
-    method: str = "schedule",
-    label: str = "closest",
-    *,
-    nominal: bool = False,
-) -> Export:
-    """One flight of a comparison folder, as a trace.
-
-    Parameters
-    ----------
-    folder : path
-        A folder that ``polaris compare`` wrote.
-    method : str
-        Whose flight: ``schedule``, ``monitor``, ``asif_implicit``, ... While an input is filtered, the mode
-        is unknown.
-    label : str
-        Which of its flights: ``closest``, ``run 0``, ...
+        Which flight: ``closest``, ``nominal`` (not in a comparison), ``run 0``, ...
     nominal : bool
         As in `to_trace`.
 
@@ -277,18 +204,31 @@ def export_method(
     ScenarioError
         If the folder is none, is damaged, or has no such flight.
     """
+    from ..runs.arrays import read_flights
+    from ..runs.folder import readable
     from ..runs.run import read_run
 
-    comparison = read_run(folder)
-    if comparison.kind.name != "comparison":
-        raise ScenarioError("comparison folder", str(folder), "must be one; it has no comparison.json")
-    flown, row = _chosen(comparison.picture().shown, "--method", method, label)
-    scenario = comparison.scenario
-    return to_trace(
-        flown.times,
-        flown.states[row],
-        flown.modes[row],
-        scenario.obstacles(),
-        scenario.system(),
-        nominal=nominal,
-    )
+    run = read_run(folder)
+    option = "--method" if run.kind.name == "comparison" else "--controller"
+    if option == "--method":
+        flights: Mapping[str, Any] = run.picture().shown
+    else:
+        with readable(run.path):
+            flights = read_flights(run.path / "trajectories.npz")
+    flown, row = _chosen(flights, option, pilot or ("schedule" if option == "--method" else "polaris"), label)
+    if option == "--method":
+        modes = flown.modes[row]
+    else:
+        modes = np.repeat(flown.modes, (len(flown.times) - 1) // len(flown.modes))
+    obstacles, system = run.scenario.obstacles(), run.scenario.system()
+    return to_trace(flown.times, flown.states[row], modes, obstacles, system, nominal=nominal)
+
+
+def _chosen(kept: Mapping[str, Any], option: str, key: str, label: str) -> tuple[Any, int]:
+    """The flights that an option names, and the row of the one with the label."""
+    if key not in kept:
+        raise ScenarioError(option, key, f"must be one of {', '.join(kept)}")
+    labels = kept[key].labels
+    if label not in labels:
+        raise ScenarioError("--run", label, f"must be one of {', '.join(labels)}")
+    return kept[key], labels.index(label)

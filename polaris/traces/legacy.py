@@ -18,7 +18,7 @@ from ..runs.tables import strict
 from .facets import turned, unit_rows
 from .model import SAFETY, UNTRUSTED, AgentTrace, AnySet, BallTrace, PointTrace, PolytopeTrace, Trace
 from .placing import place
-from .settings import DIFFERENCES, Heading, Velocity, find_velocity, guess_heading
+from .settings import DIFFERENCES, Heading, Velocity, find_dims, find_velocity, guess_heading
 
 NEVER = 1e20
 """What stands for no collision between agents there."""
@@ -54,8 +54,22 @@ class _Stop(Exception):
     """The framework would raise here."""
 
 
-def legacy_metrics(trace: Trace, d: int | None, velocity: Velocity) -> LegacyMetrics:
-    """Measure a trace as RTAEval does; see `polaris.traces.evaluate_trace`."""
+def evaluate_legacy(trace: Trace, *, dims: int | None = None, velocity: Velocity = None) -> LegacyMetrics:
+    """Measure a trace as RTAEval does.
+
+    Parameters
+    ----------
+    trace : Trace
+    dims, velocity
+        As of `polaris.traces.evaluate_trace`; by default the velocity is angles and speed after the position,
+        if the position changes as they say.
+
+    Raises
+    ------
+    ScenarioError
+        If the options do not fit the trace, or a set is empty.
+    """
+    d = find_dims(trace, dims)
 
     def attempt(method: Callable[[], Found]) -> Found | Raises:
         try:

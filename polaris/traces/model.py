@@ -128,12 +128,6 @@ class UnsafeTrace:
     def _trace(self) -> str:
         return f"{self.where}.state_trace"
 
-    def _positions(self, value: ArrayLike) -> Array:
-        rows = _rows(self._trace, "centers", value, (len(self.times), None))
-        if not 1 <= rows.shape[1] <= 3:
-            raise ScenarioError(f"{self._trace}[0]", rows[0].tolist(), "must have 1, 2 or 3 axes")
-        return rows
-
     def _sizes(self, name: str, value: Array) -> None:
         if np.any(value < 0):
             row = int(np.argwhere(value < 0)[0][0])
@@ -141,15 +135,17 @@ class UnsafeTrace:
 
 
 @dataclass(frozen=True, eq=False)
-class PointTrace(UnsafeTrace):
-    """A point to stay away from; `centers` has shape (M, d) [m]."""
+class CentredTrace(UnsafeTrace):
+    """A set about a centre, `centers` of shape (M, d) [m]."""
 
-    set_type: ClassVar[str] = "point"
     centers: Array
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        object.__setattr__(self, "centers", self._positions(self.centers))
+        rows = _rows(self._trace, "centers", self.centers, (len(self.times), None))
+        if not 1 <= rows.shape[1] <= 3:
+            raise ScenarioError(f"{self._trace}[0]", rows[0].tolist(), "must have 1, 2 or 3 axes")
+        object.__setattr__(self, "centers", rows)
 
     @property
     def d(self) -> int:
@@ -158,7 +154,14 @@ class PointTrace(UnsafeTrace):
 
 
 @dataclass(frozen=True, eq=False)
-class BallTrace(UnsafeTrace):
+class PointTrace(CentredTrace):
+    """A point to stay away from; `centers` has shape (M, d) [m]."""
+
+    set_type: ClassVar[str] = "point"
+
+
+@dataclass(frozen=True, eq=False)
+class BallTrace(CentredTrace):
     """A ball; `centers` has shape (M, d), `radii` (M,) [m], >= 0.
 
     `velocities` (M, d) [m/s], where they are known, are those of the centres at their stamps. Without them
@@ -166,43 +169,29 @@ class BallTrace(UnsafeTrace):
     """
 
     set_type: ClassVar[str] = "ball"
-    centers: Array
     radii: Array
     velocities: Array | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        object.__setattr__(self, "centers", self._positions(self.centers))
         object.__setattr__(self, "radii", _rows(self._trace, "radii", self.radii, (len(self.times),)))
         self._sizes("radius", self.radii)
         if self.velocities is not None:
             given = _rows(f"{self.where}.velocity_trace", "velocities", self.velocities, self.centers.shape)
             object.__setattr__(self, "velocities", given)
 
-    @property
-    def d(self) -> int:
-        """Axes of position."""
-        return int(self.centers.shape[1])
-
 
 @dataclass(frozen=True, eq=False)
-class RectangleTrace(UnsafeTrace):
+class RectangleTrace(CentredTrace):
     """An axis-aligned box; `centers` and full `lengths` have shape (M, d) [m], lengths >= 0."""
 
     set_type: ClassVar[str] = "rectangle"
-    centers: Array
     lengths: Array
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        object.__setattr__(self, "centers", self._positions(self.centers))
         object.__setattr__(self, "lengths", _rows(self._trace, "lengths", self.lengths, self.centers.shape))
         self._sizes("lengths", self.lengths)
-
-    @property
-    def d(self) -> int:
-        """Axes of position."""
-        return int(self.centers.shape[1])
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol, TypeVar
 
 import numpy as np
 
@@ -16,148 +15,97 @@ from .model import AnySet, BallTrace, PointTrace, PolytopeTrace
 from .motion import between, interpolate, rates
 
 
-class Placed(Protocol):
-    """A set at N times."""
-
-    @property
-    def parts(self) -> tuple[Part, ...]:
-        """Convex sets of which it is the union."""
-        ...
-
-    def signed_distance(self, p: Array) -> Array:
-        """Distance [m] of positions (N, d), shape (N,)."""
-        ...
-
-    def entry_time(self, p: Array, v: Array) -> Array:
-        """Seconds until straight rays from p (N, d) at v (N, d) enter, shape (N,)."""
-        ...
-
-
-class Part(Protocol):
-    """A convex set at N times."""
-
-    @property
-    def centre(self) -> Array:
-        """Origin of the shape [m], shape (N, d)."""
-        ...
-
-    @property
-    def velocity(self) -> Array:
-        """Its rate [m/s], shape (N, d)."""
-        ...
-
-    def shape(self, i: int) -> Shape:
-        """The set at one time, relative to its centre."""
-        ...
-
-
-PartT = TypeVar("PartT")
-
-
-class _Whole:
-    """A set that is its own and only part."""
-
-    @property
-    def parts(self: PartT) -> tuple[PartT]:
-        """See `Placed`."""
-        return (self,)
-
-
 @dataclass(frozen=True, eq=False)
-class Rigid(_Whole):
-    """A shape that only moves."""
-
-    body: Shape
-    centre: Array
-    velocity: Array
-
-    def signed_distance(self, p: Array) -> Array:
-        """See `Placed`."""
-        return self.body.signed_distance(p - self.centre)
-
-    def entry_time(self, p: Array, v: Array) -> Array:
-        """See `Placed`."""
-        return self.body.entry_time(p - self.centre, v - self.velocity)
-
-    def shape(self, i: int) -> Shape:
-        """See `Placed`."""
-        return self.body
-
-
-@dataclass(frozen=True, eq=False)
-class Swelling(_Whole):
-    """A ball whose radius changes; at every instant it is taken to keep the radius of then."""
+class Swelling:
+    """A ball about 0 whose radius changes; at every instant it is taken to keep the radius of then."""
 
     radii: Array
-    centre: Array
-    velocity: Array
 
     def signed_distance(self, p: Array) -> Array:
-        """See `Placed`."""
-        return Ball(0.0).signed_distance(p - self.centre) - self.radii
+        """Distance [m] of positions (N, d), one per time."""
+        return Ball(0.0).signed_distance(p) - self.radii
 
     def entry_time(self, p: Array, v: Array) -> Array:
-        """See `Placed`; lengths are scaled so that all radii are 1 (or 0)."""
+        """Seconds until straight rays enter; lengths are scaled so that all radii are 1 (or 0)."""
         out = np.empty(len(p))
         for radius in (0.0, 1.0):
             rows = (self.radii > 0) == (radius > 0)
             scale = self.radii[rows, None] if radius else 1.0
-            off, rate = (p - self.centre)[rows] / scale, (v - self.velocity)[rows] / scale
-            out[rows] = Ball(radius).entry_time(off, rate)
+            out[rows] = Ball(radius).entry_time(p[rows] / scale, v[rows] / scale)
         return out
 
-    def shape(self, i: int) -> Shape:
-        """See `Placed`."""
+    def at(self, i: int) -> Shape:
+        """The ball at one time."""
         return Ball(float(self.radii[i]))
 
 
 @dataclass(frozen=True, eq=False)
-class Faceted(_Whole):
+class Faceted:
     """A polytope whose facets change otherwise than by moving along; as they are at every instant.
 
     Attributes
     ----------
     H, b : ndarray, shapes (N or 1, F, d) and (N, F)
-        Unit rows, relative to `centre`.
+        Unit rows.
     """
 
     H: Array
     b: Array
-    centre: Array
-    velocity: Array
 
     def signed_distance(self, p: Array) -> Array:
-        """See `Placed`."""
-        return facet_distance(self.H, self.b, p - self.centre)
+        """Distance [m] of positions (N, d), one per time."""
+        return facet_distance(self.H, self.b, p)
 
     def entry_time(self, p: Array, v: Array) -> Array:
-        """See `Placed`."""
-        return facet_entry(self.H, self.b, p - self.centre, v - self.velocity)
+        """Seconds until straight rays enter."""
+        return facet_entry(self.H, self.b, p, v)
 
-    def shape(self, i: int) -> Shape:
-        """See `Placed`."""
-        return Polytope(self.H[i if len(self.H) > 1 else 0], self.b[i])
+    def at(self, i: int) -> Shape:
+        """The polytope at one time."""
+        return Polytope(turned(self.H, i), self.b[i])
 
 
 @dataclass(frozen=True, eq=False)
-class Either:
-    """The union of what a set is at the stamps on either side, where its facets turn in between."""
+class Part:
+    """A convex set at N times.
 
-    one: Faceted
-    other: Faceted
+    Attributes
+    ----------
+    body : Shape, Swelling or Faceted
+        The set relative to its centre; a shape does not change.
+    centre, velocity : ndarray, shapes (N, d)
+        [m] and [m/s]
+    """
+
+    body: Shape | Swelling | Faceted
+    centre: Array
+    velocity: Array
 
     @property
-    def parts(self) -> tuple[Faceted, Faceted]:
-        """See `Placed`."""
-        return self.one, self.other
+    def rigid(self) -> bool:
+        """Whether it only moves."""
+        return not isinstance(self.body, (Swelling, Faceted))
+
+    def shape(self, i: int) -> Shape:
+        """The set at one time, relative to its centre."""
+        return self.body.at(i) if isinstance(self.body, (Swelling, Faceted)) else self.body
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """A set at N times: the union of convex parts."""
+
+    parts: tuple[Part, ...]
 
     def signed_distance(self, p: Array) -> Array:
-        """See `Placed`."""
-        return np.minimum(self.one.signed_distance(p), self.other.signed_distance(p))
+        """Distance [m] of positions (N, d), shape (N,)."""
+        found = [part.body.signed_distance(p - part.centre) for part in self.parts]
+        return np.asarray(np.min(found, axis=0))
 
     def entry_time(self, p: Array, v: Array) -> Array:
-        """See `Placed`."""
-        return np.minimum(self.one.entry_time(p, v), self.other.entry_time(p, v))
+        """Seconds until straight rays from p (N, d) at v (N, d) enter, shape (N,)."""
+        found = [part.body.entry_time(p - part.centre, v - part.velocity) for part in self.parts]
+        return np.asarray(np.min(found, axis=0))
 
 
 def place(item: AnySet, t: Array, d: int) -> Placed:
@@ -177,18 +125,17 @@ def place(item: AnySet, t: Array, d: int) -> Placed:
     if isinstance(item, PolytopeTrace):
         return _place_polytope(item, t)
     rows = between(item.times, t)
-    centre, velocity = _moved(item, item.centers[:, :d], t)
-    if isinstance(item, PointTrace):
-        return Rigid(Ball(0.0), centre, velocity)
+    body: Shape | Swelling | Faceted = Ball(0.0)
     if isinstance(item, BallTrace):
-        if np.all(item.radii == item.radii[0]):
-            return Rigid(Ball(float(item.radii[0])), centre, velocity)
-        return Swelling(interpolate(item.radii, rows), centre, velocity)
-    half = item.lengths[:, :d] / 2
-    if np.all(half == half[0]):
-        return Rigid(Box.of(half[0]), centre, velocity)
-    b = interpolate(half, rows)
-    return Faceted(Box.of(half[0]).H[None], np.hstack([b, b]), centre, velocity)
+        steady = np.all(item.radii == item.radii[0])
+        body = Ball(float(item.radii[0])) if steady else Swelling(interpolate(item.radii, rows))
+    elif not isinstance(item, PointTrace):
+        half = item.lengths[:, :d] / 2
+        body = Box.of(half[0])
+        if not np.all(half == half[0]):
+            b = interpolate(half, rows)
+            body = Faceted(body.H[None], np.hstack([b, b]))
+    return Placed((Part(body, *_moved(item, item.centers[:, :d], t)),))
 
 
 def _moved(item: AnySet, centers: Array, t: Array) -> tuple[Array, Array]:
@@ -217,12 +164,13 @@ def _place_polytope(item: PolytopeTrace, t: Array) -> Placed:
     _not_empty(item, H, rest)
     size = np.abs(b).max(axis=1) + np.abs(local).max()
     if len(H) == 1 and np.all(np.abs(rest - local).max(axis=1) <= ROUNDING * size):
-        return Rigid(Polytope(H[0], local), centre, velocity)
-    left, right, share = rows = between(item.times, t)
+        return Placed((Part(Polytope(H[0], local), centre, velocity),))
+    left, right, _ = rows = between(item.times, t)
     if len(H) == 1:
-        return Faceted(H, interpolate(rest, rows), centre, velocity)
-    one, other = (Faceted(H[k], rest[k], centers[k], velocity) for k in (left, right))
-    return one if np.array_equal(left, right) else Either(one, other)
+        return Placed((Part(Faceted(H, interpolate(rest, rows)), centre, velocity),))
+    # Where facets turn in between: the union of what the set is at the stamps on either side.
+    sides = (left,) if np.array_equal(left, right) else (left, right)
+    return Placed(tuple(Part(Faceted(H[k], rest[k]), centers[k], velocity) for k in sides))
 
 
 def _not_empty(item: PolytopeTrace, H: Array, rest: Array) -> None:

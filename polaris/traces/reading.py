@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import gc
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from enum import Enum
 from pathlib import Path
 from typing import Any, NoReturn
@@ -12,7 +14,6 @@ import numpy as np
 
 from ..model.distances import UNKNOWN
 from ..model.errors import ScenarioError
-from .memory import uncollected
 from .model import MODE_NAMES, AgentTrace, AnySet, Modes, Trace
 from .rows import Odd, numbers, set_trace, table
 
@@ -41,6 +42,21 @@ def read_trace(path: str | Path) -> Trace:
     """
     with uncollected():
         return _trace(_parsed(path))
+
+
+@contextmanager
+def uncollected() -> Iterator[None]:
+    """Pause the cyclic garbage collector while millions of small lists are made: several times as fast.
+
+    There are no cycles among them.
+    """
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
 
 
 def _parsed(path: str | Path) -> Any:

@@ -12,8 +12,8 @@ from ..model.checks import of_kind
 from ..model.distances import UNKNOWN
 from ..model.errors import ScenarioError
 from ..runs.atomic import check_file, replacing_file
-from .memory import uncollected
 from .model import AgentTrace, AnySet, BallTrace, PointTrace, RectangleTrace, Trace
+from .reading import uncollected
 
 
 def trace_data(trace: Trace) -> dict[str, Any]:

@@ -1,8 +1,6 @@
-"""The Monte Carlo: sampling, judgement, failures, any number of workers; the paper's in the slow test."""
+"""The Monte Carlo: sampling, judgement, failures; the paper's in the slow test."""
 
 from __future__ import annotations
-
-from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
 import pytest
@@ -11,13 +9,16 @@ from polaris.inspection.constraints.allowable_set import allowable
 from polaris.inspection.constraints.families import Families
 from polaris.inspection.constraints.motion import SampledData
 from polaris.inspection.filters.explicit import Centralized
-from polaris.inspection.flights.outcome import STUDIES, Study
 from polaris.inspection.flights.primary import LQR, NoInput
-from polaris.inspection.flights.sampling import initial_conditions
-from polaris.inspection.flights.simulation import fly_one
-from polaris.inspection.flights.studies import BLOCK, fly_block, monte_carlo
+from polaris.inspection.flights.sampling import InitialConditions, initial_conditions
+from polaris.inspection.flights.simulation import Kept, fly_one
+from polaris.inspection.flights.studies import Outcome, Study, fly_block
 from polaris.inspection.inspection import Inspection
 from polaris.model.errors import ScenarioError
+from polaris.runs.campaign import local
+from polaris.runs.inspection import flight_arrays
+from polaris.runs.monte_carlo import run_monte_carlo
+from polaris.scenario.scenario import load_scenario
 
 Q = Inspection()
 
@@ -50,7 +51,7 @@ def test_sampling_gives_up_where_there_is_no_room(monkeypatch):
 def test_least_values_are_those_of_the_flight_flown_alone(drawn):
     x, sun, _ = drawn
     study = Study("central")
-    found = fly_block(Q, study, x[:3], sun[:3], 30.0, 1.0, 1)
+    found = fly_block(Q, study, x[:3], sun[:3], 30.0, 1.0)
     for run in range(3):
         flight = fly_one(Q, Centralized(Families(Q)), NoInput(), x[run], float(sun[run]), 30.0)
         for name, values in allowable(Q, flight.x, flight.sun).items():
@@ -61,20 +62,36 @@ def test_least_values_are_those_of_the_flight_flown_alone(drawn):
         np.testing.assert_allclose(found.delta_v[run], flight.delta_v[-1], rtol=1e-9, atol=1e-12)
 
 
-def test_workers_do_not_change_the_results(drawn):
+def test_conditions_asked_for_in_parts_are_those_drawn_at_once(drawn):
     x, sun, _ = drawn
-    many = (np.tile(x, (BLOCK // 8 + 1, 1, 1))[: BLOCK + 4], np.tile(sun, BLOCK // 8 + 1)[: BLOCK + 4])
-    studies = (STUDIES[0], STUDIES[3])
-    told = []
-    here = monte_carlo(Q, *many, studies, 4.0, progress=lambda done, total: told.append((done, total)))
-    with ProcessPoolExecutor(2) as executor:
-        there = monte_carlo(Q, *many, studies, 4.0, executor=executor)
-    assert told == [(k + 1, 4) for k in range(4)]
-    for name, outcome in here.items():
-        for key, values in outcome.least.items():
-            np.testing.assert_array_equal(values, there[name].least[key])
-        np.testing.assert_array_equal(outcome.delta_v, there[name].delta_v)
-        assert outcome.success.all() and len(outcome.success) == BLOCK + 4
+    parts = InitialConditions(Families(Q), seed=1)
+    for count in (3, 8, 5):
+        np.testing.assert_array_equal(parts.first(count)[0], x[:count])
+        np.testing.assert_array_equal(parts.first(count)[1], sun[:count])
+
+
+def test_results_come_back_from_their_columns(drawn):
+    x, sun, _ = drawn
+    study = Study("without", "coasting", ("deputy_sun",))
+    found = fly_block(Q, study, x[:3], sun[:3], 4.0)
+    again = Outcome.from_columns(study, found.columns())
+    assert list(again.least) == list(found.least) and "phi5" not in again.least
+    assert np.isnan(found.columns()["least_phi5"]).all()
+    for key, values in found.least.items():
+        np.testing.assert_array_equal(values, again.least[key])
+    np.testing.assert_array_equal(found.delta_v, again.delta_v)
+    assert again.failures() == found.failures()
+
+
+def test_a_run_kept_out_of_a_block_is_the_run_flown_alone(drawn):
+    x, sun, _ = drawn
+    kept = Kept(2)
+    fly_block(Q, Study("central"), x[:3], sun[:3], 6.0, 0.5, kept=kept)
+    run = kept.flight(Q, float(sun[2]), 6.0, 0.5)
+    alone = fly_one(Q, Centralized(Families(Q)), NoInput(), x[2], float(sun[2]), 6.0, 0.5)
+    for name, values in flight_arrays(run).items():
+        np.testing.assert_allclose(values, flight_arrays(alone)[name], rtol=1e-9, atol=1e-9)
+    np.testing.assert_array_equal(run.t, alone.t)
 
 
 def test_a_failure_says_what_who_and_when():
@@ -132,24 +149,17 @@ def test_what_cannot_be_told_is_a_failure(drawn):
 
 def test_a_primary_controller_that_attacks_is_filtered(drawn):
     x, sun, _ = drawn
-    found = fly_block(Q, STUDIES[0], x[:2], sun[:2], 20.0, 0.2, primary=LQR(Q))
+    found = fly_block(Q, Study("centralized"), x[:2], sun[:2], 20.0, 0.2, primary=LQR(Q))
     assert (found.interventions == 1).all() and found.success.all()
 
 
-def test_names_must_differ(drawn):
-    x, sun, _ = drawn
-    with pytest.raises(ScenarioError, match="different names"):
-        monte_carlo(Q, x, sun, (Study("a"), Study("a", "half")), 1.0)
-
-
 @pytest.mark.slow
-def test_the_papers_monte_carlo():
+def test_the_papers_monte_carlo(tmp_path):
     """2,000 runs: the paper has 100 %, 90.95 % and 100 %; shared conditions lose none."""
-    x, sun, _ = initial_conditions(Families(Q), 2000, seed=1)
-    with ProcessPoolExecutor(2) as executor:
-        found = monte_carlo(Q, x, sun, executor=executor)
-    success = {name: outcome.success.mean() for name, outcome in found.items()}
+    folder = run_monte_carlo(tmp_path / "c", load_scenario("inspection-monte-carlo"), executor=local(2))
+    success = {study["name"]: study["success_share"] for study in folder.summary["studies"]}
+    assert folder.summary["runs"] == 2000
     assert success["centralized"] == 1.0
     assert 0.9 < success["decentralized"] < 0.99
-    assert success["decentralized without h5"] >= 0.999
-    assert success["decentralized, shared"] == 1.0
+    assert success["decentralized-no-h5"] >= 0.999
+    assert success["decentralized-shared"] == 1.0

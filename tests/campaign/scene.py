@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 
-from polaris.runs.campaign import batch, local, make_cases, run_campaign
+from polaris.runs.campaign import CampaignPlan, ScheduleRuns, batch, local, make_cases, run_campaign
 
 TINY = str(Path(__file__).parents[1] / "polaris" / "data" / "tiny.toml")
 GRID = {"planner.extra_margin_m": [0.3, 0.4]}
@@ -19,10 +19,16 @@ def cases():
     return make_cases([TINY], GRID)
 
 
+def run(chosen, runs, out, *, executor=None, fresh=False, modes=("polaris",), **plan):
+    """A campaign of schedules."""
+    planned = CampaignPlan(chosen, runs, kind=ScheduleRuns(modes), **plan)
+    return run_campaign(planned, out, executor=executor, fresh=fresh)
+
+
 def fly(out, executor=None, **changed):
     """A campaign of two cases, five batches each, the last one short."""
     options = {"batch": BATCH, "modes": MODES, "seed": 7} | changed
-    return run_campaign(cases(), RUNS, out, executor=executor or local(1), **options)
+    return run(cases(), RUNS, out, executor=executor or local(1), **options)
 
 
 def table(out):
@@ -32,7 +38,7 @@ def table(out):
 
 def rows(out):
     """All rows of the table as plain data."""
-    return [row for path in sorted((Path(out) / "runs").glob("*.parquet")) for row in read(path)]
+    return [row for path in sorted((Path(out) / "runs").glob("case-*.parquet")) for row in read(path)]
 
 
 def read(path):
@@ -42,7 +48,7 @@ def read(path):
 def await_parts(out, count, process=None):
     """Wait until a campaign has written some parts."""
     until = time.monotonic() + 300
-    while len(list((out / "runs").glob("*.parquet"))) < count:
+    while len(list((out / "runs").glob("case-*.parquet"))) < count:
         assert time.monotonic() < until and (process is None or process.poll() is None)
         time.sleep(0.005)
 

@@ -14,14 +14,14 @@ import pyarrow.parquet as pq
 import pytest
 
 from polaris.model.errors import PolarisError, ScenarioError
-from polaris.runs.campaign import Interrupted, Workers, batch, local, make_cases, read_campaign, run_campaign
+from polaris.runs.campaign import Interrupted, Workers, batch, local, make_cases, read_campaign, schedules
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.intervals import violation_interval
 from polaris.simulation.run_metrics import evaluate
 from polaris.simulation.simulate import simulate
 from polaris.synthesis.synthesize import synthesize
 from tests.campaign import scene
-from tests.campaign.scene import GRID, MODES, RUNS, TINY, cases, fly, rows, table
+from tests.campaign.scene import GRID, MODES, RUNS, TINY, cases, fly, rows, run, table
 from tests.leftovers import left_by_a_dead_process
 
 ROOT = Path(__file__).parents[2]
@@ -62,7 +62,7 @@ def test_table_has_one_row_per_run_with_everything_that_was_measured(flown):
 
 def test_parameters_keep_their_types_in_the_table(tmp_path):
     grid = {"schedule.min_dwell_steps": [1, 2], "schedule.strategy": ["greedy"], "system.input_max": [1, 2.5]}
-    folder = run_campaign(make_cases([TINY], grid)[:2], 2, tmp_path / "c")
+    folder = run(make_cases([TINY], grid)[:2], 2, tmp_path / "c")
     schema = pq.read_schema(next((folder.path / "runs").iterdir()))
     assert [str(schema.field(key).type) for key in grid] == ["int64", "string", "double"]
     assert {row["schedule.strategy"] for row in rows(folder.path)} == {"greedy"}
@@ -125,7 +125,7 @@ class Lazy(Executor):
 
 def test_few_tasks_are_handed_out_at_a_time(tmp_path):
     lazy = Lazy()
-    run_campaign(make_cases([TINY]), 30, tmp_path / "c", executor=Workers(lambda: lazy, lambda: 5), batch=3)
+    run(make_cases([TINY]), 30, tmp_path / "c", executor=Workers(lambda: lazy, lambda: 5), batch=3)
     assert lazy.most == 5 and len(lazy.order) == 10
 
 
@@ -187,23 +187,23 @@ def test_a_part_of_elsewhere_is_flown_again(flown, tmp_path, monkeypatch):
 
 def test_more_runs_extend_a_campaign_and_fewer_are_refused(flown, tmp_path, monkeypatch):
     options = {"batch": 5, "modes": MODES, "seed": 7}
-    out = run_campaign(cases(), 13, tmp_path / "c", **options).path
+    out = run(cases(), 13, tmp_path / "c", **options).path
     seen = counting(monkeypatch)
-    assert run_campaign(cases(), RUNS, out, **options).summary["runs"] == RUNS
+    assert run(cases(), RUNS, out, **options).summary["runs"] == RUNS
     assert seen == [(case, number) for case in (0, 1) for number in (2, 3, 4)]
     assert table(out) == table(flown.path)
     with pytest.raises(ScenarioError, match=f"has {RUNS} already"):
-        run_campaign(cases(), 13, out, **options)
+        run(cases(), 13, out, **options)
 
 
 def test_another_campaign_is_refused_unless_asked_to_be_replaced(tmp_path):
     out = tmp_path / "c"
-    run_campaign(make_cases([TINY]), 3, out)
+    run(make_cases([TINY]), 3, out)
     with pytest.raises(ScenarioError, match=r"another campaign \(other seed\); --fresh"):
-        run_campaign(make_cases([TINY]), 3, out, seed=1)
+        run(make_cases([TINY]), 3, out, seed=1)
     with pytest.raises(ScenarioError, match=r"other cases"):
-        run_campaign(make_cases([TINY], GRID), 3, out)
-    assert run_campaign(make_cases([TINY]), 3, out, seed=1, fresh=True).plan.seed == 1
+        run(make_cases([TINY], GRID), 3, out)
+    assert run(make_cases([TINY]), 3, out, seed=1, fresh=True).plan.seed == 1
     assert {path.name for path in tmp_path.iterdir()} == {"c"}
 
 
@@ -213,15 +213,15 @@ def test_other_folders_are_not_touched(tmp_path):
     (tmp_path / "full" / "summary.json").write_text(told, encoding="utf-8")
     for fresh in (False, True):
         with pytest.raises(ScenarioError, match="run folder"):
-            run_campaign(make_cases([TINY]), 3, tmp_path / "full", fresh=fresh)
+            run(make_cases([TINY]), 3, tmp_path / "full", fresh=fresh)
     (tmp_path / "full" / "summary.json").rename(tmp_path / "full" / "precious")
     with pytest.raises(ScenarioError, match="other contents"):
-        run_campaign(make_cases([TINY]), 3, tmp_path / "full", fresh=True)
+        run(make_cases([TINY]), 3, tmp_path / "full", fresh=True)
     assert [path.name for path in (tmp_path / "full").iterdir()] == ["precious"]
 
 
 def test_damaged_manifests_are_told(tmp_path):
-    out = run_campaign(make_cases([TINY]), 3, tmp_path / "c").path
+    out = run(make_cases([TINY]), 3, tmp_path / "c").path
     manifest = out / "manifest.json"
     told = json.loads(manifest.read_text(encoding="utf-8"))
     for changed, word in (
@@ -258,7 +258,7 @@ def test_a_killed_campaign_leaves_whole_parts_and_goes_on(flown, tmp_path, worke
     finally:
         child.send_signal(signal.SIGKILL)
         child.wait()
-    left = {path.name: path.read_bytes() for path in (out / "runs").glob("*.parquet")}
+    left = {path.name: path.read_bytes() for path in (out / "runs").glob("case-*.parquet")}
     whole = table(flown.path)
     assert len(left) > 0 and left.items() <= whole.items(), "parts are whole or absent"
     assert child.stdout is not None and child.stdout.read() == b"", "open while any of its processes lives"
@@ -325,9 +325,9 @@ def test_a_process_of_the_pool_that_is_killed_loses_nothing(flown, tmp_path, vic
 
 def test_the_only_process_of_a_pool_is_killed_and_another_takes_its_place(tmp_path, victim):
     one = cases()[:1]  # a single task: the pool starts a single process
-    whole = run_campaign(one, 4, tmp_path / "here")
+    whole = run(one, 4, tmp_path / "here")
     victim("0 0")
-    assert table(run_campaign(one, 4, tmp_path / "c", executor=local(2)).path) == table(whole.path)
+    assert table(run(one, 4, tmp_path / "c", executor=local(2)).path) == table(whole.path)
 
 
 def test_interruption_keeps_what_is_finished_and_says_how_to_go_on(flown, tmp_path, monkeypatch):
@@ -351,22 +351,22 @@ def test_interruption_keeps_what_is_finished_and_says_how_to_go_on(flown, tmp_pa
 
 def test_a_case_without_a_schedule_is_told_and_stops_nothing(tmp_path, monkeypatch):
     weak = make_cases([TINY], {"system.input_max": [0.02, 1.0]})
-    folder = run_campaign(weak, 9, tmp_path / "c", batch=3)
+    folder = run(weak, 9, tmp_path / "c", batch=3)
     bad, good = folder.summary["cases"]
     assert bad["exit_code"] == 3 and "To make it feasible" in bad["failure"] and "modes" not in bad
     assert good["modes"]["polaris"]["runs"] == 9
     assert {row["case"] for row in rows(folder.path)} == {1}
     seen = counting(monkeypatch)
-    run_campaign(weak, 9, folder.path, batch=3)
+    run(weak, 9, folder.path, batch=3)
     assert seen == [], "infeasible is infeasible"
 
 
 def test_a_case_that_was_not_decided_in_time_is_tried_again(tmp_path, monkeypatch):
     late = make_cases([TINY], {"planner.time_limit_s": [1e-9]})
-    folder = run_campaign(late, 3, tmp_path / "c")
+    folder = run(late, 3, tmp_path / "c")
     assert folder.summary["cases"][0]["exit_code"] == 4 and folder.summary["flown"] == 0
     seen = counting(monkeypatch)
-    run_campaign(late, 3, folder.path)
+    run(late, 3, folder.path)
     assert seen == [(0, 0)]
 
 
@@ -374,22 +374,22 @@ def test_a_schedule_that_hangs_on_the_clock_is_not_flown(tmp_path, monkeypatch):
     """Another machine might fly another one."""
     from polaris.planning.effort import Effort
 
-    batch._made.cache_clear()
+    schedules._made.cache_clear()
     with monkeypatch.context() as late:
         struck = property(lambda self: ("fuel",) if self.search.rows.problem.unsafe else ())
         late.setattr(Effort, "cut_by_clock", struck)
-        found = run_campaign(make_cases([TINY]), 3, tmp_path / "c").summary
+        found = run(make_cases([TINY]), 3, tmp_path / "c").summary
     assert found["flown"] == 0 and "raise planner.time_limit_s" in found["cases"][0]["failure"]
     assert found["cases"][0]["exit_code"] == 4
-    batch._made.cache_clear()
-    assert run_campaign(make_cases([TINY]), 3, tmp_path / "c").summary["flown"] == 3
+    schedules._made.cache_clear()
+    assert run(make_cases([TINY]), 3, tmp_path / "c").summary["flown"] == 3
 
 
 def test_a_full_disk_names_the_path_keeps_the_parts_and_goes_on(flown, tmp_path, monkeypatch):
     out, real = tmp_path / "c", pq.write_table
 
     def write(table, path, **options):
-        if len(list((out / "runs").glob("*.parquet"))) == 2:
+        if len(list((out / "runs").glob("case-*.parquet"))) == 2:
             raise OSError(28, "No space left on device", str(path))
         real(table, path, **options)
 
@@ -404,11 +404,11 @@ def test_a_full_disk_names_the_path_keeps_the_parts_and_goes_on(flown, tmp_path,
 
 
 def test_replacing_a_campaign_leaves_what_it_did_not_write(tmp_path):
-    out = run_campaign(make_cases([TINY]), 3, tmp_path / "c").path
+    out = run(make_cases([TINY]), 3, tmp_path / "c").path
     (out / "notes.txt").write_text("mine", encoding="utf-8")
     (out / "runs" / "plot.py").write_text("mine too", encoding="utf-8")
     (out / "runs" / "case-0007-batch-00000.parquet").write_bytes(b"of the older campaign")
-    run_campaign(make_cases([TINY]), 2, out, seed=1, fresh=True)
+    run(make_cases([TINY]), 2, out, seed=1, fresh=True)
     left = {path.relative_to(out).as_posix() for path in out.rglob("*") if path.is_file()}
     parts = {"runs/case-0000-batch-00000.parquet"}
     assert left == {"manifest.json", "summary.json", ".polaris.json", "notes.txt", "runs/plot.py"} | parts

@@ -7,10 +7,9 @@ from hypothesis import strategies as st
 from scipy.stats import binom
 
 from polaris.model.errors import ScenarioError
-from polaris.runs.campaign import make_cases, parse_grid
-from polaris.runs.campaign.batch import batch_seeds
+from polaris.runs.campaign import CampaignPlan, ScheduleRuns, make_cases, parse_grid
 from polaris.runs.campaign.drive import time_left
-from polaris.runs.campaign.plan import Plan
+from polaris.runs.campaign.schedules import batch_seeds
 from polaris.simulation.intervals import POSSIBLE, mean_interval, possible, violation_interval
 from tests.campaign.scene import TINY, cases
 
@@ -83,39 +82,44 @@ def test_cases_that_make_no_sense_are_refused(arguments, word):
     ],
 )
 def test_plans_that_make_no_sense_are_refused(changed, word):
+    changed = dict(changed)
     with pytest.raises(ScenarioError, match=word):
-        Plan(**({"cases": cases(), "runs": 5} | changed))
+        kind = {name: changed.pop(name) for name in ("modes", "initial", "disturbance") if name in changed}
+        CampaignPlan(**({"cases": cases(), "runs": 5} | changed), kind=ScheduleRuns(**kind))
 
 
 def test_seeds_hang_on_the_campaign_the_case_and_the_batch_alone():
-    plan = Plan(cases(), 100, 3, 10)
-    seeds = [seed for task in plan.tasks() for seed in task.seeds]
+    plan = CampaignPlan(cases(), 100, 3, 10)
+    seeds = [seed for task in plan.tasks() for seed in batch_seeds(task)]
     assert len(set(seeds)) == 2 * 20 and all(0 <= seed < 2**63 for seed in seeds)
-    alone = Plan(cases()[1:], 40, 3, 10)
-    assert [task.seeds for task in alone.tasks()] == [plan.task(1, batch).seeds for batch in range(4)]
-    assert batch_seeds(4, plan.cases[1].text, 0) != alone.task(0, 0).seeds
+    alone = CampaignPlan(cases()[1:], 40, 3, 10)
+    assert [batch_seeds(task) for task in alone.tasks()] == [
+        batch_seeds(plan.task(1, batch)) for batch in range(4)
+    ]
+    other = CampaignPlan(cases()[1:], 40, 4, 10)
+    assert batch_seeds(other.task(0, 0)) != batch_seeds(alone.task(0, 0))
 
 
 def test_tasks_cover_the_runs_once():
-    plan = Plan(cases(), 22, batch=5)
+    plan = CampaignPlan(cases(), 22, batch=5)
     assert [(task.case, task.batch, task.runs) for task in plan.tasks()] == [
         (case, batch, runs) for case in (0, 1) for batch, runs in enumerate([5, 5, 5, 5, 2])
     ]
 
 
 def test_digest_hangs_on_all_but_the_number_of_runs():
-    plan = Plan(cases(), 22)
-    assert Plan(cases(), 1000).digest == plan.digest == Plan.from_data(plan.data()).digest
+    plan = CampaignPlan(cases(), 22)
+    assert CampaignPlan(cases(), 1000).digest == plan.digest == CampaignPlan.from_data(plan.data()).digest
     others = [
-        Plan(cases()[:1], 22),
+        CampaignPlan(cases()[:1], 22),
         *(
-            Plan(cases(), 22, **changed)
+            CampaignPlan(cases(), 22, **changed)
             for changed in (
                 {"seed": 1},
                 {"batch": 3},
-                {"modes": ("safety",)},
-                {"initial": "random"},
-                {"disturbance": "none"},
+                {"kind": ScheduleRuns(("safety",))},
+                {"kind": ScheduleRuns(initial="random")},
+                {"kind": ScheduleRuns(disturbance="none")},
             )
         ),
     ]

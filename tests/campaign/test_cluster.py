@@ -132,5 +132,8 @@ def test_addresses_where_no_scheduler_is_are_refused(monkeypatch):
 
 def test_without_distributed_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(ScenarioError, match="needs the package distributed"), cluster("tcp://127.0.0.1:8786"):
+    with (
+        pytest.raises(ScenarioError, match=r"distributed: pip install '\.\[campaign\]'"),
+        cluster("tcp://127.0.0.1:8786"),
+    ):
         pass

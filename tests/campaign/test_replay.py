@@ -10,8 +10,10 @@ from typer.testing import CliRunner
 
 from polaris.cli import app as cli
 from polaris.model.errors import PolarisError, ScenarioError
-from polaris.runs.campaign import find_worst, make_cases, read_campaign, replay_run, run_campaign
+from polaris.runs.campaign import find_worst, make_cases, read_campaign, replay_run, schedules
+from polaris.scenario.scenario import load_scenario
 from tests.campaign.scene import MODES, RUNS, TINY, rows, table
+from tests.campaign.scene import run as fly_campaign
 
 
 def invoke(*arguments):
@@ -20,7 +22,7 @@ def invoke(*arguments):
 
 @pytest.mark.parametrize("mode", MODES)
 def test_replay_gives_the_numbers_of_the_table(flown, mode):
-    folder = read_campaign(flown.path)
+    folder, mass = read_campaign(flown.path), load_scenario(TINY).problem().system.mass
     for case, batch, run in ((0, 0, 0), (1, 2, 3), (1, 4, 1)):
         found = replay_run(folder, case, batch, run, mode)
         (row,) = [
@@ -30,16 +32,14 @@ def test_replay_gives_the_numbers_of_the_table(flown, mode):
         ]
         np.testing.assert_equal(found.row, row)
         # the trajectory is that of these numbers, up to the refinement between the nodes
-        assert found.distances.min() == pytest.approx(row["min_distance_m"], abs=5e-3)
-        assert found.distances.min() >= row["min_distance_m"]
-        length = found.times[1]
-        held = np.abs(found.inputs).sum() * length / found.system.mass
+        distances, times = found.arrays["distances_m"], found.arrays["times_s"]
+        assert distances.min() == pytest.approx(row["min_distance_m"], abs=5e-3)
+        assert distances.min() >= row["min_distance_m"]
+        held = np.abs(found.arrays["inputs"]).sum() * times[1] / mass
         assert held == pytest.approx(row["delta_v_m_s"], rel=0.05)
 
 
 def test_replay_of_other_satellites_is_what_was_measured(tmp_path):
-    from polaris.scenario.scenario import load_scenario
-
     other = {
         "kind": "satellite",
         "name": "other",
@@ -50,10 +50,11 @@ def test_replay_of_other_satellites_is_what_was_measured(tmp_path):
     }
     scene = load_scenario(TINY)
     scene = scene.set("obstacles", [scene.to_dict()["obstacles"][0], other])
-    folder = run_campaign(make_cases([scene]), 260, tmp_path / "c", batch=260)
+    folder = fly_campaign(make_cases([scene]), 260, tmp_path / "c", batch=260)
     for run in (3, 255):
         found = replay_run(folder, 0, 0, run)
-        assert found.distances.min(axis=0).mean() == pytest.approx(found.row["mean_distance_m"], rel=1e-9)
+        nearest = found.arrays["distances_m"].min(axis=0)
+        assert nearest.mean() == pytest.approx(found.row["mean_distance_m"], rel=1e-9)
 
 
 def test_the_worst_runs_are_found_in_their_order(flown):
@@ -94,15 +95,13 @@ def test_missing_parts_and_other_numbers_are_told(flown, tmp_path, monkeypatch):
         replay_run(folder, 0, 1, 0)
     with pytest.raises(ScenarioError, match="not finished"):
         find_worst(folder, 1)
-    from polaris.runs.campaign import replay
+    real = schedules.ScheduleRuns.fly_mode
 
-    real = replay.fly_mode
-
-    def another(task, schedule, mode):
-        runs, columns = real(task, schedule, mode)
+    def another(self, task, schedule, mode):
+        runs, columns = real(self, task, schedule, mode)
         return runs, columns | {"delta_v_m_s": np.nextafter(columns["delta_v_m_s"], np.inf)}
 
-    monkeypatch.setattr(replay, "fly_mode", another)
+    monkeypatch.setattr(schedules.ScheduleRuns, "fly_mode", another)
     with pytest.raises(PolarisError, match="differently on this machine: delta_v_m_s"):
         replay_run(folder, 0, 0, 0)
 
@@ -162,6 +161,7 @@ def test_a_campaign_without_any_schedule_ends_with_its_exit_code(tmp_path, monke
         (("campaign", TINY, "inspection-monte-carlo"), "one campaign, one scenario"),
         (("campaign", "inspection-monte-carlo", "--seed", 3), "--seed"),
         (("campaign", "inspection-monte-carlo", "--mode", "safety"), "--mode"),
+        (("campaign", "inspection", "--workers", 1), "polaris run"),
         (("campaign-replay", "nope", "--worst", 1), "manifest.json"),
     ],
 )

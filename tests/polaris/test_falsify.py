@@ -10,8 +10,8 @@ from typer.testing import CliRunner
 
 from polaris.cli.app import app
 from polaris.model.errors import ScenarioError
-from polaris.runs.case import digest, load_target, replay, write_case
-from polaris.runs.schedule import write_run
+from polaris.runs.case import load_target, replay, write_case
+from polaris.runs.schedule import digest, write_run
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.disturbances import adjoint_worst_case
 from polaris.simulation.falsification.attacks import Attack, Attacker

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -310,7 +311,7 @@ def test_an_old_folder_is_put_back_if_the_run_was_killed_between(tmp_path):
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-from polaris.runs import atomic as replacing
+from polaris.runs import atomic
 
 step, word = int(sys.argv[2]), sys.argv[1]
 calls = 0
@@ -325,7 +326,7 @@ def count(real):
 for name in ("rename", "mkdir", "unlink", "rmdir", "write_text"):
     setattr(Path, name, count(getattr(Path, name)))
 os.link = count(os.link)
-with replacing.replacing(Path("run")) as beside:
+with atomic.replacing(Path("run")) as beside:
     for name in ("a", "b"):
         (beside / name).write_bytes(word.encode())
 print(calls)
@@ -348,6 +349,7 @@ def test_killed_at_any_moment_a_folder_is_whole(tmp_path):
         assert [path.name for path in tmp_path.iterdir()] == ["run"], step
         if done.returncode == 0:
             break
+        assert done.returncode == -signal.SIGKILL, done.stderr
         write(target, {"a": b"old", "b": b"old"})
         step += 1
     assert step > 6

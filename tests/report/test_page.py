@@ -299,7 +299,7 @@ def inspections(tmp_path_factory):
         "campaign": ("campaign", "inspection-monte-carlo", "--runs", "2", "--set", "campaign.duration_s=5"),
     }.items():
         done[kind] = place / kind
-        extra = ("--set", "campaign.deputies=2") if kind == "campaign" else ()
+        extra = ("--set", "campaign.deputies=2", "--workers", "1") if kind == "campaign" else ()
         told = CliRunner().invoke(cli.app, [*command, *extra, "--out", str(done[kind]), "--no-figures", "-q"])
         assert told.exit_code == 0, told.output
     return done

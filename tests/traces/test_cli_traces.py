@@ -105,6 +105,7 @@ def test_legacy_prints_what_rtaeval_would(path):
         (["--restamp"], "agents.chaser.state_trace"),
         (["--legacy", "--restamp"], "--legacy"),
         (["--legacy", "--mean-motion", "0.001"], "--legacy"),
+        (["--legacy", "--agent-radius", "1"], "--legacy"),
         (["--dims", "2", "--mean-motion", "0.001"], "--dims"),
     ],
 )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+
 import numpy as np
 from scipy.stats import qmc
 
@@ -15,6 +17,74 @@ PATIENCE = 200_000
 """Samples after which a first one must have been accepted, and so on."""
 
 
+class InitialConditions:
+    """States inside the safe set, drawn as they are asked for: the same ones in the same order.
+
+    Samples that violate a constraint are removed and drawn again.
+
+    Parameters
+    ----------
+    families : Families
+        ``h >= 0`` and ``phi >= 0`` are asked for all of them.
+    seed : int
+    position, speed : float, optional
+        Half-widths of the sampled cube [m], [m/s]; default r_max and v_max.
+    block : int
+        Samples per Latin hypercube.
+    """
+
+    def __init__(
+        self,
+        families: Families,
+        seed: int = 0,
+        position: float | None = None,
+        speed: float | None = None,
+        block: int = 4096,
+    ) -> None:
+        q = families.inspection
+        half = [q.distance_max if position is None else position] * 3
+        half += [q.speed_max if speed is None else speed] * 3
+        self.families, self.block = families, block
+        self.wide = np.tile(half, q.deputies)
+        self.sampler = qmc.LatinHypercube(6 * q.deputies + 1, rng=np.random.default_rng(seed))
+        self.x = np.empty((0, q.deputies, 6))
+        self.sun = np.empty(0)
+        self.drawn = 0
+        self._lock = threading.Lock()
+
+    def first(self, count: int) -> tuple[Array, Array]:
+        """The first so many, shapes (count, N, 6) and (count,) [rad].
+
+        Raises
+        ------
+        ScenarioError
+            If hardly any sample satisfies every constraint (less than one in `PATIENCE`).
+        """
+        whole("count", count, 1)
+        with self._lock:
+            while len(self.x) < count:
+                if self.drawn >= PATIENCE and len(self.x) * PATIENCE < self.drawn:
+                    rule = f"none or hardly any of {self.drawn} samples satisfied every constraint; fewer"
+                    raise ScenarioError(
+                        "count", count, f"{rule} deputies, a slower or smaller cube have room"
+                    )
+                self._draw()
+            return self.x[:count], self.sun[:count]
+
+    def _draw(self) -> None:
+        sample = self.sampler.random(self.block)
+        x = (self.wide * (2 * sample[:, :-1] - 1)).reshape(self.block, -1, 6)
+        sun = 2 * np.pi * sample[:, -1]
+        self.drawn += self.block
+        # What is quick to see first: h >= 0 alone would not do, it also holds outside, on a fast way back.
+        phi = allowable(self.families.inspection, x, sun).values()
+        inside = np.flatnonzero(np.all([(values >= 0).all(axis=1) for values in phi], axis=0))
+        for part in (inside[k : k + 128] for k in range(0, len(inside), 128)):
+            good = part[(self.families(x[part], sun[part]).h >= 0).all(axis=1)]
+            self.x = np.concatenate([self.x, x[good]])
+            self.sun = np.concatenate([self.sun, sun[good]])
+
+
 def initial_conditions(
     families: Families,
     count: int,
@@ -23,18 +93,7 @@ def initial_conditions(
     speed: float | None = None,
     block: int = 4096,
 ) -> tuple[Array, Array, float]:
-    """Draw states inside the safe set: those that violate a constraint are removed and drawn again.
-
-    Parameters
-    ----------
-    families : Families
-        ``h >= 0`` and ``phi >= 0`` are asked for all of them.
-    count : int
-    seed : int
-    position, speed : float, optional
-        Half-widths of the sampled cube [m], [m/s]; default r_max and v_max.
-    block : int
-        Samples per Latin hypercube.
+    """Draw some initial conditions; arguments as of `InitialConditions`.
 
     Returns
     -------
@@ -49,35 +108,6 @@ def initial_conditions(
     ScenarioError
         If hardly any sample satisfies every constraint (less than one in `PATIENCE`).
     """
-    whole("count", count, 1)
-    q = families.inspection
-    N = q.deputies
-    wide = np.tile(
-        [q.distance_max if position is None else position] * 3
-        + [q.speed_max if speed is None else speed] * 3,
-        N,
-    )
-    sampler = qmc.LatinHypercube(6 * N + 1, rng=np.random.default_rng(seed))
-    states: list[Array] = []
-    suns: list[Array] = []
-    drawn = accepted = 0
-    while accepted < count:
-        if drawn >= PATIENCE and accepted * PATIENCE < drawn:
-            rule = (
-                f"none or hardly any of {drawn} samples satisfied every constraint; fewer deputies, a slower"
-            )
-            raise ScenarioError("count", count, f"{rule} or smaller cube have room")
-        sample = sampler.random(block)
-        x = (wide * (2 * sample[:, :-1] - 1)).reshape(block, N, 6)
-        sun = 2 * np.pi * sample[:, -1]
-        drawn += block
-        # What is quick to see first: h >= 0 alone would not do, it also holds outside, on a fast way back.
-        phi = allowable(q, x, sun).values()
-        inside = np.flatnonzero(np.all([(values >= 0).all(axis=1) for values in phi], axis=0))
-        for part in (inside[k : k + 128] for k in range(0, len(inside), 128)):
-            good = part[(families(x[part], sun[part]).h >= 0).all(axis=1)]
-            states.append(x[good])
-            suns.append(sun[good])
-            accepted += len(good)
-    found = np.concatenate(states)
-    return found[:count], np.concatenate(suns)[:count], len(found) / drawn
+    drawn = InitialConditions(families, seed, position, speed, block)
+    x, sun = drawn.first(count)
+    return x, sun, len(drawn.x) / drawn.drawn

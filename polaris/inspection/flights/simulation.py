@@ -166,16 +166,35 @@ def fly_one(
     period: float = 1.0,
 ) -> InspectionRun:
     """Fly one run and keep all of it; arguments as in `fly`, x of shape (N, 6)."""
-    kept: list[Step] = []
-    last = fly(inspection, filtering, primary, x[None], np.array([sun]), duration, period, 0, kept.append)
-    t = np.append([step.t for step in kept], duration)
-    return InspectionRun(
-        inspection,
-        t,
-        np.concatenate([np.stack([step.x[0] for step in kept]), last]),
-        inspection.sun_angle(t, sun),
-        np.stack([step.filtered.u[0] for step in kept]),
-        np.stack([step.desired[0] for step in kept]),
-        np.stack([step.filtered.status[0] for step in kept]),
-        np.stack([step.filtered.rows.h[0] for step in kept]),
-    )
+    kept = Kept(0)
+    fly(inspection, filtering, primary, x[None], np.array([sun]), duration, period, 0, kept)
+    return kept.flight(inspection, sun, duration, period)
+
+
+class Kept:
+    """Observer of `fly` that keeps one run of a batch in full.
+
+    Parameters
+    ----------
+    run : int
+        Its number in the batch.
+    """
+
+    def __init__(self, run: int) -> None:
+        self.run = run
+        self.steps: list[tuple[Array, ...]] = []
+
+    def __call__(self, step: Step) -> None:
+        """Take in one control period."""
+        given = (step.x, step.filtered.u, step.desired, step.filtered.status, step.filtered.rows.h)
+        self.steps.append((np.array(step.t), *(values[self.run].copy() for values in given)))
+        self.last = step
+
+    def flight(self, inspection: Inspection, sun: float, duration: float, period: float) -> InspectionRun:
+        """The run, from the angle of the sun at its start [rad]; arguments else as in `fly`."""
+        t, x, u, desired, status, h = (np.stack(values) for values in zip(*self.steps, strict=True))
+        Phi, Gamma = inspection.held(period)
+        final = self.last.x @ Phi.T + self.last.filtered.u @ Gamma.T  # as `fly` moves the whole batch
+        t = np.append(t, duration)
+        x = np.concatenate([x, final[None, self.run]])
+        return InspectionRun(inspection, t, x, inspection.sun_angle(t, sun), u, desired, status, h)

@@ -1,37 +1,45 @@
-"""One task of a campaign, done by a worker: synthesise a case once, fly and measure a batch of its runs.
+"""One task of a campaign, and what a kind of run brings to it: flying a batch, statistics, replay.
 
 A task is text and numbers, its result plain arrays: nothing else travels between processes.
 """
 
 from __future__ import annotations
 
-import hashlib
-import threading
-import tomllib
-import warnings
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import Any, ClassVar, Protocol
 
-import numpy as np
-
-from ...model.errors import ClockWarning, OutOfTime, PolarisError
+from ...model.errors import PolarisError
 from ...model.system import Array
 from ...model.version import version
-from ...simulation.disturbances import Disturbance
-from ...simulation.run_metrics import Runs, evaluate
-from ...simulation.simulate import Initial, simulate
 
-if TYPE_CHECKING:
-    from ...synthesis.schedule import Schedule
 
-MODES: dict[str, int | None] = {"polaris": None, "safety": 0, "experimental": 1}
-"""Who flies: the schedule, S alone, or the preferred U alone."""
+@dataclass(frozen=True)
+class Case:
+    """One scenario with one combination of values, flown many times.
 
-KEPT = 4
-"""Schedules a process keeps; cases come one after the other, so few are in use at a time."""
+    Attributes
+    ----------
+    scenario : str
+        Name of the scenario.
+    parameters : tuple of (str, value)
+        Keys of the grid and their values here.
+    text : str
+        The whole scenario as TOML, overrides and parameters applied.
+    """
 
-_lock = threading.Lock()
+    scenario: str
+    parameters: tuple[tuple[str, Any], ...]
+    text: str
+
+    @property
+    def label(self) -> str:
+        """What tables call it: ``static, planner.extra_margin_m=20``."""
+        return ", ".join([self.scenario, *(f"{key}={_shown(value)}" for key, value in self.parameters)])
+
+
+def _shown(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 @dataclass(frozen=True)
@@ -40,36 +48,30 @@ class Task:
 
     Attributes
     ----------
+    kind : Kind
+        Flies it.
     case, batch : int
         Numbers, counted from 0.
     text : str
         Scenario as TOML.
+    first : int
+        Number of its first run in the case.
     runs : int
         Runs per mode.
     seed : int
         Of the campaign.
-    modes : tuple of str
-        Out of `MODES`.
-    initial, disturbance : str
-        As in `polaris.simulate`.
     version : str
         Of this package; a worker that has another refuses.
     """
 
+    kind: Kind
     case: int
     batch: int
     text: str
+    first: int
     runs: int
     seed: int
-    modes: tuple[str, ...]
-    initial: Initial
-    disturbance: Disturbance
     version: str
-
-    @property
-    def seeds(self) -> tuple[int, int]:
-        """Of the flights and of the other satellites' true states, below 2^63."""
-        return batch_seeds(self.seed, self.text, self.batch)
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,11 +81,11 @@ class Batch:
     Attributes
     ----------
     schedule : str
-        SHA-256 of what the schedule does; empty if there is none.
+        SHA-256 of what the schedule that flies does, on which all batches of a case must agree; may be empty.
     columns : dict of str to ndarray, shapes (modes * runs,)
         One entry per run: one mode after the other.
     failure : str
-        Why there is no schedule; else empty.
+        Why the case cannot be flown; else empty.
     code : int
         Exit code of that.
     """
@@ -94,11 +96,82 @@ class Batch:
     code: int = 0
 
 
-def batch_seeds(seed: int, text: str, batch: int) -> tuple[int, int]:
-    """Seeds of a batch from the campaign's seed, the case's text and the batch's number."""
-    case = int.from_bytes(hashlib.sha256(text.encode()).digest()[:16], "big")
-    drawn = np.random.SeedSequence([seed, case, batch]).generate_state(2, np.uint64) >> np.uint64(1)
-    return int(drawn[0]), int(drawn[1])
+@dataclass(frozen=True, eq=False)
+class Results:
+    """A finished campaign, as statistics see it.
+
+    Attributes
+    ----------
+    cases : tuple of Case
+    runs, seed, batch : int
+        As in `CampaignPlan`.
+    failures : dict of int to dict
+        Cases that cannot be flown, with ``message`` and ``exit_code``.
+    read : callable
+        Columns of all runs of a case, by its number and their names (None: all), in order.
+    """
+
+    cases: tuple[Case, ...]
+    runs: int
+    seed: int
+    batch: int
+    failures: Mapping[int, Mapping[str, Any]]
+    read: Callable[[int, Sequence[str] | None], dict[str, Array]]
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """One run of a batch in full.
+
+    Attributes
+    ----------
+    arrays : dict of str to ndarray
+        By the names they have in an ``.npz`` file, units included.
+    table : dict of str to ndarray
+        The same as columns of a table; those of control periods are one shorter than those of instants.
+    """
+
+    arrays: Mapping[str, Any]
+    table: Mapping[str, Array]
+
+
+class Kind(Protocol):
+    """What a kind of run brings to a campaign; plain data, for it travels with every task."""
+
+    name: ClassVar[str]
+    """By which a manifest knows it."""
+
+    formats: ClassVar[tuple[str, ...]]
+    """What its tables may be kept in, the preferred one first; see `FORMATS`."""
+
+    ranking: ClassVar[str]
+    """Column by which its runs are ranked, the least first; empty if they are not."""
+
+    @property
+    def modes(self) -> tuple[str, ...]:
+        """Who flies; every run is flown once by each."""
+        ...
+
+    def data(self) -> dict[str, Any]:
+        """Options on which results hang, as plain data for the manifest."""
+        ...
+
+    @classmethod
+    def from_data(cls, data: Mapping[str, Any]) -> Kind:
+        """The same kind from a manifest."""
+        ...
+
+    def fly_batch(self, task: Task) -> Batch:
+        """Fly and measure one batch; bit for bit the same in every process."""
+        ...
+
+    def fly_again(self, task: Task, mode: str, run: int) -> tuple[Batch, Trajectory | None]:
+        """Fly one mode of a batch again: its columns, and one of its runs; None if it cannot be flown."""
+        ...
+
+    def summarise(self, results: Results, worst: int) -> dict[str, Any]:
+        """Contents of ``summary.json``, with at most `worst` of the worst runs per case and mode."""
+        ...
 
 
 def fly_batch(task: Task) -> Batch:
@@ -112,68 +185,4 @@ def fly_batch(task: Task) -> Batch:
     if task.version != version():
         rule = f"a worker has version {version()} of this package, the campaign {task.version}"
         raise PolarisError(f"{rule}; install the same everywhere")
-    made = schedule_of(task.text)
-    if made.schedule is None:
-        return Batch("", {}, made.failure, made.code)
-    parts = [fly_mode(task, made.schedule, mode)[1] for mode in task.modes]
-    return Batch(made.digest, {name: np.concatenate([part[name] for part in parts]) for name in parts[0]})
-
-
-def fly_mode(task: Task, schedule: Schedule, mode: str) -> tuple[Runs, dict[str, Array]]:
-    """The runs of one mode of a batch, and their columns of the table, shapes (runs,)."""
-    number = MODES[mode]
-    name = mode if number is None else schedule.controllers[number].name
-    runs = simulate(
-        schedule,
-        task.runs,
-        task.seeds[0],
-        mode=number,
-        initial=task.initial,
-        disturbance=task.disturbance,
-    )
-    who: dict[str, Any] = {
-        "run": np.arange(task.runs, dtype=np.int64),
-        "mode": np.repeat(mode, task.runs),
-        "controller": np.repeat(name, task.runs),
-    }
-    return runs, who | evaluate(runs, task.seeds[1], name).columns()
-
-
-# -- schedules, one synthesis per process ---------------------------------------------------------
-
-
-@dataclass(frozen=True, eq=False)
-class Made:
-    """A synthesis, or why there is none."""
-
-    schedule: Schedule | None
-    digest: str = ""
-    failure: str = ""
-    code: int = 0
-
-
-def schedule_of(text: str) -> Made:
-    """Schedule of a scenario's text; made once per process, whatever its threads ask for."""
-    with _lock:
-        return _made(text)
-
-
-@lru_cache(KEPT)
-def _made(text: str) -> Made:
-    from ...scenario.scenario import Scenario
-    from ...synthesis.synthesize import synthesize
-    from ..case import digest
-
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", ClockWarning)  # told below
-            schedule = synthesize(Scenario.from_dict(tomllib.loads(text)))
-    except PolarisError as error:
-        return Made(None, failure=str(error), code=error.exit_code)
-    except np.linalg.LinAlgError as error:
-        return Made(None, failure=f"the numbers of this case defeat the linear algebra: {error}", code=3)
-    if schedule.safety.cut_by_clock:
-        cut = ", ".join(schedule.safety.cut_by_clock)
-        rule = f"the wall clock ended the planner's search early ({cut}), and a campaign must be repeatable"
-        return Made(None, failure=f"{rule}: raise planner.time_limit_s", code=OutOfTime.exit_code)
-    return Made(schedule, digest(schedule))
+    return task.kind.fly_batch(task)

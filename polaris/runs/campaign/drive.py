@@ -4,21 +4,17 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from ...model.errors import PolarisError
-from ...simulation.disturbances import Disturbance
-from ...simulation.simulate import Initial
 from ..atomic import CannotWrite
 from .batch import Batch, Task, fly_batch
-from .cases import Case
 from .folder import CampaignFolder, open_campaign
-from .plan import BATCH, Plan
-from .statistics import summarise
+from .plan import CampaignPlan
 from .workers import Workers, given, local
 
 RECOVERIES = 3
@@ -37,8 +33,8 @@ class Interrupted(PolarisError):
 
 
 @dataclass
-class Flight:
-    """One drive of a campaign.
+class Driver:
+    """Hands out the tasks of a campaign until all of them are done.
 
     Attributes
     ----------
@@ -124,7 +120,7 @@ class Flight:
         return sorted(lost, key=lambda task: (task.case, task.batch))
 
     def _kept(self, task: Task) -> bool:
-        """Whether a task needs no work: its part is there, or its case has no schedule."""
+        """Whether a task needs no work: its part is there, or its case cannot be flown."""
         if task.case in self.failed:
             return True
         schedule = self.folder.parts.check(task)
@@ -168,16 +164,10 @@ class Flight:
 
 
 def run_campaign(
-    cases: Sequence[Case],
-    runs: int,
+    plan: CampaignPlan,
     out: str | Path,
     *,
     executor: Executor | Workers | None = None,
-    seed: int = 0,
-    batch: int = BATCH,
-    modes: Sequence[str] = ("polaris",),
-    initial: Initial = "mixed",
-    disturbance: Disturbance = "mixed",
     fresh: bool = False,
     worst: int = 5,
     progress: Progress = lambda done, total: None,
@@ -186,22 +176,13 @@ def run_campaign(
 
     Parameters
     ----------
-    cases : sequence of Case
-        From `make_cases`.
-    runs : int
-        Per case and mode.
+    plan : CampaignPlan
+        What to fly.
     out : path
         Folder of the campaign. If it holds the same one, only what is missing is flown.
     executor : concurrent.futures.Executor or Workers, optional
         Who flies: any executor (it is not closed), or what `local` and `cluster` give, which also
         replace lost workers; by default this process.
-    seed : int
-        Same seed and cases, same runs, whoever flies them.
-    batch : int
-        Runs per task.
-    modes : sequence of {"polaris", "safety", "experimental"}
-    initial, disturbance : str
-        As in `polaris.simulate`.
     fresh : bool
         Replace another campaign.
     worst : int
@@ -217,15 +198,14 @@ def run_campaign(
     Raises
     ------
     ScenarioError
-        If an argument is not allowed or the folder holds something else.
+        If the folder holds something else, or its tables need a package that is not there.
     PolarisError
         If workers are lost again and again, stay away or disagree; what was finished is kept.
     """
-    plan = Plan(tuple(cases), runs, seed, batch, tuple(modes), initial, disturbance)
     folder = open_campaign(out, plan, fresh)
     workers = executor if isinstance(executor, Workers) else given(executor) if executor else local(1)
-    Flight(folder, workers, progress).fly()
-    folder.write_summary(summarise(folder, worst))
+    Driver(folder, workers, progress).fly()
+    folder.write_summary(plan.kind.summarise(folder.results(), worst))
     return folder
 
 

@@ -2,9 +2,9 @@
 
 =============== ====================================================================================
 manifest.json   cases (whole scenarios as text), runs, seed, batch; the digest results are known by
-runs/           one Parquet file per batch, one row per run
-failed/         one JSON file per case that has no schedule, with the reason
-summary.json    per case and mode: violations, means with intervals, worst runs
+runs/           one table per batch, one row per run
+failed/         one JSON file per case that cannot be flown, with the reason
+summary.json    statistics of the kind of run
 =============== ====================================================================================
 """
 
@@ -22,9 +22,9 @@ from ..atomic import check_file, check_target, replacing, replacing_file
 from ..folder import read_json
 from ..ownership import RESULTS, tidy_all
 from ..tables import json_text, write_text
-from .batch import Batch
-from .parts import Parts
-from .plan import Plan
+from .batch import Batch, Results
+from .parts import Parts, usable
+from .plan import CampaignPlan
 
 MANIFEST = "manifest.json"
 
@@ -36,16 +36,19 @@ class CampaignFolder:
     Attributes
     ----------
     path : Path
-    plan : Plan
+    plan : CampaignPlan
+    table : str
+        Format of the tables, one of `FORMATS`.
     """
 
     path: Path
-    plan: Plan
+    plan: CampaignPlan
+    table: str
 
     @property
     def parts(self) -> Parts:
         """The table of all runs."""
-        return Parts(self.path / "runs", self.plan)
+        return Parts(self.path / "runs", self.plan, self.table)
 
     @property
     def summary(self) -> dict[str, Any]:
@@ -53,7 +56,7 @@ class CampaignFolder:
         return read_json(self.path / "summary.json")
 
     def failures(self) -> dict[int, dict[str, Any]]:
-        """Cases without a schedule, by number, with ``message`` and ``exit_code``."""
+        """Cases that cannot be flown, by number, with ``message`` and ``exit_code``."""
         found = {}
         for case in range(len(self.plan.cases)):
             path = self._failure(case)
@@ -63,8 +66,13 @@ class CampaignFolder:
                     found[case] = told
         return found
 
+    def results(self) -> Results:
+        """What statistics see of it, once all parts are there."""
+        plan = self.plan
+        return Results(tuple(plan.cases), plan.runs, plan.seed, plan.batch, self.failures(), self.parts.read)
+
     def fail(self, case: int, batch: Batch) -> None:
-        """Note why a case has no schedule."""
+        """Note why a case cannot be flown."""
         told = {
             "case": case,
             "label": self.plan.cases[case].label,
@@ -93,7 +101,7 @@ class CampaignFolder:
         return self.path / "failed" / f"case-{case:04d}.json"
 
 
-def open_campaign(out: str | Path, plan: Plan, fresh: bool = False) -> CampaignFolder:
+def open_campaign(out: str | Path, plan: CampaignPlan, fresh: bool = False) -> CampaignFolder:
     """Make a folder for a campaign, or take up the one that is there.
 
     Raises
@@ -102,15 +110,16 @@ def open_campaign(out: str | Path, plan: Plan, fresh: bool = False) -> CampaignF
         If there is something else, or another campaign and not `fresh`.
     """
     path = Path(out).resolve()
+    table = usable(plan.kind.formats)
     if not (path / MANIFEST).is_file():
         check_target(out)
         if (path / "summary.json").is_file():
             raise ScenarioError("--out", str(out), "is a run folder; a campaign needs one of its own")
-        return _new(path, plan)
+        return _new(path, plan, table)
     if fresh:
         check_target(out, campaign=True)
         _manifest(path)
-        return _new(path, plan)
+        return _new(path, plan, table)
     check_file(path / "summary.json")
     known = _manifest(path)
     if known.get("digest") != plan.digest:
@@ -119,18 +128,24 @@ def open_campaign(out: str | Path, plan: Plan, fresh: bool = False) -> CampaignF
     if known["runs"] > plan.runs:
         rule = f"the campaign in {path} has {known['runs']} already; ask for as many or more, or --fresh"
         raise ScenarioError("--runs", plan.runs, rule)
-    folder = CampaignFolder(path, plan)
+    folder = CampaignFolder(path, plan, usable([known.get("table", table)]))
     for name in ("runs", "failed"):
         (path / name).mkdir(exist_ok=True)
     if known["runs"] < plan.runs:
-        _write_manifest(path, plan)
+        _write_manifest(path, plan, folder.table)
     folder.clear()
     folder.forget_undecided()
     return folder
 
 
-def read_campaign(path: str | Path) -> CampaignFolder:
+def read_campaign(path: str | Path, same_version: bool = True) -> CampaignFolder:
     """Open the folder of a campaign, finished or not.
+
+    Parameters
+    ----------
+    path : path
+    same_version : bool
+        Whether it must be of this version of the package, as for flying its runs again.
 
     Raises
     ------
@@ -141,16 +156,16 @@ def read_campaign(path: str | Path) -> CampaignFolder:
     if not (folder / MANIFEST).is_file():
         raise ScenarioError("campaign", str(path), f"must be a campaign folder; it has no {MANIFEST}")
     known = _manifest(folder)
-    if known.get("version") != version():
+    if same_version and known.get("version") != version():
         rule = f"was made by version {known.get('version')}, this is {version()}: its runs may differ"
         raise ScenarioError("campaign", str(path), rule)
     try:
-        plan = Plan.from_data(known)
+        plan, table = CampaignPlan.from_data(known), str(known["table"])
     except (ValueError, KeyError, TypeError, AttributeError, ScenarioError) as error:
         raise ScenarioError("campaign", str(path), f"its manifest is damaged ({error})") from error
-    if plan.digest != known.get("digest"):
+    if same_version and plan.digest != known.get("digest"):
         raise ScenarioError("campaign", str(path), "its manifest was changed: the digest does not fit")
-    return CampaignFolder(folder, plan)
+    return CampaignFolder(folder, plan, usable([table]))
 
 
 def write_beside(path: Path, text: str) -> None:
@@ -159,18 +174,19 @@ def write_beside(path: Path, text: str) -> None:
         write_text(beside, text)
 
 
-def _new(path: Path, plan: Plan) -> CampaignFolder:
+def _new(path: Path, plan: CampaignPlan, table: str) -> CampaignFolder:
     with replacing(path, RESULTS) as beside:
         for name in ("runs", "failed"):
             (beside / name).mkdir()
-        _write_manifest(beside, plan)
-    return CampaignFolder(path, plan)
+        _write_manifest(beside, plan, table)
+    return CampaignFolder(path, plan, table)
 
 
-def _write_manifest(folder: Path, plan: Plan) -> None:
+def _write_manifest(folder: Path, plan: CampaignPlan, table: str) -> None:
     data = {
         **plan.data(),
         "digest": plan.digest,
+        "table": table,
         "versions": versions(),
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
     }
@@ -187,7 +203,7 @@ def _manifest(folder: Path) -> dict[str, Any]:
     return known
 
 
-def _difference(known: dict[str, Any], plan: Plan) -> str:
+def _difference(known: dict[str, Any], plan: CampaignPlan) -> str:
     """What two campaigns differ in."""
     data = plan.data()
     names = [name for name in data if name != "runs" and known.get(name) != data[name]]

@@ -3,41 +3,48 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any
 
 from ...model.checks import whole
 from ...model.errors import ScenarioError
 from ...model.version import version
-from ...simulation.disturbances import Disturbance
-from ...simulation.simulate import DISTURBANCES, INITIALS, Initial
-from .batch import MODES, Task
-from .cases import Case
+from ...scenario.overrides import parse_assignment
+from ...scenario.scenario import Scenario, ScheduleScenario, load_scenario
+from .batch import Case, Kind, Task
+from .inspections import InspectionRuns
+from .schedules import ScheduleRuns
 
-FORMAT, VERSION = "polaris campaign", 1
+FORMAT, VERSION = "polaris campaign", 2
+
+KINDS: dict[str, type[Kind]] = {kind.name: kind for kind in (ScheduleRuns, InspectionRuns)}
+"""Kinds of run by the name in a manifest."""
 
 BATCH = 250
 """Runs per task: enough to be worth sending, few enough to lose little with a worker."""
 
+OPENING, CLOSING = "[{", "]}"
+
 
 @dataclass(frozen=True)
-class Plan:
+class CampaignPlan:
     """A campaign, as its manifest keeps it.
 
     Attributes
     ----------
     cases : tuple of Case
+        From `make_cases`.
     runs : int
         Per case and mode.
     seed : int
+        Same seed and cases, same runs, whoever flies them.
     batch : int
         Runs per task; another size is another campaign, for every batch has a seed of its own.
-    modes : tuple of str
-        ``polaris``, ``safety``, ``experimental``.
-    initial, disturbance : str
-        As in `polaris.simulate`.
+    kind : Kind
+        How a batch is flown; by default runs of schedules.
 
     Raises
     ------
@@ -45,27 +52,16 @@ class Plan:
         If a value is not allowed.
     """
 
-    cases: tuple[Case, ...]
+    cases: Sequence[Case]
     runs: int
     seed: int = 0
     batch: int = BATCH
-    modes: tuple[str, ...] = ("polaris",)
-    initial: Initial = "mixed"
-    disturbance: Disturbance = "mixed"
+    kind: Kind = ScheduleRuns()
 
     def __post_init__(self) -> None:
         whole("--runs", self.runs, 1)
         whole("--seed", self.seed, 0)
         whole("--batch", self.batch, 1)
-        for name, given, allowed in (
-            *(("--mode", mode, tuple(MODES)) for mode in self.modes),
-            ("--initial", self.initial, INITIALS),
-            ("--disturbance", self.disturbance, DISTURBANCES),
-        ):
-            if given not in allowed:
-                raise ScenarioError(name, given, f"must be one of {', '.join(allowed)}")
-        if not self.modes or len(set(self.modes)) < len(self.modes):
-            raise ScenarioError("--mode", list(self.modes), "must name at least one mode, each once")
         if not self.cases:
             raise ScenarioError("cases", [], "must hold at least one")
 
@@ -94,9 +90,9 @@ class Plan:
             raise ScenarioError("--case", case, f"must be from 0 to {len(self.cases) - 1}")
         if not 0 <= batch < self.batches:
             raise ScenarioError("--batch", batch, f"must be from 0 to {self.batches - 1}")
-        runs = min(self.batch, self.runs - batch * self.batch)
-        text = self.cases[case].text
-        return Task(case, batch, text, runs, self.seed, self.modes, self.initial, self.disturbance, version())
+        first = batch * self.batch
+        runs = min(self.batch, self.runs - first)
+        return Task(self.kind, case, batch, self.cases[case].text, first, runs, self.seed, version())
 
     def tasks(self) -> Iterator[Task]:
         """All tasks, one case after the other."""
@@ -114,17 +110,16 @@ class Plan:
             "format": FORMAT,
             "format_version": VERSION,
             "version": version(),
+            "kind": self.kind.name,
             "runs": self.runs,
             "seed": self.seed,
             "batch": self.batch,
-            "modes": list(self.modes),
-            "initial": self.initial,
-            "disturbance": self.disturbance,
+            **self.kind.data(),
             "cases": cases,
         }
 
     @classmethod
-    def from_data(cls, data: dict[str, Any]) -> Plan:
+    def from_data(cls, data: dict[str, Any]) -> CampaignPlan:
         """The plan of a manifest; raises ValueError, KeyError or TypeError if it is none."""
         if data.get("format") != FORMAT or data.get("format_version") != VERSION:
             raise ValueError(f"not a {FORMAT} of version {VERSION}")
@@ -132,13 +127,85 @@ class Plan:
             Case(str(item["scenario"]), tuple(item["parameters"].items()), str(item["toml"]))
             for item in data["cases"]
         )
-        modes = tuple(str(mode) for mode in data["modes"])
-        return cls(
-            cases,
-            data["runs"],
-            data["seed"],
-            data["batch"],
-            modes,
-            cast(Initial, data["initial"]),
-            cast(Disturbance, data["disturbance"]),
-        )
+        kind = KINDS[data["kind"]].from_data(data)
+        return cls(cases, data["runs"], data["seed"], data["batch"], kind)
+
+
+# -- cases -------------------------------------------------------------------------------------------
+
+
+def make_cases(
+    scenarios: Sequence[str | ScheduleScenario],
+    grid: Mapping[str, Sequence[Any]] | None = None,
+    overrides: Sequence[str] = (),
+) -> tuple[Case, ...]:
+    """Every scenario with every combination of the grid's values.
+
+    Parameters
+    ----------
+    scenarios : sequence of str or ScheduleScenario
+        Names, paths, or scenarios already loaded.
+    grid : mapping, optional
+        Values by key, as in ``{"planner.extra_margin_m": [10, 20]}``; the last key changes fastest.
+    overrides : sequence of str
+        Texts ``key=value`` that hold in all cases.
+
+    Raises
+    ------
+    ScenarioError
+        If there is no such scenario, a value is not valid in it, or two cases are the same.
+    """
+    if isinstance(scenarios, (str, Scenario)):
+        raise ScenarioError("scenarios", type(scenarios).__name__, "must be a list of scenarios, even of one")
+    values = dict(grid or {})
+    for key, given in values.items():
+        if not isinstance(given, Sequence) or isinstance(given, str):
+            raise ScenarioError(f"--grid {key}", given, "must be a list of values, even of one")
+        if any(parse_assignment(text)[0] == key for text in overrides):
+            raise ScenarioError("--grid", key, "must not be given to --set too")
+        if not given or any(item in given[:i] for i, item in enumerate(given)):
+            raise ScenarioError(f"--grid {key}", list(given), "must have at least one value, each once")
+    found: list[Case] = []
+    for scenario in scenarios:
+        loaded = load_scenario(scenario, only=ScheduleScenario) if isinstance(scenario, str) else scenario
+        loaded = loaded.with_assignments(overrides)
+        for combination in itertools.product(*values.values()):
+            chosen = dict(zip(values, combination, strict=True))
+            text = loaded.with_overrides(chosen).to_toml()
+            found.append(Case(loaded.name, tuple(chosen.items()), text))
+    if len({case.text for case in found}) < len(found) or not found:
+        raise ScenarioError("scenarios", [case.label for case in found], "must be different cases")
+    return tuple(found)
+
+
+def parse_grid(texts: Sequence[str]) -> dict[str, list[Any]]:
+    """Values by key from texts ``key=v1,v2,...``; values as for ``--set``, commas in brackets kept."""
+    grid: dict[str, list[Any]] = {}
+    for text in texts:
+        key, equals, rest = text.partition("=")
+        key = key.strip()
+        if not equals or not key or not rest.strip():
+            raise ScenarioError("--grid", text, "must be key=value,value,...")
+        if key in grid:
+            raise ScenarioError("--grid", key, "is given twice")
+        grid[key] = [parse_assignment(f"{key}={part}")[1] for part in _split(rest)]
+    return grid
+
+
+def _split(text: str) -> list[str]:
+    """Parts between commas that stand outside brackets and quotes."""
+    parts, depth, quote = [""], 0, ""
+    for letter in text:
+        if quote:
+            quote = "" if letter == quote else quote
+        elif letter in "\"'":
+            quote = letter
+        elif letter in OPENING:
+            depth += 1
+        elif letter in CLOSING:
+            depth -= 1
+        if letter == "," and depth <= 0 and not quote:
+            parts.append("")
+        else:
+            parts[-1] += letter
+    return parts

@@ -1,18 +1,15 @@
-"""What the runs of a campaign amount to, per case and mode: violations, means with intervals, worst runs."""
+"""What the runs of schedules amount to, per case and mode: violations, means with intervals, worst runs."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from ...model.system import Array
 from ...simulation.intervals import CONFIDENCE, mean_interval, possible, violation_interval
-
-if TYPE_CHECKING:
-    from .folder import CampaignFolder
-
+from .batch import Results
 
 MEANS = ("min_distance_m", "mean_distance_m", "experimental_share", "delta_v_m_s")
 """Columns whose mean is told with an interval."""
@@ -29,6 +26,7 @@ WORST: dict[str, Callable[[Array], Any]] = {
 }
 """Columns whose worst value over runs is told, and which one that is."""
 
+COLUMNS = sorted({*MEANS, *WORST, "batch", "run", "mode", "controller", "collided"})
 
 DEFINITIONS = {
     "violations": "runs that entered a true unsafe set",
@@ -51,55 +49,51 @@ ASSUMPTIONS = {
 }
 
 
-def summarise(folder: CampaignFolder, worst: int = 5) -> dict[str, Any]:
+def summarise(results: Results, options: dict[str, Any], worst: int) -> dict[str, Any]:
     """Contents of ``summary.json``.
 
     Parameters
     ----------
-    folder : CampaignFolder
-        With all its parts.
+    results : Results
+    options : dict
+        Who flew, from where, under which disturbances.
     worst : int
         Worst runs to tell per case and mode.
     """
-    plan, failures = folder.plan, folder.failures()
     cases = []
-    for number, case in enumerate(plan.cases):
+    for number, case in enumerate(results.cases):
         told: dict[str, Any] = {
             "case": number,
             "scenario": case.scenario,
             "parameters": dict(case.parameters),
             "label": case.label,
         }
-        if number in failures:
-            told["failure"] = failures[number]["message"]
-            told["exit_code"] = failures[number]["exit_code"]
+        failure = results.failures.get(number)
+        if failure is None:
+            columns = results.read(number, COLUMNS)
+            told["modes"] = {
+                mode: _told(
+                    {name: values[columns["mode"] == mode] for name, values in columns.items()}, worst
+                )
+                for mode in options["modes"]
+            }
         else:
-            told["modes"] = _modes(folder, number, worst)
+            told |= {"failure": failure["message"], "exit_code": failure["exit_code"]}
         cases.append(told)
-    kind = "mixed" if "mixed" in (plan.initial, plan.disturbance) else "drawn"
+    kind = "mixed" if "mixed" in (options["initial"], options["disturbance"]) else "drawn"
     return {
         "schema_version": 1,
         "kind": "campaign",
-        "runs": plan.runs,
-        "seed": plan.seed,
-        "batch": plan.batch,
-        "initial": plan.initial,
-        "disturbance": plan.disturbance,
+        "runs": results.runs,
+        "seed": results.seed,
+        "batch": results.batch,
+        "initial": options["initial"],
+        "disturbance": options["disturbance"],
         "confidence": CONFIDENCE,
-        "flown": plan.runs * len(plan.modes) * (len(cases) - len(failures)),
+        "flown": results.runs * len(options["modes"]) * (len(cases) - len(results.failures)),
         "cases": cases,
         "assumptions": [ASSUMPTIONS[name] for name in (kind, "independent", "normal")],
         "definitions": DEFINITIONS,
-    }
-
-
-def _modes(folder: CampaignFolder, case: int, worst: int) -> dict[str, Any]:
-    names = sorted({*MEANS, *WORST, "batch", "run", "mode", "controller", "collided"})
-    table = folder.parts.read(case, names)
-    columns = {name: table[name].to_numpy() for name in names}
-    return {
-        mode: _told({name: values[columns["mode"] == mode] for name, values in columns.items()}, worst)
-        for mode in folder.plan.modes
     }
 
 

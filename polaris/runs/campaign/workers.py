@@ -115,7 +115,7 @@ def cluster(address: str) -> Iterator[Workers]:
     try:
         import distributed
     except ImportError as error:
-        rule = "needs the package distributed: pip install distributed"
+        rule = "needs the package distributed: pip install '.[campaign]'"
         raise ScenarioError("--scheduler", address, rule) from error
     if not re.fullmatch(r"\w+://[^\s/]+:\d+", address):
         raise ScenarioError("--scheduler", address, "must be an address like tcp://host:8786")
@@ -141,7 +141,7 @@ def cluster(address: str) -> Iterator[Workers]:
 
 @contextmanager
 def _unlogged() -> Iterator[None]:
-    """Keep what Dask logs of lost connections, tracebacks included, off the terminal: `Flight` tells."""
+    """Keep what Dask logs of lost connections, tracebacks included, off the terminal: `Driver` tells."""
     known = [*logging.root.manager.loggerDict, *LOGGERS]
     names = dict.fromkeys(name for name in known if name.partition(".")[0] in LOGGERS)
     levels = {name: logging.getLogger(name).level for name in names}

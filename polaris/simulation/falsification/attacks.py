@@ -89,7 +89,8 @@ class Attacker:
 
     def worst(self, count: int) -> Attack:
         """The closed-form worst case of facets and instants: half of them where the proof leaves least."""
-        rows, targets = self._anywhere(count)
+        rows = self.rows[self.rng.integers(0, len(self.rows), count)].copy()
+        targets = self.rng.integers(1, self.flight.steps + 1, count)
         near = count // 2 if len(self._left) else 0
         if near:
             scale = max(float(np.median(self._left)) / 20, 1e-9)
@@ -110,16 +111,16 @@ class Attacker:
         Half aim at the limit that came out tightest, half at another one, when it was tightest.
         """
         R, limits = found.margin.shape
-        scaled = found.margin / self._scale()
-        which = np.argmin(scaled, axis=1)
+        # What one unit of margin is worth: metres as they are, inputs by their limits.
+        scale = np.concatenate([np.ones(len(self.claims.unsafe)), self.flight.system.u_max / 10])
+        which = np.argmin(found.margin / scale, axis=1)
         other = np.flatnonzero(self.rng.random(R) < 0.5)
         which[other] = self.rng.integers(0, limits, len(other))
-        rows = np.empty((R, self.flight.system.n))
         step = np.clip(np.rint(found.when[np.arange(R), which] / self.flight.dt).astype(int), 1, None)
         step = np.minimum(step, self.flight.steps)
         node = np.minimum(step // self.flight.substeps, runs.states.shape[1] - 1)
-        for run in range(R):
-            rows[run] = self._row(int(which[run]), runs.states[run, node[run]], int(node[run]))
+        at = zip(which.tolist(), runs.states[np.arange(R), node], node.tolist(), strict=True)
+        rows = np.array([self._row(*given) for given in at])
         clipped = np.abs(runs.inputs) >= self.flight.system.u_max * (1 - 1e-12)
         per_step = np.repeat(clipped.swapaxes(0, 1), self.flight.substeps, axis=0)
         return self._towards(rows[:count], step[:count], per_step[:, :count])
@@ -148,27 +149,17 @@ class Attacker:
         x0 = theta.c + np.where(adjoint @ theta.G < 0, -1.0, 1.0) @ theta.G.T
         return Attack(x0, w, free)
 
-    def _anywhere(self, count: int) -> tuple[Array, NDArray[np.int_]]:
-        rows = self.rows[self.rng.integers(0, len(self.rows), count)].copy()
-        return rows, self.rng.integers(1, self.flight.steps + 1, count)
-
     def _row(self, limit: int, x: Array, node: int) -> Array:
         """The row of a limit that counts at a state: its nearest facet, or the input's sign."""
         unsafe, system = self.claims.unsafe, self.flight.system
         if limit < len(unsafe):
             q = self.claims.schedule.safety.clearance.q
             cell = min(node // q, self.claims.cells - 1)
-            left = (
-                unsafe[limit].normals @ (system.position @ x)
-                - self.claims.offsets[limit][cell, node - cell * q]
-            )
+            offsets = self.claims.offsets[limit][cell, node - cell * q]
+            left = unsafe[limit].normals @ (system.position @ x) - offsets
             return np.asarray(self.rows[self.first[limit] + int(np.argmax(left))])
         axis = limit - len(unsafe)
         return np.asarray(self.rows[self.first[-1] + axis + system.m * int(self.rng.integers(0, 2))])
-
-    def _scale(self) -> Array:
-        """What one unit of margin is worth per limit: metres as they are, inputs by their limits."""
-        return np.concatenate([np.ones(len(self.claims.unsafe)), self.flight.system.u_max / 10])
 
     def _thrust(self, count: int) -> Array | None:
         """Random inputs of a controller that may do anything."""

@@ -161,99 +161,101 @@ def falsify(
     return _Search(schedule, runs, np.random.default_rng(seed)).run(progress)
 
 
+@dataclass(frozen=True, eq=False)
+class _Arena:
+    """A schedule with or without S's flight after T, and who attacks it."""
+
+    claims: Claims
+    flight: Integrator
+    attacker: Attacker
+
+    @classmethod
+    def of(cls, schedule: Schedule, tail: bool, rng: np.random.Generator) -> _Arena:
+        claims = Claims(schedule, tail)
+        flight = Integrator(schedule, claims.modes, 1)
+        return cls(claims, flight, Attacker(claims, flight, rng))
+
+
 class _Search:
     def __init__(self, schedule: Schedule, runs: int, rng: np.random.Generator) -> None:
         self.schedule, self.wanted, self.flown = schedule, runs, 0
-        self.substeps = 1
+        self.main = _Arena.of(schedule, False, rng)
         proven_after = schedule.safety.end.proven and schedule.guarantee == "proved"
-        self.arenas = [self._arena(tail, rng) for tail in ((False, True) if proven_after else (False,))]
-        limits = len(self.arenas[0][0].names)
+        self.tail = _Arena.of(schedule, True, rng) if proven_after else None
+        limits = len(self.main.claims.names)
         self.least, self.at = np.full(limits, np.inf), np.full(limits, np.nan)
-        claimed = self.arenas[-1][0].floor  # with the tail, if there is one
+        claimed = (self.tail or self.main).claims.floor
         self.proven = np.where(np.isneginf(claimed), np.inf, claimed).min(axis=(0, 1))
-
-    def _arena(self, tail: bool, rng: np.random.Generator) -> tuple[Claims, Integrator, Attacker]:
-        claims = Claims(self.schedule, tail)
-        flight = Integrator(self.schedule, claims.modes, self.substeps)
-        return claims, flight, Attacker(claims, flight, rng)
+        self.elites: dict[int, tuple[Attack, Array]] = {}
+        self.last: tuple[Runs, Attained] | None = None
 
     def run(self, progress: Callable[[int, int], None] | None) -> Falsification:
         begun = time.perf_counter()
-        batch, failed, beyond = 0, None, len(self.arenas) == 1
-        elites: dict[int, Attack] = {}
-        worth: dict[int, Array] = {}
-        last: tuple[Runs, Attained] | None = None
-        while self.flown < self.wanted and failed is None:
+        # Short flights fit into few batches: then those are made smaller, and one is kept for the tail.
+        usual = max(min(BATCH // self.main.flight.steps, -(-self.wanted // TAIL_EVERY)), SMALLEST)
+        batch, found, beyond = 0, None, self.tail is None
+        while self.flown < self.wanted and found is None:
             left = self.wanted - self.flown
-            # Short flights fit into few batches: then those are made smaller, and one is kept for the tail.
-            count = max(min(BATCH // self.arenas[0][1].steps, -(-self.wanted // TAIL_EVERY)), SMALLEST)
-            due = batch % TAIL_EVERY == TAIL_EVERY - 1 or (not beyond and 0 < left <= count and batch > 0)
-            which = 1 if len(self.arenas) > 1 and due else 0
-            claims, flight, attacker = self.arenas[which]
-            beyond = beyond or which == 1
-            count = min(max(min(count, BATCH // flight.steps), SMALLEST), left)
-            kind = "worst" if which else ROUND[batch % len(ROUND)]
-            if kind == "again" and last is not None:
-                attack = attacker.again(*last, count)
-            elif kind == "mutate":
-                attack = attacker.mutate(Attack.join(list(elites.values())), count)
-            else:
-                attack = attacker.random(count) if kind == "random" else attacker.worst(count)
-            flown = attack.fly(flight)
-            measured = attained(claims, flown)
+            due = batch % TAIL_EVERY == TAIL_EVERY - 1 or (not beyond and left <= usual and batch > 0)
+            arena = self.tail if self.tail is not None and due else self.main
+            beyond = beyond or arena is self.tail
+            count = min(max(min(usual, BATCH // arena.flight.steps), SMALLEST), left)
+            attack = self._attack(arena, ROUND[batch % len(ROUND)], count)
+            flown = attack.fly(arena.flight)
+            measured = attained(arena.claims, flown)
             self.flown += count
             batch += 1
-            failed = self._record(claims, attack, measured)
-            if which == 0:
-                last = flown, measured
-                self._keep(elites, worth, attack, measured)
+            found = self._record(arena.claims, attack, measured)
+            if arena is self.main:
+                self.last = flown, measured
+                self._keep(attack, measured)
             if progress:
                 progress(self.flown, self.wanted)
-        failure, case = (None, None) if failed is None else failed
+        failure, case = found or (None, None)
+        spent = time.perf_counter() - begun
+        names = self.main.claims.names
         return Falsification(
-            self.schedule,
-            self.arenas[0][0].names,
-            self.least,
-            self.proven,
-            self.at,
-            self.flown,
-            time.perf_counter() - begun,
-            failure,
-            case,
+            self.schedule, names, self.least, self.proven, self.at, self.flown, spent, failure, case
         )
+
+    def _attack(self, arena: _Arena, kind: str, count: int) -> Attack:
+        if arena is self.main:
+            if kind == "again" and self.last is not None:
+                return arena.attacker.again(*self.last, count)
+            if kind == "mutate":
+                return arena.attacker.mutate(Attack.join([pool for pool, _ in self.elites.values()]), count)
+            if kind == "random":
+                return arena.attacker.random(count)
+        return arena.attacker.worst(count)
 
     def _record(
         self, claims: Claims, attack: Attack, measured: Attained
     ) -> tuple[Failure, tuple[Attack, bool, int]] | None:
         """Note the least margins; the worst violation, flown again with finer steps to be sure of it."""
-        best = np.argmin(measured.margin, axis=0)
-        for limit, run in enumerate(best):
-            if measured.margin[run, limit] < self.least[limit]:
-                self.least[limit] = measured.margin[run, limit]
-                self.at[limit] = measured.when[run, limit]
+        every, best = np.arange(len(self.least)), np.argmin(measured.margin, axis=0)
+        least, when = measured.margin[best, every], measured.when[best, every]
+        less = least < self.least
+        self.least[less], self.at[less] = least[less], when[less]
         suspects = np.flatnonzero(np.any([mask.any(axis=1) for mask in broken(claims, measured)], axis=0))
         for run in suspects[np.argsort(measured.margin[suspects].min(axis=1))]:
-            confirmed = confirm(claims, attack.pick(np.array([run])), self.substeps)
+            confirmed = confirm(claims, attack.pick(np.array([run])))
             if confirmed is not None:
                 failure, finer, substeps = confirmed
                 return failure, (finer, claims.tail, substeps)
         return None
 
-    def _keep(
-        self, elites: dict[int, Attack], worth: dict[int, Array], attack: Attack, measured: Attained
-    ) -> None:
+    def _keep(self, attack: Attack, measured: Attained) -> None:
         """Keep the best attacks on every limit."""
-        for limit in range(measured.margin.shape[1]):
-            score = measured.margin[:, limit]
+        for limit, score in enumerate(measured.margin.T):
             chosen = np.argsort(score)[:ELITES]
             if not np.isfinite(score[chosen[0]]):
                 continue
             pool, value = attack.pick(chosen), score[chosen]
-            if limit in elites:
-                pool = Attack.join([elites[limit], pool])
-                value = np.concatenate([worth[limit], value])
+            if limit in self.elites:
+                older, worth = self.elites[limit]
+                pool, value = Attack.join([older, pool]), np.concatenate([worth, value])
             best = np.argsort(value, kind="stable")[:ELITES]
-            elites[limit], worth[limit] = pool.pick(best), value[best]
+            self.elites[limit] = pool.pick(best), value[best]
 
 
 def broken(claims: Claims, measured: Attained) -> tuple[Any, Any, Any]:
@@ -279,20 +281,17 @@ def violation(claims: Claims, measured: Attained, run: int = 0) -> Failure | Non
     return None
 
 
-def confirm(claims: Claims, attack: Attack, substeps: int) -> tuple[Failure, Attack, int] | None:
+def confirm(claims: Claims, attack: Attack) -> tuple[Failure, Attack, int] | None:
     """Fly one attack again with four times as many integration steps, its disturbance the same.
 
     Returns
     -------
     failure, attack, substeps
-        The violation, the attack on the finer steps, and their number; None if it was none.
+        The violation, the attack on the finer steps, and their number per node; None if it was none.
     """
-    factor = 1 if claims.schedule.safety.tracking.feedback.sampled else 4
-    finer = Attack(
-        attack.x0,
-        np.repeat(attack.w, factor, axis=0),
-        None if attack.free is None else np.repeat(attack.free, factor, axis=0),
-    )
-    flight = Integrator(claims.schedule, claims.modes, substeps * factor)
+    substeps = 1 if claims.schedule.safety.tracking.feedback.sampled else 4
+    free = None if attack.free is None else np.repeat(attack.free, substeps, axis=0)
+    finer = Attack(attack.x0, np.repeat(attack.w, substeps, axis=0), free)
+    flight = Integrator(claims.schedule, claims.modes, substeps)
     failure = violation(claims, attained(claims, finer.fly(flight)))
-    return None if failure is None else (failure, finer, substeps * factor)
+    return None if failure is None else (failure, finer, substeps)

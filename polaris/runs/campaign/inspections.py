@@ -1,0 +1,217 @@
+"""Campaigns of the inspection problem: drawn initial conditions, each flown under every study's filter."""
+
+from __future__ import annotations
+
+import tomllib
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from functools import lru_cache
+from typing import Any, ClassVar
+
+import numpy as np
+
+from ...inspection.constraints.motion import SampledData
+from ...inspection.flights.sampling import InitialConditions, initial_conditions
+from ...inspection.flights.simulation import InspectionRun, Kept
+from ...inspection.flights.studies import Outcome, Study, fly_block
+from ...model.errors import ScenarioError
+from ...model.system import Array
+from ...model.version import versions
+from ...scenario.filter_tables import DecentralizedFilter
+from ...scenario.scenario import MonteCarloScenario
+from ...simulation.intervals import CONFIDENCE, lower_bound
+from ..inspection import flight_arrays
+from .batch import Batch, Case, Results, Task, Trajectory
+
+BLOCK = 100
+"""Runs flown together: what fits into fast memory."""
+
+STATES = ("rx_m", "ry_m", "rz_m", "vx_m_s", "vy_m_s", "vz_m_s")
+
+DEFINITIONS = {
+    "success": "no constraint was negative, at the samples, between them and at the end, and every "
+    "program had a solution; constraints left out of the filter are left out of this",
+    "failures": "runs with that failure; a run may have several",
+    "acceptance": "share of the drawn initial conditions that satisfied every constraint",
+}
+
+GUARANTEE = {
+    "kind": "statistical",
+    "reason": f"the lower bounds on the probability of success hold with {CONFIDENCE:.0%} confidence "
+    "each, for initial conditions drawn as here and flights of this length, as far as the instants "
+    "that were looked at show",
+    "assumptions": [
+        "the initial conditions count as independent; Latin hypercube samples are so only nearly"
+    ],
+}
+
+
+@dataclass(frozen=True)
+class InspectionRuns:
+    """Runs of a scenario of the kind ``monte_carlo``.
+
+    Attributes
+    ----------
+    modes : tuple of str
+        Names of the scenario's studies; all fly the same initial conditions.
+    """
+
+    modes: tuple[str, ...]
+
+    name: ClassVar[str] = "inspection"
+    formats: ClassVar[tuple[str, ...]] = ("parquet", "npz")
+    ranking: ClassVar[str] = ""
+
+    def data(self) -> dict[str, Any]:
+        """As `Kind.data`."""
+        return {"modes": list(self.modes)}
+
+    @classmethod
+    def from_data(cls, data: Mapping[str, Any]) -> InspectionRuns:
+        """As `Kind.from_data`."""
+        return cls(tuple(map(str, data["modes"])))
+
+    def fly_batch(self, task: Task) -> Batch:
+        """As `Kind.fly_batch`."""
+        try:
+            parts = [self._fly(task, mode)[0] for mode in self.modes]
+        except ScenarioError as error:
+            return Batch("", {}, str(error), error.exit_code)
+        return Batch("", {name: np.concatenate([part[name] for part in parts]) for name in parts[0]})
+
+    def fly_again(self, task: Task, mode: str, run: int) -> tuple[Batch, Trajectory | None]:
+        """As `Kind.fly_again`."""
+        columns, flown = self._fly(task, mode, run)
+        assert flown is not None
+        return Batch("", columns), _trajectory(flown)
+
+    def _fly(
+        self, task: Task, mode: str, run: int | None = None
+    ) -> tuple[dict[str, Array], InspectionRun | None]:
+        """Columns of one study, shapes (runs,), and one of the runs if asked for."""
+        scenario, drawn, studies = _made(task.text)
+        plan, q = scenario.model.campaign, scenario.inspection()
+        x, sun = (values[task.first :] for values in drawn.first(task.first + task.runs))
+        kept = None if run is None else Kept(run)
+        outcome = fly_block(q, studies[mode], x, sun, plan.duration_s, plan.period_s, kept=kept)
+        columns = {
+            "run": np.arange(task.runs, dtype=np.int64),
+            "mode": np.repeat(mode, task.runs),
+            "sun_rad": sun,
+            **dict(zip(_names(q.deputies), x.reshape(task.runs, -1).T, strict=True)),
+            **outcome.columns(),
+        }
+        if kept is None or run is None:
+            return columns, None
+        return columns, kept.flight(q, float(sun[run]), plan.duration_s, plan.period_s)
+
+    def summarise(self, results: Results, worst: int) -> dict[str, Any]:
+        """As `Kind.summarise`."""
+        (case,) = results.cases
+        scenario = _made(case.text)[0]
+        plan = scenario.model.campaign
+        told = {
+            "schema_version": 1,
+            "scenario": scenario.name,
+            "kind": scenario.kind,
+            "title": scenario.title,
+            "runs": results.runs,
+            "deputies": plan.deputies,
+            "duration_s": plan.duration_s,
+            "period_s": plan.period_s,
+            "seed": plan.seed,
+        }
+        for failure in results.failures.values():
+            return told | {"failure": failure["message"], "exit_code": failure["exit_code"]}
+        _, _, acceptance = initial_conditions(scenario.families(), results.runs, plan.seed)
+        return told | {
+            "acceptance": acceptance,
+            "studies": [
+                _told(name, outcome) for name, outcome in outcomes(case, results.read(0, None)).items()
+            ],
+            "guarantee": GUARANTEE,
+            "definitions": DEFINITIONS,
+            "versions": versions(),
+            "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        }
+
+
+def case_of(scenario: MonteCarloScenario) -> Case:
+    """The one case of a Monte Carlo; its number of runs is the plan's, so that more runs extend it."""
+    return Case(scenario.name, (), scenario.set("campaign.runs", 1).to_toml())
+
+
+def studies_of(scenario: MonteCarloScenario) -> dict[str, Study]:
+    """The studies of a scenario by name."""
+    model, alpha = scenario.model, scenario.strengthening()
+    return {
+        study.name: Study(
+            study.name,
+            study.filter.sharing if isinstance(study.filter, DecentralizedFilter) else "centralized",
+            tuple(study.filter.without),
+            alpha,
+            SampledData(model.campaign.period_s, study.filter.sampled_data_share)
+            if study.filter.sampled_data
+            else None,
+        )
+        for study in model.studies
+    }
+
+
+def outcomes(case: Case, columns: Mapping[str, Array]) -> dict[str, Outcome]:
+    """Results of every study, from the columns of all runs."""
+    return {
+        name: Outcome.from_columns(
+            study, {key: all_[columns["mode"] == name] for key, all_ in columns.items()}
+        )
+        for name, study in _made(case.text)[2].items()
+    }
+
+
+def initial_states(columns: Mapping[str, Array]) -> Array:
+    """Initial states of all runs, shape (R, N, 6), from the columns of all runs."""
+    first = columns["mode"] == columns["mode"][0]
+    rows = [values[first] for name, values in columns.items() if name.startswith("deputy_")]
+    return np.stack(rows, axis=1).reshape(int(first.sum()), -1, 6)
+
+
+@lru_cache(2)
+def _made(text: str) -> tuple[MonteCarloScenario, InitialConditions, dict[str, Study]]:
+    """What a process needs of a case: whoever flies draws the initial conditions."""
+    scenario = MonteCarloScenario.from_dict(tomllib.loads(text))
+    drawn = InitialConditions(scenario.families(), scenario.model.campaign.seed)
+    return scenario, drawn, studies_of(scenario)
+
+
+def _names(deputies: int) -> list[str]:
+    return [f"deputy_{i}_{name}" for i in range(deputies) for name in STATES]
+
+
+def _told(name: str, outcome: Outcome) -> dict[str, Any]:
+    runs, successes = len(outcome.success), int(outcome.success.sum())
+    return {
+        "name": name,
+        "successes": successes,
+        "success_share": successes / runs,
+        "success_share_lower_95": lower_bound(successes, runs),
+        "failures": dict(sorted(Counter(str(one["what"]) for one in outcome.failures()).items())),
+        "least": {key: float(values.min()) for key, values in outcome.least.items()},
+        "interventions_share": float(outcome.interventions.mean()),
+        "delta_v_mean_m_s": float(outcome.delta_v.mean()),
+    }
+
+
+def _trajectory(run: InspectionRun) -> Trajectory:
+    """One run; the arrays are those of a flight's run folder."""
+    deputies = run.inspection.deputies
+    table: dict[str, Any] = {
+        "t_s": run.t,
+        "sun_rad": run.sun,
+        **dict(zip(_names(deputies), run.x.reshape(len(run.t), -1).T, strict=True)),
+    }
+    for i in range(deputies):
+        table |= {f"deputy_{i}_u_{axis}_N": run.u[:, i, k] for k, axis in enumerate("xyz")}
+        table[f"deputy_{i}_status"] = run.status[:, i]
+    return Trajectory(flight_arrays(run), table)
