@@ -20,7 +20,6 @@ help: ## List the targets
 demo: $(BASE) ## Run the static scenario and say where its report lies
 	@$(BIN)/polaris run static --out $(RUN)
 	@$(BIN)/polaris report $(RUN) --quiet
-	@echo "Run folder: $(CURDIR)/$(RUN)"
 	@echo "Report: $(CURDIR)/$(RUN)/report.html"
 
 test: $(TEST) ## Run the quick tests

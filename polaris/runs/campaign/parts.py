@@ -93,8 +93,8 @@ def usable(formats: Sequence[str]) -> str:
     for name in formats:
         if name != "parquet" or find_spec("pyarrow") is not None:
             return name
-    rule = "its tables are Parquet files, which need the package pyarrow: pip install '.[campaign]'"
-    raise ScenarioError("campaign", ", ".join(formats), rule)
+    rule = "must be a package that is installed, to write Parquet files: pip install '.[campaign]'"
+    raise ScenarioError("pyarrow", None, rule)
 
 
 @dataclass(frozen=True)
