@@ -130,14 +130,25 @@ def pulses(modes):
     return np.diff(edges)
 
 
-@pytest.mark.parametrize("strategy", ["greedy", "look_ahead"])
-@pytest.mark.parametrize("dwell", [1, 3])
-def test_dwell_and_cap_are_kept(strategy, dwell):
+@pytest.mark.parametrize(
+    ("strategy", "dwell", "cap"),
+    [
+        ("greedy", 1, 2),
+        ("greedy", 3, 2),
+        ("greedy", 2, None),
+        ("greedy", 5, None),
+        ("look_ahead", 1, 2),
+        ("look_ahead", 3, 2),
+    ],
+)
+def test_dwell_and_cap_are_kept(strategy, dwell, cap):
     scenario, schedule = synthesised("static")
-    rules = SwitchingRules(strategy, dwell, 2, (1.0,))
+    rules = SwitchingRules(strategy, dwell, cap, (1.0,))
     other = synthesize(scenario, schedule.safety, schedule.controllers[1:], rules)
-    assert other.switches <= 2
+    assert cap is None or other.switches <= cap
     assert all(length >= dwell for length in pulses(other.modes)[:-1])
+    if cap is None:  # nothing but the dwell keeps S from giving way
+        assert other.switches > 2 and pulses(other.modes)[:-1].min() == dwell
     assert other.margins[other.modes > 0].min() >= 0
     assert other.share() > 0
 
