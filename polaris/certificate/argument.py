@@ -7,7 +7,7 @@ from functools import cached_property
 
 from flint import arb, arb_mat
 
-from .balls import above, column, largest, magnitude, matrix, require
+from .balls import above, column, identity, largest, magnitude, matrix, require
 from .document import Document, UnsafeSet
 from .flights import Flown, Pilot, fly
 from .lemma import Stated, check_norm_bounds
@@ -156,7 +156,7 @@ class Argument:
         """Stored enclosures contain the derived ones, up to the slack of merged generators."""
         doc = self.document
         for k, z in enumerate(sets):
-            reach = z.support(above(*(_axis(self.n, i, s) for s in (1, -1) for i in range(self.n))))
+            reach = z.support(above(identity(self.n), -identity(self.n)))
             for i in range(self.n):
                 middle, half = arb(doc.box_center[k][i]), arb(doc.box_half[k][i])
                 slack = half * BOX_SLACK + abs(middle) * TUBE_SLACK
@@ -301,10 +301,6 @@ class Argument:
             rate = self.plant.A * path.starts[self.K] if tail else column([1])
             if any(not x.is_zero() for x in rate.entries()):
                 raise Rejected("end", "the reference does not come to rest exactly")
-
-
-def _axis(n: int, i: int, sign: int) -> arb_mat:
-    return arb_mat(1, n, [sign * int(i == j) for j in range(n)])
 
 
 def _show(v: arb_mat) -> str:

@@ -41,6 +41,21 @@ def diagonal(values: Sequence[Number]) -> arb_mat:
     return arb_mat(n, n, [values[i] if i == j else 0 for i in range(n) for j in range(n)])
 
 
+def row_of(M: arb_mat, i: int) -> arb_mat:
+    """One row, shape (1, n)."""
+    return arb_mat(1, M.ncols(), [M[i, j] for j in range(M.ncols())])
+
+
+def sums(*lists: Iterable[arb]) -> list[arb]:
+    """Sums of lists, entry by entry."""
+    return [sum(values[1:], values[0]) for values in zip(*lists, strict=True)]
+
+
+def plain(x: arb) -> str:
+    """The middle of a ball, for messages."""
+    return f"{float(x.mid()):.6g}"
+
+
 def beside(*blocks: arb_mat) -> arb_mat:
     """Blocks with the same number of rows, side by side."""
     entries: list[arb] = []

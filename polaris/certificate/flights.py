@@ -8,7 +8,19 @@ from functools import cached_property
 
 from flint import arb, arb_mat
 
-from .balls import above, column, diagonal, identity, largest, magnitude, require, row_sums, smallest
+from .balls import (
+    above,
+    column,
+    diagonal,
+    identity,
+    largest,
+    magnitude,
+    plain,
+    require,
+    row_sums,
+    smallest,
+    sums,
+)
 from .limits import Barrier
 from .motion import Motion, Plant
 from .path import Arc, Path
@@ -96,21 +108,17 @@ class Period:
         """
         motion = self.motion
         bend, last = motion.disturbance_along(rows)
-        first = _sums(motion.bow(rows, d.image(motion.closed).moved(self.g)), bend)
+        first = sums(motion.bow(rows, d.image(motion.closed).moved(self.g)), bend)
         if self.bounds:
-            first = _sums(first, motion.input_bend(rows, self.V, self.bounds))
-            last = _sums(last, motion.input_gain(rows, self.V, self.bounds))
-        return first, _sums(first, last)
+            first = sums(first, motion.input_bend(rows, self.V, self.bounds))
+            last = sums(last, motion.input_gain(rows, self.V, self.bounds))
+        return first, sums(first, last)
 
     def within(self, rows: arb_mat, d: Zonotope, at_node: list[arb]) -> list[arb]:
         """Bound on ``row d`` over the whole period; `at_node` is that at its start."""
         first, last = self.extra(rows, d)
-        ends = _sums(self.ends(d).support(rows), last)
-        return [largest(pair) for pair in zip(_sums(at_node, first), ends, strict=True)]
-
-
-def _sums(left: list[arb], right: list[arb]) -> list[arb]:
-    return [a + b for a, b in zip(left, right, strict=True)]
+        ends = sums(self.ends(d).support(rows), last)
+        return [largest(pair) for pair in zip(sums(at_node, first), ends, strict=True)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,7 +178,7 @@ def fly(
         end, extra = period.ends(d), period.extra(rows, d)
         for place, z, more in ((i, d, extra[0]), (i + 1, end, extra[1])):
             middle, spread = (rows * z.c).entries(), row_sums(rows * z.G)
-            needs = [a + b + c for a, b, c in zip(middle, spread, more, strict=True)]
+            needs = sums(middle, spread, more)
             for axis in range(n):
                 at, room_for = heights[axis][place] + middle[axis], spread[axis] + more[axis] + bows[axis][i]
                 lows[axis].append(at - room_for)
@@ -178,10 +186,8 @@ def fly(
             if barrier is not None:
                 for name, need, there in zip(barrier.names, needs[n:], room[place], strict=True):
                     if not need <= there:
-                        told = (
-                            f"step {k}, part {i}, under {pilot.name}: {name}, needs {float(need.mid()):.6g}"
-                        )
-                        require("separation", there - need, f"{told} of {float(there.mid()):.6g} m")
+                        told = f"step {k}, part {i}, under {pilot.name}: {name}, needs {plain(need)}"
+                        require("separation", there - need, f"{told} of {plain(there)} m")
         d = period.after(end)
         if d.G.ncols() > 2 * merging.order * n:
             d = merging.reduced(d)

@@ -12,7 +12,7 @@ from typing import Any
 
 from flint import arb, arb_mat
 
-from .balls import identity, matrix, norms
+from .balls import identity, matrix, norms, plain, row_of
 from .loop import Memory
 from .lqr import positive_definite
 from .motion import Motion
@@ -68,8 +68,7 @@ def check_norm_bounds(bounds: dict[str, Any], gain: arb_mat, motion: Motion, mem
     rows = [("the error", W, bounds["gamma"], bounds["gain"])]
     rows.append(("the position", plant.C, bounds["gamma_position"], bounds["gain_position"]))
     for i in range(m):
-        row = arb_mat(1, n, [gain[i, j] for j in range(n)])
-        rows.append((f"input {i}", row, bounds["gamma_input"][i], bounds["gain_input"][i]))
+        rows.append((f"input {i}", row_of(gain, i), bounds["gamma_input"][i], bounds["gain_input"][i]))
     inverse, push = W.inv(), motion.gamma * plant.D
     late, powers = memory.periods, [(lag, memory.powers[lag]) for lag in range(memory.periods + 1)]
     last = memory.powers[late]
@@ -90,7 +89,7 @@ def check_norm_bounds(bounds: dict[str, Any], gain: arb_mat, motion: Motion, mem
                 (norm_from_below(R * power * push) for _, power in powers[: memory.periods + 1]), arb(0)
             )
             if arb(share) < least:
-                told = f"gain of {name} in gains.json is {share}, at least {float(least.mid()):.6g} is needed"
+                told = f"gain of {name} in gains.json is {share}, at least {plain(least)} is needed"
                 raise Rejected("error_bounds", told, float((least - share).mid()))
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 from flint import arb, arb_mat
 
-from .balls import above, column, identity, largest, magnitude, norms
+from .balls import above, column, identity, largest, magnitude, norms, sums
 from .motion import Motion
 from .verdict import Undecided
 from .zonotopes import Zonotope
@@ -93,17 +93,18 @@ class Needs:
         """What is booked between nodes per unit of ``|e|`` at the start, for the periods next to node l."""
         curved = self.motion.bend(self.rows)
         per = [magnitude(curved * magnitude(self.motion.closed * power)) for power in self.memory.powers]
-        return [per[0], *(_larger(a, b) for a, b in zip(per[:-1], per[1:], strict=True))]
+        return [per[0], *(_larger(a, b) for a, b in pairwise(per))]
 
     @cached_property
-    def _sums(self) -> list[list[arb]]:
+    def _responses(self) -> list[list[arb]]:
         """Response at node L to the disturbance from rest, for L = 0 ... N + 1."""
         stacked = self.motion.disturbance_gain(above(*self.carried[:-1]))
-        count, sums = self.rows.nrows(), [[arb(0)] * self.rows.nrows()]
+        count = self.rows.nrows()
+        found = [[arb(0)] * count]
         for lag in range(len(self.carried) - 1):
             gains = stacked[lag * count : (lag + 1) * count]
-            sums.append([(a + b).upper() for a, b in zip(sums[-1], gains, strict=True)])
-        return sums
+            found.append([x.upper() for x in sums(found[-1], gains)])
+        return found
 
     @cached_property
     def _late(self) -> list[arb]:
@@ -119,7 +120,7 @@ class Needs:
     @cached_property
     def settled(self) -> list[arb]:
         """Bound on the disturbance's share at every node, however late."""
-        return [(a + b).upper() for a, b in zip(self._sums[-1], self._late, strict=True)]
+        return [x.upper() for x in sums(self._responses[-1], self._late)]
 
     def disturbed(self, resting: tuple[arb_mat, arb_mat]) -> list[list[arb]]:
         """The disturbance's share until the end of the period after node l, for l = 0 ... N, then for ever.
@@ -130,13 +131,12 @@ class Needs:
             What the disturbance adds to a rate, see `resting_rates`.
         """
         curved = self.motion.lesser_bow(self.rows, *resting)
-        first = self._sums[1]
+        first = self._responses[1]
         until = [
-            [_most(a + f, b) + k for a, b, f, k in zip(now, following, first, curved, strict=True)]
-            for now, following in zip(self._sums[:-1], self._sums[1:], strict=True)
+            [largest((a + f, b)) + k for a, b, f, k in zip(now, following, first, curved, strict=True)]
+            for now, following in pairwise(self._responses)
         ]
-        ever = [a + f + k for a, f, k in zip(self.settled, first, curved, strict=True)]
-        return [*until, ever]
+        return [*until, sums(self.settled, first, curved)]
 
     def forgotten(self) -> list[arb]:
         """What any undisturbed error within ``z`` at the start still needs after N periods."""
@@ -152,12 +152,7 @@ class Needs:
         support = start.support(above(*self.carried))
         count = self.rows.nrows()
         return [
-            [
-                a + b
-                for a, b in zip(
-                    support[lag * count : (lag + 1) * count], self.booked(start, lag), strict=True
-                )
-            ]
+            sums(support[lag * count : (lag + 1) * count], self.booked(start, lag))
             for lag in range(self.memory.periods + 1)
         ]
 
@@ -177,7 +172,7 @@ class Needs:
         straight = [norms(row * inverse) for row in self.carried[:-1]]
         before = [bent[0], *bent[:-1]]
         return [
-            [a + _most(b, c) for a, b, c in zip(*each, strict=True)]
+            [a + largest((b, c)) for a, b, c in zip(*each, strict=True)]
             for each in zip(straight, bent, before, strict=True)
         ]
 
@@ -189,11 +184,5 @@ def resting_rates(motion: Motion, memory: Memory) -> tuple[arb_mat, arb_mat]:
 
 
 def _larger(a: arb_mat, b: arb_mat) -> arb_mat:
-    pairs: Sequence[tuple[arb, arb]] = list(zip(a.entries(), b.entries(), strict=True))
-    return arb_mat(a.nrows(), a.ncols(), [x if x.is_nan() or x > y else y for x, y in pairs])
-
-
-def _most(a: arb, b: arb) -> arb:
-    """The larger of two, as an upper bound."""
-    a, b = a.upper(), b.upper()
-    return a if a.is_nan() or a > b else b
+    """The larger of two bounds, entry by entry."""
+    return arb_mat(a.nrows(), a.ncols(), list(map(largest, zip(a.entries(), b.entries(), strict=True))))

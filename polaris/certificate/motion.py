@@ -12,7 +12,7 @@ from functools import cached_property
 
 from flint import arb, arb_mat
 
-from .balls import exponential, exponential_over, magnitude, norms, row_sums
+from .balls import beside, column, diagonal, exponential, exponential_over, magnitude, norms, row_sums
 from .zonotopes import Zonotope, ball_cover
 
 
@@ -133,19 +133,13 @@ class Motion:
             Bound on ``|V v|``.
         """
         rest = magnitude(self.X) * magnitude(self.over) * size * (self.plant.h**2 / 3)
-        n = self.X.nrows()
-        corner = rest.entries()
-        box = arb_mat(n, n, [corner[i] if i == j else 0 for i in range(n) for j in range(n)])
-        mapped = self.gamma * V
-        return arb_mat(
-            n, V.ncols() + n, [x for a, b in zip(mapped.tolist(), box.tolist(), strict=True) for x in a + b]
-        )
+        return beside(self.gamma * V, diagonal(rest.entries()))
 
     @cached_property
     def disturbance_set(self) -> arb_mat:
         """Generators that enclose what the disturbance adds over one period."""
         D, w = self.plant.D, self.plant.w_max
-        size = arb_mat(D.nrows(), 1, [length * w for length in norms(D)])
+        size = column([length * w for length in norms(D)])
         return self.input_set(D * ball_cover(D.ncols(), w), size)
 
     def disturbance_gain(self, rows: arb_mat) -> list[arb]:
@@ -156,8 +150,7 @@ class Motion:
         """
         h, D = self.plant.h, self.plant.D
         left, right = norms(rows * D), norms(rows * (self._exponentials[0] * D))
-        second = magnitude(rows * self.X * self.X * self.over * D)
-        bent = norms(second)
+        bent = norms(magnitude(rows * self.X * self.X * self.over * D))
         return [
             self.plant.w_max * (h / 2 * (a + b) + h**3 / 12 * c)
             for a, b, c in zip(left, right, bent, strict=True)
@@ -171,7 +164,7 @@ class Motion:
         h = self.plant.h
         ends = magnitude(rows * V) + magnitude(rows * (self._exponentials[0] * V))
         second = magnitude(rows * self.X * self.X * self.over * V)
-        return ((ends * (h / 2) + second * (h**3 / 12)) * arb_mat(len(bounds), 1, list(bounds))).entries()
+        return ((ends * (h / 2) + second * (h**3 / 12)) * column(bounds)).entries()
 
     def input_bend(self, rows: arb_mat, V: arb_mat, bounds: list[arb]) -> list[arb]:
         """Bound on how far `input_gain` over a part of the period exceeds that part of the whole period's.
@@ -180,7 +173,7 @@ class Motion:
         ``sup |row X e^{X r} V v|`` in a unit of time: the chord lemma applies.
         """
         second = magnitude(rows * self.X * self.over * V) * (self.plant.h**2 / 8)
-        return (second * arb_mat(len(bounds), 1, list(bounds))).entries()
+        return (second * column(bounds)).entries()
 
     def disturbance_bend(self, rows: arb_mat) -> list[arb]:
         """The same for the disturbance."""
@@ -196,6 +189,5 @@ class Motion:
     @cached_property
     def disturbance_box(self) -> arb_mat:
         """Bound on what the disturbance adds to each state within a period, shape (n, 1)."""
-        D = self.plant.D
-        sizes = row_sums(magnitude(self.over * D))
-        return magnitude(arb_mat(D.nrows(), 1, [s * self.plant.w_max * self.plant.h for s in sizes]))
+        sizes = row_sums(magnitude(self.over * self.plant.D))
+        return magnitude(column([s * self.plant.w_max * self.plant.h for s in sizes]))

@@ -7,7 +7,7 @@ from functools import cached_property
 
 from flint import arb, arb_mat
 
-from .balls import beside, column, exponential
+from .balls import beside, column, exponential, largest, magnitude
 from .motion import Plant
 
 
@@ -59,8 +59,7 @@ class Kinematics:
     def bow(self, rows: arb_mat, arc: Arc) -> arb_mat:
         """Bound on how far ``row x(t)`` leaves its chord in each period, shape (rows, q)."""
         bent = self.plant.open.bend(rows)
-        size = arb_mat(arc.rates.nrows(), arc.rates.ncols(), [x.abs_upper() for x in arc.rates.entries()])
-        return bent * size
+        return bent * magnitude(arc.rates)
 
     def room(self, rows: arb_mat, offsets: list[tuple[arb, arb]], arc: Arc) -> list[list[arb]]:
         """Room of the arc beyond facets, ``[node][facet]``: ``-row x - b(t)`` less the bow next to it.
@@ -79,17 +78,11 @@ class Kinematics:
             s = arb(i) / self.q
             found.append(
                 [
-                    -height[i] - (first * (1 - s) + last * s) - at_node(bow, i)
+                    -height[i] - (first * (1 - s) + last * s) - largest(bow[max(i - 1, 0) : i + 1])
                     for height, bow, (first, last) in zip(heights, bows, offsets, strict=True)
                 ]
             )
         return found
-
-
-def at_node(values: list[arb], i: int) -> arb:
-    """The larger of what belongs to the two periods that meet at node i."""
-    pair = [x.upper() for x in values[max(i - 1, 0) : i + 1]]
-    return max(pair)
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,7 @@ from functools import cached_property
 
 from flint import arb, arb_mat
 
-from .balls import above, absolute, beside, largest, matrix, require
+from .balls import above, absolute, beside, largest, matrix, plain, require, row_of, sums
 from .limits import Limits, Target
 from .loop import Needs, resting_rates
 from .verdict import Rejected
@@ -141,7 +141,7 @@ class Recovery:
         if not room - need >= share * whole * (1 - MARGIN_SLACK) - whole * MARGIN_SLACK:
             left = float(((room - need) / whole).mid()) if room > 0 else 0.0
             told = f"share {left:.6g} left, {share:.6g} claimed, for {where}"
-            raise Rejected("margins", f"{told}: needs {_plain(need)} of {_plain(room)}", share - left)
+            raise Rejected("margins", f"{told}: needs {plain(need)} of {plain(room)}", share - left)
 
     def _check_close(
         self,
@@ -153,7 +153,7 @@ class Recovery:
         n, carried, worst = self.limits.rows.ncols(), self.needs.carried, 1.0
         rows = matrix([[carried[lag][row, j] for j in range(n)] for lag, row in close], n)
         size = z.size()
-        booked = above(*(_row(self.needs.bend[lag], row) for lag, row in close)) * size
+        booked = above(*(row_of(self.needs.bend[lag], row) for lag, row in close)) * size
         for (key, targets), support, extra in zip(
             close.items(), z.support(rows), booked.entries(), strict=True
         ):
@@ -169,14 +169,14 @@ class Recovery:
                     f"the set at the start of step {k}, {target.name} at t = {self.time(k, lag)} under the "
                     "safety controller"
                 )
-                require("recoverable", room - need, f"{where}: needs {_plain(need)} of {_plain(room)}")
+                require("recoverable", room - need, f"{where}: needs {plain(need)} of {plain(room)}")
                 worst = min(worst, float(((room - need) / target.whole).lower()) if room > 0 else 0.0)
                 self._leaves(of, target, need, where)
         return worst
 
     def check_far(self) -> None:
         """Check the limits beyond the memory of the loop, for every set within the memory's extent."""
-        need = [a + b for a, b in zip(self.forgotten, self.disturbed[-1], strict=True)]
+        need = sums(self.forgotten, self.disturbed[-1])
         for cell in range(self._far_cell(0), len(self.limits.targets)):
             for i, met in enumerate(self.limits.targets[cell]):
                 for t in met:
@@ -184,7 +184,7 @@ class Recovery:
                         continue
                     where = (
                         f"errors forgotten by the loop, {t.name} at t = {self.time(cell, i)}: "
-                        f"needs {_plain(need[t.row])} of {_plain(t.room)}"
+                        f"needs {plain(need[t.row])} of {plain(t.room)}"
                     )
                     require("recoverable", t.room - need[t.row], where)
 
@@ -208,11 +208,3 @@ class Recovery:
 
 MARGIN_SLACK = 1e-6
 """Slack of stored margins and radii, as a share of the room: they are results in double precision."""
-
-
-def _row(M: arb_mat, i: int) -> arb_mat:
-    return arb_mat(1, M.ncols(), [M[i, j] for j in range(M.ncols())])
-
-
-def _plain(x: arb) -> str:
-    return f"{float(x.mid()):.6g}"
