@@ -51,6 +51,21 @@ def sums(*lists: Iterable[arb]) -> list[arb]:
     return [sum(values[1:], values[0]) for values in zip(*lists, strict=True)]
 
 
+def dot(a: Iterable[arb], b: Iterable[Number]) -> arb:
+    """Inner product, enclosed."""
+    return sum((x * y for x, y in zip(a, b, strict=True)), arb(0))
+
+
+def absolute_dot(a: Iterable[arb], b: Iterable[Number]) -> arb:
+    """Sum of the absolute values of the products: what rounding of an inner product is relative to."""
+    return sum((abs(x * y) for x, y in zip(a, b, strict=True)), arb(0))
+
+
+def cross(a: Sequence[arb], b: Sequence[arb]) -> list[arb]:
+    """Vector product in space."""
+    return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+
+
 def plain(x: arb) -> str:
     """The middle of a ball, for messages."""
     return f"{float(x.mid()):.6g}"

@@ -13,6 +13,7 @@ from .document import Document
 from .lqr import check_gain, positive_definite
 from .own import check_own
 from .perception import check_unsafe
+from .structure import table, vector
 from .switching import check_switching
 from .verdict import Record, Rejected
 from .zonotopes import inner_radius
@@ -75,20 +76,12 @@ def _need(claim: str, what: str, found: Any, given: Any) -> None:
         raise Rejected(claim, f"{what} is {found} in the certificate, {given} in the scenario")
 
 
-def _table(rows: Any) -> list[list[float]]:
-    return [[float(x) for x in row] for row in rows]
-
-
-def _vector(values: Any) -> list[float]:
-    return [float(x) for x in values]
-
-
 def _check_system(document: Document, spec: dict[str, Any]) -> None:
     n, m = len(document.A), len(document.u_max)
     _need("system", "kind", document.system_kind, spec["kind"])
     hill = spec["kind"] == "clohessy_wiltshire"
     top = spec["thrust_max_N" if hill else "input_max"]
-    limits = _vector(top) if isinstance(top, list) else [float(top)] * m
+    limits = vector(top) if isinstance(top, list) else [float(top)] * m
     _need("system", "input limit", document.u_max, limits)
     bound = float(spec.get("disturbance_max_m_s2" if hill else "disturbance_max", 0.0))
     _need("system", "disturbance bound", document.w_max, bound)
@@ -100,11 +93,11 @@ def _check_system(document: Document, spec: dict[str, Any]) -> None:
     else:
         _need("system", "mean motion", document.mean_motion, None)
         for key, value in (("A", document.A), ("B", document.B), ("D", document.D)):
-            _need("system", key, value, _table(spec[key]))
+            _need("system", key, value, table(spec[key]))
         place = spec.get("position_states")
         if place is None:
             place = list(range(max(n // 2, 1))) if spec.get("C") is None else None
-    chosen = _table(spec["C"]) if place is None else [[float(i == j) for j in range(n)] for i in place]
+    chosen = table(spec["C"]) if place is None else [[float(i == j) for j in range(n)] for i in place]
     _need("system", "C", document.C, chosen)
     C = matrix(document.C)
     if positive_definite(C * C.transpose()) is not True:
@@ -121,18 +114,18 @@ def _input_names(hill: bool, m: int) -> list[str]:
 
 
 def _check_initial_set(document: Document, spec: dict[str, Any]) -> None:
-    _need("initial_set", "centre", document.center, _vector(spec["center"]))
+    _need("initial_set", "centre", document.center, vector(spec["center"]))
     if document.mean_motion is not None and math.hypot(*document.center[:3]) > HILL_RANGE:
         raise Rejected("initial_set", f"starts beyond {HILL_RANGE:g} m: Hill's equations hold near it")
     n, generators = len(document.center), document.generators
     if spec["kind"] == "zonotope":
-        _need("initial_set", "generators", generators, _table(spec["generators"]))
+        _need("initial_set", "generators", generators, table(spec["generators"]))
         return
     if spec["kind"] == "box":
         if any(sum(x != 0 for x in g) > 1 for g in generators):
             raise Rejected("initial_set", "a box has generators along the axes")
         extent = [math.fsum(abs(g[i]) for g in generators) for i in range(n)]
-        _need("initial_set", "half-widths", extent, _vector(spec["half_widths"]))
+        _need("initial_set", "half-widths", extent, vector(spec["half_widths"]))
         return
     if any(sorted(row) != [0.0] * (n - 1) + [1.0] for row in document.C):
         raise Rejected("initial_set", "a ball needs a position that is a choice of states")
@@ -192,7 +185,7 @@ def _check_controllers(document: Document, scenario: dict[str, Any]) -> None:
         if law.kind == "any_thrust":
             continue
         if spec.get("gain") is not None:
-            _need("controllers", f"gain of {law.name}", law.gain, _table(spec["gain"]))
+            _need("controllers", f"gain of {law.name}", law.gain, table(spec["gain"]))
         else:
             check_gain(document, law, spec)
         check_own(document, law, scenario, spec, partial(_check_goal, scenario["goal"]))
@@ -204,8 +197,8 @@ def _check_controllers(document: Document, scenario: dict[str, Any]) -> None:
 def _check_goal(spec: dict[str, Any], document: Document, x: list[float], claim: str, whose: str) -> None:
     kind = spec["kind"]
     if kind in ("stationary", "box"):
-        middle = _vector(spec["state" if kind == "stationary" else "center"])
-        half = _vector(spec["half_widths"]) if kind == "box" else [0.0] * len(x)
+        middle = vector(spec["state" if kind == "stationary" else "center"])
+        half = vector(spec["half_widths"]) if kind == "box" else [0.0] * len(x)
         size = max(1.0, *(abs(c) for c in middle))
         terms = [
             (abs(a - c) - h, f"state {i}") for i, (a, c, h) in enumerate(zip(x, middle, half, strict=True))

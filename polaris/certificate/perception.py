@@ -10,9 +10,10 @@ from typing import Any
 
 from flint import arb
 
-from .balls import largest, require
+from .balls import absolute_dot, cross, dot, largest, require
 from .document import Document, UnsafeSet
 from .satellites import Satellite
+from .structure import vector
 from .verdict import Rejected
 
 SLACK = 1e-9
@@ -73,8 +74,8 @@ def _check_obstacle(document: Document, item: UnsafeSet, spec: dict[str, Any]) -
         Satellite(document, item, spec).check()
         return
     d, kind = len(document.C), spec["kind"]
-    v = [float(x) for x in spec.get("velocity_m_s") or [0.0] * d]
-    anchor = [0.0] * d if kind == "polytope" else [float(x) for x in spec["center_m"]]
+    v = vector(spec.get("velocity_m_s") or [0.0] * d)
+    anchor = [0.0] * d if kind == "polytope" else vector(spec["center_m"])
     counts = {"box": 2 * d, "polytope": len(spec.get("normals", ()))}
     _check_count(item, counts[kind] if kind in counts else _directions(document, spec))
     if not any(v) and not item.resting:
@@ -82,16 +83,14 @@ def _check_obstacle(document: Document, item: UnsafeSet, spec: dict[str, Any]) -
     for f, normal in enumerate(item.normals):
         n = [arb(x) for x in normal]
         if kind == "box":
-            extent = sum((abs(x) * float(h) for x, h in zip(n, spec["half_widths_m"], strict=True)), arb(0))
+            extent = dot(map(abs, n), vector(spec["half_widths_m"]))
         elif kind == "ball":
             extent = _length(n) * float(spec["radius_m"])
         else:
             offset = float(spec["offsets_m"][f])
             extent = sum(_row_support(document, normal, spec["normals"][f], offset, item.name), arb(0))
-        base = sum((x * c for x, c in zip(n, anchor, strict=True)), extent)
-        rate = sum((x * c for x, c in zip(n, v, strict=True)), arb(0))
-        size = abs(extent) + sum((abs(x * c) for x, c in zip(n, anchor, strict=True)), arb(0))
-        speed = sum((abs(x * c) for x, c in zip(n, v, strict=True)), arb(0))
+        base, rate = extent + dot(n, anchor), dot(n, v)
+        size, speed = abs(extent) + absolute_dot(n, anchor), absolute_dot(n, v)
         for cell in range(document.cells):
             for place in (0, 1):
                 t = arb(cell + place) * document.delta
@@ -110,7 +109,7 @@ def _directions(document: Document, spec: dict[str, Any]) -> int:
 
 
 def _length(n: list[arb]) -> arb:
-    return sum((x * x for x in n), arb(0)).sqrt()
+    return dot(n, n).sqrt()
 
 
 def _row_support(
@@ -130,10 +129,8 @@ def _row_support(
 def _reach(document: Document) -> arb:
     """Ten times as far from the origin as any position of the certificate."""
     states = (*document.states, *document.lower, *document.upper)
-    far = [max(abs(x) for x in values) for values in zip(*states, strict=True)]
-    return 10 * largest(
-        sum((abs(arb(c)) * x for c, x in zip(row, far, strict=True)), arb(0)) for row in document.C
-    )
+    far = [arb(max(map(abs, values))) for values in zip(*states, strict=True)]
+    return 10 * largest(absolute_dot(far, row) for row in document.C)
 
 
 # -- keep-in sets -----------------------------------------------------------------------------------
@@ -169,32 +166,26 @@ def _check_cone(rows: list[list[float]], offsets: list[float], spec: dict[str, A
     name, axis = spec["name"], [arb(float(x)) for x in spec["axis"]]
     length = _length(axis)
     axis = [x / length for x in axis]
-    apex = [float(x) for x in spec["apex_m"]]
+    apex = vector(spec["apex_m"])
     if spec.get("length_m") is not None:
-        last, at = (
-            rows[-1],
-            sum((a * b for a, b in zip(axis, apex, strict=True)), arb(float(spec["length_m"]))),
-        )
-        off = sum((abs(a - b) for a, b in zip(last, axis, strict=True)), arb(0))
+        away = float(spec["length_m"])
+        off = sum((abs(a - b) for a, b in zip(rows[-1], axis, strict=True)), arb(0))
         require("unsafe_sets", SLACK - off, f"the end of {name} is turned")
-        far = sum((abs(a * b) for a, b in zip(axis, apex, strict=True)), arb(float(spec["length_m"])))
+        at, far = dot(axis, apex) + away, absolute_dot(axis, apex) + away
         require("unsafe_sets", at - offsets[-1] + far * ROUNDED, f"the end of {name} is too far out")
         rows, offsets = rows[:-1], offsets[:-1]
     size = sum(abs(x) for x in apex)
     for f, (row, offset) in enumerate(zip(rows, offsets, strict=True)):
-        at = sum((arb(a) * b for a, b in zip(row, apex, strict=True)), arb(0))
+        at = dot(map(arb, row), apex)
         require("unsafe_sets", at - offset + size * ROUNDED, f"{name}, facet {f}, is beyond the apex")
     slope = (arb(float(spec["half_angle_deg"])) * arb.pi() / 180).cos()
     edges = _edges(rows, axis, name)
     for f, edge in enumerate(edges):
-        forward = sum((a * b for a, b in zip(edge, axis, strict=True)), arb(0)) / _length(edge)
-        require(
-            "unsafe_sets",
-            forward - slope + ROUNDED,
-            f"an edge of {name} next to facet {f} lies outside the cone",
-        )
+        forward = dot(edge, axis) / _length(edge)
+        where = f"an edge of {name} next to facet {f} lies outside the cone"
+        require("unsafe_sets", forward - slope + ROUNDED, where)
         for other, row in enumerate(rows):
-            beyond = sum((a * b for a, b in zip(row, edge, strict=True)), arb(0)) / _length(edge)
+            beyond = dot(edge, row) / _length(edge)
             require("unsafe_sets", ROUNDED - beyond, f"facets {f} and {other} of {name} are out of order")
 
 
@@ -202,20 +193,18 @@ def _edges(rows: list[list[float]], axis: list[arb], name: str) -> list[list[arb
     """Directions of the edges between one facet and the next, pointing away from the apex."""
     balls = [[arb(x) for x in row] for row in rows]
     for f, row in enumerate(balls):
-        closing = -sum((a * b for a, b in zip(row, axis, strict=True)), arb(0))
+        closing = -dot(row, axis)
         require("unsafe_sets", closing - SLOPE, f"facet {f} of {name} does not close around the axis")
     if len(axis) == 2:
         turn = balls[0][0] * balls[1][1] - balls[0][1] * balls[1][0]
         require("unsafe_sets", abs(turn) - SLOPE, f"the facets of {name} are parallel")
         pairs = ((balls[0], balls[1]), (balls[1], balls[0]))
         edges = [([-a[1], a[0]], b) for a, b in pairs]
-        return [[-x for x in e] if e[0] * b[0] + e[1] * b[1] > 0 else e for e, b in edges]
+        return [[-x for x in e] if dot(e, b) > 0 else e for e, b in edges]
     angle, edges3 = arb(0), []
     for a, b in zip(balls, [*balls[1:], balls[0]], strict=True):
-        edge = [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-        forward = sum((x * y for x, y in zip(edge, axis, strict=True)), arb(0))
-        along = [sum((x * y for x, y in zip(v, axis, strict=True)), arb(0)) for v in (a, b)]
-        level = sum((x * y for x, y in zip(a, b, strict=True)), arb(0)) - along[0] * along[1]
+        edge = cross(a, b)
+        forward, level = dot(edge, axis), dot(a, b) - dot(a, axis) * dot(b, axis)
         angle += arb.atan2(forward, level)
         edges3.append((edge, forward))
     sign = 1 if edges3[0][1] > 0 else -1

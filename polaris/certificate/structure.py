@@ -209,6 +209,16 @@ def _shown(value: Any) -> str:
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
+def vector(values: Any) -> list[float]:
+    """Numbers of a scenario, whole ones too, as floats."""
+    return [float(x) for x in values]
+
+
+def table(rows: Any) -> list[list[float]]:
+    """Rows of such numbers."""
+    return [vector(row) for row in rows]
+
+
 # -- JSON -------------------------------------------------------------------------------------------
 
 

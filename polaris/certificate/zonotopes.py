@@ -7,7 +7,7 @@ from itertools import combinations, product
 
 from flint import arb, arb_mat
 
-from .balls import beside, column, diagonal, largest, magnitude, matrix, row_sums, smallest
+from .balls import beside, column, cross, diagonal, dot, largest, magnitude, matrix, row_sums, smallest
 
 NOTHING = 1e-8
 """Share of a set's extent that generators may come to which are merged whatever their number."""
@@ -114,10 +114,10 @@ def inner_radius(G: arb_mat) -> arb:
     if G.nrows() == 2:
         normals = [[-y, x] for x, y in columns]
     else:
-        normals = [_cross(a, b) for a, b in combinations(columns, 2)]
+        normals = [cross(a, b) for a, b in combinations(columns, 2)]
     found = []
     for normal, width in zip(normals, row_sums(matrix(normals) * G), strict=True):
-        length = sum((x * x for x in normal), arb(0)).sqrt()
+        length = dot(normal, normal).sqrt()
         if length > 0:  # parallel generators span no facet
             found.append(width / length)
     return smallest(found)
@@ -141,7 +141,3 @@ def widest(sets: list[Zonotope]) -> arb_mat:
     """Exact upper bound on ``|x_i|`` over several sets, shape (n, 1)."""
     sizes = [z.size().entries() for z in sets]
     return column([largest(values) for values in zip(*sizes, strict=True)])
-
-
-def _cross(a: list[arb], b: list[arb]) -> list[arb]:
-    return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
