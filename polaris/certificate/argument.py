@@ -7,12 +7,12 @@ from functools import cached_property
 
 from flint import arb, arb_mat
 
-from .balls import above, column, identity, largest, magnitude, matrix, require
+from .balls import above, column, identity, largest, magnitude, matrix, plain, require
 from .document import Document, UnsafeSet
 from .flights import Flown, Pilot, fly
 from .lemma import Stated, check_norm_bounds
 from .limits import Barrier, Limits
-from .loop import Memory, Needs, resting_rates
+from .loop import Memory, Needs
 from .path import Arc, Kinematics, Path
 from .plants import plant_of
 from .recovery import Recovery
@@ -106,11 +106,7 @@ class Argument:
             for i in range(self.n):
                 off = abs(exact[i, 0] - state[i])
                 slack = arb(PATH_SLACK) * (size[i] if k else 0.0)
-                require(
-                    "reference",
-                    slack - off,
-                    f"state {i} at the start of step {k} is {float(off.mid()):.6g} off",
-                )
+                require("reference", slack - off, f"state {i} at the start of step {k} is {plain(off)} off")
         for i, off in enumerate(magnitude(path.jump).entries()):
             most = JUMP_SLACK * max(1.0, *size)
             require("reference", most - off, f"the tail starts {float(off):.6g} off state {i} reached at T")
@@ -179,7 +175,7 @@ class Argument:
         """
         doc, q, C = self.document, self.document.q, self.plant.C
         needs = Needs(self.loop, memory, above(C, -C, self.gain, -self.gain))
-        disturbed = needs.disturbed(resting_rates(self.loop, memory))
+        disturbed = needs.disturbed
         tube = needs.tube(start)
         names = [f"position {i}" for i in range(C.nrows())] * 2 + doc.input_names * 2
         d = 2 * C.nrows()
@@ -205,7 +201,7 @@ class Argument:
         """A stored bound is at least the derived one, up to rounding."""
         spare = stored - derived + abs(derived) * TUBE_SLACK
         if not spare >= 0:
-            require(claim, spare, f"{what}: {stored:.6g} stored, {float(derived.mid()):.6g} derived")
+            require(claim, spare, f"{what}: {stored:.6g} stored, {plain(derived)} derived")
 
     def recoverability(self, path: Path, memory: Memory, sets: list[Zonotope]) -> None:
         """S keeps to every limit to the end if it takes over before or after any experimental step."""
@@ -234,9 +230,8 @@ class Argument:
         claims = sum(margin > 0 for margin in claimed.values())
         self.record.holds("margins", f"{claims} instants next to experimental steps")
         recovery.check_balls(doc.radius[: self.K + (doc.cells > self.K)], matrix(doc.weight).inv())
-        self.record.holds(
-            "recoverable_sets", f"balls inside the sets of kind {doc.recoverable}, {self.K} instants"
-        )
+        told = f"balls inside the sets of kind {doc.recoverable}, {self.K} instants"
+        self.record.holds("recoverable_sets", told)
 
     def _prolonged(self, path: Path, memory: Memory) -> tuple[Path, list[list[int]]]:
         """The path and its facets; for a claim for ever, until the loop has forgotten what it was at T.
@@ -275,16 +270,12 @@ class Argument:
             if doc.until is None:
                 raise Rejected("end", f"the claim {doc.horizon} must name its last instant")
             most = last if doc.horizon == "one_period" else arb(self.K) * doc.delta
-            require(
-                "end",
-                most * (1 + 1e-12) - doc.until,
-                f"safe until {float(most.mid()):.6g} s, {doc.until:.6g} claimed",
-            )
+            told = f"safe until {plain(most)} s, {doc.until:.6g} claimed"
+            require("end", most * (1 + 1e-12) - doc.until, told)
             if doc.horizon == "one_period" and not tail:
                 raise Rejected("end", "one period is claimed, but the reference ends at T")
-        self.record.holds(
-            "end", doc.horizon if doc.until is None else f"{doc.horizon}, until {doc.until:.6g} s"
-        )
+        until = "" if doc.until is None else f", until {doc.until:.6g} s"
+        self.record.holds("end", doc.horizon + until)
 
     def _closes(self, path: Path, tail: int) -> None:
         """The coasting motion repeats, and one turn of it lies in the tail with all sets at rest."""

@@ -192,10 +192,8 @@ class Document:
         self.recoverable = one_of(sets["kind"], ("polytope", "time_varying_ball", "ball", "paper_ball"))
         self.weight = table(sets["weight"], n, n)
         self.radius = _radii(sets["radius"], K, self.cells > K)
-        self.box_center, self.box_half = (
-            table(boxes["center"], K + 1, n),
-            table(boxes["half_widths"], K + 1, n),
-        )
+        self.box_center = table(boxes["center"], K + 1, n)
+        self.box_half = table(boxes["half_widths"], K + 1, n)
         self.lower, self.upper = table(boxes["lower"], K, n), table(boxes["upper"], K, n)
         self.slopes = _slopes(boxes["slopes"], K, self.q, m)
 

@@ -13,8 +13,8 @@ from .document import Document
 from .lqr import check_gain, positive_definite
 from .own import check_own
 from .perception import check_unsafe
+from .repeated import check_switching
 from .structure import table, vector
-from .switching import check_switching
 from .verdict import Record, Rejected
 from .zonotopes import inner_radius
 
@@ -86,7 +86,9 @@ def _check_system(document: Document, spec: dict[str, Any]) -> None:
     bound = float(spec.get("disturbance_max_m_s2" if hill else "disturbance_max", 0.0))
     _need("system", "disturbance bound", document.w_max, bound)
     _need("system", "mass", document.mass, float(spec.get("mass_kg", 1.0)))
-    _need("system", "names of inputs", document.input_names, _input_names(hill, m))
+    axes = [f"{axis} thrust" for axis in ("radial", "along-track", "cross-track")]
+    names = axes if hill else [f"input {i}" for i in range(m)]
+    _need("system", "names of inputs", document.input_names, names)
     if hill:
         _need("system", "mean motion", document.mean_motion, float(spec["mean_motion_rad_s"]))
         place: list[int] | None = [0, 1, 2]
@@ -102,15 +104,6 @@ def _check_system(document: Document, spec: dict[str, Any]) -> None:
     C = matrix(document.C)
     if positive_definite(C * C.transpose()) is not True:
         raise Rejected("system", "the coordinates of the position are not independent")
-
-
-def _input_names(hill: bool, m: int) -> list[str]:
-    """What inputs are called: thrust along Hill's axes, or inputs by number."""
-    return (
-        [f"{axis} thrust" for axis in ("radial", "along-track", "cross-track")]
-        if hill
-        else [f"input {i}" for i in range(m)]
-    )
 
 
 def _check_initial_set(document: Document, spec: dict[str, Any]) -> None:
@@ -141,9 +134,8 @@ def _check_initial_set(document: Document, spec: dict[str, Any]) -> None:
             continue
         G = matrix([[g[i] for i in sorted(states)] for g in block], len(states)).transpose()
         inside = inner_radius(G) if len(states) <= 3 else _inner_box(G)
-        require(
-            "initial_set", inside - radius * (1 - 1e-9), f"the ball of radius {radius:g} is not contained"
-        )
+        told = f"the ball of radius {radius:g} is not contained"
+        require("initial_set", inside - radius * (1 - 1e-9), told)
         most = max(float(x.mid()) for x in row_sums(G))
         if most > 2 * radius:
             raise Rejected("initial_set", f"reaches {most:g} where the ball has the radius {radius:g}")
@@ -222,9 +214,8 @@ def _orbit_terms(
         amplitude, along = float(spec["amplitude_max_m"]), float(spec.get("along_track_m", 0.0))
         rest = [x[0], x[1] - along, x[3] / eta, x[4] / eta]
         terms = [(abs(value), f"condition {i}") for i, value in enumerate(rest)]
-        return [*terms, ((across[0] ** 2 + across[1] ** 2) ** 0.5 - amplitude, "amplitude")], max(
-            amplitude, 1.0
-        )
+        terms.append(((across[0] ** 2 + across[1] ** 2) ** 0.5 - amplitude, "amplitude"))
+        return terms, max(amplitude, 1.0)
     inner, outer = float(spec["inner_semi_minor_m"]), float(spec["outer_semi_minor_m"])
     b = (x[0] ** 2 + x[1] ** 2 / 4) ** 0.5
     most = float(spec.get("cross_track_max_m", 0.0))

@@ -121,7 +121,7 @@ class Limits:
             for row, bend in zip(needs.carried, needs.bend, strict=True)
         ]
         share = largest(a / b for a, b in zip(size.entries(), needs.memory.z.entries(), strict=True))
-        late = [x * share for x in needs.forgotten()]
+        late = [x * share for x in needs.forgotten]
         targets = self.targets[: path.planned]
         for tail, nodes in enumerate(self.targets[path.planned :]):
             reduced = []

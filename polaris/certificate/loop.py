@@ -122,15 +122,13 @@ class Needs:
         """Bound on the disturbance's share at every node, however late."""
         return [x.upper() for x in sums(self._responses[-1], self._late)]
 
-    def disturbed(self, resting: tuple[arb_mat, arb_mat]) -> list[list[arb]]:
-        """The disturbance's share until the end of the period after node l, for l = 0 ... N, then for ever.
-
-        Parameters
-        ----------
-        resting : (arb_mat, arb_mat), shapes (n, 1)
-            What the disturbance adds to a rate, see `resting_rates`.
-        """
-        curved = self.motion.lesser_bow(self.rows, *resting)
+    @cached_property
+    def disturbed(self) -> list[list[arb]]:
+        """The disturbance's share until the end of the period after node l, l = 0 ... N, then for ever."""
+        # Bounds on what the disturbance adds to ``A_c e`` and ``X A_c e`` at any node.
+        closed = self.motion.closed
+        rates = (Needs(self.motion, self.memory, M).settled for M in (closed, self.motion.X * closed))
+        curved = self.motion.lesser_bow(self.rows, *(magnitude(column(rate)) for rate in rates))
         first = self._responses[1]
         until = [
             [largest((a + f, b)) + k for a, b, f, k in zip(now, following, first, curved, strict=True)]
@@ -138,6 +136,7 @@ class Needs:
         ]
         return [*until, sums(self.settled, first, curved)]
 
+    @cached_property
     def forgotten(self) -> list[arb]:
         """What any undisturbed error within ``z`` at the start still needs after N periods."""
         memory = self.memory
@@ -175,12 +174,6 @@ class Needs:
             [a + largest((b, c)) for a, b, c in zip(*each, strict=True)]
             for each in zip(straight, bent, before, strict=True)
         ]
-
-
-def resting_rates(motion: Motion, memory: Memory) -> tuple[arb_mat, arb_mat]:
-    """Bounds on what the disturbance adds to ``A_c e`` and ``X A_c e`` at any node, shapes (n, 1)."""
-    rate, second = (Needs(motion, memory, M).settled for M in (motion.closed, motion.X * motion.closed))
-    return magnitude(column(rate)), magnitude(column(second))
 
 
 def _larger(a: arb_mat, b: arb_mat) -> arb_mat:

@@ -9,7 +9,7 @@ from flint import arb, arb_mat
 
 from .balls import above, absolute, beside, largest, matrix, plain, require, row_of, sums
 from .limits import Limits, Target
-from .loop import Needs, resting_rates
+from .loop import Needs
 from .verdict import Rejected
 from .zonotopes import Zonotope
 
@@ -44,11 +44,6 @@ class Recovery:
     forever: bool
     stored: int
 
-    @cached_property
-    def disturbed(self) -> list[list[arb]]:
-        """The disturbance's share, see `Needs.disturbed`."""
-        return self.needs.disturbed(resting_rates(self.needs.motion, self.needs.memory))
-
     @property
     def nodes(self) -> int:
         """Number of the last node."""
@@ -61,11 +56,6 @@ class Recovery:
     def lags(self, step: int) -> int:
         """Number of periods after the start of a step that are looked at one by one."""
         return min(self.needs.memory.periods, self.nodes - step * self.q)
-
-    @cached_property
-    def forgotten(self) -> list[arb]:
-        """What errors within the memory's extent still need beyond the memory, see `Needs.forgotten`."""
-        return self.needs.forgotten()
 
     @cached_property
     def _least(self) -> list[dict[int, Target]]:
@@ -113,7 +103,7 @@ class Recovery:
             close: dict[tuple[int, int], list[Target]] = {}
             for lag in range(self.lags(k) + 1):
                 for target in self.limits.at(k * self.q + lag, first=lag == 0):
-                    room = target.room - self.disturbed[lag][target.row]
+                    room = target.room - self.needs.disturbed[lag][target.row]
                     if not room - coarse[lag][target.row, place] >= self._of(share, k, lag) * target.whole:
                         close.setdefault((lag, target.row), []).append(target)
             if close:
@@ -131,7 +121,7 @@ class Recovery:
         extent = self.needs.memory.z.entries()
         part = largest(a / b for a, b in zip(z.size().entries(), extent, strict=True))
         for row, target in self._least[self._far_cell(k)].items():
-            need = part * self.forgotten[row] + self.disturbed[-1][row]
+            need = part * self.needs.forgotten[row] + self.needs.disturbed[-1][row]
             where = f"the set at the start of step {k}, {target.name} beyond the memory of the loop"
             self._leaves(share, target, need, where)
 
@@ -144,11 +134,7 @@ class Recovery:
             raise Rejected("margins", f"{told}: needs {plain(need)} of {plain(room)}", share - left)
 
     def _check_close(
-        self,
-        k: int,
-        z: Zonotope,
-        close: dict[tuple[int, int], list[Target]],
-        share: float,
+        self, k: int, z: Zonotope, close: dict[tuple[int, int], list[Target]], share: float
     ) -> float:
         n, carried, worst = self.limits.rows.ncols(), self.needs.carried, 1.0
         rows = matrix([[carried[lag][row, j] for j in range(n)] for lag, row in close], n)
@@ -158,17 +144,13 @@ class Recovery:
             close.items(), z.support(rows), booked.entries(), strict=True
         ):
             lag, row = key
-            disturbance, of = self.disturbed[lag][row], self._of(share, k, lag)
+            disturbance, of = self.needs.disturbed[lag][row], self._of(share, k, lag)
             for target in targets:
                 need, room = support + extra + disturbance, target.room
-                if (
-                    not room - need >= of * target.whole
-                ):  # what is booked between nodes can be had more exactly
+                if not room - need >= of * target.whole:  # the booked part can be had more exactly
                     need = support + self.needs.booked(z, lag)[row] + disturbance
-                where = (
-                    f"the set at the start of step {k}, {target.name} at t = {self.time(k, lag)} under the "
-                    "safety controller"
-                )
+                where = f"the set at the start of step {k}, {target.name} at t = {self.time(k, lag)}"
+                where += " under the safety controller"
                 require("recoverable", room - need, f"{where}: needs {plain(need)} of {plain(room)}")
                 worst = min(worst, float(((room - need) / target.whole).lower()) if room > 0 else 0.0)
                 self._leaves(of, target, need, where)
@@ -176,17 +158,15 @@ class Recovery:
 
     def check_far(self) -> None:
         """Check the limits beyond the memory of the loop, for every set within the memory's extent."""
-        need = sums(self.forgotten, self.disturbed[-1])
+        need = sums(self.needs.forgotten, self.needs.disturbed[-1])
         for cell in range(self._far_cell(0), len(self.limits.targets)):
             for i, met in enumerate(self.limits.targets[cell]):
                 for t in met:
                     if need[t.row] <= t.room:
                         continue
-                    where = (
-                        f"errors forgotten by the loop, {t.name} at t = {self.time(cell, i)}: "
-                        f"needs {plain(need[t.row])} of {plain(t.room)}"
-                    )
-                    require("recoverable", t.room - need[t.row], where)
+                    where = f"errors forgotten by the loop, {t.name} at t = {self.time(cell, i)}"
+                    told = f"{where}: needs {plain(need[t.row])} of {plain(t.room)}"
+                    require("recoverable", t.room - need[t.row], told)
 
     def check_balls(self, radii: list[float], inverse: arb_mat) -> None:
         """Check that every error of a step's ball ``norm(V e, 2) <= radius`` is recoverable.
@@ -200,7 +180,7 @@ class Recovery:
         for k, radius in enumerate(radii):
             for lag in range(self.lags(k) + 1) if radius > 0 else ():
                 for t in self.limits.at(k * self.q + lag, first=lag == 0):
-                    spare = t.room - self.disturbed[lag][t.row] - per[lag][t.row] * radius
+                    spare = t.room - self.needs.disturbed[lag][t.row] - per[lag][t.row] * radius
                     if not spare >= -MARGIN_SLACK * abs(t.room):
                         where = f"radius {radius:.6g} at {self.time(k, 0)}, {t.name} at {self.time(k, lag)}"
                         require("recoverable_sets", spare, where)

@@ -7,14 +7,14 @@ import io
 import math
 import re
 from collections.abc import Iterable
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 from .document import Document
 from .file_keys import GAINS, SCHEDULE
 from .files import contents
-from .structure import conform, strict_json
-from .switching import switches, switching_rules
+from .structure import conform, shown, strict_json
 from .verdict import Rejected
 
 STEP_COLUMNS = (
@@ -56,14 +56,7 @@ def same(claim: str, what: str, found: Any, given: Any) -> None:
         for key in found:
             same(claim, f"{what}, {key}", found[key], given[key])
     elif found != given or isinstance(found, bool) != isinstance(given, bool):
-        raise Rejected(
-            claim, f"{what}: {_short(found)} in the certificate, {_short(given)} in the run folder"
-        )
-
-
-def _short(value: Any) -> str:
-    text = ascii(value)
-    return text if len(text) <= 80 else f"{text[:77]}..."
+        raise Rejected(claim, f"{what}: {shown(found)} in the certificate, {shown(given)} in the run folder")
 
 
 # -- schedule ---------------------------------------------------------------------------------------
@@ -85,10 +78,7 @@ def check_schedule(document: Document, scenario: dict[str, Any], folder: Path) -
     same("schedule", "number of steps", K, len(stored["steps"]))
     for k, step in enumerate(stored["steps"]):
         _check_step(document, k, step)
-    controllers = [
-        {"mode": mode, "name": law.name, "kind": "AnyThrust" if law.gain is None else "AffineController"}
-        for mode, law in enumerate(laws)
-    ]
+    controllers = [_heading(document, mode) for mode in range(len(laws))]
     same("controllers", "controllers", controllers, stored["controllers"])
     same("schedule", "switches", switches(modes), stored["switches"])
     same("schedule", "experimental share", share(modes), stored["experimental_share"])
@@ -105,6 +95,11 @@ def check_schedule(document: Document, scenario: dict[str, Any], folder: Path) -
     return claimed
 
 
+def _heading(document: Document, mode: int) -> dict[str, Any]:
+    law = document.laws[mode]
+    return {"mode": mode, "name": law.name, "kind": "AnyThrust" if law.gain is None else "AffineController"}
+
+
 def share(modes: list[int]) -> float:
     """Share of steps under experimental controllers."""
     return sum(mode > 0 for mode in modes) / len(modes)
@@ -119,7 +114,7 @@ def _check_step(document: Document, k: int, step: dict[str, Any]) -> None:
     same("schedule", f"start of step {k} [s]", k * document.delta, step["t_start_s"])
     same("schedule", f"end of step {k} [s]", (k + 1) * document.delta, step["t_end_s"])
     if step["limit"] not in limit_names(document):
-        raise Rejected("schedule", f"step {k} is limited by {_short(step['limit'])}, which there is not")
+        raise Rejected("schedule", f"step {k} is limited by {shown(step['limit'])}, which there is not")
     when, last = step["limit_time_s"], document.cells * document.delta
     if when is not None and not 0 <= when <= last * (1 + 1e-9):
         raise Rejected("schedule", f"step {k} is limited at {when} s, of {last} s")
@@ -144,7 +139,7 @@ def _check_claim(document: Document, claimed: dict[str, Any]) -> None:
     same("assumptions", "assumptions", [*document.assumptions, ARITHMETIC], claimed["assumptions"])
     words = re.fullmatch(REASONS[document.horizon], document.reason)
     if words is None:
-        told = f"{_short(document.reason)} is no reason for the claim {document.horizon}"
+        told = f"{shown(document.reason)} is no reason for the claim {document.horizon}"
         raise Rejected("end", told)
     found = words.groupdict()
     if found.get("until") is not None:
@@ -153,7 +148,7 @@ def _check_claim(document: Document, claimed: dict[str, Any]) -> None:
         how = "at rest" if document.mean_motion is None else "on a closed orbit"
         same("end", "how the reference ends", how, found["how"])
     if found.get("limit") is not None and found["limit"] not in limit_names(document):
-        raise Rejected("end", f"{_short(found['limit'])} in the reason is no limit")
+        raise Rejected("end", f"{shown(found['limit'])} in the reason is no limit")
     if found.get("moving") is not None:
         moving = ", ".join(item.name for item in document.unsafe if not item.resting)
         same("end", "moving sets in the reason", moving, found["moving"])
@@ -161,6 +156,47 @@ def _check_claim(document: Document, claimed: dict[str, Any]) -> None:
 
 ARITHMETIC = "arithmetic: in double precision, its round-off covered by booked tolerances"
 """What the synthesis assumes besides, and the checker does not."""
+
+
+# -- switching ---------------------------------------------------------------------------------------
+
+
+def switching_rules(scenario: dict[str, Any]) -> dict[str, Any]:
+    """The rules as ``schedule.json`` repeats them; of the effort of the search, what the scenario gives."""
+    spec = scenario.get("schedule", {})
+    rules = {
+        "strategy": spec.get("strategy", "greedy"),
+        "min_dwell": spec.get("min_dwell_steps", 1),
+        "max_switches": spec.get("max_switches"),
+        "weights": [float(item.get("weight", 1.0)) for item in scenario["experimental"]],
+    }
+    return rules | {key: spec[key] for key in ("beam",) if key in spec}
+
+
+def switches(modes: list[int]) -> int:
+    """Number of changes of mode."""
+    return sum(a != b for a, b in zip(modes[:-1], modes[1:], strict=True))
+
+
+def check_switching(document: Document, scenario: dict[str, Any]) -> str:
+    """Whoever takes over keeps control for the dwell, or to T; there are no more switches than the cap.
+
+    Raises
+    ------
+    Rejected
+        Naming the claim ``schedule``.
+    """
+    rules = switching_rules(scenario)
+    held = [len(list(group)) for _, group in groupby(document.modes)]
+    for i, steps in enumerate(held[:-1]):
+        if steps < rules["min_dwell"]:
+            at = sum(held[:i])
+            told = f"mode {document.modes[at]} is left {steps} steps after step {at}"
+            raise Rejected("schedule", f"{told}; the scenario's dwell is {rules['min_dwell']} steps")
+    count, cap = switches(document.modes), rules["max_switches"]
+    if cap is not None and count > cap:
+        raise Rejected("schedule", f"{count} switches, the scenario allows {cap}")
+    return f"{count} switches, dwell and cap of the scenario kept"
 
 
 # -- reference --------------------------------------------------------------------------------------
@@ -200,8 +236,8 @@ def _same_table(claim: str, path: Path, rows: list[Iterable[Any]]) -> None:
     for i, line in enumerate(lines):
         if i >= len(given) or given[i] != line:
             there = given[i] if i < len(given) else b""
-            told = f"{path.name}, line {i + 1}: {_short(line.decode())} in the certificate"
-            raise Rejected(claim, f"{told}, {_short(there.decode(errors='replace'))} in the run folder")
+            told = f"{path.name}, line {i + 1}: {shown(line.decode())} in the certificate"
+            raise Rejected(claim, f"{told}, {shown(there.decode(errors='replace'))} in the run folder")
     raise Rejected(claim, f"{path.name} goes on after {len(lines) - 1} lines")
 
 
@@ -241,8 +277,7 @@ def check_gains(document: Document, scenario: dict[str, Any], path: Path) -> dic
     same("sampling", "feedback", feedback, stored["feedback"])
     same("controllers", "number of controllers", len(document.laws), len(stored["controllers"]))
     for mode, (law, given) in enumerate(zip(document.laws, stored["controllers"], strict=True)):
-        expected: dict[str, Any] = {"mode": mode, "name": law.name}
-        expected["kind"] = "AnyThrust" if law.gain is None else "AffineController"
+        expected = _heading(document, mode)
         if law.gain is not None:
             expected |= {"gain": law.gain, "clips": law.kind == "saturated_affine"}
         if law.states is not None:

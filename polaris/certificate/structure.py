@@ -137,16 +137,16 @@ def conform(value: Any, shape: Shape, claim: str, where: str) -> None:
         case Kinds(tables):
             kind = value.get("kind") if isinstance(value, dict) else None
             if not isinstance(kind, str) or kind not in tables:
-                raise Rejected(claim, f"{where}.kind: {_shown(kind)} is not one of {', '.join(tables)}")
+                raise Rejected(claim, f"{where}.kind: {shown(kind)} is not one of {', '.join(tables)}")
             _conform_table(value, tables[kind], claim, where)
         case Named(item):
             if not isinstance(value, dict):
-                raise Rejected(claim, f"{where}: {_shown(value)} is no table")
+                raise Rejected(claim, f"{where}: {shown(value)} is no table")
             for name, entry in value.items():
-                conform(entry, item, claim, f"{where}.{_shown(name)}")
+                conform(entry, item, claim, f"{where}.{shown(name)}")
         case Rows(item, least, most, even):
             if not isinstance(value, list):
-                raise Rejected(claim, f"{where}: {_shown(value)} is no list")
+                raise Rejected(claim, f"{where}: {shown(value)} is no list")
             if len(value) < least or (most is not None and len(value) > most):
                 raise Rejected(claim, f"{where} has {len(value)} items, of {least} to {most}")
             for i, entry in enumerate(value):
@@ -163,15 +163,15 @@ def conform(value: Any, shape: Shape, claim: str, where: str) -> None:
             raise Rejected(claim, "; ".join(reasons))
         case _:
             if not _is(value, shape):
-                raise Rejected(claim, f"{where}: {_shown(value)} is no {shape}")
+                raise Rejected(claim, f"{where}: {shown(value)} is no {shape}")
 
 
 def _conform_table(value: Any, shape: Table, claim: str, where: str) -> None:
     if not isinstance(value, dict):
-        raise Rejected(claim, f"{where}: {_shown(value)} is no table")
+        raise Rejected(claim, f"{where}: {shown(value)} is no table")
     for key in value:
         if key not in shape.keys and key not in shape.optional:
-            raise Rejected(claim, f"{where}: the key {_shown(key)} is not known, so nothing was made of it")
+            raise Rejected(claim, f"{where}: the key {shown(key)} is not known, so nothing was made of it")
     for key, item in shape.keys.items():
         if key not in value:
             raise Rejected(claim, f"{where}: the key {key!r} is missing")
@@ -204,9 +204,10 @@ def _is(value: Any, shape: Shape) -> bool:
     return isinstance(shape, Anything)
 
 
-def _shown(value: Any) -> str:
+def shown(value: Any, most: int = 80) -> str:
+    """A value in a message: printable, and not long."""
     text = ascii(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."
+    return text if len(text) <= most else f"{text[: most - 3]}..."
 
 
 def vector(values: Any) -> list[float]:
@@ -244,7 +245,7 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     if len(found) < len(pairs):
         keys = [key for key, _ in pairs]
         twice = next(key for key in keys if keys.count(key) > 1)
-        raise ValueError(f"the key {_shown(twice)} stands more than once")
+        raise ValueError(f"the key {shown(twice)} stands more than once")
     return found
 
 

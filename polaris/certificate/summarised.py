@@ -9,9 +9,8 @@ from typing import Any
 from .document import Document
 from .file_keys import SUMMARY
 from .files import contents
-from .repeated import limit_names, same, share
+from .repeated import limit_names, same, share, switches
 from .structure import conform, strict_json
-from .switching import switches
 from .verdict import Rejected
 
 ROUNDING = 1e-9

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -141,11 +142,7 @@ def compare_methods(
             refused[key] = method
             continue
         built = time.perf_counter() - begun
-
-        def report(done: int, total: int, key: str = key) -> None:
-            if progress:
-                progress(key, done, total)
-
+        report = partial(progress, key) if progress else None
         results[key], shown[key] = _flown(grid, key, method, parts, built, report)
     return Comparison(grid, runs, seed, results, shown, refused)
 
@@ -185,7 +182,7 @@ def _flown(
     method: Method,
     parts: Sequence[Conditions],
     built: float,
-    progress: Callable[[int, int], None],
+    progress: Callable[[int, int], None] | None,
 ) -> tuple[MethodResult, Shown]:
     """Fly one method in all conditions, and once alone to time its decisions."""
     found, deviations, counts, kept = [], [], np.zeros(len(method.reasons), dtype=int), None
@@ -228,13 +225,7 @@ def _show(grid: DecisionGrid, method: Method, flight: Flight, metrics: Any, near
     ]
     labels = ("closest", *(f"run {run}" for run in chosen[1:]))
     return Shown(
-        labels,
-        flight.times,
-        flight.states[chosen],
-        flight.inputs[chosen],
-        who[chosen],
-        nearest,
-        decisions,
+        labels, flight.times, flight.states[chosen], flight.inputs[chosen], who[chosen], nearest, decisions
     )
 
 

@@ -62,11 +62,7 @@ class DecisionGrid:
 
     @classmethod
     def of(
-        cls,
-        schedule: Schedule,
-        period: float | None = None,
-        latency: float = 0.0,
-        half_widths: Any = 0.0,
+        cls, schedule: Schedule, period: float | None = None, latency: float = 0.0, half_widths: Any = 0.0
     ) -> DecisionGrid:
         """Lay the fine grid.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from math import ceil
 
 import numpy as np
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..model.checks import whole
 from ..model.system import Array
 from ..simulation.disturbances import disturbances
-from ..simulation.integration import Integrator
+from ..simulation.integration import Integrator, runge_kutta
 from ..simulation.simulate import initial_states
 from ..synthesis.controllers import AffineController
 from .decision_grid import DecisionGrid
@@ -237,18 +237,15 @@ class _Engine:
                 first = now
             demand = np.maximum(demand, (np.abs(raw) / limit).max(axis=1))
             spent += np.abs(now).sum(axis=1)
-            one = x @ self.system.A.T + now @ self.system.B.T + force
-            two = self._rate(mode, k, half + 1, x + self.dt / 2 * one, force)
-            three = self._rate(mode, k, half + 1, x + self.dt / 2 * two, force)
-            four = self._rate(mode, k, half + 2, x + self.dt * three, force)
-            x = x + self.dt / 6 * (one + 2 * two + 2 * three + four)
+            rate = partial(self._rate, mode, k, half, force=force)
+            x = runge_kutta(rate, x, self.dt, x @ self.system.A.T + now @ self.system.B.T + force)
         return x, first, demand, spent
 
     def _command(self, mode: int, k: int, half: int, x: Array) -> Array:
         law = self.grid.controllers[mode]
         return law.command(k, self._arcs[0][k, half], self._arcs[mode][k, half], x)
 
-    def _rate(self, mode: int, k: int, half: int, x: Array, force: Array) -> Array:
+    def _rate(self, mode: int, k: int, half: int, later: int, x: Array, force: Array) -> Array:
         limit = self.system.u_max
-        u = np.clip(self._command(mode, k, half, x), -limit, limit)
+        u = np.clip(self._command(mode, k, half + later, x), -limit, limit)
         return np.asarray(x @ self.system.A.T + u @ self.system.B.T + force)

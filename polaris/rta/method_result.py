@@ -137,13 +137,7 @@ def measure(grid: DecisionGrid, flight: Flight, conditions: Conditions, name: st
     """Metrics of the flights of one method against the true unsafe sets."""
     planned = np.zeros(grid.clearance.planned, dtype=int)  # modes differ from run to run: counted below
     runs = Runs(
-        grid.schedule,
-        flight.times,
-        flight.states,
-        flight.inputs,
-        flight.demanded,
-        flight.delta_v,
-        planned,
+        grid.schedule, flight.times, flight.states, flight.inputs, flight.demanded, flight.delta_v, planned
     )
     found = evaluate(runs, conditions.seed, name)
     who = flown(grid, flight)

@@ -149,63 +149,44 @@ def project_coupled(
     if len(u) > FEW and len(first):
         todo = _separate_rows(G, bound, desired, limit, first, second, u)
     elif flat and len(u) > 1:
-        todo = _together(G, bound, desired, limit, needed, u, todo)
+        todo = _together(G, bound, desired, limit, needed, u)
     for k in todo:
-        u[k], status[k] = _coupled(
-            G[k],
-            bound[k],
-            desired[k],
-            limit,
-            first,
-            second,
-            np.flatnonzero(needed[k]),
-            None if rank is None else rank[k],
-        )
+        rows = np.flatnonzero(needed[k])  # only those that count
+        which = first[rows], second[rows], None if rank is None else rank[k][rows]
+        u[k], status[k] = _coupled(G[k][rows], bound[k][rows], desired[k], limit, *which)
     if len(refused):
         u[refused], status[refused] = np.nan, FAILED
     return Projections(u[:, 0] if flat else u, status)
 
 
 def _coupled(
-    G: Array,
-    bound: Array,
-    desired: Array,
-    limit: float,
-    first: Index,
-    second: Index,
-    rows: Index,
-    rank: Index | None = None,
+    G: Array, bound: Array, desired: Array, limit: float, first: Index, second: Index, rank: Index | None
 ) -> tuple[Array, int]:
-    """One run, through the solver: only the rows that count."""
+    """One run, through the solver."""
     N, v = desired.shape
-    ranks = None if rank is None else rank[rows]
     if N == 1:
-        found, status = solve(G[rows], bound[rows], desired[0], limit, ranks)
+        found, status = solve(G, bound, desired[0], limit, rank)
         return found[None], status
-    wide = np.zeros((len(rows), N, v))
-    every, pair = np.arange(len(rows)), np.flatnonzero(second[rows] >= 0)
-    wide[every, first[rows]] = G[rows]
-    wide[pair, second[rows[pair]]] = -G[rows[pair]]
-    found, status = solve(wide.reshape(-1, N * v), bound[rows], desired.ravel(), limit, ranks)
+    wide = np.zeros((len(bound), N, v))
+    pair = np.flatnonzero(second >= 0)
+    wide[np.arange(len(bound)), first] = G
+    wide[pair, second[pair]] = -G[pair]
+    found, status = solve(wide.reshape(-1, N * v), bound, desired.ravel(), limit, rank)
     return found.reshape(N, v), status
 
 
-def _together(
-    G: Array, bound: Array, desired: Array, limit: float, needed: Array, u: Array, todo: Index
-) -> Index:
+def _together(G: Array, bound: Array, desired: Array, limit: float, needed: Array, u: Array) -> Index:
     """A few independent programs as one: a call of the solver costs more than their sizes.
 
     Writes the solutions into `u` and returns the programs left to do: all, if one of them has no solution.
     """
-    which, row = np.nonzero(needed[todo])
+    which, row = np.nonzero(needed)
     alone = np.full(len(which), -1, dtype=np.intp)
-    every = np.arange(len(which))
-    at = todo[which]
-    found, status = _coupled(G[at, row], bound[at, row], desired[todo, 0], limit, which, alone, every)
+    found, status = _coupled(G[which, row], bound[which, row], desired[:, 0], limit, which, alone, None)
     if status != FILTERED:
-        return todo
-    u[todo, 0] = found
-    return todo[:0]
+        return np.arange(len(u))
+    u[:, 0] = found
+    return np.arange(0)
 
 
 def _separate_rows(

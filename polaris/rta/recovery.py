@@ -298,11 +298,7 @@ class Recovery:
         last = self.grid.last if tail else len(self.limits) - 1
         at = np.minimum(np.arange(len(self.limits)) + tracking.memory, last)
         least, most = (np.inf, np.minimum), (0.0, np.maximum)
-        return (
-            self._later(allowed, *least)[at],
-            self._later(base, *most)[at],
-            self._later(steep, *most)[at],
-        )
+        return (self._later(allowed, *least)[at], self._later(base, *most)[at], self._later(steep, *most)[at])
 
     @staticmethod
     def _later(ends: Array, none: float, pick: np.ufunc) -> Array:

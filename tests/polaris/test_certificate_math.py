@@ -17,7 +17,7 @@ from polaris.certificate.argument import Argument
 from polaris.certificate.balls import column, exponential_over, matrix, norms, require
 from polaris.certificate.document import Document, digest
 from polaris.certificate.limits import Limits, Target
-from polaris.certificate.loop import Memory, Needs, resting_rates
+from polaris.certificate.loop import Memory, Needs
 from polaris.certificate.motion import Plant
 from polaris.certificate.recovery import Recovery
 from polaris.certificate.verdict import Record, Rejected, Undecided
@@ -81,7 +81,7 @@ def test_needs_of_the_safety_controller_cover_what_it_flies(name):
     sets, _ = argument.tubes(path, Merging(12))
     memory = Memory.of(argument.loop, widest(sets), argument.document.q)
     needs = Needs(argument.loop, memory, argument.gain)
-    disturbed = needs.disturbed(resting_rates(argument.loop, memory))
+    disturbed = needs.disturbed
     tube, gain = needs.tube(sets[0]), values(argument.gain)
     runs = simulate(schedule, 300, 5, mode=0)
     reference = schedule.safety.reference.fine(argument.document.q)[: argument.K, :-1].reshape(-1, argument.n)
@@ -252,7 +252,7 @@ def test_a_jump_of_the_reference_takes_its_part_of_a_claimed_share():
         carried=[row] * 3,
         bend=[0 * row] * 3,
         memory=SimpleNamespace(periods=2, z=column([1.0])),
-        forgotten=lambda: [arb(0)],
+        forgotten=[arb(0)],
     )
     path = SimpleNamespace(planned=0, cells=1, kinematics=SimpleNamespace(q=1), jump=column([0.5]))
     limits = Limits(row, [[[Target(0, arb(1), "wall", arb(1))]] * 2]).less_jump(needs, path)

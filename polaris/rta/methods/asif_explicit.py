@@ -133,14 +133,8 @@ class ExplicitASIF(Method):
         h = d if self.direct else closing + allowed
         best = h.argmax(axis=1)
         run = np.arange(len(x))
-        chosen = normals[best]
-        known = ((x @ self.drift.T) * chosen).sum(axis=1)
-        known -= np.linalg.norm(chosen @ self.kick, axis=1) * self.grid.system.w_max
-        if self.direct:
-            known = known - speed[best]
-        else:
-            known = known + slope[run, best] * closing[run, best]
-        return h[run, best], chosen @ self.push, -self.alpha * h[run, best] - known
+        change = -speed[best] if self.direct else slope[run, best] * closing[run, best]
+        return self._condition(x, normals[best], h[run, best], change)
 
     def _ball(
         self, ball: BallObstacle, node: int, x: Array, p: Array, v: Array
@@ -154,16 +148,18 @@ class ExplicitASIF(Method):
         relative = v - ball.velocity_at(t)
         d = distance - ball.radius - np.linalg.norm(np.abs(system.position) @ half)
         closing = (relative * normal).sum(axis=1)
-        known = ((x @ self.drift.T) * normal).sum(axis=1)
-        known -= np.linalg.norm(normal @ self.kick, axis=1) * system.w_max
         if self.direct:
-            moving = (normal * ball.velocity_at(t)).sum(axis=1)
-            return d, normal @ self.push, -self.alpha * d - known + moving
+            return self._condition(x, normal, d, -(normal * ball.velocity_at(t)).sum(axis=1))
         closing = closing - np.linalg.norm(np.abs(system.velocity) @ half)
         allowed, slope = self._allowed(d, np.array(self.ball_brake))
-        h = closing + allowed
         turning = ((relative**2).sum(axis=1) - (relative * normal).sum(axis=1) ** 2) / distance
-        return h, normal @ self.push, -self.alpha * h - known - turning - slope * closing
+        return self._condition(x, normal, closing + allowed, turning + slope * closing)
+
+    def _condition(self, x: Array, normal: Array, h: Array, change: Array) -> tuple[Array, Array, Array]:
+        """Barrier, row and bound, from the rate of h along a normal but for input, drift and disturbance."""
+        known = ((x @ self.drift.T) * normal).sum(axis=1)
+        known -= np.linalg.norm(normal @ self.kick, axis=1) * self.grid.system.w_max
+        return h, normal @ self.push, -self.alpha * h - (known + change)
 
     def _allowed(self, d: Array, brake: Array) -> tuple[Array, Array]:
         """Closing speed from which braking ends in time, and its slope; linear in a layer about d = 0.

@@ -23,81 +23,6 @@ class Reading(NamedTuple):
     half_widths: Array
 
 
-class Reader:
-    """What may be used of measurements that arrive.
-
-    Parameters
-    ----------
-    grid : DecisionGrid
-    max_age : float
-        Oldest measurement that may be used [s].
-    farthest : float
-        Entries beyond this are taken for faults.
-    same : float
-        Stamps closer than this are equal [s].
-    """
-
-    def __init__(self, grid: DecisionGrid, max_age: float, farthest: float, same: float) -> None:
-        self.grid, self.max_age, self.farthest, self.same = grid, max_age, farthest, same
-        self._shape = (grid.system.n,)
-        self._half = grid.half_widths
-        self._half_list = self._half.tolist()
-        self._newest = -np.inf
-        self._state = b""
-
-    def read(self, measurement: object, instant: float) -> Reading | Fault:
-        """Check a measurement at the instant of a decision [s]; a good one is remembered."""
-        if not isinstance(measurement, Measurement):
-            if measurement is None:
-                return Fault("measurement", "missing")
-            return Fault("measurement", "malformed: not a measurement")
-        stamp = real(measurement.stamp)
-        x = numbers(measurement.state, self._shape)
-        if stamp is None or x is None:
-            return Fault("measurement", f"malformed: the {'stamp' if stamp is None else 'state'}")
-        wrong = self._in_time(stamp, instant)
-        if wrong is not None:
-            return wrong
-        size = largest(x.tolist())
-        if size != size:
-            return Fault("measurement", "the state is not finite")
-        if size > self.farthest:
-            return Fault("measurement", f"absurd: an entry beyond {self.farthest:g}")
-        half = self._half
-        if measurement.half_widths is not None:
-            given = self._bound(measurement.half_widths)
-            if isinstance(given, Fault):
-                return given
-            half = given
-        contents = x.tobytes()
-        repeated, self._newest, self._state = contents == self._state, stamp, contents
-        if repeated:
-            return Fault("measurement", "frozen: the same state as before with a new stamp")
-        return Reading(stamp, x, half)
-
-    def _in_time(self, stamp: float, instant: float) -> Fault | None:
-        age = instant - stamp
-        if age - age != 0.0:
-            return Fault("measurement", "the stamp is not finite")
-        if age < -self.same:
-            return Fault("measurement", "future: newer than the decision's instant")
-        if stamp <= self._newest + self.same:
-            what = "duplicated" if stamp >= self._newest - self.same else "reordered"
-            return Fault("measurement", f"{what}: not newer than the last one, so missing")
-        if age > self.max_age:
-            return Fault("measurement", f"stale: {age:.6g} s old")
-        return None
-
-    def _bound(self, value: object) -> Array | Fault:
-        half = numbers(value, self._shape)
-        if half is None:
-            return Fault("measurement", "malformed: the half widths")
-        for given, most in zip(half.tolist(), self._half_list, strict=True):
-            if not 0 <= given <= most:  # also for nan
-                return Fault("measurement", "half widths: not between zero and the scene's")
-        return half
-
-
 class Observer:
     """Checks every measurement by itself and against all earlier ones.
 
@@ -114,7 +39,9 @@ class Observer:
     def __init__(self, grid: DecisionGrid, limits: Limits, farthest: float, trusted: int) -> None:
         self.grid = grid
         self._same = TIME * grid.period
-        self._reader = Reader(grid, limits.max_age, farthest, self._same)
+        self._max_age, self._farthest = limits.max_age, farthest
+        self._shape, self._half_list = (grid.system.n,), grid.half_widths.tolist()
+        self._newest, self._state = -np.inf, b""  # of the good ones
         theta = grid.schedule.safety.problem.initial_set
         half = np.abs(theta.G).sum(axis=1)
         motion = BoxMotion(grid.system, grid.period, limits.memory + self._same)
@@ -129,23 +56,17 @@ class Observer:
         """Take note of the input since the last call, (m,) or (2, m) [N]; None if it is not known."""
         fresh = self.filter.t >= self._called - self._same
         self._called = np.inf  # not known, unless `observe` is told
-        if applied is None:
-            self.filter.flown(None, None, fresh)
-            return None
-        m = self.grid.system.m
-        low = high = numbers(applied, (m,))
-        bounds = numbers(applied, (2, m)) if low is None else None
-        if bounds is not None:
-            low, high = bounds
-        limit = self.grid.system.u_max * (1 + TIME)
-        good = low is not None and high is not None
-        if low is not None and high is not None:
-            good = bool(((-limit <= low) & (low <= high) & (high <= limit)).all())
-        if good:
-            self.filter.flown(low, high, fresh)
-            return None
+        m, limit = self.grid.system.m, self.grid.system.u_max * (1 + TIME)
+        if applied is not None:
+            held = numbers(applied, (m,))
+            bounds = numbers(applied, (2, m)) if held is None else np.array([held, held])
+            if bounds is not None and ((-limit <= bounds) & (bounds <= limit)).all():
+                low, high = bounds
+                if (low <= high).all():
+                    self.filter.flown(low, high, fresh)
+                    return None
         self.filter.flown(None, None, fresh)
-        return Fault("measurement", "malformed: the applied input")
+        return None if applied is None else Fault("measurement", "malformed: the applied input")
 
     def observe(self, measurement: object, instant: float, faults: list[Fault]) -> Array | None:
         """State at a decision's instant [s], within the scene's half widths of the truth; else None.
@@ -153,7 +74,7 @@ class Observer:
         What is wrong is added to the faults. After a conflict there is a state, which may have lied.
         """
         self._called = instant
-        reading = self._reader.read(measurement, instant)
+        reading = self._read(measurement, instant)
         if isinstance(reading, Fault):
             faults.append(reading)
             return None
@@ -186,3 +107,55 @@ class Observer:
             name = self.grid.system.state_names[conflict]
             faults.append(Fault("estimate", f"conflict: {name} contradicts earlier measurements"))
             self.conflicts, self.agreed = self.conflicts + 1, 0  # the box stays: what lied is not let in
+
+    def _read(self, measurement: object, instant: float) -> Reading | Fault:
+        """Check a measurement at the instant of a decision [s]; a good one is remembered."""
+        if not isinstance(measurement, Measurement):
+            if measurement is None:
+                return Fault("measurement", "missing")
+            return Fault("measurement", "malformed: not a measurement")
+        stamp = real(measurement.stamp)
+        x = numbers(measurement.state, self._shape)
+        if stamp is None or x is None:
+            return Fault("measurement", f"malformed: the {'stamp' if stamp is None else 'state'}")
+        wrong = self._in_time(stamp, instant)
+        if wrong is not None:
+            return wrong
+        size = largest(x.tolist())
+        if size != size:
+            return Fault("measurement", "the state is not finite")
+        if size > self._farthest:
+            return Fault("measurement", f"absurd: an entry beyond {self._farthest:g}")
+        half = self.grid.half_widths
+        if measurement.half_widths is not None:
+            given = self._bound(measurement.half_widths)
+            if isinstance(given, Fault):
+                return given
+            half = given
+        contents = x.tobytes()
+        repeated, self._newest, self._state = contents == self._state, stamp, contents
+        if repeated:
+            return Fault("measurement", "frozen: the same state as before with a new stamp")
+        return Reading(stamp, x, half)
+
+    def _in_time(self, stamp: float, instant: float) -> Fault | None:
+        age = instant - stamp
+        if age - age != 0.0:
+            return Fault("measurement", "the stamp is not finite")
+        if age < -self._same:
+            return Fault("measurement", "future: newer than the decision's instant")
+        if stamp <= self._newest + self._same:
+            what = "duplicated" if stamp >= self._newest - self._same else "reordered"
+            return Fault("measurement", f"{what}: not newer than the last one, so missing")
+        if age > self._max_age:
+            return Fault("measurement", f"stale: {age:.6g} s old")
+        return None
+
+    def _bound(self, value: object) -> Array | Fault:
+        half = numbers(value, self._shape)
+        if half is None:
+            return Fault("measurement", "malformed: the half widths")
+        for given, most in zip(half.tolist(), self._half_list, strict=True):
+            if not 0 <= given <= most:  # also for nan
+                return Fault("measurement", "half widths: not between zero and the scene's")
+        return half

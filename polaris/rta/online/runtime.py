@@ -238,8 +238,7 @@ def replay_log(
         if record["resynchronised"] is not None:
             online.resynchronise(restored(record["resynchronised"]))
         online.guard.faults += [Fault("controller", text) for text in record["controller"]]
-        names = ("now", "measurement", "applied", "reference", "number")
-        answers.append(online.step(*(restored(record.get(name)) for name in names)))
+        answers.append(online.step(*(restored(record.get(name)) for name in _Told._fields[:-1])))
     return answers
 
 
