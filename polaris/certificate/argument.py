@@ -14,7 +14,7 @@ from .lemma import Stated, check_norm_bounds
 from .limits import Barrier, Limits
 from .loop import Memory, Needs
 from .path import Arc, Kinematics, Path
-from .plants import plant_of
+from .plants import plant_of, within_limits
 from .recovery import Recovery
 from .verdict import Record, Rejected
 from .zonotopes import Merging, Zonotope, widest
@@ -110,10 +110,7 @@ class Argument:
         for i, off in enumerate(magnitude(path.jump).entries()):
             most = JUMP_SLACK * max(1.0, *size)
             require("reference", most - off, f"the tail starts {float(off):.6g} off state {i} reached at T")
-        for k, u in enumerate(doc.inputs):
-            for i, value in enumerate(u):
-                spare = self.plant.u_max[i] - abs(arb(value))
-                require("thrust", spare, f"{doc.input_names[i]} of the reference in step {k}")
+        within_limits(doc, doc.inputs, "thrust", "the reference")
         self.record.holds("reference", f"{doc.cells} steps, jump at T at most {_show(path.jump)}")
         return path
 

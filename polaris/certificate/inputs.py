@@ -61,9 +61,8 @@ def check_inputs(document: Document, scenario: dict[str, Any], record: Record) -
         _check_goal(scenario["goal"], document, document.states[document.steps], "goal", "the reference")
         record.holds("goal", f"the reference ends in the scenario's {scenario['goal']['kind']}")
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, ZeroDivisionError) as error:
-        raise Rejected(
-            "artefacts", f"scenario.toml cannot be compared: {type(error).__name__}: {error}"
-        ) from error
+        told = f"scenario.toml cannot be compared: {type(error).__name__}: {error}"
+        raise Rejected("artefacts", told) from error
 
 
 def _moves(spec: dict[str, Any]) -> bool:

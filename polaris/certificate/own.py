@@ -15,7 +15,7 @@ from flint import arb, arb_mat
 from .balls import column, exponential, largest, magnitude, matrix, require
 from .document import Document, Law
 from .motion import Plant
-from .plants import plant_of
+from .plants import plant_of, within_limits
 from .structure import vector
 from .verdict import Rejected
 
@@ -66,15 +66,9 @@ def check_own(
         _check_start(law, law.states[0], _ellipse(document, reference))
     else:
         if law.states[0] != vector(scenario["initial_set"]["center"]):
-            raise Rejected(
-                "controllers", f"the reference of {law.name} does not start where the scenario does"
-            )
-        for k, u in enumerate(law.inputs):
-            for i, value in enumerate(u):
-                spare = arb(document.u_max[i]) - abs(arb(value))
-                require(
-                    "controllers", spare, f"{document.input_names[i]} of {law.name}'s reference in step {k}"
-                )
+            told = f"the reference of {law.name} does not start where the scenario does"
+            raise Rejected("controllers", told)
+        within_limits(document, law.inputs, "controllers", f"{law.name}'s reference")
         goal(document, law.states[document.steps], "controllers", f"the reference of {law.name}")
 
 

@@ -37,10 +37,9 @@ def check_unsafe(document: Document, scenario: dict[str, Any]) -> int:
     left = list(document.unsafe)
     others = any(spec["kind"] == "satellite" for spec in scenario.get("obstacles", ()))
     if document.satellites != others:
-        told = "nothing is assumed of them" if others else "something is assumed of them"
-        raise Rejected(
-            "assumptions", f"the scenario has {'' if others else 'no '}other satellites, but {told}"
-        )
+        has, assumed = ("", "nothing") if others else ("no ", "something")
+        told = f"the scenario has {has}other satellites, but {assumed} is assumed of them"
+        raise Rejected("assumptions", told)
     for spec in scenario.get("obstacles", ()):
         if not left or left[0].name != spec["name"] or left[0].keep_in:
             raise Rejected("unsafe_sets", f"{spec['name']} is missing")

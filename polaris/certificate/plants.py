@@ -37,6 +37,19 @@ def plant_of(document: Document) -> Plant:
     return Plant(A, B, D, matrix(document.C), u_max, arb(document.w_max), h, document.sampled)
 
 
+def within_limits(document: Document, inputs: list[list[float]], claim: str, whose: str) -> None:
+    """Inputs keep to the thrusters' limits.
+
+    Raises
+    ------
+    Rejected
+        Naming the claim.
+    """
+    for k, u in enumerate(inputs):
+        for name, top, value in zip(document.input_names, document.u_max, u, strict=True):
+            require(claim, arb(top) - abs(arb(value)), f"{name} of {whose} in step {k}")
+
+
 def precision_for(document: Document) -> int:
     """Bits of the midpoints with which the reference can be followed to its end.
 

@@ -293,10 +293,8 @@ def _check_bounds(document: Document, scenario: dict[str, Any], bounds: dict[str
     spec, n = scenario["tracking"], len(document.A)
     same("error_bounds", "method", spec.get("bound", "envelope"), bounds["method"])
     weight = spec.get("weight", "auto")
-    if isinstance(weight, list):
-        expected = [[float(weight[i]) if i == j else 0.0 for j in range(n)] for i in range(n)]
-    elif weight == "identity":
-        expected = [[float(i == j) for j in range(n)] for i in range(n)]
-    else:
-        expected = document.weight
+    expected = document.weight
+    if weight != "auto":
+        along = [1.0] * n if weight == "identity" else weight
+        expected = [[float(along[i]) if i == j else 0.0 for j in range(n)] for i in range(n)]
     same("error_bounds", "weight of the norm", expected, bounds["weight"])

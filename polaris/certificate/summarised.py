@@ -70,16 +70,16 @@ def _check_plan(document: Document, plan: dict[str, Any]) -> None:
     _close("velocity change of the plan", spent * document.delta / document.mass, plan["delta_v_m_s"])
 
 
-def _close(what: str, derived: float, stored: float) -> None:
-    if not abs(derived - stored) <= ROUNDING * (abs(derived) + 1e-300):
-        raise Rejected(
-            "summary", f"{what}: {stored} in summary.json, derived {derived}", abs(derived - stored)
-        )
+def _close(what: str, derived: float, stored: float, size: float | None = None) -> None:
+    """Equal up to rounding, relative to a size, or to the derived value itself."""
+    off = abs(derived - stored)
+    if not off <= ROUNDING * (abs(derived) + 1e-300 if size is None else size):
+        raise Rejected("summary", f"{what}: {stored} in summary.json, derived {derived}", off)
 
 
 def _check_flown(document: Document, key: str, modes: list[int], found: dict[str, Any]) -> None:
     """Statistics of runs under known modes."""
-    _close_share(f"experimental share of {key}", share(modes), found["experimental_share"])
+    _close(f"experimental share of {key}", share(modes), found["experimental_share"], 1.0)
     same("summary", f"switches of {key}", switches(modes), found["switches"])
     T = document.steps * document.delta
     horizon = T if document.mean_motion is None else 2 * math.pi / document.mean_motion
@@ -111,11 +111,6 @@ def _check_flown(document: Document, key: str, modes: list[int], found: dict[str
 def _up(x: float) -> float:
     """Factor that moves a number up by rounding, whatever its sign."""
     return 1 + math.copysign(ROUNDING, x)
-
-
-def _close_share(what: str, derived: float, stored: float) -> None:
-    if not abs(derived - stored) <= ROUNDING:
-        raise Rejected("summary", f"{what}: {stored} in summary.json, derived {derived}")
 
 
 def _need(key: str, what: str, holds: bool) -> None:

@@ -245,7 +245,7 @@ class Recovery:
             Bounds on ``norm(W e)``.
         demand : Demand
         """
-        first, vector = node * len(self.rows), _extended(e, size)
+        first, vector = node * len(self.rows), extended(e, size)
         need = vector @ demand.tall[: demand.near].T
         need *= self.reciprocals[first : first + demand.near]
         need += self.taken[first : first + demand.near]
@@ -262,7 +262,7 @@ class Recovery:
     def facets_share(self, node: int, e: Array, size: Array, demand: Demand) -> Array:
         """The same of the facets at the node itself alone; 0 without unsafe sets."""
         o, first = len(self.bow), node * len(self.rows)
-        need = _extended(e, size) @ demand.tall[:o].T * self.reciprocals[first : first + o]
+        need = extended(e, size) @ demand.tall[:o].T * self.reciprocals[first : first + o]
         return np.asarray(need.max(axis=-1, initial=0.0))
 
     def far(self, node: int) -> float:
@@ -328,7 +328,7 @@ class Recovery:
         return names
 
 
-def _extended(e: Array, size: Array) -> Array:
+def extended(e: Array, size: Array) -> Array:
     """``[e, size, 1]``, shape (..., n + 2)."""
     out = np.ones((*e.shape[:-1], e.shape[-1] + 2))
     out[..., :-2] = e

@@ -20,7 +20,7 @@ from ..method import FILTERED, Choice, Method, Option, Seen
 from ..projection import FILTERED as SOLVED
 from ..projection import project
 from ..prospect import Leg, Prospect
-from ..recovery import Recovery
+from ..recovery import Recovery, extended
 
 SLACK = 1e-6
 """Share of the room kept free for what the solver leaves unsatisfied."""
@@ -97,7 +97,7 @@ class ImplicitASIF(Method):
         size = self.prospect.size(k, e) + self.pushed
         first = node * len(recovery.rows)
         window = recovery.reciprocals[first : first + demand.near]
-        need = np.concatenate([moved, size[:, None], np.ones((R, 1))], axis=1) @ demand.tall[: demand.near].T
+        need = extended(moved, size) @ demand.tall[: demand.near].T
         limit = np.minimum(recovery.window(node)[: demand.near], UNLIMITED)
         slack = SLACK * np.abs(limit)
         limit = limit - slack
@@ -135,7 +135,7 @@ class ImplicitASIF(Method):
         later = (self.grid.delay + self.grid.nodes) * r  # the same instants, seen from now
         rows = demand.tall[later : later + demand.near]
         size = np.linalg.norm(e @ self.grid.tracking.W.T, axis=1) + self.prospect.radius
-        need = np.concatenate([e, size[:, None], np.ones((len(e), 1))], axis=1) @ rows.T
+        need = extended(e, size) @ rows.T
         kept = np.zeros((len(e), len(limit)))
         kept[:, : len(rows)] = np.maximum(limit[: len(rows)] - need, 0.0)
         return (1 - self.slope) * kept
