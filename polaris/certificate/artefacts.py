@@ -106,13 +106,8 @@ def check_artefacts(document: Document, folder: Path, scenario: dict[str, Any], 
 
 def unchecked(scenario: dict[str, Any], folder: Path) -> list[str]:
     """What a run folder says besides, and no check confirms."""
-    kinds = {
-        spec["name"]: spec.get("reference", {}).get("kind")
-        for spec in scenario["experimental"]
-        if spec["kind"] != "any_thrust"
-    }
-    plans = [name for name, kind in kinds.items() if kind == "unaware"]
-    told = []
+    specs, told = scenario["experimental"], []
+    plans = [spec["name"] for spec in specs if spec.get("reference", {}).get("kind") == "unaware"]
     if plans:
         told.append(
             f"the plans that {', '.join(plans)} follows are the cheapest (start, dynamics, limits, goal hold)"

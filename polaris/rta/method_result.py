@@ -102,13 +102,8 @@ class MethodResult:
             mean, low, high = _interval(values, possible(name))
             out[name] = {"mean": mean, "low": low, "high": high, "worst": _finite(worst)}
         collided, runs = int(self.metrics.collided.sum()), len(self.metrics.collided)
-        bounds = violation_interval(collided, runs)
-        out["violations"] = {
-            "mean": collided,
-            "low": bounds[0] * runs,
-            "high": bounds[1] * runs,
-            "worst": collided,
-        }
+        low, high = (part * runs for part in violation_interval(collided, runs))
+        out["violations"] = {"mean": collided, "low": low, "high": high, "worst": collided}
         out["decision_median_us"], out["decision_p99_us"] = (1e6 * part for part in self.decision_s)
         out["synthesis_s"] = self.synthesis_s
         return out
@@ -120,16 +115,8 @@ class MethodResult:
         for name in mine:
             with np.errstate(invalid="ignore"):  # of two infinite times there is no difference
                 mean, low, high = _interval(mine[name] - theirs[name], possible(name, difference=True))
-            rows.append(
-                {
-                    "method": self.key,
-                    "against": other.key,
-                    "metric": name,
-                    "difference": mean,
-                    "low": low,
-                    "high": high,
-                }
-            )
+            what = {"method": self.key, "against": other.key, "metric": name}
+            rows.append(what | {"difference": mean, "low": low, "high": high})
         return rows
 
 

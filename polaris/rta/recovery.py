@@ -246,18 +246,21 @@ class Recovery:
         demand : Demand
         """
         first, vector = node * len(self.rows), extended(e, size)
-        need = vector @ demand.tall[: demand.near].T
-        need *= self.reciprocals[first : first + demand.near]
-        need += self.taken[first : first + demand.near]
+        need = self._needs(vector, first, demand, slice(demand.near))
         beyond = self.far_shares[node, :, 0] + np.multiply.outer(size, self.far_shares[node, :, 1])
         share = np.maximum(need.max(axis=-1), beyond.max(axis=-1))
         later = demand.base + demand.slope * size
         if (later > 1).any():
-            rest = vector @ demand.tall[demand.near :].T
-            rest *= self.reciprocals[first + demand.near : first + len(demand.tall)]
-            rest += self.taken[first + demand.near : first + len(demand.tall)]
-            later = rest.max(axis=-1, initial=0.0)
+            later = self._needs(vector, first, demand, slice(demand.near, None)).max(axis=-1, initial=0.0)
         return np.asarray(np.maximum(share, later))
+
+    def _needs(self, vector: Array, first: int, demand: Demand, part: slice) -> Array:
+        """Shares of the room needed at some of a demand's rows; `first`: where its limits begin."""
+        limits = slice(first, first + len(demand.tall))
+        need = vector @ demand.tall[part].T
+        need *= self.reciprocals[limits][part]
+        need += self.taken[limits][part]
+        return need
 
     def facets_share(self, node: int, e: Array, size: Array, demand: Demand) -> Array:
         """The same of the facets at the node itself alone; 0 without unsafe sets."""
