@@ -14,7 +14,7 @@ from .lqr import check_gain, positive_definite
 from .own import check_own
 from .perception import check_unsafe
 from .repeated import check_switching
-from .structure import table, vector
+from .structure import float_rows, floats
 from .verdict import Record, Rejected
 from .zonotopes import inner_radius
 
@@ -80,7 +80,7 @@ def _check_system(document: Document, spec: dict[str, Any]) -> None:
     _need("system", "kind", document.system_kind, spec["kind"])
     hill = spec["kind"] == "clohessy_wiltshire"
     top = spec["thrust_max_N" if hill else "input_max"]
-    limits = vector(top) if isinstance(top, list) else [float(top)] * m
+    limits = floats(top) if isinstance(top, list) else [float(top)] * m
     _need("system", "input limit", document.u_max, limits)
     bound = float(spec.get("disturbance_max_m_s2" if hill else "disturbance_max", 0.0))
     _need("system", "disturbance bound", document.w_max, bound)
@@ -94,11 +94,11 @@ def _check_system(document: Document, spec: dict[str, Any]) -> None:
     else:
         _need("system", "mean motion", document.mean_motion, None)
         for key, value in (("A", document.A), ("B", document.B), ("D", document.D)):
-            _need("system", key, value, table(spec[key]))
+            _need("system", key, value, float_rows(spec[key]))
         place = spec.get("position_states")
         if place is None:
             place = list(range(max(n // 2, 1))) if spec.get("C") is None else None
-    chosen = table(spec["C"]) if place is None else [[float(i == j) for j in range(n)] for i in place]
+    chosen = float_rows(spec["C"]) if place is None else [[float(i == j) for j in range(n)] for i in place]
     _need("system", "C", document.C, chosen)
     C = matrix(document.C)
     if positive_definite(C * C.transpose()) is not True:
@@ -106,18 +106,18 @@ def _check_system(document: Document, spec: dict[str, Any]) -> None:
 
 
 def _check_initial_set(document: Document, spec: dict[str, Any]) -> None:
-    _need("initial_set", "centre", document.center, vector(spec["center"]))
+    _need("initial_set", "centre", document.center, floats(spec["center"]))
     if document.mean_motion is not None and math.hypot(*document.center[:3]) > HILL_RANGE:
         raise Rejected("initial_set", f"starts beyond {HILL_RANGE:g} m: Hill's equations hold near it")
     n, generators = len(document.center), document.generators
     if spec["kind"] == "zonotope":
-        _need("initial_set", "generators", generators, table(spec["generators"]))
+        _need("initial_set", "generators", generators, float_rows(spec["generators"]))
         return
     if spec["kind"] == "box":
         if any(sum(x != 0 for x in g) > 1 for g in generators):
             raise Rejected("initial_set", "a box has generators along the axes")
         extent = [math.fsum(abs(g[i]) for g in generators) for i in range(n)]
-        _need("initial_set", "half-widths", extent, vector(spec["half_widths"]))
+        _need("initial_set", "half-widths", extent, floats(spec["half_widths"]))
         return
     if any(sorted(row) != [0.0] * (n - 1) + [1.0] for row in document.C):
         raise Rejected("initial_set", "a ball needs a position that is a choice of states")
@@ -176,7 +176,7 @@ def _check_controllers(document: Document, scenario: dict[str, Any]) -> None:
         if law.kind == "any_thrust":
             continue
         if spec.get("gain") is not None:
-            _need("controllers", f"gain of {law.name}", law.gain, table(spec["gain"]))
+            _need("controllers", f"gain of {law.name}", law.gain, float_rows(spec["gain"]))
         else:
             check_gain(document, law, spec)
         check_own(document, law, scenario, spec, partial(_check_goal, scenario["goal"]))
@@ -188,8 +188,8 @@ def _check_controllers(document: Document, scenario: dict[str, Any]) -> None:
 def _check_goal(spec: dict[str, Any], document: Document, x: list[float], claim: str, whose: str) -> None:
     kind = spec["kind"]
     if kind in ("stationary", "box"):
-        middle = vector(spec["state" if kind == "stationary" else "center"])
-        half = vector(spec["half_widths"]) if kind == "box" else [0.0] * len(x)
+        middle = floats(spec["state" if kind == "stationary" else "center"])
+        half = floats(spec["half_widths"]) if kind == "box" else [0.0] * len(x)
         size = max(1.0, *(abs(c) for c in middle))
         terms = [
             (abs(a - c) - h, f"state {i}") for i, (a, c, h) in enumerate(zip(x, middle, half, strict=True))

@@ -8,7 +8,7 @@ from flint import arb, arb_mat
 
 from .balls import diagonal, identity, largest, magnitude, matrix, root
 from .document import Document, Law
-from .structure import table, vector
+from .structure import float_rows, floats
 from .verdict import Rejected, Undecided
 
 GAIN_SLACK = 1e-6
@@ -55,8 +55,8 @@ def check_gain(document: Document, law: Law, spec: dict[str, Any]) -> None:
 def weight(values: Any) -> arb_mat:
     """A weight from its diagonal or from itself, made symmetric."""
     if not isinstance(values[0], list):
-        return diagonal(vector(values))
-    M = matrix(table(values))
+        return diagonal(floats(values))
+    M = matrix(float_rows(values))
     return (M + M.transpose()) * arb(0.5)
 
 

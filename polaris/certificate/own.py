@@ -16,7 +16,7 @@ from .balls import column, exponential, largest, magnitude, matrix, require
 from .document import Document, Law
 from .motion import Plant
 from .plants import plant_of, within_limits
-from .structure import vector
+from .structure import floats
 from .verdict import Rejected
 
 SLACK = 1e-9
@@ -57,7 +57,7 @@ def check_own(
     if len(law.states) != document.steps + 1 or len(law.inputs) != document.steps:
         raise Rejected("controllers", f"the reference of {law.name} must cover the {document.steps} steps")
     if kind == "setpoint":
-        _check_setpoint(document, law, vector(reference["state"]))
+        _check_setpoint(document, law, floats(reference["state"]))
         return
     _check_dynamics(document, law, law.states, law.inputs)
     if kind == "nmt":
@@ -65,7 +65,7 @@ def check_own(
             raise Rejected("controllers", f"{law.name} follows a natural motion, but with thrust")
         _check_start(law, law.states[0], _ellipse(document, reference))
     else:
-        if law.states[0] != vector(scenario["initial_set"]["center"]):
+        if law.states[0] != floats(scenario["initial_set"]["center"]):
             told = f"the reference of {law.name} does not start where the scenario does"
             raise Rejected("controllers", told)
         within_limits(document, law.inputs, "controllers", f"{law.name}'s reference")

@@ -13,7 +13,7 @@ from flint import arb
 from .balls import absolute_dot, cross, dot, largest, require
 from .document import Document, UnsafeSet
 from .satellites import Satellite
-from .structure import vector
+from .structure import floats
 from .verdict import Rejected
 
 SLACK = 1e-9
@@ -73,8 +73,8 @@ def _check_obstacle(document: Document, item: UnsafeSet, spec: dict[str, Any]) -
         Satellite(document, item, spec).check()
         return
     d, kind = len(document.C), spec["kind"]
-    v = vector(spec.get("velocity_m_s") or [0.0] * d)
-    anchor = [0.0] * d if kind == "polytope" else vector(spec["center_m"])
+    v = floats(spec.get("velocity_m_s") or [0.0] * d)
+    anchor = [0.0] * d if kind == "polytope" else floats(spec["center_m"])
     counts = {"box": 2 * d, "polytope": len(spec.get("normals", ()))}
     _check_count(item, counts[kind] if kind in counts else _directions(document, spec))
     if not any(v) and not item.resting:
@@ -82,7 +82,7 @@ def _check_obstacle(document: Document, item: UnsafeSet, spec: dict[str, Any]) -
     for f, normal in enumerate(item.normals):
         n = [arb(x) for x in normal]
         if kind == "box":
-            extent = dot(map(abs, n), vector(spec["half_widths_m"]))
+            extent = dot(map(abs, n), floats(spec["half_widths_m"]))
         elif kind == "ball":
             extent = _length(n) * float(spec["radius_m"])
         else:
@@ -165,7 +165,7 @@ def _check_cone(rows: list[list[float]], offsets: list[float], spec: dict[str, A
     name, axis = spec["name"], [arb(float(x)) for x in spec["axis"]]
     length = _length(axis)
     axis = [x / length for x in axis]
-    apex = vector(spec["apex_m"])
+    apex = floats(spec["apex_m"])
     if spec.get("length_m") is not None:
         away = float(spec["length_m"])
         off = sum((abs(a - b) for a, b in zip(rows[-1], axis, strict=True)), arb(0))

@@ -9,7 +9,7 @@ from flint import arb, arb_mat, fmpq, fmpq_mat
 from .balls import absolute, column, exponential, exponential_over, magnitude, matrix, norms, require
 from .document import Document, UnsafeSet
 from .plants import plant_of
-from .structure import vector
+from .structure import floats
 from .verdict import Rejected
 
 ROUNDED = 1e-9
@@ -32,8 +32,8 @@ class Satellite:
         plant = plant_of(document)
         self.A = plant.A
         self.rows = matrix(item.normals) * matrix(document.C)
-        self.state = column(vector(spec["state"]))
-        self.half = column(vector(spec["state_half_widths"]))
+        self.state = column(floats(spec["state"]))
+        self.half = column(floats(spec["state_half_widths"]))
         self.radius = [length * float(spec["radius_m"]) for length in norms(matrix(item.normals))]
         self.pushes = [(plant.D, arb(document.w_max))]
         thrust = float(spec.get("thrust_accel_max_m_s2", 0.0))

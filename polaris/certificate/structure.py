@@ -210,14 +210,14 @@ def shown(value: Any, most: int = 80) -> str:
     return text if len(text) <= most else f"{text[: most - 3]}..."
 
 
-def vector(values: Any) -> list[float]:
+def floats(values: Any) -> list[float]:
     """Numbers of a scenario, whole ones too, as floats."""
     return [float(x) for x in values]
 
 
-def table(rows: Any) -> list[list[float]]:
+def float_rows(rows: Any) -> list[list[float]]:
     """Rows of such numbers."""
-    return [vector(row) for row in rows]
+    return [floats(row) for row in rows]
 
 
 # -- JSON -------------------------------------------------------------------------------------------
