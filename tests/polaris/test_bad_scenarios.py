@@ -561,7 +561,7 @@ def test_misspelt_name_is_answered_with_the_right_one():
 
 
 def test_the_length_of_every_vector_is_checked():
-    """A list of numbers in an initial set, a goal or an unsafe set has one for each state or for each axis."""
+    """Lists of numbers in an initial set, a goal or an unsafe set: one for each state, or for each axis."""
     unions = (tables.InitialSet, scene_tables.Goal, scene_tables.Obstacle, scene_tables.KeepIn)
     parts = [part for union in unions for part in get_args(get_args(union)[0])]
     fields = {(name, str(field.annotation)) for part in parts for name, field in part.model_fields.items()}
