@@ -113,11 +113,8 @@ def _check_system(document: Document, spec: dict[str, Any]) -> None:
 
 def _input_names(hill: bool, m: int) -> list[str]:
     """What inputs are called: thrust along Hill's axes, or inputs by number."""
-    return (
-        [f"{axis} thrust" for axis in ("radial", "along-track", "cross-track")]
-        if hill
-        else [f"input {i}" for i in range(m)]
-    )
+    thrust = [f"{axis} thrust" for axis in ("radial", "along-track", "cross-track")]
+    return thrust if hill else [f"input {i}" for i in range(m)]
 
 
 def _check_initial_set(document: Document, spec: dict[str, Any]) -> None:
@@ -218,7 +215,7 @@ def _states(_: Document, x: list[float], spec: dict[str, Any]) -> Misses:
     return [(abs(a - c) - h, f"state {i}") for i, (a, c, h) in rows], max(1.0, *(abs(c) for c in middle))
 
 
-def _linear_nmt(document: Document, x: list[float], spec: dict[str, Any]) -> Misses:
+def _linear(document: Document, x: list[float], spec: dict[str, Any]) -> Misses:
     eta = _mean_motion(document)
     amplitude, along = float(spec["amplitude_max_m"]), float(spec.get("along_track_m", 0.0))
     rest = [x[0], x[1] - along, x[3] / eta, x[4] / eta]
@@ -226,7 +223,7 @@ def _linear_nmt(document: Document, x: list[float], spec: dict[str, Any]) -> Mis
     return [*terms, ((x[2] ** 2 + (x[5] / eta) ** 2) ** 0.5 - amplitude, "amplitude")], max(amplitude, 1.0)
 
 
-def _elliptical_nmt(document: Document, x: list[float], spec: dict[str, Any]) -> Misses:
+def _elliptical(document: Document, x: list[float], spec: dict[str, Any]) -> Misses:
     eta = _mean_motion(document)
     inner, outer = float(spec["inner_semi_minor_m"]), float(spec["outer_semi_minor_m"])
     b = (x[0] ** 2 + x[1] ** 2 / 4) ** 0.5
@@ -246,8 +243,5 @@ def _mean_motion(document: Document) -> float:
     return document.mean_motion
 
 
-GOALS = {
-    **{"stationary": _states, "box": _states},
-    **{"linear_nmt": _linear_nmt, "elliptical_nmt": _elliptical_nmt},
-}
+GOALS = {"stationary": _states, "box": _states, "linear_nmt": _linear, "elliptical_nmt": _elliptical}
 """By kind of goal, how far a state is from it; every kind that `scenario_keys` knows is here."""

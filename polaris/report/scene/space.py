@@ -8,6 +8,8 @@ from itertools import product
 
 import numpy as np
 
+from reach.sets.zonotope import Zonotope
+
 from ...model.keep_in import KeepIn
 from ...model.obstacle import Obstacle
 from ...model.satellite import SatelliteObstacle
@@ -165,8 +167,7 @@ class Space:
             low = np.where(free, self.low, centre - reach)
             high = np.where(free, self.high, centre + reach)
             return [Shape("area", np.array(list(product(*zip(low, high, strict=True)))))]
-        signs = np.array(list(product((-1.0, 1.0), repeat=arms.shape[1])))
-        return [Shape("area", centre + signs @ arms.T)]
+        return [Shape("area", Zonotope(centre, arms).corners())]
 
 
 def _within(obstacle: Obstacle, picture: Picture, near: Approach, depth: float) -> Array:
