@@ -186,35 +186,32 @@ def _check_controllers(document: Document, scenario: dict[str, Any]) -> None:
 
 
 def _check_goal(spec: dict[str, Any], document: Document, x: list[float], claim: str, whose: str) -> None:
-    kind = spec["kind"]
-    if kind in ("stationary", "box"):
-        middle = floats(spec["state" if kind == "stationary" else "center"])
-        half = floats(spec["half_widths"]) if kind == "box" else [0.0] * len(x)
-        size = max(1.0, *(abs(c) for c in middle))
-        terms = [
-            (abs(a - c) - h, f"state {i}") for i, (a, c, h) in enumerate(zip(x, middle, half, strict=True))
-        ]
-    else:
-        terms, size = _orbit_terms(document, x, spec)
+    terms, size = GOALS[spec["kind"]](document, x, spec)
     worst, name = max(terms)
     if not worst <= GOAL_SLACK * size:
         raise Rejected(claim, f"{whose} misses the goal ({name})", worst)
 
 
-def _orbit_terms(
-    document: Document, x: list[float], spec: dict[str, Any]
-) -> tuple[list[tuple[float, str]], float]:
-    """How far a state is from a goal in Hill's frame, as lengths [m], and the goal's size."""
-    if document.mean_motion is None:
-        raise Rejected("goal", "a natural motion needs Hill's frame")
-    eta = document.mean_motion
-    across = [x[2], x[5] / eta]
-    if spec["kind"] == "linear_nmt":
-        amplitude, along = float(spec["amplitude_max_m"]), float(spec.get("along_track_m", 0.0))
-        rest = [x[0], x[1] - along, x[3] / eta, x[4] / eta]
-        terms = [(abs(value), f"condition {i}") for i, value in enumerate(rest)]
-        terms.append(((across[0] ** 2 + across[1] ** 2) ** 0.5 - amplitude, "amplitude"))
-        return terms, max(amplitude, 1.0)
+Misses = tuple[list[tuple[float, str]], float]
+"""How far a state is from what a goal asks, by condition, and the goal's size."""
+
+
+def _states(_: Document, x: list[float], spec: dict[str, Any]) -> Misses:
+    middle, half = floats(spec.get("center") or spec["state"]), spec.get("half_widths") or [0.0] * len(x)
+    rows = enumerate(zip(x, middle, floats(half), strict=True))
+    return [(abs(a - c) - h, f"state {i}") for i, (a, c, h) in rows], max(1.0, *(abs(c) for c in middle))
+
+
+def _linear(document: Document, x: list[float], spec: dict[str, Any]) -> Misses:
+    eta = _mean_motion(document)
+    amplitude, along = float(spec["amplitude_max_m"]), float(spec.get("along_track_m", 0.0))
+    rest = [x[0], x[1] - along, x[3] / eta, x[4] / eta]
+    terms = [(abs(value), f"condition {i}") for i, value in enumerate(rest)]
+    return [*terms, ((x[2] ** 2 + (x[5] / eta) ** 2) ** 0.5 - amplitude, "amplitude")], max(amplitude, 1.0)
+
+
+def _elliptical(document: Document, x: list[float], spec: dict[str, Any]) -> Misses:
+    eta = _mean_motion(document)
     inner, outer = float(spec["inner_semi_minor_m"]), float(spec["outer_semi_minor_m"])
     b = (x[0] ** 2 + x[1] ** 2 / 4) ** 0.5
     most = float(spec.get("cross_track_max_m", 0.0))
@@ -223,5 +220,15 @@ def _orbit_terms(
         (abs(x[3] / eta - x[1] / 2), "v_x = eta r_y / 2"),
         (b - outer, "outer ellipse"),
         (inner - b, "inner ellipse"),
-        *((abs(value) - most, "cross-track") for value in across),
+        *((abs(value) - most, "cross-track") for value in (x[2], x[5] / eta)),
     ], outer
+
+
+def _mean_motion(document: Document) -> float:
+    if document.mean_motion is None:
+        raise Rejected("goal", "a natural motion needs Hill's frame")
+    return document.mean_motion
+
+
+GOALS = {"stationary": _states, "box": _states, "linear_nmt": _linear, "elliptical_nmt": _elliptical}
+"""By kind of goal, how far a state is from it; every kind that `scenario_keys` knows is here."""

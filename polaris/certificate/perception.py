@@ -6,6 +6,7 @@ supports are worked out here anew, from the scenario's numbers.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from flint import arb
@@ -72,28 +73,35 @@ def _check_obstacle(document: Document, item: UnsafeSet, spec: dict[str, Any]) -
         _check_count(item, _directions(document, spec))
         Satellite(document, item, spec).check()
         return
-    d, kind = len(document.C), spec["kind"]
-    v = floats(spec.get("velocity_m_s") or [0.0] * d)
-    anchor = [0.0] * d if kind == "polytope" else floats(spec["center_m"])
-    counts = {"box": 2 * d, "polytope": len(spec.get("normals", ()))}
-    _check_count(item, counts[kind] if kind in counts else _directions(document, spec))
+    d = len(document.C)
+    facets, support = RIGID[spec["kind"]]
+    v, anchor = (floats(spec.get(key) or [0.0] * d) for key in ("velocity_m_s", "center_m"))
+    _check_count(item, facets(document, spec))
     if not any(v) and not item.resting:
         raise Rejected("unsafe_sets", f"{item.name} rests, but not in the certificate")
     for f, normal in enumerate(item.normals):
         n = [arb(x) for x in normal]
-        if kind == "box":
-            extent = dot(map(abs, n), floats(spec["half_widths_m"]))
-        elif kind == "ball":
-            extent = _length(n) * float(spec["radius_m"])
-        else:
-            offset = float(spec["offsets_m"][f])
-            extent = sum(_row_support(document, normal, spec["normals"][f], offset, item.name), arb(0))
+        extent = support(document, item, spec, f)
         base, rate = extent + dot(n, anchor), dot(n, v)
         size, speed = abs(extent) + absolute_dot(n, anchor), absolute_dot(n, v)
         for cell in range(document.cells):
             for place in (0, 1):
                 t = arb(cell + place) * document.delta
                 _beyond(item, cell, place, f, base + rate * t, size + speed * t)
+
+
+def _box_support(document: Document, item: UnsafeSet, spec: dict[str, Any], f: int) -> arb:
+    pairs = zip(item.normals[f], spec["half_widths_m"], strict=True)
+    return sum((abs(arb(x)) * float(half) for x, half in pairs), arb(0))
+
+
+def _ball_support(document: Document, item: UnsafeSet, spec: dict[str, Any], f: int) -> arb:
+    return _length([arb(x) for x in item.normals[f]]) * float(spec["radius_m"])
+
+
+def _polytope_support(document: Document, item: UnsafeSet, spec: dict[str, Any], f: int) -> arb:
+    offset = float(spec["offsets_m"][f])
+    return sum(_row_support(document, item.normals[f], spec["normals"][f], offset, item.name), arb(0))
 
 
 def _check_count(item: UnsafeSet, count: int) -> None:
@@ -105,6 +113,15 @@ def _directions(document: Document, spec: dict[str, Any]) -> int:
     """Number of facets about a ball."""
     d = len(document.C)
     return 2 if d == 1 else int(spec.get("facets") or {2: 12, 3: 26}[d])
+
+
+RIGID: dict[str, tuple[Callable[[Document, dict[str, Any]], int], Callable[..., arb]]] = {
+    "box": (lambda document, spec: 2 * len(document.C), _box_support),
+    "ball": (_directions, _ball_support),
+    "polytope": (lambda document, spec: len(spec["normals"]), _polytope_support),
+}
+"""By kind of an obstacle that keeps its shape: how many facets it has, and its support along one of them,
+at t = 0 and from its centre (from the origin without one)."""
 
 
 def _length(n: list[arb]) -> arb:

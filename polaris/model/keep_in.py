@@ -9,6 +9,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
+from reach.sets.zonotope import Zonotope
+
 from .checks import MOST_ROWS, number, positive, vector, whole
 from .errors import ScenarioError
 from .obstacle import EXTENT, Anchored, solid
@@ -16,6 +18,9 @@ from .shapes import Polytope, Shape, _directed, _in_time
 from .system import Array, LinearSystem
 from .timed_polytope import TimedPolytope
 from .tolerances import ROUNDING
+
+MOST_CORNERS = 8192
+"""Of a zonotope that is compared with a cone corner by corner."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +36,10 @@ class Outside:
     def entry_time(self, p: Array, v: Array) -> Array:
         """First time [s] at which the ray leaves the polytope."""
         return self.inner.exit_time(p, v)
+
+    def overlap(self, place: Zonotope) -> float:
+        """How far [m] some point of a zonotope is beyond a facet."""
+        return float(np.max(place.support(self.inner.H) - self.inner.b))
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +96,12 @@ class OutsideCone:
             end = np.where(rate > 0, (self.length - z) / rate, np.inf)
         return np.where(self.signed_distance(p) <= 0, 0.0, _in_time(np.minimum(side, end), speed))
 
+    def overlap(self, place: Zonotope) -> float:
+        """How far [m] a corner of a zonotope (if many, an end of its generators) is out of the cone."""
+        few = 2 ** int(np.any(place.G != 0, axis=0).sum()) <= MOST_CORNERS
+        ends = place.corners(MOST_CORNERS) if few else place.c + np.hstack([place.G, -place.G]).T
+        return -float(self.signed_distance(ends).min())
+
 
 class KeepIn(Anchored):
     """A set at rest that the chaser must stay inside; what is unsafe is its outside."""
@@ -95,6 +110,11 @@ class KeepIn(Anchored):
     @abstractmethod
     def inside(self) -> Polytope:
         """Polytope within the set, in absolute position."""
+
+    @cached_property
+    def drawn(self) -> Polytope:
+        """The polytope within."""
+        return Polytope(self.inside.H, self.inside.b - self.inside.H @ self.anchor)
 
     def timed_polytopes(self, system: LinearSystem, delta: float, cells: int) -> tuple[TimedPolytope, ...]:
         """One unsafe halfspace ``n p >= b`` per facet, named ``name[f]``."""

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from .checks import halfspaces, positive, vector, whole
 from .errors import ScenarioError
-from .shapes import Polytope, Shape
+from .shapes import Ball, Polytope, Shape
 from .system import Array, LinearSystem
 from .timed_polytope import TimedPolytope
 from .tolerances import ROUNDING
@@ -34,6 +34,11 @@ class Obstacle(ABC):
     @abstractmethod
     def shape(self) -> Shape:
         """The true set, relative to `centre`."""
+
+    @property
+    @abstractmethod
+    def drawn(self) -> Ball | Polytope:
+        """What figures show, relative to `centre`: the shape, or a polytope for it."""
 
     @abstractmethod
     def timed_polytopes(self, system: LinearSystem, delta: float, cells: int) -> tuple[TimedPolytope, ...]:
@@ -143,12 +148,24 @@ class Anchored(Obstacle):
 class RigidObstacle(Anchored):
     """A convex set that stands still or moves at constant velocity: state `anchor`, `shape` and `cover`."""
 
+    center: ArrayLike
     velocity: ArrayLike | None
 
     @property
-    @abstractmethod
+    def anchor(self) -> Array:
+        """Centre at t = 0."""
+        return np.asarray(self.center)
+
+    @property
     def cover(self) -> Polytope:
-        """Polytope around the shape, relative to its origin."""
+        """Polytope around the shape, relative to its origin; the shape itself if it is one."""
+        assert isinstance(self.shape, Polytope)  # others state theirs
+        return self.shape
+
+    @property
+    def drawn(self) -> Ball | Polytope:
+        """The shape if figures can show it, else its cover."""
+        return self.shape if isinstance(self.shape, (Ball, Polytope)) else self.cover
 
     @cached_property
     def _v(self) -> Array:

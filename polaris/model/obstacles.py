@@ -57,16 +57,6 @@ class BoxObstacle(RigidObstacle):
         """The box, about its centre."""
         return Box.of(np.asarray(self.half_widths))
 
-    @property
-    def anchor(self) -> Array:
-        """Centre at t = 0."""
-        return np.asarray(self.center)
-
-    @property
-    def cover(self) -> Polytope:
-        """The box itself."""
-        return self.shape
-
 
 @dataclass(frozen=True, eq=False)
 class BallObstacle(RigidObstacle):
@@ -106,11 +96,6 @@ class BallObstacle(RigidObstacle):
     def shape(self) -> Ball:
         """The ball, about its centre."""
         return Ball(self.radius)
-
-    @property
-    def anchor(self) -> Array:
-        """Centre at t = 0."""
-        return np.asarray(self.center)
 
     @cached_property
     def cover(self) -> Polytope:
@@ -161,11 +146,6 @@ class PolytopeObstacle(RigidObstacle):
     def anchor(self) -> Array:
         """The origin: the facets are given in absolute position."""
         return np.zeros(self.shape.d)
-
-    @property
-    def cover(self) -> Polytope:
-        """The polytope itself."""
-        return self.shape
 
 
 def perceive(

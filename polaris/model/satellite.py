@@ -80,6 +80,11 @@ class SatelliteObstacle(Obstacle):
         """The ball about the true centre."""
         return Ball(self.radius)
 
+    @property
+    def drawn(self) -> Ball:
+        """The ball."""
+        return self.shape
+
     # -- the over-approximation -------------------------------------------------------------------
 
     def timed_polytopes(self, system: LinearSystem, delta: float, cells: int) -> tuple[TimedPolytope, ...]:

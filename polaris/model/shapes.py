@@ -9,9 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
+
+from reach.sets.zonotope import Zonotope
 
 from .errors import ScenarioError
 from .system import Array
@@ -30,6 +32,10 @@ class Shape(Protocol):
 
     def entry_time(self, p: Array, v: Array) -> Array:
         """First time [s] at which ``p + s v``, s >= 0, is in the shape: 0 if inside, inf if never."""
+        ...
+
+    def overlap(self, place: Zonotope) -> float:
+        """Largest depth [m] to which some point of a zonotope is in the shape; negative if none is."""
         ...
 
 
@@ -52,6 +58,7 @@ class Ball:
     """``norm(p) <= radius`` [m]."""
 
     radius: float
+    bounded: ClassVar[bool] = True
 
     def signed_distance(self, p: Array) -> Array:
         """Distance [m] of points (..., d)."""
@@ -68,6 +75,15 @@ class Ball:
         hit = (miss <= self.radius + slack) & (nearest > 0)
         time = _in_time(np.where(hit, np.maximum(nearest - half_chord, 0.0), np.inf), speed)
         return np.where(self.signed_distance(p) <= 0, 0.0, time)
+
+    def overlap(self, place: Zonotope) -> float:
+        """Depth [m] of the point of a zonotope that is nearest to the centre."""
+        from scipy.optimize import lsq_linear
+
+        spans, nearest = place.G[:, np.any(place.G != 0, axis=0)], place.c
+        if spans.shape[1]:
+            nearest = nearest + spans @ lsq_linear(spans, -place.c, bounds=(-1, 1), tol=1e-12).x
+        return self.radius - float(np.linalg.norm(nearest))
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,6 +258,22 @@ class Polytope:
         with np.errstate(divide="ignore", invalid="ignore"):
             last = np.where(rate > 0, gap / rate, np.inf).min(axis=-1)
         return np.where(np.any(gap <= 0, axis=-1), 0.0, _in_time(last, speed))
+
+    # -- sets -------------------------------------------------------------------------------------
+
+    def overlap(self, place: Zonotope) -> float:
+        """Depth [m] of the deepest point of a zonotope; if all are outside, the widest gap at a facet."""
+        from scipy.optimize import linprog
+
+        apart = float(np.max(-place.support(-self.H) - self.b))  # one facet has all of it beyond
+        if apart > 0:
+            return -apart
+        g, room = place.order_count, self.b - self.H @ place.c
+        if g == 0:
+            return float(np.min(room))
+        rows = np.hstack([self.H @ place.G, np.ones((len(self.H), 1))])
+        solved = linprog(np.r_[np.zeros(g), -1.0], rows, room, bounds=[(-1, 1)] * g + [(None, None)])
+        return float(-solved.fun) if solved.status == 0 else -np.inf
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -12,11 +10,10 @@ import numpy as np
 from reach.sets.zonotope import Zonotope
 
 from ..model.errors import ScenarioError
-from ..model.keep_in import KeepIn, Outside
+from ..model.keep_in import KeepIn
 from ..model.obstacle import Obstacle
 from ..model.satellite import SatelliteObstacle
-from ..model.shapes import Ball, Polytope
-from ..model.system import Array, LinearSystem
+from ..model.system import LinearSystem
 from . import scene_tables as scene
 from . import tables as models
 
@@ -57,63 +54,13 @@ def check_start_and_goal(
 def _size_of(model: models.ScenarioModel) -> tuple[str, Any]:
     """The field that gives the initial set its size, and its value."""
     spec = model.initial_set
-    if isinstance(spec, models.InitialBox):
-        return "initial_set.half_widths", list(spec.half_widths)
-    if isinstance(spec, models.InitialBall):
-        return "initial_set.position_radius_m", spec.position_radius_m
-    return "initial_set.generators", [list(row) for row in spec.generators]
+    field = next(key for key in ("half_widths", "position_radius_m", "generators") if hasattr(spec, key))
+    return f"initial_set.{field}", np.array(getattr(spec, field)).tolist()
 
 
 def unsafe_depth(item: Obstacle, place: Zonotope, time: float, system: LinearSystem) -> float:
-    """Largest depth [m] to which some point of a set of positions is unsafe; negative if none is.
-
-    Exact for boxes, polytopes, balls and their outsides; of another shape the corners of the set are asked,
-    which is exact where the shape is the outside of a convex set.
-    """
-    centre, shape = item.centre(time, system), item.shape
-    if isinstance(shape, Ball):
-        known = np.zeros(system.n) if not isinstance(item, SatelliteObstacle) else item.state_half_widths
-        return shape.radius - _distance(place, centre, system.position @ np.diag(np.asarray(known)))
-    if isinstance(shape, Polytope):
-        return _depth_in_halfspaces(place, shape.H, shape.b + shape.H @ centre)
-    if isinstance(shape, Outside):
-        return float(np.max(place.support(shape.inner.H) - shape.inner.b - shape.inner.H @ centre))
-    return -float(shape.signed_distance(_corners(place) - centre).min())
-
-
-def _corners(place: Zonotope) -> Array:
-    """Corners of a set, shape (k, d); where they are too many, the ends of its generators."""
-    used = place.G[:, np.any(place.G != 0, axis=0)]
-    count = used.shape[1]
-    if count <= 13:
-        signs = np.array(list(product((-1.0, 1.0), repeat=count))).reshape(2**count, count)
-    else:
-        signs = np.vstack([np.eye(count), -np.eye(count)])
-    return place.c + signs @ used.T
-
-
-def _distance(place: Zonotope, centre: Array, generators: Array) -> float:
-    """Smallest distance [m] between two zonotopes of positions."""
-    from scipy.optimize import lsq_linear
-
-    gap, spans = place.c - centre, np.hstack([place.G, -generators])
-    spans = spans[:, np.any(spans != 0, axis=0)]
-    if spans.shape[1] == 0:
-        return float(np.linalg.norm(gap))
-    solved = lsq_linear(spans, -gap, bounds=(-1, 1), tol=1e-12)
-    return float(np.linalg.norm(spans @ solved.x + gap))
-
-
-def _depth_in_halfspaces(place: Zonotope, H: Array, b: Array) -> float:
-    """Largest depth [m] to which some point of a zonotope lies inside ``H p <= b``; negative if none does."""
-    from scipy.optimize import linprog
-
-    apart = float(np.max(-place.support(-H) - b))  # one facet has all of it beyond
-    if apart > 0:
-        return -apart
-    g = place.order_count
-    if g == 0:
-        return float(np.min(b - H @ place.c))
-    rows = np.hstack([H @ place.G, np.ones((len(H), 1))])
-    solved = linprog(np.r_[np.zeros(g), -1.0], rows, b - H @ place.c, bounds=[(-1, 1)] * g + [(None, None)])
-    return float(-solved.fun) if solved.status == 0 else -math.inf
+    """Largest depth [m] to which some point of a set of positions is unsafe; negative if none is."""
+    spans = place.G
+    if isinstance(item, SatelliteObstacle):  # it may be anywhere in its own box
+        spans = np.hstack([spans, system.position @ np.diag(np.asarray(item.state_half_widths))])
+    return item.shape.overlap(Zonotope(place.c - item.centre(time, system), spans))

@@ -29,6 +29,13 @@ HILL_RANGE_M = 1e5
 """Range [m] within which Hill's linear equations are taken to hold."""
 
 
+PER_STATE = ("center", "half_widths", "state", "state_half_widths")
+"""Fields of an initial set, a goal or an unsafe set that hold one number for each state."""
+
+PER_AXIS = ("center_m", "half_widths_m", "velocity_m_s", "apex_m", "axis")
+"""Those that hold one number for each position coordinate."""
+
+
 # -- shapes -----------------------------------------------------------------------------------------
 
 
@@ -73,28 +80,17 @@ def check_shapes(model: models.ScenarioModel, system: LinearSystem) -> None:
     """Every vector and matrix against the system's n states, m inputs, d position coordinates."""
     n, m, d = system.n, system.m, system.d
     start = model.initial_set
-    _length("initial_set.center", start.center, n)
-    if isinstance(start, models.InitialBox):
-        _length("initial_set.half_widths", start.half_widths, n)
     if isinstance(start, models.InitialZonotope):
         for i, generator in enumerate(start.generators):
             _length(f"initial_set.generators[{i}]", generator, n)
     if isinstance(model.tracking.weight, tuple):
         _length("tracking.weight", model.tracking.weight, n)
-    goal = model.goal
-    if isinstance(goal, scene.StationaryGoal):
-        _length("goal.state", goal.state, n)
-    if isinstance(goal, scene.BoxGoal):
-        _length("goal.center", goal.center, n)
-        _length("goal.half_widths", goal.half_widths, n)
+    for path, part in (("initial_set", start), ("goal", model.goal), *model.scene_parts()):
+        for names, count in ((PER_STATE, n), (PER_AXIS, d)):
+            for name in names:
+                if (vector := getattr(part, name, None)) is not None:
+                    _length(f"{path}.{name}", vector, count)
     for path, obstacle in model.scene_parts():
-        for name in ("center_m", "half_widths_m", "velocity_m_s", "apex_m", "axis"):
-            vector = getattr(obstacle, name, None)
-            if vector is not None:
-                _length(f"{path}.{name}", vector, d)
-        for name in ("state", "state_half_widths"):
-            if hasattr(obstacle, name):
-                _length(f"{path}.{name}", getattr(obstacle, name), n)
         if isinstance(obstacle, scene.PolytopeObstacle | scene.KeepInPolytope):
             for row, normal in enumerate(obstacle.normals):
                 _length(f"{path}.normals[{row}]", normal, d)

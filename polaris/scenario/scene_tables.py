@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+import re
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -153,24 +155,35 @@ def _facets() -> Any:
     )
 
 
-class BoxObstacle(ScenarioPart):
+class Body(ScenarioPart):
+    """Base of unsafe sets, whose Python class `makes` has the names of the file without their units."""
+
+    makes: ClassVar[Callable[..., Unsafe]]
+
+    def build(self, path: str) -> Unsafe:
+        """The unsafe set (of a keep-in set its outside)."""
+        bare = {re.sub("_(m|m_s|m_s2)$", "", key): value for key, value in self if key != "kind"}
+        return type(self).makes(**{PYTHON_NAMES.get(key, key): bare[key] for key in bare}, path=path)
+
+
+PYTHON_NAMES = {"normals": "H", "offsets": "b"}
+
+
+class BoxObstacle(Body):
     """An axis-aligned box, at rest or moving straight."""
 
+    makes = obstacles.BoxObstacle
     kind: Literal["box"] = unit("-", "Axis-aligned box.")
     name: Name = _name()
     center_m: Vector = unit("m", "Centre at t = 0, d numbers.")
     half_widths_m: WidthVector = unit("m", "Half-width per axis, d numbers > 0.")
     velocity_m_s: Vector | None = _velocity()
 
-    def build(self, path: str) -> Unsafe:
-        """The unsafe set."""
-        box = obstacles.BoxObstacle
-        return box(self.name, self.center_m, self.half_widths_m, self.velocity_m_s, path=path)
 
-
-class BallObstacle(ScenarioPart):
+class BallObstacle(Body):
     """A ball, at rest or moving straight; it is planned around as a circumscribed polytope."""
 
+    makes = obstacles.BallObstacle
     kind: Literal["ball"] = unit("-", "Ball.")
     name: Name = _name()
     center_m: Vector = unit("m", "Centre at t = 0, d numbers.")
@@ -178,15 +191,11 @@ class BallObstacle(ScenarioPart):
     velocity_m_s: Vector | None = _velocity()
     facets: Whole | None = _facets()
 
-    def build(self, path: str) -> Unsafe:
-        """The unsafe set."""
-        ball = obstacles.BallObstacle
-        return ball(self.name, self.center_m, self.radius_m, self.velocity_m_s, self.facets, path=path)
 
-
-class PolytopeObstacle(ScenarioPart):
+class PolytopeObstacle(Body):
     """The positions p with ``normals p <= offsets_m``, at rest or moving straight."""
 
+    makes = obstacles.PolytopeObstacle
     kind: Literal["polytope"] = unit("-", "Convex polytope; may be unbounded (a wall is one row).")
     name: Name = _name()
     normals: Matrix = unit("-", "Outward facet normals, F rows of d numbers; any length but 0.")
@@ -198,20 +207,15 @@ class PolytopeObstacle(ScenarioPart):
         default=False,
     )
 
-    def build(self, path: str) -> Unsafe:
-        """The unsafe set."""
-        return obstacles.PolytopeObstacle(
-            self.name, self.normals, self.offsets_m, self.velocity_m_s, self.unbounded, path=path
-        )
 
-
-class SatelliteObstacle(ScenarioPart):
+class SatelliteObstacle(Body):
     """Another spacecraft: an uncertain state carried forward by the same dynamics, with or without thrust.
 
     It obeys ``x' = A x + D w`` with the system's own A, D and bound on w; its own acceleration, if it has
     any, is added to that of its position.
     """
 
+    makes = satellite.SatelliteObstacle
     kind: Literal["satellite"] = unit("-", "Another body that obeys the system's dynamics.")
     name: Name = _name()
     state: Vector = unit("m, m/s (state order)", "Estimated state at t = 0, n numbers.")
@@ -227,29 +231,20 @@ class SatelliteObstacle(ScenarioPart):
     )
     facets: Whole | None = _facets()
 
-    def build(self, path: str) -> Unsafe:
-        """The unsafe set."""
-        known, push = (self.state, self.state_half_widths), self.thrust_accel_max_m_s2
-        made = satellite.SatelliteObstacle
-        return made(self.name, *known, self.radius_m, push, self.facets, path=path)
-
 
 Obstacle = Annotated[
     BoxObstacle | BallObstacle | PolytopeObstacle | SatelliteObstacle, Field(discriminator="kind")
 ]
 
 
-class KeepInPolytope(ScenarioPart):
+class KeepInPolytope(Body):
     """The chaser must stay where ``normals p <= offsets_m``."""
 
+    makes = keep_in.KeepInPolytope
     kind: Literal["polytope"] = unit("-", "Convex polytope to stay inside.")
     name: Name = _name()
     normals: Matrix = unit("-", "Outward facet normals, F rows of d numbers; any length but 0.")
     offsets_m: Vector = unit("m (for unit normals)", "Offsets, F numbers.")
-
-    def build(self, path: str) -> Unsafe:
-        """The set outside of which is unsafe."""
-        return keep_in.KeepInPolytope(self.name, self.normals, self.offsets_m, path=path)
 
 
 class KeepInCone(ScenarioPart):

@@ -11,7 +11,7 @@ from ..model.system import LinearSystem
 from . import build, numerics, rules
 from .base import Scenario, kept
 from .geometry import check_start_and_goal
-from .tables import Planner, Recoverable, SampledFeedback, ScenarioModel, Schedule, Simulation
+from .tables import SampledFeedback, ScenarioModel, Simulation
 
 if TYPE_CHECKING:
     from ..model.obstacle import Obstacle
@@ -68,21 +68,6 @@ class ScheduleScenario(Scenario):
         return self.model.horizon.step_s
 
     @property
-    def recoverable(self) -> Recoverable:
-        """Which recoverable sets."""
-        return self.model.recoverable
-
-    @property
-    def planner(self) -> Planner:
-        """How the reference is planned."""
-        return self.model.planner
-
-    @property
-    def schedule(self) -> Schedule:
-        """How the switching schedule is chosen."""
-        return self.model.schedule
-
-    @property
     def simulation(self) -> Simulation:
         """Closed-loop runs."""
         return self.model.simulation
@@ -130,7 +115,7 @@ class ScheduleScenario(Scenario):
         from ..synthesis.problem import Problem
         from .experimental import gains_of
 
-        system, tracking, planner = self.system(), self.model.tracking, self.planner
+        system, tracking, planner = self.system(), self.model.tracking, self.model.planner
         feedback, weight = self.model.feedback, tracking.weight
         return Problem(
             system=system,
@@ -141,7 +126,7 @@ class ScheduleScenario(Scenario):
             Q=build.full_weight(tracking.Q),
             R=build.full_weight(tracking.R),
             goal=self.goal(),
-            recoverable=self.recoverable.kind,
+            recoverable=self.model.recoverable.kind,
             period=feedback.period_s if isinstance(feedback, SampledFeedback) else None,
             bound=tracking.bound,
             weight=weight if isinstance(weight, str) else build.full_weight(weight),
@@ -162,6 +147,6 @@ class ScheduleScenario(Scenario):
         """Options of Algorithm 2."""
         from ..synthesis.search import SwitchingRules
 
-        rules = self.schedule
+        rules = self.model.schedule
         weights = tuple(spec.weight for spec in self.model.experimental)
         return SwitchingRules(rules.strategy, rules.min_dwell_steps, rules.max_switches, weights, rules.beam)

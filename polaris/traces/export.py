@@ -146,8 +146,10 @@ def _sets(
         lengths = 2 * np.asarray(obstacle.half_widths)
         return {name: RectangleTrace(t, centers, np.broadcast_to(lengths, centers.shape))}, None
     if isinstance(obstacle, RigidObstacle):
-        shape, moved = obstacle.cover, obstacle.centre(t)
-        return {name: PolytopeTrace(t, shape.H[None], shape.b + moved @ shape.H.T)}, None
+        cover, moved = obstacle.cover, obstacle.centre(t)
+        told = f"{name}: as the polytope around it (over-approximated)"
+        traced = PolytopeTrace(t, cover.H[None], cover.b + moved @ cover.H.T)
+        return {name: traced}, None if cover is obstacle.shape else told
     found: dict[str, AnySet] = {
         part.name: PolytopeTrace(t, part.normals[None], offsets)
         for part, offsets in _covers(obstacle, t, system)

@@ -4,12 +4,14 @@ import copy
 import os
 import tomllib
 from pathlib import Path
+from typing import get_args
 
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from polaris.model.errors import ScenarioError
+from polaris.scenario import rules, scene_tables, tables
 from polaris.scenario.reading import MAX_BYTES
 from polaris.scenario.scenario import Scenario, load_scenario
 
@@ -553,6 +555,19 @@ def test_odd_paths(name):
 def test_misspelt_name_is_answered_with_the_right_one():
     text = refused_file("statik")
     assert "did you mean static?" in text and "keep_out" in text
+
+
+# -- lengths ----------------------------------------------------------------------------------------
+
+
+def test_the_length_of_every_vector_is_checked():
+    """Lists of numbers in an initial set, a goal or an unsafe set: one for each state, or for each axis."""
+    unions = (tables.InitialSet, scene_tables.Goal, scene_tables.Obstacle, scene_tables.KeepIn)
+    parts = [part for union in unions for part in get_args(get_args(union)[0])]
+    fields = {(name, str(field.annotation)) for part in parts for name, field in part.model_fields.items()}
+    vectors = {name for name, kind in fields if "tuple[" in kind and "tuple[tuple[" not in kind}
+    found = {name for name in vectors if name not in ("normals", "generators")}
+    assert found == {*rules.PER_STATE, *rules.PER_AXIS, "offsets_m"}
 
 
 # -- anything at all --------------------------------------------------------------------------------

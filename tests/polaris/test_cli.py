@@ -149,7 +149,7 @@ def test_overrides_reach_the_scenario_and_are_noted(invoke, tmp_path):
         "utf-8"
     )
     scenario = load_scenario(copy)
-    assert (scenario.planner.gap, scenario.planner.solver, scenario.recoverable.kind) == (
+    assert (scenario.model.planner.gap, scenario.model.planner.solver, scenario.model.recoverable.kind) == (
         0.01,
         "gurobi",
         "ball",

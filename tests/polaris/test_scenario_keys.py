@@ -9,6 +9,8 @@ import pytest
 pytest.importorskip("flint")
 
 from docs.generate.scenario_docs import schema
+from polaris.certificate.inputs import GOALS
+from polaris.certificate.perception import RIGID
 from polaris.certificate.scenario_keys import SCENARIO, check_keys
 from polaris.certificate.structure import (
     Either,
@@ -134,6 +136,11 @@ def test_the_table_is_that_of_the_models():
     """A key that is new in the models: does a claim rest on it? Then check it; then add it to the table."""
     found = schema()
     assert not list(differences(of_shape(SCENARIO), of_schema(found, found["$defs"])))
+
+
+def test_every_kind_that_is_known_is_checked():
+    obstacles = SCENARIO.optional["obstacles"].item.tables
+    assert set(RIGID) == set(obstacles) - {"satellite"} and set(GOALS) == set(SCENARIO.keys["goal"].tables)
 
 
 def test_the_comparison_sees_a_key_that_is_missing_or_changed():

@@ -1,19 +1,24 @@
 """Layers of scenes: every kind of unsafe set, at rest and moving, in space, in the plane and on the line."""
 
 import itertools
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from polaris.model.hill import clohessy_wiltshire
 from polaris.model.keep_in import KeepInCone, KeepInPolytope
+from polaris.model.obstacle import RigidObstacle
 from polaris.model.obstacles import BallObstacle, BoxObstacle, PolytopeObstacle
 from polaris.model.satellite import SatelliteObstacle
+from polaris.model.shapes import Polytope
 from polaris.model.system import LinearSystem
+from polaris.planning.goal import Goal, GoalConditions
 from polaris.planning.goals import Box, EllipticalNMT, LinearNMT, StationaryPoint
 from polaris.planning.reference import Reference
 from polaris.report.html.bounds import proven_distance
 from polaris.report.html.scene import scene_data
+from polaris.report.scene.closeups import plane_gap
 from polaris.report.scene.scene import describe, shown_axes
 from polaris.runs.picture import Picture, TubePicture
 from reach.sets.zonotope import Zonotope
@@ -47,6 +52,34 @@ def picture(system, obstacles, goal):
         K,
         tube=tube,
     )
+
+
+class Rod(RigidObstacle):
+    """An obstacle of a kind that figures do not know: a cylinder along the third axis."""
+
+    name, path, velocity = "rod", "obstacles[0]", None
+    center = np.array([10.0, -30.0, 0.0])
+    cover = Polytope(np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]]), np.full(4, 5.0))
+
+    @property
+    def shape(self):
+        return SimpleNamespace(signed_distance=lambda p: np.linalg.norm(p[..., :2], axis=-1) - 5.0)
+
+
+class Near(Goal):
+    """A goal of a kind that figures do not know: the position within 4 m of a point on every axis."""
+
+    n = 6
+
+    @property
+    def conditions(self):
+        eye = np.eye(3, 6)
+        return GoalConditions(
+            np.zeros((0, 6)), np.zeros(0), np.vstack([eye, -eye]), np.r_[24.0, 4, 4, -16, 4, 4]
+        )
+
+    def describe(self):
+        return "near a point"
 
 
 def scene_of(picture, paths):
@@ -159,6 +192,16 @@ def test_tube_contains_the_reference(space, scene):
 def test_other_goals_are_drawn_if_they_have_a_place(space, goal):
     found = named(scene_of(picture(space.system, [], goal), []))
     assert ("goal" in found) == (not np.isinf(getattr(goal, "half_widths", np.zeros(3))[:3]).any())
+
+
+def test_new_kinds_are_drawn_without_being_known():
+    pictured = picture(integrator(3), [Rod()], Near())
+    found = named(scene_of(pictured, []))
+    rod, goal = (np.array(found[name]["p"]) for name in ("rod", "goal"))
+    low, high = np.sort(rod, axis=1)[:2, 0], np.sort(rod, axis=1)[:2, -1]
+    assert np.allclose(low, [5, -35]) and np.allclose(high, [15, -25]) and np.ptp(rod[2]) > 10
+    assert np.allclose(goal.min(axis=1), [16, -4, -4]) and np.allclose(goal.max(axis=1), [24, 4, 4])
+    assert np.isfinite(plane_gap(Rod(), pictured, [0, 1])).all()
 
 
 def test_motion_in_a_plane_of_space_is_drawn_in_it_unless_a_set_is_passed_above():

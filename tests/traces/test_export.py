@@ -10,8 +10,10 @@ from polaris.model.distances import UNKNOWN, ray_ttc, signed_distances
 from polaris.model.errors import ScenarioError
 from polaris.model.hill import clohessy_wiltshire, elliptical_nmt
 from polaris.model.keep_in import KeepInCone, KeepInPolytope
+from polaris.model.obstacle import RigidObstacle
 from polaris.model.obstacles import BallObstacle, BoxObstacle, PolytopeObstacle
 from polaris.model.satellite import SatelliteObstacle, true_states
+from polaris.model.shapes import Polytope
 from polaris.runs.schedule import write_run
 from polaris.simulation.baselines import compare
 from polaris.traces import AgentTrace, Trace, evaluate_trace, export_run, read_trace, to_trace, write_trace
@@ -202,3 +204,14 @@ def test_arrays_that_do_not_fit():
     for arguments, match in cases:
         with pytest.raises(ScenarioError, match=match):
             to_trace(*arguments)
+
+
+def test_what_a_trace_cannot_hold_is_told():
+    class Rod(RigidObstacle):
+        name, path, velocity, center = "rod", "obstacles[0]", None, np.zeros(3)
+        cover = Polytope(np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]]), np.full(4, 5.0))
+        shape = object()  # a cylinder in it
+
+    made = to_trace(T, STATES, MODES, [Rod()], SYSTEM)
+    assert made.trace.unsafe["rod"].set_type == "polytope"
+    assert made.notes == ("rod: as the polytope around it (over-approximated)",)

@@ -10,7 +10,7 @@ import numpy as np
 from ...model.keep_in import KeepIn
 from ...model.obstacle import Obstacle
 from ...model.satellite import SatelliteObstacle
-from ...model.shapes import Ball, Polytope
+from ...model.shapes import Ball
 from ...model.system import Array
 from ...runs.picture import Picture
 from .geometry import flat_outline, stretches
@@ -133,13 +133,12 @@ def plane_gap(obstacle: Obstacle, picture: Picture, axes: Sequence[int]) -> Arra
         k = np.minimum(cell.astype(int), picture.planned - 1)
         s = (cell - k)[:, None]
         return _edge_on(timed.normals, timed.offsets[k, 0] * (1 - s) + timed.offsets[k, 1] * s, path, axes)
-    path = path - obstacle.centre(times, system)
-    if isinstance(obstacle.shape, Ball):
-        return np.asarray(np.linalg.norm(path[:, axes], axis=1) - obstacle.shape.radius)
-    assert isinstance(obstacle.shape, Polytope)  # there are no others
-    if not obstacle.shape.bounded:
-        return _edge_on(obstacle.shape.H, obstacle.shape.b[None], path, axes)
-    return outline_gap(flat_outline(obstacle.shape.vertices()[:, axes]), path[:, axes])
+    path, shape = path - obstacle.centre(times, system), obstacle.drawn
+    if isinstance(shape, Ball):
+        return np.asarray(np.linalg.norm(path[:, axes], axis=1) - shape.radius)
+    if not shape.bounded:
+        return _edge_on(shape.H, shape.b[None], path, axes)
+    return outline_gap(flat_outline(shape.vertices()[:, axes]), path[:, axes])
 
 
 def outline_gap(outline: Array, points: Array) -> Array:

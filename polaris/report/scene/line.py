@@ -9,6 +9,7 @@ import numpy as np
 
 from ...model.keep_in import KeepIn
 from ...model.obstacle import Obstacle
+from ...model.shapes import Ball, Box
 from ...model.system import Array
 from ...runs.picture import Picture
 from .geometry import Shape
@@ -74,14 +75,11 @@ class _Stretch:
 
     def edges(self, obstacle: Obstacle) -> Array:
         """Ends of a set (of a keep-in set's inside) at `times`, shape (T, 2) [m]; perhaps infinite."""
-        inside = isinstance(obstacle, KeepIn)
-        shape = obstacle.inside if isinstance(obstacle, KeepIn) else obstacle.shape
-        centre = np.zeros(INSTANTS)
-        if not inside:
-            centre = np.asarray(obstacle.centre(self.times, self.picture.system))[:, 0]
-        H = getattr(shape, "H", np.array([[1.0], [-1.0]]))[:, 0]
-        own = shape.b if hasattr(shape, "b") else np.full(2, getattr(shape, "radius", np.nan))
-        b = own + H * centre[:, None]
+        shape, centre = obstacle.drawn, obstacle.centre(self.times, self.picture.system)
+        if isinstance(shape, Ball):
+            shape = Box.of(np.full(1, shape.radius))
+        H = shape.H[:, 0]
+        b = shape.b + H * centre
         high = np.where(H > 0, b / np.abs(H), np.inf).min(axis=1)
         low = np.where(H < 0, -b / np.abs(H), -np.inf).max(axis=1)
         return np.stack([low, high], axis=1)

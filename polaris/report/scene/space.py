@@ -8,11 +8,14 @@ from itertools import product
 
 import numpy as np
 
+from reach.sets.zonotope import Zonotope
+
 from ...model.keep_in import KeepIn
 from ...model.obstacle import Obstacle
 from ...model.satellite import SatelliteObstacle
-from ...model.shapes import Ball, Polytope
+from ...model.shapes import Ball
 from ...model.system import Array
+from ...planning.goal import Goal
 from ...planning.goals import Box, EllipticalNMT, LinearNMT, StationaryPoint
 from ...runs.frame import directions
 from ...runs.picture import Approach, Picture
@@ -67,7 +70,7 @@ class Space:
             if isinstance(obstacle, KeepIn):
                 continue
             near = picture.approach(obstacle)
-            if isinstance(obstacle.shape, Polytope) and not obstacle.shape.bounded:
+            if not obstacle.drawn.bounded:
                 outline = _within(obstacle, picture, near, reach)
             else:
                 outline = cls(picture, low, high).corners(obstacle, near.time)
@@ -99,12 +102,9 @@ class Space:
         """
         system = self.picture.system
         centre = np.asarray(obstacle.centre(t, system))
-        shape = obstacle.inside if isinstance(obstacle, KeepIn) else obstacle.shape
+        shape = obstacle.drawn
         if isinstance(shape, Ball):
             return centre + ball_points(shape.radius, system.d)
-        assert isinstance(shape, Polytope)  # there are no others
-        if isinstance(obstacle, KeepIn):
-            centre = np.zeros(system.d)
         if shape.bounded:
             return shape.vertices() + centre
         cut = boxed(shape.H, shape.b + shape.H @ centre, self.low, self.high)
@@ -112,9 +112,9 @@ class Space:
 
     def outline(self, obstacle: Obstacle, t: float, axes: Sequence[int]) -> Array:
         """Outline (V, 2) of the true set seen along the other axes; V is 0 if nothing is there."""
-        if isinstance(obstacle.shape, Ball):
+        if isinstance(obstacle.drawn, Ball):
             centre = np.asarray(obstacle.centre(t, self.picture.system))
-            return np.asarray(centre[list(axes)] + obstacle.shape.radius * directions(64))
+            return np.asarray(centre[list(axes)] + obstacle.drawn.radius * directions(64))
         return flat_outline(self.corners(obstacle, t)[:, list(axes)])
 
     def cover(self, obstacle: Obstacle, t: float) -> Array | None:
@@ -139,7 +139,17 @@ class Space:
             return [Shape("line", np.array([[0.0, goal.along_track, z] for z in (-most, most)]))]
         if isinstance(goal, StationaryPoint):
             return [Shape("points", (system.position @ np.asarray(goal.state))[None])]
-        return self._box(goal) if isinstance(goal, Box) else []
+        return self._box(goal) if isinstance(goal, Box) else self._allowed(goal)
+
+    def _allowed(self, goal: Goal) -> list[Shape]:
+        """Outermost positions that the conditions of any other goal allow; none if they have no bounds."""
+        from scipy.optimize import linprog
+
+        C, asked = self.picture.system.position, goal.conditions
+        rays = np.array([ray for ray in product((-1.0, 0.0, 1.0), repeat=len(C)) if any(ray)])
+        limits = asked.G, asked.g, asked.E, asked.e
+        ends = [linprog(-ray @ C, *limits, bounds=(None, None)).x for ray in rays]
+        return [Shape("area", np.array(ends) @ C.T)] if all(end is not None for end in ends) else []
 
     def _box(self, goal: Box) -> list[Shape]:
         C, half = self.picture.system.position, np.asarray(goal.half_widths)
@@ -157,8 +167,7 @@ class Space:
             low = np.where(free, self.low, centre - reach)
             high = np.where(free, self.high, centre + reach)
             return [Shape("area", np.array(list(product(*zip(low, high, strict=True)))))]
-        signs = np.array(list(product((-1.0, 1.0), repeat=arms.shape[1])))
-        return [Shape("area", centre + signs @ arms.T)]
+        return [Shape("area", Zonotope(centre, arms).corners())]
 
 
 def _within(obstacle: Obstacle, picture: Picture, near: Approach, depth: float) -> Array:

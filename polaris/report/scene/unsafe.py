@@ -58,7 +58,7 @@ def _body(obstacle: Obstacle, space: Space, axes: list[int], found: Sequence[Clo
     moving = moves(obstacle, space.picture)
     chosen = [found[i].time for i in passages] or instants(obstacle, space)
     marks = _marks(obstacle, shown, axes, chosen if moving else chosen[:1], moving)
-    cut = isinstance(obstacle.shape, Polytope) and not obstacle.shape.bounded
+    cut = not obstacle.drawn.bounded
     item = Item("unsafe", obstacle.name, (), marks=marks, passages=passages, cut=cut)
     if not moving:
         item = replace(item, shapes=(_at(obstacle, shown, axes, 0.0),))
@@ -76,8 +76,8 @@ def _at(obstacle: Obstacle, space: Space, axes: list[int], t: float) -> Shape | 
     if len(axes) == 2:
         outline = space.outline(obstacle, t, axes)
         return Shape("area", outline) if len(outline) else None
-    if isinstance(obstacle.shape, Ball):
-        return ball(obstacle.shape.radius).moved(obstacle.centre(t, space.picture.system)).along(axes)
+    if isinstance(obstacle.drawn, Ball):
+        return ball(obstacle.drawn.radius).moved(obstacle.centre(t, space.picture.system)).along(axes)
     surface = hull(space.corners(obstacle, t))
     return surface and surface.along(axes)
 
@@ -222,6 +222,6 @@ def prisms(space: Space) -> list[Item]:
             continue
         marks = [Mark(one) for one in map(hull, pairs) if one]
         if marks:
-            cut = isinstance(obstacle.shape, Polytope) and not obstacle.shape.bounded
+            cut = not obstacle.drawn.bounded
             found.append(Item("unsafe", obstacle.name, (marks[-1].shape,), marks=tuple(marks[::-1]), cut=cut))
     return found
