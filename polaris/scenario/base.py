@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import difflib
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import wraps
@@ -39,7 +40,7 @@ def kept(build: Callable[[Owner], Built]) -> Callable[[Owner], Built]:
 
 
 @dataclass(frozen=True, eq=False)
-class Scenario:
+class Scenario(ABC):
     """A validated scenario; subclasses, one for each kind, build what it describes.
 
     Parameters
@@ -73,9 +74,9 @@ class Scenario:
             given = NOTHING if error.given is None else error.given
             raise ScenarioError(error.field, given, error.rule, error.where or self.source) from error
 
+    @abstractmethod
     def _check(self) -> None:
         """Every rule that joins several fields; raises `ScenarioError` at the first that is broken."""
-        raise NotImplementedError
 
     @classmethod
     def from_dict(cls, document: Mapping[str, Any], source: str | None = None) -> Self:
@@ -164,9 +165,9 @@ class Scenario:
         """The key ``kind`` at the top of the file, ``schedule`` without it."""
         return str(getattr(self.model, "kind", SCHEDULE))
 
+    @abstractmethod
     def outline(self) -> str:
         """What it describes, on one line."""
-        raise NotImplementedError
 
     def to_dict(self) -> dict[str, Any]:
         """All values, defaults included, as nested plain data."""

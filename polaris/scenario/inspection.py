@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+from abc import abstractmethod
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -45,9 +46,9 @@ class InspectionScenario(Scenario):
     model: models.InspectionModel | models.FuelLimitModel | models.MonteCarloModel
 
     @property
+    @abstractmethod
     def deputies(self) -> int:
         """Number N of deputies."""
-        raise NotImplementedError
 
     @kept
     def inspection(self) -> Inspection:

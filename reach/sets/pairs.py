@@ -67,11 +67,11 @@ def contains(outer: Any, inner: Any, method: Method = "auto", most: int = MOST) 
         require_single(one, "contains")
     if getattr(inner, "is_empty", False):
         return Answer(True, np.inf) if inner.proved_empty else Answer(None, 0.0, reason=inside.TOUCHING)
-    answer = find(CONTAINS, outer, inner)
+    answer: Callable[..., Answer] | None = find(CONTAINS, outer, inner)
     if answer is None:
         given = type(outer).__name__
         raise ReachError(f"containment in a {given} is not offered: enclose or convert it first")
-    return answer(outer, inner, method, most)  # type: ignore[no-any-return]
+    return answer(outer, inner, method, most)
 
 
 @checked
@@ -105,7 +105,8 @@ def disjoint(X: Any, Y: Any) -> Answer:
         require_single(one, "disjoint")
         if getattr(one, "is_empty", False):
             return Answer(True, np.inf) if one.proved_empty else Answer(None, 0.0, reason=apart.CLOSER)
-    return find(DISJOINT, X, Y)(X, Y)  # type: ignore[no-any-return]
+    judge: Callable[..., Answer] = find(DISJOINT, X, Y)
+    return judge(X, Y)
 
 
 def intersect(X: Any, Y: Any) -> Any:
@@ -167,9 +168,7 @@ def _lazy_sum(X: Any, Y: Any) -> MinkowskiSum:
     return MinkowskiSum(tuple(parts))
 
 
-Table = dict[tuple[type, ...], Callable[..., Any]]
-
-CONTAINS: Table = {
+CONTAINS: dict[tuple[type, ...], Callable[..., Answer]] = {
     (Interval, object): inside.in_interval,
     (Interval, HPolytope): inside.with_bounds(inside.in_interval),
     (HPolytope, object): inside.in_polytope,
@@ -182,16 +181,19 @@ CONTAINS: Table = {
 }
 """Of the outer set's class, then the inner one's. No entry: not offered."""
 
-DISJOINT: Table = {
+DISJOINT: dict[tuple[type, ...], Callable[..., Answer]] = {
     (HPolytope, HPolytope): apart.by_shape,
     (HPolytope, object): apart.polytope_and_other,
     (object, HPolytope): apart.other_and_polytope,
     (object, object): apart.by_shape,
 }
 
-INTERSECTION: Table = {(Interval, Interval): _box_of_boxes, (object, object): _shared_points}
+INTERSECTION: dict[tuple[type, ...], Callable[..., Any]] = {
+    (Interval, Interval): _box_of_boxes,
+    (object, object): _shared_points,
+}
 
-MINKOWSKI_SUM: Table = {
+MINKOWSKI_SUM: dict[tuple[type, ...], Callable[..., Any]] = {
     (Interval, Interval): _sum_of_boxes,
     (Interval, Zonotope): lambda X, Y: _joined_generators(Y, X),
     (Zonotope, Interval): _joined_generators,

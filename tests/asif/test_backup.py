@@ -280,6 +280,7 @@ def test_coasting():
     assert (flight.outlook.distance[:3] == -np.inf).all()
 
 
-def test_ellipses_of_another_orbit_are_refused():
+@pytest.mark.parametrize("law", [Parking, Tracker])
+def test_ellipses_of_another_orbit_are_refused(law):
     with pytest.raises(ScenarioError, match="ellipses"):
-        Parking(Q, Ellipses(0.0011, 15.0))
+        law(Q, Ellipses(0.0011, 15.0))

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.checks import positive
-from ...model.errors import ScenarioError
 from ...model.hill import clohessy_wiltshire
 from ...model.system import Array
 from ..enmt import Ellipses, semi_axes, velocity_error
@@ -190,9 +189,7 @@ class Parking(Memoryless):
     ) -> None:
         super().__init__(inspection, period)
         q = inspection
-        self.ellipses = Ellipses.of(q) if ellipses is None else ellipses
-        if self.ellipses.mean_motion != q.mean_motion:
-            raise ScenarioError("ellipses", self.ellipses.mean_motion, f"must be for {q.mean_motion:g} rad/s")
+        self.ellipses = Ellipses.fitting(q, ellipses)
         self.gain = lqr_gain(q, response)
         Phi, Gamma = self.motion
         E = np.zeros((2, 6))

@@ -68,7 +68,7 @@ class Tracker(Law):
     ) -> None:
         super().__init__(inspection, period)
         q = inspection
-        self.ellipses = Ellipses.of(q) if ellipses is None else ellipses
+        self.ellipses = Ellipses.fitting(q, ellipses)
         A, B = augmented(q)
         stiffness, weights = lqr_weights(q, response)
         weights += [(stiffness / (8 * response)) ** 2] * 3
