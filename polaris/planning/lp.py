@@ -79,6 +79,12 @@ class GrowingLP:
         self.highs.changeColBounds(column, low, high)
         self._room[column] = high - low
 
+    def limit_all(self, first: int, low: Array, high: Array) -> None:
+        """Change the bounds of consecutive columns."""
+        columns = np.arange(first, first + len(low), dtype=np.int32)
+        self.highs.changeColsBounds(len(low), columns, low, high)
+        self._room[columns] = high - low
+
     def basis(self) -> Any:
         """The simplex basis as it stands, to be given back to `use`."""
         return self.highs.getBasis()

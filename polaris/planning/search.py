@@ -84,16 +84,19 @@ class PathSearch:
     rows : Rows
     deadline : float
         Value of `time.perf_counter` at which to stop; past as soon as a program has run out of time.
+    more : int
+        Further variables, free of charge and zero until told otherwise, of which no row here speaks.
     """
 
-    def __init__(self, rows: Rows, deadline: float) -> None:
-        self.rows, self.deadline = rows, deadline
-        N, K, unit = rows.N, rows.problem.K, rows.length
-        self.lp = GrowingLP(np.zeros(2 * N + 2), np.zeros(2 * N + 2), np.r_[rows.limit, rows.limit, 0.0, 0.0])
+    def __init__(self, rows: Rows, deadline: float, more: int = 0) -> None:
+        self.rows, self.deadline, self.more = rows, deadline, more
+        K, unit = rows.problem.K, rows.length
+        high = np.r_[rows.limit, rows.limit, np.zeros(2 + more)]
+        self.lp = GrowingLP(np.zeros(len(high)), np.zeros(len(high)), high)
         goal, last = rows.problem.goal.conditions, rows.free[K]
         for g, rhs, top in ((goal.E, goal.e, 0.0), (-goal.G, -goal.g, np.inf)):
             need = (rhs - g @ last) / unit
-            self.lp.add(_wide(rows.state_rows(g, K) / unit, 0.0, 0.0), need, need + top)
+            self.lp.add(self._wide(rows.state_rows(g, K) / unit, 0.0, 0.0), need, need + top)
         self.base = self.lp.rows
         self.solves = 0
         self.set_prices(Levels(0.0, 0.0))
@@ -139,11 +142,15 @@ class PathSearch:
     def _add(self, parts: list[tuple[Key, int]]) -> None:
         if parts:
             options = [self.rows.options(key) for key, _ in parts]
-            rows = [
-                _wide(o.a[j], o.slope, float(i >= 0)) for o, ((i, _), j) in zip(options, parts, strict=True)
-            ]
+            chosen = zip(options, parts, strict=True)
+            rows = [self._wide(o.a[j], o.slope, float(i >= 0)) for o, ((i, _), j) in chosen]
             need = [o.need[j] for o, (_, j) in zip(options, parts, strict=True)]
             self.lp.add(np.vstack(rows), np.concatenate(need), np.inf)
+
+    def _wide(self, a: Array, slope: float, elastic: float) -> Array:
+        one = np.ones((*a.shape[:-1], 1))
+        others = np.zeros((*a.shape[:-1], self.more))
+        return np.concatenate([a, -a, -slope * one, elastic * one, others], axis=-1)
 
     def bounds(self, path: Candidate, keys: Collection[Key]) -> dict[Key, Array]:
         """Lower bounds on the objective with each alternative added to the program `path` solves.
@@ -158,7 +165,7 @@ class PathSearch:
             short = o.need - o.a @ path.z + o.slope * path.level - elastic * path.short / self.rows.length
             worst = np.argmax(short, axis=1)
             each = np.arange(len(worst))
-            a.append(_wide(o.a[each, worst], o.slope, elastic))
+            a.append(self._wide(o.a[each, worst], o.slope, elastic))
             lack.append(short[each, worst])
             sizes.append(len(worst))
         cost = self.lp.costs(np.vstack(a), np.concatenate(lack))
@@ -240,11 +247,6 @@ class PathSearch:
         """A good path without branching: the nearest facets, then local improvement."""
         path = self.dive({})
         return self.improve(path) if path is not None else None
-
-
-def _wide(a: Array, slope: float, elastic: float) -> Array:
-    one = np.ones((*a.shape[:-1], 1))
-    return np.concatenate([a, -a, -slope * one, elastic * one], axis=-1)
 
 
 def set_targets(search: PathSearch, base: Candidate) -> float | None:

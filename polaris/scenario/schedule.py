@@ -127,6 +127,7 @@ class ScheduleScenario(Scenario):
             R=build.full_weight(tracking.R),
             goal=self.goal(),
             recoverable=self.model.recoverable.kind,
+            recourse=self.model.recoverable.recourse,
             period=feedback.period_s if isinstance(feedback, SampledFeedback) else None,
             bound=tracking.bound,
             weight=weight if isinstance(weight, str) else build.full_weight(weight),
@@ -149,4 +150,13 @@ class ScheduleScenario(Scenario):
 
         rules = self.model.schedule
         weights = tuple(spec.weight for spec in self.model.experimental)
-        return SwitchingRules(rules.strategy, rules.min_dwell_steps, rules.max_switches, weights, rules.beam)
+        return SwitchingRules(
+            rules.strategy,
+            rules.min_dwell_steps,
+            rules.max_switches,
+            weights,
+            rules.beam,
+            rules.delta_v_price,
+            rules.switch_price,
+            rules.delta_v_max_m_s,
+        )

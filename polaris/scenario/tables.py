@@ -187,6 +187,12 @@ class Recoverable(ScenarioPart):
         "`paper_ball`: as printed, without thrust limits; UNSOUND, for comparison only, never a guarantee.",
         default="polytope",
     )
+    recourse: Literal["in_view", "none"] = unit(
+        "-",
+        "`in_view`: the safe reference may be planned along the path of an experimental controller, so that "
+        "the safety controller acts only where it must. `none`: the one of the printed Algorithm 1.",
+        default="in_view",
+    )
 
 
 class Planner(ScenarioPart):
@@ -253,6 +259,22 @@ class Schedule(ScenarioPart):
         "steps", "Fewest steps between two switches.", default=1, ge=1, le=MAX_STEPS
     )
     max_switches: Whole | None = unit("-", "Most switches in the run; no cap without it.", default=None, ge=0)
+    delta_v_price: NonNegative = unit(
+        "-",
+        "Share of the horizon under an experimental controller that is given up for a velocity change as "
+        "large as the safety controller's alone.",
+        default=0.05,
+    )
+    switch_price: NonNegative = unit(
+        "-",
+        "Share of the horizon under an experimental controller that is given up for one switch less.",
+        default=0.005,
+    )
+    delta_v_max_m_s: Positive | None = unit(
+        "m/s",
+        "Budget of velocity change: schedules that are proven to keep it come first. None without it.",
+        default=None,
+    )
     beam: Whole = unit(
         "-",
         "Schedules that `look_ahead` keeps at every step for each number of switches and controller. More "

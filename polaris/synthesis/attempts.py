@@ -38,17 +38,17 @@ class Clock:
 class Attempts:
     """References to try in turn: with the coasting tail, without it, and planned again for safe coasting.
 
-    The last only where nothing but the time after T stands in the way. `plan`, `margin` (of `start`, Theta
-    about the reference, in the first recoverable set) and `cut_by_clock` are those of the last attempt, `end`
-    that of the last one with a tail; `unsafe` is what is perceived until the end of the tail.
+    The last only where nothing but the time after T stands in the way, and no plan is given. `plan`, `margin`
+    (of `start`, Theta about the reference, in the first recoverable set) and `cut_by_clock` are those of the
+    last attempt, `end` that of the last one with a tail; `unsafe` is what is perceived until the tail's end.
     """
 
     plan: Plan
     margin: Margin
     end: EndCondition
 
-    def __init__(self, problem: Problem, tracking: Tracking, clock: Clock) -> None:
-        self.problem, self.tracking, self.clock = problem, tracking, clock
+    def __init__(self, problem: Problem, tracking: Tracking, clock: Clock, given: Plan | None = None) -> None:
+        self.problem, self.tracking, self.clock, self.given = problem, tracking, clock, given
         self.tail = tail_length(tracking)
         self.unsafe = perceive_unsafe(problem, problem.K + self.tail)
         self.start = problem.initial_set - problem.initial_set.c
@@ -56,6 +56,9 @@ class Attempts:
 
     def __iter__(self) -> Iterator[tuple[Reference, Array]]:
         """References, and the jump into the tail of each (see `coast`)."""
+        if self.given is not None:
+            yield from self._references(self.given)
+            return
         asked = plan_problem(self.problem, self.tracking, self.unsafe)
         self.clock.lap("bounds")
         found = find_plan(asked, self.problem.planner)

@@ -6,7 +6,7 @@ safe reference, so that its tube is compared with the recoverable sets directly.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
 
@@ -23,7 +23,7 @@ from .intersample import affine_bow, clipped_bow
 from .saturation import clipped_step
 from .tracking import Tracking, at_nodes
 
-ORDER = 6.0
+ORDER = 25.0
 """Generators per dimension kept at the end of a step; what is merged has decayed by then."""
 
 
@@ -124,6 +124,11 @@ class AffineController(AffineLaw):
         end = error[-1].inflate(self.reference.rounding[k] + self.own.rounding[k])
         return TubeSegment(error, bow, end.reduce(ORDER), refused, slopes)
 
+    def along(self, reference: Reference, tracking: Tracking) -> AffineController:
+        """The same law beside another safe reference; one that shares the safe reference shares that one."""
+        own = reference if self.own is self.reference else self.own
+        return replace(self, reference=reference, own=own, tracking=tracking, _relaxed={})
+
     def _over_limit(self, nodes: Zonotope, bow: Array, k: int) -> tuple[float, int]:
         """By how much the unclipped command may exceed the limits in the step [N], and on which axis."""
         centre = self.own.nu[k] - nodes.c @ self.gain.T
@@ -152,6 +157,10 @@ class AnyThrust:
     system: LinearSystem
     reference: Reference
     tracking: Tracking
+
+    def along(self, reference: Reference, tracking: Tracking) -> AnyThrust:
+        """The same beside another safe reference."""
+        return replace(self, reference=reference, tracking=tracking)
 
     @cached_property
     def flow(self) -> LinearFlow:

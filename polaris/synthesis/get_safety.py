@@ -86,6 +86,8 @@ def get_safety(
     delta: float | None = None,
     Q: ArrayLike | None = None,
     R: ArrayLike | None = None,
+    *,
+    along: Plan | None = None,
     **options: Any,
 ) -> Safety:
     """Algorithm 1: ARE, error bounds, safe reference, S, recoverable sets.
@@ -96,6 +98,8 @@ def get_safety(
         A scenario or problem says everything; a system needs the arguments below.
     initial_set, unsafe, K, delta, Q, R
         See `Problem`.
+    along : Plan, optional
+        A certified plan to take for line 4, instead of looking for one.
     **options
         Further fields of `Problem`; a bare system needs ``goal``. A ``control.StateSpace`` also needs
         ``u_max`` (and takes ``w_max`` and ``D``).
@@ -119,7 +123,7 @@ def get_safety(
     feedback = choose_feedback(problem.system, [gain, *problem.gains], problem.delta, problem.period)
     tracking = Tracking(problem.system, gain, feedback, problem.delta)
     bounds = get_err_bounds(tracking, problem.bound, problem.weight)  # line 3: getErrBounds
-    attempts = Attempts(problem, tracking, clock)
+    attempts = Attempts(problem, tracking, clock, along)
     for reference, jump in attempts:  # line 4: safeConstraints; lines 5 and 6: D2C of states and inputs
         s = construct_s(tracking, reference)  # line 7: constructS
         # Line 8: not one r_min over all time, but the room along a facet of every set at every time.

@@ -18,6 +18,8 @@ from ..planning.problem import Objective, PlannerOptions
 
 RECOVERABLE_KINDS = ("polytope", "time_varying_ball", "ball", "paper_ball")
 
+RECOURSE = ("in_view", "none")
+
 
 @dataclass(frozen=True, eq=False)
 class Problem:
@@ -41,6 +43,9 @@ class Problem:
         Where the reference must end.
     recoverable : {"polytope", "time_varying_ball", "ball", "paper_ball"}
         Kind of recoverable set, from the widest to the printed one, which proves nothing.
+    recourse : {"none", "in_view"}
+        Whether `synthesize` may plan the reference with the experimental controllers in view; with ``none``
+        it is the one reference of the printed Algorithm 1.
     period : float or None
         Control period [s] of sampled feedback; None for continuous feedback.
     bound : {"envelope", "lyapunov"}
@@ -68,6 +73,7 @@ class Problem:
     R: ArrayLike
     goal: Goal
     recoverable: str = "polytope"
+    recourse: str = "none"
     period: float | None = None
     bound: str = "envelope"
     weight: ArrayLike | str = "auto"
@@ -101,6 +107,7 @@ class Problem:
         if not 0 <= number("thrust_reserve", self.thrust_reserve) < 1:
             raise ScenarioError("thrust_reserve", self.thrust_reserve, "must be in [0, 1)")
         one_of("recoverable", self.recoverable, RECOVERABLE_KINDS)
+        one_of("recourse", self.recourse, RECOURSE)
 
 
 ARGUMENTS = ("initial_set", "K", "delta", "Q", "R", "goal")

@@ -17,6 +17,7 @@ from ..model.system import Array
 from .controllers import Controller, TubeSegment
 from .get_safety import Safety
 from .recoverable import Margin
+from .velocity import of_schedule
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,6 +84,11 @@ class Schedule:
     def switches(self) -> int:
         """Number of changes of mode inside the horizon."""
         return int(np.count_nonzero(np.diff(self.modes)))
+
+    @cached_property
+    def delta_v(self) -> tuple[float, float]:
+        """Velocity change until T [m/s]: along the middle of the tubes, and proven never to be exceeded."""
+        return of_schedule(self)
 
     def share(self, mode: int | None = None) -> float:
         """Share of time under one mode; without one, under any experimental controller."""

@@ -10,7 +10,7 @@ from typing import Any
 
 from reach.sets.zonotope import Zonotope
 
-from ..model.checks import of_kind, one_of, positive, whole
+from ..model.checks import non_negative, of_kind, one_of, positive, whole
 from ..model.errors import ScenarioError
 from .controllers import Controller, TubeSegment
 from .get_safety import Safety
@@ -43,6 +43,12 @@ class SwitchingRules:
         Worth of one step under each experimental controller, in their order of preference.
     beam : int
         Schedules that ``look_ahead`` keeps at every step for each number of switches and controller.
+    delta_v_price : float
+        Share of the horizon that a velocity change as large as S's alone costs, where schedules are compared.
+    switch_price : float
+        Share of the horizon that a switch costs there.
+    delta_v_max : float or None
+        Budget [m/s] that the proven bound on the velocity change should keep.
     """
 
     strategy: str = "greedy"
@@ -50,6 +56,9 @@ class SwitchingRules:
     max_switches: int | None = None
     weights: tuple[float, ...] = ()
     beam: int = 1
+    delta_v_price: float = 0.05
+    switch_price: float = 0.005
+    delta_v_max: float | None = None
 
     def __post_init__(self) -> None:
         one_of("schedule.strategy", self.strategy, ("greedy", "look_ahead"))
@@ -57,6 +66,10 @@ class SwitchingRules:
         whole("schedule.beam", self.beam, 1)
         if self.max_switches is not None:
             whole("schedule.max_switches", self.max_switches, 0)
+        non_negative("schedule.delta_v_price", self.delta_v_price, "-")
+        non_negative("schedule.switch_price", self.switch_price, "-")
+        if self.delta_v_max is not None:
+            positive("schedule.delta_v_max_m_s", self.delta_v_max, "m/s")
         for weight in self.weights:
             positive("schedule.weights", weight, "-")
 
@@ -83,13 +96,18 @@ class Branch:
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """Controllers over one `Safety`, and the rules by which they take turns."""
+    """Controllers over one `Safety`, and the rules by which they take turns.
+
+    `intended` holds the mode for which the reference was planned, step by step, if it was planned with U in
+    view; then no other experimental controller is tried.
+    """
 
     safety: Safety
     controllers: tuple[Controller, ...]
     rules: SwitchingRules
     progress: Callable[[int, int], None] | None = None
     begun: float = field(default_factory=time.perf_counter)
+    intended: tuple[int, ...] | None = None
 
     @classmethod
     def over(
@@ -121,10 +139,16 @@ class Search:
             raise ScenarioError("schedule.weights", f"{len(rules.weights)} weights", rule)
         return cls(safety, (safety.controller, *experimental), rules, progress)
 
+    def wanted(self, k: int) -> Sequence[int]:
+        """Experimental controllers to try in step k: in order of preference, or the one that is intended."""
+        if self.intended is None:
+            return range(1, len(self.controllers))
+        return [mode for mode in self.intended[k : k + 1] if mode != SAFETY]
+
     def options(self, branch: Branch) -> Iterator[tuple[int, int]]:
         """Modes to try from a branch, each with the steps it must last; S last, and always possible."""
         k, K, cap = branch.k, self.safety.problem.K, self.rules.max_switches
-        if self.rules.strategy == "look_ahead":
+        if self.rules.strategy == "look_ahead" and self.intended is None:
             yield self.planned[k], 1  # proven before; a law that answers otherwise now gives way to S
             yield SAFETY, 1
             return
@@ -132,7 +156,7 @@ class Search:
             self.progress(k, K)
         settled = k == 0 or branch.held >= self.rules.min_dwell
         spent = branch.switches + (k > 0) + 1  # there, and back to S should it fail
-        for mode in range(1, len(self.controllers)):
+        for mode in self.wanted(k):
             if mode == branch.mode:
                 yield mode, 1
             elif settled and (cap is None or spent <= cap):

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
+from ..model.errors import SynthesisInfeasible
 from .controllers import Controller
 from .get_safety import Safety, get_safety
+from .in_view import Worth, plans_in_view
 from .schedule import Schedule
 from .search import Branch, Search, SwitchingRules
 
@@ -18,7 +22,10 @@ def synthesize(
     rules: SwitchingRules | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Schedule:
-    """Algorithm 2: the switching schedule, proven before the flight.
+    """The switching schedule, proven before the flight: Algorithm 2, and the reference that makes most of it.
+
+    Where the safety controller is not given and the problem asks for recourse, the reference may be planned
+    with U in view; the printed algorithms are one candidate among others (see `with_recourse`).
 
     Parameters
     ----------
@@ -44,8 +51,16 @@ def synthesize(
     """
     if isinstance(scenario, Safety):
         safety, scenario = scenario, scenario.problem
-    safety = get_safety(scenario) if safety is None else safety  # lines 1 and 2: K steps; GetSafety
+    alone = safety is not None
+    safety = get_safety(scenario) if safety is None else safety
     search = Search.over(scenario, safety, experimental, rules, progress)
+    printed = switching_logic(search)
+    return printed if alone or safety.problem.recourse == "none" else with_recourse(search, printed)
+
+
+def switching_logic(search: Search) -> Schedule:
+    """Algorithm 2, for the controllers and by the rules of a search."""
+    safety = search.safety  # lines 1 and 2: K steps; GetSafety
     branch = Branch(safety.start)  # lines 4 to 6: no mode decided; line 3, U's tube, is made step by step
     while branch.k < safety.problem.K:  # line 7; t1 and t2 of lines 8 and 9 are the ends of step k
         for mode, steps in search.options(branch):  # lines 10 and 16: U is tried first, else S
@@ -54,3 +69,24 @@ def synthesize(
                 branch = ahead  # lines 11 and 17: Theta; 14 and 19: the mode; 20 and 21: the next step
                 break
     return search.schedule(branch)  # lines 22 and 23: the switching logic, with S
+
+
+def with_recourse(search: Search, printed: Schedule) -> Schedule:
+    """The most worthy schedule: the printed one, or one along a reference planned with U in view.
+
+    Each candidate passes both algorithms whole, and one that keeps the budget of velocity change is preferred
+    to one that does not.
+    """
+    worth = Worth.beside(printed, search.rules)
+    found = [printed]
+    for plan, intended in plans_in_view(printed, worth):
+        try:
+            safety = get_safety(printed.safety.problem, along=plan)
+        except SynthesisInfeasible:
+            continue
+        laws = [law.along(safety.reference, safety.tracking) for law in printed.controllers[1:]]
+        turns = (safety.controller, *laws)
+        found.append(switching_logic(replace(search, safety=safety, controllers=turns, intended=intended)))
+    best = max(found, key=worth)
+    seconds = printed.seconds | {"recourse": time.perf_counter() - search.begun - printed.seconds["schedule"]}
+    return replace(best, seconds=seconds)

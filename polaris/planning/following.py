@@ -1,0 +1,104 @@
+"""References made with a controller in view: paths whose inputs are those of its own law, step by step."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from reach.numerics.linear import discretize
+
+from ..model.system import Array, LinearSystem
+from .reference import Reference
+from .rows import Key, Rows
+from .search import Candidate, PathSearch, Seen
+
+MOST = 10.0
+"""Largest departure from a law, in shares of full thrust; a path within the limits needs at most two."""
+
+
+@dataclass(frozen=True, eq=False)
+class Followed:
+    """A law as the planner sees it: the constant input ``F x_k + f_k`` over step k.
+
+    Parameters
+    ----------
+    F : ndarray, shape (m, n)
+    f : ndarray, shape (K, m)
+    """
+
+    F: Array
+    f: Array
+
+    @classmethod
+    def of(cls, system: LinearSystem, transition: Array, own: Reference) -> Followed:
+        """The constant inputs that come closest to a law about its own reference.
+
+        Parameters
+        ----------
+        system : LinearSystem
+        transition : ndarray, shape (n, n)
+            Of the law's error over a step.
+        own : Reference
+            What the law follows. About it the error moves by `transition`; a constant input that moves it
+            likewise is found by least squares, velocities weighed by the step.
+        """
+        Ad, Bd = discretize(system.A, system.B, own.delta)
+        weight = np.ones(system.n)
+        weight[np.abs(system.position).sum(axis=0) == 0] = own.delta
+        F = np.linalg.pinv(weight[:, None] * Bd) @ (weight[:, None] * (transition - Ad))
+        return cls(F, own.nu - own.chi[: own.cells] @ F.T)
+
+
+class FollowingSearch(PathSearch):
+    """A path search whose inputs follow a law, but for departures at a price (see `set_prices_of_departure`).
+
+    Parameters
+    ----------
+    rows : Rows
+    deadline : float
+        See `PathSearch`.
+    law : Followed
+    """
+
+    def __init__(self, rows: Rows, deadline: float, law: Followed) -> None:
+        super().__init__(rows, deadline, 2 * rows.N)
+        N, K, m = rows.N, rows.problem.K, rows.problem.system.m
+        own, free = np.zeros((K, m, N)), np.zeros((K, m))
+        for k in range(K):
+            own[k] = rows.state_rows(law.F, k)
+            free[k] = law.F @ rows.free[k] + law.f[k]
+        u_max = rows.problem.system.u_max
+        self._own = np.eye(N) - (own / u_max[:, None]).reshape(N, N)
+        self._free = (free / u_max).ravel()
+        eye = np.eye(N)
+        self.lp.add(np.hstack([self._own, -self._own, np.zeros((N, 2)), -eye, eye]), self._free, self._free)
+        self.base = self.lp.rows
+        self.guide: Seen | None = None
+
+    def set_prices_of_departure(self, prices: Array) -> None:
+        """Price of a departure by full thrust [m/s], shape (K,): 0 where free, infinite where forbidden."""
+        per = np.tile(np.repeat(prices, self.rows.problem.system.m), 2)
+        first, allowed = 2 * self.rows.N + 2, np.isfinite(per)
+        self.lp.price(first, np.where(allowed, per, 0.0))
+        self.lp.limit_all(first, np.zeros(len(per)), np.where(allowed, MOST, 0.0))
+
+    def departures(self, path: Candidate) -> Array:
+        """Largest departure from the law in every step, in shares of full thrust, shape (K,)."""
+        parts = np.abs(self._own @ path.z - self._free)
+        return np.asarray(parts.reshape(self.rows.problem.K, -1).max(axis=1))
+
+    def best(self, start: Mapping[Key, int] | None = None) -> Candidate | None:
+        """A path that keeps every clearance, on the guide's side of everything; None if none is found."""
+        path = self.dive(start or {})
+        if path is None or path.short > 0:
+            return None
+        guide, self.guide = self.guide, None
+        path = self.improve(path, rounds=2)
+        self.guide = guide
+        return path
+
+    def pick(self, key: Key, seen: Seen) -> int:
+        """The alternative with most room, on the guide if there is one."""
+        return super().pick(key, seen if self.guide is None or key[0] < 0 else self.guide)

@@ -1,0 +1,256 @@
+"""Recourse: a safe reference that is the flight itself, U's own path wherever U may fly it.
+
+The printed Algorithm 1 plans one reference before U is known; U is then pulled back as soon as S could no
+longer return to it. Here the reference is planned with U in view: it follows U's predicted path, leaves it
+only in a few windows in which S flies, and ends at the goal. U then stays beside the reference by its own
+tube alone, so that S, taking over at any instant, starts where it wants to be. Which windows, and on which
+side of an obstacle they lead, is decided by what the schedule is worth. Nothing in the proof changes: any
+reference will do for Theorem 2, and each candidate passes both algorithms whole.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from time import perf_counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..model.errors import NotCertified, PolarisError, ScenarioError
+from ..model.system import Array
+from ..planning.following import Followed, FollowingSearch
+from ..planning.problem import Plan
+from ..planning.recheck import certified
+from ..planning.rows import Key, Rows
+from ..planning.search import Candidate, Levels, Seen
+from .clearance import error_tube
+from .controllers import AffineController
+from .planning_problem import perceive_unsafe, plan_problem
+from .schedule import Schedule
+from .search import SwitchingRules
+from .tracking import Tracking
+
+Mask = NDArray[np.bool_]
+
+STICKING = (20.0, 3.0)
+"""Prices of a departure from U's path, in units of what its fuel costs, at which windows are looked for."""
+SOFT = 5.0
+"""The same where U's own command leaves S no room above it: the reference goes on with less."""
+DEPARTS = 1e-2
+"""Share of full thrust from which on a departure from U's path is one."""
+SHORT = 1e4
+"""Price of a lacking length, beside that of fuel."""
+PROGRAMS = 120
+"""Most windows tried from each start."""
+STARTS, KEPT = 3, 3
+"""Sets of windows that are improved, and those that are proven."""
+
+
+@dataclass(frozen=True)
+class Worth:
+    """What a schedule is worth: the time of U, less velocity change and switches, as shares of the horizon.
+
+    Parameters
+    ----------
+    rules : SwitchingRules
+        Weights, prices and budget.
+    scale : float
+        Velocity change of S alone [m/s], the unit of the price of velocity change.
+    """
+
+    rules: SwitchingRules
+    scale: float
+
+    @classmethod
+    def beside(cls, printed: Schedule, rules: SwitchingRules) -> Worth:
+        """Worth of the schedules of one scene, in units of what S alone would spend there."""
+        problem = printed.safety.problem
+        most = problem.K * problem.delta * float(problem.system.u_max.sum()) / problem.system.mass
+        return cls(rules, max(printed.safety.plan.delta_v, 1e-3 * most))
+
+    def of(self, time: float, delta_v: float, switches: int) -> float:
+        """Worth of a weighted share of the time, a velocity change [m/s] and a number of switches."""
+        price = self.rules.delta_v_price * delta_v / self.scale
+        return time - price - self.rules.switch_price * switches
+
+    def weight(self, mode: int) -> float:
+        """Worth of a step under one mode."""
+        weights = self.rules.weights
+        return 0.0 if mode == 0 else weights[mode - 1] if mode <= len(weights) else 1.0
+
+    def __call__(self, schedule: Schedule) -> tuple[bool, float]:
+        """Whether a schedule keeps the budget of velocity change, and what it is worth."""
+        time = float(np.mean([self.weight(mode) for mode in schedule.modes.tolist()]))
+        delta_v, most = schedule.delta_v
+        within = self.rules.delta_v_max is None or most <= self.rules.delta_v_max
+        return within, self.of(time, delta_v, schedule.switches)
+
+
+def windows(mask: Mask) -> list[tuple[int, int]]:
+    """First step and end of every run of steps under S."""
+    edges = np.flatnonzero(np.diff(np.r_[0, mask.astype(int), 0]))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+
+
+def in_windows(parts: list[tuple[int, int]], K: int) -> Mask:
+    """The steps within windows, shape (K,)."""
+    mask = np.zeros(K, dtype=bool)
+    for a, b in parts:
+        mask[max(a, 0) : min(b, K)] = True
+    return mask
+
+
+def neighbours(mask: Mask) -> Iterator[Mask]:
+    """Windows a little shorter, longer, earlier, later, split or joined."""
+    parts, K = windows(mask), len(mask)
+    for i, (a, b) in enumerate(parts):
+        before, after = parts[:i], parts[i + 1 :]
+        for size in (4, 2, 1):
+            for first, last in ((size, 0), (0, -size), (size, size), (-size, -size), (-size, 0), (0, size)):
+                moved = [(a + first, b + last)] if a + first < b + last else []
+                yield in_windows(before + moved + after, K)
+        if b - a >= 4:
+            middle = (a + b) // 2
+            yield in_windows([*before, (a, middle), (middle + 1, b), *after], K)
+    for i, ((a, _), (_, d)) in enumerate(pairwise(parts)):
+        yield in_windows([*parts[:i], (a, d), *parts[i + 2 :]], K)
+
+
+class Windows:
+    """Windows for S along the path of one law, and the least velocity change with each.
+
+    Parameters
+    ----------
+    printed : Schedule
+        What the printed algorithms find: problem, tracker, a first plan.
+    law : AffineController
+        Whose path the reference follows outside the windows.
+    mode : int
+        The law's mode.
+    worth : Worth
+    """
+
+    def __init__(self, printed: Schedule, law: AffineController, mode: int, worth: Worth) -> None:
+        safety = printed.safety
+        problem, tracking, system = safety.problem, safety.tracking, safety.problem.system
+        self.worth, self.K, self.weight = worth, problem.K, worth.weight(mode)
+        sets = perceive_unsafe(problem, problem.K)
+        asked = plan_problem(problem, tracking, sets)
+        u = Tracking(system, law.gain, tracking.feedback, problem.delta)
+        margins = []
+        for unsafe, margin in zip(sets, asked.margins, strict=True):
+            tube = error_tube(u, safety.start, -unsafe.normals @ system.position)
+            margins.append(margin + tube.over_cells(problem.K, tracking.feedback.nodes_per_cell))
+        self.asked = replace(asked, objective="fuel", margins=tuple(margins))
+        self.rows = Rows(self.asked)
+        followed = Followed.of(system, law.powers[-1], law.own)
+        self.search = FollowingSearch(self.rows, perf_counter() + problem.planner.time_limit, followed)
+        self.unit = float(self.rows.price.max())
+        self.search.set_prices(Levels(0.0, 0.0), 0.0, SHORT * self.unit)
+        self.closing = np.arange(self.K) >= self.K - (system.n // system.m + 1)
+        self.limited = np.any(np.abs(law.own.nu[: self.K]) > self.asked.u_limit, axis=1)
+        z = (safety.plan.nu / system.u_max).ravel()
+        self.planned = self.search.look(Candidate(z, 0.0, 0.0, 0.0))
+        self.known: dict[bytes, tuple[float, Candidate | None]] = {}
+
+    def _priced(self, prices: Array) -> None:
+        limited = np.where(self.limited, np.minimum(prices, SOFT * self.unit), prices)
+        self.search.set_prices_of_departure(np.where(self.closing, 0.0, limited))
+
+    def path(self, mask: Mask) -> tuple[float, Candidate | None]:
+        """Cost of the cheapest path found that departs from U's in these windows alone, and the path."""
+        key = mask.tobytes()
+        if key not in self.known:
+            self._priced(np.where(mask, 0.0, np.inf))
+            found, cost = self.search.best(), np.inf
+            if found is not None:
+                switches = int(np.count_nonzero(np.diff(mask)))
+                cost = -self.worth.of(self.weight * (1.0 - float(mask.mean())), found.fuel, switches)
+            self.known[key] = cost, found
+        return self.known[key]
+
+    def starts(self) -> list[tuple[Mask, Seen | None]]:
+        """Where to begin: the windows of paths near U's own, past what is in its way on every side."""
+        self._priced(np.full(self.K, STICKING[0] * self.unit))
+        own = self.search.solve({})
+        if own is None:
+            return []
+        sides: list[tuple[dict[Key, int], Seen | None]] = [({}, None), ({}, self.planned)]
+        for i, surplus in enumerate(self.search.look(own).surplus):
+            cells = np.flatnonzero(surplus[: self.K].max(axis=1) < 0).tolist()
+            if cells and surplus.shape[1] > 1:
+                sides += [({(i, k): f for k in cells}, None) for f in range(surplus.shape[1])]
+        found = []
+        for choice, guide in sides:
+            self.search.guide = guide
+            for price in STICKING:
+                self._priced(np.full(self.K, price * self.unit))
+                path = self.search.best(choice)
+                if path is None:
+                    continue
+                mask = (self.search.departures(path) > DEPARTS) & ~self.closing & ~self.limited
+                self.search.guide = self.search.look(path)
+                self.known = {}
+                found.append((self.path(mask)[0], len(found), mask, self.search.guide))
+                self.search.guide = guide
+        found.sort(key=lambda item: item[:2])
+        return [(mask, guide) for cost, _, mask, guide in found[:STARTS] if np.isfinite(cost)]
+
+    def plans(self) -> Iterator[tuple[float, Plan, Mask]]:
+        """Cost, certified plan and windows of what is found from every start."""
+        for mask, guide in self.starts():
+            self.search.guide, self.known = guide, {}
+            cost, path = self._descend(mask)
+            if path[1] is not None:
+                yield cost, self._certified(path[1]), path[0]
+
+    def _descend(self, mask: Mask) -> tuple[float, tuple[Mask, Candidate | None]]:
+        cost, path = self.path(mask)
+        better = True
+        while better and len(self.known) < PROGRAMS:
+            better = False
+            for other in neighbours(mask):
+                found, its = self.path(other)
+                if found < cost - 1e-9:
+                    cost, mask, path, better = found, other, its, True
+                    break
+                if len(self.known) >= PROGRAMS:
+                    break
+        return cost, (mask, path)
+
+    def _certified(self, path: Candidate) -> Plan:
+        nu = path.z.reshape(self.K, -1) * self.asked.system.u_max
+        none = np.zeros((len(self.asked.unsafe), self.K))
+        return certified(self.asked, nu, none, path.fuel, 0.0, "found")
+
+
+def followable(printed: Schedule) -> list[tuple[int, AffineController]]:
+    """Modes and laws with a path of their own that a reference can follow."""
+    reference = printed.safety.reference
+    found = []
+    for mode, law in enumerate(printed.controllers[1:], start=1):
+        if isinstance(law, AffineController) and law.own is not reference:
+            try:
+                law.flow.lyapunov  # noqa: B018  a law that is not stable has no path of its own
+            except (PolarisError, ValueError, ArithmeticError):
+                continue
+            found.append((mode, law))
+    return found
+
+
+def plans_in_view(printed: Schedule, worth: Worth) -> list[tuple[Plan, tuple[int, ...]]]:
+    """References with U in view, best first, each with the mode intended for every step."""
+    found: list[tuple[float, int, Plan, tuple[int, ...]]] = []
+    for mode, law in followable(printed):
+        try:
+            for cost, plan, mask in Windows(printed, law, mode, worth).plans():
+                found.append((cost, len(found), plan, tuple(np.where(mask, 0, mode).tolist())))
+        except (NotCertified, ScenarioError):
+            continue
+    found.sort(key=lambda item: item[:2])
+    distinct: dict[tuple[int, ...], Plan] = {}
+    for _, _, plan, modes in found:
+        distinct.setdefault(modes, plan)
+    return [(plan, modes) for modes, plan in distinct.items()][:KEPT]

@@ -1,0 +1,55 @@
+"""Velocity change of a schedule before it is flown: along the middle of its tubes, and at most."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..model.system import Array
+from ..model.tolerances import ROUNDING
+from .controllers import AffineController, Controller, TubeSegment
+from .tracking import at_nodes
+
+if TYPE_CHECKING:
+    from .schedule import Schedule
+
+
+def commands(law: AffineController, tube: TubeSegment, k: int) -> tuple[Array, Array]:
+    """Command of an affine law along a tube of errors: at the middle of every node, and its spread about it.
+
+    Both have shape (q+1, m) [N]. With the bow on either side booked, the hull of two nodes holds what is
+    commanded in the part between them.
+    """
+    centre = law.own.nu[k] - (tube.nodes.c - law.offset[k]) @ law.gain.T
+    spread = np.abs(law.gain @ tube.nodes.G).sum(axis=-1) + at_nodes(tube.bow) @ np.abs(law.gain).T
+    return centre, spread
+
+
+def velocity_change(law: Controller, tube: TubeSegment, k: int, delta: float) -> tuple[float, float]:
+    """Integral of the 1-norm of the thrust over a step [N s]: along the middle of a tube, and at most.
+
+    A controller of which only the thrust limits are known is charged all of them.
+    """
+    if not isinstance(law, AffineController):
+        limit = getattr(law, "system", None)
+        most = float(np.sum(limit.u_max)) * delta if limit is not None else np.inf
+        return most, most
+    u_max = law.system.u_max
+    centre, spread = commands(law, tube, k)
+    middle = np.minimum(np.abs(centre), u_max)
+    highest = np.minimum((np.abs(centre) + spread) * (1 + ROUNDING), u_max)
+    h = delta / (len(centre) - 1)
+    held = middle[:-1] if law.feedback.sampled else (middle[:-1] + middle[1:]) / 2
+    return float(held.sum()) * h, float(np.maximum(highest[:-1], highest[1:]).sum()) * h
+
+
+def of_schedule(schedule: Schedule) -> tuple[float, float]:
+    """Velocity change until T [m/s]: along the middle of the tubes, and at most, whatever is admissible."""
+    problem = schedule.safety.problem
+    parts = [
+        velocity_change(schedule.controllers[step.mode], step.tube, k, problem.delta)
+        for k, step in enumerate(schedule.steps)
+    ]
+    middle, most = np.sum(np.reshape(parts, (-1, 2)), axis=0) / problem.system.mass
+    return float(middle), float(most) * (1 + ROUNDING)
