@@ -10,7 +10,8 @@ reference will do for Theorem 2, and each candidate passes both algorithms whole
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from time import perf_counter
@@ -28,6 +29,7 @@ from ..planning.search import Candidate, Levels, Seen
 from .clearance import error_tube
 from .controllers import AffineController
 from .planning_problem import perceive_unsafe, plan_problem
+from .recoverable import contains_tube
 from .schedule import Schedule
 from .search import SwitchingRules
 from .tracking import Tracking
@@ -44,8 +46,13 @@ SHORT = 1e4
 """Price of a lacking length, beside that of fuel."""
 PROGRAMS = 120
 """Most windows tried from each start."""
-STARTS, KEPT = 3, 3
-"""Sets of windows that are improved, and those that are proven."""
+STARTS, ROUNDS = 3, 3
+"""Sets of windows that are improved, and attempts to prove each."""
+SPARE = 1.3
+"""By how much more than was lacking the clearance is raised from one attempt to the next."""
+
+Prove = Callable[[Plan, tuple[int, ...]], Schedule | None]
+"""What both algorithms make of a plan and the modes intended along it; None if nothing is proven."""
 
 
 @dataclass(frozen=True)
@@ -111,6 +118,9 @@ def neighbours(mask: Mask) -> Iterator[Mask]:
             for first, last in ((size, 0), (0, -size), (size, size), (-size, -size), (-size, 0), (0, size)):
                 moved = [(a + first, b + last)] if a + first < b + last else []
                 yield in_windows(before + moved + after, K)
+        for left in (4, 2):
+            if b - a > 2 * left:
+                yield in_windows([*before, (a, a + left), (b - left, b), *after], K)
         if b - a >= 4:
             middle = (a + b) // 2
             yield in_windows([*before, (a, middle), (middle + 1, b), *after], K)
@@ -135,7 +145,7 @@ class Windows:
     def __init__(self, printed: Schedule, law: AffineController, mode: int, worth: Worth) -> None:
         safety = printed.safety
         problem, tracking, system = safety.problem, safety.tracking, safety.problem.system
-        self.worth, self.K, self.weight = worth, problem.K, worth.weight(mode)
+        self.worth, self.K, self.mode = worth, problem.K, mode
         sets = perceive_unsafe(problem, problem.K)
         asked = plan_problem(problem, tracking, sets)
         u = Tracking(system, law.gain, tracking.feedback, problem.delta)
@@ -167,7 +177,9 @@ class Windows:
             found, cost = self.search.best(), np.inf
             if found is not None:
                 switches = int(np.count_nonzero(np.diff(mask)))
-                cost = -self.worth.of(self.weight * (1.0 - float(mask.mean())), found.fuel, switches)
+                cost = -self.worth.of(
+                    self.worth.weight(self.mode) * (1.0 - float(mask.mean())), found.fuel, switches
+                )
             self.known[key] = cost, found
         return self.known[key]
 
@@ -196,17 +208,55 @@ class Windows:
                 found.append((self.path(mask)[0], len(found), mask, self.search.guide))
                 self.search.guide = guide
         found.sort(key=lambda item: item[:2])
-        return [(mask, guide) for cost, _, mask, guide in found[:STARTS] if np.isfinite(cost)]
+        distinct = {(mask.tobytes(), round(cost, 9)): (mask, guide) for cost, _, mask, guide in reversed(found)}
+        kept = sorted(distinct.items(), key=lambda item: (item[0][1], item[0][0]))
+        return [start for (_, cost), start in kept[:STARTS] if np.isfinite(cost)]
 
-    def plans(self) -> Iterator[tuple[float, Plan, Mask]]:
-        """Cost, certified plan and windows of what is found from every start."""
+    def schedules(self, prove: Prove) -> Iterator[Schedule]:
+        """What is proven along the best path from every start.
+
+        Where U turns out to need more clearance than the path keeps, it is planned again with that much more.
+        """
+        tried = set()
         for mask, guide in self.starts():
             self.search.guide, self.known = guide, {}
-            cost, path = self._descend(mask)
-            if path[1] is not None:
-                yield cost, self._certified(path[1]), path[0]
+            mask, path = self._descend(mask)
+            if mask.tobytes() in tried:
+                continue
+            tried.add(mask.tobytes())
+            intended = tuple(np.where(mask, 0, self.mode).tolist())
+            for _ in range(ROUNDS):
+                if path is None:
+                    break
+                schedule = prove(self._certified(path), intended)
+                if schedule is None:
+                    break
+                yield schedule
+                if not self._booked(schedule, intended):
+                    break
+                self.known = {}
+                path = self.path(mask)[1]
 
-    def _descend(self, mask: Mask) -> tuple[float, tuple[Mask, Candidate | None]]:
+    def _booked(self, schedule: Schedule, intended: tuple[int, ...]) -> bool:
+        """Book the clearance that U lacked where it was meant to fly; whether there was any to book."""
+        safety, reached, some = schedule.safety, schedule.safety.start, False
+        names = [unsafe.name for unsafe in self.asked.unsafe]
+        for k, step in enumerate(schedule.steps):
+            if step.mode == 0 and intended[k]:
+                margin = contains_tube(
+                    safety.recoverable, k, schedule.controllers[intended[k]].fly(reached, k)
+                )
+                if not margin.inside and margin.limit in names:
+                    cell = min(int(margin.time / safety.problem.delta), self.K - 1)
+                    near = slice(max(cell - 1, 0), cell + 2)
+                    lacking = SPARE * (margin.need - margin.room)
+                    booked = self.rows.booking[names.index(margin.limit)]
+                    booked[near] = np.maximum(booked[near], lacking)
+                    some = True
+            reached = step.tube.end
+        return some
+
+    def _descend(self, mask: Mask) -> tuple[Mask, Candidate | None]:
         cost, path = self.path(mask)
         better = True
         while better and len(self.known) < PROGRAMS:
@@ -218,7 +268,7 @@ class Windows:
                     break
                 if len(self.known) >= PROGRAMS:
                     break
-        return cost, (mask, path)
+        return mask, path
 
     def _certified(self, path: Candidate) -> Plan:
         nu = path.z.reshape(self.K, -1) * self.asked.system.u_max
@@ -240,17 +290,8 @@ def followable(printed: Schedule) -> list[tuple[int, AffineController]]:
     return found
 
 
-def plans_in_view(printed: Schedule, worth: Worth) -> list[tuple[Plan, tuple[int, ...]]]:
-    """References with U in view, best first, each with the mode intended for every step."""
-    found: list[tuple[float, int, Plan, tuple[int, ...]]] = []
+def in_view(printed: Schedule, worth: Worth, prove: Prove) -> Iterator[Schedule]:
+    """Schedules along references with U in view, each proven by `prove`."""
     for mode, law in followable(printed):
-        try:
-            for cost, plan, mask in Windows(printed, law, mode, worth).plans():
-                found.append((cost, len(found), plan, tuple(np.where(mask, 0, mode).tolist())))
-        except (NotCertified, ScenarioError):
-            continue
-    found.sort(key=lambda item: item[:2])
-    distinct: dict[tuple[int, ...], Plan] = {}
-    for _, _, plan, modes in found:
-        distinct.setdefault(modes, plan)
-    return [(plan, modes) for modes, plan in distinct.items()][:KEPT]
+        with suppress(NotCertified, ScenarioError):
+            yield from Windows(printed, law, mode, worth).schedules(prove)

@@ -8,9 +8,10 @@ from dataclasses import replace
 from typing import Any
 
 from ..model.errors import SynthesisInfeasible
+from ..planning.problem import Plan
 from .controllers import Controller
 from .get_safety import Safety, get_safety
-from .in_view import Worth, plans_in_view
+from .in_view import Worth, in_view
 from .schedule import Schedule
 from .search import Branch, Search, SwitchingRules
 
@@ -77,16 +78,17 @@ def with_recourse(search: Search, printed: Schedule) -> Schedule:
     Each candidate passes both algorithms whole, and one that keeps the budget of velocity change is preferred
     to one that does not.
     """
-    worth = Worth.beside(printed, search.rules)
-    found = [printed]
-    for plan, intended in plans_in_view(printed, worth):
+    problem, begun = printed.safety.problem, time.perf_counter()
+
+    def prove(plan: Plan, intended: tuple[int, ...]) -> Schedule | None:
         try:
-            safety = get_safety(printed.safety.problem, along=plan)
+            safety = get_safety(problem, along=plan)
         except SynthesisInfeasible:
-            continue
+            return None
         laws = [law.along(safety.reference, safety.tracking) for law in printed.controllers[1:]]
         turns = (safety.controller, *laws)
-        found.append(switching_logic(replace(search, safety=safety, controllers=turns, intended=intended)))
-    best = max(found, key=worth)
-    seconds = printed.seconds | {"recourse": time.perf_counter() - search.begun - printed.seconds["schedule"]}
-    return replace(best, seconds=seconds)
+        return switching_logic(replace(search, safety=safety, controllers=turns, intended=intended))
+
+    worth = Worth.beside(printed, search.rules)
+    best = max([printed, *in_view(printed, worth, prove)], key=worth)
+    return replace(best, seconds=printed.seconds | {"recourse": time.perf_counter() - begun})
