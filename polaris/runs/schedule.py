@@ -87,7 +87,7 @@ def fly_schedule(scenario: ScheduleScenario, stages: Stages) -> FlownSchedule:
         experimental = scenario.controllers(safety)
     with stages.stage("schedule"):
         counting = stages.counting("schedule: step {} of {}")
-        schedule = synthesize(scenario, safety, experimental, progress=counting)
+        schedule = synthesize(scenario, safety, experimental, progress=counting, recourse=True)
     with stages.stage("simulation"):
         plan, counting = scenario.simulation, stages.counting("simulation: {} of {} runs")
         return FlownSchedule(schedule, compare(schedule, plan.runs, plan.seed, counting))

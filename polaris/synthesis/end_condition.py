@@ -48,7 +48,7 @@ def tail_length(tracking: Tracking) -> int:
     """Cells of one further period: the orbit's in Hill's frame, else the memory of the loop."""
     settle = int(np.ceil((tracking.memory + 1) / tracking.feedback.nodes_per_cell)) + 1
     eta = tracking.system.mean_motion
-    if eta is None or not _in_hills_frame(tracking.system):
+    if eta is None or not in_hills_frame(tracking.system):
         return settle
     return max(int(np.ceil(2 * np.pi / eta / tracking.delta)), settle)
 
@@ -76,7 +76,7 @@ def coast(planned: Reference, tail: int) -> tuple[Reference, Array]:
 def natural_motion(planned: Reference, x: Array) -> tuple[Array, str]:
     """The nearest state whose unforced motion closes (Hill's frame) or rests (any other system)."""
     system = planned.system
-    if _in_hills_frame(system):
+    if in_hills_frame(system):
         assert system.mean_motion is not None
         closed = x.copy()
         closed[4] = -2 * system.mean_motion * x[0]
@@ -87,7 +87,7 @@ def natural_motion(planned: Reference, x: Array) -> tuple[Array, str]:
     return np.asarray(null.T @ (null @ x)), "at rest"
 
 
-def _in_hills_frame(system: LinearSystem) -> bool:
+def in_hills_frame(system: LinearSystem) -> bool:
     """Whether the free motion is Clohessy-Wiltshire's (not merely said to be)."""
     eta = system.mean_motion
     return eta is not None and system.n == 6 and np.array_equal(system.A, cw_matrix(eta))
@@ -98,7 +98,7 @@ def _stays(system: LinearSystem, x: Array) -> bool:
 
     A state that rests only to rounding drifts, however slowly; nothing books that drift.
     """
-    return _in_hills_frame(system) or not np.any(system.A @ x)
+    return in_hills_frame(system) or not np.any(system.A @ x)
 
 
 def judge_end(

@@ -208,7 +208,8 @@ class Windows:
                 found.append((self.path(mask)[0], len(found), mask, self.search.guide))
                 self.search.guide = guide
         found.sort(key=lambda item: item[:2])
-        distinct = {(mask.tobytes(), round(cost, 9)): (mask, guide) for cost, _, mask, guide in reversed(found)}
+        found.reverse()
+        distinct = {(mask.tobytes(), round(cost, 9)): (mask, guide) for cost, _, mask, guide in found}
         kept = sorted(distinct.items(), key=lambda item: (item[0][1], item[0][0]))
         return [start for (_, cost), start in kept[:STARTS] if np.isfinite(cost)]
 

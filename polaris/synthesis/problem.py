@@ -19,6 +19,8 @@ from ..planning.problem import Objective, PlannerOptions
 RECOVERABLE_KINDS = ("polytope", "time_varying_ball", "ball", "paper_ball")
 
 RECOURSE = ("in_view", "none")
+GOAL_SHARE = 0.05
+"""Share of the goal's size within which it counts as reached, unless a length is given."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +43,9 @@ class Problem:
         LQR weights of the tracker, matrices or diagonals.
     goal : Goal
         Where the reference must end.
+    goal_tolerance : float or None
+        Length [m], in the goal's own scaling, within which the goal counts as reached; None for a share
+        of its size.
     recoverable : {"polytope", "time_varying_ball", "ball", "paper_ball"}
         Kind of recoverable set, from the widest to the printed one, which proves nothing.
     recourse : {"none", "in_view"}
@@ -72,6 +77,7 @@ class Problem:
     Q: ArrayLike
     R: ArrayLike
     goal: Goal
+    goal_tolerance: float | None = None
     recoverable: str = "polytope"
     recourse: str = "none"
     period: float | None = None
@@ -103,6 +109,9 @@ class Problem:
             )
         if not isinstance(self.planner, PlannerOptions):
             raise ScenarioError("planner", type(self.planner).__name__, "must be PlannerOptions")
+        if self.goal_tolerance is None:
+            object.__setattr__(self, "goal_tolerance", GOAL_SHARE * self.goal.conditions.scale)
+        positive("goal.tolerance_m", self.goal_tolerance, "m")
         non_negative("extra_margin", self.extra_margin, "m")
         if not 0 <= number("thrust_reserve", self.thrust_reserve) < 1:
             raise ScenarioError("thrust_reserve", self.thrust_reserve, "must be in [0, 1)")

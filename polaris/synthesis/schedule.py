@@ -14,6 +14,7 @@ from reach.sets.zonotope import Zonotope
 from ..certificate.assumptions import assumptions
 from ..model.satellite import SatelliteObstacle
 from ..model.system import Array
+from .arrival import Arrival, arrival
 from .controllers import Controller, TubeSegment
 from .get_safety import Safety
 from .recoverable import Margin
@@ -89,6 +90,11 @@ class Schedule:
     def delta_v(self) -> tuple[float, float]:
         """Velocity change until T [m/s]: along the middle of the tubes, and proven never to be exceeded."""
         return of_schedule(self)
+
+    @cached_property
+    def arrival(self) -> Arrival:
+        """Whether and by when the goal is proven reached."""
+        return arrival(self)
 
     def share(self, mode: int | None = None) -> float:
         """Share of time under one mode; without one, under any experimental controller."""

@@ -22,11 +22,12 @@ def synthesize(
     experimental: Sequence[Controller] | None = None,
     rules: SwitchingRules | None = None,
     progress: Callable[[int, int], None] | None = None,
+    recourse: bool | None = None,
 ) -> Schedule:
     """The switching schedule, proven before the flight: Algorithm 2, and the reference that makes most of it.
 
-    Where the safety controller is not given and the problem asks for recourse, the reference may be planned
-    with U in view; the printed algorithms are one candidate among others (see `with_recourse`).
+    With recourse the reference may be planned with U in view; the printed algorithms' schedule is then one
+    candidate among others (see `with_recourse`).
 
     Parameters
     ----------
@@ -40,6 +41,9 @@ def synthesize(
         A scenario brings its own.
     progress : callable, optional
         Called with (step, steps), once per step.
+    recourse : bool, optional
+        Whether another reference than that of `safety` may be flown, if the problem asks for recourse; by
+        default where no `safety` is given.
 
     Returns
     -------
@@ -52,11 +56,11 @@ def synthesize(
     """
     if isinstance(scenario, Safety):
         safety, scenario = scenario, scenario.problem
-    alone = safety is not None
+    recourse = safety is None if recourse is None else recourse
     safety = get_safety(scenario) if safety is None else safety
     search = Search.over(scenario, safety, experimental, rules, progress)
     printed = switching_logic(search)
-    return printed if alone or safety.problem.recourse == "none" else with_recourse(search, printed)
+    return with_recourse(search, printed) if recourse and safety.problem.recourse != "none" else printed
 
 
 def switching_logic(search: Search) -> Schedule:

@@ -1,0 +1,125 @@
+"""The goal as a claim: when every flight is proven to be within a tolerance of it, or how far off."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..model.system import Array
+from ..model.tolerances import ROUNDING
+from ..planning.goal import GoalConditions
+from .clearance import error_tube
+from .end_condition import in_hills_frame
+
+if TYPE_CHECKING:
+    from .problem import Problem
+    from .schedule import Schedule
+
+SOON = 0.25
+"""Share of the horizon in which a velocity error has become the length that it counts for."""
+
+
+@dataclass(frozen=True)
+class Arrival:
+    """What is proven of the goal, S flying from T on.
+
+    Lengths are the goal's own: each of its conditions is scaled so that what is missing is in metres
+    (`polaris.planning.goal.GoalConditions`), but a velocity counts for no more than the length it makes in a
+    quarter of the horizon.
+
+    Attributes
+    ----------
+    reached : {True, False, "not_proven"}
+        Whether every admissible flight meets the goal's conditions, within the tolerance, at `by`; False if
+        not even the middle of the tube ever does.
+    by : float or None
+        When [s].
+    distance : float
+        Bound [m] on how far a flight may be from the goal at `by`, or at its best where that is not proven.
+    tolerance : float
+        What counts as reached [m].
+    drift : float or None
+        Bound [m] on the secular drift per orbit at that time; None outside Hill's frame.
+    delta_v : float
+        Velocity change until then [m/s], at most.
+    """
+
+    reached: bool | str
+    by: float | None
+    distance: float
+    tolerance: float
+    drift: float | None
+    delta_v: float
+
+
+def arrival(schedule: Schedule) -> Arrival:
+    """What is proven of the goal at the nodes from T on, under S, until the end of the coasting tail."""
+    safety = schedule.safety
+    problem, tracking, reference = safety.problem, safety.tracking, safety.reference
+    goal, K, h = problem.goal.conditions, problem.K, tracking.flow.h
+    rows = np.vstack([goal.E, -goal.E, goal.G, *(-N for N, _ in goal.one_of)])
+    sides = np.concatenate([goal.e, -goal.e, goal.g, *(-c for _, c in goal.one_of)])
+    weight = _weights(problem, rows)
+    rows, sides = rows * weight[:, None], sides * weight
+    every, sums = _needs(schedule, rows)
+    cells = reference.fine(tracking.feedback.nodes_per_cell)[K:]
+    states = np.concatenate([reference.chi[K][None], *(cell[1:] for cell in cells)])
+    need = every[np.minimum(np.arange(len(states)), len(every) - 1)]
+    middle = states @ rows.T - sides
+    most = _distance(goal, middle + need + ROUNDING * (np.abs(states) @ np.abs(rows).T + np.abs(sides)))
+    within = np.flatnonzero(most <= problem.goal_tolerance)
+    best = int(within[0]) if len(within) else int(np.argmin(most))
+    near = bool(np.min(_distance(goal, middle)) <= problem.goal_tolerance)
+    return Arrival(
+        reached=True if len(within) else "not_proven" if near else False,
+        by=K * problem.delta + best * h if len(within) else None,
+        distance=float(most[best]),
+        tolerance=problem.goal_tolerance,
+        drift=_drift(schedule, states[best], best),
+        delta_v=(schedule.delta_v[1] + sums[min(best, len(sums) - 1)]) * (1 + ROUNDING),
+    )
+
+
+def _weights(problem: Problem, rows: Array) -> Array:
+    """Weights of the goal's rows: a velocity counts as the length it makes in `SOON` of the horizon."""
+    length = np.linalg.norm(rows, axis=1)
+    velocity = np.all(rows @ problem.system.position.T == 0, axis=1) & (length > 0)
+    rate = np.divide(1.0, length, out=np.ones(len(rows)), where=velocity)
+    soon = 1 / (SOON * problem.K * problem.delta)
+    return np.where(velocity, np.minimum(rate / soon, 1.0), 1.0)
+
+
+def _needs(schedule: Schedule, rows: Array) -> tuple[Array, Array]:
+    """What S's error needs along rows at every node after T (L, r), and its velocity change by then (L,)."""
+    safety, gain = schedule.safety, schedule.safety.tracking.gain
+    both = np.vstack([rows, gain, -gain])
+    need = error_tube(safety.tracking, schedule.final, both).need
+    need = need + safety.clearance.jump_need(both) + safety.clearance.round_off(both)
+    along, thrust = need[:, : len(rows)], need[:, len(rows) :]
+    m = len(gain)
+    spent = np.minimum(np.maximum(thrust[:, :m], thrust[:, m:]), safety.problem.system.u_max).sum(axis=1)
+    sums = np.cumsum(np.maximum(spent[:-1], spent[1:])) * safety.tracking.flow.h / safety.problem.system.mass
+    return along, np.r_[0.0, sums]
+
+
+def _distance(goal: GoalConditions, over: Array) -> Array:
+    """Largest excess over the goal's conditions [m], given that of every row, shape (nodes,)."""
+    fixed = 2 * len(goal.E) + len(goal.G)
+    worst = np.max(over[:, :fixed], axis=1, initial=0.0)
+    first = fixed
+    for N, _ in goal.one_of:
+        worst = np.maximum(worst, over[:, first : first + len(N)].min(axis=1))
+        first += len(N)
+    return np.asarray(worst)
+
+
+def _drift(schedule: Schedule, x: Array, node: int) -> float | None:
+    """Bound on the along-track drift per orbit, ``6 pi |2 x + v_y / eta|``, at a node after T [m]."""
+    system = schedule.safety.problem.system
+    if not in_hills_frame(system) or system.mean_motion is None:
+        return None
+    row = np.array([[2.0, 0.0, 0.0, 0.0, 1 / system.mean_motion, 0.0]])
+    need = _needs(schedule, np.vstack([row, -row]))[0]
+    return float(6 * np.pi * (np.abs(row @ x).max() + need[min(node, len(need) - 1)].max()) * (1 + ROUNDING))
