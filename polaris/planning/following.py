@@ -89,10 +89,14 @@ class FollowingSearch(PathSearch):
         parts = np.abs(self._own @ path.z - self._free)
         return np.asarray(parts.reshape(self.rows.problem.K, -1).max(axis=1))
 
-    def best(self, start: Mapping[Key, int] | None = None) -> Candidate | None:
+    def best(self, start: Mapping[Key, int]) -> Candidate | None:
         """A path that keeps every clearance, on the guide's side of everything; None if none is found."""
-        path = self.dive(start or {})
-        if path is None or path.short > 0:
+        path = self.dive(start)
+        return path if path is not None and path.short == 0 else None
+
+    def improved(self, path: Candidate | None) -> Candidate | None:
+        """The same with facets chosen anew where it has most room, whatever the guide, while it pays."""
+        if path is None:
             return None
         guide, self.guide = self.guide, None
         path = self.improve(path, rounds=2)

@@ -10,7 +10,7 @@ reference will do for Theorem 2, and each candidate passes both algorithms whole
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from ..model.errors import NotCertified, PolarisError, ScenarioError
 from ..model.system import Array
 from ..planning.following import Followed, FollowingSearch
-from ..planning.problem import Plan
+from ..planning.problem import IN_VIEW, Plan
 from ..planning.recheck import certified
 from ..planning.rows import Key, Rows
 from ..planning.search import Candidate, Levels, Seen
@@ -46,8 +46,10 @@ SHORT = 1e4
 """Price of a lacking length, beside that of fuel."""
 PROGRAMS = 120
 """Most windows tried from each start."""
-STARTS, ROUNDS = 3, 3
+STARTS, ATTEMPTS = 3, 4
 """Sets of windows that are improved, and attempts to prove each."""
+WORSE = 10.0
+"""How much more a step counts by which a schedule is worse than the printed one."""
 SPARE = 1.3
 """By how much more than was lacking the clearance is raised from one attempt to the next."""
 
@@ -65,22 +67,31 @@ class Worth:
         Weights, prices and budget.
     scale : float
         Velocity change of S alone [m/s], the unit of the price of velocity change.
+    share, delta_v : float
+        Share of the time under U and velocity change [m/s] of the printed algorithms' schedule. Less of the
+        one or more of the other is worth `WORSE` times as much less: it is hardly ever preferred.
     """
 
     rules: SwitchingRules
     scale: float
+    share: float
+    delta_v: float
 
     @classmethod
     def beside(cls, printed: Schedule, rules: SwitchingRules) -> Worth:
         """Worth of the schedules of one scene, in units of what S alone would spend there."""
         problem = printed.safety.problem
         most = problem.K * problem.delta * float(problem.system.u_max.sum()) / problem.system.mass
-        return cls(rules, max(printed.safety.plan.delta_v, 1e-3 * most))
+        scale = max(printed.safety.plan.delta_v, 1e-3 * most)
+        return cls(rules, scale, printed.share(), printed.delta_v[0])
 
-    def of(self, time: float, delta_v: float, switches: int) -> float:
-        """Worth of a weighted share of the time, a velocity change [m/s] and a number of switches."""
-        price = self.rules.delta_v_price * delta_v / self.scale
-        return time - price - self.rules.switch_price * switches
+    def of(self, shares: Mapping[int, float], delta_v: float, switches: int) -> float:
+        """Worth of shares of the time by mode, a velocity change [m/s] and a number of switches."""
+        time = sum(self.weight(mode) * share for mode, share in shares.items())
+        price = self.rules.delta_v_price * delta_v / self.scale + self.rules.switch_price * switches
+        less = max(self.share - sum(share for mode, share in shares.items() if mode), 0.0)
+        more = max(delta_v - self.delta_v, 0.0) / self.scale
+        return time - price - WORSE * (less + more)
 
     def weight(self, mode: int) -> float:
         """Worth of a step under one mode."""
@@ -89,10 +100,18 @@ class Worth:
 
     def __call__(self, schedule: Schedule) -> tuple[bool, float]:
         """Whether a schedule keeps the budget of velocity change, and what it is worth."""
-        time = float(np.mean([self.weight(mode) for mode in schedule.modes.tolist()]))
+        shares = {mode: schedule.share(mode) for mode in range(len(schedule.controllers))}
         delta_v, most = schedule.delta_v
         within = self.rules.delta_v_max is None or most <= self.rules.delta_v_max
-        return within, self.of(time, delta_v, schedule.switches)
+        return within, self.of(shares, delta_v, schedule.switches)
+
+    def allows(self, mask: Mask) -> bool:
+        """Whether S may fly just these steps, by the dwell time and the cap on switches."""
+        edges = np.r_[0, np.flatnonzero(np.diff(mask)) + 1, len(mask)]
+        switches = len(edges) - 2
+        cap = self.rules.max_switches
+        spent = switches + (not mask[-1] and switches > 0)
+        return bool(np.all(np.diff(edges)[:-1] >= self.rules.min_dwell)) and (cap is None or spent <= cap)
 
 
 def windows(mask: Mask) -> list[tuple[int, int]]:
@@ -172,14 +191,14 @@ class Windows:
     def path(self, mask: Mask) -> tuple[float, Candidate | None]:
         """Cost of the cheapest path found that departs from U's in these windows alone, and the path."""
         key = mask.tobytes()
+        if key not in self.known and not self.worth.allows(mask):
+            return np.inf, None
         if key not in self.known:
             self._priced(np.where(mask, 0.0, np.inf))
-            found, cost = self.search.best(), np.inf
+            found, cost = self.search.best({}), np.inf
             if found is not None:
-                switches = int(np.count_nonzero(np.diff(mask)))
-                cost = -self.worth.of(
-                    self.worth.weight(self.mode) * (1.0 - float(mask.mean())), found.fuel, switches
-                )
+                switches, s = int(np.count_nonzero(np.diff(mask))), float(mask.mean())
+                cost = -self.worth.of({0: s, self.mode: 1.0 - s}, found.fuel, switches)
             self.known[key] = cost, found
         return self.known[key]
 
@@ -199,7 +218,7 @@ class Windows:
             self.search.guide = guide
             for price in STICKING:
                 self._priced(np.full(self.K, price * self.unit))
-                path = self.search.best(choice)
+                path = self.search.improved(self.search.best(choice))
                 if path is None:
                     continue
                 mask = (self.search.departures(path) > DEPARTS) & ~self.closing & ~self.limited
@@ -216,27 +235,28 @@ class Windows:
     def schedules(self, prove: Prove) -> Iterator[Schedule]:
         """What is proven along the best path from every start.
 
-        Where U turns out to need more clearance than the path keeps, it is planned again with that much more.
+        Where U turns out to need more clearance than the path keeps, it is planned again with that much more;
+        where S had to fly all the same, with those steps free to it.
         """
         tried = set()
         for mask, guide in self.starts():
             self.search.guide, self.known = guide, {}
-            mask, path = self._descend(mask)
+            mask = self._descend(mask)
             if mask.tobytes() in tried:
                 continue
             tried.add(mask.tobytes())
-            intended = tuple(np.where(mask, 0, self.mode).tolist())
-            for _ in range(ROUNDS):
-                if path is None:
-                    break
-                schedule = prove(self._certified(path), intended)
+            for attempt in range(ATTEMPTS):
+                path = self.search.improved(self.path(mask)[1])
+                intended = tuple(np.where(mask, 0, self.mode).tolist())
+                schedule = prove(self._certified(path), intended) if path is not None else None
                 if schedule is None:
                     break
                 yield schedule
                 if not self._booked(schedule, intended):
                     break
                 self.known = {}
-                path = self.path(mask)[1]
+                if attempt >= ATTEMPTS // 2:
+                    mask = mask | (schedule.modes == 0)
 
     def _booked(self, schedule: Schedule, intended: tuple[int, ...]) -> bool:
         """Book the clearance that U lacked where it was meant to fly; whether there was any to book."""
@@ -257,24 +277,24 @@ class Windows:
             reached = step.tube.end
         return some
 
-    def _descend(self, mask: Mask) -> tuple[Mask, Candidate | None]:
-        cost, path = self.path(mask)
+    def _descend(self, mask: Mask) -> Mask:
+        cost = self.path(mask)[0]
         better = True
         while better and len(self.known) < PROGRAMS:
             better = False
             for other in neighbours(mask):
-                found, its = self.path(other)
+                found = self.path(other)[0]
                 if found < cost - 1e-9:
-                    cost, mask, path, better = found, other, its, True
+                    cost, mask, better = found, other, True
                     break
                 if len(self.known) >= PROGRAMS:
                     break
-        return mask, path
+        return mask
 
     def _certified(self, path: Candidate) -> Plan:
         nu = path.z.reshape(self.K, -1) * self.asked.system.u_max
         none = np.zeros((len(self.asked.unsafe), self.K))
-        return certified(self.asked, nu, none, path.fuel, 0.0, "found")
+        return certified(self.asked, nu, none, path.fuel, -np.inf, IN_VIEW)
 
 
 def followable(printed: Schedule) -> list[tuple[int, AffineController]]:

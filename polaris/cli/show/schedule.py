@@ -54,6 +54,7 @@ def _planned(plan: Mapping[str, Any]) -> str:
     gap = "" if plan["gap"] is None else f" with a gap of {plan['gap']:.2g}"
     ended = {
         "optimal": "optimal",
+        "in_view": "with U in view",
         "effort_limit": f"stopped at the limit of its effort{gap}",
         "time_limit": f"stopped by the clock{gap}",
     }[plan["status"]]
