@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from .problem import Problem
     from .schedule import Schedule
 
+GOAL_SHARE = 0.05
+"""Share of the goal's size within which it counts as reached, where no length is given."""
 SOON = 0.25
 """Share of the horizon in which a velocity error has become the length that it counts for."""
 
@@ -39,7 +41,8 @@ class Arrival:
     distance : float
         Bound [m] on how far a flight may be from the goal at `by`, or at its best where that is not proven.
     tolerance : float
-        What counts as reached [m].
+        What counts as reached [m]: as given, else `GOAL_SHARE` of the goal's size, or what S needs to hold a
+        goal, if that is more.
     drift : float or None
         Bound [m] on the secular drift per orbit at that time; None outside Hill's frame.
     delta_v : float
@@ -69,14 +72,17 @@ def arrival(schedule: Schedule) -> Arrival:
     need = every[np.minimum(np.arange(len(states)), len(every) - 1)]
     middle = states @ rows.T - sides
     most = _distance(goal, middle + need + ROUNDING * (np.abs(states) @ np.abs(rows).T + np.abs(sides)))
-    within = np.flatnonzero(most <= problem.goal_tolerance)
+    tolerance = problem.goal_tolerance
+    if tolerance is None:
+        tolerance = max(GOAL_SHARE * goal.scale, float(every[-1].max()) * (1 + GOAL_SHARE))
+    within = np.flatnonzero(most <= tolerance)
     best = int(within[0]) if len(within) else int(np.argmin(most))
-    near = bool(np.min(_distance(goal, middle)) <= problem.goal_tolerance)
+    near = bool(np.min(_distance(goal, middle)) <= tolerance)
     return Arrival(
         reached=True if len(within) else "not_proven" if near else False,
         by=K * problem.delta + best * h if len(within) else None,
         distance=float(most[best]),
-        tolerance=problem.goal_tolerance,
+        tolerance=tolerance,
         drift=_drift(schedule, states[best], best),
         delta_v=(schedule.delta_v[1] + sums[min(best, len(sums) - 1)]) * (1 + ROUNDING),
     )

@@ -70,12 +70,15 @@ class Worth:
     share, delta_v : float
         Share of the time under U and velocity change [m/s] of the printed algorithms' schedule. Less of the
         one or more of the other is worth `WORSE` times as much less: it is hardly ever preferred.
+    until : float
+        Instant [s] until which the printed one is proven safe.
     """
 
     rules: SwitchingRules
     scale: float
     share: float
     delta_v: float
+    until: float
 
     @classmethod
     def beside(cls, printed: Schedule, rules: SwitchingRules) -> Worth:
@@ -83,7 +86,7 @@ class Worth:
         problem = printed.safety.problem
         most = problem.K * problem.delta * float(problem.system.u_max.sum()) / problem.system.mass
         scale = max(printed.safety.plan.delta_v, 1e-3 * most)
-        return cls(rules, scale, printed.share(), printed.delta_v[0])
+        return cls(rules, scale, printed.share(), printed.delta_v[0], printed.safety.end.until)
 
     def of(self, shares: Mapping[int, float], delta_v: float, switches: int) -> float:
         """Worth of shares of the time by mode, a velocity change [m/s] and a number of switches."""
@@ -98,12 +101,13 @@ class Worth:
         weights = self.rules.weights
         return 0.0 if mode == 0 else weights[mode - 1] if mode <= len(weights) else 1.0
 
-    def __call__(self, schedule: Schedule) -> tuple[bool, float]:
-        """Whether a schedule keeps the budget of velocity change, and what it is worth."""
+    def __call__(self, schedule: Schedule) -> tuple[bool, bool, bool, float]:
+        """Whether a schedule is safe for as long as the printed one, in the goal, and in budget; its worth."""
         shares = {mode: schedule.share(mode) for mode in range(len(schedule.controllers))}
         delta_v, most = schedule.delta_v
         within = self.rules.delta_v_max is None or most <= self.rules.delta_v_max
-        return within, self.of(shares, delta_v, schedule.switches)
+        lasts = schedule.safety.end.until >= self.until
+        return lasts, schedule.arrival.reached is True, within, self.of(shares, delta_v, schedule.switches)
 
     def allows(self, mask: Mask) -> bool:
         """Whether S may fly just these steps, by the dwell time and the cap on switches."""

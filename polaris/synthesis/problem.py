@@ -19,8 +19,6 @@ from ..planning.problem import Objective, PlannerOptions
 RECOVERABLE_KINDS = ("polytope", "time_varying_ball", "ball", "paper_ball")
 
 RECOURSE = ("in_view", "none")
-GOAL_SHARE = 0.05
-"""Share of the goal's size within which it counts as reached, unless a length is given."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,8 +42,8 @@ class Problem:
     goal : Goal
         Where the reference must end.
     goal_tolerance : float or None
-        Length [m], in the goal's own scaling, within which the goal counts as reached; None for a share
-        of its size.
+        Length [m], in the goal's own scaling, within which the goal counts as reached; None for what
+        `polaris.synthesis.arrival.Arrival` says.
     recoverable : {"polytope", "time_varying_ball", "ball", "paper_ball"}
         Kind of recoverable set, from the widest to the printed one, which proves nothing.
     recourse : {"none", "in_view"}
@@ -109,9 +107,8 @@ class Problem:
             )
         if not isinstance(self.planner, PlannerOptions):
             raise ScenarioError("planner", type(self.planner).__name__, "must be PlannerOptions")
-        if self.goal_tolerance is None:
-            object.__setattr__(self, "goal_tolerance", GOAL_SHARE * self.goal.conditions.scale)
-        positive("goal.tolerance_m", self.goal_tolerance, "m")
+        if self.goal_tolerance is not None:
+            positive("goal.tolerance_m", self.goal_tolerance, "m")
         non_negative("extra_margin", self.extra_margin, "m")
         if not 0 <= number("thrust_reserve", self.thrust_reserve) < 1:
             raise ScenarioError("thrust_reserve", self.thrust_reserve, "must be in [0, 1)")
