@@ -102,7 +102,7 @@ class Worth:
         return 0.0 if mode == 0 else weights[mode - 1] if mode <= len(weights) else 1.0
 
     def __call__(self, schedule: Schedule) -> tuple[bool, bool, bool, float]:
-        """Whether a schedule is safe for as long as the printed one, in the goal, and in budget; its worth."""
+        """Whether a schedule is as long safe as the printed one, in the goal, and in budget; and its worth."""
         shares = {mode: schedule.share(mode) for mode in range(len(schedule.controllers))}
         delta_v, most = schedule.delta_v
         within = self.rules.delta_v_max is None or most <= self.rules.delta_v_max

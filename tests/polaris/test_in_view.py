@@ -1,0 +1,206 @@
+"""References planned with U in view, and what is claimed of the goal and of the velocity change."""
+
+from dataclasses import replace
+from functools import cache
+from time import perf_counter
+
+import numpy as np
+import pytest
+
+from polaris.model.errors import PolarisError, ScenarioError
+from polaris.planning.following import Followed, FollowingSearch
+from polaris.planning.rows import Rows
+from polaris.scenario.scenario import load_scenario
+from polaris.simulation.simulate import simulate
+from polaris.synthesis.arrival import _distance, _weights
+from polaris.synthesis.in_view import Windows, Worth, followable, in_windows, neighbours, windows
+from polaris.synthesis.search import SwitchingRules
+from polaris.synthesis.synthesize import synthesize
+
+from .random_scenarios import synthesised as random_schedule
+from .tiny import TINY, synthesised
+
+CHANGED = (37, 41, 65, 68)
+"""Random scenes whose printed schedule is given up for one with U in view."""
+
+
+@cache
+def printed():
+    scenario = load_scenario(TINY, ["recoverable.recourse=none"])
+    return scenario, synthesize(scenario)
+
+
+@cache
+def random_pair(seed, folder):
+    scenario, schedule = random_schedule(seed, folder)
+    return scenario, schedule, synthesize(scenario.with_assignments(["recoverable.recourse=none"]))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("in_view")
+
+
+# -- the path -------------------------------------------------------------------------------------
+
+
+def test_a_followed_path_is_that_of_the_law():
+    _, schedule = printed()
+    _, law = followable(schedule)[0]
+    window = Windows(schedule, law, 1, Worth.beside(schedule, SwitchingRules()))
+    followed = Followed.of(law.system, law.powers[-1], law.own)
+    own = law.own
+    # On the law's own reference the constant input is the reference's own.
+    assert np.allclose(own.chi[: own.cells] @ followed.F.T + followed.f, own.nu, atol=1e-9)
+    rows = Rows(window.asked)
+    search = FollowingSearch(rows, perf_counter() + 60, followed)
+    K = rows.problem.K
+    free = window.closing | window.limited
+    assert not free.all()
+    search.set_prices_of_departure(np.where(free, 0.0, np.inf))
+    path = search.solve({})
+    assert path is not None
+    departures = search.departures(path)
+    assert departures[~free].max() < 1e-6
+    seen = search.look(path)
+    nu = path.z.reshape(K, -1) * law.system.u_max
+    expected = seen.states[:K] @ followed.F.T + followed.f
+    assert np.abs(nu - expected)[~free].max() < 1e-6 * law.system.u_max.max()
+    search.set_prices_of_departure(np.zeros(K))
+    assert search.solve({}).fuel <= path.fuel + 1e-9, "what is free is no dearer"
+
+
+def test_windows_and_their_neighbours():
+    mask = in_windows([(2, 5), (9, 10)], 12)
+    assert windows(mask) == [(2, 5), (9, 10)]
+    found = {other.tobytes() for other in neighbours(mask)}
+    for parts in ([(3, 5), (9, 10)], [(2, 5)], [(2, 10)], [(2, 5), (8, 9)], [(1, 4), (9, 10)]):
+        assert in_windows(parts, 12).tobytes() in found
+    assert windows(np.zeros(4, dtype=bool)) == []
+
+
+def test_dwell_and_cap_are_kept_by_the_windows():
+    _, schedule = printed()
+    rules = SwitchingRules(min_dwell=3, max_switches=3)
+    worth = Worth.beside(schedule, rules)
+    assert worth.allows(in_windows([(4, 7)], 12))
+    assert not worth.allows(in_windows([(4, 6)], 12)), "S keeps control for less than the dwell time"
+    assert not worth.allows(in_windows([(2, 6)], 12)), "so does U"
+    assert not worth.allows(in_windows([(3, 6), (9, 12)], 18)), "four switches, and one for the return"
+    assert worth.allows(in_windows([], 12))
+
+
+# -- the choice -------------------------------------------------------------------------------------
+
+
+def test_without_recourse_the_printed_algorithms_are_kept():
+    scenario, schedule = printed()
+    again = synthesize(scenario, schedule.safety, schedule.controllers[1:])
+    assert again.modes.tolist() == schedule.modes.tolist()
+    assert "recourse" not in schedule.seconds
+
+
+@pytest.mark.parametrize("seed", CHANGED)
+def test_with_u_in_view_nothing_is_lost(seed, folder):
+    _, schedule, before = random_pair(seed, folder)
+    assert not np.array_equal(schedule.safety.reference.chi, before.safety.reference.chi)
+    assert schedule.guarantee == before.guarantee == "proved"
+    assert schedule.safety.end.until >= before.safety.end.until
+    assert schedule.share() >= before.share()
+    assert schedule.delta_v[0] <= before.delta_v[0]
+    assert schedule.margins[schedule.modes > 0].min(initial=1.0) >= 0
+
+
+@pytest.mark.slow
+def test_with_u_in_view_nothing_is_lost_in_many_scenes(folder):
+    kept = changed = 0
+    for seed in range(150):
+        try:
+            _, schedule, before = random_pair(seed, folder)
+        except PolarisError:
+            continue
+        if before.guarantee != "proved":
+            continue
+        kept += schedule.share() >= before.share() and schedule.delta_v[0] <= before.delta_v[0] + 1e-12
+        changed += not np.array_equal(schedule.safety.reference.chi, before.safety.reference.chi)
+        assert schedule.safety.end.until >= before.safety.end.until
+    assert changed >= 15
+    assert kept >= 0.95 * 80
+
+
+def test_the_same_scenario_gives_the_same_schedule(folder):
+    _, schedule, _ = random_pair(CHANGED[0], folder)
+    _, again = random_schedule(CHANGED[0], folder)
+    assert np.array_equal(schedule.modes, again.modes)
+    assert np.array_equal(schedule.safety.reference.chi, again.safety.reference.chi)
+
+
+def test_a_budget_comes_first():
+    scenario, schedule = printed()
+    free, tight = (
+        Worth.beside(schedule, SwitchingRules(delta_v_max=most)) for most in (None, schedule.delta_v[1] / 2)
+    )
+    assert free(schedule)[2] and not tight(schedule)[2]
+    assert scenario.switching_rules().delta_v_max is None
+
+
+@pytest.mark.parametrize(
+    "rules", [{"delta_v_price": -1.0}, {"switch_price": np.nan}, {"delta_v_max": 0.0}], ids=str
+)
+def test_prices_that_make_no_sense_are_refused(rules):
+    with pytest.raises(ScenarioError, match="schedule"):
+        SwitchingRules(**rules)
+
+
+# -- the claims ---------------------------------------------------------------------------------------
+
+
+def flights(schedule, n=60):
+    return simulate(schedule, n, 3, tail=schedule.safety.reference.cells > schedule.safety.problem.K)
+
+
+def check_claims(schedule):
+    """Every flight keeps the bound on the velocity change and is as near to the goal as is claimed."""
+    problem, found = schedule.safety.problem, schedule.arrival
+    middle, most = schedule.delta_v
+    assert middle <= most
+    alone = simulate(schedule, 60, 3)
+    assert alone.delta_v.max() <= most * (1 + 1e-9)
+    runs = flights(schedule)
+    if found.by is None:
+        return False
+    node = round(found.by / schedule.safety.tracking.flow.h)
+    goal = problem.goal.conditions
+    rows = np.vstack([goal.E, -goal.E, goal.G, *(-N for N, _ in goal.one_of)])
+    sides = np.concatenate([goal.e, -goal.e, goal.g, *(-c for _, c in goal.one_of)])
+    weight = _weights(problem, rows)
+    off = _distance(goal, (runs.states[:, node] @ rows.T - sides) * weight)
+    assert off.max() <= found.distance <= found.tolerance
+    assert runs.delta_v.max() >= alone.delta_v.max() - 1e-12
+    return True
+
+
+@pytest.mark.parametrize("seed", CHANGED)
+def test_no_flight_breaks_what_is_claimed(seed, folder):
+    check_claims(random_pair(seed, folder)[1])
+
+
+def test_the_goal_of_the_small_scene_is_reached():
+    _, schedule = synthesised()
+    assert check_claims(schedule)
+    assert schedule.arrival.reached is True
+    assert schedule.arrival.delta_v >= schedule.delta_v[1]
+
+
+def test_a_goal_that_is_too_narrow_is_not_claimed():
+    scenario, schedule = synthesised()
+    narrow = replace(scenario.problem(), goal_tolerance=1e-9)
+    found = synthesize(narrow, experimental=[])
+    assert found.arrival.reached == "not_proven"
+    assert found.arrival.by is None and found.arrival.distance > 1e-9
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["static", "dynamic", "keep_out", "hold_point", "robot"])
+def test_the_bundled_scenes_keep_their_claims(name):
+    assert check_claims(synthesize(load_scenario(name)))
