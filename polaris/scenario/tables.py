@@ -263,7 +263,7 @@ class Schedule(ScenarioPart):
         "-",
         "Share of the horizon under an experimental controller that is given up for a velocity change as "
         "large as the safety controller's alone.",
-        default=0.1,
+        default=0.06,
     )
     switch_price: NonNegative = unit(
         "-",

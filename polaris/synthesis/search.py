@@ -56,7 +56,7 @@ class SwitchingRules:
     max_switches: int | None = None
     weights: tuple[float, ...] = ()
     beam: int = 1
-    delta_v_price: float = 0.1
+    delta_v_price: float = 0.06
     switch_price: float = 0.005
     delta_v_max: float | None = None
 
