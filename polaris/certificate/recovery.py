@@ -7,7 +7,8 @@ from functools import cached_property
 
 from flint import arb, arb_mat
 
-from .balls import above, absolute, beside, largest, matrix, plain, require, row_of, sums
+from .balls import above, absolute, beside, largest, plain, require, row_of, sums
+from .document import Document
 from .limits import Limits, Target
 from .loop import Needs
 from .verdict import Rejected
@@ -16,52 +17,30 @@ from .zonotopes import Zonotope
 
 @dataclass(frozen=True, eq=False)
 class Recovery:
-    """Limits against needs.
+    """Limits, reduced by the jump at the start of the tail, against needs along their rows."""
 
-    Parameters
-    ----------
-    limits : Limits
-        Reduced by the jump at the start of the tail.
-    needs : Needs
-        Along the rows of the limits.
-    q : int
-        Periods per step.
-    planned : int
-        Number of steps before the tail.
-    delta : float
-        Step [s], for messages.
-    forever : bool
-        Whether the tail repeats: then all of it lies ahead of every set.
-    stored : int
-        Number of steps that the certificate stores: shares of the room refer to their limits.
-    """
-
+    document: Document
     limits: Limits
     needs: Needs
-    q: int
-    planned: int
-    delta: float
-    forever: bool
-    stored: int
 
     @property
     def nodes(self) -> int:
         """Number of the last node."""
-        return self.q * len(self.limits.targets)
+        return self.document.q * len(self.limits.targets)
 
     def time(self, step: int, node: int) -> str:
         """Time of a node after the start of a step, for messages."""
-        return f"{(step + node / self.q) * self.delta:.6g} s"
+        return f"{(step + node / self.document.q) * self.document.delta:.6g} s"
 
     def lags(self, step: int) -> int:
         """Number of periods after the start of a step that are looked at one by one."""
-        return min(self.needs.memory.periods, self.nodes - step * self.q)
+        return min(self.needs.memory.periods, self.nodes - step * self.document.q)
 
     @cached_property
     def _least(self) -> list[dict[int, Target]]:
         """For every cell the limit of least room, by row, among those of that cell and all later ones."""
         found: list[dict[int, Target]] = [{}]
-        for nodes in reversed(self.limits.targets[: self.stored]):
+        for nodes in reversed(self.limits.targets[: self.document.cells]):
             least = dict(found[-1])
             for target in (target for met in nodes for target in met):
                 if target.row not in least or not least[target.row].room <= target.room:
@@ -71,25 +50,16 @@ class Recovery:
 
     def _far_cell(self, step: int) -> int:
         """First cell whose limits lie beyond the memory, seen from the start of a step."""
-        first = step + self.needs.memory.periods // self.q
-        return min(first, self.planned if self.forever else self.stored)
+        doc = self.document
+        most = doc.steps if doc.horizon == "infinite" else doc.cells  # all of a tail that repeats lies ahead
+        return min(step + self.needs.memory.periods // doc.q, most)
 
     def check_sets(self, reached: dict[int, Zonotope], margins: dict[int, float]) -> float:
         """Check that each set is recoverable, and inside by the share of the room that is claimed.
 
-        A bound from the extents of the set comes first; only where it does not do, the exact support.
-
-        Parameters
-        ----------
-        reached : dict of int to Zonotope
-            Set of errors at the start of a step.
-        margins : dict of int to float
-            Share of the room claimed to be left.
-
-        Returns
-        -------
-        float
-            The least share found where the exact support was needed; 1 if nowhere.
+        `reached` are sets of errors at the starts of steps, `margins` shares of the room claimed to be left.
+        A bound from the extents of the set comes first; only where it does not do, the exact support. Returns
+        the least share found where that was needed; 1 if nowhere.
         """
         steps = sorted(reached)
         sizes = beside(*(reached[k].size() for k in steps))
@@ -102,7 +72,7 @@ class Recovery:
             share = max(margins.get(k, 0.0), 0.0)
             close: dict[tuple[int, int], list[Target]] = {}
             for lag in range(self.lags(k) + 1):
-                for target in self.limits.at(k * self.q + lag, first=lag == 0):
+                for target in self.limits.at(k * self.document.q + lag, first=lag == 0):
                     room = target.room - self.needs.disturbed[lag][target.row]
                     if not room - coarse[lag][target.row, place] >= self._of(share, k, lag) * target.whole:
                         close.setdefault((lag, target.row), []).append(target)
@@ -114,7 +84,7 @@ class Recovery:
 
     def _of(self, share: float, step: int, lag: int) -> float:
         """The share claimed of limits some periods after the start of a step: none of those flown on to."""
-        return share if step * self.q + lag <= self.stored * self.q else 0.0
+        return share if step * self.document.q + lag <= self.document.cells * self.document.q else 0.0
 
     def _check_late(self, k: int, z: Zonotope, share: float) -> None:
         """The share claimed at a set is left of all limits beyond the memory, too."""
@@ -136,19 +106,15 @@ class Recovery:
     def _check_close(
         self, k: int, z: Zonotope, close: dict[tuple[int, int], list[Target]], share: float
     ) -> float:
-        n, carried, worst = self.limits.rows.ncols(), self.needs.carried, 1.0
-        rows = matrix([[carried[lag][row, j] for j in range(n)] for lag, row in close], n)
-        size = z.size()
-        booked = above(*(row_of(self.needs.bend[lag], row) for lag, row in close)) * size
-        for (key, targets), support, extra in zip(
-            close.items(), z.support(rows), booked.entries(), strict=True
-        ):
-            lag, row = key
-            disturbance, of = self.needs.disturbed[lag][row], self._of(share, k, lag)
+        needs, worst = self.needs, 1.0
+        support = z.support(above(*(row_of(needs.carried[lag], row) for lag, row in close)))
+        booked = above(*(row_of(needs.bend[lag], row) for lag, row in close)) * z.size()
+        for ((lag, row), targets), most, extra in zip(close.items(), support, booked.entries(), strict=True):
+            disturbance, of = needs.disturbed[lag][row], self._of(share, k, lag)
             for target in targets:
-                need, room = support + extra + disturbance, target.room
+                need, room = most + extra + disturbance, target.room
                 if not room - need >= of * target.whole:  # the booked part can be had more exactly
-                    need = support + self.needs.booked(z, lag)[row] + disturbance
+                    need = most + needs.booked(z, lag)[row] + disturbance
                 where = f"the set at the start of step {k}, {target.name} at t = {self.time(k, lag)}"
                 where += " under the safety controller"
                 require("recoverable", room - need, f"{where}: needs {plain(need)} of {plain(room)}")
@@ -169,17 +135,11 @@ class Recovery:
                     require("recoverable", t.room - need[t.row], told)
 
     def check_balls(self, radii: list[float], inverse: arb_mat) -> None:
-        """Check that every error of a step's ball ``norm(V e, 2) <= radius`` is recoverable.
-
-        Raises
-        ------
-        Rejected
-            Naming the claim ``recoverable_sets``.
-        """
+        """Check that every error of a step's ball ``norm(V e, 2) <= radius`` is recoverable."""
         per = self.needs.per_norm(inverse)
         for k, radius in enumerate(radii):
             for lag in range(self.lags(k) + 1) if radius > 0 else ():
-                for t in self.limits.at(k * self.q + lag, first=lag == 0):
+                for t in self.limits.at(k * self.document.q + lag, first=lag == 0):
                     spare = t.room - self.needs.disturbed[lag][t.row] - per[lag][t.row] * radius
                     if not spare >= -MARGIN_SLACK * abs(t.room):
                         where = f"radius {radius:.6g} at {self.time(k, 0)}, {t.name} at {self.time(k, lag)}"

@@ -15,18 +15,10 @@ NOTHING = 1e-8
 
 @dataclass(frozen=True)
 class Zonotope:
-    """A zonotope.
+    """A zonotope."""
 
-    Parameters
-    ----------
-    c : arb_mat, shape (n, 1)
-        Centre.
-    G : arb_mat, shape (n, g)
-        Generators, one per column.
-    """
-
-    c: arb_mat
-    G: arb_mat
+    c: arb_mat  # centre, shape (n, 1)
+    G: arb_mat  # generators, one per column, shape (n, g)
 
     def image(self, M: arb_mat) -> Zonotope:
         """The set mapped by a matrix."""
@@ -81,18 +73,10 @@ class Zonotope:
 
 @dataclass
 class Merging:
-    """How many generators sets keep, and whether any had to be merged for that.
+    """How many generators sets keep, and whether any had to be merged for that."""
 
-    Parameters
-    ----------
-    order : int
-        Generators per dimension that are kept.
-    lossy : bool
-        Whether generators that count were merged: sets are smaller if more of them are kept.
-    """
-
-    order: int
-    lossy: bool = False
+    order: int  # generators per dimension that are kept
+    lossy: bool = False  # whether generators that count were merged: with more of them sets are smaller
 
     def reduced(self, z: Zonotope) -> Zonotope:
         """Enclosing set with few generators, see `Zonotope.reduced`."""
