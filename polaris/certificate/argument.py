@@ -10,11 +10,10 @@ from .balls import above, column, identity, largest, magnitude, matrix, plain, r
 from .document import Document, UnsafeSet
 from .flights import Flown, Pilot, fly
 from .lemma import Stated, check_norm_bounds
-from .limits import Barrier, Limits
 from .loop import Memory, Needs
-from .path import Arc, Path
+from .motion import Arc, Path
 from .plants import plant_of, within_limits
-from .recovery import Recovery
+from .recovery import Barrier, Limits, Recovery
 from .verdict import Record, Rejected
 from .zonotopes import Merging, Zonotope, widest
 

@@ -11,9 +11,8 @@ from flint import arb, arb_mat
 from . import balls
 from .balls import above, column, largest, matrix, plain, require, sums
 from .document import Law, Matrix
-from .limits import Barrier
-from .motion import Motion, Plant, Push
-from .path import Arc, Path
+from .motion import Arc, Motion, Path, Plant, Push
+from .recovery import Barrier
 from .verdict import Rejected
 from .zonotopes import Merging, Zonotope
 

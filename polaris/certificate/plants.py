@@ -16,13 +16,7 @@ MOST_BITS = 4096
 
 
 def plant_of(document: Document) -> Plant:
-    """Matrices with exact entries: in Hill's frame those of the mean motion, not their rounded values.
-
-    Raises
-    ------
-    Rejected
-        If the stored matrices of a frame of Hill are others.
-    """
+    """Matrices with exact entries: in Hill's frame those of the mean motion, not their rounded values."""
     A, B, D = matrix(document.A), matrix(document.B), matrix(document.D)
     if document.system_kind == "clohessy_wiltshire":
         exact = _hill(document)
@@ -38,13 +32,7 @@ def plant_of(document: Document) -> Plant:
 
 
 def within_limits(document: Document, inputs: list[list[float]], claim: str, whose: str) -> None:
-    """Inputs keep to the thrusters' limits.
-
-    Raises
-    ------
-    Rejected
-        Naming the claim.
-    """
+    """Inputs keep to the thrusters' limits."""
     for k, u in enumerate(inputs):
         for name, top, value in zip(document.input_names, document.u_max, u, strict=True):
             require(claim, arb(top) - abs(arb(value)), f"{name} of {whose} in step {k}")
@@ -54,22 +42,14 @@ def precision_for(document: Document) -> int:
     """Bits of the midpoints with which the reference can be followed to its end.
 
     Step by step every ball takes in the corners of the one before: its radius grows like the powers of
-    ``|e^{A delta}|``, and the bits that are lost to that are added.
-
-    Raises
-    ------
-    Undecided
-        If that would take more than `MOST_BITS`.
+    ``|e^{A delta}|``, and the bits that are lost to that are added, up to `MOST_BITS`.
     """
     plant = plant_of(document)
     step = magnitude(exponential(plant.A, arb(document.delta))[0])
-    grown, rest, power = identity(step.nrows()), document.cells, step
-    while rest:
-        grown, power, rest = (
-            magnitude(grown * power) if rest & 1 else grown,
-            magnitude(power * power),
-            rest // 2,
-        )
+    grown, power = identity(step.nrows()), step
+    for bit in reversed(f"{document.cells:b}"):
+        grown = magnitude(grown * power) if bit == "1" else grown
+        power = magnitude(power * power)
     most = largest(grown.entries())
     bits = float(most.log().mid()) / math.log(2) if most.is_finite() and most > 1 else 0.0
     if not (most.is_finite() and bits <= MOST_BITS):

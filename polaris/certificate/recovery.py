@@ -1,18 +1,118 @@
-"""Recoverability: from the set reached at a switch, the safety controller keeps to every limit to the end."""
+"""Recoverability: from the set reached at a switch, the safety controller keeps to every limit to the end.
+
+The limits are facets of unsafe sets, and the thrusters'.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 from flint import arb, arb_mat
 
-from .balls import above, absolute, beside, largest, plain, require, row_of, sums
+from .balls import above, absolute, beside, largest, magnitude, matrix, plain, require, row_of, sums
 from .document import Document
-from .limits import Limits, Target
 from .loop import Needs
+from .motion import Path
 from .verdict import Rejected
 from .zonotopes import Zonotope
+
+
+@dataclass(frozen=True)
+class Target:
+    """One limit at one node."""
+
+    row: int  # which of the rows
+    room: arb  # what there is for errors
+    name: str  # unsafe set or input
+    whole: arb  # the room before a jump of the reference took its part: what shares refer to
+
+
+@dataclass(frozen=True, eq=False)
+class Barrier:
+    """The separating facets of one cell."""
+
+    names: list[str]  # of the unsafe sets
+    rows: arb_mat  # -n C: an error e, about a path, is separate if row e is less than the path's room
+    offsets: list[tuple[arb, arb]]  # of the facets, at the start and the end of the cell
+
+    @classmethod
+    def of(cls, document: Document, position: arb_mat, cell: int, chosen: list[int]) -> Barrier:
+        """Some facets, one of every unsafe set, in a cell; beyond the last one sets are as at its end."""
+        facets = list(zip(document.unsafe, chosen, strict=True))
+        rows = _against([item.normals[f] for item, f in facets], position)
+        ends = [
+            (item.start[cell][f], item.end[cell][f]) if cell < document.cells else (item.end[-1][f],) * 2
+            for item, f in facets
+        ]
+        return cls([item.name for item, _ in facets], rows, [(arb(a), arb(b)) for a, b in ends])
+
+
+def _against(normals: list[list[float]], position: arb_mat) -> arb_mat:
+    """``-n C`` of some normals, maybe none."""
+    return -(matrix(normals) * position) if normals else arb_mat(0, position.ncols())
+
+
+@dataclass(frozen=True, eq=False)
+class Limits:
+    """Limits of every cell: distinct rows, and the room along them at the nodes."""
+
+    rows: arb_mat  # an error e keeps to a limit if row e <= room
+    targets: list[list[list[Target]]]  # [cell][node]; one that need not be met at a node is missing there
+
+    @classmethod
+    def of(cls, document: Document, path: Path, gain: arb_mat, chosen: list[list[int]]) -> Limits:
+        """Limits around a path, with one facet per cell and unsafe set."""
+        plant = path.plant
+        pairs = sorted({(o, f) for row in chosen for o, f in enumerate(row)})
+        index = {pair: i for i, pair in enumerate(pairs)}
+        facets = _against([document.unsafe[o].normals[f] for o, f in pairs], plant.C)
+        targets = []
+        for cell, arc in enumerate(path.arcs):
+            barrier = Barrier.of(document, plant.C, cell, chosen[cell])
+            thrust = sums(plant.u_max * 2, above(arc.u, -arc.u).entries())
+            inputs = [
+                Target(len(pairs) + j, room, name, room)
+                for j, (room, name) in enumerate(zip(thrust, document.input_names * 2, strict=True))
+            ]
+            nodes = []
+            for i, rooms in enumerate(arc.room(barrier.rows, barrier.offsets)):
+                met = [
+                    Target(index[o, f], room, barrier.names[o], room)
+                    for o, (f, room) in enumerate(zip(chosen[cell], rooms, strict=True))
+                ]
+                # A held input is renewed at the end of its period.
+                nodes.append(met + inputs if i < plant.q or not plant.sampled else met)
+            targets.append(nodes)
+        return cls(above(facets, gain, -gain), targets)
+
+    def less_jump(self, needs: Needs, path: Path) -> Limits:
+        """The same limits, the tail's reduced by what the jump at its start needs."""
+        size = magnitude(path.jump)
+        cost = [
+            ((magnitude(row) + bend) * size).entries()
+            for row, bend in zip(needs.carried, needs.bend, strict=True)
+        ]
+        share = largest(a / b for a, b in zip(size.entries(), needs.memory.z.entries(), strict=True))
+        late = [x * share for x in needs.forgotten]
+        targets = self.targets[: path.planned]
+        for tail, nodes in enumerate(self.targets[path.planned :]):
+            reduced = []
+            for i, met in enumerate(nodes):
+                lag = tail * path.plant.q + i
+                spent = cost[lag] if lag <= needs.memory.periods else late
+                reduced.append([replace(t, room=(t.room - spent[t.row]).lower()) for t in met])
+            targets.append(reduced)
+        return Limits(self.rows, targets)
+
+    def at(self, node: int, first: bool) -> list[Target]:
+        """Limits at a node of the grid: of the cell on its right and, unless it is the first, on its left."""
+        q = len(self.targets[0]) - 1
+        cell, place = divmod(node, q)
+        met = list(self.targets[cell][place]) if cell < len(self.targets) else []
+        if place == 0 and cell > 0 and not first:
+            met += self.targets[cell - 1][q]
+        return met
 
 
 @dataclass(frozen=True, eq=False)

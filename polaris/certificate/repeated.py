@@ -181,7 +181,7 @@ def switching_rules(scenario: dict[str, Any]) -> dict[str, Any]:
         "strategy": spec.get("strategy", "greedy"),
         "min_dwell": spec.get("min_dwell_steps", 1),
         "max_switches": spec.get("max_switches"),
-        "weights": [float(item.get("weight", 1.0)) for item in scenario["experimental"]],
+        "weights": [item.get("weight", 1.0) for item in scenario["experimental"]],
     }
     return rules | {key: spec[key] for key in ("beam",) if key in spec}
 
@@ -252,7 +252,7 @@ def check_gains(document: Document, scenario: dict[str, Any], path: Path) -> dic
     spec, n = scenario["tracking"], len(document.A)
     weight = spec.get("weight", "auto")
     along = [1.0] * n if isinstance(weight, str) else weight
-    named = [[float(along[i]) if i == j else 0.0 for j in range(n)] for i in range(n)]
+    named = [[along[i] if i == j else 0.0 for j in range(n)] for i in range(n)]
     expected = {
         "law": LAW,
         "system": {

@@ -9,7 +9,6 @@ from flint import arb, arb_mat, fmpq, fmpq_mat
 from .balls import absolute, column, exponential, exponential_over, magnitude, matrix, norms, require
 from .document import Document, UnsafeSet
 from .plants import plant_of
-from .structure import floats
 from .verdict import Rejected
 
 ROUNDED = 1e-9
@@ -32,11 +31,11 @@ class Satellite:
         plant = plant_of(document)
         self.A = plant.A
         self.rows = matrix(item.normals) * matrix(document.C)
-        self.state = column(floats(spec["state"]))
-        self.half = column(floats(spec["state_half_widths"]))
-        self.radius = [length * float(spec["radius_m"]) for length in norms(matrix(item.normals))]
+        self.state = column(spec["state"])
+        self.half = column(spec["state_half_widths"])
+        self.radius = [length * spec["radius_m"] for length in norms(matrix(item.normals))]
         self.pushes = [(plant.D, arb(document.w_max))]
-        thrust = float(spec.get("thrust_accel_max_m_s2", 0.0))
+        thrust = spec.get("thrust_accel_max_m_s2", 0.0)
         if thrust:
             self.pushes.append((_acceleration_input(document, item.name), arb(thrust)))
 
@@ -102,19 +101,14 @@ def _acceleration_input(document: Document, name: str) -> arb_mat:
     """How an acceleration of the position enters the state: E with ``C E = 0`` and ``C A E = I``.
 
     In rational arithmetic, on the stored matrices; in Hill's frame they tell nothing else than the exact.
-
-    Raises
-    ------
-    Rejected
-        If the position obeys no equation of second order.
+    `Rejected` if the position obeys no equation of second order.
     """
     n, d = len(document.A), len(document.C)
     A, C = _rational(document.A), _rational(document.C)
     velocity = C * A
     known = [*C.tolist(), *velocity.tolist()]
-    unit = [[fmpq(int(i == j)) for j in range(2 * d)] for i in range(2 * d)]
-    reduced, _ = fmpq_mat([[*row, *more] for row, more in zip(known, unit, strict=True)]).rref()
-    rows = reduced.tolist()
+    unit = [[int(i == j) for j in range(2 * d)] for i in range(2 * d)]
+    rows = fmpq_mat([[*row, *more] for row, more in zip(known, unit, strict=True)]).rref()[0].tolist()
     pivots = [next(j for j, x in enumerate(row) if x != 0) for row in rows]
     if max(pivots) >= n:
         raise Rejected("unsafe_sets", f"{name} has thrust, but the position of this system no acceleration")

@@ -204,16 +204,6 @@ def shown(value: Any, most: int = 80) -> str:
     return text if len(text) <= most else f"{text[: most - 3]}..."
 
 
-def floats(values: Any) -> list[float]:
-    """Numbers of a scenario, whole ones too, as floats."""
-    return [float(x) for x in values]
-
-
-def float_rows(rows: Any) -> list[list[float]]:
-    """Rows of such numbers."""
-    return [floats(row) for row in rows]
-
-
 def strict_json(data: bytes) -> Any:
     """Read JSON in which every key stands once and every number is finite; else raise `ValueError`.
 
