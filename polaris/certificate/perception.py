@@ -88,7 +88,7 @@ def _box_support(document: Document, item: UnsafeSet, spec: dict[str, Any], f: i
 
 
 def _ball_support(document: Document, item: UnsafeSet, spec: dict[str, Any], f: int) -> arb:
-    return _length([arb(x) for x in item.normals[f]]) * spec["radius_m"]
+    return _length([arb(x) for x in item.normals[f]]) * arb(spec["radius_m"])
 
 
 def _polytope_support(document: Document, item: UnsafeSet, spec: dict[str, Any], f: int) -> arb:

@@ -1,4 +1,4 @@
-"""What the numbers of a trace mean: axes of position, velocities, and the stamps of RTAEval's simulator."""
+"""What the numbers of a trace mean: axes, velocities, values between stamps, stamps of a simulator."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..model.distances import UNKNOWN
 from ..model.errors import ScenarioError
 from ..model.system import Array
 from .model import AgentTrace, Trace
-from .motion import rates
 
 
 @dataclass(frozen=True)
@@ -208,3 +208,52 @@ def restamp(trace: Trace) -> Trace:
 
 def _own(times: Array) -> Array:
     return np.asarray(np.r_[times[1:], 2 * times[-1] - times[-2]])
+
+
+# -- between stamps --------------------------------------------------------------------------------
+
+
+def between(stamps: Array, t: Array) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+    """Rows on either side of every time and how far it is from one to the other.
+
+    Times before the first stamp belong to the first row, those after the last to the last. Of rows with
+    the same stamp the last counts, unless both have the same stamps throughout: then rows are paired.
+
+    Returns
+    -------
+    tuple
+        Two arrays of int and one of shares in [0, 1), each (N,).
+    """
+    if np.array_equal(stamps, t):
+        same = np.arange(len(t))
+        return same, same, np.zeros(len(t))
+    left = np.clip(np.searchsorted(stamps, t, side="right") - 1, 0, len(stamps) - 1)
+    right = np.minimum(left + 1, len(stamps) - 1)
+    gap = stamps[right] - stamps[left]
+    share = np.divide(t - stamps[left], gap, out=np.zeros(len(t)), where=gap > 0)
+    share = np.clip(share, 0.0, 1.0)
+    return left, np.where(share > 0, right, left), share
+
+
+def interpolate(values: Array, rows: tuple[NDArray[np.int64], NDArray[np.int64], Array]) -> Array:
+    """Linear between stamps; values (M, ...), `rows` from `between`, result (N, ...)."""
+    left, right, share = rows
+    share = share.reshape(-1, *[1] * (values.ndim - 1))
+    return np.asarray(values[left] * (1 - share) + values[right] * share)
+
+
+def rates(stamps: Array, values: Array) -> Array | None:
+    """Rates of values (M, k) at their stamps: second-order differences, one-sided at the ends.
+
+    Of rows with the same stamp the last is used, and all of them get its rate.
+
+    Returns
+    -------
+    ndarray or None
+        Shape (M, k); None if there is only one instant.
+    """
+    last = np.r_[np.diff(stamps) > 0, True]
+    if last.sum() < 2:
+        return None
+    found = np.gradient(values[last], stamps[last], axis=0)
+    return np.asarray(found[np.cumsum(np.r_[False, last[:-1]])])

@@ -23,8 +23,9 @@ from polaris.traces import (
     parse_trace,
     restamp,
 )
-from polaris.traces.facets import facet_distance, facet_entry
-from polaris.traces.motion import between, interpolate, rates, weights
+from polaris.traces.placing import facet_distance, facet_entry
+from polaris.traces.results import weights
+from polaris.traces.settings import between, interpolate, rates
 
 from .traces import agent, entry, moving, trace
 
