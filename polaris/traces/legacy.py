@@ -16,7 +16,7 @@ import numpy as np
 from ..model.system import Array
 from ..runs.tables import strict
 from .model import SAFETY, UNTRUSTED, AgentTrace, AnySet, BallTrace, PointTrace, PolytopeTrace, Trace
-from .placing import place, turned, unit_rows
+from .placing import Faceted, place, unit_rows
 from .settings import DIFFERENCES, Heading, Velocity, find_dims, find_velocity, guess_heading
 
 NEVER = 1e20
@@ -154,11 +154,11 @@ class _Agent:
         held = replace(item, times=self.agent.times, A=A, b=b)
         p = self.agent.states[:, : self.d]
         distance = np.maximum(place(held, self.agent.times, self.d).signed_distance(p), 0.0)  # defect 7
-        H, offsets = unit_rows(held.A, held.b)
+        facets = Faceted(*unit_rows(held.A, held.b))
         lines = np.zeros_like(p)
         for i in np.flatnonzero(distance):
-            rows = turned(H, int(i))
-            slack = offsets[i] - rows @ p[i]
+            facet = facets.at(int(i))
+            rows, slack = facet.H, facet.b - facet.H @ p[i]
             free = np.full(len(slack), -1e30)
             lines[i] = daqp.solve(np.eye(self.d), np.zeros(self.d), rows, slack, free)[0]
         return np.asarray(distance), lines

@@ -42,7 +42,7 @@ class Swelling:
 
 @dataclass(frozen=True, eq=False)
 class Faceted:
-    """A polytope whose facets change otherwise than by moving along; as they are at every instant.
+    """A polytope ``H p <= b`` whose facets differ from sample to sample; as they are at every instant.
 
     Attributes
     ----------
@@ -54,16 +54,54 @@ class Faceted:
     b: Array
 
     def signed_distance(self, p: Array) -> Array:
-        """Distance [m] of positions (N, d), one per time."""
-        return facet_distance(self.H, self.b, p)
+        """Exact distance [m] of positions (N, d), one per time.
+
+        The same dual as in `polaris.model.shapes.Polytope.signed_distance`, over all sets of at most d
+        independent facets: which of them meet differs from sample to sample.
+        """
+        out = np.empty(len(p))
+        _, F, d = self.H.shape
+        sets = [np.array(list(combinations(range(F), s))) for s in range(2, min(F, d) + 1)]
+        shared = [_inverses(self.H, index) for index in sets] if len(self.H) == 1 else None
+        step = max(1, CHUNK // (F + sum(index.size for index in sets) * d))
+        for i in range(0, len(p), step):
+            part = slice(i, i + step)
+            rows = np.broadcast_to(self.H, (len(p), F, d))[part]
+            r = np.einsum("nfd,nd->nf", rows, p[part]) - self.b[part]
+            worst = r.max(axis=1)
+            outside = np.flatnonzero(worst > 0)
+            if outside.size:
+                inverses = shared or [_inverses(rows[outside], index) for index in sets]
+                pairs = zip(sets, inverses, strict=True)
+                square = [_square(inverse, r[outside][:, index]) for index, inverse in pairs]
+                worst[outside] = np.sqrt(np.maximum.reduce([worst[outside] ** 2, *square]))
+            out[part] = worst
+        return out
 
     def entry_time(self, p: Array, v: Array) -> Array:
-        """Seconds until straight rays enter."""
-        return facet_entry(self.H, self.b, p, v)
+        """Seconds until straight rays enter; in the coordinates ``H p`` all facets are the same."""
+        rows = np.broadcast_to(self.H, (len(p), *self.H.shape[1:]))
+        reach, rate = (np.einsum("nfd,nd->nf", rows, x) for x in (p, v))
+        return Polytope(np.eye(self.H.shape[1]), self.b).entry_time(reach, rate)
 
-    def at(self, i: int) -> Shape:
+    def at(self, i: int) -> Polytope:
         """The polytope at one time."""
-        return Polytope(turned(self.H, i), self.b[i])
+        return Polytope(self.H[i if len(self.H) > 1 else 0], self.b[i])
+
+
+def _inverses(H: Array, index: NDArray[np.int64]) -> Array:
+    """``(H_S H_S')^-1`` of sets S of facets, shape (n, C, s, s); nan where they are not independent."""
+    rows = H[:, index]
+    gram = rows @ np.swapaxes(rows, -1, -2)
+    fit = (np.linalg.eigvalsh(gram)[..., 0] > 1e-11)[..., None, None]
+    return np.where(fit, np.linalg.inv(np.where(fit, gram, np.eye(gram.shape[-1]))), np.nan)
+
+
+def _square(inverse: Array, r: Array) -> Array:
+    """Largest ``r_S' (H_S H_S')^-1 r_S`` with multipliers >= 0, shape (n,); r is (n, C, s)."""
+    multipliers = (inverse @ r[..., None])[..., 0]
+    value = np.sum(multipliers * r, axis=-1)
+    return np.asarray(np.where(np.all(multipliers >= 0, axis=-1), value, 0.0).max(axis=1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,16 +191,14 @@ def _moved(item: AnySet, centers: Array, t: Array) -> tuple[Array, Array]:
 
 def _place_polytope(item: PolytopeTrace, t: Array) -> Placed:
     H, b = unit_rows(item.A, item.b)
-    first = Polytope(H[0], b[0])
-    if first.depth < 0:
-        raise ScenarioError(
-            f"{item.where}.state_trace[0]", item.b[0].tolist(), "A p <= b must hold somewhere"
-        )
-    local = b[0] - H[0] @ first.middle
+    local = b[0] - H[0] @ Polytope(H[0], b[0]).middle
     centers = np.einsum("mdf,mf->md", np.linalg.pinv(H), b - local)
     centre, velocity = _moved(item, centers, t)
     rest = b - np.einsum("mfd,md->mf", H, centers)
-    _not_empty(item, H, rest)
+    for row in np.flatnonzero(rest.min(axis=1) < 0):  # most are cleared by the centre itself
+        if Faceted(H, rest).at(int(row)).depth < 0:
+            given = item.b[row].tolist()
+            raise ScenarioError(f"{item.where}.state_trace[{row}]", given, "A p <= b must hold somewhere")
     size = np.abs(b).max(axis=1) + np.abs(local).max()
     if len(H) == 1 and np.all(np.abs(rest - local).max(axis=1) <= ROUNDING * size):
         return Placed((Part(Polytope(H[0], local), centre, velocity),))
@@ -174,83 +210,8 @@ def _place_polytope(item: PolytopeTrace, t: Array) -> Placed:
     return Placed(tuple(Part(Faceted(H[k], rest[k]), centers[k], velocity) for k in sides))
 
 
-def _not_empty(item: PolytopeTrace, H: Array, rest: Array) -> None:
-    """Refuse a row that no point satisfies; most are cleared by the centre itself."""
-    for row in np.flatnonzero(rest.min(axis=1) < 0):
-        if Polytope(turned(H, int(row)), rest[row]).depth < 0:
-            given = item.b[row].tolist()
-            raise ScenarioError(f"{item.where}.state_trace[{row}]", given, "A p <= b must hold somewhere")
-
-
-# -- facets that differ from sample to sample ------------------------------------------------------
-
-
 def unit_rows(A: Array, b: Array) -> tuple[Array, Array]:
     """Rows ``A p <= b`` scaled to unit length; shapes (M or 1, F, d) and (M, F)."""
     peak = np.abs(A).max(axis=-1, keepdims=True)
     length = np.linalg.norm(A / peak, axis=-1, keepdims=True)
     return A / peak / length, b / (peak * length)[..., 0]
-
-
-def turned(H: Array, i: int) -> Array:
-    """Normals of sample i, which may be the same for all."""
-    return np.asarray(H[i if len(H) > 1 else 0])
-
-
-def facet_distance(H: Array, b: Array, p: Array) -> Array:
-    """Exact signed distance [m] of p (N, d) to ``H p <= b``, sample by sample, shape (N,).
-
-    Parameters
-    ----------
-    H : ndarray, shape (N or 1, F, d)
-        Unit rows.
-    b : ndarray, shape (N, F)
-
-    Notes
-    -----
-    The same dual as in `polaris.model.shapes.Polytope.signed_distance`, over all sets of at most d
-    independent facets: which of them meet differs from sample to sample.
-    """
-    out = np.empty(len(p))
-    _, F, d = H.shape
-    sets = [np.array(list(combinations(range(F), s))) for s in range(2, min(F, d) + 1)]
-    shared = [_inverses(H, index) for index in sets] if len(H) == 1 else None
-    step = max(1, CHUNK // (F + sum(index.size for index in sets) * d))
-    for i in range(0, len(p), step):
-        part = slice(i, i + step)
-        rows = np.broadcast_to(H, (len(p), F, d))[part]
-        r = np.einsum("nfd,nd->nf", rows, p[part]) - b[part]
-        worst = r.max(axis=1)
-        outside = np.flatnonzero(worst > 0)
-        if outside.size:
-            inverses = shared or [_inverses(rows[outside], index) for index in sets]
-            pairs = zip(sets, inverses, strict=True)
-            square = [_square(inverse, r[outside][:, index]) for index, inverse in pairs]
-            worst[outside] = np.sqrt(np.maximum.reduce([worst[outside] ** 2, *square]))
-        out[part] = worst
-    return out
-
-
-def _inverses(H: Array, index: NDArray[np.int64]) -> Array:
-    """``(H_S H_S')^-1`` of sets S of facets, shape (n, C, s, s); nan where they are not independent."""
-    rows = H[:, index]
-    gram = rows @ np.swapaxes(rows, -1, -2)
-    fit = (np.linalg.eigvalsh(gram)[..., 0] > 1e-11)[..., None, None]
-    return np.where(fit, np.linalg.inv(np.where(fit, gram, np.eye(gram.shape[-1]))), np.nan)
-
-
-def _square(inverse: Array, r: Array) -> Array:
-    """Largest ``r_S' (H_S H_S')^-1 r_S`` with multipliers >= 0, shape (n,); r is (n, C, s)."""
-    multipliers = (inverse @ r[..., None])[..., 0]
-    value = np.sum(multipliers * r, axis=-1)
-    return np.asarray(np.where(np.all(multipliers >= 0, axis=-1), value, 0.0).max(axis=1))
-
-
-def facet_entry(H: Array, b: Array, p: Array, v: Array) -> Array:
-    """Seconds until the rays p + s v enter ``H p <= b``, sample by sample, shape (N,).
-
-    Arguments as `facet_distance`. In the coordinates ``H p`` all facets are the same.
-    """
-    shape = (len(p), *H.shape[1:])
-    reach, rate = (np.einsum("nfd,nd->nf", np.broadcast_to(H, shape), x) for x in (p, v))
-    return Polytope(np.eye(H.shape[1]), b).entry_time(reach, rate)
