@@ -7,7 +7,7 @@ import io
 import math
 import re
 from collections.abc import Iterable
-from itertools import groupby
+from itertools import groupby, zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -177,13 +177,13 @@ ARITHMETIC = "arithmetic: in double precision, its round-off covered by booked t
 def switching_rules(scenario: dict[str, Any]) -> dict[str, Any]:
     """The rules as ``schedule.json`` repeats them; of the effort of the search, what the scenario gives."""
     spec = scenario.get("schedule", {})
-    rules = {
+    return {
         "strategy": spec.get("strategy", "greedy"),
         "min_dwell": spec.get("min_dwell_steps", 1),
         "max_switches": spec.get("max_switches"),
         "weights": [item.get("weight", 1.0) for item in scenario["experimental"]],
+        **{key: spec[key] for key in ("beam",) if key in spec},
     }
-    return rules | {key: spec[key] for key in ("beam",) if key in spec}
 
 
 def switches(modes: list[int]) -> int:
@@ -218,29 +218,18 @@ def check_reference(document: Document, path: Path) -> None:
     else:
         states, inputs = [f"x{i}" for i in range(n)], [f"u{i}" for i in range(m)]
     held: list[list[Any]] = [*document.inputs, [None] * m]
-    rows = [
-        [k * document.delta, *state, *u]
-        for k, (state, u) in enumerate(zip(document.states, held, strict=True))
-    ]
+    flown = enumerate(zip(document.states, held, strict=True))
+    rows = [[k * document.delta, *state, *u] for k, (state, u) in flown]
     _same_table("reference", path, [["t_s", *states, *inputs], *rows])
 
 
 def _same_table(claim: str, path: Path, rows: list[Iterable[Any]]) -> None:
     """A CSV file has exactly these rows, numbers in the shortest form that reads back exactly."""
     text = io.StringIO(newline="")
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerows([["" if item is None else item for item in row] for row in rows])
-    expected = text.getvalue().encode()
-    found = contents(path)
-    if found == expected:
-        return
-    lines, given = expected.split(b"\n"), found.split(b"\n")
-    for i, line in enumerate(lines):
-        if i >= len(given) or given[i] != line:
-            there = given[i] if i < len(given) else b""
-            told = f"{path.name}, line {i + 1}: {shown(line.decode())} in the certificate"
-            raise Rejected(claim, f"{told}, {shown(there.decode(errors='replace'))} in the run folder")
-    raise Rejected(claim, f"{path.name} goes on after {len(lines) - 1} lines")
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    lines, given = text.getvalue().encode().split(b"\n"), contents(path).split(b"\n")
+    for i, (line, there) in enumerate(zip_longest(lines, given), 1):
+        same(claim, f"{path.name}, line {i}", line, there)
 
 
 # -- gains ------------------------------------------------------------------------------------------

@@ -122,13 +122,7 @@ SCENARIO = {
 
 
 def check_keys(scenario: Any) -> None:
-    """Refuse a scenario with a key, a type or a number that the format does not have.
-
-    Raises
-    ------
-    Rejected
-        Naming the claim ``scenario``.
-    """
+    """Refuse a scenario with a key, a type or a number that the format does not have."""
     conform(scenario, SCENARIO, "scenario", "scenario.toml")
     if {"C", "position_states"} <= set(scenario["system"]):
         raise Rejected("scenario", "system gives both C and position_states")
