@@ -9,8 +9,8 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-from . import file_keys
 from .document import Document
+from .file_keys import SUMMARY as SUMMARY_KEYS
 from .files import LARGEST_SCENARIO, contents, found, sha256
 from .lemma import Stated
 from .repeated import check_gains, check_reference, check_schedule, limit_names, same, share, switches
@@ -109,7 +109,7 @@ def check_summary(
     (no run of S or of the schedule collides, S commands no more thrust than there is) and with one another.
     `claimed` is the guarantee as ``schedule.json`` repeats it.
     """
-    stored: dict[str, Any] = conform(strict_json(contents(path)), file_keys.SUMMARY, "summary", path.name)
+    stored: dict[str, Any] = conform(strict_json(contents(path)), SUMMARY_KEYS, "summary", path.name)
     synthesis, laws, K = stored["synthesis"], document.laws, document.steps
     # Those flown: S alone, the first experimental controller alone, the schedule.
     flown = {"polaris": ("polaris", document.modes), "safety": (laws[0].name, [0] * K)}

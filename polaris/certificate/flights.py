@@ -8,8 +8,19 @@ from functools import cached_property
 
 from flint import arb, arb_mat
 
-from . import balls
-from .balls import above, column, largest, matrix, plain, require, sums
+from .balls import (
+    above,
+    column,
+    diagonal,
+    identity,
+    largest,
+    matrix,
+    plain,
+    require,
+    row_sums,
+    smallest,
+    sums,
+)
 from .document import Law, Matrix
 from .motion import Arc, Motion, Path, Plant, Push
 from .recovery import Barrier
@@ -43,7 +54,7 @@ class Pilot:
         """Its loop with the gain of every input times a slope; unchanged without slopes."""
         key = tuple(slopes)
         if key not in self._loops:
-            self._loops[key] = self.plant.loop(balls.diagonal(key) * self.gain if key else self.gain)
+            self._loops[key] = self.plant.loop(diagonal(key) * self.gain if key else self.gain)
         return self._loops[key]
 
     @cached_property
@@ -139,7 +150,7 @@ def fly(
     under the safety controller, whose separation follows from recoverability.
     """
     n, base = start.c.nrows(), pilot.base(k, path)
-    rows, room = balls.identity(n), []
+    rows, room = identity(n), []
     heights, bows = base.heights(rows), base.bows(rows)
     if barrier is not None:
         rows, room = above(rows, barrier.rows), base.room(barrier.rows, barrier.offsets)
@@ -150,7 +161,7 @@ def fly(
         period = pilot.period(d, base.u, k, i)
         end, extra = period.ends(d), period.extra(rows, d)
         for place, z, more in ((i, d, extra[0]), (i + 1, end, extra[1])):
-            middle, spread = (rows * z.c).entries(), balls.row_sums(rows * z.G)
+            middle, spread = (rows * z.c).entries(), row_sums(rows * z.G)
             for axis in range(n):
                 at, room_for = heights[axis][place] + middle[axis], spread[axis] + more[axis] + bows[axis][i]
                 lows[axis].append(at - room_for)
@@ -165,7 +176,7 @@ def fly(
         if d.G.ncols() > 2 * merging.order * n:
             d = merging.reduced(d)
     leave = d.moved(base.nodes[-1] - path.starts[k + 1])
-    return Flown(leave, list(map(balls.smallest, lows)), list(map(largest, highs)))
+    return Flown(leave, list(map(smallest, lows)), list(map(largest, highs)))
 
 
 def _ranges(u: arb_mat, most: list[arb]) -> list[tuple[arb, arb]]:
@@ -203,7 +214,7 @@ def _clipped(pilot: Pilot, d: Zonotope, u: arb_mat, stored: list[float] | None) 
         # The clip less a line is piecewise affine: its extremes are at the ends and at the limits.
         places = [lo, hi, *(y for y in (-top, top) if lo < y < hi)]
         rests = [_clip(y, top) - slope * y for y in places]
-        middle_rest, band = _around(balls.smallest(rests), largest(rests))
+        middle_rest, band = _around(smallest(rests), largest(rests))
         known.append(slope * x + middle_rest - x)
         bands.append(band)
     return Period(pilot.loop(slopes), plant.B * column(known), Push.in_box(plant.B, bands))

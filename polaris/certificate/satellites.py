@@ -103,22 +103,17 @@ def _acceleration_input(document: Document, name: str) -> arb_mat:
     In rational arithmetic, on the stored matrices; in Hill's frame they tell nothing else than the exact.
     `Rejected` if the position obeys no equation of second order.
     """
-    n, d = len(document.A), len(document.C)
-    A, C = _rational(document.A), _rational(document.C)
+    d, A, C = len(document.C), _rational(document.A), _rational(document.C)
     velocity = C * A
-    known = [*C.tolist(), *velocity.tolist()]
-    unit = [[int(i == j) for j in range(2 * d)] for i in range(2 * d)]
-    rows = fmpq_mat([[*row, *more] for row, more in zip(known, unit, strict=True)]).rref()[0].tolist()
-    pivots = [next(j for j, x in enumerate(row) if x != 0) for row in rows]
-    if max(pivots) >= n:
+    known = fmpq_mat([*C.tolist(), *velocity.tolist()])
+    if known.rank() < 2 * d:
         raise Rejected("unsafe_sets", f"{name} has thrust, but the position of this system no acceleration")
-    if fmpq_mat([*known, *(velocity * A).tolist()]).rank() > 2 * d:
+    if fmpq_mat([*known.tolist(), *(velocity * A).tolist()]).rank() > 2 * d:
         told = "the acceleration of this system's position depends on more than position and rate"
         raise Rejected("unsafe_sets", f"{name} has thrust, but {told}")
-    E = [[arb(0)] * d for _ in range(n)]
-    for j, row in zip(pivots, rows, strict=True):
-        E[j] = [arb(x) for x in row[n + d :]]
-    return matrix(E)
+    # Any solution will do: what follows of the position depends on its products with C and C A only.
+    right_inverse = known.transpose() * (known * known.transpose()).inv()
+    return matrix([[arb(x) for x in row[d:]] for row in right_inverse.tolist()])
 
 
 def _rational(rows: list[list[float]]) -> fmpq_mat:

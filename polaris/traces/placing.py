@@ -42,16 +42,10 @@ class Swelling:
 
 @dataclass(frozen=True, eq=False)
 class Faceted:
-    """A polytope ``H p <= b`` whose facets differ from sample to sample; as they are at every instant.
+    """A polytope ``H p <= b`` whose facets differ from sample to sample; as they are at every instant."""
 
-    Attributes
-    ----------
-    H, b : ndarray, shapes (N or 1, F, d) and (N, F)
-        Unit rows.
-    """
-
-    H: Array
-    b: Array
+    H: Array  # unit rows, shape (N or 1, F, d)
+    b: Array  # shape (N, F)
 
     def signed_distance(self, p: Array) -> Array:
         """Exact distance [m] of positions (N, d), one per time.
@@ -106,19 +100,11 @@ def _square(inverse: Array, r: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """A convex set at N times.
+    """A convex set at N times."""
 
-    Attributes
-    ----------
-    body : Shape, Swelling or Faceted
-        The set relative to its centre; a shape does not change.
-    centre, velocity : ndarray, shapes (N, d)
-        [m] and [m/s]
-    """
-
-    body: Shape | Swelling | Faceted
-    centre: Array
-    velocity: Array
+    body: Shape | Swelling | Faceted  # relative to its centre; a shape does not change
+    centre: Array  # [m], shape (N, d)
+    velocity: Array  # [m/s], shape (N, d)
 
     @property
     def rigid(self) -> bool:
@@ -152,12 +138,7 @@ def place(item: AnySet, t: Array, d: int) -> Placed:
 
     Centres and sizes, and offsets of facets that do not turn, run linearly from stamp to stamp. Facets
     that turn are taken as they are at both stamps around. Before the first stamp and after the last the
-    set is at rest there.
-
-    Raises
-    ------
-    ScenarioError
-        If the set has fewer than d axes, is a polytope with more, or is empty.
+    set is at rest there. Refused are sets of fewer than d axes, polytopes of more, and empty ones.
     """
     if item.d < d or (item.d > d and isinstance(item, PolytopeTrace)):
         raise ScenarioError(f"{item.where}.state_trace[0]", f"{item.d} axes", f"must have {d} (see --dims)")

@@ -21,25 +21,13 @@ class Odd(ValueError):
 
 
 def table(where: str, rows: list[Any], flat: Callable[[Any], list[Any]]) -> Array:
-    """All rows as one array, shape (rows, columns).
-
-    Parameters
-    ----------
-    where : str
-        What messages call the list.
-    rows : list
-    flat : callable
-        Turns a row into a flat list, or raises `Odd`.
-    """
-    try:
-        flattened = [flat(row) for row in rows]
-    except Odd as error:
-        for i, row in enumerate(rows):
-            try:
-                flat(row)
-            except Odd:
-                raise ScenarioError(f"{where}[{i}]", row, str(error)) from None
-        raise
+    """All rows as one array, shape (rows, columns); `flat` turns a row into a flat list, or raises `Odd`."""
+    flattened: list[list[Any]] = []
+    for row in rows:
+        try:
+            flattened.append(flat(row))
+        except Odd as error:
+            raise ScenarioError(f"{where}[{len(flattened)}]", row, str(error)) from None
     return numbers(where, flattened, rows)
 
 
@@ -74,13 +62,7 @@ FORMS = {
 
 
 def set_trace(where: str, kind: Any, rows: list[Any], velocities: Any = None) -> AnySet:
-    """The stamped definitions of one unsafe set; velocities are read for a ball only.
-
-    Raises
-    ------
-    ScenarioError
-        If the kind is none of the four, or a row is not of its form.
-    """
+    """The stamped definitions of one unsafe set; velocities are read for a ball only."""
     if not isinstance(kind, str) or kind not in FORMS:
         raise ScenarioError(f"{where}.set_type", kind, f"must be one of {', '.join(FORMS)}")
     place = f"{where}.state_trace"
