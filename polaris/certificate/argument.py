@@ -104,11 +104,12 @@ class Argument:
                 off = abs(exact[i, 0] - state[i])
                 slack = arb(PATH_SLACK) * (size[i] if k else 0.0)
                 require("reference", slack - off, f"state {i} at the start of step {k} is {plain(off)} off")
-        for i, off in enumerate(magnitude(path.jump).entries()):
+        jump = magnitude(path.jump).entries()
+        for i, off in enumerate(jump):
             most = JUMP_SLACK * max(1.0, *size)
             require("reference", most - off, f"the tail starts {float(off):.6g} off state {i} reached at T")
         within_limits(doc, doc.inputs, "thrust", "the reference")
-        self.record.holds("reference", f"{doc.cells} steps, jump at T at most {_show(path.jump)}")
+        self.record.holds("reference", f"{doc.cells} steps, jump at T at most {float(largest(jump)):.3g}")
         return path
 
     def tubes(self, path: Path, merging: Merging) -> tuple[list[Zonotope], list[Flown]]:
@@ -257,7 +258,3 @@ class Argument:
             rate = self.plant.A * path.arcs[self.K].nodes[0] if tail else column([1])
             if any(not x.is_zero() for x in rate.entries()):
                 raise Rejected("end", "the reference does not come to rest exactly")
-
-
-def _show(v: arb_mat) -> str:
-    return f"{float(largest(magnitude(v).entries()).mid()):.3g}"

@@ -8,19 +8,7 @@ from functools import cached_property
 
 from flint import arb, arb_mat
 
-from .balls import (
-    above,
-    column,
-    diagonal,
-    identity,
-    largest,
-    matrix,
-    plain,
-    require,
-    row_sums,
-    smallest,
-    sums,
-)
+from .balls import above, column, diagonal, identity, largest, matrix, plain, require, smallest, sums
 from .document import Law, Matrix
 from .motion import Arc, Motion, Path, Plant, Push
 from .recovery import Barrier
@@ -161,7 +149,7 @@ def fly(
         period = pilot.period(d, base.u, k, i)
         end, extra = period.ends(d), period.extra(rows, d)
         for place, z, more in ((i, d, extra[0]), (i + 1, end, extra[1])):
-            middle, spread = (rows * z.c).entries(), row_sums(rows * z.G)
+            middle, spread = (rows * z.c).entries(), z.spread(rows)
             for axis in range(n):
                 at, room_for = heights[axis][place] + middle[axis], spread[axis] + more[axis] + bows[axis][i]
                 lows[axis].append(at - room_for)

@@ -7,7 +7,7 @@ from itertools import combinations, product
 
 from flint import arb, arb_mat
 
-from .balls import beside, column, cross, diagonal, dot, largest, magnitude, matrix, row_sums, smallest
+from .balls import beside, column, cross, diagonal, dot, largest, magnitude, matrix, row_sums, smallest, sums
 
 NOTHING = 1e-8
 """Share of a set's extent that generators may come to which are merged whatever their number."""
@@ -32,10 +32,13 @@ class Zonotope:
         """Minkowski sum with zonotopes about zero, given by their generators."""
         return Zonotope(self.c, beside(self.G, *generators))
 
+    def spread(self, rows: arb_mat) -> list[arb]:
+        """How far ``row x`` may be from its value at the centre."""
+        return row_sums(rows * self.G)
+
     def support(self, rows: arb_mat) -> list[arb]:
         """``max row x`` over the set, for every row."""
-        spread = row_sums(rows * self.G)
-        return [middle + most for middle, most in zip((rows * self.c).entries(), spread, strict=True)]
+        return sums((rows * self.c).entries(), self.spread(rows))
 
     def size(self) -> arb_mat:
         """Exact upper bound on ``|x_i|`` over the set, shape (n, 1)."""
