@@ -187,13 +187,11 @@ class Argument:
         limits = Limits.of(doc, path, self.gain, chosen)
         needs = Needs(self.loop, memory, limits.rows)
         recovery = Recovery(doc, limits.less_jump(needs, path), needs)
-        switches = {0, *(at for k, mode in enumerate(doc.modes) if mode > 0 for at in (k, k + 1))}
-        claimed = dict.fromkeys(switches, 0.0) | {0: self.stated.start_margin or 0.0}
+        claimed = {0: self.stated.start_margin or 0.0}
         for k, mode in enumerate(doc.modes):
-            if mode > 0:
-                for at in (k, k + 1):
-                    claimed[at] = max(claimed[at], doc.margins[k])
-        reached = {k: sets[k] for k in switches if k * doc.q < recovery.nodes}
+            for at in (k, k + 1) if mode > 0 else ():
+                claimed[at] = max(claimed.get(at, 0.0), doc.margins[k])
+        reached = {k: sets[k] for k in claimed if k * doc.q < recovery.nodes}
         least = recovery.check_sets(reached, claimed)
         recovery.check_far()
         ahead = f"{memory.periods} periods ahead and beyond, tightest share {least:.3g}"

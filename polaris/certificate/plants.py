@@ -6,7 +6,7 @@ import math
 
 from flint import arb, arb_mat
 
-from .balls import PRECISION, exponential, identity, largest, magnitude, matrix, require
+from .balls import PRECISION, exponential, largest, magnitude, matrix, require
 from .document import Document
 from .motion import Plant
 from .verdict import Rejected, Undecided
@@ -46,11 +46,7 @@ def precision_for(document: Document) -> int:
     """
     plant = plant_of(document)
     step = magnitude(exponential(plant.A, arb(document.delta))[0])
-    grown, power = identity(step.nrows()), step
-    for bit in reversed(f"{document.cells:b}"):
-        grown = magnitude(grown * power) if bit == "1" else grown
-        power = magnitude(power * power)
-    most = largest(grown.entries())
+    most = largest((step**document.cells).entries())
     bits = float(most.log().mid()) / math.log(2) if most.is_finite() and most > 1 else 0.0
     if not (most.is_finite() and bits <= MOST_BITS):
         raise Undecided("reference", f"it takes more than {MOST_BITS} bits to follow it to its end")
