@@ -16,16 +16,7 @@ from ..model.obstacles import BallObstacle, BoxObstacle
 from ..model.satellite import SatelliteObstacle
 from ..model.system import Array, LinearSystem
 from ..model.tolerances import TIME
-from .model import (
-    SAFETY,
-    UNTRUSTED,
-    AgentTrace,
-    AnySet,
-    BallTrace,
-    PolytopeTrace,
-    RectangleTrace,
-    Trace,
-)
+from .model import SAFETY, UNTRUSTED, AgentTrace, AnySet, BallTrace, PolytopeTrace, RectangleTrace, Trace
 
 
 @dataclass(frozen=True, eq=False)
