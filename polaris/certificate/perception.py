@@ -59,14 +59,14 @@ def _check_obstacle(document: Document, item: UnsafeSet, spec: dict[str, Any]) -
         _check_count(item, _directions(document, spec))
         Satellite(document, item, spec).check()
         return
-    d = len(document.C)
+    d, (facets, support) = len(document.C), RIGID[spec["kind"]]
     v, anchor = (spec.get(key) or [0.0] * d for key in ("velocity_m_s", "center_m"))
-    _check_count(item, RIGID[spec["kind"]](document, spec))
+    _check_count(item, facets(document, spec))
     if not any(v) and not item.resting:
         raise Rejected("unsafe_sets", f"{item.name} rests, but not in the certificate")
     for f, normal in enumerate(item.normals):
         n = [arb(x) for x in normal]
-        extent = _support(document, item, spec, f, n)
+        extent = support(document, item, spec, f)
         base, rate = extent + dot(n, anchor), dot(n, v)
         size, speed = abs(extent) + absolute_dot(n, anchor), absolute_dot(n, v)
         for cell in range(document.cells):
@@ -76,12 +76,15 @@ def _check_obstacle(document: Document, item: UnsafeSet, spec: dict[str, Any]) -
                 require("unsafe_sets", offset - (base + rate * t) + (size + speed * t) * ROUNDED, where)
 
 
-def _support(document: Document, item: UnsafeSet, spec: dict[str, Any], f: int, n: list[arb]) -> arb:
-    """Support of a rigid obstacle along facet f at t = 0, from its centre (from the origin without one)."""
-    if spec["kind"] == "box":
-        return dot(map(abs, n), spec["half_widths_m"])
-    if spec["kind"] == "ball":
-        return _length(n) * arb(spec["radius_m"])
+def _box_support(document: Document, item: UnsafeSet, spec: dict[str, Any], f: int) -> arb:
+    return dot([abs(arb(x)) for x in item.normals[f]], spec["half_widths_m"])
+
+
+def _ball_support(document: Document, item: UnsafeSet, spec: dict[str, Any], f: int) -> arb:
+    return _length([arb(x) for x in item.normals[f]]) * arb(spec["radius_m"])
+
+
+def _polytope_support(document: Document, item: UnsafeSet, spec: dict[str, Any], f: int) -> arb:
     most, moved = _row_support(document, item.normals[f], spec, f, item.name)
     return most + moved
 
@@ -97,12 +100,13 @@ def _directions(document: Document, spec: dict[str, Any]) -> int:
     return 2 if d == 1 else int(spec.get("facets") or {2: 12, 3: 26}[d])
 
 
-RIGID: dict[str, Callable[[Document, dict[str, Any]], int]] = {
-    "box": lambda document, spec: 2 * len(document.C),
-    "ball": _directions,
-    "polytope": lambda document, spec: len(spec["normals"]),
+RIGID: dict[str, tuple[Callable[[Document, dict[str, Any]], int], Callable[..., arb]]] = {
+    "box": (lambda document, spec: 2 * len(document.C), _box_support),
+    "ball": (_directions, _ball_support),
+    "polytope": (lambda document, spec: len(spec["normals"]), _polytope_support),
 }
-"""By kind of an obstacle that keeps its shape, how many facets it has; `_support` knows how far they are."""
+"""By kind of an obstacle that keeps its shape: how many facets it has, and its support along one of them,
+at t = 0 and from its centre (from the origin without one)."""
 
 
 def _length(n: list[arb]) -> arb:
