@@ -19,18 +19,22 @@ from ..scene.items import Item, Scene
 from ..scene.palette import BLACK, DARK_OLIVE, GREEN, GREY, LOOKS, OLIVE, ORANGE, RED, mode_colour, tint
 from ..scene.scene import describe
 from ..scene.unsafe import seconds
+from . import style
 from .closeups import LETTERS, draw_closeup
-from .style import DASHES, DOTS, GOAL_DASHES, LONG, WIDTH, draw_safe_path, keep_ticks, legend_above, shortened
+from .style import DASHES, DOTS, GOAL_DASHES, LONG, WIDTH, draw_safe_path, new_figure, shortened
 from .view import View
 
 
-def scene_figure(picture: Picture, new_figure: Any) -> Any:
-    """A figure of the scene with the close-ups it needs, no higher than they ask for."""
+def scene_figure(picture: Picture, new: Callable[[float], Any] = new_figure) -> Any:
+    """A figure of the scene with the close-ups it needs, no higher than they ask for.
+
+    `new` makes an empty figure of some height [in].
+    """
     scene = describe(picture)
     found = scene.closeups
     wide = 1 if len(found) == 1 else 2
     rows = -(-len(found) // wide)
-    figure = new_figure(3.0)
+    figure = new(3.0)
     # One close-up is as wide as the figure.
     panel = 1.15 if wide == 2 else 1.3
     heights = [3.0, *[panel] * rows]
@@ -46,22 +50,16 @@ def scene_figure(picture: Picture, new_figure: Any) -> Any:
     main = 2.9 / 3.5 * WIDTH * ((y1 - y0) / (x1 - x0) if ax.get_aspect() == 1.0 else 0.6)
     grid.set_height_ratios([main + 0.45 + top, *[panel + 0.75] * rows])
     figure.set_figheight(main + 0.58 + top + rows * (panel + 0.75))
-    keep_ticks(figure.axes)
+    style.keep_ticks(figure.axes)
     return figure
 
 
 def draw_scene(ax: Any, scene: Scene, lettered: bool = False) -> float:
     """Draw everything in the plane of motion; on the line, position over time. Height of the legend [in].
 
-    Parameters
-    ----------
-    ax : matplotlib axes
-    scene : Scene
-        In two axes.
-    lettered : bool
-        Whether close-ups are drawn beside it, in the order of their letters.
+    If `lettered`, close-ups are drawn beside it, in the order of their letters.
     """
-    view = View.of(scene)
+    view = View(scene)
     if scene.time_axis is None:
         ax.set_aspect("equal")
     ax.set(xlim=view.x, ylim=view.y, xlabel=scene.labels[0], ylabel=scene.labels[1])
@@ -79,7 +77,7 @@ def draw_scene(ax: Any, scene: Scene, lettered: bool = False) -> float:
         # Else an unsafe set round the target has its own name there.
         if np.all(np.array(near) > 0) and view.contains(np.zeros(2)):
             view.label(ax, "target", np.zeros((1, 2)), BLACK)
-    return legend_above(ax, handles, 2)
+    return style.legend_above(ax, handles, 2)
 
 
 # -- sets that are drawn lightly --------------------------------------------------------------------

@@ -12,10 +12,10 @@ from ..scene.geometry import Shape, closed, faces, gapped
 from ..scene.items import Item, Scene, by_mode
 from ..scene.palette import BLACK, GREEN, GREY, ORANGE, RED, mode_colour, tint
 from ..scene.scene import describe, over_time
-from .style import DASHES, DOTS, GOAL_DASHES, LONG, legend_rows
+from .style import DASHES, DOTS, GOAL_DASHES, LONG, legend_rows, new_figure
 
 
-def scene_3d_figure(picture: Picture, new_figure: Any) -> Any:
+def scene_3d_figure(picture: Picture) -> Any:
     """A figure of the scene in space."""
     space = picture.system.d == 3
     figure = new_figure(2.5 if space else 3.0)

@@ -126,17 +126,21 @@ def new_figure(height: float, width: float = WIDTH) -> Any:
     return Figure(figsize=(width, height), dpi=_STYLE["savefig.dpi"], layout="constrained")
 
 
-def save(figure: Any, folder: Path, name: str) -> tuple[Path, Path]:
-    """Write one figure as PDF and PNG with nothing in them that changes from run to run."""
-    pdf, png = folder / f"{name}.pdf", folder / f"{name}.png"
-    # The layout is solved once. As long as a figure has an engine, each format is drawn twice.
-    engine = figure.get_layout_engine()
-    if engine is not None:
-        engine.execute(figure)
-    figure.set_layout_engine(None)
-    figure.savefig(pdf, metadata={"CreationDate": None, "Creator": "polaris", "Producer": None})
-    figure.savefig(png, metadata={"Software": "polaris"})
-    return pdf, png
+def save_all(figures: Iterable[tuple[str, Any]], folder: Path) -> list[Path]:
+    """Draw and write named figures as PDF and PNG, with nothing in them that changes from run to run."""
+    paths: list[Path] = []
+    with printing():
+        for name, figure in figures:
+            # The layout is solved once. As long as a figure has an engine, each format is drawn twice.
+            engine = figure.get_layout_engine()
+            if engine is not None:
+                engine.execute(figure)
+            figure.set_layout_engine(None)
+            pdf, png = folder / f"{name}.pdf", folder / f"{name}.png"
+            figure.savefig(pdf, metadata={"CreationDate": None, "Creator": "polaris", "Producer": None})
+            figure.savefig(png, metadata={"Software": "polaris"})
+            paths += [pdf, png]
+    return paths
 
 
 def keep_ticks(axes: Iterable[Any]) -> None:

@@ -9,20 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...runs.picture import Picture
+from ..scene import palette
 from ..scene.geometry import stretches
-from ..scene.palette import (
-    BLACK,
-    GREY,
-    INPUT_SHADES,
-    PILOTS,
-    RED,
-    SET_SHADES,
-    input_labels,
-    mode_colour,
-    shades,
-    tint,
-)
-from .style import keep_ticks, legend_above, step_edges
+from ..scene.palette import BLACK, GREY, PILOTS, RED, mode_colour, shades, tint
+from .style import keep_ticks, legend_above, new_figure, step_edges
 
 INPUT_DASHES: tuple[Any, ...] = ("-", (0, (4, 1.2)), (0, (1.2, 1)))
 
@@ -34,7 +24,7 @@ FLOWN: dict[str, tuple[Any, float, float]] = {
 """Dashes, width and order of those that flew."""
 
 
-def distance_figure(picture: Picture, new_figure: Any) -> Any:
+def distance_figure(picture: Picture) -> Any:
     """Distance to the nearest unsafe set, and below it the input."""
     figure = new_figure(3.6)
     upper, lower = figure.subplots(2, 1, sharex=True)
@@ -72,7 +62,7 @@ def _distance(ax: Any, picture: Picture) -> None:
 def _input(ax: Any, picture: Picture) -> None:
     """Input under Polaris: nominal run, band over all runs, limits shaded."""
     flights, limit = picture.flights["polaris"], picture.system.u_max
-    label, names = input_labels(picture.system)
+    label, names = palette.input_labels(picture.system)
     same = bool(np.all(limit == limit[0]))
     scale, top = (np.ones_like(limit), float(limit[0])) if same else (limit, 1.0)
     handles = []
@@ -90,7 +80,7 @@ def _input(ax: Any, picture: Picture) -> None:
     legend_above(ax, handles, 3)
 
 
-def modes_figure(picture: Picture, new_figure: Any) -> Any:
+def modes_figure(picture: Picture) -> Any:
     """One row per controller: when it flies, and its share of the time."""
     rows = len(picture.controllers)
     figure = new_figure(0.6 + 0.28 * rows)
@@ -109,7 +99,7 @@ def modes_figure(picture: Picture, new_figure: Any) -> Any:
     return figure
 
 
-def margin_figure(picture: Picture, new_figure: Any) -> Any:
+def margin_figure(picture: Picture) -> Any:
     """The containment margin of every step, and below it what limits it."""
     from matplotlib.patches import Patch
 
@@ -126,7 +116,7 @@ def margin_figure(picture: Picture, new_figure: Any) -> Any:
     ax.axhline(0, color=BLACK, lw=0.6)
     names = np.array([limit_group(name) for name in picture.limits])
     place, height = floor - 0.17, 0.12
-    for wanted, ends in ((True, INPUT_SHADES), (False, SET_SHADES)):
+    for wanted, ends in ((True, palette.INPUT_SHADES), (False, palette.SET_SHADES)):
         own = [name for name in dict.fromkeys(names) if (name in picture.system.input_names) == wanted]
         for name, shade in zip(own, shades(ends, len(own)), strict=True):
             _bars(ax, picture, names == name, (place, height), shade)

@@ -10,35 +10,21 @@ from ...model.system import Array
 from ..scene.items import Scene
 from .style import text_width
 
+WIDTH = 2.8
+"""Of the axes [in]."""
+
 
 class View:
-    """A rectangle of the plane, and what is in it already.
+    """The rectangle that a scene in two axes shows, and what is in it already; a mute one has no names."""
 
-    Parameters
-    ----------
-    x, y : (float, float)
-        [m]
-    points : ndarray, shape (N, 2)
-        What names should not cover.
-    width : float
-        Of the axes [in].
-    """
-
-    def __init__(
-        self, x: tuple[float, float], y: tuple[float, float], points: Array, width: float = 2.8
-    ) -> None:
-        self.x, self.y, self.points, self.width = x, y, points, width
-        self.taken: list[tuple[float, float, float, float]] = []
-
-    @classmethod
-    def of(cls, scene: Scene, width: float = 2.8) -> View:
-        """What a scene in two axes shows."""
+    def __init__(self, scene: Scene, mute: bool = False) -> None:
         (x0, y0), (x1, y1) = scene.low.tolist(), scene.high.tolist()
-        flown = [scene.flown(key) for key in scene.picture.flights]
+        self.x, self.y, self.mute = (x0, x1), (y0, y1), mute
+        flown = [path for key in scene.picture.flights if (path := scene.flown(key)) is not None]
         drawn = [item.shape.points for item in scene.of("reference", "tail") if item.shape]
-        return cls(
-            (x0, x1), (y0, y1), np.vstack([*drawn, *(path for path in flown if path is not None)]), width
-        )
+        self.points = np.vstack([*drawn, *flown])
+        """What names should not cover, shape (N, 2)."""
+        self.taken: list[tuple[float, float, float, float]] = []
 
     @property
     def aspect(self) -> float:
@@ -65,7 +51,7 @@ class View:
         """What one inch of these axes is along x and y, in their units."""
         # On paper, one scale serves both axes or they have a shape of their own.
         shape = self.aspect if ax.get_aspect() == 1.0 else 0.6
-        return np.array([self.x[1] - self.x[0], (self.y[1] - self.y[0]) / shape]) / self.width
+        return np.array([self.x[1] - self.x[0], (self.y[1] - self.y[0]) / shape]) / WIDTH
 
     def clip(self, outline: Array) -> Array:
         """Cut an outline to the view."""
@@ -77,6 +63,8 @@ class View:
 
     def label(self, ax: Any, text: str, outline: Array, colour: str) -> None:
         """Write a name beside an outline, or into it if it is large, where fewest lines pass."""
+        if self.mute:
+            return
         from matplotlib.patheffects import withStroke
 
         per_inch = self.inch(ax)

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from .html import badge, items
-from .numbers import escaped
+from .tables import badge, escaped, items
 
 NOT_PROVEN = (
     "That the schedule reaches the goal. The reference does; the flight need not, as long as U is used.",
@@ -30,9 +29,7 @@ def reach(claim: Mapping[str, Any]) -> str:
 def guarantee(claim: Mapping[str, Any], recoverable: str) -> str:
     """The section of an ordinary run folder, from ``summary.json``."""
     if claim["kind"] != "proved":
-        return "\n".join(
-            [loud(recoverable), "<h3>What is not proven</h3>", items(("Anything.", *NOT_PROVEN[:2]))]
-        )
+        return f"{loud(recoverable)}\n{_part('What is not proven', items(('Anything.', *NOT_PROVEN[:2])))}"
     what = (
         "From every state of the initial set, under every admissible disturbance, and whatever the "
         "experimental controllers do within their declared models, the spacecraft under the schedule enters "
@@ -40,16 +37,25 @@ def guarantee(claim: Mapping[str, Any], recoverable: str) -> str:
         "there is."
     )
     after = "" if claim.get("horizon") == "infinite" else " Beyond that time nothing is claimed."
-    return "\n".join(
-        [
-            f"<p>{badge('proved')}</p>",
-            f"<h3>What is proven</h3><p>{what}</p>",
-            f"<h3>How far it reaches</h3><p>Safe {escaped(reach(claim))}. The reason: "
-            f"{escaped(claim['reason'])}.{after}</p>",
-            f"<h3>Assumptions</h3>{items(claim['assumptions'])}",
-            f"<h3>What is not proven</h3>{items(NOT_PROVEN)}",
-        ]
+    far = f"Safe {escaped(reach(claim))}. The reason: {escaped(claim['reason'])}.{after}"
+    parts = (
+        ("What is proven", f"<p>{what}</p>"),
+        ("How far it reaches", f"<p>{far}</p>"),
+        ("Assumptions", items(claim["assumptions"])),
+        ("What is not proven", items(NOT_PROVEN)),
     )
+    return "\n".join([f"<p>{badge('proved')}</p>", *(_part(*part) for part in parts)])
+
+
+def other_guarantee(claim: Mapping[str, Any], limits: tuple[str, ...]) -> str:
+    """The section of a run that claims something else than a schedule does."""
+    nothing = claim["kind"] == "none"
+    head = "Why nothing is claimed" if nothing else "What is claimed"
+    parts = [f"<p>{badge(claim['kind'])}</p>", *([loud("")] if nothing else [])]
+    parts.append(_part(head, f"<p>{escaped(claim.get('reason', 'nothing'))}.</p>"))
+    if claim.get("assumptions"):
+        parts.append(_part("Assumptions", items(claim["assumptions"])))
+    return "\n".join([*parts, _part("What is not proven", items(limits))])
 
 
 def loud(recoverable: str) -> str:
@@ -61,14 +67,5 @@ def loud(recoverable: str) -> str:
     )
 
 
-def other_guarantee(claim: Mapping[str, Any], limits: tuple[str, ...]) -> str:
-    """The section of a run that claims something else than a schedule does."""
-    parts = [f"<p>{badge(claim['kind'])}</p>"]
-    if claim["kind"] == "none":
-        parts.append(loud(""))
-    head = "Why nothing is claimed" if claim["kind"] == "none" else "What is claimed"
-    parts.append(f"<h3>{head}</h3><p>{escaped(claim.get('reason', 'nothing'))}.</p>")
-    if claim.get("assumptions"):
-        parts.append(f"<h3>Assumptions</h3>{items(claim['assumptions'])}")
-    parts.append(f"<h3>What is not proven</h3>{items(limits)}")
-    return "\n".join(parts)
+def _part(head: str, inner: str) -> str:
+    return f"<h3>{head}</h3>{inner}"

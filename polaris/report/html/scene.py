@@ -12,13 +12,16 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..scene.geometry import Shape, closed
 from ..scene.items import Item, Scene
 from ..scene.palette import LOOKS
-from .numbers import plain
 
 Layer = dict[str, Any]
+
+DIGITS = 6
+"""Significant digits of what is drawn; tables show the folder's numbers with four."""
 
 AREAS = {"unsafe": 0.5, "cover": 0.16, "keep_in": 0.16, "goal": 0.2, "ring": 0.12, "initial": 0.4}
 AREAS |= {"slice": 0.45, "tube": 0.35, "chief": 0.6}
@@ -33,14 +36,24 @@ POINTS = {"start": ("circle", 4), "goal": ("diamond", 5)}
 """Symbol and size of single points, by role."""
 
 
-def scene_data(scene: Scene) -> dict[str, Any]:
-    """A scene in two or three axes as the page's script reads it.
+def plain(values: ArrayLike) -> Any:
+    """Nested lists of short numbers, whole ones without ``.0``; what is not finite is None."""
+    array = np.asarray(values)
+    if array.dtype.kind in "iub":
+        return array.tolist()
+    if array.ndim > 1:
+        return [plain(part) for part in array]
+    short = [
+        float(f"{value:.{DIGITS}g}") if known else None
+        for value, known in zip(np.atleast_1d(array).tolist(), np.atleast_1d(np.isfinite(array)), strict=True)
+    ]
+    if array.ndim == 0:
+        return short[0]
+    return [int(one) if one is not None and one.is_integer() and abs(one) < 1e15 else one for one in short]
 
-    Returns
-    -------
-    dict
-        ``space`` (2 or 3 axes), ``equal`` (whether one scale serves all), ``axes``, ``range``, ``layers``.
-    """
+
+def scene_data(scene: Scene) -> dict[str, Any]:
+    """A scene: ``space`` (2 or 3 axes), ``equal`` (one scale serves all), ``axes``, ``range``, ``layers``."""
     return {
         "space": len(scene.labels),
         "equal": scene.time_axis is None,

@@ -25,17 +25,10 @@ FLAT = 0.05
 
 @dataclass(frozen=True, eq=False)
 class CloseUp:
-    """One passage of one unsafe set.
+    """One passage of one unsafe set, closest at a time [s] with a distance [m].
 
-    Attributes
-    ----------
-    obstacle : Obstacle
-    time, distance : float
-        Of the closest approach of this passage [s], [m].
-    axes : list of two int, or None
-        Position coordinates that show the gap; None if only the distance over time does.
-    span : (int, int)
-        First and one-past-last sample of the safe path at which they do.
+    `axes` are the two position coordinates that show the gap, or None if only the distance over time does;
+    `span` is the first and one-past-last sample of the safe path at which they do.
     """
 
     obstacle: Obstacle
@@ -94,11 +87,7 @@ def _passages(obstacle: Obstacle, space: Space, distance: Array) -> list[CloseUp
 def is_flat(picture: Picture, paths: Sequence[Array] = ()) -> bool:
     """Whether the plane of the figures shows all there is to see: motion within it, past all sets.
 
-    Parameters
-    ----------
-    picture : Picture
-    paths : sequence of ndarray, shape (N, d)
-        Further positions flown [m].
+    `paths` are further positions flown, shape (N, d) [m].
     """
     if picture.system.d < 3:
         return True
@@ -110,20 +99,9 @@ def is_flat(picture: Picture, paths: Sequence[Array] = ()) -> bool:
 
 
 def plane_gap(obstacle: Obstacle, picture: Picture, axes: Sequence[int]) -> Array:
-    """How far the safe path is from a set at the same time, as both look along the other axes [m].
+    """How far the safe path is from a set at the same time, as both look along the other axes, (N,) [m].
 
     Negative where the path is drawn within the set. Of another satellite the timed cover counts.
-
-    Parameters
-    ----------
-    obstacle : Obstacle
-        Not a keep-in set.
-    axes : sequence of two int
-
-    Returns
-    -------
-    ndarray, shape (N,)
-        At the times of `Picture.safe_path`.
     """
     axes, system = list(axes), picture.system
     times, path = picture.safe_path()

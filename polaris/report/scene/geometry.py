@@ -18,13 +18,7 @@ from ...runs.frame import directions
 class Shape:
     """A ``line`` (with gaps where it is nan), single ``points``, an ``area`` in an outline, or a ``mesh``.
 
-    Attributes
-    ----------
-    kind : str
-    points : ndarray, shape (N, dim)
-        [m]
-    faces : ndarray of int, shape (F, 3), optional
-        Corners of the triangles of a mesh.
+    Points are of shape (N, dim) [m]; a mesh has triangles (F, 3) with corners among them.
     """
 
     kind: str
@@ -44,15 +38,7 @@ class Shape:
 
 
 def polygon(support: ArrayLike, rays: Array) -> Array:
-    """Corners of ``{p : rays p <= support}`` where every ray supports the set, shape (..., count, 2).
-
-    Parameters
-    ----------
-    support : array_like, shape (..., count)
-        Support of a convex set along each ray: the polygon is circumscribed about it.
-    rays : ndarray, shape (count, 2)
-        Unit vectors in the order of their angle (`directions`).
-    """
+    """Corners (..., R, 2) of a polygon about a set, by its support (..., R) along rays in order of angle."""
     h = np.asarray(support, dtype=float)
     after, h_after = np.roll(rays, -1, axis=0), np.roll(h, -1, axis=-1)
     cross = rays[:, 0] * after[:, 1] - rays[:, 1] * after[:, 0]
@@ -62,18 +48,10 @@ def polygon(support: ArrayLike, rays: Array) -> Array:
 
 
 def tube_support(centre: Array, generators: Array, bow: Array, parts: int, rays: Array) -> Array:
-    """Support of a tube over parts of every step along rays (R, e), shape (K, parts, R).
+    """Support (K, parts, R) [m] of a tube over parts of every step, at most q, along rays (R, e).
 
-    Parameters
-    ----------
-    centre : ndarray, shape (K, q+1, e)
-        Centres at the nodes of every step [m].
-    generators : ndarray, shape (K, q+1, e, g)
-    bow : ndarray, shape (K, q, e)
-        Bound on what lies outside the hull of consecutive nodes.
-    parts : int
-        Parts per step, at most q.
-    rays : ndarray, shape (R, e)
+    Centres (K, q+1, e) and generators (K, q+1, e, g) are those at the nodes of every step; the bow (K, q, e)
+    bounds what lies outside the hull of consecutive nodes.
     """
     node = centre @ rays.T + np.abs(np.einsum("ri,kqig->kqrg", rays, generators)).sum(axis=-1)
     between = np.maximum(node[:, :-1], node[:, 1:]) + bow @ np.abs(rays).T
@@ -87,23 +65,15 @@ def part_edges(q: int, parts: int) -> NDArray[np.int_]:
 
 
 def flat_outline(vertices: Array) -> Array:
-    """Convex hull of points in the plane, counter-clockwise, shape (V, 2)."""
-    points = sorted({(float(x), float(y)) for x, y in vertices})
-    if len(points) < 3:
-        return np.array(points).reshape(-1, 2)
+    """Convex hull (V, 2) of points in the plane, counter-clockwise; the ends of what has no area."""
+    from scipy.spatial import ConvexHull, QhullError
 
-    def half(ordered: list[tuple[float, float]]) -> list[tuple[float, float]]:
-        chain: list[tuple[float, float]] = []
-        for p in ordered:
-            while len(chain) >= 2:
-                (ax, ay), (bx, by) = chain[-2], chain[-1]
-                if (bx - ax) * (p[1] - ay) - (by - ay) * (p[0] - ax) > 0:
-                    break
-                chain.pop()
-            chain.append(p)
-        return chain[:-1]
-
-    return np.array(half(points) + half(points[::-1]))
+    points = np.unique(vertices, axis=0)
+    try:
+        corners = ConvexHull(points).vertices
+    except (QhullError, ValueError):  # too few, or all on a line
+        return np.asarray(points[:: max(len(points) - 1, 1)])
+    return np.asarray(points[np.roll(corners, -int(np.argmin(corners)))])
 
 
 def closed(outline: Array) -> Array:
@@ -144,16 +114,7 @@ def hull(points: Array) -> Shape | None:
 
 
 def polyhedron(normals: Array, support: Array, inside: Array) -> Shape | None:
-    """Surface of ``{p : normals p <= support}``, bounded.
-
-    Parameters
-    ----------
-    normals : ndarray, shape (F, 3)
-    support : ndarray, shape (F,)
-        [m]
-    inside : ndarray, shape (3,)
-        A point strictly inside [m].
-    """
+    """Surface of the bounded set ``normals p <= support``, from a point strictly inside [m]."""
     from scipy.spatial import HalfspaceIntersection, QhullError
 
     room = support - normals @ inside
@@ -204,15 +165,7 @@ def boxed(H: Array, b: Array, low: Array, high: Array) -> Polytope:
 
 
 def cut_surface(H: Array, b: Array, low: Array, high: Array) -> Shape | None:
-    """Surface of ``H p <= b`` within a box, open where it leaves it; None if nothing of it is there.
-
-    Parameters
-    ----------
-    H, b : ndarray, shapes (F, 3) and (F,)
-        Unit rows; b in m.
-    low, high : ndarray, shape (3,)
-        The box [m].
-    """
+    """Surface of ``H p <= b`` within a box [m], open where it leaves it; None if nothing of it is there."""
     whole = boxed(H, b, low, high)
     if not whole.depth > 0:
         return None

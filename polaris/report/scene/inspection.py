@@ -28,24 +28,11 @@ FINE = 101
 
 @dataclass(frozen=True, eq=False)
 class Chart:
-    """Lines over time, one per deputy or pair, between limits.
+    """Lines (N, n) over time, one per deputy or pair, between limits.
 
-    Attributes
-    ----------
-    label : str
-        Of the axis of values.
-    lines : ndarray, shape (N, n)
-    span : (float, float)
-        What is shown.
-    limits : tuple of (float, bool)
-        Values, and whether what is above is unsafe (else what is below).
-    note : str
-        What lies beyond the limit.
-    ticks : tuple of float
-    pairs, log, held : bool
-        Whether the lines are those of pairs, the axis logarithmic, and each value held until the next.
-    width : float
-        Of the lines [pt].
+    Of each limit, whether what is above it is unsafe (else what is below); the note says what lies beyond.
+    `pairs`, `log` and `held` say whether the lines are those of pairs, the axis logarithmic, and each value
+    held until the next; the width is in points.
     """
 
     label: str

@@ -21,8 +21,7 @@ if TYPE_CHECKING:
 class Mark:
     """The true set at one of the instants that print shows, and what is written there besides its name.
 
-    Perhaps with the outline (V, 2) of where another satellite is known to be, and the chaser's place (dim,)
-    at that time [m].
+    Perhaps with the outline (V, 2) of where another satellite is known to be, and the chaser's place (dim,).
     """
 
     shape: Shape
@@ -33,29 +32,13 @@ class Mark:
 
 @dataclass(frozen=True, eq=False)
 class Item:
-    """One thing of a scene.
+    """One thing of a scene; its role is a key of `palette.LOOKS`.
 
-    Attributes
-    ----------
-    role : str
-        A key of `palette.LOOKS`.
-    name : str
-    shapes : tuple of Shape or None
-        One, or one for each of `times`, which is shown from then on; None where nothing is there.
-    times : ndarray, shape (T,), optional
-        [s]
-    shift : ndarray, shape (T, dim), optional
-        How far the shape is carried by each time, evenly in between [m].
-    modes : ndarray of int, shape (T,), optional
-        Who flies from each time on.
-    marks : tuple of Mark
-        The most important one first.
-    way : ndarray, shape (N, dim), optional
-        Path of the centre of a moving set.
-    passages : tuple of int, optional
-        Which close-ups of the scene show how it is passed; the plane does not.
-    cut : bool
-        Whether it goes on beyond the scene.
+    There is one shape, or one for each of the times (T,) [s], shown from then on (None where nothing is
+    there). `shift` (T, dim) [m] says how far the shape is carried by each time, evenly in between; `modes`
+    (T,) who flies from each time on. Marks are in order of importance; `way` (N, dim) is the path of the
+    centre of a moving set; `passages` say which close-ups of the scene show how it is passed, if the plane
+    does not; `cut` says that it goes on beyond the scene.
     """
 
     role: str
@@ -77,22 +60,10 @@ class Item:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """What is drawn of a picture, in two or three axes.
+    """What is drawn of a picture in two or three axes, from `low` to `high` (dim,) [m], along time [s].
 
-    Attributes
-    ----------
-    picture : Picture
-    axes : list of int
-        Position coordinates that are drawn.
-    labels : tuple of str
-        Of the axes, with units.
-    low, high : ndarray, shape (dim,)
-        What is shown [m]; along the axis of time [s].
-    items : tuple of Item
-    time_axis : int, optional
-        Which axis is time: the first one for motion on a line, the last one for a plane seen in space.
-    closeups : tuple of CloseUp
-        Passages that the plane does not show to be safe.
+    `axes` are the position coordinates drawn; `time_axis` is the first axis for motion on a line, the last
+    one for a plane seen in space; `closeups` are the passages that the plane does not show to be safe.
     """
 
     picture: Picture
@@ -139,16 +110,9 @@ def under_mode(flown: Array, flags: NDArray[np.bool_]) -> Array:
 
 
 def by_mode(picture: Picture, shown: Array, span: tuple[int, int] | None = None) -> dict[int, Array]:
-    """The first run under Polaris in pieces, by mode: the one that flew most first, so that none is hidden.
+    """The first run under Polaris in pieces by mode: the one that flew most first, so that none is hidden.
 
-    Parameters
-    ----------
-    picture : Picture
-        With this run.
-    shown : ndarray, shape (N+1, dim)
-        Where to draw its nodes.
-    span : (int, int), optional
-        First and one-past-last node to draw.
+    `shown` (N+1, dim) says where its nodes are drawn, `span` the first and one-past-last node to draw.
     """
     a, b = (0, len(shown)) if span is None else span
     who = modes_per_node(picture.flights["polaris"])[a : b - 1]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -28,16 +28,9 @@ PRISMS = 5
 
 
 def unsafe_items(space: Space, axes: list[int], found: Sequence[CloseUp]) -> list[Item]:
-    """All unsafe sets of a scene in the plane or in space.
+    """All unsafe sets of a scene in the plane or in space, by its axes and the passages out of the plane.
 
-    Parameters
-    ----------
-    space : Space
-        What is shown: unbounded sets are cut to it, in the plane to more, so that they fill any frame.
-    axes : list of int
-        The two or three position coordinates that are drawn.
-    found : sequence of CloseUp
-        Passages out of the plane.
+    Unbounded sets are cut to the space, in the plane to more, so that they fill any frame.
     """
     items: list[Item] = []
     for obstacle in space.picture.obstacles:
@@ -52,23 +45,22 @@ def unsafe_items(space: Space, axes: list[int], found: Sequence[CloseUp]) -> lis
 
 def _body(obstacle: Obstacle, space: Space, axes: list[int], found: Sequence[CloseUp]) -> list[Item]:
     """The true set: once, and the way it goes; a moving wall cut to the scene at every instant."""
-    system, flat = space.picture.system, len(axes) == 2
-    shown = space.wider(1.0) if flat else space
+    system, end = space.picture.system, space.picture.duration
+    shown = space.wider(1.0) if len(axes) == 2 else space
     passages = tuple(i for i, one in enumerate(found) if one.obstacle is obstacle)
-    moving = moves(obstacle, space.picture)
+    moving, cut = moves(obstacle, space.picture), not obstacle.drawn.bounded
     chosen = [found[i].time for i in passages] or instants(obstacle, space)
     marks = _marks(obstacle, shown, axes, chosen if moving else chosen[:1], moving)
-    cut = not obstacle.drawn.bounded
-    item = Item("unsafe", obstacle.name, (), marks=marks, passages=passages, cut=cut)
-    if not moving:
-        item = replace(item, shapes=(_at(obstacle, shown, axes, 0.0),))
-        return [item] if item.shape else []
-    times = np.linspace(0, space.picture.duration, PATH)
-    shift = (obstacle.centre(times, system) - obstacle.centre(0.0, system))[:, axes]
-    frames = [_at(obstacle, shown, axes, float(t)) for t in (times if cut else times[:1])]
-    shapes = tuple(one and one.moved(-gone) for one, gone in zip(frames, shift, strict=False))
-    way = obstacle.centre(np.linspace(0, space.picture.duration, 201), system)[:, axes]
-    item = replace(item, shapes=shapes, times=times, shift=shift, way=way)
+    shapes: tuple[Shape | None, ...] = (_at(obstacle, shown, axes, 0.0),)
+    motion: dict[str, Any] = {}
+    if moving:
+        times = np.linspace(0, end, PATH)
+        shift = (obstacle.centre(times, system) - obstacle.centre(0.0, system))[:, axes]
+        frames = [_at(obstacle, shown, axes, float(t)) for t in (times if cut else times[:1])]
+        shapes = tuple(one and one.moved(-gone) for one, gone in zip(frames, shift, strict=False))
+        way = obstacle.centre(np.linspace(0, end, 201), system)[:, axes]
+        motion = {"times": times, "shift": shift, "way": way}
+    item = Item("unsafe", obstacle.name, shapes, marks=marks, passages=passages, cut=cut, **motion)
     return [item] if item.shape else []
 
 
