@@ -67,9 +67,10 @@ def _plot(picture: Picture, ax: Any) -> Any:
             return ax
         from matplotlib import pyplot
 
-        return scene_figure(
-            picture, lambda height: pyplot.figure(figsize=(WIDTH, height), layout="constrained")
-        ).axes[0]
+        def new(height: float) -> Any:
+            return pyplot.figure(figsize=(WIDTH, height), layout="constrained")
+
+        return scene_figure(picture, new).axes[0]
 
 
 def draw_run(folder: RunFolder) -> list[Path]:

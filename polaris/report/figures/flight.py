@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ...inspection.constraints.allowable_set import allowable
 from ...inspection.flights.simulation import InspectionRun
 from ...inspection.inspection import Inspection
-from ..scene import inspection as data
+from ...model.system import Array
+from ..scene.inspection import AXES, ORDER, free_flights, nearest_deputy, surroundings
 from ..scene.palette import BLACK, BLUE, GREEN, GREY, LOOKS, RED, SKY, deputy_colour, tint
 from .scene3d import frame_axes
 from .style import ABOVE, WIDTH, new_figure, save_all, step_edges
@@ -18,6 +21,8 @@ from .style import ABOVE, WIDTH, new_figure, save_all, step_edges
 DASHES: tuple[Any, ...] = ("-", (0, (5, 1.2)), (0, (1.2, 1)), (0, (4, 1, 1, 1)), (0, (2, 1)))
 
 SAFE, UNSAFE = tint(GREEN, 0.14), tint(RED, 0.16)
+
+Panel = Callable[[Any, Any], None]
 
 MOST_NAMED = 10
 """Most lines that a legend names."""
@@ -33,26 +38,18 @@ def draw_flight(run: InspectionRun, folder: Path) -> list[Path]:
 # -- figures ----------------------------------------------------------------------------------------
 
 
-def panel(draw: Callable[[Any, Any], None], height: float) -> Callable[[Any], Any]:
-    """A figure of one panel, so high [in]."""
+def stack(height: float, *panels: Panel) -> Callable[[Any], Any]:
+    """A figure of some height [in] of panels over each other, named and labelled once."""
 
     def drawn(run: Any) -> Any:
         figure = new_figure(height)
-        draw(figure.add_subplot(), run)
-        return figure
-
-    return drawn
-
-
-def _charts(height: float, charts: Callable[[InspectionRun], list[data.Chart]]) -> Callable[[Any], Any]:
-    """A figure of charts over each other."""
-
-    def drawn(run: InspectionRun) -> Any:
-        figure, found = new_figure(height), charts(run)
-        axes = figure.subplots(len(found), 1, sharex=True, squeeze=False).ravel()
-        for ax, chart in zip(axes, found, strict=True):
-            _chart(ax, run, chart, named=ax is axes[0])
-            ax.set_xlabel("Time (s)" if ax is axes[-1] else "")
+        axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False).ravel()
+        for ax, draw in zip(axes, panels, strict=True):
+            draw(ax, run)
+            if ax is not axes[0]:
+                _without_legend(ax)
+            if ax is not axes[-1]:
+                ax.set_xlabel("")
         return figure
 
     return drawn
@@ -60,30 +57,22 @@ def _charts(height: float, charts: Callable[[InspectionRun], list[data.Chart]]) 
 
 def _overview(run: InspectionRun) -> Any:
     figure = new_figure(7.2, 2 * WIDTH)
+    panels: list[Panel] = [_speed, _distance, partial(_sun, False), partial(_sun, True), _passive, _thrusts]
     axes = figure.subplots(3, 2).ravel()
-    _speed(axes[0], run)
-    _chart(axes[2], run, data.sun_chart(run, False))
-    if run.inspection.deputies > 1:
-        _chart(axes[1], run, data.distance_chart(run))
-        _chart(axes[3], run, data.sun_chart(run, True))
-    else:
-        axes[1].set_axis_off()
-        axes[3].set_axis_off()
-    _passive(axes[4], run, data.nearest_deputy(run))
-    for chart in data.thrust_charts(run.inspection, run.u):
-        _chart(axes[5], run, chart, width=0.35, named=False)
-    axes[5].set_ylabel("Thrust (N)")
-    for letter, ax in zip("abcdef", axes, strict=True):
-        if ax.axison:
-            ax.text(-0.16, 1.02, f"({letter})", transform=ax.transAxes, ha="right", va="bottom", fontsize=8)
+    for letter, ax, draw in zip("abcdef", axes, panels, strict=True):
+        if run.inspection.deputies == 1 and letter in "bd":
+            ax.set_axis_off()
+            continue
+        draw(ax, run)
+        ax.text(-0.16, 1.02, f"({letter})", transform=ax.transAxes, ha="right", va="bottom", fontsize=8)
     return figure
 
 
 def _passive_and_distance(run: InspectionRun) -> Any:
-    figure, deputy = new_figure(5.0), data.nearest_deputy(run)
+    figure = new_figure(5.0)
     upper, lower = figure.subplots(2, 1, height_ratios=(1.4, 1))
-    _passive(upper, run, deputy)
-    _free_distance(lower, run, deputy)
+    _passive(upper, run)
+    _free_distance(lower, run)
     return figure
 
 
@@ -92,16 +81,15 @@ def _paths_3d(run: InspectionRun) -> Any:
     figure, q = new_figure(3.3), run.inspection
     figure.set_layout_engine(None)
     ax = figure.add_axes((0.02, 0.05, 0.88, 0.86), projection="3d", computed_zorder=False)
-    for shape in (item.shape for item in data.surroundings(q) if item.role == "keep"):
-        assert shape is not None
-        ax.plot(*shape.points.T, color=GREY, lw=0.5, ls=(0, (3, 2)), zorder=1)
+    for item in (item for item in surroundings(q) if item.role == "keep"):
+        ax.plot(*item.points.T, color=GREY, lw=0.5, ls=(0, (3, 2)), zorder=1)
     for i in range(q.deputies):
-        path = run.x[:, i, data.ORDER].T
+        path = run.x[:, i, ORDER].T
         ax.plot(*path, color=deputy_colour(i), lw=1.0, label=f"deputy {i}", zorder=3)
         _ends(path, ax, i)
     ax.plot([0], [0], [0], "*", color=BLACK, ms=5, zorder=4, label=LOOKS["chief"].legend)
     limit = np.full(3, 0.8 * q.distance_max)
-    frame_axes(ax, [f"{data.AXES[k]} (m)" for k in data.ORDER], -limit, limit)
+    frame_axes(ax, [f"{AXES[k]} (m)" for k in ORDER], -limit, limit)
     for axis in (ax.xaxis, ax.yaxis, ax.zaxis):
         axis.set_ticks([-0.5 * q.distance_max, 0, 0.5 * q.distance_max])
     ax.set_box_aspect((1, 1, 1))
@@ -110,38 +98,85 @@ def _paths_3d(run: InspectionRun) -> Any:
     return figure
 
 
-# -- panels -----------------------------------------------------------------------------------------
+# -- panels over time -------------------------------------------------------------------------------
 
 
-def _chart(
-    ax: Any, run: InspectionRun, chart: data.Chart, width: float | None = None, named: bool = True
+def _lines(
+    ax: Any,
+    run: InspectionRun,
+    label: str,
+    values: Array,
+    width: float = 0.9,
+    pairs: bool = False,
+    held: bool = False,
 ) -> None:
-    """Lines over time, coloured by deputy; of a pair by the first one, dashed by the second."""
+    """Values (N, n) over time, coloured by deputy; of pairs by the first one, dashed by the second."""
     q = run.inspection
-    ax.set_yscale("log" if chart.log else "linear")
-    if chart.limits:
-        shade(ax, *chart.span, chart.limits)
-    else:
-        ax.set_ylim(*chart.span)
-        ax.grid(True)
-    values = step_edges(chart.lines) if chart.held else chart.lines
-    who = q.pairs if chart.pairs else [(i, 0) for i in range(q.deputies)]
+    who = q.pairs if pairs else [(i, 0) for i in range(q.deputies)]
+    values, style = (step_edges(values), "steps-post") if held else (values, "default")
     lines = []
     for (first, second), line in zip(who, values.T, strict=True):
         look = {"color": deputy_colour(int(first)), "ls": DASHES[int(second) % len(DASHES)], "zorder": 3}
-        look |= {"drawstyle": "steps-post"} if chart.held else {}
-        lines += ax.plot(run.t, line, lw=width or chart.width, **look)
-    if chart.note:
-        value = chart.limits[0][0]
-        at = 0.95 * value if chart.log else value - chart.span[1] / 92.5
-        tell(ax, chart.note, 0.99 * run.t[-1], at, ha="right", va="top")
-    ax.set(xlim=(0, run.t[-1]), xlabel="Time (s)", ylabel=chart.label)
-    if chart.ticks:
-        ax.set_yticks(chart.ticks)
-    if named and chart.pairs:
+        lines += ax.plot(run.t, line, lw=width, drawstyle=style, **look)
+    ax.set(xlim=(0, run.t[-1]), xlabel="Time (s)", ylabel=label)
+    if pairs:
         _legend(ax, lines, [f"{i}, {j}" for i, j in q.pairs], "Pair", 6)
-    elif named:
+    else:
         _deputy_legend(ax, lines)
+
+
+def _velocity(k: int, ax: Any, run: InspectionRun) -> None:
+    """A component of the velocity of every deputy between its limits."""
+    most, values = run.inspection.speed_max, run.x[..., 3 + k]
+    top = 1.25 * max(most, float(np.abs(values).max()))
+    shade(ax, -top, top, ((most, True), (-most, False)))
+    _lines(ax, run, f"{AXES[k]}\n(m/s)", values, 0.8)
+
+
+def _thrust(k: int, ax: Any, run: InspectionRun, width: float = 0.5) -> None:
+    """A component of the thrust of every deputy between its limits."""
+    shade_thrust(ax, run.inspection)
+    _lines(ax, run, f"{AXES[k]}\n(N)", run.u[..., k], width, held=True)
+
+
+def _thrusts(ax: Any, run: InspectionRun) -> None:
+    """All components of the thrust, which nobody could name."""
+    for k in range(3):
+        _thrust(k, ax, run, 0.35)
+    _without_legend(ax)
+    ax.set_ylabel("Thrust (N)")
+
+
+def _distance(ax: Any, run: InspectionRun) -> None:
+    """Distance of every pair, logarithmically, and the least that is allowed."""
+    least = 2 * run.inspection.deputy_radius
+    values = allowable(run.inspection, run.x, run.sun)["phi2"] + least
+    ax.set_yscale("log")
+    shade(ax, min(0.6 * least, 0.8 * float(values.min())), 1.6 * float(values.max()), ((least, False),))
+    _lines(ax, run, "Distance of deputies (m)", values, pairs=True)
+    tell(ax, "collision", 0.99 * run.t[-1], 0.95 * least, ha="right", va="top")
+
+
+def _sun(pairs: bool, ax: Any, run: InspectionRun) -> None:
+    """Angle between the sun and each sensor, pointed at the chief, or the line of two deputies."""
+    half = float(np.degrees(run.inspection.field_of_view / 2))
+    values = np.degrees(allowable(run.inspection, run.x, run.sun)["phi5" if pairs else "phi4"]) + half
+    label, most = ("Deputy to sun (degrees)", 90) if pairs else ("Chief to sun (degrees)", 180)
+    top = most + (3.0 if pairs else 5.0)
+    shade(ax, 0, top, ((half, False),))
+    _lines(ax, run, label, values, pairs=pairs)
+    ax.set_yticks(range(0, most + 1, 30))
+    tell(ax, "sun in the field of view", 0.99 * run.t[-1], half - top / 92.5, ha="right", va="top")
+
+
+def _spent(ax: Any, run: InspectionRun) -> None:
+    """Velocity change that each deputy has spent."""
+    ax.set_ylim(0.0, 1.05 * max(float(run.delta_v.max()), 1e-9))
+    ax.grid(True)
+    _lines(ax, run, "Velocity change (m/s)", run.delta_v, 1.2)
+
+
+# -- other panels -----------------------------------------------------------------------------------
 
 
 def _speed(ax: Any, run: InspectionRun) -> None:
@@ -167,10 +202,10 @@ def _speed(ax: Any, run: InspectionRun) -> None:
     _deputy_legend(ax, lines)
 
 
-def _free_distance(ax: Any, run: InspectionRun, deputy: int) -> None:
-    """The distance of one deputy from the chief along its free flights."""
+def _free_distance(ax: Any, run: InspectionRun) -> None:
+    """The distance from the chief along the free flights of the deputy that comes nearest."""
     least = run.inspection.separation
-    start, after, flights = data.free_flights(run, deputy)
+    start, after, flights = free_flights(run, nearest_deputy(run))
     distance = np.linalg.norm(flights, axis=2)
     ax.set_yscale("log")
     low, high = 0.6 * min(least, float(distance.min())), 1.6 * float(distance.max())
@@ -182,18 +217,19 @@ def _free_distance(ax: Any, run: InspectionRun, deputy: int) -> None:
     ax.set_ylabel("Distance from the chief (m)")
 
 
-def _passive(ax: Any, run: InspectionRun, deputy: int) -> None:
-    """The path of one deputy in the plane in which it is longest, free flights, and the chief's sphere."""
+def _passive(ax: Any, run: InspectionRun) -> None:
+    """The same flights and the path, in the plane in which it is longest, and the chief's sphere."""
     from matplotlib.lines import Line2D
 
+    deputy = nearest_deputy(run)
     path = run.x[:, deputy, :3]
     plane = np.sort(np.argsort(np.ptp(path, axis=0))[1:])[::-1]
-    for flight in data.free_flights(run, deputy)[2][..., plane]:
+    for flight in free_flights(run, deputy)[2][..., plane]:
         ax.plot(*flight.T, color=SKY, lw=0.7, zorder=2)
         ax.plot(*flight[0], ".", color=BLUE, ms=2.5, zorder=3)
     handles = ax.plot(*path[:, plane].T, color=BLUE, lw=1.4, zorder=3, label=f"deputy {deputy}")
     handles += [Line2D([], [], color=SKY, lw=0.9, label="free flights"), draw_chief(ax, run.inspection)]
-    ax.set(xlabel=f"{data.AXES[plane[0]]} (m)", ylabel=f"{data.AXES[plane[1]]} (m)")
+    ax.set(xlabel=f"{AXES[plane[0]]} (m)", ylabel=f"{AXES[plane[1]]} (m)")
     ax.set_aspect("equal", adjustable="datalim")
     ax.grid(True)
     ax.legend(handles=handles, handlelength=1.2, columnspacing=0.9, **ABOVE)
@@ -228,9 +264,20 @@ def shade(ax: Any, low: float, high: float, limits: Any) -> None:
     ax.set_ylim(low, high)
 
 
+def shade_thrust(ax: Any, q: Inspection) -> None:
+    """The same of thrust between its limits."""
+    most = q.thrust_max
+    shade(ax, -1.25 * most, 1.25 * most, ((most, True), (-most, False)))
+
+
 def tell(ax: Any, text: str, x: float, y: float, **options: Any) -> None:
     """Write the name of a limit in its colour."""
     ax.text(x, y, text, color=RED, fontsize=6.5, zorder=6, **options)
+
+
+def _without_legend(ax: Any) -> None:
+    if ax.get_legend() is not None:
+        ax.get_legend().remove()
 
 
 def _deputy_legend(ax: Any, lines: list[Any]) -> None:
@@ -253,14 +300,14 @@ def _legend(ax: Any, lines: list[Any], names: list[str], title: str, columns: in
 
 _FIGURES: dict[str, Callable[[InspectionRun], Any]] = {
     "overview": _overview,
-    "speed": panel(_speed, 2.8),
-    "velocity": _charts(3.9, data.velocity_charts),
-    "separation": _charts(2.8, lambda run: [data.distance_chart(run)]),
-    "sun": _charts(2.6, lambda run: [data.sun_chart(run, False)]),
-    "deputy_sun": _charts(2.8, lambda run: [data.sun_chart(run, True)]),
+    "speed": stack(2.8, _speed),
+    "velocity": stack(3.9, *(partial(_velocity, k) for k in range(3))),
+    "separation": stack(2.8, _distance),
+    "sun": stack(2.6, partial(_sun, False)),
+    "deputy_sun": stack(2.8, partial(_sun, True)),
     "passive": _passive_and_distance,
-    "thrust": _charts(3.9, lambda run: data.thrust_charts(run.inspection, run.u)),
-    "delta_v": _charts(2.4, lambda run: [data.spent_chart(run)]),
+    "thrust": stack(3.9, *(partial(_thrust, k) for k in range(3))),
+    "delta_v": stack(2.4, _spent),
     "paths_3d": _paths_3d,
 }
 

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from ...inspection.flights.fuel_run import FuelRun
-from ..scene.inspection import ORDER, thrust_charts
+from ..scene.inspection import AXES, ORDER
 from ..scene.palette import BLACK, BLUE, LOOKS, ORANGE, PURPLE, SKY, VERMILION
-from .flight import draw_chief, panel, shade, tell
+from .flight import draw_chief, shade, shade_thrust, stack, tell
 from .style import ABOVE, save_all, step_edges
 
 PIECES = 400
@@ -23,7 +23,7 @@ AFTER = 500.0
 def draw_fuel_run(run: FuelRun, folder: Path) -> list[Path]:
     """Draw and write the figures of a flight into the fuel limit, each as PDF and PNG."""
     drawers = (("path", _path, 2.0), ("fuel", _fuel, 2.6), ("thrust", _thrust, 2.4))
-    return save_all(((name, panel(draw, height)(run)) for name, draw, height in drawers), folder)
+    return save_all(((name, stack(height, draw)(run)) for name, draw, height in drawers), folder)
 
 
 def _path(ax: Any, run: FuelRun) -> None:
@@ -73,13 +73,11 @@ def _fuel(ax: Any, run: FuelRun) -> None:
 
 def _thrust(ax: Any, run: FuelRun) -> None:
     """The thrust along each axis between its limits, and when the backup took over."""
-    limit = run.inspection.thrust_max
-    for chart, shown in zip(thrust_charts(run.inspection, run.u), (BLUE, ORANGE, PURPLE), strict=True):
-        name, values = chart.label.partition("\n")[0], step_edges(chart.lines)
+    for name, values, shown in zip(AXES, step_edges(run.u).T, (BLUE, ORANGE, PURPLE), strict=True):
         ax.plot(run.t, values, drawstyle="steps-post", color=shown, lw=0.8, zorder=3, label=name)
-    shade(ax, *chart.span, chart.limits)
+    shade_thrust(ax, run.inspection)
     if run.latched_at is not None:
         ax.axvline(run.latched_at, color=BLACK, lw=0.7, ls=(0, (3, 2)), zorder=2)
-        ax.text(run.latched_at, 1.13 * limit, " backup", fontsize=6.5, va="center")
+        ax.text(run.latched_at, 1.13 * run.inspection.thrust_max, " backup", fontsize=6.5, va="center")
     ax.set(xlim=(0, run.t[-1]), xlabel="Time (s)", ylabel="Thrust (N)")
     ax.legend(columnspacing=0.9, **ABOVE)

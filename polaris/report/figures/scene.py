@@ -14,7 +14,6 @@ import numpy as np
 
 from ...model.system import Array
 from ...runs.picture import Picture
-from ..scene.geometry import Shape
 from ..scene.items import Item, Scene
 from ..scene.palette import BLACK, DARK_OLIVE, GREEN, GREY, LOOKS, OLIVE, ORANGE, RED, mode_colour, tint
 from ..scene.scene import describe
@@ -113,9 +112,8 @@ def _tube(ax: Any, scene: Scene, view: View) -> list[Any]:
 
     seen: dict[int, Any] = {}
     for item in scene.of("tube"):
-        assert item.modes is not None  # there is no tube without a schedule
         outlines = np.stack([shape.points for shape in item.shapes if shape])
-        for mode in np.unique(item.modes):
+        for mode in np.unique(item.modes):  # there is no tube without a schedule
             chosen = outlines[item.modes == mode]
             colour = tint(mode_colour(int(mode)), 0.3)
             together = Path.make_compound_path_from_polys(chosen)
@@ -186,8 +184,7 @@ def _paths(ax: Any, scene: Scene, view: View) -> list[Any]:
             look = {"color": tint(GREY, 0.6), "lw": 0.7, "ls": DOTS}
         else:
             handles.append(Line2D([], [], label=LOOKS["reference"].legend, **look))
-        assert item.shape is not None
-        ax.plot(*item.shape.points.T, zorder=4.5 if item.role == "reference" else 2.6, **look)
+        ax.plot(*item.points.T, zorder=4.5 if item.role == "reference" else 2.6, **look)
     alone = scene.flown("experimental")
     if alone is not None:
         ax.plot(*alone.T, color=ORANGE, lw=0.9, ls=DASHES, zorder=3.5)
@@ -251,8 +248,7 @@ def _set(ax: Any, outline: Array, first: bool, aside: bool) -> None:
 
 
 def _band(ax: Any, item: Item, view: View) -> None:
-    assert item.shape is not None
-    _outline(ax, item.shape.points, 0.6, "-", RED, 3, tint(RED, 0.45))
+    _outline(ax, item.points, 0.6, "-", RED, 3, tint(RED, 0.45))
     for mark in item.marks:
         view.label(ax, shortened(item.name, 1.5), mark.shape.points, RED)
 
@@ -262,16 +258,12 @@ def _keep_in(ax: Any, item: Item, view: View) -> None:
     name, _, inside = item.name.rpartition(" (")
     told = f"{shortened(name, 1.5)} ({inside}"
     if item.shape is not None:
-        ax.plot(*item.shape.points.T, color=RED, lw=0.8, ls=LONG, zorder=3 if item.marks else 1.6)
+        ax.plot(*item.points.T, color=RED, lw=0.8, ls=LONG, zorder=3 if item.marks else 1.6)
     if item.marks:
         view.label(ax, told + item.marks[0].told, item.marks[0].shape.points, RED)
         return
-    seen = view.seen(_rim(item.shape))
+    seen = view.seen(item.points[:-1])
     if len(seen):
         far = seen[np.argmax(np.linalg.norm(seen - view.points.mean(axis=0), axis=1))]
         view.avoid(seen)
         view.label(ax, told, far[None], RED)
-
-
-def _rim(shape: Shape | None) -> Array:
-    return np.zeros((0, 2)) if shape is None else shape.points[:-1]

@@ -61,8 +61,7 @@ def _paths(ax: Any, scene: Scene) -> None:
         look: dict[str, Any] = {"color": GREY, "lw": 1.0, "label": "reference"}
         if item.role == "tail":
             look = {"color": tint(GREY, 0.6), "lw": 0.7}
-        assert item.shape is not None
-        ax.plot(*item.shape.points.T, ls=DOTS, **look)
+        ax.plot(*item.points.T, ls=DOTS, **look)
     alone, flown = scene.flown("experimental"), scene.flown("polaris")
     if alone is not None:
         ax.plot(*alone.T, color=ORANGE, lw=0.9, ls=DASHES, label="U alone")
@@ -110,10 +109,9 @@ def _fill(ax: Any, shape: Shape, strength: float, opacity: float) -> None:
 
 def _sides(ax: Any, item: Item, scene: Scene) -> None:
     """Edges of a keep-in set."""
-    shape = item.shape
-    if shape is not None and _seen(shape.points, scene):
-        ax.plot(*shape.points.T, color=RED, lw=0.6, alpha=0.6, ls=LONG)
-        _name(ax, item.name.removesuffix(": its sides"), shape.points)
+    if item.shape is not None and _seen(item.points, scene):
+        ax.plot(*item.points.T, color=RED, lw=0.6, alpha=0.6, ls=LONG)
+        _name(ax, item.name.removesuffix(": its sides"), item.points)
 
 
 def _name(ax: Any, name: str, points: Array) -> None:

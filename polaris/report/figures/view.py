@@ -21,7 +21,7 @@ class View:
         (x0, y0), (x1, y1) = scene.low.tolist(), scene.high.tolist()
         self.x, self.y, self.mute = (x0, x1), (y0, y1), mute
         flown = [path for key in scene.picture.flights if (path := scene.flown(key)) is not None]
-        drawn = [item.shape.points for item in scene.of("reference", "tail") if item.shape]
+        drawn = [item.points for item in scene.of("reference", "tail")]
         self.points = np.vstack([*drawn, *flown])
         """What names should not cover, shape (N, 2)."""
         self.taken: list[tuple[float, float, float, float]] = []

@@ -159,7 +159,7 @@ def panel(key: str, title: str, unit: str, limits: list[dict[str, Any]], series:
 
 
 def input_panels(
-    titles: Sequence[str], unit: str, most: Sequence[float], drawn: Sequence[Drawn]
+    titles: Sequence[str], unit: str, most: ArrayLike, drawn: Sequence[Drawn]
 ) -> list[dict[str, Any]]:
     """One panel per input, between its limits."""
     found = []

@@ -57,6 +57,11 @@ class Item:
         """The first shape there is."""
         return next((one for one in self.shapes if one is not None), None)
 
+    @property
+    def points(self) -> Array:
+        """Points of that shape, (N, dim); none if there is none."""
+        return np.zeros((0, 2)) if self.shape is None else self.shape.points
+
 
 @dataclass(frozen=True, eq=False)
 class Scene:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ...model.keep_in import KeepIn, KeepInCone
+from ...model.keep_in import KeepIn
 from ...model.obstacle import Obstacle
 from ...model.satellite import SatelliteObstacle
 from ...model.shapes import Ball, Polytope
@@ -128,14 +128,11 @@ def _keep_in(obstacle: KeepIn, space: Space, axes: list[int]) -> list[Item]:
     inside = obstacle.inside
     surface = cut_surface(inside.H, inside.b, space.low, space.high)
     found = [Item("keep_in", name, (surface.along(axes),))] if surface else []
-    if isinstance(obstacle, KeepInCone):
-        lines = _rulings(obstacle, space)
-    else:
-        within = boxed(inside.H, inside.b, space.low, space.high)
-        lines = _edges(within.vertices() if within.depth > 0 else np.zeros((0, 3)))
-        near = 1e-6 * float(np.max(space.high - space.low))
-        on = np.stack([np.abs(lines - space.low) <= near, np.abs(lines - space.high) <= near])
-        lines = lines[~np.any(on.all(axis=2), axis=(0, 2))]
+    within = boxed(inside.H, inside.b, space.low, space.high)
+    lines = _edges(within.vertices() if within.depth > 0 else np.zeros((0, 3)))
+    near = 1e-6 * float(np.max(space.high - space.low))
+    on = np.stack([np.abs(lines - space.low) <= near, np.abs(lines - space.high) <= near])
+    lines = lines[~np.any(on.all(axis=2), axis=(0, 2))]
     return found + _sides(obstacle, lines[..., axes])
 
 
@@ -147,24 +144,9 @@ def _sides(obstacle: KeepIn, lines: Array) -> list[Item]:
 
 def _edges(corners: Array) -> Array:
     """Edges of the convex hull of points in space, shape (L, 2, 3)."""
-    lines = [np.stack([one, np.roll(one, -1, axis=0)], axis=1) for one in faces(corners)]
-    return np.concatenate(lines) if lines else np.zeros((0, 2, 3))
-
-
-def _rulings(obstacle: KeepInCone, space: Space) -> Array:
-    """Lines from a cone's tip along its sides, shape (L, 2, 3): its surface alone is hard to read."""
-    tip, axis = obstacle.anchor, np.asarray(obstacle.axis)
-    aside = np.linalg.svd(axis[None])[2][1:]
-    angle = np.linspace(0, 2 * np.pi, 12, endpoint=False)
-    ways = axis + np.tan(obstacle.half_angle_rad) * np.stack([np.cos(angle), np.sin(angle)], axis=1) @ aside
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ends = np.where(
-            ways > 0, (space.high - tip) / ways, np.where(ways < 0, (space.low - tip) / ways, np.inf)
-        )
-    reach = np.maximum(ends.min(axis=1), 0.0)
-    if obstacle.length is not None:
-        reach = np.minimum(reach, obstacle.length)
-    return np.stack([np.broadcast_to(tip, ways.shape), tip + reach[:, None] * ways], axis=1)
+    rims = [np.stack([face, np.roll(face, -1, axis=0)], axis=1).tolist() for face in faces(corners)]
+    found = {tuple(sorted(map(tuple, edge))) for rim in rims for edge in rim}  # each is of two faces
+    return np.array(sorted(found)).reshape(-1, 2, 3)
 
 
 def _covers(obstacle: SatelliteObstacle, space: Space, axes: list[int]) -> list[Item]:
