@@ -1,7 +1,4 @@
-"""Figures for print: the scene with its modes, distance and thrust, timeline, containment margin.
-
-matplotlib is imported when the first figure is drawn.
-"""
+"""Figures for print: the scene with its modes, distance and thrust, timeline, containment margin."""
 
 from __future__ import annotations
 
@@ -65,7 +62,7 @@ def _plot(picture: Picture, ax: Any) -> Any:
             draw_scene(ax, describe(picture))
             keep_ticks([ax])
             return ax
-        from matplotlib import pyplot
+        from matplotlib import pyplot  # it may look for a screen
 
         def new(height: float) -> Any:
             return pyplot.figure(figsize=(WIDTH, height), layout="constrained")

@@ -5,22 +5,20 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.lines import Line2D
 
+from ...rta.arena import Shown
+from ...runs.comparison import ComparisonPicture
 from ...runs.picture import Picture
-from ...simulation.baselines import Flights
 from ..scene.items import under_mode
 from ..scene.palette import BLUE, GREEN, GREY, ORANGE, RED
 from ..scene.scene import describe
 from .scene import draw_unsafe
 from .style import DOTS, new_figure, printing, save_all, shortened
 from .view import View
-
-if TYPE_CHECKING:
-    from ...rta.arena import Shown
-    from ...runs.comparison import ComparisonPicture
 
 MODES = ((1, ORANGE, "U's input"), (-1, GREY, "filtered input"), (0, BLUE, "S"))
 
@@ -92,8 +90,6 @@ def _tradeoffs(methods: Sequence[Mapping[str, Any]]) -> Any:
 
 
 def _paths(picture: Picture, methods: Sequence[Mapping[str, Any]], shown: Mapping[str, Shown]) -> Any:
-    from matplotlib.lines import Line2D
-
     view, alone = View(describe(picture), mute=True), replace(picture, tube=None, slices=None)
     columns = 3 if view.aspect < 0.8 else 4
     rows = -(-len(methods) // columns)
@@ -113,7 +109,7 @@ def _paths(picture: Picture, methods: Sequence[Mapping[str, Any]], shown: Mappin
         ax.set_title(name, fontsize=7, color=GREEN if method["guarantee"] == "proved" else RED)
         ax.tick_params(labelsize=6)
         ax.plot(*picture.path()[0][:, flat].T, color=GREY, lw=0.6, ls=DOTS, zorder=2)
-        own = {} if one is None else {"polaris": _flights(method["name"], one)}
+        own: Any = {} if one is None else {"polaris": one}
         draw_unsafe(ax, describe(replace(alone, flights=own)), view)
         if one is not None:
             flown = (one.states[0] @ picture.system.position.T)[:, flat]
@@ -126,10 +122,3 @@ def _paths(picture: Picture, methods: Sequence[Mapping[str, Any]], shown: Mappin
     handles = [Line2D([], [], color=colour, lw=1.4, label=name) for _, colour, name in MODES]
     figure.legend(handles=handles, loc="outside upper center", ncols=3, fontsize=7)
     return figure
-
-
-def _flights(name: str, shown: Shown) -> Flights:
-    """The run that came closest, as the other figures know flights."""
-    states, inputs, modes = shown.states[:1], shown.inputs[:1], shown.modes[0]
-    ranges = np.stack([shown.inputs.min(axis=0), shown.inputs.max(axis=0)])
-    return Flights(name, shown.labels[:1], shown.times, states, inputs, modes, shown.nearest, ranges)

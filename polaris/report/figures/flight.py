@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.lines import Line2D
+from matplotlib.patches import Circle
 
 from ...inspection.constraints.allowable_set import allowable
 from ...inspection.flights.simulation import InspectionRun
@@ -101,23 +103,14 @@ def _paths_3d(run: InspectionRun) -> Any:
 # -- panels over time -------------------------------------------------------------------------------
 
 
-def _lines(
-    ax: Any,
-    run: InspectionRun,
-    label: str,
-    values: Array,
-    width: float = 0.9,
-    pairs: bool = False,
-    held: bool = False,
-) -> None:
+def _lines(ax: Any, run: InspectionRun, label: str, values: Array, pairs: bool = False, **look: Any) -> None:
     """Values (N, n) over time, coloured by deputy; of pairs by the first one, dashed by the second."""
     q = run.inspection
     who = q.pairs if pairs else [(i, 0) for i in range(q.deputies)]
-    values, style = (step_edges(values), "steps-post") if held else (values, "default")
-    lines = []
+    lines, look = [], {"lw": 0.9, "zorder": 3} | look
     for (first, second), line in zip(who, values.T, strict=True):
-        look = {"color": deputy_colour(int(first)), "ls": DASHES[int(second) % len(DASHES)], "zorder": 3}
-        lines += ax.plot(run.t, line, lw=width, drawstyle=style, **look)
+        dashes = DASHES[int(second) % len(DASHES)]
+        lines += ax.plot(run.t, line, color=deputy_colour(int(first)), ls=dashes, **look)
     ax.set(xlim=(0, run.t[-1]), xlabel="Time (s)", ylabel=label)
     if pairs:
         _legend(ax, lines, [f"{i}, {j}" for i, j in q.pairs], "Pair", 6)
@@ -130,13 +123,14 @@ def _velocity(k: int, ax: Any, run: InspectionRun) -> None:
     most, values = run.inspection.speed_max, run.x[..., 3 + k]
     top = 1.25 * max(most, float(np.abs(values).max()))
     shade(ax, -top, top, ((most, True), (-most, False)))
-    _lines(ax, run, f"{AXES[k]}\n(m/s)", values, 0.8)
+    _lines(ax, run, f"{AXES[k]}\n(m/s)", values, lw=0.8)
 
 
 def _thrust(k: int, ax: Any, run: InspectionRun, width: float = 0.5) -> None:
     """A component of the thrust of every deputy between its limits."""
     shade_thrust(ax, run.inspection)
-    _lines(ax, run, f"{AXES[k]}\n(N)", run.u[..., k], width, held=True)
+    values = step_edges(run.u[..., k])
+    _lines(ax, run, f"{AXES[k]}\n(N)", values, lw=width, drawstyle="steps-post")
 
 
 def _thrusts(ax: Any, run: InspectionRun) -> None:
@@ -173,7 +167,7 @@ def _spent(ax: Any, run: InspectionRun) -> None:
     """Velocity change that each deputy has spent."""
     ax.set_ylim(0.0, 1.05 * max(float(run.delta_v.max()), 1e-9))
     ax.grid(True)
-    _lines(ax, run, "Velocity change (m/s)", run.delta_v, 1.2)
+    _lines(ax, run, "Velocity change (m/s)", run.delta_v, lw=1.2)
 
 
 # -- other panels -----------------------------------------------------------------------------------
@@ -219,8 +213,6 @@ def _free_distance(ax: Any, run: InspectionRun) -> None:
 
 def _passive(ax: Any, run: InspectionRun) -> None:
     """The same flights and the path, in the plane in which it is longest, and the chief's sphere."""
-    from matplotlib.lines import Line2D
-
     deputy = nearest_deputy(run)
     path = run.x[:, deputy, :3]
     plane = np.sort(np.argsort(np.ptp(path, axis=0))[1:])[::-1]
@@ -240,9 +232,6 @@ def _passive(ax: Any, run: InspectionRun) -> None:
 
 def draw_chief(ax: Any, q: Inspection) -> Any:
     """Draw the sphere round the chief as a circle; a handle for legends."""
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Circle
-
     ax.add_patch(Circle((0, 0), q.separation, fc=tint(RED, 0.45), ec=RED, zorder=2.5))
     look: dict[str, Any] = {"marker": "o", "mfc": tint(RED, 0.45), "ls": "none", "ms": 5}
     return Line2D([], [], color=RED, label=LOOKS["chief"].legend, **look)
@@ -288,8 +277,6 @@ def _deputy_legend(ax: Any, lines: list[Any]) -> None:
 
 def _legend(ax: Any, lines: list[Any], names: list[str], title: str, columns: int) -> None:
     """Put a legend with a title on one line above the axes; none of too many lines."""
-    from matplotlib.lines import Line2D
-
     if 0 < len(lines) <= MOST_NAMED:
         look = ABOVE | {"handlelength": 1.2, "columnspacing": 0.7, "handletextpad": 0.3, "labelspacing": 0.25}
         handles = [Line2D([], [], ls="none"), *lines]

@@ -6,6 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.collections import LineCollection
+from matplotlib.lines import Line2D
 
 from ...inspection.flights.fuel_run import FuelRun
 from ..scene.inspection import AXES, ORDER
@@ -28,8 +30,6 @@ def draw_fuel_run(run: FuelRun, folder: Path) -> list[Path]:
 
 def _path(ax: Any, run: FuelRun) -> None:
     """The path in the plane of the orbit, cyan at the start and magenta at the end."""
-    from matplotlib.collections import LineCollection
-
     near = 1.5 * run.inspection.separation
     chosen = np.unique(np.linspace(0, len(run.t) - 1, PIECES + 1).astype(int))
     points = run.x[chosen][:, ORDER[:2]]
@@ -55,8 +55,6 @@ def _path(ax: Any, run: FuelRun) -> None:
 
 def _fuel(ax: Any, run: FuelRun) -> None:
     """What was spent, the limit, and what predicted backup flights would have spent."""
-    from matplotlib.lines import Line2D
-
     most = run.inspection.delta_v_max
     shade(ax, 0, 1.1 * max(most, float(run.delta_v.max())), [(most, True)])
     for one in run.predictions:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.lines import Line2D
 
 from ...runs.monte_carlo import CampaignPicture
 from ..scene.palette import BLACK, BLUE, GREY, ORANGE, PURPLE, RED, SKY, VERMILION, tint
@@ -38,8 +39,6 @@ def draw_initial_conditions(axes: Any, picture: CampaignPicture) -> None:
 
     Of a run that failed, the deputies that the failures concern are red.
     """
-    from matplotlib.lines import Line2D
-
     order = picture.x[..., :3]
     limit = 1.08 * float(np.abs(order).max())
     size = 9.0 if len(order) * order.shape[1] < 1500 else 3.0

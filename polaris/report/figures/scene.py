@@ -11,6 +11,10 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from matplotlib.collections import PolyCollection
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch, PathPatch, Polygon
+from matplotlib.path import Path
 
 from ...model.system import Array
 from ...runs.picture import Picture
@@ -36,8 +40,7 @@ def scene_figure(picture: Picture, new: Callable[[float], Any] = new_figure) -> 
     figure = new(3.0)
     # One close-up is as wide as the figure.
     panel = 1.15 if wide == 2 else 1.3
-    heights = [3.0, *[panel] * rows]
-    grid = figure.add_gridspec(1 + rows, wide, height_ratios=heights)
+    grid = figure.add_gridspec(1 + rows, wide, height_ratios=[3.0, *[panel] * rows])
     ax = figure.add_subplot(grid[0, :])
     top = draw_scene(ax, scene, lettered=True)
     for i, one in enumerate(found):
@@ -84,9 +87,6 @@ def draw_scene(ax: Any, scene: Scene, lettered: bool = False) -> float:
 
 def _slices(ax: Any, scene: Scene, view: View) -> list[Any]:
     """Few recoverable sets, with the chaser in them; on the line, over time, there is room for all."""
-    from matplotlib.collections import PolyCollection
-    from matplotlib.patches import Patch
-
     look, slices = LOOKS["slice"], scene.picture.slices
     if slices is not None and scene.time_axis == 0:
         ends = slices.outlines[:, 0, :, 0]
@@ -107,9 +107,6 @@ def _slices(ax: Any, scene: Scene, view: View) -> list[Any]:
 
 def _tube(ax: Any, scene: Scene, view: View) -> list[Any]:
     """The tube by mode; the handle is of the mode that can be seen best beside the path."""
-    from matplotlib.patches import Patch, PathPatch
-    from matplotlib.path import Path
-
     seen: dict[int, Any] = {}
     for item in scene.of("tube"):
         outlines = np.stack([shape.points for shape in item.shapes if shape])
@@ -138,8 +135,6 @@ def _start(ax: Any, scene: Scene, view: View) -> list[Any]:
 
 def _goal(ax: Any, scene: Scene, view: View) -> list[Any]:
     """The goal as far as it is in view, on the line if it all is; a handle if it is."""
-    from matplotlib.lines import Line2D
-
     over = scene.time_axis == 0
     handles: list[Any] = []
     line: dict[str, Any] = {"color": GREEN, "lw": 3 if over else 0.7, "ls": "-" if over else GOAL_DASHES}
@@ -165,8 +160,6 @@ def _goal(ax: Any, scene: Scene, view: View) -> list[Any]:
 def _outline(
     ax: Any, outline: Array, width: float, dashes: Any, edge: Any, order: float, face: Any = "none"
 ) -> None:
-    from matplotlib.patches import Polygon
-
     ax.add_patch(Polygon(outline, facecolor=face, edgecolor=edge, lw=width, ls=dashes, zorder=order))
 
 
@@ -175,16 +168,13 @@ def _outline(
 
 def _paths(ax: Any, scene: Scene, view: View) -> list[Any]:
     """Reference, U alone, and the trajectory under Polaris coloured by mode."""
-    from matplotlib.lines import Line2D
-
     handles = []
     for item in scene.of("reference", "tail"):
-        look: dict[str, Any] = {"color": GREY, "lw": 1.1, "ls": DOTS}
         if item.role == "tail":
-            look = {"color": tint(GREY, 0.6), "lw": 0.7, "ls": DOTS}
-        else:
-            handles.append(Line2D([], [], label=LOOKS["reference"].legend, **look))
-        ax.plot(*item.points.T, zorder=4.5 if item.role == "reference" else 2.6, **look)
+            ax.plot(*item.points.T, zorder=2.6, color=tint(GREY, 0.6), lw=0.7, ls=DOTS)
+            continue
+        ax.plot(*item.points.T, zorder=4.5, color=GREY, lw=1.1, ls=DOTS)
+        handles.append(Line2D([], [], label=LOOKS["reference"].legend, color=GREY, lw=1.1, ls=DOTS))
     alone = scene.flown("experimental")
     if alone is not None:
         ax.plot(*alone.T, color=ORANGE, lw=0.9, ls=DASHES, zorder=3.5)
@@ -192,9 +182,8 @@ def _paths(ax: Any, scene: Scene, view: View) -> list[Any]:
             handles.append(Line2D([], [], color=ORANGE, lw=0.9, ls=DASHES, label="U alone"))
     picture, flown = scene.picture, scene.safe_path()
     for mode in draw_safe_path(ax, picture, flown):
-        handles.append(
-            Line2D([], [], color=mode_colour(mode), lw=1.5, label=f"under {picture.mode_name(mode)}")
-        )
+        name = f"under {picture.mode_name(mode)}"
+        handles.append(Line2D([], [], color=mode_colour(mode), lw=1.5, label=name))
     if scene.time_axis is None:
         ax.plot(*flown[-1], marker="s", color=BLACK, ms=2.6, zorder=6)
         ax.plot(*flown[0], marker="o", color=BLACK, ms=2.6, zorder=6)
@@ -208,7 +197,9 @@ def draw_unsafe(ax: Any, scene: Scene, view: View, lettered: bool = False) -> No
     """Draw every unsafe set and keep-in set with its name."""
     for item in scene.items:
         if item.role == "unsafe" and scene.time_axis == 0:
-            _band(ax, item, view)
+            _outline(ax, item.points, 0.6, "-", RED, 3, tint(RED, 0.45))
+            for mark in item.marks:
+                view.label(ax, shortened(item.name, 1.5), mark.shape.points, RED)
         elif item.role == "unsafe":
             _unsafe(ax, item, view, lettered)
         elif item.role == "keep_in":
@@ -224,7 +215,12 @@ def _unsafe(ax: Any, item: Item, view: View, lettered: bool) -> None:
         first, outline = mark is item.marks[0], mark.shape.points
         if not (len(view.seen(outline)) or (not aside and view.within(outline))):
             continue  # out of view; or passed out of the plane, and all of the view
-        _set(ax, outline, first, aside)
+        edge = tint(RED, 1.0 if first else 0.5)
+        if aside:
+            _outline(ax, outline, 0.7, LONG, edge, 1.5)
+        else:
+            _outline(ax, outline, 0.0, "-", "none", 1.5, tint(RED, 0.45 if first else 0.2))
+            _outline(ax, outline, 0.6, "-", edge, 1.6)
         if mark.cover is not None:
             _outline(ax, mark.cover, 0.5, LONG if aside else "-", RED, 1.6)
             view.avoid(view.seen(mark.cover))
@@ -237,20 +233,6 @@ def _unsafe(ax: Any, item: Item, view: View, lettered: bool) -> None:
         if mark.place is not None and view.contains(mark.place):
             ax.plot(*mark.place, "o", ms=3, mfc="white", mec=RED, mew=0.7, zorder=6)
             view.label(ax, mark.told, mark.place[None], RED)
-
-
-def _set(ax: Any, outline: Array, first: bool, aside: bool) -> None:
-    if aside:
-        _outline(ax, outline, 0.7, LONG, tint(RED, 1.0 if first else 0.5), 1.5)
-        return
-    _outline(ax, outline, 0.0, "-", "none", 1.5, tint(RED, 0.45 if first else 0.2))
-    _outline(ax, outline, 0.6, "-", tint(RED, 1.0 if first else 0.5), 1.6)
-
-
-def _band(ax: Any, item: Item, view: View) -> None:
-    _outline(ax, item.points, 0.6, "-", RED, 3, tint(RED, 0.45))
-    for mark in item.marks:
-        view.label(ax, shortened(item.name, 1.5), mark.shape.points, RED)
 
 
 def _keep_in(ax: Any, item: Item, view: View) -> None:

@@ -12,7 +12,14 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import matplotlib
 import numpy as np
+from fontTools import subset
+from matplotlib import font_manager, get_data_path
+from matplotlib.figure import Figure
+from matplotlib.font_manager import FontProperties
+from matplotlib.textpath import text_to_path
+from matplotlib.ticker import AutoLocator
 
 from ...model.system import Array
 from ...runs.picture import Picture
@@ -70,8 +77,6 @@ _STYLE: Any = {
 @contextmanager
 def style() -> Iterator[None]:
     """Apply the house style while figures are drawn and saved; the user's own settings come back after."""
-    import matplotlib
-
     with matplotlib.rc_context(_STYLE):
         yield
 
@@ -79,8 +84,6 @@ def style() -> Iterator[None]:
 @contextmanager
 def printing() -> Iterator[None]:
     """The house style with a font that is quick to embed."""
-    import matplotlib
-
     with style(), matplotlib.rc_context({"font.family": [_light_font(), "DejaVu Sans"]}):
         yield
 
@@ -92,9 +95,6 @@ def _light_font() -> str:
     Every PDF embeds the glyphs it shows, and searching all of the font for them again for each figure
     takes longer than drawing it. The glyphs are the same; what is missing comes from DejaVu Sans itself.
     """
-    from fontTools import subset
-    from matplotlib import font_manager, get_data_path
-
     options = subset.Options(legacy_kern=True, glyph_names=True, notdef_outline=True)
     options.drop_tables += ["FFTM", "GDEF", "GPOS", "GSUB", "MATH"]
     font = subset.load_font(str(Path(get_data_path(), "fonts", "ttf", "DejaVuSans.ttf")), options)
@@ -120,8 +120,6 @@ def _scratch() -> tempfile.TemporaryDirectory[str]:
 
 def new_figure(height: float, width: float = WIDTH) -> Any:
     """Return an empty figure that no window and no global state knows of."""
-    from matplotlib.figure import Figure
-
     # The resolution it is saved with, so that the layout is that of what is printed.
     return Figure(figsize=(width, height), dpi=_STYLE["savefig.dpi"], layout="constrained")
 
@@ -149,8 +147,6 @@ def keep_ticks(axes: Iterable[Any]) -> None:
     Left alone, matplotlib finds as many as fit by the settings and the width of the moment, however long
     their labels: others after the layout is solved than before, or outside of `style`.
     """
-    from matplotlib.ticker import AutoLocator
-
     for ax in axes:
         ax.tick_params(labelsize=_STYLE["xtick.labelsize"])
         place = ax.get_position(original=True)
@@ -168,9 +164,6 @@ def keep_ticks(axes: Iterable[Any]) -> None:
 
 def text_width(text: str, size: float = 7.0) -> float:
     """Width of a text [in], with what fitting letters to pixels may add."""
-    from matplotlib.font_manager import FontProperties
-    from matplotlib.textpath import text_to_path
-
     font = FontProperties(size=size)
     return 1.05 * float(text_to_path.get_text_width_height_descent(text, font, False)[0]) / 72
 

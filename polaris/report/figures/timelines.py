@@ -6,6 +6,7 @@ import re
 from typing import Any
 
 import numpy as np
+from matplotlib.patches import Patch
 from numpy.typing import ArrayLike
 
 from ...runs.picture import Picture
@@ -101,8 +102,6 @@ def modes_figure(picture: Picture) -> Any:
 
 def margin_figure(picture: Picture) -> Any:
     """The containment margin of every step, and below it what limits it."""
-    from matplotlib.patches import Patch
-
     figure = new_figure(2.4)
     ax, modes, delta = figure.add_subplot(), picture.modes, picture.reference.delta
     floor = -0.3 if np.any(picture.margins < 0) else -0.03

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from matplotlib.patheffects import withStroke
 
 from ...model.system import Array
 from ..scene.items import Scene
@@ -65,8 +66,6 @@ class View:
         """Write a name beside an outline, or into it if it is large, where fewest lines pass."""
         if self.mute:
             return
-        from matplotlib.patheffects import withStroke
-
         per_inch = self.inch(ax)
         w, h = np.array([text_width(text) + 0.04, 8.5 / 72]) * per_inch
         gap = 3 / 72 * per_inch

@@ -22,7 +22,6 @@ from ..scene import palette
 from ..scene.geometry import Shape, gapped
 from ..scene.inspection import AXES, ORDER, surroundings
 from ..scene.items import Item
-from ..scene.palette import LOOKS
 from . import claims
 from .page import Page, reading
 from .scene import layer, plain
@@ -150,7 +149,7 @@ def flight_data(folder: RunFolder) -> dict[str, Any]:
     ends = reach * np.stack([np.sin(angle), np.cos(angle), np.zeros_like(angle)], axis=1)
     rays = tuple(Shape("line", np.stack([np.zeros(3), end])) for end in ends)
     return page_data(
-        _scene(q, run.x[..., :3], [Item("sun", LOOKS["sun"].name, rays, t)]),
+        _scene(q, run.x[..., :3], [Item("sun", rays, times=t)]),
         pilots,
         [*_margin_panels(t, margins), *input_panels(THRUSTS, "N", [q.thrust_max] * 3, drawn)],
         modes=modes_present(run.status, palette.ANSWERS.__getitem__),
@@ -171,7 +170,7 @@ def fuel_data(run: FuelRun) -> dict[str, Any]:
     series = [{"pilot": None, "name": "left", "colour": palette.BLACK} | left]
     fuel = panel("fuel", "Velocity change that is left", "m/s", [limit(0.0, "fuel limit", "below")], series)
     flights = Shape("line", gapped((one.x[::4, ORDER] for one in run.predictions), 3))
-    predicted = [Item("predicted", LOOKS["predicted"].name, (flights,))] if run.predictions else []
+    predicted = [Item("predicted", (flights,))] if run.predictions else []
     own = pilot("deputy0", "deputy", ["flight"], t, run.x[None, chosen][..., ORDER], backup[None, held[:-1]])
     return page_data(
         _scene(q, run.x[:, :3], predicted),

@@ -39,6 +39,8 @@ def page_html(page: Page) -> str:
     drawn = "scene" in page.data
     scripts = [plotly(), own_script()] if drawn else [own_script()]
     sections = [*([("flight", "The flight", resource("flight.html"))] if drawn else []), *page.sections]
+    versions = ", ".join(f"{name} {version}" for name, version in page.summary.get("versions", {}).items())
+    made = escaped(page.summary.get("created", "an unknown date"))
     return Template(resource("page.html")).substitute(
         policy=policy(scripts),
         title=escaped(page.title),
@@ -50,19 +52,10 @@ def page_html(page: Page) -> str:
             "\n</section>"
             for key, title, inner in sections
         ),
-        footer=_footer(page.summary),
+        footer=f"<p>Made by polaris report. Folder of {made}; {escaped(versions)}.</p>",
         data=script_json(page.data),
         scripts="\n".join(f"<script>{text}</script>" for text in scripts),
     )
-
-
-def _footer(summary: Mapping[str, Any]) -> str:
-    """When and with what the folder was made."""
-    if not summary:
-        return ""
-    versions = ", ".join(f"{name} {version}" for name, version in summary.get("versions", {}).items())
-    made = escaped(summary.get("created", "an unknown date"))
-    return f"<p>Made by polaris report. Folder of {made}; {escaped(versions)}.</p>"
 
 
 def reading(summary: Mapping[str, Any], note: str = "") -> tuple[str, str, str]:

@@ -5,11 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-
-from ...rta.arena import Shown
 from ...runs.folder import RunFolder
-from ..scene.items import modes_per_node
 from ..scene.palette import PILOTS
 from . import claims
 from .page import Page, reading
@@ -35,6 +31,12 @@ def run_page(folder: RunFolder) -> Page:
     told = f"safe {claims.reach(claim)}" if proved else "no claim"
     name = escaped(summary["scenario"])
     lead = f"<p>{badge(claim['kind'])} {escaped(told)}. Scenario <code>{name}</code>.</p>"
+    picture = folder.picture()
+    flown = [
+        Flown(key, name, {"colour": colour, "dash": dash, "on": key == "polaris"}, picture.flights[key])
+        for key, (name, _, colour, dash) in PILOTS.items()
+        if key in picture.flights
+    ]
     return Page(
         str(summary["title"]),
         lead + ("" if proved else claims.loud(recoverable)),
@@ -44,22 +46,9 @@ def run_page(folder: RunFolder) -> Page:
             ("synthesis", "Synthesis", synthesis(summary)),
             reading(summary, f"{NOTE} {SLICE}"),
         ),
-        run_data(folder, proved),
+        flight_data(picture, flown, proved, "mode"),
         summary,
     )
-
-
-def run_data(folder: RunFolder, proved: bool) -> dict[str, Any]:
-    """What the page's script draws of a run folder."""
-    picture, flown = folder.picture(), []
-    for key, (name, _, colour, dash) in PILOTS.items():
-        if key in picture.flights:
-            item = picture.flights[key]
-            who = np.tile(modes_per_node(item), (len(item.labels), 1))
-            runs = Shown(item.labels, item.times, item.states, item.inputs, who, item.nearest, [])
-            look = {"colour": colour, "dash": dash, "on": key == "polaris"}
-            flown.append(Flown(key, name, look, runs, item.input_range))
-    return flight_data(picture, flown, proved, "mode")
 
 
 def metrics(summary: Mapping[str, Any]) -> str:

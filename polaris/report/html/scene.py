@@ -67,7 +67,8 @@ def layer(item: Item) -> Layer:
     """One thing of a scene as the page's script reads it."""
     shape, look = item.shape, LOOKS[item.role]
     assert shape is not None
-    found: Layer = {"name": item.name, "kind": shape.kind, "group": look.group, "colour": look.colour}
+    name = item.name or look.name
+    found: Layer = {"name": name, "kind": shape.kind, "group": look.group, "colour": look.colour}
     found["opacity"] = 1.0
     if shape.kind in ("area", "mesh"):
         found["opacity"] = AREAS[item.role]
@@ -80,7 +81,7 @@ def layer(item: Item) -> Layer:
     else:
         found["symbol"], found["size"] = POINTS[item.role]
     if item.role in ("unsafe", "chief"):
-        found["label"] = item.name.partition(":")[0] if item.role == "chief" else item.name
+        found["label"] = name.partition(":")[0] if item.role == "chief" else name
     if item.times is None:
         return found | _corners(shape)
     found["t"] = plain(item.times)

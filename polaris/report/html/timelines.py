@@ -12,8 +12,7 @@ the pilot's, ``step`` if it is held until the next sample, and perhaps a ``band`
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,7 +25,9 @@ from ...model.system import Array
 from ...model.tolerances import ROUNDING
 from ...rta.arena import Shown
 from ...runs.picture import Picture
+from ...simulation.baselines import Flights
 from ...synthesis.recoverable import directed
+from ..scene.items import modes_per_node
 from ..scene.palette import GREEN, input_labels, mode_colour
 from ..scene.scene import describe, shown_axes
 from .scene import plain, scene_data
@@ -40,18 +41,13 @@ Drawn = tuple[str, Array, Array | None]
 """Key of a pilot, inputs of its runs (r, N, m), and least and largest over all runs (2, N, m) if known."""
 
 
-@dataclass(frozen=True, eq=False)
-class Flown:
-    """Who flew, how it looks (``colour``, ``dash``, ``on`` at first), the runs that can be shown.
-
-    Perhaps with the least and largest input over all runs, shape (2, N, m).
-    """
+class Flown(NamedTuple):
+    """Who flew, how it looks (``colour``, ``dash``, ``on`` at first), the runs that can be shown."""
 
     key: str
     name: str
     look: dict[str, Any]
-    runs: Shown
-    input_range: Array | None = None
+    runs: Flights | Shown
 
 
 def flight_data(
@@ -67,17 +63,17 @@ def flight_data(
     scene = describe(picture, paths, shown_axes(picture, paths))
     pilots, distances, drawn = [], [], []
     for one in flown:
-        runs, t = one.runs, one.runs.times
-        chosen = kept(len(t), runs.modes, [int(np.argmin(runs.nearest[0]))])
+        runs, t, modes = one.runs, one.runs.times, modes_per_node(one.runs)
+        chosen = kept(len(t), modes, [int(np.argmin(runs.nearest[0]))])
         held, positions = np.minimum(chosen, runs.inputs.shape[1] - 1), runs.states @ C.T
-        who = runs.modes[:, np.minimum(chosen[:-1], runs.modes.shape[1] - 1)]
+        who = modes[:, np.minimum(chosen[:-1], modes.shape[1] - 1)]
         places = scene.placed(positions[:, chosen], t[chosen])
         pilots.append(pilot(one.key, one.name, runs.labels, t[chosen], places, who) | one.look)
         if picture.obstacles:  # other satellites are where they are nominally: no file says where they were
             found = signed_distances(picture.obstacles, t, positions, picture.system).min(axis=0)
             band = runs.nearest[[0, 2]][:, chosen]
             distances.append({"pilot": one.key, "runs": plain(found[:, chosen]), "band": plain(band)})
-        span = None if one.input_range is None else one.input_range[:, held]
+        span = runs.input_range[:, held] if isinstance(runs, Flights) else None
         drawn.append((one.key, runs.inputs[:, held], span))
     bound = proven_distance(picture) if proved else None
     if bound is not None:
@@ -96,7 +92,7 @@ def flight_data(
         known = 0 <= mode < len(picture.controllers)
         return picture.mode_name(mode) if known else f"controller {mode}", mode_colour(mode)
 
-    present = np.concatenate([picture.modes, *(one.runs.modes.ravel() for one in flown)])
+    present = np.concatenate([picture.modes, *(np.ravel(one.runs.modes) for one in flown)])
     return page_data(
         scene_data(scene),
         pilots,
@@ -216,8 +212,10 @@ def proven_distance(picture: Picture) -> Array | None:
     unsafe = perceive(picture.obstacles, system, picture.reference.delta, picture.planned)
     if tube is None or not unsafe:
         return None
-    q = tube.bow.shape[1]
-    bow = tube.bow + _reference_bow(picture, q)
+    q, K, reference = tube.bow.shape[1], picture.planned, picture.reference
+    rate = reference.fine(q)[:K, :-1] @ system.A.T + (reference.nu[:K] @ system.B.T)[:, None, :]
+    grown = np.abs(rate) @ growth(system.A, reference.delta / q).T
+    bow = tube.bow + (reference.delta / q) ** 2 / 8 * grown @ np.abs(system.position @ system.A).T
     found = []
     for timed in unsafe:
         rows, offsets = timed.normals, timed.fine(q)
@@ -227,12 +225,3 @@ def proven_distance(picture: Picture) -> Array | None:
         between = np.minimum(gap[:, :-1], gap[:, 1:]) - bow @ np.abs(rows).T
         found.append(between.max(axis=-1))
     return np.asarray(np.maximum(np.min(found, axis=0), 0.0))
-
-
-def _reference_bow(picture: Picture, q: int) -> Array:
-    """How far the reference's position leaves its chords between nodes, per axis, shape (K, q, d) [m]."""
-    system, reference, K = picture.system, picture.reference, picture.planned
-    h = reference.delta / q
-    rate = reference.fine(q)[:K, :-1] @ system.A.T + (reference.nu[:K] @ system.B.T)[:, None, :]
-    grown = np.abs(rate) @ growth(system.A, h).T
-    return np.asarray(h**2 / 8 * grown @ np.abs(system.position @ system.A).T)

@@ -8,6 +8,7 @@ from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
 
 from ...model.shapes import Polytope
 from ...model.system import Array
@@ -66,8 +67,6 @@ def part_edges(q: int, parts: int) -> NDArray[np.int_]:
 
 def flat_outline(vertices: Array) -> Array:
     """Convex hull (V, 2) of points in the plane, counter-clockwise; the ends of what has no area."""
-    from scipy.spatial import ConvexHull, QhullError
-
     points = np.unique(vertices, axis=0)
     try:
         corners = ConvexHull(points).vertices
@@ -98,8 +97,6 @@ def stretches(flags: ArrayLike) -> list[tuple[int, int]]:
 
 def hull(points: Array) -> Shape | None:
     """Surface of the convex hull of points (V, 3); None if it has no volume."""
-    from scipy.spatial import ConvexHull, QhullError
-
     if len(points) < 4:
         return None
     size = max(float(np.ptp(points, axis=0).max()), 1e-300)
@@ -115,8 +112,6 @@ def hull(points: Array) -> Shape | None:
 
 def polyhedron(normals: Array, support: Array, inside: Array) -> Shape | None:
     """Surface of the bounded set ``normals p <= support``, from a point strictly inside [m]."""
-    from scipy.spatial import HalfspaceIntersection, QhullError
-
     room = support - normals @ inside
     size = float(np.max(np.abs(room)))
     if not np.all(room > 1e-12 * max(size, 1e-300)):
@@ -181,8 +176,6 @@ def cut_surface(H: Array, b: Array, low: Array, high: Array) -> Shape | None:
 
 def faces(vertices: Array) -> list[Array]:
     """Faces of the convex hull of points in space, corners in order, each of shape (V, 3)."""
-    from scipy.spatial import ConvexHull, QhullError
-
     if len(vertices) < 4:
         return []
     try:

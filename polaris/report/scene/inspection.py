@@ -44,6 +44,6 @@ def surroundings(q: Inspection) -> list[Item]:
     ring = q.distance_max * np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=1)
     rings = gapped((np.roll(ring, turn, axis=1) for turn in range(3)), 3)
     return [
-        Item("chief", LOOKS["chief"].name, (ball(q.separation),)),
-        Item("keep", f"{LOOKS['keep'].name}, {q.distance_max:g} m", (Shape("line", rings),)),
+        Item("chief", (ball(q.separation),)),
+        Item("keep", (Shape("line", rings),), f"{LOOKS['keep'].name}, {q.distance_max:g} m"),
     ]

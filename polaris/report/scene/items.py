@@ -14,6 +14,7 @@ from .closeups import CloseUp
 from .geometry import Shape, gapped, stretches
 
 if TYPE_CHECKING:
+    from ...rta.arena import Shown
     from ...simulation.baselines import Flights
 
 
@@ -32,7 +33,7 @@ class Mark:
 
 @dataclass(frozen=True, eq=False)
 class Item:
-    """One thing of a scene; its role is a key of `palette.LOOKS`.
+    """One thing of a scene; its role is a key of `palette.LOOKS`, which has a name for it, too.
 
     There is one shape, or one for each of the times (T,) [s], shown from then on (None where nothing is
     there). `shift` (T, dim) [m] says how far the shape is carried by each time, evenly in between; `modes`
@@ -42,8 +43,8 @@ class Item:
     """
 
     role: str
-    name: str
     shapes: tuple[Shape | None, ...]
+    name: str = ""
     times: NDArray[np.floating[Any]] | None = None
     shift: Array | None = None
     modes: NDArray[np.int_] | None = None
@@ -104,9 +105,12 @@ class Scene:
         return [item for role in roles for item in self.items if item.role == role]
 
 
-def modes_per_node(flights: Flights) -> NDArray[np.int_]:
-    """Who flies from each node to the next, shape (N,)."""
-    return np.repeat(flights.modes, (len(flights.times) - 1) // len(flights.modes))
+def modes_per_node(runs: Flights | Shown) -> NDArray[np.int_]:
+    """Who flies from each node to the next in every run, shape (r, N)."""
+    if np.ndim(runs.modes) == 2:
+        return np.asarray(runs.modes)
+    one = np.repeat(runs.modes, (len(runs.times) - 1) // len(runs.modes))
+    return np.tile(one, (len(runs.labels), 1))
 
 
 def under_mode(flown: Array, flags: NDArray[np.bool_]) -> Array:
@@ -120,7 +124,7 @@ def by_mode(picture: Picture, shown: Array, span: tuple[int, int] | None = None)
     `shown` (N+1, dim) says where its nodes are drawn, `span` the first and one-past-last node to draw.
     """
     a, b = (0, len(shown)) if span is None else span
-    who = modes_per_node(picture.flights["polaris"])[a : b - 1]
+    who = modes_per_node(picture.flights["polaris"])[0, a : b - 1]
     modes, counts = np.unique(who, return_counts=True)
     order = modes[np.argsort(-counts, kind="stable")]
     return {int(mode): under_mode(shown[a:b], who == mode) for mode in order}

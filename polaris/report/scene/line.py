@@ -84,7 +84,7 @@ class Stretch:
         widest = np.array([[times[at], low[at]], [times[at], high[at]]])
         band = Shape("area", np.column_stack([np.r_[times, times[::-1]], np.r_[low, high[::-1]]]))
         marks = (Mark(Shape("line", widest)),) if high[at] > low[at] else ()
-        return [Item("unsafe", obstacle.name, (band,), marks=marks)]
+        return [Item("unsafe", (band,), obstacle.name, marks=marks)]
 
     def _limits(self, obstacle: KeepIn, edges: Array) -> list[Item]:
         """Both limits [m]; one that is out of view is told at the edge of the view."""
@@ -95,5 +95,5 @@ class Stretch:
             mark = Mark(Shape("points", np.array([[middle, near]])), "" if seen else f": {edge:.4g} m")
             rim = Shape("line", np.column_stack([ends, [edge, edge]])) if seen else None
             if seen or (np.isfinite(edge) and near == end):
-                found.append(Item("keep_in", f"{obstacle.name} (stay inside)", (rim,), marks=(mark,)))
+                found.append(Item("keep_in", (rim,), f"{obstacle.name} (stay inside)", marks=(mark,)))
         return found

@@ -16,7 +16,6 @@ from .closeups import closeups, is_flat
 from .geometry import Shape, flat_outline
 from .items import Item, Scene
 from .line import Stretch
-from .palette import LOOKS
 from .space import Space
 from .unsafe import prisms, unsafe_items
 
@@ -67,7 +66,7 @@ def over_time(picture: Picture) -> Scene:
     axes, space, end = picture.frame.flat, Space.of(picture), picture.duration
     low, high = np.append(space.low[axes], 0.0), np.append(space.high[axes], end)
     scene = Scene(picture, axes, (*picture.frame.labels, "Time (s)"), low, high, time_axis=2)
-    goal = [Item("goal", "goal", (_part(part, axes, end),)) for part in space.goal()]
+    goal = [Item("goal", (_part(part, axes, end),)) for part in space.goal()]
     way = scene.placed(picture.path()[0], picture.path_times())
     return replace(scene, items=(*goal, _line("reference", way), *prisms(space)))
 
@@ -82,14 +81,14 @@ def _on_the_line(picture: Picture, paths: Sequence[Array] | None) -> Scene:
     goal = np.array([[end, value] for value in space.goal()])
     items = [item for obstacle in picture.obstacles for item in space.unsafe(obstacle)]
     if len(goal):
-        items.append(Item("goal", "goal", (Shape("line" if len(goal) == 2 else "points", goal),)))
+        items.append(Item("goal", (Shape("line" if len(goal) == 2 else "points", goal),)))
     items.append(_line("initial", np.array([[0.0, start.c[0] - reach], [0.0, start.c[0] + reach]])))
     items.append(_line("reference", scene.placed(picture.path()[0], picture.path_times())))
     return replace(scene, items=(*items, *_tube(picture, [0])))
 
 
 def _line(role: str, points: Array) -> Item:
-    return Item(role, LOOKS[role].name, (Shape("line", points),))
+    return Item(role, (Shape("line", points),))
 
 
 def _start(picture: Picture, axes: list[int]) -> list[Item]:
@@ -102,20 +101,20 @@ def _start(picture: Picture, axes: list[int]) -> list[Item]:
     else:
         thick = np.maximum(size, 1e-3 * float(np.max(size, initial=0.0)))
         shape = geometry.polyhedron(rays, rays @ c + thick, c)
-    found = [Item("start", "start", (Shape("points", c[None]),))]
-    return [*found, Item("initial", LOOKS["initial"].name, (shape,))] if shape else found
+    found = [Item("start", (Shape("points", c[None]),))]
+    return [*found, Item("initial", (shape,))] if shape else found
 
 
 def _goal(space: Space, axes: list[int]) -> list[Item]:
     """The goal's positions: rings of ellipses, a stretch, a point or a box."""
     parts = space.goal()
-    found = [Item("goal", "goal", (shape,)) for part in parts if (shape := _part(part, axes))]
+    found = [Item("goal", (shape,)) for part in parts if (shape := _part(part, axes))]
     if len(parts) == 2 and len(axes) == 3:
         inner, outer = (part.points[:, axes] for part in parts)
         a = np.arange(len(inner) - 1)
         b = a + len(inner)
         between = np.vstack([np.stack([a, a + 1, b], axis=1), np.stack([a + 1, b + 1, b], axis=1)])
-        found.append(Item("ring", "goal", (Shape("mesh", np.vstack([inner, outer]), between),)))
+        found.append(Item("ring", (Shape("mesh", np.vstack([inner, outer]), between),)))
     return found
 
 
@@ -155,4 +154,4 @@ def _tube(picture: Picture, axes: list[int]) -> list[Item]:
         inside = centre[:, (edges[:-1] + edges[1:]) // 2].reshape(-1, 3)
         shapes = [geometry.polyhedron(rays, b, c) for b, c in zip(support, inside, strict=True)]
     modes = np.repeat(picture.modes, len(edges) - 1) if len(picture.modes) == K else None
-    return [Item("tube", LOOKS["tube"].name, tuple(shapes), times, modes=modes)]
+    return [Item("tube", tuple(shapes), times=times, modes=modes)]

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
+from scipy.optimize import linprog
 
 from ...model.keep_in import KeepIn
 from ...model.obstacle import Obstacle
@@ -129,8 +130,6 @@ class Space:
 
     def _allowed(self, goal: Goal) -> list[Shape]:
         """Outermost positions that the conditions of a goal allow; none if they allow all."""
-        from scipy.optimize import linprog
-
         C, asked, eye = self.picture.system.position, goal.conditions, np.eye(len(self.low))
 
         def outermost(ray: Array, G: Array = asked.G, g: Array = asked.g) -> Array | None:

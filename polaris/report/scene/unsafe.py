@@ -60,7 +60,7 @@ def _body(obstacle: Obstacle, space: Space, axes: list[int], found: Sequence[Clo
         shapes = tuple(one and one.moved(-gone) for one, gone in zip(frames, shift, strict=False))
         way = obstacle.centre(np.linspace(0, end, 201), system)[:, axes]
         motion = {"times": times, "shift": shift, "way": way}
-    item = Item("unsafe", obstacle.name, shapes, marks=marks, passages=passages, cut=cut, **motion)
+    item = Item("unsafe", shapes, obstacle.name, marks=marks, passages=passages, cut=cut, **motion)
     return [item] if item.shape else []
 
 
@@ -124,10 +124,10 @@ def _keep_in(obstacle: KeepIn, space: Space, axes: list[int]) -> list[Item]:
     name = f"{obstacle.name} (stay inside)"
     if len(axes) == 2:
         outline = closed(flat_outline(space.corners(obstacle, 0.0)[:, axes]))
-        return [Item("keep_in", name, (Shape("line", outline),))] if len(outline) else []
+        return [Item("keep_in", (Shape("line", outline),), name)] if len(outline) else []
     inside = obstacle.inside
     surface = cut_surface(inside.H, inside.b, space.low, space.high)
-    found = [Item("keep_in", name, (surface.along(axes),))] if surface else []
+    found = [Item("keep_in", (surface.along(axes),), name)] if surface else []
     within = boxed(inside.H, inside.b, space.low, space.high)
     lines = _edges(within.vertices() if within.depth > 0 else np.zeros((0, 3)))
     near = 1e-6 * float(np.max(space.high - space.low))
@@ -139,7 +139,7 @@ def _keep_in(obstacle: KeepIn, space: Space, axes: list[int]) -> list[Item]:
 def _sides(obstacle: KeepIn, lines: Array) -> list[Item]:
     """Lines (L, 2, 3) along what the chaser must stay inside, if there are any."""
     shape = Shape("line", gapped(lines, 3))
-    return [Item("sides", f"{obstacle.name}: its sides", (shape,))] if len(lines) else []
+    return [Item("sides", (shape,), f"{obstacle.name}: its sides")] if len(lines) else []
 
 
 def _edges(corners: Array) -> Array:
@@ -164,7 +164,7 @@ def _covers(obstacle: SatelliteObstacle, space: Space, axes: list[int]) -> list[
     ends = np.maximum(timed.offsets[:, 0] - gone[:-1], timed.offsets[:, 1] - gone[1:])
     ends = np.vstack([ends, timed.offsets[-1, 1] - gone[-1]])
     shapes = tuple(_cover(timed.normals, b, axes) for b in ends)
-    item = Item("cover", f"{obstacle.name} is within", shapes, times, centres[:, axes])
+    item = Item("cover", shapes, f"{obstacle.name} is within", times, centres[:, axes])
     return [item] if item.shape else []
 
 
@@ -197,5 +197,5 @@ def prisms(space: Space) -> list[Item]:
         marks = [Mark(one) for one in map(hull, pairs) if one]
         if marks:
             cut = not obstacle.drawn.bounded
-            found.append(Item("unsafe", obstacle.name, (marks[-1].shape,), marks=tuple(marks[::-1]), cut=cut))
+            found.append(Item("unsafe", (marks[-1].shape,), obstacle.name, marks=tuple(marks[::-1]), cut=cut))
     return found
