@@ -101,7 +101,7 @@ def _paths(picture: Picture, methods: Sequence[Mapping[str, Any]], shown: Mappin
         ax.set_axis_off()
     for ax, method in zip(grid.flat, methods, strict=False):
         ax.set_aspect("equal")
-        ax.set(xlim=view.x, ylim=view.y)
+        ax.set(xlim=view.span[0], ylim=view.span[1])
         one = shown.get(method["key"])
         # The distance tells whether a set is passed or entered, which a plane need not show.
         told = "" if one is None else f": {float(one.nearest[0].min()):.3g} m"

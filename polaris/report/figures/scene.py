@@ -64,7 +64,7 @@ def draw_scene(ax: Any, scene: Scene, lettered: bool = False) -> float:
     view = View(scene)
     if scene.time_axis is None:
         ax.set_aspect("equal")
-    ax.set(xlim=view.x, ylim=view.y, xlabel=scene.labels[0], ylabel=scene.labels[1])
+    ax.set(xlim=view.span[0], ylim=view.span[1], xlabel=scene.labels[0], ylabel=scene.labels[1])
     ax.grid(True)
     drawers: tuple[Callable[..., list[Any]], ...] = (_slices, _tube, _start, _goal, _paths)
     handles = [handle for draw in drawers for handle in draw(ax, scene, view)]
@@ -93,7 +93,7 @@ def _slices(ax: Any, scene: Scene, view: View) -> list[Any]:
         low, high = ends.min(axis=1), ends.max(axis=1)
         colour, edge = tint(look.colour, 0.6), tint(look.colour, 0.6)
         ax.vlines(slices.times, low, high, color=colour, lw=1.0, zorder=1)
-        seen = bool(np.any((high > view.y[0]) & (low < view.y[1])))
+        seen = bool(np.any((high > view.low[1]) & (low < view.high[1])))
     else:
         outlines = [outline for _, _, outline in scene.picture.printed_slices()]
         colour, edge = tint(look.colour, 0.28), tint(OLIVE, 0.5)
@@ -110,7 +110,7 @@ def _tube(ax: Any, scene: Scene, view: View) -> list[Any]:
     seen: dict[int, Any] = {}
     for item in scene.of("tube"):
         outlines = np.stack([shape.points for shape in item.shapes if shape])
-        for mode in np.unique(item.modes):  # there is no tube without a schedule
+        for mode in np.unique(scene.picture.modes):
             chosen = outlines[item.modes == mode]
             colour = tint(mode_colour(int(mode)), 0.3)
             together = Path.make_compound_path_from_polys(chosen)

@@ -5,6 +5,8 @@ Labels are plain text: setting mathematics takes longer than drawing everything 
 
 from __future__ import annotations
 
+import atexit
+import shutil
 import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -37,27 +39,17 @@ ABOVE: Any = {"loc": "lower left", "bbox_to_anchor": (-0.02, 1.0), "ncols": 3}
 _STYLE: Any = {
     "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans"],
-    "font.size": 8,
-    "axes.labelsize": 8,
-    "axes.titlesize": 8,
-    "xtick.labelsize": 7,
-    "ytick.labelsize": 7,
-    "legend.fontsize": 7,
-    "axes.linewidth": 0.6,
-    "xtick.major.width": 0.6,
-    "ytick.major.width": 0.6,
-    "xtick.major.size": 2.5,
-    "ytick.major.size": 2.5,
+    **dict.fromkeys(("font.size", "axes.labelsize", "axes.titlesize"), 8),
+    **dict.fromkeys(("xtick.labelsize", "ytick.labelsize", "legend.fontsize"), 7),
+    **dict.fromkeys(("axes.linewidth", "xtick.major.width", "ytick.major.width", "patch.linewidth"), 0.6),
+    **dict.fromkeys(("xtick.major.size", "ytick.major.size"), 2.5),
     "lines.linewidth": 1.2,
-    "patch.linewidth": 0.6,
-    "hatch.linewidth": 0.4,
     "legend.frameon": False,
     "legend.handlelength": 1.6,
     "legend.columnspacing": 1.2,
     "legend.handletextpad": 0.5,
     "legend.borderaxespad": 0.2,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
+    **dict.fromkeys(("axes.spines.top", "axes.spines.right"), False),
     "axes.axisbelow": True,
     # A power of ten apart from the ticks would stand in the legend.
     "axes.formatter.limits": (-6, 7),
@@ -66,11 +58,9 @@ _STYLE: Any = {
     "grid.linewidth": 0.4,
     "savefig.dpi": 300,
     "pdf.fonttype": 42,
-    "svg.hashsalt": "polaris",
     "path.simplify": True,
     # Figures ask for their layout themselves.
-    "figure.autolayout": False,
-    "figure.constrained_layout.use": False,
+    **dict.fromkeys(("figure.autolayout", "figure.constrained_layout.use"), False),
 }
 
 
@@ -106,16 +96,12 @@ def _light_font() -> str:
             entry.string = "PolarisSans"
         elif entry.nameID == 2:
             entry.string = "Regular"
-    path = Path(_scratch().name, "PolarisSans.ttf")
+    folder = tempfile.mkdtemp(prefix="polaris-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    path = Path(folder, "PolarisSans.ttf")
     font.save(path)
     font_manager.fontManager.addfont(path)
     return "PolarisSans"
-
-
-@cache
-def _scratch() -> tempfile.TemporaryDirectory[str]:
-    """A folder that is removed when the process ends."""
-    return tempfile.TemporaryDirectory(prefix="polaris-")
 
 
 def new_figure(height: float, width: float = WIDTH) -> Any:
@@ -162,17 +148,17 @@ def keep_ticks(axes: Iterable[Any]) -> None:
             axis.get_major_locator().set_params(nbins=most, min_n_ticks=min(most, 2))
 
 
-def text_width(text: str, size: float = 7.0) -> float:
-    """Width of a text [in], with what fitting letters to pixels may add."""
-    font = FontProperties(size=size)
+def text_width(text: str) -> float:
+    """Width of a text of 7 points [in], with what fitting letters to pixels may add."""
+    font = FontProperties(size=7.0)
     return 1.05 * float(text_to_path.get_text_width_height_descent(text, font, False)[0]) / 72
 
 
-def shortened(text: str, width: float, size: float = 7.0) -> str:
+def shortened(text: str, width: float) -> str:
     """A text, its end cut off if it is wider than this [in]."""
-    if text_width(text, size) <= width:
+    if text_width(text) <= width:
         return text
-    while len(text) > 1 and text_width(text + "\N{HORIZONTAL ELLIPSIS}", size) > width:
+    while len(text) > 1 and text_width(text + "\N{HORIZONTAL ELLIPSIS}") > width:
         text = text[:-1]
     return text + "\N{HORIZONTAL ELLIPSIS}"
 

@@ -53,8 +53,7 @@ def _distance(ax: Any, picture: Picture) -> None:
     pad = 0.06 * (highest - lowest) + 1e-9
     bottom = lowest - 2 * pad
     _beyond(ax, 0.0, bottom)
-    place = {"ha": "right", "va": "top", "transform": ax.get_yaxis_transform()}
-    ax.text(0.99, 0.0, "unsafe", color=RED, fontsize=7, **place)
+    _beside(ax, 0.99, 0.0, "unsafe", color=RED, ha="right", va="top")
     ax.set(xlim=(0, picture.duration), ylim=(bottom, highest + pad), ylabel="Distance (m)")
     ax.grid(True)
     legend_above(ax, handles, 3)
@@ -90,8 +89,7 @@ def modes_figure(picture: Picture) -> Any:
         row, flags = rows - 1 - mode, picture.modes == mode
         ax.broken_barh([(0, picture.duration)], (row - 0.3, 0.6), facecolor="#F2F2F2", lw=0)
         _bars(ax, picture, flags, (row - 0.3, 0.6), mode_colour(mode))
-        place = {"va": "center", "transform": ax.get_yaxis_transform()}
-        ax.text(1.01, row, f"{np.mean(flags):.0%}", fontsize=7, **place)
+        _beside(ax, 1.01, row, f"{np.mean(flags):.0%}", va="center")
     ax.set(xlim=(0, picture.duration), ylim=(-0.6, rows - 0.4), xlabel="Time (s)")
     ax.set_yticks(range(rows), [picture.mode_name(mode) for mode in range(rows)][::-1])
     ax.tick_params(axis="y", length=0)
@@ -120,8 +118,7 @@ def margin_figure(picture: Picture) -> Any:
         for name, shade in zip(own, shades(ends, len(own)), strict=True):
             _bars(ax, picture, names == name, (place, height), shade)
             handles.append(Patch(facecolor=shade, label=name))
-    look = {"ha": "right", "va": "center", "transform": ax.get_yaxis_transform()}
-    ax.text(-0.015, place + height / 2, "limit", fontsize=7, **look)
+    _beside(ax, -0.015, place + height / 2, "limit", ha="right", va="center")
     label = "Margin (share of room left)"
     ax.set(xlim=(0, picture.duration), ylim=(place - 0.03, 1.0), xlabel="Time (s)", ylabel=label)
     ax.set_yticks([0, 0.25, 0.5, 0.75, 1.0])
@@ -138,6 +135,11 @@ def _bars(
     delta = picture.reference.delta
     spans = [(a * delta, (b - a) * delta) for a, b in stretches(flags)]
     ax.broken_barh(spans, rows, facecolor=colour, lw=0, **look)
+
+
+def _beside(ax: Any, x: float, y: float, text: str, **look: Any) -> None:
+    """Write at a share of the width, and a value."""
+    ax.text(x, y, text, fontsize=7, transform=ax.get_yaxis_transform(), **look)
 
 
 def _beyond(ax: Any, value: float, end: float) -> None:

@@ -56,8 +56,7 @@ def tube_support(centre: Array, generators: Array, bow: Array, parts: int, rays:
     """
     node = centre @ rays.T + np.abs(np.einsum("ri,kqig->kqrg", rays, generators)).sum(axis=-1)
     between = np.maximum(node[:, :-1], node[:, 1:]) + bow @ np.abs(rays).T
-    edges = part_edges(bow.shape[1], parts)
-    return np.stack([between[:, a:b].max(axis=1) for a, b in zip(edges[:-1], edges[1:], strict=True)], axis=1)
+    return np.asarray(np.maximum.reduceat(between, part_edges(bow.shape[1], parts)[:-1], axis=1))
 
 
 def part_edges(q: int, parts: int) -> NDArray[np.int_]:
@@ -126,24 +125,22 @@ def polyhedron(normals: Array, support: Array, inside: Array) -> Shape | None:
 
 
 @cache
-def _unit_ball(splits: int) -> Shape:
+def _unit_ball() -> Shape:
+    """An icosahedron, its triangles split in four twice."""
     golden = (1 + 5**0.5) / 2
     corners = np.array([[-1.0, golden, 0.0], [1.0, golden, 0.0], [-1.0, -golden, 0.0], [1.0, -golden, 0.0]])
     points = np.vstack([np.roll(corners, turn, axis=1) for turn in range(3)])
-    for _ in range(splits):
+    for _ in range(3):
         surface = hull(points / np.linalg.norm(points, axis=1, keepdims=True))
         assert surface is not None and surface.faces is not None  # a ball's points have a volume
         edges = np.sort(surface.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
         points = np.vstack([surface.points, surface.points[np.unique(edges, axis=0)].mean(axis=1)])
-    found = hull(points / np.linalg.norm(points, axis=1, keepdims=True))
-    assert found is not None
-    return found
+    return surface
 
 
-def ball(radius: float, splits: int = 2) -> Shape:
-    """A ball about the origin: an icosahedron, its triangles split in four a few times."""
-    unit = _unit_ball(splits)
-    return Shape("mesh", radius * unit.points, unit.faces)
+def ball(radius: float) -> Shape:
+    """A ball [m] about the origin."""
+    return Shape("mesh", radius * _unit_ball().points, _unit_ball().faces)
 
 
 def ball_points(radius: float, d: int) -> Array:
@@ -167,11 +164,14 @@ def cut_surface(H: Array, b: Array, low: Array, high: Array) -> Shape | None:
     found = polyhedron(whole.H, whole.b, whole.middle)
     if found is None or found.faces is None:
         return None
-    near = 1e-6 * float(np.max(high - low))
-    on_low = np.abs(found.points - low) <= near
-    on_high = np.abs(found.points - high) <= near
-    capped = np.any(on_low[found.faces].all(axis=1) | on_high[found.faces].all(axis=1), axis=1)
-    return Shape("mesh", found.points, found.faces[~capped]) if np.any(~capped) else None
+    inner = ~on_box(found.points[found.faces], low, high)
+    return Shape("mesh", found.points, found.faces[inner]) if np.any(inner) else None
+
+
+def on_box(parts: Array, low: Array, high: Array) -> NDArray[np.bool_]:
+    """Which lines or triangles (N, corners, 3) lie in a side of a box [m]."""
+    apart = np.abs(np.stack([parts - low, parts - high]))
+    return np.asarray((apart <= 1e-6 * float(np.max(high - low))).all(axis=2).any(axis=(0, 2)))
 
 
 def faces(vertices: Array) -> list[Array]:
@@ -183,12 +183,10 @@ def faces(vertices: Array) -> list[Array]:
     except QhullError:  # no volume
         return []
     found = []
-    for plane in np.unique(np.round(hull.equations, 6), axis=0):
-        normal = plane[:3]
-        on = vertices[np.abs(vertices @ normal + plane[3]) <= 1e-4 * (1 + np.abs(plane[3]))]
-        if len(on) < 3:
-            continue
-        first = np.linalg.svd(on - on.mean(axis=0))[2][:2]
-        flat = (on - on.mean(axis=0)) @ first.T
-        found.append(on[np.argsort(np.arctan2(flat[:, 1], flat[:, 0]))])
+    for *normal, offset in np.unique(np.round(hull.equations, 6), axis=0):
+        on = vertices[np.abs(vertices @ normal + offset) <= 1e-4 * (1 + np.abs(offset))]
+        if len(on) >= 3:
+            beside = on - on.mean(axis=0)
+            x, y = np.linalg.svd(beside)[2][:2] @ beside.T
+            found.append(on[np.argsort(np.arctan2(y, x))])
     return found

@@ -46,9 +46,8 @@ class Space:
         reach = np.abs(start.G).sum(axis=-1)
         points = np.vstack([*picture.path(), picture.safe_path()[1], start.c - reach, start.c + reach])
         size = float(np.max(np.ptp(points[:, flat], axis=0)))
-        for path in (
-            [picture.positions(item) for item in picture.flights.values()] if paths is None else paths
-        ):
+        flown = map(picture.positions, picture.flights.values())
+        for path in flown if paths is None else paths:
             beyond = np.maximum(points.min(axis=0) - path, path - points.max(axis=0))[:, flat]
             if np.all(beyond < NEAR * size):
                 points = np.vstack([points, path])
@@ -59,10 +58,10 @@ class Space:
             if isinstance(obstacle, KeepIn):
                 continue
             near = picture.approach(obstacle)
-            if not obstacle.drawn.bounded:
-                outline = _within(obstacle, picture, near, reach)
-            else:
+            if obstacle.drawn.bounded:
                 outline = cls(picture, low, high).corners(obstacle, near.time)
+            else:
+                outline = _within(obstacle, picture, near, reach)
             seen.append(np.clip(outline, low - reach, high + reach))
         points = np.vstack(seen)
         low, high = points.min(axis=0), points.max(axis=0)

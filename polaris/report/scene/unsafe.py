@@ -12,8 +12,9 @@ from ...model.obstacle import Obstacle
 from ...model.satellite import SatelliteObstacle
 from ...model.shapes import Ball, Polytope
 from ...model.system import Array
+from . import geometry
 from .closeups import CloseUp
-from .geometry import Shape, ball, boxed, closed, cut_surface, faces, flat_outline, gapped, hull, polyhedron
+from .geometry import Shape, boxed, closed, faces, flat_outline, gapped, hull, on_box
 from .items import Item, Mark
 from .space import Space, moves
 
@@ -69,7 +70,8 @@ def _at(obstacle: Obstacle, space: Space, axes: list[int], t: float) -> Shape | 
         outline = space.outline(obstacle, t, axes)
         return Shape("area", outline) if len(outline) else None
     if isinstance(obstacle.drawn, Ball):
-        return ball(obstacle.drawn.radius).moved(obstacle.centre(t, space.picture.system)).along(axes)
+        centre = obstacle.centre(t, space.picture.system)
+        return geometry.ball(obstacle.drawn.radius).moved(centre).along(axes)
     surface = hull(space.corners(obstacle, t))
     return surface and surface.along(axes)
 
@@ -126,14 +128,11 @@ def _keep_in(obstacle: KeepIn, space: Space, axes: list[int]) -> list[Item]:
         outline = closed(flat_outline(space.corners(obstacle, 0.0)[:, axes]))
         return [Item("keep_in", (Shape("line", outline),), name)] if len(outline) else []
     inside = obstacle.inside
-    surface = cut_surface(inside.H, inside.b, space.low, space.high)
+    surface = geometry.cut_surface(inside.H, inside.b, space.low, space.high)
     found = [Item("keep_in", (surface.along(axes),), name)] if surface else []
     within = boxed(inside.H, inside.b, space.low, space.high)
     lines = _edges(within.vertices() if within.depth > 0 else np.zeros((0, 3)))
-    near = 1e-6 * float(np.max(space.high - space.low))
-    on = np.stack([np.abs(lines - space.low) <= near, np.abs(lines - space.high) <= near])
-    lines = lines[~np.any(on.all(axis=2), axis=(0, 2))]
-    return found + _sides(obstacle, lines[..., axes])
+    return found + _sides(obstacle, lines[~on_box(lines, space.low, space.high)][..., axes])
 
 
 def _sides(obstacle: KeepIn, lines: Array) -> list[Item]:
@@ -172,7 +171,7 @@ def _cover(normals: Array, support: Array, axes: list[int]) -> Shape | None:
     """A cover about its middle."""
     if normals.shape[1] != 3:
         return Shape("area", flat_outline(Polytope(normals, support).vertices()[:, axes]))
-    solid = polyhedron(normals, support, np.zeros(3))
+    solid = geometry.polyhedron(normals, support, np.zeros(3))
     if solid is None or len(axes) == 3:
         return solid and solid.along(axes)
     return Shape("area", flat_outline(solid.points[:, axes]))
