@@ -6,10 +6,10 @@ from typer.testing import CliRunner
 
 from polaris.cli import app as cli
 from polaris.report.figures import flight as figures
+from polaris.report.figures.flight import free_flights, nearest_deputy
 from polaris.report.figures.fuel_limit import draw_fuel_run
 from polaris.report.figures.monte_carlo import draw_failures, draw_initial_conditions
 from polaris.report.figures.style import new_figure, style
-from polaris.report.scene.inspection import free_flights, nearest_deputy
 from polaris.runs.fuel_limit import fly_fuel
 from polaris.runs.inspection import fly_flight
 from polaris.runs.monte_carlo import CampaignPicture

@@ -14,9 +14,10 @@ from matplotlib.patches import Circle
 from ...inspection.constraints.allowable_set import allowable
 from ...inspection.flights.simulation import InspectionRun
 from ...inspection.inspection import Inspection
+from ...model.hill import free_flight
 from ...model.system import Array
-from ..scene.inspection import AXES, ORDER, free_flights, nearest_deputy, surroundings
 from ..scene.palette import BLACK, BLUE, GREEN, GREY, LOOKS, RED, SKY, deputy_colour, tint
+from ..scene.unsafe import AXES, ORDER, surroundings
 from .scene3d import frame_axes
 from .style import ABOVE, WIDTH, new_figure, save_all, step_edges
 
@@ -25,6 +26,12 @@ DASHES: tuple[Any, ...] = ("-", (0, (5, 1.2)), (0, (1.2, 1)), (0, (4, 1, 1, 1)),
 SAFE, UNSAFE = tint(GREEN, 0.14), tint(RED, 0.16)
 
 Panel = Callable[[Any, Any], None]
+
+SHOWN_FLIGHTS = 16
+"""Free flights that are drawn."""
+
+FINE = 101
+"""Instants of a free flight that are drawn."""
 
 MOST_NAMED = 10
 """Most lines that a legend names."""
@@ -100,6 +107,24 @@ def _paths_3d(run: InspectionRun) -> Any:
     return figure
 
 
+# -- free flights -----------------------------------------------------------------------------------
+
+
+def free_flights(run: InspectionRun, deputy: int) -> tuple[Array, Array, Array]:
+    """Instants, times of flight, and positions of free flights of shape (instants, times, 3)."""
+    q = run.inspection
+    chosen = np.unique(np.linspace(0, len(run.t) - 1, SHOWN_FLIGHTS + 2).astype(int)[1:-1])
+    after = np.linspace(0, q.passive_time, FINE)
+    Phi = free_flight(q.mean_motion, after)[:, :3]
+    return run.t[chosen], after, np.einsum("tij,kj->kti", Phi, run.x[chosen, deputy])
+
+
+def nearest_deputy(run: InspectionRun) -> int:
+    """The deputy whose free flights come nearest to the chief, of those that are drawn."""
+    least = [np.linalg.norm(free_flights(run, i)[2], axis=2).min() for i in range(run.inspection.deputies)]
+    return int(np.argmin(least))
+
+
 # -- panels over time -------------------------------------------------------------------------------
 
 
@@ -112,10 +137,7 @@ def _lines(ax: Any, run: InspectionRun, label: str, values: Array, pairs: bool =
         dashes = DASHES[int(second) % len(DASHES)]
         lines += ax.plot(run.t, line, color=deputy_colour(int(first)), ls=dashes, **look)
     ax.set(xlim=(0, run.t[-1]), xlabel="Time (s)", ylabel=label)
-    if pairs:
-        _legend(ax, lines, [f"{i}, {j}" for i, j in q.pairs], "Pair", 6)
-    else:
-        _deputy_legend(ax, lines)
+    _legend(ax, lines, q.pairs if pairs else None)
 
 
 def _velocity(k: int, ax: Any, run: InspectionRun) -> None:
@@ -193,7 +215,7 @@ def _speed(ax: Any, run: InspectionRun) -> None:
     tell(ax, "largest speed", 0.5 * right, allowed + 0.02 * top, ha="center", va="bottom")
     tell(ax, "keep-in zone", q.distance_max + 0.012 * right, 0.04 * top, rotation=90, va="bottom")
     ax.set(xlim=(0, right), ylim=(0, top), xlabel="Distance from the chief (m)", ylabel="Speed (m/s)")
-    _deputy_legend(ax, lines)
+    _legend(ax, lines)
 
 
 def _free_distance(ax: Any, run: InspectionRun) -> None:
@@ -269,20 +291,18 @@ def _without_legend(ax: Any) -> None:
         ax.get_legend().remove()
 
 
-def _deputy_legend(ax: Any, lines: list[Any]) -> None:
-    """Name the lines of the deputies; one alone needs no name."""
-    names = [str(i) for i in range(len(lines))]
-    _legend(ax, lines if len(lines) > 1 else [], names, "Deputy", len(lines) + 1)
-
-
-def _legend(ax: Any, lines: list[Any], names: list[str], title: str, columns: int) -> None:
-    """Put a legend with a title on one line above the axes; none of too many lines."""
-    if 0 < len(lines) <= MOST_NAMED:
-        look = ABOVE | {"handlelength": 1.2, "columnspacing": 0.7, "handletextpad": 0.3, "labelspacing": 0.25}
-        handles = [Line2D([], [], ls="none"), *lines]
-        legend = ax.legend(handles, [title, *names], **look | {"ncols": columns})
-        for handle in legend.legend_handles:  # thin lines could not be told apart
-            handle.set_linewidth(1.2)
+def _legend(ax: Any, lines: list[Any], pairs: Any = None) -> None:
+    """Name the lines of deputies, or of pairs, above the axes: not of one deputy, nor of too many lines."""
+    if len(lines) <= (pairs is None) or len(lines) > MOST_NAMED:
+        return
+    title, names, columns = "Deputy", [str(i) for i in range(len(lines))], len(lines) + 1
+    if pairs is not None:
+        title, names, columns = "Pair", [f"{i}, {j}" for i, j in pairs], 6
+    look = ABOVE | {"handlelength": 1.2, "columnspacing": 0.7, "handletextpad": 0.3, "labelspacing": 0.25}
+    handles = [Line2D([], [], ls="none"), *lines]
+    legend = ax.legend(handles, [title, *names], **look | {"ncols": columns})
+    for handle in legend.legend_handles:  # thin lines could not be told apart
+        handle.set_linewidth(1.2)
 
 
 _FIGURES: dict[str, Callable[[InspectionRun], Any]] = {

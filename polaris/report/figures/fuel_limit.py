@@ -10,8 +10,8 @@ from matplotlib.collections import LineCollection
 from matplotlib.lines import Line2D
 
 from ...inspection.flights.fuel_run import FuelRun
-from ..scene.inspection import AXES, ORDER
 from ..scene.palette import BLACK, BLUE, LOOKS, ORANGE, PURPLE, SKY, VERMILION
+from ..scene.unsafe import AXES, ORDER
 from .flight import draw_chief, shade, shade_thrust, stack, tell
 from .style import ABOVE, save_all, step_edges
 

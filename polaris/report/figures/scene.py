@@ -66,8 +66,13 @@ def draw_scene(ax: Any, scene: Scene, lettered: bool = False) -> float:
         ax.set_aspect("equal")
     ax.set(xlim=view.span[0], ylim=view.span[1], xlabel=scene.labels[0], ylabel=scene.labels[1])
     ax.grid(True)
-    drawers: tuple[Callable[..., list[Any]], ...] = (_slices, _tube, _start, _goal, _paths)
+    drawers: tuple[Callable[..., list[Any]], ...] = (_slices, _tube, _goal, _paths)
     handles = [handle for draw in drawers for handle in draw(ax, scene, view)]
+    for item in scene.of("initial"):
+        if scene.time_axis is None:
+            _outline(ax, item.points, 0.6, "-", BLACK, 5)
+        else:
+            ax.plot(*item.points.T, color=BLACK, lw=3, clip_on=False, zorder=6)
     draw_unsafe(ax, scene, view, lettered)
     for t, _, outline in scene.picture.printed_slices() if scene.time_axis is None else ():
         if len(view.seen(outline)):
@@ -121,16 +126,6 @@ def _tube(ax: Any, scene: Scene, view: View) -> list[Any]:
             if wide:  # else hidden under the path
                 seen[wide] = Patch(facecolor=colour, label=LOOKS["tube"].legend)
     return [seen[max(seen)]] if seen else []
-
-
-def _start(ax: Any, scene: Scene, view: View) -> list[Any]:
-    for item in scene.of("initial"):
-        shape = item.shape
-        if shape and shape.kind == "line":
-            ax.plot(*shape.points.T, color=BLACK, lw=3, clip_on=False, zorder=6)
-        elif shape:
-            _outline(ax, shape.points, 0.6, "-", BLACK, 5)
-    return []
 
 
 def _goal(ax: Any, scene: Scene, view: View) -> list[Any]:

@@ -15,9 +15,8 @@ from ...runs.comparison import ComparisonPicture
 from ...runs.folder import RunFolder
 from ...synthesis.recoverable import directed
 from ..scene.palette import method_style
-from . import claims
 from .page import Page, reading
-from .run_report import NOTE
+from .run_report import NOTE, guarantee, loud
 from .tables import Cell, Measure, badge, details, escaped, items, number_cell, shown, table, text_cell
 from .timelines import Flown, flight_data
 
@@ -38,7 +37,7 @@ def comparison_page(folder: RunFolder) -> Page:
     name, recoverable = escaped(found["scenario"]), str(summary["synthesis"]["recoverable"])
     lead = f"<p>{len(methods)} methods flown under the same conditions. Scenario <code>{name}</code>.</p>"
     if claim["kind"] != "proved":
-        lead += claims.loud(recoverable)
+        lead += loud(recoverable)
     names = {method["key"]: str(method["name"]) for method in methods}
     return Page(
         f"{found['title']}: comparison",
@@ -48,7 +47,7 @@ def comparison_page(folder: RunFolder) -> Page:
             ("claims", "What each method claims", _claims(methods)),
             ("paired", "Differences, run by run", _paired(found["paired"], names)),
             ("decisions", "Decisions of the run shown", _decisions(folder.path / "decisions.jsonl", names)),
-            ("guarantee", "The guarantee of the schedule", claims.guarantee(claim, recoverable)),
+            ("guarantee", "The guarantee of the schedule", guarantee(claim, recoverable)),
             reading(found, NOTE),
         ),
         comparison_data(picture, claim["kind"] == "proved"),

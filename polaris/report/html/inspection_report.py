@@ -20,13 +20,13 @@ from ...runs.folder import RunFolder
 from ...runs.inspection_summary import MEANING
 from ..scene import palette
 from ..scene.geometry import Shape, gapped
-from ..scene.inspection import AXES, ORDER, surroundings
 from ..scene.items import Item
-from . import claims
+from ..scene.unsafe import AXES, ORDER, surroundings
 from .page import Page, reading
+from .run_report import other_guarantee
 from .scene import layer, plain
 from .tables import Cell, Measure, badge, escaped, number_cell, table, text_cell
-from .timelines import input_panels, kept, limit, modes_present, page_data, panel, pilot
+from .timelines import WHO, input_panels, kept, limit, modes_present, panel, pilot
 
 LIMITS = (
     "That the next program of the filter has a solution, unless it says so above.",
@@ -60,7 +60,7 @@ def inspection_page(folder: RunFolder) -> Page:
         data = fuel_data(folder.picture())
     else:
         parts.insert(0, ("studies", "Studies", _studies(summary)))
-    parts.append(("guarantee", "What is claimed", claims.other_guarantee(claim, LIMITS)))
+    parts.append(("guarantee", "What is claimed", other_guarantee(claim, LIMITS)))
     return Page(str(summary["title"]), lead, (*parts, reading(summary)), data, summary)
 
 
@@ -148,15 +148,16 @@ def flight_data(folder: RunFolder) -> dict[str, Any]:
     reach, angle = 0.9 * float(np.abs(run.x[..., :3]).max()), run.sun[chosen]
     ends = reach * np.stack([np.sin(angle), np.cos(angle), np.zeros_like(angle)], axis=1)
     rays = tuple(Shape("line", np.stack([np.zeros(3), end])) for end in ends)
-    return page_data(
-        _scene(q, run.x[..., :3], [Item("sun", rays, times=t)]),
-        pilots,
-        [*_margin_panels(t, margins), *input_panels(THRUSTS, "N", [q.thrust_max] * 3, drawn)],
-        modes=modes_present(run.status, palette.ANSWERS.__getitem__),
-        modes_title="Answers of the filter",
-        by="pilot",
-        opened=_closest(t, margins),
-    )
+    return {
+        "scene": _scene(q, run.x[..., :3], [Item("sun", rays, times=t)]),
+        "end": plain(t[-1]),
+        "open": plain(_closest(t, margins)),
+        "modes": modes_present(run.status, palette.ANSWERS.__getitem__),
+        "modes_title": "Answers of the filter",
+        "by": "pilot",
+        "pilots": pilots,
+        "panels": [*_margin_panels(t, margins), *input_panels(THRUSTS, "N", [q.thrust_max] * 3, drawn)],
+    }
 
 
 def fuel_data(run: FuelRun) -> dict[str, Any]:
@@ -172,14 +173,17 @@ def fuel_data(run: FuelRun) -> dict[str, Any]:
     flights = Shape("line", gapped((one.x[::4, ORDER] for one in run.predictions), 3))
     predicted = [Item("predicted", (flights,))] if run.predictions else []
     own = pilot("deputy0", "deputy", ["flight"], t, run.x[None, chosen][..., ORDER], backup[None, held[:-1]])
-    return page_data(
-        _scene(q, run.x[:, :3], predicted),
-        [own | {"colour": palette.BLUE} | LOOK],
-        [fuel, *input_panels(THRUSTS, "N", [q.thrust_max] * 3, [("deputy0", run.u[None, held], None)])],
-        modes=modes_present((0, 1), palette.BACKUP_MODES.__getitem__),
-        by="mode",
-        opened=latched,
-    )
+    thrust = [("deputy0", run.u[None, held], None)]
+    return {
+        "scene": _scene(q, run.x[:, :3], predicted),
+        "end": plain(t[-1]),
+        "open": plain(latched),
+        "modes": modes_present((0, 1), palette.BACKUP_MODES.__getitem__),
+        "modes_title": WHO,
+        "by": "mode",
+        "pilots": [own | {"colour": palette.BLUE} | LOOK],
+        "panels": [fuel, *input_panels(THRUSTS, "N", [q.thrust_max] * 3, thrust)],
+    }
 
 
 def _closest(t: Array, margins: Mapping[str, Array]) -> float:

@@ -9,6 +9,7 @@ the next one. A ``slice`` is of the instants ``t`` alone, with frames by run; ``
 
 from __future__ import annotations
 
+from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -43,13 +44,14 @@ def plain(values: ArrayLike) -> Any:
         return array.tolist()
     if array.ndim > 1:
         return [plain(part) for part in array]
-    short = [
-        float(f"{value:.{DIGITS}g}") if known else None
-        for value, known in zip(np.atleast_1d(array).tolist(), np.atleast_1d(np.isfinite(array)), strict=True)
-    ]
-    if array.ndim == 0:
-        return short[0]
-    return [int(one) if one is not None and one.is_integer() and abs(one) < 1e15 else one for one in short]
+    return [_short(value) for value in array.tolist()] if array.ndim else _short(float(array))
+
+
+def _short(value: float) -> float | int | None:
+    if not isfinite(value):
+        return None
+    short = float(f"{value:.{DIGITS}g}")
+    return int(short) if short.is_integer() and abs(short) < 1e15 else short
 
 
 def scene_data(scene: Scene) -> dict[str, Any]:

@@ -93,30 +93,17 @@ def flight_data(
         return picture.mode_name(mode) if known else f"controller {mode}", mode_colour(mode)
 
     present = np.concatenate([picture.modes, *(np.ravel(one.runs.modes) for one in flown)])
-    return page_data(
-        scene_data(scene),
-        pilots,
-        panels,
-        modes=modes_present(present, named),
-        by=by,
-        opened=picture.closest if opened is None else opened,
-    )
-
-
-def page_data(
-    scene: dict[str, Any],
-    pilots: list[dict[str, Any]],
-    panels: list[dict[str, Any]],
-    *,
-    modes: list[dict[str, Any]],
-    modes_title: str = WHO,
-    by: str,
-    opened: float,
-) -> dict[str, Any]:
-    """All that the page's script draws of a flight, opened at some time [s]."""
-    end = max((one["t"][-1] for one in pilots), default=plain(opened))
-    told = {"scene": scene, "end": end, "open": plain(opened), "modes": modes, "modes_title": modes_title}
-    return told | {"by": by, "pilots": pilots, "panels": panels}
+    opened = picture.closest if opened is None else opened
+    return {
+        "scene": scene_data(scene),
+        "end": max((one["t"][-1] for one in pilots), default=plain(opened)),
+        "open": plain(opened),
+        "modes": modes_present(present, named),
+        "modes_title": WHO,
+        "by": by,
+        "pilots": pilots,
+        "panels": panels,
+    }
 
 
 def kept(count: int, modes: ArrayLike = (), must: Sequence[int] = ()) -> NDArray[np.intp]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -131,11 +132,10 @@ def _unit_ball() -> Shape:
     corners = np.array([[-1.0, golden, 0.0], [1.0, golden, 0.0], [-1.0, -golden, 0.0], [1.0, -golden, 0.0]])
     points = np.vstack([np.roll(corners, turn, axis=1) for turn in range(3)])
     for _ in range(3):
-        surface = hull(points / np.linalg.norm(points, axis=1, keepdims=True))
-        assert surface is not None and surface.faces is not None  # a ball's points have a volume
+        surface: Any = hull(points / np.linalg.norm(points, axis=1, keepdims=True))
         edges = np.sort(surface.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
         points = np.vstack([surface.points, surface.points[np.unique(edges, axis=0)].mean(axis=1)])
-    return surface
+    return Shape("mesh", surface.points, surface.faces)
 
 
 def ball(radius: float) -> Shape:
@@ -171,7 +171,7 @@ def cut_surface(H: Array, b: Array, low: Array, high: Array) -> Shape | None:
 def on_box(parts: Array, low: Array, high: Array) -> NDArray[np.bool_]:
     """Which lines or triangles (N, corners, 3) lie in a side of a box [m]."""
     apart = np.abs(np.stack([parts - low, parts - high]))
-    return np.asarray((apart <= 1e-6 * float(np.max(high - low))).all(axis=2).any(axis=(0, 2)))
+    return np.asarray(np.any(np.all(apart <= 1e-6 * np.max(high - low), axis=2), axis=(0, 2)))
 
 
 def faces(vertices: Array) -> list[Array]:

@@ -33,16 +33,10 @@ def shown_axes(picture: Picture, paths: Sequence[Array] = ()) -> list[int]:
 
 
 def describe(picture: Picture, paths: Sequence[Array] | None = None, axes: list[int] | None = None) -> Scene:
-    """What a scene shows of a picture.
+    """What a scene shows of a picture in two or three axes, by default the plane of the figures.
 
-    Parameters
-    ----------
-    picture : Picture
-    paths : sequence of ndarray, shape (N, d), optional
-        Positions flown [m]; the scene is widened for those that stay near it. Default the picture's own.
-    axes : list of int, optional
-        Position coordinates to draw, two or three; default the plane of the figures. Motion on a line is
-        drawn over time.
+    It is widened for paths flown (N, d) [m] that stay near, by default the picture's own. Motion on a line is
+    drawn over time.
     """
     if picture.system.d == 1:
         return _on_the_line(picture, paths)

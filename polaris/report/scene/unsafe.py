@@ -1,4 +1,4 @@
-"""Unsafe sets and keep-in sets in a scene in the plane, in space, or in the plane over time."""
+"""Unsafe and keep-in sets in a scene: in the plane, in space, in the plane over time, and about a chief."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ...inspection.inspection import Inspection
 from ...model.keep_in import KeepIn
 from ...model.obstacle import Obstacle
 from ...model.satellite import SatelliteObstacle
@@ -16,7 +17,12 @@ from . import geometry
 from .closeups import CloseUp
 from .geometry import Shape, boxed, closed, faces, flat_outline, gapped, hull, on_box
 from .items import Item, Mark
+from .palette import LOOKS
 from .space import Space, moves
+
+AXES = ("Radial", "Along-track", "Cross-track")
+ORDER = [1, 0, 2]
+"""Hill's coordinates in the order of the axes of a scene: along-track, radial, cross-track."""
 
 PATH = 121
 """Instants between which a moving set is carried evenly."""
@@ -198,3 +204,14 @@ def prisms(space: Space) -> list[Item]:
             cut = not obstacle.drawn.bounded
             found.append(Item("unsafe", (marks[-1].shape,), obstacle.name, marks=tuple(marks[::-1]), cut=cut))
     return found
+
+
+def surroundings(q: Inspection) -> list[Item]:
+    """The chief's sphere, and three circles of the sphere to stay within, in the axes of a scene."""
+    angle = np.linspace(0, 2 * np.pi, 73)
+    ring = q.distance_max * np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=1)
+    rings = gapped((np.roll(ring, turn, axis=1) for turn in range(3)), 3)
+    return [
+        Item("chief", (geometry.ball(q.separation),)),
+        Item("keep", (Shape("line", rings),), f"{LOOKS['keep'].name}, {q.distance_max:g} m"),
+    ]
