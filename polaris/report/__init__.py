@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from ..model.errors import ScenarioError
 from ..runs.atomic import check_file, replacing_file
 from ..runs.folder import RunFolder, readable
 from ..runs.run import read_run
@@ -37,6 +38,10 @@ def write_report(folder: str | Path, out: str | Path | None = None) -> Path:
     ScenarioError
         If the folder is none of these or damaged, or the file cannot be written.
     """
+    if not Path(folder).is_dir():
+        known = Path(folder).exists()
+        rule = "is a file; must be a run folder or a comparison" if known else "there is no such folder"
+        raise ScenarioError("report", str(folder), rule)
     run = read_run(folder)
     target = run.path / "report.html" if out is None else Path(out)
     check_file(target, endings=(".html", ".htm"))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -47,8 +48,6 @@ def draw_comparison(found: ComparisonPicture, out: Path) -> list[Path]:
 
 def tradeoffs_png(methods: Sequence[Mapping[str, Any]]) -> bytes:
     """The figure ``tradeoffs`` as a picture for a page."""
-    from io import BytesIO
-
     file = BytesIO()
     with printing():
         chosen = [method for method in methods if method.get("available", True)]

@@ -1,4 +1,4 @@
-"""Figures of a flight of the inspection problem: figures 6 to 8 of the paper, from a run folder's files."""
+"""Figures of a flight of the inspection problem: figure 6 of the paper, and more, from its files."""
 
 from __future__ import annotations
 
