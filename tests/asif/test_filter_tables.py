@@ -89,7 +89,7 @@ def test_flight_is_judged_and_told(flown):
 
 
 def test_flight_is_on_the_page_and_in_the_figures(flown, tmp_path, monkeypatch):
-    monkeypatch.setattr("polaris.report.figures.inspection.FLIGHT_FIGURES", ("speed",))
+    monkeypatch.setattr("polaris.report.figures.flight.FLIGHT_FIGURES", ("speed",))
     assert invoke("plot", flown[1]).exit_code == 0
     assert (flown[1] / "figures" / "speed.pdf").is_file()
     done = invoke("report", flown[1], "--out", tmp_path / "page.html")
