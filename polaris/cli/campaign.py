@@ -175,7 +175,7 @@ def _plan(
 ) -> CampaignPlan:
     """The campaign of schedules that the options ask for."""
     from ..runs.campaign import CampaignPlan, ScheduleRuns, make_cases, parse_grid
-    from ..runs.campaign.parts import usable
+    from ..runs.campaign.formats import usable
 
     given = {name: own[f"--{name}"] for name in ("initial", "disturbance") if own[f"--{name}"]}
     sized = {"batch": own["--batch"]} if own["--batch"] else {}

@@ -216,3 +216,9 @@ def replacing_file(target: Path, field: str = "--out") -> Iterator[Path]:
         if isinstance(error, OSError):
             raise CannotWrite(field, target, error, target.exists()) from error
         raise
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write a text file: whole, or not at all."""
+    with replacing_file(path) as beside:
+        beside.write_text(text, encoding="utf-8", newline="\n")

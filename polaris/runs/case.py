@@ -20,11 +20,11 @@ from ..simulation.falsification.search import Failure, Falsification, violation
 from ..simulation.integration import Integrator
 from ..synthesis.schedule import Schedule
 from ..synthesis.synthesize import synthesize
-from .atomic import replacing_file
+from .atomic import write_whole
 from .folder import readable
 from .run import read_run
 from .schedule import SCHEDULE, digest
-from .tables import json_text, read_reference, write_text
+from .tables import json_text, read_reference
 
 FORMAT = "polaris case"
 VERSION = 1
@@ -83,8 +83,7 @@ def write_case(path: str | Path, scenario: ScheduleScenario, found: Falsificatio
         "inputs": None if attack.free is None else _packed(attack.free[:, 0]),
     }
     target = Path(path)
-    with replacing_file(target) as beside:
-        write_text(beside, json_text(data))
+    write_whole(target, json_text(data))
     return target
 
 

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from ..model.errors import PolarisError
 from ..model.system import Array
 from ..scenario.scenario import MonteCarloScenario
-from .atomic import replacing_file
+from .atomic import replacing_file, write_whole
 from .campaign.drive import run_campaign
-from .campaign.folder import CampaignFolder, read_campaign, write_beside
+from .campaign.folder import CampaignFolder, read_campaign
 from .campaign.inspections import BLOCK, InspectionRuns, case_of, initial_states, outcomes
 from .campaign.plan import CampaignPlan
 from .campaign.workers import Workers
@@ -66,10 +66,10 @@ def run_monte_carlo(
         error = PolarisError(failure["message"])
         error.exit_code = failure["exit_code"]
         raise error
-    write_beside(folder.path / SCENARIO, scenario.copy_text())
+    write_whole(folder.path / SCENARIO, scenario.copy_text())
     rows = [
         [name, one["run"], one["what"], " ".join(map(str, one["deputies"])), one["time"], one["value"]]
-        for name, outcome in outcomes(folder.plan.cases[0], folder.parts.read(0)).items()
+        for name, outcome in outcomes(folder.plan.cases[0], folder.read(0)).items()
         for one in outcome.failures()
     ]
     with replacing_file(folder.path / "failures.csv") as beside:
@@ -105,7 +105,7 @@ class CampaignPicture:
 
 def _read(path: Path, scenario: MonteCarloScenario) -> CampaignPicture:
     folder = read_campaign(path, same_version=False)
-    columns = folder.parts.read(0)
+    columns = folder.read(0)
     found, x = outcomes(folder.plan.cases[0], columns), initial_states(columns)
     failures = [outcome.failures() for outcome in found.values()]
     whats = sorted({one["what"] for rows in failures for one in rows})

@@ -51,7 +51,7 @@ def seen(monkeypatch):
 
 
 def test_all_studies_fly_the_same_conditions_and_the_picture_is_that_of_the_table(flown):
-    columns, picture = flown.parts.read(0), read_run(flown.path).picture()
+    columns, picture = flown.read(0), read_run(flown.path).picture()
     assert len(columns["run"]) == RUNS * len(STUDIES) and picture.studies == STUDIES
     assert len(list((flown.path / "runs").glob("case-*.parquet"))) == 3
     for k, name in enumerate(STUDIES):
@@ -84,7 +84,7 @@ def test_a_pool_gives_the_same_table(flown, tmp_path):
 def test_one_run_is_flown_again_bit_for_bit(flown, monkeypatch):
     folder = read_campaign(flown.path)
     found = replay_run(folder, 0, 1, 1, "decentralized")
-    columns = folder.parts.read(0)
+    columns = folder.read(0)
     place = np.flatnonzero((columns["mode"] == "decentralized") & (columns["batch"] == 1))[1]
     np.testing.assert_equal(found.row, {name: values[place] for name, values in columns.items()})
     run = found.arrays
