@@ -33,7 +33,8 @@ from . import arrays
 from . import tables as files
 from .certificate import write_certificate
 from .folder import SCENARIO, Draw, RunFolder, RunKind, read_json, write_folder
-from .picture import Picture, picture_of
+from .picture import Picture
+from .picturing import picture_of
 from .stages import Stages
 
 if TYPE_CHECKING:

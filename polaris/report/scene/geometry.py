@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...model.shapes import Polytope
 from ...model.system import Array
-from ...runs.frame import directions
+from ...runs.picture import directions
 
 
 @dataclass(frozen=True, eq=False)

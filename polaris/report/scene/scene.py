@@ -8,8 +8,7 @@ import numpy as np
 
 from ...model.obstacle import directions as directions_in_space
 from ...model.system import Array
-from ...runs.frame import directions
-from ...runs.picture import Picture
+from ...runs.picture import Picture, directions
 from .closeups import closeups, is_flat
 from .geometry import Shape, flat_outline, hull, part_edges, polygon, polyhedron, tube_support
 from .items import Item, Scene

@@ -33,7 +33,7 @@ class Interrupted(PolarisError):
 
 @dataclass
 class Driver:
-    """Hands out the tasks of a campaign until all are done; tells `progress` the runs done and all of them."""
+    """Hands out the tasks of a campaign until all are done; tells `progress` how many runs of how many."""
 
     folder: CampaignFolder
     workers: Workers
