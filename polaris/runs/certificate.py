@@ -37,27 +37,8 @@ def _claimed(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def file_hash(path: Path) -> str:
-    """SHA-256 of a file."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
-
-
 def certificate(schedule: Schedule, name: str, files: Iterable[Path] = ()) -> dict[str, Any]:
-    """Build the certificate of a schedule.
-
-    Parameters
-    ----------
-    schedule : Schedule
-    name : str
-        Name of the scenario.
-    files : iterable of Path
-        Files whose hashes it carries.
-
-    Returns
-    -------
-    dict
-        JSON data; see docs/certificate.md.
-    """
+    """The certificate of a schedule of a named scenario, with hashes of files; see docs/certificate.md."""
     safety = schedule.safety
     start, end, feedback = safety.problem.initial_set, safety.end, safety.tracking.feedback
     K, q = safety.problem.K, feedback.nodes_per_cell
@@ -66,7 +47,7 @@ def certificate(schedule: Schedule, name: str, files: Iterable[Path] = ()) -> di
         "format": FORMAT,
         "schema_version": VERSION,
         "scenario": {"name": name},
-        "artefacts": {path.name: file_hash(path) for path in files},
+        "artefacts": {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in files},
         "system": _system(safety.problem.system),
         "sampling": {"kind": kind, "step": float(safety.problem.delta), "steps": K, "nodes_per_step": q},
         "initial_set": {"center": start.c, "generators": start.G.T},

@@ -7,7 +7,6 @@ the same bytes, but for ``created`` and the wall times in the summary.
 from __future__ import annotations
 
 import json
-import time
 import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -112,50 +111,29 @@ def write_folder(
     scenario: Scenario,
     found: Any,
     *,
-    seconds: Mapping[str, float] | None = None,
     draw: Draw | None = None,
     stages: Stages | None = None,
 ) -> RunFolder:
-    """Write a run folder, replacing an older one once everything is written.
+    """Write what a kind's ``fly`` found, replacing an older run folder once everything is written.
 
-    Parameters
-    ----------
-    out : path
-        The folder; its parents are made.
-    kind : RunKind
-    scenario : Scenario
-        What was run; it is copied into the folder.
-    found : object
-        What the kind's ``fly`` returns.
-    seconds : mapping, optional
-        Wall times by stage, for the summary.
-    draw : callable, optional
-        Puts the figures into the folder before it takes its place; `polaris.draw_run` can do so later.
-    stages : Stages, optional
-        Told what is being done.
-
-    Raises
-    ------
-    ScenarioError
-        If `out` is something else than a run folder, or cannot be written.
+    The scenario is copied into it, and the wall times of `stages` so far are told in its summary.
+    `ScenarioError` if `out` is something else than a run folder, or cannot be written.
     """
     assert kind.write is not None
-    target, note = check_target(out), (stages or Stages()).note
-    spent = dict(seconds or {})
+    target, stages, clock = check_target(out), stages or Stages(), Stages()
+    clock.seconds |= stages.seconds
     with replacing(target) as folder:
-        note("files")
-        begun = time.perf_counter()
-        if SCENARIO in kind.files:
-            write_text(folder / SCENARIO, scenario.copy_text())
-        kind.write(folder, scenario, found)
-        spent["files"] = time.perf_counter() - begun
-        _summarise(folder, kind, scenario, found, spent)
+        stages.note("files")
+        with clock.stage("files"):
+            if SCENARIO in kind.files:
+                write_text(folder / SCENARIO, scenario.copy_text())
+            kind.write(folder, scenario, found)
+        _summarise(folder, kind, scenario, found, clock.seconds)
         if draw is not None:
-            note("figures")
-            begun = time.perf_counter()
-            draw(RunFolder(folder, scenario, kind))
-            spent["figures"] = time.perf_counter() - begun
-            _summarise(folder, kind, scenario, found, spent)
+            stages.note("figures")
+            with clock.stage("figures"):
+                draw(RunFolder(folder, scenario, kind))
+            _summarise(folder, kind, scenario, found, clock.seconds)
     return RunFolder(target, scenario, kind)
 
 

@@ -13,7 +13,7 @@ from ..inspection.filters.fuel import FuelLimit
 from ..inspection.flights.fuel_run import FuelRun, Prediction, fly_fuel_limit
 from ..scenario.inspection_tables import FuelLimitModel
 from ..scenario.scenario import FuelLimitScenario
-from .arrays import read_finite
+from .arrays import held_by, read_finite, read_held
 from .folder import SCENARIO, RunKind
 from .stages import Stages
 
@@ -111,18 +111,12 @@ def guarantee(model: FuelLimitModel, run: FuelRun) -> dict[str, Any]:
 
 def _write(folder: Path, scenario: FuelLimitScenario, run: FuelRun) -> None:
     """Write the flight and the predicted backup flights."""
-    predicted = {
-        f"prediction_{k}_{name}": getattr(one, held)
-        for k, one in enumerate(run.predictions)
-        for name, held in PREDICTED.items()
-    }
-    np.savez(
-        folder / "fuel.npz",
-        **{name: getattr(run, held) for name, held in ARRAYS.items()},
-        latched_at_s=np.array(np.nan if run.latched_at is None else run.latched_at),
-        predictions=np.array(len(run.predictions)),
-        **predicted,
-    )
+    arrays = held_by(run, ARRAYS)
+    arrays["latched_at_s"] = np.array(np.nan if run.latched_at is None else run.latched_at)
+    arrays["predictions"] = np.array(len(run.predictions))
+    for k, one in enumerate(run.predictions):
+        arrays |= held_by(one, PREDICTED, f"prediction_{k}_")
+    np.savez(folder / "fuel.npz", **arrays)
 
 
 def _read(folder: Path, scenario: FuelLimitScenario) -> FuelRun:
@@ -133,13 +127,12 @@ def _read(folder: Path, scenario: FuelLimitScenario) -> FuelRun:
         raise ValueError("fuel.npz: arrays of the wrong shape")
     latched = float(arrays["latched_at_s"])
     predictions = tuple(
-        Prediction(*(arrays[f"prediction_{k}_{name}"] for name in PREDICTED))
+        Prediction(**read_held(arrays, PREDICTED, f"prediction_{k}_"))
         for k in range(int(arrays["predictions"]))
     )
-    flown: dict[str, Any] = {held: arrays[name] for name, held in ARRAYS.items()}
     return FuelRun(
         scenario.inspection(),
-        **flown,
+        **read_held(arrays, ARRAYS),
         latched_at=None if np.isnan(latched) else latched,
         reason=None,
         predictions=predictions,

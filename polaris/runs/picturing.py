@@ -8,12 +8,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from reach.sets.zonotope import Zonotope
-
 from ..model.system import Array
 from ..simulation.baselines import Flights, fly_nominal
 from ..synthesis.get_safety import Safety
 from ..synthesis.schedule import Schedule
+from .arrays import position_tube, tube_arrays
 from .picture import Picture, SlicePicture, TubePicture, directions
 
 SLICES = 240
@@ -60,13 +59,7 @@ def picture_of(schedule: Schedule, flights: Mapping[str, Flights] | None = None)
 
 def tube_of(schedule: Schedule) -> TubePicture:
     """Positions that the schedule may reach, step by step."""
-    C = schedule.safety.problem.system.position
-    q = schedule.safety.tracking.feedback.nodes_per_cell
-    xi = schedule.safety.reference.fine(q)[: len(schedule.steps)]
-    flown = [C @ step.tube.nodes for step in schedule.steps]
-    together = Zonotope.stack(flown)
-    bow = np.stack([step.tube.bow @ np.abs(C).T for step in schedule.steps])
-    return TubePicture(together.c + xi @ C.T, together.G, bow)
+    return position_tube(tube_arrays(schedule), schedule.safety.problem.system.position)
 
 
 def _slice_nodes(picture: Picture, q: int) -> NDArray[np.int_]:

@@ -6,17 +6,20 @@ import hashlib
 import json
 import tomllib
 from collections.abc import Sequence
+from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any
 
 from ..model.errors import ScenarioError
-from ..scenario.scenario import Scenario, load_scenario
+from ..scenario.scenario import MonteCarloScenario, Scenario, load_scenario
 from .atomic import check_target
+from .campaign.drive import time_left
+from .campaign.workers import Workers
 from .comparison import COMPARISON
 from .folder import SCENARIO, Draw, RunFolder, RunKind, write_folder
 from .fuel_limit import FUEL_LIMIT
 from .inspection import FLIGHT
-from .monte_carlo import MONTE_CARLO
+from .monte_carlo import MONTE_CARLO, run_monte_carlo
 from .schedule import SCHEDULE
 from .stages import Stages
 
@@ -31,24 +34,29 @@ def run(
     overrides: Sequence[str] = (),
     draw: Draw | None = None,
     stages: Stages | None = None,
+    executor: Executor | Workers | None = None,
+    fresh: bool = False,
 ) -> RunFolder:
     """Run a scenario and write what was found into a folder, as ``polaris run`` does.
 
     A schedule is synthesised, proven and flown in simulation; a flight of the inspection problem is flown
-    under its filter and judged, one into the fuel limit until the backup has taken over.
+    under its filter and judged, one into the fuel limit until the backup has taken over, many as a campaign.
 
     Parameters
     ----------
     scenario : str, Path or Scenario
         A bundled name, a file, or what `load_scenario` returned.
     out : path, optional
-        The run folder, replaced if it is there; default ``runs/<name of the scenario>``.
+        The run folder, replaced if it is there; default ``runs/<name of the scenario>``. Of many flights
+        only what is missing is flown.
     overrides : sequence of str
         Texts ``key=value`` as for ``--set``, which the folder notes.
     draw : callable, optional
         Puts the figures into the folder: `polaris.draw_run`, which can also do so later.
     stages : Stages, optional
         Told what is being done, and how far it is.
+    executor, fresh
+        Who flies many flights, and whether they replace others: as in `run_campaign`.
 
     Returns
     -------
@@ -57,8 +65,7 @@ def run(
     Raises
     ------
     ScenarioError
-        If the scenario is not valid, of many flights (``polaris campaign`` flies those), or `out` is
-        something else than a run folder or cannot be written.
+        If the scenario is not valid, or `out` is something else than a run folder or cannot be written.
     SynthesisInfeasible, NotCertified
         If there is no schedule, or none is found in the time given.
 
@@ -75,14 +82,21 @@ def run(
         scenario = load_scenario(scenario, overrides, only=Scenario)
     elif overrides:
         scenario = scenario.with_assignments(overrides)
-    kind = KINDS[scenario.kind]
-    if kind.fly is None:
-        rule = "is a campaign of many flights: polaris campaign runs it"
-        raise ScenarioError("scenario", scenario.name, rule)
-    target = check_target(out if out is not None else f"runs/{scenario.name}")
+    kind, target = KINDS[scenario.kind], out if out is not None else f"runs/{scenario.name}"
+    if isinstance(scenario, MonteCarloScenario):
+        with stages.stage("runs"):
+            progress = time_left(stages.note)
+            flown = run_monte_carlo(target, scenario, executor=executor, fresh=fresh, progress=progress)
+        folder = RunFolder(flown.path, scenario, kind)
+        if draw is not None:
+            with stages.stage("figures"):
+                draw(folder)
+        return folder
+    check_target(target)
+    assert kind.fly is not None
     found = kind.fly(scenario, stages)
     with stages.stage("run folder"):
-        return write_folder(target, kind, scenario, found, seconds=stages.seconds, draw=draw, stages=stages)
+        return write_folder(target, kind, scenario, found, draw=draw, stages=stages)
 
 
 def read_run(path: str | Path) -> RunFolder:

@@ -141,9 +141,11 @@ def _write(folder: Path, scenario: ScheduleScenario, found: FlownSchedule) -> No
     files.write_reference(folder / "reference.csv", schedule.safety.reference)
     files.write_text(folder / "gains.json", files.json_text(files.gains(schedule)))
     flights = {key: item.flights for key, item in found.flown.items()}
-    arrays.write_sets(folder / "sets.npz", schedule, picture_of(schedule, flights).slices)
-    arrays.write_tubes(folder / "tubes.npz", schedule)
-    arrays.write_flights(folder / "trajectories.npz", flights)
+    picture = picture_of(schedule, flights)
+    assert picture.slices is not None
+    np.savez(folder / "sets.npz", **arrays.set_arrays(schedule, picture.slices))
+    np.savez(folder / "tubes.npz", **arrays.tube_arrays(schedule))
+    np.savez(folder / "trajectories.npz", **arrays.flight_arrays(flights))
     write_certificate(folder, schedule, scenario.name, DATA_FILES)
 
 
@@ -212,7 +214,7 @@ def _read(folder: Path, scenario: ScheduleScenario) -> Picture:
         np.array([-np.inf if step["margin"] is None else step["margin"] for step in steps], dtype=float),
         tuple(step["limit"] for step in steps),
         arrays.read_flights(folder / "trajectories.npz"),
-        arrays.read_tube(folder / "tubes.npz", system.position),
+        arrays.position_tube(arrays.read_arrays(folder / "tubes.npz"), system.position),
         arrays.read_slices(folder / "sets.npz"),
     )
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,19 +14,6 @@ from ..model.system import LinearSystem
 from ..planning.reference import Reference
 from ..synthesis.controllers import AffineController
 from ..synthesis.schedule import Schedule
-
-STEP_COLUMNS = (
-    "step",
-    "t_start_s",
-    "t_end_s",
-    "mode",
-    "controller",
-    "margin",
-    "limit",
-    "limit_time_s",
-    "need",
-    "room",
-)
 
 
 def strict(value: Any) -> Any:
@@ -56,12 +43,15 @@ def write_text(path: Path, text: str) -> None:
     path.write_text(text, encoding="utf-8", newline="\n")
 
 
-def write_csv(path: Path, header: tuple[str, ...], rows: list[list[Any]]) -> None:
-    """Write a table; numbers in the shortest form that reads back exactly, what is not finite empty."""
+def write_csv(path: Path, rows: Sequence[Mapping[str, Any]], header: Sequence[str] = ()) -> None:
+    """Write rows by column; numbers in the shortest form that reads back exactly, what is not finite empty.
+
+    The header is that of the first row if not given.
+    """
     with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(header)
-        writer.writerows([["" if item is None else item for item in strict(row)] for row in rows])
+        writer = csv.DictWriter(file, header or list(rows[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(map(strict, rows))
 
 
 # -- schedule ---------------------------------------------------------------------------------------
@@ -69,18 +59,27 @@ def write_csv(path: Path, header: tuple[str, ...], rows: list[list[Any]]) -> Non
 
 def step_rows(schedule: Schedule) -> list[dict[str, Any]]:
     """One row per step of the schedule."""
-    times, rows = schedule.times, []
-    for k, step in enumerate(schedule.steps):
-        margin, name = step.margin, schedule.controllers[step.mode].name
-        told = (margin.value, margin.limit, margin.time, margin.need, margin.room)
-        rows.append(dict(zip(STEP_COLUMNS, (k, times[k], times[k + 1], step.mode, name, *told), strict=True)))
-    return rows
+    return [
+        {
+            "step": k,
+            "t_start_s": schedule.times[k],
+            "t_end_s": schedule.times[k + 1],
+            "mode": step.mode,
+            "controller": schedule.controllers[step.mode].name,
+            "margin": step.margin.value,
+            "limit": step.margin.limit,
+            "limit_time_s": step.margin.time,
+            "need": step.margin.need,
+            "room": step.margin.room,
+        }
+        for k, step in enumerate(schedule.steps)
+    ]
 
 
 def write_schedule(folder: Path, schedule: Schedule, rules: Mapping[str, Any], guarantee: Any) -> None:
     """Write ``schedule.csv`` and ``schedule.json``."""
     rows = step_rows(schedule)
-    write_csv(folder / "schedule.csv", STEP_COLUMNS, [list(row.values()) for row in rows])
+    write_csv(folder / "schedule.csv", rows)
     names = [controller.name for controller in schedule.controllers]
     data = {
         "schema_version": 1,
@@ -116,12 +115,13 @@ def columns(system: LinearSystem) -> tuple[tuple[str, ...], tuple[str, ...]]:
 def write_reference(path: Path, reference: Reference) -> None:
     """Write state at every waypoint and the input held from there on (none at the last)."""
     states, inputs = columns(reference.system)
-    held: list[Any] = [*reference.nu.tolist(), [None] * reference.system.m]
     rows = [
-        [k * reference.delta, *chi, *nu]
-        for k, (chi, nu) in enumerate(zip(reference.chi.tolist(), held, strict=True))
+        {"t_s": k * reference.delta, **dict(zip(states, chi, strict=True))}
+        for k, chi in enumerate(reference.chi.tolist())
     ]
-    write_csv(path, ("t_s", *states, *inputs), rows)
+    for row, nu in zip(rows, reference.nu.tolist(), strict=False):
+        row |= zip(inputs, nu, strict=True)
+    write_csv(path, rows)
 
 
 def read_reference(path: Path, system: LinearSystem, delta: float) -> Reference:

@@ -12,7 +12,7 @@ from polaris.cli import app as cli
 from polaris.model.errors import PolarisError, ScenarioError
 from polaris.runs.campaign import batch, find_worst, inspections, local, read_campaign, replay_run
 from polaris.runs.monte_carlo import run_monte_carlo
-from polaris.runs.run import read_run
+from polaris.runs.run import read_run, run
 from polaris.scenario.scenario import load_scenario
 from tests.campaign.scene import TINY, table
 
@@ -106,6 +106,12 @@ def test_one_run_is_flown_again_bit_for_bit(flown, monkeypatch):
     monkeypatch.setattr(inspections, "fly_block", another)
     with pytest.raises(PolarisError, match="differently on this machine: delta_v_0_m_s"):
         replay_run(folder, 0, 1, 1)
+
+
+def test_it_runs_as_any_scenario_does(flown, tmp_path):
+    folder = run(scenario(), tmp_path / "c", draw=lambda written: (written.path / "figures").mkdir())
+    assert table(folder.path) == table(flown.path) and (folder.path / "figures").is_dir()
+    assert read_run(folder.path).summary["studies"] == folder.summary["studies"] == flown.summary["studies"]
 
 
 def test_no_initial_conditions_is_one_message(tmp_path, monkeypatch):

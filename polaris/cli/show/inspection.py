@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.text import Text
 
 from ...model.checks import counted
-from ...runs.inspection_summary import MEANING
+from ...runs.inspection import MEANING
 from .printing import RED, Printout, alarming, plain, table
 
 

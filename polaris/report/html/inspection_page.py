@@ -15,7 +15,7 @@ from ...inspection.flights.simulation import InspectionRun
 from ...inspection.inspection import Inspection
 from ...model.system import Array
 from ...runs.folder import RunFolder
-from ...runs.inspection_summary import MEANING
+from ...runs.inspection import MEANING
 from ..scene.geometry import Shape, gapped
 from ..scene.inspection import AXES, ORDER, surroundings, thrust_charts
 from ..scene.items import Item

@@ -7,7 +7,7 @@ from typing import Any
 
 from ...model.checks import counted
 from ...runs.folder import RunFolder
-from ...runs.inspection_summary import MEANING
+from ...runs.inspection import MEANING
 from . import claims
 from .html import Cell, badge, number_cell, table, text_cell
 from .inspection_page import flight_data, fuel_data

@@ -21,7 +21,8 @@ from ...model.version import versions
 from ...scenario.filter_tables import DecentralizedFilter
 from ...scenario.scenario import MonteCarloScenario
 from ...simulation.intervals import CONFIDENCE, lower_bound
-from ..inspection import flight_arrays
+from ..arrays import held_by
+from ..inspection import ARRAYS
 from .batch import Batch, Case, Kind, Results, Task, Trajectory, of_mode
 
 BLOCK = 100
@@ -185,4 +186,4 @@ def _trajectory(run: InspectionRun) -> Trajectory:
     for i in range(deputies):
         table |= {f"deputy_{i}_u_{axis}_N": run.u[:, i, k] for k, axis in enumerate("xyz")}
         table[f"deputy_{i}_status"] = run.status[:, i]
-    return Trajectory(flight_arrays(run), table)
+    return Trajectory(held_by(run, ARRAYS), table)

@@ -42,7 +42,7 @@ class Replayed(Trajectory):
                 np.savez(beside, **self.arrays)
             else:
                 rows = zip_longest(*(values.tolist() for values in self.table.values()))
-                write_csv(beside, tuple(self.table), list(map(list, rows)))
+                write_csv(beside, [dict(zip(self.table, row, strict=True)) for row in rows])
         return target
 
 
