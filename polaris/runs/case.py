@@ -31,13 +31,7 @@ VERSION = 1
 
 
 def load_target(target: str) -> tuple[ScheduleScenario, Schedule]:
-    """Synthesise a scenario, or that of a run folder.
-
-    Raises
-    ------
-    ScenarioError
-        If there is no such scenario, or the schedule made again is not that of the folder.
-    """
+    """Synthesise a scenario, or that of a run folder, which must hold the schedule that comes of it."""
     if not Path(target).is_dir():
         scenario = load_scenario(target, only=ScheduleScenario)
         return scenario, synthesize(scenario)
@@ -150,5 +144,5 @@ def _packed(rows: Array) -> list[list[Any]]:
 
 
 def _unpacked(packed: list[list[Any]]) -> Array:
-    rows = [np.repeat(_numbers(row)[None], int(count), axis=0) for count, row in packed]
-    return np.concatenate(rows)[:, None]
+    rows = np.array([_numbers(row) for _, row in packed])
+    return np.repeat(rows, [int(count) for count, _ in packed], axis=0)[:, None]

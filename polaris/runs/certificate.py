@@ -19,17 +19,12 @@ from ..synthesis.clearance import error_tube
 from ..synthesis.controllers import AffineController, Controller, TubeSegment
 from ..synthesis.get_safety import Safety
 from ..synthesis.schedule import Schedule, assumed
+from .tables import strict, write_text
 
 
 def hexadecimal(values: Any) -> Any:
     """The same nested data, floats as exact hexadecimal text; words, whole numbers and None stay."""
-    if isinstance(values, dict):
-        return {key: hexadecimal(item) for key, item in values.items()}
-    if isinstance(values, np.ndarray):
-        return hexadecimal(values.tolist())
-    if isinstance(values, (list, tuple)):
-        return [hexadecimal(item) for item in values]
-    return values.hex() if isinstance(values, float) else values
+    return strict(values, float.hex)
 
 
 def _claimed(value: float) -> float | None:
@@ -75,7 +70,7 @@ def certificate(schedule: Schedule, name: str, files: Iterable[Path] = ()) -> di
 def write_certificate(folder: Path, schedule: Schedule, name: str, files: Iterable[str]) -> None:
     """Write ``certificate.json`` into a folder that holds the named files."""
     data = certificate(schedule, name, [folder / file for file in files])
-    (folder / "certificate.json").write_text(canonical(data) + "\n", encoding="utf-8", newline="\n")
+    write_text(folder / "certificate.json", canonical(data) + "\n")
 
 
 def _system(system: LinearSystem) -> dict[str, Any]:

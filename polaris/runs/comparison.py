@@ -41,21 +41,11 @@ ARRAYS = {
 
 @dataclass(frozen=True, eq=False)
 class ComparisonPicture:
-    """What figures show of a comparison.
+    """What figures show of a comparison."""
 
-    Attributes
-    ----------
-    table : dict
-        Contents of ``comparison.json``.
-    run : RunFolder
-        Of the schedule.
-    shown : dict of str to Shown
-        The flights kept, by method, without their decisions.
-    """
-
-    table: dict[str, Any]
-    run: RunFolder
-    shown: dict[str, Shown]
+    table: dict[str, Any]  # contents of ``comparison.json``
+    run: RunFolder  # of the schedule
+    shown: dict[str, Shown]  # the flights kept, by method, without their decisions
 
 
 def write_comparison(

@@ -141,16 +141,25 @@ def _summarise(
     folder: Path, kind: RunKind, scenario: Scenario, found: Any, seconds: Mapping[str, float]
 ) -> None:
     assert kind.tell is not None
-    told = {
+    told = summary_of(scenario, kind.name, kind.tell(scenario, found, seconds))
+    write_text(folder / kind.summary, json_text(told))
+
+
+def summary_of(scenario: Scenario, kind: str, told: Mapping[str, Any]) -> dict[str, Any]:
+    """A summary: what was run, what is told of it, and when and by what it was made."""
+    return {
         "schema_version": 1,
         "scenario": scenario.name,
-        **({"kind": kind.name} if hasattr(scenario.model, "kind") else {}),
+        **({"kind": kind} if hasattr(scenario.model, "kind") else {}),
         "title": scenario.title,
-        **kind.tell(scenario, found, seconds),
-        "versions": versions(),
-        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        **told,
+        **provenance(),
     }
-    write_text(folder / kind.summary, json_text(told))
+
+
+def provenance() -> dict[str, Any]:
+    """Versions of all that results hang on, and the time."""
+    return {"versions": versions(), "created": datetime.now(UTC).isoformat(timespec="seconds")}
 
 
 def read_json(path: Path) -> dict[str, Any]:

@@ -47,8 +47,8 @@ def run(
     scenario : str, Path or Scenario
         A bundled name, a file, or what `load_scenario` returned.
     out : path, optional
-        The run folder, replaced if it is there; default ``runs/<name of the scenario>``. Of many flights
-        only what is missing is flown.
+        The run folder, default ``runs/<name of the scenario>``; an older one is replaced, but many flights
+        go on with what is missing.
     overrides : sequence of str
         Texts ``key=value`` as for ``--set``, which the folder notes.
     draw : callable, optional
@@ -83,20 +83,20 @@ def run(
     elif overrides:
         scenario = scenario.with_assignments(overrides)
     kind, target = KINDS[scenario.kind], out if out is not None else f"runs/{scenario.name}"
-    if isinstance(scenario, MonteCarloScenario):
-        with stages.stage("runs"):
-            progress = time_left(stages.note)
-            flown = run_monte_carlo(target, scenario, executor=executor, fresh=fresh, progress=progress)
-        folder = RunFolder(flown.path, scenario, kind)
-        if draw is not None:
-            with stages.stage("figures"):
-                draw(folder)
-        return folder
-    check_target(target)
-    assert kind.fly is not None
-    found = kind.fly(scenario, stages)
-    with stages.stage("run folder"):
-        return write_folder(target, kind, scenario, found, draw=draw, stages=stages)
+    if kind.fly is not None:
+        check_target(target)
+        found = kind.fly(scenario, stages)
+        with stages.stage("run folder"):
+            return write_folder(target, kind, scenario, found, draw=draw, stages=stages)
+    assert isinstance(scenario, MonteCarloScenario)
+    with stages.stage("runs"):
+        progress = time_left(stages.note)
+        flown = run_monte_carlo(target, scenario, executor=executor, fresh=fresh, progress=progress)
+    folder = RunFolder(flown.path, scenario, kind)
+    if draw is not None:
+        with stages.stage("figures"):
+            draw(folder)
+    return folder
 
 
 def read_run(path: str | Path) -> RunFolder:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,21 +16,19 @@ from ..synthesis.controllers import AffineController
 from ..synthesis.schedule import Schedule
 
 
-def strict(value: Any) -> Any:
-    """The same data for strict JSON: numpy turned plain, infinities and NaN into null."""
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def strict(value: Any, number: Callable[[float], Any] = _finite) -> Any:
+    """The same data for strict JSON: numpy turned plain, floats as `number` says: infinities and NaN null."""
     if isinstance(value, Mapping):
-        return {str(key): strict(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray):
-        return strict(value.tolist())
-    if isinstance(value, (list, tuple)):
-        return [strict(item) for item in value]
-    if isinstance(value, (bool, np.bool_)):
-        return bool(value)
-    if isinstance(value, (int, np.integer)):
-        return int(value)
-    if isinstance(value, (float, np.floating)):
-        return float(value) if np.isfinite(value) else None
-    return value
+        return {str(key): strict(item, number) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return strict(value.tolist(), number)
+    if isinstance(value, list | tuple):
+        return [strict(item, number) for item in value]
+    return number(value) if isinstance(value, float) else value
 
 
 def json_text(data: Any) -> str:
@@ -76,24 +74,29 @@ def step_rows(schedule: Schedule) -> list[dict[str, Any]]:
     ]
 
 
+def controller_rows(schedule: Schedule) -> list[dict[str, Any]]:
+    """Mode, name and kind of every controller."""
+    return [
+        {"mode": mode, "name": controller.name, "kind": type(controller).__name__}
+        for mode, controller in enumerate(schedule.controllers)
+    ]
+
+
 def write_schedule(folder: Path, schedule: Schedule, rules: Mapping[str, Any], guarantee: Any) -> None:
     """Write ``schedule.csv`` and ``schedule.json``."""
     rows = step_rows(schedule)
     write_csv(folder / "schedule.csv", rows)
-    names = [controller.name for controller in schedule.controllers]
+    controllers = controller_rows(schedule)
     data = {
         "schema_version": 1,
         "step_s": schedule.safety.problem.delta,
         "duration_s": schedule.times[-1],
-        "controllers": [
-            {"mode": mode, "name": name, "kind": type(controller).__name__}
-            for mode, (name, controller) in enumerate(zip(names, schedule.controllers, strict=True))
-        ],
+        "controllers": controllers,
         "rules": rules,
         "modes": schedule.modes,
         "switches": schedule.switches,
         "experimental_share": schedule.share(),
-        "share": {name: schedule.share(mode) for mode, name in enumerate(names)},
+        "share": {row["name"]: schedule.share(row["mode"]) for row in controllers},
         "recoverable": schedule.safety.recoverable.kind,
         "guarantee": guarantee,
         "steps": rows,
@@ -141,17 +144,14 @@ def gains(schedule: Schedule) -> dict[str, Any]:
     """System, gains, error bounds and the experimental controllers' own references."""
     safety = schedule.safety
     system, tracking, bounds = safety.problem.system, safety.tracking, safety.bounds
-    law = "u = mu(t) + gain (xi(t) - x), reference.csv gives xi and mu"
-    controllers: list[dict[str, Any]] = []
-    for mode, controller in enumerate(schedule.controllers):
-        entry: dict[str, Any] = {"mode": mode, "name": controller.name, "kind": type(controller).__name__}
+    controllers = controller_rows(schedule)
+    for entry, controller in zip(controllers, schedule.controllers, strict=True):
         if isinstance(controller, AffineController):
             entry |= {"gain": controller.gain, "clips": controller.clips}
             if controller.own is not safety.reference:
                 entry |= {"own_states": controller.own.chi, "own_inputs": controller.own.nu}
-        controllers.append(entry)
     return {
-        "law": law,
+        "law": "u = mu(t) + gain (xi(t) - x), reference.csv gives xi and mu",
         "system": {
             "A": system.A,
             "B": system.B,

@@ -11,7 +11,7 @@ from rich.text import Text
 
 from ...model.checks import counted
 from ...synthesis.recoverable import directed
-from .printing import RED, Printout, alarming, plain, table
+from .printing import RED, Printout, alarming, table
 
 TITLES = {"safety": "S alone", "experimental": "U alone", "polaris": "Polaris"}
 
@@ -100,7 +100,7 @@ COLUMNS = (
 
 def show_campaign(summary: Mapping[str, Any], folder: str, console: Console | None = None) -> None:
     """Print violations, distances, use of U and velocity change of every case and mode."""
-    out, found = Printout(console), table("case", *COLUMNS, wrap=False)
+    out, found = Printout(console), table("case", *COLUMNS, wrap=0)
     for case in summary["cases"]:
         label = f"{case['case']}: {case['label']}"
         for mode, told in case.get("modes", {}).items():
@@ -116,9 +116,8 @@ def show_campaign(summary: Mapping[str, Any], folder: str, console: Console | No
 
 def show_run(row: Mapping[str, Any], console: Console | None = None) -> None:
     """Print what the table says of one run."""
-    Printout(console).table(
-        plain((name, "-" if value is None else str(value)) for name, value in row.items())
-    )
+    rows = ((name, "-" if value is None else str(value)) for name, value in row.items())
+    Printout(console).table(table("", "", rows=rows))
 
 
 def _row(mode: str, told: Mapping[str, Any]) -> list[Text]:

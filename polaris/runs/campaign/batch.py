@@ -68,14 +68,9 @@ class Task:
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """One run of a batch in full.
+    """One run of a batch in full: arrays by the names they have in an ``.npz`` file, units included.
 
-    Attributes
-    ----------
-    arrays : dict of str to ndarray
-        By the names they have in an ``.npz`` file, units included.
-    table : dict of str to ndarray
-        The same as columns of a table; those of control periods are one shorter than those of instants.
+    `table` has the same as columns; those of control periods are one shorter than those of instants.
     """
 
     arrays: Mapping[str, Any]
@@ -84,25 +79,16 @@ class Trajectory:
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """What became of a task.
+    """What became of a task: columns, shapes (modes * runs,), or why its case cannot be flown.
 
-    Attributes
-    ----------
-    schedule : str
-        SHA-256 of what the schedule that flies does, on which all batches of a case must agree; may be empty.
-    columns : dict of str to ndarray, shapes (modes * runs,)
-    failure : str
-        Why the case cannot be flown; else empty.
-    code : int
-        Exit code of that.
-    trajectory : Trajectory, optional
-        Of the run that was asked for.
+    `schedule` is the SHA-256 of what the schedule that flies does, on which all batches of a case must agree;
+    it may be empty. `trajectory` is that of the run that was asked for.
     """
 
     schedule: str
     columns: Columns
     failure: str = ""
-    code: int = 0
+    code: int = 0  # exit code of the failure
     trajectory: Trajectory | None = None
 
 

@@ -14,16 +14,15 @@ import json
 import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ...model.errors import NotCertified, ScenarioError
-from ...model.version import version, versions
+from ...model.version import version
 from ..atomic import check_file, check_target, replacing, replacing_file, write_whole
-from ..folder import read_json
+from ..folder import provenance, read_json
 from ..ownership import RESULTS, tidy_all
 from ..tables import json_text
 from .batch import Batch, Columns, Results, Task, joined
@@ -206,13 +205,7 @@ def read_campaign(path: str | Path, same_version: bool = True) -> CampaignFolder
 
 
 def _write_manifest(folder: Path, plan: CampaignPlan, table: str) -> None:
-    data = {
-        **plan.data(),
-        "digest": plan.digest,
-        "table": table,
-        "versions": versions(),
-        "created": datetime.now(UTC).isoformat(timespec="seconds"),
-    }
+    data = {**plan.data(), "digest": plan.digest, "table": table, **provenance()}
     write_whole(folder / MANIFEST, json_text(data))
 
 

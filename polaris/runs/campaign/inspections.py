@@ -6,7 +6,6 @@ import tomllib
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from functools import lru_cache
 from typing import Any, ClassVar
 
@@ -17,11 +16,11 @@ from ...inspection.flights.sampling import InitialConditions, initial_conditions
 from ...inspection.flights.simulation import InspectionRun, Kept
 from ...inspection.flights.studies import Outcome, Study, fly_block
 from ...model.system import Array
-from ...model.version import versions
 from ...scenario.filter_tables import DecentralizedFilter
 from ...scenario.scenario import MonteCarloScenario
 from ...simulation.intervals import CONFIDENCE, lower_bound
 from ..arrays import held_by
+from ..folder import summary_of
 from ..inspection import ARRAYS
 from .batch import Batch, Case, Kind, Results, Task, Trajectory, of_mode
 
@@ -86,11 +85,7 @@ class InspectionRuns(Kind):
         (case,) = results.cases
         scenario = _made(case.text)[0]
         plan = scenario.model.campaign
-        told = {
-            "schema_version": 1,
-            "scenario": scenario.name,
-            "kind": scenario.kind,
-            "title": scenario.title,
+        told: dict[str, Any] = {
             "runs": results.runs,
             "deputies": plan.deputies,
             "duration_s": plan.duration_s,
@@ -98,18 +93,14 @@ class InspectionRuns(Kind):
             "seed": plan.seed,
         }
         for failure in results.failures.values():
-            return told | {"failure": failure["message"], "exit_code": failure["exit_code"]}
-        _, _, acceptance = initial_conditions(scenario.families(), results.runs, plan.seed)
-        return told | {
-            "acceptance": acceptance,
-            "studies": [
-                _told(name, outcome) for name, outcome in outcomes(case, results.read(0, None)).items()
-            ],
-            "guarantee": GUARANTEE,
-            "definitions": DEFINITIONS,
-            "versions": versions(),
-            "created": datetime.now(UTC).isoformat(timespec="seconds"),
-        }
+            told |= {"failure": failure["message"], "exit_code": failure["exit_code"]}
+            return summary_of(scenario, scenario.kind, told)
+        _, _, told["acceptance"] = initial_conditions(scenario.families(), results.runs, plan.seed)
+        found = outcomes(case, results.read(0, None))
+        told["studies"] = [_told(name, outcome) for name, outcome in found.items()]
+        return summary_of(
+            scenario, scenario.kind, told | {"guarantee": GUARANTEE, "definitions": DEFINITIONS}
+        )
 
 
 def case_of(scenario: MonteCarloScenario) -> Case:

@@ -100,10 +100,7 @@ class CampaignPlan:
         for case in self.cases:
             for key, value in case.parameters:
                 values.setdefault(key, set()).add(type(value))
-        return {
-            key: next(iter(found)) if found in ({bool}, {int}) else float if found <= {int, float} else str
-            for key, found in values.items()
-        }
+        return {key: _column_type(found) for key, found in values.items()}
 
     def data(self) -> dict[str, Any]:
         """Plain data, from which `from_data` makes the same plan."""
@@ -134,6 +131,12 @@ class CampaignPlan:
         )
         kind = KINDS[data["kind"]].from_data(data)
         return cls(cases, data["runs"], data["seed"], data["batch"], kind)
+
+
+def _column_type(found: set[type]) -> type:
+    if found in ({bool}, {int}):
+        return found.pop()
+    return float if found <= {int, float} else str
 
 
 # -- cases -------------------------------------------------------------------------------------------
