@@ -29,27 +29,14 @@ SCENARIO = "scenario.toml"
 class RunKind:
     """What one kind of run folder holds.
 
-    Attributes
-    ----------
-    name : str
-        As the scenario's kind, or ``comparison``.
-    files : tuple of str
-        All files but the summary and the certificate.
-    write : callable or None
-        Writes the files, but for the scenario's copy, from a folder, the scenario and what was found. None,
-        as `tell`, where a campaign writes them as its runs come.
-    tell : callable or None
-        What the summary says of a scenario, what was found, and wall times.
-    read : callable
-        Reads from a folder and its scenario what figures and pages are drawn from.
-    fly : callable, optional
-        What `polaris.run` does with a scenario, and whom it tells how far it is.
-    summary : str
-        File of the summary.
+    `write` writes the files, but for the scenario's copy, from a folder, the scenario and what was found;
+    `tell` gives what the summary says, from the scenario, what was found, and wall times. Both are None
+    where a campaign writes the files as its runs come. `read` takes from a folder and its scenario what
+    figures and pages are drawn from. `fly` is what `polaris.run` does with a scenario, telling how far it is.
     """
 
-    name: str
-    files: tuple[str, ...]
+    name: str  # as the scenario's kind, or ``comparison``
+    files: tuple[str, ...]  # all but the summary and the certificate
     write: Callable[[Path, Any, Any], None] | None
     tell: Callable[[Any, Any, Mapping[str, float]], dict[str, Any]] | None
     read: Callable[[Path, Any], Any]

@@ -37,9 +37,6 @@ def fly_fuel(scenario: FuelLimitScenario, stages: Stages | None = None) -> FuelR
         )
 
 
-# -- in numbers -------------------------------------------------------------------------------------
-
-
 def _tell(scenario: FuelLimitScenario, run: FuelRun, seconds: Mapping[str, float]) -> dict[str, Any]:
     """Contents of ``summary.json``."""
     model, q = scenario.model, run.inspection
@@ -47,6 +44,8 @@ def _tell(scenario: FuelLimitScenario, run: FuelRun, seconds: Mapping[str, float
     distance = np.linalg.norm(run.x[:, :3], axis=1)
     quiet = np.flatnonzero(np.abs(run.u).sum(axis=1) > 1e-6 * q.thrust_max)
     a, c = semi_axes(run.x[-1], q.mean_motion)
+    latched = run.latched_at
+    spent = None if latched is None else float(run.delta_v[int(np.searchsorted(run.t, latched))])
     return {
         "duration_s": float(run.t[-1]),
         "period_s": model.flight.period_s,
@@ -58,9 +57,7 @@ def _tell(scenario: FuelLimitScenario, run: FuelRun, seconds: Mapping[str, float
         "delta_v_max_m_s": q.delta_v_max,
         "latched_at_s": run.latched_at,
         "latch_reason": run.reason,
-        "delta_v_at_latch_m_s": None
-        if run.latched_at is None
-        else float(run.delta_v[int(np.searchsorted(run.t, run.latched_at))]),
+        "delta_v_at_latch_m_s": spent,
         "last_thrust_s": float(run.t[quiet[-1]]) if len(quiet) else None,
         "exhausted": run.exhausted,
         "distance_least_m": float(distance.min()),
@@ -104,9 +101,6 @@ def guarantee(model: FuelLimitModel, run: FuelRun) -> dict[str, Any]:
             "the filter is asked once per period, and at the first one the backup flight can be paid for",
         ],
     }
-
-
-# -- arrays -----------------------------------------------------------------------------------------
 
 
 def _write(folder: Path, scenario: FuelLimitScenario, run: FuelRun) -> None:
