@@ -42,7 +42,7 @@ class Options:
     resume: bool = Option(
         True, "--resume/--fresh", help="Fly only what is missing, or replace what is there."
     )
-    figures: bool = Option(True, "--figures/--no-figures", help="Draw the figures (inspection only).")
+    figures: bool = Option(True, help="Draw the figures (inspection only).")
     as_json: Json = False
     quiet: Quiet = False
 
@@ -78,14 +78,13 @@ def campaign_command(
         _fly_inspection(loaded, inspected[0], options, crew, stages)
         return None
     from ..runs.campaign import run_campaign
-    from ..runs.campaign.drive import time_left
 
     plan = _plan(loaded, options, stages)
     names = {case.scenario for case in plan.cases}
     out = options.out or (f"runs/{names.pop()}-campaign" if len(names) == 1 else "runs/campaign")
     with crew as executor, stages.stage("runs"):
         stages.note("waiting for the first batch")
-        progress, fresh = time_left(stages.note), not options.resume
+        progress, fresh = stages.counting("{:,} of {:,} runs"), not options.resume
         folder = run_campaign(
             plan, out, executor=executor, fresh=fresh, worst=options.worst, progress=progress
         )

@@ -19,17 +19,12 @@ from ..synthesis.clearance import error_tube
 from ..synthesis.controllers import AffineController, Controller, TubeSegment
 from ..synthesis.get_safety import Safety
 from ..synthesis.schedule import Schedule, assumed
-from .tables import strict, write_text
+from .tables import finite, strict, write_text
 
 
 def hexadecimal(values: Any) -> Any:
     """The same nested data, floats as exact hexadecimal text; words, whole numbers and None stay."""
     return strict(values, float.hex)
-
-
-def _claimed(value: float) -> float | None:
-    """None where nothing is claimed."""
-    return float(value) if np.isfinite(value) else None
 
 
 def certificate(schedule: Schedule, name: str, files: Iterable[Path] = ()) -> dict[str, Any]:
@@ -50,15 +45,15 @@ def certificate(schedule: Schedule, name: str, files: Iterable[Path] = ()) -> di
         "facets": safety.clearance.facets,
         "reference": {"states": safety.reference.chi, "inputs": safety.reference.nu},
         "controllers": [_controller(item, safety) for item in schedule.controllers],
-        "schedule": {"modes": schedule.modes, "margins": [_claimed(m) for m in schedule.margins]},
+        "schedule": {"modes": schedule.modes, "margins": [finite(m) for m in schedule.margins]},
         **_bounds(safety),
         "recoverable": {
             "kind": safety.recoverable.kind,
             "weight": safety.tracking.W,
-            "radius": [_claimed(safety.recoverable.radius(k * q)) for k in range(K + 1)],
+            "radius": [finite(safety.recoverable.radius(k * q)) for k in range(K + 1)],
         },
         "enclosures": _enclosures(schedule),
-        "end": {"horizon": end.horizon, "until": _claimed(end.until), "reason": end.reason},
+        "end": {"horizon": end.horizon, "until": finite(end.until), "reason": end.reason},
         "guarantee": schedule.guarantee,
         "assumptions": assumed(safety),
     }

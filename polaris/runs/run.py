@@ -13,7 +13,6 @@ from typing import Any
 from ..model.errors import ScenarioError
 from ..scenario.scenario import MonteCarloScenario, Scenario, load_scenario
 from .atomic import check_target
-from .campaign.drive import time_left
 from .campaign.workers import Workers
 from .comparison import COMPARISON
 from .folder import SCENARIO, Draw, RunFolder, RunKind, write_folder
@@ -90,7 +89,7 @@ def run(
             return write_folder(target, kind, scenario, found, draw=draw, stages=stages)
     assert isinstance(scenario, MonteCarloScenario)
     with stages.stage("runs"):
-        progress = time_left(stages.note)
+        progress = stages.counting("{:,} of {:,} runs")
         flown = run_monte_carlo(target, scenario, executor=executor, fresh=fresh, progress=progress)
     folder = RunFolder(flown.path, scenario, kind)
     if draw is not None:

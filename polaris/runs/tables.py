@@ -16,11 +16,12 @@ from ..synthesis.controllers import AffineController
 from ..synthesis.schedule import Schedule
 
 
-def _finite(value: float) -> float | None:
+def finite(value: float) -> float | None:
+    """The number, or None for infinities and NaN."""
     return float(value) if np.isfinite(value) else None
 
 
-def strict(value: Any, number: Callable[[float], Any] = _finite) -> Any:
+def strict(value: Any, number: Callable[[float], Any] = finite) -> Any:
     """The same data for strict JSON: numpy turned plain, floats as `number` says: infinities and NaN null."""
     if isinstance(value, Mapping):
         return {str(key): strict(item, number) for key, item in value.items()}

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import time
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from ...model.errors import PolarisError
 from .batch import Batch, Task, fly_batch
@@ -181,28 +179,3 @@ def run_campaign(
     Driver(folder, workers, progress).fly()
     folder.write_summary(worst)
     return folder
-
-
-def time_left(show: Callable[[str, int, int], Any]) -> Progress:
-    """Progress that tells `show` a text with the time left, and the counts."""
-    begun: list[tuple[float, int]] = []
-
-    def progress(done: int, total: int) -> None:
-        now = time.monotonic()
-        if not begun:
-            begun.append((now, done))
-        since, first = begun[0]
-        text = f"{done:,} of {total:,} runs"
-        if done > first:
-            seconds = (now - since) / (done - first) * (total - done)
-            text += f", about {_spoken(seconds)} left"
-        show(text, done, total)
-
-    return progress
-
-
-def _spoken(seconds: float) -> str:
-    for size, unit in ((86400.0, "days"), (3600.0, "h"), (60.0, "min")):
-        if seconds >= 2 * size:
-            return f"{seconds / size:.0f} {unit}"
-    return f"{seconds:.0f} s"
