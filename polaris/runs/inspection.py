@@ -187,49 +187,48 @@ def covered_periods(run: InspectionRun) -> NDArray[np.bool_]:
 
 def guarantee(model: InspectionModel, flown: JudgedRun) -> dict[str, Any]:
     """What is claimed of one flight, and on what assumptions."""
-    covered, spec = covered_periods(flown.run), model.filter
+    run, spec = flown.run, model.filter
+    if isinstance(spec, BarrierFilter | ExplicitSimplexFilter):
+        covered = covered_periods(run)
+    else:
+        covered = ~(run.status == UNPROVEN).any(axis=1)
     missed = np.flatnonzero(~covered)
-    told: dict[str, Any] = {
-        "kind": "none",
+    kind, reason = _argument(spec, len(missed))
+    return {
+        "kind": kind,
         "periods": len(covered),
         "periods_covered": int(covered.sum()),
-        "first_missed_s": float(flown.run.t[missed[0]]) if len(missed) else None,
-        "assumptions": [],
+        "first_missed_s": float(run.t[missed[0]]) if len(missed) else None,
+        "assumptions": [] if kind == "none" else list(ASSUMPTIONS),
+        "reason": reason,
     }
-    if not isinstance(spec, BarrierFilter):
-        return told | _by_prediction(spec, flown.run)
-    if not spec.sampled_data:
-        return told | {"reason": "the conditions are met at the start of each period only"}
-    if getattr(spec, "sharing", None) == "coasting":
-        return told | {"reason": "each deputy answers for a pair as if the other did not thrust"}
-    if spec.without:
-        return told | {"reason": f"constraints left out: {', '.join(spec.without)}"}
-    reason = (
-        "each period that began safe and for which the program had a solution: no barrier becomes "
-        "negative within it. That the next program has one is not claimed"
-    )
-    return told | {"kind": "per_period", "reason": reason, "assumptions": list(ASSUMPTIONS)}
 
 
-def _by_prediction(spec: BackupFilter, run: InspectionRun) -> dict[str, Any]:
-    """What is claimed under a filter that falls back to a backup controller."""
+def _argument(spec: BarrierFilter | BackupFilter, missed: int) -> tuple[str, str]:
+    """Which guarantee a filter gives where so many periods are not covered, and why."""
+    left_out = f"constraints left out: {', '.join(spec.without)}"
+    if isinstance(spec, BarrierFilter):
+        if not spec.sampled_data:
+            return "none", "the conditions are met at the start of each period only"
+        if getattr(spec, "sharing", None) == "coasting":
+            return "none", "each deputy answers for a pair as if the other did not thrust"
+        if spec.without:
+            return "none", left_out
+        return "per_period", (
+            "each period that began safe and for which the program had a solution: no barrier becomes "
+            "negative within it. That the next program has one is not claimed"
+        )
     if isinstance(spec, ExplicitSimplexFilter):
         reason = "the barriers are looked at at instants, and what the backup controller does is not proven"
-        return {"reason": reason}
-    missed = np.flatnonzero((run.status == UNPROVEN).any(axis=1))
-    told: dict[str, Any] = {
-        "periods_covered": len(run.status) - len(missed),
-        "first_missed_s": float(run.t[missed[0]]) if len(missed) else None,
-    }
-    if len(missed):
-        return told | {"reason": "not even the backup's flight is proven to keep the constraints everywhere"}
+        return "none", reason
+    if missed:
+        return "none", "not even the backup's flight is proven to keep the constraints everywhere"
     if spec.without:
-        return told | {"reason": f"constraints left out: {', '.join(spec.without)}"}
-    reason = (
+        return "none", left_out
+    return "by_prediction", (
         "phi1 to phi6 and phi9 to phi11 hold for all time: every period ends where the backup's flight is "
         "predicted to its end and proven to keep them. Free flights (phi7, phi8) are not looked at"
     )
-    return told | {"kind": "by_prediction", "reason": reason, "assumptions": list(ASSUMPTIONS)}
 
 
 FLIGHT = RunKind("inspection", (SCENARIO, "constraints.csv", "flight.npz"), _write, _tell, _read, fly_flight)
