@@ -46,8 +46,7 @@ def run(
     scenario : str, Path or Scenario
         A bundled name, a file, or what `load_scenario` returned.
     out : path, optional
-        The run folder, default ``runs/<name of the scenario>``; an older one is replaced, but many flights
-        go on with what is missing.
+        Default ``runs/<name of the scenario>``; an older run is replaced, many flights are continued.
     overrides : sequence of str
         Texts ``key=value`` as for ``--set``, which the folder notes.
     draw : callable, optional
@@ -55,7 +54,7 @@ def run(
     stages : Stages, optional
         Told what is being done, and how far it is.
     executor, fresh
-        Who flies many flights, and whether they replace others: as in `run_campaign`.
+        Of many flights: who flies, and whether others are replaced, as in `run_campaign`.
 
     Returns
     -------
@@ -81,17 +80,24 @@ def run(
         scenario = load_scenario(scenario, overrides, only=Scenario)
     elif overrides:
         scenario = scenario.with_assignments(overrides)
-    kind, target = KINDS[scenario.kind], out if out is not None else f"runs/{scenario.name}"
-    if kind.fly is not None:
-        check_target(target)
-        found = kind.fly(scenario, stages)
-        with stages.stage("run folder"):
-            return write_folder(target, kind, scenario, found, draw=draw, stages=stages)
-    assert isinstance(scenario, MonteCarloScenario)
-    with stages.stage("runs"):
-        progress = stages.counting("{:,} of {:,} runs")
-        flown = run_monte_carlo(target, scenario, executor=executor, fresh=fresh, progress=progress)
-    folder = RunFolder(flown.path, scenario, kind)
+    target = out if out is not None else f"runs/{scenario.name}"
+    if isinstance(scenario, MonteCarloScenario):
+        with stages.stage("runs"):
+            progress = stages.counting("{:,} of {:,} runs")
+            flown = run_monte_carlo(target, scenario, executor=executor, fresh=fresh, progress=progress)
+        return _drawn(RunFolder(flown.path, scenario, MONTE_CARLO), draw, stages)
+    return _run_one(check_target(target), scenario, draw, stages)
+
+
+def _run_one(target: Path, scenario: Scenario, draw: Draw | None, stages: Stages) -> RunFolder:
+    kind = KINDS[scenario.kind]
+    assert kind.fly is not None
+    found = kind.fly(scenario, stages)
+    with stages.stage("run folder"):
+        return write_folder(target, kind, scenario, found, draw=draw, stages=stages)
+
+
+def _drawn(folder: RunFolder, draw: Draw | None, stages: Stages) -> RunFolder:
     if draw is not None:
         with stages.stage("figures"):
             draw(folder)
