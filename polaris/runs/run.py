@@ -76,16 +76,13 @@ def run(
     True (6, 5, 6)
     """
     stages = stages or Stages()
-    if not isinstance(scenario, Scenario):
-        scenario = load_scenario(scenario, overrides, only=Scenario)
-    elif overrides:
+    if isinstance(scenario, Scenario):
         scenario = scenario.with_assignments(overrides)
-    target = out if out is not None else f"runs/{scenario.name}"
+    else:
+        scenario = load_scenario(scenario, overrides, only=Scenario)
+    target = f"runs/{scenario.name}" if out is None else out
     if isinstance(scenario, MonteCarloScenario):
-        with stages.stage("runs"):
-            progress = stages.counting("{:,} of {:,} runs")
-            flown = run_monte_carlo(target, scenario, executor=executor, fresh=fresh, progress=progress)
-        return _drawn(RunFolder(flown.path, scenario, MONTE_CARLO), draw, stages)
+        return _run_many(target, scenario, draw, stages, executor=executor, fresh=fresh)
     return _run_one(check_target(target), scenario, draw, stages)
 
 
@@ -97,7 +94,13 @@ def _run_one(target: Path, scenario: Scenario, draw: Draw | None, stages: Stages
         return write_folder(target, kind, scenario, found, draw=draw, stages=stages)
 
 
-def _drawn(folder: RunFolder, draw: Draw | None, stages: Stages) -> RunFolder:
+def _run_many(
+    target: str | Path, scenario: MonteCarloScenario, draw: Draw | None, stages: Stages, **flying: Any
+) -> RunFolder:
+    with stages.stage("runs"):
+        progress = stages.counting("{:,} of {:,} runs")
+        flown = run_monte_carlo(target, scenario, progress=progress, **flying)
+    folder = RunFolder(flown.path, scenario, MONTE_CARLO)
     if draw is not None:
         with stages.stage("figures"):
             draw(folder)
