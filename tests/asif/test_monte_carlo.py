@@ -15,8 +15,9 @@ from polaris.inspection.flights.simulation import Kept, fly_one
 from polaris.inspection.flights.studies import Outcome, Study, fly_block
 from polaris.inspection.inspection import Inspection
 from polaris.model.errors import ScenarioError
+from polaris.runs.arrays import held_by
 from polaris.runs.campaign import local
-from polaris.runs.inspection import flight_arrays
+from polaris.runs.inspection import ARRAYS
 from polaris.runs.monte_carlo import run_monte_carlo
 from polaris.scenario.scenario import load_scenario
 
@@ -89,8 +90,8 @@ def test_a_run_kept_out_of_a_block_is_the_run_flown_alone(drawn):
     fly_block(Q, Study("central"), x[:3], sun[:3], 6.0, 0.5, kept=kept)
     run = kept.flight(Q, float(sun[2]), 6.0, 0.5)
     alone = fly_one(Q, Centralized(Families(Q)), NoInput(), x[2], float(sun[2]), 6.0, 0.5)
-    for name, values in flight_arrays(run).items():
-        np.testing.assert_allclose(values, flight_arrays(alone)[name], rtol=1e-9, atol=1e-9)
+    for name, values in held_by(run, ARRAYS).items():
+        np.testing.assert_allclose(values, held_by(alone, ARRAYS)[name], rtol=1e-9, atol=1e-9)
     np.testing.assert_array_equal(run.t, alone.t)
 
 

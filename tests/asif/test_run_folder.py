@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from polaris.cli import app as cli
 from polaris.model.errors import ScenarioError
-from polaris.runs.inspection_summary import covered_periods
+from polaris.runs.inspection import covered_periods
 from polaris.runs.run import read_run
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.intervals import lower_bound
@@ -212,7 +212,6 @@ def test_arrays_that_do_not_belong_together_are_refused(folders, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("run", "inspection-monte-carlo"), ("polaris campaign",)),
         (("campaign", "inspection"), ("polaris run",)),
         (("campaign", "nope"), ("nope",)),
         (("run", "inspection", "--solver", "highs"), ("planner", "unknown key")),

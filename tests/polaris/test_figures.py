@@ -33,8 +33,8 @@ from polaris.report.scene.palette import (
     shades,
 )
 from polaris.report.scene.space import Space
-from polaris.runs.frame import Frame, directions
-from polaris.runs.picture import Picture, picture_of, picture_of_safety, tube_of
+from polaris.runs.picture import Frame, Picture, directions
+from polaris.runs.picturing import picture_of, picture_of_safety, tube_of
 from polaris.simulation.baselines import Flights
 from reach.sets.zonotope import Zonotope
 

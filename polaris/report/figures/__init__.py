@@ -8,7 +8,8 @@ from typing import Any
 
 from ...model.checks import of_kind
 from ...runs.folder import RunFolder
-from ...runs.picture import Picture, picture_of, picture_of_safety
+from ...runs.picture import Picture
+from ...runs.picturing import picture_of, picture_of_safety
 from ...synthesis.get_safety import Safety
 from ...synthesis.schedule import Schedule
 from ..scene.scene import describe

@@ -17,7 +17,7 @@ from ...inspection.inspection import Inspection
 from ...model.checks import counted
 from ...model.system import Array
 from ...runs.folder import RunFolder
-from ...runs.inspection_summary import MEANING
+from ...runs.inspection import MEANING
 from ..scene import palette
 from ..scene.geometry import Shape, gapped
 from ..scene.items import Item

@@ -13,7 +13,7 @@ from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
 
 from ...model.shapes import Polytope
 from ...model.system import Array
-from ...runs.frame import directions
+from ...runs.picture import directions
 
 
 @dataclass(frozen=True, eq=False)

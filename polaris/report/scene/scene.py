@@ -9,8 +9,7 @@ import numpy as np
 
 from ...model.obstacle import directions as directions_in_space
 from ...model.system import Array
-from ...runs.frame import directions
-from ...runs.picture import Picture
+from ...runs.picture import Picture, directions
 from . import geometry
 from .closeups import closeups, is_flat
 from .geometry import Shape, flat_outline

@@ -16,8 +16,7 @@ from ...model.shapes import Ball
 from ...model.system import Array
 from ...planning.goal import Goal
 from ...planning.goals import EllipticalNMT, LinearNMT
-from ...runs.frame import directions
-from ...runs.picture import Approach, Picture
+from ...runs.picture import Approach, Picture, directions
 from .geometry import Shape, ball_points, boxed, flat_outline
 
 NEAR = 0.35
