@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ..numerics.arguments import check_fields
-from ..numerics.checks import as_numbers
+from ..numerics.checks import as_numbers, check_fields
 from ..numerics.errors import ReachError
 from ..sets.convex import ConvexSet
 from ..sets.polytope import HPolytope

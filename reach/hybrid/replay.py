@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..numerics.arguments import checked
+from ..numerics.checks import checked
 from ..numerics.errors import ReachError
 from .automaton import HybridAutomaton
 from .simulation import REPLAYED, HybridTrajectory, inside, longest_stay

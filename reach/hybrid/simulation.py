@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import expm
 
-from ..numerics.arguments import checked
-from ..numerics.checks import Array
+from ..numerics.checks import Array, checked
 from ..numerics.errors import ReachError
 from ..sets.polytope import HPolytope
 from .automaton import HybridAutomaton, Mode, Transition

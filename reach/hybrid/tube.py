@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..numerics.arguments import checked
-from ..numerics.checks import as_count, as_numbers
+from ..numerics.checks import as_count, as_numbers, checked
 from ..numerics.errors import ReachError
 from ..sets.clipping import clip, strips
 from ..sets.convex import ConvexSet

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..numerics.arguments import checked
-from ..numerics.checks import Array, Index, as_count, require_single
+from ..numerics.checks import Array, Index, as_count, checked, require_single
 from ..numerics.errors import ReachError
 from ..numerics.rounding import gamma
 from ..sets.clipping import clip, strips
@@ -99,7 +98,7 @@ def verify_hybrid(
         If a mode is unknown or a region does not fit; also as `hybrid_tube`.
     """
     begun = perf_counter()
-    require_single(initial, "verify_hybrid")
+    require_single("the initial set", initial)
     for name, asked in specs.items():
         for spec in asked:
             if spec.region.dim != automaton[name].system.dim:
@@ -211,7 +210,7 @@ def falsify_hybrid(
     jumps : int
         Most transitions of one trajectory.
     """
-    require_single(initial, "falsify_hybrid")
+    require_single("the initial set", initial)
     rng = np.random.default_rng(0) if rng is None else rng
     corners = initial.support_vector(rng.normal(size=(max(runs, CORNERS), initial.dim)))
     plans: list[tuple[Array, Policy]] = [(x, "random") for x in corners]

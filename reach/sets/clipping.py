@@ -10,8 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..numerics.arguments import checked
-from ..numerics.checks import Array, as_vector, require_alike, require_same_dim
+from ..numerics.checks import Array, as_vector, checked, require_alike, require_same_dim
 from ..numerics.errors import ReachError
 from ..numerics.rounding import gamma
 from .polytope import HPolytope

@@ -8,11 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..numerics.arguments import checked
-from ..numerics.checks import (
-    Array,
-    as_vector,
-)
+from ..numerics.checks import Array, as_vector, checked
 from ..numerics.errors import ReachError
 from ..numerics.rounding import gamma
 from .convex import weighed
@@ -118,15 +114,13 @@ class Intersection(OfParts):
             out.append(point if np.all(np.isfinite(point)) else self._search.split(d)[0])
         return np.array(out).reshape(D.shape)
 
-    @cached_property
-    def _hull(self) -> Interval:
-        eye = np.eye(self.dim)
-        low, high = -self.support_up(-eye), self.support_up(eye)
-        return Interval(np.minimum(low, high), high)
-
     def interval_hull(self) -> Interval:
         """Box around the set, rounded outwards."""
         return self._hull
+
+    @cached_property
+    def _hull(self) -> Interval:
+        return super().interval_hull()
 
     @checked
     def contains(self, points: ArrayLike, slack: float = 1e-9) -> NDArray[np.bool_]:

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..numerics.arguments import checked
-from ..numerics.checks import Array, require_single
+from ..numerics.checks import Array, checked, require_single
 from ..numerics.rounding import gamma
 from .convex import SetOperators
 from .ellipsoid import Ellipsoid
@@ -50,7 +49,7 @@ def largest_norm(X: SetOperators, most: int = 20_000, level: float | None = None
     level : float, optional
         Stop as soon as the maximum is known to lie on one side of this number.
     """
-    require_single(X, "largest_norm")
+    require_single("a set whose norm is asked", X)
     if isinstance(X, Interval):
         corner = np.where(np.abs(X.lo) > np.abs(X.hi), X.lo, X.hi)
         return _bracket(X, corner, float(np.linalg.norm(corner)))

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..numerics.arguments import checked
-from ..numerics.checks import Array, as_factor, as_matrix, as_numbers, as_one_vector, as_vector
+from ..numerics.checks import Array, as_factor, as_map, as_numbers, as_vector, checked
 from ..numerics.errors import ReachError
 from ..numerics.programs import maximise
 from ..numerics.rounding import gamma, is_product, mixture
@@ -280,7 +279,7 @@ class HPolytope(SetOperators):
         `AffineImage.to_polytope` encloses that by inequalities, where the map has an inverse. Translations
         and scaled copies are polytopes under the same condition.
         """
-        M = as_matrix(M, self.dim)
+        M = as_map(M, self.dim, single=True)
         if M.shape == (self.dim, self.dim) and np.linalg.cond(M) < 1 / np.finfo(float).eps:
             rows = np.asarray(np.linalg.solve(M.T, self.A.T).T, dtype=np.float64)
             if is_product(self.A, rows, M):
@@ -301,7 +300,7 @@ class HPolytope(SetOperators):
 
     def intersect_halfspace(self, normal: ArrayLike, offset: float) -> HPolytope:
         """Part of the set with ``normal . x <= offset`` (exact)."""
-        row = as_one_vector(normal, self.dim)
+        row = as_vector(normal, self.dim, single=True)
         return HPolytope(np.vstack([self.A, row]), np.r_[self.b, as_factor(offset, "offset")])
 
     def to_polytope(self) -> HPolytope:

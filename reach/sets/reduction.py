@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..numerics.arguments import checked
-from ..numerics.checks import Array, require_alike, require_same_dim
+from ..numerics.checks import Array, checked, require_alike, require_same_dim
 from ..numerics.errors import ReachError
 from ..numerics.rounding import gamma
 from .zonotope import Zonotope

@@ -22,38 +22,24 @@ COMMON = 1e-9
 CLOSER = "the sets are closer than rounding can tell"
 
 
-def by_shape(X: Any, Y: Any) -> Answer:
-    """One linear program where both sets have flat faces, else nearest points."""
+def separate(X: Any, Y: Any) -> Answer:
+    """One linear program where both sets have flat faces, else nearest points.
+
+    Of an unbounded polytope and a round set only the part within the other's interval hull is asked.
+    """
     middle, size, units = _frame(X, Y)
     first, second = lifted(X, middle, size), lifted(Y, middle, size)
     if first is not None and second is not None:
         return _by_program(X, Y, first, second, units)
-    found = nearest(X, Y, units)
-    room = -float(X.support_up(found.direction) + Y.support_up(-found.direction))
-    return _answer(X, Y, found.direction, room, found.x, found.y, units)
-
-
-def polytope_and_other(X: HPolytope, Y: Any) -> Answer:
-    """Of an unbounded polytope and a round set only the part within the other's interval hull is asked."""
-    from .pairs import disjoint
-
-    if not _is_open_beside(X, Y):
-        return by_shape(X, Y)
-    box = Y.interval_hull()
-    apart, within = disjoint(X, box), X & box
-    return apart if apart or within.is_empty else disjoint(within, Y)
-
-
-def other_and_polytope(X: Any, Y: HPolytope) -> Answer:
-    """The same the other way round: what separates leads from X to Y."""
-    if not _is_open_beside(Y, X):
-        return by_shape(X, Y)
-    found = polytope_and_other(Y, X)
-    return found if found.direction is None else replace(found, direction=-found.direction)
-
-
-def _is_open_beside(P: HPolytope, other: Any) -> bool:
-    return not P.is_bounded and lifted(other, *_frame(P, other)[:2]) is None
+    for P, other, way in ((X, Y, 1.0), (Y, X, -1.0)):
+        if isinstance(P, HPolytope) and not P.is_bounded:
+            box = other.interval_hull()
+            found, within = separate(P, box), P & box
+            found = found if found or within.is_empty else separate(within, other)
+            return found if found.direction is None else replace(found, direction=way * found.direction)
+    near = nearest(X, Y, units)
+    room = -float(X.support_up(near.direction) + Y.support_up(-near.direction))
+    return _answer(X, Y, near.direction, room, near.x, near.y, units)
 
 
 def _frame(X: Any, Y: Any) -> tuple[Array, Array, Array]:

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-from ..numerics.checks import Array, single_set
+from ..numerics.checks import Array, require_single
 from ..numerics.errors import ReachError, Unresolved
 from ..numerics.exponentials import FLUSHED, scaled, times
 from ..sets.convex import ConvexSet
@@ -83,7 +83,7 @@ class Adjoint:
     """
 
     def __init__(self, system: LinearSystem, initial: ConvexSet) -> None:
-        single_set("the initial set", initial)
+        require_single("the initial set", initial)
         if initial.dim != system.dim:
             raise ReachError(
                 f"the initial set has dimension {initial.dim}, the system has {system.dim} states"

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-from ..numerics.checks import single_set
+from ..numerics.checks import require_single
 from ..numerics.errors import ReachError
 from ..sets.convex import ConvexSet
 from ..sets.ellipsoid import Ellipsoid
@@ -35,7 +35,7 @@ def augmented(system: LinearSystem, start: Any) -> tuple[LinearSystem, Any]:
     start : ConvexSet
         With the last coordinate 1 if there is.
     """
-    single_set("the initial set", start)
+    require_single("the initial set", start)
     if start.dim != system.dim:
         raise ReachError(f"the initial set has dimension {start.dim}, the system has {system.dim} states")
     inputs, drift = system.U, system.c

@@ -19,8 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..numerics.arguments import checked
-from ..numerics.checks import Array, as_directions, as_frame, as_numbers, single_set
+from ..numerics.checks import Array, as_directions, as_frame, as_numbers, checked, require_single
 from ..numerics.errors import ReachError
 from ..numerics.exponentials import exponentials
 from ..sets.convex import ConvexSet
@@ -67,7 +66,7 @@ class LTVSystem:
         if self.U is None and self.B is not None:
             raise ReachError("B is given without U, the set of its input")
         if self.U is not None:
-            single_set("U", self.U)
+            require_single("U", self.U)
         B = np.eye(n, n if self.U is not None else 0) if self.B is None else self.B
         object.__setattr__(self, "B", B)
         object.__setattr__(self, "c", np.zeros(n) if self.c is None else self.c)
@@ -117,7 +116,7 @@ def ltv_support_tube(
     ReachError
         If shapes do not fit, numbers are not finite, or the bounds on derivatives do not hold.
     """
-    D, n = as_directions("directions", directions, system.dim), system.dim
+    D, n = as_directions(directions, system.dim), system.dim
     r = len(D)
     sweep = _Sweep(system, initial, horizon, step, begin)
     rows = np.vstack([D, np.eye(n), -np.eye(n)])
@@ -161,7 +160,7 @@ def ltv_zonotope_tube(
     """
     n = system.dim
     F = as_frame(frame, n)
-    single_set("the initial set", initial)
+    require_single("the initial set", initial)
     start = initial if isinstance(initial, Zonotope) else initial.interval_hull().to_zonotope()
     sweep = _Sweep(system, start, horizon, step, begin)
     inverse = np.linalg.inv(F)
@@ -195,7 +194,7 @@ class _Sweep:
         self, system: LTVSystem, initial: ConvexSet, horizon: float, step: float, begin: float
     ) -> None:
         n, m = system.dim, system.inputs
-        single_set("the initial set", initial)
+        require_single("the initial set", initial)
         if initial.dim != n:
             raise ReachError(f"the initial set has dimension {initial.dim}, the system has {n} states")
         for name, value in (("horizon", horizon), ("step", step)):

@@ -8,8 +8,7 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..numerics.arguments import checked
-from ..numerics.checks import Array, as_directions, as_numbers
+from ..numerics.checks import Array, as_directions, as_numbers, checked
 from ..numerics.errors import ReachError
 from ..sets.convex import ConvexSet
 from .adjoint import Adjoint
@@ -114,7 +113,7 @@ def support_tube(
         If the tolerance cannot be met, in the time given, or a bound is beyond floating point.
     """
     deadline = perf_counter() + max_seconds
-    D = as_directions("directions", directions, system.dim)
+    D = as_directions(directions, system.dim)
     around, start = (system, initial) if system.discrete else augmented(system, initial)
     rows = np.hstack([D, np.zeros((len(D), around.dim - system.dim))])
     adjoint = Adjoint(around, start)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import sparse
 
-from ..numerics.checks import as_numbers, single_set
+from ..numerics.checks import as_numbers, require_single
 from ..numerics.errors import ReachError
 from ..sets.convex import ConvexSet
 from .signals import Signal
@@ -107,7 +107,7 @@ class LinearSystem:
             return ()
         pieces = tuple(self.U) if isinstance(self.U, list | tuple) else (self.U,)
         for U in pieces:
-            single_set("U", U)
+            require_single("U", U)
         return pieces
 
     @property

@@ -12,8 +12,7 @@ from scipy import sparse
 from scipy.linalg import expm
 from scipy.sparse.linalg import expm_multiply
 
-from ..numerics.arguments import checked
-from ..numerics.checks import Array, as_numbers, single_set
+from ..numerics.checks import Array, as_numbers, checked, require_single
 from ..numerics.errors import ReachError
 from ..numerics.exponentials import times
 from ..sets.convex import ConvexSet
@@ -153,7 +152,7 @@ def worst_case(
     d = np.atleast_2d(as_numbers("direction", direction))
     if d.shape != (1, system.dim) or not np.all(np.isfinite(d)):
         raise ReachError(f"the direction must be {system.dim} finite numbers, got {direction!r}")
-    single_set("the initial set", initial)
+    require_single("the initial set", initial)
     if horizon == 0:
         return Trajectory(np.zeros(1), initial.support_vector(d), np.zeros((0, system.inputs)))
     around, start = (system, initial) if system.discrete else augmented(system, initial)

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..numerics.arguments import check_fields
-from ..numerics.checks import Array, as_numbers
+from ..numerics.checks import Array, as_numbers, check_fields
 from ..numerics.errors import ReachError
 
 Bound = ArrayLike | Callable[[float, float], ArrayLike] | None

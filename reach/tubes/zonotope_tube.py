@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..numerics.arguments import checked
-from ..numerics.checks import Array, as_frame, as_numbers, per_row, single_set
+from ..numerics.checks import Array, as_frame, as_numbers, checked, per_row, require_single
 from ..sets.convex import ConvexSet
 from ..sets.zonotope import Zonotope
 from .adjoint import Adjoint, is_symmetric
@@ -121,7 +120,7 @@ def zonotope_tube(
         If the tolerance cannot be met or a bound is beyond floating point.
     """
     F = as_frame(frame, system.dim)
-    single_set("the initial set", initial)
+    require_single("the initial set", initial)
     box = initial if isinstance(initial, Zonotope) else initial.interval_hull()
     around, start = augmented(system, box)
     generated = start if isinstance(start, Zonotope) else augmented(system, box.to_zonotope())[1]

@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..numerics.arguments import checked
-from ..numerics.checks import as_numbers, single_set
+from ..numerics.checks import as_numbers, checked, require_single
 from ..numerics.errors import ReachError
 from ..sets.convex import ConvexSet
 from ..sets.polytope import HPolytope
@@ -50,7 +49,7 @@ def verify(
         If dimensions differ, or the times of the specification lie outside the horizon.
     """
     window = _window(system, spec, horizon)
-    single_set("the initial set", initial)
+    require_single("the initial set", initial)
     begun = perf_counter()
     deadline = begun + max_seconds
     region = spec.region
