@@ -80,7 +80,7 @@ def in_polytope(outer: HPolytope, inner: Any, method: Method, most: int) -> Answ
 
     def settle(left: NDArray[np.intp]) -> list[bool | None]:
         if isinstance(inner, HPolytope):
-            return [True if inner.proved_below(outer.A[i], outer.b[i]) else None for i in left]
+            return [True if inner.bases.proves(outer.A[i], outer.b[i]) else None for i in left]
         if not isinstance(inner, Zonotope | Interval):
             return [None]
         rows, offsets = integers(outer.A[left], outer.b[left])

@@ -3,34 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from fractions import Fraction
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..numerics.checks import Array, as_factor, as_map, as_numbers, as_vector, checked
+from ..numerics.checks import Array, as_factor, as_map, as_vector, checked, finite_fields
 from ..numerics.errors import ReachError
 from ..numerics.programs import maximise
-from ..numerics.rounding import gamma, is_product, mixture
-from .bases import Bases
+from ..numerics.rounding import gamma, is_product
+from .bases import EXACT_MOST, Bases, mixed_level
 from .convex import SetOperators, weighed
 from .interval import Interval
 
-EXACT_MOST = 24
-"""Largest dimension in which inequalities are mixed without rounding."""
-
 FLATNESS = 1e-9
 """An inscribed radius above minus this, relative to the offsets, counts as 'not empty'."""
-
-
-def _mixed(rows: Array, levels: Array, target: Array) -> Fraction | None:
-    """Level of the mixture of rows, with weights >= 0 and without rounding, that is a target row."""
-    weights = mixture(rows, target)
-    if weights is None or min(weights, default=0) < 0:
-        return None
-    return sum((w * Fraction(b) for w, b in zip(weights, levels, strict=True)), Fraction(0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,15 +41,11 @@ class HPolytope(SetOperators):
     b: Array
 
     def __post_init__(self) -> None:
-        A, b = as_numbers("A", self.A), as_numbers("b", self.b)
+        A, b = finite_fields(self, "A", "b")
         if A.ndim != 2 or A.shape[1] == 0 or b.shape != A.shape[:1]:
             raise ReachError(f"A must have shape (m, n) and b shape (m,), got {A.shape} and {b.shape}")
-        if not (np.all(np.isfinite(A)) and np.all(np.isfinite(b))):
-            raise ReachError("A and b must be finite numbers")
         if np.any(~A.any(axis=1)):
             raise ReachError(f"row {int(np.argmin(A.any(axis=1)))} of A is zero")
-        object.__setattr__(self, "A", A)
-        object.__setattr__(self, "b", b)
 
     @property
     def dim(self) -> int:
@@ -100,26 +84,8 @@ class HPolytope(SetOperators):
         used = used[self._ball[2][used] > 0]
         sizes = np.exp2(np.round(np.log2(np.linalg.norm(self.A[used], axis=1))))
         rows, levels = np.c_[self.A[used] / sizes[:, None], np.ones(len(used))], self.b[used] / sizes
-        level = _mixed(rows, levels, np.eye(self.dim + 1)[-1]) if np.all(np.isfinite(levels)) else None
+        level = mixed_level(rows, levels, np.eye(self.dim + 1)[-1]) if np.all(np.isfinite(levels)) else None
         return level is not None and level < 0
-
-    def proved_below(self, row: Array, offset: float) -> bool:
-        """Whether rows, mixed without rounding, show ``row . x <= offset`` for all points (Farkas).
-
-        Decides what rounding leaves open, and sets without bounds.
-        """
-        if self.dim > EXACT_MOST:
-            return False
-        if np.any(np.all(row == self.A, axis=1) & (self.b <= offset)):
-            return True
-        found = self._bases.program(np.asarray(row, dtype=float).tobytes())
-        if not np.isfinite(found.value):
-            return False
-        for used in (*self._bases.basis(found), np.flatnonzero(found.multipliers > 0)):
-            level = _mixed(self.A[used], self.b[used], row) if len(used) <= self.dim else None
-            if level is not None and level <= Fraction(offset):
-                return True
-        return False
 
     @cached_property
     def frame(self) -> tuple[Array, Array]:
@@ -161,7 +127,7 @@ class HPolytope(SetOperators):
         """Weak duality along the positive, then the negative axes; levels (2 n,) are nan without a bound."""
         axes = np.vstack([np.eye(self.dim), -np.eye(self.dim)])
         self._refuse_empty()
-        found = [self._bases.program(axis.tobytes()) for axis in axes]
+        found = [self.bases.program(axis.tobytes()) for axis in axes]
         return self.weak_duality(axes, np.array([one.multipliers for one in found]))
 
     @property
@@ -232,14 +198,15 @@ class HPolytope(SetOperators):
         return np.asarray(values - FLATNESS * room)
 
     @cached_property
-    def _bases(self) -> Bases:
+    def bases(self) -> Bases:
+        """Vertices found so far, and proofs by the rows that meet in them."""
         return Bases(self.A, self.b, lambda: self.center if self.is_bounded else None)
 
     def _answers(self, directions: ArrayLike) -> tuple[Array, Array, Array, Array]:
         """Directions (..., n), and the values, points and multipliers of the largest along them."""
         D = as_vector(directions, self.dim)
         self._refuse_empty()
-        return D, *self._bases.answers(D)
+        return D, *self.bases.answers(D)
 
     def _proved(self, D: Array, values: Array, multipliers: Array) -> Array:
         level, residual = self.weak_duality(D, np.where(np.isfinite(multipliers), multipliers, 0.0))
