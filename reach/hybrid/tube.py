@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..numerics.checks import as_count, as_numbers, checked
+from ..numerics.checks import as_count, as_numbers, checked, require_single
 from ..numerics.errors import ReachError
 from ..sets.clipping import clip, strips
 from ..sets.convex import ConvexSet
@@ -101,8 +101,7 @@ def _entries(automaton: HybridAutomaton, initial: ConvexSet) -> list[Starts]:
     mode = automaton[automaton.start]
     start = initial if isinstance(initial, Zonotope) else initial.interval_hull().to_zonotope()
     start = start if start.batch else Zonotope(start.c[None], start.G[None])
-    if start.dim != mode.system.dim:
-        raise ReachError(f"the initial set has dimension {start.dim}, mode {mode.name!r} {mode.system.dim}")
+    require_single("the initial set", start[0], mode.system.dim)
     start, meets = clip(start, *strips([mode.invariant], mode.system.dim))
     return [Starts(mode, start[meets], np.zeros((int(meets.sum()), 2)))] if np.any(meets) else []
 

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 from scipy import sparse
-from scipy.linalg import expm
 
 from .checks import Array
 from .errors import Unresolved
@@ -196,13 +195,3 @@ def times(rows: Array, M: Any) -> Array:
 def scaled(M: Any, s: Array) -> Any:
     """Rows of M, dense or sparse, times numbers s."""
     return M * s[:, None] if isinstance(M, np.ndarray) else sparse.csr_matrix(sparse.diags(s) @ M)
-
-
-def exponentials(X: Array) -> Array:
-    """``e^X`` of a stack of matrices (K, n, n), by Taylor's series together where norms are small."""
-    if np.abs(X).sum(axis=-1).max(initial=0.0) > 1:
-        return np.asarray(expm(X))
-    out = np.broadcast_to(np.eye(X.shape[-1]), X.shape)
-    for k in range(19, 0, -1):  # 1 / 20! < 5e-19
-        out = np.eye(X.shape[-1]) + X @ out / k
-    return np.asarray(out)

@@ -20,18 +20,19 @@ class SetStack(SetOperators):
     names: ClassVar[tuple[str, str]]
 
     @property
-    def _arrays(self) -> tuple[Array, Array]:
+    def arrays(self) -> tuple[Array, Array]:
+        """The two arrays."""
         return getattr(self, self.names[0]), getattr(self, self.names[1])
 
     @property
     def dim(self) -> int:
         """Dimension n of the space."""
-        return int(self._arrays[0].shape[-1])
+        return int(self.arrays[0].shape[-1])
 
     @property
     def batch(self) -> tuple[int, ...]:
         """Leading axes."""
-        return self._arrays[0].shape[:-1]
+        return self.arrays[0].shape[:-1]
 
     @classmethod
     def stack(cls, parts: Sequence[Self]) -> Self:
@@ -39,8 +40,8 @@ class SetStack(SetOperators):
         good = isinstance(parts, list | tuple) and parts and all(isinstance(part, cls) for part in parts)
         if not good or len({(part.dim, part.batch) for part in parts}) > 1:
             raise ReachError(f"a stack needs a sequence of {cls.__name__} of one dimension and shape")
-        width = max(part._arrays[1].shape[-1] for part in parts)
-        first, second = zip(*(part._pad(width)._arrays for part in parts), strict=True)
+        width = max(part.arrays[1].shape[-1] for part in parts)
+        first, second = zip(*(part._pad(width).arrays for part in parts), strict=True)
         return cls(np.stack(first), np.stack(second))
 
     def _pad(self, count: int) -> Self:
@@ -52,7 +53,7 @@ class SetStack(SetOperators):
         if not self.batch:
             raise ReachError(f"a single {type(self).__name__} cannot be indexed")
         try:
-            parts = [np.asarray(part[index]) for part in self._arrays]
+            parts = [np.asarray(part[index]) for part in self.arrays]
         except (IndexError, TypeError, ValueError) as exc:
             raise ReachError(f"an index selects from the batch axes: {exc}") from None
         if parts[0].ndim == 0 or parts[0].shape[-1] != self.dim:
@@ -86,7 +87,7 @@ class Generated(SetStack):
     @property
     def center(self) -> Array:
         """Centre of symmetry, shape (..., n)."""
-        return self._arrays[0]
+        return self.arrays[0]
 
     @property
     @abstractmethod
@@ -101,22 +102,22 @@ class Generated(SetStack):
     @property
     def terms(self) -> int:
         """Number of products summed in one value of the support function."""
-        return self.dim + int(self._arrays[1].shape[-1])
+        return self.dim + int(self.arrays[1].shape[-1])
 
     def __rmatmul__(self, M: ArrayLike) -> Self:
         """Linear image ``M @ X``; M may carry batch axes that broadcast with the set's."""
-        c, G = self._arrays
+        c, G = self.arrays
         M = as_map(M, self.dim)
         require_alike(M.shape[:-2], self.batch)
         c = (M @ c[..., None])[..., 0]
         return type(self)(c, np.broadcast_to(M @ G, (*c.shape, G.shape[-1])))
 
     def _translated(self, v: Array) -> Self:
-        c, G = self._arrays
+        c, G = self.arrays
         return type(self)(c + v, np.broadcast_to(G, (*np.shape(c + v), G.shape[-1])))
 
     def _scaled(self, a: float) -> Self:
-        c, G = self._arrays
+        c, G = self.arrays
         return type(self)(a * c, a * G)
 
 

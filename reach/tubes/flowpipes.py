@@ -15,8 +15,7 @@ from ..numerics.errors import ReachError
 from ..numerics.exponentials import times
 from ..numerics.linear import powers
 from ..sets.zonotope import Zonotope
-from .adjoint import Adjoint
-from .augment import augmented
+from .adjoint import Adjoint, augmented
 from .rows import ROUNDING
 from .stepping import MAX_STEPS, substeps
 from .systems import LinearSystem

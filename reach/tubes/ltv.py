@@ -19,9 +19,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..numerics.checks import Array, as_directions, as_frame, as_numbers, checked, require_single
+from ..numerics.checks import (
+    Array,
+    as_directions,
+    as_frame,
+    as_numbers,
+    checked,
+    require_positive,
+    require_single,
+)
 from ..numerics.errors import ReachError
-from ..numerics.exponentials import exponentials
+from ..numerics.exponentials import exponential
 from ..sets.convex import ConvexSet
 from ..sets.zonotope import Zonotope
 from .adjoint import attained_support, extent
@@ -194,16 +202,12 @@ class _Sweep:
         self, system: LTVSystem, initial: ConvexSet, horizon: float, step: float, begin: float
     ) -> None:
         n, m = system.dim, system.inputs
-        require_single("the initial set", initial)
-        if initial.dim != n:
-            raise ReachError(f"the initial set has dimension {initial.dim}, the system has {n} states")
-        for name, value in (("horizon", horizon), ("step", step)):
-            if not (np.isfinite(value) and value > 0):
-                raise ReachError(f"the {name} must be a finite number > 0, got {value!r}")
+        require_single("the initial set", initial, n)
+        require_positive("horizon", horizon)
+        require_positive("step", step)
         if not np.isfinite(begin) or horizon / step > MAX_STEPS:
-            raise ReachError(
-                f"at most {MAX_STEPS:,} steps from a finite begin, got {begin!r}, {horizon / step}"
-            )
+            given = f"got {begin!r}, {horizon / step}"
+            raise ReachError(f"at most {MAX_STEPS:,} steps from a finite begin, {given}")
         count = max(int(np.ceil(horizon / step * (1 - 1e-12))), 1)
         self.initial, self.U, self.n, self.m = initial, system.U, n, m
         self.times = begin + np.linspace(0, horizon, count + 1)
@@ -218,13 +222,13 @@ class _Sweep:
 
         # Transitions and the elementwise bound on what they miss, see the docstring of the module.
         M, S = A.middle, A.chord
-        half = exponentials(h / 2 * M)
+        half = exponential(M, h / 2)
         C1 = S @ M - M @ S
         C2 = C1 @ M - M @ C1
         C3 = np.abs(C2 @ M - M @ C2)
         self.P = half @ half + h**3 / 12 * (half @ C1 @ half)
         D = h / 2 * np.abs(S) + A.off
-        W, Y = (exponentials(h * _growing(M, more)) for more in (0.0, D))
+        W, Y = (exponential(_growing(M, more), h) for more in (0.0, D))
         missed = W @ (h**5 / 480 * C3 + A.area + h**2 / 2 * (D @ W @ D)) @ Y
         # Inputs: the trapezoid of V(s) = Phi(t_k+1, s) G(s), G = [B c], whose V'' bounds its rest.
         G0, G1 = force(B.nodes[:-1], c.nodes[:-1]), force(B.most, c.most)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..numerics.checks import Array, as_numbers
+from ..numerics.checks import Array, as_numbers, finite_fields
 from ..numerics.errors import ReachError
 
 
@@ -31,23 +31,17 @@ class Signal:
     values: Array
 
     def __post_init__(self) -> None:
-        t, values = as_numbers("times", self.times), as_numbers("values", self.values)
-        if t.ndim != 1 or len(t) == 0 or values.ndim != 2 or len(values) != len(t):
-            raise ReachError(f"a signal needs times (k,) and values (k, m), got {t.shape} and {values.shape}")
-        if not (np.all(np.isfinite(t)) and np.all(np.isfinite(values))):
-            raise ReachError("times and values of a signal must be finite numbers")
+        t, values = finite_fields(self, "times", "values")
+        _require_pairs(t, values)
         if np.any(np.diff(t) < 0):
             k = int(np.argmax(np.diff(t) < 0))
             raise ReachError(f"times of a signal must not decrease, got {t[k]:g} before {t[k + 1]:g}")
-        object.__setattr__(self, "times", t)
-        object.__setattr__(self, "values", values)
 
     @classmethod
     def constant_pieces(cls, times: ArrayLike, values: ArrayLike) -> Signal:
         """Each value holds from its time to the next."""
         t, v = as_numbers("times", times), as_numbers("values", values)
-        if t.ndim != 1 or len(t) == 0 or v.ndim != 2 or len(v) != len(t):
-            raise ReachError(f"a signal needs times (k,) and values (k, m), got {t.shape} and {v.shape}")
+        _require_pairs(t, v)
         return cls(np.r_[t[:1], np.repeat(t[1:], 2)], np.repeat(v, 2, axis=0)[:-1])
 
     @property
@@ -71,3 +65,8 @@ class Signal:
         return np.asarray(
             slopes[np.searchsorted(self.times, np.atleast_1d(as_numbers("t", t)), side="right")]
         )
+
+
+def _require_pairs(t: Array, values: Array) -> None:
+    if t.ndim != 1 or len(t) == 0 or values.ndim != 2 or len(values) != len(t):
+        raise ReachError(f"a signal needs times (k,) and values (k, m), got {t.shape} and {values.shape}")

@@ -11,9 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..numerics.checks import Array, as_directions, as_numbers, checked
 from ..numerics.errors import ReachError
 from ..sets.convex import ConvexSet
-from .adjoint import Adjoint
-from .augment import augmented
-from .stepping import Steps, carry_rows, substeps, warn_if_wide
+from .stepping import Steps, row_bounds, warn_if_wide
 from .systems import LinearSystem
 
 
@@ -114,18 +112,12 @@ def support_tube(
     """
     deadline = perf_counter() + max_seconds
     D = as_directions(directions, system.dim)
-    around, start = (system, initial) if system.discrete else augmented(system, initial)
-    rows = np.hstack([D, np.zeros((len(D), around.dim - system.dim))])
-    adjoint = Adjoint(around, start)
-    parts = substeps(adjoint, step, horizon, len(D))
-    run = carry_rows(adjoint, rows, horizon, Steps(step, tolerance, limit, parts, deadline=deadline))
-    upper, lower = run.first + run.upper + run.rounding, run.attained + run.lower - run.rounding
-    interval = np.maximum(upper[1:], upper[:-1]) + run.bow + run.bend
-    interval = interval.reshape(-1, parts, len(D)).max(axis=1)
+    run = row_bounds(system, initial, D, horizon, Steps(step, tolerance, limit, deadline=deadline))
+    above, below, between, coarse = run.above, run.below, run.between, run.coarse()
     if step is not None and not system.discrete:
-        warn_if_wide(interval.max(axis=0), lower.max(axis=0), np.abs(upper).max(axis=0))
-    coarse = run.every(parts)
-    return SupportTube(coarse.times, D, upper[::parts], lower[::parts], interval, coarse.bow + coarse.bend)
+        warn_if_wide(between.max(axis=0), below.max(axis=0), np.abs(above).max(axis=0))
+    upper, attained = above[:: run.parts], below[:: run.parts]
+    return SupportTube(coarse.times, D, upper, attained, between, coarse.bow + coarse.bend)
 
 
 @checked

@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import sparse
 
-from ..numerics.checks import as_numbers, require_single
+from ..numerics.checks import as_array, as_numbers, require_single
 from ..numerics.errors import ReachError
-from ..sets.convex import ConvexSet
 from .signals import Signal
 
 FILLED = 0.25
@@ -69,7 +68,9 @@ class LinearSystem:
             raise ReachError(f"A must be square, got shape {A.shape}")
         if sparse.issparse(A) and n <= FILLED_MOST and A.nnz >= FILLED * n**2:
             A = A.toarray()
-        pieces = self._pieces()
+        pieces = () if self.U is None else tuple(self.U) if isinstance(self.U, list | tuple) else (self.U,)
+        for U in pieces:
+            require_single("U", U)
         B, driven = self.B, pieces or self.nominal is not None
         if B is None:
             B = np.eye(n) if driven and not sparse.issparse(A) else sparse.identity(n, format="csr")
@@ -84,31 +85,17 @@ class LinearSystem:
                 f"nominal must have dimension {B.shape[1]}, the columns of B, got {self.nominal.dim}"
             )
         for U in pieces:
-            if U.dim != B.shape[1]:
-                raise ReachError(f"U must have dimension {B.shape[1]}, the columns of B, got {U.dim}")
-        c = np.zeros(n) if self.c is None else as_numbers("c", self.c)
-        if c.shape != (n,) or not np.all(np.isfinite(c)):
-            raise ReachError(f"c must be {n} finite numbers, got {self.c!r}")
-        breaks = as_numbers("breaks", self.breaks)
-        if breaks.shape != (max(len(pieces) - 1, 0),) or not (
-            np.all(np.isfinite(breaks)) and np.all(np.diff(breaks, prepend=0.0) > 0)
-        ):
-            raise ReachError(
-                f"{len(pieces)} input sets need {max(len(pieces) - 1, 0)} breaks, positive and increasing, "
-                f"got {self.breaks!r}"
-            )
+            require_single("U", U, B.shape[1])
+        c = np.zeros(n) if self.c is None else as_array("c", self.c, n)
+        breaks, count = as_numbers("breaks", self.breaks), max(len(pieces) - 1, 0)
+        later = np.diff(breaks, prepend=0.0) > 0 if breaks.shape == (count,) else np.zeros(1)
+        if not (np.all(later) and np.all(np.isfinite(breaks))):
+            given = f"{len(pieces)} input sets need {count} breaks, positive and increasing"
+            raise ReachError(f"{given}, got {self.breaks!r}")
         if self.discrete and np.any(breaks != np.round(breaks)):
             raise ReachError(f"the breaks of a discrete system must be whole numbers, got {self.breaks!r}")
         for name, value in (("A", A), ("B", B), ("U", pieces), ("c", c), ("breaks", breaks)):
             object.__setattr__(self, name, value)
-
-    def _pieces(self) -> tuple[ConvexSet, ...]:
-        if self.U is None:
-            return ()
-        pieces = tuple(self.U) if isinstance(self.U, list | tuple) else (self.U,)
-        for U in pieces:
-            require_single("U", U)
-        return pieces
 
     @property
     def dim(self) -> int:

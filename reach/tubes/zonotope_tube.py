@@ -10,11 +10,9 @@ from numpy.typing import ArrayLike
 from ..numerics.checks import Array, as_frame, as_numbers, checked, per_row, require_single
 from ..sets.convex import ConvexSet
 from ..sets.zonotope import Zonotope
-from .adjoint import Adjoint, is_symmetric
-from .augment import augmented
-from .bounds import RowBounds
+from .adjoint import augmented, is_symmetric
 from .rows import ROUNDING
-from .stepping import Steps, carry_rows, substeps, warn_if_wide
+from .stepping import Steps, row_bounds, warn_if_wide
 from .support_tube import locate
 from .systems import LinearSystem
 
@@ -119,32 +117,21 @@ def zonotope_tube(
     Unresolved
         If the tolerance cannot be met or a bound is beyond floating point.
     """
-    F = as_frame(frame, system.dim)
+    F, n = as_frame(frame, system.dim), system.dim
     require_single("the initial set", initial)
-    box = initial if isinstance(initial, Zonotope) else initial.interval_hull()
-    around, start = augmented(system, box)
-    generated = start if isinstance(start, Zonotope) else augmented(system, box.to_zonotope())[1]
-    inverse: Array = np.asarray(np.linalg.inv(F))
-    rows = np.hstack([inverse, np.zeros((len(F), around.dim - system.dim))])
+    start = initial if isinstance(initial, Zonotope) else initial.interval_hull()
+    rows = inverse = np.asarray(np.linalg.inv(F))
     if tolerance is not None:
-        tolerance = per_row("tolerance", tolerance, len(F))
-    if len(around.U) > 1 or not all(is_symmetric(U) for U in around.U):
-        rows = np.vstack([rows, -rows])
+        tolerance = per_row("tolerance", tolerance, n)
+    if len(system.U) > 1 or not all(is_symmetric(U) for U in system.U):
+        rows = np.vstack([inverse, -inverse])
         tolerance = None if tolerance is None else np.tile(tolerance, 2)
-    adjoint = Adjoint(around, start)
-    parts = substeps(adjoint, step, horizon, len(rows))
-    run = carry_rows(adjoint, rows, horizon, Steps(step, tolerance, parts=parts, keep=True))
-    coarse = run.every(parts)
-    if step is not None and not system.discrete:
-        nodes = (run.first + run.upper + run.rounding).max(axis=0)
-        warn_if_wide(nodes + (coarse.bow + coarse.bend).max(axis=0, initial=0.0), nodes, np.abs(nodes))
-    return _enclose(coarse, generated, F, inverse)
-
-
-def _enclose(run: RowBounds, start: Zonotope, F: Array, inverse: Array) -> ZonotopeTube:
-    n = len(F)
+    run = row_bounds(system, start, rows, horizon, Steps(step, tolerance, keep=True)).coarse()
     assert run.rows is not None
-    image = run.rows[:, :n] @ start
+    if step is not None and not system.discrete:
+        nodes = run.above.max(axis=0)
+        warn_if_wide(nodes + (run.bow + run.bend).max(axis=0, initial=0.0), nodes, np.abs(nodes))
+    image = run.rows[:, :n] @ augmented(system, start.to_zonotope())[1]
     # The second half of the rows is the first half with the sign turned, or left out if alike.
     high, low = (run.upper[:, rows] + run.rounding[:, rows] for rows in (slice(n), slice(-n, None)))
     middle, widths = (high - low) / 2 + run.driven[:, :n], (high + low) / 2
