@@ -1,7 +1,6 @@
 from .hybrid.automaton import HybridAutomaton as HybridAutomaton
 from .hybrid.automaton import Mode as Mode
 from .hybrid.automaton import Transition as Transition
-from .hybrid.replay import replay_hybrid as replay_hybrid
 from .hybrid.segments import HybridTube as HybridTube
 from .hybrid.segments import Segment as Segment
 from .hybrid.simulation import HybridTrajectory as HybridTrajectory
@@ -10,6 +9,7 @@ from .hybrid.simulation import simulate_hybrid as simulate_hybrid
 from .hybrid.tube import hybrid_tube as hybrid_tube
 from .hybrid.verification import HybridVerdict as HybridVerdict
 from .hybrid.verification import falsify_hybrid as falsify_hybrid
+from .hybrid.verification import replay_hybrid as replay_hybrid
 from .hybrid.verification import verify_hybrid as verify_hybrid
 from .numerics.errors import ReachError as ReachError
 from .numerics.errors import ReachWarning as ReachWarning

@@ -104,10 +104,6 @@ class Action:
     """``e^{M t} v`` for a sparse matrix M and rows v, by Taylor's series; no exponential is formed.
 
     The mean of the diagonal is split off: it takes nothing but a factor.
-
-    Parameters
-    ----------
-    M : sparse matrix, shape (n, n)
     """
 
     def __init__(self, M: Any) -> None:
@@ -120,11 +116,6 @@ class Action:
         """``e^{M h l} v`` for l = 0..count and every row v of (r, n), shape (count+1, r, n).
 
         Each series spans as many steps as `REACH` allows, or a part of one.
-
-        Raises
-        ------
-        Unresolved
-            If one step takes more than `MOST_PARTS` series.
         """
         norm = h * self.norm
         if not norm <= MOST_PARTS * REACH:

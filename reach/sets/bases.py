@@ -34,15 +34,8 @@ class Bases:
 
     A direction that is a mixture of the n rows with weights >= 0 attains its maximum there, and the
     weights are the multipliers of the linear program. Nothing is proved here: what the multipliers
-    prove is re-checked by weak duality.
-
-    Parameters
-    ----------
-    A : ndarray, shape (m, n)
-    b : ndarray, shape (m,)
-    inside : callable
-        A point in the middle of a bounded set, shape (n,): all bases are then found at once by Qhull,
-        where they are few. None of a set without bounds.
+    prove is re-checked by weak duality. `inside` gives a point in the middle of a bounded set, with which
+    all bases are found at once where they are few, and None of a set without bounds.
     """
 
     def __init__(self, A: Array, b: Array, inside: Callable[[], Array | None]) -> None:

@@ -23,15 +23,9 @@ WORTH = 0.9
 
 
 def strips(polytopes: Sequence[HPolytope | None], n: int) -> tuple[Array, Array, Array]:
-    """Rows and limits of ``low <= H x <= high`` for the intersection of polytopes.
+    """Unit rows (q, n) and limits (q,) of ``low <= H x <= high`` for the intersection of polytopes.
 
-    Rows that are parallel share one strip, so that an equation written as two inequalities is seen
-    as one.
-
-    Returns
-    -------
-    H : ndarray, shape (q, n), unit rows
-    low, high : ndarray, shape (q,)
+    Rows that are parallel share one strip, so that an equation written as two inequalities is seen as one.
     """
     given = [p for p in polytopes if p is not None]
     H, low, high = np.zeros((0, n)), np.zeros(0), np.zeros(0)
@@ -51,26 +45,14 @@ def strips(polytopes: Sequence[HPolytope | None], n: int) -> tuple[Array, Array,
 
 
 def clip(Z: Zonotope, H: Array, low: Array, high: Array) -> tuple[Zonotope, NDArray[np.bool_]]:
-    """Enclose the part of every zonotope of a stack that lies in the strips.
+    """Enclose the part of every zonotope of a stack (M,) that lies in the strips.
 
     Two steps, both sound. The coefficients are narrowed to those with which the limits can be met
     (the interval hull of each cut of the cube of coefficients, so the order does not grow). Where a
     strip still cuts, the zonotope ``c + l (d - h c), [(I - l h) G, l s]`` encloses the
     intersection with ``|h x - d| <= s`` for any l; the l of the least sum of squares is taken
-    (Bravo et al. 2006).
-
-    Parameters
-    ----------
-    Z : Zonotope, batch (M,)
-    H, low, high : ndarray, shapes (q, n), (q,), (q,)
-        As from `strips`; or one of each per member, (M, q, n), (M, q), (M, q).
-
-    Returns
-    -------
-    Zonotope, batch (M,)
-        Of what is empty, the unchanged set.
-    meets : ndarray of bool, shape (M,)
-        False where the intersection is proved to be empty.
+    (Bravo et al. 2006). The strips are those of `strips`, or one of each per member, (M, q, n) and (M, q).
+    Also said is which members meet the strips, (M,): the others are proved not to, and stay as they are.
     """
     meets = np.ones(len(Z), dtype=bool)
     q = H.shape[-2]

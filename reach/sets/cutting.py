@@ -27,13 +27,7 @@ DEPTH = 1e-7
 
 
 class Search:
-    """Furthest points of an intersection, and how their direction is split between the parts.
-
-    Parameters
-    ----------
-    parts : tuple of sets
-        At least one of them bounded.
-    """
+    """Furthest points of an intersection, one part of which is bounded, and how their direction is split."""
 
     def __init__(self, parts: tuple[Any, ...]) -> None:
         self.parts, self.n = parts, parts[0].dim

@@ -19,41 +19,20 @@ CLOSE = 1e-9
 
 @dataclass(frozen=True)
 class Nearest:
-    """Nearest points found, in coordinates scaled so that the sets have about unit size.
+    """Nearest points found, in coordinates scaled so that the sets have about unit size."""
 
-    Attributes
-    ----------
-    x, y : ndarray, shape (n,)
-        Points of the first and the second set.
-    gap : float
-        Scaled distance of the two points.
-    least : float
-        The sets are at least this far apart (scaled, before rounding); not above `gap`.
-    direction : ndarray, shape (n,)
-        In true coordinates: ``direction . (y - x)`` is positive for disjoint sets.
-    scale : ndarray, shape (n,)
-        Size of one unit along each axis.
-    """
-
-    x: Array
-    y: Array
-    gap: float
-    least: float
-    direction: Array
-    scale: Array
+    x: Array  # of the first set, (n,)
+    y: Array  # of the second set, (n,)
+    gap: float  # scaled distance of the two points
+    least: float  # the sets are at least this far apart (scaled, before rounding); not above `gap`
+    direction: Array  # in true coordinates: direction . (y - x) is positive for disjoint sets, (n,)
 
 
 def nearest(X: ConvexSet, Y: ConvexSet, scale: Array | None = None, enough: float = 0.0) -> Nearest:
-    """Nearest points of two sets (Wolfe 1976: the point of least norm of ``X - Y``).
+    """Nearest points of two bounded sets (Wolfe 1976: the point of least norm of ``X - Y``).
 
-    Parameters
-    ----------
-    X, Y : ConvexSet
-        Single bounded sets.
-    scale : ndarray, shape (n,), optional
-        Size of one unit along each axis; by default the larger of the two interval hulls.
-    enough : float
-        Scaled distance at or below which the points need not come closer.
+    Distances are measured in `scale`, one unit for each axis, by default the larger of the two interval
+    hulls; points whose scaled distance is `enough` need not come closer.
     """
     require_same_dim(X, Y)
     if scale is None:
@@ -77,7 +56,7 @@ def nearest(X: ConvexSet, Y: ConvexSet, scale: Array | None = None, enough: floa
         pairs = [pair for pair, use in zip(pairs, kept, strict=True) if use]
     x, y = np.tensordot(weights, np.array(pairs), axes=1)
     z = weights @ corral
-    return Nearest(x, y, float(np.linalg.norm(z)), least, -z / scale, scale)
+    return Nearest(x, y, float(np.linalg.norm(z)), least, -z / scale)
 
 
 def unit_sizes(half_widths: Array) -> Array:

@@ -109,13 +109,7 @@ class AffineImage(SetOperators):
 
 
 def inverse(M: Array) -> Array:
-    """Approximate inverse of a square matrix.
-
-    Raises
-    ------
-    ReachError
-        If there is none to working precision.
-    """
+    """Approximate inverse of a square matrix, which must have one to working precision."""
     if M.shape[0] != M.shape[1] or not np.linalg.cond(M) < 1e15:
         raise ReachError(f"the map must have an inverse to working precision, its shape is {M.shape}")
     return np.asarray(np.linalg.inv(M))

@@ -29,11 +29,7 @@ class Lifted:
 def lifted(X: Any, middle: Array, size: Array) -> Lifted | None:
     """A set with flat faces as the image of a polytope; None for any other set.
 
-    Parameters
-    ----------
-    X : set of this library
-    middle, size : ndarray, shape (n,)
-        About where the points of interest lie: polytopes are written in ``(x - middle) / size``.
+    Polytopes are written in ``(x - middle) / size``, about where the points of interest lie.
     """
     if isinstance(X, Interval):
         return Lifted(X.center, np.diag(X.half_widths), *_cube(X.dim))

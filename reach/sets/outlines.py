@@ -46,13 +46,7 @@ def require_planar(X: Any) -> None:
 
 
 def vertices_2d(X: Any) -> Array:
-    """Vertices of a planar set with flat faces, counter-clockwise, shape (k, 2).
-
-    Raises
-    ------
-    ReachError
-        If the set is not planar, is round, or unbounded.
-    """
+    """Vertices of a planar set with flat faces, counter-clockwise, shape (k, 2)."""
     if X.dim != 2:
         raise ReachError(f"vertices_2d asks a planar set, got dimension {X.dim}")
     if is_round(X):

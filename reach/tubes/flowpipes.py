@@ -83,12 +83,9 @@ class Flowpipes:
 
 
 class Propagator:
-    """One system made ready for many flowpipes: its drift in the state, its exponentials kept.
+    """A system in continuous time, with one input set at most, made ready for many flowpipes.
 
-    Parameters
-    ----------
-    system : LinearSystem
-        In continuous time, with one set of inputs at most.
+    Its drift is in the state, its exponentials are kept.
     """
 
     def __init__(self, system: LinearSystem) -> None:
@@ -117,24 +114,12 @@ def flowpipes(
     offset: Array | None = None,
     going: Callable[[Flowpipes], NDArray[np.bool_]] | None = None,
 ) -> Flowpipes:
-    """Follow a stack of start sets over a horizon.
+    """Follow a stack of start sets over a horizon, in steps of a length at most.
 
-    Parameters
-    ----------
-    propagator : Propagator
-    start : Zonotope, batch (N,)
-    horizon : float
-        At least 0.
-    step : float
-        Longest step.
-    tolerance : array_like of shape (n,), optional
-        Steps are halved until the bow between nodes is below this (but for `HALVINGS`).
-    offset : ndarray, shape (N,), optional
-        Local time from which every start is followed. The response to the inputs is then not
-        contained: see `respond`.
-    going : callable, optional
-        Asked about every block of steps: which starts (N,) are still to be followed. Stepping
-        ends when there are none.
+    Steps are halved until the bow between nodes is below a tolerance, shape (n,) (but for `HALVINGS`). With
+    an `offset`, shape (N,), every start is followed from that local time on, and the response to the inputs
+    is not contained (see `input_response`). `going` is asked about every block of steps which starts (N,)
+    are still to be followed; stepping ends when there are none.
     """
     if not (np.isfinite(step) and step > 0 and np.isfinite(horizon) and horizon >= 0):
         raise ReachError(f"step and horizon must be finite and > 0, got {step!r} and {horizon!r}")

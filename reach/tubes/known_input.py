@@ -25,24 +25,12 @@ AHEAD = 256
 
 @dataclass(frozen=True, eq=False)
 class KnownResponse:
-    """The part of ``d x(t)`` that a known signal causes, for r rows d.
+    """The part of ``d x(t)`` that a known signal causes, for r rows d."""
 
-    Attributes
-    ----------
-    values : ndarray, shape (K+1, r)
-        At the nodes.
-    bow : ndarray, shape (K, r)
-        Between two nodes it leaves the line that joins them by no more than ``4 s (1 - s) bow``.
-    kinks : ndarray, shape (K+1, r)
-        By how much its slope jumps at the nodes.
-    states : ndarray, shape (K+1, n)
-        The trajectory itself.
-    """
-
-    values: Array
-    bow: Array
-    kinks: Array
-    states: Array
+    values: Array  # at the nodes, (K+1, r)
+    bow: Array  # between two nodes it leaves the line that joins them by 4 s (1 - s) bow at most, (K, r)
+    kinks: Array  # by how much its slope jumps at the nodes, (K+1, r)
+    states: Array  # the trajectory itself, (K+1, n)
 
 
 def known_response(system: LinearSystem, D: Array, nodes: Array, steps: Array) -> KnownResponse:
