@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..numerics.checks import Array, as_vector, require_same_dim
+from ..numerics.checks import Array, as_vector
 from .convex import ConvexSet
 
 STEPS = 300
@@ -28,15 +29,12 @@ class Nearest:
     direction: Array  # in true coordinates: direction . (y - x) is positive for disjoint sets, (n,)
 
 
-def nearest(X: ConvexSet, Y: ConvexSet, scale: Array | None = None, enough: float = 0.0) -> Nearest:
-    """Nearest points of two bounded sets (Wolfe 1976: the point of least norm of ``X - Y``).
+def nearest(X: Any, Y: Any, scale: Array) -> Nearest:
+    """Nearest points of two bounded convex sets (Wolfe 1976: the point of least norm of ``X - Y``).
 
-    Distances are measured in `scale`, one unit for each axis, by default the larger of the two interval
-    hulls; points whose scaled distance is `enough` need not come closer.
+    Distances are measured in `scale`, one unit for each axis. Of the sets a `center` and `support_vector`
+    are asked, nothing else.
     """
-    require_same_dim(X, Y)
-    if scale is None:
-        scale = unit_sizes(np.maximum(X.interval_hull().half_widths, Y.interval_hull().half_widths))
     pairs = [np.stack([X.center, Y.center])]
     corral, weights, least = ((X.center - Y.center) / scale)[None], np.ones(1), 0.0
     for _ in range(STEPS):

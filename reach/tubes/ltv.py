@@ -37,7 +37,7 @@ from .rows import ROUNDING
 from .stepping import warn_if_wide
 from .support_tube import SupportTube
 from .varying import Varying, sample
-from .zonotope_tube import ZonotopeTube
+from .zonotope_tube import ZonotopeTube, along_frame
 
 MAX_STEPS = 20_000
 
@@ -173,15 +173,11 @@ def ltv_zonotope_tube(
     sweep = _Sweep(system, start, horizon, step, begin)
     inverse = np.linalg.inv(F)
     run = sweep.run(np.vstack([inverse, -inverse]), slice(n), slice(n, None), F)
-    image = run.maps @ start
-    high, low = run.upper[:, :n], run.upper[:, n:]
-    size = np.abs(image.c @ inverse.T) + np.abs(inverse @ image.G).sum(axis=-1) + (high + low) / 2
-    widths = (high + low) / 2 + ROUNDING * n * size @ (np.abs(inverse) @ np.abs(F)).T
-    G = np.concatenate([image.G, F * widths[:, None, :]], axis=-1)
-    bow = np.maximum(run.bow[:, :n], run.bow[:, n:])
     nodes = run.first + run.upper
     warn_if_wide(nodes.max(axis=0) + run.bow.max(axis=0), nodes.max(axis=0), np.abs(nodes).max(axis=0))
-    return ZonotopeTube(sweep.times, Zonotope(image.c + (high - low) / 2 @ F.T, G), bow, F)
+    bow = np.maximum(run.bow[:, :n], run.bow[:, n:])
+    inputs = run.upper[:, n:], run.upper[:, :n]
+    return along_frame(sweep.times, inverse @ (run.maps @ start), inputs, bow, F)
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,10 +211,13 @@ class _Sweep:
         A, B = sample("A", system.A, (n, n), self.times), sample("B", system.B, (n, m), self.times)
         c = sample("c", system.c, (n,), self.times)
         self.x0 = extent("the initial set", initial)
-        u = extent("an input set", system.U) if m else np.zeros(0)
+        u = np.r_[extent("an input set", system.U) if m else np.zeros(0), 1.0]
+        G = np.concatenate([B.nodes, c.nodes], axis=-1)
 
-        def force(matrix_B: Array, matrix_c: Array) -> Array:
-            return np.asarray(np.abs(matrix_B) @ u + np.abs(matrix_c)[..., 0])
+        def force(name: str) -> Array:
+            """Bound on ``[B c] (u, 1)``, or on what it changes by, over every step, shape (K, n, 1)."""
+            both = np.concatenate([getattr(B, name), getattr(c, name)], axis=-1)
+            return np.asarray(np.abs(both) @ u)[..., None]
 
         # Transitions and the elementwise bound on what they miss, see the docstring of the module.
         M, S = A.middle, A.chord
@@ -231,34 +230,29 @@ class _Sweep:
         W, Y = (exponential(_growing(M, more), h) for more in (0.0, D))
         missed = W @ (h**5 / 480 * C3 + A.area + h**2 / 2 * (D @ W @ D)) @ Y
         # Inputs: the trapezoid of V(s) = Phi(t_k+1, s) G(s), G = [B c], whose V'' bounds its rest.
-        G0, G1 = force(B.nodes[:-1], c.nodes[:-1]), force(B.most, c.most)
-        rate, area = force(B.rate, c.rate), force(B.area, c.area)
-        most, Y1 = A.most, Y @ G1[..., None]
-        curved = A.rate @ G1[..., None] + 2 * most @ rate[..., None] + most @ most @ G1[..., None]
-        self.missed = missed
-        self.rest = (Y @ (h**3 / 12 * curved + area[..., None]) + h / 2 * missed @ G0[..., None])[..., 0]
-        self.rest += ROUNDING * n * h * Y1[..., 0]
-        self.noise = ROUNDING * n * W
-        self.early, self.late = (self.P @ B.nodes[:-1], self.P @ c.nodes[:-1]), (B.nodes[1:], c.nodes[1:])
+        first, force_most, rate, most = np.abs(G[:-1]) @ u, force("most"), force("rate"), A.most
+        curved = A.rate @ force_most + 2 * most @ rate + most @ most @ force_most
+        driven = Y @ force_most
+        rest = Y @ (h**3 / 12 * curved + force("area")) + h / 2 * missed @ first[..., None]
+        self.missed, self.rest = missed + ROUNDING * n * W, (rest + ROUNDING * n * h * driven)[..., 0]
+        self.early, self.late = self.P @ G[:-1], G[1:]
         # Between the nodes: y'' = (A^2 + A') y, and the input's share by its Lipschitz constant.
         self.curve = M @ M + S
         self.more = np.abs(M) @ D + D @ np.abs(M) + D @ D + A.swing
         self.more = self.more @ Y + h * np.abs(self.curve) @ most @ Y
-        slide = most @ Y1 + (Y @ (most @ G1[..., None] + rate[..., None])) / 2
+        slide = most @ driven + Y @ (most @ force_most + rate) / 2
         self.local = h**2 / 4 * slide[..., 0]
 
-    def _support(self, rows: Array, parts: tuple[Array, Array], attained: bool = False) -> Array:
-        """``sup of rows (B u + c)``, shape (j, r) for rows (j, r, n) and j matrices."""
-        value = (rows @ parts[1])[..., 0]
+    def _support(self, along: Array, attained: bool = False) -> Array:
+        """``sup of b u + c`` for rows ``[b c]``, or what some u attains."""
+        value, rows = along[..., -1], along[..., :-1]
         if not self.m:
             return np.asarray(value)
-        support = self.U.support(rows @ parts[0])
-        return np.asarray(
-            value + (attained_support(self.U, rows @ parts[0], support) if attained else support)
-        )
+        support = self.U.support(rows)
+        return np.asarray(value + (attained_support(self.U, rows, support) if attained else support))
 
     def run(self, rows: Array, plus: slice, minus: slice, F: Array) -> _Run:
-        """RowBounds forward; `plus` and `minus` are the rows inv(F) and their opposites, which bound x."""
+        """Bounds forward; `plus` and `minus` are the rows inv(F) and their opposites, which bound x."""
         K, n, h = len(self.P), self.n, self.h
         first, upper, lower = (np.zeros((K + 1, len(rows))) for _ in range(3))
         bow, maps, later = np.empty((K, len(rows))), np.empty((K + 1, n, n)), np.empty((K, n, n))
@@ -267,7 +261,7 @@ class _Sweep:
         moved, upper[0] = np.zeros(n), ROUNDING * n * (absolute @ size)
         lower[0] = attained_support(self.initial, rows, first[0]) - upper[0]
         for k in range(K):
-            boxes[k] = self.missed[k] @ size + self.noise[k] @ size + self.rest[k]
+            boxes[k] = self.missed[k] @ size + self.rest[k]
             curved = rows @ self.curve[k]
             along = curved @ maps[k]
             known = np.maximum(self.initial.support(along), self.initial.support(-along))
@@ -278,10 +272,8 @@ class _Sweep:
             maps[k + 1] = self.P[k] @ maps[k]
             first[k + 1] = self.initial.support(rows @ maps[k + 1])
             R = rows @ later[: k + 1]
-            ends = self.late[0][: k + 1], self.late[1][: k + 1]
-            starts = self.early[0][: k + 1], self.early[1][: k + 1]
-            value = self._support(R, ends) + self._support(R, starts)
-            middle = self._support(R, ((ends[0] + starts[0]) / 2, (ends[1] + starts[1]) / 2), True)
+            start, end = R @ self.early[: k + 1], R @ self.late[: k + 1]
+            value, middle = self._support(start) + self._support(end), self._support((start + end) / 2, True)
             error = (np.abs(R) @ boxes[: k + 1, :, None]).sum(axis=0)[:, 0]
             upper[k + 1] = h / 2 * value.sum(axis=0) + error
             lower[k + 1] = h * middle.sum(axis=0) - error

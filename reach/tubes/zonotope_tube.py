@@ -134,9 +134,21 @@ def zonotope_tube(
     image = run.rows[:, :n] @ augmented(system, start.to_zonotope())[1]
     # The second half of the rows is the first half with the sign turned, or left out if alike.
     high, low = (run.upper[:, rows] + run.rounding[:, rows] for rows in (slice(n), slice(-n, None)))
-    middle, widths = (high - low) / 2 + run.driven[:, :n], (high + low) / 2
-    size = np.abs(image.c + middle) + image.half_widths + widths
-    widths = widths + ROUNDING * n * size @ (np.abs(inverse) @ np.abs(F)).T  # F inverse is not the identity
-    G = np.concatenate([F @ image.G, F * widths[:, None, :]], axis=-1)
     bow = np.maximum(run.bow[:, :n], run.bow[:, -n:]) + np.maximum(run.bend[:, :n], run.bend[:, -n:])
-    return ZonotopeTube(run.times, Zonotope((image.c + middle) @ F.T, G), bow, F)
+    return along_frame(run.times, image, (low - run.driven[:, :n], high + run.driven[:, :n]), bow, F)
+
+
+def along_frame(
+    times: Array, image: Zonotope, inputs: tuple[Array, Array], bow: Array, F: Array
+) -> ZonotopeTube:
+    """A tube from the image of the initial set in coordinates along the axes F, batch (K+1,).
+
+    The response to the inputs lies between ``-inputs[0]`` and ``inputs[1]`` in them, each (K+1, n).
+    """
+    low, high = inputs
+    middle, widths = (high - low) / 2, (high + low) / 2
+    size = np.abs(image.c + middle) + image.half_widths + widths
+    # The inverse of F is one to rounding only.
+    widths = widths + ROUNDING * len(F) * size @ (np.abs(np.linalg.inv(F)) @ np.abs(F)).T
+    G = np.concatenate([F @ image.G, F * widths[:, None, :]], axis=-1)
+    return ZonotopeTube(times, Zonotope((image.c + middle) @ F.T, G), bow, F)

@@ -8,11 +8,11 @@ that ends in the region.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from time import perf_counter
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.optimize import nnls
 
 from ..numerics.checks import Array
@@ -38,35 +38,26 @@ SHRINK = (0.25, 0.01, 0.0)
 so that rounding cannot put its end outside."""
 
 
+@dataclass
 class Reached:
-    """What the rows of a region are at one time, asked through trajectories: its answers are attained.
+    """What rows are at one time, asked through trajectories of a system: its answers are attained.
 
     Each answer is kept, so that a point found as a mixture of answers can be traced back to one
     trajectory: initial sets and input sets are convex, and motions are linear in them.
     """
 
-    def __init__(
-        self,
-        system: LinearSystem,
-        initial: ConvexSet,
-        rows: Array,
-        time: float,
-        step: float | None,
-        deadline: float = np.inf,
-    ) -> None:
-        self.deadline = deadline
-        self.system, self.initial, self.rows, self.time, self.step = system, initial, rows, time, step
-        self.found: list[Trajectory] = []
-
-    @property
-    def dim(self) -> int:
-        """Number of rows."""
-        return len(self.rows)
+    system: LinearSystem
+    initial: ConvexSet
+    rows: Array
+    time: float
+    step: float | None
+    deadline: float
+    found: list[Trajectory] = field(default_factory=list)
 
     @property
     def center(self) -> Array:
         """Some point of the set, shape (r,)."""
-        return self.support_vector(np.ones(self.dim))
+        return self.support_vector(np.ones(len(self.rows)))
 
     def support_vector(self, directions: ArrayLike) -> Array:
         """The values of the rows that go furthest in one direction, shape (r,)."""
@@ -75,24 +66,10 @@ class Reached:
         self.found.append(worst_case(self.system, self.initial, self.time, d, step=self.step))
         return np.asarray(self.rows @ self.found[-1].states[-1])
 
-    def support(self, directions: ArrayLike) -> Array:
-        """What is attained in one direction."""
-        return np.asarray(np.asarray(directions, dtype=float) @ self.support_vector(directions))
-
     @property
     def answers(self) -> Array:
         """Every point found so far, shape (k, r)."""
         return np.array([self.rows @ path.states[-1] for path in self.found])
-
-    def interval_hull(self) -> Interval:
-        """Box around the answers so far (an inner one)."""
-        return Interval(self.answers.min(axis=0), self.answers.max(axis=0))
-
-    def contains(self, points: ArrayLike, slack: float = 1e-9) -> NDArray[np.bool_]:
-        """Whether each point is within `slack` of a mixture of the answers so far."""
-        points = np.atleast_2d(np.asarray(points, dtype=float))
-        ends = np.array([self.rows @ self.leading_to(p).states[-1] for p in points])
-        return np.asarray(np.all(np.abs(ends - points) <= slack * (1 + np.abs(points)), axis=-1))
 
     def leading_to(self, point: Array) -> Trajectory:
         """The trajectory that mixes the answers so as to end closest to a point."""
@@ -121,7 +98,6 @@ def verify_never(
 ) -> Verdict:
     """`verify` for a region to stay out of."""
     D, least = -region.A, -region.b
-    lengths = np.linalg.norm(D, axis=1)
     bounds, steps, path, reason = np.full((1, len(D)), np.nan), 0, None, ""
 
     def verdict(status: str, margin: float) -> Verdict:
@@ -148,15 +124,18 @@ def verify_never(
                 return verdict("proven", float(best[worst]))
             path, mix = _try(system, initial, region, float(t[worst]), window, step, deadline)
             if path is not None:
-                depth = float(np.min((region.b - region.A @ path.states[-1]) / lengths))
+                room = region.b - region.A @ path.states[-1]
+                depth = float(np.min(room / np.linalg.norm(region.A, axis=1)))
                 reason = f"a trajectory is in the region at t = {path.times[-1]:.6g}, {depth:.6g} deep"
                 return verdict("violated", -depth)
-            if mix is not None and len(D) < MOST_DIRECTIONS and _is_new(-mix @ region.A, D):
+            d = np.zeros(system.dim) if mix is None else -mix @ region.A
+            cosines = D @ d / np.linalg.norm(D, axis=1) / (np.linalg.norm(d) or 1.0)
+            if mix is not None and len(D) < MOST_DIRECTIONS and np.max(cosines) < 1 - 1e-9:
                 # In the region -mix A x >= -mix b, but for the rounding of the products.
                 sizes = visited(system, initial, window[1], deadline) if sizes is None else sizes
                 level, residual = region.weak_duality((mix @ region.A)[None], mix[None])
                 most = level + (1 + gamma(system.dim)) * residual @ sizes
-                D, least = np.vstack([D, -mix @ region.A]), np.r_[least, -most]
+                D, least = np.vstack([D, d]), np.r_[least, -most]
             else:
                 share /= SHARPER
         reason = "found no directions that separate, and no trajectory that enters beyond rounding"
@@ -183,17 +162,18 @@ def _try(
         time = float(np.clip(round(time), *window))
     else:
         step = max(min(time / STEPS, step), time / MOST_STEPS)
-    body = Reached(system, initial, region.A, time, None if system.discrete or time == 0 else step, deadline)
-    for d in np.vstack([np.eye(body.dim), -np.eye(body.dim)]):
+    held = None if system.discrete or time == 0 else step
+    body = Reached(system, initial, region.A, time, held, deadline)
+    for d in np.vstack([np.eye(len(region.b)), -np.eye(len(region.b))]):
         body.support_vector(d)
-    hull = body.interval_hull()
-    size = unit_sizes(hull.half_widths)
-    if np.any(hull.lo > region.b):
+    lo = body.answers.min(axis=0)
+    size = unit_sizes(np.ptp(body.answers, axis=0) / 2)
+    if np.any(lo > region.b):
         return None, None  # a row separates: only the bounds were not sharp enough
-    floor = np.minimum(hull.lo, region.b) - size
+    floor = np.minimum(lo, region.b) - size
     for share in SHRINK:
-        aim = Interval(floor, np.maximum(region.b - share * np.minimum(size, region.b - hull.lo), floor))
-        answer = nearest(body, aim, size, enough=TOUCHING)
+        aim = Interval(floor, np.maximum(region.b - share * np.minimum(size, region.b - lo), floor))
+        answer = nearest(body, aim, size)
         if answer.gap <= TOUCHING:
             path = body.leading_to(answer.x)
             deep = REPLAY * (np.abs(region.A) @ np.abs(path.states[-1]) + np.abs(region.b))
@@ -202,9 +182,3 @@ def _try(
     mix = np.maximum(-answer.direction, 0.0)
     d, terms = -mix @ region.A, mix @ np.abs(region.A)
     return None, mix if answer.least > 0 and np.any(np.abs(d) > 1e-9 * terms) else None
-
-
-def _is_new(d: Array, D: Array) -> bool:
-    """Whether a direction differs from all those in use."""
-    cosines = D @ d / np.linalg.norm(D, axis=1) / np.linalg.norm(d)
-    return bool(np.max(cosines) < 1 - 1e-9)

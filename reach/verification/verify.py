@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..numerics.checks import as_numbers, checked, require_single
+from ..numerics.checks import checked, require_single
 from ..numerics.errors import ReachError
 from ..sets.convex import ConvexSet
 from ..sets.polytope import HPolytope
@@ -69,10 +69,10 @@ def _window(system: LinearSystem, spec: Any, horizon: float) -> tuple[float, flo
         raise ReachError(f"the specification must be Always or Never, got {type(spec).__name__}")
     if spec.region.dim != system.dim:
         raise ReachError(f"the region has dimension {spec.region.dim}, the system {system.dim} states")
-    if not (as_numbers("horizon", horizon).shape == () and 0 <= horizon < np.inf):
+    if not 0 <= horizon < np.inf:
         raise ReachError(f"the horizon must be a finite number >= 0, got {horizon!r}")
     during = (0.0, horizon) if spec.during is None else spec.during
-    if as_numbers("during", during).shape != (2,) or not 0 <= during[0] <= during[1] <= horizon:
+    if not 0 <= during[0] <= during[1] <= horizon:
         raise ReachError(f"`during` must be two times within [0, {horizon:g}], got {spec.during!r}")
     first, last = float(during[0]), float(during[1])
     if system.discrete:
