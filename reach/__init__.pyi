@@ -43,10 +43,10 @@ from .tubes.flowpipes import Flowpipes as Flowpipes
 from .tubes.ltv import LTVSystem as LTVSystem
 from .tubes.ltv import ltv_support_tube as ltv_support_tube
 from .tubes.ltv import ltv_zonotope_tube as ltv_zonotope_tube
-from .tubes.signals import Signal as Signal
 from .tubes.support_tube import SupportTube as SupportTube
 from .tubes.support_tube import support_tube as support_tube
 from .tubes.systems import LinearSystem as LinearSystem
+from .tubes.systems import Signal as Signal
 from .tubes.trajectory import Trajectory as Trajectory
 from .tubes.trajectory import simulate as simulate
 from .tubes.trajectory import worst_case as worst_case

@@ -12,8 +12,8 @@ from ..numerics.checks import Array
 from ..numerics.errors import ReachError
 from ..numerics.programs import maximise
 from .distance import nearest, unit_sizes
-from .lifted import lifted
 from .polytope import HPolytope
+from .separation import lifted
 from .zonotope import Zonotope
 
 CUTS = 30

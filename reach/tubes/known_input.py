@@ -12,8 +12,7 @@ from scipy import sparse
 from ..numerics.checks import Array
 from ..numerics.exponentials import times
 from .rows import Rows
-from .signals import Signal
-from .systems import LinearSystem
+from .systems import LinearSystem, Signal
 
 SNAP = 1e-14
 """A knot as near to a node as this share of the horizon is the node."""

@@ -9,7 +9,6 @@ that ends in the region.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from time import perf_counter
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,14 +17,12 @@ from scipy.optimize import nnls
 from ..numerics.checks import Array
 from ..numerics.errors import Unresolved
 from ..numerics.rounding import gamma
-from ..sets.convex import ConvexSet
 from ..sets.distance import nearest, unit_sizes
 from ..sets.interval import Interval
 from ..sets.polytope import HPolytope
 from ..tubes.stepping import in_time
-from ..tubes.systems import LinearSystem
 from ..tubes.trajectory import STEPS, Trajectory, simulate, worst_case
-from .invariance import FIRST, LAST, REPLAY, SHARPER, seen, sharp_tube, visited
+from .invariance import FIRST, LAST, REPLAY, SHARPER, Motions
 from .specification import Verdict
 
 MOST_DIRECTIONS = 64
@@ -46,12 +43,10 @@ class Reached:
     trajectory: initial sets and input sets are convex, and motions are linear in them.
     """
 
-    system: LinearSystem
-    initial: ConvexSet
+    motions: Motions
     rows: Array
     time: float
     step: float | None
-    deadline: float
     found: list[Trajectory] = field(default_factory=list)
 
     @property
@@ -61,9 +56,10 @@ class Reached:
 
     def support_vector(self, directions: ArrayLike) -> Array:
         """The values of the rows that go furthest in one direction, shape (r,)."""
-        in_time(self.deadline)
+        in_time(self.motions.deadline)
         d = np.asarray(directions, dtype=float) @ self.rows
-        self.found.append(worst_case(self.system, self.initial, self.time, d, step=self.step))
+        motions = self.motions
+        self.found.append(worst_case(motions.system, motions.initial, self.time, d, step=self.step))
         return np.asarray(self.rows @ self.found[-1].states[-1])
 
     @property
@@ -85,85 +81,66 @@ class Reached:
         inputs = np.tensordot(weights, np.array([path.inputs for path in self.found]), axes=1)
         if self.time == 0:
             return replace(self.found[0], states=x0[None])
-        return simulate(self.system, x0, self.found[0].times, inputs)
+        return simulate(self.motions.system, x0, self.found[0].times, inputs)
 
 
-def verify_never(
-    system: LinearSystem,
-    initial: ConvexSet,
-    region: HPolytope,
-    window: tuple[float, float],
-    begun: float,
-    deadline: float,
-) -> Verdict:
+def verify_never(motions: Motions, region: HPolytope) -> Verdict:
     """`verify` for a region to stay out of."""
     D, least = -region.A, -region.b
-    bounds, steps, path, reason = np.full((1, len(D)), np.nan), 0, None, ""
+    bounds, steps, share = np.full((1, len(D)), np.nan), 0, FIRST
 
-    def verdict(status: str, margin: float) -> Verdict:
-        nothing, seconds = np.full(len(D), np.nan), perf_counter() - begun
-        return Verdict(status, margin, bounds.max(axis=0), nothing, path, steps, seconds, reason)
+    def verdict(status: str, margin: float, reason: str, path: Trajectory | None = None) -> Verdict:
+        return Verdict(status, margin, bounds.max(axis=0), np.full(len(D), np.nan), path, steps, reason)
 
-    sizes: Array | None = None
-    share = FIRST
     try:
-        if region.is_empty and region.is_empty_within(visited(system, initial, window[1], deadline)):
-            reason = "the region is empty"
-            return verdict("proven", np.inf)
+        if region.is_empty and region.is_empty_within(motions.visited):
+            return verdict("proven", np.inf, "the region is empty")
         while share >= LAST:
-            size = np.maximum(np.abs(least), np.maximum(initial.support(D), initial.support(-D)))
-            size = np.where(size > 0, size, 1.0)
-            between = least if window[0] < window[1] else np.full(len(D), np.inf)
-            tube = sharp_tube(system, initial, window[1], D, share * size, between, deadline)
-            t, bounds = seen(tube, window, system.discrete)
+            tube = motions.tube(D, share * motions.sizes(D, least), least)
+            t, bounds = motions.seen(tube)
             steps, step = len(tube.times) - 1, float(np.min(np.diff(tube.times), initial=np.inf))
             best = ((least - bounds) / np.linalg.norm(D, axis=1)).max(axis=1)
             worst = int(np.argmin(best))
             if best[worst] > 0:
                 reason = f"some direction keeps {best[worst]:.6g} from the region at every time"
-                return verdict("proven", float(best[worst]))
-            path, mix = _try(system, initial, region, float(t[worst]), window, step, deadline)
+                return verdict("proven", float(best[worst]), reason)
+            path, mix = _try(motions, region, float(t[worst]), step)
             if path is not None:
                 room = region.b - region.A @ path.states[-1]
                 depth = float(np.min(room / np.linalg.norm(region.A, axis=1)))
                 reason = f"a trajectory is in the region at t = {path.times[-1]:.6g}, {depth:.6g} deep"
-                return verdict("violated", -depth)
-            d = np.zeros(system.dim) if mix is None else -mix @ region.A
-            cosines = D @ d / np.linalg.norm(D, axis=1) / (np.linalg.norm(d) or 1.0)
-            if mix is not None and len(D) < MOST_DIRECTIONS and np.max(cosines) < 1 - 1e-9:
+                return verdict("violated", -depth, reason, path)
+            if mix is not None and len(D) < MOST_DIRECTIONS and _is_new(-mix @ region.A, D):
                 # In the region -mix A x >= -mix b, but for the rounding of the products.
-                sizes = visited(system, initial, window[1], deadline) if sizes is None else sizes
                 level, residual = region.weak_duality((mix @ region.A)[None], mix[None])
-                most = level + (1 + gamma(system.dim)) * residual @ sizes
-                D, least = np.vstack([D, d]), np.r_[least, -most]
+                most = level + (1 + gamma(motions.system.dim)) * residual @ motions.visited
+                D, least = np.vstack([D, -mix @ region.A]), np.r_[least, -most]
             else:
                 share /= SHARPER
-        reason = "found no directions that separate, and no trajectory that enters beyond rounding"
     except Unresolved as exc:
-        reason = f"neither proven nor violated: {exc}"
-    return verdict("unknown", np.nan)
+        return verdict("unknown", np.nan, f"neither proven nor violated: {exc}")
+    reason = "found no directions that separate, and no trajectory that enters beyond rounding"
+    return verdict("unknown", np.nan, reason)
+
+
+def _is_new(d: Array, D: Array) -> bool:
+    """Whether a direction differs from all those in use."""
+    cosines = D @ d / np.linalg.norm(D, axis=1) / np.linalg.norm(d)
+    return bool(np.max(cosines) < 1 - 1e-9)
 
 
 def _try(
-    system: LinearSystem,
-    initial: ConvexSet,
-    region: HPolytope,
-    time: float,
-    window: tuple[float, float],
-    step: float,
-    deadline: float,
+    motions: Motions, region: HPolytope, time: float, step: float
 ) -> tuple[Trajectory | None, Array | None]:
     """A trajectory that ends in the region at about a time, or else what separates there.
 
     In the coordinates ``y = A x`` the region is what lies below b, so that a separating direction
     is a mixture of the rows of A: with l >= 0, ``-l A x >= -l b`` in the region.
     """
-    if system.discrete:
-        time = float(np.clip(round(time), *window))
-    else:
-        step = max(min(time / STEPS, step), time / MOST_STEPS)
-    held = None if system.discrete or time == 0 else step
-    body = Reached(system, initial, region.A, time, held, deadline)
+    held = None if time == 0 else max(min(time / STEPS, step), time / MOST_STEPS)
+    if motions.system.discrete:
+        time, held = float(np.clip(round(time), *motions.window)), None
+    body = Reached(motions, region.A, time, held)
     for d in np.vstack([np.eye(len(region.b)), -np.eye(len(region.b))]):
         body.support_vector(d)
     lo = body.answers.min(axis=0)
