@@ -15,6 +15,7 @@ from ..numerics.programs import maximise
 from ..numerics.rounding import gamma, is_product
 from .bases import EXACT_MOST, Bases, mixed_level
 from .convex import SetOperators, weighed
+from .distance import unit_sizes
 from .interval import Interval
 
 FLATNESS = 1e-9
@@ -92,8 +93,7 @@ class HPolytope(SetOperators):
         """A point and sizes to measure with, each (n,); those of the offsets if it has no bounds."""
         if self.is_bounded and not self.is_empty:
             hull = self.interval_hull()
-            half = hull.half_widths
-            return hull.center, np.where(half > 0, half, float(half.max()) or 1.0)
+            return hull.center, unit_sizes(hull.half_widths)
         columns = np.abs(self.A).max(axis=0, initial=0.0)
         columns = 1 / np.where(columns > 0, columns, 1.0)
         level = np.abs(self.b) / np.linalg.norm(self.A * columns, axis=1)

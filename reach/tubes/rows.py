@@ -70,14 +70,13 @@ class Rows:
         self.discrete = system.discrete
         self.scale = s = np.ones(system.dim) if system.discrete else balance(system.A)
         A = sparse.csr_matrix(scaled(scaled(system.A, 1 / s).T, s).T)
-        self.parts, self.constants = _parts(A)
-        self.parts = None if system.discrete else self.parts
+        parts, self.constants = _parts(A)
+        self.parts = None if system.discrete else parts
         thin = system.sparse or A.nnz < SPARSE * A.shape[0] ** 2
         self.A = A if thin else A.toarray()
         self.norm = float(np.max(np.asarray(abs(A).sum(axis=1)), initial=0.0))
         large = system.sparse and self.parts is None and system.dim > DENSE
-        self.action = Action(self.A.T) if large else None
-        self.action = None if self.discrete else self.action
+        self.action = Action(self.A.T) if large and not self.discrete else None
         self.work = self.norm * (CANCELLED if self.action else 1.0)
         sums = np.asarray(abs(A).sum(axis=1)).ravel() + A.diagonal() - np.abs(A.diagonal())
         # The logarithmic norm of largest entries, up to rounding.

@@ -97,7 +97,7 @@ class Motions:
         return worst_case(self.system, self.initial, instant, d, **held)
 
     def seen(self, tube: SupportTube) -> tuple[Array, Array]:
-        """Times, one each, and bounds (k, r) of what covers the window: intervals, or nodes if that is all."""
+        """Times, one each, and bounds (k, r) over what covers the window: intervals, or nodes if discrete."""
         (begin, end), before, after = self.window, tube.times[:-1], tube.times[1:]
         if self.system.discrete or len(before) == 0:
             inside = (tube.times >= begin) & (tube.times <= end)
