@@ -240,14 +240,9 @@ def as_count(name: str, value: Any) -> int:
     return int(value)
 
 
-def is_positive(value: Any) -> bool:
-    """Whether a value is one finite number above zero."""
-    return _is_number(value) and bool(0 < value < np.inf)
-
-
 def require_positive(name: str, value: Any) -> None:
     """Refuse what is not one finite number above zero."""
-    if not is_positive(value):
+    if not (_is_number(value) and 0 < value < np.inf):
         raise ReachError(f"the {name} must be a finite number > 0, got {value!r}")
 
 

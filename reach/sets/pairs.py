@@ -136,8 +136,6 @@ def _box_of_boxes(X: Interval, Y: Interval) -> Interval:
 def _shared_points(X: Any, Y: Any) -> Any:
     """One polytope of all inequalities, and the other sets; lazy unless one of both is all there is."""
     parts = [part for one in (X, Y) for part in (one.parts if isinstance(one, Intersection) else (one,))]
-    for part in parts:
-        require_single("a part of an intersection", part)
     rows = [part.to_polytope() for part in parts if isinstance(part, Interval | HPolytope)]
     others = [part for part in parts if not isinstance(part, Interval | HPolytope)]
     if rows:
@@ -153,8 +151,6 @@ def _sum_of_boxes(X: Interval, Y: Interval) -> Interval:
 
 def _lazy_sum(X: Any, Y: Any) -> MinkowskiSum:
     """Kept unevaluated; nested sums are flattened."""
-    for part in (X, Y):
-        require_single("a part of a lazy sum", part)
     parts = [part for one in (X, Y) for part in (one.parts if isinstance(one, MinkowskiSum) else (one,))]
     return MinkowskiSum(tuple(parts))
 

@@ -177,36 +177,32 @@ class HPolytope(SetOperators):
         The bound of `support_up` where there is one, else what the solver says (1e-9 relative). An
         empty set is refused.
         """
-        D, values, _, multipliers = self._answers(directions)
+        D = as_vector(directions, self.dim)
+        values, _, multipliers = self._answers(D)
         proved = self._proved(D, values, multipliers)
         return np.where(np.isfinite(proved), proved, values)
 
-    def support_up(self, directions: ArrayLike) -> Array:
-        """Support proved by weak duality, residuals booked, shape (..., r); inf where there is no proof.
+    def _booked(self, D: Array, way: int) -> Array:
+        """Up: proved by weak duality, inf where there is no proof (of a bounded set there always is one).
 
-        Of a bounded set there always is one.
+        Down: the value at the solver's point less its tolerance, inf if unbounded.
         """
-        D, values, _, multipliers = self._answers(directions)
-        return self._proved(D, values, multipliers)
-
-    def support_down(self, directions: ArrayLike) -> Array:
-        """Value at the solver's point less its tolerance, shape (..., r); inf if unbounded."""
-        D, values, points, _ = self._answers(directions)
+        values, points, multipliers = self._answers(D)
+        if way > 0:
+            return self._proved(D, values, multipliers)
         known = np.isfinite(values)
-        sizes = np.where(known[..., None], points, 0.0), np.where(known, values, 0.0)
-        room = (np.abs(D) * np.abs(sizes[0])).sum(axis=-1) + np.abs(sizes[1])
-        return np.asarray(values - FLATNESS * room)
+        terms = (np.abs(D) * np.abs(np.where(known[..., None], points, 0.0))).sum(axis=-1)
+        return np.asarray(values - FLATNESS * (terms + np.abs(np.where(known, values, 0.0))))
 
     @cached_property
     def bases(self) -> Bases:
         """Vertices found so far, and proofs by the rows that meet in them."""
         return Bases(self.A, self.b, lambda: self.center if self.is_bounded else None)
 
-    def _answers(self, directions: ArrayLike) -> tuple[Array, Array, Array, Array]:
-        """Directions (..., n), and the values, points and multipliers of the largest along them."""
-        D = as_vector(directions, self.dim)
+    def _answers(self, D: Array) -> tuple[Array, Array, Array]:
+        """Values, points and multipliers of the largest along directions (..., n)."""
         self._refuse_empty()
-        return D, *self.bases.answers(D)
+        return self.bases.answers(D)
 
     def _proved(self, D: Array, values: Array, multipliers: Array) -> Array:
         level, residual = self.weak_duality(D, np.where(np.isfinite(multipliers), multipliers, 0.0))
@@ -214,7 +210,7 @@ class HPolytope(SetOperators):
 
     def support_vector(self, directions: ArrayLike) -> Array:
         """Points of the set that attain the support, shape of `directions`; refused where unbounded."""
-        points = self._answers(directions)[2]
+        points = self._answers(as_vector(directions, self.dim))[1]
         if np.any(np.isnan(points)):
             raise ReachError("the polytope is unbounded in a direction asked for")
         return points

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Sequence
-from typing import Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,6 +18,10 @@ class SetStack(SetOperators):
     """A set, or a stack of them along leading axes of its two arrays (their names in `names`)."""
 
     names: ClassVar[tuple[str, str]]
+
+    if TYPE_CHECKING:
+
+        def __init__(self, first: ArrayLike, second: ArrayLike) -> None: ...
 
     @property
     def arrays(self) -> tuple[Array, Array]:

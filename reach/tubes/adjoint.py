@@ -57,8 +57,8 @@ class Adjoint:
         require_single("the initial set", initial, system.dim)
         self.system, self.rows = system, Rows(system)
         A, s = self.rows.A, self.rows.scale
-        self.initial, self._shrink = in_units(initial, s)
-        self.inputs, self.input_pieces = system.U, max(len(system.U), int(np.any(system.c)))
+        self.initial, self.inputs = initial, system.U
+        self.input_pieces = max(len(system.U), int(np.any(system.c)))
         self._A2 = A @ A if isinstance(A, np.ndarray) else None
         B, c = scaled(system.B, 1 / s), system.c / s
         thin = not isinstance(B, np.ndarray) and B.nnz < min(np.prod(B.shape) / 4, np.prod(B.shape) - SMALL)
@@ -110,7 +110,7 @@ class Adjoint:
         rate, along = np.zeros(rows.shape[:2]), self.along(rows)[0]
         for i in range(self.input_pieces):
             rate += self.magnitudes(i, along)
-        return _magnitude(self.initial, rows if self._shrink is None else rows / self._shrink), rate
+        return _magnitude(self.initial, rows / self.rows.scale), rate
 
     def sizes(self, rows: Array, h: float) -> tuple[Array, Array]:
         """Largest absolute values over a block: of the first part, and about what the inputs add, (r,)."""
@@ -124,12 +124,11 @@ class Adjoint:
 
     def _block(self, R: Array, h: float, count: int) -> Block:
         """Bounds along rows at nodes, shape (count+1, r, n); not finite where anything overflows."""
-        _in_range(R)
-        shrunk = R / self._shrink if self._shrink is not None else R
-        first = supported(self.initial, shrunk)
-        attained = attained_support(self.initial, shrunk, first)
-        absolute = np.abs(R)
-        size = np.moveaxis(times(absolute, self.weights + FLUSHED * self.weights.sum(axis=0)), -1, 0)
+        unscaled = R / self.rows.scale
+        _in_range(R, unscaled)
+        first = supported(self.initial, unscaled)
+        attained = attained_support(self.initial, unscaled, first)
+        size = np.moveaxis(times(np.abs(R), self.weights + FLUSHED * self.weights.sum(axis=0)), -1, 0)
         shape = (count, self.input_pieces, R.shape[1])
         upper, lower, bend = np.empty(shape), np.empty(shape), np.zeros(shape)
         if self.system.discrete:
@@ -143,7 +142,7 @@ class Adjoint:
             self._grown[h] = self.rows.closing(h, self._sizes)
         closing = times(np.abs(self._curved(R2)[:-1]), self._grown[h])
         closing = h**2 / 8 * np.where(np.isnan(closing), np.inf, closing)
-        R2 = R2 / self._shrink if self._shrink is not None else R2
+        R2 = R2 / self.rows.scale
         along = self.along(R) if self.input_pieces else R
         _in_range(R2, along)
         p2 = _ends(_magnitude(self.initial, R2)) + closing[..., 0]
@@ -162,16 +161,6 @@ class Adjoint:
         if self._A2 is not None:
             return times(rows, self._A2)
         return times(times(rows, self.rows.A), self.rows.A)
-
-
-def in_units(body: ConvexSet, s: Array) -> tuple[Any, Array | None]:
-    """The set in coordinates divided by powers of two, or the set itself and what to divide rows by."""
-    if isinstance(body, Interval):
-        return Interval(body.lo / s, body.hi / s), None
-    if isinstance(body, Generated):
-        c, G = body.arrays
-        return type(body)(c / s, G / s[:, None]), None
-    return body, s
 
 
 def is_symmetric(body: ConvexSet) -> bool:

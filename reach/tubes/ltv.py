@@ -35,9 +35,8 @@ from ..sets.zonotope import Zonotope
 from .adjoint import attained_support, extent
 from .rows import ROUNDING
 from .stepping import warn_if_wide
-from .support_tube import SupportTube
+from .tubes import SupportTube, ZonotopeTube, along_frame
 from .varying import Varying, sample
-from .zonotope_tube import ZonotopeTube, along_frame
 
 MAX_STEPS = 20_000
 

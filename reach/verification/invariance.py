@@ -15,9 +15,9 @@ from ..numerics.checks import Array
 from ..numerics.errors import Unresolved
 from ..sets.convex import ConvexSet
 from ..sets.polytope import HPolytope
-from ..tubes.support_tube import SupportTube, support_tube
 from ..tubes.systems import LinearSystem
 from ..tubes.trajectory import Trajectory, worst_case
+from ..tubes.tubes import SupportTube, support_tube
 from .specification import Verdict
 
 REPLAY = 1e-9
