@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from fractions import Fraction
 from functools import lru_cache
-from math import comb
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +16,7 @@ EXACT_MOST = 24
 """Largest dimension in which inequalities are mixed without rounding."""
 
 MOST_BASES = 4096
-"""Bases kept; and most that Qhull may be expected to return."""
+"""Bases kept."""
 INSIDE = 1e-11
 """A multiplier above minus this, rows scaled alike, counts as not negative."""
 OUTSIDE = 1e-10
@@ -34,11 +32,10 @@ class Bases:
 
     A direction that is a mixture of the n rows with weights >= 0 attains its maximum there, and the
     weights are the multipliers of the linear program. Nothing is proved here: what the multipliers
-    prove is re-checked by weak duality. `inside` gives a point in the middle of a bounded set, with which
-    all bases are found at once where they are few, and None of a set without bounds.
+    prove is re-checked by weak duality.
     """
 
-    def __init__(self, A: Array, b: Array, inside: Callable[[], Array | None]) -> None:
+    def __init__(self, A: Array, b: Array) -> None:
         self.A, self.b, n = A, b, A.shape[1]
         self.columns = np.abs(A).max(axis=0)
         self.columns = np.where(self.columns > 0, self.columns, 1.0)
@@ -46,7 +43,6 @@ class Bases:
         self.rows = A / self.columns / self.norms[:, None]
         self.members = np.zeros((0, n), dtype=np.intp)
         self.inverses, self.points = np.zeros((0, n, n)), np.zeros((0, n))
-        self._inside: Callable[[], Array | None] | None = inside
         self.program = lru_cache(1024)(lambda direction: maximise(np.frombuffer(direction), A, b))
 
     def answers(self, D: Array) -> tuple[Array, Array, Array]:
@@ -64,27 +60,6 @@ class Bases:
             points = np.array([one.point for one in solved])
             multipliers = np.array([one.multipliers for one in solved])
         return values.reshape(shape), points.reshape(D.shape), multipliers.reshape((*shape, len(self.b)))
-
-    def _enumerate(self) -> None:
-        """All bases at once where they are few, by Qhull: facets, cut into simplices, of the polar set."""
-        from scipy.spatial import ConvexHull, QhullError
-
-        n, inside = self.A.shape[1], self._inside
-        self._inside = None
-        if inside is None or n == 1 or 2 * comb(len(self.b), n // 2) > MOST_BASES:
-            return
-        middle = inside()
-        if middle is None:
-            return
-        room = self.b / self.norms - self.rows @ (middle * self.columns)
-        most = float(np.abs(room).max(initial=0.0))
-        if np.any(room < 1e-6 * most):  # a flat set: the bases of one slightly thicker, if they are its own
-            room = np.maximum(room, 0.0) + 1e-6 * most
-        try:
-            if most > 0:
-                self._add(np.asarray(ConvexHull(self.rows / room[:, None]).simplices, dtype=np.intp))
-        except (QhullError, ValueError):
-            return
 
     def _add(self, members: NDArray[np.intp]) -> None:
         """Keep the bases that have a well-conditioned inverse."""
@@ -110,7 +85,6 @@ class Bases:
 
         Those in the cone of no basis that is known go through a linear program, which gives one more.
         """
-        self._enumerate()
         r, (m, n) = len(D), self.A.shape
         values, points, multipliers = np.full(r, np.nan), np.full((r, n), np.nan), np.zeros((r, m))
         scaled = D / self.columns

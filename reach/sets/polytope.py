@@ -197,7 +197,7 @@ class HPolytope(SetOperators):
     @cached_property
     def bases(self) -> Bases:
         """Vertices found so far, and proofs by the rows that meet in them."""
-        return Bases(self.A, self.b, lambda: self.center if self.is_bounded else None)
+        return Bases(self.A, self.b)
 
     def _answers(self, D: Array) -> tuple[Array, Array, Array]:
         """Values, points and multipliers of the largest along directions (..., n)."""
