@@ -11,6 +11,7 @@ from scipy.linalg import expm
 
 from ..numerics.checks import Array, as_array, checked
 from ..numerics.errors import ReachError
+from ..numerics.exponentials import dense
 from ..sets.polytope import HPolytope
 from .automaton import HybridAutomaton, Mode, Transition
 
@@ -142,10 +143,9 @@ class _Motion:
     def __init__(self, mode: Mode, x: Array, u: Array, dt: float) -> None:
         system = mode.system
         n = system.dim
-        A = system.A if isinstance(system.A, np.ndarray) else system.A.toarray()
         self.mode, self.u, self.dt, self.n = mode, u, dt, n
         self.M = np.zeros((n + 1, n + 1))
-        self.M[:n, :n], self.M[:n, n] = A, np.asarray(system.B @ u).ravel() + system.c
+        self.M[:n, :n], self.M[:n, n] = dense(system.A), np.asarray(system.B @ u).ravel() + system.c
         self.z, self.size = np.r_[x, 1.0], np.abs(x)
 
     def at(self, s: float) -> Array:

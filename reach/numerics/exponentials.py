@@ -169,6 +169,11 @@ def times(rows: Array, M: Any) -> Array:
     return out.reshape(*rows.shape[:-1], M.shape[1])
 
 
+def dense(M: Any) -> Array:
+    """The matrix as an array."""
+    return M if isinstance(M, np.ndarray) else np.asarray(M.toarray())
+
+
 def scaled(M: Any, s: Array) -> Any:
     """Rows of M, dense or sparse, times numbers s."""
     return M * s[:, None] if isinstance(M, np.ndarray) else sparse.csr_matrix(sparse.diags(s) @ M)

@@ -27,9 +27,8 @@ def strips(polytopes: Sequence[HPolytope | None], n: int) -> tuple[Array, Array,
 
     Rows that are parallel share one strip, so that an equation written as two inequalities is seen as one.
     """
-    given = [p for p in polytopes if p is not None]
     H, low, high = np.zeros((0, n)), np.zeros(0), np.zeros(0)
-    for p in given:
+    for p in filter(None, polytopes):
         norms = np.linalg.norm(p.A, axis=1)
         for row, b in zip(p.A / norms[:, None], p.b / norms, strict=True):
             same, opposite = np.all(row == H, axis=1), np.all(row == -H, axis=1)
@@ -61,8 +60,8 @@ def clip(Z: Zonotope, H: Array, low: Array, high: Array) -> tuple[Zonotope, NDAr
     slack = gamma(Z.terms + 2 * q) * (np.abs(H) @ Z.extent[..., None])[..., 0]
     slack = slack + gamma(4) * np.where(np.isfinite(high), np.abs(high), np.abs(low))
     lows, highs = low - slack, high + slack
-    narrowed, meets = _narrow(Z, H, lows, highs, meets)
-    cut, grew = narrowed, False
+    cut, meets = _narrow(Z, H, lows, highs, meets)
+    grew = False
     for j in range(q):
         cut, changed = _strip(cut, H[..., j, :], lows[:, j], highs[:, j], slack[:, j], meets)
         grew = grew or changed
@@ -94,9 +93,7 @@ def _narrow(
                 # w b_l <= room_high - what the others take at least, and the same from below
                 above = room_high[:, None] - (total_least - least)
                 below = room_low[:, None] - (total_most - most)
-                ends = above / w, below / w
-                upper = np.where(w > 0, ends[0], np.where(w < 0, ends[1], np.inf))
-                lower = np.where(w > 0, ends[1], np.where(w < 0, ends[0], -np.inf))
+                upper, lower = np.maximum(above / w, below / w), np.minimum(above / w, below / w)
                 tiny = np.abs(w) < 1e-9 * np.abs(w).max(axis=1, keepdims=True, initial=0.0)
                 widen = 1e-12
                 hi = np.where(tiny | np.isnan(upper), hi, np.clip(upper + widen, lo, hi))

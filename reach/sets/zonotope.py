@@ -195,7 +195,7 @@ class Zonotope(Generated):
 
     @checked
     def meet_halfspace(self, normal: ArrayLike, offset: ArrayLike) -> Zonotope:
-        """Enclosure of the part with ``normal . x <= offset``; see `reach.sets.intersection`."""
+        """Enclosure of the part with ``normal . x <= offset``; see `reach.meet_halfspace`."""
         from .clipping import meet_halfspace
 
         return meet_halfspace(self, normal, offset)

@@ -12,7 +12,7 @@ from scipy.linalg import expm
 
 from ..numerics.checks import Array, per_row
 from ..numerics.errors import ReachError
-from ..numerics.exponentials import times
+from ..numerics.exponentials import dense, times
 from ..numerics.linear import powers
 from ..sets.zonotope import Zonotope
 from .adjoint import Adjoint, augmented
@@ -173,8 +173,7 @@ class _Stepper:
         self.forced = propagator.adjoint.input_pieces > 0 and late == 0
         self.rows = np.eye(n, d) * s
         if late > 0:
-            A = rows.A if isinstance(rows.A, np.ndarray) else rows.A.toarray()
-            self.rows = (self.rows @ expm(A * self.offset[: self.M, None, None])).reshape(-1, d)
+            self.rows = (self.rows @ expm(dense(rows.A) * self.offset[: self.M, None, None])).reshape(-1, d)
         elif self.forced:
             self.rows = np.vstack([self.rows, -self.rows])
         self.sum, self.work = np.zeros(2 * n), d + rows.norm * late
@@ -254,7 +253,7 @@ def input_response(system: LinearSystem, time: float, step: float) -> Zonotope:
     if not isinstance(U, Zonotope):
         hull, c = U.interval_hull(), U.center
         U = Zonotope.box(np.zeros(U.dim), np.maximum(hull.hi - c, c - hull.lo))
-    A, B = (M if isinstance(M, np.ndarray) else M.toarray() for M in (system.A, system.B))
+    A, B = dense(system.A), dense(system.B)
     count = max(int(np.ceil(time / step * (1 - 1e-12))), 1)
     h = time / count
     BU = B @ U.G

@@ -66,8 +66,8 @@ class _Substeps:
     def __init__(self, signal: Signal, nodes: Array, steps: Array) -> None:
         begin, end = nodes[0], nodes[-1]
         knots = np.unique(signal.times[(signal.times > begin) & (signal.times < end)])
-        near = np.abs(knots - nodes[np.clip(np.searchsorted(nodes, knots), 1, len(nodes) - 1)])
-        near = np.minimum(near, np.abs(knots - nodes[np.clip(np.searchsorted(nodes, knots) - 1, 0, None)]))
+        after = np.searchsorted(nodes, knots)  # between 1 and len(nodes) - 1
+        near = np.minimum(np.abs(knots - nodes[after]), np.abs(knots - nodes[after - 1]))
         knots = knots[near > SNAP * end]
         points = np.concatenate([nodes, knots])
         order = np.argsort(points, kind="stable")
@@ -100,10 +100,8 @@ def _follow(system: LinearSystem, D: Array, substeps: _Substeps) -> tuple[Array,
     D4 = np.abs(times(times(D2, A), A)) * forward.scale
     y, curve = np.zeros((len(substeps.length) + 1, n)), np.empty((len(substeps.length), len(D)))
     most = max(ENTRIES // (n + 2 * m), 64)
-    for _, run in groupby(
-        range(len(substeps.length)), key=lambda i: (substeps.length[i], substeps.segment[i])
-    ):
-        indices = list(run)
+    alike = groupby(range(len(substeps.length)), key=lambda i: (substeps.length[i], substeps.segment[i]))
+    for indices in (list(run) for _, run in alike):
         for k in range(0, len(indices), most):
             i, count = indices[k], len(indices[k : k + most])
             h = float(substeps.length[i])

@@ -8,7 +8,16 @@ import numpy as np
 from scipy import sparse
 
 from ..numerics.checks import Array
-from ..numerics.exponentials import CANCELLED, Action, exponential, flushed, scaled, thin_exponential, times
+from ..numerics.exponentials import (
+    CANCELLED,
+    Action,
+    dense,
+    exponential,
+    flushed,
+    scaled,
+    thin_exponential,
+    times,
+)
 from .systems import LinearSystem
 
 SPARSE = 0.1
@@ -92,13 +101,13 @@ class Rows:
                 elif half is not None:
                     self._maps[h] = flushed(half @ half)
                 elif self.discrete:
-                    self._maps[h] = np.linalg.matrix_power(_dense(self.A), int(h))
+                    self._maps[h] = np.linalg.matrix_power(dense(self.A), int(h))
                 else:
                     self._maps[h] = self._exponential(self.A, h)
         return self._maps[h]
 
     def _exponential(self, A: Any, h: float) -> Any:
-        return exponential(A if A.shape[0] > DENSE else _dense(A), h)
+        return exponential(A if A.shape[0] > DENSE else dense(A), h)
 
     def carry(self, rows: Array, h: float, count: int) -> Array:
         """``rows e^{A h l}`` for l = 0..count, shape (count+1, r, n); rows of shape (r, n)."""
@@ -228,7 +237,3 @@ class Rows:
             x = self.map(horizon / 2**m) @ x
             most = np.maximum(most, np.abs(x))
         return np.stack([start, most.T])
-
-
-def _dense(A: Any) -> Array:
-    return A if isinstance(A, np.ndarray) else np.asarray(A.toarray())

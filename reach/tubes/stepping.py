@@ -230,9 +230,7 @@ def _foreseen(adjoint: Adjoint, rows: Array, horizon: float) -> Array:
             path = np.array([rows, *some, *adjoint.rows.carry(rows, horizon / AHEAD, AHEAD)[1:]])
             times = np.r_[0.0, early if some else [], horizon / AHEAD * np.arange(1, AHEAD + 1)]
             start, rate = adjoint.values(path)
-            value = start.max(axis=0) + (np.diff(times)[:, None] * np.minimum(rate[1:], rate[:-1])).sum(
-                axis=0
-            )
+            value = start.max(axis=0) + np.diff(times) @ np.minimum(rate[1:], rate[:-1])
     except Unresolved:
         return np.zeros(len(rows))
     return np.where(np.isfinite(value), value, 0.0)

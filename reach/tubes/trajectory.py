@@ -14,7 +14,7 @@ from scipy.sparse.linalg import expm_multiply
 
 from ..numerics.checks import Array, as_array, checked, require_single
 from ..numerics.errors import ReachError
-from ..numerics.exponentials import times
+from ..numerics.exponentials import dense, times
 from ..sets.convex import ConvexSet
 from .known_input import known_response
 from .stepping import Steps, row_bounds
@@ -84,9 +84,8 @@ def _discrete(system: LinearSystem, states: Array, t: Array, u: Array) -> None:
 
 def _dense(system: LinearSystem, states: Array, t: Array, u: Array) -> None:
     n, m = system.dim, system.inputs
-    A, B = (part.toarray() if sparse.issparse(part) else part for part in (system.A, system.B))
     block = np.zeros((n + m + 1,) * 2)
-    block[:n] = np.hstack([A, B, system.c[:, None]])
+    block[:n] = np.hstack([dense(system.A), dense(system.B), system.c[:, None]])
     drive, lengths = np.hstack([u, np.ones((len(u), 1))]), np.diff(t)
     # Steps that differ by the rounding of their ends only share the exponential of their mean.
     alike = np.unique([float(f"{h:.9g}") for h in lengths], return_inverse=True)[1]
