@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property, partial
 from math import ceil
 
 import numpy as np
@@ -14,9 +13,8 @@ from numpy.typing import NDArray
 from ..model.checks import whole
 from ..model.system import Array
 from ..simulation.disturbances import disturbances
-from ..simulation.integration import Integrator, runge_kutta
+from ..simulation.integration import Integrator
 from ..simulation.simulate import initial_states
-from ..synthesis.controllers import AffineController
 from .decision_grid import DecisionGrid
 from .method import FILTERED, Method, Seen
 
@@ -65,8 +63,7 @@ class Conditions:
                 w, adjoint = disturbances(flight, count, rng, "worst")
                 parts.append(w)
                 if len(adjoint):
-                    corner = np.where(adjoint @ theta.G < 0, -1.0, 1.0) @ theta.G.T
-                    x0[first : first + count] = theta.c + corner
+                    x0[first : first + count] = theta.support_vector(adjoint)
                 first += count
         parts.append(disturbances(flights[0], runs - first, rng, "random")[0])
         errors = rng.uniform(-1, 1, (grid.decisions, runs, grid.system.n)) * grid.half_widths
@@ -129,24 +126,13 @@ def fly(
     return _Engine(grid).fly(method, conditions, progress)
 
 
-class _Engine:
+class _Engine(Integrator):
     """Integration from node to node, every run under its own mode."""
 
     def __init__(self, grid: DecisionGrid) -> None:
-        self.grid, self.system = grid, grid.system
-        self.sampled = grid.tracking.feedback.sampled
-        self.parts = 1 if self.sampled else max(ceil(grid.h * grid.fastest / 0.1), 1)
-        self.dt = grid.h / self.parts
-
-    @cached_property
-    def _arcs(self) -> dict[int, Array]:
-        """References at the half-steps of every cell, shape (cells, 2 q parts + 1, n), by mode."""
-        count = 2 * self.grid.clearance.q * self.parts
-        safe = self.grid.clearance.reference.fine(count)
-        out = {}
-        for mode, law in enumerate(self.grid.controllers):
-            out[mode] = law.own.fine(count) if isinstance(law, AffineController) else safe
-        return out
+        self.grid, sampled = grid, grid.tracking.feedback.sampled
+        parts = 1 if sampled else max(ceil(grid.h * grid.fastest / 0.1), 1)
+        super().__init__(grid.fine_schedule, np.zeros(grid.clearance.planned, dtype=int), parts)
 
     def fly(
         self, method: Method, conditions: Conditions, progress: Callable[[int, int], None] | None
@@ -217,35 +203,15 @@ class _Engine:
         return out[0], out[1], out[2], out[3]
 
     def _under(self, mode: int, node: int, u: Array, x: Array, w: Array) -> tuple[Array, Array, Array, Array]:
-        Ad, Bd, Dd = self.grid.held
-        limit = self.system.u_max
-        if mode == FILTERED or self.sampled:
-            raw = u if mode == FILTERED else self.grid.command(mode, node, x)
-            applied = np.clip(raw, -limit, limit)
-            demand = (np.abs(raw) / limit).max(axis=1)
-            following = x @ Ad.T + applied @ Bd.T + w @ Dd.T
-            return following, applied, demand, np.abs(applied).sum(axis=1) * self.parts
-        k, place = divmod(node, self.grid.clearance.q)
-        force = w @ self.system.D.T
-        first = np.zeros(0)
-        demand, spent = np.zeros(len(x)), np.zeros(len(x))
-        for part in range(self.parts):
-            half = 2 * (place * self.parts + part)
-            raw = self._command(mode, k, half, x)
-            now = np.clip(raw, -limit, limit)
-            if part == 0:
-                first = now
-            demand = np.maximum(demand, (np.abs(raw) / limit).max(axis=1))
-            spent += np.abs(now).sum(axis=1)
-            rate = partial(self._rate, mode, k, half, force=force)
-            x = runge_kutta(rate, x, self.dt, x @ self.system.A.T + now @ self.system.B.T + force)
-        return x, first, demand, spent
-
-    def _command(self, mode: int, k: int, half: int, x: Array) -> Array:
-        law = self.grid.controllers[mode]
-        return law.command(k, self._arcs[0][k, half], self._arcs[mode][k, half], x)
-
-    def _rate(self, mode: int, k: int, half: int, later: int, x: Array, force: Array) -> Array:
-        limit = self.system.u_max
-        u = np.clip(self._command(mode, k, half + later, x), -limit, limit)
-        return np.asarray(x @ self.system.A.T + u @ self.system.B.T + force)
+        if mode != FILTERED:
+            k, place = divmod(node, self.q)
+            return self.period(mode, k, place, x, [w] * self.substeps)
+        (Ad, Bd, Dd), limit = self.grid.held, self.system.u_max
+        applied = np.clip(u, -limit, limit)
+        demand = (np.abs(u) / limit).max(axis=1)
+        return (
+            x @ Ad.T + applied @ Bd.T + w @ Dd.T,
+            applied,
+            demand,
+            np.abs(applied).sum(axis=1) * self.substeps,
+        )

@@ -11,6 +11,7 @@ from reach.numerics.linear import discretize
 
 from ..model.system import Array
 from ..synthesis.controllers import AffineController, AnyThrust
+from ..synthesis.schedule import Schedule
 from .integration import Integrator
 
 Disturbance = Literal["none", "random", "worst", "mixed"]
@@ -52,13 +53,18 @@ def _piecewise(steps: int, n: int, p: int, longest: int, rng: np.random.Generato
     return np.asarray(raw[first + np.arange(steps)[:, None] // holds])
 
 
+def limit_rows(schedule: Schedule) -> Array:
+    """Directions of states in which the limits lie: every facet, then every input up and down."""
+    safety = schedule.safety
+    facets = [-u.normals @ safety.tracking.system.position for u in safety.clearance.unsafe]
+    return np.vstack([*facets, safety.tracking.gain, -safety.tracking.gain])
+
+
 def _worst_case(flight: Integrator, n: int, rng: np.random.Generator) -> tuple[Array, Array]:
     """Worst case of one facet (or input) and instant per run, both drawn at random."""
-    clearance = flight.schedule.safety.clearance
-    rows = [-u.normals @ flight.system.position for u in clearance.unsafe]
-    flat = np.vstack([*rows, flight.tracking.gain, -flight.tracking.gain])
+    rows = limit_rows(flight.schedule)
     targets = rng.integers(1, flight.steps + 1, n)
-    w, _, adjoint = adjoint_worst_case(flight, flat[rng.integers(0, len(flat), n)], targets)
+    w, _, adjoint = adjoint_worst_case(flight, rows[rng.integers(0, len(rows), n)], targets)
     return w, adjoint
 
 

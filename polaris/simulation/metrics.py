@@ -119,11 +119,11 @@ class Metrics:
         return {
             "controller": self.controller,
             "runs": len(self.min_distance),
-            "min_distance_m": _finite(self.min_distance.min()),
-            "min_distance_mean_m": _finite(self.min_distance.mean()),
-            "mean_distance_m": _finite(self.mean_distance.mean()),
-            "min_ttc_s": _finite(self.min_ttc.min()),
-            "min_ttc_free_drift_s": _finite(self.min_ttc_free_drift.min()),
+            "min_distance_m": finite(self.min_distance.min()),
+            "min_distance_mean_m": finite(self.min_distance.mean()),
+            "mean_distance_m": finite(self.mean_distance.mean()),
+            "min_ttc_s": finite(self.min_ttc.min()),
+            "min_ttc_free_drift_s": finite(self.min_ttc_free_drift.min()),
             "drift_horizon_s": self.drift_horizon,
             "experimental_share": float(self.experimental_share.mean()),
             "switches": int(self.switches.max()),
@@ -132,8 +132,8 @@ class Metrics:
             "collided": bool(self.collided.any()),
             "collided_runs": int(self.collided.sum()),
             "max_thrust_ratio": float(self.max_thrust_ratio.max()),
-            "max_thrust_ratio_safety": _finite(self.max_thrust_ratio_safety.max()),
-            "max_thrust_ratio_experimental": _finite(self.max_thrust_ratio_experimental.max()),
+            "max_thrust_ratio_safety": finite(self.max_thrust_ratio_safety.max()),
+            "max_thrust_ratio_experimental": finite(self.max_thrust_ratio_experimental.max()),
         }
 
     def columns(self) -> dict[str, Array]:
@@ -161,5 +161,6 @@ class Metrics:
         return pandas.DataFrame(self.columns())
 
 
-def _finite(value: Any) -> float | None:
+def finite(value: Any) -> float | None:
+    """A number for strict JSON; none where it is infinite or unknown."""
     return float(value) if np.isfinite(value) else None

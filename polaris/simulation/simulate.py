@@ -61,34 +61,6 @@ def simulate(
     Feedback is integrated by a fourth-order Runge-Kutta scheme on the exact reference (continuous
     feedback) or by exact zero-order hold (sampled feedback). Thrusters clip every command.
     """
-    _check(schedule, n, seed, mode, initial, disturbance, substeps)
-    rng = np.random.default_rng(seed)
-    safety = schedule.safety
-    cells = safety.reference.cells if tail else safety.problem.K
-    modes = np.zeros(cells, dtype=int)
-    modes[: safety.problem.K] = schedule.modes if mode is None else mode
-    if substeps is None:
-        substeps = 1 if safety.tracking.feedback.sampled else 4
-    flight = Integrator(schedule, modes, substeps)
-    x0 = initial_states(schedule, n, rng, initial)
-    w, adjoint = disturbances(flight, n, rng, disturbance)
-    if initial in ("corners", "mixed") and len(adjoint):
-        # The worst disturbance strikes hardest from the corner that lies furthest in its direction.
-        theta = safety.problem.initial_set
-        x0[: len(adjoint)] = theta.c + np.where(adjoint @ theta.G < 0, -1.0, 1.0) @ theta.G.T
-    times, states, inputs, demanded, delta_v = flight.run(x0, w)
-    return Runs(schedule, times, states, inputs, demanded, delta_v, modes)
-
-
-def _check(
-    schedule: Schedule,
-    n: int,
-    seed: int,
-    mode: int | None,
-    initial: str,
-    disturbance: str,
-    substeps: int | None,
-) -> None:
     of_kind("schedule", schedule, Schedule, "polaris.synthesize")
     whole("simulation.runs", n, 1)
     whole("simulation.seed", seed, 0)
@@ -96,8 +68,21 @@ def _check(
     one_of("simulation.disturbance", disturbance, DISTURBANCES)
     if mode is not None and whole("simulation.mode", mode, 0) >= len(schedule.controllers):
         raise ScenarioError("simulation.mode", mode, f"must be below {len(schedule.controllers)}")
-    if substeps is not None:
-        whole("simulation.substeps", substeps, 1)
+    if substeps is None:
+        substeps = 1 if schedule.safety.tracking.feedback.sampled else 4
+    whole("simulation.substeps", substeps, 1)
+    rng = np.random.default_rng(seed)
+    safety = schedule.safety
+    cells = safety.reference.cells if tail else safety.problem.K
+    modes = np.zeros(cells, dtype=int)
+    modes[: safety.problem.K] = schedule.modes if mode is None else mode
+    flight = Integrator(schedule, modes, substeps)
+    x0 = initial_states(schedule, n, rng, initial)
+    w, adjoint = disturbances(flight, n, rng, disturbance)
+    if initial in ("corners", "mixed") and len(adjoint):
+        # The worst disturbance strikes hardest from the corner that lies furthest in its direction.
+        x0[: len(adjoint)] = safety.problem.initial_set.support_vector(adjoint)
+    return flight.run(x0, w)
 
 
 def initial_states(schedule: Schedule, n: int, rng: np.random.Generator, initial: Initial) -> Array:

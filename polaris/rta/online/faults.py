@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...model.foreign import kind_of, numbers
 from ...model.system import Array
+from ..received import commanded
 
 FAMILIES = ("clock", "missed", "measurement", "estimate", "controller", "monitor", "log", "rule")
 """Where faults come from; ``rule``: no fault of its own, but S is kept (dwell, latch, re-acquisition)."""
@@ -82,17 +82,10 @@ class Guard:
             What it is called with.
         """
         begun = self._timer()
-        try:
-            answer = law(*arguments)
-        except BaseException as error:  # whatever an experiment raises must not end the flight
-            return self._refused(f"raised {kind_of(error)}")
-        u = numbers(answer, self.u_max.shape)
+        u, wrong = commanded(law, arguments, self.u_max.shape, BaseException)
         late = self._timer() - begun > self._budget  # an answer may be worked out only when it is read
-        if u is None:
-            return self._refused(f"the command is malformed: {kind_of(answer)}")
-        u = u.copy()  # U may go on writing into its own
-        if not np.isfinite(u).all():
-            return self._refused("the command is not finite")
+        if u is None or wrong:
+            return self._refused(wrong)
         if late:
             return self._refused("over its time budget")
         return np.asarray(np.clip(u, -self.u_max, self.u_max))

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from math import floor
 
 import numpy as np
 from numpy.typing import NDArray
 
-from reach.sets.zonotope import Zonotope
-
-from ...model.system import Array
+from ...model.system import Array, LinearSystem
 from ...model.timed_polytope import TimedPolytope
 from ...synthesis.clearance import error_tube, facet_room
 from ...synthesis.schedule import Schedule
@@ -34,15 +33,25 @@ class Claims:
     tail: bool
 
     @property
+    def system(self) -> LinearSystem:
+        """What flies."""
+        return self.schedule.safety.problem.system
+
+    @property
+    def q(self) -> int:
+        """Periods per cell."""
+        return self.schedule.safety.clearance.q
+
+    @property
+    def h(self) -> float:
+        """Length of a period [s]."""
+        return self.schedule.safety.tracking.flow.h
+
+    @property
     def cells(self) -> int:
         """Number of cells that are looked at."""
         safety = self.schedule.safety
         return safety.reference.cells if self.tail else safety.problem.K
-
-    @property
-    def proved(self) -> bool:
-        """Whether anything is claimed at all."""
-        return self.schedule.guarantee == "proved"
 
     @property
     def unsafe(self) -> tuple[TimedPolytope, ...]:
@@ -52,7 +61,7 @@ class Claims:
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of the limits."""
-        return (*(u.name for u in self.unsafe), *self.schedule.safety.problem.system.input_names)
+        return (*(u.name for u in self.unsafe), *self.system.input_names)
 
     @cached_property
     def modes(self) -> NDArray[np.int_]:
@@ -60,60 +69,54 @@ class Claims:
         return np.append(self.schedule.modes, np.zeros(self.cells - len(self.schedule.modes), dtype=int))
 
     @cached_property
-    def offsets(self) -> list[Array]:
-        """Offsets of every polytope at the nodes of every cell, (cells, q+1, F) each [m]."""
-        q = self.schedule.safety.clearance.q
-        return [u.fine(q)[: self.cells] for u in self.unsafe]
-
-    def edges(self, unsafe: int) -> tuple[Array, Array]:
-        """Offsets of a polytope at the beginning and the end of every period, (periods, F) each [m]."""
-        offsets = self.offsets[unsafe]
-        facets = offsets.shape[-1]
-        return offsets[:, :-1].reshape(-1, facets), offsets[:, 1:].reshape(-1, facets)
+    def offsets(self) -> list[tuple[Array, Array]]:
+        """Offsets of every polytope at the beginning and the end of every period, (periods, F) each [m]."""
+        fine = [u.fine(self.q)[: self.cells] for u in self.unsafe]
+        return [(self._flat(part[:, :-1]), self._flat(part[:, 1:])) for part in fine]
 
     @cached_property
     def facets(self) -> list[Array]:
-        """Lower bounds on the margin of every facet over each period, (cells, q, F) each [m]."""
-        safety = self.schedule.safety
-        out = []
+        """Lower bounds on the margin of every facet over each period, (periods, F) each [m]."""
+        safety, out = self.schedule.safety, []
         for u in self.unsafe:
-            rows = -u.normals @ safety.problem.system.position
-            room = facet_room(safety.tracking, safety.reference, u, safety.clearance.q)[: self.cells]
-            need, bow = self._needs(rows)
+            room = facet_room(safety.tracking, safety.reference, u, self.q)[: self.cells]
+            need, bow = self._needs(-u.normals @ self.system.position)
             left = room - need
-            out.append(np.minimum(left[:, :-1], left[:, 1:]) - bow)
+            out.append(self._flat(np.minimum(left[:, :-1], left[:, 1:]) - bow))
         return out
 
     @cached_property
     def floor(self) -> Array:
-        """Proven margin of every limit over each period, (cells, q, limits); -inf where there is none.
+        """Proven margin of every limit over each period, (periods, limits); -inf where there is none.
 
         While S flies no margin can be negative, whatever its tube shows: S took over from a recoverable set.
         """
-        safety = self.schedule.safety
-        q, system = safety.clearance.q, safety.problem.system
-        parts = [part.max(axis=2) for part in self.facets]
+        safety, m, o = self.schedule.safety, self.system.m, len(self.unsafe)
         gain = safety.tracking.gain
         need, bow = self._needs(np.vstack([gain, -gain]))
         nu = safety.reference.nu[: self.cells]
-        room = np.tile(system.u_max, 2) + np.hstack([nu, -nu])
-        left = np.min((room[:, None, :] - need).reshape(self.cells, q + 1, 2, system.m), axis=2)
-        thrust = np.minimum(left[:, :-1], left[:, 1:]) - np.max(bow.reshape(self.cells, q, 2, -1), axis=2)
-        floor = np.concatenate([np.stack(parts, axis=-1), thrust], axis=-1)
-        under_s = (self.modes == 0)[:, None, None]
-        floor = np.where(under_s, np.maximum(floor, 0.0), floor)
-        floor[self.modes != 0, :, len(parts) :] = -np.inf  # what U demands is limited by its own model alone
-        return floor if self.proved else np.full(floor.shape, -np.inf)
+        room = np.tile(self.system.u_max, 2) + np.hstack([nu, -nu])
+        left = np.min((room[:, None, :] - need).reshape(self.cells, self.q + 1, 2, m), axis=2)
+        thrust = np.minimum(left[:, :-1], left[:, 1:]) - bow.reshape(self.cells, self.q, 2, m).max(axis=2)
+        out = np.column_stack([*(part.max(axis=1) for part in self.facets), self._flat(thrust)])
+        by_s = np.repeat(self.modes == 0, self.q)
+        out[by_s] = np.maximum(out[by_s], 0.0)
+        out[~by_s, o:] = -np.inf  # what U demands is limited by its own model alone
+        return out if self.schedule.guarantee == "proved" else np.full(out.shape, -np.inf)
+
+    def _flat(self, parts: Array) -> Array:
+        """One row per period, out of (cells, q, columns)."""
+        return parts.reshape(self.cells * self.q, -1)
 
     def _needs(self, rows: Array) -> tuple[Array, Array]:
         """Largest ``row e`` at the nodes (cells, q+1, r), and what may be added between (cells, q, r)."""
-        safety = self.schedule.safety
-        K, q = safety.problem.K, safety.clearance.q
+        safety, q = self.schedule.safety, self.q
         need = np.empty((self.cells, q + 1, len(rows)))
         bow = np.zeros((self.cells, q, len(rows)))
         for k, step in enumerate(self.schedule.steps):
-            need[k] = support(step.tube.nodes, rows)
+            need[k] = step.tube.nodes.support(rows)
             bow[k] = step.tube.bow @ np.abs(rows).T
+        K = len(self.schedule.steps)
         if self.cells > K:
             at_end = self.schedule.final.inflate(safety.clearance.jump)
             tube = error_tube(safety.tracking, at_end, rows).need
@@ -121,12 +124,6 @@ class Claims:
             need[K:] = tube[np.minimum(lag, len(tube) - 1)]
         return need, bow
 
-    def period_at(self, time: Array) -> NDArray[np.int_]:
-        """Number of the period that holds instants [s]."""
-        h, last = self.schedule.safety.tracking.flow.h, self.cells * self.schedule.safety.clearance.q - 1
-        return np.asarray(np.clip(np.floor(time / h * (1 + 1e-12)).astype(int), 0, last))
-
-
-def support(nodes: Zonotope, rows: Array) -> Array:
-    """Support of a stack of zonotopes along rows, shape (nodes, r)."""
-    return np.asarray(nodes.c @ rows.T + np.abs(rows @ nodes.G).sum(axis=-1))
+    def period_at(self, time: float) -> int:
+        """Number of the period that holds an instant [s]."""
+        return min(max(floor(time / self.h * (1 + 1e-12)), 0), self.cells * self.q - 1)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...model.system import Array
+from ...synthesis.controllers import Controller
 from ...synthesis.schedule import Schedule
 from ..integration import Integrator, runge_kutta
 from ..run_metrics import Runs
@@ -71,10 +73,8 @@ def fly_true(
     """
     rng = np.random.default_rng(seed)
     safety = schedule.safety
-    cells = safety.reference.cells if tail else safety.problem.K
-    modes = np.zeros(cells, dtype=int)
+    modes = np.zeros(safety.reference.cells if tail else safety.problem.K, dtype=int)
     modes[: safety.problem.K] = schedule.modes
-    grid = Integrator(schedule, modes, substeps)
     x = initial_states(schedule, n, rng, initial)
     # J2 itself moves the inclination by a few hundredths of a degree.
     steepest = max(env.inclination_max - (1e-3 if env.j2 else 0.0), 0.0)
@@ -83,50 +83,49 @@ def fly_true(
     ballistic = np.maximum(env.ballistic + rng.choice([-1.0, 1.0], n) * env.ballistic_difference, 0.0)
     push = rng.normal(size=(n, 3))
     push *= env.other / np.linalg.norm(push, axis=1, keepdims=True)
-    return _march(grid, env, np.concatenate([x, target], axis=1), ballistic, push)
+    flight = _TrueMotion(schedule, modes, substeps)
+    flight.env, flight.ballistic = env, ballistic
+    flight.residual = np.zeros((len(modes) * flight.q, n))
+    runs = flight.run(np.concatenate([x, target], axis=1), np.broadcast_to(push, (flight.steps, n, 3)))
+    target = runs.states[..., 6:]
+    runs = replace(runs, states=runs.states[..., :6])
+    return TrueFlights(runs, flight.residual.T, target, ballistic, declared(env, target))
 
 
-def _march(grid: Integrator, env: Environment, y: Array, ballistic: Array, push: Array) -> TrueFlights:
-    system, dt, limit = grid.system, grid.dt, grid.system.u_max
-    nodes, count = len(grid.modes) * grid.q, len(y)
-    path = np.empty((nodes + 1, count, 12))
-    inputs, demanded = np.empty((nodes, count, system.m)), np.zeros((nodes, count))
-    residual, spent = np.zeros((nodes, count)), np.zeros(count)
-    path[0] = y
-    for step in range(grid.steps):
-        k, within = divmod(step, grid.steps_per_cell)
-        node, sub = divmod(step, grid.substeps)
-        number = int(grid.modes[k])
-        controller = grid.schedule.controllers[number]
+class _TrueMotion(Integrator):
+    """Its states are those of craft and target, (R, 12); what disturbs is an acceleration (R, 3)."""
 
-        def asked(later: int, state: Array) -> Array:
-            return grid.command(controller, number, k, 2 * within, state[:, :6], later)  # noqa: B023
+    env: Environment
+    ballistic: Array
+    residual: Array  # largest within each period, (nodes, R)
 
-        def moved(u: Array, state: Array) -> tuple[Array, Array]:
-            x_rate, target_rate, left_out = relative_rate(env, state[:, 6:], state[:, :6], ballistic)
-            x_rate = x_rate + u @ system.B.T
-            x_rate[:, 3:] += push
-            return np.concatenate([x_rate, target_rate], axis=1), left_out + push
+    def command(
+        self, controller: Controller, number: int, k: int, half: int, x: Array, later: int = 0
+    ) -> Array:
+        return super().command(controller, number, k, half, x[:, :6], later)
 
-        if sub == 0 or not grid.sampled:
-            raw = asked(0, y)
-            demanded[node] = np.maximum(demanded[node], np.max(np.abs(raw) / limit, axis=1))
-            u = np.clip(raw, -limit, limit)
-        if sub == 0:
-            inputs[node] = u
+    def _unclipped(self, *cell: Any) -> None:
+        """Nothing is linear here."""
+
+    def move(self, number: int, k: int, step: int, x: Array, u: Array, w: Array) -> Array:
+        limit, controller = self.system.u_max, self.schedule.controllers[number]
+
+        def rates(u: Array, state: Array) -> tuple[Array, Array]:
+            own, target, left_out = relative_rate(self.env, state[:, 6:], state[:, :6], self.ballistic)
+            own = own + u @ self.system.B.T
+            own[:, 3:] += w
+            return np.concatenate([own, target], axis=1), left_out + w
 
         def rate(later: int, state: Array) -> Array:
-            return moved(u if grid.sampled else np.clip(asked(later, state), -limit, limit), state)[0]  # noqa: B023
+            if self.sampled:
+                return rates(u, state)[0]
+            asked = self.command(controller, number, k, 2 * step, state, later)
+            return rates(np.clip(asked, -limit, limit), state)[0]
 
-        first, left_out = moved(u, y)
-        y = runge_kutta(rate, y, dt, first)
-        residual[node] = np.maximum(residual[node], np.linalg.norm(left_out, axis=1))
-        spent += np.abs(u).sum(axis=1) * dt / system.mass
-        path[node + 1] = y
-    times = np.asarray(np.arange(nodes + 1) * grid.tracking.flow.h, dtype=float)
-    states = path.swapaxes(0, 1)
-    runs = Runs(grid.schedule, times, states[..., :6], inputs.swapaxes(0, 1), demanded.T, spent, grid.modes)
-    return TrueFlights(runs, residual.T, states[..., 6:], ballistic, declared(env, states[..., 6:]))
+        first, left_out = rates(u, x)
+        node = k * self.q + step // self.substeps
+        self.residual[node] = np.maximum(self.residual[node], np.linalg.norm(left_out, axis=1))
+        return runge_kutta(rate, x, self.dt, first)
 
 
 def declared(env: Environment, target: Array) -> NDArray[np.bool_]:
