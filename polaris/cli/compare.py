@@ -68,6 +68,7 @@ def compare_command(
     stages = ShownStages(quiet or as_json)
     with stages.stage("load"):
         from ..rta.arena import compare_methods
+        from ..rta.decision_grid import DecisionGrid
         from ..runs.atomic import check_target
         from ..runs.comparison import write_comparison
         from ..scenario.scenario import ScheduleScenario, load_scenario
@@ -82,13 +83,10 @@ def compare_command(
         schedule = synthesize(loaded)
     with stages.stage("flights"):
         comparison = compare_methods(
-            schedule,
+            DecisionGrid.of(schedule, period, latency, half),
             runs,
             seed,
             methods=chosen,
-            period=period,
-            latency=latency,
-            half_widths=half,
             tuning=tuning,
             progress=lambda key, done, total: stages.note(f"flights: {key}", done, total),
         )

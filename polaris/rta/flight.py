@@ -21,18 +21,10 @@ from .method import FILTERED, Method, Seen
 
 @dataclass(frozen=True, eq=False)
 class Conditions:
-    """What happens to every method alike.
+    """What happens to every method alike, in R runs.
 
-    Attributes
-    ----------
-    x0 : ndarray, shape (R, n)
-        Initial states.
-    w : ndarray, shape (N, R, p)
-        Disturbances held from node to node.
-    errors : ndarray, shape (D, R, n)
-        Errors of the state estimate at every decision.
-    seed : int
-        They were drawn from; other satellites' true states are too.
+    Initial states x0 (R, n), disturbances w (N, R, p) held from node to node, errors (D, R, n) of the state
+    estimate at every decision, and the seed of it all, true states of other satellites included.
     """
 
     x0: Array
@@ -123,7 +115,48 @@ def fly(
     Feedback laws are integrated by a fourth-order Runge-Kutta scheme between the nodes (continuous
     feedback) or held exactly (sampled feedback); inputs of a filter are held for a decision period.
     """
-    return _Engine(grid).fly(method, conditions, progress)
+    engine, system = _Engine(grid), grid.system
+    R, D, c = len(conditions.x0), grid.decisions, grid.nodes
+    N, delay = D * c, grid.delay if method.delayed else 0
+    states, inputs = np.empty((N + 1, R, system.n)), np.empty((N, R, system.m))
+    demanded, modes = np.zeros((N, R)), np.zeros((N, R), dtype=int)
+    margins, why = np.full((D, R), np.nan), np.zeros((D, R), dtype=int)
+    seconds, delta_v, deviation = np.zeros(D), np.zeros(R), np.zeros(R)
+    flying, u = np.zeros(R, dtype=int), np.zeros((R, system.m))
+    preferred = min(1, len(grid.controllers) - 1)
+    method.start(R)
+    states[0] = x = conditions.x0
+    for k in range(D):
+        if progress and k % 50 == 0:
+            progress(k, D)
+        seen = Seen(k, x + conditions.errors[k], grid.clipped(preferred, k * c, x), flying)
+        begun = time.perf_counter()
+        choice = method.decide(seen)
+        seconds[k] = time.perf_counter() - begun
+        margins[k], why[k] = choice.margin, choice.why
+        for i in range(c + 1):
+            if i == delay:
+                flying, u = choice.mode, u if choice.u is None else choice.u
+            if i == c:
+                break
+            node = k * c + i
+            desired = grid.clipped(preferred, node, x) if i else seen.desired
+            x, inputs[node], demanded[node], spent = engine.step(node, flying, u, x, conditions.w[node])
+            states[node + 1], modes[node] = x, flying
+            delta_v += spent * engine.dt / system.mass
+            deviation += np.linalg.norm(inputs[node] - desired, axis=1)
+    return Flight(
+        np.asarray(np.arange(N + 1) * grid.h, dtype=float),
+        states.swapaxes(0, 1),
+        inputs.swapaxes(0, 1),
+        demanded.T,
+        delta_v,
+        modes.T,
+        margins.T,
+        why.T,
+        deviation / N,
+        seconds,
+    )
 
 
 class _Engine(Integrator):
@@ -133,58 +166,6 @@ class _Engine(Integrator):
         self.grid, sampled = grid, grid.tracking.feedback.sampled
         parts = 1 if sampled else max(ceil(grid.h * grid.fastest / 0.1), 1)
         super().__init__(grid.fine_schedule, np.zeros(grid.clearance.planned, dtype=int), parts)
-
-    def fly(
-        self, method: Method, conditions: Conditions, progress: Callable[[int, int], None] | None
-    ) -> Flight:
-        grid, system = self.grid, self.system
-        R, D, c = len(conditions.x0), grid.decisions, grid.nodes
-        delay = grid.delay if method.delayed else 0
-        N = D * c
-        states, inputs = np.empty((N + 1, R, system.n)), np.empty((N, R, system.m))
-        demanded, modes = np.zeros((N, R)), np.zeros((N, R), dtype=int)
-        margins, why = np.full((D, R), np.nan), np.zeros((D, R), dtype=int)
-        seconds, delta_v, deviation = np.zeros(D), np.zeros(R), np.zeros(R)
-        flying, u = np.zeros(R, dtype=int), np.zeros((R, system.m))
-        preferred = min(1, len(grid.controllers) - 1)
-        method.start(R)
-        states[0] = x = conditions.x0
-        for k in range(D):
-            if progress and k % 50 == 0:
-                progress(k, D)
-            desired = grid.clipped(preferred, k * c, x)
-            seen = Seen(k, x + conditions.errors[k], desired, flying)
-            begun = time.perf_counter()
-            choice = method.decide(seen)
-            seconds[k] = time.perf_counter() - begun
-            margins[k], why[k] = choice.margin, choice.why
-            for i in range(c):
-                if i == delay:
-                    flying = choice.mode
-                    u = u if choice.u is None else choice.u
-                node = k * c + i
-                if i:
-                    desired = grid.clipped(preferred, node, x)
-                x, inputs[node], demanded[node], spent = self.step(node, flying, u, x, conditions.w[node])
-                states[node + 1], modes[node] = x, flying
-                delta_v += spent * self.dt / system.mass
-                deviation += np.linalg.norm(inputs[node] - desired, axis=1)
-            if delay == c:
-                flying = choice.mode
-                u = u if choice.u is None else choice.u
-        times = np.asarray(np.arange(N + 1) * grid.h, dtype=float)
-        return Flight(
-            times,
-            states.swapaxes(0, 1),
-            inputs.swapaxes(0, 1),
-            demanded.T,
-            delta_v,
-            modes.T,
-            margins.T,
-            why.T,
-            deviation / N,
-            seconds,
-        )
 
     def step(
         self, node: int, flying: NDArray[np.int_], u: Array, x: Array, w: Array

@@ -84,17 +84,7 @@ class Backup(Protocol):
 
 @dataclass(frozen=True)
 class Switch:
-    """One entry of the log of a filter that switches.
-
-    Attributes
-    ----------
-    t : float
-        [s]
-    deputy : int
-    to : str
-        ``backup`` or ``desired``.
-    reason : str
-    """
+    """One entry of the log of a filter that switches: when [s], whom, to ``backup`` or ``desired``, why."""
 
     t: float
     deputy: int
@@ -136,11 +126,7 @@ class Answer:
 class CallByCall(ABC):
     """A `RunTimeFilter`: takes in each call, has a subclass decide, words the decision, remembers the thrust.
 
-    Parameters
-    ----------
-    craft : Craft
-    period : float, optional
-        Longest time [s] for which an answer may be held; default any.
+    The period [s] is the longest time for which an answer may be held; default any.
     """
 
     def __init__(self, craft: Craft, period: float | None) -> None:

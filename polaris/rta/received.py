@@ -55,24 +55,13 @@ def commanded(
 
 @dataclass(frozen=True, eq=False)
 class Received:
-    """One call of a filter.
+    """One call of a filter, made safe: everything is finite.
 
-    Attributes
-    ----------
-    t : float
-        [s]
-    x : ndarray, shape (N, n)
-        States, always finite: estimates where unknown, zeros where there is no estimate either.
-    known, estimated : ndarray of bool, shape (N,)
-        Whose state was measured; whose was, or was propagated from the last good one.
-    u, wanted : ndarray, shape (N, m)
-        Desired thrust, clipped to the limits and before [N]; zero where not given.
-    given, clipped : ndarray of bool, shape (N,)
-        Whose desired thrust came in time and was finite; whose was beyond the limits.
-    odd : tuple of str
-        What was wrong with the time, and what was no numbers of the right shape, in words.
-    steady : bool
-        Whether the time went on from the last call's without a break: what lasted till then lasts.
+    The time [s]; states (N, n), estimates where they are not `known`, zeros where not even `estimated`: then
+    nothing could be propagated from the last good one. Desired thrusts (N, m), clipped to the limits and as
+    `wanted` [N], zero where not `given` in time as finite numbers; whose were `clipped`. `odd` says in words
+    what was wrong with the time, and what was no numbers of the right shape; `steady` whether the time went
+    on from the last call's without a break: what lasted till then lasts.
     """
 
     t: float
@@ -116,11 +105,7 @@ class Receiver:
       what was remembered is forgotten: no state is propagated across it;
     - one later than the period for which the last answer was made is told, and by two periods is a break.
 
-    Parameters
-    ----------
-    craft : Craft
-    period : float, optional
-        Longest time [s] for which an answer may be held; default any.
+    The period [s] is the longest time for which an answer may be held; default any.
     """
 
     def __init__(self, craft: Craft, period: float | None = None) -> None:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from reach.numerics.linear import discretize
 
 from ..model.system import Array
-from ..synthesis.controllers import AffineController, AnyThrust
+from ..synthesis.controllers import AffineController
 from ..synthesis.schedule import Schedule
 from .integration import Integrator
 
@@ -80,32 +80,17 @@ def adjoint_worst_case(
     held over a step adds. For a linear loop no other held disturbance goes further; about a loop whose
     thrusters clip it is the worst case to first order.
 
-    Parameters
-    ----------
-    flight : Integrator
-    rows : ndarray, shape (R, n)
-        Directions in the space of states.
-    targets : ndarray of int, shape (R,)
-        Instants, as numbers of integration steps.
-    clipped : ndarray of bool, shape (steps, R, m), optional
-        Inputs that the thrusters clip: they do not answer to the state. None by default.
-
-    Returns
-    -------
-    w : ndarray, shape (steps, R, p)
-    free : ndarray, shape (steps, R, m), or None
-        Full thrust in the worst direction for controllers that may do anything; None if none flies.
-    adjoint : ndarray, shape (R, n)
-        Direction, at time 0, in which the initial state counts.
+    Rows (R, n) are directions in the space of states, targets (R,) instants as numbers of steps. Inputs that
+    the thrusters clip (steps, R, m) do not answer to the state. Returned are the disturbances (steps, R, p),
+    full thrust in the worst direction (steps, R, m) for controllers that may do anything (None if none
+    flies), and the direction (R, n), at time 0, in which the initial state counts.
     """
     system, steps = flight.system, flight.steps
     numbers = np.repeat(flight.modes, flight.steps_per_cell)
-    laws = [flight.schedule.controllers[int(number)] for number in np.unique(numbers)]
-    may_do_anything = any(isinstance(law, AnyThrust) for law in laws)
-    choices = {int(number): _loops(flight, int(number)) for number in np.unique(numbers)}
+    choices = {number: _loops(flight, number) for number in np.unique(numbers).tolist()}
     adjoint = np.zeros((len(rows), system.n))
     w = np.zeros((steps, len(rows), system.p))
-    free = np.zeros((steps, len(rows), system.m)) if may_do_anything else None
+    free = np.zeros((steps, len(rows), system.m)) if flight.may_do_anything else None
     bits = 2 ** np.arange(system.m)
     for step in range(steps - 1, -1, -1):
         starting = targets == step + 1
@@ -128,9 +113,7 @@ def adjoint_worst_case(
 def _loops(flight: Integrator, number: int) -> tuple[Array, Array, Array]:
     """Of one controller, for every set of clipped inputs: transition over a step, and what is held adds.
 
-    Returns
-    -------
-    back, push, thrust : ndarray, shapes (2^m, n, n), (2^m, n, p), (2^m, n, m)
+    For disturbance and thrust, shapes (2^m, n, n), (2^m, n, p), (2^m, n, m).
     """
     system, dt = flight.system, flight.dt
     law = flight.schedule.controllers[number]

@@ -30,11 +30,7 @@ def runge_kutta(rate: Callable[[int, Array], Array], x: Array, dt: float, first:
 class Integrator:
     """Time grid, references and transitions of one simulation.
 
-    Attributes
-    ----------
-    free : ndarray, shape (steps, R, m), or None
-        Inputs over each step of a controller that may do anything; without them it does as its
-        `command` says.
+    What a controller does that may do anything is `free` (steps, R, m); without it, as its `command` says.
     """
 
     def __init__(self, schedule: Schedule, modes: NDArray[np.int_], substeps: int) -> None:
@@ -57,6 +53,13 @@ class Integrator:
         """Transition over a step, and what an input and a disturbance held over it add."""
         Ad, Bd = discretize(self.system.A, self.system.B, self.dt)
         return Ad, Bd, discretize(self.system.A, self.system.D, self.dt)[1]
+
+    @property
+    def may_do_anything(self) -> bool:
+        """Whether a controller flies of which nothing but the thrust limits is known."""
+        return any(
+            isinstance(self.schedule.controllers[i], AnyThrust) for i in np.unique(self.modes).tolist()
+        )
 
     @property
     def steps(self) -> int:

@@ -17,13 +17,7 @@ POSSIBLE = {"experimental_share": (0.0, 1.0)} | dict.fromkeys(
 
 
 def violation_interval(violations: int, runs: int) -> tuple[float, float]:
-    """Clopper and Pearson's two-sided interval on a probability.
-
-    Parameters
-    ----------
-    violations, runs : int
-        How many of how many.
-    """
+    """Clopper and Pearson's two-sided interval on a probability, from so many violations in so many runs."""
     from scipy.stats import binomtest
 
     found = binomtest(violations, runs).proportion_ci(CONFIDENCE)
@@ -39,14 +33,9 @@ def possible(metric: str, difference: bool = False) -> tuple[float, float]:
 def mean_interval(
     values: Array, within: tuple[float, float] = (-np.inf, np.inf)
 ) -> tuple[float, float | None, float | None]:
-    """Mean of some runs and Student's t interval about it; no interval for a single run.
+    """Mean of finite values of some runs and Student's t interval about it; no interval for a single run.
 
-    Parameters
-    ----------
-    values : ndarray, shape (R,)
-        Finite.
-    within : (float, float)
-        Values that are possible at all (`possible`): the interval is cut to them.
+    The interval is cut to the values that are possible at all (`possible`).
     """
     from scipy.stats import t
 

@@ -110,8 +110,7 @@ class ExplicitASIF(Method):
         h = np.stack([one[0] for one in found], axis=1)
         rows, bound = np.stack([one[1] for one in found], axis=1), np.stack([one[2] for one in found], axis=1)
         rows = rows * grid.system.u_max
-        length = np.maximum(np.linalg.norm(rows, axis=2), 1e-12)
-        answer = project(rows / length[..., None], bound / length, seen.desired / grid.system.u_max, 1.0)
+        answer = project(rows, bound, seen.desired / grid.system.u_max, 1.0)
         lost = answer.status > SOLVED
         u = np.where(lost[:, None], 0.0, answer.u) * grid.system.u_max
         return Choice(

@@ -37,7 +37,7 @@ class ExplicitSimplex(Latched):
         super().__init__(grid)
         self.recovery = Recovery.certified(grid)
         leg = Leg.any_thrust(self.recovery)
-        self.prospect = Prospect(self.recovery, leg if grid.delay else None, leg, grid.half_widths)
+        self.prospect = Prospect(self.recovery, leg if grid.delay else None, leg)
 
     @cached_property
     def radii(self) -> Array:

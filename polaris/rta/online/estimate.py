@@ -11,6 +11,7 @@ is one minimum.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from math import factorial
 
 import numpy as np
@@ -63,20 +64,8 @@ class BoxMotion:
 
     With ``x(t) = e^{At} x + int e^{As} (B u + D w)``, every entry of the transition is a power series in
     t, and so are the bounds ``sum |A^i B| t^{i+1}/(i+1)!`` and ``sum norm(A^i D) t^{i+1}/(i+1)!`` on what
-    inputs about their mean and the disturbance add.
-
-    Parameters
-    ----------
-    system : LinearSystem
-    period : float
-        Durations are rounded to multiples of ``TIME period`` [s]; the rounding is booked.
-    longest : float
-        Longest duration [s].
-
-    Raises
-    ------
-    ScenarioError
-        If the motion over the longest duration cannot be bounded usefully.
+    inputs about their mean and the disturbance add. Durations, up to `longest` [s], are rounded to multiples
+    of ``TIME period``; the rounding is booked. A `ScenarioError` says that the motion is too fast for that.
     """
 
     def __init__(self, system: LinearSystem, period: float, longest: float) -> None:
@@ -96,23 +85,14 @@ class BoxMotion:
         self._disturbance = np.linalg.norm(integrated @ system.D, axis=2) * system.w_max
         self._rest = np.linalg.norm(system.A, 1) ** len(terms) / factorial(len(terms)) * np.exp(size)
         self._slip = ROUNDING * (np.eye(system.n) + np.abs(system.A) * period)
-        self._known: dict[int, Array] = {}
+        self._matrix = lru_cache(KEPT)(self._over)
 
     def over(self, duration: float) -> Array:
-        """The matrix that maps ``[hi, -lo, bound on |x|, u high, -u low, 1]`` to ``[hi, -lo]`` later.
+        """Matrix from ``[hi, -lo, bound on |x|, u high, -u low, 1]`` to ``[hi, -lo]`` so much later [s]."""
+        return self._matrix(round(duration / self._grain))
 
-        Shape (2 n, 3 n + 2 m + 1); the duration [s] is at most the longest.
-        """
-        grains = round(duration / self._grain)
-        found = self._known.get(grains)
-        if found is None:
-            if len(self._known) >= KEPT:
-                self._known.clear()
-            found = self._known[grains] = self._matrix(grains * self._grain)
-        return found
-
-    def _matrix(self, t: float) -> Array:
-        n, m = self.system.n, self.system.m
+    def _over(self, grains: int) -> Array:
+        n, m, t = self.system.n, self.system.m, grains * self._grain
         weights = t ** np.arange(len(self._state))
         Phi = np.tensordot(weights, self._state, 1)
         push, spread = t * np.tensordot(weights, self._input, 1), t * np.tensordot(weights, self._spread, 1)
@@ -134,14 +114,7 @@ class BoxMotion:
 
 
 class BoxFilter:
-    """The box of states that all accepted measurements allow, and its instant.
-
-    Parameters
-    ----------
-    motion : BoxMotion
-    low, high : ndarray, shape (n,)
-        Of the states at the time zero.
-    """
+    """The box of states that all accepted measurements allow, and its instant; at first one at time zero."""
 
     def __init__(self, motion: BoxMotion, low: Array, high: Array) -> None:
         self.motion, system = motion, motion.system
@@ -172,11 +145,7 @@ class BoxFilter:
     def flown(self, low: Array | None, high: Array | None, fresh: bool) -> None:
         """Note bounds (m,) on the input since the last call; None where only its limits are known.
 
-        Parameters
-        ----------
-        low, high : ndarray, shape (m,), or None
-        fresh : bool
-            Whether the box is not older than the last call, so that earlier inputs no longer matter.
+        The box is fresh if it is not older than the last call: earlier inputs no longer matter then.
         """
         if low is None or high is None:
             self._inputs[:] = self._any_input
@@ -194,12 +163,9 @@ class BoxFilter:
         return np.dot(self.motion.over(t - self.t), self._z, out=self._moved)
 
     def cut(self, t: float, x: Array, half: Array) -> int:
-        """Take in a measurement at a time that the box `reaches`.
+        """Take in a measurement at a time that the box `reaches`: -1 if it agrees.
 
-        Returns
-        -------
-        int
-            -1 if it agrees; else the state that disagrees most, and the box stays as it was.
+        Else the state that disagrees most, and the box stays as it was.
         """
         moved = self.moved(t)
         np.minimum(moved, self._boxed(x, half), out=moved)

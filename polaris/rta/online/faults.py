@@ -18,15 +18,7 @@ HARMLESS = ("missed", "log")
 
 
 class Fault(NamedTuple):
-    """One fault.
-
-    Attributes
-    ----------
-    family : str
-        One of `FAMILIES`.
-    text : str
-        What it was; begins with the same words for the same kind of fault.
-    """
+    """One fault: of one of `FAMILIES`, and a text that begins alike for the same kind of fault."""
 
     family: str
     text: str
@@ -51,17 +43,7 @@ def largest(values: list[float]) -> float:
 
 
 class Guard:
-    """Calls U, checks its command, and collects its faults.
-
-    Parameters
-    ----------
-    u_max : ndarray, shape (m,)
-        [N]
-    budget : float
-        Wall time of one call [s].
-    timer : callable
-        Monotonic wall clock [s].
-    """
+    """Calls U, within a budget of wall time [s], checks its command, and collects its faults."""
 
     def __init__(self, u_max: Array, budget: float, timer: Callable[[], float]) -> None:
         self.u_max, self._budget, self._timer = u_max, budget, timer
@@ -73,13 +55,6 @@ class Guard:
         Nothing that U raises gets through, ``SystemExit`` and ``KeyboardInterrupt`` included: an interrupt
         from the keyboard during a call counts as a fault of U. Reading what it returns belongs to the call,
         and to its time budget.
-
-        Parameters
-        ----------
-        law : callable
-            The experimental controller.
-        *arguments
-            What it is called with.
         """
         begun = self._timer()
         u, wrong = commanded(law, arguments, self.u_max.shape, BaseException)

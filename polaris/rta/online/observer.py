@@ -26,14 +26,8 @@ class Reading(NamedTuple):
 class Observer:
     """Checks every measurement by itself and against all earlier ones.
 
-    Parameters
-    ----------
-    grid : DecisionGrid
-    limits : Limits
-    farthest : float
-        Entries of the state beyond this are taken for faults.
-    trusted : int
-        Number of consecutive measurements that must agree; at the start the initial set vouches for them.
+    Entries of the state beyond `farthest` are taken for faults. After a conflict so many measurements as are
+    `trusted` must agree; at the start the initial set vouches for them.
     """
 
     def __init__(self, grid: DecisionGrid, limits: Limits, farthest: float, trusted: int) -> None:

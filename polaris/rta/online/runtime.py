@@ -10,8 +10,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable
-from itertools import cycle
-from math import isfinite
+from math import inf, isfinite
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -123,7 +122,7 @@ class OnlineMonitor:
         self._asked = None
         noted = self.guard.taken()
         self._strikes += len(noted)
-        faults = list(noted)
+        faults = [*noted]
         k, mode, margin, reason = -1, 0, np.nan, ""
         try:
             k, mode, margin, reason = self._decide(told, faults)
@@ -230,23 +229,13 @@ def replay_log(
     monitor : Monitor
     options : RuntimeOptions, optional
     """
-    wall = _Wall()
-    online = OnlineMonitor(monitor, options, timer=wall)
-    answers = []
-    for record in records:
-        wall.late = LATE in record["faults"]
+    flown = list(records)
+    # Read at the beginning and at the end of every step.
+    wall = (end for one in flown for end in (0.0, inf if LATE in one["faults"] else 0.0))
+    online, answers = OnlineMonitor(monitor, options, timer=wall.__next__), []
+    for record in flown:
         if record["resynchronised"] is not None:
             online.resynchronise(restored(record["resynchronised"]))
         online.guard.faults += [Fault("controller", text) for text in record["controller"]]
         answers.append(online.step(*(restored(record.get(name)) for name in _Told._fields[:-1])))
     return answers
-
-
-class _Wall:
-    """A clock that is read at the beginning and at the end of every step."""
-
-    def __init__(self) -> None:
-        self.late, self._end = False, cycle((False, True))
-
-    def __call__(self) -> float:
-        return float("inf") if next(self._end) and self.late else 0.0

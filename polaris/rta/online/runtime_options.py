@@ -65,10 +65,8 @@ class RuntimeOptions:
             if getattr(self, name) is not None:
                 positive(name, getattr(self, name), "s")
         positive("farthest", self.farthest, "units of the state")
-        for name in ("reacquire", "min_dwell"):
-            whole(name, getattr(self, name), 1)
-        for name in ("latch", "latch_conflicts"):
-            if getattr(self, name) is not None:
+        for name in ("reacquire", "min_dwell", "latch", "latch_conflicts"):
+            if name in ("reacquire", "min_dwell") or getattr(self, name) is not None:
                 whole(name, getattr(self, name), 1)
 
     def limits(self, grid: DecisionGrid) -> Limits:

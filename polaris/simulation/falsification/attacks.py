@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.system import Array
-from ...synthesis.controllers import AnyThrust
 from ...synthesis.schedule import Schedule
 from ..disturbances import adjoint_worst_case, disturbances, limit_rows
 from ..integration import Integrator
@@ -20,15 +19,10 @@ from .measure import Attained
 
 @dataclass(frozen=True, eq=False)
 class Attack:
-    """What is done to a schedule, run by run.
+    """What is done to a schedule in R runs.
 
-    Attributes
-    ----------
-    x0 : ndarray, shape (R, n)
-    w : ndarray, shape (steps, R, p)
-        Disturbance held over each step.
-    free : ndarray, shape (steps, R, m), or None
-        Inputs of controllers that may do anything.
+    Initial states (R, n), disturbances held over each step (steps, R, p), and the inputs (steps, R, m) of
+    controllers that may do anything.
     """
 
     x0: Array
@@ -59,15 +53,7 @@ class Attack:
 
 
 class Attacker:
-    """Makes attacks on one schedule.
-
-    Parameters
-    ----------
-    claims : Claims
-    flight : Integrator
-        On the same cells.
-    rng : numpy.random.Generator
-    """
+    """Makes attacks on one schedule, flown on the cells that its claims are about."""
 
     def __init__(self, claims: Claims, flight: Integrator, rng: np.random.Generator) -> None:
         self.claims, self.flight, self.rng = claims, flight, rng
@@ -160,8 +146,7 @@ class Attacker:
 
     def _thrust(self, count: int) -> Array | None:
         """Random inputs of a controller that may do anything."""
-        laws = (self.flight.schedule.controllers[int(number)] for number in np.unique(self.flight.modes))
-        if not any(isinstance(law, AnyThrust) for law in laws):
+        if not self.flight.may_do_anything:
             return None
         steps, m = self.flight.steps, self.flight.system.m
         hold = int(self.rng.integers(1, 4 * self.flight.steps_per_cell))

@@ -20,13 +20,7 @@ class Claims:
     """Proven margins of one schedule, period by period.
 
     The limits are the timed polytopes, one each (margin in m: how far outside the best facet), and then
-    the inputs, one each (margin in N: thrust left while S flies).
-
-    Attributes
-    ----------
-    schedule : Schedule
-    tail : bool
-        Whether S's flight after T is included.
+    the inputs, one each (margin in N: thrust left while S flies). S's flight after T is included with `tail`.
     """
 
     schedule: Schedule

@@ -26,16 +26,10 @@ EXACT_INPUT = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Attained:
-    """Least margins of runs.
+    """Of R runs and every limit the least margin [m, N], when [s], and how far below what is proven.
 
-    Attributes
-    ----------
-    margin : ndarray, shape (R, limits)
-        Least margin [m, N] over the flight; inf where a limit was never looked at (inputs if S never flies).
-    when : ndarray, shape (R, limits)
-        At what time [s].
-    below : ndarray, shape (R, limits)
-        Largest amount by which a margin fell short of the proven one of its period; negative if none did.
+    The margin is inf where a limit was never looked at (inputs if S never flies); `below` is the largest
+    amount by which a margin fell short of the proven one of its period, negative if none did.
     """
 
     margin: Array

@@ -266,10 +266,7 @@ def violation(claims: Claims, measured: Attained, run: int = 0) -> Failure | Non
 def confirm(claims: Claims, attack: Attack) -> tuple[Failure, Attack, int] | None:
     """Fly one attack again with four times as many integration steps, its disturbance the same.
 
-    Returns
-    -------
-    failure, attack, substeps
-        The violation, the attack on the finer steps, and their number per node; None if it was none.
+    Returned are the violation, the attack on the finer steps, and their number per node; None if it was none.
     """
     substeps = 1 if claims.schedule.safety.tracking.feedback.sampled else 4
     free = None if attack.free is None else np.repeat(attack.free, substeps, axis=0)

@@ -139,13 +139,9 @@ def declared(env: Environment, target: Array) -> NDArray[np.bool_]:
 
 
 def drift_true(env: Environment, target: Array, x: Array, ballistic: Array, h: float, nodes: int) -> Array:
-    """Free nonlinear motion of another craft, shape (R, nodes + 1, 6), at nodes h apart [s].
+    """Free nonlinear motion of craft from states x (R, 6) at targets (R, 6), at nodes h [s] apart.
 
-    Parameters
-    ----------
-    target, x : ndarray, shape (R, 6)
-        The target's orbit and the craft's relative state at the start.
-    ballistic : ndarray, shape (R,)
+    Shape (R, nodes + 1, 6).
     """
 
     def rate(later: int, state: Array) -> Array:
