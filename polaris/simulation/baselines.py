@@ -106,7 +106,8 @@ def compare(
     for done, (key, mode) in enumerate(plans.items()):
         name = key if mode is None else schedule.controllers[mode].name
         nominal = fly_nominal(schedule, mode, name)
-        parts, lowest, highest = [], [], []
+        parts: list[Metrics] = []
+        lowest, highest = [], []
         for first in range(0, n, BATCH):
             if progress:
                 progress(done * n + first, len(plans) * n)

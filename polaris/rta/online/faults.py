@@ -32,16 +32,6 @@ class Fault(NamedTuple):
         return self.family in HARMLESS
 
 
-def largest(values: list[float]) -> float:
-    """Largest magnitude in a list of floats; nan if one of them is, or their sum overflows."""
-    if not values:
-        return 0.0
-    total = sum(values)
-    if total - total != 0.0:  # only for nan and infinities
-        return float("nan")
-    return max(max(values), -min(values))
-
-
 class Guard:
     """Calls U, within a budget of wall time [s], checks its command, and collects its faults."""
 

@@ -11,7 +11,7 @@ from ...model.system import Array
 from ...model.tolerances import TIME
 from ..decision_grid import DecisionGrid
 from .estimate import BoxFilter, BoxMotion, Measurement
-from .faults import Fault, largest
+from .faults import Fault
 from .runtime_options import Limits
 
 
@@ -34,7 +34,7 @@ class Observer:
         self.grid = grid
         self._same = TIME * grid.period
         self._max_age, self._farthest = limits.max_age, farthest
-        self._shape, self._half_list = (grid.system.n,), grid.half_widths.tolist()
+        self._shape = (grid.system.n,)
         self._newest, self._state = -np.inf, b""  # of the good ones
         theta = grid.schedule.safety.problem.initial_set
         half = np.abs(theta.G).sum(axis=1)
@@ -115,10 +115,9 @@ class Observer:
         wrong = self._in_time(stamp, instant)
         if wrong is not None:
             return wrong
-        size = largest(x.tolist())
-        if size != size:
+        if not np.isfinite(x).all():
             return Fault("measurement", "the state is not finite")
-        if size > self._farthest:
+        if np.abs(x).max() > self._farthest:
             return Fault("measurement", f"absurd: an entry beyond {self._farthest:g}")
         half = self.grid.half_widths
         if measurement.half_widths is not None:
@@ -149,7 +148,6 @@ class Observer:
         half = numbers(value, self._shape)
         if half is None:
             return Fault("measurement", "malformed: the half widths")
-        for given, most in zip(half.tolist(), self._half_list, strict=True):
-            if not 0 <= given <= most:  # also for nan
-                return Fault("measurement", "half widths: not between zero and the scene's")
+        if not ((half >= 0) & (half <= self.grid.half_widths)).all():  # also for nan
+            return Fault("measurement", "half widths: not between zero and the scene's")
         return half

@@ -74,7 +74,8 @@ def _look_closer(
     system, h, u = claims.system, claims.h, claims.unsafe[o]
     s = np.linspace(0, 1, PARTS + 1)[1:-1, None]
     ends = [runs.states[run, period + side][:, None] for side in (0, 1)]
-    p = cubic(*(x @ system.position.T for x in ends), *(h * x @ system.velocity.T for x in ends), s)
+    (a, b), (da, db) = ([part @ x.T for part in ends] for x in (system.position, h * system.velocity))
+    p = cubic(a, b, da, db, s)
     left, right = (offsets[period][:, None] for offsets in claims.offsets[o])
     margin = np.max(p @ u.normals.T - ((1 - s) * left + s * right), axis=-1)
     best = np.argmin(margin, axis=1)
