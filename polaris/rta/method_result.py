@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from ..model.distances import count_switches
 from ..model.system import Array
-from ..simulation.intervals import mean_interval, possible, violation_interval
-from ..simulation.metrics import Metrics, finite
+from ..simulation.metrics import Metrics, finite, mean_interval, possible, violation_interval
 from ..simulation.run_metrics import Runs, evaluate, experimental_share, peak
 from .decision_grid import DecisionGrid
 from .flight import Conditions, Flight

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from reach.numerics.linear import discretize
 
 from ..model.system import Array
-from ..synthesis.controllers import AffineController, AnyThrust, Controller
+from ..synthesis.controllers import AffineController, AnyThrust
 from ..synthesis.schedule import Schedule
 from .run_metrics import Runs
 
@@ -43,7 +43,7 @@ class Integrator:
         self.steps_per_cell = self.q * substeps
         self.safe = safety.reference.fine(2 * self.steps_per_cell)
         self.own = {}
-        self._schemes: dict[int, tuple[Array, list[Array], list[Array]]] = {}
+        self._schemes: dict[int, tuple[list[Array], list[Array]]] = {}
         for number, controller in enumerate(schedule.controllers):
             if isinstance(controller, AffineController) and controller.own is not safety.reference:
                 self.own[number] = controller.own.fine(2 * self.steps_per_cell)
@@ -66,10 +66,9 @@ class Integrator:
         """Number of integration steps."""
         return len(self.modes) * self.steps_per_cell
 
-    def command(
-        self, controller: Controller, number: int, k: int, half: int, x: Array, later: int = 0
-    ) -> Array:
+    def command(self, number: int, k: int, half: int, x: Array, later: int = 0) -> Array:
         """Command before clipping, shape (R, m), `later` half-steps after the half-step `half` of cell k."""
+        controller = self.schedule.controllers[number]
         if self.free is not None and isinstance(controller, AnyThrust):
             return np.asarray(self.free[k * self.steps_per_cell + half // 2])
         xi = self.safe[k, half + later]
@@ -78,7 +77,7 @@ class Integrator:
 
     def rate(self, number: int, k: int, half: int, later: int, x: Array, force: Array) -> Array:
         """``x'`` under one controller, `later` half-steps after the half-step `half` of cell k."""
-        raw = self.command(self.schedule.controllers[number], number, k, half, x, later)
+        raw = self.command(number, k, half, x, later)
         u = np.clip(raw, -self.system.u_max, self.system.u_max)
         return np.asarray(x @ self.system.A.T + u @ self.system.B.T + force)
 
@@ -99,13 +98,13 @@ class Integrator:
         Returned are the states there (R, n), the input applied at the beginning (R, m), the largest demand
         meanwhile (R,), and the sum over the steps of the 1-norm of the input (R,).
         """
-        limit, controller = self.system.u_max, self.schedule.controllers[number]
+        limit = self.system.u_max
         first = u = np.zeros(0)
         demanded, spent = np.zeros(len(x)), np.zeros(len(x))
         for sub in range(self.substeps):
             step = place * self.substeps + sub
             if sub == 0 or not self.sampled:
-                raw = self.command(controller, number, k, 2 * step, x)
+                raw = self.command(number, k, 2 * step, x)
                 demanded = np.maximum(demanded, np.max(np.abs(raw) / limit, axis=1))
                 u = np.clip(raw, -limit, limit)
             first = u if sub == 0 else first
@@ -149,8 +148,7 @@ class Integrator:
         if not isinstance(law, AffineController) or (self.sampled and self.substeps > 1):
             return None
         own = self.own.get(number, self.safe)[k]  # of the law's reference, at whole and half steps
-        scheme = self._held_scheme if self.sampled else self._runge_kutta_scheme
-        carried, forced, places = scheme(law, number, k, own, w)
+        carried, forced, places = self._scheme(law, number, k, own, w)
         path = np.empty((len(w) + 1, *x.shape))
         path[0] = x
         for step in range(len(w)):
@@ -166,37 +164,27 @@ class Integrator:
         per_node = (size / limit).max(axis=2).reshape(self.q, self.substeps, len(x)).max(axis=1)
         return path[self.substeps :: self.substeps], raw[:: self.substeps], per_node, size.sum(axis=(0, 2))
 
-    def _held_scheme(
-        self, law: AffineController, number: int, k: int, own: Array, w: Array
-    ) -> tuple[list[Array], list[Array], list[Array]]:
-        """Inputs held over each step, which is exact: as `_runge_kutta_scheme`, without stages within."""
-        Ad, Bd, Dd = self.held
-        forced = ((law.own.nu[k] + own[:-1:2] @ law.gain.T) @ Bd.T)[:, None] + w @ Dd.T
-        return [(Ad - Bd @ law.gain).T], [forced], []
-
-    def _runge_kutta_scheme(
+    def _scheme(
         self, law: AffineController, number: int, k: int, own: Array, w: Array
     ) -> tuple[list[Array], list[Array], list[Array]]:
         """How the state enters the stages within a step and its end, what is added there, and the references.
 
-        The references are those of the stages within a step alone.
+        The references are those of the stages within a step alone; inputs held over a step have none.
         """
-        loop, carried, pushed = self._scheme(number)
         places = [own[:-1:2], own[1::2], own[1::2], own[2::2]]
+        if self.sampled:
+            Ad, Bd, Dd = self.held
+            forced = ((law.own.nu[k] + places[0] @ law.gain.T) @ Bd.T)[:, None] + w @ Dd.T
+            return [(Ad - Bd @ law.gain).T], [forced], []
+        loop = self.system.A - self.system.B @ law.gain
+        if number not in self._schemes:
+            carried = [np.eye(self.system.n) + part for part in self._stages(loop, [loop.T] * 4)]
+            self._schemes[number] = carried, self._stages(loop, [self.system.D.T] * 4)
+        carried, pushed = self._schemes[number]
         known = [(law.own.nu[k] + place @ law.gain.T) @ self.system.B.T for place in places]
         stages = zip(self._stages(loop, known), pushed, strict=True)
-        forced = [part[:, None] + w @ push for part, push in stages]
-        return carried[1:], forced[1:], places[1:]
-
-    def _scheme(self, number: int) -> tuple[Array, list[Array], list[Array]]:
-        """Closed loop of a law, and how a state and a disturbance held over a step enter its stages."""
-        if number not in self._schemes:
-            law, system = self.schedule.controllers[number], self.system
-            assert isinstance(law, AffineController)
-            loop = system.A - system.B @ law.gain
-            carried = [np.eye(system.n) + part for part in self._stages(loop, [loop.T] * 4)]
-            self._schemes[number] = loop, carried, self._stages(loop, [system.D.T] * 4)
-        return self._schemes[number]
+        added = [part[:, None] + w @ push for part, push in stages]
+        return carried[1:], added[1:], places[1:]
 
     def _stages(self, loop: Array, rates: Sequence[Array]) -> list[Array]:
         """Stages of the scheme for ``x' = loop x + rate`` from rest, and the end; rates at the stages."""

@@ -16,7 +16,7 @@ import pytest
 from polaris.model.errors import PolarisError, ScenarioError
 from polaris.runs.campaign import Interrupted, Workers, batch, local, make_cases, read_campaign, schedules
 from polaris.scenario.scenario import load_scenario
-from polaris.simulation.intervals import violation_interval
+from polaris.simulation.metrics import violation_interval
 from polaris.simulation.run_metrics import evaluate
 from polaris.simulation.simulate import simulate
 from polaris.synthesis.synthesize import synthesize

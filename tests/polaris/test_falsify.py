@@ -15,8 +15,7 @@ from polaris.runs.schedule import digest, write_run
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.disturbances import adjoint_worst_case
 from polaris.simulation.falsification.attacks import Attack, Attacker
-from polaris.simulation.falsification.claims import Claims
-from polaris.simulation.falsification.measure import EXACT_M, attained
+from polaris.simulation.falsification.claims import EXACT_M, Claims, attained
 from polaris.simulation.falsification.search import falsify
 from polaris.simulation.integration import Integrator
 from polaris.synthesis.clearance import error_tube

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ...simulation.intervals import possible
+from ...simulation.metrics import possible
 from ...synthesis.recoverable import directed
 from .html import Cell, number_cell
 from .numbers import shown

@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import floor, isfinite
 
 from ...model.foreign import real
-from .faults import Fault
+from .runtime_options import Fault
 
 MOST = 1e9
 """Numbers of decisions beyond this are none."""

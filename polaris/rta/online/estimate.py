@@ -132,15 +132,15 @@ class BoxFilter:
         """Upper ends, shape (n,)."""
         return self._box[: self._n].copy()
 
-    def flown(self, low: Array | None, high: Array | None, fresh: bool) -> None:
-        """Note bounds (m,) on the input since the last call; None where only its limits are known.
+    def flown(self, bounds: Array | None, fresh: bool) -> None:
+        """Note bounds (2, m) on the input since the last call; None where only its limits are known.
 
         The box is fresh if it is not older than the last call: earlier inputs no longer matter then.
         """
-        if low is None or high is None:
+        if bounds is None:
             self._inputs = self._any_input
             return
-        given = np.minimum(np.concatenate([high, -low]), self._any_input)
+        given = np.minimum(np.concatenate([bounds[1], -bounds[0]]), self._any_input)
         self._inputs = given if fresh else np.maximum(self._inputs, given)
 
     def reaches(self, t: float) -> bool:
@@ -174,7 +174,8 @@ class BoxFilter:
 
     def _moved(self, box: Array, duration: float) -> Array:
         size = np.maximum(box[: self._n], box[self._n :])
-        return np.dot(self.motion.over(duration), np.concatenate([box, size, self._inputs, (1.0,)]))
+        bounded = np.concatenate([box, size, self._inputs, (1.0,)])
+        return np.asarray(np.dot(self.motion.over(duration), bounded))
 
 
 def _boxed(x: Array, half: Array) -> Array:

@@ -1,14 +1,35 @@
-"""What the runtime of the online monitor tolerates in flight, and what it answers."""
+"""What can go wrong in flight, what the runtime of the online monitor tolerates, and what it answers."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from ...model.checks import positive, whole
 from ...model.errors import ScenarioError
 from ...model.tolerances import FARTHEST
 from ..decision_grid import DecisionGrid
-from .faults import Fault
+
+FAMILIES = ("clock", "missed", "measurement", "estimate", "controller", "monitor", "log", "rule")
+"""Where faults come from; ``rule``: no fault of its own, but S is kept (dwell, latch, re-acquisition)."""
+
+HARMLESS = ("missed", "log")
+"""Families that do not keep U from flying: what they tell of is over, and no premise of the proof."""
+
+
+class Fault(NamedTuple):
+    """One fault: of one of `FAMILIES`, and a text that begins alike for the same kind of fault."""
+
+    family: str
+    text: str
+
+    def __str__(self) -> str:
+        return f"{self.family}: {self.text}"
+
+    @property
+    def harmless(self) -> bool:
+        """Whether U may fly all the same."""
+        return self.family in HARMLESS
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from ...model.system import Array
 from ...model.version import versions
 from ...scenario.filter_tables import DecentralizedFilter
 from ...scenario.scenario import MonteCarloScenario
-from ...simulation.intervals import CONFIDENCE, lower_bound
+from ...simulation.metrics import CONFIDENCE, lower_bound
 from ..inspection import flight_arrays
 from .batch import Batch, Case, Results, Task, Trajectory
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ...model.system import Array
-from ...simulation.intervals import CONFIDENCE, mean_interval, possible, violation_interval
+from ...simulation.metrics import CONFIDENCE, mean_interval, possible, violation_interval
 from .batch import Results
 
 MEANS = ("min_distance_m", "mean_distance_m", "experimental_share", "delta_v_m_s")

@@ -13,8 +13,7 @@ from ..disturbances import adjoint_worst_case, disturbances, limit_rows
 from ..integration import Integrator
 from ..run_metrics import Runs
 from ..simulate import initial_states
-from .claims import Claims
-from .measure import Attained
+from .claims import Attained, Claims
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,9 +59,9 @@ class Attacker:
         self.rows = limit_rows(flight.schedule)
         self.first = np.cumsum([0, *(len(u.normals) for u in claims.unsafe)])
         # Where the proof leaves least: the facet that certifies a period, ranked by what is left there.
-        best = [np.argmax(part, axis=1) for part in claims.facets]
-        self._best = np.array(best, dtype=int).reshape(len(claims.unsafe), -1)
-        self._left = np.array([part.max(axis=1) for part in claims.facets]).reshape(self._best.shape)
+        shape = len(claims.unsafe), claims.cells * claims.q
+        self._best = np.array([part.argmax(axis=1) for part in claims.facets], dtype=int).reshape(shape)
+        self._left = np.array([part.max(axis=1) for part in claims.facets]).reshape(shape)
 
     @classmethod
     def of(cls, schedule: Schedule, tail: bool, rng: np.random.Generator) -> Attacker:

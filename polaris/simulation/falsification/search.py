@@ -16,8 +16,7 @@ from ...synthesis.schedule import Schedule
 from ..integration import Integrator
 from ..run_metrics import Runs
 from .attacks import Attack, Attacker
-from .claims import Claims
-from .measure import EXACT_INPUT, EXACT_M, Attained, attained
+from .claims import EXACT_INPUT, EXACT_M, Attained, Claims, attained
 
 BATCH = 100_000
 """States of all runs flown at a time: few enough that they stay near the processor."""

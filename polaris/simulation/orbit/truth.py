@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.system import Array
-from ...synthesis.controllers import Controller
 from ...synthesis.schedule import Schedule
 from ..integration import Integrator, runge_kutta
 from ..run_metrics import Runs
-from ..simulate import Initial, initial_states
+from ..simulate import Initial, flown_modes, initial_states
 from .environment import Environment
 from .frame import frame_rates, near_circular, relative_rate
 
@@ -72,9 +71,7 @@ def fly_true(
         Steps of the fourth-order Runge-Kutta scheme per node.
     """
     rng = np.random.default_rng(seed)
-    safety = schedule.safety
-    modes = np.zeros(safety.reference.cells if tail else safety.problem.K, dtype=int)
-    modes[: safety.problem.K] = schedule.modes
+    modes = flown_modes(schedule, tail)
     x = initial_states(schedule, n, rng, initial)
     # J2 itself moves the inclination by a few hundredths of a degree.
     steepest = max(env.inclination_max - (1e-3 if env.j2 else 0.0), 0.0)
@@ -99,16 +96,14 @@ class _TrueMotion(Integrator):
     ballistic: Array
     residual: Array  # largest within each period, (nodes, R)
 
-    def command(
-        self, controller: Controller, number: int, k: int, half: int, x: Array, later: int = 0
-    ) -> Array:
-        return super().command(controller, number, k, half, x[:, :6], later)
+    def command(self, number: int, k: int, half: int, x: Array, later: int = 0) -> Array:
+        return super().command(number, k, half, x[:, :6], later)
 
     def _unclipped(self, *cell: Any) -> None:
         """Nothing is linear here."""
 
     def move(self, number: int, k: int, step: int, x: Array, u: Array, w: Array) -> Array:
-        limit, controller = self.system.u_max, self.schedule.controllers[number]
+        limit = self.system.u_max
 
         def rates(u: Array, state: Array) -> tuple[Array, Array]:
             own, target, left_out = relative_rate(self.env, state[:, 6:], state[:, :6], self.ballistic)
@@ -119,7 +114,7 @@ class _TrueMotion(Integrator):
         def rate(later: int, state: Array) -> Array:
             if self.sampled:
                 return rates(u, state)[0]
-            asked = self.command(controller, number, k, 2 * step, state, later)
+            asked = self.command(number, k, 2 * step, state, later)
             return rates(np.clip(asked, -limit, limit), state)[0]
 
         first, left_out = rates(u, x)
