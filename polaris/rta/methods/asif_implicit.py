@@ -111,9 +111,9 @@ class ImplicitASIF(Method):
         for run in np.flatnonzero((margin < 0) & ~lost):
             for rooms in (allowed, room) if self.slope < 1 else (room,):
                 near = rooms[run] < self.most
-                found = _nearest(self.rows[near], rooms[run, near], desired[run])
-                if found is not None:
-                    u[run] = found
+                found = project(-self.rows[None, near], -rooms[None, run, near], desired[None, run], 1.0)
+                if found.status[0] <= SOLVED:
+                    u[run] = found.u[0]
                     break
             else:
                 lost[run] = True
@@ -139,9 +139,3 @@ class ImplicitASIF(Method):
         kept = np.zeros((len(e), len(limit)))
         kept[:, : len(rows)] = np.maximum(limit[: len(rows)] - need, 0.0)
         return (1 - self.slope) * kept
-
-
-def _nearest(rows: Array, room: Array, desired: Array) -> Array | None:
-    """Input v with ``rows v <= room``, ``|v_i| <= 1`` nearest to the desired one; None if there is none."""
-    found = project(-rows[None], -room[None], desired[None], 1.0)
-    return np.asarray(found.u[0]) if found.status[0] <= SOLVED else None

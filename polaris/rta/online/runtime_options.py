@@ -10,15 +10,16 @@ from ...model.errors import ScenarioError
 from ...model.tolerances import FARTHEST
 from ..decision_grid import DecisionGrid
 
-FAMILIES = ("clock", "missed", "measurement", "estimate", "controller", "monitor", "log", "rule")
-"""Where faults come from; ``rule``: no fault of its own, but S is kept (dwell, latch, re-acquisition)."""
-
 HARMLESS = ("missed", "log")
 """Families that do not keep U from flying: what they tell of is over, and no premise of the proof."""
 
 
 class Fault(NamedTuple):
-    """One fault: of one of `FAMILIES`, and a text that begins alike for the same kind of fault."""
+    """One fault: its family, and a text that begins alike for the same kind of fault.
+
+    Families are clock, missed, measurement, estimate, controller, monitor, log, and rule: no fault of its
+    own, but S is kept (dwell, latch, re-acquisition).
+    """
 
     family: str
     text: str

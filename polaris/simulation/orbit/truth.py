@@ -131,19 +131,3 @@ def declared(env: Environment, target: Array) -> NDArray[np.bool_]:
     kept = (np.abs(R - env.radius) <= env.radius_deviation) & (np.abs(V) <= env.radial_rate)
     kept &= np.abs(turn / env.mean_motion - 1) <= env.rate_deviation
     return np.asarray(np.all(kept & (tilt <= np.sin(env.inclination_max)), axis=-1))
-
-
-def drift_true(env: Environment, target: Array, x: Array, ballistic: Array, h: float, nodes: int) -> Array:
-    """Free nonlinear motion of craft from states x (R, 6) at targets (R, 6), at nodes h [s] apart.
-
-    Shape (R, nodes + 1, 6).
-    """
-
-    def rate(later: int, state: Array) -> Array:
-        x_rate, target_rate, _ = relative_rate(env, state[:, 6:], state[:, :6], ballistic)
-        return np.concatenate([x_rate, target_rate], axis=1)
-
-    path = [np.concatenate([x, target], axis=1)]
-    for _ in range(nodes):
-        path.append(runge_kutta(rate, path[-1], h, rate(0, path[-1])))
-    return np.stack(path, axis=1)[..., :6]
