@@ -40,6 +40,9 @@ from .rta.method import Method as Method
 from .rta.method import Seen as Seen
 from .rta.method_result import MethodResult as MethodResult
 from .rta.methods.monitor import Monitor as Monitor
+from .rta.one_call import Backup as Backup
+from .rta.one_call import Decision as Decision
+from .rta.one_call import RunTimeFilter as RunTimeFilter
 from .rta.online.decision_log import DecisionLog as DecisionLog
 from .rta.online.decision_log import read_log as read_log
 from .rta.online.estimate import Measurement as Measurement

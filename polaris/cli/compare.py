@@ -57,6 +57,7 @@ def compare_command(scenario: Name, options: Options) -> None:
     stages = ShownStages(options.quiet or options.as_json)
     with stages.stage("load"):
         from ..rta.arena import compare_methods
+        from ..rta.decision_grid import DecisionGrid
         from ..runs.atomic import check_target
         from ..runs.comparison import write_comparison
         from ..scenario.scenario import ScheduleScenario, load_scenario
@@ -69,13 +70,10 @@ def compare_command(scenario: Name, options: Options) -> None:
         schedule = synthesize(loaded)
     with stages.stage("flights"):
         comparison = compare_methods(
-            schedule,
+            DecisionGrid.of(schedule, options.period, options.latency, half),
             options.runs,
             options.seed,
             methods=None if options.methods is None else options.methods.replace(" ", "").split(","),
-            period=options.period,
-            latency=options.latency,
-            half_widths=half,
             tuning=tuning,
             progress=lambda key, done, total: stages.note(f"flights: {key}", done, total),
         )

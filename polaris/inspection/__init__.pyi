@@ -8,9 +8,6 @@ from .constraints.families import Rows as Rows
 from .constraints.motion import SampledData as SampledData
 from .constraints.strengthening import Strengthening as Strengthening
 from .filters.asif import ActiveSetFilter as ActiveSetFilter
-from .filters.decision import Backup as Backup
-from .filters.decision import Decision as Decision
-from .filters.decision import RunTimeFilter as RunTimeFilter
 from .filters.explicit import Centralized as Centralized
 from .filters.explicit import Decentralized as Decentralized
 from .filters.explicit import Filtered as Filtered

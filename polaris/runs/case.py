@@ -14,8 +14,7 @@ from ..model.errors import ScenarioError
 from ..model.system import Array
 from ..scenario.scenario import ScheduleScenario, load_scenario
 from ..simulation.falsification.attacks import Attack
-from ..simulation.falsification.claims import Claims
-from ..simulation.falsification.measure import attained
+from ..simulation.falsification.claims import Claims, attained
 from ..simulation.falsification.search import Failure, Falsification, violation
 from ..simulation.integration import Integrator
 from ..synthesis.schedule import Schedule

@@ -16,9 +16,9 @@ from .filter_tables import (
 
 if TYPE_CHECKING:
     from ..inspection.constraints.strengthening import Strengthening
-    from ..inspection.filters.decision import RunTimeFilter
     from ..inspection.flights.simulation import BatchFilter
     from ..inspection.inspection import Inspection
+    from ..rta.one_call import RunTimeFilter
 
 _FIELDS = {
     "response": "response_s",

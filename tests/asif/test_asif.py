@@ -247,7 +247,7 @@ def test_a_backup_that_raises_is_recorded(drawn):
         raise RuntimeError("no")
 
     decision = ActiveSetFilter(Q, backup=broken, sun_start=float(sun[0])).filter(0.0, x[0], None)
-    assert "the backup controller failed: RuntimeError" in decision.fallback
+    assert "the backup controller failed: raised RuntimeError" in decision.fallback
     assert np.isfinite(decision.u).all()
     shape = ActiveSetFilter(Q, backup=lambda t, z: np.zeros((2, 2)), sun_start=float(sun[0]))
     assert "the backup controller failed" in shape.filter(0.0, x[0], None).fallback

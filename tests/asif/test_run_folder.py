@@ -14,7 +14,7 @@ from polaris.model.errors import ScenarioError
 from polaris.runs.inspection import covered_periods
 from polaris.runs.run import read_run
 from polaris.scenario.scenario import load_scenario
-from polaris.simulation.intervals import lower_bound
+from polaris.simulation.metrics import lower_bound
 
 SHORT = ("--set", "flight.duration_s=20")
 CAMPAIGN = ("campaign", "inspection-monte-carlo", "--runs", "2", "--set", "campaign.duration_s=5")

@@ -18,7 +18,7 @@ from polaris.runs.atomic import replacing
 from polaris.runs.campaign import Interrupted, Workers, batch, local, make_cases, read_campaign, schedules
 from polaris.runs.ownership import MANIFEST
 from polaris.scenario.scenario import load_scenario
-from polaris.simulation.intervals import violation_interval
+from polaris.simulation.metrics import violation_interval
 from polaris.simulation.run_metrics import evaluate
 from polaris.simulation.simulate import simulate
 from polaris.synthesis.synthesize import synthesize

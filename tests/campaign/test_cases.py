@@ -9,7 +9,7 @@ from scipy.stats import binom
 from polaris.model.errors import ScenarioError
 from polaris.runs.campaign import CampaignPlan, ScheduleRuns, make_cases, parse_grid
 from polaris.runs.campaign.schedules import batch_seeds
-from polaris.simulation.intervals import POSSIBLE, mean_interval, possible, violation_interval
+from polaris.simulation.metrics import POSSIBLE, mean_interval, possible, violation_interval
 from tests.campaign.scene import TINY, cases
 
 

@@ -7,15 +7,15 @@ from collections.abc import Collection, Mapping
 import numpy as np
 
 from ...model.system import Array
+from ...rta.one_call import Answer, Backup, CallByCall, named
 from ...rta.projection import FAILED, SHORT
+from ...rta.received import Received, Receiver
 from ..constraints.families import Families, Rows
 from ..constraints.motion import SampledData
 from ..constraints.strengthening import Strengthening
 from ..inspection import Inspection
 from ..vectors import dot
-from .decision import Answer, Backup, CallByCall, named
 from .explicit import CENTRALIZED, make_filter
-from .received import Received, Receiver
 
 TIGHT = 1e-7
 """A condition counts as active if the input misses equality by less [N]."""
@@ -65,6 +65,7 @@ class ActiveSetFilter(CallByCall):
         # Several rows may stand for one constraint; they follow each other.
         self._starts = np.flatnonzero(np.append(True, labels[1:] != labels[:-1]))
         self._names = tuple(labels[self._starts].tolist())
+        self.inspection = inspection
         super().__init__(inspection, None if sampled is None else sampled.period)
 
     def reset(self) -> None:

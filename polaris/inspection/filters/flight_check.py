@@ -12,12 +12,12 @@ import numpy as np
 
 from ...model.hill import free_flight
 from ...model.system import Array
+from ...rta.received import Received
 from ..backup.backup_flight import fly_backup, periods
 from ..backup.parking import Memoryless, Outlook
 from ..constraints.allowable_set import AllowableRows
 from ..enmt import semi_axes
 from ..vectors import length
-from .received import Received
 
 PHASES = 360
 """Instants at which a parking orbit is looked at over one revolution."""

@@ -16,11 +16,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...model.errors import ScenarioError
 from ...model.system import Array
+from ...rta.one_call import Answer, CallByCall, Switch
+from ...rta.received import Received, listed
 from ..backup.backup_flight import BackupFlight, fly_backup, periods
 from ..backup.parking import Law, Parking
 from ..inspection import Inspection
-from .decision import Answer, CallByCall, Switch
-from .received import Received, listed
 
 
 class FuelLimit(CallByCall):
@@ -83,6 +83,7 @@ class FuelLimit(CallByCall):
         self.latched = np.zeros(q.deputies, dtype=bool)
         self.log: list[Switch] = []
         self.predicted: BackupFlight | None = None
+        self.inspection = q
         super().__init__(q, self.law.period)
         self._memory: list[Array | None] = [None] * q.deputies
         self._due = np.inf

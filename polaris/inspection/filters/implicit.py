@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 from ...model.checks import positive
 from ...model.hill import free_flight
 from ...model.system import Array
+from ...rta.one_call import Answer, CallByCall, named
 from ...rta.projection import FILTERED, solve
+from ...rta.received import Received
 from ..backup.backup_flight import BackupFlight, fly_backup, sensitivities
 from ..backup.parking import Memoryless, Parking
 from ..inspection import Inspection
-from .decision import Answer, CallByCall, named
 from .flight_check import FlightCheck
-from .received import Received
 
 SAMPLES = 40
 """Most samples along the flight for which there is a condition."""
@@ -70,6 +70,7 @@ class ImplicitASIF(CallByCall):
         self.law: Memoryless = Parking(inspection) if law is None else law
         self.check = FlightCheck(self.law, horizon, sun_start, without)
         self.rate = positive("rate", rate, "1/s")
+        self.inspection = inspection
         super().__init__(inspection, self.law.period)
         times = np.linspace(0.0, 2 * np.pi / inspection.mean_motion, ORBIT, endpoint=False)
         self._times, self._orbit = times, free_flight(inspection.mean_motion, times)

@@ -7,9 +7,9 @@ from collections.abc import Callable
 import numpy as np
 
 from ...model.system import Array
+from ...rta.one_call import RunTimeFilter
 from ...rta.projection import DESIRED, FAILED, FILTERED, SHORT
 from ..constraints.families import Families
-from .decision import RunTimeFilter
 from .explicit import Filtered
 
 BACKUP, UNPROVEN = FAILED + 1, FAILED + 2

@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 from ...model.checks import non_negative, positive, whole
 from ...model.errors import ScenarioError
 from ...model.system import Array
+from ...rta.one_call import Answer, Backup, CallByCall, Switch, named
+from ...rta.received import Received
 from ..backup.parking import Memoryless, Parking
 from ..constraints.families import Families
 from ..inspection import Inspection
-from .decision import Answer, Backup, CallByCall, Switch, named
 from .explicit import Centralized
 from .flight_check import FlightCheck
-from .received import Received
 
 
 class Guarded:
@@ -72,6 +72,7 @@ class Latched(CallByCall):
         dwell: float,
     ) -> None:
         self.backup, self.period = backup, positive("period", period, "s")
+        self.inspection = inspection
         super().__init__(inspection, self.period)
         if (release < margin).any():
             raise ScenarioError("release", float(release.min()), "must be at least the margin")

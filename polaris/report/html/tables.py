@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ...simulation.intervals import possible
+from ...simulation.metrics import possible
 from ...synthesis.recoverable import directed
 
 ABSENT = {

@@ -18,7 +18,7 @@ from ...inspection.flights.studies import Outcome, Study, fly_block
 from ...model.system import Array
 from ...scenario.filter_tables import DecentralizedFilter
 from ...scenario.scenario import MonteCarloScenario
-from ...simulation.intervals import CONFIDENCE, lower_bound
+from ...simulation.metrics import CONFIDENCE, lower_bound
 from ..arrays import held_by
 from ..folder import summary_of
 from ..inspection import ARRAYS

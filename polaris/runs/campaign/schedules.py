@@ -19,7 +19,7 @@ from ...model.satellite import true_states
 from ...model.system import Array
 from ...scenario.scenario import ScheduleScenario
 from ...simulation.disturbances import Disturbance
-from ...simulation.intervals import CONFIDENCE, mean_interval, possible, violation_interval
+from ...simulation.metrics import CONFIDENCE, mean_interval, possible, violation_interval
 from ...simulation.run_metrics import PART, Runs, evaluate
 from ...simulation.simulate import DISTURBANCES, INITIALS, Initial, simulate
 from ...synthesis.schedule import Schedule
