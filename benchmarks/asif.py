@@ -20,7 +20,7 @@ import numpy as np
 from polaris.inspection.constraints.families import Families
 from polaris.inspection.constraints.motion import SampledData
 from polaris.inspection.filters.asif import ActiveSetFilter
-from polaris.inspection.flights.sampling import initial_conditions
+from polaris.inspection.flights.sampling import InitialConditions
 from polaris.inspection.inspection import Inspection
 from polaris.runs.campaign import local
 from polaris.runs.monte_carlo import run_monte_carlo
@@ -51,7 +51,7 @@ def time_filter(deputies: int, sharing: str, sampled: bool, calls: int = 2000) -
 def _states(inspection: Inspection, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Safe states; for many deputies, where samples are never accepted, slow ones anywhere."""
     if inspection.deputies <= 6:
-        x, sun, _ = initial_conditions(Families(inspection), count, seed=1)
+        x, sun = InitialConditions(Families(inspection), seed=1).first(count)
         return x, sun
     rng = np.random.default_rng(1)
     x = np.zeros((count, inspection.deputies, 6))

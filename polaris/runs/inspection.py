@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from ..inspection.flights.judge import JudgedRun, Stopwatch, judge
-from ..inspection.flights.simulation import InspectionRun, fly_one
+from ..inspection.flights.judge import JudgedRun, judge
+from ..inspection.flights.simulation import Flights, InspectionRun, fly_one, whole_periods
 from ..scenario.scenario import FlightScenario
 from . import inspection_summary as told
 from .arrays import read_finite
@@ -41,17 +41,20 @@ def fly_flight(scenario: FlightScenario, stages: Stages | None = None) -> Judged
     """Fly one flight of the inspection problem and judge it, also between the samples."""
     stages, flight = stages or Stages(), scenario.model.flight
     with stages.stage("flight"):
-        total = int(np.rint(flight.duration_s / flight.period_s))
-        counting = stages.counting("flight: {} of {} periods")
-        watch = Stopwatch(
-            scenario.filter(scenario.model.filter, flight.period_s), lambda done: counting(done, total)
-        )
         x, sun = scenario.initial()
-        run = fly_one(
-            scenario.inspection(), watch, scenario.primary(), x, sun, flight.duration_s, flight.period_s
+        flights = Flights(
+            scenario.inspection(),
+            x[None],
+            np.array([sun]),
+            flight.duration_s,
+            flight.period_s,
+            scenario.primary(),
         )
-        constraints, barriers = judge(run, scenario.families(), flight.between)
-    return JudgedRun(run, constraints, barriers, np.array(watch.seconds))
+        total = whole_periods(flight.duration_s, flight.period_s)
+        counting = stages.counting("flight: {} of {} periods")
+        filtering = scenario.filter(scenario.model.filter, flight.period_s)
+        run = fly_one(flights, filtering, lambda done: counting(done, total))
+        return judge(run, scenario.families(), flight.between)
 
 
 def _write(folder: Path, scenario: FlightScenario, found: JudgedRun) -> None:

@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..inspection.constraints.allowable_set import allowable
-from ..inspection.filters.one_flight import BACKUP, UNPROVEN
 from ..inspection.flights.judge import JudgedRun, Least
-from ..inspection.flights.simulation import InspectionRun
+from ..inspection.flights.simulation import BACKUP, UNPROVEN, InspectionRun
 from ..rta.projection import DESIRED, FAILED, FILTERED, SHORT
 from ..scenario.filter_tables import (
     BackupFilter,
@@ -92,9 +91,9 @@ def tell(scenario: FlightScenario, flown: JudgedRun, seconds: Mapping[str, float
         "steps": steps(run.status),
         "delta_v_m_s": spent,
         "filter_seconds": {
-            "median": float(np.median(flown.seconds)),
-            "p99": float(np.quantile(flown.seconds, 0.99)),
-            "largest": float(flown.seconds.max()),
+            "median": float(np.median(run.seconds)),
+            "p99": float(np.quantile(run.seconds, 0.99)),
+            "largest": float(run.seconds.max()),
         },
         "guarantee": guarantee(model, flown),
         "definitions": DEFINITIONS,

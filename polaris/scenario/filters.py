@@ -68,8 +68,8 @@ def _backup_filter(
     from ..inspection.constraints.families import Families
     from ..inspection.filters.explicit import Centralized
     from ..inspection.filters.implicit import ImplicitASIF
-    from ..inspection.filters.one_flight import OneFlight
     from ..inspection.filters.simplex import ExplicitSimplex, Guarded, ImplicitSimplex
+    from ..inspection.flights.simulation import OneFlight
 
     assert not isinstance(spec, BarrierFilter)
     law, watched = Parking(q, period=period, response=spec.response_s), Families(q, alpha, spec.without)

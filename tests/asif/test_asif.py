@@ -11,7 +11,7 @@ from polaris.inspection.constraints.families import Families
 from polaris.inspection.constraints.motion import SampledData
 from polaris.inspection.filters.asif import ActiveSetFilter
 from polaris.inspection.filters.explicit import Centralized
-from polaris.inspection.flights.sampling import initial_conditions
+from polaris.inspection.flights.sampling import InitialConditions
 from polaris.inspection.inspection import Inspection
 from polaris.model.errors import ScenarioError
 
@@ -23,7 +23,7 @@ SHARINGS = ("centralized", "coasting", "half", "consensus")
 
 @pytest.fixture(scope="module")
 def drawn():
-    x, sun, _ = initial_conditions(Families(Q), 6, seed=4)
+    x, sun = InitialConditions(Families(Q), seed=4).first(6)
     return x, sun
 
 

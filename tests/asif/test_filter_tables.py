@@ -12,8 +12,8 @@ from polaris.inspection.backup.parking import Parking
 from polaris.inspection.constraints.families import Families
 from polaris.inspection.filters.explicit import Centralized
 from polaris.inspection.filters.implicit import ImplicitASIF
-from polaris.inspection.filters.one_flight import BACKUP, UNPROVEN
 from polaris.inspection.filters.simplex import ExplicitSimplex, Guarded, ImplicitSimplex
+from polaris.inspection.flights.simulation import BACKUP, UNPROVEN
 from polaris.model.errors import ScenarioError
 from polaris.rta.projection import FILTERED
 from polaris.runs.run import read_run

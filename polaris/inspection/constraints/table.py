@@ -131,7 +131,8 @@ class Table:
         for name in without:
             if name not in FAMILIES:
                 raise ScenarioError("without", name, f"must be one of {', '.join(FAMILIES)}")
-        q = self.inspection = inspection
+        q, self.approach = inspection, approach
+        self.inspection = inspection
         self.groups = _groups(q, without, approach, sampled, beyond)
         if not self.groups:
             raise ScenarioError("without", sorted(without), "must leave a constraint")
@@ -139,7 +140,8 @@ class Table:
         self.family = tuple(name for g in self.groups for name in g.family for _ in range(g.repeat))
         self.number = tuple(name for g in self.groups for name in g.number for _ in range(g.repeat))
         alone = np.stack([np.arange(q.deputies), np.full(q.deputies, -1)], axis=1)
-        self.first, self.second = np.concatenate([alone, q.pairs])[self.place].T
+        self.everyone = np.concatenate([alone, q.pairs])
+        self.first, self.second = self.everyone[self.place].T
 
     def names(self, letter: str) -> tuple[str, ...]:
         """Names of the rows: ``h1[2]``, ``h2[0,3]``, for a letter of h or phi."""

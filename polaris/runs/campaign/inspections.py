@@ -12,14 +12,12 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ...inspection.constraints.motion import SampledData
-from ...inspection.flights.sampling import InitialConditions, initial_conditions
-from ...inspection.flights.simulation import InspectionRun, Kept
-from ...inspection.flights.studies import Outcome, Study, fly_block
+from ...inspection.flights.blocks import Outcome, fly_block
+from ...inspection.flights.sampling import InitialConditions
+from ...inspection.flights.simulation import BatchFilter, Flights, InspectionRun, Kept
 from ...model.errors import ScenarioError
 from ...model.system import Array
 from ...model.version import versions
-from ...scenario.filter_tables import DecentralizedFilter
 from ...scenario.scenario import MonteCarloScenario
 from ...simulation.intervals import CONFIDENCE, lower_bound
 from ..inspection import flight_arrays
@@ -91,21 +89,20 @@ class InspectionRuns:
         self, task: Task, mode: str, run: int | None = None
     ) -> tuple[dict[str, Array], InspectionRun | None]:
         """Columns of one study, shapes (runs,), and one of the runs if asked for."""
-        scenario, drawn, studies = _made(task.text)
+        scenario, drawn, filters = _made(task.text)
         plan, q = scenario.model.campaign, scenario.inspection()
         x, sun = (values[task.first :] for values in drawn.first(task.first + task.runs))
-        kept = None if run is None else Kept(run)
-        outcome = fly_block(q, studies[mode], x, sun, plan.duration_s, plan.period_s, kept=kept)
+        flights = Flights(q, x, sun, plan.duration_s, plan.period_s)
+        kept = None if run is None else Kept(flights, run)
+        outcome = fly_block(flights, filters[mode], kept)
         columns = {
             "run": np.arange(task.runs, dtype=np.int64),
             "mode": np.repeat(mode, task.runs),
             "sun_rad": sun,
             **dict(zip(_names(q.deputies), x.reshape(task.runs, -1).T, strict=True)),
-            **outcome.columns(),
+            **outcome.columns,
         }
-        if kept is None or run is None:
-            return columns, None
-        return columns, kept.flight(q, float(sun[run]), plan.duration_s, plan.period_s)
+        return columns, None if kept is None else kept.flight()
 
     def summarise(self, results: Results, worst: int) -> dict[str, Any]:
         """As `Kind.summarise`."""
@@ -125,9 +122,10 @@ class InspectionRuns:
         }
         for failure in results.failures.values():
             return told | {"failure": failure["message"], "exit_code": failure["exit_code"]}
-        _, _, acceptance = initial_conditions(scenario.families(), results.runs, plan.seed)
+        drawn = InitialConditions(scenario.families(), plan.seed)
+        drawn.first(results.runs)
         return told | {
-            "acceptance": acceptance,
+            "acceptance": drawn.acceptance,
             "studies": [
                 _told(name, outcome) for name, outcome in outcomes(case, results.read(0, None)).items()
             ],
@@ -143,30 +141,12 @@ def case_of(scenario: MonteCarloScenario) -> Case:
     return Case(scenario.name, (), scenario.set("campaign.runs", 1).to_toml())
 
 
-def studies_of(scenario: MonteCarloScenario) -> dict[str, Study]:
-    """The studies of a scenario by name."""
-    model, alpha = scenario.model, scenario.strengthening()
-    return {
-        study.name: Study(
-            study.name,
-            study.filter.sharing if isinstance(study.filter, DecentralizedFilter) else "centralized",
-            tuple(study.filter.without),
-            alpha,
-            SampledData(model.campaign.period_s, study.filter.sampled_data_share)
-            if study.filter.sampled_data
-            else None,
-        )
-        for study in model.studies
-    }
-
-
 def outcomes(case: Case, columns: Mapping[str, Array]) -> dict[str, Outcome]:
     """Results of every study, from the columns of all runs."""
+    mode = columns["mode"]
     return {
-        name: Outcome.from_columns(
-            study, {key: all_[columns["mode"] == name] for key, all_ in columns.items()}
-        )
-        for name, study in _made(case.text)[2].items()
+        study.name: Outcome({key: values[mode == study.name] for key, values in columns.items()})
+        for study in _made(case.text)[0].model.studies
     }
 
 
@@ -178,11 +158,13 @@ def initial_states(columns: Mapping[str, Array]) -> Array:
 
 
 @lru_cache(2)
-def _made(text: str) -> tuple[MonteCarloScenario, InitialConditions, dict[str, Study]]:
-    """What a process needs of a case: whoever flies draws the initial conditions."""
+def _made(text: str) -> tuple[MonteCarloScenario, InitialConditions, dict[str, BatchFilter]]:
+    """What a process needs of a case: whoever flies draws the initial conditions; filters by study."""
     scenario = MonteCarloScenario.from_dict(tomllib.loads(text))
-    drawn = InitialConditions(scenario.families(), scenario.model.campaign.seed)
-    return scenario, drawn, studies_of(scenario)
+    plan = scenario.model.campaign
+    drawn = InitialConditions(scenario.families(), plan.seed)
+    filters = {study.name: scenario.filter(study.filter, plan.period_s) for study in scenario.model.studies}
+    return scenario, drawn, filters
 
 
 def _names(deputies: int) -> list[str]:
@@ -198,7 +180,7 @@ def _told(name: str, outcome: Outcome) -> dict[str, Any]:
         "success_share_lower_95": lower_bound(successes, runs),
         "failures": dict(sorted(Counter(str(one["what"]) for one in outcome.failures()).items())),
         "least": {key: float(values.min()) for key, values in outcome.least.items()},
-        "interventions_share": float(outcome.interventions.mean()),
+        "interventions_share": float(np.mean(outcome.columns["interventions_share"])),
         "delta_v_mean_m_s": float(outcome.delta_v.mean()),
     }
 
