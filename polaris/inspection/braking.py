@@ -21,16 +21,8 @@ class Braking:
     so whatever respects it respects eq. 27. Braking in the layer needs ``k^2 delta <= a`` only.
 
     Outside (``delta < 0``) ``s = k delta / (1 + k |delta| / c)``, which has the same value and slope at 0
-    and never asks for a way back faster than c, however far outside.
-
-    Parameters
-    ----------
-    acceleration : array_like
-        a [m/s^2], > 0; broadcasts against delta.
-    depth : float
-        d [m], > 0.
-    back : float
-        c [m/s], > 0.
+    and never asks for a way back faster than c, however far outside. The acceleration a [m/s^2] broadcasts
+    against delta; the depth d is in m, the speed back c in m/s, and all are positive.
     """
 
     acceleration: Array | float

@@ -329,7 +329,7 @@ def test_keeping_h_keeps_phi(seed):
         back = then[of] - now[of]
         if name in ("h4", "h5"):
             held = h[:, names == name]
-            apart = np.array([f"phi{number}".rstrip("+-") == of for number in rows.number])
+            apart = np.array([label.split("[")[0].rstrip("+-") == of for label in rows.labels])
             back, outside = (signed[1] - signed[0])[:, apart], signed[0][:, apart] < 0
         assert (back[outside & (held >= 0)] > 0).all(), name
     for name in ("h9", "h10", "h11"):

@@ -24,16 +24,10 @@ from .motion import Motion
 
 
 class Evaluation(NamedTuple):
-    """A barrier, or the constraint that it keeps, at some states.
+    """A barrier, or the constraint that it keeps, at some states (..., 6).
 
-    Attributes
-    ----------
-    h : ndarray, shape (...)
-        Value, >= 0 inside.
-    gradient : ndarray, shape (..., 6)
-        With respect to the state.
-    change : ndarray, shape (...) or float
-        Partial derivative with respect to time [1/s].
+    Its value (...), >= 0 inside; the gradient (..., 6) by the state; the partial derivative with respect to
+    time [1/s], (...) or a number.
     """
 
     h: Array
@@ -43,6 +37,11 @@ class Evaluation(NamedTuple):
 
 class Barrier(ABC):
     """A constraint ``phi(t, z) >= 0`` and a control-invariant ``h(t, z) >= 0`` that keeps it."""
+
+    @property
+    def repeat(self) -> int:
+        """Rows per state."""
+        return 1
 
     @abstractmethod
     def __call__(self, z: Array, sun: ArrayLike = 0.0) -> Evaluation:
@@ -57,20 +56,17 @@ class Barrier(ABC):
         raise TypeError(f"no bound for {type(self).__name__}")
 
 
+def join(by_position: Array, by_velocity: Array) -> Array:
+    """A gradient from its halves, (..., 3) each."""
+    return np.concatenate([by_position, by_velocity], axis=-1)
+
+
 @dataclass(frozen=True, eq=False)
 class Radial(Barrier):
-    """Stop before a sphere: h1 (eq. 29), h2 (eq. 30) from outside, h6 (eq. 36) from inside.
+    """Stop before a sphere: h1 (eq. 29), h2 (eq. 30) from outside (`side` +1), h6 (eq. 36) from inside (-1).
 
-    ``h = s(delta) + d(delta)/dt`` with ``delta = side (norm(p) - radius)``.
-
-    Parameters
-    ----------
-    radius : array_like
-        [m]
-    braking : Braking
-        With a_max for one deputy, 2 a_max for two that both brake.
-    side : array_like
-        +1 to stay outside, -1 to stay inside.
+    ``h = s(delta) + d(delta)/dt`` with ``delta = side (norm(p) - radius)`` [m]; the braking has a_max for one
+    deputy, 2 a_max for two that both brake.
     """
 
     radius: Array | float
@@ -83,18 +79,15 @@ class Radial(Barrier):
         distance, toward = rounded_length(p, CENTRE)
         speed, slope = self.braking(self.side * (distance - self.radius))
         away = dot(toward, v)
-        gradient = np.empty(z.shape)
-        gradient[..., :3] = slope[..., None] * toward + turning(v, toward, away, distance)
-        gradient[..., 3:] = toward
+        gradient = join(slope[..., None] * toward + turning(v, toward, away, distance), toward)
         gradient *= np.asarray(self.side)[..., None]
         return Evaluation(speed + self.side * away, gradient, 0.0)
 
     def phi(self, z: Array, sun: ArrayLike = 0.0) -> Evaluation:
         """Evaluate the signed distance delta [m] itself."""
         distance, toward = rounded_length(z[..., :3], CENTRE)
-        gradient = np.zeros(z.shape)
-        gradient[..., :3] = np.asarray(self.side)[..., None] * toward
-        return Evaluation(self.side * (distance - self.radius), gradient, 0.0)
+        toward = np.asarray(self.side)[..., None] * toward
+        return Evaluation(self.side * (distance - self.radius), join(toward, np.zeros_like(toward)), 0.0)
 
     def curvature(self, z: Array, sun: ArrayLike, motion: Motion) -> Array:
         """Bound M; see `Barrier.curvature`."""
@@ -116,24 +109,14 @@ class Radial(Barrier):
 class SunCone(Barrier):
     """Stop before the cone of positions from which the sensor would see the sun: h4, h5 (eqs. 33 to 35).
 
-    The cone has its apex at the origin, its axis along ``-r_s`` (`side` +1) and half the field of view
-    as its angle. Let ``delta = cos(theta) norm(p_perp) - sin(theta) <p, axis>``, the signed distance from
-    the line through the apex that eq. 34 projects onto. The cone turns with the sun, at -n (theory, item
+    The cone has its apex at the origin, its axis along ``-r_s`` (`side` +1) or ``r_s`` (-1) and half the
+    field of view as its angle theta [rad]. Let ``delta = cos(theta) norm(p_perp) - sin(theta) <p, axis>``,
+    the signed distance from the line through the apex that eq. 34 projects onto. The cone turns with the sun, at -n (theory, item
     16), so that ``d(delta)/dt = <normal, v - w x p>`` with ``w = [0, 0, -n]``, and
     ``h = s(delta) + d(delta)/dt``.
 
     For a pair of deputies both cones count, the one about ``-r_s`` and the one about ``r_s``: eq. 35's
     choice of the nearer jumps where they are equally near.
-
-    Parameters
-    ----------
-    half_angle : float
-        theta [rad].
-    mean_motion : float
-        n [rad/s].
-    braking : Braking
-    side : array_like
-        +1 for the cone about ``-r_s``, -1 for the one about ``r_s``.
     """
 
     half_angle: float
@@ -172,19 +155,16 @@ class SunCone(Barrier):
         across = slip - forward[..., None] * axis
         away = dot(outward, across)
         c, s = np.cos(self.half_angle), np.sin(self.half_angle)
-        gradient = np.empty(z.shape)
-        gradient[..., :3] = slope[..., None] * normal + normal @ self._turn[:3, :3]
-        gradient[..., :3] += c * turning(across, outward, away, radius)
-        gradient[..., 3:] = normal
+        by_position = slope[..., None] * normal + normal @ self._turn[:3, :3]
+        gradient = join(by_position + c * turning(across, outward, away, radius), normal)
         return Evaluation(speed + c * away - s * forward, gradient, -dot(gradient, turned))
 
     def phi(self, z: Array, sun: ArrayLike = 0.0) -> Evaluation:
         """Evaluate the signed distance delta [m] itself."""
         delta, normal, *_ = self._geometry(z[..., :3], sun)
-        gradient = np.zeros(z.shape)
-        gradient[..., :3] = normal
         # What the sun's turning changes is what turning the position back would.
-        return Evaluation(delta, gradient, -dot(normal, (z @ self._turn)[..., :3]))
+        change = -dot(normal, (z @ self._turn)[..., :3])
+        return Evaluation(delta, join(normal, np.zeros_like(normal)), change)
 
     def curvature(self, z: Array, sun: ArrayLike, motion: Motion) -> Array:
         """Bound M; see `Barrier.curvature`."""
