@@ -14,6 +14,7 @@ from .filters.decision import RunTimeFilter as RunTimeFilter
 from .filters.explicit import Centralized as Centralized
 from .filters.explicit import Decentralized as Decentralized
 from .filters.explicit import Filtered as Filtered
+from .filters.flight_check import FlightCheck as FlightCheck
 from .filters.fuel import FuelLimit as FuelLimit
 from .filters.implicit import ImplicitASIF as ImplicitASIF
 from .filters.simplex import ExplicitSimplex as ExplicitSimplex

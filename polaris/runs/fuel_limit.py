@@ -29,9 +29,7 @@ def fly_fuel(scenario: FuelLimitScenario, stages: Stages | None = None) -> FuelR
     model, flight = scenario.model, scenario.model.flight
     shown = np.linspace(0, flight.duration_s, model.fuel.predictions + 1)[:-1]
     with (stages or Stages()).stage("flight"):
-        filtering = FuelLimit(
-            scenario.inspection(), scenario.backup(), model.fuel.keep_clear, spent=model.fuel.spent_m_s
-        )
+        filtering = FuelLimit(scenario.backup(), model.fuel.keep_clear, spent=model.fuel.spent_m_s)
         return fly_fuel_limit(
             filtering, scenario.primary(), model.initial_state, flight.duration_s, shown.tolist()
         )

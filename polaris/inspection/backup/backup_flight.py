@@ -30,16 +30,8 @@ def periods(horizon: float, period: float) -> int:
 class BackupFlight:
     """A predicted flight of N deputies over K periods.
 
-    Attributes
-    ----------
-    x : ndarray, shape (K+1, N, 6)
-        States at the ends of the periods; the first are the given ones.
-    u : ndarray, shape (K, N, 3)
-        Thrust held [N].
-    memory : ndarray, shape (N, m)
-        What the law remembers at the end.
-    outlook : Outlook
-        What is known from the end on.
+    States x (K+1, N, 6) at the ends of the periods, the first those given; thrust u (K, N, 3) held [N];
+    what the law remembers at the end (N, m); and what is known from there on.
     """
 
     x: Array
@@ -55,21 +47,13 @@ class BackupFlight:
         return np.asarray(np.abs(self.u).sum(axis=(0, 2)) * (period / mass) + self.outlook.delta_v)
 
 
-def fly_backup(law: Law, x: Array, memory: Array, steps: int, share: float = 1.0) -> BackupFlight:
-    """Fly until all deputies have settled, at most `steps` periods.
+def fly_backup(law: Law, x: Array, steps: int, share: float = 1.0) -> BackupFlight:
+    """Fly from states (N, 6) until all deputies have settled, at most `steps` periods.
 
-    Parameters
-    ----------
-    law : Law
-    x : ndarray, shape (N, 6)
-        Finite states [m, m/s].
-    memory : ndarray, shape (N, m)
-        As ``law.start(x)`` returns it, or what a flight has left.
-    steps : int
-    share : float
-        Fly on until no more than this share of the thrust limit will be used. The smaller, the longer the
-        flight, and the nearer its end to the parking orbit.
+    That is until no more than a `share` of the thrust limit will be used: the smaller, the longer the flight,
+    and the nearer its end to the parking orbit.
     """
+    memory = law.start(x)
     Phi, Gamma = (matrix.T for matrix in law.motion)
     states, inputs = [x], []
     for k in range(steps):
@@ -85,16 +69,8 @@ def fly_backup(law: Law, x: Array, memory: Array, steps: int, share: float = 1.0
 
 
 def sensitivities(law: Memoryless, x: Array) -> Array:
-    """Derivatives of a flight's states by its first, shape (K+1, N, 6, 6).
+    """Derivatives of a flight's states x (K+1, N, 6) by its first, shape (K+1, N, 6, 6).
 
-    Parameters
-    ----------
-    law : Memoryless
-    x : ndarray, shape (K+1, N, 6)
-        The flight.
-
-    Notes
-    -----
     Clipped axes do not answer to the state. Where the thrust itself jumps (the limits of `Ellipses`) the
     derivative leaves the jump out.
     """

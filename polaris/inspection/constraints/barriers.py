@@ -111,8 +111,8 @@ class SunCone(Barrier):
 
     The cone has its apex at the origin, its axis along ``-r_s`` (`side` +1) or ``r_s`` (-1) and half the
     field of view as its angle theta [rad]. Let ``delta = cos(theta) norm(p_perp) - sin(theta) <p, axis>``,
-    the signed distance from the line through the apex that eq. 34 projects onto. The cone turns with the sun, at -n (theory, item
-    16), so that ``d(delta)/dt = <normal, v - w x p>`` with ``w = [0, 0, -n]``, and
+    the signed distance from the line through the apex that eq. 34 projects onto. The cone turns with the
+    sun, at -n (theory, item 16), so that ``d(delta)/dt = <normal, v - w x p>`` with ``w = [0, 0, -n]``, and
     ``h = s(delta) + d(delta)/dt``.
 
     For a pair of deputies both cones count, the one about ``-r_s`` and the one about ``r_s``: eq. 35's

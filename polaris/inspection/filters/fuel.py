@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from ...model.errors import ScenarioError
 from ...model.system import Array
 from ..backup.backup_flight import BackupFlight, fly_backup, periods
-from ..backup.parking import Law, Parking
+from ..backup.parking import Law
 from ..inspection import Inspection
 from .decision import Answer, CallByCall, Switch
 from .received import Received, listed
@@ -31,9 +31,8 @@ class FuelLimit(CallByCall):
 
     Parameters
     ----------
-    inspection : Inspection
-    law : Law, optional
-        Backup law; default ``Parking(inspection)``. Its period is the filter's: call it once per period.
+    law : Law
+        Backup law, as `Parking` or `Tracker`. Its period is the filter's: call it once per period.
     keep_clear : bool
         The predicted flight must also keep away from the chief; the printed condition has fuel only.
     horizon : float
@@ -64,17 +63,13 @@ class FuelLimit(CallByCall):
 
     def __init__(
         self,
-        inspection: Inspection,
-        law: Law | None = None,
+        law: Law,
         keep_clear: bool = True,
         horizon: float = 3000.0,
         spent: ArrayLike = 0.0,
     ) -> None:
-        q = inspection
-        self.law = Parking(q) if law is None else law
-        if self.law.inspection != q:
-            raise ScenarioError("law", type(law).__name__, "must be for the same inspection problem")
-        self.keep_clear = keep_clear
+        q = law.inspection
+        self.law, self.keep_clear = law, keep_clear
         self.steps = periods(horizon, self.law.period)
         before = np.asarray(spent, dtype=float)
         if before.shape not in ((), (q.deputies,)) or not (np.isfinite(before) & (before >= 0)).all():
@@ -119,7 +114,7 @@ class FuelLimit(CallByCall):
         Phi, Gamma = self.law.motion
         x, u = got.x[asked], got.u[asked]
         after = x @ Phi.T + u @ Gamma.T
-        flight = self.predicted = fly_backup(self.law, after, self.law.start(after), self.steps)
+        flight = self.predicted = fly_backup(self.law, after, self.steps)
         coming = np.abs(u).sum(axis=1) * D / q.mass
         reserve = q.delta_v_max - self.spent[asked] - coming - flight.delta_v(q.mass, D)
         nearest = clearance(flight, x, u, q, D) if self.keep_clear else np.full(len(x), np.inf)

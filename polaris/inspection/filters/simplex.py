@@ -11,7 +11,6 @@ constraint that concerns it at `release` or more. For guarantees see ``docs/insp
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Collection
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +18,7 @@ from numpy.typing import NDArray
 from ...model.checks import non_negative, positive, whole
 from ...model.errors import ScenarioError
 from ...model.system import Array
-from ..backup.parking import Memoryless, Parking
+from ..backup.parking import Parking
 from ..constraints.families import Families
 from ..inspection import Inspection
 from .decision import Answer, Backup, CallByCall, Switch, named
@@ -31,13 +30,7 @@ from .received import Received
 class Guarded:
     """A backup made safe: a barrier filter about the thrust of a simpler one.
 
-    Parameters
-    ----------
-    filtering : Centralized
-    inner : Backup
-        Its thrust is the desired input; where the program fails it is answered as it is.
-    sun_start : float
-        Sun angle at t = 0 [rad].
+    The inner one's thrust is the desired input; where the program fails it is answered as it is.
     """
 
     def __init__(self, filtering: Centralized, inner: Backup, sun_start: float = 0.0) -> None:
@@ -210,19 +203,12 @@ class ImplicitSimplex(Latched):
 
     Parameters
     ----------
-    inspection : Inspection
-    law : Memoryless, optional
-        The backup; default ``Parking(inspection)``. Its period is the filter's.
-    horizon : float
-        Longest backup flight until all deputies have settled [s].
+    check : FlightCheck
+        Of the flights under its law, which is the backup; its period is the filter's.
     release_distance, release_speed : float
         Least values for handing back of distances [m] and of speeds [m/s] (phi9 to phi11: [m^2/s^2]).
     dwell : float
         [s]
-    sun_start : float
-        Sun angle at t = 0 [rad].
-    without : collection of str
-        Families of constraints left out.
 
     Attributes
     ----------
@@ -232,25 +218,19 @@ class ImplicitSimplex(Latched):
 
     def __init__(
         self,
-        inspection: Inspection,
-        law: Memoryless | None = None,
-        horizon: float = 600.0,
+        check: FlightCheck,
         release_distance: float = 2.0,
         release_speed: float = 0.02,
         dwell: float = 30.0,
-        sun_start: float = 0.0,
-        without: Collection[str] = (),
     ) -> None:
-        law = Parking(inspection) if law is None else law
-        self.check = FlightCheck(law, horizon, sun_start, without)
-        rows = self.check.rows
+        self.check, law, rows = check, check.law, check.rows
         self.first, self.second, self.labels = rows.first, rows.second, rows.labels
         release = np.where(
             rows.is_speed,
             non_negative("release_speed", release_speed, "m/s"),
             non_negative("release_distance", release_distance, "m"),
         )
-        super().__init__(inspection, law, law.period, np.zeros(len(release)), release, dwell)
+        super().__init__(law.inspection, law, law.period, np.zeros(len(release)), release, dwell)
 
     def _try(self, t: float, x: Array, u: Array) -> Array:
         return self.check(t, x, u)

@@ -136,7 +136,7 @@ def fly_fuel_limit(
 
 
 def _predict(law: Law, t: float, x: Array, spent: float, steps: int) -> Prediction:
-    flight = fly_backup(law, x[None], law.start(x[None]), steps, ENDED)
+    flight = fly_backup(law, x[None], steps, ENDED)
     each = np.abs(flight.u).sum(axis=(1, 2)) * law.period / law.inspection.mass
     instants = np.asarray(t + np.arange(len(flight.x)) * law.period, dtype=float)
     return Prediction(instants, flight.x[:, 0], spent + np.append(0.0, np.cumsum(each)))
