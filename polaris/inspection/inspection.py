@@ -14,7 +14,7 @@ from reach.numerics.linear import discretize
 from ..model.checks import number, positive, whole
 from ..model.errors import ScenarioError
 from ..model.hill import clohessy_wiltshire
-from ..model.system import Array
+from ..model.system import Array, LinearSystem
 from .vectors import CENTRE
 
 MOST_DEPUTIES = 50
@@ -186,14 +186,14 @@ class Inspection:
         return np.array(list(combinations(range(self.deputies), 2)), dtype=np.intp).reshape(-1, 2)
 
     @cached_property
-    def A(self) -> Array:
-        """State matrix of one deputy (eq. 9), shape (6, 6)."""
-        return clohessy_wiltshire(self.mean_motion, self.mass, self.thrust_max).A
+    def system(self) -> LinearSystem:
+        """Motion of one deputy (eq. 9)."""
+        return clohessy_wiltshire(self.mean_motion, self.mass, self.thrust_max)
 
     def held(self, duration: float) -> tuple[Array, Array]:
         """Exact motion over a time with the thrust held: ``x(t + duration) = Phi x + Gamma u``."""
         number("duration", duration)
-        return discretize(self.A, np.vstack([np.zeros((3, 3)), np.eye(3) / self.mass]), duration)
+        return discretize(self.system.A, self.system.B, duration)
 
     def sun_angle(self, t: ArrayLike, start: ArrayLike = 0.0) -> Array:
         """Angle theta_s of the sun from the x axis [rad] at the time t [s]; it turns at ``-n`` (eq. 11)."""

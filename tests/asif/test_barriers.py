@@ -314,7 +314,7 @@ def test_keeping_h_keeps_phi(seed):
     sun = rng.uniform(-np.pi, np.pi, 200)
     h = families(x, sun).h
     later = 1e-2
-    drifted = x + later * (x @ q.A.T)
+    drifted = x + later * (x @ q.system.A.T)
     now, then = allowable(q, x, sun), allowable(q, drifted, sun - q.mean_motion * later)
     # The way back across a cone is one of the signed distance: on it the angle may turn a little further in.
     rows = AllowableRows(q)

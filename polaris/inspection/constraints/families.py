@@ -110,7 +110,7 @@ class Families(Table):
         """Barrier conditions at states of shape (..., N, 6) and sun angles of shape (...) [rad]."""
         q = self.inspection
         every = self.stack(x)
-        drift = every @ q.A.T
+        drift = every @ q.system.A.T
         sun = np.asarray(sun)[..., None]
         motion = self._motion(every, drift)
         shape = (*x.shape[:-2], len(self.family))

@@ -81,7 +81,7 @@ class ImplicitASIF(CallByCall):
         along[:, pair, rows.second[pair]] = -np.einsum(
             "smi,smij->smj", phi.gradient[:, pair], slopes_at[:, rows.second[pair]]
         )
-        drift = np.einsum("smni,ni->sm", along, x @ q.A.T) + phi.change
+        drift = np.einsum("smni,ni->sm", along, x @ q.system.A.T) + phi.change
         return along[..., 3:] / q.mass, -drift - self.rate * phi.h, phi.h
 
     def _answer(self, got: Received) -> Answer:
