@@ -20,6 +20,7 @@ import numpy as np
 from polaris.inspection.constraints.families import Families
 from polaris.inspection.constraints.motion import SampledData
 from polaris.inspection.filters.asif import ActiveSetFilter
+from polaris.inspection.filters.explicit import make_filter
 from polaris.inspection.flights.sampling import InitialConditions
 from polaris.inspection.inspection import Inspection
 from polaris.runs.campaign import local
@@ -33,7 +34,8 @@ def time_filter(deputies: int, sharing: str, sampled: bool, calls: int = 2000) -
     many = 40 if deputies <= 6 else 4
     x, sun = _states(inspection, many)
     rng = np.random.default_rng(0)
-    asif = ActiveSetFilter(inspection, sharing, sampled=SampledData(1.0) if sampled else None)
+    families = Families(inspection, sampled=SampledData(1.0) if sampled else None)
+    asif = ActiveSetFilter(make_filter(families, sharing))
     spent, changed = [], 0
     for k in range(calls):
         which = k % many

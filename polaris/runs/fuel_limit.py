@@ -69,7 +69,7 @@ def _tell(scenario: FuelLimitScenario, run: FuelRun, seconds: Mapping[str, float
             "cross_track_m": float(c),
             "velocity_error_m_s": float(np.linalg.norm(velocity_error(run.x[-1], q.mean_motion))),
         },
-        "filter_seconds": {"median": run.median_decision, "largest": run.slowest_decision},
+        "filter_seconds": {"median": float(np.median(run.seconds)), "largest": float(run.seconds.max())},
         "guarantee": guarantee(model, run),
         "definitions": {
             "phi12_least_m_s": "fuel limit less what was spent, least over the flight (eq. 24)",
@@ -139,11 +139,7 @@ def _read(folder: Path, scenario: FuelLimitScenario) -> FuelRun:
         scenario.inspection(),
         **flown,
         latched_at=None if np.isnan(latched) else latched,
-        reason=None,
         predictions=predictions,
-        exhausted=False,
-        slowest_decision=0.0,
-        median_decision=0.0,
     )
 
 

@@ -152,7 +152,7 @@ def test_clearance_is_below_what_dense_samples_show():
     Phi, Gamma = law.motion
     after = x @ Phi.T + u @ Gamma.T
     flight = fly_backup(law, after, 500)
-    bound = clearance(flight, x, u, ONE, 4.0)
+    bound = clearance(flight, x, law)
     states, inputs = [x, *flight.x], [u, *flight.u]
     least = np.full(30, np.inf)
     for tau in np.linspace(0, 4, 21):

@@ -18,7 +18,6 @@ from ...model.errors import ScenarioError
 from ...model.system import Array
 from ..backup.backup_flight import BackupFlight, fly_backup, periods
 from ..backup.parking import Law
-from ..inspection import Inspection
 from .decision import Answer, CallByCall, Switch
 from .received import Received, listed
 
@@ -79,7 +78,7 @@ class FuelLimit(CallByCall):
         self.log: list[Switch] = []
         self.predicted: BackupFlight | None = None
         super().__init__(q, self.law.period)
-        self._memory: list[Array | None] = [None] * q.deputies
+        self._on_backup, self._memory = np.zeros(q.deputies, dtype=bool), law.start(np.zeros((q.deputies, 6)))
         self._due = np.inf
         self._applied = np.zeros((q.deputies, 3))
 
@@ -117,19 +116,15 @@ class FuelLimit(CallByCall):
         flight = self.predicted = fly_backup(self.law, after, self.steps)
         coming = np.abs(u).sum(axis=1) * D / q.mass
         reserve = q.delta_v_max - self.spent[asked] - coming - flight.delta_v(q.mass, D)
-        nearest = clearance(flight, x, u, q, D) if self.keep_clear else np.full(len(x), np.inf)
-        reasons = []
+        nearest = clearance(flight, x, self.law) if self.keep_clear else np.full(len(x), np.inf)
+        reasons, coming_flight = [], "the backup flight after this period"
         for left, room, settled in zip(reserve, nearest, flight.outlook.settled, strict=True):
             if not settled:
                 reasons.append("the backup flight does not settle within the horizon")
             elif left < 0:
-                reasons.append(
-                    f"fuel: the backup flight after this period would exceed the limit by {-left:.3g} m/s"
-                )
+                reasons.append(f"fuel: {coming_flight} would exceed the limit by {-left:.3g} m/s")
             elif room < 0:
-                reasons.append(
-                    f"chief: the backup flight after this period would come {-room:.3g} m too near"
-                )
+                reasons.append(f"chief: {coming_flight} would come {-room:.3g} m too near")
             else:
                 reasons.append("")
         return reserve, reasons
@@ -141,22 +136,17 @@ class FuelLimit(CallByCall):
         if late > 0:
             self.spent = self.spent + np.abs(self._applied).sum(axis=1) * late / self.inspection.mass
         if abs(late) > 1e-6 * D:
-            self._memory = [None] * len(self._memory)
+            self._on_backup = np.zeros_like(self._on_backup)
         self._due = t + D
 
     def _thrust(self, got: Received) -> Array:
         """Desired, backup, or none where the state is not known."""
         passed = got.known & got.given & ~self.latched
-        u = np.where(passed[:, None], got.u, 0.0)
-        for i in range(len(u)):
-            if passed[i] or not got.known[i]:
-                self._memory[i] = None  # when it is needed next, the backup takes over anew
-                continue
-            x = got.x[i : i + 1]
-            memory = self._memory[i]
-            held, self._memory[i] = self.law.thrust(x, self.law.start(x) if memory is None else memory)
-            u[i] = held[0]
-        return u
+        backed = got.known & ~passed
+        memory = np.where(self._on_backup[:, None], self._memory, self.law.start(got.x))
+        held, self._memory = self.law.thrust(got.x, memory)
+        self._on_backup = backed  # of the others, the backup takes over anew when it is needed next
+        return np.where(passed[:, None], got.u, np.where(backed[:, None], held, 0.0))
 
     def _affordable(self, u: Array) -> Array:
         """Share of a thrust that the fuel allows, shape (N,)."""
@@ -166,15 +156,15 @@ class FuelLimit(CallByCall):
         return np.where(cost > left, left / np.where(cost > 0, cost, 1.0), 1.0)
 
 
-def clearance(flight: BackupFlight, x: Array, u: Array, inspection: Inspection, period: float) -> Array:
+def clearance(flight: BackupFlight, x: Array, law: Law) -> Array:
     """Lower bound on the distance from the chief, less the separation [m], over all time; shape (N,).
 
-    From the states x (N, 6) through one period [s] of the thrust u (N, 3), along the flight after it, and
+    From the states x (N, 6) through one period of thrust, along the flight after it, and
     for ever after. Between two samples a position is at least ``(r_k + r_{k+1} - length) / 2`` away, where
     the path's length is at most the period times the larger speed at its ends and half of what the
     acceleration adds.
     """
-    q = inspection
+    q, period = law.inspection, law.period
     states = np.concatenate([x[None], flight.x])
     distance = np.linalg.norm(states[..., :3], axis=-1)
     speed = np.linalg.norm(states[..., 3:], axis=-1)
