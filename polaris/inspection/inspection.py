@@ -60,7 +60,7 @@ class Inspection:
         Thrust limit u_max per axis [N].
     smoothing : float
         Depth [m] of the layer beside each boundary in which the square roots of eqs. 29, 30, 35 and 36
-        are replaced by a line; see `polaris.inspection.braking.Braking`. It costs half of it in distance.
+        are replaced by a line; it costs half of it in distance.
 
     Raises
     ------
@@ -174,7 +174,7 @@ class Inspection:
 
     @property
     def return_speed(self) -> float:
-        """Fastest way back that is asked for from outside [m/s]; see `polaris.inspection.braking.Braking`.
+        """Fastest way back that is asked for from outside [m/s].
 
         The least speed allowed anywhere, so that going back breaks no other speed limit.
         """

@@ -53,7 +53,7 @@ def fly_flight(scenario: FlightScenario, stages: Stages | None = None) -> Judged
         total = whole_periods(flight.duration_s, flight.period_s)
         counting = stages.counting("flight: {} of {} periods")
         filtering = scenario.filter(scenario.model.filter, flight.period_s)
-        run = fly_one(flights, filtering, lambda done: counting(done, total))
+        run = fly_one(flights, filtering, lambda step: counting(step.k + 1, total))
         return judge(run, scenario.families(), flight.between)
 
 

@@ -5,9 +5,8 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from polaris.inspection.braking import Braking
 from polaris.inspection.constraints.allowable_set import AllowableRows, allowable
-from polaris.inspection.constraints.barriers import Radial, SunCone
+from polaris.inspection.constraints.barriers import Braking, Radial, SunCone
 from polaris.inspection.constraints.families import Families
 from polaris.inspection.constraints.speeds import Speed, Velocity
 from polaris.inspection.inspection import Inspection

@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 
 from ...model.errors import ScenarioError
 from ...model.system import Array
-from ..braking import Braking
 from ..closest import ClosestApproach
 from ..inspection import Inspection
-from .barriers import Barrier, Radial, SunCone
+from .barriers import Barrier, Braking, Radial, SunCone
 from .catalogue import FAMILIES
 from .passive import Passive, PassiveSegments
 from .speeds import Speed, SpeedInSquares, Velocity, VelocitySide

@@ -15,7 +15,7 @@ from ..constraints.allowable_set import allowable
 from ..constraints.catalogue import CONSTRAINTS
 from ..constraints.families import Families
 from .judge import keepers
-from .simulation import BatchFilter, Flights, Kept, Step, fly
+from .simulation import BatchFilter, Flights, Observer, Step, fly
 
 BETWEEN = 1
 """Instants inside each period at which the constraints are looked at too."""
@@ -135,7 +135,7 @@ class Recorder:
         return Outcome(found)
 
 
-def fly_block(flights: Flights, filtering: BatchFilter, kept: Kept | None = None) -> Outcome:
+def fly_block(flights: Flights, filtering: BatchFilter, *observers: Observer) -> Outcome:
     """Fly some initial conditions under one filter, and judge them by the constraints that it keeps.
 
     Parameters
@@ -144,16 +144,10 @@ def fly_block(flights: Flights, filtering: BatchFilter, kept: Kept | None = None
         The initial conditions as from `InitialConditions`.
     filtering : BatchFilter
         `Centralized` or `Decentralized`.
-    kept : Kept, optional
-        Keeps one of the runs in full.
+    *observers : callable
+        As in `fly`.
     """
-    recorder, q = Recorder(flights, filtering.families), flights.inspection
-
-    def observe(step: Step) -> None:
-        recorder(step)
-        if kept is not None:
-            kept(step)
-
-    final, end = fly(flights, filtering, observe, BETWEEN), flights.duration
-    recorder.judge(final, q.sun_angle(end, flights.sun), end)
+    recorder, end = Recorder(flights, filtering.families), flights.duration
+    final = fly(flights, filtering, recorder, *observers, between=BETWEEN)
+    recorder.judge(final, flights.inspection.sun_angle(end, flights.sun), end)
     return recorder.outcome()

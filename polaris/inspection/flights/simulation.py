@@ -105,6 +105,9 @@ class Step:
     seconds: float
 
 
+Observer = Callable[[Step], None]
+
+
 def whole_periods(duration: float, period: float) -> int:
     """Periods [s] in a duration [s]; a ScenarioError if that is no whole number."""
     count = int(np.rint(positive("duration", duration, "s") / positive("period", period, "s")))
@@ -113,17 +116,17 @@ def whole_periods(duration: float, period: float) -> int:
     return count
 
 
-def fly(flights: Flights, filtering: BatchFilter, observe: Callable[[Step], None], between: int = 1) -> Array:
+def fly(flights: Flights, filtering: BatchFilter, *observers: Observer, between: int = 1) -> Array:
     """Fly all runs at once.
 
     Parameters
     ----------
     flights : Flights
     filtering : BatchFilter
-    observe : callable
-        Called once per period, in order.
+    *observers : callable
+        Called with every `Step`, in order.
     between : int
-        Instants inside each period handed to the observer.
+        Instants inside each period handed to the observers.
 
     Returns
     -------
@@ -143,7 +146,8 @@ def fly(flights: Flights, filtering: BatchFilter, observe: Callable[[Step], None
         filtered.u[filtered.status == FAILED] = 0.0
         filtered.status[lost] = FAILED
         after = np.stack([x @ Phi.T + filtered.u @ Gamma.T for Phi, Gamma in moves])
-        observe(Step(k, t, x, sun, desired, filtered, after, seconds))
+        for observe in observers:
+            observe(Step(k, t, x, sun, desired, filtered, after, seconds))
         x = after[-1]
     return x
 
@@ -188,17 +192,10 @@ class InspectionRun:
         return np.concatenate([np.zeros((1, steps.shape[1])), np.cumsum(steps, axis=0)])
 
 
-def fly_one(
-    flights: Flights, filtering: BatchFilter, told: Callable[[int], None] = lambda done: None
-) -> InspectionRun:
-    """Fly one run (R = 1) and keep all of it; the periods flown are told."""
+def fly_one(flights: Flights, filtering: BatchFilter, *observers: Observer) -> InspectionRun:
+    """Fly one run (R = 1) and keep all of it; further observers are as in `fly`."""
     kept = Kept(flights)
-
-    def observe(step: Step) -> None:
-        kept(step)
-        told(step.k + 1)
-
-    fly(flights, filtering, observe, 0)
+    fly(flights, filtering, kept, *observers, between=0)
     return kept.flight()
 
 

@@ -93,8 +93,8 @@ class InspectionRuns:
         plan, q = scenario.model.campaign, scenario.inspection()
         x, sun = (values[task.first :] for values in drawn.first(task.first + task.runs))
         flights = Flights(q, x, sun, plan.duration_s, plan.period_s)
-        kept = None if run is None else Kept(flights, run)
-        outcome = fly_block(flights, filters[mode], kept)
+        kept = [] if run is None else [Kept(flights, run)]
+        outcome = fly_block(flights, filters[mode], *kept)
         columns = {
             "run": np.arange(task.runs, dtype=np.int64),
             "mode": np.repeat(mode, task.runs),
@@ -102,7 +102,7 @@ class InspectionRuns:
             **dict(zip(_names(q.deputies), x.reshape(task.runs, -1).T, strict=True)),
             **outcome.columns,
         }
-        return columns, None if kept is None else kept.flight()
+        return columns, kept[0].flight() if kept else None
 
     def summarise(self, results: Results, worst: int) -> dict[str, Any]:
         """As `Kind.summarise`."""
