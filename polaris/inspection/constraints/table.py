@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +21,14 @@ from .speeds import Speed, SpeedInSquares, Velocity, VelocitySide
 
 Index = NDArray[np.intp]
 
-_Member = tuple[str, str, Index, tuple[float, ...]]
-"""Family, what the constraint is called behind ``h`` or ``phi``, places, parameters of the formula."""
+
+class _Member(NamedTuple):
+    """A constraint of all deputies or pairs: what it is called behind ``h``, its places, its parameters."""
+
+    family: str
+    number: str
+    places: Index
+    values: tuple[float, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,28 +55,28 @@ def _formulas(
         assert approach is not None
         return PassiveSegments(radius, approach) if sampled else Passive(radius, approach, beyond)
 
-    spheres: list[_Member] = [
-        ("chief_separation", "1", alone, (q.separation, q.a_max, 1.0)),
-        ("deputy_separation", "2", pairs, (q.deputy_separation, 2 * q.a_max, 1.0)),
-        ("keep_in", "6", alone, (q.distance_max, q.a_inside, -1.0)),
+    spheres = [
+        _Member("chief_separation", "1", alone, (q.separation, q.a_max, 1.0)),
+        _Member("deputy_separation", "2", pairs, (q.deputy_separation, 2 * q.a_max, 1.0)),
+        _Member("keep_in", "6", alone, (q.distance_max, q.a_inside, -1.0)),
     ]
-    cones: list[_Member] = [
-        ("sun", "4", alone, (q.a_max, 1.0)),
-        ("deputy_sun", "5+", pairs, (q.a_max, 1.0)),
-        ("deputy_sun", "5-", pairs, (q.a_max, -1.0)),
+    cones = [
+        _Member("sun", "4", alone, (q.a_max, 1.0)),
+        _Member("deputy_sun", "5+", pairs, (q.a_max, 1.0)),
+        _Member("deputy_sun", "5-", pairs, (q.a_max, -1.0)),
     ]
-    flights: list[_Member] = [
-        ("passive", "7", alone, (q.separation,)),
-        ("deputy_passive", "8", pairs, (q.deputy_separation,)),
+    flights = [
+        _Member("passive", "7", alone, (q.separation,)),
+        _Member("deputy_passive", "8", pairs, (q.deputy_separation,)),
     ]
     return [
         (lambda radius, a, side: Radial(radius, braking(a), side), spheres),
         (lambda a, side: SunCone(q.field_of_view / 2, q.mean_motion, braking(a), side), cones),
         (passive, flights if approach else []),
-        (lambda: speed(q.docking_speed, q.nu_1), [("speed", "3", alone, ())]),
+        (lambda: speed(q.docking_speed, q.nu_1), [_Member("speed", "3", alone, ())]),
         (
             lambda axis: velocity(axis.astype(np.intp), q.speed_max),
-            [("velocity", str(9 + axis), alone, (axis,)) for axis in range(3)],
+            [_Member("velocity", str(9 + axis), alone, (axis,)) for axis in range(3)],
         ),
     ]
 
@@ -110,15 +117,16 @@ class Table:
         self.groups: list[Group] = []
         rows: list[tuple[str, str, np.intp]] = []
         for make, members in _formulas(inspection, approach, sampled, beyond):
-            kept = [member for member in members if member[0] not in without and len(member[2])]
+            kept = [m for m in members if m.family not in without and len(m.places)]
             if not kept:
                 continue
-            size = [len(member[2]) for member in kept]
-            barrier = make(*(np.repeat(column, size) for column in zip(*(m[3] for m in kept), strict=True)))
-            place = np.concatenate([member[2] for member in kept])
+            size = [len(m.places) for m in kept]
+            columns = zip(*(m.values for m in kept), strict=True)
+            barrier = make(*(np.repeat(column, size) for column in columns))
+            place = np.concatenate([m.places for m in kept])
             straight = np.array_equal(place, np.arange(place[0], place[-1] + 1))
             at = slice(int(place[0]), int(place[-1]) + 1) if straight else place
-            of_each = ((family, letter + number, k) for family, number, where, _ in kept for k in where)
+            of_each = ((m.family, letter + m.number, k) for m in kept for k in m.places)
             start = len(rows)
             rows += [row for row in of_each for _ in range(barrier.repeat)]
             self.groups.append(Group(barrier, at, slice(start, len(rows))))

@@ -47,13 +47,13 @@ class ActiveSetFilter(CallByCall):
         sun_start: float = 0.0,
     ) -> None:
         self.filtering, self.backup, self.sun_start = filtering, backup, sun_start
-        self.families = filtering.families
+        self.families, self.inspection = filtering.families, filtering.families.inspection
         sampled = self.families.sampled
         labels = np.array(self.families.labels)
         # Several rows may stand for one constraint; they follow each other.
         self._starts = np.flatnonzero(np.append(True, labels[1:] != labels[:-1]))
         self._names = tuple(labels[self._starts].tolist())
-        super().__init__(self.families.inspection, None if sampled is None else sampled.period)
+        super().__init__(self.inspection, None if sampled is None else sampled.period)
 
     def reset(self) -> None:
         """Forget the last states: a new flight begins."""

@@ -68,7 +68,7 @@ class FuelLimit(CallByCall):
         spent: ArrayLike = 0.0,
     ) -> None:
         q = law.inspection
-        self.law, self.keep_clear = law, keep_clear
+        self.inspection, self.law, self.keep_clear = q, law, keep_clear
         self.steps = periods(horizon, self.law.period)
         before = np.asarray(spent, dtype=float)
         if before.shape not in ((), (q.deputies,)) or not (np.isfinite(before) & (before >= 0)).all():

@@ -49,8 +49,8 @@ class ImplicitASIF(CallByCall):
     """
 
     def __init__(self, check: FlightCheck, rate: float = 0.1) -> None:
-        self.check, self.law, inspection = check, check.law, check.inspection
-        self.rate = positive("rate", rate, "1/s")
+        self.check, self.law, self.inspection = check, check.law, check.inspection
+        self.rate, inspection = positive("rate", rate, "1/s"), check.inspection
         super().__init__(inspection, self.law.period)
         times = np.linspace(0.0, 2 * np.pi / inspection.mean_motion, ORBIT, endpoint=False)
         self._times, self._orbit = times, free_flight(inspection.mean_motion, times)

@@ -62,6 +62,7 @@ class Latched(CallByCall):
         dwell: float,
     ) -> None:
         self.rows, self.backup, self.period = rows, backup, positive("period", period, "s")
+        self.inspection = rows.inspection
         super().__init__(rows.inspection, self.period)
         if np.any(release < margin):
             raise ScenarioError("release", float(np.min(release)), "must be at least the margin")
