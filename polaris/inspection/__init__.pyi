@@ -1,5 +1,5 @@
-from .backup.parking import Coast as Coast
-from .backup.parking import Outlook as Outlook
+from .backup.law import Coast as Coast
+from .backup.law import Outlook as Outlook
 from .backup.parking import Parking as Parking
 from .backup.tracker import Tracker as Tracker
 from .constraints.allowable_set import allowable as allowable

@@ -143,8 +143,9 @@ class ClosestApproach:
         bound = found.distance - speed * (self.times[1] / 2)
         far = bound > beyond
         near = np.flatnonzero(~far)
+        some = near if far.any() else slice(None)  # a view is quicker than a copy
         if len(near):
-            self._refine(z[near], places[near], squares[near], found, near)
+            self._refine(z[some], places[some], squares[some], found, near)
         found.distance[far] = bound[far]
         return found
 

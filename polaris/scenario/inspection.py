@@ -18,7 +18,7 @@ from .base import Scenario, kept
 from .filter_tables import Alpha, FlightFilter
 
 if TYPE_CHECKING:
-    from ..inspection.backup.parking import Law
+    from ..inspection.backup.law import Law
     from ..inspection.constraints.families import Families
     from ..inspection.flights.primary import Primary
     from ..inspection.flights.simulation import BatchFilter

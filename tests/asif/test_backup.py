@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from polaris.inspection.backup.backup_flight import fly_backup, sensitivities
-from polaris.inspection.backup.parking import Coast, Parking
+from polaris.inspection.backup.law import Coast, fly_backup, sensitivities
+from polaris.inspection.backup.parking import Parking
 from polaris.inspection.backup.settled import Decay
 from polaris.inspection.backup.tracker import Tracker
 from polaris.inspection.enmt import Ellipses, semi_axes, stopping_point, velocity_error

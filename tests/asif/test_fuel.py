@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 
-from polaris.inspection.backup.backup_flight import fly_backup
+from polaris.inspection.backup.law import fly_backup
 from polaris.inspection.backup.parking import Parking
 from polaris.inspection.backup.tracker import Tracker
 from polaris.inspection.enmt import velocity_error

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 
-from polaris.inspection.backup.backup_flight import fly_backup
-from polaris.inspection.backup.parking import Coast, Parking
+from polaris.inspection.backup.law import Coast, fly_backup
+from polaris.inspection.backup.parking import Parking
 from polaris.inspection.constraints.allowable_set import AllowableRows, allowable
 from polaris.inspection.filters.flight_check import FlightCheck
 from polaris.inspection.filters.implicit import ImplicitASIF

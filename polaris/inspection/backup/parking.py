@@ -1,12 +1,9 @@
-"""Backup controllers: coasting, and parking on a closed eNMT by feedback of the state alone.
+"""The backup controller that parks on a closed eNMT by feedback of the state alone.
 
 `polaris.inspection.backup.tracker.Tracker` is the paper's, with integral action and a moving reference.
 """
 
 from __future__ import annotations
-
-from abc import ABC, abstractmethod
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,120 +13,8 @@ from ...model.system import Array
 from ...synthesis.tracking import solve_are
 from ..enmt import Ellipses, semi_axes, velocity_error
 from ..inspection import Inspection
+from .law import Memoryless, Outlook
 from .settled import Decay
-
-
-@dataclass(frozen=True, eq=False)
-class Outlook:
-    """What is known about the flight under a backup law for ever after, for each of N deputies.
-
-    Valid without disturbances, while the law is followed period by period.
-
-    Attributes
-    ----------
-    settled : ndarray of bool, shape (N,)
-        The loop is linear from here on: no thrust is clipped and no limit of the eNMT is reached. The
-        other fields mean something only here.
-    delta_v : ndarray, shape (N,)
-        Upper bound on what will still be spent [m/s]; inf where not settled.
-    ellipse : ndarray, shape (N, 6)
-        State on a closed eNMT which, flown freely, stays near the deputy.
-    strays, slips : ndarray, shape (N,)
-        Upper bounds on the distance [m] and the relative speed [m/s] between the two, at all times; inf
-        where not settled.
-    distance : ndarray, shape (N,)
-        Lower bound on the distance from the chief's centre [m]; -inf where not settled.
-    """
-
-    settled: NDArray[np.bool_]
-    delta_v: Array
-    ellipse: Array
-    strays: Array
-    slips: Array
-    distance: Array
-
-    def __post_init__(self) -> None:
-        nothing = {"delta_v": np.inf, "strays": np.inf, "slips": np.inf, "distance": -np.inf}
-        for name, value in nothing.items():
-            object.__setattr__(self, name, np.where(self.settled, getattr(self, name), value))
-
-
-class Law(ABC):
-    """A backup controller whose flights can be predicted: all that it remembers is handed to it.
-
-    Each thrust is held for the period [s]; `motion` is the exact motion meanwhile, ``x -> Phi x + Gamma u``.
-    """
-
-    def __init__(self, inspection: Inspection, period: float = 1.0) -> None:
-        self.inspection, self.period = inspection, positive("period", period, "s")
-        self.motion = inspection.held(self.period)
-
-    @abstractmethod
-    def start(self, x: Array) -> Array:
-        """What the law remembers when it takes over at states (N, 6); shape (N, m)."""
-
-    @abstractmethod
-    def thrust(self, x: Array, memory: Array) -> tuple[Array, Array]:
-        """Thrust of the next period [N], shape (N, 3), within the limits, and the memory after it."""
-
-    @abstractmethod
-    def settled(self, x: Array, memory: Array, share: float = 1.0) -> NDArray[np.bool_]:
-        """Whether the loop is linear from here on, shape (N,), with at most a share of the thrust."""
-
-    @abstractmethod
-    def outlook(self, x: Array, memory: Array) -> Outlook:
-        """What is known about all the future."""
-
-    @abstractmethod
-    def __call__(self, t: float, x: Array) -> Array:
-        """Thrust [N], shape (N, 3), at finite states (N, 6): as a `Backup`."""
-
-
-class Memoryless(Law):
-    """A law that depends on the state alone: a flight's rest is the flight from where it has come to."""
-
-    def start(self, x: Array) -> Array:
-        """Nothing: shape (N, 0)."""
-        return np.empty((len(x), 0))
-
-    def thrust(self, x: Array, memory: Array) -> tuple[Array, Array]:
-        """Thrust of the next period [N], shape (N, 3), and the memory."""
-        return self(0.0, x), memory
-
-    @abstractmethod
-    def thrust_slope(self, x: Array) -> Array:
-        """Derivative of the thrust by the state, shape (N, 3, 6)."""
-
-
-class Coast(Memoryless):
-    """No thrust.
-
-    Parameters
-    ----------
-    inspection : Inspection
-    period : float
-        [s]
-    """
-
-    def __call__(self, t: float, x: Array) -> Array:
-        """Zeros, shape (N, 3)."""
-        return np.zeros((len(x), 3))
-
-    def thrust_slope(self, x: Array) -> Array:
-        """Zeros, shape (N, 3, 6)."""
-        return np.zeros((len(x), 3, 6))
-
-    def settled(self, x: Array, memory: Array, share: float = 1.0) -> NDArray[np.bool_]:
-        """Always."""
-        return np.ones(len(x), dtype=bool)
-
-    def outlook(self, x: Array, memory: Array) -> Outlook:
-        """Nothing more is ever spent; where it leads is known only on a closed eNMT."""
-        n = self.inspection.mean_motion
-        still = (velocity_error(x, n) == 0).all(axis=1)
-        zero, off = np.zeros(len(x)), np.where(still, 0.0, np.inf)
-        distance = np.where(still, semi_axes(x, n)[0], -np.inf)
-        return Outlook(np.ones(len(x), dtype=bool), zero, np.array(x), off, off, distance)
 
 
 class Parking(Memoryless):

@@ -9,7 +9,8 @@ from ...model.system import Array
 from ...synthesis.tracking import solve_are
 from ..enmt import Ellipses, semi_axes, stopping_point
 from ..inspection import Inspection
-from .parking import Law, Outlook, lqr_weights
+from .law import Law, Outlook
+from .parking import lqr_weights
 from .settled import Decay
 
 BRAKING = 0.5

@@ -12,8 +12,7 @@ import numpy as np
 
 from ...model.hill import free_flight
 from ...model.system import Array
-from ..backup.backup_flight import fly_backup, periods
-from ..backup.parking import Memoryless, Outlook
+from ..backup.law import Memoryless, Outlook, fly_backup, periods
 from ..constraints.allowable_set import AllowableRows
 from ..enmt import semi_axes
 from ..vectors import length

@@ -16,8 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...model.errors import ScenarioError
 from ...model.system import Array
-from ..backup.backup_flight import BackupFlight, fly_backup, periods
-from ..backup.parking import Law
+from ..backup.law import BackupFlight, Law, fly_backup, periods
 from .decision import Answer, CallByCall, Switch
 from .received import Received, listed
 

@@ -14,7 +14,7 @@ from ...model.checks import positive
 from ...model.hill import free_flight
 from ...model.system import Array
 from ...rta.projection import FILTERED, solve
-from ..backup.backup_flight import BackupFlight, fly_backup, sensitivities
+from ..backup.law import BackupFlight, fly_backup, sensitivities
 from ..backup.parking import Parking
 from .decision import Answer, CallByCall, named
 from .flight_check import FlightCheck

@@ -12,8 +12,7 @@ from numpy.typing import ArrayLike
 from ...model.checks import vector
 from ...model.errors import ScenarioError
 from ...model.system import Array
-from ..backup.backup_flight import fly_backup
-from ..backup.parking import Law
+from ..backup.law import Law, fly_backup
 from ..filters.fuel import FuelLimit
 from ..inspection import Inspection
 from .primary import Primary
