@@ -19,9 +19,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..inspection.constraints.allowable_set import allowable
-from ..inspection.filters.one_flight import BACKUP, UNPROVEN
-from ..inspection.flights.judge import JudgedRun, Least, Stopwatch, judge
-from ..inspection.flights.simulation import InspectionRun, fly_one
+from ..inspection.flights.judge import JudgedRun, Least, judge
+from ..inspection.flights.simulation import (
+    BACKUP,
+    UNPROVEN,
+    Flights,
+    InspectionRun,
+    fly_one,
+    whole_periods,
+)
 from ..rta.projection import DESIRED, FAILED, FILTERED, SHORT
 from ..scenario.filter_tables import BackupFilter, BarrierFilter, ExplicitSimplexFilter
 from ..scenario.inspection_tables import InspectionModel
@@ -47,17 +53,20 @@ def fly_flight(scenario: FlightScenario, stages: Stages | None = None) -> Judged
     """Fly one flight of the inspection problem and judge it, also between the samples."""
     stages, flight = stages or Stages(), scenario.model.flight
     with stages.stage("flight"):
-        total = int(np.rint(flight.duration_s / flight.period_s))
-        counting = stages.counting("flight: {} of {} periods")
-        watch = Stopwatch(
-            scenario.filter(scenario.model.filter, flight.period_s), lambda done: counting(done, total)
-        )
         x, sun = scenario.initial()
-        run = fly_one(
-            scenario.inspection(), watch, scenario.primary(), x, sun, flight.duration_s, flight.period_s
+        flights = Flights(
+            scenario.inspection(),
+            x[None],
+            np.array([sun]),
+            flight.duration_s,
+            flight.period_s,
+            scenario.primary(),
         )
-        constraints, barriers = judge(run, scenario.families(), flight.between)
-    return JudgedRun(run, constraints, barriers, np.array(watch.seconds))
+        total = whole_periods(flight.duration_s, flight.period_s)
+        counting = stages.counting("flight: {} of {} periods")
+        filtering = scenario.filter(scenario.model.filter, flight.period_s)
+        run = fly_one(flights, filtering, lambda step: counting(step.k + 1, total))
+        return judge(run, scenario.families(), flight.between)
 
 
 def _write(folder: Path, scenario: FlightScenario, found: JudgedRun) -> None:
@@ -141,9 +150,9 @@ def _tell(scenario: FlightScenario, flown: JudgedRun, seconds: Mapping[str, floa
         "steps": steps(run.status),
         "delta_v_m_s": spent,
         "filter_seconds": {
-            "median": float(np.median(flown.seconds)),
-            "p99": float(np.quantile(flown.seconds, 0.99)),
-            "largest": float(flown.seconds.max()),
+            "median": float(np.median(run.seconds)),
+            "p99": float(np.quantile(run.seconds, 0.99)),
+            "largest": float(run.seconds.max()),
         },
         "guarantee": guarantee(model, flown),
         "definitions": DEFINITIONS,

@@ -67,9 +67,10 @@ def _backup_filter(
     from ..inspection.backup.parking import Parking
     from ..inspection.constraints.families import Families
     from ..inspection.filters.explicit import Centralized
+    from ..inspection.filters.flight_check import FlightCheck
     from ..inspection.filters.implicit import ImplicitASIF
-    from ..inspection.filters.one_flight import OneFlight
     from ..inspection.filters.simplex import ExplicitSimplex, Guarded, ImplicitSimplex
+    from ..inspection.flights.simulation import OneFlight
 
     assert not isinstance(spec, BarrierFilter)
     law, watched = Parking(q, period=period, response=spec.response_s), Families(q, alpha, spec.without)
@@ -78,9 +79,9 @@ def _backup_filter(
         if isinstance(spec, ExplicitSimplexFilter):
             backup, limits = Guarded(Centralized(watched), law, sun), (spec.margin, spec.release)
             return ExplicitSimplex(watched, backup, period, *limits, spec.dwell_s, sun, spec.looks)
+        check = FlightCheck(law, spec.horizon_s, sun, spec.without)
         if isinstance(spec, ImplicitSimplexFilter):
-            release = (spec.release_distance_m, spec.release_speed_m_s)
-            return ImplicitSimplex(q, law, spec.horizon_s, *release, spec.dwell_s, sun, spec.without)
-        return ImplicitASIF(q, law, spec.horizon_s, spec.rate_1_s, sun, spec.without)
+            return ImplicitSimplex(check, spec.release_distance_m, spec.release_speed_m_s, spec.dwell_s)
+        return ImplicitASIF(check, spec.rate_1_s)
 
     return OneFlight(start, watched, period)

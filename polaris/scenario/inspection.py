@@ -18,7 +18,7 @@ from .base import Scenario, kept
 from .filter_tables import Alpha, FlightFilter
 
 if TYPE_CHECKING:
-    from ..inspection.backup.parking import Law
+    from ..inspection.backup.law import Law
     from ..inspection.constraints.families import Families
     from ..inspection.flights.primary import Primary
     from ..inspection.flights.simulation import BatchFilter
@@ -142,12 +142,12 @@ class FlightScenario(FilteredScenario):
 
     def initial(self) -> tuple[Array, float]:
         """States of the deputies, shape (N, 6), and the angle of the sun [rad]."""
-        from ..inspection.flights.sampling import initial_conditions
+        from ..inspection.flights.sampling import InitialConditions
 
         given = self.model.initial
         if isinstance(given, models.InitialStates):
             return np.array(given.states, dtype=float), float(np.radians(given.sun_angle_deg))
-        x, sun, _ = initial_conditions(self.families(), 1, given.seed, block=1024)
+        x, sun = InitialConditions(self.families(), given.seed, block=1024).first(1)
         return x[0], float(sun[0])
 
     def primary(self) -> Primary:

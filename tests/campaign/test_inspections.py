@@ -100,7 +100,7 @@ def test_one_run_is_flown_again_bit_for_bit(flown, monkeypatch):
 
     def another(*args, **more):
         outcome = real(*args, **more)
-        outcome.delta_v[:] += 1e-9
+        outcome.columns["delta_v_0_m_s"][:] += 1e-9
         return outcome
 
     monkeypatch.setattr(inspections, "fly_block", another)

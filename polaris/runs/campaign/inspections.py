@@ -11,12 +11,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ...inspection.constraints.motion import SampledData
-from ...inspection.flights.sampling import InitialConditions, initial_conditions
-from ...inspection.flights.simulation import InspectionRun, Kept
-from ...inspection.flights.studies import Outcome, Study, fly_block
+from ...inspection.flights.blocks import Outcome, fly_block
+from ...inspection.flights.sampling import InitialConditions
+from ...inspection.flights.simulation import BatchFilter, Flights, InspectionRun, Kept
 from ...model.system import Array
-from ...scenario.filter_tables import DecentralizedFilter
 from ...scenario.scenario import MonteCarloScenario
 from ...simulation.metrics import CONFIDENCE, lower_bound
 from ..arrays import held_by
@@ -63,22 +61,20 @@ class InspectionRuns(Kind):
 
     def fly(self, task: Task, mode: str, run: int | None = None) -> Batch:
         """As `Kind.fly`."""
-        scenario, drawn, studies = _made(task.text)
+        scenario, drawn, filters = _made(task.text)
         plan, q = scenario.model.campaign, scenario.inspection()
         x, sun = (values[task.first :] for values in drawn.first(task.first + task.runs))
-        kept = None if run is None else Kept(run)
-        outcome = fly_block(q, studies[mode], x, sun, plan.duration_s, plan.period_s, kept=kept)
+        flights = Flights(q, x, sun, plan.duration_s, plan.period_s)
+        kept = [] if run is None else [Kept(flights, run)]
+        outcome = fly_block(flights, filters[mode], *kept)
         columns = {
             "run": np.arange(task.runs, dtype=np.int64),
             "mode": np.repeat(mode, task.runs),
             "sun_rad": sun,
             **dict(zip(_names(q.deputies), x.reshape(task.runs, -1).T, strict=True)),
-            **outcome.columns(),
+            **outcome.columns,
         }
-        if kept is None:
-            return Batch("", columns)
-        flown = kept.flight(q, float(sun[kept.run]), plan.duration_s, plan.period_s)
-        return Batch("", columns, trajectory=_trajectory(flown))
+        return Batch("", columns, trajectory=_trajectory(kept[0].flight()) if kept else None)
 
     def summarise(self, results: Results, worst: int) -> dict[str, Any]:
         """As `Kind.summarise`."""
@@ -95,7 +91,9 @@ class InspectionRuns(Kind):
         for failure in results.failures.values():
             told |= {"failure": failure["message"], "exit_code": failure["exit_code"]}
             return summary_of(scenario, scenario.kind, told)
-        _, _, told["acceptance"] = initial_conditions(scenario.families(), results.runs, plan.seed)
+        drawn = InitialConditions(scenario.families(), plan.seed)
+        drawn.first(results.runs)
+        told["acceptance"] = drawn.acceptance
         found = outcomes(case, results.read(0, None))
         told["studies"] = [_told(name, outcome) for name, outcome in found.items()]
         return summary_of(
@@ -108,29 +106,10 @@ def case_of(scenario: MonteCarloScenario) -> Case:
     return Case(scenario.name, (), scenario.set("campaign.runs", 1).to_toml())
 
 
-def studies_of(scenario: MonteCarloScenario) -> dict[str, Study]:
-    """The studies of a scenario by name."""
-    model, alpha = scenario.model, scenario.strengthening()
-    return {
-        study.name: Study(
-            study.name,
-            study.filter.sharing if isinstance(study.filter, DecentralizedFilter) else "centralized",
-            tuple(study.filter.without),
-            alpha,
-            SampledData(model.campaign.period_s, study.filter.sampled_data_share)
-            if study.filter.sampled_data
-            else None,
-        )
-        for study in model.studies
-    }
-
-
 def outcomes(case: Case, columns: Mapping[str, Array]) -> dict[str, Outcome]:
     """Results of every study, from the columns of all runs."""
-    return {
-        name: Outcome.from_columns(study, of_mode(columns, name))
-        for name, study in _made(case.text)[2].items()
-    }
+    studies = _made(case.text)[0].model.studies
+    return {study.name: Outcome(of_mode(columns, study.name)) for study in studies}
 
 
 def initial_states(columns: Mapping[str, Array]) -> Array:
@@ -141,11 +120,13 @@ def initial_states(columns: Mapping[str, Array]) -> Array:
 
 
 @lru_cache(2)
-def _made(text: str) -> tuple[MonteCarloScenario, InitialConditions, dict[str, Study]]:
-    """What a process needs of a case: whoever flies draws the initial conditions."""
+def _made(text: str) -> tuple[MonteCarloScenario, InitialConditions, dict[str, BatchFilter]]:
+    """What a process needs of a case: whoever flies draws the initial conditions; filters by study."""
     scenario = MonteCarloScenario.from_dict(tomllib.loads(text))
-    drawn = InitialConditions(scenario.families(), scenario.model.campaign.seed)
-    return scenario, drawn, studies_of(scenario)
+    plan = scenario.model.campaign
+    drawn = InitialConditions(scenario.families(), plan.seed)
+    filters = {study.name: scenario.filter(study.filter, plan.period_s) for study in scenario.model.studies}
+    return scenario, drawn, filters
 
 
 def _names(deputies: int) -> list[str]:
@@ -161,7 +142,7 @@ def _told(name: str, outcome: Outcome) -> dict[str, Any]:
         "success_share_lower_95": lower_bound(successes, runs),
         "failures": dict(sorted(Counter(str(one["what"]) for one in outcome.failures()).items())),
         "least": {key: float(values.min()) for key, values in outcome.least.items()},
-        "interventions_share": float(outcome.interventions.mean()),
+        "interventions_share": float(np.mean(outcome.columns["interventions_share"])),
         "delta_v_mean_m_s": float(outcome.delta_v.mean()),
     }
 
