@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import copy
 import difflib
+import re
+import tomllib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -12,11 +14,12 @@ from typing import Any, ClassVar, Self, TypeVar
 
 from ..model.errors import ScenarioError
 from .fields import ScenarioPart
-from .overrides import parse_assignment, put
-from .reading import NOTHING, validate, write_toml
+from .reading import NOTHING, join_path, printable, validate, write_toml
 
 KINDS: dict[str, type[Scenario]] = {}
 """Class of every kind, by the key ``kind`` at the top of the file; `polaris.scenario.scenario` fills it."""
+
+_KEY_PART = re.compile(r"([A-Za-z0-9_-]+)((?:\[\d{1,4}\])*)")
 
 SCHEDULE = "schedule"
 """Kind of a file without the key ``kind``."""
@@ -187,11 +190,58 @@ class Scenario(ABC):
         return f"# Written with these overrides, which the values below include:\n{noted}\n{text}"
 
 
+# -- overriding single values -----------------------------------------------------------------------
+
+
 def overridden(document: dict[str, Any], values: Mapping[str, Any], where: str | None) -> dict[str, Any]:
     """The document, with values replaced in it."""
     for key, value in values.items():
         put(document, key, copy.deepcopy(value), where)
     return document
+
+
+def parse_assignment(text: str) -> tuple[str, Any]:
+    """Key and value of a text ``key=value``; a value that is not TOML is taken for text."""
+    key, equals, value = text.partition("=")
+    if not equals or not key.strip():
+        raise ScenarioError("--set", printable(text), "must be key=value")
+    try:
+        parsed = tomllib.loads(f"value = {value.strip()}")
+    except (ValueError, RecursionError):
+        parsed = {}
+    return key.strip(), parsed["value"] if set(parsed) == {"value"} else value.strip()
+
+
+def _split(key: str) -> list[str | int]:
+    """Parts of a dotted key; ``a[0].b`` and ``a.0.b`` mean the same."""
+    parts: list[str | int] = []
+    for piece in key.split("."):
+        match = _KEY_PART.fullmatch(piece)
+        if not match:
+            raise ScenarioError("--set", printable(key), "must name a key, as in planner.solver=highs")
+        parts.append(int(match[1]) if match[1].isdigit() else match[1])
+        parts += [int(index) for index in re.findall(r"\d+", match[2])]
+    return parts
+
+
+def put(document: dict[str, Any], key: str, value: Any, where: str | None) -> None:
+    """Replace (or, with None, remove) the value at a dotted key; tables are made as needed."""
+    parts = _split(key)
+    holder: Any = document
+    for i, part in enumerate(parts):
+        if not isinstance(holder, {str: dict, int: list}[type(part)]):
+            kind = {"list": "a list", "dict": "a table"}.get(type(holder).__name__, "a value")
+            rule = f"no such key: {join_path(parts[:i])} is {kind}"
+            raise ScenarioError(join_path(parts), value, rule, where)
+        if isinstance(holder, list) and part >= len(holder):
+            rule = f"there are only {len(holder)} entries (counted from 0)"
+            raise ScenarioError(join_path(parts[: i + 1]), NOTHING, rule, where)
+        if i < len(parts) - 1:
+            holder = holder.setdefault(part, {}) if isinstance(holder, dict) else holder[part]
+        elif value is None and isinstance(holder, dict):
+            holder.pop(part, None)
+        else:
+            holder[part] = value
 
 
 def _lists(data: Any) -> Any:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,11 +12,11 @@ from numpy.typing import ArrayLike
 from reach.sets.ellipsoid import ball_generators
 from reach.sets.zonotope import Zonotope
 
+from ..model.checks import counted
 from ..model.errors import ScenarioError
 from ..model.hill import clohessy_wiltshire
 from ..model.system import Array, LinearSystem
 from ..model.tolerances import TIME
-from . import scene_tables as scene
 from . import tables as models
 
 if TYPE_CHECKING:
@@ -34,22 +35,28 @@ def whole_parts(total: float, part: float) -> int | None:
 def build_system(spec: models.System) -> LinearSystem:
     """The controlled system."""
     if isinstance(spec, models.ClohessyWiltshire):
-        return clohessy_wiltshire(
-            spec.mean_motion_rad_s, spec.mass_kg, spec.thrust_max_N, spec.disturbance_max_m_s2
-        )
-    n, m = len(spec.A), len(spec.B[0])
+        limit = _limits("system.thrust_max_N", spec.thrust_max_N, 3)
+        return clohessy_wiltshire(spec.mean_motion_rad_s, spec.mass_kg, limit, spec.disturbance_max_m_s2)
+    limit = _limits("system.input_max", spec.input_max, len(spec.B[0]))
     C = None if spec.C is None else np.array(spec.C)
     if spec.position_states is not None:
-        C = np.eye(n)[list(spec.position_states)]
+        C = np.eye(len(spec.A))[list(spec.position_states)]
     return LinearSystem(
-        A=np.array(spec.A),
-        B=np.array(spec.B),
-        D=np.array(spec.D),
-        u_max=np.broadcast_to(np.asarray(spec.input_max, dtype=float), (m,)).copy(),
-        w_max=spec.disturbance_max,
-        C=C,
-        mass=spec.mass_kg,
+        np.array(spec.A), np.array(spec.B), np.array(spec.D), limit, spec.disturbance_max, C, spec.mass_kg
     )
+
+
+def check_length(field: str, vector: Sequence[Any], count: int) -> None:
+    """Refuse a list of another length."""
+    if len(vector) != count:
+        raise ScenarioError(field, list(vector), f"must have {counted(count, 'number')}, has {len(vector)}")
+
+
+def _limits(field: str, given: float | tuple[float, ...], count: int) -> Array:
+    """Limits of all inputs, shape (count,), from one number for all or one each."""
+    if isinstance(given, tuple):
+        check_length(field, given, count)
+    return np.broadcast_to(np.asarray(given, dtype=float), (count,)).copy()
 
 
 def position_states(system: LinearSystem) -> list[int] | None:
@@ -88,15 +95,6 @@ def full_weight(weight: ArrayLike) -> Array:
     return np.asarray((matrix + matrix.T) / 2)
 
 
-def in_file_terms(error: ScenarioError, path: str, spec: scene.Obstacle | scene.KeepIn) -> ScenarioError:
-    """The domain's own error with the field's name in the file (``H`` is called normals there)."""
-    name = error.field.rpartition(".")[2]
-    name = {"H": "normals", "b": "offsets_m"}.get(name, name)
-    known = [field for field in type(spec).model_fields if field == name or field.startswith(f"{name}_")]
-    rule = error.rule.replace("H p <= b", "normals p <= offsets_m")
-    return ScenarioError(f"{path}.{known[0]}" if known else path, error.given, rule, error.where)
-
-
 def build_obstacles(model: models.ScenarioModel) -> tuple[Obstacle, ...]:
     """Every unsafe set: obstacles first, then keep-in sets.
 
@@ -105,10 +103,4 @@ def build_obstacles(model: models.ScenarioModel) -> tuple[Obstacle, ...]:
     ScenarioError
         If one of them is not a set the perception oracle can deal with.
     """
-    made = []
-    for path, part in model.scene_parts():
-        try:
-            made.append(part.build(path))
-        except ScenarioError as error:
-            raise in_file_terms(error, path, part) from error
-    return tuple(made)
+    return tuple(part.build(path) for path, part in model.scene_parts())

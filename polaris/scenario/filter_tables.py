@@ -6,7 +6,8 @@ from typing import Annotated, Literal, get_args
 
 from pydantic import Field
 
-from .fields import Flag, NonNegative, Positive, Real, ScenarioPart, Text, Whole, unit
+from . import fields as f
+from .fields import ScenarioPart, unit
 
 Family = Literal[
     "chief_separation",
@@ -24,16 +25,18 @@ FAMILY_NAMES: tuple[str, ...] = get_args(Family)
 
 # -- strengthening ----------------------------------------------------------------------------------
 
-Coefficients = Annotated[tuple[NonNegative, ...], Field(min_length=3, max_length=3)]
+Coefficients = Annotated[tuple[f.NonNegative, ...], Field(min_length=3, max_length=3)]
 
 
 class Alpha(ScenarioPart):
     """One strengthening function, `c1 s + c2 |s| s + c3 s^3` with `s = h - bias`."""
 
     coefficients: Coefficients = unit("1/s, ...", "c1, c2 and c3, >= 0 and not all zero.")
-    bias: NonNegative = unit("unit of h", "Distance kept of the boundary h = 0.", default=0.0)
-    recovery: Real = unit("-", "Factor where s < 0.", default=1.0, ge=1, le=1e6)
-    push: NonNegative = unit("unit of h per second", "Least growth of h asked for where s < 0.", default=0.0)
+    bias: f.NonNegative = unit("unit of h", "Distance kept of the boundary h = 0.", default=0.0)
+    recovery: f.Real = unit("-", "Factor where s < 0.", default=1.0, ge=1, le=1e6)
+    push: f.NonNegative = unit(
+        "unit of h per second", "Least growth of h asked for where s < 0.", default=0.0
+    )
 
 
 def _alpha(name: str) -> Alpha | None:
@@ -45,12 +48,9 @@ def _alpha(name: str) -> Alpha | None:
 class StrengtheningTable(ScenarioPart):
     """The functions alpha of eq. 7: a named set, and what replaces it for single kinds of constraint."""
 
-    preset: Text = unit(
-        "-",
-        "Named set. `afrl`: that of the library the paper's authors published. `polaris`: the same with "
-        "quicker velocity limits. `linear`: 0.3 h throughout, for conditions that hold between samples.",
-        default="polaris",
-    )
+    preset: f.Text = unit("-", default="polaris")
+    """Named set. `afrl`: that of the library the paper's authors published. `polaris`: the same with quicker
+    velocity limits. `linear`: 0.3 h throughout, for conditions that hold between samples."""
     chief_separation: Alpha | None = _alpha("h1, separation from the chief")
     deputy_separation: Alpha | None = _alpha("h2, separation of two deputies")
     speed: Alpha | None = _alpha("h3, dynamic speed limit")
@@ -69,19 +69,11 @@ class BarrierFilter(ScenarioPart):
     """What the barrier filters share."""
 
     without: tuple[Family, ...] = unit("-", "Kinds of constraint that are left out.", default=())
-    sampled_data: Flag = unit(
-        "-",
-        "Tighten the conditions so that, where the program has a solution, they hold for the whole control "
-        "period and not only at its start.",
-        default=True,
-    )
-    sampled_data_share: Real = unit(
-        "-",
-        "Part of a constraint's value that may be lost in one period; less is calmer.",
-        default=0.5,
-        gt=0,
-        le=1,
-    )
+    sampled_data: f.Flag = unit("-", default=True)
+    """Tighten the conditions so that, where the program has a solution, they hold for the whole control
+    period and not only at its start."""
+    sampled_data_share: f.Real = unit("-", default=0.5, gt=0, le=1)
+    """Part of a constraint's value that may be lost in one period; less is calmer."""
 
 
 class CentralizedFilter(BarrierFilter):
@@ -94,68 +86,60 @@ class DecentralizedFilter(BarrierFilter):
     """One quadratic program per deputy: it knows where the others are, not what they will do."""
 
     kind: Literal["decentralized"] = unit("-", "A filter for each deputy.")
-    sharing: Literal["coasting", "half", "consensus"] = unit(
-        "-",
-        "Who answers for a condition on a pair. `coasting`: each alone, as if the other did not thrust (the "
-        "paper's). `half`: each for half. `consensus`: each for its part of a solution all can compute.",
-        default="coasting",
-    )
+    sharing: Literal["coasting", "half", "consensus"] = unit("-", default="coasting")
+    """Who answers for a condition on a pair. `coasting`: each alone, as if the other did not thrust (the
+    paper's). `half`: each for half. `consensus`: each for its part of a solution all can compute."""
 
 
 class BackupFilter(ScenarioPart):
     """What the filters share that fall back to a backup controller, which parks on a closed ellipse."""
 
     without: tuple[Family, ...] = unit("-", "Kinds of constraint that are left out.", default=())
-    response_s: Positive = unit("s", "Time constant of the backup controller.", default=20.0)
+    response_s: f.Positive = unit("s", "Time constant of the backup controller.", default=20.0)
 
 
 class _Switching(BackupFilter):
     """A filter that passes the desired thrust as it is, or hands over to the backup."""
 
-    dwell_s: NonNegative = unit(
-        "s", "For so long all must have been at its release before a deputy is handed back.", default=30.0
-    )
+    dwell_s: f.NonNegative = unit("s", default=30.0)
+    """For so long all must have been at its release before a deputy is handed back."""
 
 
 class _Predicting(BackupFilter):
     """A filter that flies the backup controller ahead; it looks at all constraints but h7 and h8."""
 
-    horizon_s: Positive = unit(
-        "s", "Longest backup flight: all deputies must have settled by then.", default=600.0
-    )
+    horizon_s: f.Positive = unit("s", default=600.0)
+    """Longest backup flight: all deputies must have settled by then."""
 
 
 class ExplicitSimplexFilter(_Switching):
     """Passes the desired thrust while every barrier stays at its margin."""
 
     kind: Literal["explicit_simplex"] = unit("-", "The desired thrust or the backup's, by the barriers.")
-    margin: NonNegative = unit("unit of h", "Least value of every barrier for passing.", default=0.0)
-    release: NonNegative = unit(
-        "unit of h", "Least value of every barrier for handing back; at least the margin.", default=0.05
-    )
-    looks: Whole = unit(
-        "-", "Instants of the coming period at which the barriers are looked at.", default=2, ge=1, le=100
-    )
+    margin: f.NonNegative = unit("unit of h", "Least value of every barrier for passing.", default=0.0)
+    release: f.NonNegative = unit("unit of h", default=0.05)
+    """Least value of every barrier for handing back; at least the margin."""
+    looks: f.Whole = unit("-", default=2, ge=1, le=100)
+    """Instants of the coming period at which the barriers are looked at."""
 
 
 class ImplicitSimplexFilter(_Switching, _Predicting):
     """Passes the desired thrust while the backup flight after the period keeps the constraints for ever."""
 
-    kind: Literal["implicit_simplex"] = unit(
-        "-", "The desired thrust or the backup's, by the backup's flight."
-    )
-    release_distance_m: NonNegative = unit("m", "Least distances for handing back.", default=2.0)
-    release_speed_m_s: NonNegative = unit("m/s", "Least speeds to spare for handing back.", default=0.02)
+    kind: Literal["implicit_simplex"] = unit("-")
+    """The desired thrust or the backup's, by the backup's flight."""
+    release_distance_m: f.NonNegative = unit("m", "Least distances for handing back.", default=2.0)
+    release_speed_m_s: f.NonNegative = unit("m/s", "Least speeds to spare for handing back.", default=0.02)
 
 
 class ImplicitASIFFilter(_Predicting):
     """The nearest thrust after which the backup flight keeps the constraints for ever."""
 
     kind: Literal["implicit_asif"] = unit("-", "Barrier conditions on the backup's flight.")
-    rate_1_s: Positive = unit("1/s", "The function alpha of eq. 7 is this times the value.", default=0.1)
+    rate_1_s: f.Positive = unit("1/s", "The function alpha of eq. 7 is this times the value.", default=0.1)
 
 
-Filter = Annotated[CentralizedFilter | DecentralizedFilter, Field(discriminator="kind")]
+Filter = Annotated[CentralizedFilter | DecentralizedFilter, *f.BY_KIND]
 """Those of a Monte Carlo: they answer for many runs at once."""
 
 FlightFilter = Annotated[
@@ -164,6 +148,6 @@ FlightFilter = Annotated[
     | ExplicitSimplexFilter
     | ImplicitSimplexFilter
     | ImplicitASIFFilter,
-    Field(discriminator="kind"),
+    *f.BY_KIND,
 ]
 """Those of one flight."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from ..model.errors import ScenarioError
 from .filter_tables import (
     BarrierFilter,
     DecentralizedFilter,
@@ -20,33 +19,14 @@ if TYPE_CHECKING:
     from ..inspection.flights.simulation import BatchFilter
     from ..inspection.inspection import Inspection
 
-_FIELDS = {
-    "response": "response_s",
-    "dwell": "dwell_s",
-    "horizon": "horizon_s",
-    "rate": "rate_1_s",
-    "release_distance": "release_distance_m",
-    "release_speed": "release_speed_m_s",
-}
-"""Key of the table by the parameter of the filter."""
-
 
 def build_filter(
     spec: FlightFilter, inspection: Inspection, strengthening: Mapping[str, Strengthening], period: float
 ) -> BatchFilter:
-    """The filter that a table describes, for a control period [s].
-
-    Raises
-    ------
-    ScenarioError
-        If it cannot be built; its field is the key of the table, or ``period``.
-    """
-    try:
-        if isinstance(spec, BarrierFilter):
-            return _barrier_filter(spec, inspection, strengthening, period)
-        return _backup_filter(spec, inspection, strengthening, period)
-    except ScenarioError as error:
-        raise ScenarioError(_FIELDS.get(error.field, error.field), error.given, error.rule) from error
+    """The filter that a table describes, for a control period [s]."""
+    if isinstance(spec, BarrierFilter):
+        return _barrier_filter(spec, inspection, strengthening, period)
+    return _backup_filter(spec, inspection, strengthening, period)
 
 
 def _barrier_filter(

@@ -16,9 +16,8 @@ from pathlib import Path
 from typing import Any, TypeVar, overload
 
 from ..model.errors import ScenarioError
-from .base import KINDS, SCHEDULE, Scenario, overridden
+from .base import KINDS, SCHEDULE, Scenario, overridden, parse_assignment
 from .inspection import FlightScenario, FuelLimitScenario, InspectionScenario, MonteCarloScenario
-from .overrides import parse_assignment
 from .reading import printable, read_document
 from .schedule import ScheduleScenario
 

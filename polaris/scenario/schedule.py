@@ -10,12 +10,11 @@ from ..model.checks import counted
 from ..model.system import LinearSystem
 from . import build, numerics, rules
 from .base import Scenario, kept
-from .geometry import check_start_and_goal
 from .tables import SampledFeedback, ScenarioModel, Simulation
 
 if TYPE_CHECKING:
     from ..model.obstacle import Obstacle
-    from ..planning.goal import Goal
+    from ..planning.goals import Goal
     from ..synthesis.controllers import Controller
     from ..synthesis.get_safety import Safety
     from ..synthesis.problem import Problem
@@ -38,11 +37,10 @@ class ScheduleScenario(Scenario):
         numerics.check_numerics(model, system)
         for path, Q, R in numerics.weights(model):
             numerics.check_weights(path, Q, R, system)
-        rules.check_controllers(model, system)
         rules.check_names(model)
         rules.check_scene(model, self.obstacles(), system)
         self.goal()
-        check_start_and_goal(model, self.obstacles(), system, self.initial_set())
+        rules.check_start_and_goal(model, self.obstacles(), system, self.initial_set())
 
     def outline(self) -> str:
         """What it describes, on one line."""
@@ -106,7 +104,7 @@ class ScheduleScenario(Scenario):
         """
         from .experimental import build_controllers
 
-        return build_controllers(self.model.experimental, safety)
+        return build_controllers(self.model, safety)
 
     @kept
     def problem(self) -> Problem:
@@ -115,7 +113,7 @@ class ScheduleScenario(Scenario):
         from ..synthesis.problem import Problem
         from .experimental import gains_of
 
-        system, tracking, planner = self.system(), self.model.tracking, self.model.planner
+        system, tracking, given = self.system(), self.model.tracking, self.model.planner.arguments()
         feedback, weight = self.model.feedback, tracking.weight
         return Problem(
             system=system,
@@ -130,17 +128,11 @@ class ScheduleScenario(Scenario):
             period=feedback.period_s if isinstance(feedback, SampledFeedback) else None,
             bound=tracking.bound,
             weight=weight if isinstance(weight, str) else build.full_weight(weight),
-            objective=planner.objective,
-            extra_margin=planner.extra_margin_m,
-            thrust_reserve=planner.thrust_reserve,
-            planner=PlannerOptions(
-                solver=planner.solver,
-                max_linear_programs=planner.max_linear_programs,
-                max_nodes=planner.max_nodes,
-                time_limit=planner.time_limit_s,
-                gap=planner.gap,
-            ),
-            gains=gains_of(self.model.experimental, system),
+            objective=given.pop("objective"),
+            extra_margin=given.pop("extra_margin"),
+            thrust_reserve=given.pop("thrust_reserve"),
+            planner=PlannerOptions(**given),
+            gains=gains_of(self.model, system),
         )
 
     def switching_rules(self) -> SwitchingRules:

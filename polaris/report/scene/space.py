@@ -15,8 +15,7 @@ from ...model.obstacle import Obstacle
 from ...model.satellite import SatelliteObstacle
 from ...model.shapes import Ball
 from ...model.system import Array
-from ...planning.goal import Goal
-from ...planning.goals import Box, EllipticalNMT, LinearNMT, StationaryPoint
+from ...planning.goals import Box, EllipticalNMT, Goal, LinearNMT, StationaryPoint
 from ...runs.frame import directions
 from ...runs.picture import Approach, Picture
 from .geometry import Shape, ball_points, boxed, flat_outline
