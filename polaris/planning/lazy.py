@@ -7,9 +7,9 @@ from time import perf_counter
 
 import numpy as np
 
-from .backends import Limits
+from .backends import Found, Limits
 from .effort import Allowance, Effort, Spare
-from .model import Answer, Model
+from .model import Model
 from .rows import Key
 from .search import Candidate, PathSearch
 from .tree import Outcome
@@ -45,12 +45,12 @@ def by_back_end(
         budget = best.fuel * (1 + 1e-6) + 1e-9 if best is not None and by_fuel else np.inf
         model = Model(search, cells, budget)
         effort.add_time("model", begun)
-        answer = _run(effort, model, stage, best, _limits(effort, best, early, late, spare))
+        answer, solution = _run(effort, model, stage, best, _limits(effort, best, early, late, spare))
         if answer.status == "infeasible":
             bound = search.value(best) if best is not None else np.inf
             return outcome("infeasible" if best is None else "optimal")
         bound = max(bound, answer.bound)
-        path, lacking = _polished(search, answer.path) if answer.path is not None else (None, {})
+        path, lacking = _polished(search, solution) if solution is not None else (None, {})
         if path is not None and lacking:
             path = search.dive(path.choice)
         if path is not None and (best is None or search.value(path) < search.value(best)):
@@ -74,7 +74,9 @@ def _limits(
     return limits
 
 
-def _run(effort: Effort, model: Model, stage: str, best: Candidate | None, limits: Limits) -> Answer:
+def _run(
+    effort: Effort, model: Model, stage: str, best: Candidate | None, limits: Limits
+) -> tuple[Found, Candidate | None]:
     begun = perf_counter()
     top = effort.search.value(best) if best is not None else np.inf
 
@@ -86,12 +88,12 @@ def _run(effort: Effort, model: Model, stage: str, best: Candidate | None, limit
         seen = effort.search.look(best)
         facets = {key: effort.search.pick(key, seen) for key, _ in model.z}
         start = replace(best, choice=facets | best.choice)
-    answer = model.solve(effort.options, limits, start, listen if effort.options.progress else None)
+    found = model.solve(effort.options, limits, start, listen if effort.options.progress else None)
     effort.add_time("solver", begun)
-    for name in ("rows", "cols", "binaries"):
-        effort.stats[name] = max(effort.stats[name], answer.stats.get(name, 0))
-    effort.stats["nodes"] += answer.stats["nodes"]
-    return answer
+    sizes = {"rows": model.count, "cols": model.cols, "binaries": model.binaries}
+    effort.stats |= {name: max(effort.stats[name], float(size)) for name, size in sizes.items()}
+    effort.stats["nodes"] += found[0].nodes
+    return found
 
 
 def _polished(search: PathSearch, path: Candidate) -> tuple[Candidate | None, dict[Key, float]]:
