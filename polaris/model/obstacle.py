@@ -45,18 +45,20 @@ class Obstacle(ABC):
         """Over-approximation over ``[0, cells * delta]``, cells of `delta` [s]."""
 
     @abstractmethod
+    def motion(
+        self, t: ArrayLike, system: LinearSystem | None = None, state: ArrayLike | None = None
+    ) -> tuple[Array, Array]:
+        """Position [m] and velocity [m/s] of the shape's origin at times t [s], shapes (..., d).
+
+        `system`, or the true `state` (..., n), says where another satellite is; other obstacles need neither.
+        """
+
     def centre(
         self, t: ArrayLike, system: LinearSystem | None = None, state: ArrayLike | None = None
     ) -> Array:
-        """Position [m] of the shape's origin at times t [s], shape (..., d)."""
+        """Position [m] of `motion`."""
+        return self.motion(t, system, state)[0]
 
-    @abstractmethod
-    def velocity_at(
-        self, t: ArrayLike, system: LinearSystem | None = None, state: ArrayLike | None = None
-    ) -> Array:
-        """Velocity [m/s] of the shape's origin at times t [s], shape (..., d)."""
-
-    @abstractmethod
     def relative_drift(
         self, t: ArrayLike, x: Array, system: LinearSystem, state: ArrayLike | None = None
     ) -> tuple[Array, Array, Array]:
@@ -65,6 +67,7 @@ class Obstacle(ABC):
         Returns ``(y, c, v)`` such that the relative position s seconds later is
         ``C e^{A s} y - c - v s``; shapes (..., n), (..., d), (..., d).
         """
+        return x, *self.motion(t, system, state)
 
     @abstractmethod
     def outline(self, t: float, system: LinearSystem | None = None, extent: float = EXTENT) -> Array:
@@ -75,8 +78,7 @@ class Obstacle(ABC):
     ) -> Array:
         """Distance [m] from positions p (..., d) at times t (broadcast) to the true unsafe set.
 
-        Positive outside it, negative inside (penetration depth). `system`, or the true `state`
-        (..., n), says where another satellite is; other obstacles need neither.
+        Positive outside it, negative inside (penetration depth). See `motion` for `system` and `state`.
         """
         centre = self.centre(t, system, state)
         return self.shape.signed_distance(self._positions("p", p, centre) - centre)
@@ -93,7 +95,7 @@ class Obstacle(ABC):
 
         Both keep the velocity they have at time t.
         """
-        centre, velocity = self.centre(t, system, state), self.velocity_at(t, system, state)
+        centre, velocity = self.motion(t, system, state)
         p, v = self._positions("p", p, centre), self._positions("v", v, centre)
         return self.shape.entry_time(p - centre, v - velocity)
 
@@ -126,23 +128,12 @@ class Anchored(Obstacle):
     def _v(self) -> Array:
         return np.zeros(len(self.anchor))
 
-    def centre(
+    def motion(
         self, t: ArrayLike, system: LinearSystem | None = None, state: ArrayLike | None = None
-    ) -> Array:
-        """Position [m] at times t [s]."""
-        return self.anchor + np.asarray(t, dtype=float)[..., None] * self._v
-
-    def velocity_at(
-        self, t: ArrayLike, system: LinearSystem | None = None, state: ArrayLike | None = None
-    ) -> Array:
-        """Velocity [m/s], the same at all times."""
-        return np.broadcast_to(self._v, (*np.shape(t), len(self._v)))
-
-    def relative_drift(
-        self, t: ArrayLike, x: Array, system: LinearSystem, state: ArrayLike | None = None
-    ) -> tuple[Array, Array, Array]:
-        """See `Obstacle.relative_drift`."""
-        return x, self.centre(t), self.velocity_at(t)
+    ) -> tuple[Array, Array]:
+        """Position [m] and velocity [m/s], the same at all times."""
+        centre = self.anchor + np.asarray(t, dtype=float)[..., None] * self._v
+        return centre, np.broadcast_to(self._v, centre.shape)
 
 
 class RigidObstacle(Anchored):

@@ -91,7 +91,7 @@ class SatelliteObstacle(Obstacle):
         """One timed polytope; offsets cover the whole of every cell (see `_cover`)."""
         self._check_cells(system, delta, cells, system.d)
         self._fits(system)
-        normals = directions(system.d, self.facets, f"{self.path}.facets")
+        normals = self._normals(system)
         wanted, parts = max(1e-3, 1e-4 * self.radius), 1
         rule = f"must stay finite when propagated over {cells * delta:g} s"
         try:
@@ -173,19 +173,12 @@ class SatelliteObstacle(Obstacle):
         self._fits(system)
         return free_motion(system.A, self._x0, np.asarray(t, dtype=float))
 
-    def centre(
+    def motion(
         self, t: ArrayLike, system: LinearSystem | None = None, state: ArrayLike | None = None
-    ) -> Array:
-        """Position [m]: of the true `state` (..., n) if given, else of the nominal one."""
+    ) -> tuple[Array, Array]:
+        """Position [m] and velocity [m/s]: of the true `state` (..., n) if given, else of the nominal one."""
         known, system = self._known(t, system, state)
-        return np.asarray(known @ system.position.T)
-
-    def velocity_at(
-        self, t: ArrayLike, system: LinearSystem | None = None, state: ArrayLike | None = None
-    ) -> Array:
-        """Velocity [m/s], of the true `state` if given, else of the nominal one."""
-        known, system = self._known(t, system, state)
-        return np.asarray(known @ system.velocity.T)
+        return np.asarray(known @ system.position.T), np.asarray(known @ system.velocity.T)
 
     def relative_drift(
         self, t: ArrayLike, x: Array, system: LinearSystem, state: ArrayLike | None = None
@@ -198,13 +191,15 @@ class SatelliteObstacle(Obstacle):
     def outline(self, t: float, system: LinearSystem | None = None, extent: float = EXTENT) -> Array:
         """Vertices [m] of the over-approximating polytope at time t."""
         _, system = self._known(0.0, system, None)
-        normals = directions(system.d, self.facets, f"{self.path}.facets")
-        offsets = self._cover(system, normals, t, 1, 64)[0][0, 1] if t > 0 else self._start(system, normals)
-        return Polytope(normals, offsets).vertices()
-
-    def _start(self, system: LinearSystem, normals: Array) -> Array:
+        normals = self._normals(system)
+        if t > 0:
+            return Polytope(normals, self._cover(system, normals, t, 1, 64)[0][0, 1]).vertices()
         rows = normals @ system.position
-        return np.asarray(rows @ self._x0 + np.abs(rows) @ np.asarray(self.state_half_widths) + self.radius)
+        spread = np.abs(rows) @ np.asarray(self.state_half_widths)
+        return Polytope(normals, rows @ self._x0 + spread + self.radius).vertices()
+
+    def _normals(self, system: LinearSystem) -> Array:
+        return directions(system.d, self.facets, f"{self.path}.facets")
 
     def _known(
         self, t: ArrayLike, system: LinearSystem | None, state: ArrayLike | None

@@ -136,7 +136,8 @@ def _sets(
     name = obstacle.name
     if isinstance(obstacle, SatelliteObstacle) and (nominal or name in satellites):
         true, radii = satellites.get(name), np.full(len(t), obstacle.radius)
-        ball = BallTrace(t, obstacle.centre(t, system, true), radii, obstacle.velocity_at(t, system, true))
+        centre, velocity = obstacle.motion(t, system, true)
+        ball = BallTrace(t, centre, radii, velocity)
         told = f"{name}: another satellite, as a ball about where it is nominally"
         return {name: ball}, None if name in satellites else told
     if isinstance(obstacle, (BallObstacle, BoxObstacle)):

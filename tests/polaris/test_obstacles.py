@@ -367,9 +367,8 @@ def test_entry_time_agrees_with_dense_sampling(seed, kind):
     v = rng.normal(size=(12, 3)) - 0.4 * p
     found = obstacle.entry_time(0.0, p, v, CW)
     s = np.linspace(0, 12, 1201)
-    relative = (
-        p[:, None] - obstacle.centre(0.0, CW) + s[:, None] * (v[:, None] - obstacle.velocity_at(0.0, CW))
-    )
+    centre, velocity = obstacle.motion(0.0, CW)
+    relative = p[:, None] - centre + s[:, None] * (v[:, None] - velocity)
     distance = obstacle.shape.signed_distance(relative)
     for i in range(len(p)):
         hits = np.flatnonzero(distance[i] <= 0)
