@@ -32,7 +32,7 @@ class Program:
     binaries : int
         Number of binary columns.
     start : ndarray, shape (n,), or None
-        A point to start from, nan where it says nothing.
+        A point to start from.
     """
 
     cost: Array
@@ -86,13 +86,13 @@ def require(solver: str) -> None:
         raise ScenarioError("planner.solver", "gurobi", rule)
 
 
-def run(program: Program, options: PlannerOptions, limits: Limits, listen: Listen | None) -> Found:
+def run(program: Program, options: PlannerOptions, limits: Limits, listen: Listen) -> Found:
     """Solve a program; `listen` is told the incumbent and the bound."""
     solve = _gurobi if options.solver == "gurobi" else _highs
     return solve(program, options, limits, listen)
 
 
-def _highs(program: Program, options: PlannerOptions, limits: Limits, listen: Listen | None) -> Found:
+def _highs(program: Program, options: PlannerOptions, limits: Limits, listen: Listen) -> Found:
     import highspy
 
     make: Any = highspy.Highs  # its constructor carries no types
@@ -119,12 +119,10 @@ def _highs(program: Program, options: PlannerOptions, limits: Limits, listen: Li
         whole = np.full(count, highspy.HighsVarType.kInteger)
         model.changeColsIntegrality(count, np.arange(n - count, n, dtype=np.int32), whole)
     if program.start is not None:
-        known = np.flatnonzero(np.isfinite(program.start)).astype(np.int32)
-        model.setSolution(len(known), known, program.start[known])
+        model.setSolution(n, np.arange(n, dtype=np.int32), program.start)
 
     def hear(what: Any, message: str, data: Any, answer: Any, user: Any) -> None:
-        if listen is not None:
-            listen(data.mip_primal_bound, data.mip_dual_bound)
+        listen(data.mip_primal_bound, data.mip_dual_bound)
         found = bool(data.mip_primal_bound < highspy.kHighsInf)
         gave_up[0] = limits.given_up(found, data.mip_node_count, data.running_time) or gave_up[0]
         answer.user_interrupt = bool(gave_up[0])
@@ -144,7 +142,7 @@ def _highs(program: Program, options: PlannerOptions, limits: Limits, listen: Li
     return Found("optimal" if status == kind.kOptimal else gave_up[0] or ended, x, bound, nodes)
 
 
-def _gurobi(program: Program, options: PlannerOptions, limits: Limits, listen: Listen | None) -> Found:
+def _gurobi(program: Program, options: PlannerOptions, limits: Limits, listen: Listen) -> Found:
     import gurobipy as gp
 
     grb, gave_up = gp.GRB, [""]
@@ -154,8 +152,7 @@ def _gurobi(program: Program, options: PlannerOptions, limits: Limits, listen: L
             return
         asked = ("MIP_OBJBST", "MIP_OBJBND", "MIP_NODCNT", "RUNTIME")
         best, bound, nodes, seconds = (model.cbGet(getattr(grb.Callback, what)) for what in asked)
-        if listen is not None:
-            listen(best, bound)
+        listen(best, bound)
         gave_up[0] = limits.given_up(best < grb.INFINITY, nodes, seconds) or gave_up[0]
         if gave_up[0]:
             model.terminate()
@@ -180,7 +177,7 @@ def _gurobi(program: Program, options: PlannerOptions, limits: Limits, listen: L
             sense = np.where(program.lower == program.upper, "=", np.where(least, ">", "<"))
             model.addMConstr(program.A, x, sense, np.where(least, program.lower, program.upper))
             if program.start is not None:
-                x.Start = np.where(np.isfinite(program.start), program.start, grb.UNDEFINED)
+                x.Start = program.start
             model.optimize(hear)
             return _gurobi_answer(model, x, grb, gave_up[0])
     except gp.GurobiError as error:

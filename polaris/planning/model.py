@@ -1,18 +1,27 @@
-"""The mixed-integer program (eqs. 14-23, corrected) over some disjunctions, for a back end."""
+"""The mixed-integer program (eqs. 14-23, corrected) by a back end, lazily.
+
+Disjunctions enter the program when its solution lacks clearance there.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Collection
+from dataclasses import replace
+from time import perf_counter
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..model.system import Array
 from . import backends
+from .effort import Allowance, Effort
 from .lp import GrowingLP
-from .problem import PlannerOptions
 from .rows import Key, Rows
 from .search import Candidate, PathSearch
+from .tree import Outcome
+
+MAX_ROUNDS = 60
+MAX_BOOKINGS = 4
 
 Columns = NDArray[np.int_]
 
@@ -110,30 +119,20 @@ class Model:
             self._add(binaries, np.ones((1, len(binaries))), 1.0, 1.0)
         return bool(chosen)
 
-    def solve(
-        self,
-        options: PlannerOptions,
-        limits: backends.Limits,
-        start: Candidate | None = None,
-        listen: Callable[[float, float], None] | None = None,
-    ) -> tuple[backends.Found, Candidate | None]:
-        """Run the back end, from a start if there is one; its answer, and the path it found."""
-        if self.impossible:
-            return backends.Found("infeasible", None, np.inf, 0.0), None
-        found = backends.run(self._program(start), options, limits, listen)
-        if found.x is None:
-            return found, None
-        z = found.x[: self.N] - found.x[self.N : 2 * self.N]
-        choice = {key: j for (key, j), column in self.z.items() if column is None or found.x[column] > 0.5}
+    def path(self, x: Array) -> Candidate:
+        """A solution as a path."""
+        z = x[: self.N] - x[self.N : 2 * self.N]
+        choice = {key: j for (key, j), column in self.z.items() if column is None or x[column] > 0.5}
         fuel = float(np.sum(self.rows.price * np.abs(z)))
-        return found, Candidate(z, float(found.x[2 * self.N]), 0.0, fuel, choice)
+        return Candidate(z, float(x[2 * self.N]), 0.0, fuel, choice)
 
     @property
     def binaries(self) -> int:
         """Number of binaries, the last columns."""
         return self.cols - 2 * self.N - 1 - self.K * self.n
 
-    def _program(self, start: Candidate | None) -> backends.Program:
+    def program(self, start: Candidate | None) -> backends.Program:
+        """The matrices, with a path to start from."""
         from scipy.sparse import csr_array
 
         search, states, binary = self.search, np.full(self.K * self.n, np.inf), np.zeros(self.binaries)
@@ -153,14 +152,14 @@ class Model:
         )
 
     def _point(self, path: Candidate) -> Array:
-        """A path as a point of the program, nan for binaries of cells it does not speak about."""
-        x = np.full(self.cols, np.nan)
+        """A path as a point of the program."""
+        x = np.empty(self.cols)
         x[: 2 * self.N + 1] = np.r_[np.maximum(path.z, 0.0), np.maximum(-path.z, 0.0), path.level]
-        states = self.search.look(path).states[1:] @ self.frame.T
-        x[2 * self.N + 1 : self.cols - self.binaries] = states.ravel()
+        seen = self.search.look(path)
+        x[2 * self.N + 1 : self.cols - self.binaries] = (seen.states[1:] @ self.frame.T).ravel()
         for (key, j), column in self.z.items():
-            if column is not None and key in path.choice:
-                x[column] = path.choice[key] == j
+            if column is not None:
+                x[column] = j == (path.choice[key] if key in path.choice else self.search.pick(key, seen))
         return x
 
 
@@ -187,3 +186,90 @@ def goal_floor(G: Array, g: Array, N: Array) -> Array:
             if answer is not None:
                 out[j] = answer[0]
     return out
+
+
+def by_back_end(effort: Effort, stage: str, best: Candidate | None, allowed: Allowance) -> Outcome:
+    """The back end decides the binaries; cells enter when its solution lacks clearance there."""
+    search, gap, before = effort.search, effort.options.gap, effort.stats["nodes"]
+    cells = frozenset(best.choice if best is not None else ())
+    bound, ended = -np.inf, "effort_limit"
+
+    def within() -> bool:
+        value = search.value(best) if best is not None else np.inf
+        return value - bound <= gap * abs(value) + 1e-9
+
+    def outcome(status: str) -> Outcome:
+        return Outcome(best, bound, status, int(effort.stats["nodes"] - before))
+
+    for _ in range(MAX_ROUNDS):
+        if best is not None and within():
+            break
+        if stopped := allowed.spent(best, effort.used):
+            return outcome(stopped)
+        effort.stats["rounds"] += 1
+        begun = perf_counter()
+        by_fuel = best is not None and search.margin_price == 0
+        budget = best.fuel * (1 + 1e-6) + 1e-9 if best is not None and by_fuel else np.inf
+        model = Model(search, cells, budget)
+        effort.add_time("model", begun)
+        answer = _run(effort, model, stage, best, _limits(effort.used, best, allowed))
+        if answer.status == "infeasible":
+            bound = search.value(best) if best is not None else np.inf
+            return outcome("infeasible" if best is None else "optimal")
+        bound = max(bound, answer.bound)
+        path, lacking = (None, {}) if answer.x is None else _polished(search, model.path(answer.x))
+        if path is not None and lacking:
+            path = search.dive(path.choice)
+        if path is not None and (best is None or search.value(path) < search.value(best)):
+            best = path
+        if answer.status != "optimal" or not lacking:
+            ended = answer.status if answer.status != "optimal" else ended
+            break
+        cells = cells | lacking.keys()
+    return outcome("optimal" if best is not None and within() else ended)
+
+
+def _limits(used: float, best: Candidate | None, allowed: Allowance) -> backends.Limits:
+    """What is allowed, less what is used. A search that finds nothing may have to end early."""
+    spare, now = allowed.spare(best), perf_counter()
+    nodes, seconds = [most - used for most in allowed.effort], [end - now for end in allowed.deadline]
+    which = 0 if spare and best is not None else 1
+    limits = backends.Limits(max(int(nodes[which]), 1), seconds[which])
+    if spare and best is None:
+        return replace(limits, patience_nodes=nodes[0], patience_seconds=seconds[0])
+    return limits
+
+
+def _run(
+    effort: Effort, model: Model, stage: str, best: Candidate | None, limits: backends.Limits
+) -> backends.Found:
+    """Solve a model from the best path, and account for it."""
+    if model.impossible:
+        return backends.Found("infeasible", None, np.inf, 0.0)
+    begun, top = perf_counter(), effort.search.value(best) if best is not None else np.inf
+
+    def listen(incumbent: float, bound: float) -> None:
+        effort.report(stage, min(top, incumbent), bound)
+
+    found = backends.run(model.program(best), effort.options, limits, listen)
+    effort.add_time("solver", begun)
+    sizes = {"rows": model.count, "cols": model.cols, "binaries": model.binaries}
+    effort.stats |= {name: max(effort.stats[name], float(size)) for name, size in sizes.items()}
+    effort.stats["nodes"] += found.nodes
+    return found
+
+
+def _polished(search: PathSearch, path: Candidate) -> tuple[Candidate | None, dict[Key, float]]:
+    """Solve again with the facets fixed, so that no big-M and no integer tolerance is left.
+
+    Returns the path and the cells where it lacks clearance.
+    """
+    for _ in range(MAX_BOOKINGS):
+        clean = search.solve(path.choice)
+        if clean is None:
+            break
+        seen = search.look(clean)
+        lacking = search.lacking(clean, seen)
+        if lacking or search.confirmed(clean, seen):
+            return clean, lacking
+    return None, {}

@@ -13,16 +13,12 @@ import numpy as np
 from ..model.errors import ClockWarning, NotCertified, OutOfTime
 from . import backends, diagnose
 from .effort import Effort, Spare
-from .lazy import by_back_end
+from .model import by_back_end
 from .problem import SOLVERS, Plan, PlannerOptions, PlanProblem, Stage
 from .recheck import certified
 from .rows import Rows
 from .search import Candidate, Levels, PathSearch, set_targets
 from .tree import Outcome, branch
-
-SPARE_SHARE = 0.25
-"""Share of the effort left for a stage that can be given up: looking for a first path with the full
-margin, and proving that no larger margin exists once a path is known."""
 
 MARGIN_SHARE = 0.75
 """Share of the effort left that the largest margin may take in all, so that least fuel gets its own."""
@@ -156,19 +152,19 @@ class Planner:
         """
         self.search.set_prices(levels, margin_price)
         begun, solves = perf_counter(), self.search.solves
-        early, late = self.effort.allow(SPARE_SHARE), self.effort.allow(share)
+        allowed = self.effort.allow(share, spare)
         if self.options.solver == "facets":
             found = branch(
                 self.search,
                 best,
                 self.options.gap,
-                lambda path: (early if spare(path) else late).spent(self.effort.used),
+                lambda path: allowed.spent(path, self.effort.used),
                 lambda top, bound: self.effort.report(stage, top, bound),
             )
             self.effort.add_time(stage.replace(" ", "_"), begun)
             self.effort.stats["nodes"] += found.nodes
         else:
-            found = by_back_end(self.effort, stage, best, early, late, spare)
+            found = by_back_end(self.effort, stage, best, allowed)
         by, solves = SOLVERS[self.options.solver], self.search.solves - solves
         self.effort.stages.append(Stage(stage, by, found.status, solves, int(found.nodes)))
         return found

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import difflib
 import re
 import tomllib
 from abc import ABC, abstractmethod
@@ -14,7 +13,7 @@ from typing import Any, ClassVar, Self, TypeVar
 
 from ..model.errors import ScenarioError
 from .fields import ScenarioPart
-from .reading import NOTHING, join_path, printable, validate, write_toml
+from .reading import NOTHING, did_you_mean, join_path, printable, validate, write_toml
 
 KINDS: dict[str, type[Scenario]] = {}
 """Class of every kind, by the key ``kind`` at the top of the file; `polaris.scenario.scenario` fills it."""
@@ -104,9 +103,8 @@ class Scenario(ABC):
         found = KINDS.get(kind) if isinstance(kind, str) else None
         if found is None or document.get("kind") == SCHEDULE:
             named = [name for name in KINDS if name != SCHEDULE]
-            near = difflib.get_close_matches(kind, named, n=1, cutoff=0.5) if isinstance(kind, str) else []
-            hint = f"; did you mean {near[0]}?" if near else ""
-            rule = f"must be one of {', '.join(map(repr, named))}, or left out for a schedule{hint}"
+            rule = f"must be one of {', '.join(map(repr, named))}, or left out for a schedule"
+            rule += did_you_mean(kind, named, 0.5)
             raise ScenarioError("kind", kind, rule, source)
         if not issubclass(found, cls):
             wanted = [name for name, known in KINDS.items() if issubclass(known, cls)]
@@ -188,9 +186,6 @@ class Scenario(ABC):
             return text
         noted = "".join(f"#   {' '.join(line.split())}\n" for line in self.overrides)
         return f"# Written with these overrides, which the values below include:\n{noted}\n{text}"
-
-
-# -- overriding single values -----------------------------------------------------------------------
 
 
 def overridden(document: dict[str, Any], values: Mapping[str, Any], where: str | None) -> dict[str, Any]:

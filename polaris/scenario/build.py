@@ -20,7 +20,7 @@ from ..model.tolerances import TIME
 from . import tables as models
 
 if TYPE_CHECKING:
-    from ..model.obstacle import Obstacle
+    pass
 
 
 def whole_parts(total: float, part: float) -> int | None:
@@ -93,14 +93,3 @@ def full_weight(weight: ArrayLike) -> Array:
     if matrix.ndim == 1:
         return np.diag(matrix)
     return np.asarray((matrix + matrix.T) / 2)
-
-
-def build_obstacles(model: models.ScenarioModel) -> tuple[Obstacle, ...]:
-    """Every unsafe set: obstacles first, then keep-in sets.
-
-    Raises
-    ------
-    ScenarioError
-        If one of them is not a set the perception oracle can deal with.
-    """
-    return tuple(part.build(path) for path, part in model.scene_parts())

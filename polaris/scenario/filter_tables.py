@@ -23,7 +23,6 @@ Family = Literal[
 
 FAMILY_NAMES: tuple[str, ...] = get_args(Family)
 
-# -- strengthening ----------------------------------------------------------------------------------
 
 Coefficients = Annotated[tuple[f.NonNegative, ...], Field(min_length=3, max_length=3)]
 
@@ -60,9 +59,6 @@ class StrengtheningTable(ScenarioPart):
     passive: Alpha | None = _alpha("h7, free flight past the chief")
     deputy_passive: Alpha | None = _alpha("h8, free flight of two deputies")
     velocity: Alpha | None = _alpha("h9 to h11, velocity limits")
-
-
-# -- the filter -------------------------------------------------------------------------------------
 
 
 class BarrierFilter(ScenarioPart):

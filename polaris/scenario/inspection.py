@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from abc import abstractmethod
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -18,6 +17,7 @@ from .base import Scenario, kept
 from .build import check_length, whole_parts
 from .fields import in_file_terms
 from .filter_tables import FAMILY_NAMES, Alpha, FlightFilter
+from .reading import did_you_mean
 
 if TYPE_CHECKING:
     from ..inspection.backup.parking import Law
@@ -65,9 +65,7 @@ class FilteredScenario(InspectionScenario):
         """The functions alpha, for every family."""
         table = self.model.strengthening
         if table.preset not in PRESETS:
-            near = difflib.get_close_matches(table.preset, PRESETS, n=1)
-            hint = f"; did you mean {near[0]}?" if near else ""
-            rule = f"must be one of {', '.join(map(repr, PRESETS))}{hint}"
+            rule = f"must be one of {', '.join(map(repr, PRESETS))}{did_you_mean(table.preset, PRESETS)}"
             raise ScenarioError("strengthening.preset", table.preset, rule)
         chosen = dict(PRESETS[table.preset])
         for family in chosen:

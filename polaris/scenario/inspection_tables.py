@@ -42,9 +42,6 @@ class Parameters(ScenarioPart):
     line; costs half of it in distance."""
 
 
-# -- start, time, primary controllers ---------------------------------------------------------------
-
-
 class InitialStates(ScenarioPart):
     """Given states."""
 
@@ -110,9 +107,6 @@ class ToDistance(_Regulator):
 
 Primary = Annotated[NoThrust | ToChief | ToDistance, *f.BY_KIND]
 Phases = Annotated[tuple[Primary, ...], Field(min_length=1, max_length=100)]
-
-
-# -- the kinds of scenario --------------------------------------------------------------------------
 
 
 class _Scene(f.Head):

@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import re
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -22,6 +23,12 @@ MAX_BYTES = 1_000_000
 Model = TypeVar("Model", bound=BaseModel)
 
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]{1,60}")
+
+
+def did_you_mean(word: object, known: Iterable[str], cutoff: float = 0.6) -> str:
+    """A hint at the known word nearest to another, ``; did you mean x?``, or an empty string."""
+    near = get_close_matches(word, list(known), n=1, cutoff=cutoff) if isinstance(word, str) else []
+    return f"; did you mean {near[0]}?" if near else ""
 
 
 class _Nothing:
@@ -52,9 +59,6 @@ def join_path(path: Sequence[str | int]) -> str:
     return out or "file"
 
 
-# -- files ------------------------------------------------------------------------------------------
-
-
 def read_document(path: Path) -> tuple[dict[str, Any], str]:
     """Read a TOML file; return its data and its text.
 
@@ -66,12 +70,9 @@ def read_document(path: Path) -> tuple[dict[str, Any], str]:
     """
     shown = printable(str(path))
     try:
-        if not path.exists():
-            raise ScenarioError("file", shown, "there is no such file")
-        if path.is_dir():
-            raise ScenarioError("file", shown, "must be a file, this is a directory")
         if not path.is_file():
-            raise ScenarioError("file", shown, "must be a regular file")
+            other = "must be a file, this is a directory" if path.is_dir() else "must be a regular file"
+            raise ScenarioError("file", shown, other if path.exists() else "there is no such file")
         with path.open("rb") as stream:
             data = stream.read(MAX_BYTES + 1)
     except (OSError, ValueError) as error:
@@ -97,9 +98,6 @@ def parse_toml(text: str, where: str) -> dict[str, Any]:
         raise ScenarioError("file", where, "must be TOML with fewer nested brackets") from error
     except ValueError as error:  # TOMLDecodeError, and what int() and datetime() refuse
         raise ScenarioError("file", where, f"must be TOML: {printable(str(error))}") from error
-
-
-# -- validation -------------------------------------------------------------------------------------
 
 
 def validate(model: type[Model], document: Mapping[str, Any], where: str | None = None) -> Model:
@@ -151,7 +149,9 @@ def _located(problem: ErrorDetails, document: Mapping[str, Any]) -> tuple[str, A
     if kind == "missing":
         return join_path([*path, problem["loc"][-1]]), NOTHING, "is required"
     if kind == "unknown_key":
-        return join_path([*path, context["key"]]), value[context["key"]], f"unknown key; {context['hint']}"
+        key, known = context["key"], context["known"]
+        hint = did_you_mean(key, known, 0.5) or f"; known here: {', '.join(known)}"
+        return join_path([*path, key]), value[key], f"unknown key{hint}"
     if kind == "union_tag_invalid":
         rule = f"must be one of {context['expected_tags']}"
         return join_path([*path, "kind"]), value.get("kind", NOTHING), rule
@@ -196,9 +196,6 @@ def _rule(kind: str, context: Mapping[str, Any], value: Any, message: str) -> st
     if kind in _RULES:
         return _RULES[kind].format(**context)
     return printable(message[:1].lower() + message[1:])
-
-
-# -- writing ----------------------------------------------------------------------------------------
 
 
 def write_toml(document: Mapping[str, Any]) -> str:

@@ -41,13 +41,13 @@ PER_AXIS = ("center_m", "half_widths_m", "velocity_m_s", "apex_m", "axis")
 """Those that hold one number for each position coordinate."""
 
 
-# -- shapes -----------------------------------------------------------------------------------------
-
-
-def check_system(spec: models.System) -> None:
+def check_system(model: models.ScenarioModel) -> None:
     """Which states are the position; all other shapes are checked where the system is built."""
+    spec = model.system
     if isinstance(spec, models.ClohessyWiltshire):
         return
+    if model.orbit is not None:
+        raise ScenarioError("orbit", spec.kind, "needs Hill's frame (system.kind = 'clohessy_wiltshire')")
     n, C, chosen = len(spec.A), spec.C, spec.position_states
     if C is not None and chosen is not None:
         raise ScenarioError("system.C", C, "give C or position_states, not both")
@@ -61,13 +61,6 @@ def check_system(spec: models.System) -> None:
     if C is None and chosen is None and n > 7:
         rule = f"is required for a system of {n} states (positions have one to three coordinates)"
         raise ScenarioError("system.position_states", None, rule)
-
-
-def check_orbit(model: models.ScenarioModel) -> None:
-    """The table of the orbit belongs to a spacecraft."""
-    if model.orbit is not None and model.system.kind == "linear":
-        rule = "needs Hill's frame (system.kind = 'clohessy_wiltshire')"
-        raise ScenarioError("orbit", model.system.kind, rule)
 
 
 def check_shapes(model: models.ScenarioModel, system: LinearSystem) -> None:
@@ -101,9 +94,6 @@ def check_shapes(model: models.ScenarioModel, system: LinearSystem) -> None:
             raise ScenarioError(f"{path}.gain", shape, f"must be {m} x {n} numbers")
 
 
-# -- time -------------------------------------------------------------------------------------------
-
-
 def check_time(model: models.ScenarioModel) -> None:
     """Steps divide the horizon, control periods divide steps, and there are not too many of either."""
     horizon = model.horizon
@@ -125,9 +115,6 @@ def check_time(model: models.ScenarioModel) -> None:
             raise ScenarioError("feedback.period_s", period, rule)
         if not whole_parts(delta, period):
             raise ScenarioError("feedback.period_s", period, f"must divide step_s = {delta:g}")
-
-
-# -- names, scene -----------------------------------------------------------------------------------
 
 
 def check_names(model: models.ScenarioModel) -> None:
@@ -165,9 +152,6 @@ def check_scene(model: models.ScenarioModel, unsafe: Sequence[Obstacle], system:
         if reach > HILL_RANGE_M:
             rule = f"must start within {HILL_RANGE_M:g} m of the target, where Hill's linear equations hold"
             raise ScenarioError("initial_set.center", f"{reach:.4g} m away", rule)
-
-
-# -- start and end ----------------------------------------------------------------------------------
 
 
 def check_start_and_goal(

@@ -15,9 +15,6 @@ from ..planning import goals
 from . import fields as f
 from .fields import ScenarioPart, in_file_terms, unit
 
-# -- where it ends ----------------------------------------------------------------------------------
-
-
 USUAL_RATE = 1e-2
 """Rate [rad/s] by which velocities are weighed against positions where there is no orbit."""
 
@@ -103,9 +100,6 @@ class BoxGoal(GoalTable):
 
 
 Goal = Annotated[EllipticalNMTGoal | LinearNMTGoal | StationaryGoal | BoxGoal, *f.BY_KIND]
-
-
-# -- what to avoid ----------------------------------------------------------------------------------
 
 
 def _velocity() -> Any:
@@ -212,9 +206,6 @@ class KeepInCone(Body):
 
 
 KeepIn = Annotated[KeepInPolytope | KeepInCone, *f.BY_KIND]
-
-
-# -- experimental controllers -----------------------------------------------------------------------
 
 
 class SharedReference(ScenarioPart):

@@ -29,8 +29,7 @@ class ScheduleScenario(Scenario):
 
     def _check(self) -> None:
         model = self.model
-        rules.check_system(model.system)
-        rules.check_orbit(model)
+        rules.check_system(model)
         system = self.system()
         rules.check_shapes(model, system)
         rules.check_time(model)
@@ -85,7 +84,7 @@ class ScheduleScenario(Scenario):
     @kept
     def obstacles(self) -> tuple[Obstacle, ...]:
         """Unsafe sets of the perception oracle: obstacles first, then keep-in sets."""
-        return build.build_obstacles(self.model)
+        return tuple(part.build(path) for path, part in self.model.scene_parts())
 
     @kept
     def goal(self) -> Goal:

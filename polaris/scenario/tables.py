@@ -16,8 +16,6 @@ from . import fields as f
 from .fields import ScenarioPart, unit
 from .scene_tables import Experimental, Goal, KeepIn, Obstacle
 
-# -- the system -------------------------------------------------------------------------------------
-
 
 class ClohessyWiltshire(ScenarioPart):
     """A chaser near a target on a circular orbit, in Hill's frame (Example 1, eq. 1)."""
@@ -57,9 +55,6 @@ class Linear(ScenarioPart):
 System = Annotated[ClohessyWiltshire | Linear, *f.BY_KIND]
 
 
-# -- its orbit -------------------------------------------------------------------------------------
-
-
 class Orbit(ScenarioPart):
     """The target's real orbit: near a circle of the system's mean motion, perturbed by J2 and drag.
 
@@ -88,9 +83,6 @@ class Orbit(ScenarioPart):
     other_acceleration_max_m_s2: f.NonNegative = unit("m/s^2", default=0.0)
     """Bound on everything else that accelerates the chaser relative to the target: errors of thrust,
     radiation pressure, plumes, higher harmonics."""
-
-
-# -- where it starts --------------------------------------------------------------------------------
 
 
 class InitialBox(ScenarioPart):
@@ -123,9 +115,6 @@ class InitialZonotope(ScenarioPart):
 
 
 InitialSet = Annotated[InitialBox | InitialBall | InitialZonotope, *f.BY_KIND]
-
-
-# -- time and feedback ------------------------------------------------------------------------------
 
 
 class Horizon(ScenarioPart):
@@ -201,9 +190,6 @@ class Planner(ScenarioPart):
     """Wall time for each plan, the last resort: what it cuts short depends on the machine, and the run says
     so."""
     gap: f.Real = unit("-", "Relative optimality gap at which the search stops.", default=1e-3, ge=0, lt=1)
-
-
-# -- the rest --------------------------------------------------------------------------------------
 
 
 class Schedule(ScenarioPart):

@@ -23,7 +23,7 @@ from polaris.model.errors import (
 from polaris.model.hill import clohessy_wiltshire
 from polaris.model.system import LinearSystem
 from polaris.model.timed_polytope import TimedPolytope
-from polaris.planning import backends, diagnose, effort, lazy, search, solve, tree
+from polaris.planning import backends, diagnose, effort, model, search, solve, tree
 from polaris.planning.goals import Box, EllipticalNMT, LinearNMT, StationaryPoint
 from polaris.planning.lp import GrowingLP
 from polaris.planning.problem import Plan, PlannerOptions, PlanProblem
@@ -379,7 +379,7 @@ def test_least_fuel_gets_its_share_where_the_margin_is_out_of_reach():
 
 def clock(monkeypatch, tell):
     """Give the planner another clock."""
-    for module in (solve, effort, lazy, search, tree, diagnose):
+    for module in (solve, effort, model, search, tree, diagnose):
         monkeypatch.setattr(module, "perf_counter", tell)
 
 
@@ -606,7 +606,7 @@ def test_program_that_runs_out_of_time_is_not_infeasible(monkeypatch):
 
 
 def test_phase_given_up_early_does_not_cost_the_plan(monkeypatch):
-    monkeypatch.setattr(solve, "SPARE_SHARE", 0.0)
+    monkeypatch.setattr(effort, "SPARE_SHARE", 0.0)
     monkeypatch.setattr(PathSearch, "first", lambda self: None)
     task = problem([STATIC, KEEP_OUT])
     assert_holds(task, plan(task))
