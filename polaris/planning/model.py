@@ -38,7 +38,7 @@ class Model:
     """
 
     def __init__(self, search: PathSearch, cells: Collection[Key], budget: float = np.inf) -> None:
-        self.search, self.rows, self.levels, self.budget = search, search.rows, search.levels, budget
+        self.search, self.rows, self.budget = search, search.rows, budget
         self.K, self.n, self.N = self.rows.problem.K, self.rows.problem.system.n, self.rows.N
         self.frame = goal_frame(self.rows)
         self.back = np.linalg.inv(self.frame)
@@ -88,7 +88,7 @@ class Model:
 
     def _one_of(self, key: Key) -> bool:
         """State one disjunction, with big-M as small as the input limits allow; False if none can hold."""
-        rows, levels = self.rows, self.levels
+        rows, search = self.rows, self.search
         options = rows.options(key)
         most = rows.extreme(options.a, self.budget)
         least = -most
@@ -96,8 +96,8 @@ class Model:
             goal = rows.problem.goal.conditions
             floor = goal_floor(goal.G, goal.g, goal.one_of[key[1]][0]) / rows.length
             least = np.maximum(least, floor[:, None] - options.free)
-        big = options.need + options.slope * levels.high - least
-        can = np.all(most >= options.need + options.slope * levels.low - 1e-9, axis=1)
+        big = options.need + options.slope * search.high - least
+        can = np.all(most >= options.need + options.slope * search.low - 1e-9, axis=1)
         chosen, k = np.nonzero(can)[0].tolist(), options.at
         need = options.need + (options.free if k else 0.0)
         where = [self._state(k)] if k else []
@@ -142,8 +142,8 @@ class Model:
         A.eliminate_zeros()
         return backends.Program(
             cost=np.r_[price * search.fuel_price, -search.margin_price, np.zeros(len(states)), binary],
-            low=np.r_[np.zeros(len(most)), self.levels.low, -states, binary],
-            high=np.r_[most, self.levels.high, states, binary + 1],
+            low=np.r_[np.zeros(len(most)), search.low, -states, binary],
+            high=np.r_[most, search.high, states, binary + 1],
             A=A,
             lower=np.concatenate([lower for lower, _ in self.sides]),
             upper=np.concatenate([upper for _, upper in self.sides]),

@@ -29,7 +29,7 @@ from polaris.planning.lp import GrowingLP
 from polaris.planning.problem import Plan, PlannerOptions, PlanProblem
 from polaris.planning.recheck import recheck
 from polaris.planning.rows import Rows
-from polaris.planning.search import Levels, PathSearch
+from polaris.planning.search import PathSearch
 from polaris.planning.solve import plan
 from polaris.scenario.scenario import load_scenario
 from polaris.synthesis.get_safety import get_safety
@@ -482,11 +482,11 @@ def test_time_limit_is_kept_and_incumbent_is_certified():
         assert_holds(task, answer, parts=10)
 
 
-def test_failed_recheck_is_an_error(monkeypatch):
-    monkeypatch.setattr(
-        sys.modules["polaris.planning.recheck"], "require", lambda *_: "clearance from box is short"
-    )
-    with pytest.raises(NotCertified, match="found but not certified"):
+@pytest.mark.parametrize("wrong", [{"surplus": (np.full((60, 6), -1.0),)}, {"goal": (0.5, "off")}])
+def test_failed_recheck_is_an_error(monkeypatch, wrong):
+    module = sys.modules["polaris.planning.recheck"]
+    monkeypatch.setattr(module, "recheck", lambda *asked: replace(recheck(*asked), **wrong))
+    with pytest.raises(NotCertified, match="found but not certified: (clearance from|the goal is missed)"):
         plan(problem([STATIC]))
 
 
@@ -496,7 +496,7 @@ def test_recheck_finds_a_collision_between_waypoints():
     nu = np.zeros((60, 3))
     nu[0, 1], nu[1, 1] = 1.0, 1.0  # both waypoints about the body are clear of it
     found = recheck(replace(task, u_limit=np.ones((60, 3))), nu)
-    assert found.best()[0].min() < 0
+    assert found.surplus[0].max(axis=1).min() < 0
 
 
 def test_progress_and_bound_are_reported():
@@ -550,7 +550,7 @@ def test_prices_of_facets_are_lower_bounds(prices):
     task = problem([STATIC, KEEP_OUT, CROSSING], goal=EllipticalNMT(ETA, 150.0, 400.0))
     search = PathSearch(Rows(task), perf_counter() + 60)
     search.rows.extra[0][:] = search.rows.extra[2][:] = 20.0
-    search.set_prices(Levels(0.0, 1.0), **prices)
+    search.set_prices(0.0, 1.0, **prices)
     keys = [(-1, 0), *((i, k) for i in (0, 1, 2) for k in (10, 25, 40))]
     choice, sharp = {}, 0
     for key in keys:  # prices at the program solved so far against what each alternative really costs
