@@ -44,16 +44,10 @@ class Outside:
 
 @dataclass(frozen=True, eq=False)
 class OutsideCone:
-    """The closed outside of a solid circular cone, cut at a length along its axis.
+    """The closed outside of a solid circular cone, cut at a length [m] along its axis (inf if not cut).
 
-    Parameters
-    ----------
-    axis : ndarray, shape (d,)
-        Unit vector from the apex (the origin) into the cone; d is 2 or 3.
-    half_angle : float
-        [rad], in (0, pi/2).
-    length : float
-        [m], inf if not cut.
+    The axis is a unit vector from the apex (the origin) into the cone, shape (d,) with d = 2 or 3; the half
+    angle is in (0, pi/2) [rad].
     """
 
     axis: Array

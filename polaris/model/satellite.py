@@ -85,21 +85,18 @@ class SatelliteObstacle(Obstacle):
         """The ball."""
         return self.shape
 
-    # -- the over-approximation -------------------------------------------------------------------
-
     def timed_polytopes(self, system: LinearSystem, delta: float, cells: int) -> tuple[TimedPolytope, ...]:
         """One timed polytope; offsets cover the whole of every cell (see `_cover`)."""
         self._check_cells(system, delta, cells, system.d)
         self._fits(system)
         normals = self._normals(system)
-        wanted, parts = max(1e-3, 1e-4 * self.radius), 1
+        wanted, parts, bow = max(1e-3, 1e-4 * self.radius), 1, np.inf
         rule = f"must stay finite when propagated over {cells * delta:g} s"
         try:
             with np.errstate(over="ignore", invalid="ignore"):
-                offsets, bow = self._cover(system, normals, delta, cells, parts)
-                while not bow <= wanted and parts < MOST_PARTS:
-                    parts *= 2
+                while not bow <= wanted and parts <= MOST_PARTS:
                     offsets, bow = self._cover(system, normals, delta, cells, parts)
+                    parts *= 2
         except Unresolved as error:  # beyond floating point
             raise ScenarioError(f"{self.path}.state", self._x0.tolist(), rule) from error
         if not np.all(np.isfinite(offsets)):
@@ -133,17 +130,16 @@ class SatelliteObstacle(Obstacle):
         for M, accel in self.pushes(system):
             rate = accel * np.linalg.norm(rows @ M, axis=-1)
             excess = h**3 / 12 * accel * np.linalg.norm(bent @ np.abs(M), axis=-1)
-            gained = np.cumsum(
-                (h / 2 * (rate[:, :-1] + rate[:, 1:]) + excess).reshape(-1, len(normals)), axis=0
-            )
-            gained = np.vstack([np.zeros(len(normals)), gained])
+            each = (h / 2 * (rate[:, :-1] + rate[:, 1:]) + excess).reshape(-1, len(normals))
+            gained = np.vstack([np.zeros(len(normals)), np.cumsum(each, axis=0)])
             steps = np.arange(cells)[:, None] * parts + np.arange(parts + 1)
             node = node + gained[steps]
             size = size + gained[steps]
             bow = bow + h / 8 * np.maximum(rate[:, :-1] - rate[:, 1:], 0.0) + excess
-        lifted = node + ROUNDING * size
+        node = node + ROUNDING * size
+        lifted = node.copy()
         lifted[:, :-1] += bow
-        lifted[:, 1:] = np.maximum(lifted[:, 1:], (node + ROUNDING * size)[:, 1:] + bow)
+        lifted[:, 1:] = np.maximum(lifted[:, 1:], node[:, 1:] + bow)
         s = np.linspace(0.0, 1.0, parts + 1)[:, None]
         chord = lifted[:, :1] * (1 - s) + lifted[:, -1:] * s
         lift = np.maximum((lifted - chord).max(axis=1), 0.0)
@@ -165,8 +161,6 @@ class SatelliteObstacle(Obstacle):
                 rule = f"must be 0 in this system: the position {error.rule}"
                 raise ScenarioError(f"{self.path}.thrust_accel_max", self.thrust_accel_max, rule) from error
         return tuple(found)
-
-    # -- the true set -----------------------------------------------------------------------------
 
     def nominal(self, t: ArrayLike, system: LinearSystem) -> Array:
         """Undisturbed state at times t [s], shape (..., n)."""

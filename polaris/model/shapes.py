@@ -28,15 +28,12 @@ class Shape(Protocol):
 
     def signed_distance(self, p: Array) -> Array:
         """Distance [m] of points (..., d), shape (...,)."""
-        ...
 
     def entry_time(self, p: Array, v: Array) -> Array:
         """First time [s] at which ``p + s v``, s >= 0, is in the shape: 0 if inside, inf if never."""
-        ...
 
     def overlap(self, place: Zonotope) -> float:
         """Largest depth [m] to which some point of a zonotope is in the shape; negative if none is."""
-        ...
 
 
 def _directed(v: Array) -> tuple[Array, Array]:
@@ -97,8 +94,6 @@ class Polytope:
     def d(self) -> int:
         """Dimension of position space."""
         return int(self.H.shape[1])
-
-    # -- distance ---------------------------------------------------------------------------------
 
     def signed_distance(self, p: Array) -> Array:
         """Exact Euclidean distance [m] of points (..., d).
@@ -225,20 +220,14 @@ class Polytope:
             corners = corners[np.argsort(np.arctan2(centred[:, 1], centred[:, 0]))]
         return corners
 
-    # -- rays -------------------------------------------------------------------------------------
-
     def _rates(self, p: Array, v: Array) -> tuple[Array, Array, Array, Array]:
         p, v = np.broadcast_arrays(np.asarray(p, dtype=float), np.asarray(v, dtype=float))
         speed, way = _directed(v)
         rate = way @ self.H.T
         rate[np.abs(rate) <= ROUNDING] = 0.0
         reach = p @ self.H.T
-        return (
-            speed,
-            rate,
-            self.b - reach,
-            ROUNDING * (np.abs(self.b) + np.linalg.norm(p, axis=-1)[..., None]),
-        )
+        slack = ROUNDING * (np.abs(self.b) + np.linalg.norm(p, axis=-1)[..., None])
+        return speed, rate, self.b - reach, slack
 
     def entry_time(self, p: Array, v: Array) -> Array:
         """First time [s] on the ray, by clipping it against every facet."""
@@ -258,8 +247,6 @@ class Polytope:
         with np.errstate(divide="ignore", invalid="ignore"):
             last = np.where(rate > 0, gap / rate, np.inf).min(axis=-1)
         return np.where(np.any(gap <= 0, axis=-1), 0.0, _in_time(last, speed))
-
-    # -- sets -------------------------------------------------------------------------------------
 
     def overlap(self, place: Zonotope) -> float:
         """Depth [m] of the deepest point of a zonotope; if all are outside, the widest gap at a facet."""
@@ -289,6 +276,5 @@ class Box(Polytope):
     def signed_distance(self, p: Array) -> Array:
         """Distance [m] of points (..., d)."""
         beyond = np.abs(p) - self.b[: self.d]
-        return np.asarray(
-            np.linalg.norm(np.maximum(beyond, 0.0), axis=-1) + np.minimum(beyond.max(axis=-1), 0.0)
-        )
+        outside = np.linalg.norm(np.maximum(beyond, 0.0), axis=-1)
+        return np.asarray(outside + np.minimum(beyond.max(axis=-1), 0.0))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import json
 import re
 import tomllib
 from abc import ABC, abstractmethod
@@ -172,7 +173,7 @@ class Scenario(ABC):
 
     def to_dict(self) -> dict[str, Any]:
         """All values, defaults included, as nested plain data."""
-        data: dict[str, Any] = _lists(self.model.model_dump(exclude_none=True))
+        data: dict[str, Any] = json.loads(json.dumps(self.model.model_dump(exclude_none=True)))  # no tuples
         return data
 
     def to_toml(self) -> str:
@@ -237,10 +238,3 @@ def put(document: dict[str, Any], key: str, value: Any, where: str | None) -> No
             holder.pop(part, None)
         else:
             holder[part] = value
-
-
-def _lists(data: Any) -> Any:
-    """The same data with lists for tuples, as a TOML reader gives it."""
-    if isinstance(data, dict):
-        return {key: _lists(value) for key, value in data.items()}
-    return [_lists(value) for value in data] if isinstance(data, (list, tuple)) else data
