@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -101,6 +101,11 @@ class KeepIn(Anchored):
     """A set at rest that the chaser must stay inside; what is unsafe is its outside."""
 
     @property
+    def path(self) -> str:
+        """What error messages start with."""
+        return f"keep_in[{self.name!r}]"
+
+    @property
     @abstractmethod
     def inside(self) -> Polytope:
         """Polytope within the set, in absolute position."""
@@ -135,18 +140,14 @@ class KeepInPolytope(KeepIn):
         What tables, figures and messages call it.
     H, b : array_like, shapes (F, d) and (F,)
         Facets, b in m per unit of row length; rows are scaled to unit length.
-    path : str
-        What error messages call it, e.g. ``keep_in[0]``.
     """
 
     name: str
     H: ArrayLike
     b: ArrayLike
-    path: str = field(default="", kw_only=True, repr=False)
 
     def __post_init__(self) -> None:
         put = object.__setattr__
-        put(self, "path", self.path or f"keep_in[{self.name!r}]")
         polytope = solid(self.path, self.H, self.b)
         put(self, "H", polytope.H)
         put(self, "b", polytope.b)
@@ -186,8 +187,6 @@ class KeepInCone(KeepIn):
         Sides of the inscribed cone in space, >= 3; the wedge in the plane has two.
     length : float, optional
         Cut at this distance [m] along the axis; default not cut.
-    path : str
-        What error messages call it, e.g. ``keep_in[0]``.
     """
 
     name: str
@@ -196,11 +195,9 @@ class KeepInCone(KeepIn):
     half_angle_rad: float
     facets: int = 12
     length: float | None = None
-    path: str = field(default="", kw_only=True, repr=False)
 
     def __post_init__(self) -> None:
         put = object.__setattr__
-        put(self, "path", self.path or f"keep_in[{self.name!r}]")
         put(self, "apex", vector(f"{self.path}.apex", self.apex))
         if len(self.anchor) == 1:
             raise ScenarioError(f"{self.path}.apex", self.anchor.tolist(), "a cone needs 2 or 3 axes")

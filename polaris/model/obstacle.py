@@ -23,12 +23,15 @@ EXTENT = 1e4
 class Obstacle(ABC):
     """A set to stay out of: a convex `shape` (possibly the outside of one) carried by a motion.
 
-    Subclasses are frozen dataclasses with a `name` and a `path` ("obstacles[0]"), which error
-    messages start with.
+    Subclasses are frozen dataclasses with a `name`.
     """
 
     name: str
-    path: str
+
+    @property
+    def path(self) -> str:
+        """What error messages start with."""
+        return f"obstacles[{self.name!r}]"
 
     @property
     @abstractmethod
@@ -162,11 +165,11 @@ class RigidObstacle(Anchored):
     def _v(self) -> Array:
         return np.zeros(len(self.anchor)) if self.velocity is None else np.asarray(self.velocity, dtype=float)
 
-    def _put(self, path: str, d: int, **fields: object) -> None:
+    def _put(self, d: int, **fields: object) -> None:
         """Set the fields as checked, and check the velocity of an obstacle with d axes."""
         if self.velocity is not None:
-            fields["velocity"] = vector(f"{path}.velocity", self.velocity, d, "the obstacle has axes")
-        for name, value in {"path": path, **fields}.items():
+            fields["velocity"] = vector(f"{self.path}.velocity", self.velocity, d, "the obstacle has axes")
+        for name, value in fields.items():
             object.__setattr__(self, name, value)
 
     def timed_polytopes(self, system: LinearSystem, delta: float, cells: int) -> tuple[TimedPolytope, ...]:

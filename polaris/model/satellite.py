@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -47,8 +47,6 @@ class SatelliteObstacle(Obstacle):
         second order); 0 for free motion.
     facets : int, optional
         See `directions`.
-    path : str
-        What error messages call it, e.g. ``obstacles[0]``.
     """
 
     name: str
@@ -57,11 +55,9 @@ class SatelliteObstacle(Obstacle):
     radius: float
     thrust_accel_max: float = 0.0
     facets: int | None = None
-    path: str = field(default="", kw_only=True, repr=False)
 
     def __post_init__(self) -> None:
         put = object.__setattr__
-        put(self, "path", self.path or f"obstacles[{self.name!r}]")
         put(self, "state", as_finite(f"{self.path}.state", self.state, 1))
         half = vector(f"{self.path}.state_half_widths", self.state_half_widths, len(self._x0), "state has")
         if np.any(half < 0):

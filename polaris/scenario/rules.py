@@ -166,10 +166,10 @@ def check_start_and_goal(
         an obstacle at its arrival or out of a keep-in set.
     """
     place, end = system.position @ theta, model.horizon.duration_s
-    for item in unsafe:
+    for (path, _), item in zip(model.scene_parts(), unsafe, strict=True):
         kept = isinstance(item, KeepIn)
         side, into, wrong = ("inside", "out of it", "outside") if kept else ("outside", "into it", "inside")
-        named = f"{side} {item.path} ({item.name})"
+        named = f"{side} {path} ({item.name})"
         if (depth := unsafe_depth(item, Zonotope.point(place.c), 0.0, system)) > _TOUCH_M:
             rule = f"must start {named}, is {depth:.4g} m {wrong}"
             raise ScenarioError("initial_set.center", list(model.initial_set.center), rule)

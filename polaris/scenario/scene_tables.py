@@ -124,7 +124,7 @@ class Body(ScenarioPart):
     def build(self, path: str) -> Unsafe:
         """The unsafe set (of a keep-in set its outside)."""
         with in_file_terms(path, self):
-            return type(self).makes(**self.arguments(), path=path)
+            return type(self).makes(**self.arguments())
 
 
 class BoxObstacle(Body):

@@ -387,7 +387,7 @@ SIX = np.zeros(6)
 @pytest.mark.parametrize(
     ("build", "field"),
     [
-        (lambda: BoxObstacle("o", [0, 0], [1, 0], path="obstacles[0]"), "obstacles[0].half_widths"),
+        (lambda: BoxObstacle("o", [0, 0], [1, 0]), "obstacles['o'].half_widths"),
         (lambda: BoxObstacle("o", [0, np.nan], [1, 1]), "obstacles['o'].center"),
         (lambda: BoxObstacle("o", [0, 0], [1, 1, 1]), "obstacles['o'].half_widths"),
         (lambda: BoxObstacle("o", [0, 0, 0, 0], [1, 1, 1, 1]), "obstacles['o'].center"),
