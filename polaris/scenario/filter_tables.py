@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, get_args
+from abc import abstractmethod
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 from pydantic import Field
 
 from . import fields as f
 from .fields import ScenarioPart, unit
+
+if TYPE_CHECKING:
+    from ..inspection.backup.parking import Parking
+    from ..inspection.constraints.families import Families
+    from ..inspection.constraints.strengthening import Strengthening
+    from ..inspection.filters.decision import RunTimeFilter
+    from ..inspection.flights.simulation import BatchFilter
+    from ..inspection.inspection import Inspection
 
 Family = Literal[
     "chief_separation",
@@ -71,6 +81,16 @@ class BarrierFilter(ScenarioPart):
     sampled_data_share: f.Real = unit("-", default=0.5, gt=0, le=1)
     """Part of a constraint's value that may be lost in one period; less is calmer."""
 
+    def build(self, q: Inspection, alpha: Mapping[str, Strengthening], period: float) -> BatchFilter:
+        """The filter, for a control period [s]."""
+        from ..inspection.constraints.families import Families
+        from ..inspection.constraints.motion import SampledData
+        from ..inspection.filters.explicit import CENTRALIZED, make_filter
+
+        sampled = SampledData(period, self.sampled_data_share) if self.sampled_data else None
+        families = Families(q, alpha, self.without, sampled)
+        return make_filter(families, getattr(self, "sharing", CENTRALIZED))
+
 
 class CentralizedFilter(BarrierFilter):
     """One quadratic program for the thrust of all deputies."""
@@ -92,6 +112,19 @@ class BackupFilter(ScenarioPart):
 
     without: tuple[Family, ...] = unit("-", "Kinds of constraint that are left out.", default=())
     response_s: f.Positive = unit("s", "Time constant of the backup controller.", default=20.0)
+
+    def build(self, q: Inspection, alpha: Mapping[str, Strengthening], period: float) -> BatchFilter:
+        """The filter, for a control period [s]."""
+        from ..inspection.backup.parking import Parking
+        from ..inspection.constraints.families import Families
+        from ..inspection.filters.one_flight import OneFlight
+
+        law, watched = Parking(q, period=period, response=self.response_s), Families(q, alpha, self.without)
+        return OneFlight(lambda sun: self.start(law, watched, sun), watched, period)
+
+    @abstractmethod
+    def start(self, law: Parking, watched: Families, sun: float) -> RunTimeFilter:
+        """The filter of one flight, from an angle of the sun [rad] on."""
 
 
 class _Switching(BackupFilter):
@@ -118,6 +151,14 @@ class ExplicitSimplexFilter(_Switching):
     looks: f.Whole = unit("-", default=2, ge=1, le=100)
     """Instants of the coming period at which the barriers are looked at."""
 
+    def start(self, law: Parking, watched: Families, sun: float) -> RunTimeFilter:
+        """See `BackupFilter.start`."""
+        from ..inspection.filters.explicit import Centralized
+        from ..inspection.filters.simplex import ExplicitSimplex, Guarded
+
+        backup, limits = Guarded(Centralized(watched), law, sun), (self.margin, self.release)
+        return ExplicitSimplex(watched, backup, law.period, *limits, self.dwell_s, sun, self.looks)
+
 
 class ImplicitSimplexFilter(_Switching, _Predicting):
     """Passes the desired thrust while the backup flight after the period keeps the constraints for ever."""
@@ -127,12 +168,26 @@ class ImplicitSimplexFilter(_Switching, _Predicting):
     release_distance_m: f.NonNegative = unit("m", "Least distances for handing back.", default=2.0)
     release_speed_m_s: f.NonNegative = unit("m/s", "Least speeds to spare for handing back.", default=0.02)
 
+    def start(self, law: Parking, watched: Families, sun: float) -> RunTimeFilter:
+        """See `BackupFilter.start`."""
+        from ..inspection.filters.simplex import ImplicitSimplex
+
+        release = (self.release_distance_m, self.release_speed_m_s)
+        limits = (self.horizon_s, *release, self.dwell_s)
+        return ImplicitSimplex(law.inspection, law, *limits, sun, self.without)
+
 
 class ImplicitASIFFilter(_Predicting):
     """The nearest thrust after which the backup flight keeps the constraints for ever."""
 
     kind: Literal["implicit_asif"] = unit("-", "Barrier conditions on the backup's flight.")
     rate_1_s: f.Positive = unit("1/s", "The function alpha of eq. 7 is this times the value.", default=0.1)
+
+    def start(self, law: Parking, watched: Families, sun: float) -> RunTimeFilter:
+        """See `BackupFilter.start`."""
+        from ..inspection.filters.implicit import ImplicitASIF
+
+        return ImplicitASIF(law.inspection, law, self.horizon_s, self.rate_1_s, sun, self.without)
 
 
 Filter = Annotated[CentralizedFilter | DecentralizedFilter, *f.BY_KIND]

@@ -83,9 +83,7 @@ class FilteredScenario(InspectionScenario):
 
     def filter(self, spec: FlightFilter, period: float) -> BatchFilter:
         """The filter that a table describes."""
-        from .filters import build_filter
-
-        return build_filter(spec, self.inspection(), self.strengthening(), period)
+        return spec.build(self.inspection(), self.strengthening(), period)
 
     def _check_filter(self, path: str, spec: FlightFilter, table: str, period: float) -> None:
         """Build a filter once: the conditions between samples bound the control period."""
