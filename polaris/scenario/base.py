@@ -113,8 +113,6 @@ class Scenario(ABC):
             raise ScenarioError("kind", kind, rule, source)
         return found(validate(found.MODEL, document, source), source, text, tuple(overrides))
 
-    # -- overrides ------------------------------------------------------------------------------
-
     def set(self, key: str, value: Any) -> Self:
         """Return a copy with one value replaced.
 
@@ -149,8 +147,6 @@ class Scenario(ABC):
 
     def _changed(self, values: Mapping[str, Any], noted: Iterable[str]) -> Self:
         return self._of(overridden(self.to_dict(), values, self.source), self.source, None, noted)
-
-    # -- as data --------------------------------------------------------------------------------
 
     @property
     def name(self) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Annotated, Any, Literal
 
@@ -22,7 +22,9 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 
 from ..model.checks import MAX_STEPS as MAX_STEPS
+from ..model.checks import counted
 from ..model.errors import ScenarioError
+from ..model.tolerances import TIME
 
 LARGEST = 1e12
 """Largest magnitude of any number in a scenario: beyond it, double precision loses millimetres."""
@@ -88,6 +90,21 @@ def in_file_terms(path: str, part: ScenarioPart, **elsewhere: str) -> Iterator[N
         field = elsewhere.get(name) or (keys[0] if keys else path)
         rule = error.rule.replace("H p <= b", "normals p <= offsets_m")
         raise ScenarioError(field, error.given, rule, error.where) from error
+
+
+def check_length(field: str, vector: Sequence[Any], count: int) -> None:
+    """Refuse a list of another length."""
+    if len(vector) != count:
+        raise ScenarioError(field, list(vector), f"must have {counted(count, 'number')}, has {len(vector)}")
+
+
+def whole_parts(total: float, part: float) -> int | None:
+    """How many times `part` goes into `total`; None if not a whole number of times."""
+    ratio = total / part
+    if not math.isfinite(ratio):
+        return None
+    count = round(ratio)
+    return count if abs(ratio - count) <= TIME * max(count, 1) else None
 
 
 def unit(text: str, description: str | None = None, **rules: Any) -> Any:

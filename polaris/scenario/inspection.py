@@ -14,8 +14,7 @@ from ..model.checks import counted
 from ..model.errors import ScenarioError
 from . import inspection_tables as models
 from .base import Scenario, kept
-from .build import check_length, whole_parts
-from .fields import in_file_terms
+from .fields import check_length, in_file_terms, whole_parts
 from .filter_tables import FAMILY_NAMES, Alpha, FlightFilter
 from .reading import did_you_mean
 

@@ -6,12 +6,20 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..model.errors import ScenarioError
-from ..model.system import LinearSystem
+from ..model.system import Array, LinearSystem
 from . import scene_tables as scene
 from . import tables as models
-from .build import full_weight
+
+
+def full_weight(weight: ArrayLike) -> Array:
+    """Weight matrix from its diagonal or from itself, made exactly symmetric."""
+    matrix = np.asarray(weight, dtype=float)
+    if matrix.ndim == 1:
+        return np.diag(matrix)
+    return np.asarray((matrix + matrix.T) / 2)
 
 
 def check_numerics(model: models.ScenarioModel, system: LinearSystem) -> None:

@@ -20,8 +20,7 @@ from ..model.satellite import SatelliteObstacle
 from ..model.system import LinearSystem
 from . import scene_tables as scene
 from . import tables as models
-from .build import check_length, whole_parts
-from .fields import MAX_STEPS, in_file_terms
+from .fields import MAX_STEPS, check_length, in_file_terms, whole_parts
 
 MAX_SPEED_M_S = 100.0
 """Fastest relative motion [m/s] of an obstacle: beyond it this is conjunction screening, not

@@ -8,8 +8,9 @@ from reach.sets.zonotope import Zonotope
 
 from ..model.checks import counted
 from ..model.system import LinearSystem
-from . import build, numerics, rules
+from . import numerics, rules
 from .base import Scenario, kept
+from .fields import whole_parts
 from .tables import SampledFeedback, ScenarioModel, Simulation
 
 if TYPE_CHECKING:
@@ -50,12 +51,10 @@ class ScheduleScenario(Scenario):
             f" experimental controllers: {len(self.model.experimental)}"
         )
 
-    # -- the fields -----------------------------------------------------------------------------
-
     @property
     def steps(self) -> int:
         """Number K of steps."""
-        count = build.whole_parts(self.model.horizon.duration_s, self.model.horizon.step_s)
+        count = whole_parts(self.model.horizon.duration_s, self.model.horizon.step_s)
         assert count is not None  # checked on construction
         return count
 
@@ -69,17 +68,15 @@ class ScheduleScenario(Scenario):
         """Closed-loop runs."""
         return self.model.simulation
 
-    # -- the domain's objects -------------------------------------------------------------------
-
     @kept
     def system(self) -> LinearSystem:
         """The controlled system."""
-        return build.build_system(self.model.system)
+        return self.model.system.build()
 
     @kept
     def initial_set(self) -> Zonotope:
         """The initial set Theta, shape (n,); a ball is enclosed by a zonotope."""
-        return build.build_initial_set(self.model.initial_set, self.system())
+        return self.model.initial_set.build(self.system())
 
     @kept
     def obstacles(self) -> tuple[Obstacle, ...]:
@@ -120,13 +117,13 @@ class ScheduleScenario(Scenario):
             unsafe=self.obstacles(),
             K=self.steps,
             delta=self.step,
-            Q=build.full_weight(tracking.Q),
-            R=build.full_weight(tracking.R),
+            Q=numerics.full_weight(tracking.Q),
+            R=numerics.full_weight(tracking.R),
             goal=self.goal(),
             recoverable=self.model.recoverable.kind,
             period=feedback.period_s if isinstance(feedback, SampledFeedback) else None,
             bound=tracking.bound,
-            weight=weight if isinstance(weight, str) else build.full_weight(weight),
+            weight=weight if isinstance(weight, str) else numerics.full_weight(weight),
             objective=given.pop("objective"),
             extra_margin=given.pop("extra_margin"),
             thrust_reserve=given.pop("thrust_reserve"),

@@ -8,10 +8,18 @@ States are written in the order of the system's state vector; in Hill's frame th
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from typing import Annotated, Literal
 
+import numpy as np
 from pydantic import Field
 
+from reach.sets.ellipsoid import ball_generators
+from reach.sets.zonotope import Zonotope
+
+from ..model.errors import ScenarioError
+from ..model.hill import clohessy_wiltshire
+from ..model.system import Array, LinearSystem
 from . import fields as f
 from .fields import ScenarioPart, unit
 from .scene_tables import Experimental, Goal, KeepIn, Obstacle
@@ -28,6 +36,11 @@ class ClohessyWiltshire(ScenarioPart):
     """Thrust limit, one number for all axes or one each for x, y and z: |u_i| <= thrust_max_N[i]."""
     disturbance_max_m_s2: f.NonNegative = unit("m/s^2", default=0.0)
     """Bound on the 2-norm of the disturbance acceleration."""
+
+    def build(self) -> LinearSystem:
+        """The controlled system."""
+        limit = _limits("system.thrust_max_N", self.thrust_max_N, 3)
+        return clohessy_wiltshire(self.mean_motion_rad_s, self.mass_kg, limit, self.disturbance_max_m_s2)
 
 
 class Linear(ScenarioPart):
@@ -50,6 +63,22 @@ class Linear(ScenarioPart):
     """Position as a matrix, d rows of n numbers, where it is not a choice of states."""
     mass_kg: f.Real = unit("kg", default=1.0, ge=1e-3, le=1e7)
     """Mass that turns the integral of |u| into a velocity change; 1 where the input is an acceleration."""
+
+    def build(self) -> LinearSystem:
+        """The controlled system."""
+        limit = _limits("system.input_max", self.input_max, len(self.B[0]))
+        C = None if self.C is None else np.array(self.C)
+        if self.position_states is not None:
+            C = np.eye(len(self.A))[list(self.position_states)]
+        A, B, D = (np.array(given) for given in (self.A, self.B, self.D))
+        return LinearSystem(A, B, D, limit, self.disturbance_max, C, self.mass_kg)
+
+
+def _limits(field: str, given: float | tuple[float, ...], count: int) -> Array:
+    """Limits of all inputs, shape (count,), from one number for all or one each."""
+    if isinstance(given, tuple):
+        f.check_length(field, given, count)
+    return np.broadcast_to(np.asarray(given, dtype=float), (count,)).copy()
 
 
 System = Annotated[ClohessyWiltshire | Linear, *f.BY_KIND]
@@ -85,33 +114,61 @@ class Orbit(ScenarioPart):
     radiation pressure, plumes, higher harmonics."""
 
 
-class InitialBox(ScenarioPart):
+class _Initial(ScenarioPart):
+    """Base of initial sets."""
+
+    kind: str
+    center: f.Vector = unit("m, m/s (state order)", "Centre, n numbers; the reference starts here.")
+
+    @abstractmethod
+    def build(self, system: LinearSystem) -> Zonotope:
+        """The set Theta, as a zonotope that encloses it."""
+
+
+class InitialBox(_Initial):
     """An axis-aligned box of states."""
 
     kind: Literal["box"] = unit("-", "Axis-aligned box.")
-    center: f.Vector = unit("m, m/s (state order)", "Centre, n numbers; the reference starts here.")
     half_widths: f.WidthVector = unit("m, m/s (state order)", "Half-width per state, n numbers >= 0.")
 
+    def build(self, system: LinearSystem) -> Zonotope:
+        """The box."""
+        return Zonotope.box(np.array(self.center, dtype=float), self.half_widths)
 
-class InitialBall(ScenarioPart):
+
+class InitialBall(_Initial):
     """Positions in one ball, the other states in another: no norm mixes m and m/s.
 
     It is used through an enclosing zonotope, so what is proven holds for a slightly larger set.
     """
 
     kind: Literal["ball"] = unit("-", "Product of a ball of positions and a ball of velocities.")
-    center: f.Vector = unit("m, m/s (state order)", "Centre, n numbers; the reference starts here.")
     position_radius_m: f.NonNegative = unit("m", "2-norm radius of the position about its centre.")
     velocity_radius_m_s: f.NonNegative = unit("m/s")
     """2-norm radius of all other states (the velocity, in a mechanical system)."""
 
+    def build(self, system: LinearSystem) -> Zonotope:
+        """A zonotope around the product of the balls."""
+        C = system.position
+        if not (np.all((C == 0) | (C == 1)) and np.all(C.sum(axis=1) == 1) and np.all(C.sum(axis=0) <= 1)):
+            rule = "a ball needs a position that is a choice of states; use a box or a zonotope"
+            raise ScenarioError("initial_set.kind", self.kind, rule)
+        place = C.argmax(axis=1).tolist()
+        rest = [i for i in range(system.n) if i not in place]
+        balls = ((place, self.position_radius_m), (rest, self.velocity_radius_m_s))
+        blocks = [np.eye(system.n)[:, part] @ ball_generators(len(part), r) for part, r in balls if part]
+        return Zonotope(np.array(self.center, dtype=float), np.hstack(blocks))
 
-class InitialZonotope(ScenarioPart):
+
+class InitialZonotope(_Initial):
     """The set ``center + sum_i b_i generators[i]`` with every ``|b_i| <= 1``."""
 
     kind: Literal["zonotope"] = unit("-", "Zonotope.")
-    center: f.Vector = unit("m, m/s (state order)", "Centre, n numbers; the reference starts here.")
     generators: f.Matrix = unit("m, m/s (state order)", "One list of n numbers per generator.")
+
+    def build(self, system: LinearSystem) -> Zonotope:
+        """The zonotope."""
+        return Zonotope(np.array(self.center, dtype=float), np.array(self.generators, dtype=float).T)
 
 
 InitialSet = Annotated[InitialBox | InitialBall | InitialZonotope, *f.BY_KIND]
