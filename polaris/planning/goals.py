@@ -157,10 +157,15 @@ class StationaryPoint(Goal):
 
 
 class _HillGoal(Goal):
-    """A goal in Hill's frame; subclasses have a `mean_motion`."""
+    """A goal in Hill's frame; subclasses have a `mean_motion` and the number of `sides` of their polygons."""
 
     mean_motion: float
+    sides: int
     n = 6
+
+    def __post_init__(self) -> None:
+        positive("goal.mean_motion", self.mean_motion, "rad/s")
+        whole("goal.sides", self.sides, 4)
 
     @property
     def _rows(self) -> tuple[Array, Array]:
@@ -213,10 +218,9 @@ class EllipticalNMT(_HillGoal):
     cross_track_max: float | None = None
 
     def __post_init__(self) -> None:
-        positive("goal.mean_motion", self.mean_motion, "rad/s")
+        super().__post_init__()
         non_negative("goal.inner_semi_minor", self.inner_semi_minor, "m")
         positive("goal.outer_semi_minor", self.outer_semi_minor, "m")
-        whole("goal.sides", self.sides, 4)
         room = self.outer_semi_minor * np.cos(np.pi / self.sides)
         if self.inner_semi_minor >= room:
             rule = f"must be below {room:g} m (the {self.sides}-sided outer polygon reaches no further)"
@@ -228,19 +232,16 @@ class EllipticalNMT(_HillGoal):
     def conditions(self) -> GoalConditions:
         """Two equalities, the outer polygon, and one side of the inner polygon."""
         r, v = self._rows
-        E, G, g = [v[1] + 2 * r[0], v[0] - r[1] / 2], [], []
+        E, G, g = [v[1] + 2 * r[0], v[0] - r[1] / 2], list[Array](), list[float]()
         if self.cross_track_max is None:
             E += [r[2], v[2]]
         else:
-            G += [r[2], -r[2], v[2], -v[2]]
-            g += [self.cross_track_max] * 4
-        outer, outer_b = ellipse_polygon(self.outer_semi_minor, self.sides, circumscribed=False)
-        G += list(outer @ r[:2])
-        g += list(outer_b)
+            G, g = [r[2], -r[2], v[2], -v[2]], [self.cross_track_max] * 4
+        outer, reach = ellipse_polygon(self.outer_semi_minor, self.sides, circumscribed=False)
         inner, inner_b = ellipse_polygon(self.inner_semi_minor, self.sides, circumscribed=True)
         one_of = ((inner @ r[:2], inner_b),) if self.inner_semi_minor > 0 else ()
-        e = np.zeros(len(E))
-        return GoalConditions(np.array(E), e, np.array(G), np.array(g), one_of, self.outer_semi_minor)
+        rows, sides = np.array([*G, *(outer @ r[:2])]), np.array([*g, *reach])
+        return GoalConditions(np.array(E), np.zeros(len(E)), rows, sides, one_of, self.outer_semi_minor)
 
     def semi_minor(self, x: Array) -> float:
         """Radial semi-axis [m] of the ellipse through the position of x."""
@@ -288,9 +289,8 @@ class LinearNMT(_HillGoal):
     sides: int = 16
 
     def __post_init__(self) -> None:
-        positive("goal.mean_motion", self.mean_motion, "rad/s")
+        super().__post_init__()
         positive("goal.amplitude_max", self.amplitude_max, "m")
-        whole("goal.sides", self.sides, 4)
         number("goal.along_track", self.along_track)
 
     @cached_property
