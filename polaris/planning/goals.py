@@ -175,17 +175,11 @@ class _HillGoal(Goal):
 
 
 def ellipse_polygon(semi_minor: float, sides: int, circumscribed: bool) -> tuple[Array, Array]:
-    """Outward edge normals and offsets of a polygon of the ellipse of semi-axes (b, 2 b).
+    """Polygon of the ellipse of semi-axes (b, 2 b), ``normals p <= offsets``, shapes (sides, 2), (sides,).
 
-    Works on the circle of radius b (r_y halved), where the polygon is regular; every normal points
-    outwards. The printed eq. 20 takes ``alpha_y = q_x,j - q_x,j+1``, whose sign is wrong.
-
-    Returns
-    -------
-    normals : ndarray, shape (sides, 2)
-        Unit normals in (r_x, r_y).
-    offsets : ndarray, shape (sides,)
-        ``normals p <= offsets`` inside. Inscribed: within the ellipse. Circumscribed: around it.
+    Inscribed: within the ellipse. Circumscribed: around it. Works on the circle of radius b (r_y halved),
+    where the polygon is regular; every unit normal in (r_x, r_y) points outwards. The printed eq. 20 takes
+    ``alpha_y = q_x,j - q_x,j+1``, whose sign is wrong.
     """
     angle = 2 * np.pi * (np.arange(sides) + 0.5) / sides
     normals = np.stack([np.cos(angle), np.sin(angle) / 2], axis=1)

@@ -167,6 +167,7 @@ NonNegative = Annotated[float, Strict(), Field(ge=0, le=LARGEST, allow_inf_nan=F
 Positive = Annotated[float, Strict(), Field(gt=0, le=LARGEST, allow_inf_nan=False)]
 NonNegativeOrInf = Annotated[float, Strict(), Field(ge=0)]
 Whole = Annotated[int, Strict()]
+Index = Annotated[Whole, Field(ge=0, le=99)]
 Seed = Annotated[Whole, Field(ge=0, le=2**63 - 1)]
 Flag = Annotated[bool, Strict()]
 Text = Annotated[str, Strict()]

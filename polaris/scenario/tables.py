@@ -12,7 +12,6 @@ from abc import abstractmethod
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field
 
 from reach.sets.ellipsoid import ball_generators
 from reach.sets.zonotope import Zonotope
@@ -54,9 +53,7 @@ class Linear(ScenarioPart):
     """Input limit, one number for all inputs or one each: |u_i| <= input_max[i]."""
     disturbance_max: f.NonNegative = unit("unit of the disturbance", default=0.0)
     """Bound on the 2-norm of the disturbance w."""
-    position_states: tuple[Annotated[f.Whole, Field(ge=0, le=99)], ...] | None = unit(
-        "-", default=None, min_length=1, max_length=3
-    )
+    position_states: tuple[f.Index, ...] | None = unit("-", default=None, min_length=1, max_length=3)
     """Which states (counted from 0) are the position [m], one to three of them. Without it and without C: the
     first half of the states."""
     C: f.Matrix | None = unit("-", default=None)
