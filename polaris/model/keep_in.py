@@ -13,7 +13,7 @@ from reach.sets.zonotope import Zonotope
 
 from .checks import MOST_ROWS, number, positive, vector, whole
 from .errors import ScenarioError
-from .obstacle import EXTENT, Anchored, solid
+from .obstacle import Anchored, solid
 from .shapes import Polytope, Shape, _directed, _in_time
 from .system import Array, LinearSystem
 from .timed_polytope import TimedPolytope
@@ -124,10 +124,6 @@ class KeepIn(Anchored):
             TimedPolytope(f"{self.name}[{f}]", -H[f : f + 1], np.full((cells, 2, 1), kept[f]), keep_in=True)
             for f in range(len(b))
         )
-
-    def outline(self, t: float, system: LinearSystem | None = None, extent: float = EXTENT) -> Array:
-        """Vertices [m] of the polytope inside, cut to a box of `extent` if it is unbounded."""
-        return self.inside.vertices(extent)
 
 
 @dataclass(frozen=True, eq=False)

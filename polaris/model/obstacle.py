@@ -16,9 +16,6 @@ from .system import Array, LinearSystem
 from .timed_polytope import TimedPolytope
 from .tolerances import ROUNDING
 
-EXTENT = 1e4
-"""Half width [m] of the box to which the outline of an unbounded set is cut by default."""
-
 
 class Obstacle(ABC):
     """A set to stay out of: a convex `shape` (possibly the outside of one) carried by a motion.
@@ -71,10 +68,6 @@ class Obstacle(ABC):
         ``C e^{A s} y - c - v s``; shapes (..., n), (..., d), (..., d).
         """
         return x, *self.motion(t, system, state)
-
-    @abstractmethod
-    def outline(self, t: float, system: LinearSystem | None = None, extent: float = EXTENT) -> Array:
-        """Vertices [m] to draw at time t, shape (V, d); cut to a box of `extent` if unbounded."""
 
     def signed_distance(
         self, t: ArrayLike, p: ArrayLike, system: LinearSystem | None = None, state: ArrayLike | None = None
@@ -181,10 +174,6 @@ class RigidObstacle(Anchored):
         nodes = b + normals @ self.anchor + t * (normals @ self._v) + ROUNDING * size
         offsets = np.stack([nodes[:-1], nodes[1:]], axis=1)
         return (TimedPolytope(self.name, normals, offsets, static=not np.any(self._v)),)
-
-    def outline(self, t: float, system: LinearSystem | None = None, extent: float = EXTENT) -> Array:
-        """Vertices [m] of the covering polytope at time t."""
-        return self.cover.vertices(extent) + self.centre(t)
 
 
 def directions(d: int, facets: int | None = None, path: str = "facets") -> Array:

@@ -15,7 +15,7 @@ from reach.numerics.linear import discretize, growth, powers
 
 from .checks import non_negative, positive, vector
 from .errors import ScenarioError
-from .obstacle import EXTENT, Obstacle, directions
+from .obstacle import Obstacle, directions
 from .shapes import Ball, Polytope
 from .system import Array, LinearSystem, as_finite
 from .timed_polytope import TimedPolytope
@@ -178,9 +178,9 @@ class SatelliteObstacle(Obstacle):
         still = np.zeros(system.d)
         return x - known, still, still
 
-    def outline(self, t: float, system: LinearSystem | None = None, extent: float = EXTENT) -> Array:
-        """Vertices [m] of the over-approximating polytope at time t."""
-        _, system = self._known(0.0, system, None)
+    def outline(self, t: float, system: LinearSystem) -> Array:
+        """Vertices [m] of the over-approximating polytope at time t, shape (V, d)."""
+        self._fits(system)
         normals = self._normals(system)
         if t > 0:
             return Polytope(normals, self._cover(system, normals, t, 1, 64)[0][0, 1]).vertices()

@@ -200,16 +200,13 @@ class Polytope:
         answer = linprog(np.ones(count), A_eq=self.H.T, b_eq=np.zeros(self.d), bounds=[(1, None)] * count)
         return bool(answer.status == 0)
 
-    def vertices(self, extent: float = np.inf) -> Array:
-        """Vertices, shape (V, d), counter-clockwise in the plane; an unbounded set is cut to a box [m]."""
-        if not self.bounded and np.isinf(extent):
-            raise ScenarioError("extent", extent, "must be finite [m] to draw an unbounded set")
-        shape = self
+    def vertices(self) -> Array:
+        """Vertices of a bounded set, shape (V, d), counter-clockwise in the plane."""
         if not self.bounded:
-            eye = np.eye(self.d)
-            box = np.r_[extent + self.middle, extent - self.middle]
-            shape = Polytope(np.vstack([self.H, eye, -eye]), np.r_[self.b, box])
-        points, tolerance = shape._minimal_faces
+            raise ScenarioError(
+                "polytope", self.H.tolist(), "must be bounded to be drawn"
+            )
+        points, tolerance = self._minimal_faces
         keep: list[Array] = []
         for point in points:
             if all(np.abs(point - other).max() > 10 * tolerance for other in keep):
