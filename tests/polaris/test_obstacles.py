@@ -189,8 +189,8 @@ def test_cone_polytope_is_inscribed_and_touches(seed, d, angle, cut, facets):
     sets = perceive([cone], system, 1.0, 3)
     assert all(s.keep_in and s.static and len(s.normals) == 1 and s.cells == 3 for s in sets)
     assert len(sets) == (facets if d == 3 else 2) + cut
-    H, b, middle = cone.inside.H, cone.inside.b, cone.inside.middle
-    corners = boxed(H, b, middle - 100.0, middle + 100.0).vertices()
+    inside, middle = cone.inside, cone.inside.middle
+    corners = (inside if cut else boxed(inside.H, inside.b, middle - 100.0, middle + 100.0)).vertices()
     p = corners.mean(axis=0) + (corners - corners.mean(axis=0)) * 0.999
     p = np.vstack([p, rng.dirichlet(np.ones(len(corners)), size=200) @ corners])
     safe = np.all([p @ s.normals[0] > s.offsets[0, 0, 0] for s in sets], axis=0)
