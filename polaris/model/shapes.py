@@ -203,9 +203,7 @@ class Polytope:
     def vertices(self) -> Array:
         """Vertices of a bounded set, shape (V, d), counter-clockwise in the plane."""
         if not self.bounded:
-            raise ScenarioError(
-                "polytope", self.H.tolist(), "must be bounded to be drawn"
-            )
+            raise ScenarioError("polytope", self.H.tolist(), "must be bounded to be drawn")
         points, tolerance = self._minimal_faces
         keep: list[Array] = []
         for point in points:
