@@ -17,9 +17,9 @@ from .model.satellite import SatelliteObstacle as SatelliteObstacle
 from .model.system import LinearSystem as LinearSystem
 from .model.timed_polytope import TimedPolytope as TimedPolytope
 from .model.version import __version__ as __version__
-from .planning.goal import Goal as Goal
 from .planning.goals import Box as Box
 from .planning.goals import EllipticalNMT as EllipticalNMT
+from .planning.goals import Goal as Goal
 from .planning.goals import LinearNMT as LinearNMT
 from .planning.goals import StationaryPoint as StationaryPoint
 from .planning.problem import Plan as Plan

@@ -118,7 +118,8 @@ def _sets(
     name = obstacle.name
     if isinstance(obstacle, SatelliteObstacle) and name in satellites:
         true, radii = satellites[name], np.full(len(t), obstacle.radius)
-        ball = BallTrace(t, obstacle.centre(t, system, true), radii, obstacle.velocity_at(t, system, true))
+        centre, velocity = obstacle.motion(t, system, true)
+        ball = BallTrace(t, centre, radii, velocity)
         told = f"{name}: another satellite, as a ball about where it is nominally"
         return {name: ball}, told if true is None else None
     if isinstance(obstacle, BallObstacle):

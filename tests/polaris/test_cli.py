@@ -26,7 +26,7 @@ from polaris.scenario.scenario import bundled_files, load_scenario
 
 from .tiny import TINY, flown, synthesised
 
-HEAVY = ("matplotlib", "control", "pulp", "scipy.optimize", "numpy", "pydantic")
+HEAVY = ("matplotlib", "control", "highspy", "scipy.optimize", "numpy", "pydantic")
 
 
 @pytest.fixture
@@ -35,7 +35,7 @@ def invoke(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     schedule = synthesised()[1]
     monkeypatch.setattr("polaris.synthesis.get_safety.get_safety", lambda problem: schedule.safety)
-    monkeypatch.setattr("polaris.scenario.experimental.build_controllers", lambda specs, safety: ())
+    monkeypatch.setattr("polaris.scenario.experimental.build_controllers", lambda model, safety: ())
     monkeypatch.setattr("polaris.synthesis.synthesize.synthesize", lambda *args, **options: schedule)
     monkeypatch.setattr("polaris.simulation.baselines.compare", lambda *args: flown())
     monkeypatch.setattr(

@@ -13,8 +13,7 @@ from polaris.model.obstacles import BallObstacle, BoxObstacle, PolytopeObstacle
 from polaris.model.satellite import SatelliteObstacle
 from polaris.model.shapes import Polytope
 from polaris.model.system import LinearSystem
-from polaris.planning.goal import Goal, GoalConditions
-from polaris.planning.goals import Box, EllipticalNMT, LinearNMT, StationaryPoint
+from polaris.planning.goals import Box, EllipticalNMT, Goal, GoalConditions, LinearNMT, StationaryPoint
 from polaris.planning.reference import Reference
 from polaris.report.html.scene import scene_data
 from polaris.report.html.timelines import proven_distance

@@ -14,8 +14,7 @@ from ...model.obstacle import Obstacle
 from ...model.satellite import SatelliteObstacle
 from ...model.shapes import Ball
 from ...model.system import Array
-from ...planning.goal import Goal
-from ...planning.goals import EllipticalNMT, LinearNMT
+from ...planning.goals import EllipticalNMT, Goal, LinearNMT
 from ...runs.picture import Approach, Picture, directions
 from .geometry import Shape, ball_points, boxed, flat_outline
 

@@ -147,14 +147,15 @@ class ExplicitASIF(Method):
         """The same of a ball."""
         system, half = self.grid.system, self.grid.half_widths
         t = node * self.grid.h
-        away = p - ball.centre(t)
+        centre, velocity = ball.motion(t)
+        away = p - centre
         distance = np.maximum(np.linalg.norm(away, axis=1), 1e-9)
         normal = away / distance[:, None]
-        relative = v - ball.velocity_at(t)
+        relative = v - velocity
         d = distance - ball.radius - np.linalg.norm(np.abs(system.position) @ half)
         closing = (relative * normal).sum(axis=1)
         if self.direct:
-            return self._condition(x, normal, d, -(normal * ball.velocity_at(t)).sum(axis=1))
+            return self._condition(x, normal, d, -(normal * velocity).sum(axis=1))
         closing = closing - np.linalg.norm(np.abs(system.velocity) @ half)
         allowed, slope = self._allowed(d, np.array(self.ball_brake))
         turning = ((relative**2).sum(axis=1) - (relative * normal).sum(axis=1) ** 2) / distance

@@ -12,7 +12,7 @@ from typing import Any
 from ...model.checks import whole
 from ...model.errors import ScenarioError
 from ...model.version import version
-from ...scenario.overrides import parse_assignment
+from ...scenario.base import parse_assignment
 from ...scenario.scenario import Scenario, ScheduleScenario, load_scenario
 from .batch import Case, Kind, Task
 from .inspections import InspectionRuns
