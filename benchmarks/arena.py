@@ -16,7 +16,7 @@ from polaris.rta.decision_grid import DecisionGrid
 from polaris.rta.flight import Conditions, fly
 from polaris.rta.method import Seen
 from polaris.rta.methods import METHODS
-from polaris.rta.methods.schedule import Precomputed
+from polaris.rta.methods.fixed import Precomputed
 from polaris.scenario.scenario import load_scenario
 from polaris.synthesis.synthesize import synthesize
 

@@ -20,7 +20,8 @@ import numpy as np
 from polaris.inspection.constraints.families import Families
 from polaris.inspection.constraints.motion import SampledData
 from polaris.inspection.filters.asif import ActiveSetFilter
-from polaris.inspection.flights.sampling import initial_conditions
+from polaris.inspection.filters.explicit import make_filter
+from polaris.inspection.flights.sampling import InitialConditions
 from polaris.inspection.inspection import Inspection
 from polaris.runs.campaign import local
 from polaris.runs.monte_carlo import run_monte_carlo
@@ -33,7 +34,8 @@ def time_filter(deputies: int, sharing: str, sampled: bool, calls: int = 2000) -
     many = 40 if deputies <= 6 else 4
     x, sun = _states(inspection, many)
     rng = np.random.default_rng(0)
-    asif = ActiveSetFilter(inspection, sharing, sampled=SampledData(1.0) if sampled else None)
+    families = Families(inspection, sampled=SampledData(1.0) if sampled else None)
+    asif = ActiveSetFilter(make_filter(families, sharing))
     spent, changed = [], 0
     for k in range(calls):
         which = k % many
@@ -51,7 +53,7 @@ def time_filter(deputies: int, sharing: str, sampled: bool, calls: int = 2000) -
 def _states(inspection: Inspection, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Safe states; for many deputies, where samples are never accepted, slow ones anywhere."""
     if inspection.deputies <= 6:
-        x, sun, _ = initial_conditions(Families(inspection), count, seed=1)
+        x, sun = InitialConditions(Families(inspection), seed=1).first(count)
         return x, sun
     rng = np.random.default_rng(1)
     x = np.zeros((count, inspection.deputies, 6))

@@ -20,7 +20,7 @@ import numpy as np
 
 from polaris.rta.decision_grid import DecisionGrid
 from polaris.rta.flight import Conditions, fly
-from polaris.rta.methods.alone import SafetyAlone
+from polaris.rta.methods.fixed import SafetyAlone
 from polaris.rta.methods.monitor import Monitor
 from polaris.rta.online.decision_log import DecisionLog
 from polaris.rta.online.estimate import Measurement

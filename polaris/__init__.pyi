@@ -17,9 +17,9 @@ from .model.satellite import SatelliteObstacle as SatelliteObstacle
 from .model.system import LinearSystem as LinearSystem
 from .model.timed_polytope import TimedPolytope as TimedPolytope
 from .model.version import __version__ as __version__
-from .planning.goal import Goal as Goal
 from .planning.goals import Box as Box
 from .planning.goals import EllipticalNMT as EllipticalNMT
+from .planning.goals import Goal as Goal
 from .planning.goals import LinearNMT as LinearNMT
 from .planning.goals import StationaryPoint as StationaryPoint
 from .planning.problem import Plan as Plan
@@ -40,6 +40,9 @@ from .rta.method import Method as Method
 from .rta.method import Seen as Seen
 from .rta.method_result import MethodResult as MethodResult
 from .rta.methods.monitor import Monitor as Monitor
+from .rta.one_call import Backup as Backup
+from .rta.one_call import Decision as Decision
+from .rta.one_call import RunTimeFilter as RunTimeFilter
 from .rta.online.decision_log import DecisionLog as DecisionLog
 from .rta.online.decision_log import read_log as read_log
 from .rta.online.estimate import Measurement as Measurement

@@ -1,7 +1,6 @@
 from .hybrid.automaton import HybridAutomaton as HybridAutomaton
 from .hybrid.automaton import Mode as Mode
 from .hybrid.automaton import Transition as Transition
-from .hybrid.replay import replay_hybrid as replay_hybrid
 from .hybrid.segments import HybridTube as HybridTube
 from .hybrid.segments import Segment as Segment
 from .hybrid.simulation import HybridTrajectory as HybridTrajectory
@@ -10,6 +9,7 @@ from .hybrid.simulation import simulate_hybrid as simulate_hybrid
 from .hybrid.tube import hybrid_tube as hybrid_tube
 from .hybrid.verification import HybridVerdict as HybridVerdict
 from .hybrid.verification import falsify_hybrid as falsify_hybrid
+from .hybrid.verification import replay_hybrid as replay_hybrid
 from .hybrid.verification import verify_hybrid as verify_hybrid
 from .numerics.errors import ReachError as ReachError
 from .numerics.errors import ReachWarning as ReachWarning
@@ -43,16 +43,16 @@ from .tubes.flowpipes import Flowpipes as Flowpipes
 from .tubes.ltv import LTVSystem as LTVSystem
 from .tubes.ltv import ltv_support_tube as ltv_support_tube
 from .tubes.ltv import ltv_zonotope_tube as ltv_zonotope_tube
-from .tubes.signals import Signal as Signal
-from .tubes.support_tube import SupportTube as SupportTube
-from .tubes.support_tube import support_tube as support_tube
 from .tubes.systems import LinearSystem as LinearSystem
+from .tubes.systems import Signal as Signal
 from .tubes.trajectory import Trajectory as Trajectory
 from .tubes.trajectory import simulate as simulate
 from .tubes.trajectory import worst_case as worst_case
+from .tubes.tubes import SupportTube as SupportTube
+from .tubes.tubes import ZonotopeTube as ZonotopeTube
+from .tubes.tubes import support_tube as support_tube
+from .tubes.tubes import zonotope_tube as zonotope_tube
 from .tubes.varying import Varying as Varying
-from .tubes.zonotope_tube import ZonotopeTube as ZonotopeTube
-from .tubes.zonotope_tube import zonotope_tube as zonotope_tube
 from .verification.specification import Always as Always
 from .verification.specification import Never as Never
 from .verification.specification import Verdict as Verdict

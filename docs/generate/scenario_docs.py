@@ -60,6 +60,8 @@ def _tidy(node: Any) -> Any:
     for key, value in node.items():
         if key in ("properties", "$defs"):
             kept[key] = {name: _tidy(entry) for name, entry in value.items()}
+        elif key == "description" and "unit" in node:  # of a field: one line, however it is broken there
+            kept[key] = " ".join(value.split())
         elif key not in ("title", "discriminator"):
             kept[key] = _tidy(value)
     return kept

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import sys
 
-USAGE = "usage: python -m polaris.certificate RUN_OR_FILE"
-
 
 def main(arguments: list[str]) -> int:
     """Check one certificate and print the verdict.
@@ -16,7 +14,7 @@ def main(arguments: list[str]) -> int:
         0 verified, 5 rejected, 6 unknown, 2 if there was nothing to check.
     """
     if len(arguments) != 1 or arguments[0].startswith("-"):
-        print(USAGE, file=sys.stderr)
+        print("usage: python -m polaris.certificate RUN_OR_FILE", file=sys.stderr)
         return 2
     try:
         from .checker import verify

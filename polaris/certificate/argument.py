@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cached_property
 
 from flint import arb, arb_mat
 
@@ -11,11 +10,10 @@ from .balls import above, column, identity, largest, magnitude, matrix, plain, r
 from .document import Document, UnsafeSet
 from .flights import Flown, Pilot, fly
 from .lemma import Stated, check_norm_bounds
-from .limits import Barrier, Limits
 from .loop import Memory, Needs
-from .path import Arc, Kinematics, Path
+from .motion import Arc, Path
 from .plants import plant_of, within_limits
-from .recovery import Recovery
+from .recovery import Barrier, Limits, Recovery
 from .verdict import Record, Rejected
 from .zonotopes import Merging, Zonotope, widest
 
@@ -55,13 +53,10 @@ class Argument:
 
     def __init__(self, document: Document, record: Record, stated: Stated | None = None) -> None:
         self.document, self.record, self.stated = document, record, stated or Stated()
+        self.n, self.K = len(document.A), document.steps
         self.plant = plant_of(document)
-        self.n, self.m, self.K = len(document.A), len(document.u_max), document.steps
-        self.kinematics = Kinematics(self.plant, document.q)
-        gain = document.laws[0].gain
-        assert gain is not None  # checked by Document
-        self.gain = matrix(gain)
-        self.loop = self.plant.loop(self.gain)
+        self.pilots = [Pilot(law, self.plant, document.slopes) for law in document.laws]
+        self.gain, self.loop = self.pilots[0].gain, self.pilots[0].loop()
 
     def run(self) -> None:
         """Check everything; returns only if every claim holds.
@@ -98,8 +93,10 @@ class Argument:
     def reference(self) -> Path:
         """The reference is the exact motion under the stored inputs, and these are within the limits."""
         doc = self.document
-        closed = doc.system_kind == "clohessy_wiltshire" and doc.horizon == "infinite"
-        path = Path.propagate(self.kinematics, doc.center, doc.inputs, self.K, doc.states[self.K], closed)
+        tail = column(doc.states[self.K])
+        if doc.system_kind == "clohessy_wiltshire" and doc.horizon == "infinite":
+            tail[4, 0] = -self.plant.A[3, 4] * tail[0, 0]  # v_y = -2 eta r_x: the orbit closes exactly
+        path = Path.propagate(self.plant, column(doc.center), doc.inputs, self.K, tail)
         size = [max(abs(state[i]) for state in doc.states) for i in range(self.n)]
         size = [x + 1e-6 * max(size) for x in size]  # a state that rests is zero up to rounding
         for k, (state, exact) in enumerate(zip(doc.states, path.starts, strict=True)):
@@ -107,30 +104,13 @@ class Argument:
                 off = abs(exact[i, 0] - state[i])
                 slack = arb(PATH_SLACK) * (size[i] if k else 0.0)
                 require("reference", slack - off, f"state {i} at the start of step {k} is {plain(off)} off")
-        for i, off in enumerate(magnitude(path.jump).entries()):
+        jump = magnitude(path.jump).entries()
+        for i, off in enumerate(jump):
             most = JUMP_SLACK * max(1.0, *size)
             require("reference", most - off, f"the tail starts {float(off):.6g} off state {i} reached at T")
         within_limits(doc, doc.inputs, "thrust", "the reference")
-        self.record.holds("reference", f"{doc.cells} steps, jump at T at most {_show(path.jump)}")
+        self.record.holds("reference", f"{doc.cells} steps, jump at T at most {float(largest(jump)):.3g}")
         return path
-
-    @cached_property
-    def pilots(self) -> list[Pilot]:
-        """The controllers, as reachability sees them."""
-        doc = self.document
-        return [
-            Pilot(
-                law.name,
-                law.kind,
-                self.plant,
-                None if law.gain is None else matrix(law.gain),
-                None
-                if law.states is None or law.inputs is None
-                else [(column(x), column(u)) for x, u in zip(law.states, law.inputs, strict=False)],
-                doc.slopes if law.kind == "saturated_affine" else [],
-            )
-            for law in doc.laws
-        ]
 
     def tubes(self, path: Path, merging: Merging) -> tuple[list[Zonotope], list[Flown]]:
         """Reachable sets of the schedule; every step of an experimental controller is separate."""
@@ -185,7 +165,7 @@ class Argument:
             for j, name in enumerate(names):
                 self._no_smaller("error_bounds", f"{name} in step {k}", doc.tube[k][j], need[j])
             for i, top in enumerate(self.plant.u_max):
-                below, over, u = need[d + i], need[d + self.m + i], doc.inputs[k][i]
+                below, over, u = need[d + i], need[d + len(doc.u_max) + i], doc.inputs[k][i]
                 where = f"{doc.input_names[i]} in step {k}"
                 self._no_smaller("thrust", where, doc.peaks[k][i], largest((over + u, below - u)))
                 require("thrust", top - doc.peaks[k][i], f"{where}, {doc.peaks[k][i]:.6g} claimed")
@@ -206,20 +186,12 @@ class Argument:
         path, chosen = self._prolonged(path, memory)
         limits = Limits.of(doc, path, self.gain, chosen)
         needs = Needs(self.loop, memory, limits.rows)
-        forever = doc.horizon == "infinite"
-        recovery = Recovery(
-            limits.less_jump(needs, path), needs, doc.q, self.K, doc.delta, forever, doc.cells
-        )
-        switches = {0, *(k + 1 for k, mode in enumerate(doc.modes) if mode > 0)}
-        claimed: dict[int, float] = {}
-        if self.stated.start_margin is not None:
-            claimed[0] = self.stated.start_margin
+        recovery = Recovery(doc, limits.less_jump(needs, path), needs)
+        claimed = {0: self.stated.start_margin or 0.0}
         for k, mode in enumerate(doc.modes):
-            if mode > 0:
-                for at in (k, k + 1):
-                    claimed[at] = max(claimed.get(at, 0.0), doc.margins[k])
-        switches |= set(claimed)
-        reached = {k: sets[k] for k in switches if k * doc.q < recovery.nodes}
+            for at in (k, k + 1) if mode > 0 else ():
+                claimed[at] = max(claimed.get(at, 0.0), doc.margins[k])
+        reached = {k: sets[k] for k in claimed if k * doc.q < recovery.nodes}
         least = recovery.check_sets(reached, claimed)
         recovery.check_far()
         ahead = f"{memory.periods} periods ahead and beyond, tightest share {least:.3g}"
@@ -236,22 +208,17 @@ class Argument:
         Where the tail is shorter than that, the reference coasts on as it would, past sets at rest: any
         facet will do, and the one with most room is taken.
         """
-        doc, chosen = self.document, list(self.document.facets)
-        missing = self.K * doc.q + memory.periods - doc.cells * doc.q
-        if doc.horizon != "infinite" or missing <= 0:
-            return path, chosen
-        starts, inputs, rest = list(path.starts), list(path.inputs), column([0] * self.m)
+        doc, chosen, arcs = self.document, list(self.document.facets), list(path.arcs)
+        missing = self.K * doc.q + memory.periods - doc.cells * doc.q if doc.horizon == "infinite" else 0
         for _ in range(-(-missing // doc.q)):
-            arc = self.kinematics.arc(starts[-1], rest)
-            chosen.append([self._widest_facet(item, arc) for item in doc.unsafe])
-            starts.append(arc.nodes[-1])
-            inputs.append(rest)
-        return replace(path, starts=starts, inputs=inputs), chosen
+            arcs.append(Arc.of(self.plant, arcs[-1].nodes[-1], arb_mat(len(doc.u_max), 1)))
+            chosen.append([self._widest_facet(item, arcs[-1]) for item in doc.unsafe])
+        return replace(path, arcs=arcs), chosen
 
     def _widest_facet(self, item: UnsafeSet, arc: Arc) -> int:
         """The facet of a set at rest that leaves an arc most room."""
         rows, offsets = -(matrix(item.normals) * self.plant.C), [(arb(b), arb(b)) for b in item.end[-1]]
-        room = self.kinematics.room(rows, offsets, arc)
+        room = arc.room(rows, offsets)
         least = [min(float(node[f].mid()) for node in room) for f in range(len(offsets))]
         return least.index(max(least))
 
@@ -286,10 +253,6 @@ class Argument:
             turn = 2 * arb.pi() / arb(doc.mean_motion or 0.0)
             require("end", arb(tail) * doc.delta - turn, f"the tail has {tail} steps, less than one turn")
         else:
-            rate = self.plant.A * path.starts[self.K] if tail else column([1])
+            rate = self.plant.A * path.arcs[self.K].nodes[0] if tail else column([1])
             if any(not x.is_zero() for x in rate.entries()):
                 raise Rejected("end", "the reference does not come to rest exactly")
-
-
-def _show(v: arb_mat) -> str:
-    return f"{float(largest(magnitude(v).entries()).mid()):.3g}"

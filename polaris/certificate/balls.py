@@ -30,20 +30,20 @@ def column(values: Sequence[Number]) -> arb_mat:
     return arb_mat(len(values), 1, list(values))
 
 
-def identity(n: int) -> arb_mat:
-    """Unit matrix."""
-    return arb_mat(n, n, [int(i == j) for i in range(n) for j in range(n)])
-
-
 def diagonal(values: Sequence[Number]) -> arb_mat:
     """Diagonal matrix."""
     n = len(values)
     return arb_mat(n, n, [values[i] if i == j else 0 for i in range(n) for j in range(n)])
 
 
+def identity(n: int) -> arb_mat:
+    """Unit matrix."""
+    return diagonal([1.0] * n)
+
+
 def row_of(M: arb_mat, i: int) -> arb_mat:
     """One row, shape (1, n)."""
-    return arb_mat(1, M.ncols(), [M[i, j] for j in range(M.ncols())])
+    return matrix(M.tolist()[i : i + 1])
 
 
 def sums(*lists: Iterable[arb]) -> list[arb]:
@@ -73,12 +73,9 @@ def plain(x: arb) -> str:
 
 def beside(*blocks: arb_mat) -> arb_mat:
     """Blocks with the same number of rows, side by side."""
-    entries: list[arb] = []
-    tables = [(block.entries(), block.ncols()) for block in blocks]
-    for i in range(blocks[0].nrows()):
-        for found, width in tables:
-            entries += found[i * width : (i + 1) * width]
-    return arb_mat(blocks[0].nrows(), sum(width for _, width in tables), entries)
+    rows = zip(*(block.tolist() for block in blocks), strict=True)
+    entries = [x for parts in rows for part in parts for x in part]
+    return arb_mat(blocks[0].nrows(), sum(block.ncols() for block in blocks), entries)
 
 
 def above(*blocks: arb_mat) -> arb_mat:
@@ -99,15 +96,12 @@ def absolute(M: arb_mat) -> arb_mat:
 
 def row_sums(M: arb_mat) -> list[arb]:
     """Sum of the absolute values of every row."""
-    entries, width = M.entries(), M.ncols()
-    return [sum(map(abs, entries[i * width : (i + 1) * width]), arb(0)) for i in range(M.nrows())]
+    return [sum(map(abs, row), arb(0)) for row in M.tolist()]
 
 
 def norms(M: arb_mat) -> list[arb]:
     """2-norm of every row."""
-    entries, width = M.entries(), M.ncols()
-    rows = (entries[i * width : (i + 1) * width] for i in range(M.nrows()))
-    return [root(sum((x * x for x in row), arb(0))) for row in rows]
+    return [root(sum((x * x for x in row), arb(0))) for row in M.tolist()]
 
 
 def root(square: arb) -> arb:
@@ -121,8 +115,7 @@ def root(square: arb) -> arb:
 def largest(values: Iterable[arb]) -> arb:
     """A number that is at least every one of the values (their largest upper bound)."""
     best: arb | None = None
-    for value in values:
-        upper = value.upper()
+    for upper in (value.upper() for value in values):
         if upper.is_nan():
             return upper
         best = upper if best is None or upper > best else best
@@ -135,15 +128,7 @@ def smallest(values: Iterable[arb]) -> arb:
 
 
 def require(claim: str, spare: arb, witness: str) -> None:
-    """Go on only if a number is certainly at least 0.
-
-    Raises
-    ------
-    Rejected
-        If it is certainly negative.
-    Undecided
-        If its ball contains 0.
-    """
+    """Go on only if a number is certainly at least 0; `Rejected` if certainly not, else `Undecided`."""
     if spare >= 0:
         return
     if spare < 0:
@@ -173,11 +158,6 @@ def exponential_over(X: arb_mat, time: arb) -> arb_mat:
     power, absolute = identity(n), identity(n)
     for j in range(1, TERMS):
         power, absolute = power * X * (arb(1) / j), absolute * size * (time / j)
-        total, bound = total + power * _from_zero(time**j), bound + absolute
+        total, bound = total + power * arb(0).union(time**j), bound + absolute
     rest = magnitude((size * time).exp() - bound)
     return total + arb_mat(n, n, [arb(0, x) for x in rest.entries()])
-
-
-def _from_zero(top: arb) -> arb:
-    """The interval [0, top] as a ball."""
-    return arb(0).union(top)

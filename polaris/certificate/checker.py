@@ -14,23 +14,16 @@ from .balls import PRECISION
 from .document import Document, read
 from .inputs import check_inputs
 from .plants import precision_for
-from .verdict import LONGEST, REJECTED, UNKNOWN, VERIFIED, Record, Rejected, Undecided, Verdict
+from .verdict import LONGEST, UNKNOWN, VERIFIED, Failed, Record, Verdict
 
 NAME = "certificate.json"
 """The certificate's name in a run folder."""
-
 
 FAILURES = (
     *(ArithmeticError, ValueError, TypeError, LookupError, AttributeError),
     *(AssertionError, MemoryError, RecursionError),
 )
 """What numbers that no run has may raise deep in a check; the claim is then not decided."""
-
-
-def locate(path: str | Path) -> Path:
-    """The certificate of a run folder, or the file itself."""
-    given = Path(path)
-    return given / NAME if given.is_dir() else given
 
 
 def verify(path: str | Path) -> Verdict:
@@ -50,7 +43,9 @@ def verify(path: str | Path) -> Verdict:
     OSError
         If the file cannot be read.
     """
-    file, whole = locate(path), Path(path).is_dir()
+    given = Path(path)
+    whole = given.is_dir()
+    file = given / NAME if whole else given
     return _judge(lambda record: _check(read(file), file.parent, record, whole))
 
 
@@ -61,16 +56,13 @@ def verify_document(data: dict[str, object], folder: Path | None = None) -> Verd
 
 def _judge(check: Callable[[Record], list[str]]) -> Verdict:
     """Run a check and turn how it ends into a verdict."""
-    begun, record = time.perf_counter(), Record()
-    before = flint.ctx.prec
+    begun, before, record = time.perf_counter(), flint.ctx.prec, Record()
     flint.ctx.prec = PRECISION
     outcome, claim, witness, excess, trusted = VERIFIED, "", "", None, []
     try:
         trusted = check(record)
-    except Rejected as error:
-        outcome, claim, witness, excess = REJECTED, error.claim, error.witness, error.excess
-    except Undecided as error:
-        outcome, claim, witness = UNKNOWN, error.claim, error.witness
+    except Failed as error:
+        outcome, claim, witness, excess = error.outcome, error.claim, error.witness, error.excess
     except FAILURES as error:
         outcome, claim, witness = UNKNOWN, "arithmetic", f"{type(error).__name__}: {error}"[:LONGEST]
     finally:
@@ -80,6 +72,7 @@ def _judge(check: Callable[[Record], list[str]]) -> Verdict:
 
 
 def _check(document: Document, folder: Path | None, record: Record, whole: bool = False) -> list[str]:
+    """Check everything; returns what is trusted besides."""
     flint.ctx.prec = precision_for(document)  # `_judge` puts it back
     record.holds("digest", f"scenario {document.scenario}, {document.steps} steps of {document.delta:g} s")
     trusted, stated = list(document.assumptions), None
@@ -92,7 +85,5 @@ def _check(document: Document, folder: Path | None, record: Record, whole: bool 
         stated = check_artefacts(document, folder, scenario, record)
         trusted += unchecked(scenario, folder)
     Argument(document, record, stated).run()
-    trusted.append(
-        f"python-flint {flint.__version__} (ball arithmetic, {flint.ctx.prec} bit), SHA-256, and this checker"
-    )
-    return trusted
+    version = f"python-flint {flint.__version__} (ball arithmetic, {flint.ctx.prec} bit)"
+    return [*trusted, f"{version}, SHA-256, and this checker"]

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import math
 
-from .structure import Anything, Either, Flag, Named, Null, Real, Rows, Text, Whole, every, keyed, kinds
+from .structure import Either, Hexadecimal, Kinds, Name, Named, Real, Rows, Shape, Text, Whole, every
 
-ANY = Anything()
-TEXT = Text()
+HEX = Hexadecimal()
+TEXT, NAME = Text(), Name()
 REAL = Real(least=-math.inf, most=math.inf)
 NOT_NEGATIVE = Real(least=0, most=math.inf)
 SHARE = Real(least=0, most=1)
-OPTIONAL = Either((REAL, Null()))
-BOUND = Either((NOT_NEGATIVE, Null()))
+OPTIONAL = Either((REAL, None))
+BOUND = Either((NOT_NEGATIVE, None))
 """Null for infinity, which bounds nothing."""
 VECTOR = Rows(REAL)
 MATRIX = Rows(VECTOR)
@@ -20,87 +20,109 @@ ONE = Whole(1, 1)
 GUARANTEE = Text(("proved", "none"))
 HORIZON = Text(("infinite", "one_period", "none"))
 
-_OWN = {**every(ANY, "gain own_states? own_inputs?"), "name": TEXT}
+
+def grid(sizes: str, item: Shape = HEX) -> Shape:
+    """Lists in lists; the names of their lengths, ``*`` for any, from the outside."""
+    for size in reversed(sizes.split()):
+        item = Rows(item, size=size.strip("*"))
+    return item
+
+
+_OWN = {"name": NAME, "gain": grid("m n"), "own_states?": grid("* n"), "own_inputs?": grid("* m")}
 
 # fmt: off
-CERTIFICATE = keyed({
+CERTIFICATE = {
     **every(TEXT, "format digest guarantee"),
-    **every(ANY, "schema_version facets assumptions"),
-    "scenario": keyed({"name": ANY}),
+    **every(object, "schema_version assumptions"),
+    "scenario": {"name": NAME},
     "artefacts": Named(TEXT),
-    "system": keyed({
+    "system": {
         "kind": Text(("linear", "clohessy_wiltshire")),
-        **every(ANY, "mean_motion mass A B C D input_max disturbance_max input_names"),
-    }),
-    "sampling": keyed(every(ANY, "kind step steps nodes_per_step")),
-    "initial_set": keyed(every(ANY, "center generators")),
-    "unsafe_sets": Rows(keyed({**every(ANY, "name normals offsets"), "keep_in": Flag()})),
-    "reference": keyed(every(ANY, "states inputs")),
-    "controllers": Rows(kinds({
+        "A": grid("n n"), "B": grid("n m"), "C": grid("d n"), "D": grid("n p"),
+        "input_max": grid("m"), "input_names": grid("m", NAME),
+        **every(HEX, "disturbance_max mass"), "mean_motion": Either((HEX, None)),
+    },
+    "sampling": {
+        "kind": Text(("continuous", "sampled")), "step": HEX, **every(Whole(1), "steps nodes_per_step"),
+    },
+    "initial_set": {"center": grid("n"), "generators": grid("* n")},
+    "unsafe_sets": Rows({
+        "name": NAME, "keep_in": bool, "normals": grid("* d"), "offsets": grid("cells two *"),
+    }, size="sets"),
+    "facets": grid("cells sets", Whole()),
+    "reference": {"states": grid("cells+1 n"), "inputs": grid("cells m")},
+    "controllers": Rows(Kinds({
         # The safety controller follows the safe reference, the only one that was checked.
-        "safety": {"name": TEXT, "gain": ANY},
+        "safety": {"name": NAME, "gain": grid("m n")},
         "affine": _OWN,
         "saturated_affine": _OWN,
-        "any_thrust": {"name": TEXT},
+        "any_thrust": {"name": NAME},
     }), 1),
-    "schedule": keyed(every(ANY, "modes margins")),
-    "error_bounds": keyed(every(ANY, "per_step settled")),
-    "thrust": keyed({"peak": ANY}),
-    "recoverable": keyed(every(ANY, "kind weight radius")),
-    "enclosures": keyed(every(ANY, "center half_widths lower upper slopes")),
-    "end": keyed({**every(ANY, "horizon until"), "reason": TEXT}),
-})
-"""The certificate; `Document` decodes what stands under the keys."""
+    "schedule": {"modes": grid("K", Whole()), "margins": grid("K", Either((HEX, None)))},
+    "error_bounds": {"per_step": grid("K 2d+2m"), "settled": grid("2d+2m")},
+    "thrust": {"peak": grid("K m")},
+    "recoverable": {
+        "kind": Text(("polytope", "time_varying_ball", "ball", "paper_ball")),
+        "weight": grid("n n"), "radius": grid("K+1", Either((HEX, None))),
+    },
+    "enclosures": {
+        **every(grid("K+1 n"), "center half_widths"), **every(grid("K n"), "lower upper"),
+        "slopes": grid("K", Either((None, grid("q m")))),
+    },
+    "end": {"horizon": HORIZON, "until": Either((HEX, None)), "reason": TEXT},
+}
+"""The certificate; `Document` compares the lengths."""
 
-CLAIMED = keyed(
-    {"kind": GUARANTEE, "horizon": HORIZON, "until_s": OPTIONAL, "reason": TEXT, "assumptions": Rows(TEXT)}
-)
+CLAIMED = {
+    "kind": GUARANTEE, "horizon": HORIZON, "until_s": OPTIONAL, "reason": TEXT,
+    "assumptions": Rows(TEXT),
+}
 """The guarantee as the schedule and the summary repeat it."""
 
-SCHEDULE = keyed({
+SCHEDULE = {
     "schema_version": ONE,
     **every(REAL, "step_s duration_s"),
-    "controllers": Rows(keyed({"mode": Whole(), **every(TEXT, "name kind")})),
-    "rules": keyed({
-        "strategy": TEXT, "min_dwell": Whole(1), "max_switches": Either((Whole(), Null())),
+    "controllers": Rows({"mode": Whole(), **every(TEXT, "name kind")}),
+    "rules": {
+        "strategy": TEXT, "min_dwell": Whole(1), "max_switches": Either((Whole(), None)),
         "weights": VECTOR, "beam": Whole(1),
-    }),
+    },
     "modes": Rows(Whole()),
     "switches": Whole(),
     "experimental_share": SHARE,
     "share": Named(SHARE),
     "recoverable": TEXT,
     "guarantee": CLAIMED,
-    "steps": Rows(keyed({
+    "steps": Rows({
         **every(Whole(), "step mode"),
         **every(REAL, "t_start_s t_end_s"),
         **every(TEXT, "controller limit"),
         **every(OPTIONAL, "margin limit_time_s need room"),
-    })),
-})
+    }),
+}
 """``schedule.json``."""
 
-GAINS = keyed({
+GAINS = {
     "law": TEXT,
-    "system": keyed({
+    "system": {
         **every(MATRIX, "A B C D"), "input_max": VECTOR, "disturbance_max": NOT_NEGATIVE, "mass_kg": REAL,
-    }),
-    "feedback": keyed({"sampled": Flag(), "node_spacing_s": REAL, "nodes_per_step": Whole(1)}),
-    "controllers": Rows(keyed({
-        "mode": Whole(), **every(TEXT, "name kind"), "clips?": Flag(),
+    },
+    "feedback": {"sampled": bool, "node_spacing_s": REAL, "nodes_per_step": Whole(1)},
+    "controllers": Rows({
+        "mode": Whole(), **every(TEXT, "name kind"), "clips?": bool,
         **every(MATRIX, "gain? own_states? own_inputs?"),
-    })),
-    "error_bounds": keyed({
+    }),
+    "error_bounds": {
         "method": TEXT,
         "weight": MATRIX,
         "beta_1_s": OPTIONAL,
         **every(BOUND, "gamma gain gamma_position gain_position"),
         **every(Rows(BOUND), "gamma_input gain_input"),
-    }),
-})
+    },
+}
 """``gains.json``."""
 
-FLOWN = keyed({
+FLOWN = {
     "controller": TEXT,
     "runs": Whole(1),
     **every(OPTIONAL, "min_distance_m min_distance_mean_m mean_distance_m"),
@@ -109,26 +131,26 @@ FLOWN = keyed({
     "experimental_share": Real(least=0, most=1 + 1e-9),  # a sum of times
     **every(Whole(), "switches collided_runs"),
     **every(NOT_NEGATIVE, "delta_v_m_s delta_v_max_m_s max_thrust_ratio"),
-    "collided": Flag(),
-})
+    "collided": bool,
+}
 """Statistics of simulated runs."""
 
-SUMMARY = keyed({
+SUMMARY = {
     "schema_version": ONE,
     **every(TEXT, "scenario title created"),
     **every(FLOWN, "polaris safety experimental?"),
-    "synthesis": keyed({
+    "synthesis": {
         **every(TEXT, "recoverable start_limit"),
         "experimental_share": SHARE,
         "switches": Whole(),
         "start_margin": OPTIONAL,
-        "planner": Named(ANY),
-        "seconds": ANY,
-    }),
+        "planner": Named(object),
+        "seconds": object,
+    },
     "guarantee": CLAIMED,
     "definitions": Named(TEXT),
     "seed": Whole(),
     "versions": Named(TEXT),
-})
+}
 """``summary.json``."""
 # fmt: on

@@ -1,4 +1,8 @@
-"""Files of a run folder, read once and within bounds: whoever made the folder may not exhaust the checker."""
+"""Files of a run folder, read once and within bounds: whoever made the folder may not exhaust the checker.
+
+Raised are `Rejected` (claim ``artefacts``) for a folder, or a device or pipe, whose end may never come;
+`Undecided` for a file that is too large; `OSError` for one that cannot be read.
+"""
 
 from __future__ import annotations
 
@@ -18,17 +22,7 @@ LARGEST_HASHED = 16 * 2**30
 
 
 def contents(path: Path, most: int = LARGEST) -> bytes:
-    """The bytes of a regular file, or of what a link to one leads to.
-
-    Raises
-    ------
-    Rejected
-        Naming ``artefacts``, if it is a folder, or a device or pipe, whose end may never come.
-    Undecided
-        Naming ``artefacts``, if it is larger than `most`.
-    OSError
-        If it cannot be read.
-    """
+    """The bytes of a regular file, or of what a link to one leads to."""
     _regular(path, most)
     with path.open("rb") as file:
         data = file.read(most + 1)  # it may have grown since
@@ -43,7 +37,7 @@ def found(path: Path) -> bool:
 
 
 def sha256(path: Path) -> str:
-    """SHA-256 of a file, piece by piece; raises as `contents` does."""
+    """SHA-256 of a file, piece by piece."""
     _regular(path, LARGEST_HASHED)
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

@@ -8,22 +8,10 @@ from functools import cached_property
 
 from flint import arb, arb_mat
 
-from .balls import (
-    above,
-    column,
-    diagonal,
-    identity,
-    largest,
-    magnitude,
-    plain,
-    require,
-    row_sums,
-    smallest,
-    sums,
-)
-from .limits import Barrier
-from .motion import Motion, Plant
-from .path import Arc, Path
+from .balls import above, column, diagonal, identity, largest, matrix, plain, require, smallest, sums
+from .document import Law, Matrix
+from .motion import Arc, Motion, Path, Plant, Push
+from .recovery import Barrier
 from .verdict import Rejected
 from .zonotopes import Merging, Zonotope
 
@@ -33,58 +21,71 @@ ROUNDS = 5
 
 @dataclass(frozen=True, eq=False)
 class Pilot:
-    """A controller as reachability sees it.
+    """A controller as reachability sees it."""
 
-    Parameters
-    ----------
-    name, kind : str
-    plant : Plant
-    gain : arb_mat or None
-        None for anything within the thrust limits.
-    own : list of (arb_mat, arb_mat) or None
-        State at the start and input of every step of its own reference; None for the safe reference.
-    slopes : list of (list of list of float or None), optional
-        By step and period, slopes from 0 to 1 of the lines about which a clipped command is enclosed.
-        Any are sound; None for those of the checker's own.
-    """
-
-    name: str
-    kind: str
+    law: Law
     plant: Plant
-    gain: arb_mat | None
-    own: list[tuple[arb_mat, arb_mat]] | None
-    slopes: list[list[list[float]] | None] = field(default_factory=list, repr=False)
+    slopes: list[Matrix | None]
+    """By step and period, slopes from 0 to 1 of the lines about which a clipped command is enclosed.
+
+    Any are sound; None for those of the checker's own.
+    """
     _loops: dict[tuple[float, ...], Motion] = field(default_factory=dict, repr=False)
+
+    @cached_property
+    def gain(self) -> arb_mat:
+        """Of any law but ``any_thrust``."""
+        assert self.law.gain is not None
+        return matrix(self.law.gain)
 
     def loop(self, slopes: Sequence[float] = ()) -> Motion:
         """Its loop with the gain of every input times a slope; unchanged without slopes."""
-        assert self.gain is not None
         key = tuple(slopes)
         if key not in self._loops:
-            gain = diagonal(key) * self.gain if key else self.gain
-            self._loops[key] = self.plant.loop(gain)
+            self._loops[key] = self.plant.loop(diagonal(key) * self.gain if key else self.gain)
         return self._loops[key]
 
     @cached_property
     def commands(self) -> arb_mat:
         """Rows of its command and, for the other limit, of the negative one."""
-        assert self.gain is not None
         return above(-self.gain, self.gain)
 
-    def stored(self, k: int, i: int) -> list[float] | None:
-        """Slopes for its clipped command in a period of a step, if the certificate has any."""
-        step = self.slopes[k] if self.slopes else None
-        return None if step is None else step[i]
+    def base(self, k: int, path: Path) -> Arc:
+        """The arc of a step about which its motion is described."""
+        if self.law.kind == "any_thrust":  # free motion, and every thrust is an uncertain input about zero
+            return Arc.of(self.plant, path.arcs[k].nodes[0], arb_mat(self.plant.B.ncols(), 1))
+        if self.law.states is None or self.law.inputs is None:
+            return path.arcs[k]
+        return Arc.of(self.plant, column(self.law.states[k]), column(self.law.inputs[k]))
+
+    def period(self, d: Zonotope, u: arb_mat, k: int, i: int) -> Period:
+        """Motion over a period of a step from a set about the base arc, whose input is u."""
+        still, kind = arb_mat(d.c.nrows(), 1), self.law.kind
+        if kind == "any_thrust":
+            return Period(self.plant.open, still, Push.in_box(self.plant.B, self.plant.u_max))
+        linear = Period(self.loop(), still)
+        if kind == "safety":
+            return linear
+        most = d.support(self.commands)
+        if not self.plant.sampled:
+            most = linear.within(self.commands, d, most)
+        if all(max(-lo, hi) <= top for (lo, hi), top in zip(_ranges(u, most), self.plant.u_max, strict=True)):
+            return linear  # proven, since nothing clips as long as it is within the limits
+        if kind == "affine":
+            raise Rejected(
+                "controllers", f"{self.law.name} may exceed the thrust limits, unclipped, in step {k}"
+            )
+        step = self.slopes[k]
+        return _clipped(self, d, u, None if step is None else step[i])
 
 
 @dataclass(frozen=True, eq=False)
 class Period:
-    """Motion over one period: ``d' = ... + g + V v`` with ``|v_i| <= bounds[i]``."""
+    """Motion over one period: ``d' = ... + g + V v`` with v of a push."""
 
     motion: Motion
     g: arb_mat
-    V: arb_mat
-    bounds: list[arb]
+    push: Push | None = None
 
     def ends(self, d: Zonotope) -> Zonotope:
         """Where the motion without disturbance and without v ends."""
@@ -92,12 +93,10 @@ class Period:
 
     def after(self, end: Zonotope) -> Zonotope:
         """The set at the next node, from `ends`."""
-        pushed = []
-        if self.bounds:
-            V = self.V * diagonal(self.bounds)
+        pushed, push = [], self.push
+        if push is not None:
             held = self.motion.held is not None
-            size = magnitude(V) * column([1] * len(self.bounds))
-            pushed = [self.motion.gamma * V if held else self.motion.input_set(V, size)]
+            pushed = [self.motion.gamma * push.V * push.cover if held else self.motion.pushed(push)]
         return end.grown(*pushed, self.motion.disturbance_set)
 
     def extra(self, rows: arb_mat, d: Zonotope) -> tuple[list[arb], list[arb]]:
@@ -109,9 +108,9 @@ class Period:
         motion = self.motion
         bend, last = motion.disturbance_along(rows)
         first = sums(motion.bow(rows, d.image(motion.closed).moved(self.g)), bend)
-        if self.bounds:
-            first = sums(first, motion.input_bend(rows, self.V, self.bounds))
-            last = sums(last, motion.input_gain(rows, self.V, self.bounds))
+        if self.push is not None:
+            first = sums(first, motion.push_bend(rows, self.push))
+            last = sums(last, motion.push_gain(rows, self.push))
         return first, sums(first, last)
 
     def within(self, rows: arb_mat, d: Zonotope, at_node: list[arb]) -> list[arb]:
@@ -123,113 +122,49 @@ class Period:
 
 @dataclass(frozen=True, eq=False)
 class Flown:
-    """One step flown.
+    """One step flown."""
 
-    Attributes
-    ----------
-    end : Zonotope
-        Errors at the end of the step.
-    lower, upper : list of arb
-        Bounds on every state over the whole step.
-    """
-
-    end: Zonotope
-    lower: list[arb]
+    end: Zonotope  # errors at its end
+    lower: list[arb]  # bounds on every state over the whole step
     upper: list[arb]
 
 
 def fly(
     pilot: Pilot, start: Zonotope, k: int, path: Path, barrier: Barrier | None, merging: Merging
 ) -> Flown:
-    """Enclose one step of one controller, and check that it stays separate from every unsafe set.
+    """Enclose step k of one controller, and check that it stays separate from every unsafe set.
 
-    Parameters
-    ----------
-    pilot : Pilot
-    start : Zonotope
-        Errors about the safe reference at the start of the step.
-    k : int
-        Step.
-    path : Path
-        The safe reference.
-    barrier : Barrier or None
-        Separating facets; None under the safety controller, whose separation follows from
-        recoverability.
-    merging : Merging
-        How many generators are kept.
-
-    Raises
-    ------
-    Rejected
-        If the step is not separate, or an unclipped law may exceed the thrust limits.
+    `start` are the errors about the safe reference at its start. There is no barrier of separating facets
+    under the safety controller, whose separation follows from recoverability.
     """
-    kinematics, n = path.kinematics, start.c.nrows()
-    base, u = _base(pilot, k, path)
-    axes = identity(n)
-    heights, bows = base.heights(axes).tolist(), kinematics.bow(axes, base).tolist()
-    rows, room = axes, []
+    n, base = start.c.nrows(), pilot.base(k, path)
+    rows, room = identity(n), []
+    heights, bows = base.heights(rows), base.bows(rows)
     if barrier is not None:
-        rows, room = above(axes, barrier.rows), kinematics.room(barrier.rows, barrier.offsets, base)
-    d = merging.reduced(start).moved(path.starts[k] - base.nodes[0])
+        rows, room = above(rows, barrier.rows), base.room(barrier.rows, barrier.offsets)
+    d = merging.reduced(start).moved(path.arcs[k].nodes[0] - base.nodes[0])
     lows: list[list[arb]] = [[] for _ in range(n)]
     highs: list[list[arb]] = [[] for _ in range(n)]
-    for i in range(kinematics.q):
-        period = _period(pilot, d, u, k, i)
+    for i in range(pilot.plant.q):
+        period = pilot.period(d, base.u, k, i)
         end, extra = period.ends(d), period.extra(rows, d)
         for place, z, more in ((i, d, extra[0]), (i + 1, end, extra[1])):
-            middle, spread = (rows * z.c).entries(), row_sums(rows * z.G)
-            needs = sums(middle, spread, more)
+            middle, spread = (rows * z.c).entries(), z.spread(rows)
             for axis in range(n):
                 at, room_for = heights[axis][place] + middle[axis], spread[axis] + more[axis] + bows[axis][i]
                 lows[axis].append(at - room_for)
                 highs[axis].append(at + room_for)
             if barrier is not None:
-                for name, need, there in zip(barrier.names, needs[n:], room[place], strict=True):
+                needs = sums(middle, spread, more)[n:]
+                for name, need, there in zip(barrier.names, needs, room[place], strict=True):
                     if not need <= there:
-                        told = f"step {k}, part {i}, under {pilot.name}: {name}, needs {plain(need)}"
+                        told = f"step {k}, part {i}, under {pilot.law.name}: {name}, needs {plain(need)}"
                         require("separation", there - need, f"{told} of {plain(there)} m")
         d = period.after(end)
         if d.G.ncols() > 2 * merging.order * n:
             d = merging.reduced(d)
     leave = d.moved(base.nodes[-1] - path.starts[k + 1])
-    return Flown(leave, [smallest(x) for x in lows], [largest(x) for x in highs])
-
-
-def _base(pilot: Pilot, k: int, path: Path) -> tuple[Arc, arb_mat]:
-    """The arc about which a controller's motion is described, and its input."""
-    if pilot.gain is None:  # free motion, and every thrust is an uncertain input about zero
-        rest = column([0] * pilot.plant.B.ncols())
-        return path.kinematics.arc(path.starts[k], rest), rest
-    if pilot.own is None:
-        return path.arcs[k], path.inputs[k]
-    state, u = pilot.own[k]
-    return path.kinematics.arc(state, u), u
-
-
-def _period(pilot: Pilot, d: Zonotope, u: arb_mat, k: int, i: int) -> Period:
-    """Motion over the next period from a set about the base arc."""
-    plant = pilot.plant
-    still = arb_mat(d.c.nrows(), 1)
-    if pilot.gain is None:
-        return Period(plant.open, still, plant.B, plant.u_max)
-    linear = Period(pilot.loop(), still, plant.B, [])
-    if pilot.kind == "safety":
-        return linear
-    command = _linear_command(pilot, linear, d, u)
-    if all(max(-lo, hi) <= top for (lo, hi), top in zip(command, plant.u_max, strict=True)):
-        return linear
-    if pilot.kind == "affine":
-        raise Rejected("controllers", f"{pilot.name} may exceed the thrust limits, unclipped, in step {k}")
-    return _clipped(pilot, d, u, pilot.stored(k, i))
-
-
-def _linear_command(pilot: Pilot, linear: Period, d: Zonotope, u: arb_mat) -> list[tuple[arb, arb]]:
-    """Range of every command over the period if nothing clips, which is proven if it is within the limits."""
-    rows = pilot.commands
-    most = d.support(rows)
-    if not pilot.plant.sampled:
-        most = linear.within(rows, d, most)
-    return _ranges(u, most)
+    return Flown(leave, list(map(smallest, lows)), list(map(largest, highs)))
 
 
 def _ranges(u: arb_mat, most: list[arb]) -> list[tuple[arb, arb]]:
@@ -247,34 +182,36 @@ def _clipped(pilot: Pilot, d: Zonotope, u: arb_mat, stored: list[float] | None) 
     With the slopes of whoever stored them, and a range that is no wider, the motion found here lies within
     the one found there. With other slopes neither need contain the other.
     """
-    plant, rows, m = pilot.plant, pilot.commands, u.nrows()
+    plant, rows = pilot.plant, pilot.commands
+    commands = list(zip(plant.u_max, u.entries(), strict=True))
     at_node = d.support(rows)
     ranges = _ranges(u, at_node)
     if not plant.sampled:
-        pushes = [(-top - x, top - x) for top, x in zip(plant.u_max, u.entries(), strict=True)]
+        pushes = [(-top - x, top - x) for top, x in commands]
         for _ in range(ROUNDS):
-            middle = [((lo + hi) / 2).mid() for lo, hi in pushes]
-            spread = [largest((hi - x, x - lo)) for (lo, hi), x in zip(pushes, middle, strict=True)]
-            free = Period(plant.open, plant.B * column(middle), plant.B, spread)
+            middle, spread = zip(*(_around(*push) for push in pushes), strict=True)
+            free = Period(plant.open, plant.B * column(middle), Push.in_box(plant.B, list(spread)))
             ranges = _ranges(u, free.within(rows, d, at_node))
             pushes = [
                 (_clip(lo, top) - x, _clip(hi, top) - x)
-                for (lo, hi), top, x in zip(ranges, plant.u_max, u.entries(), strict=True)
+                for (lo, hi), (top, x) in zip(ranges, commands, strict=True)
             ]
     slopes = stored or [_secant(*ends, top) for ends, top in zip(ranges, plant.u_max, strict=True)]
-    middles, bands = [], []
-    for slope, (lo, hi), top in zip(slopes, ranges, plant.u_max, strict=True):
+    known, bands = [], []
+    for slope, (lo, hi), (top, x) in zip(slopes, ranges, commands, strict=True):
         # The clip less a line is piecewise affine: its extremes are at the ends and at the limits.
-        places = [lo, hi, *(x for x in (-top, top) if lo < x < hi)]
+        places = [lo, hi, *(y for y in (-top, top) if lo < y < hi)]
         rests = [_clip(y, top) - slope * y for y in places]
-        high, low = largest(rests), -largest(-x for x in rests)
-        middles.append(((high + low) / 2).mid())
-        bands.append(largest((high - middles[-1], middles[-1] - low)))
-    known = [
-        slope * u[i, 0] + middle - u[i, 0]
-        for i, (slope, middle) in enumerate(zip(slopes, middles, strict=True))
-    ]
-    return Period(pilot.loop(slopes), plant.B * column(known), plant.B, bands if m else [])
+        middle_rest, band = _around(smallest(rests), largest(rests))
+        known.append(slope * x + middle_rest - x)
+        bands.append(band)
+    return Period(pilot.loop(slopes), plant.B * column(known), Push.in_box(plant.B, bands))
+
+
+def _around(low: arb, high: arb) -> tuple[arb, arb]:
+    """An exact middle of two numbers, and how far both are from it at most."""
+    middle = ((low + high) / 2).mid()
+    return middle, largest((high - middle, middle - low))
 
 
 def _secant(lo: arb, hi: arb, top: arb) -> float:

@@ -14,7 +14,6 @@ from .lqr import check_gain, positive_definite
 from .own import check_own
 from .perception import check_unsafe
 from .repeated import check_switching
-from .structure import float_rows, floats
 from .verdict import Record, Rejected
 from .zonotopes import inner_radius
 
@@ -30,14 +29,7 @@ MOST_GENERATORS = 200
 
 
 def check_inputs(document: Document, scenario: dict[str, Any], record: Record) -> None:
-    """Compare the certificate with the scenario of the run folder, whose keys and types are known.
-
-    Raises
-    ------
-    Rejected
-        Naming ``system``, ``initial_set``, ``sampling``, ``unsafe_sets``, ``controllers``,
-        ``recoverable_sets``, ``schedule`` or ``goal``.
-    """
+    """Compare the certificate with the scenario of the run folder, whose keys and types are known."""
     try:
         if scenario["name"] != document.scenario:
             raise Rejected("system", f"{document.scenario} is not the scenario {scenario['name']}")
@@ -76,55 +68,54 @@ def _need(claim: str, what: str, found: Any, given: Any) -> None:
 
 
 def _check_system(document: Document, spec: dict[str, Any]) -> None:
-    n, m = len(document.A), len(document.u_max)
-    _need("system", "kind", document.system_kind, spec["kind"])
-    hill = spec["kind"] == "clohessy_wiltshire"
+    n, m, hill = len(document.A), len(document.u_max), spec["kind"] == "clohessy_wiltshire"
     top = spec["thrust_max_N" if hill else "input_max"]
-    limits = floats(top) if isinstance(top, list) else [float(top)] * m
-    _need("system", "input limit", document.u_max, limits)
-    bound = float(spec.get("disturbance_max_m_s2" if hill else "disturbance_max", 0.0))
-    _need("system", "disturbance bound", document.w_max, bound)
-    _need("system", "mass", document.mass, float(spec.get("mass_kg", 1.0)))
     axes = [f"{axis} thrust" for axis in ("radial", "along-track", "cross-track")]
-    names = axes if hill else [f"input {i}" for i in range(m)]
-    _need("system", "names of inputs", document.input_names, names)
-    if hill:
-        _need("system", "mean motion", document.mean_motion, float(spec["mean_motion_rad_s"]))
-        place: list[int] | None = [0, 1, 2]
+    given = {
+        "kind": (document.system_kind, spec["kind"]),
+        "input limit": (document.u_max, top if isinstance(top, list) else [top] * m),
+        "disturbance bound": (
+            document.w_max,
+            spec.get("disturbance_max_m_s2" if hill else "disturbance_max", 0.0),
+        ),
+        "mass": (document.mass, spec.get("mass_kg", 1.0)),
+        "names of inputs": (document.input_names, axes if hill else [f"input {i}" for i in range(m)]),
+        "mean motion": (document.mean_motion, spec["mean_motion_rad_s"] if hill else None),
+    }
+    if not hill:
+        given |= {key: (getattr(document, key), spec[key]) for key in "ABD"}
+    if "C" in spec:
+        position = spec["C"]
     else:
-        _need("system", "mean motion", document.mean_motion, None)
-        for key, value in (("A", document.A), ("B", document.B), ("D", document.D)):
-            _need("system", key, value, float_rows(spec[key]))
-        place = spec.get("position_states")
-        if place is None:
-            place = list(range(max(n // 2, 1))) if spec.get("C") is None else None
-    chosen = float_rows(spec["C"]) if place is None else [[float(i == j) for j in range(n)] for i in place]
-    _need("system", "C", document.C, chosen)
+        chosen = range(3) if hill else spec.get("position_states", range(max(n // 2, 1)))
+        position = [[float(i == j) for j in range(n)] for i in chosen]
+    for what, (found, wanted) in {**given, "C": (document.C, position)}.items():
+        _need("system", what, found, wanted)
     C = matrix(document.C)
     if positive_definite(C * C.transpose()) is not True:
         raise Rejected("system", "the coordinates of the position are not independent")
 
 
 def _check_initial_set(document: Document, spec: dict[str, Any]) -> None:
-    _need("initial_set", "centre", document.center, floats(spec["center"]))
+    _need("initial_set", "centre", document.center, spec["center"])
     if document.mean_motion is not None and math.hypot(*document.center[:3]) > HILL_RANGE:
         raise Rejected("initial_set", f"starts beyond {HILL_RANGE:g} m: Hill's equations hold near it")
     n, generators = len(document.center), document.generators
     if spec["kind"] == "zonotope":
-        _need("initial_set", "generators", generators, float_rows(spec["generators"]))
+        _need("initial_set", "generators", generators, spec["generators"])
         return
     if spec["kind"] == "box":
         if any(sum(x != 0 for x in g) > 1 for g in generators):
             raise Rejected("initial_set", "a box has generators along the axes")
         extent = [math.fsum(abs(g[i]) for g in generators) for i in range(n)]
-        _need("initial_set", "half-widths", extent, floats(spec["half_widths"]))
+        _need("initial_set", "half-widths", extent, spec["half_widths"])
         return
     if any(sorted(row) != [0.0] * (n - 1) + [1.0] for row in document.C):
         raise Rejected("initial_set", "a ball needs a position that is a choice of states")
     if len(generators) > MOST_GENERATORS:
         raise Rejected("initial_set", f"a ball has at most {MOST_GENERATORS} generators")
     place = {row.index(1.0) for row in document.C}
-    radii = float(spec["position_radius_m"]), float(spec["velocity_radius_m_s"])
+    radii = spec["position_radius_m"], spec["velocity_radius_m_s"]
     for states, radius in zip((place, set(range(n)) - place), radii, strict=True):
         block = [g for g in generators if any(g[i] for i in states)]
         if any(g[i] for g in block for i in range(n) if i not in states):
@@ -148,12 +139,12 @@ def _inner_box(G: arb_mat) -> arb:
 
 def _check_sampling(document: Document, scenario: dict[str, Any]) -> None:
     horizon, feedback = scenario["horizon"], scenario.get("feedback", {"kind": "continuous"})
-    step = float(horizon["step_s"])
+    step = horizon["step_s"]
     _need("sampling", "step [s]", document.delta, step)
-    _times("number of steps", document.steps, step, float(horizon["duration_s"]))
+    _times("number of steps", document.steps, step, horizon["duration_s"])
     _need("sampling", "sampled", document.sampled, feedback["kind"] == "sampled")
     if document.sampled:
-        _times("periods per step", document.q, float(feedback["period_s"]), step)
+        _times("periods per step", document.q, feedback["period_s"], step)
 
 
 def _times(what: str, count: int, part: float, whole: float) -> None:
@@ -176,7 +167,7 @@ def _check_controllers(document: Document, scenario: dict[str, Any]) -> None:
         if law.kind == "any_thrust":
             continue
         if spec.get("gain") is not None:
-            _need("controllers", f"gain of {law.name}", law.gain, float_rows(spec["gain"]))
+            _need("controllers", f"gain of {law.name}", law.gain, spec["gain"])
         else:
             check_gain(document, law, spec)
         check_own(document, law, scenario, spec, partial(_check_goal, scenario["goal"]))
@@ -197,14 +188,14 @@ Misses = tuple[list[tuple[float, str]], float]
 
 
 def _states(_: Document, x: list[float], spec: dict[str, Any]) -> Misses:
-    middle, half = floats(spec.get("center") or spec["state"]), spec.get("half_widths") or [0.0] * len(x)
-    rows = enumerate(zip(x, middle, floats(half), strict=True))
+    middle, half = spec.get("center") or spec["state"], spec.get("half_widths") or [0.0] * len(x)
+    rows = enumerate(zip(x, middle, half, strict=True))
     return [(abs(a - c) - h, f"state {i}") for i, (a, c, h) in rows], max(1.0, *(abs(c) for c in middle))
 
 
 def _linear(document: Document, x: list[float], spec: dict[str, Any]) -> Misses:
     eta = _mean_motion(document)
-    amplitude, along = float(spec["amplitude_max_m"]), float(spec.get("along_track_m", 0.0))
+    amplitude, along = spec["amplitude_max_m"], spec.get("along_track_m", 0.0)
     rest = [x[0], x[1] - along, x[3] / eta, x[4] / eta]
     terms = [(abs(value), f"condition {i}") for i, value in enumerate(rest)]
     return [*terms, ((x[2] ** 2 + (x[5] / eta) ** 2) ** 0.5 - amplitude, "amplitude")], max(amplitude, 1.0)
@@ -212,9 +203,9 @@ def _linear(document: Document, x: list[float], spec: dict[str, Any]) -> Misses:
 
 def _elliptical(document: Document, x: list[float], spec: dict[str, Any]) -> Misses:
     eta = _mean_motion(document)
-    inner, outer = float(spec["inner_semi_minor_m"]), float(spec["outer_semi_minor_m"])
+    inner, outer = spec["inner_semi_minor_m"], spec["outer_semi_minor_m"]
     b = (x[0] ** 2 + x[1] ** 2 / 4) ** 0.5
-    most = float(spec.get("cross_track_max_m", 0.0))
+    most = spec.get("cross_track_max_m", 0.0)
     return [
         (abs(x[4] / eta + 2 * x[0]), "v_y = -2 eta r_x"),
         (abs(x[3] / eta - x[1] / 2), "v_x = eta r_y / 2"),

@@ -24,37 +24,14 @@ DOUBLINGS = 6
 
 @dataclass(frozen=True)
 class Stated:
-    """Claims that the certificate itself does not make.
+    """Claims that the certificate itself does not make."""
 
-    Attributes
-    ----------
-    start_margin : float or None
-        Share of the room left to the initial set.
-    norm_bounds : dict or None
-        Constants of Lemma 1, see `check_norm_bounds`.
-    """
-
-    start_margin: float | None = None
-    norm_bounds: dict[str, Any] | None = None
+    start_margin: float | None = None  # share of the room left to the initial set
+    norm_bounds: dict[str, Any] | None = None  # constants of Lemma 1, see `check_norm_bounds`
 
 
 def check_norm_bounds(bounds: dict[str, Any], gain: arb_mat, motion: Motion, memory: Memory) -> None:
-    """Refuse a bound that the loop is certain to exceed.
-
-    Parameters
-    ----------
-    bounds : dict
-        ``error_bounds`` of ``gains.json``, of known keys and types.
-    gain : arb_mat
-    motion : Motion
-        The safety controller's gain, and its loop.
-    memory : Memory
-
-    Raises
-    ------
-    Rejected
-        Naming ``error_bounds``.
-    """
+    """Refuse a bound that the loop is certain to exceed: ``error_bounds`` of ``gains.json`` for S's gain."""
     plant = motion.plant
     m, n = gain.nrows(), gain.ncols()
     for key in ("gamma_input", "gain_input"):
@@ -65,13 +42,17 @@ def check_norm_bounds(bounds: dict[str, Any], gain: arb_mat, motion: Motion, mem
     W, beta = matrix(bounds["weight"], n), arb(bounds["beta_1_s"])
     if not beta > 0:
         raise Rejected("error_bounds", f"the errors decay at a rate of {bounds['beta_1_s']}")
-    rows = [("the error", W, bounds["gamma"], bounds["gain"])]
-    rows.append(("the position", plant.C, bounds["gamma_position"], bounds["gain_position"]))
-    for i in range(m):
-        rows.append((f"input {i}", row_of(gain, i), bounds["gamma_input"][i], bounds["gain_input"][i]))
+    rows = [
+        ("the error", W, bounds["gamma"], bounds["gain"]),
+        ("the position", plant.C, bounds["gamma_position"], bounds["gain_position"]),
+        *(
+            (f"input {i}", row_of(gain, i), bounds["gamma_input"][i], bounds["gain_input"][i])
+            for i in range(m)
+        ),
+    ]
     inverse, push = W.inv(), motion.gamma * plant.D
-    late, powers = memory.periods, [(lag, memory.powers[lag]) for lag in range(memory.periods + 1)]
-    last = memory.powers[late]
+    powers = list(enumerate(memory.powers[:-1]))
+    late, last = powers[-1]
     for _ in range(DOUBLINGS):
         last, late = last * last, 2 * late
         powers.append((late, last))
@@ -85,9 +66,7 @@ def check_norm_bounds(bounds: dict[str, Any], gain: arb_mat, motion: Motion, mem
                     "error_bounds", f"gamma and beta of {name} in gains.json fail after {lag} periods"
                 )
         if plant.w_max > 0 and share is not None:
-            least = sum(
-                (norm_from_below(R * power * push) for _, power in powers[: memory.periods + 1]), arb(0)
-            )
+            least = sum((norm_from_below(R * power * push) for power in memory.powers[:-1]), arb(0))
             if arb(share) < least:
                 told = f"gain of {name} in gains.json is {share}, at least {plain(least)} is needed"
                 raise Rejected("error_bounds", told, float((least - share).mid()))

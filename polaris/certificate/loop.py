@@ -26,17 +26,10 @@ class Memory:
 
     With ``z > 0`` and ``|phi^N| z <= c z``, c < 1, every undisturbed error that was within ``|e| <= z`` is
     within ``c^a z`` at node ``a N``, and this needs nothing but a product of two matrices to be checked.
-
-    Parameters
-    ----------
-    powers : list of arb_mat
-        ``phi^l`` for l = 0 ... N + 1.
-    z : arb_mat, shape (n, 1)
-    c : arb
     """
 
-    powers: list[arb_mat]
-    z: arb_mat
+    powers: list[arb_mat]  # phi^l for l = 0 ... N + 1
+    z: arb_mat  # shape (n, 1)
     c: arb
 
     @property
@@ -45,14 +38,8 @@ class Memory:
         return len(self.powers) - 2
 
     @classmethod
-    def of(cls, motion: Motion, extent: arb_mat, multiple: int, share: float = FORGOTTEN) -> Memory:
-        """Find N, a multiple of a number of periods, for errors up to an extent.
-
-        Raises
-        ------
-        Undecided
-            If the loop does not seem to forget.
-        """
+    def of(cls, motion: Motion, extent: arb_mat, multiple: int) -> Memory:
+        """Find N, a multiple of a number of periods, for errors up to an extent; or `Undecided`."""
         p = motion.disturbance_box
         z0 = column([x + 10 * y + 1e-30 for x, y in zip(extent.entries(), p.entries(), strict=True)])
         powers = [identity(len(z0.entries()))]
@@ -62,26 +49,18 @@ class Memory:
             last = magnitude(powers[-1])
             z = magnitude(z0 + last * z0 + last * (last * z0))
             c = largest(a / b for a, b in zip((last * z).entries(), z.entries(), strict=True))
-            if c < share:
+            if c < FORGOTTEN:
                 return cls([*powers, powers[-1] * motion.phi], z, c)
         raise Undecided("recoverable", f"the loop has not forgotten errors after {LONGEST} periods")
 
 
 @dataclass(frozen=True, eq=False)
 class Needs:
-    """What errors need along fixed rows, lag by lag.
+    """What errors need along fixed rows, lag by lag."""
 
-    Parameters
-    ----------
-    motion : Motion
-        The safety controller's loop.
-    memory : Memory
-    rows : arb_mat, shape (r, n)
-    """
-
-    motion: Motion
+    motion: Motion  # the safety controller's loop
     memory: Memory
-    rows: arb_mat
+    rows: arb_mat  # shape (r, n)
 
     @cached_property
     def carried(self) -> list[arb_mat]:
@@ -98,13 +77,15 @@ class Needs:
     @cached_property
     def _responses(self) -> list[list[arb]]:
         """Response at node L to the disturbance from rest, for L = 0 ... N + 1."""
-        stacked = self.motion.disturbance_gain(above(*self.carried[:-1]))
-        count = self.rows.nrows()
-        found = [[arb(0)] * count]
-        for lag in range(len(self.carried) - 1):
-            gains = stacked[lag * count : (lag + 1) * count]
+        w, found = self.motion.plant.disturbance, [[arb(0)] * self.rows.nrows()]
+        for gains in self._split(self.motion.push_gain(above(*self.carried[:-1]), w)):
             found.append([x.upper() for x in sums(found[-1], gains)])
         return found
+
+    def _split(self, stacked: list[arb]) -> list[list[arb]]:
+        """Numbers for the rows of one lag after the other, as a list per lag."""
+        count = self.rows.nrows()
+        return [stacked[at : at + count] for at in range(0, len(stacked), count)]
 
     @cached_property
     def _late(self) -> list[arb]:
@@ -148,12 +129,8 @@ class Needs:
 
     def tube(self, start: Zonotope) -> list[list[arb]]:
         """What one set needs at lag l = 0 ... N, disturbance apart: exact support and what is booked."""
-        support = start.support(above(*self.carried))
-        count = self.rows.nrows()
-        return [
-            sums(support[lag * count : (lag + 1) * count], self.booked(start, lag))
-            for lag in range(self.memory.periods + 1)
-        ]
+        support = self._split(start.support(above(*self.carried[:-1])))
+        return [sums(most, self.booked(start, lag)) for lag, most in enumerate(support)]
 
     def booked(self, start: Zonotope, lag: int) -> list[arb]:
         """What is booked between nodes for one set, for the periods next to node l: no more than `bend`."""

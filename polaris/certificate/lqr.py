@@ -6,9 +6,8 @@ from typing import Any
 
 from flint import arb, arb_mat
 
-from .balls import diagonal, identity, largest, magnitude, matrix, root
+from .balls import diagonal, identity, largest, magnitude, matrix, require, root
 from .document import Document, Law
-from .structure import float_rows, floats
 from .verdict import Rejected, Undecided
 
 GAIN_SLACK = 1e-6
@@ -24,11 +23,6 @@ def check_gain(document: Document, law: Law, spec: dict[str, Any]) -> None:
     The Riccati equation has other solutions; flying one of them would not end anywhere, and "the cost of
     flying K" would be no cost. With A - B K Hurwitz and Q, R (semi)definite, P is
     ``int e^{A_c' t} (Q + K' R K) e^{A_c t} dt >= 0``, and the stabilising solution is unique.
-
-    Raises
-    ------
-    Rejected, Undecided
-        Naming ``controllers``.
     """
     A, B = matrix(document.A), matrix(document.B)
     assert law.gain is not None  # any_thrust, the only kind without one, is not asked
@@ -44,19 +38,16 @@ def check_gain(document: Document, law: Law, spec: dict[str, Any]) -> None:
     for i, row in enumerate(rest):
         for j, off in enumerate(row):
             most = root(R[i, i] * cost[j, j]) * GAIN_SLACK
-            if off.is_zero() or abs(off) <= most:
-                continue
-            told = f"the gain of {law.name} is not that of its weights Q and R, entry {i}, {j}"
-            if abs(off) > most:
-                raise Rejected("controllers", told, float((abs(off) - most).mid()))
-            raise Undecided("controllers", f"{told} (precision: {off})")
+            if not off.is_zero():
+                told = f"the gain of {law.name} is not that of its weights Q and R, entry {i}, {j}"
+                require("controllers", most - abs(off), told)
 
 
 def weight(values: Any) -> arb_mat:
     """A weight from its diagonal or from itself, made symmetric."""
     if not isinstance(values[0], list):
-        return diagonal(floats(values))
-    M = matrix(float_rows(values))
+        return diagonal(values)
+    M = matrix(values)
     return (M + M.transpose()) * arb(0.5)
 
 
@@ -79,46 +70,29 @@ def check_hurwitz(A: arb_mat, what: str) -> None:
     """All eigenvalues of A have negative real parts: ``A' X + X A = -S`` with S and X positive definite.
 
     Any such X will do. Here it is the midpoint of the solution for the identity, an exact matrix.
-
-    Raises
-    ------
-    Rejected
-        If X is not positive definite, so that no Lyapunov function exists.
-    Undecided
-        If the arithmetic cannot tell.
     """
     try:
         X = lyapunov(A, identity(A.nrows()))
     except ZeroDivisionError as error:  # two eigenvalues add up to zero, or nearly
         raise Undecided("controllers", f"{what}: not shown to be stable") from error
-    n = A.nrows()
-    X = arb_mat(n, n, [((X[i, j] + X[j, i]) / 2).mid() for i in range(n) for j in range(n)])
-    falls = -(A.transpose() * X + X * A)
-    if positive_definite(falls) is not True:
-        raise Undecided("controllers", f"{what}: not shown to be stable at this precision")
-    verdict = positive_definite(X)
-    if verdict is None:
-        raise Undecided("controllers", f"{what}: not shown to be stable at this precision")
-    if not verdict:
-        raise Rejected("controllers", f"{what} is not stable: no Lyapunov function")
+    X = ((X + X.transpose()) * arb(0.5)).mid()
+    falls = positive_definite(-(A.transpose() * X + X * A)) or None
+    _settle(falls and positive_definite(X), what, "stable (no Lyapunov function)")
 
 
 def check_definite(M: arb_mat, slack: float, what: str) -> None:
-    """A symmetric matrix is positive definite, or with a slack semidefinite up to rounding.
-
-    Raises
-    ------
-    Rejected, Undecided
-        Naming ``controllers``.
-    """
+    """A symmetric matrix is positive definite, or with a slack semidefinite up to rounding."""
     if slack and all(x.is_zero() for x in M.entries()):
         return
     verdict = positive_definite(M + identity(M.nrows()) * (largest(magnitude(M).entries()) * slack))
-    word = "semidefinite" if slack else "definite"
+    _settle(verdict, what, f"positive {'semidefinite' if slack else 'definite'}")
+
+
+def _settle(verdict: bool | None, what: str, word: str) -> None:
     if verdict is None:
-        raise Undecided("controllers", f"{what}: not shown to be positive {word}")
+        raise Undecided("controllers", f"{what}: not shown to be {word} at this precision")
     if not verdict:
-        raise Rejected("controllers", f"{what} is not positive {word}")
+        raise Rejected("controllers", f"{what} is not {word}")
 
 
 def positive_definite(M: arb_mat) -> bool | None:

@@ -7,74 +7,89 @@ sampled feedback the input of the period is fixed at its start, so ``x(s) = M(s)
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 
 from flint import arb, arb_mat
 
-from .balls import beside, column, diagonal, exponential, exponential_over, magnitude, norms, row_sums
+from .balls import (
+    beside,
+    column,
+    diagonal,
+    exponential,
+    exponential_over,
+    largest,
+    magnitude,
+    norms,
+    row_sums,
+)
 from .zonotopes import Zonotope, ball_cover
 
 
 @dataclass(frozen=True, eq=False)
-class Plant:
-    """What is controlled: matrices, limits, and the period between two nodes.
+class Push:
+    """An uncertain input ``V v``, v measurable and at every instant in a convex set about zero."""
 
-    Parameters
-    ----------
-    A, B, D, C : arb_mat
-        System matrices, and the position as a function of the state.
-    u_max : list of arb
-        Input limits.
-    w_max : arb
-        Bound on the 2-norm of the disturbance.
-    h : arb
-        Length of a period [s].
-    sampled : bool
-        Whether inputs are held over a period.
-    """
+    V: arb_mat
+    cover: arb_mat  # generators that enclose v
+    along: Callable[[arb_mat], list[arb]]  # bounds on |row v|, for the rows of a matrix
+
+    @classmethod
+    def in_box(cls, V: arb_mat, bounds: list[arb]) -> Push:
+        """``|v_i| <= bounds[i]``."""
+        return cls(V, diagonal(bounds), lambda rows: (magnitude(rows) * column(bounds)).entries())
+
+    @classmethod
+    def in_ball(cls, V: arb_mat, radius: arb) -> Push:
+        """``norm(v, 2) <= radius``."""
+        return cls(V, ball_cover(V.ncols(), radius), lambda rows: [radius * x for x in norms(rows)])
+
+
+@dataclass(frozen=True, eq=False)
+class Plant:
+    """What is controlled: matrices, limits, and the period between two nodes."""
 
     A: arb_mat
     B: arb_mat
     D: arb_mat
-    C: arb_mat
+    C: arb_mat  # the position as a function of the state
     u_max: list[arb]
-    w_max: arb
-    h: arb
-    sampled: bool
+    w_max: arb  # bound on the 2-norm of the disturbance
+    h: arb  # length of a period [s]
+    sampled: bool  # whether inputs are held over a period
+    q: int = 1  # periods per step
 
     def loop(self, gain: arb_mat) -> Motion:
         """Motion under ``u = -gain x``."""
         closed = self.A - self.B * gain
-        if not self.sampled:
-            return Motion(self, closed, closed)
-        return Motion(self, self.A, closed, gain)
+        return Motion(self, self.A, closed, gain) if self.sampled else Motion(self, closed, closed)
 
     @cached_property
     def open(self) -> Motion:
         """Motion under inputs that do not depend on the state."""
         return Motion(self, self.A, self.A)
 
+    @cached_property
+    def disturbance(self) -> Push:
+        """The disturbance."""
+        return Push.in_ball(self.D, self.w_max)
+
+    @cached_property
+    def steps(self) -> list[tuple[arb_mat, arb_mat]]:
+        """``e^{A t}`` and ``int_0^t e^{A s} ds B`` to every node of a step but its first."""
+        parts = [exponential(self.A, self.h * i) for i in range(1, self.q + 1)]
+        return [(phi, gamma * self.B) for phi, gamma in parts]
+
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """One period of it.
-
-    Parameters
-    ----------
-    plant : Plant
-    X : arb_mat
-        Matrix of the motion within the period.
-    closed : arb_mat
-        ``A_c``.
-    held : arb_mat or None
-        The gain, if its input is held.
-    """
+    """One period of it."""
 
     plant: Plant
-    X: arb_mat
-    closed: arb_mat
-    held: arb_mat | None = None
+    X: arb_mat  # matrix of the motion within the period
+    closed: arb_mat  # A_c
+    held: arb_mat | None = None  # the gain, if its input is held
     _asked: dict[int, tuple[arb_mat, list[arb], list[arb]]] = field(default_factory=dict, repr=False)
 
     @cached_property
@@ -120,74 +135,122 @@ class Motion:
 
     # -- uncertain inputs ---------------------------------------------------------------------------
 
-    def input_set(self, V: arb_mat, size: arb_mat) -> arb_mat:
+    def pushed(self, push: Push) -> arb_mat:
         """Generators that enclose ``int_0^h e^{X s} V v(s) ds`` for measurable v.
 
         The mean of v lies in its (convex) set; the rest is at most ``(h^2/3) |X| sup|e^{X s}| |V v|``.
-
-        Parameters
-        ----------
-        V : arb_mat
-            Generators of the set of ``V v``.
-        size : arb_mat, shape (n, 1)
-            Bound on ``|V v|``.
         """
+        size = column(push.along(push.V))
         rest = magnitude(self.X) * magnitude(self.over) * size * (self.plant.h**2 / 3)
-        return beside(self.gamma * V, diagonal(rest.entries()))
+        return beside(self.gamma * push.V * push.cover, diagonal(rest.entries()))
 
-    @cached_property
-    def disturbance_set(self) -> arb_mat:
-        """Generators that enclose what the disturbance adds over one period."""
-        D, w = self.plant.D, self.plant.w_max
-        size = column([length * w for length in norms(D)])
-        return self.input_set(D * ball_cover(D.ncols(), w), size)
+    def push_gain(self, rows: arb_mat, push: Push) -> list[arb]:
+        """Bound on ``int_0^s |row e^{X r} V v| dr`` for every row, and any s of the period.
 
-    def disturbance_gain(self, rows: arb_mat) -> list[arb]:
-        """Bound on ``w_max int_0^h norm(row e^{X s} D, 2) ds`` for every row.
-
-        The norm of a smooth vector lies below its chord plus that of the vector's bend: the trapezoid
-        rule and ``h^3/12`` times a bound on the second derivative are an upper bound.
+        The bound on ``|row e^{X r} V v|`` lies below its chord plus what ``row e^{X r} V`` bends:
+        the trapezoid rule and ``h^3/12`` times a bound on the second derivative are an upper bound.
         """
-        h, D = self.plant.h, self.plant.D
-        left, right = norms(rows * D), norms(rows * (self._exponentials[0] * D))
-        bent = norms(magnitude(rows * self.X * self.X * self.over * D))
-        return [
-            self.plant.w_max * (h / 2 * (a + b) + h**3 / 12 * c)
-            for a, b, c in zip(left, right, bent, strict=True)
-        ]
+        h, V = self.plant.h, push.V
+        left, right = push.along(rows * V), push.along(rows * (self._exponentials[0] * V))
+        bent = push.along(magnitude(rows * self.X * self.X * self.over * V))
+        return [h / 2 * (a + b) + h**3 / 12 * c for a, b, c in zip(left, right, bent, strict=True)]
 
-    def input_gain(self, rows: arb_mat, V: arb_mat, bounds: list[arb]) -> list[arb]:
-        """Bound on ``|int_0^s row e^{X r} V v dr|`` for ``|v_i| <= bounds[i]`` and any s of the period.
-
-        By the same rule as `disturbance_gain`, for every column of V.
-        """
-        h = self.plant.h
-        ends = magnitude(rows * V) + magnitude(rows * (self._exponentials[0] * V))
-        second = magnitude(rows * self.X * self.X * self.over * V)
-        return ((ends * (h / 2) + second * (h**3 / 12)) * column(bounds)).entries()
-
-    def input_bend(self, rows: arb_mat, V: arb_mat, bounds: list[arb]) -> list[arb]:
-        """Bound on how far `input_gain` over a part of the period exceeds that part of the whole period's.
+    def push_bend(self, rows: arb_mat, push: Push) -> list[arb]:
+        """Bound on how far `push_gain` over a part of the period exceeds that part of the whole period's.
 
         ``P(s) = int_0^s |row e^{X r} V v| dr`` starts at 0, and its slope changes by no more than
         ``sup |row X e^{X r} V v|`` in a unit of time: the chord lemma applies.
         """
-        second = magnitude(rows * self.X * self.over * V) * (self.plant.h**2 / 8)
-        return (second * column(bounds)).entries()
-
-    def disturbance_bend(self, rows: arb_mat) -> list[arb]:
-        """The same for the disturbance."""
-        rates = norms(magnitude(rows * self.X * self.over * self.plant.D))
-        return [self.plant.w_max * self.plant.h**2 / 8 * rate for rate in rates]
+        rates = push.along(magnitude(rows * self.X * self.over * push.V))
+        return [self.plant.h**2 / 8 * rate for rate in rates]
 
     def disturbance_along(self, rows: arb_mat) -> tuple[list[arb], list[arb]]:
-        """`disturbance_bend` and `disturbance_gain`, once for the same rows: every period of a step asks."""
+        """`push_bend` and `push_gain` of the disturbance, once for the same rows: every period asks."""
         if id(rows) not in self._asked:
-            self._asked[id(rows)] = rows, self.disturbance_bend(rows), self.disturbance_gain(rows)
+            w = self.plant.disturbance
+            self._asked[id(rows)] = rows, self.push_bend(rows, w), self.push_gain(rows, w)
         return self._asked[id(rows)][1:]
+
+    @cached_property
+    def disturbance_set(self) -> arb_mat:
+        """Generators that enclose what the disturbance adds over one period."""
+        return self.pushed(self.plant.disturbance)
 
     @cached_property
     def disturbance_box(self) -> arb_mat:
         """Bound on what the disturbance adds to each state within a period, shape (n, 1)."""
         sizes = row_sums(magnitude(self.over * self.plant.D))
         return magnitude(column([s * self.plant.w_max * self.plant.h for s in sizes]))
+
+
+# -- arcs of the reference ------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Arc:
+    """One step of undisturbed motion under a constant input."""
+
+    plant: Plant
+    u: arb_mat  # shape (m, 1)
+    nodes: list[arb_mat]  # states at the q+1 nodes, shape (n, 1)
+    rates: arb_mat  # x' at the start of each period, shape (n, q)
+
+    @classmethod
+    def of(cls, plant: Plant, start: arb_mat, u: arb_mat) -> Arc:
+        """The exact zero-order-hold step that starts at a state."""
+        nodes, push = [start, *(phi * start + gamma * u for phi, gamma in plant.steps)], plant.B * u
+        return cls(plant, u, nodes, beside(*(plant.A * x + push for x in nodes[:-1])))
+
+    def heights(self, rows: arb_mat) -> list[list[arb]]:
+        """``row x`` at the nodes, ``[row][node]``."""
+        found: list[list[arb]] = (rows * beside(*self.nodes)).tolist()
+        return found
+
+    def bows(self, rows: arb_mat) -> list[list[arb]]:
+        """Bound on how far ``row x(t)`` leaves its chord in each period, ``[row][period]``."""
+        found: list[list[arb]] = (self.plant.open.bend(rows) * magnitude(self.rates)).tolist()
+        return found
+
+    def room(self, rows: arb_mat, offsets: list[tuple[arb, arb]]) -> list[list[arb]]:
+        """Room beyond facets, ``[node][facet]``: ``-row x - b(t)`` less the bow next to it.
+
+        `rows` are ``-n C``, one per facet; `offsets` b at both ends of the step, linear in between.
+        """
+        facets = list(zip(self.heights(rows), self.bows(rows), offsets, strict=True))
+        found = []
+        for i in range(self.plant.q + 1):
+            s = arb(i) / self.plant.q
+            found.append(
+                [
+                    -height[i] - (first * (1 - s) + last * s) - largest(bow[max(i - 1, 0) : i + 1])
+                    for height, bow, (first, last) in facets
+                ]
+            )
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """The safe reference: planned steps, then the coasting tail."""
+
+    plant: Plant
+    planned: int  # number of steps before the tail
+    arcs: list[Arc]
+    jump: arb_mat  # step of the reference at the start of the tail, shape (n, 1)
+
+    @classmethod
+    def propagate(cls, plant: Plant, x0: arb_mat, inputs: list[list[float]], K: int, tail: arb_mat) -> Path:
+        """Propagate from the first state and the inputs; after K steps from the tail's own first state."""
+        arcs: list[Arc] = []
+        at, jump = x0, arb_mat(x0.nrows(), 1)
+        for k, u in enumerate(inputs):
+            if k == K:
+                jump, at = tail - at, tail
+            arcs.append(Arc.of(plant, at, column(u)))
+            at = arcs[-1].nodes[-1]
+        return cls(plant, K, arcs, jump)
+
+    @property
+    def starts(self) -> list[arb_mat]:
+        """State at the start of every step, and at the end."""
+        return [*(arc.nodes[0] for arc in self.arcs), self.arcs[-1].nodes[-1]]

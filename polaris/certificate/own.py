@@ -16,7 +16,6 @@ from .balls import column, exponential, largest, magnitude, matrix, require
 from .document import Document, Law
 from .motion import Plant
 from .plants import plant_of, within_limits
-from .structure import floats
 from .verdict import Rejected
 
 SLACK = 1e-9
@@ -32,22 +31,7 @@ Goal = Callable[[Document, list[float], str, str], None]
 def check_own(
     document: Document, law: Law, scenario: dict[str, Any], spec: dict[str, Any], goal: Goal
 ) -> None:
-    """Compare the reference of one controller with what the scenario says of it.
-
-    Parameters
-    ----------
-    document : Document
-    law : Law
-        An affine one.
-    scenario, spec : dict
-        The scenario and its entry for this controller.
-    goal : callable
-
-    Raises
-    ------
-    Rejected, Undecided
-        Naming ``controllers``.
-    """
+    """Compare the reference of one affine controller with `spec`, the scenario's entry for it."""
     reference = spec.get("reference", {"kind": "shared"})
     kind: str = reference["kind"]
     if (law.states is None) != (kind == "shared"):
@@ -57,7 +41,7 @@ def check_own(
     if len(law.states) != document.steps + 1 or len(law.inputs) != document.steps:
         raise Rejected("controllers", f"the reference of {law.name} must cover the {document.steps} steps")
     if kind == "setpoint":
-        _check_setpoint(document, law, floats(reference["state"]))
+        _check_setpoint(document, law, reference["state"])
         return
     _check_dynamics(document, law, law.states, law.inputs)
     if kind == "nmt":
@@ -65,7 +49,7 @@ def check_own(
             raise Rejected("controllers", f"{law.name} follows a natural motion, but with thrust")
         _check_start(law, law.states[0], _ellipse(document, reference))
     else:
-        if law.states[0] != floats(scenario["initial_set"]["center"]):
+        if law.states[0] != scenario["initial_set"]["center"]:
             told = f"the reference of {law.name} does not start where the scenario does"
             raise Rejected("controllers", told)
         within_limits(document, law.inputs, "controllers", f"{law.name}'s reference")

@@ -14,7 +14,6 @@ from flint import arb
 from .balls import absolute_dot, cross, dot, largest, require
 from .document import Document, UnsafeSet
 from .satellites import Satellite
-from .structure import floats
 from .verdict import Rejected
 
 SLACK = 1e-9
@@ -28,20 +27,14 @@ SLOPE = 1e-6
 
 
 def check_unsafe(document: Document, scenario: dict[str, Any]) -> int:
-    """Check every unsafe set of the certificate, in the scenario's order; returns their number.
-
-    Raises
-    ------
-    Rejected
-        Naming the claim ``unsafe_sets``, or ``assumptions`` if they and the scenario differ about satellites.
-    """
-    left = list(document.unsafe)
-    others = any(spec["kind"] == "satellite" for spec in scenario.get("obstacles", ()))
+    """Check every unsafe set of the certificate, in the scenario's order; returns their number."""
+    left, obstacles = list(document.unsafe), scenario.get("obstacles", ())
+    others = any(spec["kind"] == "satellite" for spec in obstacles)
     if document.satellites != others:
         has, assumed = ("", "nothing") if others else ("no ", "something")
         told = f"the scenario has {has}other satellites, but {assumed} is assumed of them"
         raise Rejected("assumptions", told)
-    for spec in scenario.get("obstacles", ()):
+    for spec in obstacles:
         if not left or left[0].name != spec["name"] or left[0].keep_in:
             raise Rejected("unsafe_sets", f"{spec['name']} is missing")
         _check_obstacle(document, left.pop(0), spec)
@@ -58,13 +51,6 @@ def check_unsafe(document: Document, scenario: dict[str, Any]) -> int:
     return len(document.unsafe)
 
 
-def _beyond(item: UnsafeSet, cell: int, place: int, facet: int, support: arb, size: arb) -> None:
-    """A facet at one end of a cell lies beyond a support, up to rounding."""
-    offset = (item.start, item.end)[place][cell][facet]
-    where = f"{item.name}, facet {facet}, at the {('start', 'end')[place]} of step {cell}"
-    require("unsafe_sets", offset - support + size * ROUNDED, where)
-
-
 # -- obstacles --------------------------------------------------------------------------------------
 
 
@@ -73,9 +59,8 @@ def _check_obstacle(document: Document, item: UnsafeSet, spec: dict[str, Any]) -
         _check_count(item, _directions(document, spec))
         Satellite(document, item, spec).check()
         return
-    d = len(document.C)
-    facets, support = RIGID[spec["kind"]]
-    v, anchor = (floats(spec.get(key) or [0.0] * d) for key in ("velocity_m_s", "center_m"))
+    d, (facets, support) = len(document.C), RIGID[spec["kind"]]
+    v, anchor = (spec.get(key) or [0.0] * d for key in ("velocity_m_s", "center_m"))
     _check_count(item, facets(document, spec))
     if not any(v) and not item.resting:
         raise Rejected("unsafe_sets", f"{item.name} rests, but not in the certificate")
@@ -86,22 +71,22 @@ def _check_obstacle(document: Document, item: UnsafeSet, spec: dict[str, Any]) -
         size, speed = abs(extent) + absolute_dot(n, anchor), absolute_dot(n, v)
         for cell in range(document.cells):
             for place in (0, 1):
-                t = arb(cell + place) * document.delta
-                _beyond(item, cell, place, f, base + rate * t, size + speed * t)
+                t, offset = arb(cell + place) * document.delta, (item.start, item.end)[place][cell][f]
+                where = f"{item.name}, facet {f}, at the {('start', 'end')[place]} of step {cell}"
+                require("unsafe_sets", offset - (base + rate * t) + (size + speed * t) * ROUNDED, where)
 
 
 def _box_support(document: Document, item: UnsafeSet, spec: dict[str, Any], f: int) -> arb:
-    pairs = zip(item.normals[f], spec["half_widths_m"], strict=True)
-    return sum((abs(arb(x)) * float(half) for x, half in pairs), arb(0))
+    return dot([abs(arb(x)) for x in item.normals[f]], spec["half_widths_m"])
 
 
 def _ball_support(document: Document, item: UnsafeSet, spec: dict[str, Any], f: int) -> arb:
-    return _length([arb(x) for x in item.normals[f]]) * float(spec["radius_m"])
+    return _length([arb(x) for x in item.normals[f]]) * arb(spec["radius_m"])
 
 
 def _polytope_support(document: Document, item: UnsafeSet, spec: dict[str, Any], f: int) -> arb:
-    offset = float(spec["offsets_m"][f])
-    return sum(_row_support(document, item.normals[f], spec["normals"][f], offset, item.name), arb(0))
+    most, moved = _row_support(document, item.normals[f], spec, f, item.name)
+    return most + moved
 
 
 def _check_count(item: UnsafeSet, count: int) -> None:
@@ -129,17 +114,17 @@ def _length(n: list[arb]) -> arb:
 
 
 def _row_support(
-    document: Document, normal: list[float], row: Any, offset: float, name: str
+    document: Document, normal: list[float], spec: dict[str, Any], f: int, name: str
 ) -> tuple[arb, arb]:
-    """Support of a halfspace along its own normal, and by how much rounding of the stored one moves it.
+    """Support of a facet of a polytope along its normal, and by how much rounding of the stored one moves it.
 
     The latter over the positions that matter: ten times as far as anything in the certificate.
     """
-    given = [arb(float(x)) for x in row]
+    given = [arb(x) for x in spec["normals"][f]]
     length = _length(given)
     off = sum((abs(n - x / length) for n, x in zip(normal, given, strict=True)), arb(0))
     require("unsafe_sets", SLACK - off, f"a normal of {name} is turned")
-    return offset / length, off * _reach(document)
+    return spec["offsets_m"][f] / length, off * _reach(document)
 
 
 def _reach(document: Document) -> arb:
@@ -161,8 +146,7 @@ def _check_keep_in(document: Document, facets: list[UnsafeSet], spec: dict[str, 
         if len(facets) != len(spec["normals"]):
             raise Rejected("unsafe_sets", f"{name} has {len(facets)} facets, not {len(spec['normals'])}")
         for f, (row, offset) in enumerate(zip(rows, offsets, strict=True)):
-            given = float(spec["offsets_m"][f])
-            most, moved = _row_support(document, row, spec["normals"][f], given, name)
+            most, moved = _row_support(document, row, spec, f, name)
             spare = most - moved - offset + abs(most) * ROUNDED
             require("unsafe_sets", spare, f"{name}, facet {f}, is too far out")
         return
@@ -179,12 +163,12 @@ def _check_cone(rows: list[list[float]], offsets: list[float], spec: dict[str, A
     A pointed polyhedral cone is spanned by its edges, and the circular cone is convex. In order about
     the axis, once around, each facet meets the next in an edge.
     """
-    name, axis = spec["name"], [arb(float(x)) for x in spec["axis"]]
+    name, axis = spec["name"], [arb(x) for x in spec["axis"]]
     length = _length(axis)
     axis = [x / length for x in axis]
-    apex = floats(spec["apex_m"])
+    apex = spec["apex_m"]
     if spec.get("length_m") is not None:
-        away = float(spec["length_m"])
+        away = spec["length_m"]
         off = sum((abs(a - b) for a, b in zip(rows[-1], axis, strict=True)), arb(0))
         require("unsafe_sets", SLACK - off, f"the end of {name} is turned")
         at, far = dot(axis, apex) + away, absolute_dot(axis, apex) + away
@@ -194,7 +178,7 @@ def _check_cone(rows: list[list[float]], offsets: list[float], spec: dict[str, A
     for f, (row, offset) in enumerate(zip(rows, offsets, strict=True)):
         at = dot(map(arb, row), apex)
         require("unsafe_sets", at - offset + size * ROUNDED, f"{name}, facet {f}, is beyond the apex")
-    slope = (arb(float(spec["half_angle_deg"])) * arb.pi() / 180).cos()
+    slope = (arb(spec["half_angle_deg"]) * arb.pi() / 180).cos()
     edges = _edges(rows, axis, name)
     for f, edge in enumerate(edges):
         forward = dot(edge, axis) / _length(edge)

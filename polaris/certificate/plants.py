@@ -6,7 +6,7 @@ import math
 
 from flint import arb, arb_mat
 
-from .balls import PRECISION, exponential, identity, largest, magnitude, matrix, require
+from .balls import PRECISION, exponential, largest, magnitude, matrix, require
 from .document import Document
 from .motion import Plant
 from .verdict import Rejected, Undecided
@@ -16,13 +16,7 @@ MOST_BITS = 4096
 
 
 def plant_of(document: Document) -> Plant:
-    """Matrices with exact entries: in Hill's frame those of the mean motion, not their rounded values.
-
-    Raises
-    ------
-    Rejected
-        If the stored matrices of a frame of Hill are others.
-    """
+    """Matrices with exact entries: in Hill's frame those of the mean motion, not their rounded values."""
     A, B, D = matrix(document.A), matrix(document.B), matrix(document.D)
     if document.system_kind == "clohessy_wiltshire":
         exact = _hill(document)
@@ -34,17 +28,11 @@ def plant_of(document: Document) -> Plant:
         A, B, D = exact
     h = arb(document.delta) / document.q
     u_max = [arb(x) for x in document.u_max]
-    return Plant(A, B, D, matrix(document.C), u_max, arb(document.w_max), h, document.sampled)
+    return Plant(A, B, D, matrix(document.C), u_max, arb(document.w_max), h, document.sampled, document.q)
 
 
 def within_limits(document: Document, inputs: list[list[float]], claim: str, whose: str) -> None:
-    """Inputs keep to the thrusters' limits.
-
-    Raises
-    ------
-    Rejected
-        Naming the claim.
-    """
+    """Inputs keep to the thrusters' limits."""
     for k, u in enumerate(inputs):
         for name, top, value in zip(document.input_names, document.u_max, u, strict=True):
             require(claim, arb(top) - abs(arb(value)), f"{name} of {whose} in step {k}")
@@ -54,23 +42,11 @@ def precision_for(document: Document) -> int:
     """Bits of the midpoints with which the reference can be followed to its end.
 
     Step by step every ball takes in the corners of the one before: its radius grows like the powers of
-    ``|e^{A delta}|``, and the bits that are lost to that are added.
-
-    Raises
-    ------
-    Undecided
-        If that would take more than `MOST_BITS`.
+    ``|e^{A delta}|``, and the bits that are lost to that are added, up to `MOST_BITS`.
     """
     plant = plant_of(document)
     step = magnitude(exponential(plant.A, arb(document.delta))[0])
-    grown, rest, power = identity(step.nrows()), document.cells, step
-    while rest:
-        grown, power, rest = (
-            magnitude(grown * power) if rest & 1 else grown,
-            magnitude(power * power),
-            rest // 2,
-        )
-    most = largest(grown.entries())
+    most = largest((step**document.cells).entries())
     bits = float(most.log().mid()) / math.log(2) if most.is_finite() and most > 1 else 0.0
     if not (most.is_finite() and bits <= MOST_BITS):
         raise Undecided("reference", f"it takes more than {MOST_BITS} bits to follow it to its end")

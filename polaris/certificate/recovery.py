@@ -1,67 +1,146 @@
-"""Recoverability: from the set reached at a switch, the safety controller keeps to every limit to the end."""
+"""Recoverability: from the set reached at a switch, the safety controller keeps to every limit to the end.
+
+The limits are facets of unsafe sets, and the thrusters'.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 from flint import arb, arb_mat
 
-from .balls import above, absolute, beside, largest, matrix, plain, require, row_of, sums
-from .limits import Limits, Target
+from .balls import above, absolute, beside, largest, magnitude, matrix, plain, require, row_of, sums
+from .document import Document
 from .loop import Needs
+from .motion import Path
 from .verdict import Rejected
 from .zonotopes import Zonotope
 
 
+@dataclass(frozen=True)
+class Target:
+    """One limit at one node."""
+
+    row: int  # which of the rows
+    room: arb  # what there is for errors
+    name: str  # unsafe set or input
+    whole: arb  # the room before a jump of the reference took its part: what shares refer to
+
+
+@dataclass(frozen=True, eq=False)
+class Barrier:
+    """The separating facets of one cell."""
+
+    names: list[str]  # of the unsafe sets
+    rows: arb_mat  # -n C: an error e, about a path, is separate if row e is less than the path's room
+    offsets: list[tuple[arb, arb]]  # of the facets, at the start and the end of the cell
+
+    @classmethod
+    def of(cls, document: Document, position: arb_mat, cell: int, chosen: list[int]) -> Barrier:
+        """Some facets, one of every unsafe set, in a cell; beyond the last one sets are as at its end."""
+        facets = list(zip(document.unsafe, chosen, strict=True))
+        rows = _against([item.normals[f] for item, f in facets], position)
+        ends = [
+            (item.start[cell][f], item.end[cell][f]) if cell < document.cells else (item.end[-1][f],) * 2
+            for item, f in facets
+        ]
+        return cls([item.name for item, _ in facets], rows, [(arb(a), arb(b)) for a, b in ends])
+
+
+def _against(normals: list[list[float]], position: arb_mat) -> arb_mat:
+    """``-n C`` of some normals, maybe none."""
+    return -(matrix(normals) * position) if normals else arb_mat(0, position.ncols())
+
+
+@dataclass(frozen=True, eq=False)
+class Limits:
+    """Limits of every cell: distinct rows, and the room along them at the nodes."""
+
+    rows: arb_mat  # an error e keeps to a limit if row e <= room
+    targets: list[list[list[Target]]]  # [cell][node]; one that need not be met at a node is missing there
+
+    @classmethod
+    def of(cls, document: Document, path: Path, gain: arb_mat, chosen: list[list[int]]) -> Limits:
+        """Limits around a path, with one facet per cell and unsafe set."""
+        plant = path.plant
+        pairs = sorted({(o, f) for row in chosen for o, f in enumerate(row)})
+        index = {pair: i for i, pair in enumerate(pairs)}
+        facets = _against([document.unsafe[o].normals[f] for o, f in pairs], plant.C)
+        targets = []
+        for cell, arc in enumerate(path.arcs):
+            barrier = Barrier.of(document, plant.C, cell, chosen[cell])
+            thrust = sums(plant.u_max * 2, above(arc.u, -arc.u).entries())
+            inputs = [
+                Target(len(pairs) + j, room, name, room)
+                for j, (room, name) in enumerate(zip(thrust, document.input_names * 2, strict=True))
+            ]
+            nodes = []
+            for i, rooms in enumerate(arc.room(barrier.rows, barrier.offsets)):
+                met = [
+                    Target(index[o, f], room, barrier.names[o], room)
+                    for o, (f, room) in enumerate(zip(chosen[cell], rooms, strict=True))
+                ]
+                # A held input is renewed at the end of its period.
+                nodes.append(met + inputs if i < plant.q or not plant.sampled else met)
+            targets.append(nodes)
+        return cls(above(facets, gain, -gain), targets)
+
+    def less_jump(self, needs: Needs, path: Path) -> Limits:
+        """The same limits, the tail's reduced by what the jump at its start needs."""
+        size = magnitude(path.jump)
+        cost = [
+            ((magnitude(row) + bend) * size).entries()
+            for row, bend in zip(needs.carried, needs.bend, strict=True)
+        ]
+        share = largest(a / b for a, b in zip(size.entries(), needs.memory.z.entries(), strict=True))
+        late = [x * share for x in needs.forgotten]
+        targets = self.targets[: path.planned]
+        for tail, nodes in enumerate(self.targets[path.planned :]):
+            reduced = []
+            for i, met in enumerate(nodes):
+                lag = tail * path.plant.q + i
+                spent = cost[lag] if lag <= needs.memory.periods else late
+                reduced.append([replace(t, room=(t.room - spent[t.row]).lower()) for t in met])
+            targets.append(reduced)
+        return Limits(self.rows, targets)
+
+    def at(self, node: int, first: bool) -> list[Target]:
+        """Limits at a node of the grid: of the cell on its right and, unless it is the first, on its left."""
+        q = len(self.targets[0]) - 1
+        cell, place = divmod(node, q)
+        met = list(self.targets[cell][place]) if cell < len(self.targets) else []
+        if place == 0 and cell > 0 and not first:
+            met += self.targets[cell - 1][q]
+        return met
+
+
 @dataclass(frozen=True, eq=False)
 class Recovery:
-    """Limits against needs.
+    """Limits, reduced by the jump at the start of the tail, against needs along their rows."""
 
-    Parameters
-    ----------
-    limits : Limits
-        Reduced by the jump at the start of the tail.
-    needs : Needs
-        Along the rows of the limits.
-    q : int
-        Periods per step.
-    planned : int
-        Number of steps before the tail.
-    delta : float
-        Step [s], for messages.
-    forever : bool
-        Whether the tail repeats: then all of it lies ahead of every set.
-    stored : int
-        Number of steps that the certificate stores: shares of the room refer to their limits.
-    """
-
+    document: Document
     limits: Limits
     needs: Needs
-    q: int
-    planned: int
-    delta: float
-    forever: bool
-    stored: int
 
     @property
     def nodes(self) -> int:
         """Number of the last node."""
-        return self.q * len(self.limits.targets)
+        return self.document.q * len(self.limits.targets)
 
     def time(self, step: int, node: int) -> str:
         """Time of a node after the start of a step, for messages."""
-        return f"{(step + node / self.q) * self.delta:.6g} s"
+        return f"{(step + node / self.document.q) * self.document.delta:.6g} s"
 
     def lags(self, step: int) -> int:
         """Number of periods after the start of a step that are looked at one by one."""
-        return min(self.needs.memory.periods, self.nodes - step * self.q)
+        return min(self.needs.memory.periods, self.nodes - step * self.document.q)
 
     @cached_property
     def _least(self) -> list[dict[int, Target]]:
         """For every cell the limit of least room, by row, among those of that cell and all later ones."""
         found: list[dict[int, Target]] = [{}]
-        for nodes in reversed(self.limits.targets[: self.stored]):
+        for nodes in reversed(self.limits.targets[: self.document.cells]):
             least = dict(found[-1])
             for target in (target for met in nodes for target in met):
                 if target.row not in least or not least[target.row].room <= target.room:
@@ -71,25 +150,16 @@ class Recovery:
 
     def _far_cell(self, step: int) -> int:
         """First cell whose limits lie beyond the memory, seen from the start of a step."""
-        first = step + self.needs.memory.periods // self.q
-        return min(first, self.planned if self.forever else self.stored)
+        doc = self.document
+        most = doc.steps if doc.horizon == "infinite" else doc.cells  # all of a tail that repeats lies ahead
+        return min(step + self.needs.memory.periods // doc.q, most)
 
     def check_sets(self, reached: dict[int, Zonotope], margins: dict[int, float]) -> float:
         """Check that each set is recoverable, and inside by the share of the room that is claimed.
 
-        A bound from the extents of the set comes first; only where it does not do, the exact support.
-
-        Parameters
-        ----------
-        reached : dict of int to Zonotope
-            Set of errors at the start of a step.
-        margins : dict of int to float
-            Share of the room claimed to be left.
-
-        Returns
-        -------
-        float
-            The least share found where the exact support was needed; 1 if nowhere.
+        `reached` are sets of errors at the starts of steps, `margins` shares of the room claimed to be left.
+        A bound from the extents of the set comes first; only where it does not do, the exact support. Returns
+        the least share found where that was needed; 1 if nowhere.
         """
         steps = sorted(reached)
         sizes = beside(*(reached[k].size() for k in steps))
@@ -102,7 +172,7 @@ class Recovery:
             share = max(margins.get(k, 0.0), 0.0)
             close: dict[tuple[int, int], list[Target]] = {}
             for lag in range(self.lags(k) + 1):
-                for target in self.limits.at(k * self.q + lag, first=lag == 0):
+                for target in self.limits.at(k * self.document.q + lag, first=lag == 0):
                     room = target.room - self.needs.disturbed[lag][target.row]
                     if not room - coarse[lag][target.row, place] >= self._of(share, k, lag) * target.whole:
                         close.setdefault((lag, target.row), []).append(target)
@@ -114,7 +184,7 @@ class Recovery:
 
     def _of(self, share: float, step: int, lag: int) -> float:
         """The share claimed of limits some periods after the start of a step: none of those flown on to."""
-        return share if step * self.q + lag <= self.stored * self.q else 0.0
+        return share if step * self.document.q + lag <= self.document.cells * self.document.q else 0.0
 
     def _check_late(self, k: int, z: Zonotope, share: float) -> None:
         """The share claimed at a set is left of all limits beyond the memory, too."""
@@ -136,19 +206,15 @@ class Recovery:
     def _check_close(
         self, k: int, z: Zonotope, close: dict[tuple[int, int], list[Target]], share: float
     ) -> float:
-        n, carried, worst = self.limits.rows.ncols(), self.needs.carried, 1.0
-        rows = matrix([[carried[lag][row, j] for j in range(n)] for lag, row in close], n)
-        size = z.size()
-        booked = above(*(row_of(self.needs.bend[lag], row) for lag, row in close)) * size
-        for (key, targets), support, extra in zip(
-            close.items(), z.support(rows), booked.entries(), strict=True
-        ):
-            lag, row = key
-            disturbance, of = self.needs.disturbed[lag][row], self._of(share, k, lag)
+        needs, worst = self.needs, 1.0
+        support = z.support(above(*(row_of(needs.carried[lag], row) for lag, row in close)))
+        booked = above(*(row_of(needs.bend[lag], row) for lag, row in close)) * z.size()
+        for ((lag, row), targets), most, extra in zip(close.items(), support, booked.entries(), strict=True):
+            disturbance, of = needs.disturbed[lag][row], self._of(share, k, lag)
             for target in targets:
-                need, room = support + extra + disturbance, target.room
+                need, room = most + extra + disturbance, target.room
                 if not room - need >= of * target.whole:  # the booked part can be had more exactly
-                    need = support + self.needs.booked(z, lag)[row] + disturbance
+                    need = most + needs.booked(z, lag)[row] + disturbance
                 where = f"the set at the start of step {k}, {target.name} at t = {self.time(k, lag)}"
                 where += " under the safety controller"
                 require("recoverable", room - need, f"{where}: needs {plain(need)} of {plain(room)}")
@@ -169,17 +235,11 @@ class Recovery:
                     require("recoverable", t.room - need[t.row], told)
 
     def check_balls(self, radii: list[float], inverse: arb_mat) -> None:
-        """Check that every error of a step's ball ``norm(V e, 2) <= radius`` is recoverable.
-
-        Raises
-        ------
-        Rejected
-            Naming the claim ``recoverable_sets``.
-        """
+        """Check that every error of a step's ball ``norm(V e, 2) <= radius`` is recoverable."""
         per = self.needs.per_norm(inverse)
         for k, radius in enumerate(radii):
             for lag in range(self.lags(k) + 1) if radius > 0 else ():
-                for t in self.limits.at(k * self.q + lag, first=lag == 0):
+                for t in self.limits.at(k * self.document.q + lag, first=lag == 0):
                     spare = t.room - self.needs.disturbed[lag][t.row] - per[lag][t.row] * radius
                     if not spare >= -MARGIN_SLACK * abs(t.room):
                         where = f"radius {radius:.6g} at {self.time(k, 0)}, {t.name} at {self.time(k, lag)}"

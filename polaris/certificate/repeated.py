@@ -7,7 +7,7 @@ import io
 import math
 import re
 from collections.abc import Iterable
-from itertools import groupby
+from itertools import groupby, zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -48,54 +48,80 @@ REASONS = {
 def same(claim: str, what: str, found: Any, given: Any) -> None:
     """Refuse two values that differ, or whose types do; `found` is the certificate's.
 
-    Raises
-    ------
-    Rejected
+    Of tables the keys of `found` are compared, in their order, a key that is missing like None; each under
+    its own claim, if `CLAIMS` has one.
     """
-    if isinstance(found, dict) and isinstance(given, dict) and found.keys() == given.keys():
+    if isinstance(found, dict) and isinstance(given, dict):
         for key in found:
-            same(claim, f"{what}, {key}", found[key], given[key])
+            own = claim if claim == "summary" else CLAIMS.get(key, claim)
+            same(own, f"{what}, {key}", found[key], given.get(key))
+    elif isinstance(found, list) and isinstance(given, list) and any(isinstance(x, dict) for x in found):
+        same(claim, f"number of {what}", len(found), len(given))
+        for i, (item, other) in enumerate(zip(found, given, strict=True)):
+            same(claim, f"{what} {i}", item, other)
     elif found != given or isinstance(found, bool) != isinstance(given, bool):
         raise Rejected(claim, f"{what}: {shown(found)} in the certificate, {shown(given)} in the run folder")
+
+
+CLAIMS = {
+    "margin": "margins",
+    **dict.fromkeys(("law", "controller", "controllers"), "controllers"),
+    "recoverable": "recoverable_sets",
+    **dict.fromkeys(("horizon", "until_s", "reason"), "end"),
+    **{name: name for name in ("guarantee", "assumptions", "system", "error_bounds")},
+    "feedback": "sampling",
+}
+"""Claims under which fields of the schedule and of the gains are compared, if not under the file's own."""
 
 
 # -- schedule ---------------------------------------------------------------------------------------
 
 
 def check_schedule(document: Document, scenario: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Compare ``schedule.json`` and ``schedule.csv``; returns the guarantee as they repeat it.
-
-    Raises
-    ------
-    Rejected
-    """
-    stored = strict_json(contents(folder / "schedule.json"))
-    conform(stored, SCHEDULE, "schedule", "schedule.json")
-    K, modes, laws = document.steps, document.modes, document.laws
-    same("schedule", "modes", modes, stored["modes"])
-    same("schedule", "step [s]", document.delta, stored["step_s"])
-    same("schedule", "duration [s]", K * document.delta, stored["duration_s"])
-    same("schedule", "number of steps", K, len(stored["steps"]))
-    for k, step in enumerate(stored["steps"]):
-        _check_step(document, k, step)
-    controllers = [_heading(document, mode) for mode in range(len(laws))]
-    same("controllers", "controllers", controllers, stored["controllers"])
-    same("schedule", "switches", switches(modes), stored["switches"])
-    same("schedule", "experimental share", share(modes), stored["experimental_share"])
-    shares = {law.name: modes.count(mode) / K for mode, law in enumerate(laws)}
-    same("schedule", "share", shares, stored["share"])
-    rules = switching_rules(scenario)
-    # The effort of the search is no rule; where the scenario says it, the run says the same.
-    same("schedule", "rules", rules, {key: stored["rules"][key] for key in rules})
-    same("recoverable_sets", "kind of recoverable set", document.recoverable, stored["recoverable"])
-    claimed: dict[str, Any] = stored["guarantee"]
-    _check_claim(document, claimed)
-    rows = [[row[key] for key in STEP_COLUMNS] for row in stored["steps"]]
+    """Compare ``schedule.json`` and ``schedule.csv``; returns the guarantee as they repeat it."""
+    stored = conform(strict_json(contents(folder / "schedule.json")), SCHEDULE, "schedule", "schedule.json")
+    K, delta, modes, laws = document.steps, document.delta, document.modes, document.laws
+    steps, shares = stored["steps"], {law.name: modes.count(mode) / K for mode, law in enumerate(laws)}
+    expected = {
+        "modes": modes,
+        "step_s": delta,
+        "duration_s": K * delta,
+        "steps": [
+            {
+                "margin": None if margin == -math.inf else margin,
+                "step": k,
+                "mode": mode,
+                "controller": laws[mode].name,
+                "t_start_s": k * delta,
+                "t_end_s": (k + 1) * delta,
+            }
+            for k, (mode, margin) in enumerate(zip(modes, document.margins, strict=True))
+        ],
+        "controllers": [_controller(document, mode) for mode in range(len(laws))],
+        "switches": switches(modes),
+        "experimental_share": share(modes),
+        "share": shares | dict.fromkeys(stored["share"].keys() - shares),
+        # The effort of the search is no rule; where the scenario says it, the run says the same.
+        "rules": switching_rules(scenario),
+        "recoverable": document.recoverable,
+        "guarantee": {
+            "kind": document.guarantee,
+            "horizon": document.horizon,
+            "until_s": document.until,
+            "reason": document.reason,
+            "assumptions": [*document.assumptions, ARITHMETIC],
+        },
+    }
+    same("schedule", "schedule.json", expected, stored)
+    for k, step in enumerate(steps):
+        _check_limit(document, k, step)
+    _check_reason(document)
+    rows = [[row[key] for key in STEP_COLUMNS] for row in steps]
     _same_table("schedule", folder / "schedule.csv", [STEP_COLUMNS, *rows])
-    return claimed
+    return dict(stored["guarantee"])
 
 
-def _heading(document: Document, mode: int) -> dict[str, Any]:
+def _controller(document: Document, mode: int) -> dict[str, Any]:
     law = document.laws[mode]
     return {"mode": mode, "name": law.name, "kind": "AnyThrust" if law.gain is None else "AffineController"}
 
@@ -105,20 +131,14 @@ def share(modes: list[int]) -> float:
     return sum(mode > 0 for mode in modes) / len(modes)
 
 
-def _check_step(document: Document, k: int, step: dict[str, Any]) -> None:
-    margin = -math.inf if step["margin"] is None else step["margin"]
-    same("margins", f"margin of step {k}", document.margins[k], margin)
-    same("schedule", "number of a step", k, step["step"])
-    same("schedule", f"mode of step {k}", document.modes[k], step["mode"])
-    same("controllers", f"controller of step {k}", document.laws[document.modes[k]].name, step["controller"])
-    same("schedule", f"start of step {k} [s]", k * document.delta, step["t_start_s"])
-    same("schedule", f"end of step {k} [s]", (k + 1) * document.delta, step["t_end_s"])
+def _check_limit(document: Document, k: int, step: dict[str, Any]) -> None:
+    """What limits a step is a limit of the scene, within the flight; its need and room give the margin."""
     if step["limit"] not in limit_names(document):
         raise Rejected("schedule", f"step {k} is limited by {shown(step['limit'])}, which there is not")
     when, last = step["limit_time_s"], document.cells * document.delta
     if when is not None and not 0 <= when <= last * (1 + 1e-9):
         raise Rejected("schedule", f"step {k} is limited at {when} s, of {last} s")
-    need, room = step["need"], step["room"]
+    need, room, margin = step["need"], step["room"], document.margins[k]
     if need is not None and room is not None:
         left = 1 - need / room if room > 0 else -math.inf
         if left != margin and not abs(left - margin) <= MARGIN_ROUNDING * (1 + abs(left)):
@@ -130,28 +150,21 @@ def limit_names(document: Document) -> set[str]:
     return {item.name for item in document.unsafe} | {*document.input_names, BEYOND}
 
 
-def _check_claim(document: Document, claimed: dict[str, Any]) -> None:
-    """The guarantee is the certificate's, in numbers and in words."""
-    same("guarantee", "kind", document.guarantee, claimed["kind"])
-    same("end", "horizon", document.horizon, claimed["horizon"])
-    same("end", "until [s]", document.until, claimed["until_s"])
-    same("end", "reason", document.reason, claimed["reason"])
-    same("assumptions", "assumptions", [*document.assumptions, ARITHMETIC], claimed["assumptions"])
+def _check_reason(document: Document) -> None:
+    """The words for how far the claim reaches fit the claim, the system and the scene."""
     words = re.fullmatch(REASONS[document.horizon], document.reason)
     if words is None:
-        told = f"{shown(document.reason)} is no reason for the claim {document.horizon}"
-        raise Rejected("end", told)
-    found = words.groupdict()
-    if found.get("until") is not None:
-        same("end", "time in the reason", f"{document.until:g}", found["until"])
-    if found.get("how") is not None:
-        how = "at rest" if document.mean_motion is None else "on a closed orbit"
-        same("end", "how the reference ends", how, found["how"])
-    if found.get("limit") is not None and found["limit"] not in limit_names(document):
-        raise Rejected("end", f"{shown(found['limit'])} in the reason is no limit")
-    if found.get("moving") is not None:
-        moving = ", ".join(item.name for item in document.unsafe if not item.resting)
-        same("end", "moving sets in the reason", moving, found["moving"])
+        raise Rejected("end", f"{shown(document.reason)} is no reason for the claim {document.horizon}")
+    true = {
+        "until": f"{document.until:g}" if document.until is not None else "",
+        "how": "at rest" if document.mean_motion is None else "on a closed orbit",
+        "moving": ", ".join(item.name for item in document.unsafe if not item.resting),
+    }
+    for what, found in words.groupdict().items():
+        if what == "limit" and found is not None and found not in limit_names(document):
+            raise Rejected("end", f"{shown(found)} in the reason is no limit")
+        if what != "limit" and found is not None:
+            same("end", f"{what} in the reason", true[what], found)
 
 
 ARITHMETIC = "arithmetic: in double precision, its round-off covered by booked tolerances"
@@ -164,13 +177,13 @@ ARITHMETIC = "arithmetic: in double precision, its round-off covered by booked t
 def switching_rules(scenario: dict[str, Any]) -> dict[str, Any]:
     """The rules as ``schedule.json`` repeats them; of the effort of the search, what the scenario gives."""
     spec = scenario.get("schedule", {})
-    rules = {
+    return {
         "strategy": spec.get("strategy", "greedy"),
         "min_dwell": spec.get("min_dwell_steps", 1),
         "max_switches": spec.get("max_switches"),
-        "weights": [float(item.get("weight", 1.0)) for item in scenario["experimental"]],
+        "weights": [item.get("weight", 1.0) for item in scenario["experimental"]],
+        **{key: spec[key] for key in ("beam",) if key in spec},
     }
-    return rules | {key: spec[key] for key in ("beam",) if key in spec}
 
 
 def switches(modes: list[int]) -> int:
@@ -179,13 +192,7 @@ def switches(modes: list[int]) -> int:
 
 
 def check_switching(document: Document, scenario: dict[str, Any]) -> str:
-    """Whoever takes over keeps control for the dwell, or to T; there are no more switches than the cap.
-
-    Raises
-    ------
-    Rejected
-        Naming the claim ``schedule``.
-    """
+    """Whoever takes over keeps control for the dwell, or to T; there are no more switches than the cap."""
     rules = switching_rules(scenario)
     held = [len(list(group)) for _, group in groupby(document.modes)]
     for i, steps in enumerate(held[:-1]):
@@ -203,12 +210,7 @@ def check_switching(document: Document, scenario: dict[str, Any]) -> str:
 
 
 def check_reference(document: Document, path: Path) -> None:
-    """Compare ``reference.csv``: header, times, states and inputs.
-
-    Raises
-    ------
-    Rejected
-    """
+    """Compare ``reference.csv``: header, times, states and inputs."""
     n, m = len(document.A), len(document.u_max)
     if document.system_kind == "clohessy_wiltshire":
         states = ["r_x_m", "r_y_m", "r_z_m", "v_x_m_s", "v_y_m_s", "v_z_m_s"]
@@ -216,85 +218,57 @@ def check_reference(document: Document, path: Path) -> None:
     else:
         states, inputs = [f"x{i}" for i in range(n)], [f"u{i}" for i in range(m)]
     held: list[list[Any]] = [*document.inputs, [None] * m]
-    rows = [
-        [k * document.delta, *state, *u]
-        for k, (state, u) in enumerate(zip(document.states, held, strict=True))
-    ]
+    flown = enumerate(zip(document.states, held, strict=True))
+    rows = [[k * document.delta, *state, *u] for k, (state, u) in flown]
     _same_table("reference", path, [["t_s", *states, *inputs], *rows])
 
 
 def _same_table(claim: str, path: Path, rows: list[Iterable[Any]]) -> None:
     """A CSV file has exactly these rows, numbers in the shortest form that reads back exactly."""
     text = io.StringIO(newline="")
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerows([["" if item is None else item for item in row] for row in rows])
-    expected = text.getvalue().encode()
-    found = contents(path)
-    if found == expected:
-        return
-    lines, given = expected.split(b"\n"), found.split(b"\n")
-    for i, line in enumerate(lines):
-        if i >= len(given) or given[i] != line:
-            there = given[i] if i < len(given) else b""
-            told = f"{path.name}, line {i + 1}: {shown(line.decode())} in the certificate"
-            raise Rejected(claim, f"{told}, {shown(there.decode(errors='replace'))} in the run folder")
-    raise Rejected(claim, f"{path.name} goes on after {len(lines) - 1} lines")
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    lines, given = text.getvalue().encode().split(b"\n"), contents(path).split(b"\n")
+    for i, (line, there) in enumerate(zip_longest(lines, given), 1):
+        same(claim, f"{path.name}, line {i}", line, there)
 
 
 # -- gains ------------------------------------------------------------------------------------------
 
 
 def check_gains(document: Document, scenario: dict[str, Any], path: Path) -> dict[str, Any]:
-    """Compare ``gains.json``: the law, the system, the feedback and every controller.
-
-    Returns
-    -------
-    dict
-        The bounds of Lemma 1, their norm and method compared.
-
-    Raises
-    ------
-    Rejected
-    """
-    stored = strict_json(contents(path))
-    conform(stored, GAINS, "controllers", "gains.json")
-    same("controllers", "law", LAW, stored["law"])
-    system = {
-        "A": document.A,
-        "B": document.B,
-        "C": document.C,
-        "D": document.D,
-        "input_max": document.u_max,
-        "disturbance_max": document.w_max,
-        "mass_kg": document.mass,
-    }
-    same("system", "system", system, stored["system"])
-    feedback = {
-        "sampled": document.sampled,
-        "node_spacing_s": document.delta / document.q,
-        "nodes_per_step": document.q,
-    }
-    same("sampling", "feedback", feedback, stored["feedback"])
-    same("controllers", "number of controllers", len(document.laws), len(stored["controllers"]))
-    for mode, (law, given) in enumerate(zip(document.laws, stored["controllers"], strict=True)):
-        expected = _heading(document, mode)
-        if law.gain is not None:
-            expected |= {"gain": law.gain, "clips": law.kind == "saturated_affine"}
-        if law.states is not None:
-            expected |= {"own_states": law.states, "own_inputs": law.inputs}
-        same("controllers", f"controller {mode}", expected, given)
-    bounds: dict[str, Any] = stored["error_bounds"]
-    _check_bounds(document, scenario, bounds)
-    return bounds
-
-
-def _check_bounds(document: Document, scenario: dict[str, Any], bounds: dict[str, Any]) -> None:
-    """The norm and the method of Lemma 1 are those that were asked for."""
+    """Compare ``gains.json``; returns the bounds of Lemma 1, their norm and method compared."""
+    stored = conform(strict_json(contents(path)), GAINS, "controllers", "gains.json")
     spec, n = scenario["tracking"], len(document.A)
-    same("error_bounds", "method", spec.get("bound", "envelope"), bounds["method"])
     weight = spec.get("weight", "auto")
-    expected = document.weight
-    if weight != "auto":
-        along = [1.0] * n if weight == "identity" else weight
-        expected = [[float(along[i]) if i == j else 0.0 for j in range(n)] for i in range(n)]
-    same("error_bounds", "weight of the norm", expected, bounds["weight"])
+    along = [1.0] * n if isinstance(weight, str) else weight
+    named = [[along[i] if i == j else 0.0 for j in range(n)] for i in range(n)]
+    expected = {
+        "law": LAW,
+        "system": {
+            **{name: getattr(document, name) for name in "ABCD"},
+            "input_max": document.u_max,
+            "disturbance_max": document.w_max,
+            "mass_kg": document.mass,
+        },
+        "feedback": {
+            "sampled": document.sampled,
+            "node_spacing_s": document.delta / document.q,
+            "nodes_per_step": document.q,
+        },
+        "controllers": [
+            _controller(document, mode)
+            | {
+                "gain": law.gain,
+                "clips": None if law.gain is None else law.kind == "saturated_affine",
+                "own_states": law.states,
+                "own_inputs": law.inputs,
+            }
+            for mode, law in enumerate(document.laws)
+        ],
+        "error_bounds": {
+            "method": spec.get("bound", "envelope"),
+            "weight": document.weight if weight == "auto" else named,
+        },
+    }
+    same("controllers", "gains.json", expected, stored)
+    return dict(stored["error_bounds"])

@@ -9,7 +9,6 @@ from flint import arb, arb_mat, fmpq, fmpq_mat
 from .balls import absolute, column, exponential, exponential_over, magnitude, matrix, norms, require
 from .document import Document, UnsafeSet
 from .plants import plant_of
-from .structure import floats
 from .verdict import Rejected
 
 ROUNDED = 1e-9
@@ -32,11 +31,11 @@ class Satellite:
         plant = plant_of(document)
         self.A = plant.A
         self.rows = matrix(item.normals) * matrix(document.C)
-        self.state = column(floats(spec["state"]))
-        self.half = column(floats(spec["state_half_widths"]))
-        self.radius = [length * float(spec["radius_m"]) for length in norms(matrix(item.normals))]
+        self.state = column(spec["state"])
+        self.half = column(spec["state_half_widths"])
+        self.radius = [length * spec["radius_m"] for length in norms(matrix(item.normals))]
         self.pushes = [(plant.D, arb(document.w_max))]
-        thrust = float(spec.get("thrust_accel_max_m_s2", 0.0))
+        thrust = spec.get("thrust_accel_max_m_s2", 0.0)
         if thrust:
             self.pushes.append((_acceleration_input(document, item.name), arb(thrust)))
 
@@ -102,29 +101,19 @@ def _acceleration_input(document: Document, name: str) -> arb_mat:
     """How an acceleration of the position enters the state: E with ``C E = 0`` and ``C A E = I``.
 
     In rational arithmetic, on the stored matrices; in Hill's frame they tell nothing else than the exact.
-
-    Raises
-    ------
-    Rejected
-        If the position obeys no equation of second order.
+    `Rejected` if the position obeys no equation of second order.
     """
-    n, d = len(document.A), len(document.C)
-    A, C = _rational(document.A), _rational(document.C)
+    d, A, C = len(document.C), _rational(document.A), _rational(document.C)
     velocity = C * A
-    known = [*C.tolist(), *velocity.tolist()]
-    unit = [[fmpq(int(i == j)) for j in range(2 * d)] for i in range(2 * d)]
-    reduced, _ = fmpq_mat([[*row, *more] for row, more in zip(known, unit, strict=True)]).rref()
-    rows = reduced.tolist()
-    pivots = [next(j for j, x in enumerate(row) if x != 0) for row in rows]
-    if max(pivots) >= n:
+    known = fmpq_mat([*C.tolist(), *velocity.tolist()])
+    if known.rank() < 2 * d:
         raise Rejected("unsafe_sets", f"{name} has thrust, but the position of this system no acceleration")
-    if fmpq_mat([*known, *(velocity * A).tolist()]).rank() > 2 * d:
+    if fmpq_mat([*known.tolist(), *(velocity * A).tolist()]).rank() > 2 * d:
         told = "the acceleration of this system's position depends on more than position and rate"
         raise Rejected("unsafe_sets", f"{name} has thrust, but {told}")
-    E = [[arb(0)] * d for _ in range(n)]
-    for j, row in zip(pivots, rows, strict=True):
-        E[j] = [arb(x) for x in row[n + d :]]
-    return matrix(E)
+    # Any solution will do: what follows of the position depends on its products with C and C A only.
+    right_inverse = known.transpose() * (known * known.transpose()).inv()
+    return matrix([[arb(x) for x in row[d:]] for row in right_inverse.tolist()])
 
 
 def _rational(rows: list[list[float]]) -> fmpq_mat:

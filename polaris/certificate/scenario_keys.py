@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from .structure import Either, Flag, Real, Rows, Text, Whole, conform, every, keyed, kinds
+from .structure import Either, Kinds, Real, Rows, Text, Whole, conform, every
 from .verdict import Rejected
 
 STEPS = 100_000
@@ -34,7 +34,7 @@ FACETS = Whole(3, 64)
 
 
 # fmt: off
-_REFERENCE = kinds({
+_REFERENCE = Kinds({
     "shared": {},
     "setpoint": {"state": VECTOR},
     "nmt": {"semi_minor_m": NOT_NEGATIVE, "phase_rad?": NUMBER,
@@ -47,88 +47,82 @@ _AFFINE = {
 _BODY = {"name": NAME, "velocity_m_s?": VECTOR}
 _POLYTOPE = {"name": NAME, "normals": MATRIX, "offsets_m": VECTOR}
 
-SCENARIO = keyed({
+SCENARIO = {
     "schema_version": Whole(1, 1),
     "name": NAME,
     "title": Text(pattern=r"(?s:.{1,200})"),
     "description?": Text(pattern=r"(?s:.{0,5000})"),
-    "system": kinds({
+    "system": Kinds({
         "clohessy_wiltshire": {"mean_motion_rad_s": Real(above=0, most=0.01), "mass_kg": MASS,
                                "thrust_max_N": PER_AXIS, "disturbance_max_m_s2?": NOT_NEGATIVE},
         "linear": {**every(MATRIX, "A B D C?"), "input_max": PER_AXIS, "disturbance_max?": NOT_NEGATIVE,
                    "position_states?": Rows(Whole(0, 99), 1, 3), "mass_kg?": MASS},
     }),
-    "orbit?": keyed({
+    "orbit?": {
         **every(NOT_NEGATIVE, "radius_deviation_max_m radial_rate_max_m_s density_kg_m3"
                 " ballistic_coefficient_m2_kg ballistic_difference_max_m2_kg other_acceleration_max_m_s2?"),
         "rate_deviation_max": Real(least=0, most=0.1),
         "scale_height_m": POSITIVE,
         "inclination_max_deg?": Real(least=0, most=90),
-    }),
-    "feedback?": kinds({"continuous": {}, "sampled": {"period_s": POSITIVE}}),
-    "initial_set": kinds({
+    },
+    "feedback?": Kinds({"continuous": {}, "sampled": {"period_s": POSITIVE}}),
+    "initial_set": Kinds({
         "box": {"center": VECTOR, "half_widths": WIDTHS},
         "ball": {"center": VECTOR, **every(NOT_NEGATIVE, "position_radius_m velocity_radius_m_s")},
         "zonotope": {"center": VECTOR, "generators": MATRIX},
     }),
-    "horizon": keyed(every(POSITIVE, "duration_s step_s")),
-    "tracking": keyed({
+    "horizon": every(POSITIVE, "duration_s step_s"),
+    "tracking": {
         "Q": WEIGHT, "R": WEIGHT, "bound?": Text(("envelope", "lyapunov")),
         "weight?": Either((Text(("auto", "identity")), LIMITS)),
-    }),
-    "recoverable?": keyed({"kind?": Text(("polytope", "ball", "time_varying_ball", "paper_ball"))}),
-    "goal": kinds({
+    },
+    "recoverable?": {"kind?": Text(("polytope", "ball", "time_varying_ball", "paper_ball"))},
+    "goal": Kinds({
         "elliptical_nmt": {"inner_semi_minor_m": NOT_NEGATIVE, "outer_semi_minor_m": POSITIVE,
                            "sides?": Whole(4, 64), "cross_track_max_m?": POSITIVE},
         "linear_nmt": {"amplitude_max_m": POSITIVE, "along_track_m?": NUMBER},
         "stationary": {"state": VECTOR},
         "box": {"center": VECTOR, "half_widths": OPEN_WIDTHS},
     }),
-    "planner?": keyed({
+    "planner?": {
         "objective?": Text(("margin_then_fuel", "distance", "fuel")),
         "extra_margin_m?": NOT_NEGATIVE,
         "solver?": Text(("facets", "highs", "gurobi")),
         **every(Whole(1, 10**9), "max_linear_programs? max_nodes?"),
         "time_limit_s?": Real(above=0, most=1e6),
         **every(SHARE, "thrust_reserve? gap?"),
-    }),
-    "obstacles?": Rows(kinds({
+    },
+    "obstacles?": Rows(Kinds({
         "box": {**_BODY, "center_m": VECTOR, "half_widths_m": WIDTHS},
         "ball": {**_BODY, "center_m": VECTOR, "radius_m": POSITIVE, "facets?": FACETS},
-        "polytope": {**_BODY, **_POLYTOPE, "unbounded?": Flag()},
+        "polytope": {**_BODY, **_POLYTOPE, "unbounded?": bool},
         "satellite": {"name": NAME, "state": VECTOR, "state_half_widths": WIDTHS, "radius_m": POSITIVE,
                       "thrust_accel_max_m_s2?": NOT_NEGATIVE, "facets?": FACETS},
     }), 0, 64),
-    "keep_in?": Rows(kinds({
+    "keep_in?": Rows(Kinds({
         "polytope": _POLYTOPE,
         "cone": {"name": NAME, "apex_m": VECTOR, "axis": VECTOR, "half_angle_deg": Real(least=0.1, most=89),
                  "facets?": FACETS, "length_m?": POSITIVE},
     }), 0, 16),
-    "experimental": Rows(kinds({
+    "experimental": Rows(Kinds({
         "affine": _AFFINE,
         "saturated_affine": _AFFINE,
         "any_thrust": {"name": NAME, "weight?": WORTH},
     }), 1, 8),
-    "schedule?": keyed({
+    "schedule?": {
         "strategy?": Text(("greedy", "look_ahead")),
         "min_dwell_steps?": Whole(1, STEPS),
         "max_switches?": Whole(0),
         "beam?": Whole(1, 1000),
-    }),
-    "simulation?": keyed({"runs?": Whole(1, 1_000_000), "seed?": Whole(0, 2**63 - 1)}),
-})
+    },
+    "simulation?": {"runs?": Whole(1, 1_000_000), "seed?": Whole(0, 2**63 - 1)},
+}
 # fmt: on
 """The whole file."""
 
 
 def check_keys(scenario: Any) -> None:
-    """Refuse a scenario with a key, a type or a number that the format does not have.
-
-    Raises
-    ------
-    Rejected
-        Naming the claim ``scenario``.
-    """
+    """Refuse a scenario with a key, a type or a number that the format does not have."""
     conform(scenario, SCENARIO, "scenario", "scenario.toml")
     if {"C", "position_states"} <= set(scenario["system"]):
         raise Rejected("scenario", "system gives both C and position_states")

@@ -1,4 +1,8 @@
-"""What a file may hold: known keys, their types and ranges; anything else is refused, not passed over."""
+"""What a file may hold: known keys, their types and ranges; anything else is refused, not passed over.
+
+A shape is one of the classes below, ``bool``, ``None``, ``object`` for what is no claim, whatever it is, or a
+table of keys and their shapes, in which keys that may be missing end in a question mark.
+"""
 
 from __future__ import annotations
 
@@ -6,13 +10,17 @@ import json
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 from .verdict import Rejected
 
 LARGEST = 1e12
 """Largest magnitude of a number in a scenario."""
+
+Shape = Any
+Lengths = dict[str, dict[int, str]]
+"""Of every named length those that were found, each with a place that has it."""
 
 
 @dataclass(frozen=True)
@@ -27,10 +35,15 @@ class Real:
 
 @dataclass(frozen=True)
 class Whole:
-    """A whole number: 2, not 2.0."""
+    """A whole number: 2, neither 2.0 nor true."""
 
     least: int = 0
-    most: int | None = None
+    most: float = math.inf
+
+
+@dataclass(frozen=True)
+class Hexadecimal:
+    """The one text that `float.hex` makes of a finite float: "10" is neither 10 nor 16."""
 
 
 @dataclass(frozen=True)
@@ -42,36 +55,22 @@ class Text:
 
 
 @dataclass(frozen=True)
-class Flag:
-    """True or false."""
-
-
-@dataclass(frozen=True)
-class Null:
-    """Nothing."""
-
-
-@dataclass(frozen=True)
-class Anything:
-    """Whatever it is, it is no claim."""
+class Name:
+    """A name that is printed as it is: no line breaks, nothing that a terminal obeys."""
 
 
 @dataclass(frozen=True)
 class Rows:
-    """A list of so many items of one shape; `even` if these are lists of one length."""
+    """A list of so many items of one shape; `even` if these are lists of one length.
+
+    Lists with the same `size`, a name, are to be equally long: `conform` collects their lengths.
+    """
 
     item: Shape
     least: int = 0
-    most: int | None = None
+    most: float = math.inf
     even: bool = False
-
-
-@dataclass(frozen=True)
-class Table:
-    """Keys and what they hold; the optional ones may be missing."""
-
-    keys: Mapping[str, Shape]
-    optional: Mapping[str, Shape] = field(default_factory=dict)
+    size: str = ""
 
 
 @dataclass(frozen=True)
@@ -83,9 +82,9 @@ class Named:
 
 @dataclass(frozen=True)
 class Kinds:
-    """One of several tables, told apart by the word under ``kind``."""
+    """One of several tables, told apart by the word under ``kind``, which stands in each besides."""
 
-    tables: Mapping[str, Table]
+    tables: Mapping[str, dict[str, Shape]]
 
 
 @dataclass(frozen=True)
@@ -95,113 +94,108 @@ class Either:
     shapes: tuple[Shape, ...]
 
 
-Shape = Real | Whole | Text | Flag | Null | Anything | Rows | Table | Named | Kinds | Either
-
-
-def keyed(keys: Mapping[str, Any]) -> Table:
-    """A table from one mapping, in which the keys that may be missing end in a question mark."""
-    needed = {key: item for key, item in keys.items() if not key.endswith("?")}
-    return Table(needed, {key[:-1]: item for key, item in keys.items() if key.endswith("?")})
-
-
-def kinds(tables: Mapping[str, Mapping[str, Any]]) -> Kinds:
-    """Several tables, from the keys that each has besides ``kind``."""
-    return Kinds({kind: keyed({"kind": Text((kind,)), **keys}) for kind, keys in tables.items()})
-
-
 def every(item: Shape, words: str) -> dict[str, Shape]:
     """Keys of one shape, named in a row."""
     return dict.fromkeys(words.split(), item)
 
 
-def conform(value: Any, shape: Shape, claim: str, where: str) -> None:
-    """Refuse a value that is not of a shape.
+def conform(value: Any, shape: Shape, claim: str, where: str, lengths: Lengths | None = None) -> Any:
+    """A value read from JSON or TOML, its hexadecimal texts as floats; `Rejected` if it is not of a shape.
 
-    Parameters
-    ----------
-    value : object
-        As read from JSON or TOML.
-    shape : Shape
-    claim : str
-        Claim to name.
-    where : str
-        The file, then the place in it.
-
-    Raises
-    ------
-    Rejected
+    `where` is the file; named lengths of lists are noted in `lengths`.
     """
+    try:
+        return _read(value, shape, where, {} if lengths is None else lengths)
+    except ValueError as error:
+        raise Rejected(claim, str(error)) from error
+
+
+def _read(value: Any, shape: Shape, where: str, lengths: Lengths) -> Any:
     match shape:
-        case Table():
-            _conform_table(value, shape, claim, where)
+        case dict():
+            return _read_table(value, shape, where, lengths)
         case Kinds(tables):
             kind = value.get("kind") if isinstance(value, dict) else None
             if not isinstance(kind, str) or kind not in tables:
-                raise Rejected(claim, f"{where}.kind: {shown(kind)} is not one of {', '.join(tables)}")
-            _conform_table(value, tables[kind], claim, where)
+                raise ValueError(f"{where}.kind: {shown(kind)} is not one of {', '.join(tables)}")
+            return _read_table(value, {"kind": Text(), **tables[kind]}, where, lengths)
         case Named(item):
-            if not isinstance(value, dict):
-                raise Rejected(claim, f"{where}: {shown(value)} is no table")
-            for name, entry in value.items():
-                conform(entry, item, claim, f"{where}.{shown(name)}")
-        case Rows(item, least, most, even):
-            if not isinstance(value, list):
-                raise Rejected(claim, f"{where}: {shown(value)} is no list")
-            if len(value) < least or (most is not None and len(value) > most):
-                raise Rejected(claim, f"{where} has {len(value)} items, of {least} to {most}")
-            for i, entry in enumerate(value):
-                conform(entry, item, claim, f"{where}[{i}]")
-            if even and len({len(entry) for entry in value}) > 1:
-                raise Rejected(claim, f"{where} has rows of different lengths")
+            entries = _of(dict, value, where).items()
+            return {name: _read(entry, item, f"{where}.{shown(name)}", lengths) for name, entry in entries}
+        case Rows(item, least, most, even, size):
+            if not least <= len(_of(list, value, where)) <= most:
+                raise ValueError(f"{where} has {len(value)} items, of {least} to {most}")
+            found = [_read(entry, item, f"{where}[{i}]", lengths) for i, entry in enumerate(value)]
+            if even and len(set(map(len, found))) > 1:
+                raise ValueError(f"{where} has rows of different lengths")
+            if size:
+                lengths.setdefault(size, {})[len(found)] = where
+            return found
         case Either(shapes):
             reasons = []
             for one in shapes:
                 try:
-                    return conform(value, one, claim, where)
-                except Rejected as error:
-                    reasons.append(error.witness)
-            raise Rejected(claim, "; ".join(reasons))
-        case _:
-            if not _is(value, shape):
-                raise Rejected(claim, f"{where}: {shown(value)} is no {shape}")
+                    return _read(value, one, where, lengths)
+                except ValueError as error:
+                    reasons.append(str(error))
+            raise ValueError("; ".join(reasons))
+        case Hexadecimal():
+            return number(value)
+    if not _is(value, shape):
+        raise ValueError(f"{where}: {shown(value)} is no {shape}")
+    return value
 
 
-def _conform_table(value: Any, shape: Table, claim: str, where: str) -> None:
-    if not isinstance(value, dict):
-        raise Rejected(claim, f"{where}: {shown(value)} is no table")
-    for key in value:
-        if key not in shape.keys and key not in shape.optional:
-            raise Rejected(claim, f"{where}: the key {shown(key)} is not known, so nothing was made of it")
-    for key, item in shape.keys.items():
-        if key not in value:
-            raise Rejected(claim, f"{where}: the key {key!r} is missing")
-        conform(value[key], item, claim, f"{where}.{key}")
-    for key, item in shape.optional.items():
-        if key in value:
-            conform(value[key], item, claim, f"{where}.{key}")
+def _of(kind: type, value: Any, where: str) -> Any:
+    if not isinstance(value, kind):
+        raise ValueError(f"{where}: {shown(value)} is no {'table' if kind is dict else 'list'}")
+    return value
+
+
+def _read_table(value: Any, shape: dict[str, Shape], where: str, lengths: Lengths) -> dict[str, Any]:
+    shapes = {key.removesuffix("?"): item for key, item in shape.items()}
+    for key in _of(dict, value, where):
+        if key not in shapes:
+            raise ValueError(f"{where}: the key {shown(key)} is not known, so nothing was made of it")
+    for key in shape:
+        if not key.endswith("?") and key not in value:
+            raise ValueError(f"{where}: the key {key!r} is missing")
+    return {key: _read(value[key], shapes[key], f"{where}.{key}", lengths) for key in shapes if key in value}
 
 
 def _is(value: Any, shape: Shape) -> bool:
     """Whether a value that is neither table nor list is of a shape."""
     match shape:
         case Real(least, most, above, below):
-            if isinstance(value, bool) or not isinstance(value, (int, float)):
-                return False
-            inside = least <= value <= most  # false for NaN
-            return inside and (above is None or value > above) and (below is None or value < below)
+            if isinstance(value, bool) or not isinstance(value, (int, float)) or not least <= value <= most:
+                return False  # NaN is within no limits
+            return (above is None or value > above) and (below is None or value < below)
         case Whole(least, most):
-            if isinstance(value, bool) or not isinstance(value, int):
-                return False
-            return value >= least and (most is None or value <= most)
+            return isinstance(value, int) and not isinstance(value, bool) and least <= value <= most
         case Text(known, pattern):
             if not isinstance(value, str) or (known and value not in known):
                 return False
             return not pattern or re.fullmatch(pattern, value, re.ASCII) is not None
-        case Flag():
-            return isinstance(value, bool)
-        case Null():
+        case Name():
+            return isinstance(value, str) and value.isprintable() and len(value) <= 200
+        case None:
             return value is None
-    return isinstance(shape, Anything)
+    return isinstance(value, shape)
+
+
+def number(text: Any) -> float:
+    """Decode one finite float from the one hexadecimal text that stands for it."""
+    if not isinstance(text, str):
+        raise ValueError(f"{shown(text)} is not hexadecimal text")
+    try:
+        value = float.fromhex(text)
+    except OverflowError as error:
+        raise ValueError(f"{shown(text)} is too large") from error
+    if not math.isfinite(value):
+        raise ValueError(f"{shown(text)} is not finite")
+    if value.hex() != text:
+        raise ValueError(f"{shown(text)} is not written {value.hex()}")
+    return value
 
 
 def shown(value: Any, most: int = 80) -> str:
@@ -210,32 +204,14 @@ def shown(value: Any, most: int = 80) -> str:
     return text if len(text) <= most else f"{text[: most - 3]}..."
 
 
-def floats(values: Any) -> list[float]:
-    """Numbers of a scenario, whole ones too, as floats."""
-    return [float(x) for x in values]
-
-
-def float_rows(rows: Any) -> list[list[float]]:
-    """Rows of such numbers."""
-    return [floats(row) for row in rows]
-
-
-# -- JSON -------------------------------------------------------------------------------------------
-
-
 def strict_json(data: bytes) -> Any:
-    """Read JSON in UTF-8 in which every key stands once and every number is finite.
+    """Read JSON in which every key stands once and every number is finite; else raise `ValueError`.
 
     In UTF-8 and without a mark at its start, so that every reader reads the same.
-
-    Raises
-    ------
-    ValueError
-        If it is not that.
     """
-    text = data.decode("utf-8")
     try:
-        return json.loads(text, object_pairs_hook=_once, parse_constant=_no_number, parse_float=_finite)
+        text = data.decode("utf-8")
+        return json.loads(text, object_pairs_hook=_once, parse_constant=_finite, parse_float=_finite)
     except RecursionError as error:
         raise ValueError("nested too deeply") from error
 
@@ -249,12 +225,8 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return found
 
 
-def _no_number(text: str) -> Any:
-    raise ValueError(f"{text} is no number")
-
-
 def _finite(text: str) -> float:
     value = float(text)
     if not math.isfinite(value):
-        raise ValueError(f"{text} is too large")
+        raise ValueError(f"{shown(text)} is no number, or too large")
     return value

@@ -9,13 +9,12 @@ VERIFIED, REJECTED, UNKNOWN = "VERIFIED", "REJECTED", "UNKNOWN"
 EXIT_CODES = {VERIFIED: 0, REJECTED: 5, UNKNOWN: 6}
 """Exit codes by outcome; 2 means that there was nothing to check (no such file, python-flint missing)."""
 
-
 LONGEST = 1000
 """Most characters of a witness: it may quote what it found."""
 
 
-class Rejected(Exception):
-    """A claim of the certificate does not hold.
+class Failed(Exception):
+    """A claim of the certificate is not confirmed.
 
     Parameters
     ----------
@@ -27,17 +26,32 @@ class Rejected(Exception):
         By how much, in the unit that the witness names.
     """
 
+    outcome = UNKNOWN
+
     def __init__(self, claim: str, witness: str, excess: float | None = None) -> None:
         super().__init__(f"{claim}: {witness}")
         self.claim, self.witness, self.excess = claim, witness[:LONGEST], excess
 
 
-class Undecided(Exception):
-    """The checker can neither confirm nor refute a claim; the arguments are as in `Rejected`."""
+class Rejected(Failed):
+    """It does not hold."""
 
-    def __init__(self, claim: str, witness: str) -> None:
-        super().__init__(f"{claim}: {witness}")
-        self.claim, self.witness = claim, witness[:LONGEST]
+    outcome = REJECTED
+
+
+class Undecided(Failed):
+    """The checker can neither confirm nor refute it."""
+
+
+@dataclass
+class Record:
+    """Claims confirmed so far, each with what was found."""
+
+    checked: list[tuple[str, str]] = field(default_factory=list)
+
+    def holds(self, claim: str, found: str) -> None:
+        """Note a claim that was confirmed."""
+        self.checked.append((claim, found))
 
 
 @dataclass(frozen=True)
@@ -79,18 +93,6 @@ class Verdict:
         lines += [f"{'trusted':10}{line}" for line in self.trusted]
         if self.claim:
             by = "" if self.excess is None else f", by {self.excess:.4g}"
-            lines.append(
-                f"{'fails' if self.outcome == REJECTED else 'open':10}{self.claim}: {self.witness}{by}"
-            )
+            fails = "fails" if self.outcome == REJECTED else "open"
+            lines.append(f"{fails:10}{self.claim}: {self.witness}{by}")
         return "\n".join([*lines, f"{self.outcome} in {self.seconds:.1f} s"])
-
-
-@dataclass
-class Record:
-    """Claims confirmed so far."""
-
-    checked: list[tuple[str, str]] = field(default_factory=list)
-
-    def holds(self, claim: str, found: str) -> None:
-        """Note a claim that was confirmed."""
-        self.checked.append((claim, found))

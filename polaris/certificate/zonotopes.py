@@ -7,7 +7,7 @@ from itertools import combinations, product
 
 from flint import arb, arb_mat
 
-from .balls import beside, column, cross, diagonal, dot, largest, magnitude, matrix, row_sums, smallest
+from .balls import beside, column, cross, diagonal, dot, largest, magnitude, matrix, row_sums, smallest, sums
 
 NOTHING = 1e-8
 """Share of a set's extent that generators may come to which are merged whatever their number."""
@@ -15,18 +15,10 @@ NOTHING = 1e-8
 
 @dataclass(frozen=True)
 class Zonotope:
-    """A zonotope.
+    """A zonotope."""
 
-    Parameters
-    ----------
-    c : arb_mat, shape (n, 1)
-        Centre.
-    G : arb_mat, shape (n, g)
-        Generators, one per column.
-    """
-
-    c: arb_mat
-    G: arb_mat
+    c: arb_mat  # centre, shape (n, 1)
+    G: arb_mat  # generators, one per column, shape (n, g)
 
     def image(self, M: arb_mat) -> Zonotope:
         """The set mapped by a matrix."""
@@ -40,10 +32,13 @@ class Zonotope:
         """Minkowski sum with zonotopes about zero, given by their generators."""
         return Zonotope(self.c, beside(self.G, *generators))
 
+    def spread(self, rows: arb_mat) -> list[arb]:
+        """How far ``row x`` may be from its value at the centre."""
+        return row_sums(rows * self.G)
+
     def support(self, rows: arb_mat) -> list[arb]:
         """``max row x`` over the set, for every row."""
-        spread = row_sums(rows * self.G)
-        return [middle + most for middle, most in zip((rows * self.c).entries(), spread, strict=True)]
+        return sums((rows * self.c).entries(), self.spread(rows))
 
     def size(self) -> arb_mat:
         """Exact upper bound on ``|x_i|`` over the set, shape (n, 1)."""
@@ -81,18 +76,10 @@ class Zonotope:
 
 @dataclass
 class Merging:
-    """How many generators sets keep, and whether any had to be merged for that.
+    """How many generators sets keep, and whether any had to be merged for that."""
 
-    Parameters
-    ----------
-    order : int
-        Generators per dimension that are kept.
-    lossy : bool
-        Whether generators that count were merged: sets are smaller if more of them are kept.
-    """
-
-    order: int
-    lossy: bool = False
+    order: int  # generators per dimension that are kept
+    lossy: bool = False  # whether generators that count were merged: with more of them sets are smaller
 
     def reduced(self, z: Zonotope) -> Zonotope:
         """Enclosing set with few generators, see `Zonotope.reduced`."""

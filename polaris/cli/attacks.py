@@ -2,57 +2,54 @@
 
 from __future__ import annotations
 
+import math
 import shlex
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING
 
 import typer
+from typer import Argument, Option
 
 from .shell import REFUTED, Json, print_json, verb
+
+if TYPE_CHECKING:
+    from ..simulation.falsification.search import Falsification
+    from ..simulation.orbit.model_error import ModelError
 
 
 @verb("model-error")
 def model_error_command(
-    scenario: Annotated[
-        str, typer.Argument(metavar="NAME_OR_FILE", help="A bundled scenario or a file, with [orbit].")
-    ],
-    fit: Annotated[
-        bool, typer.Option("--fit", help="Find a disturbance bound that covers its own model error.")
-    ] = False,
+    scenario: str = Argument(..., metavar="NAME_OR_FILE", help="A bundled scenario or a file, with [orbit]."),
+    fit: bool = Option(False, "--fit", help="Find a disturbance bound that covers its own model error."),
     as_json: Json = False,
 ) -> int | None:
     """Bound what the linear model leaves out, and compare it with the disturbance bound."""
     from ..scenario.scenario import ScheduleScenario, load_scenario
     from ..simulation.orbit.model_error import justify, model_error
-    from .show.attacks import show_model_error
 
     loaded = load_scenario(scenario, only=ScheduleScenario)
     found = justify(loaded) if fit else model_error(loaded)
     if as_json:
         print_json(found.summary())
     else:
-        show_model_error(found)
+        _show_model_error(found)
     return None if found.covered else REFUTED
 
 
 @verb("falsify")
 def falsify_command(
-    target: Annotated[
-        str, typer.Argument(metavar="RUN_OR_SCENARIO", help="A run folder, a bundled scenario or a file.")
-    ],
-    runs: Annotated[int, typer.Option(min=1, help="Trajectories to fly.")] = 10_000,
-    seed: Annotated[int, typer.Option(min=0, help="Same seed, same search.")] = 0,
-    out: Annotated[
-        str | None,
-        typer.Option("--out", metavar="FILE", help="Where a case goes; default <scenario>.case.json."),
-    ] = None,
+    target: str = Argument(
+        ..., metavar="RUN_OR_SCENARIO", help="A run folder, a bundled scenario or a file."
+    ),
+    runs: int = Option(10_000, min=1, help="Trajectories to fly."),
+    seed: int = Option(0, min=0, help="Same seed, same search."),
+    out: str | None = Option(None, metavar="FILE", help="Where a case goes; default <scenario>.case.json."),
     as_json: Json = False,
 ) -> int | None:
     """Search for a run that breaks what a schedule claims; save it as a case."""
     from ..runs.atomic import check_file
     from ..runs.case import load_target, write_case
     from ..simulation.falsification.search import falsify
-    from .show.attacks import show_falsification
 
     if out is not None:
         check_file(out, endings=(".json",))
@@ -62,7 +59,7 @@ def falsify_command(
     if as_json:
         print_json(found.summary())
     else:
-        show_falsification(scenario.name, found)
+        _show_falsification(scenario.name, found)
     if found.failure is not None:
         path = write_case(out or f"{scenario.name}.case.json", scenario, found)
         typer.echo(f"Saved: polaris replay {shlex.quote(str(path))}", err=True)
@@ -71,7 +68,7 @@ def falsify_command(
 
 @verb("replay")
 def replay_command(
-    case: Annotated[str, typer.Argument(metavar="CASE", help="A case that `polaris falsify` saved.")],
+    case: str = Argument(..., metavar="CASE", help="A case that `polaris falsify` saved."),
 ) -> int | None:
     """Fly a saved case again and say what it violates and when."""
     from ..runs.case import replay
@@ -83,7 +80,7 @@ def replay_command(
 
 @verb("verify")
 def verify(
-    run: Annotated[str, typer.Argument(metavar="RUN", help="A run folder, or a certificate file.")],
+    run: str = Argument(..., metavar="RUN", help="A run folder, or a certificate file."),
 ) -> int:
     """Check the certificate of a run, independently of how it was made.
 
@@ -97,3 +94,38 @@ def verify(
         there = "it has no certificate.json" if place.is_dir() else "there is no such file or folder"
         raise ScenarioError("run", run, f"must be a run folder or a certificate; {there}")
     return main([run])
+
+
+def _show_falsification(name: str, found: Falsification) -> None:
+    """Print the least margin of every limit against what is proven, and a violation."""
+    from ..synthesis.recoverable import directed
+
+    told = found.summary()
+    typer.echo(f"{name}: {told['runs']} trajectories, {told['runs_per_s']:.0f} per second")
+    typer.echo(f"{'limit':24} {'least margin':>13} {'proven':>11} {'proven/least':>13} {'at':>9}")
+    for row in told["limits"]:
+        proven = directed(row["proven"], ".4g") if math.isfinite(row["proven"]) else "nothing"
+        share = f"{row['proven_share']:.0%}" if math.isfinite(row["proven_share"]) else "-"
+        typer.echo(f"{row['limit']:24} {row['least']:13.4g} {proven:>11} {share:>13} {row['time_s']:7g} s")
+    typer.echo("No violation." if found.failure is None else f"VIOLATED: {found.failure}")
+
+
+def _show_model_error(found: ModelError) -> None:
+    """Print the parts of the bound, what is declared, and where it is largest."""
+    told = found.summary()
+    worst = told["worst"]
+    typer.echo(f"{told['scenario']}: what the linear model leaves out where the schedule flies [m/s^2]")
+    for name, value in told["parts_m_s2"].items():
+        typer.echo(f"  {name.replace('_', ' '):16} {value:9.3g}")
+    typer.echo(f"  {'bound':16} {told['bound_m_s2']:9.3g}   (sampled: {told['sampled_share']:.0%} of it)")
+    typer.echo(
+        f"  {'declared':16} {told['declared_m_s2']:9.3g}   {'covers it' if found.covered else 'TOO SMALL'}"
+    )
+    typer.echo(
+        f"Largest at t = {worst['time_s']:g} s under {worst['controller']}: within"
+        f" {worst['distance_m']:.0f} m of the target, {worst['radial_m']:.0f} m in height,"
+        f" {worst['speed_m_s']:.2f} m/s."
+    )
+    for name, time in told["satellites_covered_until_s"].items():
+        until = "as long as it is perceived" if time is None else f"until t = {time:g} s"
+        typer.echo(f"The motion declared for {name} covers its own model error {until}.")

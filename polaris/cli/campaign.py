@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import shlex
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext
-from enum import StrEnum
-from typing import TYPE_CHECKING, Annotated, Any
+from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import typer
+from typer import Argument, Option
 
 from ..model.errors import ScenarioError
 from .shell import Assignments, Json, Quiet, drawing, finish, print_json, verb
@@ -17,120 +18,96 @@ from .shell import Assignments, Json, Quiet, drawing, finish, print_json, verb
 if TYPE_CHECKING:
     from ..runs.campaign.folder import CampaignFolder
     from ..runs.campaign.plan import CampaignPlan
-    from ..runs.folder import RunFolder
+    from ..runs.campaign.workers import Workers
     from ..runs.stages import Stages
     from ..scenario.scenario import Scenario, ScheduleScenario
 
 
-class Mode(StrEnum):
-    """Who flies."""
+@dataclass
+class Options:
+    """Of ``polaris campaign``."""
 
-    polaris = "polaris"
-    safety = "safety"
-    experimental = "experimental"
+    runs: int | None = Option(None, min=1, help="Runs per case and mode; default 1000 (schedules).")
+    workers: int | None = Option(None, min=1, help="Processes; default one per processor.")
+    scheduler: str | None = Option(None, metavar="tcp://HOST:PORT", help="Fly on a Dask cluster instead.")
+    seed: int | None = Option(None, min=0, help="Same seed, same runs; default 0.")
+    grid: list[str] = Option([], metavar="KEY=V1,V2,...", help="Values to combine; repeatable.")
+    assignments: Assignments = None
+    mode: list[str] = Option([], help="Who flies: polaris (default), safety, experimental; repeatable.")
+    out: str | None = Option(None, metavar="DIR", help="Folder; default runs/<scenario>-campaign.")
+    batch: int | None = Option(None, min=1, help="Runs per task; default 250.")
+    initial: str | None = Option(None, help="Initial states: mixed (default), random, corners, center.")
+    disturbance: str | None = Option(None, help="Disturbances: mixed (default), random, worst, none.")
+    worst: int = Option(5, min=0, help="Worst runs told per case and mode.")
+    resume: bool = Option(
+        True, "--resume/--fresh", help="Fly only what is missing, or replace what is there."
+    )
+    figures: bool = Option(True, help="Draw the figures (inspection only).")
+    as_json: Json = False
+    quiet: Quiet = False
+
+
+SCHEDULES_ONLY = ("seed", "grid", "mode", "batch", "initial", "disturbance")
+"""Options that scenarios of the inspection problem do not have: they say so themselves."""
 
 
 @verb("campaign")
 def campaign_command(
-    scenarios: Annotated[
-        list[str], typer.Argument(metavar="NAME_OR_FILE...", help="Bundled scenarios, or files.")
-    ],
-    runs: Annotated[
-        int | None, typer.Option(min=1, help="Runs per case and mode; default 1000 (schedules).")
-    ] = None,
-    workers: Annotated[int | None, typer.Option(min=1, help="Processes; default one per processor.")] = None,
-    scheduler: Annotated[
-        str | None, typer.Option(metavar="tcp://HOST:PORT", help="Fly on a Dask cluster instead.")
-    ] = None,
-    seed: Annotated[int | None, typer.Option(min=0, help="Same seed, same runs; default 0.")] = None,
-    grid: Annotated[
-        list[str] | None,
-        typer.Option("--grid", metavar="KEY=V1,V2,...", help="Values to combine; repeatable."),
-    ] = None,
-    assignments: Assignments = None,
-    modes: Annotated[
-        list[Mode] | None, typer.Option("--mode", help="Who flies; repeatable; default polaris.")
-    ] = None,
-    out: Annotated[
-        str | None, typer.Option("--out", metavar="DIR", help="Folder; default runs/<scenario>-campaign.")
-    ] = None,
-    batch: Annotated[int | None, typer.Option(min=1, help="Runs per task; default 250.")] = None,
-    initial: Annotated[
-        str | None, typer.Option(help="Initial states: mixed (default), random, corners, center.")
-    ] = None,
-    disturbance: Annotated[
-        str | None, typer.Option(help="Disturbances: mixed (default), random, worst, none.")
-    ] = None,
-    worst: Annotated[int, typer.Option(min=0, help="Worst runs told per case and mode.")] = 5,
-    resume: Annotated[
-        bool, typer.Option("--resume/--fresh", help="Fly only what is missing, or replace what is there.")
-    ] = True,
-    figures: Annotated[
-        bool, typer.Option("--figures/--no-figures", help="Draw the figures (inspection only).")
-    ] = True,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    options: Options,
+    scenarios: list[str] = Argument(..., metavar="NAME_OR_FILE...", help="Bundled scenarios, or files."),
 ) -> int | None:
     """Fly many runs over scenarios and grids of values, and count the violations.
 
     A campaign that was stopped goes on where it was. A scenario of the inspection problem is flown from
     drawn initial conditions under each of its filters instead.
     """
+    from ..runs.campaign.workers import cluster, local
     from ..scenario.scenario import ScheduleScenario, load_scenario
     from .console import ShownStages
 
-    if workers is not None and scheduler is not None:
+    if options.workers is not None and options.scheduler is not None:
         rule = "must not be given with --scheduler: the cluster has its own"
-        raise ScenarioError("--workers", workers, rule)
-    stages, overrides = ShownStages(quiet or as_json), list(assignments or [])
-    own = {
-        "--seed": seed,
-        "--grid": grid,
-        "--mode": modes,
-        "--batch": batch,
-        "--initial": initial,
-        "--disturbance": disturbance,
-    }
-    crew = _flying(workers, scheduler, not resume, stages)
+        raise ScenarioError("--workers", options.workers, rule)
+    stages = ShownStages(options.quiet or options.as_json)
+    scheduler = options.scheduler
+    crew = nullcontext(local(options.workers)) if scheduler is None else cluster(scheduler)
     with stages.stage("load"):
         loaded = [load_scenario(name) for name in scenarios]
     inspected = [one for one in loaded if not isinstance(one, ScheduleScenario)]
     if inspected:
-        _only_inspection(loaded, inspected[0], own)
-        overrides += [f"campaign.runs={runs}"] if runs is not None else []
-        told = _fly_inspection(loaded[0], out, overrides, figures, crew, stages)
-        from .show import show_campaign
-
-        finish(told, show_campaign, figures, as_json, quiet)
+        _fly_inspection(loaded, inspected[0], options, crew, stages)
         return None
     from ..runs.campaign import run_campaign
 
-    plan = _plan(loaded, overrides, runs or 1000, own, stages)
-    with crew as options:
-        folder = run_campaign(plan, out or _default_folder(plan), worst=worst, **options)
-    return _finish(folder, as_json, quiet)
+    plan = _plan(loaded, options, stages)
+    names = {case.scenario for case in plan.cases}
+    out = options.out or (f"runs/{names.pop()}-campaign" if len(names) == 1 else "runs/campaign")
+    with crew as executor, stages.stage("runs"):
+        stages.note("waiting for the first batch")
+        progress, fresh = stages.counting("{:,} of {:,} runs"), not options.resume
+        folder = run_campaign(
+            plan, out, executor=executor, fresh=fresh, worst=options.worst, progress=progress
+        )
+    return _finish(folder, options)
 
 
 @verb("campaign-replay")
 def replay_command(
-    campaign: Annotated[str, typer.Argument(metavar="DIR", help="Folder of a campaign.")],
-    case: Annotated[int | None, typer.Option(min=0, help="Number of the case.")] = None,
-    batch: Annotated[int | None, typer.Option(min=0, help="Number of the batch.")] = None,
-    run: Annotated[int | None, typer.Option(min=0, help="Number of the run in its batch.")] = None,
-    worst: Annotated[
-        int | None,
-        typer.Option(metavar="K", min=1, help="The run that came K-th closest, of the case or of all."),
-    ] = None,
-    mode: Annotated[str | None, typer.Option(help="Who flies; default the first that flew.")] = None,
-    out: Annotated[
-        str | None, typer.Option("--out", metavar="FILE", help="Trajectory, as .csv or .npz.")
-    ] = None,
+    campaign: str = Argument(..., metavar="DIR", help="Folder of a campaign."),
+    case: int | None = Option(None, min=0, help="Number of the case."),
+    batch: int | None = Option(None, min=0, help="Number of the batch."),
+    run: int | None = Option(None, min=0, help="Number of the run in its batch."),
+    worst: int | None = Option(
+        None, metavar="K", min=1, help="The run that came K-th closest, of the case or of all."
+    ),
+    mode: str | None = Option(None, help="Who flies; default the first that flew."),
+    out: str | None = Option(None, metavar="FILE", help="Trajectory, as .csv or .npz."),
     as_json: Json = False,
 ) -> None:
     """Fly one run of a campaign again, bit for bit, and write its trajectory."""
     from ..runs.campaign.folder import read_campaign
     from ..runs.campaign.replay import check_trajectory, find_worst, replay_run
-    from .show.campaign import show_run
+    from .show.schedule import show_run
 
     if out is not None:
         check_trajectory(out)
@@ -152,88 +129,62 @@ def replay_command(
         typer.echo(f"Written: {found.write(out)}", err=True)
 
 
-@contextmanager
-def _flying(
-    workers: int | None, scheduler: str | None, fresh: bool, stages: Stages
-) -> Iterator[dict[str, Any]]:
-    """Options of `run_campaign` while the workers are there."""
-    from ..runs.campaign.drive import time_left
-    from ..runs.campaign.workers import cluster, local
-
-    crew = nullcontext(local(workers)) if scheduler is None else cluster(scheduler)
-    with crew as executor, stages.stage("runs"):
-        stages.note("waiting for the first batch")
-        yield {"executor": executor, "fresh": fresh, "progress": time_left(stages.note)}
-
-
-def _plan(
-    scenarios: Sequence[ScheduleScenario],
-    overrides: Sequence[str],
-    runs: int,
-    own: dict[str, Any],
-    stages: Stages,
-) -> CampaignPlan:
+def _plan(scenarios: Sequence[ScheduleScenario], options: Options, stages: Stages) -> CampaignPlan:
     """The campaign of schedules that the options ask for."""
     from ..runs.campaign import CampaignPlan, ScheduleRuns, make_cases, parse_grid
-    from ..runs.campaign.parts import usable
+    from ..runs.campaign.formats import usable
 
-    given = {name: own[f"--{name}"] for name in ("initial", "disturbance") if own[f"--{name}"]}
-    sized = {"batch": own["--batch"]} if own["--batch"] else {}
+    given = {name: getattr(options, name) for name in ("initial", "disturbance") if getattr(options, name)}
+    sized = {"batch": options.batch} if options.batch else {}
     with stages.stage("cases"):
         usable(ScheduleRuns.formats)
-        cases = make_cases(scenarios, parse_grid(own["--grid"] or []), overrides)
-        modes = tuple(mode.value for mode in own["--mode"] or [Mode.polaris])
-        return CampaignPlan(cases, runs, own["--seed"] or 0, kind=ScheduleRuns(modes, **given), **sized)
-
-
-def _default_folder(plan: CampaignPlan) -> str:
-    names = {case.scenario for case in plan.cases}
-    return f"runs/{names.pop()}-campaign" if len(names) == 1 else "runs/campaign"
+        cases = make_cases(scenarios, parse_grid(options.grid), options.assignments or ())
+        kind = ScheduleRuns(tuple(options.mode or ["polaris"]), **given)
+        return CampaignPlan(cases, options.runs or 1000, options.seed or 0, kind=kind, **sized)
 
 
 def _fly_inspection(
-    scenario: Scenario,
-    out: str | None,
-    overrides: list[str],
-    figures: bool,
-    crew: AbstractContextManager[dict[str, Any]],
+    scenarios: Sequence[Scenario],
+    one: Scenario,
+    options: Options,
+    crew: AbstractContextManager[Workers],
     stages: Stages,
-) -> RunFolder:
-    """Fly the Monte Carlo of a scenario of the inspection problem, and write its run folder."""
-    from ..runs.monte_carlo import run_monte_carlo
-    from ..runs.run import read_run
+) -> None:
+    """Fly a scenario of the inspection problem, alone, and tell what its run folder holds."""
+    from ..runs.run import run
     from ..scenario.scenario import MonteCarloScenario
 
-    if not isinstance(scenario, MonteCarloScenario):
-        raise ScenarioError("scenario", scenario.name, "is one flight: polaris run flies it")
-    scenario = scenario.with_assignments(overrides)
-    with crew as options:
-        flown = run_monte_carlo(out or f"runs/{scenario.name}", scenario, **options)
-    folder, draw = read_run(flown.path), drawing(figures)
-    if draw is not None:
-        with stages.stage("figures"):
-            draw(folder)
-    return folder
-
-
-def _only_inspection(scenarios: Sequence[Scenario], one: Scenario, own: dict[str, Any]) -> None:
-    """Refuse what campaigns of the inspection problem do not have."""
     if len(scenarios) > 1:
         raise ScenarioError("scenario", one.name, "is of the inspection problem: one campaign, one scenario")
-    for option, value in own.items():
+    for name in SCHEDULES_ONLY:
+        value = getattr(options, name)
         if value is not None and value != []:
-            given = [str(item) for item in value] if isinstance(value, list) else value
             rule = f"is for switching schedules; {one.name} says so itself, see --set"
-            raise ScenarioError(option, given, rule)
+            raise ScenarioError(f"--{name}", value, rule)
+    if not isinstance(one, MonteCarloScenario):
+        raise ScenarioError("scenario", one.name, "is one flight: polaris run flies it")
+    overrides = list(options.assignments or [])
+    overrides += [f"campaign.runs={options.runs}"] if options.runs is not None else []
+    with crew as executor:
+        folder = run(
+            one,
+            options.out,
+            overrides=overrides,
+            draw=drawing(options.figures),
+            stages=stages,
+            executor=executor,
+            fresh=not options.resume,
+        )
+    finish(folder, options.figures, options.as_json, options.quiet)
 
 
-def _finish(folder: CampaignFolder, as_json: bool, quiet: bool) -> int:
+def _finish(folder: CampaignFolder, options: Options) -> int:
     """Print the summary; returns the exit code: that of the first case if no case has a schedule."""
     summary = folder.summary
-    if as_json:
+    if options.as_json:
         sys.stdout.write((folder.path / "summary.json").read_text(encoding="utf-8"))
-    elif not quiet:
-        from .show.campaign import show_campaign
+    elif not options.quiet:
+        from .show.schedule import show_campaign
 
         show_campaign(summary, str(folder.path))
         if summary["flown"]:

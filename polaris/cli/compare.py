@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from dataclasses import dataclass
+from typing import Any
 
-import typer
+from typer import Option
 from typer.core import TyperCommand, TyperOption
 
 from ..model.errors import ScenarioError
@@ -26,75 +27,60 @@ class _Compare(TyperCommand):
         super().format_help(ctx, formatter)
 
 
+@dataclass
+class Options:
+    """Of ``polaris compare``."""
+
+    runs: int = Option(50, min=1, help="Runs per method.")
+    seed: int = Option(0, min=0, help="What the runs' conditions are drawn from.")
+    methods: str | None = Option(None, help="Methods by key, separated by commas; default all.")
+    period: float | None = Option(
+        None, help="Time between decisions [s]; default the control period, or about 1 s."
+    )
+    latency: float = Option(0.0, help="Time from measurement to effect of a decision [s].")
+    estimate_error: str | None = Option(
+        None, metavar="E[,E...]", help="Largest error of the state estimate, one number or one per state."
+    )
+    tune: list[str] = Option([], metavar="METHOD.OPTION=VALUE", help="Tune a method; repeatable.")
+    out: str | None = Option(None, metavar="DIR", help="Folder; default runs/<scenario>-comparison.")
+    assignments: Assignments = None
+    figures: Figures = True
+    as_json: Json = False
+    quiet: Quiet = False
+
+
 @verb("compare", cls=_Compare)
-def compare_command(
-    scenario: Name,
-    runs: Annotated[int, typer.Option(min=1, help="Runs per method.")] = 50,
-    seed: Annotated[int, typer.Option(min=0, help="What the runs' conditions are drawn from.")] = 0,
-    methods: Annotated[
-        str | None, typer.Option(help="Methods by key, separated by commas; default all.")
-    ] = None,
-    period: Annotated[
-        float | None,
-        typer.Option(help="Time between decisions [s]; default the control period, or about 1 s."),
-    ] = None,
-    latency: Annotated[float, typer.Option(help="Time from measurement to effect of a decision [s].")] = 0.0,
-    estimate_error: Annotated[
-        str | None,
-        typer.Option(
-            metavar="E[,E...]", help="Largest error of the state estimate, one number or one per state."
-        ),
-    ] = None,
-    tune: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--tune",
-            metavar="METHOD.OPTION=VALUE",
-            help="Tune a method; repeatable.",
-        ),
-    ] = None,
-    out: Annotated[
-        str | None,
-        typer.Option("--out", metavar="DIR", help="Folder; default runs/<scenario>-comparison."),
-    ] = None,
-    assignments: Assignments = None,
-    figures: Figures = True,
-    as_json: Json = False,
-    quiet: Quiet = False,
-) -> None:
+def compare_command(scenario: Name, options: Options) -> None:
     """Fly every run-time assurance method on one scene, under the same disturbances, and compare."""
     from .console import ShownStages
 
-    stages = ShownStages(quiet or as_json)
+    stages = ShownStages(options.quiet or options.as_json)
     with stages.stage("load"):
         from ..rta.arena import compare_methods
+        from ..rta.decision_grid import DecisionGrid
         from ..runs.atomic import check_target
         from ..runs.comparison import write_comparison
         from ..scenario.scenario import ScheduleScenario, load_scenario
         from ..synthesis.synthesize import synthesize
-        from .show import show_comparison
 
-        loaded = load_scenario(scenario, assignments or (), only=ScheduleScenario)
-        target = check_target(out if out is not None else f"runs/{loaded.name}-comparison")
-        chosen = None if methods is None else methods.replace(" ", "").split(",")
-        half, tuning = _numbers(estimate_error), _tuning(tune or [])
+        loaded = load_scenario(scenario, options.assignments or (), only=ScheduleScenario)
+        target = check_target(options.out if options.out is not None else f"runs/{loaded.name}-comparison")
+        half, tuning = _numbers(options.estimate_error), _tuning(options.tune)
     with stages.stage("schedule"):
         schedule = synthesize(loaded)
     with stages.stage("flights"):
         comparison = compare_methods(
-            schedule,
-            runs,
-            seed,
-            methods=chosen,
-            period=period,
-            latency=latency,
-            half_widths=half,
+            DecisionGrid.of(schedule, options.period, options.latency, half),
+            options.runs,
+            options.seed,
+            methods=None if options.methods is None else options.methods.replace(" ", "").split(","),
             tuning=tuning,
             progress=lambda key, done, total: stages.note(f"flights: {key}", done, total),
         )
     with stages.stage("folder"):
-        folder = write_comparison(target, loaded, comparison, draw=drawing(figures), stages=stages)
-    finish(folder, show_comparison, True, as_json, quiet)
+        draw = drawing(options.figures)
+        folder = write_comparison(target, loaded, comparison, draw=draw, stages=stages)
+    finish(folder, True, options.as_json, options.quiet)
 
 
 def _numbers(text: str | None) -> Any:

@@ -13,10 +13,14 @@ from rich.text import Text
 from ..runs.stages import Stages
 
 if TYPE_CHECKING:
-    from rich.progress import Progress as Bar
+    from rich.progress import Progress
 
 PATIENCE = 1.0
 """Seconds a stage may take before it is shown."""
+
+
+WINDOW = 3600.0
+"""Seconds over which speed is measured to tell the time left: a batch of a campaign may take minutes."""
 
 
 class ShownStages(Stages):
@@ -32,50 +36,42 @@ class ShownStages(Stages):
         super().__init__()
         self.quiet = quiet
         self.console = Console(stderr=True, highlight=False)
-        self._text, self._done = "", 0
-        self._total: int | None = None
-        self._lock = threading.Lock()
-        self._bar: Bar | None = None
+        self._bar: Progress | None = None
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
         """Time one stage, and show it if it takes long."""
-        with self._lock:
-            self._text, self._done, self._total = name, 0, None
-        timer = threading.Timer(PATIENCE, self._show)
+        self._bar = bar = None if self.quiet or not self.console.is_terminal else self._make_bar(name)
+        timer = threading.Timer(PATIENCE, bar.start if bar else lambda: None)
         timer.daemon = True
-        if not self.quiet and self.console.is_terminal:
-            timer.start()
+        timer.start()
         try:
             with super().stage(name):
                 yield
         finally:
             timer.cancel()
-            with self._lock:
-                if self._bar is not None:
-                    self._bar.stop()
-                    self._bar = None
+            timer.join()
+            if bar is not None:
+                bar.stop()
+            self._bar = None
         if not self.quiet and self.seconds[name] > PATIENCE:
             self.console.print(Text(f"{name}: {self.seconds[name]:.1f} s"))
 
-    def _show(self) -> None:
-        from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+    def _make_bar(self, name: str) -> Progress:
+        from rich import progress
 
         columns = (
-            SpinnerColumn(),
-            TextColumn("{task.description}", markup=False),
-            BarColumn(20),
-            TimeElapsedColumn(),
+            progress.SpinnerColumn(),
+            progress.TextColumn("{task.description}", markup=False),
+            progress.BarColumn(20),
+            progress.TimeElapsedColumn(),
+            progress.TimeRemainingColumn(),
         )
-        with self._lock:
-            if self._bar is None:
-                self._bar = Progress(*columns, console=self.console, transient=True)
-                self._bar.add_task(self._text, total=self._total, completed=self._done)
-                self._bar.start()
+        bar = progress.Progress(*columns, console=self.console, transient=True, speed_estimate_period=WINDOW)
+        bar.add_task(name, total=None)
+        return bar
 
     def note(self, text: str, done: int = 0, total: int | None = None) -> None:
         """Say what the stage is doing, and how far it is if that is known."""
-        with self._lock:
-            self._text, self._done, self._total = text, done, total
-            if self._bar is not None:
-                self._bar.update(self._bar.task_ids[0], description=text, completed=done, total=total)
+        if self._bar is not None:
+            self._bar.update(self._bar.task_ids[0], description=text, completed=done, total=total)

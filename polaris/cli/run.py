@@ -2,77 +2,53 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
-from typing import Annotated, Any
+from typing import Any, Literal
 
 import typer
+from typer import Argument, Option
 
 from .shell import Assignments, Figures, Json, Name, Quiet, drawing, finish, verb
-
-
-class Solver(StrEnum):
-    """Who decides in the planner."""
-
-    facets = "facets"
-    highs = "highs"
-    gurobi = "gurobi"
-
-
-class Kind(StrEnum):
-    """Kinds of recoverable sets."""
-
-    polytope = "polytope"
-    time_varying_ball = "time_varying_ball"
-    ball = "ball"
-    paper_ball = "paper_ball"
 
 
 @verb("run")
 def run(
     scenario: Name,
-    out: Annotated[
-        str | None,
-        typer.Option("--out", metavar="DIR", help="Run folder; default runs/<name of the scenario>."),
-    ] = None,
+    out: str | None = Option(None, metavar="DIR", help="Run folder; default runs/<name of the scenario>."),
     assignments: Assignments = None,
-    solver: Annotated[
-        Solver | None, typer.Option(help="Short for --set planner.solver=...; default facets.")
-    ] = None,
-    recoverable: Annotated[
-        Kind | None,
-        typer.Option(help="Short for --set recoverable.kind=...; with paper_ball nothing is proven."),
-    ] = None,
+    solver: Literal["facets", "highs", "gurobi"] | None = Option(
+        None, help="Short for --set planner.solver=...; default facets."
+    ),
+    recoverable: Literal["polytope", "time_varying_ball", "ball", "paper_ball"] | None = Option(
+        None, help="Short for --set recoverable.kind=...; with paper_ball nothing is proven."
+    ),
     figures: Figures = True,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Synthesise a schedule, prove it, fly it in simulation, and write a run folder.
 
-    A scenario of the inspection problem is flown under its filter instead.
+    A scenario of the inspection problem is flown under its filter instead; many flights, on all processors.
     """
     from .console import ShownStages
 
-    overrides = list(assignments or [])
-    if solver is not None:
-        overrides.append(f"planner.solver={solver.value}")
-    if recoverable is not None:
-        overrides.append(f"recoverable.kind={recoverable.value}")
+    short = {"planner.solver": solver, "recoverable.kind": recoverable}
+    overrides = [*(assignments or []), *(f"{key}={value}" for key, value in short.items() if value)]
     stages = ShownStages(quiet or as_json)
     with stages.stage("load"):
+        from ..runs.campaign.workers import local
         from ..runs.run import run as run_scenario
         from ..scenario.scenario import load_scenario
-        from .show import SUMMARIES
 
         loaded = load_scenario(scenario, overrides)
         if not quiet:
             _tell_doubts(loaded, err=True)
-    folder = run_scenario(loaded, out, draw=drawing(figures), stages=stages)
+    folder = run_scenario(loaded, out, draw=drawing(figures), stages=stages, executor=local())
     if folder.kind.name == "schedule":
         claim, kind = folder.summary["guarantee"]["kind"], folder.summary["synthesis"]["recoverable"]
         if claim != "proved":  # even if asked to be quiet
             warning = "NOTHING IS PROVEN by this run, whatever its simulation shows"
             typer.echo(f"warning: {warning} (recoverable kind {kind}, guarantee {claim})", err=True)
-    finish(folder, SUMMARIES[folder.kind.name], figures, as_json, quiet)
+    finish(folder, figures, as_json, quiet)
 
 
 @verb("check")
@@ -106,9 +82,7 @@ def scenarios() -> None:
 
 @verb("plot")
 def plot(
-    folder: Annotated[
-        str, typer.Argument(metavar="RUN_OR_COMPARISON", help="A run folder, or one of polaris compare.")
-    ],
+    folder: str = Argument(..., metavar="RUN_OR_COMPARISON", help="A run folder, or one of polaris compare."),
     quiet: Quiet = False,
 ) -> None:
     """Redraw the figures of a run folder from its files alone."""
@@ -124,12 +98,8 @@ def plot(
 
 @verb("report")
 def report(
-    folder: Annotated[
-        str, typer.Argument(metavar="RUN_OR_COMPARISON", help="A run folder, or one of polaris compare.")
-    ],
-    out: Annotated[
-        str | None, typer.Option("--out", metavar="FILE.html", help="Default report.html in the folder.")
-    ] = None,
+    folder: str = Argument(..., metavar="RUN_OR_COMPARISON", help="A run folder, or one of polaris compare."),
+    out: str | None = Option(None, metavar="FILE.html", help="Default report.html in the folder."),
     quiet: Quiet = False,
 ) -> None:
     """Write an interactive report: one HTML file that needs no network."""

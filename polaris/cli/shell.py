@@ -6,11 +6,15 @@ import os
 import shlex
 import signal
 import sys
+import traceback
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import fields, is_dataclass
 from functools import wraps
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+from inspect import Parameter, Signature, signature
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn, get_type_hints
 
 import typer
 
@@ -43,20 +47,14 @@ def complete_scenario(incomplete: str) -> list[str]:
     from ..scenario.scenario import bundled_files
 
     names = [name for name in bundled_files() if name.startswith(incomplete)]
-    folder, _, start = incomplete.rpartition("/")
+    folder, slash, start = incomplete.rpartition("/")
     try:
-        here = sorted(
-            os.scandir(folder or ("/" if incomplete.startswith("/") else ".")), key=lambda one: one.name
-        )
+        here = sorted(Path(folder + slash or ".").iterdir())
     except OSError:
         return names
-    prefix = incomplete[: len(incomplete) - len(start)]
-    files = [
-        f"{prefix}{one.name}{'/' if one.is_dir() else ''}"
-        for one in here
-        if one.name.startswith(start) and (one.is_dir() or one.name.endswith(".toml")) and one.name[0] != "."
-    ]
-    return names + files
+    fitting = [one for one in here if one.name.startswith(start) and one.name[0] != "."]
+    files = [one for one in fitting if one.is_dir() or one.suffix == ".toml"]
+    return names + [f"{folder}{slash}{one.name}{'/' if one.is_dir() else ''}" for one in files]
 
 
 Name = Annotated[
@@ -103,16 +101,32 @@ def main(
 
 
 def verb(name: str, **how: Any) -> Callable[[Callable[..., int | None]], Callable[..., None]]:
-    """Add a verb, `how` as typer takes it; it returns its exit code, or nothing where it went well."""
+    """Add a verb, `how` as typer takes it; it returns its exit code, or nothing where it went well.
+
+    Fields of its parameters that are dataclasses become options of their own.
+    """
 
     def add(work: Callable[..., int | None]) -> Callable[..., None]:
+        hints = get_type_hints(work, include_extras=True)
+        groups: dict[str, Any] = {key: hint for key, hint in hints.items() if is_dataclass(hint)}
+
         @wraps(work)
-        def guarded(*args: Any, **options: Any) -> None:
+        def guarded(**given: Any) -> None:
+            for key, group in groups.items():
+                given[key] = group(**{one.name: given.pop(one.name) for one in fields(group)})
             with answering():
-                code = work(*args, **options)
+                code = work(**given)
             if code:
                 raise typer.Exit(code)
 
+        told: list[Parameter] = []
+        for key, one in signature(work).parameters.items():
+            group = groups.get(key)
+            types = get_type_hints(group, include_extras=True) if group else hints
+            for item in fields(group) if group else [one]:
+                how_told = {"default": item.default, "annotation": types[item.name]}
+                told.append(Parameter(item.name, Parameter.KEYWORD_ONLY, **how_told))
+        vars(guarded)["__signature__"] = Signature(told)
         app.command(name, **how)(guarded)
         return guarded
 
@@ -135,14 +149,14 @@ def print_json(data: object) -> None:
     sys.stdout.write(json_text(data))
 
 
-def finish(
-    folder: RunFolder, show: Callable[[Any, str], None], figures: bool, as_json: bool, quiet: bool
-) -> None:
+def finish(folder: RunFolder, figures: bool, as_json: bool, quiet: bool) -> None:
     """Tell what a run folder holds: its summary as JSON or as text, and how to draw what was not drawn."""
     if as_json:
         sys.stdout.write((folder.path / folder.kind.summary).read_text(encoding="utf-8"))
     elif not quiet:
-        show(folder.summary, str(folder.path))
+        from .show import SUMMARIES
+
+        SUMMARIES[folder.kind.name](folder.summary, str(folder.path))
         if not figures:
             typer.echo(f"To draw the figures: polaris plot {shlex.quote(str(folder.path))}")
 
@@ -208,10 +222,8 @@ def _terminated(number: int, frame: Any) -> NoReturn:
 
 
 def _where(error: BaseException) -> str:
-    trace = error.__traceback__
-    while trace is not None and trace.tb_next is not None:
-        trace = trace.tb_next
-    return f"{trace.tb_frame.f_globals.get('__name__', '?')}:{trace.tb_lineno}" if trace else "?"
+    *_, (frame, line) = traceback.walk_tb(error.__traceback__)
+    return f"{frame.f_globals.get('__name__', '?')}:{line}"
 
 
 def _fail(message: str, code: int) -> NoReturn:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -28,70 +29,54 @@ BLOCK = 1024
 
 
 class Approach(NamedTuple):
-    """Closest approaches.
-
-    Attributes
-    ----------
-    distance : ndarray, shape (...)
-        Least distance from the origin [m].
-    when : ndarray, shape (...)
-        Time of flight at which it is reached [s].
-    place : ndarray, shape (..., 3)
-        Position there [m].
-    """
+    """Closest approaches: distances from the origin [m], times of flight [s], positions (..., 3) [m]."""
 
     distance: Array
     when: Array
     place: Array
 
 
+def flight_parts(z: Array, n: float) -> Array:
+    """Vectors a to d of ``p(t) = a + b t + c cos(n t) + d sin(n t)`` (eq. 20), (4, F, 3)."""
+    x, y, zz, vx, vy, vz = z.T
+    o = np.zeros_like(x)
+    parts = (
+        (4 * x + 2 / n * vy, y - 2 / n * vx, o),
+        (o, -6 * n * x - 3 * vy, o),
+        (-3 * x - 2 / n * vy, 2 / n * vx, zz),
+        (vx / n, 6 * x + 4 / n * vy, vz / n),
+    )
+    return np.stack([np.stack(part, axis=-1) for part in parts])
+
+
+def flown(parts: Array, n: float, t: Array) -> tuple[Array, Array, Array]:
+    """Position, velocity and acceleration, (F, 3) each, of free flights (4, F, 3) at times t (F,)."""
+    a, b, c, d = parts
+    t = t[:, None]
+    sine, cosine = np.sin(n * t), np.cos(n * t)
+    circle = c * cosine + d * sine
+    return a + b * t + circle, b + n * (d * cosine - c * sine), -(n**2) * circle
+
+
 def circle_map(n: float) -> Array:
-    """The matrix from a state to the vectors c, d of ``p(t) = a + b t + c cos(n t) + d sin(n t)``, (6, 6).
+    """The matrix from a state to the vectors c, d of `flight_parts`, shape (6, 6).
 
     Its norm at a state, the amplitude of the flight, is the same all along the flight. The acceleration is
     ``-n^2 (c cos + d sin)``, hence at most n^2 times the amplitude; each further derivative has one more n.
     """
-    flights = FreeFlight(np.eye(6), n)
-    return np.concatenate([flights.c.T, flights.d.T])
+    _, _, c, d = flight_parts(np.eye(6), n)
+    return np.concatenate([c.T, d.T])
 
 
-class FreeFlight:
-    """Free flights in closed form (eq. 20): ``p(t) = a + b t + c cos(n t) + d sin(n t)``."""
-
-    def __init__(self, z: Array, n: float) -> None:
-        x, y, zz, vx, vy, vz = z.T
-        o = np.zeros_like(x)
-        self.n = n
-        self.a = np.stack([4 * x + 2 / n * vy, y - 2 / n * vx, o], axis=-1)
-        self.b = np.stack([o, -6 * n * x - 3 * vy, o], axis=-1)
-        self.c = np.stack([-3 * x - 2 / n * vy, 2 / n * vx, zz], axis=-1)
-        self.d = np.stack([vx / n, 6 * x + 4 / n * vy, vz / n], axis=-1)
-
-    def __getitem__(self, chosen: NDArray[np.intp] | NDArray[np.bool_]) -> FreeFlight:
-        """Some of the flights."""
-        some = object.__new__(FreeFlight)
-        some.n, some.a, some.b = self.n, self.a[chosen], self.b[chosen]
-        some.c, some.d = self.c[chosen], self.d[chosen]
-        return some
-
-    def __call__(self, t: Array) -> tuple[Array, Array, Array]:
-        """Position, velocity and acceleration at the time t of each flight."""
-        s, c = np.sin(self.n * t)[:, None], np.cos(self.n * t)[:, None]
-        circle = self.c * c + self.d * s
-        across = self.d * c - self.c * s
-        return self.a + self.b * t[:, None] + circle, self.b + self.n * across, -(self.n**2) * circle
+def map_norms(maps: Array) -> tuple[Array, Array]:
+    """2-norms, shape (S,), of the halves of maps of shape (S, 3, 6): by a position, by a velocity."""
+    position, velocity = (np.linalg.norm(part, 2, axis=(1, 2)) for part in (maps[..., :3], maps[..., 3:]))
+    return np.asarray(position), np.asarray(velocity)
 
 
-class _Ends(NamedTuple):
-    """Half the squared distance, its rate and its bend at one end of each segment."""
-
-    half: Array
-    rate: Array
-    bend: Array
-
-    @staticmethod
-    def of(p: Array, v: Array, w: Array) -> _Ends:
-        return _Ends(dot(p, p) / 2, dot(p, v), dot(v, v) + dot(p, w))
+def _ends(p: Array, v: Array, w: Array) -> Array:
+    """Half the squared distance, its rate and its bend, shape (3, F)."""
+    return np.stack([dot(p, p) / 2, dot(p, v), dot(v, v) + dot(p, w)])
 
 
 class ClosestApproach:
@@ -104,12 +89,7 @@ class ClosestApproach:
     segment is halved until it is, or until a cubic through the ends, off by at most
     ``L^4 / 384 max |q''''|``, shows that nothing is missed by more than `TOLERANCE`.
 
-    Parameters
-    ----------
-    mean_motion : float
-        n [rad/s].
-    duration : float
-        T [s], at most half an orbit.
+    The mean motion n is in rad/s, T (at most half an orbit) in s.
 
     Attributes
     ----------
@@ -132,8 +112,7 @@ class ClosestApproach:
         self.positions = np.ascontiguousarray(transitions[:, :3].reshape(-1, 6).T)
         self.velocities = np.ascontiguousarray(transitions[:, 3:].reshape(-1, 6).T)
         self._circle = np.ascontiguousarray(circle_map(mean_motion).T)
-        units = FreeFlight(np.eye(6), mean_motion)
-        self.parts = tuple(np.ascontiguousarray(part.T) for part in (units.a, units.b, units.c, units.d))
+        self.parts = tuple(np.ascontiguousarray(part.T) for part in flight_parts(np.eye(6), mean_motion))
         # The maps change by at most 6 n^2 and 4 n per second, and every time is within half a segment of an
         # instant.
         per_metre, per_speed = map_norms(transitions[:, 3:])
@@ -143,14 +122,9 @@ class ClosestApproach:
         )
 
     def __call__(self, z: Array, beyond: float = np.inf) -> Approach:
-        """Find the closest approach of every flight.
+        """Find the closest approach of every flight from states (..., 6).
 
-        Parameters
-        ----------
-        z : ndarray, shape (..., 6)
-            States at the start.
-        beyond : float
-            Distances larger than this need not be exact: they may come out smaller, but not below it.
+        Distances larger than `beyond` [m] need not be exact: they may come out smaller, but not below it.
         """
         flat, shape = z.reshape(-1, 6), z.shape[:-1]
         found = [self._block(flat[k : k + BLOCK], beyond) for k in range(0, max(len(flat), 1), BLOCK)]
@@ -163,25 +137,20 @@ class ClosestApproach:
         nearest = squares.argmin(axis=1)
         every = np.arange(len(z))
         found = Approach(np.sqrt(squares[every, nearest]), self.times[nearest], places[every, nearest])
-        if beyond == np.inf:
-            self._refine(z, places, squares, found)
-            return found
         gain_p, gain_v = self.speed_gain
         squared = z * z
         speed = gain_p * np.sqrt(squared[:, :3].sum(axis=1)) + gain_v * np.sqrt(squared[:, 3:].sum(axis=1))
         bound = found.distance - speed * (self.times[1] / 2)
         far = bound > beyond
         near = np.flatnonzero(~far)
+        some = near if far.any() else slice(None)  # a view is quicker than a copy
         if len(near):
-            some = Approach(*(part[near] for part in found))
-            self._refine(z[near], places[near], squares[near], some)
-            for part, new in zip(found, some, strict=True):
-                part[near] = new
+            self._refine(z[some], places[some], squares[some], found, near)
         found.distance[far] = bound[far]
         return found
 
-    def _refine(self, z: Array, places: Array, squares: Array, found: Approach) -> None:
-        """Lower the distances to their infima, in place."""
+    def _refine(self, z: Array, places: Array, squares: Array, found: Approach, at: NDArray[np.intp]) -> None:
+        """Lower the distances found for these flights, which are at these places, to their infima."""
         n, length = self.mean_motion, self.times[1]
         rates = dot(places, (z @ self.velocities).reshape(places.shape))
         circle = z @ self._circle
@@ -195,60 +164,63 @@ class ClosestApproach:
         row, segment = np.nonzero(low)
         if not len(row):
             return
-        flight, start, end = FreeFlight(z[row], n), self.times[segment], self.times[segment + 1]
+        parts, start, end = flight_parts(z[row], n), self.times[segment], self.times[segment + 1]
         pull = pull[row]
-        first, last = flight(start), flight(end)
+        first, last = flown(parts, n, start), flown(parts, n, end)
         speed = np.sqrt(np.maximum(dot(first[1], first[1]), dot(last[1], last[1]))) + pull * (length / 2)
         reach = np.sqrt(squares.max(axis=1))[row] + bow[row]
         quartic = pull * (3 * pull + n * (4 * speed + n * reach))  # bound on |q''''|
-        _Search(found, row, flight, quartic).run(start, end, _Ends.of(*first), _Ends.of(*last))
+        _Search(found, at[row], parts, n, quartic).run(start, end, _ends(*first), _ends(*last))
 
 
+@dataclass(frozen=True, eq=False)
 class _Search:
-    """Segments of flights on which the distance may fall below the least one found so far."""
+    """Segments of flights on which the distance may fall below the least one found so far.
 
-    def __init__(self, found: Approach, row: NDArray[np.intp], flight: FreeFlight, quartic: Array) -> None:
-        self.found, self.row, self.flight, self.quartic = found, row, flight, quartic
+    Of each: the flight's row in what was `found`, its `parts`, the bound on ``q''''``.
+    """
 
-    def run(self, start: Array, end: Array, first: _Ends, last: _Ends) -> None:
+    found: Approach
+    row: NDArray[np.intp]
+    parts: Array
+    n: float
+    quartic: Array
+
+    def run(self, start: Array, end: Array, first: Array, last: Array) -> None:
         """Search the segments, one for each row; all of the same length."""
         index = np.arange(len(self.row))
         for _ in range(HALVINGS):
             length = float(end[0] - start[0])
+            (half_1, rate_1, bend_1), (half_2, rate_2, bend_2) = first, last
             doubt = self.quartic[index] * (length**2 / 8)  # of the bend, between the ends
-            convex = np.minimum(first.bend, last.bend) > doubt
-            dip = convex & (first.rate < 0) & (last.rate > 0)
+            convex = np.minimum(bend_1, bend_2) > doubt
+            dip = convex & (rate_1 < 0) & (rate_2 > 0)
             if dip.any():
-                guess = start[dip] + length * first.rate[dip] / (first.rate[dip] - last.rate[dip])
+                guess = start[dip] + length * rate_1[dip] / (rate_1[dip] - rate_2[dip])
                 self._newton(index[dip], start[dip], end[dip], guess)
             # The cubic through values and rates at the ends is at least its least Bezier coefficient.
             third = length / 3
-            least = np.minimum(first.half, last.half)
-            least = np.minimum(
-                least, np.minimum(first.half + first.rate * third, last.half - last.rate * third)
-            )
-            least = least - self.quartic[index] * (length**4 / 384)
+            corners = (half_1, half_2, half_1 + rate_1 * third, half_2 - rate_2 * third)
+            least = np.min(corners, axis=0) - self.quartic[index] * (length**4 / 384)
             goal = np.maximum(self.found.distance[self.row[index]] - TOLERANCE, 0.0)
             open_ = np.flatnonzero(~convex & (least < goal**2 / 2))
             if not len(open_):
                 return
             index, start, end = index[open_], start[open_], end[open_]
-            first, last = _Ends(*(e[open_] for e in first)), _Ends(*(e[open_] for e in last))
             middle = (start + end) / 2
-            flown = self.flight[index](middle)
-            self._keep(index, middle, flown[0])
-            halves = _Ends.of(*flown)
+            there = flown(np.take(self.parts, index, axis=1), self.n, middle)
+            self._keep(index, middle, there[0])
+            halves = _ends(*there)
+            first = np.concatenate([first[:, open_], halves], axis=1)
+            last = np.concatenate([halves, last[:, open_]], axis=1)
             index = np.concatenate([index, index])
             start, end = np.concatenate([start, middle]), np.concatenate([middle, end])
-            first = _Ends(*(np.concatenate(e) for e in zip(first, halves, strict=True)))
-            last = _Ends(*(np.concatenate(e) for e in zip(halves, last, strict=True)))
 
     def _newton(self, index: NDArray[np.intp], low: Array, high: Array, at: Array) -> None:
         """Minimum of a convex q between two times, where its rate changes its sign."""
-        flight = self.flight[index]
+        parts = np.take(self.parts, index, axis=1)
         for _ in range(NEWTON):
-            p, v, w = flight(at)
-            rate, bend = dot(p, v), dot(v, v) + dot(p, w)
+            _, rate, bend = _ends(*flown(parts, self.n, at))
             low, high = np.where(rate < 0, at, low), np.where(rate < 0, high, at)
             step = at - rate / np.where(bend > 0, bend, 1.0)
             after = np.where((bend > 0) & (step >= low) & (step <= high), step, (low + high) / 2)
@@ -256,7 +228,7 @@ class _Search:
             at = after
             if moved < 1e-7:
                 break
-        self._keep(index, at, flight(at)[0])
+        self._keep(index, at, flown(parts, self.n, at)[0])
 
     def _keep(self, index: NDArray[np.intp], when: Array, place: Array) -> None:
         """Write down what is nearer than what was known."""
@@ -265,9 +237,3 @@ class _Search:
         better = np.flatnonzero(distance < found.distance[row])
         for k in better[np.argsort(-distance[better])]:  # the least of a flight is written last
             found.distance[row[k]], found.when[row[k]], found.place[row[k]] = distance[k], when[k], place[k]
-
-
-def map_norms(maps: Array) -> tuple[Array, Array]:
-    """2-norms, shape (S,), of the halves of maps of shape (S, 3, 6): by a position, by a velocity."""
-    position, velocity = (np.linalg.norm(part, 2, axis=(1, 2)) for part in (maps[..., :3], maps[..., 3:]))
-    return np.asarray(position), np.asarray(velocity)

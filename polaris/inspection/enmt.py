@@ -39,18 +39,10 @@ def semi_axes(x: Array, n: float) -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class Ellipses:
-    """The closed eNMTs among which one is chosen.
+    """The closed eNMTs among which one is chosen, at a mean motion [rad/s].
 
-    Parameters
-    ----------
-    mean_motion : float
-        n [rad/s].
-    least : float
-        Least semi-minor axis [m], > 0: no point of the trajectory is nearer to the chief.
-    largest : float
-        Largest semi-minor axis [m]; half the largest distance in the plane.
-    cross_track : float
-        Largest amplitude cross-track [m].
+    Their semi-minor axes are between `least` [m], > 0 (no point of the trajectory is nearer to the chief),
+    and `largest` [m], half the largest distance in the plane; their amplitude `cross_track` [m] is bounded.
 
     Raises
     ------
@@ -74,31 +66,18 @@ class Ellipses:
             raise ScenarioError("largest", self.largest, rule)
 
     @classmethod
-    def of(cls, inspection: Inspection, keep_in: bool = True) -> Ellipses:
-        """Those that keep clear of the chief by half the separation again.
+    def of(cls, inspection: Inspection) -> Ellipses:
+        """Those that keep clear of the chief by half the separation again, within r_max and the speed limits.
 
-        Parameters
-        ----------
-        inspection : Inspection
-        keep_in : bool
-            Also within r_max (``4 a^2 + c^2 <= r_max^2``) and the velocity limits (``2 n a``, ``n c``).
+        That is ``4 a^2 + c^2 <= r_max^2``, and ``2 n a`` and ``n c`` are at most v_max.
         """
         q = inspection
-        least = 1.5 * q.separation
-        if not keep_in:
-            return cls(q.mean_motion, least)
         span = min(q.distance_max / np.sqrt(2), q.speed_max / q.mean_motion)
-        return cls(q.mean_motion, least, span / 2, span)
+        return cls(q.mean_motion, 1.5 * q.separation, span / 2, span)
 
     @classmethod
     def fitting(cls, inspection: Inspection, given: Ellipses | None) -> Ellipses:
-        """Those given, or the usual ones; refused if they are of another orbit than the problem.
-
-        Raises
-        ------
-        ScenarioError
-            If the mean motions differ: about another orbit they are no free flights.
-        """
+        """Those given, or the usual ones; a ScenarioError if for another orbit: there they are no flights."""
         if given is None:
             return cls.of(inspection)
         if given.mean_motion != inspection.mean_motion:
@@ -107,22 +86,13 @@ class Ellipses:
         return given
 
     def nearest(self, x: Array) -> Array:
-        """State on an eNMT within the limits that is nearest to a state.
+        """State on an eNMT within the limits that is nearest to a state, shapes (..., 6) [m, m/s].
 
         Nearest in the norm whose square is ``dx^2 + (dy/2)^2 + dz^2 + (dv_z/n)^2``: the velocity in the
         plane does not weigh, because it is what a short manoeuvre changes at once. In these coordinates
         the limits are rings about the origin, and the nearest point is found in closed form: the same
         direction, the length brought into its limits. At the very centre every direction is as near: ahead
         of the chief (+y) is taken there. Without limits this is eq. 41.
-
-        Parameters
-        ----------
-        x : ndarray, shape (..., 6)
-            States in Hill's frame [m, m/s].
-
-        Returns
-        -------
-        ndarray, shape (..., 6)
         """
         a, c = semi_axes(x, self.mean_motion)
         return self._scaled(x, a, np.clip(a, self.least, self.largest), c, np.minimum(c, self.cross_track))
@@ -155,46 +125,30 @@ class Ellipses:
 
     def inside_slope(self, x: Array) -> Array:
         """Derivative of `inside`, shape (..., 6, 6), where it has one (not on the limits themselves)."""
-        a, c = semi_axes(x, self.mean_motion)
-        n = self.mean_motion
-        aim, across = self._aims(a, c)
-        safe = np.where(a > 0, a, 1.0)
-        ring = _radial_slope(
-            np.stack([x[..., 0], x[..., 1] / 2], axis=-1) / safe[..., None], aim, safe, aim != a
-        )
-        safe = np.where(c > 0, c, 1.0)
-        unit = np.stack([x[..., 2], x[..., 5] / n], axis=-1) / safe[..., None]
-        wave = _radial_slope(unit, across, safe, across != c)
+        n, axes = self.mean_motion, semi_axes(x, self.mean_motion)
+        # Coordinates in which the limits are rings, and the state on an eNMT as a function of them.
+        into, back = np.zeros((2, 2, 6)), np.zeros((2, 6, 2))
+        into[0, 0, 0], into[0, 1, 1], into[1, 0, 2], into[1, 1, 5] = 1.0, 0.5, 1.0, 1 / n
+        back[0, 0, 0], back[0, 1, 1], back[0, 3, 1], back[0, 4, 0] = 1.0, 2.0, n, -2 * n
+        back[1, 2, 0], back[1, 5, 1] = 1.0, n
         out = np.zeros((*x.shape, 6))
-        out[..., 0, 0], out[..., 0, 1] = ring[..., 0, 0], ring[..., 0, 1] / 2
-        out[..., 1, 0], out[..., 1, 1] = 2 * ring[..., 1, 0], ring[..., 1, 1]
-        out[..., 3, :], out[..., 4, :] = n / 2 * out[..., 1, :], -2 * n * out[..., 0, :]
-        out[..., 2, 2], out[..., 2, 5] = wave[..., 0, 0], wave[..., 0, 1] / n
-        out[..., 5, 2], out[..., 5, 5] = n * wave[..., 1, 0], wave[..., 1, 1]
+        for part, length, aim in zip(range(2), axes, self._aims(*axes), strict=True):
+            safe = np.where(length > 0, length, 1.0)
+            unit = x @ into[part].T / safe[..., None]
+            across = np.eye(2) - unit[..., :, None] * unit[..., None, :]
+            moved = np.where(
+                (aim != length)[..., None, None], (aim / safe)[..., None, None] * across, np.eye(2)
+            )
+            out += back[part] @ moved @ into[part]
         return out
 
 
-def _radial_slope(unit: Array, aim: Array, length: Array, fixed: Array) -> Array:
-    """Derivative of ``aim unit`` (fixed) or of the identity, shape (..., 2, 2)."""
-    eye = np.eye(2)
-    across = eye - unit[..., :, None] * unit[..., None, :]
-    return np.asarray(np.where(fixed[..., None, None], (aim / length)[..., None, None] * across, eye))
-
-
 def stopping_point(x: Array, n: float, acceleration: float) -> Array:
-    """States moved to where braking with `acceleration` [m/s^2] per axis brings the velocity error to zero.
+    """States (..., 6) moved to where braking with `acceleration` [m/s^2] per axis ends the velocity error.
 
     The position moves by ``e |e| / (2 acceleration)`` per axis of the plane, the velocity error of the
     result is zero, and the cross-track motion stays as it is. An estimate (exact without gravity): for
     choosing a reference that needs no return.
-
-    Parameters
-    ----------
-    x : ndarray, shape (..., 6)
-
-    Returns
-    -------
-    ndarray, shape (..., 6)
     """
     e = velocity_error(x, n)
     out = np.array(x)

@@ -14,7 +14,7 @@ from reach.numerics.linear import discretize
 from ..model.checks import number, positive, whole
 from ..model.errors import ScenarioError
 from ..model.hill import clohessy_wiltshire
-from ..model.system import Array
+from ..model.system import Array, LinearSystem
 from .vectors import CENTRE
 
 MOST_DEPUTIES = 50
@@ -60,7 +60,7 @@ class Inspection:
         Thrust limit u_max per axis [N].
     smoothing : float
         Depth [m] of the layer beside each boundary in which the square roots of eqs. 29, 30, 35 and 36
-        are replaced by a line; see `polaris.inspection.braking.Braking`. It costs half of it in distance.
+        are replaced by a line; it costs half of it in distance.
 
     Raises
     ------
@@ -174,7 +174,7 @@ class Inspection:
 
     @property
     def return_speed(self) -> float:
-        """Fastest way back that is asked for from outside [m/s]; see `polaris.inspection.braking.Braking`.
+        """Fastest way back that is asked for from outside [m/s].
 
         The least speed allowed anywhere, so that going back breaks no other speed limit.
         """
@@ -186,14 +186,14 @@ class Inspection:
         return np.array(list(combinations(range(self.deputies), 2)), dtype=np.intp).reshape(-1, 2)
 
     @cached_property
-    def A(self) -> Array:
-        """State matrix of one deputy (eq. 9), shape (6, 6)."""
-        return clohessy_wiltshire(self.mean_motion, self.mass, self.thrust_max).A
+    def system(self) -> LinearSystem:
+        """Motion of one deputy (eq. 9)."""
+        return clohessy_wiltshire(self.mean_motion, self.mass, self.thrust_max)
 
     def held(self, duration: float) -> tuple[Array, Array]:
         """Exact motion over a time with the thrust held: ``x(t + duration) = Phi x + Gamma u``."""
         number("duration", duration)
-        return discretize(self.A, np.vstack([np.zeros((3, 3)), np.eye(3) / self.mass]), duration)
+        return discretize(self.system.A, self.system.B, duration)
 
     def sun_angle(self, t: ArrayLike, start: ArrayLike = 0.0) -> Array:
         """Angle theta_s of the sun from the x axis [rad] at the time t [s]; it turns at ``-n`` (eq. 11)."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
 
 import numpy as np
@@ -17,33 +18,25 @@ MOST_ROWS = 100
 """Most facets of one polytope: its faces are enumerated for exact distances."""
 
 
-def number(field: str, value: object, rule: str = "must be a finite number") -> float:
-    """Check one finite number."""
+def number(field: str, value: object, rule: str = "must be a finite number", least: float = -np.inf) -> float:
+    """Check one finite number, at least `least`."""
     try:
         result = float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError, OverflowError) as error:
         raise ScenarioError(field, value, rule) from error
-    if isinstance(value, (str, bytes)) or not np.isfinite(result):
+    if isinstance(value, (str, bytes)) or not np.isfinite(result) or result < least:
         raise ScenarioError(field, value, rule)
     return result
 
 
 def positive(field: str, value: object, unit: str) -> float:
     """Check one finite number > 0."""
-    rule = f"must be a finite number > 0 [{unit}]"
-    result = number(field, value, rule)
-    if result <= 0:
-        raise ScenarioError(field, value, rule)
-    return result
+    return number(field, value, f"must be a finite number > 0 [{unit}]", math.ulp(0.0))
 
 
 def non_negative(field: str, value: object, unit: str) -> float:
     """Check one finite number >= 0."""
-    rule = f"must be a finite number >= 0 [{unit}]"
-    result = number(field, value, rule)
-    if result < 0:
-        raise ScenarioError(field, value, rule)
-    return result
+    return number(field, value, f"must be a finite number >= 0 [{unit}]", 0.0)
 
 
 def whole(field: str, value: object, least: int) -> int:

@@ -53,10 +53,9 @@ def signed_distances(
     ndarray, shape (O, ...)
         [m]
     """
-    shape = np.broadcast_shapes(np.shape(t), np.shape(p)[:-1])
-    out = np.empty((len(obstacles), *shape))
+    out = np.empty((len(obstacles), *np.broadcast_shapes(np.shape(t), np.shape(p)[:-1])))
     for o, obstacle in enumerate(obstacles):
-        out[o] = obstacle.signed_distance(t, p, system, _state(states, obstacle))
+        out[o] = obstacle.signed_distance(t, p, system, (states or {}).get(obstacle.name))
     return out
 
 
@@ -84,7 +83,7 @@ def ray_ttc(
     out = np.empty((len(obstacles), *shape))
     t, p, v = (np.asarray(given, dtype=float) for given in (t, p, v))
     for o, obstacle in enumerate(obstacles):
-        state = _state(states, obstacle)
+        state = (states or {}).get(obstacle.name)
         known = None if state is None else np.asarray(state, dtype=float)
         for part in _parts(shape):
             here, at, ray = (_cut(given, n, len(shape), part) for given, n in ((t, 0), (p, 1), (v, 1)))
@@ -105,10 +104,6 @@ def _parts(shape: tuple[int, ...]) -> list[tuple[slice, ...]]:
         return [()]
     step = max(1, TOGETHER // max(1, int(np.prod(shape[1:]))))
     return [(slice(first, first + step),) for first in range(0, shape[0], step)]
-
-
-def _state(states: States | None, obstacle: Obstacle) -> ArrayLike | None:
-    return None if states is None else states.get(obstacle.name)
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,9 +138,8 @@ def closest(distances: ArrayLike, t: ArrayLike) -> Closest:
     """
     values = np.asarray(distances, dtype=float)
     if values.ndim < 2 or values.shape[-1] == 0:
-        raise ScenarioError(
-            "distances", values.shape, "must be (obstacles, ..., times), with at least one time"
-        )
+        rule = "must be (obstacles, ..., times), with at least one time"
+        raise ScenarioError("distances", values.shape, rule)
     runs, times = values.shape[1:-1], np.broadcast_to(np.asarray(t, dtype=float), values.shape[1:])
     if len(values) == 0:
         return Closest(np.full(runs, np.inf), np.full(runs, np.nan), np.full(runs, -1, dtype=np.int64))
@@ -247,8 +241,7 @@ def delta_v(t: ArrayLike, u: ArrayLike, mass: float, norm: int = 1) -> Array:
         raise ScenarioError("norm", norm, "must be 1 or 2")
     inputs = np.asarray(u, dtype=float)
     if inputs.ndim < 2 or inputs.shape[-2] == 0 or not np.all(np.isfinite(inputs)):
-        raise ScenarioError(
-            "u", inputs.shape, "must be finite, shape (..., samples, inputs), at least one sample"
-        )
+        rule = "must be finite, shape (..., samples, inputs), at least one sample"
+        raise ScenarioError("u", inputs.shape, rule)
     size = np.linalg.norm(inputs, ord=norm, axis=-1)
     return np.asarray((size * _durations(t, inputs.shape[-2])).sum(axis=-1) / mass)

@@ -29,18 +29,15 @@ class Drifting(Protocol):
     @property
     def name(self) -> str:
         """What `states` calls it."""
-        ...
 
     @property
     def shape(self) -> Shape:
         """The true set, relative to its origin."""
-        ...
 
     def relative_drift(
         self, t: ArrayLike, x: Array, system: LinearSystem, state: ArrayLike | None = None
     ) -> tuple[Array, Array, Array]:
         """See `polaris.Obstacle.relative_drift`."""
-        ...
 
 
 def drift_ttc(

@@ -65,25 +65,16 @@ def free_flight(mean_motion: float, t: ArrayLike) -> Array:
     eta = mean_motion
     t = np.asarray(t, dtype=float)
     s, c = np.sin(eta * t), np.cos(eta * t)
-    phi = np.zeros((*t.shape, 6, 6))
-    phi[..., 0, 0] = 4 - 3 * c
-    phi[..., 0, 3] = s / eta
-    phi[..., 0, 4] = 2 / eta * (1 - c)
-    phi[..., 1, 0] = 6 * (s - eta * t)
-    phi[..., 1, 1] = 1
-    phi[..., 1, 3] = -2 / eta * (1 - c)
-    phi[..., 1, 4] = (4 * s - 3 * eta * t) / eta
-    phi[..., 2, 2] = c
-    phi[..., 2, 5] = s / eta
-    phi[..., 3, 0] = 3 * eta * s
-    phi[..., 3, 3] = c
-    phi[..., 3, 4] = 2 * s
-    phi[..., 4, 0] = -6 * eta * (1 - c)
-    phi[..., 4, 3] = -2 * s
-    phi[..., 4, 4] = 4 * c - 3
-    phi[..., 5, 2] = -eta * s
-    phi[..., 5, 5] = c
-    return phi
+    o, i = np.zeros(t.shape), np.ones(t.shape)
+    rows = [
+        [4 - 3 * c, o, o, s / eta, 2 / eta * (1 - c), o],
+        [6 * (s - eta * t), i, o, -2 / eta * (1 - c), (4 * s - 3 * eta * t) / eta, o],
+        [o, o, c, o, o, s / eta],
+        [3 * eta * s, o, o, c, 2 * s, o],
+        [-6 * eta * (1 - c), o, o, -2 * s, 4 * c - 3, o],
+        [o, o, -eta * s, o, o, c],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def elliptical_nmt(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -13,7 +13,7 @@ from reach.sets.zonotope import Zonotope
 
 from .checks import MOST_ROWS, number, positive, vector, whole
 from .errors import ScenarioError
-from .obstacle import EXTENT, Anchored, solid
+from .obstacle import Anchored, solid
 from .shapes import Polytope, Shape, _directed, _in_time
 from .system import Array, LinearSystem
 from .timed_polytope import TimedPolytope
@@ -44,16 +44,10 @@ class Outside:
 
 @dataclass(frozen=True, eq=False)
 class OutsideCone:
-    """The closed outside of a solid circular cone, cut at a length along its axis.
+    """The closed outside of a solid circular cone, cut at a length [m] along its axis (inf if not cut).
 
-    Parameters
-    ----------
-    axis : ndarray, shape (d,)
-        Unit vector from the apex (the origin) into the cone; d is 2 or 3.
-    half_angle : float
-        [rad], in (0, pi/2).
-    length : float
-        [m], inf if not cut.
+    The axis is a unit vector from the apex (the origin) into the cone, shape (d,) with d = 2 or 3; the half
+    angle is in (0, pi/2) [rad].
     """
 
     axis: Array
@@ -107,6 +101,11 @@ class KeepIn(Anchored):
     """A set at rest that the chaser must stay inside; what is unsafe is its outside."""
 
     @property
+    def path(self) -> str:
+        """What error messages start with."""
+        return f"keep_in[{self.name!r}]"
+
+    @property
     @abstractmethod
     def inside(self) -> Polytope:
         """Polytope within the set, in absolute position."""
@@ -126,10 +125,6 @@ class KeepIn(Anchored):
             for f in range(len(b))
         )
 
-    def outline(self, t: float, system: LinearSystem | None = None, extent: float = EXTENT) -> Array:
-        """Vertices [m] of the polytope inside, cut to a box of `extent` if it is unbounded."""
-        return self.inside.vertices(extent)
-
 
 @dataclass(frozen=True, eq=False)
 class KeepInPolytope(KeepIn):
@@ -141,18 +136,14 @@ class KeepInPolytope(KeepIn):
         What tables, figures and messages call it.
     H, b : array_like, shapes (F, d) and (F,)
         Facets, b in m per unit of row length; rows are scaled to unit length.
-    path : str
-        What error messages call it, e.g. ``keep_in[0]``.
     """
 
     name: str
     H: ArrayLike
     b: ArrayLike
-    path: str = field(default="", kw_only=True, repr=False)
 
     def __post_init__(self) -> None:
         put = object.__setattr__
-        put(self, "path", self.path or f"keep_in[{self.name!r}]")
         polytope = solid(self.path, self.H, self.b)
         put(self, "H", polytope.H)
         put(self, "b", polytope.b)
@@ -192,8 +183,6 @@ class KeepInCone(KeepIn):
         Sides of the inscribed cone in space, >= 3; the wedge in the plane has two.
     length : float, optional
         Cut at this distance [m] along the axis; default not cut.
-    path : str
-        What error messages call it, e.g. ``keep_in[0]``.
     """
 
     name: str
@@ -202,11 +191,9 @@ class KeepInCone(KeepIn):
     half_angle_rad: float
     facets: int = 12
     length: float | None = None
-    path: str = field(default="", kw_only=True, repr=False)
 
     def __post_init__(self) -> None:
         put = object.__setattr__
-        put(self, "path", self.path or f"keep_in[{self.name!r}]")
         put(self, "apex", vector(f"{self.path}.apex", self.apex))
         if len(self.anchor) == 1:
             raise ScenarioError(f"{self.path}.apex", self.anchor.tolist(), "a cone needs 2 or 3 axes")

@@ -16,19 +16,19 @@ from .system import Array, LinearSystem
 from .timed_polytope import TimedPolytope
 from .tolerances import ROUNDING
 
-EXTENT = 1e4
-"""Half width [m] of the box to which the outline of an unbounded set is cut by default."""
-
 
 class Obstacle(ABC):
     """A set to stay out of: a convex `shape` (possibly the outside of one) carried by a motion.
 
-    Subclasses are frozen dataclasses with a `name` and a `path` ("obstacles[0]"), which error
-    messages start with.
+    Subclasses are frozen dataclasses with a `name`.
     """
 
     name: str
-    path: str
+
+    @property
+    def path(self) -> str:
+        """What error messages start with."""
+        return f"obstacles[{self.name!r}]"
 
     @property
     @abstractmethod
@@ -45,18 +45,20 @@ class Obstacle(ABC):
         """Over-approximation over ``[0, cells * delta]``, cells of `delta` [s]."""
 
     @abstractmethod
+    def motion(
+        self, t: ArrayLike, system: LinearSystem | None = None, state: ArrayLike | None = None
+    ) -> tuple[Array, Array]:
+        """Position [m] and velocity [m/s] of the shape's origin at times t [s], shapes (..., d).
+
+        `system`, or the true `state` (..., n), says where another satellite is; other obstacles need neither.
+        """
+
     def centre(
         self, t: ArrayLike, system: LinearSystem | None = None, state: ArrayLike | None = None
     ) -> Array:
-        """Position [m] of the shape's origin at times t [s], shape (..., d)."""
+        """Position [m] of `motion`."""
+        return self.motion(t, system, state)[0]
 
-    @abstractmethod
-    def velocity_at(
-        self, t: ArrayLike, system: LinearSystem | None = None, state: ArrayLike | None = None
-    ) -> Array:
-        """Velocity [m/s] of the shape's origin at times t [s], shape (..., d)."""
-
-    @abstractmethod
     def relative_drift(
         self, t: ArrayLike, x: Array, system: LinearSystem, state: ArrayLike | None = None
     ) -> tuple[Array, Array, Array]:
@@ -65,18 +67,14 @@ class Obstacle(ABC):
         Returns ``(y, c, v)`` such that the relative position s seconds later is
         ``C e^{A s} y - c - v s``; shapes (..., n), (..., d), (..., d).
         """
-
-    @abstractmethod
-    def outline(self, t: float, system: LinearSystem | None = None, extent: float = EXTENT) -> Array:
-        """Vertices [m] to draw at time t, shape (V, d); cut to a box of `extent` if unbounded."""
+        return x, *self.motion(t, system, state)
 
     def signed_distance(
         self, t: ArrayLike, p: ArrayLike, system: LinearSystem | None = None, state: ArrayLike | None = None
     ) -> Array:
         """Distance [m] from positions p (..., d) at times t (broadcast) to the true unsafe set.
 
-        Positive outside it, negative inside (penetration depth). `system`, or the true `state`
-        (..., n), says where another satellite is; other obstacles need neither.
+        Positive outside it, negative inside (penetration depth). See `motion` for `system` and `state`.
         """
         centre = self.centre(t, system, state)
         return self.shape.signed_distance(self._positions("p", p, centre) - centre)
@@ -93,7 +91,7 @@ class Obstacle(ABC):
 
         Both keep the velocity they have at time t.
         """
-        centre, velocity = self.centre(t, system, state), self.velocity_at(t, system, state)
+        centre, velocity = self.motion(t, system, state)
         p, v = self._positions("p", p, centre), self._positions("v", v, centre)
         return self.shape.entry_time(p - centre, v - velocity)
 
@@ -126,23 +124,12 @@ class Anchored(Obstacle):
     def _v(self) -> Array:
         return np.zeros(len(self.anchor))
 
-    def centre(
+    def motion(
         self, t: ArrayLike, system: LinearSystem | None = None, state: ArrayLike | None = None
-    ) -> Array:
-        """Position [m] at times t [s]."""
-        return self.anchor + np.asarray(t, dtype=float)[..., None] * self._v
-
-    def velocity_at(
-        self, t: ArrayLike, system: LinearSystem | None = None, state: ArrayLike | None = None
-    ) -> Array:
-        """Velocity [m/s], the same at all times."""
-        return np.broadcast_to(self._v, (*np.shape(t), len(self._v)))
-
-    def relative_drift(
-        self, t: ArrayLike, x: Array, system: LinearSystem, state: ArrayLike | None = None
-    ) -> tuple[Array, Array, Array]:
-        """See `Obstacle.relative_drift`."""
-        return x, self.centre(t), self.velocity_at(t)
+    ) -> tuple[Array, Array]:
+        """Position [m] and velocity [m/s], the same at all times."""
+        centre = self.anchor + np.asarray(t, dtype=float)[..., None] * self._v
+        return centre, np.broadcast_to(self._v, centre.shape)
 
 
 class RigidObstacle(Anchored):
@@ -171,11 +158,11 @@ class RigidObstacle(Anchored):
     def _v(self) -> Array:
         return np.zeros(len(self.anchor)) if self.velocity is None else np.asarray(self.velocity, dtype=float)
 
-    def _put(self, path: str, d: int, **fields: object) -> None:
+    def _put(self, d: int, **fields: object) -> None:
         """Set the fields as checked, and check the velocity of an obstacle with d axes."""
         if self.velocity is not None:
-            fields["velocity"] = vector(f"{path}.velocity", self.velocity, d, "the obstacle has axes")
-        for name, value in {"path": path, **fields}.items():
+            fields["velocity"] = vector(f"{self.path}.velocity", self.velocity, d, "the obstacle has axes")
+        for name, value in fields.items():
             object.__setattr__(self, name, value)
 
     def timed_polytopes(self, system: LinearSystem, delta: float, cells: int) -> tuple[TimedPolytope, ...]:
@@ -187,10 +174,6 @@ class RigidObstacle(Anchored):
         nodes = b + normals @ self.anchor + t * (normals @ self._v) + ROUNDING * size
         offsets = np.stack([nodes[:-1], nodes[1:]], axis=1)
         return (TimedPolytope(self.name, normals, offsets, static=not np.any(self._v)),)
-
-    def outline(self, t: float, system: LinearSystem | None = None, extent: float = EXTENT) -> Array:
-        """Vertices [m] of the covering polytope at time t."""
-        return self.cover.vertices(extent) + self.centre(t)
 
 
 def directions(d: int, facets: int | None = None, path: str = "facets") -> Array:

@@ -8,7 +8,7 @@ on and which contain the true set at every instant of every cell, and the true s
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -34,23 +34,19 @@ class BoxObstacle(RigidObstacle):
         Centre at t = 0 and half widths [m], > 0.
     velocity : array_like, shape (d,), optional
         Constant velocity [m/s]; default at rest.
-    path : str
-        What error messages call it, e.g. ``obstacles[0]``.
     """
 
     name: str
     center: ArrayLike
     half_widths: ArrayLike
     velocity: ArrayLike | None = None
-    path: str = field(default="", kw_only=True, repr=False)
 
     def __post_init__(self) -> None:
-        path = self.path or f"obstacles[{self.name!r}]"
-        center = vector(f"{path}.center", self.center)
-        half = vector(f"{path}.half_widths", self.half_widths, len(center), "center has")
+        center = vector(f"{self.path}.center", self.center)
+        half = vector(f"{self.path}.half_widths", self.half_widths, len(center), "center has")
         if np.any(half <= 0):
-            raise ScenarioError(f"{path}.half_widths", half.tolist(), "must all be > 0 [m]")
-        self._put(path, len(center), center=center, half_widths=half)
+            raise ScenarioError(f"{self.path}.half_widths", half.tolist(), "must all be > 0 [m]")
+        self._put(len(center), center=center, half_widths=half)
 
     @cached_property
     def shape(self) -> Box:
@@ -74,8 +70,6 @@ class BallObstacle(RigidObstacle):
         Constant velocity [m/s]; default at rest.
     facets : int, optional
         See `directions`. More facets are tighter and cost the planner more.
-    path : str
-        What error messages call it, e.g. ``obstacles[0]``.
     """
 
     name: str
@@ -83,14 +77,12 @@ class BallObstacle(RigidObstacle):
     radius: float
     velocity: ArrayLike | None = None
     facets: int | None = None
-    path: str = field(default="", kw_only=True, repr=False)
 
     def __post_init__(self) -> None:
-        path = self.path or f"obstacles[{self.name!r}]"
-        center = vector(f"{path}.center", self.center)
-        radius = positive(f"{path}.radius", self.radius, "m")
-        directions(len(center), self.facets, f"{path}.facets")
-        self._put(path, len(center), center=center, radius=radius)
+        center = vector(f"{self.path}.center", self.center)
+        radius = positive(f"{self.path}.radius", self.radius, "m")
+        directions(len(center), self.facets, f"{self.path}.facets")
+        self._put(len(center), center=center, radius=radius)
 
     @cached_property
     def shape(self) -> Ball:
@@ -119,8 +111,6 @@ class PolytopeObstacle(RigidObstacle):
     unbounded : bool
         Must be True for a set that is not bounded (a wall, a wedge): one that is so by a forgotten
         row is refused.
-    path : str
-        What error messages call it, e.g. ``obstacles[0]``.
     """
 
     name: str
@@ -128,14 +118,13 @@ class PolytopeObstacle(RigidObstacle):
     b: ArrayLike
     velocity: ArrayLike | None = None
     unbounded: bool = False
-    path: str = field(default="", kw_only=True, repr=False)
 
     def __post_init__(self) -> None:
-        path = self.path or f"obstacles[{self.name!r}]"
-        polytope = solid(path, self.H, self.b)
+        polytope = solid(self.path, self.H, self.b)
         if not self.unbounded and not polytope.bounded:
-            raise ScenarioError(f"{path}.H", polytope.H.tolist(), "must bound the set (or unbounded = true)")
-        self._put(path, polytope.d, H=polytope.H, b=polytope.b)
+            rule = "must bound the set (or unbounded = true)"
+            raise ScenarioError(f"{self.path}.H", polytope.H.tolist(), rule)
+        self._put(polytope.d, H=polytope.H, b=polytope.b)
 
     @cached_property
     def shape(self) -> Polytope:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -15,7 +15,7 @@ from reach.numerics.linear import discretize, growth, powers
 
 from .checks import non_negative, positive, vector
 from .errors import ScenarioError
-from .obstacle import EXTENT, Obstacle, directions
+from .obstacle import Obstacle, directions
 from .shapes import Ball, Polytope
 from .system import Array, LinearSystem, as_finite
 from .timed_polytope import TimedPolytope
@@ -47,8 +47,6 @@ class SatelliteObstacle(Obstacle):
         second order); 0 for free motion.
     facets : int, optional
         See `directions`.
-    path : str
-        What error messages call it, e.g. ``obstacles[0]``.
     """
 
     name: str
@@ -57,11 +55,9 @@ class SatelliteObstacle(Obstacle):
     radius: float
     thrust_accel_max: float = 0.0
     facets: int | None = None
-    path: str = field(default="", kw_only=True, repr=False)
 
     def __post_init__(self) -> None:
         put = object.__setattr__
-        put(self, "path", self.path or f"obstacles[{self.name!r}]")
         put(self, "state", as_finite(f"{self.path}.state", self.state, 1))
         half = vector(f"{self.path}.state_half_widths", self.state_half_widths, len(self._x0), "state has")
         if np.any(half < 0):
@@ -85,21 +81,18 @@ class SatelliteObstacle(Obstacle):
         """The ball."""
         return self.shape
 
-    # -- the over-approximation -------------------------------------------------------------------
-
     def timed_polytopes(self, system: LinearSystem, delta: float, cells: int) -> tuple[TimedPolytope, ...]:
         """One timed polytope; offsets cover the whole of every cell (see `_cover`)."""
         self._check_cells(system, delta, cells, system.d)
         self._fits(system)
-        normals = directions(system.d, self.facets, f"{self.path}.facets")
-        wanted, parts = max(1e-3, 1e-4 * self.radius), 1
+        normals = self._normals(system)
+        wanted, parts, bow = max(1e-3, 1e-4 * self.radius), 1, np.inf
         rule = f"must stay finite when propagated over {cells * delta:g} s"
         try:
             with np.errstate(over="ignore", invalid="ignore"):
-                offsets, bow = self._cover(system, normals, delta, cells, parts)
-                while not bow <= wanted and parts < MOST_PARTS:
-                    parts *= 2
+                while not bow <= wanted and parts <= MOST_PARTS:
                     offsets, bow = self._cover(system, normals, delta, cells, parts)
+                    parts *= 2
         except Unresolved as error:  # beyond floating point
             raise ScenarioError(f"{self.path}.state", self._x0.tolist(), rule) from error
         if not np.all(np.isfinite(offsets)):
@@ -133,17 +126,16 @@ class SatelliteObstacle(Obstacle):
         for M, accel in self.pushes(system):
             rate = accel * np.linalg.norm(rows @ M, axis=-1)
             excess = h**3 / 12 * accel * np.linalg.norm(bent @ np.abs(M), axis=-1)
-            gained = np.cumsum(
-                (h / 2 * (rate[:, :-1] + rate[:, 1:]) + excess).reshape(-1, len(normals)), axis=0
-            )
-            gained = np.vstack([np.zeros(len(normals)), gained])
+            each = (h / 2 * (rate[:, :-1] + rate[:, 1:]) + excess).reshape(-1, len(normals))
+            gained = np.vstack([np.zeros(len(normals)), np.cumsum(each, axis=0)])
             steps = np.arange(cells)[:, None] * parts + np.arange(parts + 1)
             node = node + gained[steps]
             size = size + gained[steps]
             bow = bow + h / 8 * np.maximum(rate[:, :-1] - rate[:, 1:], 0.0) + excess
-        lifted = node + ROUNDING * size
+        node = node + ROUNDING * size
+        lifted = node.copy()
         lifted[:, :-1] += bow
-        lifted[:, 1:] = np.maximum(lifted[:, 1:], (node + ROUNDING * size)[:, 1:] + bow)
+        lifted[:, 1:] = np.maximum(lifted[:, 1:], node[:, 1:] + bow)
         s = np.linspace(0.0, 1.0, parts + 1)[:, None]
         chord = lifted[:, :1] * (1 - s) + lifted[:, -1:] * s
         lift = np.maximum((lifted - chord).max(axis=1), 0.0)
@@ -166,26 +158,17 @@ class SatelliteObstacle(Obstacle):
                 raise ScenarioError(f"{self.path}.thrust_accel_max", self.thrust_accel_max, rule) from error
         return tuple(found)
 
-    # -- the true set -----------------------------------------------------------------------------
-
     def nominal(self, t: ArrayLike, system: LinearSystem) -> Array:
         """Undisturbed state at times t [s], shape (..., n)."""
         self._fits(system)
         return free_motion(system.A, self._x0, np.asarray(t, dtype=float))
 
-    def centre(
+    def motion(
         self, t: ArrayLike, system: LinearSystem | None = None, state: ArrayLike | None = None
-    ) -> Array:
-        """Position [m]: of the true `state` (..., n) if given, else of the nominal one."""
+    ) -> tuple[Array, Array]:
+        """Position [m] and velocity [m/s]: of the true `state` (..., n) if given, else of the nominal one."""
         known, system = self._known(t, system, state)
-        return np.asarray(known @ system.position.T)
-
-    def velocity_at(
-        self, t: ArrayLike, system: LinearSystem | None = None, state: ArrayLike | None = None
-    ) -> Array:
-        """Velocity [m/s], of the true `state` if given, else of the nominal one."""
-        known, system = self._known(t, system, state)
-        return np.asarray(known @ system.velocity.T)
+        return np.asarray(known @ system.position.T), np.asarray(known @ system.velocity.T)
 
     def relative_drift(
         self, t: ArrayLike, x: Array, system: LinearSystem, state: ArrayLike | None = None
@@ -195,16 +178,18 @@ class SatelliteObstacle(Obstacle):
         still = np.zeros(system.d)
         return x - known, still, still
 
-    def outline(self, t: float, system: LinearSystem | None = None, extent: float = EXTENT) -> Array:
-        """Vertices [m] of the over-approximating polytope at time t."""
-        _, system = self._known(0.0, system, None)
-        normals = directions(system.d, self.facets, f"{self.path}.facets")
-        offsets = self._cover(system, normals, t, 1, 64)[0][0, 1] if t > 0 else self._start(system, normals)
-        return Polytope(normals, offsets).vertices()
-
-    def _start(self, system: LinearSystem, normals: Array) -> Array:
+    def outline(self, t: float, system: LinearSystem) -> Array:
+        """Vertices [m] of the over-approximating polytope at time t, shape (V, d)."""
+        self._fits(system)
+        normals = self._normals(system)
+        if t > 0:
+            return Polytope(normals, self._cover(system, normals, t, 1, 64)[0][0, 1]).vertices()
         rows = normals @ system.position
-        return np.asarray(rows @ self._x0 + np.abs(rows) @ np.asarray(self.state_half_widths) + self.radius)
+        spread = np.abs(rows) @ np.asarray(self.state_half_widths)
+        return Polytope(normals, rows @ self._x0 + spread + self.radius).vertices()
+
+    def _normals(self, system: LinearSystem) -> Array:
+        return directions(system.d, self.facets, f"{self.path}.facets")
 
     def _known(
         self, t: ArrayLike, system: LinearSystem | None, state: ArrayLike | None

@@ -28,15 +28,12 @@ class Shape(Protocol):
 
     def signed_distance(self, p: Array) -> Array:
         """Distance [m] of points (..., d), shape (...,)."""
-        ...
 
     def entry_time(self, p: Array, v: Array) -> Array:
         """First time [s] at which ``p + s v``, s >= 0, is in the shape: 0 if inside, inf if never."""
-        ...
 
     def overlap(self, place: Zonotope) -> float:
         """Largest depth [m] to which some point of a zonotope is in the shape; negative if none is."""
-        ...
 
 
 def _directed(v: Array) -> tuple[Array, Array]:
@@ -97,8 +94,6 @@ class Polytope:
     def d(self) -> int:
         """Dimension of position space."""
         return int(self.H.shape[1])
-
-    # -- distance ---------------------------------------------------------------------------------
 
     def signed_distance(self, p: Array) -> Array:
         """Exact Euclidean distance [m] of points (..., d).
@@ -205,16 +200,11 @@ class Polytope:
         answer = linprog(np.ones(count), A_eq=self.H.T, b_eq=np.zeros(self.d), bounds=[(1, None)] * count)
         return bool(answer.status == 0)
 
-    def vertices(self, extent: float = np.inf) -> Array:
-        """Vertices, shape (V, d), counter-clockwise in the plane; an unbounded set is cut to a box [m]."""
-        if not self.bounded and np.isinf(extent):
-            raise ScenarioError("extent", extent, "must be finite [m] to draw an unbounded set")
-        shape = self
+    def vertices(self) -> Array:
+        """Vertices of a bounded set, shape (V, d), counter-clockwise in the plane."""
         if not self.bounded:
-            eye = np.eye(self.d)
-            box = np.r_[extent + self.middle, extent - self.middle]
-            shape = Polytope(np.vstack([self.H, eye, -eye]), np.r_[self.b, box])
-        points, tolerance = shape._minimal_faces
+            raise ScenarioError("polytope", self.H.tolist(), "must be bounded to be drawn")
+        points, tolerance = self._minimal_faces
         keep: list[Array] = []
         for point in points:
             if all(np.abs(point - other).max() > 10 * tolerance for other in keep):
@@ -225,20 +215,14 @@ class Polytope:
             corners = corners[np.argsort(np.arctan2(centred[:, 1], centred[:, 0]))]
         return corners
 
-    # -- rays -------------------------------------------------------------------------------------
-
     def _rates(self, p: Array, v: Array) -> tuple[Array, Array, Array, Array]:
         p, v = np.broadcast_arrays(np.asarray(p, dtype=float), np.asarray(v, dtype=float))
         speed, way = _directed(v)
         rate = way @ self.H.T
         rate[np.abs(rate) <= ROUNDING] = 0.0
         reach = p @ self.H.T
-        return (
-            speed,
-            rate,
-            self.b - reach,
-            ROUNDING * (np.abs(self.b) + np.linalg.norm(p, axis=-1)[..., None]),
-        )
+        slack = ROUNDING * (np.abs(self.b) + np.linalg.norm(p, axis=-1)[..., None])
+        return speed, rate, self.b - reach, slack
 
     def entry_time(self, p: Array, v: Array) -> Array:
         """First time [s] on the ray, by clipping it against every facet."""
@@ -258,8 +242,6 @@ class Polytope:
         with np.errstate(divide="ignore", invalid="ignore"):
             last = np.where(rate > 0, gap / rate, np.inf).min(axis=-1)
         return np.where(np.any(gap <= 0, axis=-1), 0.0, _in_time(last, speed))
-
-    # -- sets -------------------------------------------------------------------------------------
 
     def overlap(self, place: Zonotope) -> float:
         """Depth [m] of the deepest point of a zonotope; if all are outside, the widest gap at a facet."""
@@ -289,6 +271,5 @@ class Box(Polytope):
     def signed_distance(self, p: Array) -> Array:
         """Distance [m] of points (..., d)."""
         beyond = np.abs(p) - self.b[: self.d]
-        return np.asarray(
-            np.linalg.norm(np.maximum(beyond, 0.0), axis=-1) + np.minimum(beyond.max(axis=-1), 0.0)
-        )
+        outside = np.linalg.norm(np.maximum(beyond, 0.0), axis=-1)
+        return np.asarray(outside + np.minimum(beyond.max(axis=-1), 0.0))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from fractions import Fraction
 from functools import cached_property
 from typing import Any
 
@@ -158,23 +157,24 @@ class LinearSystem:
             no free part of the state (first order), or its acceleration depends on more than position
             and rate (third order and higher).
         """
-        A, C = _exact(self.A), _exact(self.position)
-        known = np.vstack([C, C @ A])
-        pivots, rows, made = _eliminated(known, _exact(np.eye(2 * self.d)))
-        if len(pivots) < 2 * self.d:
+        from flint import fmpq_mat
+
+        A, C, given = _exact(self.A), _exact(self.position), self.position.tolist()
+        known = fmpq_mat(C.tolist() + (C * A).tolist())
+        gram, reaction = known * known.transpose(), C * A * A
+        if gram.det() == 0:
             rule = "has no acceleration: the rate of the position, C A x, is no free part of the state"
-            raise ScenarioError("system.C", self.position.tolist(), rule)
-        acceleration = C @ A @ A
-        if np.any(acceleration[:, pivots] @ rows != acceleration):
+            raise ScenarioError("system.C", given, rule)
+        inverse = known.transpose() * gram.inv()  # its last d columns are the least E
+        if reaction * inverse * known != reaction:
             rule = "has an acceleration that depends on more states than the position and its rate"
-            raise ScenarioError("system.C", self.position.tolist(), rule)
-        E = np.zeros((self.n, self.d))
+            raise ScenarioError("system.C", given, rule)
         try:
-            E[pivots] = made[:, self.d :].astype(float)
+            E = [[int(x.p) / int(x.q) for x in row[self.d :]] for row in inverse.tolist()]
         except OverflowError as error:
             rule = "has a rate too small to compute with: an acceleration would move states without bound"
-            raise ScenarioError("system.C", self.position.tolist(), rule) from error
-        return E
+            raise ScenarioError("system.C", given, rule) from error
+        return np.array(E)
 
     @classmethod
     def from_statespace(
@@ -203,31 +203,8 @@ class LinearSystem:
         return cls(A, B, np.asarray(D, dtype=float), as_finite("system.u_max", u_max, 1), w_max, **kwargs)
 
 
-# -- exact arithmetic: whether a position has an acceleration must not depend on rounding ----------------
+def _exact(M: Array) -> Any:
+    """A matrix of rationals: whether a position has an acceleration must not depend on rounding."""
+    from flint import fmpq, fmpq_mat
 
-
-def _exact(M: Array) -> NDArray[np.object_]:
-    return np.array([[Fraction(x) for x in row] for row in M.tolist()], dtype=object).reshape(M.shape)
-
-
-def _eliminated(
-    rows: NDArray[np.object_], beside: NDArray[np.object_]
-) -> tuple[list[int], NDArray[np.object_], NDArray[np.object_]]:
-    """Gauss-Jordan elimination with the largest pivots: pivot columns, reduced rows, and what is beside.
-
-    Rows that vanish are left out, so that there are as many as pivots.
-    """
-    width, table = rows.shape[1], np.hstack([rows, beside])
-    pivots: dict[int, int] = {}
-    for _ in range(len(rows)):
-        left = [i for i in range(len(rows)) if i not in pivots.values()]
-        i, j = max(((i, j) for i in left for j in range(width)), key=lambda at: abs(table[at]))
-        if table[i, j] == 0:
-            break
-        table[i] = table[i] / table[i, j]
-        others = np.arange(len(table)) != i
-        table[others] = table[others] - np.outer(table[others, j], table[i])
-        pivots[j] = i
-    columns = sorted(pivots)
-    table = table[[pivots[j] for j in columns]]
-    return columns, table[:, :width], table[:, width:]
+    return fmpq_mat([[fmpq(*x.as_integer_ratio()) for x in row] for row in M.tolist()])

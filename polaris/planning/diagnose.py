@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from time import perf_counter
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from ..model.system import Array
 from .lp import GrowingLP
 from .problem import PlanProblem
 from .rows import Rows
-from .search import Candidate, Levels, PathSearch
+from .search import Candidate, PathSearch
 from .tree import branch
 
 FACTORS = (1.25, 1.5, 2.0, 3.0, 5.0, 10.0)
@@ -34,12 +34,10 @@ def unreachable(rows: Rows, deadline: float) -> NoReturn:
     )
     relax = "no input limits would do; change the goal or the number of steps."
     if not np.any(rows.limit):
-        relax = (
-            "a smaller planner.thrust_reserve, a smaller initial set or larger input limits: nothing is left."
-        )
+        relax = "a smaller planner.thrust_reserve or initial set, or larger input limits: nothing is left."
     elif factor is not None:
         relax = (
-            f"input limits {factor:.3g} times as large (after tightening), a longer horizon or a wider goal."
+            f"input limits {factor:.3g} times as large (when tightened), a longer horizon or a wider goal."
         )
     raise SynthesisInfeasible(condition, miss, relax)
 
@@ -50,9 +48,8 @@ def blocked(rows: Rows, deadline: float) -> NoReturn:
     _start(problem)
     short, proven = _shortfall(rows, deadline)
     helpful = _droppable(problem, deadline)
-    factor = next(
-        (f for f in FACTORS if perf_counter() < deadline and _works(_stronger(problem, f), deadline)), None
-    )
+    larger = (f for f in FACTORS if perf_counter() < deadline)
+    factor = next((f for f in larger if _works(problem, deadline, u_limit=problem.u_limit * f)), None)
     amount = "" if short is None else f" ({'' if proven else 'at most '}{short:.3g} m short)"
     condition = (
         f"The goal ({problem.goal.describe()}) can be reached within the input limits, but not with the "
@@ -75,22 +72,21 @@ def _start(problem: PlanProblem) -> None:
     """The start itself may be too close; no plan mends that."""
     p = problem.system.position @ problem.x0
     for i, body in enumerate(problem.unsafe):
-        surplus = body.normals @ p - problem.offsets(i)[0, 0] - problem.required(i)[0]
-        best = int(np.argmax(surplus))
-        if surplus[best] < 0:
+        clear, required = body.normals @ p - problem.offsets(i)[0, 0], problem.required(i)[0]
+        best = int(np.argmax(clear - required))
+        if (short := float(required[best] - clear[best])) > 0:
             raise SynthesisInfeasible(
-                f"The start is {-surplus[best]:.3g} m too close to {body.name}: a margin of "
-                f"{problem.required(i)[0, best]:.3g} m is required, the clearance is "
-                f"{surplus[best] + problem.required(i)[0, best]:.3g} m.",
-                float(-surplus[best]),
-                f"start further away, or at least {-surplus[best]:.3g} m less margin.",
+                f"The start is {short:.3g} m too close to {body.name}: a margin of {required[best]:.3g} m is "
+                f"required, the clearance is {clear[best]:.3g} m.",
+                short,
+                f"start further away, or at least {short:.3g} m less margin.",
             )
 
 
 def _shortfall(rows: Rows, stop: float) -> tuple[float | None, bool]:
     """Least length [m] by which all margins must give way, and whether that is proven."""
     search = PathSearch(rows, stop)
-    search.set_prices(Levels(0.0, 0.0), short=1e3, fuel=1e-3)
+    search.set_prices(0.0, 0.0, short=1e3, fuel=1e-3)
     found = search.first()
     half, most = perf_counter() + 0.5 * max(stop - perf_counter(), 0.0), search.solves + EFFORT
 
@@ -103,32 +99,22 @@ def _shortfall(rows: Rows, stop: float) -> tuple[float | None, bool]:
     return outcome.best.short, outcome.status == "optimal"
 
 
-def _stronger(problem: PlanProblem, factor: float) -> PlanProblem:
-    return replace(problem, u_limit=problem.u_limit * factor, objective="fuel")
-
-
-def _works(problem: PlanProblem, stop: float) -> bool:
-    """Whether the quick search finds a plan."""
-    search = PathSearch(Rows(problem), stop)
-    search.set_prices(Levels(0.0, 0.0), short=1e4)
+def _works(problem: PlanProblem, stop: float, **changes: Any) -> bool:
+    """Whether the quick search finds a plan of a changed problem."""
+    search = PathSearch(Rows(replace(problem, objective="fuel", **changes)), stop)
+    search.set_prices(0.0, 0.0, short=1e4)
     path = search.first()
     return path is not None and path.short == 0
 
 
 def _droppable(problem: PlanProblem, stop: float) -> list[str]:
     """Names of unsafe sets without any one of which there is a plan."""
-    names = []
-    for i, body in enumerate(problem.unsafe):
+    names, unsafe, margins = [], problem.unsafe, problem.margins
+    for i, body in enumerate(unsafe):
         if perf_counter() > stop:
             break
-        rest = [j for j in range(len(problem.unsafe)) if j != i]
-        fewer = replace(
-            problem,
-            unsafe=tuple(problem.unsafe[j] for j in rest),
-            objective="fuel",
-            margins=tuple(problem.margins[j] for j in rest),
-        )
-        if _works(fewer, stop):
+        fewer = {"unsafe": unsafe[:i] + unsafe[i + 1 :], "margins": margins[:i] + margins[i + 1 :]}
+        if _works(problem, stop, **fewer):
             names.append(body.name)
     return names
 

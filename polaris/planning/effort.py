@@ -15,18 +15,28 @@ Spare = Callable[[Candidate | None], bool]
 """Whether a stage may be given up early with the path known by then."""
 
 
+SPARE_SHARE = 0.25
+"""Share of the effort left for a stage that can be given up: looking for a first path with the full
+margin, and proving that no larger margin exists once a path is known."""
+
+
 @dataclass(frozen=True)
 class Allowance:
-    """How far a stage may go: a count of linear programs or nodes, and a value of `time.perf_counter`."""
+    """How far a stage may go: counts of linear programs or nodes, and values of `time.perf_counter`.
 
-    effort: float
-    deadline: float
+    The first of each holds where the stage is `spare`: it may be given up with the path known by then.
+    """
 
-    def spent(self, used: float) -> str:
+    effort: tuple[float, float]
+    deadline: tuple[float, float]
+    spare: Spare
+
+    def spent(self, path: Candidate | None, used: float) -> str:
         """What stops the stage, or an empty string."""
-        if used >= self.effort:
+        which = 0 if self.spare(path) else 1
+        if used >= self.effort[which]:
             return "effort_limit"
-        return "time_limit" if perf_counter() > self.deadline else ""
+        return "time_limit" if perf_counter() > self.deadline[which] else ""
 
 
 class Effort:
@@ -55,11 +65,12 @@ class Effort:
         cut = tuple(stage.name for stage in self.stages if stage.status == "time_limit")
         return cut or (("path search",) if self.left <= 0 else ())
 
-    def allow(self, share: float) -> Allowance:
-        """A share of what is left."""
-        options, used = self.options, self.used
+    def allow(self, share: float, spare: Spare) -> Allowance:
+        """A share of what is left; `SPARE_SHARE` of it where the stage is spare."""
+        options, used, shares = self.options, self.used, np.array([SPARE_SHARE, share])
         most = options.max_linear_programs if options.solver == "facets" else options.max_nodes
-        return Allowance(used + share * max(most - used, 0.0), perf_counter() + share * self.left)
+        effort, deadline = used + shares * max(most - used, 0.0), perf_counter() + shares * self.left
+        return Allowance(tuple(effort.tolist()), tuple(deadline.tolist()), spare)
 
     def report(self, stage: str, incumbent: float = np.inf, bound: float = -np.inf) -> None:
         """Tell the progress callback, a few times a second at most."""

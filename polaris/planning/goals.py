@@ -1,7 +1,8 @@
-"""Goals: where a plan must end. Each is a few linear conditions on the last state."""
+"""Goals: where a plan must end. To the planner each is a few linear conditions on the last state."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -10,52 +11,70 @@ import numpy as np
 from ..model.checks import non_negative, number, positive, whole
 from ..model.errors import ScenarioError
 from ..model.system import Array, as_finite
-from .goal import Goal, GoalConditions
-
-
-def _box(center: Array, half_widths: Array, rate: float) -> GoalConditions:
-    """Two inequalities per bounded state, an equality where the half-width is 0."""
-    half = len(center) // 2
-    weight = np.r_[np.ones(len(center) - half), np.full(half, 1 / rate)]
-    W, middle = np.diag(weight), weight * center
-    fixed, boxed = half_widths == 0, np.isfinite(half_widths) & (half_widths > 0)
-    rows, reach = W[boxed], weight[boxed] * half_widths[boxed]
-    sides = np.r_[middle[boxed] + reach, reach - middle[boxed]]
-    scale = max(1.0, float(np.max(np.abs(center))))
-    return GoalConditions(W[fixed], middle[fixed], np.vstack([rows, -rows]), sides, (), scale)
+from ..model.tolerances import GOAL
 
 
 @dataclass(frozen=True, eq=False)
-class StationaryPoint(Goal):
-    """End exactly at a state. In Hill's frame only rest on the along-track axis needs no thrust after.
+class GoalConditions:
+    """Linear conditions on the last state x: ``E x = e``, ``G x <= g``, and one of each group.
 
-    Parameters
+    Rows are scaled so that a residual is a length [m] (velocities are divided by a rate).
+
+    Attributes
     ----------
-    state : array_like, shape (n,)
-    rate : float
-        Rate [1/s] by which velocities are divided to read as lengths. It only weighs residuals.
+    E, e : ndarray, shapes (n_e, n), (n_e,)
+        Equalities.
+    G, g : ndarray, shapes (n_g, n), (n_g,)
+        Inequalities.
+    one_of : tuple of (ndarray, ndarray), shapes (J, n), (J,)
+        For each group, at least one row must satisfy ``N x >= c``.
+    scale : float
+        Length [m] to which residuals are compared.
     """
 
-    state: Array
-    rate: float = 1e-2
+    E: Array
+    e: Array
+    G: Array
+    g: Array
+    one_of: tuple[tuple[Array, Array], ...] = ()
+    scale: float = 1.0
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "state", as_finite("goal.state", self.state, 1))
-        positive("goal.rate", self.rate, "1/s")
+    def residual(self, x: Array) -> float:
+        """Largest violation at x [m]; 0 if all conditions hold."""
+        worst = [
+            np.max(np.abs(self.E @ x - self.e), initial=0.0),
+            np.max(self.G @ x - self.g, initial=0.0),
+            *(np.min(c - N @ x) for N, c in self.one_of),
+        ]
+        return float(max(worst))
+
+
+class Goal(ABC):
+    """Base of all goals. A new goal states `n`, `conditions` and `describe`; the rest follows."""
 
     @property
+    @abstractmethod
     def n(self) -> int:
-        """Number of states."""
-        return len(self.state)
+        """Number of states the goal speaks about."""
 
-    @cached_property
+    @property
+    @abstractmethod
     def conditions(self) -> GoalConditions:
-        """One equality per state."""
-        return _box(self.state, np.zeros(self.n), self.rate)
+        """The linear conditions the planner uses; they imply the goal."""
 
+    @abstractmethod
     def describe(self) -> str:
-        """One line for messages."""
-        return "stationary point (" + ", ".join(f"{s:g}" for s in self.state) + ")"
+        """One line for messages and reports."""
+
+    def residual(self, x: Array) -> tuple[float, str]:
+        """Largest violation of the goal itself [m] and what it is, at a state x of shape (n,)."""
+        return self.conditions.residual(x), self.describe()
+
+    def violation(self, x: Array) -> tuple[float, str]:
+        """Violation relative to the goal's scale, 0.0 if met within `tolerances.GOAL`, and its name."""
+        worst, name = self.residual(np.asarray(x, dtype=float))
+        relative = worst / self.conditions.scale
+        return (0.0, "") if relative <= GOAL else (relative, name)
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,22 +109,63 @@ class Box(Goal):
     @cached_property
     def conditions(self) -> GoalConditions:
         """Two inequalities per bounded state, an equality where the half-width is 0."""
-        return _box(self.center, self.half_widths, self.rate)
+        center, widths, half = self.center, self.half_widths, self.n // 2
+        weight = np.r_[np.ones(self.n - half), np.full(half, 1 / self.rate)]
+        W, middle = np.diag(weight), weight * center
+        fixed, boxed = widths == 0, np.isfinite(widths) & (widths > 0)
+        rows, reach = W[boxed], weight[boxed] * widths[boxed]
+        sides = np.r_[middle[boxed] + reach, reach - middle[boxed]]
+        scale = max(1.0, float(np.max(np.abs(center))))
+        return GoalConditions(W[fixed], middle[fixed], np.vstack([rows, -rows]), sides, (), scale)
 
     def describe(self) -> str:
         """One line for messages."""
         return "box about (" + ", ".join(f"{s:g}" for s in self.center) + ")"
 
 
-class _HillGoal(Goal):
-    """A goal in Hill's frame; subclasses have a `mean_motion`."""
+@dataclass(frozen=True, eq=False)
+class StationaryPoint(Goal):
+    """End exactly at a state. In Hill's frame only rest on the along-track axis needs no thrust after.
 
-    mean_motion: float
+    Parameters
+    ----------
+    state : array_like, shape (n,)
+    rate : float
+        Rate [1/s] by which velocities are divided to read as lengths. It only weighs residuals.
+    """
+
+    state: Array
+    rate: float = 1e-2
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "state", as_finite("goal.state", self.state, 1))
+        positive("goal.rate", self.rate, "1/s")
 
     @property
     def n(self) -> int:
-        """Six states of Hill's frame."""
-        return 6
+        """Number of states."""
+        return len(self.state)
+
+    @cached_property
+    def conditions(self) -> GoalConditions:
+        """One equality per state."""
+        return Box(self.state, np.zeros(self.n), self.rate).conditions
+
+    def describe(self) -> str:
+        """One line for messages."""
+        return "stationary point (" + ", ".join(f"{s:g}" for s in self.state) + ")"
+
+
+class _HillGoal(Goal):
+    """A goal in Hill's frame; subclasses have a `mean_motion` and the number of `sides` of their polygons."""
+
+    mean_motion: float
+    sides: int
+    n = 6
+
+    def __post_init__(self) -> None:
+        positive("goal.mean_motion", self.mean_motion, "rad/s")
+        whole("goal.sides", self.sides, 4)
 
     @property
     def _rows(self) -> tuple[Array, Array]:
@@ -115,17 +175,11 @@ class _HillGoal(Goal):
 
 
 def ellipse_polygon(semi_minor: float, sides: int, circumscribed: bool) -> tuple[Array, Array]:
-    """Outward edge normals and offsets of a polygon of the ellipse of semi-axes (b, 2 b).
+    """Polygon of the ellipse of semi-axes (b, 2 b), ``normals p <= offsets``, shapes (sides, 2), (sides,).
 
-    Works on the circle of radius b (r_y halved), where the polygon is regular; every normal points
-    outwards. The printed eq. 20 takes ``alpha_y = q_x,j - q_x,j+1``, whose sign is wrong.
-
-    Returns
-    -------
-    normals : ndarray, shape (sides, 2)
-        Unit normals in (r_x, r_y).
-    offsets : ndarray, shape (sides,)
-        ``normals p <= offsets`` inside. Inscribed: within the ellipse. Circumscribed: around it.
+    Inscribed: within the ellipse. Circumscribed: around it. Works on the circle of radius b (r_y halved),
+    where the polygon is regular; every unit normal in (r_x, r_y) points outwards. The printed eq. 20 takes
+    ``alpha_y = q_x,j - q_x,j+1``, whose sign is wrong.
     """
     angle = 2 * np.pi * (np.arange(sides) + 0.5) / sides
     normals = np.stack([np.cos(angle), np.sin(angle) / 2], axis=1)
@@ -158,10 +212,9 @@ class EllipticalNMT(_HillGoal):
     cross_track_max: float | None = None
 
     def __post_init__(self) -> None:
-        positive("goal.mean_motion", self.mean_motion, "rad/s")
+        super().__post_init__()
         non_negative("goal.inner_semi_minor", self.inner_semi_minor, "m")
         positive("goal.outer_semi_minor", self.outer_semi_minor, "m")
-        whole("goal.sides", self.sides, 4)
         room = self.outer_semi_minor * np.cos(np.pi / self.sides)
         if self.inner_semi_minor >= room:
             rule = f"must be below {room:g} m (the {self.sides}-sided outer polygon reaches no further)"
@@ -173,19 +226,16 @@ class EllipticalNMT(_HillGoal):
     def conditions(self) -> GoalConditions:
         """Two equalities, the outer polygon, and one side of the inner polygon."""
         r, v = self._rows
-        E, G, g = [v[1] + 2 * r[0], v[0] - r[1] / 2], [], []
+        E, G, g = [v[1] + 2 * r[0], v[0] - r[1] / 2], list[Array](), list[float]()
         if self.cross_track_max is None:
             E += [r[2], v[2]]
         else:
-            G += [r[2], -r[2], v[2], -v[2]]
-            g += [self.cross_track_max] * 4
-        outer, outer_b = ellipse_polygon(self.outer_semi_minor, self.sides, circumscribed=False)
-        G += list(outer @ r[:2])
-        g += list(outer_b)
+            G, g = [r[2], -r[2], v[2], -v[2]], [self.cross_track_max] * 4
+        outer, reach = ellipse_polygon(self.outer_semi_minor, self.sides, circumscribed=False)
         inner, inner_b = ellipse_polygon(self.inner_semi_minor, self.sides, circumscribed=True)
         one_of = ((inner @ r[:2], inner_b),) if self.inner_semi_minor > 0 else ()
-        e = np.zeros(len(E))
-        return GoalConditions(np.array(E), e, np.array(G), np.array(g), one_of, self.outer_semi_minor)
+        rows, sides = np.array([*G, *(outer @ r[:2])]), np.array([*g, *reach])
+        return GoalConditions(np.array(E), np.zeros(len(E)), rows, sides, one_of, self.outer_semi_minor)
 
     def semi_minor(self, x: Array) -> float:
         """Radial semi-axis [m] of the ellipse through the position of x."""
@@ -233,9 +283,8 @@ class LinearNMT(_HillGoal):
     sides: int = 16
 
     def __post_init__(self) -> None:
-        positive("goal.mean_motion", self.mean_motion, "rad/s")
+        super().__post_init__()
         positive("goal.amplitude_max", self.amplitude_max, "m")
-        whole("goal.sides", self.sides, 4)
         number("goal.along_track", self.along_track)
 
     @cached_property

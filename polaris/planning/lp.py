@@ -1,7 +1,7 @@
 """A linear program that grows: HiGHS kept warm while rows come and go.
 
-The mixed-integer program goes through PuLP (`model`); the hundreds of small linear programs of the
-path search do not, because they differ by a few rows and the simplex basis carries over.
+The hundreds of small linear programs of the path search differ by a few rows, and the simplex basis
+carries over from one to the next.
 """
 
 from __future__ import annotations
@@ -32,11 +32,9 @@ class GrowingLP:
         self._highspy = highspy
         make: Any = highspy.Highs  # its constructor carries no types
         self.highs: Any = make()
-        self.highs.setOptionValue("output_flag", False)
-        self.highs.setOptionValue("threads", 1)
-        self.highs.setOptionValue("presolve", "off")
-        self.highs.setOptionValue("solver", "simplex")
-        self.highs.setOptionValue("primal_feasibility_tolerance", SOLVER_FEASIBILITY)
+        settings = {"output_flag": False, "threads": 1, "presolve": "off", "solver": "simplex"}
+        for name, value in {**settings, "primal_feasibility_tolerance": SOLVER_FEASIBILITY}.items():
+            self.highs.setOptionValue(name, value)
         n = len(cost)
         empty_i, empty = np.zeros(0, dtype=np.int32), np.zeros(0)
         self.highs.addCols(n, cost, low, high, 0, np.zeros(n, dtype=np.int32), empty_i, empty)
@@ -62,12 +60,12 @@ class GrowingLP:
 
     def take_back(self, rows: int) -> None:
         """Remove every row but the first `rows`, which must end where a block of `add` ended."""
-        if self.rows > rows:
-            drop = np.arange(rows, self.rows, dtype=np.int32)
+        drop = np.arange(rows, self.rows, dtype=np.int32)
+        if len(drop):
             self.highs.deleteRows(len(drop), drop)
-            while self.rows > rows:
-                self.rows -= len(self._a.pop())
-                self._slack.pop()
+        while self.rows > rows:
+            self.rows -= len(self._a.pop())
+            self._slack.pop()
 
     def price(self, first: int, cost: Array) -> None:
         """Change the costs of consecutive columns."""

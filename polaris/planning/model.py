@@ -1,125 +1,94 @@
-"""The mixed-integer program (eqs. 14-23, corrected), written in PuLP and solved by HiGHS or Gurobi."""
+"""The mixed-integer program (eqs. 14-23, corrected) by a back end, lazily.
+
+Disjunctions enter the program when its solution lacks clearance there.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Collection
+from dataclasses import replace
+from time import perf_counter
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from ..model.system import Array
 from . import backends
+from .effort import Allowance, Effort
 from .lp import GrowingLP
-from .problem import PlannerOptions
 from .rows import Key, Rows
 from .search import Candidate, PathSearch
+from .tree import Outcome
 
+MAX_ROUNDS = 60
+MAX_BOOKINGS = 4
 
-@dataclass(eq=False)
-class Answer:
-    """What the back end returned.
-
-    Attributes
-    ----------
-    status : str
-        "optimal", "infeasible", "effort_limit" or "time_limit".
-    path : Candidate or None
-        Best solution, if any.
-    value, bound : float
-        Objective and proven bound, in the sense of minimisation.
-    stats : dict
-        Sizes and nodes.
-    """
-
-    status: str
-    path: Candidate | None
-    value: float
-    bound: float
-    stats: dict[str, float]
+Columns = NDArray[np.int_]
 
 
 class Model:
-    """The PuLP model of the program at the prices of a search, over some disjunctions.
+    """The program at the prices of a search, over some disjunctions.
+
+    Its columns are the input shares either way, the margin variable s, the states at the waypoints, and the
+    binaries. The states stay in it although the inputs determine them: the rows are then sparse, which is
+    worth more to a branch-and-cut code than fewer columns.
 
     `cells` are the disjunctions to state; `budget` is a velocity change [m/s] that some optimal path is known
     to keep.
     """
 
     def __init__(self, search: PathSearch, cells: Collection[Key], budget: float = np.inf) -> None:
-        import pulp
-
-        self.pulp, self.search, self.rows, self.levels = pulp, search, search.rows, search.levels
-        self.lp: Any = pulp.LpProblem("reference", pulp.LpMinimize)
-        rows, system = self.rows, search.rows.problem.system
-        up, m = rows.limit.tolist(), system.m
-        self.plus = [self._new(f"p{j // m}_{j % m}", 0.0, up[j]) for j in range(rows.N)]
-        self.minus = [self._new(f"m{j // m}_{j % m}", 0.0, up[j]) for j in range(rows.N)]
-        self.s = self._new("s", self.levels.low, self.levels.high)
-        self.frame = goal_frame(rows)
+        self.search, self.rows, self.budget = search, search.rows, budget
+        self.K, self.n, self.N = self.rows.problem.K, self.rows.problem.system.n, self.rows.N
+        self.frame = goal_frame(self.rows)
         self.back = np.linalg.inv(self.frame)
-        K = rows.problem.K
-        self.x = [[self._new(f"x{k}_{i}", None, None) for i in range(system.n)] for k in range(1, K + 1)]
-        inputs, price, self.budget = self.plus + self.minus, np.r_[rows.price, rows.price], budget
-        self.lp.setObjective(
-            self._sum(inputs, price * search.fuel_price)
-            + self._sum([self.s], np.array([-search.margin_price]))
-        )
+        self.cols, self.count = 2 * self.N + 1 + self.K * self.n, 0
+        self.entries: list[tuple[Columns, Columns, Array]] = []
+        self.sides: list[tuple[Array, Array]] = []
         if np.isfinite(budget):
-            self.lp += self._sum(inputs, price) <= budget
-        self._dynamics(K, m)
-        self._goal()
-        self.z: dict[tuple[Key, int], Any] = {}
+            self._add(np.arange(2 * self.N), np.r_[self.rows.price, self.rows.price][None], -np.inf, budget)
+        self._dynamics()
+        goal, unit, last = self.rows.problem.goal.conditions, self.rows.length, self._state(self.K)
+        self._add(last, goal.E @ self.back / unit, goal.e / unit, goal.e / unit)
+        self._add(last, goal.G @ self.back / unit, -np.inf, goal.g / unit)
+        self.z: dict[tuple[Key, int], int | None] = {}
         self.impossible = not all(self._one_of(key) for key in sorted(cells, key=lambda c: (c[1], c[0])))
 
-    def _new(self, name: str, low: float | None, high: float | None, binary: bool = False) -> Any:
-        add = getattr(self.lp, "add_variable", None)  # PuLP before 3.3 has only the constructor
-        make = add if add is not None else self.pulp.LpVariable
-        return make(name, low, high, cat="Binary" if binary else "Continuous")
+    def _add(self, columns: Columns, a: Array, lower: ArrayLike, upper: ArrayLike) -> None:
+        """Add rows ``lower <= a x[columns] <= upper``, a of shape (R, C)."""
+        R, C = a.shape
+        at = np.repeat(np.arange(self.count, self.count + R), C)
+        self.entries.append((at, np.tile(columns, R), a.ravel()))
+        self.sides.append((np.broadcast_to(lower, R), np.broadcast_to(upper, R)))
+        self.count += R
 
-    def _sum(self, variables: Iterable[Any], weights: Array) -> Any:
-        return self.pulp.LpAffineExpression(
-            [(v, w) for v, w in zip(variables, weights.tolist(), strict=True) if w != 0.0]
-        )
+    def _state(self, k: int) -> Columns:
+        """Columns of the state at waypoint k >= 1."""
+        return 2 * self.N + 1 + (k - 1) * self.n + np.arange(self.n)
 
-    def _dynamics(self, K: int, m: int) -> None:
-        """States at the waypoints (eq. 14), in units that make them numbers near 1.
+    def _inputs(self, k: int) -> Columns:
+        """Columns of the input shares of step k, either way."""
+        m = self.N // self.K
+        plus = k * m + np.arange(m)
+        return np.concatenate([plus, self.N + plus])
 
-        They stay in the model although the inputs determine them: the rows are then sparse, which is
-        worth more to a branch-and-cut code than fewer columns.
-        """
+    def _dynamics(self) -> None:
+        """States at the waypoints (eq. 14), in units that make them numbers near 1."""
         rows, W = self.rows, self.frame
         A = W @ rows.Ad @ np.linalg.inv(W)
         B = W @ rows.Bd * rows.problem.system.u_max
-        start = A @ W @ rows.problem.x0
-        for k in range(K):
-            inputs = self.plus[k * m : (k + 1) * m] + self.minus[k * m : (k + 1) * m]
-            for i, state in enumerate(self.x[k]):
-                row = self._sum(inputs, np.r_[B[i], -B[i]]) - state
-                if k:
-                    self.lp += row + self._sum(self.x[k - 1], A[i]) == 0.0
-                else:
-                    self.lp += row == -float(start[i])
-
-    def _at(self, k: int, g: Array, h: Array) -> Any:
-        """Expression ``g x_k + h z_k`` without its constant, rows as in `Options`."""
-        K, m = self.rows.problem.K, self.rows.problem.system.m
-        where = self._sum(self.x[k - 1], g @ self.back) if k else self._sum([], np.zeros(0))
-        if k < K:
-            inputs = self.plus[k * m : (k + 1) * m] + self.minus[k * m : (k + 1) * m]
-            where = where + self._sum(inputs, np.r_[h, -h])
-        return where
-
-    def _goal(self) -> None:
-        goal, unit = self.rows.problem.goal.conditions, self.rows.length
-        for g, rhs in zip(goal.E @ self.back / unit, goal.e / unit, strict=True):
-            self.lp += self._sum(self.x[-1], g) == float(rhs)
-        for g, rhs in zip(goal.G @ self.back / unit, goal.g / unit, strict=True):
-            self.lp += self._sum(self.x[-1], g) <= float(rhs)
+        here = np.hstack([B, -B, -np.eye(self.n)])
+        for k in range(self.K):
+            columns = np.r_[self._inputs(k), self._state(k + 1)]
+            if k:
+                self._add(np.r_[columns, self._state(k)], np.hstack([here, A]), 0.0, 0.0)
+            else:
+                start = -(A @ W @ rows.problem.x0)
+                self._add(columns, here, start, start)
 
     def _one_of(self, key: Key) -> bool:
         """State one disjunction, with big-M as small as the input limits allow; False if none can hold."""
-        rows, levels = self.rows, self.levels
+        rows, search = self.rows, self.search
         options = rows.options(key)
         most = rows.extreme(options.a, self.budget)
         least = -most
@@ -127,68 +96,71 @@ class Model:
             goal = rows.problem.goal.conditions
             floor = goal_floor(goal.G, goal.g, goal.one_of[key[1]][0]) / rows.length
             least = np.maximum(least, floor[:, None] - options.free)
-        big = options.need + options.slope * levels.high - least
-        can = np.all(most >= options.need + options.slope * levels.low - 1e-9, axis=1)
-        chosen = np.nonzero(can)[0].tolist()
-        binaries = []
+        big = options.need + options.slope * search.high - least
+        can = np.all(most >= options.need + options.slope * search.low - 1e-9, axis=1)
+        chosen, k = np.nonzero(can)[0].tolist(), options.at
+        need = options.need + (options.free if k else 0.0)
+        where = [self._state(k)] if k else []
+        where += [self._inputs(k)] if k < self.K else []
+        binaries = self.cols + np.arange(len(chosen) if len(chosen) > 1 else 0)
         for j in chosen:
-            z = self._new(f"z{key[0] + 1}_{key[1]}_{j}", 0.0, 1.0, binary=True) if len(chosen) > 1 else None
-            self.z[key, j] = z
-            binaries += [z] if z is not None else []
-            for r, M in enumerate(big[j].tolist()):
-                if M <= 0 and z is not None:
-                    continue
-                need = float(options.need[j, r] + (options.free[j, r] if options.at else 0.0))
-                row = self._at(options.at, options.g[j, r], options.h[j, r])
-                row = row + self._sum([self.s], np.array([-options.slope]))
-                self.lp += row >= need if z is None else row - M * z >= need - M
-        if binaries:
-            self.lp += self.pulp.lpSum(binaries) == 1
+            parts = [options.g[j] @ self.back] if k else []
+            parts += [options.h[j], -options.h[j]] if k < self.K else []
+            a = np.hstack([*parts, np.full((len(need[j]), 1), -options.slope)])
+            columns = np.r_[(*where, 2 * self.N)]
+            if not len(binaries):
+                self.z[key, j] = None
+                self._add(columns, a, need[j], np.inf)
+                continue
+            z, M, open_ = self.cols, big[j][:, None], big[j] > 0
+            self.z[key, j], self.cols = z, z + 1
+            self._add(np.r_[columns, z], np.hstack([a, -M])[open_], (need[j] - big[j])[open_], np.inf)
+        if len(binaries):
+            self._add(binaries, np.ones((1, len(binaries))), 1.0, 1.0)
         return bool(chosen)
 
-    def solve(
-        self,
-        options: PlannerOptions,
-        limits: backends.Limits,
-        start: Candidate | None = None,
-        listen: Callable[[float, float], None] | None = None,
-    ) -> Answer:
-        """Run the back end, from a start if there is one."""
-        if self.impossible:
-            return Answer("infeasible", None, np.inf, np.inf, {"nodes": 0.0})
-        if start is not None:
-            self._warm(start)
-        status, solved, bound, nodes = backends.run(self.lp, options, limits, start is not None, listen)
-        stats = {
-            "rows": float(self.lp.numConstraints()),
-            "cols": float(self.lp.numVariables()),
-            "binaries": float(sum(v is not None for v in self.z.values())),
-            "nodes": nodes,
-        }
-        if not solved:
-            return Answer(status, None, np.inf, bound, stats)
-        z = np.array(
-            [(p.varValue or 0.0) - (q.varValue or 0.0) for p, q in zip(self.plus, self.minus, strict=True)]
-        )
-        choice = {key: j for (key, j), var in self.z.items() if var is None or var.varValue > 0.5}
+    def path(self, x: Array) -> Candidate:
+        """A solution as a path."""
+        z = x[: self.N] - x[self.N : 2 * self.N]
+        choice = {key: j for (key, j), column in self.z.items() if column is None or x[column] > 0.5}
         fuel = float(np.sum(self.rows.price * np.abs(z)))
-        # PuLP leaves variables that no row mentions without a value
-        level = self.levels.high if self.s.varValue is None else float(self.s.varValue)
-        path = Candidate(z, level, 0.0, fuel, choice)
-        return Answer(status, path, float(self.lp.objective.value()), bound, stats)
+        return Candidate(z, float(x[2 * self.N]), 0.0, fuel, choice)
 
-    def _warm(self, path: Candidate) -> None:
-        for j, value in enumerate(path.z):
-            self.plus[j].setInitialValue(max(float(value), 0.0), check=False)
-            self.minus[j].setInitialValue(max(-float(value), 0.0), check=False)
-        self.s.setInitialValue(path.level, check=False)
-        for (key, j), var in self.z.items():
-            if var is not None and key in path.choice:
-                var.setInitialValue(float(path.choice[key] == j), check=False)
-        states = self.search.look(path).states[1:] @ self.frame.T
-        for variables, state in zip(self.x, states, strict=True):
-            for var, value in zip(variables, state, strict=True):
-                var.setInitialValue(float(value), check=False)
+    @property
+    def binaries(self) -> int:
+        """Number of binaries, the last columns."""
+        return self.cols - 2 * self.N - 1 - self.K * self.n
+
+    def program(self, start: Candidate | None) -> backends.Program:
+        """The matrices, with a path to start from."""
+        from scipy.sparse import csr_array
+
+        search, states, binary = self.search, np.full(self.K * self.n, np.inf), np.zeros(self.binaries)
+        price, most = np.tile(self.rows.price, 2), np.tile(self.rows.limit, 2)
+        at, columns, values = (np.concatenate(parts) for parts in zip(*self.entries, strict=True))
+        A = csr_array((values, (at, columns)), shape=(self.count, self.cols))
+        A.eliminate_zeros()
+        return backends.Program(
+            cost=np.r_[price * search.fuel_price, -search.margin_price, np.zeros(len(states)), binary],
+            low=np.r_[np.zeros(len(most)), search.low, -states, binary],
+            high=np.r_[most, search.high, states, binary + 1],
+            A=A,
+            lower=np.concatenate([lower for lower, _ in self.sides]),
+            upper=np.concatenate([upper for _, upper in self.sides]),
+            binaries=self.binaries,
+            start=None if start is None else self._point(start),
+        )
+
+    def _point(self, path: Candidate) -> Array:
+        """A path as a point of the program."""
+        x = np.empty(self.cols)
+        x[: 2 * self.N + 1] = np.r_[np.maximum(path.z, 0.0), np.maximum(-path.z, 0.0), path.level]
+        seen = self.search.look(path)
+        x[2 * self.N + 1 : self.cols - self.binaries] = (seen.states[1:] @ self.frame.T).ravel()
+        for (key, j), column in self.z.items():
+            if column is not None:
+                x[column] = j == (path.choice[key] if key in path.choice else self.search.pick(key, seen))
+        return x
 
 
 def goal_frame(rows: Rows) -> Array:
@@ -214,3 +186,90 @@ def goal_floor(G: Array, g: Array, N: Array) -> Array:
             if answer is not None:
                 out[j] = answer[0]
     return out
+
+
+def by_back_end(effort: Effort, stage: str, best: Candidate | None, allowed: Allowance) -> Outcome:
+    """The back end decides the binaries; cells enter when its solution lacks clearance there."""
+    search, gap, before = effort.search, effort.options.gap, effort.stats["nodes"]
+    cells = frozenset(best.choice if best is not None else ())
+    bound, ended = -np.inf, "effort_limit"
+
+    def within() -> bool:
+        value = search.value(best) if best is not None else np.inf
+        return value - bound <= gap * abs(value) + 1e-9
+
+    def outcome(status: str) -> Outcome:
+        return Outcome(best, bound, status, int(effort.stats["nodes"] - before))
+
+    for _ in range(MAX_ROUNDS):
+        if best is not None and within():
+            break
+        if stopped := allowed.spent(best, effort.used):
+            return outcome(stopped)
+        effort.stats["rounds"] += 1
+        begun = perf_counter()
+        by_fuel = best is not None and search.margin_price == 0
+        budget = best.fuel * (1 + 1e-6) + 1e-9 if best is not None and by_fuel else np.inf
+        model = Model(search, cells, budget)
+        effort.add_time("model", begun)
+        answer = _run(effort, model, stage, best, _limits(effort.used, best, allowed))
+        if answer.status == "infeasible":
+            bound = search.value(best) if best is not None else np.inf
+            return outcome("infeasible" if best is None else "optimal")
+        bound = max(bound, answer.bound)
+        path, lacking = (None, {}) if answer.x is None else _polished(search, model.path(answer.x))
+        if path is not None and lacking:
+            path = search.dive(path.choice)
+        if path is not None and (best is None or search.value(path) < search.value(best)):
+            best = path
+        if answer.status != "optimal" or not lacking:
+            ended = answer.status if answer.status != "optimal" else ended
+            break
+        cells = cells | lacking.keys()
+    return outcome("optimal" if best is not None and within() else ended)
+
+
+def _limits(used: float, best: Candidate | None, allowed: Allowance) -> backends.Limits:
+    """What is allowed, less what is used. A search that finds nothing may have to end early."""
+    spare, now = allowed.spare(best), perf_counter()
+    nodes, seconds = [most - used for most in allowed.effort], [end - now for end in allowed.deadline]
+    which = 0 if spare and best is not None else 1
+    limits = backends.Limits(max(int(nodes[which]), 1), seconds[which])
+    if spare and best is None:
+        return replace(limits, patience_nodes=nodes[0], patience_seconds=seconds[0])
+    return limits
+
+
+def _run(
+    effort: Effort, model: Model, stage: str, best: Candidate | None, limits: backends.Limits
+) -> backends.Found:
+    """Solve a model from the best path, and account for it."""
+    if model.impossible:
+        return backends.Found("infeasible", None, np.inf, 0.0)
+    begun, top = perf_counter(), effort.search.value(best) if best is not None else np.inf
+
+    def listen(incumbent: float, bound: float) -> None:
+        effort.report(stage, min(top, incumbent), bound)
+
+    found = backends.run(model.program(best), effort.options, limits, listen)
+    effort.add_time("solver", begun)
+    sizes = {"rows": model.count, "cols": model.cols, "binaries": model.binaries}
+    effort.stats |= {name: max(effort.stats[name], float(size)) for name, size in sizes.items()}
+    effort.stats["nodes"] += found.nodes
+    return found
+
+
+def _polished(search: PathSearch, path: Candidate) -> tuple[Candidate | None, dict[Key, float]]:
+    """Solve again with the facets fixed, so that no big-M and no integer tolerance is left.
+
+    Returns the path and the cells where it lacks clearance.
+    """
+    for _ in range(MAX_BOOKINGS):
+        clean = search.solve(path.choice)
+        if clean is None:
+            break
+        seen = search.look(clean)
+        lacking = search.lacking(clean, seen)
+        if lacking or search.confirmed(clean, seen):
+            return clean, lacking
+    return None, {}

@@ -12,7 +12,7 @@ from ..model.checks import non_negative, number, one_of, positive, shaped, whole
 from ..model.errors import ScenarioError
 from ..model.system import Array, LinearSystem
 from ..model.timed_polytope import TimedPolytope
-from .goal import Goal
+from .goals import Goal
 
 Objective = Literal["margin_then_fuel", "distance", "fuel"]
 OBJECTIVES = ("margin_then_fuel", "distance", "fuel")

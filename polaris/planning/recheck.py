@@ -26,26 +26,15 @@ ARCS = 8
 
 @dataclass(frozen=True, eq=False)
 class Recheck:
-    """What the re-check found.
+    """What the re-check found of a plan, clipped to its input limits and propagated exactly over K cells.
 
-    Attributes
-    ----------
-    reference : Reference
-        The plan, clipped to its input limits and propagated exactly, over K cells.
-    surplus : tuple of ndarray, each of shape (cells, F)
-        Certified lower bound [m] on ``normal p(t) - b(t) - margin`` over each cell, per facet.
-    goal : tuple of (float, str)
-        Relative violation of the goal and its name.
+    `surplus` holds, per unsafe set, the certified lower bound [m] on ``normal p(t) - b(t) - margin`` over
+    each cell for each facet, shape (cells, F); `goal` the relative violation of the goal and its name.
     """
 
     reference: Reference
     surplus: tuple[Array, ...]
     goal: tuple[float, str]
-
-    def best(self) -> tuple[Array, np.ndarray]:
-        """Largest surplus over facets and the facet that has it, both of shape (n_o, cells)."""
-        value = np.array([s.max(axis=1) for s in self.surplus])
-        return value, np.array([s.argmax(axis=1) for s in self.surplus])
 
 
 def recheck(problem: PlanProblem, nu: Array) -> Recheck:
@@ -104,20 +93,26 @@ def certified(
     """
     K = problem.K
     check = recheck(problem, nu)
-    if problem.unsafe:
-        best, facets = check.best()
-    else:
-        best, facets = np.zeros((0, problem.cells)), np.zeros((0, problem.cells), dtype=int)
-    missing = require(problem, check, best)
-    if missing:
-        raise NotCertified(f"found but not certified: {missing}")
+    shape = (len(problem.unsafe), problem.cells)
+    best = np.reshape([s.max(axis=1) for s in check.surplus], shape)
+    facets = np.reshape([s.argmax(axis=1) for s in check.surplus], shape).astype(int)
+    if best.size and np.min(best) < 0:
+        i, k = (int(at) for at in np.unravel_index(np.argmin(best), shape))
+        raise NotCertified(
+            f"found but not certified: clearance from {problem.unsafe[i].name} in cell {k} is "
+            f"{-best[i, k]:.3g} m short of its margin ({problem.required(i)[k].max():.3g} m)"
+        )
+    amount, name = check.goal
+    if amount > 0:
+        rule = f"the goal is missed by {amount:.3g} of its scale: {name}"
+        raise NotCertified(f"found but not certified: {rule}")
     nu = check.reference.nu
     extra: Array = best[:, :K]
     return Plan(
         chi=check.reference.chi,
         nu=nu,
-        facets=np.asarray(facets[:, :K], dtype=int),
-        tail_facets=np.asarray(facets[:, K:], dtype=int),
+        facets=facets[:, :K],
+        tail_facets=facets[:, K:],
         margin=float(np.min(extra, initial=np.inf)),
         extra=extra,
         wanted=wanted,
@@ -128,17 +123,3 @@ def certified(
         gap=float(relative_gap(value, bound)),
         **found,
     )
-
-
-def require(problem: PlanProblem, check: Recheck, best: Array) -> str:
-    """What a re-check finds wrong, or an empty string."""
-    if best.size and np.min(best) < 0:
-        i, k = np.unravel_index(np.argmin(best), best.shape)
-        return (
-            f"clearance from {problem.unsafe[i].name} in cell {k} is {-best[i, k]:.3g} m short of its margin "
-            f"({problem.required(int(i))[k].max():.3g} m)"
-        )
-    amount, name = check.goal
-    if amount > 0:
-        return f"the goal is missed by {amount:.3g} of its scale: {name}"
-    return ""

@@ -62,9 +62,9 @@ class Reference:
         The last point of a cell is recomputed from its first, not copied from the next, so the
         array shows every cell as one exact arc.
         """
-        steps = _sub_steps(self.system, self.delta, q)
-        arcs = np.einsum("qij,kj->kqi", steps[0], self.chi[:-1])
-        arcs += np.einsum("qij,kj->kqi", steps[1], self.nu)
+        steps = [discretize(self.system.A, self.system.B, self.delta * j / q) for j in range(q + 1)]
+        arcs = np.einsum("qij,kj->kqi", np.array([moved for moved, _ in steps]), self.chi[:-1])
+        arcs += np.einsum("qij,kj->kqi", np.array([pushed for _, pushed in steps]), self.nu)
         return np.asarray(arcs)
 
     def rates(self, nodes: Array) -> Array:
@@ -79,8 +79,3 @@ class Reference:
         return Reference(
             self.system, self.delta, np.vstack([self.chi, tail.chi[1:]]), np.vstack([self.nu, tail.nu])
         )
-
-
-def _sub_steps(system: LinearSystem, delta: float, q: int) -> tuple[Array, Array]:
-    pairs = [discretize(system.A, system.B, delta * j / q) for j in range(q + 1)]
-    return np.array([a for a, _ in pairs]), np.array([b for _, b in pairs])

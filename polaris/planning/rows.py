@@ -30,17 +30,9 @@ Key = tuple[int, int]
 class Options:
     """The J alternatives of one disjunction, each R rows ``a z >= need + slope * s`` in units of length.
 
-    Attributes
-    ----------
-    a : ndarray, shape (J, R, N)
-        Coefficients of the input shares.
-    need : ndarray, shape (J, R)
-        Right-hand sides without extra margin.
-    slope : float
-        How much one unit of the margin variable adds.
-    at : int
-        Before the states are condensed out the rows read ``g x_at + h z_at >= need + free + slope * s``.
-    g, h, free : ndarray, shapes (J, R, n), (J, R, m), (J, R)
+    Over the N input shares z and the margin variable s. Before the states are condensed out the rows read
+    ``g x_at + h z_at >= need + free + slope * s``. Shapes: a (J, R, N); need, free (J, R); g (J, R, n);
+    h (J, R, m).
     """
 
     a: Array

@@ -29,20 +29,11 @@ ROW_SLACK = 10 * SOLVER_FEASIBILITY
 
 @dataclass(eq=False)
 class Candidate:
-    """A path with the facets it was made with.
+    """A path: input shares z, shape (N,), and what it was made with.
 
-    Attributes
-    ----------
-    z : ndarray, shape (N,)
-        Input shares.
-    level : float
-        Value of the margin variable s (see `Levels`).
-    short : float
-        Length [m] by which required clearances had to be relaxed, 0 for a usable path.
-    fuel : float
-        Velocity change [m/s].
-    choice : dict
-        Facet of every constrained cell, row of every constrained disjunction of the goal.
+    `level` is the value of the margin variable s; `short` the length [m] by which required clearances had to
+    be relaxed, 0 for a usable path; `fuel` the velocity change [m/s]; `choice` the facet of every constrained
+    cell, and the row of every constrained disjunction of the goal.
     """
 
     z: Array
@@ -54,38 +45,18 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """A path against all rows of the program, stated or not.
-
-    Attributes
-    ----------
-    states : ndarray, shape (K+1, n)
-        At the waypoints.
-    surplus : tuple of ndarray, each of shape (cells, F)
-        Room [m] beyond what the rows ask for without extra margin (`Rows.surplus`).
-    """
+    """A path against all rows of the program: states at the waypoints, (K+1, n), and `Rows.surplus` [m]."""
 
     states: Array
     surplus: tuple[Array, ...]
 
 
-@dataclass(frozen=True)
-class Levels:
-    """Range of the margin variable s: clearances must exceed `margins` by ``extra * s``."""
-
-    low: float
-    high: float
-
-
 class PathSearch:
     """Linear programs over input shares (z+, z-), the margin variable s and a shortfall e [length].
 
-    Parameters
-    ----------
-    rows : Rows
-    deadline : float
-        Value of `time.perf_counter` at which to stop; past as soon as a program has run out of time.
-    more : int
-        Further variables, free of charge and zero until told otherwise, of which no row here speaks.
+    Clearances must exceed `margins` by ``extra * s``. `deadline` is the value of `time.perf_counter` at which
+    to stop; it is past as soon as a program has run out of time. `more` is the number of further variables,
+    free of charge and zero until told otherwise, of which no row here speaks.
     """
 
     def __init__(self, rows: Rows, deadline: float, more: int = 0) -> None:
@@ -99,17 +70,18 @@ class PathSearch:
             self.lp.add(self._wide(rows.state_rows(g, K) / unit, 0.0, 0.0), need, need + top)
         self.base = self.lp.rows
         self.solves = 0
-        self.set_prices(Levels(0.0, 0.0))
+        self.set_prices(0.0, 0.0)
 
     def set_prices(
-        self, levels: Levels, margin: float = 0.0, short: float = np.inf, fuel: float = 1.0
+        self, low: float, high: float, margin: float = 0.0, short: float = np.inf, fuel: float = 1.0
     ) -> None:
         """Range of s; prices of s, of the shortfall (infinite: none allowed) and of fuel."""
-        self.levels, self.margin_price, self.short_price, self.fuel_price = levels, margin, short, fuel
+        self.low, self.high = low, high
+        self.margin_price, self.short_price, self.fuel_price = margin, short, fuel
         s, free = 2 * self.rows.N, bool(np.isfinite(short))
         fuel_cost = self.rows.price * fuel
         self.lp.price(0, np.r_[fuel_cost, fuel_cost, -margin, short if free else 0.0])
-        self.lp.limit(s, levels.low, levels.high)
+        self.lp.limit(s, low, high)
         self.lp.limit(s + 1, 0.0, np.inf if free else 0.0)
 
     def value(self, path: Candidate) -> float:
@@ -283,7 +255,7 @@ def _room(search: PathSearch, i: int, k: int, want: float) -> float:
     """Largest extra clearance [m] any path to the goal can have in one cell, at most `want`."""
     best, extra = -np.inf, search.rows.extra[i]
     old, extra[k] = extra[k, 0], 1.0
-    search.set_prices(Levels(-1e6, min(want, 1e6)), margin=1e3, fuel=1e-6)
+    search.set_prices(-1e6, min(want, 1e6), margin=1e3, fuel=1e-6)
     for f in range(len(search.rows.problem.unsafe[i].normals)):
         path = search.solve({(i, k): f})
         best = best if path is None else max(best, path.level)

@@ -13,16 +13,12 @@ import numpy as np
 from ..model.errors import ClockWarning, NotCertified, OutOfTime
 from . import backends, diagnose
 from .effort import Effort, Spare
-from .lazy import by_back_end
+from .model import by_back_end
 from .problem import SOLVERS, Plan, PlannerOptions, PlanProblem, Stage
 from .recheck import certified
 from .rows import Rows
-from .search import Candidate, Levels, PathSearch, set_targets
+from .search import Candidate, PathSearch, set_targets
 from .tree import Outcome, branch
-
-SPARE_SHARE = 0.25
-"""Share of the effort left for a stage that can be given up: looking for a first path with the full
-margin, and proving that no larger margin exists once a path is known."""
 
 MARGIN_SHARE = 0.75
 """Share of the effort left that the largest margin may take in all, so that least fuel gets its own."""
@@ -33,6 +29,8 @@ BOOKED_MOST = 0.05
 MARGIN_TRADE = 1e-4
 """Where the full margin is out of reach: share of it that may be traded for a velocity change as
 large as that of the cheapest transfer without obstacles."""
+
+NEITHER = "the planner neither found a plan nor proved that there is none"
 
 
 def plan(problem: PlanProblem, options: PlannerOptions | None = None) -> Plan:
@@ -92,22 +90,18 @@ class Planner:
             self._none_because(diagnose.blocked)
         furthest = self.problem.objective == "distance" and top > 0
         price = scale / MARGIN_TRADE / top if top > 0 else 0.0
-        some = self._first(Levels(0.0, top), price, 10 * scale / MARGIN_TRADE)
+        some = self._first(top, price, 10 * scale / MARGIN_TRADE)
         full = replace(some, level=top) if some is not None and some.level >= top * (1 - 1e-9) else None
         if not furthest:
-            found = self._minimise("fuel", full, Levels(top, top), 0.0, lambda path: top > 0 and path is None)
+            self.search.set_prices(top, top)
+            found = self._minimise("fuel", full, lambda path: top > 0 and path is None)
             if found.best is not None:
                 return self._certify(found.best, found.best.fuel, found.bound, found.status)
             if top == 0:
                 self._none(found.status)
-        reached = self._minimise(
-            "margin",
-            some,
-            Levels(0.0, top),
-            price,
-            lambda path: not furthest and path is not None,
-            1.0 if furthest else MARGIN_SHARE,
-        )
+        self.search.set_prices(0.0, top, price)
+        share = 1.0 if furthest else MARGIN_SHARE
+        reached = self._minimise("margin", some, lambda path: not furthest and path is not None, share)
         best = reached.best
         if best is None:
             self._none(reached.status)
@@ -117,23 +111,18 @@ class Planner:
             return self._certify(best, best.level * unit, most * unit, reached.status)
         full_margin = best.level >= top * (1 - 1e-6)
         level = top if full_margin else best.level
-        found = self._minimise(
-            "fuel at the margin found",
-            replace(best, level=level),
-            Levels(level, level),
-            0.0,
-            lambda path: False,
-        )
+        self.search.set_prices(level, level)
+        found = self._minimise("fuel at the margin found", replace(best, level=level), lambda path: False)
         assert found.best is not None
         if full_margin:  # the first stage gave up too early
             return self._certify(found.best, found.best.fuel, found.bound, found.status)
         status = reached.status if reached.status != "optimal" else found.status
         return self._certify(found.best, level * unit, most * unit, status)
 
-    def _first(self, levels: Levels, margin_price: float, short_price: float) -> Candidate | None:
+    def _first(self, top: float, margin_price: float, short_price: float) -> Candidate | None:
         """A path found without branching, by way of paths that lack clearance; None if it still does."""
         begun = perf_counter()
-        self.search.set_prices(levels, margin_price, short_price)
+        self.search.set_prices(0.0, top, margin_price, short_price)
         path = self.search.first()
         self.effort.add_time("path_search", begun)
         usable = path is not None and path.short == 0
@@ -141,55 +130,40 @@ class Planner:
         self.effort.stages.append(Stage("path search", by, status, self.search.solves, 0))
         return path if usable else None
 
-    def _minimise(
-        self,
-        stage: str,
-        best: Candidate | None,
-        levels: Levels,
-        margin_price: float,
-        spare: Spare,
-        share: float = 1.0,
-    ) -> Outcome:
-        """Least objective with all cells certified, with a share of the effort left.
+    def _minimise(self, stage: str, best: Candidate | None, spare: Spare, share: float = 1.0) -> Outcome:
+        """Least objective at the prices set with all cells certified, with a share of the effort left.
 
         `spare` says whether the stage may be given up early with the path known by then.
         """
-        self.search.set_prices(levels, margin_price)
         begun, solves = perf_counter(), self.search.solves
-        early, late = self.effort.allow(SPARE_SHARE), self.effort.allow(share)
+        allowed = self.effort.allow(share, spare)
         if self.options.solver == "facets":
             found = branch(
                 self.search,
                 best,
                 self.options.gap,
-                lambda path: (early if spare(path) else late).spent(self.effort.used),
+                lambda path: allowed.spent(path, self.effort.used),
                 lambda top, bound: self.effort.report(stage, top, bound),
             )
             self.effort.add_time(stage.replace(" ", "_"), begun)
             self.effort.stats["nodes"] += found.nodes
         else:
-            found = by_back_end(self.effort, stage, best, early, late, spare)
+            found = by_back_end(self.effort, stage, best, allowed)
         by, solves = SOLVERS[self.options.solver], self.search.solves - solves
         self.effort.stages.append(Stage(stage, by, found.status, solves, int(found.nodes)))
         return found
 
     def _out_of_time(self) -> NoReturn:
-        raise OutOfTime(
-            f"none found in the time given ({self.options.time_limit:g} s): the planner neither found a plan "
-            "nor proved that there is none"
-        )
+        raise OutOfTime(f"none found in the time given ({self.options.time_limit:g} s): {NEITHER}")
 
     def _none(self, status: str) -> NoReturn:
         if status == "infeasible":
             self._none_because(diagnose.blocked)
         if self.effort.cut_by_clock:
             self._out_of_time()
-        facets = self.options.solver == "facets"
-        name = "max_linear_programs" if facets else "max_nodes"
-        raise NotCertified(
-            f"none found with the effort given (planner.{name} = {getattr(self.options, name)}): the planner "
-            "neither found a plan nor proved that there is none"
-        )
+        name = "max_linear_programs" if self.options.solver == "facets" else "max_nodes"
+        given = f"planner.{name} = {getattr(self.options, name)}"
+        raise NotCertified(f"none found with the effort given ({given}): {NEITHER}")
 
     def _none_because(self, explain: Callable[[Rows, float], NoReturn]) -> NoReturn:
         if self.effort.left <= 0:

@@ -60,18 +60,10 @@ def branch(
     stop: Callable[[Candidate | None], str],
     listen: Callable[[float, float], None] = lambda top, bound: None,
 ) -> Outcome:
-    """Minimise the search's objective, at the prices set, over all facet choices.
+    """Minimise the search's objective, at the prices set, over all facet choices, to a relative gap.
 
-    Parameters
-    ----------
-    best : Candidate or None
-        A certified path at the same prices.
-    gap : float
-        Relative gap at which to stop.
-    stop : callable
-        Asked before every node, given the best path so far: why to stop with the tree open, or "".
-    listen : callable
-        Told the incumbent and the bound.
+    `best` is a certified path at the same prices, if one is known. `stop` is asked before every node, given
+    the best path so far, why to stop with the tree open (or ""); `listen` is told incumbent and bound.
     """
     tree = _Tree(search, best, gap)
     while tree.open:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from ..model.errors import ScenarioError
 from ..runs.atomic import check_file, replacing_file
-from ..runs.folder import readable
+from ..runs.folder import RunFolder, readable
 from ..runs.run import read_run
 from .html.page import Page, page_html
 
@@ -38,35 +38,25 @@ def write_report(folder: str | Path, out: str | Path | None = None) -> Path:
     ScenarioError
         If the folder is none of these or damaged, or the file cannot be written.
     """
-    target = Path(folder) / "report.html" if out is None else Path(out)
     if not Path(folder).is_dir():
-        raise ScenarioError("report", str(folder), _no_folder(Path(folder)))
+        known = Path(folder).exists()
+        rule = "is a file; must be a run folder or a comparison" if known else "there is no such folder"
+        raise ScenarioError("report", str(folder), rule)
+    run = read_run(folder)
+    target = run.path / "report.html" if out is None else Path(out)
     check_file(target, endings=(".html", ".htm"))
-    text = page_html(report_page(folder))
+    text = page_html(report_page(run))
     with replacing_file(target) as beside:
         beside.write_text(text, encoding="utf-8", newline="\n")
     return target
 
 
-def report_page(folder: str | Path) -> Page:
+def report_page(run: RunFolder) -> Page:
     """What the report of a folder says; see `write_report`."""
-    path = Path(folder)
-    if not path.is_dir():
-        raise ScenarioError("report", str(folder), _no_folder(path))
-    run = read_run(path)
-    with readable(path):
-        if run.kind.name == "comparison":
-            from .html.comparison_report import comparison_page
+    from .html.comparison_report import comparison_page
+    from .html.inspection_report import inspection_page
+    from .html.run_report import run_page
 
-            return comparison_page(path)
-        if run.kind.name == "schedule":
-            from .html.run_report import run_page
-
-            return run_page(run)
-        from .html.inspection_report import inspection_page
-
-        return inspection_page(run)
-
-
-def _no_folder(path: Path) -> str:
-    return "is a file; must be a run folder or a comparison" if path.exists() else "there is no such folder"
+    pages = {"comparison": comparison_page, "schedule": run_page}
+    with readable(run.path):
+        return pages.get(run.kind.name, inspection_page)(run)

@@ -9,9 +9,12 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ..model.checks import of_kind, whole
+from ..model.checks import one_of, whole
 from ..model.errors import PolarisError, ScenarioError
+from ..model.system import Array
+from ..simulation.metrics import Metrics, finite
 from ..synthesis.schedule import Schedule
 from .decision_grid import DecisionGrid
 from .flight import Conditions, Flight, fly
@@ -48,11 +51,11 @@ class Shown:
     """
 
     labels: tuple[str, ...]
-    times: Any
-    states: Any
-    inputs: Any
-    modes: Any
-    nearest: Any
+    times: Array
+    states: Array
+    inputs: Array
+    modes: NDArray[np.int_]
+    nearest: Array
     decisions: list[dict[str, Any]]
 
 
@@ -87,14 +90,11 @@ class Comparison:
 
 
 def compare_methods(
-    schedule: Schedule,
+    scene: Schedule | DecisionGrid,
     runs: int = 50,
     seed: int = 0,
     *,
     methods: Sequence[str] | None = None,
-    period: float | None = None,
-    latency: float = 0.0,
-    half_widths: Any = 0.0,
     tuning: Tuning | None = None,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> Comparison:
@@ -102,16 +102,13 @@ def compare_methods(
 
     Parameters
     ----------
-    schedule : Schedule
-        Result of `synthesize`, with an experimental controller.
+    scene : Schedule or DecisionGrid
+        With an experimental controller: result of `synthesize`, or of `DecisionGrid.of` where the time
+        between decisions, the latency or the error of the state estimate are not the usual ones.
     runs, seed : int
         Number of runs, and what their conditions are drawn from (`Conditions.draw`).
     methods : sequence of str, optional
         Keys of `polaris.rta.method.METHODS`; default all.
-    period, latency : float
-        Between decisions, and from measurement to effect [s]; see `DecisionGrid.of`.
-    half_widths : array_like
-        Largest error of the state estimate.
     tuning : mapping of str to float, optional
         Values by ``method.option``, such as ``monitor.dwell`` (see `tunable`). The defaults are those of the
         methods.
@@ -121,18 +118,16 @@ def compare_methods(
     Raises
     ------
     ScenarioError
-        If a method has no such name or option, or the scene does not fit the options.
+        If a method has no such name or option, or the scene has no experimental controller.
     """
-    of_kind("schedule", schedule, Schedule, "polaris.synthesize")
+    grid = scene if isinstance(scene, DecisionGrid) else DecisionGrid.of(scene)
     whole("runs", runs, 1)
     keys = list(dict.fromkeys(METHODS if methods is None else methods))
     for key in keys:
-        if key not in METHODS:
-            raise ScenarioError("methods", key, f"must be one of {', '.join(METHODS)}")
+        one_of("methods", key, METHODS)
     options = _options(tuning or {})
-    if len(schedule.controllers) < 2:
+    if len(grid.controllers) < 2:
         raise ScenarioError("experimental", "none", "a comparison needs an experimental controller")
-    grid = DecisionGrid.of(schedule, period, latency, half_widths)
     parts = [Conditions.draw(grid, min(BATCH, runs - first), seed + first) for first in range(0, runs, BATCH)]
     results, shown, refused = {}, {}, {}
     for key in keys:
@@ -141,9 +136,9 @@ def compare_methods(
         if isinstance(method, str):
             refused[key] = method
             continue
-        built = time.perf_counter() - begun
+        built = _synthesis(grid, key) + time.perf_counter() - begun
         report = partial(progress, key) if progress else None
-        results[key], shown[key] = _flown(grid, key, method, parts, built, report)
+        results[key], shown[key] = _flown(grid, method, parts, built, report)
     return Comparison(grid, runs, seed, results, shown, refused)
 
 
@@ -167,58 +162,56 @@ def _options(tuning: Tuning) -> dict[str, dict[str, float]]:
     """Options by method."""
     out: dict[str, dict[str, float]] = {}
     for name, value in tuning.items():
-        if name not in tunable():
-            raise ScenarioError("tuning", name, f"must be one of {', '.join(tunable())}")
+        one_of("tuning", name, tunable())
         key, _, option = name.partition(".")
         found = METHODS[key].option
-        counted = found is not None and found.unit == "decisions"
-        out[key] = {option: int(value) if counted and float(value).is_integer() else value}
+        counted = found is not None and found.unit == "decisions" and float(value).is_integer()
+        out[key] = {option: int(value) if counted else value}
     return out
 
 
 def _flown(
     grid: DecisionGrid,
-    key: str,
     method: Method,
     parts: Sequence[Conditions],
-    built: float,
+    synthesis_s: float,
     progress: Callable[[int, int], None] | None,
 ) -> tuple[MethodResult, Shown]:
     """Fly one method in all conditions, and once alone to time its decisions."""
-    found, deviations, counts, kept = [], [], np.zeros(len(method.reasons), dtype=int), None
+    found: list[Metrics] = []
+    deviations, counts, kept = [], np.zeros(len(method.reasons), dtype=int), None
     for conditions in parts:
         flight = fly(grid, method, conditions, progress)
         metrics = measure(grid, flight, conditions, method.name)
-        if kept is None or metrics.min_distance.min() < kept[1].min_distance.min():
-            kept = flight, metrics
+        if kept is None or metrics.min_distance.min() < min(one.min_distance.min() for one in found):
+            kept = flight, metrics.worst
         found.append(metrics)
         deviations.append(flight.deviation)
         counts += np.bincount(flight.why.ravel(), minlength=len(counts))
+    assert kept is not None
     seconds = fly(grid, method, parts[0].only(0)).seconds
     outcome = MethodResult(
-        key,
+        method.key,
         method.name,
         method.claim,
-        type(found[0]).join(found),
+        Metrics.join(found),
         np.concatenate(deviations),
         (float(np.median(seconds)), float(np.percentile(seconds, 99))),
-        _synthesis(grid, key) + built,
+        synthesis_s,
         dict(zip(method.reasons, counts.tolist(), strict=True)),
         method.settings,
     )
-    assert kept is not None
-    return outcome, _show(grid, method, *kept, nearest=outcome.metrics.nearest)
+    return outcome, _show(grid, method, *kept, outcome.metrics.nearest)
 
 
-def _show(grid: DecisionGrid, method: Method, flight: Flight, metrics: Any, nearest: Any) -> Shown:
-    worst = metrics.worst
+def _show(grid: DecisionGrid, method: Method, flight: Flight, worst: int, nearest: Array) -> Shown:
     chosen = [worst, *(run for run in range(len(flight.states)) if run != worst)][: 1 + SHOWN]
     who = flown(grid, flight)
     decisions = [
         {
             "t": k * grid.period,
             "mode": int(who[worst, min(k * grid.nodes + grid.delay, who.shape[1] - 1)]),
-            "margin": float(flight.margins[worst, k]) if np.isfinite(flight.margins[worst, k]) else None,
+            "margin": finite(flight.margins[worst, k]),
             "reason": method.reasons[int(flight.why[worst, k])],
         }
         for k in range(grid.decisions)

@@ -106,16 +106,8 @@ class DecisionGrid:
         tracking = Tracking(safety.problem.system, safety.tracking.gain, Feedback(q, feedback.sampled), delta)
         old = safety.clearance
         clearance = Clearance(tracking, old.reference, old.unsafe, old.facets, old.planned, old.jump)
-        return cls(
-            schedule,
-            period,
-            latency,
-            np.array(np.broadcast_to(half, (n,))),
-            tracking,
-            clearance,
-            nodes,
-            delay,
-        )
+        half = np.array(np.broadcast_to(half, (n,)))
+        return cls(schedule, period, latency, half, tracking, clearance, nodes, delay)
 
     # -- what it consists of ------------------------------------------------------------------------
 
@@ -193,13 +185,11 @@ class DecisionGrid:
         first : ndarray of int, shape (o,)
             Where each set's facets begin.
         """
-        if not self.unsafe:
-            empty = np.zeros((len(self.xi), 0))
-            return np.zeros((0, self.system.d)), empty, np.zeros(0, dtype=np.intp)
-        offsets = [_at_nodes(unsafe.fine(self.clearance.q)) for unsafe in self.unsafe]
-        first = np.cumsum([0, *(len(unsafe.normals) for unsafe in self.unsafe)])[:-1]
-        normals = np.vstack([unsafe.normals for unsafe in self.unsafe])
-        return normals, np.hstack(offsets), first.astype(np.intp)
+        polytopes, none = self.unsafe, np.zeros((len(self.xi), 0))
+        first = np.cumsum([0, *(len(unsafe.normals) for unsafe in polytopes)])[:-1]
+        normals = np.vstack([np.zeros((0, self.system.d)), *(unsafe.normals for unsafe in polytopes)])
+        offsets = [_at_nodes(unsafe.fine(self.clearance.q)) for unsafe in polytopes]
+        return normals, np.hstack([none, *offsets]), first.astype(np.intp)
 
     def nearest(self, room: Array) -> Array:
         """Distance to the nearest unsafe set, by its farthest facet, from those to all facets (..., F)."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property, partial
 from math import ceil
 
 import numpy as np
@@ -14,27 +13,18 @@ from numpy.typing import NDArray
 from ..model.checks import whole
 from ..model.system import Array
 from ..simulation.disturbances import disturbances
-from ..simulation.integration import Integrator, runge_kutta
+from ..simulation.integration import Integrator
 from ..simulation.simulate import initial_states
-from ..synthesis.controllers import AffineController
 from .decision_grid import DecisionGrid
 from .method import FILTERED, Method, Seen
 
 
 @dataclass(frozen=True, eq=False)
 class Conditions:
-    """What happens to every method alike.
+    """What happens to every method alike, in R runs.
 
-    Attributes
-    ----------
-    x0 : ndarray, shape (R, n)
-        Initial states.
-    w : ndarray, shape (N, R, p)
-        Disturbances held from node to node.
-    errors : ndarray, shape (D, R, n)
-        Errors of the state estimate at every decision.
-    seed : int
-        They were drawn from; other satellites' true states are too.
+    Initial states x0 (R, n), disturbances w (N, R, p) held from node to node, errors (D, R, n) of the state
+    estimate at every decision, and the seed of it all, true states of other satellites included.
     """
 
     x0: Array
@@ -65,8 +55,7 @@ class Conditions:
                 w, adjoint = disturbances(flight, count, rng, "worst")
                 parts.append(w)
                 if len(adjoint):
-                    corner = np.where(adjoint @ theta.G < 0, -1.0, 1.0) @ theta.G.T
-                    x0[first : first + count] = theta.c + corner
+                    x0[first : first + count] = theta.support_vector(adjoint)
                 first += count
         parts.append(disturbances(flights[0], runs - first, rng, "random")[0])
         errors = rng.uniform(-1, 1, (grid.decisions, runs, grid.system.n)) * grid.half_widths
@@ -126,79 +115,57 @@ def fly(
     Feedback laws are integrated by a fourth-order Runge-Kutta scheme between the nodes (continuous
     feedback) or held exactly (sampled feedback); inputs of a filter are held for a decision period.
     """
-    return _Engine(grid).fly(method, conditions, progress)
+    engine, system = _Engine(grid), grid.system
+    R, D, c = len(conditions.x0), grid.decisions, grid.nodes
+    N, delay = D * c, grid.delay if method.delayed else 0
+    states, inputs = np.empty((N + 1, R, system.n)), np.empty((N, R, system.m))
+    demanded, modes = np.zeros((N, R)), np.zeros((N, R), dtype=int)
+    margins, why = np.full((D, R), np.nan), np.zeros((D, R), dtype=int)
+    seconds, delta_v, deviation = np.zeros(D), np.zeros(R), np.zeros(R)
+    flying, u = np.zeros(R, dtype=int), np.zeros((R, system.m))
+    preferred = min(1, len(grid.controllers) - 1)
+    method.start(R)
+    states[0] = x = conditions.x0
+    for k in range(D):
+        if progress and k % 50 == 0:
+            progress(k, D)
+        seen = Seen(k, x + conditions.errors[k], grid.clipped(preferred, k * c, x), flying)
+        begun = time.perf_counter()
+        choice = method.decide(seen)
+        seconds[k] = time.perf_counter() - begun
+        margins[k], why[k] = choice.margin, choice.why
+        for i in range(c + 1):
+            if i == delay:
+                flying, u = choice.mode, u if choice.u is None else choice.u
+            if i == c:
+                break
+            node = k * c + i
+            desired = grid.clipped(preferred, node, x) if i else seen.desired
+            x, inputs[node], demanded[node], spent = engine.step(node, flying, u, x, conditions.w[node])
+            states[node + 1], modes[node] = x, flying
+            delta_v += spent * engine.dt / system.mass
+            deviation += np.linalg.norm(inputs[node] - desired, axis=1)
+    return Flight(
+        np.asarray(np.arange(N + 1) * grid.h, dtype=float),
+        states.swapaxes(0, 1),
+        inputs.swapaxes(0, 1),
+        demanded.T,
+        delta_v,
+        modes.T,
+        margins.T,
+        why.T,
+        deviation / N,
+        seconds,
+    )
 
 
-class _Engine:
+class _Engine(Integrator):
     """Integration from node to node, every run under its own mode."""
 
     def __init__(self, grid: DecisionGrid) -> None:
-        self.grid, self.system = grid, grid.system
-        self.sampled = grid.tracking.feedback.sampled
-        self.parts = 1 if self.sampled else max(ceil(grid.h * grid.fastest / 0.1), 1)
-        self.dt = grid.h / self.parts
-
-    @cached_property
-    def _arcs(self) -> dict[int, Array]:
-        """References at the half-steps of every cell, shape (cells, 2 q parts + 1, n), by mode."""
-        count = 2 * self.grid.clearance.q * self.parts
-        safe = self.grid.clearance.reference.fine(count)
-        out = {}
-        for mode, law in enumerate(self.grid.controllers):
-            out[mode] = law.own.fine(count) if isinstance(law, AffineController) else safe
-        return out
-
-    def fly(
-        self, method: Method, conditions: Conditions, progress: Callable[[int, int], None] | None
-    ) -> Flight:
-        grid, system = self.grid, self.system
-        R, D, c = len(conditions.x0), grid.decisions, grid.nodes
-        delay = grid.delay if method.delayed else 0
-        N = D * c
-        states, inputs = np.empty((N + 1, R, system.n)), np.empty((N, R, system.m))
-        demanded, modes = np.zeros((N, R)), np.zeros((N, R), dtype=int)
-        margins, why = np.full((D, R), np.nan), np.zeros((D, R), dtype=int)
-        seconds, delta_v, deviation = np.zeros(D), np.zeros(R), np.zeros(R)
-        flying, u = np.zeros(R, dtype=int), np.zeros((R, system.m))
-        preferred = min(1, len(grid.controllers) - 1)
-        method.start(R)
-        states[0] = x = conditions.x0
-        for k in range(D):
-            if progress and k % 50 == 0:
-                progress(k, D)
-            desired = grid.clipped(preferred, k * c, x)
-            seen = Seen(k, x + conditions.errors[k], desired, flying)
-            begun = time.perf_counter()
-            choice = method.decide(seen)
-            seconds[k] = time.perf_counter() - begun
-            margins[k], why[k] = choice.margin, choice.why
-            for i in range(c):
-                if i == delay:
-                    flying = choice.mode
-                    u = u if choice.u is None else choice.u
-                node = k * c + i
-                if i:
-                    desired = grid.clipped(preferred, node, x)
-                x, inputs[node], demanded[node], spent = self.step(node, flying, u, x, conditions.w[node])
-                states[node + 1], modes[node] = x, flying
-                delta_v += spent * self.dt / system.mass
-                deviation += np.linalg.norm(inputs[node] - desired, axis=1)
-            if delay == c:
-                flying = choice.mode
-                u = u if choice.u is None else choice.u
-        times = np.asarray(np.arange(N + 1) * grid.h, dtype=float)
-        return Flight(
-            times,
-            states.swapaxes(0, 1),
-            inputs.swapaxes(0, 1),
-            demanded.T,
-            delta_v,
-            modes.T,
-            margins.T,
-            why.T,
-            deviation / N,
-            seconds,
-        )
+        self.grid, sampled = grid, grid.tracking.feedback.sampled
+        parts = 1 if sampled else max(ceil(grid.h * grid.fastest / 0.1), 1)
+        super().__init__(grid.fine_schedule, np.zeros(grid.clearance.planned, dtype=int), parts)
 
     def step(
         self, node: int, flying: NDArray[np.int_], u: Array, x: Array, w: Array
@@ -217,35 +184,15 @@ class _Engine:
         return out[0], out[1], out[2], out[3]
 
     def _under(self, mode: int, node: int, u: Array, x: Array, w: Array) -> tuple[Array, Array, Array, Array]:
-        Ad, Bd, Dd = self.grid.held
-        limit = self.system.u_max
-        if mode == FILTERED or self.sampled:
-            raw = u if mode == FILTERED else self.grid.command(mode, node, x)
-            applied = np.clip(raw, -limit, limit)
-            demand = (np.abs(raw) / limit).max(axis=1)
-            following = x @ Ad.T + applied @ Bd.T + w @ Dd.T
-            return following, applied, demand, np.abs(applied).sum(axis=1) * self.parts
-        k, place = divmod(node, self.grid.clearance.q)
-        force = w @ self.system.D.T
-        first = np.zeros(0)
-        demand, spent = np.zeros(len(x)), np.zeros(len(x))
-        for part in range(self.parts):
-            half = 2 * (place * self.parts + part)
-            raw = self._command(mode, k, half, x)
-            now = np.clip(raw, -limit, limit)
-            if part == 0:
-                first = now
-            demand = np.maximum(demand, (np.abs(raw) / limit).max(axis=1))
-            spent += np.abs(now).sum(axis=1)
-            rate = partial(self._rate, mode, k, half, force=force)
-            x = runge_kutta(rate, x, self.dt, x @ self.system.A.T + now @ self.system.B.T + force)
-        return x, first, demand, spent
-
-    def _command(self, mode: int, k: int, half: int, x: Array) -> Array:
-        law = self.grid.controllers[mode]
-        return law.command(k, self._arcs[0][k, half], self._arcs[mode][k, half], x)
-
-    def _rate(self, mode: int, k: int, half: int, later: int, x: Array, force: Array) -> Array:
-        limit = self.system.u_max
-        u = np.clip(self._command(mode, k, half + later, x), -limit, limit)
-        return np.asarray(x @ self.system.A.T + u @ self.system.B.T + force)
+        if mode != FILTERED:
+            k, place = divmod(node, self.q)
+            return self.period(mode, k, place, x, [w] * self.substeps)
+        (Ad, Bd, Dd), limit = self.grid.held, self.system.u_max
+        applied = np.clip(u, -limit, limit)
+        demand = (np.abs(u) / limit).max(axis=1)
+        return (
+            x @ Ad.T + applied @ Bd.T + w @ Dd.T,
+            applied,
+            demand,
+            np.abs(applied).sum(axis=1) * self.substeps,
+        )

@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..model.distances import count_switches, mode_shares
+from ..model.distances import count_switches
 from ..model.system import Array
-from ..simulation.intervals import mean_interval, possible, violation_interval
-from ..simulation.metrics import Metrics
-from ..simulation.run_metrics import Runs, evaluate
+from ..simulation.metrics import Metrics, finite, mean_interval, possible, violation_interval
+from ..simulation.run_metrics import Runs, evaluate, experimental_share, peak
 from .decision_grid import DecisionGrid
 from .flight import Conditions, Flight
 from .method import FILTERED, Claim
@@ -45,7 +44,8 @@ DEFINITIONS = {
 LEAST = ("min_distance_m", "mean_distance_m", "min_ttc_s", "min_ttc_free_drift_s", "experimental_share")
 """Metrics of which little is bad."""
 
-Times = tuple[float, float]
+PER_RUN = (*LEAST, "switches", "delta_v_m_s", "deviation")
+"""Metrics of which every run has its own."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +74,7 @@ class MethodResult:
     claim: Claim
     metrics: Metrics
     deviation: Array
-    decision_s: Times
+    decision_s: tuple[float, float]
     synthesis_s: float
     reasons: dict[str, int]
     settings: dict[str, float] = field(default_factory=dict)
@@ -82,17 +82,8 @@ class MethodResult:
     @property
     def columns(self) -> dict[str, Array]:
         """One number per run, by metric."""
-        m = self.metrics
-        return {
-            "min_distance_m": m.min_distance,
-            "mean_distance_m": m.mean_distance,
-            "min_ttc_s": m.min_ttc,
-            "min_ttc_free_drift_s": m.min_ttc_free_drift,
-            "experimental_share": m.experimental_share,
-            "switches": m.switches.astype(float),
-            "delta_v_m_s": m.delta_v,
-            "deviation": self.deviation,
-        }
+        columns = self.metrics.columns() | {"deviation": self.deviation}
+        return {name: columns[name].astype(float) for name in PER_RUN}
 
     def summary(self) -> dict[str, Any]:
         """The numbers of a comparison; null where there is none."""
@@ -100,7 +91,7 @@ class MethodResult:
         for name, values in self.columns.items():
             worst = values.min() if name in LEAST else values.max()
             mean, low, high = _interval(values, possible(name))
-            out[name] = {"mean": mean, "low": low, "high": high, "worst": _finite(worst)}
+            out[name] = {"mean": mean, "low": low, "high": high, "worst": finite(worst)}
         collided, runs = int(self.metrics.collided.sum()), len(self.metrics.collided)
         low, high = (part * runs for part in violation_interval(collided, runs))
         out["violations"] = {"mean": collided, "low": low, "high": high, "worst": collided}
@@ -128,15 +119,13 @@ def measure(grid: DecisionGrid, flight: Flight, conditions: Conditions, name: st
     )
     found = evaluate(runs, conditions.seed, name)
     who = flown(grid, flight)
-    share = mode_shares(flight.times, who)
-    experimental = sum((part for mode, part in share.items() if mode > 0), np.zeros(len(who)))
     return replace(
         found,
-        experimental_share=np.asarray(experimental),
+        experimental_share=experimental_share(flight.times, who),
         # A filtered input is not an unknown mode: changes to it and from it count.
         switches=count_switches(np.where(who == FILTERED, len(grid.controllers), who)),
-        max_thrust_ratio_safety=_largest(flight.demanded, who == 0),
-        max_thrust_ratio_experimental=_largest(flight.demanded, who > 0),
+        max_thrust_ratio_safety=peak(flight.demanded, who == 0),
+        max_thrust_ratio_experimental=peak(flight.demanded, who > 0),
     )
 
 
@@ -148,17 +137,8 @@ def flown(grid: DecisionGrid, flight: Flight) -> NDArray[np.int_]:
     return np.where((flight.modes == FILTERED) & (why == UNCHANGED), 1, flight.modes)
 
 
-def _largest(demanded: Array, chosen: NDArray[np.bool_]) -> Array:
-    least = np.where(chosen, demanded, -np.inf).max(axis=1)
-    return np.where(np.isfinite(least), least, np.nan)
-
-
 def _interval(values: Array, within: tuple[float, float]) -> tuple[float | None, float | None, float | None]:
     if not np.all(np.isfinite(values)):
         return None, None, None
     mean, low, high = mean_interval(values, within=within)
     return mean, low, high
-
-
-def _finite(value: Any) -> float | None:
-    return float(value) if np.isfinite(value) else None

@@ -59,24 +59,12 @@ def least_violation(
     shortage could be less by more than ``SPARE / max(SURE, 1 / (v + 1))`` (1e-5 of the limit, up to 33
     deputies) without another growing that counts more: of an earlier rank, or of its own and as large.
 
-    Parameters
-    ----------
-    G : ndarray, shape (M, v)
-        Rows of any length; those of zeros are left out, as no input changes them.
-    bound : ndarray, shape (M,)
-        ``G u >= bound``; infinite where nothing satisfies the row, which then asks for full thrust.
-    desired : ndarray, shape (v,)
-        [N]
-    limit : float
-        ``|u_i| <= limit`` [N].
-    rank : ndarray of int, shape (M,)
-        Least first.
+    Rows of G (M, v) have any length; those of zeros are left out, as no input changes them. A bound (M,) is
+    infinite where nothing satisfies the row, which then asks for full thrust. Inputs and the limit are in N;
+    the least rank counts first.
 
-    Returns
-    -------
-    ndarray, shape (v,), or None
-        [N]; None if a bound is no number, if anything else is not finite, if the limit is not positive, or if
-        the programs ended without an answer.
+    None if a bound is no number, if anything else is not finite, if the limit is not positive, or if the
+    programs ended without an answer.
     """
     whole = np.isfinite(G).all() and np.isfinite(desired).all() and not np.isnan(bound).any()
     if not whole or not 0 < limit < np.inf:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
 from math import isfinite
 
 import daqp
@@ -30,55 +29,26 @@ Index = NDArray[np.intp]
 
 @dataclass(frozen=True, eq=False)
 class Projections:
-    """Solutions of K programs.
-
-    Attributes
-    ----------
-    u : ndarray, shape (K, ...)
-        Inputs [N]; nan where failed.
-    status : ndarray of int, shape (K,)
-        DESIRED, FILTERED, SHORT or FAILED.
-    """
+    """Solutions of K programs: inputs (K, ...) [N], nan where failed, and how each came about."""
 
     u: Array
     status: NDArray[np.int8]
 
 
-@cache
-def _cost(size: int) -> Array:
-    return np.eye(size)
-
-
 def solve(
     G: Array, bound: Array, desired: Array, limit: float, rank: Index | None = None
 ) -> tuple[Array, int]:
-    """Project one input: ``min norm(u - desired)`` subject to ``G u >= bound``, ``|u_i| <= limit``.
+    """Project one input: ``min norm(u - desired)`` subject to ``G u >= bound``, ``|u_i| <= limit``, all in N.
 
-    Parameters
-    ----------
-    G : ndarray, shape (M, v)
-        Rows of length 1, or zero.
-    bound : ndarray, shape (M,)
-    desired : ndarray, shape (v,)
-        [N]
-    limit : float
-        [N]
-    rank : ndarray of int, shape (M,), optional
-        Where no input satisfies all rows, find the one that violates them least, rank by rank (see
-        `polaris.rta.priorities`); without it there is no answer then.
-
-    Returns
-    -------
-    u : ndarray, shape (v,)
-        [N]; nan if failed.
-    status : int
-        FILTERED, SHORT or FAILED.
+    Rows of G (M, v) have length 1, or are zero. Where no input satisfies all rows, the one that violates them
+    least is found, by the rank (M,) of each (see `polaris.rta.priorities`); without ranks there is no answer
+    then. Returned are the input (v,), nan if failed, and FILTERED, SHORT or FAILED.
     """
     size, rows = len(desired), len(bound)
     lower, upper = np.full(size + rows, -limit), np.full(size + rows, 1e30)
     lower[size:] = bound
     upper[:size] = limit
-    u, _, flag, _ = daqp.solve(_cost(size), -desired, G, upper, lower, primal_tol=PRIMAL)
+    u, _, flag, _ = daqp.solve(np.eye(size), -desired, G, upper, lower, primal_tol=PRIMAL)
     if flag > 0:
         return np.clip(u, -limit, limit), FILTERED
     least = None if rank is None else least_violation(G, bound, desired, limit, rank)
@@ -86,19 +56,9 @@ def solve(
 
 
 def project(G: Array, bound: Array, desired: Array, limit: float, rank: Index | None = None) -> Projections:
-    """Project K inputs, each with its own M rows; in closed form where one row decides.
+    """Project K inputs (K, v), each with its own M rows; in closed form where one row decides.
 
-    Parameters
-    ----------
-    G : ndarray, shape (K, M, v)
-    bound : ndarray, shape (K, M)
-        ``G u >= bound``.
-    desired : ndarray, shape (K, v)
-        [N]
-    limit : float
-        ``|u_i| <= limit`` [N].
-    rank : ndarray of int, shape (K, M), optional
-        See `solve`.
+    ``G u >= bound`` for G (K, M, v) and bound (K, M), ``|u_i| <= limit`` [N]; ranks (K, M) as in `solve`.
     """
     alone = np.zeros(G.shape[1], dtype=np.intp)
     return project_coupled(G, bound, desired[:, None], limit, alone, alone - 1, rank, flat=True)
@@ -116,20 +76,8 @@ def project_coupled(
 ) -> Projections:
     """Project the inputs of K runs of N deputies: ``G (u_first - u_second) >= bound``.
 
-    Parameters
-    ----------
-    G : ndarray, shape (K, M, v)
-    bound : ndarray, shape (K, M)
-    desired : ndarray, shape (K, N, v)
-        [N]
-    limit : float
-        ``|u_i| <= limit`` [N].
-    first, second : ndarray of int, shape (M,)
-        Deputies of a row; second is -1 where there is one only.
-    rank : ndarray of int, shape (K, M), optional
-        See `solve`.
-    flat : bool
-        Drop the axis of deputies from the result (N is 1).
+    As `project`, with desired inputs (K, N, v); `first` and `second` (M,) are the deputies of a row, the
+    second -1 where there is one only. `flat` drops the axis of deputies from the result (N is 1).
     """
     pair = second >= 0
     several = np.where(pair, 2.0, 1.0)

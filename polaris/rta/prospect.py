@@ -1,14 +1,17 @@
 """What may have become of an error when the next decision takes effect, and whether S can still take over.
 
-Everything that does not depend on the measurement is worked out beforehand.
+Everything that does not depend on the measurement is worked out beforehand. Many errors are judged at once by
+`Prospect.share`, a single one in a few microseconds by `Prospect.share_one`: the same arithmetic, up to the
+order of sums.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any
+from math import hypot, inf
 
 import numpy as np
+from numpy.typing import NDArray
 
 from reach.tubes.flow import LinearFlow
 
@@ -30,19 +33,10 @@ class Stage:
 
 @dataclass(frozen=True, eq=False)
 class Leg:
-    """How one controller moves errors from node to node: ``e -> phi e + steps[node] + G b``.
+    """How one controller moves errors over a period of the nodes: ``e -> phi e + steps[node] + G b``.
 
-    Attributes
-    ----------
-    flow : LinearFlow
-        Its motion, over the spacing of the nodes.
-    steps : ndarray, shape (nodes, n)
-    G : ndarray, shape (n, g)
-    law : AffineController or None
-        Whose declared, unclipped law this is.
-    zeta : ndarray, shape (nodes, 2, n)
-        Its own reference minus the safe one, at both ends of every period: waypoints of a reference need
-        not join.
+    Of a declared, unclipped `law`, `zeta` (nodes, 2, n) is its own reference minus the safe one at both ends
+    of every period: waypoints of a reference need not join.
     """
 
     flow: LinearFlow
@@ -90,106 +84,174 @@ class Leg:
 
 
 class Prospect:
-    """What is checked before U may fly on: everything that does not depend on the measurement.
+    """What is checked before U may fly on, after a measurement within the grid's half widths.
 
-    Parameters
-    ----------
-    recovery : Recovery
-    before : Leg or None
-        Who flies during the latency; None without one.
-    leg : Leg
-        Who flies afterwards.
-    half_widths : ndarray, shape (n,)
-        Of the measurement's error.
+    During the latency `before` flies (None without one), then `leg` does. For sets of such errors about a
+    measured e, `stack` and `known` give the centre at the end, what bounds ``norm(W e)`` at every stage, and
+    from column `commands` on the commands of a declared law.
     """
 
-    def __init__(self, recovery: Recovery, before: Leg | None, leg: Leg, half_widths: Array) -> None:
+    def __init__(self, recovery: Recovery, before: Leg | None, leg: Leg) -> None:
         grid = recovery.grid
         n, c = grid.system.n, grid.nodes
         self.recovery, self.grid = recovery, grid
-        stages = [Stage(np.eye(n), np.zeros((grid.last, n)), np.diag(half_widths))]
+        stages = [Stage(np.eye(n), np.zeros((grid.last, n)), np.diag(grid.half_widths))]
         for i in range(grid.delay + c):
             flying = before if before is not None and i < grid.delay else leg
             stages.append(flying.after(stages[-1], i))
-        self.inner, self.end = stages[grid.delay + 1 : -1], stages[-1]
-        self.command = _Command(grid, leg, stages[grid.delay :]) if leg.law is not None else None
-        # One product gives the end, what the norms need, and the commands.
+        self.end = stages[-1]
         W = grid.tracking.W
         blocks = [self.end.M, *(W @ stage.M for stage in stages)]
         known = [self.end.offset, *(stage.offset @ W.T for stage in stages)]
-        if self.command is not None:
-            blocks.append(self.command.matrix)
-            known.append(self.command.known)
-        self.stack, self.known = np.vstack(blocks).T.copy(), np.hstack(known)[::c].copy()
         self.commands = n * (1 + len(stages))
+        self.room = self.per_size = np.zeros(0)  # of the commands
+        if leg.law is not None:
+            matrix, offset, self.room, self.per_size = _commands(grid, leg, leg.law, stages[grid.delay :])
+            blocks.append(matrix)
+            known.append(offset)
+        self.stack, self.known = np.vstack(blocks).T.copy(), np.hstack(known)[::c].copy()
         self.radius = max(recovery.size(stage.G) for stage in stages) * (1 + ROUNDING)
         self.demand = recovery.demand(self.end.G)
-        self.inner_demand = [recovery.demand(stage.G) for stage in self.inner]
+        self._lay_out_inner(stages[grid.delay + 1 : -1])
+        near = self.demand.near
+        self._near_rows = np.ascontiguousarray(self.demand.tall[:near].T)
+        self._far_rows = np.ascontiguousarray(self.demand.tall[near:].T)
+        self._norms = [(i, i + n) for i in range(n, self.commands, n)]
+        self._rooms = list(zip(self.room.tolist(), self.per_size.tolist(), strict=True))
+        self._beyond = recovery.far_shares.tolist()
 
-    def share(self, k: int, e: Array) -> tuple[Array, Any]:
-        """Share of the room needed if U flies on, and whether its law holds (its command is not clipped).
+    def _lay_out_inner(self, inner: list[Stage]) -> None:
+        """The facets at the nodes before the end: one matrix, and one row of constants per decision."""
+        recovery, o, n = self.recovery, len(self.recovery.bow), self.grid.system.n
+        facets, starts = recovery.matrix[:o], np.arange(len(self.known)) * self.grid.nodes
+        self.inner, none = len(inner) * o, np.zeros((len(starts), 0))
+        booked = [recovery.demand(stage.G).tall[:o, -1] for stage in inner]
+        self.inner_rows = np.hstack([np.zeros((n, 0)), *((facets[:, :n] @ stage.M).T for stage in inner)])
+        known = (stage.offset[starts] @ facets[:, :n].T for stage in inner)
+        self.inner_known = np.hstack([none, *(part + more for part, more in zip(known, booked, strict=True))])
+        self.inner_size = np.tile(facets[:, n], len(inner))
+        nodes = starts[:, None] + self.grid.delay + 1 + np.arange(len(inner))
+        limits = recovery.reciprocals.reshape(-1, len(recovery.rows))[:, :o]
+        nodes = np.minimum(nodes, len(limits) - 1)  # later ones are never asked for
+        self.inner_limits = limits[nodes].reshape(len(starts), -1)
 
-        Parameters
-        ----------
-        k : int
-            Decision.
-        e : ndarray, shape (R, n) or (n,)
-            Errors as measured at it.
+    def inner_share(self, k: int, e: Array, size: Array, moved: Array | float = 0.0) -> Array:
+        """Share of the room that facets before the end need, by size a bound on every ``norm(W e)``; (...).
+
+        What `moved` (..., facets) is added to their rows by what the legs leave out.
         """
-        n, first = e.shape[-1], k * self.grid.nodes + self.grid.delay
-        if first + self.grid.nodes > self.grid.last:  # nothing is planned up to the next moment of effect
-            return np.full(e.shape[:-1], np.inf), np.ones(e.shape[:-1], dtype=bool)
-        moved = e @ self.stack
-        moved += self.known[k]
+        need = e @ self.inner_rows + moved + np.multiply.outer(size, self.inner_size) + self.inner_known[k]
+        return np.asarray((need * self.inner_limits[k]).max(axis=-1, initial=0.0))
+
+    def share(self, k: int, e: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """Share of the room needed if U flies on from errors (R, n) as measured at decision k, shape (R,).
+
+        Also whether the law of its leg holds, its command being not clipped.
+        """
+        R, n = e.shape
+        end = (k + 1) * self.grid.nodes + self.grid.delay
+        if end > self.grid.last:  # nothing is planned up to the next moment of effect
+            return np.full(R, np.inf), np.ones(R, dtype=bool)
+        moved = e @ self.stack + self.known[k]
         size = self._size(moved, n)
-        share = self.recovery.share(first + self.grid.nodes, moved[..., :n], size, self.demand)
-        for j, (stage, demand) in enumerate(zip(self.inner, self.inner_demand, strict=True)):
-            there = e @ stage.M.T + stage.offset[k * self.grid.nodes]
-            share = np.maximum(share, self.recovery.facets_share(first + j + 1, there, size, demand))
-        if self.command is None:
-            return share, True
-        return share, self.command.holds(moved[..., self.commands :], size)
+        share = self.recovery.share(end, moved[:, :n], size, self.demand)
+        if self.inner:
+            share = np.maximum(share, self.inner_share(k, e, size))
+        room = self.room - np.multiply.outer(size, self.per_size)
+        return share, (np.abs(moved[:, self.commands :]) <= room).all(axis=-1)
 
     def size(self, k: int, e: Array) -> Array:
-        """Bound on ``norm(W e)`` at every node until the next decision takes effect, shape (...)."""
+        """Bound on ``norm(W e)`` at every node until the next decision takes effect, shape (R,)."""
         return self._size(e @ self.stack + self.known[k], e.shape[-1])
 
     def _size(self, moved: Array, n: int) -> Array:
-        squares = (moved[..., n : self.commands] ** 2).reshape(*moved.shape[:-1], -1, n)
+        squares = (moved[:, n : self.commands] ** 2).reshape(len(moved), -1, n)
         return np.asarray(np.sqrt(squares.sum(axis=-1).max(axis=-1)) + self.radius)
 
+    def share_one(self, k: int, e: Array) -> tuple[float, int, bool]:
+        """The same of one error (n,); where the tightest limit is (see `limit`); whether the law holds.
 
-class _Command:
-    """Where the command of a declared law stays within the thrust limits over all of its periods."""
+        Nothing else is worked out where it does not.
+        """
+        n, r, near = self.grid.system.n, len(self.recovery.rows), self.demand.near
+        end = (k + 1) * self.grid.nodes + self.grid.delay
+        if end > self.grid.last:
+            return inf, 0, True
+        moved = np.dot(e, self.stack)
+        moved += self.known[k]
+        values = moved.tolist()
+        size = max([hypot(*values[i:j]) for i, j in self._norms]) + self.radius
+        for value, (room, per_size) in zip(values[self.commands :], self._rooms, strict=True):
+            if not abs(value) <= room - size * per_size:
+                return inf, 0, False
+        vector = np.array([*values[:n], size, 1.0])
+        share, where = self._worst(vector, self._near_rows, end * r)
+        beyond = max([base + slope * size for base, slope in self._beyond[end]])
+        if beyond > share:
+            share, where = beyond, -1
+        later = self.demand.base + self.demand.slope * size
+        if later > 1:
+            later, row = self._worst(vector, self._far_rows, end * r + near)
+            where = near + row if later > share else where
+        share = max(share, later)
+        if self.inner:
+            need = np.dot(e, self.inner_rows)
+            need += self.inner_size * size
+            need += self.inner_known[k]
+            need *= self.inner_limits[k]
+            at = int(need.argmax())
+            if need[at] > share:
+                j, row = divmod(at, len(self.recovery.bow))
+                share, where = float(need[at]), row + (j + 1 - self.grid.nodes) * r  # before the end
+        return share, where, True
 
-    def __init__(self, grid: DecisionGrid, leg: Leg, stages: list[Stage]) -> None:
-        law, system, q = leg.law, grid.system, grid.clearance.q
-        assert law is not None
-        count = len(stages[0].offset)
-        W_size = np.linalg.norm(grid.tracking.W_inverse, axis=1)
-        sampled = grid.tracking.feedback.sampled
-        matrices, known, room, per_size = [], [], [], []
-        steps = np.repeat(law.own.nu[: grid.clearance.planned], q, axis=0)[:count]
-        for j in range(len(stages) - 1):
-            cells = np.minimum(np.arange(count) + grid.delay + j, count - 1)
-            for end in (0,) if sampled else (0, 1):
-                stage = stages[j + end]
-                zeta = leg.zeta[cells, end]
-                matrices.append(-law.gain @ stage.M)
-                known.append(steps[cells] + (zeta - stage.offset) @ law.gain.T)
-                spread = np.abs(law.gain @ stage.G).sum(axis=1)
-                bent = np.zeros((system.m, system.n))
-                if not sampled:
-                    spread = spread + 2 * np.abs(law.gain) @ leg.flow.period_box
-                    curve = np.abs(law.gain @ leg.flow.A_c @ leg.flow.A_c) @ leg.flow.growth
-                    bent = leg.flow.h**2 / 8 * curve
-                    spread = spread + bent @ np.abs(leg.zeta).max(axis=(0, 1))
-                room.append(system.u_max * (1 - ROUNDING) - spread)
-                per_size.append(bent @ W_size)
-        self.matrix, self.known = np.vstack(matrices), np.hstack(known)
-        self.room, self.per_size = np.concatenate(room), np.concatenate(per_size)
+    def _worst(self, vector: Array, rows: Array, first: int) -> tuple[float, int]:
+        """Largest share needed of some rows whose limits begin at `first`, and which of them needs it."""
+        if not rows.shape[1]:
+            return 0.0, 0
+        limits = slice(first, first + rows.shape[1])
+        need = np.dot(vector, rows)
+        need *= self.recovery.reciprocals[limits]
+        need += self.recovery.taken[limits]
+        where = int(need.argmax())
+        return float(need[where]), where
 
-    def holds(self, command: Array, size: Array) -> Any:
-        """Whether commands (..., rows) at the nodes are within the limits, from node to node too."""
-        room = self.room - np.multiply.outer(size, self.per_size)
-        return (np.abs(command) <= room).all(axis=-1)
+    def limit(self, k: int, where: int) -> str:
+        """The tightest limit that `share_one` found, and when S would meet it, in words."""
+        end = (k + 1) * self.grid.nodes + self.grid.delay
+        if end > self.grid.last:
+            return "the end of the plan"
+        if where == -1:
+            return "limits beyond the loop's memory"
+        lag, row = divmod(where, len(self.recovery.rows))
+        return f"{self.recovery.names[row]} at t = {(end + lag) * self.grid.h:g} s"
+
+
+def _commands(
+    grid: DecisionGrid, leg: Leg, law: AffineController, stages: list[Stage]
+) -> tuple[Array, Array, Array, Array]:
+    """Commands of a declared law at the nodes: ``matrix e + known``, at most ``room - per_size norm(W e)``.
+
+    Then they stay within the thrust limits from node to node too.
+    """
+    system, count = grid.system, len(stages[0].offset)
+    W_size = np.linalg.norm(grid.tracking.W_inverse, axis=1)
+    sampled = grid.tracking.feedback.sampled
+    matrices, known, room, per_size = [], [], [], []
+    steps = np.repeat(law.own.nu[: grid.clearance.planned], grid.clearance.q, axis=0)[:count]
+    for j in range(len(stages) - 1):
+        cells = np.minimum(np.arange(count) + grid.delay + j, count - 1)
+        for end in (0,) if sampled else (0, 1):
+            stage = stages[j + end]
+            matrices.append(-law.gain @ stage.M)
+            known.append(steps[cells] + (leg.zeta[cells, end] - stage.offset) @ law.gain.T)
+            spread = np.abs(law.gain @ stage.G).sum(axis=1)
+            bent = np.zeros((system.m, system.n))
+            if not sampled:
+                curve = np.abs(law.gain @ leg.flow.A_c @ leg.flow.A_c) @ leg.flow.growth
+                bent = leg.flow.h**2 / 8 * curve
+                spread = spread + 2 * np.abs(law.gain) @ leg.flow.period_box
+                spread = spread + bent @ np.abs(leg.zeta).max(axis=(0, 1))
+            room.append(system.u_max * (1 - ROUNDING) - spread)
+            per_size.append(bent @ W_size)
+    return np.vstack(matrices), np.hstack(known), np.concatenate(room), np.concatenate(per_size)

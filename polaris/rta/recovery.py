@@ -38,15 +38,9 @@ NEAR = 1500
 class Demand:
     """What sets of errors of one shape need of every limit.
 
-    Attributes
-    ----------
-    tall : ndarray, shape (L r, n + 2)
-        ``[row phi^l, per unit of size, constant]``: applied to ``[e, size, 1]``, size a bound on
-        ``norm(W e)`` over the set.
-    near : int
-        Number of its first rows that are always worked out.
-    base, slope : float
-        The share of the room that the other rows need is at most ``base + slope size``.
+    `tall` (L r, n + 2) is ``[row phi^l, per unit of size, constant]``, applied to ``[e, size, 1]``, size a
+    bound on ``norm(W e)`` over the set. Its first `near` rows are always worked out; the share of the room
+    that the others need is at most ``base + slope size``.
     """
 
     tall: Array
@@ -57,12 +51,7 @@ class Demand:
 
 @dataclass(frozen=True, eq=False)
 class Recovery:
-    """Conditions under which S saves the day from a node on.
-
-    Parameters
-    ----------
-    grid : DecisionGrid
-    """
+    """Conditions under which S saves the day from a node on."""
 
     grid: DecisionGrid
 
@@ -75,11 +64,13 @@ class Recovery:
         NotCertified
             If it does not.
         """
-        found = cls(grid)
-        if not found.start_share <= 1:
+        found, start = cls(grid), grid.schedule.safety.start
+        size = np.asarray(np.linalg.norm(grid.tracking.W @ start.c) + found.size(start.G))
+        share = float(found.share(0, start.c, size, found.demand(start.G)))
+        if not share <= 1:
             raise NotCertified(
                 "the initial set is not inside the first recoverable set of the run-time methods:"
-                f" it needs {found.start_share:.4g} of the room there"
+                f" it needs {share:.4g} of the room there"
             )
         return found
 
@@ -87,13 +78,6 @@ class Recovery:
     def sets(self) -> PolytopeSets:
         """The recoverable sets of `polaris.synthesis.polytope_sets`, on the fine grid."""
         return PolytopeSets(self.grid.clearance)
-
-    @cached_property
-    def start_share(self) -> float:
-        """Share of the room that the initial set needs at the first node."""
-        start = self.grid.schedule.safety.start
-        size = np.asarray(np.linalg.norm(self.grid.tracking.W @ start.c) + self.size(start.G))
-        return float(self.share(0, start.c, size, self.demand(start.G)))
 
     @cached_property
     def rows(self) -> Array:
@@ -162,7 +146,7 @@ class Recovery:
 
     @cached_property
     def limits(self) -> Array:
-        """Least room of every row at every node (at a border, of both cells), shape (nodes + L + 1, r)."""
+        """Least room of every row at every node (at a border, of both cells), (nodes + L + 1, r)."""
         q = self.grid.clearance.q
         return np.minimum(self._limits(np.arange(q)), self._limits(np.array([q])))
 
@@ -211,39 +195,20 @@ class Recovery:
 
     def demand(self, G: Array) -> Demand:
         """What sets with generators G (n, g) need of the rows."""
+        r, W_inverse = len(self.rows), self.grid.tracking.W_inverse
         booked = self.booked + np.abs(self.matrix[:, :-1] @ G).sum(axis=1) * (1 + ROUNDING)
-        tall = np.hstack([self.matrix, booked[:, None]])
-        near = min(max(NEAR // len(self.rows), 1), self.lags) * len(self.rows)
-        size = np.linalg.norm(self.matrix[:, :-1] @ self.grid.tracking.W_inverse, axis=1)
-        slope = (size * (1 + ROUNDING) + self.matrix[:, -1]).reshape(self.lags, -1) * self._tightest_ever
-        ever = self.taken.reshape(-1, len(self.rows)).max(axis=0)
-        base = booked.reshape(self.lags, -1) * self._tightest_ever + ever
-        first = near // len(self.rows)
-        return Demand(
-            np.ascontiguousarray(tall),
-            near,
-            float(base[first:].max(initial=0.0)),
-            float(slope[first:].max(initial=0.0)),
-        )
-
-    @cached_property
-    def _tightest_ever(self) -> Array:
-        """Largest reciprocal of every row over all nodes, shape (r,)."""
-        return np.asarray(self.reciprocals.reshape(-1, len(self.rows)).max(axis=0))
+        first = min(max(NEAR // r, 1), self.lags)
+        tightest, taken = self.reciprocals.reshape(-1, r).max(axis=0), self.taken.reshape(-1, r).max(axis=0)
+        size = np.linalg.norm(self.matrix[:, :-1] @ W_inverse, axis=1) * (1 + ROUNDING) + self.matrix[:, -1]
+        slope, base = size.reshape(-1, r) * tightest, booked.reshape(-1, r) * tightest + taken
+        least = (float(part[first:].max(initial=0.0)) for part in (base, slope))
+        return Demand(np.ascontiguousarray(np.hstack([self.matrix, booked[:, None]])), first * r, *least)
 
     def share(self, node: int, e: Array, size: Array, demand: Demand) -> Array:
         """Share of the available room that sets of errors need at the tightest place; above 1: too much.
 
-        Where the bound on the far lags is all that matters, the result is that bound: never too small.
-
-        Parameters
-        ----------
-        node : int
-        e : ndarray, shape (..., n)
-            Centres.
-        size : ndarray, shape (...)
-            Bounds on ``norm(W e)``.
-        demand : Demand
+        About centres e (..., n), with bounds (...) on ``norm(W e)``. Where the bound on the far lags is all
+        that matters, the result is that bound: never too small.
         """
         first, vector = node * len(self.rows), extended(e, size)
         need = self._needs(vector, first, demand, slice(demand.near))
@@ -262,12 +227,6 @@ class Recovery:
         need += self.taken[limits][part]
         return need
 
-    def facets_share(self, node: int, e: Array, size: Array, demand: Demand) -> Array:
-        """The same of the facets at the node itself alone; 0 without unsafe sets."""
-        o, first = len(self.bow), node * len(self.rows)
-        need = extended(e, size) @ demand.tall[:o].T * self.reciprocals[first : first + o]
-        return np.asarray(need.max(axis=-1, initial=0.0))
-
     def far(self, node: int) -> float:
         """Largest ``norm(W e)`` at a node with which all limits beyond the memory are met."""
         allowed = self._far[0]
@@ -276,8 +235,6 @@ class Recovery:
     @cached_property
     def _far(self) -> tuple[Array, Array, Array]:
         """The same at all nodes; shares of the room needed without any error, and per unit of ``norm(W e)``.
-
-        Shape (nodes + L + 1,) each.
 
         What `bow` and `_bent` book is booked here too: U may take over when S has flown for longer than
         the memory, and the facets of the node where it does were met by this condition alone.
@@ -322,7 +279,8 @@ class Recovery:
         return np.stack([np.stack([base, slope], axis=1), np.stack([beyond, steep], axis=1)], axis=1)
 
     @cached_property
-    def _names(self) -> list[str]:
+    def names(self) -> list[str]:
+        """What every row limits, in words."""
         names = [""] * len(self.rows)
         for cell in self._index:
             for limit, row in enumerate(cell):

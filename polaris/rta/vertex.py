@@ -32,21 +32,9 @@ LEAST = 1e-12
 def lowest(G: Array, need: Array, free: NDArray[np.bool_], exact: bool = True) -> tuple[Array, Array] | None:
     """Solve ``min s`` subject to ``G u + s free >= need``, ``s >= 0``, ``|u_i| <= 1``.
 
-    Parameters
-    ----------
-    G : ndarray, shape (M, v)
-        Rows of length 1.
-    need : ndarray, shape (M,)
-    free : ndarray of bool, shape (M,)
-        At least one.
-    exact : bool
-        Go on from what floating point finds in exact arithmetic, to the last digit.
-
-    Returns
-    -------
-    x, multipliers : ndarray, shapes (v + 1,) and (M,)
-        ``(u, s)`` and what a unit more of each row's need adds to s; None if no u meets the rows that are
-        not free, or not within `STEPS`, `EXACT_STEPS`.
+    Rows of G (M, v) have length 1, at least one is free. Returned are ``(u, s)`` and what a unit more of each
+    row's need adds to s, (M,); None if no u meets the rows that are not free, or not within `STEPS`,
+    `EXACT_STEPS`. What floating point finds is carried on in exact arithmetic if that is asked for.
     """
     M, v = G.shape
     A = np.zeros((M + 1 + 2 * v, v + 1))

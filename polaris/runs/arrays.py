@@ -9,23 +9,27 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from reach.sets.zonotope import Zonotope
+
 from ..model.system import Array
 from ..simulation.baselines import Flights
 from ..synthesis.schedule import Schedule
 from .picture import SlicePicture, TubePicture
 
+SLICES = {"slice_t_s": "times", "slice_place_m": "places", "slice_outline_m": "outlines"}
+"""Attribute of slices by the name of its array."""
 
-def write_sets(path: Path, schedule: Schedule, slices: SlicePicture | None) -> None:
-    """Write everything the recoverable sets are made from, in error coordinates, and slices for figures."""
+
+def set_arrays(schedule: Schedule, slices: SlicePicture) -> dict[str, Any]:
+    """Everything the recoverable sets are made from, in error coordinates, and slices for figures."""
     safety = schedule.safety
     clearance, tracking, kind = safety.clearance, safety.tracking, safety.recoverable.kind
     rows, index = clearance.obstacle_rows
     above, below = clearance.thrust
-    names = [unsafe.name for unsafe in clearance.unsafe]
     nodes = np.arange(safety.problem.K + 1) * clearance.q
-    arrays: dict[str, Any] = {
+    return {
         "kind": np.array(kind),
-        "unsafe": np.array(names, dtype=str),
+        "unsafe": np.array([unsafe.name for unsafe in clearance.unsafe], dtype=str),
         "facets": clearance.facets,
         "obstacle_rows": rows,
         "obstacle_row_index": index,
@@ -45,41 +49,33 @@ def write_sets(path: Path, schedule: Schedule, slices: SlicePicture | None) -> N
         "radius": np.array([safety.recoverable.radius(int(node)) for node in nodes]),
         "start_center": safety.start.c,
         "start_generators": safety.start.G,
+        **held_by(slices, SLICES),
     }
-    if slices is not None:
-        arrays |= {
-            "slice_t_s": slices.times,
-            "slice_place_m": slices.places,
-            "slice_outline_m": slices.outlines,
-        }
-    np.savez(path, **arrays)
 
 
-def write_tubes(path: Path, schedule: Schedule) -> None:
-    """Write the reachable set of every step at its nodes, in error and in absolute coordinates.
+def tube_arrays(schedule: Schedule) -> dict[str, Any]:
+    """The reachable set of every step at its nodes, in error and in absolute coordinates.
 
     The set at a node is ``center + generators b`` with every ``|b_i| <= 1``; between two nodes it
     lies in the hull of the two, up to ``bow`` on either side.
     """
-    safety = schedule.safety
+    safety, nodes = schedule.safety, Zonotope.stack([step.tube.nodes for step in schedule.steps])
     q = safety.tracking.feedback.nodes_per_cell
-    width = max(step.tube.nodes.order_count for step in schedule.steps)
-    error = np.stack([step.tube.nodes.c for step in schedule.steps])
-    generators = np.zeros((*error.shape, width))
-    for k, step in enumerate(schedule.steps):
-        generators[k, ..., : step.tube.nodes.order_count] = step.tube.nodes.G
-    start = schedule.times[:-1, None]
-    np.savez(
-        path,
-        t_s=start + np.arange(q + 1) * safety.tracking.flow.h,
-        mode=schedule.modes,
-        center=error + safety.reference.fine(q)[: len(error)],
-        center_error=error,
-        generators=generators,
-        bow=np.stack([step.tube.bow for step in schedule.steps]),
-        final_center_error=schedule.final.c,
-        final_generators=schedule.final.G,
-    )
+    return {
+        "t_s": schedule.times[:-1, None] + np.arange(q + 1) * safety.tracking.flow.h,
+        "mode": schedule.modes,
+        "center": nodes.c + safety.reference.fine(q)[: len(nodes.c)],
+        "center_error": nodes.c,
+        "generators": nodes.G,
+        "bow": np.stack([step.tube.bow for step in schedule.steps]),
+        "final_center_error": schedule.final.c,
+        "final_generators": schedule.final.G,
+    }
+
+
+def position_tube(arrays: Mapping[str, Any], C: Array) -> TubePicture:
+    """Positions out of `tube_arrays`."""
+    return TubePicture(arrays["center"] @ C.T, C @ arrays["generators"], arrays["bow"] @ np.abs(C).T)
 
 
 FLIGHTS = {
@@ -95,14 +91,23 @@ FLIGHTS = {
 """Attribute of the flights of a controller by the name of its array."""
 
 
-def write_flights(path: Path, flown: Mapping[str, Flights]) -> None:
-    """Write some runs of every controller and the envelope of all of them."""
-    arrays: dict[str, Any] = {
-        f"{key}_{name}": np.array(getattr(flights, held))
+def flight_arrays(flown: Mapping[str, Flights]) -> dict[str, Any]:
+    """Some runs of every controller and the envelope of all of them."""
+    return {
+        name: values
         for key, flights in flown.items()
-        for name, held in FLIGHTS.items()
+        for name, values in held_by(flights, FLIGHTS, f"{key}_").items()
     }
-    np.savez(path, **arrays)
+
+
+def held_by(item: Any, names: Mapping[str, str], prefix: str = "") -> dict[str, Any]:
+    """Attributes of an item by the names their arrays have."""
+    return {prefix + name: getattr(item, held) for name, held in names.items()}
+
+
+def read_held(arrays: Mapping[str, Any], names: Mapping[str, str], prefix: str = "") -> dict[str, Any]:
+    """The inverse: arrays by attribute."""
+    return {held: arrays[prefix + name] for name, held in names.items()}
 
 
 def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
@@ -120,25 +125,16 @@ def read_finite(path: Path, finite: Iterable[str]) -> dict[str, NDArray[Any]]:
 
 
 def read_flights(path: Path) -> dict[str, Flights]:
-    """Read what `write_flights` wrote."""
+    """Read what `flight_arrays` gave."""
     arrays, out = read_arrays(path), {}
     for key in ("safety", "experimental", "polaris"):
         if f"{key}_t_s" in arrays:
-            found: dict[str, Any] = {held: arrays[f"{key}_{name}"] for name, held in FLIGHTS.items()}
+            found = read_held(arrays, FLIGHTS, f"{key}_")
             found |= {"controller": str(found["controller"]), "labels": tuple(found["labels"].tolist())}
             out[key] = Flights(**found)
     return out
 
 
-def read_tube(path: Path, C: Array) -> TubePicture:
-    """Positions out of what `write_tubes` wrote."""
-    arrays = read_arrays(path)
-    return TubePicture(arrays["center"] @ C.T, C @ arrays["generators"], arrays["bow"] @ np.abs(C).T)
-
-
-def read_slices(path: Path) -> SlicePicture | None:
-    """Slices out of what `write_sets` wrote; None of a folder whose slices were not those of its runs."""
-    arrays = read_arrays(path)
-    if "slice_place_m" not in arrays:
-        return None
-    return SlicePicture(arrays["slice_t_s"], arrays["slice_place_m"], arrays["slice_outline_m"])
+def read_slices(path: Path) -> SlicePicture:
+    """Slices out of `set_arrays`."""
+    return SlicePicture(**read_held(read_arrays(path), SLICES))

@@ -8,7 +8,6 @@ it does not list is somebody else's, and is linked into the folder that takes it
 from __future__ import annotations
 
 import errno
-import json
 import os
 import shutil
 from collections.abc import Iterator
@@ -17,9 +16,6 @@ from pathlib import Path
 
 from ..model.errors import ScenarioError
 from .ownership import CAMPAIGN, Ours, beside_name, discard, keep, listed, tidy, write_manifest
-
-MARKS = ("summary.json", "comparison.json")
-"""Files by which folders of versions without a manifest are known."""
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 REFUSED = (errno.EIO, errno.EROFS, errno.EACCES, errno.EPERM, errno.ENAMETOOLONG, errno.ENOTDIR, None)
@@ -41,20 +37,10 @@ class CannotWrite(ScenarioError):
 
 
 def check_target(out: str | Path, campaign: bool = False) -> Path:
-    """Whether a folder may be written there, found out by trying; returns the absolute path.
+    """Whether a folder, or a `campaign` too, may be replaced or made there, found out by trying.
 
-    What killed processes left half done there is cleared away.
-
-    Parameters
-    ----------
-    out : path
-    campaign : bool
-        Whether a campaign may be replaced.
-
-    Raises
-    ------
-    ScenarioError
-        If there is something else, which must not be replaced, or the place cannot be written to.
+    Returns the absolute path; what killed processes left half done there is cleared away. `ScenarioError` if
+    there is something else, which must not be replaced, or the place cannot be written to.
     """
     try:
         target = Path(out).resolve()
@@ -71,21 +57,10 @@ def check_target(out: str | Path, campaign: bool = False) -> Path:
 
 
 def check_file(out: str | Path, field: str = "--out", endings: tuple[str, ...] = ()) -> Path:
-    """Whether a file may be written there, found out by trying.
+    """Whether a file may be written there, found out by trying; `field` is what messages call it.
 
-    Parameters
-    ----------
-    out : path
-    field : str
-        What messages call it.
-    endings : tuple of str
-        How its name must end, if that is not open, so that a scenario is not taken for a place to write to.
-
-    Raises
-    ------
-    ScenarioError
-        If it is a folder or a part of a result, its name ends otherwise, or its folder is not there or
-        cannot be written to.
+    `endings` keep a scenario from being taken for a place to write to. `ScenarioError` if it is a folder or a
+    part of a result, its name ends otherwise, or its folder is not there or cannot be written to.
     """
     target = Path(out)
     try:
@@ -116,7 +91,7 @@ def _check_existing(target: Path, out: str | Path, campaign: bool) -> None:
     if any(target.iterdir()):
         if (target / CAMPAIGN).is_file() and not campaign:
             refuse("holds a campaign; it will not be replaced")
-        if not campaign and listed(target) is None and not any(_is_mark(target / name) for name in MARKS):
+        if not campaign and listed(target) is None:
             refuse("is a folder with other contents; it will not be replaced")
     for name in sorted(Ours(target)):
         if (target / name).is_symlink():
@@ -129,15 +104,6 @@ def _check_existing(target: Path, out: str | Path, campaign: bool) -> None:
         refuse(f"belongs to somebody else, and folders in {target.parent} can be renamed by their owner only")
 
 
-def _is_mark(path: Path) -> bool:
-    """Whether a summary is one of ours."""
-    try:
-        told = json.loads(path.read_text(encoding="utf-8"))
-        return isinstance(told, dict) and {"schema_version", "scenario"} <= told.keys()
-    except (OSError, ValueError):
-        return False
-
-
 def _try_writing(folder: Path, name: str, out: str | Path, field: str = "--out") -> None:
     """Make a folder beside with a file in it, as the result will be made, and remove both."""
     trial = folder / beside_name(name, "new")
@@ -148,10 +114,8 @@ def _try_writing(folder: Path, name: str, out: str | Path, field: str = "--out")
         finally:
             shutil.rmtree(trial, ignore_errors=True)
     except OSError as error:
-        told = error.strerror or error
-        raise ScenarioError(
-            field, str(out), f"cannot be made: {folder} is not a writable folder ({told})"
-        ) from error
+        rule = f"cannot be made: {folder} is not a writable folder ({error.strerror or error})"
+        raise ScenarioError(field, str(out), rule) from error
 
 
 # -- writing ----------------------------------------------------------------------------------------
@@ -164,12 +128,8 @@ def replacing(target: Path, also: tuple[str, ...] = ()) -> Iterator[Path]:
     Of what is in `target`, only what Polaris wrote goes: what its manifest lists, and what fits one of
     the patterns `also`. The rest is linked into the new folder; a file of somebody else's whose name
     the new folder needs is kept with ``.kept`` added to it. An older folder is moved aside and deleted
-    last; killed in between, it is whole, and the next run there puts it back.
-
-    Raises
-    ------
-    CannotWrite
-        If the disk is full, or refuses.
+    last; killed in between, it is whole, and the next run there puts it back. `CannotWrite` if the disk is
+    full, or refuses.
     """
     tidy(target)
     beside, aside = (target.with_name(beside_name(target.name, word)) for word in ("new", "old"))
@@ -199,13 +159,7 @@ def replacing(target: Path, also: tuple[str, ...] = ()) -> Iterator[Path]:
 
 @contextmanager
 def replacing_file(target: Path, field: str = "--out") -> Iterator[Path]:
-    """A file beside `target`, with the same suffix, that takes its place if all goes well.
-
-    Raises
-    ------
-    CannotWrite
-        If the disk is full, or refuses.
-    """
+    """A file beside `target`, with the same suffix, that takes its place if all goes well."""
     beside = target.with_name(beside_name(target.name, "new") + target.suffix)
     try:
         yield beside
@@ -216,3 +170,9 @@ def replacing_file(target: Path, field: str = "--out") -> Iterator[Path]:
         if isinstance(error, OSError):
             raise CannotWrite(field, target, error, target.exists()) from error
         raise
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write a text file: whole, or not at all."""
+    with replacing_file(path) as beside:
+        beside.write_text(text, encoding="utf-8", newline="\n")

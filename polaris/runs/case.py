@@ -14,30 +14,23 @@ from ..model.errors import ScenarioError
 from ..model.system import Array
 from ..scenario.scenario import ScheduleScenario, load_scenario
 from ..simulation.falsification.attacks import Attack
-from ..simulation.falsification.claims import Claims
-from ..simulation.falsification.measure import attained
+from ..simulation.falsification.claims import Claims, attained
 from ..simulation.falsification.search import Failure, Falsification, violation
 from ..simulation.integration import Integrator
 from ..synthesis.schedule import Schedule
 from ..synthesis.synthesize import synthesize
-from .atomic import replacing_file
+from .atomic import write_whole
 from .folder import readable
 from .run import read_run
 from .schedule import SCHEDULE, digest
-from .tables import json_text, read_reference, write_text
+from .tables import json_text, read_reference
 
 FORMAT = "polaris case"
 VERSION = 1
 
 
 def load_target(target: str) -> tuple[ScheduleScenario, Schedule]:
-    """Synthesise a scenario, or that of a run folder.
-
-    Raises
-    ------
-    ScenarioError
-        If there is no such scenario, or the schedule made again is not that of the folder.
-    """
+    """Synthesise a scenario, or that of a run folder, which must hold the schedule that comes of it."""
     if not Path(target).is_dir():
         scenario = load_scenario(target, only=ScheduleScenario)
         return scenario, synthesize(scenario)
@@ -83,8 +76,7 @@ def write_case(path: str | Path, scenario: ScheduleScenario, found: Falsificatio
         "inputs": None if attack.free is None else _packed(attack.free[:, 0]),
     }
     target = Path(path)
-    with replacing_file(target) as beside:
-        write_text(beside, json_text(data))
+    write_whole(target, json_text(data))
     return target
 
 
@@ -151,5 +143,5 @@ def _packed(rows: Array) -> list[list[Any]]:
 
 
 def _unpacked(packed: list[list[Any]]) -> Array:
-    rows = [np.repeat(_numbers(row)[None], int(count), axis=0) for count, row in packed]
-    return np.concatenate(rows)[:, None]
+    rows = np.array([_numbers(row) for _, row in packed])
+    return np.repeat(rows, [int(count) for count, _ in packed], axis=0)[:, None]

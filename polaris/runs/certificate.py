@@ -19,45 +19,16 @@ from ..synthesis.clearance import error_tube
 from ..synthesis.controllers import AffineController, Controller, TubeSegment
 from ..synthesis.get_safety import Safety
 from ..synthesis.schedule import Schedule, assumed
+from .tables import finite, strict, write_text
 
 
 def hexadecimal(values: Any) -> Any:
     """The same nested data, floats as exact hexadecimal text; words, whole numbers and None stay."""
-    if isinstance(values, dict):
-        return {key: hexadecimal(item) for key, item in values.items()}
-    if isinstance(values, np.ndarray):
-        return hexadecimal(values.tolist())
-    if isinstance(values, (list, tuple)):
-        return [hexadecimal(item) for item in values]
-    return values.hex() if isinstance(values, float) else values
-
-
-def _claimed(value: float) -> float | None:
-    """None where nothing is claimed."""
-    return float(value) if np.isfinite(value) else None
-
-
-def file_hash(path: Path) -> str:
-    """SHA-256 of a file."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    return strict(values, float.hex)
 
 
 def certificate(schedule: Schedule, name: str, files: Iterable[Path] = ()) -> dict[str, Any]:
-    """Build the certificate of a schedule.
-
-    Parameters
-    ----------
-    schedule : Schedule
-    name : str
-        Name of the scenario.
-    files : iterable of Path
-        Files whose hashes it carries.
-
-    Returns
-    -------
-    dict
-        JSON data; see docs/certificate.md.
-    """
+    """The certificate of a schedule of a named scenario, with hashes of files; see docs/certificate.md."""
     safety = schedule.safety
     start, end, feedback = safety.problem.initial_set, safety.end, safety.tracking.feedback
     K, q = safety.problem.K, feedback.nodes_per_cell
@@ -66,7 +37,7 @@ def certificate(schedule: Schedule, name: str, files: Iterable[Path] = ()) -> di
         "format": FORMAT,
         "schema_version": VERSION,
         "scenario": {"name": name},
-        "artefacts": {path.name: file_hash(path) for path in files},
+        "artefacts": {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in files},
         "system": _system(safety.problem.system),
         "sampling": {"kind": kind, "step": float(safety.problem.delta), "steps": K, "nodes_per_step": q},
         "initial_set": {"center": start.c, "generators": start.G.T},
@@ -74,15 +45,15 @@ def certificate(schedule: Schedule, name: str, files: Iterable[Path] = ()) -> di
         "facets": safety.clearance.facets,
         "reference": {"states": safety.reference.chi, "inputs": safety.reference.nu},
         "controllers": [_controller(item, safety) for item in schedule.controllers],
-        "schedule": {"modes": schedule.modes, "margins": [_claimed(m) for m in schedule.margins]},
+        "schedule": {"modes": schedule.modes, "margins": [finite(m) for m in schedule.margins]},
         **_bounds(safety),
         "recoverable": {
             "kind": safety.recoverable.kind,
             "weight": safety.tracking.W,
-            "radius": [_claimed(safety.recoverable.radius(k * q)) for k in range(K + 1)],
+            "radius": [finite(safety.recoverable.radius(k * q)) for k in range(K + 1)],
         },
         "enclosures": _enclosures(schedule),
-        "end": {"horizon": end.horizon, "until": _claimed(end.until), "reason": end.reason},
+        "end": {"horizon": end.horizon, "until": finite(end.until), "reason": end.reason},
         "guarantee": schedule.guarantee,
         "assumptions": assumed(safety),
     }
@@ -94,7 +65,7 @@ def certificate(schedule: Schedule, name: str, files: Iterable[Path] = ()) -> di
 def write_certificate(folder: Path, schedule: Schedule, name: str, files: Iterable[str]) -> None:
     """Write ``certificate.json`` into a folder that holds the named files."""
     data = certificate(schedule, name, [folder / file for file in files])
-    (folder / "certificate.json").write_text(canonical(data) + "\n", encoding="utf-8", newline="\n")
+    write_text(folder / "certificate.json", canonical(data) + "\n")
 
 
 def _system(system: LinearSystem) -> dict[str, Any]:

@@ -23,7 +23,7 @@ from ..rta.arena import Comparison, Shown
 from ..rta.method_result import DEFINITIONS
 from ..rta.methods import METHODS
 from ..scenario.scenario import ScheduleScenario
-from .arrays import read_arrays
+from .arrays import held_by, read_arrays, read_held
 from .folder import Draw, RunFolder, RunKind, read_json, write_folder
 from .schedule import SCHEDULE, write_run
 from .stages import Stages
@@ -41,21 +41,11 @@ ARRAYS = {
 
 @dataclass(frozen=True, eq=False)
 class ComparisonPicture:
-    """What figures show of a comparison.
+    """What figures show of a comparison."""
 
-    Attributes
-    ----------
-    table : dict
-        Contents of ``comparison.json``.
-    run : RunFolder
-        Of the schedule.
-    shown : dict of str to Shown
-        The flights kept, by method, without their decisions.
-    """
-
-    table: dict[str, Any]
-    run: RunFolder
-    shown: dict[str, Shown]
+    table: dict[str, Any]  # contents of ``comparison.json``
+    run: RunFolder  # of the schedule
+    shown: dict[str, Shown]  # the flights kept, by method, without their decisions
 
 
 def write_comparison(
@@ -104,17 +94,9 @@ def _tell(scenario: ScheduleScenario, comparison: Comparison, seconds: Mapping[s
         }
         for key, one in comparison.results.items()
     ]
+    rest = {"note": "", "available": False, "settings": {}, "metrics": {}}
     methods += [
-        {
-            "key": key,
-            "name": key,
-            "guarantee": "none",
-            "reach": why,
-            "note": "",
-            "available": False,
-            "settings": {},
-            "metrics": {},
-        }
+        {"key": key, "name": key, "guarantee": "none", "reach": why, **rest}
         for key, why in comparison.refused.items()
     ]
     return {
@@ -146,7 +128,7 @@ def _write(folder: Path, scenario: ScheduleScenario, comparison: Comparison) -> 
     arrays: dict[str, Any] = {}
     for key, one in comparison.shown.items():
         arrays[f"{key}_labels"] = np.array(one.labels, dtype=str)
-        arrays |= {f"{key}_{name}": getattr(one, held) for name, held in ARRAYS.items()}
+        arrays |= held_by(one, ARRAYS, f"{key}_")
     np.savez_compressed(folder / "comparison.npz", **arrays)
     lines = [
         json.dumps(strict({"method": key, **decision}))
@@ -163,8 +145,7 @@ def _read(folder: Path, scenario: ScheduleScenario) -> ComparisonPicture:
         key = method["key"]
         if f"{key}_t_s" in arrays:
             labels = tuple(map(str, arrays[f"{key}_labels"]))
-            flown: dict[str, Any] = {held: arrays[f"{key}_{name}"] for name, held in ARRAYS.items()}
-            shown[key] = Shown(labels, **flown, decisions=[])
+            shown[key] = Shown(labels, **read_held(arrays, ARRAYS, f"{key}_"), decisions=[])
     return ComparisonPicture(table, RunFolder(folder / "run", scenario, SCHEDULE), shown)
 
 

@@ -7,7 +7,6 @@ the same bytes, but for ``created`` and the wall times in the summary.
 from __future__ import annotations
 
 import json
-import time
 import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -30,27 +29,14 @@ SCENARIO = "scenario.toml"
 class RunKind:
     """What one kind of run folder holds.
 
-    Attributes
-    ----------
-    name : str
-        As the scenario's kind, or ``comparison``.
-    files : tuple of str
-        All files but the summary and the certificate.
-    write : callable or None
-        Writes the files, but for the scenario's copy, from a folder, the scenario and what was found. None,
-        as `tell`, where a campaign writes them as its runs come.
-    tell : callable or None
-        What the summary says of a scenario, what was found, and wall times.
-    read : callable
-        Reads from a folder and its scenario what figures and pages are drawn from.
-    fly : callable, optional
-        What `polaris.run` does with a scenario, and whom it tells how far it is.
-    summary : str
-        File of the summary.
+    `write` writes the files, but for the scenario's copy, from a folder, the scenario and what was found;
+    `tell` gives what the summary says, from the scenario, what was found, and wall times. Both are None
+    where a campaign writes the files as its runs come. `read` takes from a folder and its scenario what
+    figures and pages are drawn from. `fly` is what `polaris.run` does with a scenario, telling how far it is.
     """
 
-    name: str
-    files: tuple[str, ...]
+    name: str  # as the scenario's kind, or ``comparison``
+    files: tuple[str, ...]  # all but the summary and the certificate
     write: Callable[[Path, Any, Any], None] | None
     tell: Callable[[Any, Any, Mapping[str, float]], dict[str, Any]] | None
     read: Callable[[Path, Any], Any]
@@ -112,50 +98,29 @@ def write_folder(
     scenario: Scenario,
     found: Any,
     *,
-    seconds: Mapping[str, float] | None = None,
     draw: Draw | None = None,
     stages: Stages | None = None,
 ) -> RunFolder:
-    """Write a run folder, replacing an older one once everything is written.
+    """Write what a kind's ``fly`` found, replacing an older run folder once everything is written.
 
-    Parameters
-    ----------
-    out : path
-        The folder; its parents are made.
-    kind : RunKind
-    scenario : Scenario
-        What was run; it is copied into the folder.
-    found : object
-        What the kind's ``fly`` returns.
-    seconds : mapping, optional
-        Wall times by stage, for the summary.
-    draw : callable, optional
-        Puts the figures into the folder before it takes its place; `polaris.draw_run` can do so later.
-    stages : Stages, optional
-        Told what is being done.
-
-    Raises
-    ------
-    ScenarioError
-        If `out` is something else than a run folder, or cannot be written.
+    The scenario is copied into it, and the wall times of `stages` so far are told in its summary.
+    `ScenarioError` if `out` is something else than a run folder, or cannot be written.
     """
     assert kind.write is not None
-    target, note = check_target(out), (stages or Stages()).note
-    spent = dict(seconds or {})
+    target, stages, clock = check_target(out), stages or Stages(), Stages()
+    clock.seconds |= stages.seconds
     with replacing(target) as folder:
-        note("files")
-        begun = time.perf_counter()
-        if SCENARIO in kind.files:
-            write_text(folder / SCENARIO, scenario.copy_text())
-        kind.write(folder, scenario, found)
-        spent["files"] = time.perf_counter() - begun
-        _summarise(folder, kind, scenario, found, spent)
+        stages.note("files")
+        with clock.stage("files"):
+            if SCENARIO in kind.files:
+                write_text(folder / SCENARIO, scenario.copy_text())
+            kind.write(folder, scenario, found)
+        _summarise(folder, kind, scenario, found, clock.seconds)
         if draw is not None:
-            note("figures")
-            begun = time.perf_counter()
-            draw(RunFolder(folder, scenario, kind))
-            spent["figures"] = time.perf_counter() - begun
-            _summarise(folder, kind, scenario, found, spent)
+            stages.note("figures")
+            with clock.stage("figures"):
+                draw(RunFolder(folder, scenario, kind))
+            _summarise(folder, kind, scenario, found, clock.seconds)
     return RunFolder(target, scenario, kind)
 
 
@@ -163,16 +128,25 @@ def _summarise(
     folder: Path, kind: RunKind, scenario: Scenario, found: Any, seconds: Mapping[str, float]
 ) -> None:
     assert kind.tell is not None
-    told = {
+    told = summary_of(scenario, kind.name, kind.tell(scenario, found, seconds))
+    write_text(folder / kind.summary, json_text(told))
+
+
+def summary_of(scenario: Scenario, kind: str, told: Mapping[str, Any]) -> dict[str, Any]:
+    """A summary: what was run, what is told of it, and when and by what it was made."""
+    return {
         "schema_version": 1,
         "scenario": scenario.name,
-        **({"kind": kind.name} if hasattr(scenario.model, "kind") else {}),
+        **({"kind": kind} if hasattr(scenario.model, "kind") else {}),
         "title": scenario.title,
-        **kind.tell(scenario, found, seconds),
-        "versions": versions(),
-        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        **told,
+        **provenance(),
     }
-    write_text(folder / kind.summary, json_text(told))
+
+
+def provenance() -> dict[str, Any]:
+    """Versions of all that results hang on, and the time."""
+    return {"versions": versions(), "created": datetime.now(UTC).isoformat(timespec="seconds")}
 
 
 def read_json(path: Path) -> dict[str, Any]:

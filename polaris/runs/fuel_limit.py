@@ -13,7 +13,7 @@ from ..inspection.filters.fuel import FuelLimit
 from ..inspection.flights.fuel_run import FuelRun, Prediction, fly_fuel_limit
 from ..scenario.inspection_tables import FuelLimitModel
 from ..scenario.scenario import FuelLimitScenario
-from .arrays import read_finite
+from .arrays import held_by, read_finite, read_held
 from .folder import SCENARIO, RunKind
 from .stages import Stages
 
@@ -29,15 +29,10 @@ def fly_fuel(scenario: FuelLimitScenario, stages: Stages | None = None) -> FuelR
     model, flight = scenario.model, scenario.model.flight
     shown = np.linspace(0, flight.duration_s, model.fuel.predictions + 1)[:-1]
     with (stages or Stages()).stage("flight"):
-        filtering = FuelLimit(
-            scenario.inspection(), scenario.backup(), model.fuel.keep_clear, spent=model.fuel.spent_m_s
-        )
+        filtering = FuelLimit(scenario.backup(), model.fuel.keep_clear, spent=model.fuel.spent_m_s)
         return fly_fuel_limit(
             filtering, scenario.primary(), model.initial_state, flight.duration_s, shown.tolist()
         )
-
-
-# -- in numbers -------------------------------------------------------------------------------------
 
 
 def _tell(scenario: FuelLimitScenario, run: FuelRun, seconds: Mapping[str, float]) -> dict[str, Any]:
@@ -47,6 +42,8 @@ def _tell(scenario: FuelLimitScenario, run: FuelRun, seconds: Mapping[str, float
     distance = np.linalg.norm(run.x[:, :3], axis=1)
     quiet = np.flatnonzero(np.abs(run.u).sum(axis=1) > 1e-6 * q.thrust_max)
     a, c = semi_axes(run.x[-1], q.mean_motion)
+    latched = run.latched_at
+    spent = None if latched is None else float(run.delta_v[int(np.searchsorted(run.t, latched))])
     return {
         "duration_s": float(run.t[-1]),
         "period_s": model.flight.period_s,
@@ -58,9 +55,7 @@ def _tell(scenario: FuelLimitScenario, run: FuelRun, seconds: Mapping[str, float
         "delta_v_max_m_s": q.delta_v_max,
         "latched_at_s": run.latched_at,
         "latch_reason": run.reason,
-        "delta_v_at_latch_m_s": None
-        if run.latched_at is None
-        else float(run.delta_v[int(np.searchsorted(run.t, run.latched_at))]),
+        "delta_v_at_latch_m_s": spent,
         "last_thrust_s": float(run.t[quiet[-1]]) if len(quiet) else None,
         "exhausted": run.exhausted,
         "distance_least_m": float(distance.min()),
@@ -71,7 +66,7 @@ def _tell(scenario: FuelLimitScenario, run: FuelRun, seconds: Mapping[str, float
             "cross_track_m": float(c),
             "velocity_error_m_s": float(np.linalg.norm(velocity_error(run.x[-1], q.mean_motion))),
         },
-        "filter_seconds": {"median": run.median_decision, "largest": run.slowest_decision},
+        "filter_seconds": {"median": float(np.median(run.seconds)), "largest": float(run.seconds.max())},
         "guarantee": guarantee(model, run),
         "definitions": {
             "phi12_least_m_s": "fuel limit less what was spent, least over the flight (eq. 24)",
@@ -106,23 +101,14 @@ def guarantee(model: FuelLimitModel, run: FuelRun) -> dict[str, Any]:
     }
 
 
-# -- arrays -----------------------------------------------------------------------------------------
-
-
 def _write(folder: Path, scenario: FuelLimitScenario, run: FuelRun) -> None:
     """Write the flight and the predicted backup flights."""
-    predicted = {
-        f"prediction_{k}_{name}": getattr(one, held)
-        for k, one in enumerate(run.predictions)
-        for name, held in PREDICTED.items()
-    }
-    np.savez(
-        folder / "fuel.npz",
-        **{name: getattr(run, held) for name, held in ARRAYS.items()},
-        latched_at_s=np.array(np.nan if run.latched_at is None else run.latched_at),
-        predictions=np.array(len(run.predictions)),
-        **predicted,
-    )
+    arrays = held_by(run, ARRAYS)
+    arrays["latched_at_s"] = np.array(np.nan if run.latched_at is None else run.latched_at)
+    arrays["predictions"] = np.array(len(run.predictions))
+    for k, one in enumerate(run.predictions):
+        arrays |= held_by(one, PREDICTED, f"prediction_{k}_")
+    np.savez(folder / "fuel.npz", **arrays)
 
 
 def _read(folder: Path, scenario: FuelLimitScenario) -> FuelRun:
@@ -133,19 +119,14 @@ def _read(folder: Path, scenario: FuelLimitScenario) -> FuelRun:
         raise ValueError("fuel.npz: arrays of the wrong shape")
     latched = float(arrays["latched_at_s"])
     predictions = tuple(
-        Prediction(*(arrays[f"prediction_{k}_{name}"] for name in PREDICTED))
+        Prediction(**read_held(arrays, PREDICTED, f"prediction_{k}_"))
         for k in range(int(arrays["predictions"]))
     )
-    flown: dict[str, Any] = {held: arrays[name] for name, held in ARRAYS.items()}
     return FuelRun(
         scenario.inspection(),
-        **flown,
+        **read_held(arrays, ARRAYS),
         latched_at=None if np.isnan(latched) else latched,
-        reason=None,
         predictions=predictions,
-        exhausted=False,
-        slowest_decision=0.0,
-        median_decision=0.0,
     )
 
 

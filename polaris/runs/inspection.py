@@ -11,16 +11,28 @@ figures/           PDF and PNG, drawn from the files above alone
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ..inspection.flights.judge import JudgedRun, Stopwatch, judge
-from ..inspection.flights.simulation import InspectionRun, fly_one
+from ..inspection.constraints.allowable_set import allowable
+from ..inspection.flights.judge import JudgedRun, Least, judge
+from ..inspection.flights.simulation import (
+    BACKUP,
+    UNPROVEN,
+    Flights,
+    InspectionRun,
+    fly_one,
+    whole_periods,
+)
+from ..rta.projection import DESIRED, FAILED, FILTERED, SHORT
+from ..scenario.filter_tables import BackupFilter, BarrierFilter, ExplicitSimplexFilter
+from ..scenario.inspection_tables import InspectionModel
 from ..scenario.scenario import FlightScenario
-from . import inspection_summary as told
-from .arrays import read_finite
+from .arrays import held_by, read_finite, read_held
 from .folder import SCENARIO, RunKind
 from .stages import Stages
 from .tables import write_csv
@@ -41,30 +53,28 @@ def fly_flight(scenario: FlightScenario, stages: Stages | None = None) -> Judged
     """Fly one flight of the inspection problem and judge it, also between the samples."""
     stages, flight = stages or Stages(), scenario.model.flight
     with stages.stage("flight"):
-        total = int(np.rint(flight.duration_s / flight.period_s))
-        counting = stages.counting("flight: {} of {} periods")
-        watch = Stopwatch(
-            scenario.filter(scenario.model.filter, flight.period_s), lambda done: counting(done, total)
-        )
         x, sun = scenario.initial()
-        run = fly_one(
-            scenario.inspection(), watch, scenario.primary(), x, sun, flight.duration_s, flight.period_s
+        flights = Flights(
+            scenario.inspection(),
+            x[None],
+            np.array([sun]),
+            flight.duration_s,
+            flight.period_s,
+            scenario.primary(),
         )
-        constraints, barriers = judge(run, scenario.families(), flight.between)
-    return JudgedRun(run, constraints, barriers, np.array(watch.seconds))
+        total = whole_periods(flight.duration_s, flight.period_s)
+        counting = stages.counting("flight: {} of {} periods")
+        filtering = scenario.filter(scenario.model.filter, flight.period_s)
+        run = fly_one(flights, filtering, lambda step: counting(step.k + 1, total))
+        return judge(run, scenario.families(), flight.between)
 
 
 def _write(folder: Path, scenario: FlightScenario, found: JudgedRun) -> None:
-    rows = told.constraint_rows(found.constraints) + told.barrier_rows(found.barriers)
+    rows = least_rows(found.constraints | found.barriers)
     for row in rows:
         row["deputies"] = " ".join(map(str, row["deputies"]))
-    write_csv(folder / "constraints.csv", told.COLUMNS, [[row[key] for key in told.COLUMNS] for row in rows])
-    np.savez(folder / "flight.npz", **flight_arrays(found.run))
-
-
-def flight_arrays(run: InspectionRun) -> dict[str, Any]:
-    """Everything a flight consists of, by the names that files have for it."""
-    return {name: getattr(run, held) for name, held in ARRAYS.items()}
+    write_csv(folder / "constraints.csv", rows)
+    np.savez(folder / "flight.npz", **held_by(found.run, ARRAYS))
 
 
 def _read(folder: Path, scenario: FlightScenario) -> InspectionRun:
@@ -76,10 +86,159 @@ def _read(folder: Path, scenario: FlightScenario) -> InspectionRun:
     shapes[-1] = shapes[-1][:1]
     if shapes != [(K + 1,), (K + 1, N, 6), (K + 1,), (K, N, 3), (K, N, 3), (K, N), (K,)]:
         raise ValueError("flight.npz: arrays of the wrong shape")
-    return InspectionRun(q, *(arrays[name] for name in ARRAYS))
+    return InspectionRun(q, **read_held(arrays, ARRAYS))
 
 
-FLIGHT = RunKind(
-    "inspection", (SCENARIO, "constraints.csv", "flight.npz"), _write, told.tell, _read, fly_flight
+# -- in numbers -------------------------------------------------------------------------------------
+
+MEANING = {
+    "phi1": ("separation from the chief", "m"),
+    "phi2": ("separation of deputies", "m"),
+    "phi3": ("dynamic speed limit", "m/s"),
+    "phi4": ("sun keep-out, towards the chief", "rad"),
+    "phi5": ("sun keep-out, towards a deputy", "rad"),
+    "phi6": ("keep-in zone", "m"),
+    "phi7": ("free flight past the chief", "m"),
+    "phi8": ("free flight of deputies", "m"),
+    "phi9": ("velocity limit, radial", "m^2/s^2"),
+    "phi10": ("velocity limit, along-track", "m^2/s^2"),
+    "phi11": ("velocity limit, cross-track", "m^2/s^2"),
+}
+"""What each constraint is, and its unit."""
+
+BARRIER_UNIT = {"passive": "m", "deputy_passive": "m", "velocity": "m^2/s^2"}
+"""Units of the barriers that are not in m/s."""
+
+SWITCHED = {"backup": BACKUP, "unproven": UNPROVEN}
+"""Answers that only filters with a backup controller give."""
+
+DEFINITIONS = {
+    "constraints": "least value over the flight, at the start of every control period and at the instants "
+    "between; negative is a violation",
+    "violated_share": "share of those instants at which anyone violates it",
+    "steps": "answers of the filter, one per deputy and period: desired, the input wanted; filtered, the "
+    "nearest that satisfies all conditions; short, none does, and this violates them least; failed, no "
+    "answer, no thrust; backup, the backup controller's; unproven, not even this is known to be safe",
+    "filter_seconds": "wall time of one answer for all deputies",
+    "delta_v_m_s": "sum of the absolute thrusts over mass and time (eq. 25), per deputy",
+}
+
+ASSUMPTIONS = (
+    "the motion is that of the Clohessy-Wiltshire equations, without disturbance",
+    "every deputy's state is known exactly and without delay",
+    "the thrust is applied exactly, and held for the control period",
 )
+
+
+def _tell(scenario: FlightScenario, flown: JudgedRun, seconds: Mapping[str, float]) -> dict[str, Any]:
+    """Contents of ``summary.json`` for one flight."""
+    model, run = scenario.model, flown.run
+    spent = run.delta_v[-1]
+    return {
+        "deputies": run.inspection.deputies,
+        "duration_s": float(run.t[-1]),
+        "period_s": model.flight.period_s,
+        "filter": {
+            "kind": model.filter.kind,
+            "sharing": getattr(model.filter, "sharing", None),
+            "without": list(model.filter.without),
+            "sampled_data": getattr(model.filter, "sampled_data", False),
+        },
+        "safe": bool(all(least.value >= 0 for least in flown.constraints.values())),
+        "constraints": least_rows(flown.constraints),
+        "barriers": least_rows(flown.barriers),
+        "steps": steps(run.status),
+        "delta_v_m_s": spent,
+        "filter_seconds": {
+            "median": float(np.median(run.seconds)),
+            "p99": float(np.quantile(run.seconds, 0.99)),
+            "largest": float(run.seconds.max()),
+        },
+        "guarantee": guarantee(model, flown),
+        "definitions": DEFINITIONS,
+        "seconds": dict(seconds),
+    }
+
+
+def least_rows(found: Mapping[str, Least]) -> list[dict[str, Any]]:
+    """One row per constraint, phi1 to phi11, or per family of barriers."""
+    rows = []
+    for name, least in found.items():
+        meaning, unit = MEANING.get(name) or (name.replace("_", " "), BARRIER_UNIT.get(name, "m/s"))
+        rows.append(
+            {
+                "constraint": name,
+                "meaning": meaning,
+                "unit": unit,
+                "least": least.value,
+                "time_s": least.time,
+                "deputies": list(least.deputies),
+                "least_at_samples": least.at_samples,
+                "violated_share": least.violated_share,
+            }
+        )
+    return rows
+
+
+def steps(status: Any) -> dict[str, int]:
+    """How many answers of each kind."""
+    names = {"desired": DESIRED, "filtered": FILTERED, "short": SHORT, "failed": FAILED}
+    names |= {name: code for name, code in SWITCHED.items() if (status == code).any()}
+    return {name: int((status == code).sum()) for name, code in names.items()}
+
+
+def covered_periods(run: InspectionRun) -> NDArray[np.bool_]:
+    """Periods that began with no constraint violated and for which every program had a solution."""
+    phi = allowable(run.inspection, run.x[:-1], run.sun[:-1])
+    safe = np.all([(values >= 0).all(axis=1) for values in phi.values()], axis=0)
+    return np.asarray(safe & (run.h >= 0).all(axis=1) & (run.status < SHORT).all(axis=1))
+
+
+def guarantee(model: InspectionModel, flown: JudgedRun) -> dict[str, Any]:
+    """What is claimed of one flight, and on what assumptions."""
+    run, spec = flown.run, model.filter
+    if isinstance(spec, BarrierFilter | ExplicitSimplexFilter):
+        covered = covered_periods(run)
+    else:
+        covered = ~(run.status == UNPROVEN).any(axis=1)
+    missed = np.flatnonzero(~covered)
+    kind, reason = _argument(spec, len(missed))
+    return {
+        "kind": kind,
+        "periods": len(covered),
+        "periods_covered": int(covered.sum()),
+        "first_missed_s": float(run.t[missed[0]]) if len(missed) else None,
+        "assumptions": [] if kind == "none" else list(ASSUMPTIONS),
+        "reason": reason,
+    }
+
+
+def _argument(spec: BarrierFilter | BackupFilter, missed: int) -> tuple[str, str]:
+    """Which guarantee a filter gives where so many periods are not covered, and why."""
+    left_out = f"constraints left out: {', '.join(spec.without)}"
+    if isinstance(spec, BarrierFilter):
+        if not spec.sampled_data:
+            return "none", "the conditions are met at the start of each period only"
+        if getattr(spec, "sharing", None) == "coasting":
+            return "none", "each deputy answers for a pair as if the other did not thrust"
+        if spec.without:
+            return "none", left_out
+        return "per_period", (
+            "each period that began safe and for which the program had a solution: no barrier becomes "
+            "negative within it. That the next program has one is not claimed"
+        )
+    if isinstance(spec, ExplicitSimplexFilter):
+        reason = "the barriers are looked at at instants, and what the backup controller does is not proven"
+        return "none", reason
+    if missed:
+        return "none", "not even the backup's flight is proven to keep the constraints everywhere"
+    if spec.without:
+        return "none", left_out
+    return "by_prediction", (
+        "phi1 to phi6 and phi9 to phi11 hold for all time: every period ends where the backup's flight is "
+        "predicted to its end and proven to keep them. Free flights (phi7, phi8) are not looked at"
+    )
+
+
+FLIGHT = RunKind("inspection", (SCENARIO, "constraints.csv", "flight.npz"), _write, _tell, _read, fly_flight)
 """What one flight leaves."""

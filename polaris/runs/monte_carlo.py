@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from ..model.errors import PolarisError
 from ..model.system import Array
 from ..scenario.scenario import MonteCarloScenario
-from .atomic import replacing_file
+from .atomic import replacing_file, write_whole
 from .campaign.drive import run_campaign
-from .campaign.folder import CampaignFolder, read_campaign, write_beside
+from .campaign.folder import CampaignFolder, read_campaign
 from .campaign.inspections import BLOCK, InspectionRuns, case_of, initial_states, outcomes
 from .campaign.plan import CampaignPlan
 from .campaign.workers import Workers
@@ -39,24 +39,8 @@ def run_monte_carlo(
 ) -> CampaignFolder:
     """Fly all studies from drawn initial conditions, and write the run folder, without figures.
 
-    Parameters
-    ----------
-    out : path
-        If it holds the same campaign, only what is missing is flown.
-    scenario : MonteCarloScenario
-    executor : concurrent.futures.Executor or Workers, optional
-        Who flies, as in `run_campaign`; does not change the results.
-    fresh : bool
-        Replace another campaign.
-    progress : callable
-        Told the runs done and all of them, per study.
-
-    Raises
-    ------
-    ScenarioError
-        If the folder holds something else.
-    PolarisError
-        If no initial conditions are found, or workers are lost again and again.
+    Options are those of `run_campaign`; `progress` is told runs per study. `PolarisError` if no initial
+    conditions are found.
     """
     model = scenario.model
     kind = InspectionRuns(tuple(study.name for study in model.studies))
@@ -66,46 +50,32 @@ def run_monte_carlo(
         error = PolarisError(failure["message"])
         error.exit_code = failure["exit_code"]
         raise error
-    write_beside(folder.path / SCENARIO, scenario.copy_text())
+    write_whole(folder.path / SCENARIO, scenario.copy_text())
     rows = [
-        [name, one["run"], one["what"], " ".join(map(str, one["deputies"])), one["time"], one["value"]]
-        for name, outcome in outcomes(folder.plan.cases[0], folder.parts.read(0)).items()
+        {"study": name, "time_s": one.pop("time"), **one, "deputies": " ".join(map(str, one["deputies"]))}
+        for name, outcome in outcomes(folder.plan.cases[0], folder.read(0)).items()
         for one in outcome.failures()
     ]
     with replacing_file(folder.path / "failures.csv") as beside:
-        write_csv(beside, FAILURE_COLUMNS, rows)
+        write_csv(beside, rows, FAILURE_COLUMNS)
     return folder
 
 
 @dataclass(frozen=True, eq=False)
 class CampaignPicture:
-    """What the figures of a campaign show.
+    """What the figures of a campaign show, of R runs of N deputies in S studies."""
 
-    Attributes
-    ----------
-    x : ndarray, shape (R, N, 6)
-        Initial states.
-    studies : tuple of str
-    success : ndarray of bool, shape (S, R)
-    failed : ndarray of bool, shape (S, R, N)
-        Deputies that a failure concerns.
-    whats : tuple of str
-        Kinds of failure.
-    counts : ndarray of int, shape (S, kinds)
-        Runs with each.
-    """
-
-    x: Array
+    x: Array  # (R, N, 6), initial states
     studies: tuple[str, ...]
-    success: NDArray[np.bool_]
-    failed: NDArray[np.bool_]
-    whats: tuple[str, ...]
-    counts: NDArray[np.intp]
+    success: NDArray[np.bool_]  # (S, R)
+    failed: NDArray[np.bool_]  # (S, R, N): deputies that a failure concerns
+    whats: tuple[str, ...]  # kinds of failure
+    counts: NDArray[np.intp]  # (S, kinds): runs with each
 
 
 def _read(path: Path, scenario: MonteCarloScenario) -> CampaignPicture:
     folder = read_campaign(path, same_version=False)
-    columns = folder.parts.read(0)
+    columns = folder.read(0)
     found, x = outcomes(folder.plan.cases[0], columns), initial_states(columns)
     failures = [outcome.failures() for outcome in found.values()]
     whats = sorted({one["what"] for rows in failures for one in rows})

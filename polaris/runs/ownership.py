@@ -1,8 +1,4 @@
-"""What in a folder Polaris wrote, and what is somebody else's; and what killed processes leave.
-
-A folder lists in `MANIFEST` what was written into it. What it does not list is somebody else's. What is
-being written lies beside its place under a name that begins with a dot and carries host and process.
-"""
+"""What in a folder Polaris wrote, and what is somebody else's; and what killed processes leave."""
 
 from __future__ import annotations
 
@@ -54,9 +50,8 @@ LONG = 86400.0
 
 def write_manifest(folder: Path) -> None:
     """List what is in a folder, folders with a slash."""
-    files = []
-    for path in folder.rglob("*"):
-        files.append(path.relative_to(folder).as_posix() + ("/" if path.is_dir() else ""))
+    paths = folder.rglob("*")
+    files = [path.relative_to(folder).as_posix() + ("/" if path.is_dir() else "") for path in paths]
     told = {"format": FORMAT, "format_version": 1, "files": sorted(files)}
     (folder / MANIFEST).write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8", newline="\n")
 
@@ -96,7 +91,6 @@ class Ours:
 
 def keep(old: Path, new: Path, ours: Callable[[str], bool], inside: str = "") -> None:
     """Link what is not ours from an old folder into the new one; links are copied, never followed."""
-    strict = listed(old) is not None
     for entry in sorted(os.scandir(old / inside), key=lambda entry: entry.name):
         name, place = f"{inside}{entry.name}", new / inside / entry.name
         if entry.is_dir(follow_symlinks=False):
@@ -106,16 +100,10 @@ def keep(old: Path, new: Path, ours: Callable[[str], bool], inside: str = "") ->
             keep(old, new, ours, f"{name}/")
         elif not ours(name):
             if os.path.lexists(place):
-                if not strict:  # of a version that kept no list: our own, written anew
-                    continue
-                place = _free(place)
+                names = (place.with_name(f"{place.name}.kept{number or ''}") for number in range(1000))
+                place = next(name for name in names if not os.path.lexists(name))
             place.parent.mkdir(parents=True, exist_ok=True)
             _link(Path(entry.path), place)
-
-
-def _free(place: Path) -> Path:
-    names = (place.with_name(f"{place.name}.kept{number or ''}") for number in range(1000))
-    return next(name for name in names if not os.path.lexists(name))
 
 
 def _link(source: Path, place: Path) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,35 +14,51 @@ from reach.sets.zonotope import Zonotope
 from ..model.obstacle import Obstacle
 from ..model.system import Array, LinearSystem
 from ..planning.reference import Reference
-from .frame import Frame, directions
 
 if TYPE_CHECKING:
     from ..simulation.baselines import Flights
-    from ..synthesis.get_safety import Safety
-    from ..synthesis.schedule import Schedule
 
 PRINTED = 4
 """Most slices in a printed figure."""
 
-SLICES = 240
-"""Decisions, and besides them switches, up to which all get a slice of their recoverable set."""
+
+def directions(count: int = 32) -> Array:
+    """Unit vectors all round, shape (count, 2)."""
+    angle = 2 * np.pi * np.arange(count) / count
+    return np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Which coordinates a figure shows, horizontal one first, and their labels with units.
+
+    In Hill's frame along-track is drawn to the right and radial (outward) upward, neither reversed; the third
+    is cross-track.
+    """
+
+    axes: tuple[int, ...]
+    labels: tuple[str, ...]
+
+    @classmethod
+    def of(cls, system: LinearSystem) -> Frame:
+        """Frame of a system: Hill's, or plain position coordinates."""
+        if system.mean_motion is not None and system.d == 3:
+            return cls((1, 0, 2), ("Along-track (m)", "Radial (m)", "Cross-track (m)"))
+        return cls(tuple(range(system.d)), tuple(f"Position {letter} (m)" for letter in "xyz"[: system.d]))
+
+    @property
+    def flat(self) -> list[int]:
+        """The two coordinates (or the one) of a plane view."""
+        return list(self.axes[:2])
 
 
 @dataclass(frozen=True, eq=False)
 class TubePicture:
-    """Reachable set of the position, absolute: see `polaris.synthesis.controllers.TubeSegment`.
+    """Reachable set of the position [m], absolute: see `polaris.synthesis.controllers.TubeSegment`."""
 
-    Attributes
-    ----------
-    centre : ndarray, shape (K, q+1, d)
-        [m]
-    generators : ndarray, shape (K, q+1, d, g)
-    bow : ndarray, shape (K, q, d)
-    """
-
-    centre: Array
-    generators: Array
-    bow: Array
+    centre: Array  # (K, q+1, d)
+    generators: Array  # (K, q+1, d, g)
+    bow: Array  # (K, q, d)
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,43 +94,21 @@ class Approach:
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """One synthesis, to be drawn.
-
-    Attributes
-    ----------
-    title : str
-    system : LinearSystem
-    obstacles : tuple of Obstacle
-    goal : Goal
-    initial_set : Zonotope
-    reference : Reference
-        With its coasting tail.
-    planned : int
-        Number K of steps before the tail.
-    controllers : tuple of str
-        Names, by mode.
-    modes : ndarray of int, shape (K,)
-        Empty if there is no schedule yet.
-    margins : ndarray, shape (K,)
-        Share of room left; -inf where there is none.
-    limits : tuple of str, length K
-        What limits each step.
-    flights : mapping
-        ``safety``, ``experimental`` and ``polaris``, as far as they were flown.
-    """
+    """One synthesis, to be drawn."""
 
     title: str
     system: LinearSystem
     obstacles: tuple[Obstacle, ...]
     goal: Any
     initial_set: Zonotope
-    reference: Reference
-    planned: int
-    controllers: tuple[str, ...] = ("safety",)
+    reference: Reference  # with its coasting tail
+    planned: int  # number K of steps before the tail
+    controllers: tuple[str, ...] = ("safety",)  # names, by mode
+    # mode of every step, (K,), and share of the room left, -inf where there is none; empty without a schedule
     modes: NDArray[np.int_] = field(default_factory=lambda: np.zeros(0, dtype=int))
     margins: Array = field(default_factory=lambda: np.zeros(0))
-    limits: tuple[str, ...] = ()
-    flights: Mapping[str, Flights] = field(default_factory=dict)
+    limits: tuple[str, ...] = ()  # what limits each step
+    flights: Mapping[str, Flights] = field(default_factory=dict)  # of safety, experimental, polaris, as flown
     tube: TubePicture | None = None
     slices: SlicePicture | None = None
 
@@ -190,138 +184,3 @@ class Picture:
         if mode == 0:
             return "safety (S)"
         return f"{self.controllers[mode]} (U)" if len(self.controllers) == 2 else self.controllers[mode]
-
-
-def picture_of_safety(safety: Safety) -> Picture:
-    """What Algorithm 1 found."""
-    picture = _bare(safety)
-    return replace(picture, slices=recoverable_slices(safety, picture))
-
-
-def _bare(safety: Safety) -> Picture:
-    problem = safety.problem
-    return Picture(
-        "Safe reference",
-        problem.system,
-        tuple(problem.unsafe),
-        problem.goal,
-        problem.initial_set,
-        safety.reference,
-        problem.K,
-    )
-
-
-def picture_of(schedule: Schedule, flights: Mapping[str, Flights] | None = None) -> Picture:
-    """What Algorithm 2 found, as flown, by default once without disturbance."""
-    from ..simulation.baselines import fly_nominal
-
-    if flights is None:
-        flights = {"polaris": fly_nominal(schedule, None, "polaris")}
-        if len(schedule.controllers) > 1:
-            flights["experimental"] = fly_nominal(schedule, 1, schedule.controllers[1].name)
-    picture = replace(
-        _bare(schedule.safety),
-        title="Switching schedule",
-        controllers=tuple(controller.name for controller in schedule.controllers),
-        modes=schedule.modes,
-        margins=schedule.margins,
-        limits=tuple(step.margin.limit for step in schedule.steps),
-        flights=flights,
-        tube=tube_of(schedule),
-    )
-    return replace(picture, slices=recoverable_slices(schedule.safety, picture))
-
-
-def tube_of(schedule: Schedule) -> TubePicture:
-    """Positions that the schedule may reach, step by step."""
-    C = schedule.safety.problem.system.position
-    q = schedule.safety.tracking.feedback.nodes_per_cell
-    xi = schedule.safety.reference.fine(q)[: len(schedule.steps)]
-    flown = [C @ step.tube.nodes for step in schedule.steps]
-    together = Zonotope.stack(flown)
-    bow = np.stack([step.tube.bow @ np.abs(C).T for step in schedule.steps])
-    return TubePicture(together.c + xi @ C.T, together.G, bow)
-
-
-def _slice_nodes(picture: Picture, q: int) -> NDArray[np.int_]:
-    """Nodes that get slices: decisions, switches first, and where the path is closest to an unsafe set."""
-    K, switches = picture.planned, np.flatnonzero(np.diff(picture.modes)) + 1
-    parts = [np.arange(K), switches]
-    steps = [part[np.linspace(0, len(part) - 1, min(SLICES, len(part))).astype(int)] for part in parts]
-    near = np.array([picture.approach(obstacle).time for obstacle in picture.obstacles]) * q
-    nodes = np.round(near / picture.reference.delta)
-    known = nodes[np.abs(near - nodes * picture.reference.delta) <= 1e-6 * picture.reference.delta]
-    return np.unique(np.concatenate([*(q * part for part in steps), known]).astype(int))
-
-
-def recoverable_slices(safety: Safety, picture: Picture) -> SlicePicture:
-    """Slice the recoverable sets through the states of all runs under Polaris, else through the reference.
-
-    Works on any kind of set: each is convex and asked only whether it contains points, which are tried
-    along rays on ever finer scales (to 0.2 % of a step of the first): outlines lie within the sets.
-    """
-    system, q, K = picture.system, safety.tracking.feedback.nodes_per_cell, picture.planned
-    nodes, reference = _slice_nodes(picture, q), picture.reference
-    nodes = nodes[[np.isfinite(safety.recoverable.radius(int(k))) for k in nodes]]  # else all is recoverable
-    fine = reference.fine(q)[:K, :-1].reshape(K * q, -1)
-    centre = np.vstack([fine, reference.chi[K][None]])[nodes]
-    flights = picture.flights.get("polaris")
-    if flights is None:
-        states = centre[:, None]
-    else:
-        states = np.swapaxes(flights.states[:, nodes * ((len(flights.times) - 1) // (K * q))], 0, 1)
-    flat = picture.frame.flat
-    lift = np.asarray(np.linalg.pinv(system.position)[:, flat].T, dtype=float)
-    circle: Array = np.array([[1.0], [-1.0]]) if len(flat) == 1 else directions(24)
-    slices = [
-        _slice(safety, int(k), e, circle, lift) for k, e in zip(nodes, states - centre[:, None], strict=True)
-    ]
-    places = states @ system.position.T
-    outlines = np.array(slices) + places[:, :, None, flat]
-    places[np.isnan(outlines).any(axis=(2, 3))] = np.nan
-    kept = np.isin(nodes % q, 0) | ~np.isnan(places[:, 0, 0])
-    return SlicePicture(nodes[kept] * reference.delta / q, places[kept], outlines[kept])
-
-
-def _slice(safety: Safety, node: int, errors: Array, circle: Array, lift: Array) -> Array:
-    """Outlines (R, M, e) about the positions of errors (R, n); nan where one is not recoverable."""
-    found = np.full((len(errors), *circle.shape), np.nan)
-    inside = np.flatnonzero(safety.recoverable.contains(node, errors))
-    if not len(inside):
-        return found
-    errors = errors[inside]
-    rays = np.broadcast_to(circle, (len(errors), *circle.shape))
-    shift = np.zeros((len(errors), circle.shape[1]))
-    if circle.shape[1] == 2:
-        # Seen from near the boundary the far side has few rays: go to the middle of a first outline.
-        coarse = rays[:, ::3]
-        shift = (_reach(safety, node, errors, coarse @ lift, 2)[..., None] * coarse).mean(axis=1)
-        # One ray goes through the place itself, so that the polygon contains it.
-        back = -shift / np.maximum(np.linalg.norm(shift, axis=1, keepdims=True), 1e-300)
-        back[~np.any(shift, axis=1)] = circle[0]
-        turn = np.stack([back, back[:, ::-1] * [-1.0, 1.0]], axis=1)  # rows: first ray, and across it
-        rays = circle @ turn
-    least = np.zeros(rays.shape[:2])
-    least[:, 0] = np.linalg.norm(shift, axis=1)
-    size = _reach(safety, node, errors + shift @ lift, rays @ lift, 4, least)
-    found[inside] = shift[:, None] + size[..., None] * rays
-    return found
-
-
-def _reach(
-    safety: Safety, node: int, errors: Array, rays: Array, times: int, least: Array | float = 0.0
-) -> Array:
-    """How far recoverable errors (R, n) stay so along rays (R, M, n), at least, shape (R, M)."""
-    W = safety.tracking.W
-    norm = np.maximum(np.linalg.norm(errors @ W.T, axis=1), safety.recoverable.radius(node))
-    scales = (norm[:, None] / np.linalg.norm(rays @ W.T, axis=2))[..., None] * np.geomspace(1e-3, 1e3, 16)
-    low, high = np.zeros(rays.shape[:2]) + least, scales[..., -1]
-    for _ in range(times):
-        scales, high = np.maximum(scales, low[..., None]), np.maximum(high, low)
-        tried = errors[:, None, None] + scales[..., None] * rays[:, :, None]
-        inside = safety.recoverable.contains(node, tried.reshape(-1, errors.shape[1])).reshape(scales.shape)
-        known = np.concatenate([low[..., None], scales, high[..., None]], axis=2)
-        count = np.cumprod(inside, axis=2).sum(axis=2)[..., None]
-        low, high = (np.take_along_axis(known, count + i, axis=2)[..., 0] for i in (0, 1))
-        scales = low[..., None] + (high - low)[..., None] * np.linspace(0, 1, 6)[1:-1]
-    return low

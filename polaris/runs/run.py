@@ -6,17 +6,19 @@ import hashlib
 import json
 import tomllib
 from collections.abc import Sequence
+from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any
 
 from ..model.errors import ScenarioError
-from ..scenario.scenario import Scenario, load_scenario
+from ..scenario.scenario import MonteCarloScenario, Scenario, load_scenario
 from .atomic import check_target
+from .campaign.workers import Workers
 from .comparison import COMPARISON
 from .folder import SCENARIO, Draw, RunFolder, RunKind, write_folder
 from .fuel_limit import FUEL_LIMIT
 from .inspection import FLIGHT
-from .monte_carlo import MONTE_CARLO
+from .monte_carlo import MONTE_CARLO, run_monte_carlo
 from .schedule import SCHEDULE
 from .stages import Stages
 
@@ -31,24 +33,28 @@ def run(
     overrides: Sequence[str] = (),
     draw: Draw | None = None,
     stages: Stages | None = None,
+    executor: Executor | Workers | None = None,
+    fresh: bool = False,
 ) -> RunFolder:
     """Run a scenario and write what was found into a folder, as ``polaris run`` does.
 
     A schedule is synthesised, proven and flown in simulation; a flight of the inspection problem is flown
-    under its filter and judged, one into the fuel limit until the backup has taken over.
+    under its filter and judged, one into the fuel limit until the backup has taken over, many as a campaign.
 
     Parameters
     ----------
     scenario : str, Path or Scenario
         A bundled name, a file, or what `load_scenario` returned.
     out : path, optional
-        The run folder, replaced if it is there; default ``runs/<name of the scenario>``.
+        Default ``runs/<name of the scenario>``; an older run is replaced, many flights are continued.
     overrides : sequence of str
         Texts ``key=value`` as for ``--set``, which the folder notes.
     draw : callable, optional
         Puts the figures into the folder: `polaris.draw_run`, which can also do so later.
     stages : Stages, optional
         Told what is being done, and how far it is.
+    executor, fresh
+        Of many flights: who flies, and whether others are replaced, as in `run_campaign`.
 
     Returns
     -------
@@ -57,8 +63,7 @@ def run(
     Raises
     ------
     ScenarioError
-        If the scenario is not valid, of many flights (``polaris campaign`` flies those), or `out` is
-        something else than a run folder or cannot be written.
+        If the scenario is not valid, or `out` is something else than a run folder or cannot be written.
     SynthesisInfeasible, NotCertified
         If there is no schedule, or none is found in the time given.
 
@@ -71,18 +76,35 @@ def run(
     True (6, 5, 6)
     """
     stages = stages or Stages()
-    if not isinstance(scenario, Scenario):
-        scenario = load_scenario(scenario, overrides, only=Scenario)
-    elif overrides:
+    if isinstance(scenario, Scenario):
         scenario = scenario.with_assignments(overrides)
+    else:
+        scenario = load_scenario(scenario, overrides, only=Scenario)
+    target = f"runs/{scenario.name}" if out is None else out
+    if isinstance(scenario, MonteCarloScenario):
+        return _run_many(target, scenario, draw, stages, executor=executor, fresh=fresh)
+    return _run_one(check_target(target), scenario, draw, stages)
+
+
+def _run_one(target: Path, scenario: Scenario, draw: Draw | None, stages: Stages) -> RunFolder:
     kind = KINDS[scenario.kind]
-    if kind.fly is None:
-        rule = "is a campaign of many flights: polaris campaign runs it"
-        raise ScenarioError("scenario", scenario.name, rule)
-    target = check_target(out if out is not None else f"runs/{scenario.name}")
+    assert kind.fly is not None
     found = kind.fly(scenario, stages)
     with stages.stage("run folder"):
-        return write_folder(target, kind, scenario, found, seconds=stages.seconds, draw=draw, stages=stages)
+        return write_folder(target, kind, scenario, found, draw=draw, stages=stages)
+
+
+def _run_many(
+    target: str | Path, scenario: MonteCarloScenario, draw: Draw | None, stages: Stages, **flying: Any
+) -> RunFolder:
+    with stages.stage("runs"):
+        progress = stages.counting("{:,} of {:,} runs")
+        flown = run_monte_carlo(target, scenario, progress=progress, **flying)
+    folder = RunFolder(flown.path, scenario, MONTE_CARLO)
+    if draw is not None:
+        with stages.stage("figures"):
+            draw(folder)
+    return folder
 
 
 def read_run(path: str | Path) -> RunFolder:

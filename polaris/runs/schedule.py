@@ -20,25 +20,26 @@ import hashlib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from ..model.checks import of_kind
 from ..planning.problem import SOLVERS
 from ..scenario.scenario import ScheduleScenario
+from ..simulation import baselines
 from ..simulation.metrics import DEFINITIONS
+from ..synthesis import get_safety, synthesize
 from ..synthesis.controllers import AffineController
+from ..synthesis.same_system import check_safety
+from ..synthesis.schedule import Schedule
 from . import arrays
 from . import tables as files
 from .certificate import write_certificate
 from .folder import SCENARIO, Draw, RunFolder, RunKind, read_json, write_folder
-from .picture import Picture, picture_of
+from .picture import Picture
+from .picturing import picture_of
 from .stages import Stages
-
-if TYPE_CHECKING:
-    from ..simulation.baselines import Flown
-    from ..synthesis.schedule import Schedule
 
 DATA_FILES = (
     SCENARIO,
@@ -57,7 +58,7 @@ class FlownSchedule:
     """A schedule, and the simulated runs of S, U and Polaris."""
 
     schedule: Schedule
-    flown: Mapping[str, Flown]
+    flown: Mapping[str, baselines.Flown]
 
 
 def digest(schedule: Schedule) -> str:
@@ -76,28 +77,26 @@ def digest(schedule: Schedule) -> str:
 
 def fly_schedule(scenario: ScheduleScenario, stages: Stages) -> FlownSchedule:
     """Synthesise a schedule, prove it, and fly it in simulation."""
-    from ..simulation.baselines import compare
-    from ..synthesis.get_safety import get_safety
-    from ..synthesis.synthesize import synthesize
-
     with stages.stage("safety controller"):
         problem = scenario.problem()
-        safety = get_safety(replace(problem, planner=replace(problem.planner, progress=stages.planner)))
+        safety = get_safety.get_safety(
+            replace(problem, planner=replace(problem.planner, progress=stages.planner))
+        )
     with stages.stage("experimental controllers"):
         experimental = scenario.controllers(safety)
     with stages.stage("schedule"):
         counting = stages.counting("schedule: step {} of {}")
-        schedule = synthesize(scenario, safety, experimental, progress=counting, recourse=True)
+        schedule = synthesize.synthesize(scenario, safety, experimental, progress=counting, recourse=True)
     with stages.stage("simulation"):
         plan, counting = scenario.simulation, stages.counting("simulation: {} of {} runs")
-        return FlownSchedule(schedule, compare(schedule, plan.runs, plan.seed, counting))
+        return FlownSchedule(schedule, baselines.compare(schedule, plan.runs, plan.seed, counting))
 
 
 def write_run(
     out: str | Path,
     scenario: ScheduleScenario,
     schedule: Schedule,
-    flown: Mapping[str, Flown] | None = None,
+    flown: Mapping[str, baselines.Flown] | None = None,
     *,
     draw: Draw | None = None,
 ) -> RunFolder:
@@ -122,15 +121,11 @@ def write_run(
         If `out` is something else than a run folder, or cannot be written, or the schedule is that of
         another scenario.
     """
-    from ..simulation.baselines import compare
-    from ..synthesis.same_system import check_safety
-    from ..synthesis.schedule import Schedule
-
     of_kind("scenario", scenario, ScheduleScenario, "polaris.load_scenario")
     of_kind("schedule", schedule, Schedule, "polaris.synthesize")
     check_safety(schedule.safety, scenario.problem())  # or the folder would tell of a proof of something else
     if flown is None:
-        flown = compare(schedule, scenario.simulation.runs, scenario.simulation.seed)
+        flown = baselines.compare(schedule, scenario.simulation.runs, scenario.simulation.seed)
     return write_folder(out, SCHEDULE, scenario, FlownSchedule(schedule, flown), draw=draw)
 
 
@@ -140,9 +135,11 @@ def _write(folder: Path, scenario: ScheduleScenario, found: FlownSchedule) -> No
     files.write_reference(folder / "reference.csv", schedule.safety.reference)
     files.write_text(folder / "gains.json", files.json_text(files.gains(schedule)))
     flights = {key: item.flights for key, item in found.flown.items()}
-    arrays.write_sets(folder / "sets.npz", schedule, picture_of(schedule, flights).slices)
-    arrays.write_tubes(folder / "tubes.npz", schedule)
-    arrays.write_flights(folder / "trajectories.npz", flights)
+    picture = picture_of(schedule, flights)
+    assert picture.slices is not None
+    np.savez(folder / "sets.npz", **arrays.set_arrays(schedule, picture.slices))
+    np.savez(folder / "tubes.npz", **arrays.tube_arrays(schedule))
+    np.savez(folder / "trajectories.npz", **arrays.flight_arrays(flights))
     write_certificate(folder, schedule, scenario.name, DATA_FILES)
 
 
@@ -150,12 +147,10 @@ def _tell(scenario: ScheduleScenario, found: FlownSchedule, seconds: Mapping[str
     """Contents of ``summary.json``."""
     schedule, safety = found.schedule, found.schedule.safety
     plan, stages = safety.plan, dict(schedule.seconds)
-    names = {"experimental controllers": "experimental"}
-    around = {  # the schedule tells itself, part by part, how long the two stages of its synthesis took
-        names.get(name, name): time
-        for name, time in seconds.items()
-        if name not in ("safety controller", "schedule")
-    }
+    # The schedule tells itself, part by part, how long the two stages of its synthesis took.
+    around = {name: time for name, time in seconds.items() if name not in ("safety controller", "schedule")}
+    if "experimental controllers" in around:
+        around["experimental"] = around.pop("experimental controllers")
     return {
         **{key: item.metrics.summary() for key, item in found.flown.items()},
         "synthesis": {
@@ -211,7 +206,7 @@ def _read(folder: Path, scenario: ScheduleScenario) -> Picture:
         np.array([-np.inf if step["margin"] is None else step["margin"] for step in steps], dtype=float),
         tuple(step["limit"] for step in steps),
         arrays.read_flights(folder / "trajectories.npz"),
-        arrays.read_tube(folder / "tubes.npz", system.position),
+        arrays.position_tube(arrays.read_arrays(folder / "tubes.npz"), system.position),
         arrays.read_slices(folder / "sets.npz"),
     )
 

@@ -46,11 +46,10 @@ class Stages:
 
 def planner_line(progress: Progress) -> str:
     """One line on how far the planner is."""
-    parts = [f"plan: {progress.stage}"]
-    if abs(progress.incumbent) < float("inf"):
-        parts.append(f"best {progress.incumbent:.4g}")
-    if abs(progress.bound) < float("inf"):
-        parts.append(f"bound {progress.bound:.4g}")
-    if abs(progress.gap) < float("inf"):
-        parts.append(f"gap {progress.gap:.2%}")
-    return ", ".join(parts)
+    known = {
+        "best {:.4g}": progress.incumbent,
+        "bound {:.4g}": progress.bound,
+        "gap {:.2%}": progress.gap,
+    }
+    parts = [form.format(value) for form, value in known.items() if abs(value) < float("inf")]
+    return ", ".join([f"plan: {progress.stage}", *parts])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,35 +15,21 @@ from ..planning.reference import Reference
 from ..synthesis.controllers import AffineController
 from ..synthesis.schedule import Schedule
 
-STEP_COLUMNS = (
-    "step",
-    "t_start_s",
-    "t_end_s",
-    "mode",
-    "controller",
-    "margin",
-    "limit",
-    "limit_time_s",
-    "need",
-    "room",
-)
+
+def finite(value: float) -> float | None:
+    """The number, or None for infinities and NaN."""
+    return float(value) if np.isfinite(value) else None
 
 
-def strict(value: Any) -> Any:
-    """The same data for strict JSON: numpy turned plain, infinities and NaN into null."""
+def strict(value: Any, number: Callable[[float], Any] = finite) -> Any:
+    """The same data for strict JSON: numpy turned plain, floats as `number` says: infinities and NaN null."""
     if isinstance(value, Mapping):
-        return {str(key): strict(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray):
-        return strict(value.tolist())
-    if isinstance(value, (list, tuple)):
-        return [strict(item) for item in value]
-    if isinstance(value, (bool, np.bool_)):
-        return bool(value)
-    if isinstance(value, (int, np.integer)):
-        return int(value)
-    if isinstance(value, (float, np.floating)):
-        return float(value) if np.isfinite(value) else None
-    return value
+        return {str(key): strict(item, number) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return strict(value.tolist(), number)
+    if isinstance(value, list | tuple):
+        return [strict(item, number) for item in value]
+    return number(value) if isinstance(value, float) else value
 
 
 def json_text(data: Any) -> str:
@@ -56,12 +42,15 @@ def write_text(path: Path, text: str) -> None:
     path.write_text(text, encoding="utf-8", newline="\n")
 
 
-def write_csv(path: Path, header: tuple[str, ...], rows: list[list[Any]]) -> None:
-    """Write a table; numbers in the shortest form that reads back exactly, what is not finite empty."""
+def write_csv(path: Path, rows: Sequence[Mapping[str, Any]], header: Sequence[str] = ()) -> None:
+    """Write rows by column; numbers in the shortest form that reads back exactly, what is not finite empty.
+
+    The header is that of the first row if not given.
+    """
     with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(header)
-        writer.writerows([["" if item is None else item for item in strict(row)] for row in rows])
+        writer = csv.DictWriter(file, header or list(rows[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(map(strict, rows))
 
 
 # -- schedule ---------------------------------------------------------------------------------------
@@ -69,32 +58,46 @@ def write_csv(path: Path, header: tuple[str, ...], rows: list[list[Any]]) -> Non
 
 def step_rows(schedule: Schedule) -> list[dict[str, Any]]:
     """One row per step of the schedule."""
-    times, rows = schedule.times, []
-    for k, step in enumerate(schedule.steps):
-        margin, name = step.margin, schedule.controllers[step.mode].name
-        told = (margin.value, margin.limit, margin.time, margin.need, margin.room)
-        rows.append(dict(zip(STEP_COLUMNS, (k, times[k], times[k + 1], step.mode, name, *told), strict=True)))
-    return rows
+    return [
+        {
+            "step": k,
+            "t_start_s": schedule.times[k],
+            "t_end_s": schedule.times[k + 1],
+            "mode": step.mode,
+            "controller": schedule.controllers[step.mode].name,
+            "margin": step.margin.value,
+            "limit": step.margin.limit,
+            "limit_time_s": step.margin.time,
+            "need": step.margin.need,
+            "room": step.margin.room,
+        }
+        for k, step in enumerate(schedule.steps)
+    ]
+
+
+def controller_rows(schedule: Schedule) -> list[dict[str, Any]]:
+    """Mode, name and kind of every controller."""
+    return [
+        {"mode": mode, "name": controller.name, "kind": type(controller).__name__}
+        for mode, controller in enumerate(schedule.controllers)
+    ]
 
 
 def write_schedule(folder: Path, schedule: Schedule, rules: Mapping[str, Any], guarantee: Any) -> None:
     """Write ``schedule.csv`` and ``schedule.json``."""
     rows = step_rows(schedule)
-    write_csv(folder / "schedule.csv", STEP_COLUMNS, [list(row.values()) for row in rows])
-    names = [controller.name for controller in schedule.controllers]
+    write_csv(folder / "schedule.csv", rows)
+    controllers = controller_rows(schedule)
     data = {
         "schema_version": 1,
         "step_s": schedule.safety.problem.delta,
         "duration_s": schedule.times[-1],
-        "controllers": [
-            {"mode": mode, "name": name, "kind": type(controller).__name__}
-            for mode, (name, controller) in enumerate(zip(names, schedule.controllers, strict=True))
-        ],
+        "controllers": controllers,
         "rules": rules,
         "modes": schedule.modes,
         "switches": schedule.switches,
         "experimental_share": schedule.share(),
-        "share": {name: schedule.share(mode) for mode, name in enumerate(names)},
+        "share": {row["name"]: schedule.share(row["mode"]) for row in controllers},
         "recoverable": schedule.safety.recoverable.kind,
         "guarantee": guarantee,
         "steps": rows,
@@ -116,12 +119,13 @@ def columns(system: LinearSystem) -> tuple[tuple[str, ...], tuple[str, ...]]:
 def write_reference(path: Path, reference: Reference) -> None:
     """Write state at every waypoint and the input held from there on (none at the last)."""
     states, inputs = columns(reference.system)
-    held: list[Any] = [*reference.nu.tolist(), [None] * reference.system.m]
     rows = [
-        [k * reference.delta, *chi, *nu]
-        for k, (chi, nu) in enumerate(zip(reference.chi.tolist(), held, strict=True))
+        {"t_s": k * reference.delta, **dict(zip(states, chi, strict=True))}
+        for k, chi in enumerate(reference.chi.tolist())
     ]
-    write_csv(path, ("t_s", *states, *inputs), rows)
+    for row, nu in zip(rows, reference.nu.tolist(), strict=False):
+        row |= zip(inputs, nu, strict=True)
+    write_csv(path, rows)
 
 
 def read_reference(path: Path, system: LinearSystem, delta: float) -> Reference:
@@ -141,17 +145,14 @@ def gains(schedule: Schedule) -> dict[str, Any]:
     """System, gains, error bounds and the experimental controllers' own references."""
     safety = schedule.safety
     system, tracking, bounds = safety.problem.system, safety.tracking, safety.bounds
-    law = "u = mu(t) + gain (xi(t) - x), reference.csv gives xi and mu"
-    controllers: list[dict[str, Any]] = []
-    for mode, controller in enumerate(schedule.controllers):
-        entry: dict[str, Any] = {"mode": mode, "name": controller.name, "kind": type(controller).__name__}
+    controllers = controller_rows(schedule)
+    for entry, controller in zip(controllers, schedule.controllers, strict=True):
         if isinstance(controller, AffineController):
             entry |= {"gain": controller.gain, "clips": controller.clips}
             if controller.own is not safety.reference:
                 entry |= {"own_states": controller.own.chi, "own_inputs": controller.own.nu}
-        controllers.append(entry)
     return {
-        "law": law,
+        "law": "u = mu(t) + gain (xi(t) - x), reference.csv gives xi and mu",
         "system": {
             "A": system.A,
             "B": system.B,

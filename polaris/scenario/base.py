@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import copy
-import difflib
+import json
+import re
+import tomllib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -12,11 +14,12 @@ from typing import Any, ClassVar, Self, TypeVar
 
 from ..model.errors import ScenarioError
 from .fields import ScenarioPart
-from .overrides import parse_assignment, put
-from .reading import NOTHING, validate, write_toml
+from .reading import NOTHING, did_you_mean, join_path, printable, validate, write_toml
 
 KINDS: dict[str, type[Scenario]] = {}
 """Class of every kind, by the key ``kind`` at the top of the file; `polaris.scenario.scenario` fills it."""
+
+_KEY_PART = re.compile(r"([A-Za-z0-9_-]+)((?:\[\d{1,4}\])*)")
 
 SCHEDULE = "schedule"
 """Kind of a file without the key ``kind``."""
@@ -101,17 +104,14 @@ class Scenario(ABC):
         found = KINDS.get(kind) if isinstance(kind, str) else None
         if found is None or document.get("kind") == SCHEDULE:
             named = [name for name in KINDS if name != SCHEDULE]
-            near = difflib.get_close_matches(kind, named, n=1, cutoff=0.5) if isinstance(kind, str) else []
-            hint = f"; did you mean {near[0]}?" if near else ""
-            rule = f"must be one of {', '.join(map(repr, named))}, or left out for a schedule{hint}"
+            rule = f"must be one of {', '.join(map(repr, named))}, or left out for a schedule"
+            rule += did_you_mean(kind, named, 0.5)
             raise ScenarioError("kind", kind, rule, source)
         if not issubclass(found, cls):
             wanted = [name for name, known in KINDS.items() if issubclass(known, cls)]
             rule = f"must be a scenario of the kind {' or '.join(map(repr, wanted))} here"
             raise ScenarioError("kind", kind, rule, source)
         return found(validate(found.MODEL, document, source), source, text, tuple(overrides))
-
-    # -- overrides ------------------------------------------------------------------------------
 
     def set(self, key: str, value: Any) -> Self:
         """Return a copy with one value replaced.
@@ -148,8 +148,6 @@ class Scenario(ABC):
     def _changed(self, values: Mapping[str, Any], noted: Iterable[str]) -> Self:
         return self._of(overridden(self.to_dict(), values, self.source), self.source, None, noted)
 
-    # -- as data --------------------------------------------------------------------------------
-
     @property
     def name(self) -> str:
         """Short name."""
@@ -171,7 +169,7 @@ class Scenario(ABC):
 
     def to_dict(self) -> dict[str, Any]:
         """All values, defaults included, as nested plain data."""
-        data: dict[str, Any] = _lists(self.model.model_dump(exclude_none=True))
+        data: dict[str, Any] = json.loads(json.dumps(self.model.model_dump(exclude_none=True)))  # no tuples
         return data
 
     def to_toml(self) -> str:
@@ -194,8 +192,45 @@ def overridden(document: dict[str, Any], values: Mapping[str, Any], where: str |
     return document
 
 
-def _lists(data: Any) -> Any:
-    """The same data with lists for tuples, as a TOML reader gives it."""
-    if isinstance(data, dict):
-        return {key: _lists(value) for key, value in data.items()}
-    return [_lists(value) for value in data] if isinstance(data, (list, tuple)) else data
+def parse_assignment(text: str) -> tuple[str, Any]:
+    """Key and value of a text ``key=value``; a value that is not TOML is taken for text."""
+    key, equals, value = text.partition("=")
+    if not equals or not key.strip():
+        raise ScenarioError("--set", printable(text), "must be key=value")
+    try:
+        parsed = tomllib.loads(f"value = {value.strip()}")
+    except (ValueError, RecursionError):
+        parsed = {}
+    return key.strip(), parsed["value"] if set(parsed) == {"value"} else value.strip()
+
+
+def _split(key: str) -> list[str | int]:
+    """Parts of a dotted key; ``a[0].b`` and ``a.0.b`` mean the same."""
+    parts: list[str | int] = []
+    for piece in key.split("."):
+        match = _KEY_PART.fullmatch(piece)
+        if not match:
+            raise ScenarioError("--set", printable(key), "must name a key, as in planner.solver=highs")
+        parts.append(int(match[1]) if match[1].isdigit() else match[1])
+        parts += [int(index) for index in re.findall(r"\d+", match[2])]
+    return parts
+
+
+def put(document: dict[str, Any], key: str, value: Any, where: str | None) -> None:
+    """Replace (or, with None, remove) the value at a dotted key; tables are made as needed."""
+    parts = _split(key)
+    holder: Any = document
+    for i, part in enumerate(parts):
+        if not isinstance(holder, {str: dict, int: list}[type(part)]):
+            kind = {"list": "a list", "dict": "a table"}.get(type(holder).__name__, "a value")
+            rule = f"no such key: {join_path(parts[:i])} is {kind}"
+            raise ScenarioError(join_path(parts), value, rule, where)
+        if isinstance(holder, list) and part >= len(holder):
+            rule = f"there are only {len(holder)} entries (counted from 0)"
+            raise ScenarioError(join_path(parts[: i + 1]), NOTHING, rule, where)
+        if i < len(parts) - 1:
+            holder = holder.setdefault(part, {}) if isinstance(holder, dict) else holder[part]
+        elif value is None and isinstance(holder, dict):
+            holder.pop(part, None)
+        else:
+            holder[part] = value

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -19,6 +18,8 @@ from ..synthesis.get_safety import Safety
 from ..synthesis.problem import Problem
 from ..synthesis.tracking import lqr_gain
 from .scene_tables import Affine, Experimental, hill_rate
+from .scene_tables import AnyThrust as AnyThrustTable
+from .tables import ScenarioModel
 
 
 def gain_of(spec: Affine, system: LinearSystem, path: str) -> Array:
@@ -29,20 +30,21 @@ def gain_of(spec: Affine, system: LinearSystem, path: str) -> Array:
     return lqr_gain(system, spec.Q, spec.R)
 
 
-def gains_of(specs: tuple[Experimental, ...], system: LinearSystem) -> tuple[Array, ...]:
+def gains_of(model: ScenarioModel, system: LinearSystem) -> tuple[Array, ...]:
     """Gains of all controllers that have one."""
-    pairs = [(spec, f"experimental[{i}]") for i, spec in enumerate(specs)]
-    return tuple(gain_of(spec, system, path) for spec, path in pairs if spec.kind != "any_thrust")
+    return tuple(
+        gain_of(spec, system, path) for path, spec in model.controllers() if isinstance(spec, Affine)
+    )
 
 
-def build_controllers(specs: Iterable[Experimental], safety: Safety) -> tuple[Controller, ...]:
-    """Controllers as a scenario describes them; see `polaris.scenario.scenario.Scenario.controllers`."""
-    return tuple(_build(spec, f"experimental[{i}]", safety) for i, spec in enumerate(specs))
+def build_controllers(model: ScenarioModel, safety: Safety) -> tuple[Controller, ...]:
+    """Controllers as a scenario describes them; see `ScheduleScenario.controllers`."""
+    return tuple(_build(spec, path, safety) for path, spec in model.controllers())
 
 
 def _build(spec: Experimental, path: str, safety: Safety) -> Controller:
     system = safety.problem.system
-    if spec.kind == "any_thrust":
+    if isinstance(spec, AnyThrustTable):
         return AnyThrust(spec.name, system, safety.reference, safety.tracking)
     gain = gain_of(spec, system, path)
     own = own_reference(spec.reference, gain, safety, f"{path}.reference")
@@ -57,13 +59,7 @@ def own_reference(spec: Any, gain: Array, safety: Safety, path: str) -> Referenc
     if spec.kind == "shared":
         return safety.reference
     if spec.kind == "nmt":
-        x0 = elliptical_nmt(
-            hill_rate(system, f"{path}.kind", spec.kind),
-            spec.semi_minor_m,
-            spec.phase_rad,
-            spec.cross_track_m,
-            spec.cross_phase_rad,
-        )
+        x0 = elliptical_nmt(hill_rate(system, f"{path}.kind", spec.kind), **spec.arguments())
         return Reference.propagate(system, delta, x0, np.zeros((K, system.m)))
     if spec.kind == "setpoint":
         return _settled(system, gain, as_finite(f"{path}.state", spec.state, 1), K, delta, path)
@@ -85,9 +81,8 @@ def _settled(system: LinearSystem, gain: Array, state: Array, K: int, delta: flo
     """
     closed = system.A - system.B @ gain
     if np.linalg.matrix_rank(closed) < system.n:
-        raise ScenarioError(
-            f"{path}.state", state.tolist(), "the controller never comes to rest (singular loop)"
-        )
+        rule = "the controller never comes to rest (singular loop)"
+        raise ScenarioError(f"{path}.state", state.tolist(), rule)
     rest = np.linalg.solve(closed, -system.B @ gain @ state)
     u = gain @ (state - rest)
     # Rounding must not set the constant trajectory drifting: chi is constant by construction.

@@ -2,11 +2,29 @@
 
 from __future__ import annotations
 
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, Strict, Tag
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Discriminator,
+    Field,
+    Strict,
+    Tag,
+    model_validator,
+)
+from pydantic_core import PydanticCustomError
 
 from ..model.checks import MAX_STEPS as MAX_STEPS
+from ..model.checks import counted
+from ..model.errors import ScenarioError
+from ..model.tolerances import TIME
 
 LARGEST = 1e12
 """Largest magnitude of any number in a scenario: beyond it, double precision loses millimetres."""
@@ -14,22 +32,90 @@ LARGEST = 1e12
 NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_-]*$"
 """Names become file names and column heads, so they are letters, digits, ``_`` and ``-`` only."""
 
+_UNIT = re.compile("_(m_s2|m_s|rad_s|1_s|rad|deg|kg|N|m|s)$")
+_PYTHON_NAMES = {"normals": "H", "offsets": "b", "half_angle": "half_angle_rad"}
+
+
+def python_name(key: str) -> str:
+    """What the Python class that a table describes calls a key: the same without its unit, but for three."""
+    bare = _UNIT.sub("", key)
+    return _PYTHON_NAMES.get(bare, bare)
+
 
 class ScenarioPart(BaseModel):
-    """Base of every table of a scenario: unknown keys are refused, instances cannot change."""
+    """Base of every table of a scenario: unknown keys are refused, instances cannot change.
 
-    model_config = ConfigDict(extra="forbid", frozen=True, hide_input_in_errors=True, validate_default=True)
+    The description of a field stands in `unit`, or, where it is long, in a string beneath the field.
+    """
+
+    model_config = ConfigDict(
+        extra="forbid",
+        frozen=True,
+        hide_input_in_errors=True,
+        validate_default=True,
+        use_attribute_docstrings=True,
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _known_keys(cls, data: Any) -> Any:
+        """Refuse an unknown key before anything else: it explains a missing one (a slip of the pen)."""
+        for key in data if isinstance(data, Mapping) else ():
+            if key not in cls.model_fields:
+                raise PydanticCustomError(
+                    "unknown_key", "unknown key", {"key": key, "known": [*cls.model_fields]}
+                )
+        return data
+
+    def arguments(self) -> dict[str, Any]:
+        """Its values (without `kind`) by the names that Python has for them, angles in radians."""
+        values = {key: value for key, value in self if key != "kind"}
+        return {
+            python_name(key): math.radians(value) if key.endswith("_deg") else value
+            for key, value in values.items()
+        }
 
 
-def unit(text: str, description: str, **rules: Any) -> Any:
-    """Field with its description and its unit, both shown in the JSON Schema and the reference.
+@contextmanager
+def in_file_terms(path: str, part: ScenarioPart, **elsewhere: str) -> Iterator[None]:
+    """Let errors of what is built from a table name the field of the file.
+
+    `path` is that of the table; `elsewhere` gives the paths of what other tables hold, by Python's names.
+    """
+    try:
+        yield
+    except ScenarioError as error:
+        name = error.field.rpartition(".")[2]
+        keys = [f"{path}.{key}" for key in type(part).model_fields if name in (key, python_name(key))]
+        field = elsewhere.get(name) or (keys[0] if keys else path)
+        rule = error.rule.replace("H p <= b", "normals p <= offsets_m")
+        raise ScenarioError(field, error.given, rule, error.where) from error
+
+
+def check_length(field: str, vector: Sequence[Any], count: int) -> None:
+    """Refuse a list of another length."""
+    if len(vector) != count:
+        raise ScenarioError(field, list(vector), f"must have {counted(count, 'number')}, has {len(vector)}")
+
+
+def whole_parts(total: float, part: float) -> int | None:
+    """How many times `part` goes into `total`; None if not a whole number of times."""
+    ratio = total / part
+    if not math.isfinite(ratio):
+        return None
+    count = round(ratio)
+    return count if abs(ratio - count) <= TIME * max(count, 1) else None
+
+
+def unit(text: str, description: str | None = None, **rules: Any) -> Any:
+    """Field with its unit and its description, both shown in the JSON Schema and the reference.
 
     Parameters
     ----------
     text : str
         Unit, or "-" where the field has none.
-    description : str
-        What the field means.
+    description : str, optional
+        What the field means; without it, the string beneath the field says so.
     **rules
         Handed to `pydantic.Field` (default, gt, le, min_length, ...).
     """
@@ -54,25 +140,24 @@ def _rectangular(rows: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...]
     return rows
 
 
-def _shape_of(value: Any) -> str:
-    """Tag of a value that may be a number, a word, a vector or a matrix."""
-    value = _plain(value)
-    if isinstance(value, (list, tuple)):
-        return "matrix" if value and isinstance(value[0], (list, tuple)) else "vector"
-    return "word" if isinstance(value, str) else "number"
+def _by_shape(single: str, vector: str, matrix: str) -> Discriminator:
+    """What a value is read as, by its shape: neither list nor array, a list, or a list of lists."""
+
+    def tag(value: Any) -> str:
+        value = _plain(value)
+        if not isinstance(value, (list, tuple)):
+            return single
+        return matrix if value and isinstance(value[0], (list, tuple)) else vector
+
+    return Discriminator(tag)
 
 
-def _vector_or_matrix(value: Any) -> str:
-    return "matrix" if _shape_of(value) == "matrix" else "vector"
+def _with_kind(value: Any) -> Any:
+    """Let a table without a kind be refused as one with a wrong kind is: with the kinds there are."""
+    return {"kind": "", **value} if isinstance(value, Mapping) else value
 
 
-def _number_or_vector(value: Any) -> str:
-    return "number" if _shape_of(value) in ("number", "word") else "vector"
-
-
-def _word_or_vector(value: Any) -> str:
-    return "vector" if _shape_of(value) in ("vector", "matrix") else "word"
-
+BY_KIND = (Field(discriminator="kind"), BeforeValidator(_with_kind))
 
 # Strict: a number is a number, never true/false or a quoted string; integers are taken for floats.
 Real = Annotated[float, Strict(), Field(allow_inf_nan=False)]
@@ -82,6 +167,8 @@ NonNegative = Annotated[float, Strict(), Field(ge=0, le=LARGEST, allow_inf_nan=F
 Positive = Annotated[float, Strict(), Field(gt=0, le=LARGEST, allow_inf_nan=False)]
 NonNegativeOrInf = Annotated[float, Strict(), Field(ge=0)]
 Whole = Annotated[int, Strict()]
+Index = Annotated[Whole, Field(ge=0, le=99)]
+Seed = Annotated[Whole, Field(ge=0, le=2**63 - 1)]
 Flag = Annotated[bool, Strict()]
 Text = Annotated[str, Strict()]
 VersionOne = Annotated[Literal[1], BeforeValidator(_whole)]
@@ -99,17 +186,24 @@ Matrix = Annotated[
     BeforeValidator(_plain),
 ]
 DiagonalOrMatrix = Annotated[
-    Annotated[Vector, Tag("vector")] | Annotated[Matrix, Tag("matrix")], Discriminator(_vector_or_matrix)
+    Annotated[Vector, Tag("vector")] | Annotated[Matrix, Tag("matrix")],
+    _by_shape("vector", "vector", "matrix"),
 ]
 PositivePerAxis = Annotated[
     Annotated[Positive, Tag("number")] | Annotated[LimitVector, Tag("vector")],
-    Discriminator(_number_or_vector),
+    _by_shape("number", "vector", "vector"),
 ]
 """One positive number for all axes, or one per axis."""
+WordOrWeights = Annotated[
+    Annotated[Literal["auto", "identity"], Tag("word")] | Annotated[LimitVector, Tag("vector")],
+    _by_shape("word", "vector", "vector"),
+]
 
 
-def word_or_vector(words: Any) -> Any:
-    """Type of a field that holds one of a few words, or a list of positive numbers."""
-    return Annotated[
-        Annotated[words, Tag("word")] | Annotated[LimitVector, Tag("vector")], Discriminator(_word_or_vector)
-    ]
+class Head(ScenarioPart):
+    """What every scenario file starts with."""
+
+    schema_version: VersionOne = unit("-", "Version of this format.")
+    name: Name = unit("-", "Short name; the run folder is called after it.")
+    title: Text = unit("-", "One line for figures and tables.", min_length=1, max_length=200)
+    description: Text = unit("-", "What the scenario shows.", default="", max_length=5000)

@@ -2,11 +2,22 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, get_args
+from abc import abstractmethod
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 from pydantic import Field
 
-from .fields import Flag, NonNegative, Positive, Real, ScenarioPart, Text, Whole, unit
+from . import fields as f
+from .fields import ScenarioPart, unit
+
+if TYPE_CHECKING:
+    from ..inspection.backup.parking import Parking
+    from ..inspection.constraints.families import Families
+    from ..inspection.constraints.strengthening import Strengthening
+    from ..inspection.flights.simulation import BatchFilter
+    from ..inspection.inspection import Inspection
+    from ..rta.one_call import RunTimeFilter
 
 Family = Literal[
     "chief_separation",
@@ -22,18 +33,19 @@ Family = Literal[
 
 FAMILY_NAMES: tuple[str, ...] = get_args(Family)
 
-# -- strengthening ----------------------------------------------------------------------------------
 
-Coefficients = Annotated[tuple[NonNegative, ...], Field(min_length=3, max_length=3)]
+Coefficients = Annotated[tuple[f.NonNegative, ...], Field(min_length=3, max_length=3)]
 
 
 class Alpha(ScenarioPart):
     """One strengthening function, `c1 s + c2 |s| s + c3 s^3` with `s = h - bias`."""
 
     coefficients: Coefficients = unit("1/s, ...", "c1, c2 and c3, >= 0 and not all zero.")
-    bias: NonNegative = unit("unit of h", "Distance kept of the boundary h = 0.", default=0.0)
-    recovery: Real = unit("-", "Factor where s < 0.", default=1.0, ge=1, le=1e6)
-    push: NonNegative = unit("unit of h per second", "Least growth of h asked for where s < 0.", default=0.0)
+    bias: f.NonNegative = unit("unit of h", "Distance kept of the boundary h = 0.", default=0.0)
+    recovery: f.Real = unit("-", "Factor where s < 0.", default=1.0, ge=1, le=1e6)
+    push: f.NonNegative = unit(
+        "unit of h per second", "Least growth of h asked for where s < 0.", default=0.0
+    )
 
 
 def _alpha(name: str) -> Alpha | None:
@@ -45,12 +57,9 @@ def _alpha(name: str) -> Alpha | None:
 class StrengtheningTable(ScenarioPart):
     """The functions alpha of eq. 7: a named set, and what replaces it for single kinds of constraint."""
 
-    preset: Text = unit(
-        "-",
-        "Named set. `afrl`: that of the library the paper's authors published. `polaris`: the same with "
-        "quicker velocity limits. `linear`: 0.3 h throughout, for conditions that hold between samples.",
-        default="polaris",
-    )
+    preset: f.Text = unit("-", default="polaris")
+    """Named set. `afrl`: that of the library the paper's authors published. `polaris`: the same with quicker
+    velocity limits. `linear`: 0.3 h throughout, for conditions that hold between samples."""
     chief_separation: Alpha | None = _alpha("h1, separation from the chief")
     deputy_separation: Alpha | None = _alpha("h2, separation of two deputies")
     speed: Alpha | None = _alpha("h3, dynamic speed limit")
@@ -62,26 +71,25 @@ class StrengtheningTable(ScenarioPart):
     velocity: Alpha | None = _alpha("h9 to h11, velocity limits")
 
 
-# -- the filter -------------------------------------------------------------------------------------
-
-
 class BarrierFilter(ScenarioPart):
     """What the barrier filters share."""
 
     without: tuple[Family, ...] = unit("-", "Kinds of constraint that are left out.", default=())
-    sampled_data: Flag = unit(
-        "-",
-        "Tighten the conditions so that, where the program has a solution, they hold for the whole control "
-        "period and not only at its start.",
-        default=True,
-    )
-    sampled_data_share: Real = unit(
-        "-",
-        "Part of a constraint's value that may be lost in one period; less is calmer.",
-        default=0.5,
-        gt=0,
-        le=1,
-    )
+    sampled_data: f.Flag = unit("-", default=True)
+    """Tighten the conditions so that, where the program has a solution, they hold for the whole control
+    period and not only at its start."""
+    sampled_data_share: f.Real = unit("-", default=0.5, gt=0, le=1)
+    """Part of a constraint's value that may be lost in one period; less is calmer."""
+
+    def build(self, q: Inspection, alpha: Mapping[str, Strengthening], period: float) -> BatchFilter:
+        """The filter, for a control period [s]."""
+        from ..inspection.constraints.families import Families
+        from ..inspection.constraints.motion import SampledData
+        from ..inspection.filters.explicit import CENTRALIZED, make_filter
+
+        sampled = SampledData(period, self.sampled_data_share) if self.sampled_data else None
+        families = Families(q, alpha, self.without, sampled)
+        return make_filter(families, getattr(self, "sharing", CENTRALIZED))
 
 
 class CentralizedFilter(BarrierFilter):
@@ -94,68 +102,96 @@ class DecentralizedFilter(BarrierFilter):
     """One quadratic program per deputy: it knows where the others are, not what they will do."""
 
     kind: Literal["decentralized"] = unit("-", "A filter for each deputy.")
-    sharing: Literal["coasting", "half", "consensus"] = unit(
-        "-",
-        "Who answers for a condition on a pair. `coasting`: each alone, as if the other did not thrust (the "
-        "paper's). `half`: each for half. `consensus`: each for its part of a solution all can compute.",
-        default="coasting",
-    )
+    sharing: Literal["coasting", "half", "consensus"] = unit("-", default="coasting")
+    """Who answers for a condition on a pair. `coasting`: each alone, as if the other did not thrust (the
+    paper's). `half`: each for half. `consensus`: each for its part of a solution all can compute."""
 
 
 class BackupFilter(ScenarioPart):
     """What the filters share that fall back to a backup controller, which parks on a closed ellipse."""
 
     without: tuple[Family, ...] = unit("-", "Kinds of constraint that are left out.", default=())
-    response_s: Positive = unit("s", "Time constant of the backup controller.", default=20.0)
+    response_s: f.Positive = unit("s", "Time constant of the backup controller.", default=20.0)
+
+    def build(self, q: Inspection, alpha: Mapping[str, Strengthening], period: float) -> BatchFilter:
+        """The filter, for a control period [s]."""
+        from ..inspection.backup.parking import Parking
+        from ..inspection.constraints.families import Families
+        from ..inspection.flights.simulation import OneFlight
+
+        law, watched = Parking(q, period=period, response=self.response_s), Families(q, alpha, self.without)
+        return OneFlight(lambda sun: self.start(law, watched, sun), watched, period)
+
+    @abstractmethod
+    def start(self, law: Parking, watched: Families, sun: float) -> RunTimeFilter:
+        """The filter of one flight, from an angle of the sun [rad] on."""
 
 
 class _Switching(BackupFilter):
     """A filter that passes the desired thrust as it is, or hands over to the backup."""
 
-    dwell_s: NonNegative = unit(
-        "s", "For so long all must have been at its release before a deputy is handed back.", default=30.0
-    )
+    dwell_s: f.NonNegative = unit("s", default=30.0)
+    """For so long all must have been at its release before a deputy is handed back."""
 
 
 class _Predicting(BackupFilter):
     """A filter that flies the backup controller ahead; it looks at all constraints but h7 and h8."""
 
-    horizon_s: Positive = unit(
-        "s", "Longest backup flight: all deputies must have settled by then.", default=600.0
-    )
+    horizon_s: f.Positive = unit("s", default=600.0)
+    """Longest backup flight: all deputies must have settled by then."""
 
 
 class ExplicitSimplexFilter(_Switching):
     """Passes the desired thrust while every barrier stays at its margin."""
 
     kind: Literal["explicit_simplex"] = unit("-", "The desired thrust or the backup's, by the barriers.")
-    margin: NonNegative = unit("unit of h", "Least value of every barrier for passing.", default=0.0)
-    release: NonNegative = unit(
-        "unit of h", "Least value of every barrier for handing back; at least the margin.", default=0.05
-    )
-    looks: Whole = unit(
-        "-", "Instants of the coming period at which the barriers are looked at.", default=2, ge=1, le=100
-    )
+    margin: f.NonNegative = unit("unit of h", "Least value of every barrier for passing.", default=0.0)
+    release: f.NonNegative = unit("unit of h", default=0.05)
+    """Least value of every barrier for handing back; at least the margin."""
+    looks: f.Whole = unit("-", default=2, ge=1, le=100)
+    """Instants of the coming period at which the barriers are looked at."""
+
+    def start(self, law: Parking, watched: Families, sun: float) -> RunTimeFilter:
+        """See `BackupFilter.start`."""
+        from ..inspection.filters.explicit import Centralized
+        from ..inspection.filters.simplex import ExplicitSimplex, Guarded
+
+        backup, limits = Guarded(Centralized(watched), law, sun), (self.margin, self.release)
+        return ExplicitSimplex(watched, backup, law.period, *limits, self.dwell_s, sun, self.looks)
 
 
 class ImplicitSimplexFilter(_Switching, _Predicting):
     """Passes the desired thrust while the backup flight after the period keeps the constraints for ever."""
 
-    kind: Literal["implicit_simplex"] = unit(
-        "-", "The desired thrust or the backup's, by the backup's flight."
-    )
-    release_distance_m: NonNegative = unit("m", "Least distances for handing back.", default=2.0)
-    release_speed_m_s: NonNegative = unit("m/s", "Least speeds to spare for handing back.", default=0.02)
+    kind: Literal["implicit_simplex"] = unit("-")
+    """The desired thrust or the backup's, by the backup's flight."""
+    release_distance_m: f.NonNegative = unit("m", "Least distances for handing back.", default=2.0)
+    release_speed_m_s: f.NonNegative = unit("m/s", "Least speeds to spare for handing back.", default=0.02)
+
+    def start(self, law: Parking, watched: Families, sun: float) -> RunTimeFilter:
+        """See `BackupFilter.start`."""
+        from ..inspection.filters.flight_check import FlightCheck
+        from ..inspection.filters.simplex import ImplicitSimplex
+
+        check = FlightCheck(law, self.horizon_s, sun, self.without)
+        return ImplicitSimplex(check, self.release_distance_m, self.release_speed_m_s, self.dwell_s)
 
 
 class ImplicitASIFFilter(_Predicting):
     """The nearest thrust after which the backup flight keeps the constraints for ever."""
 
     kind: Literal["implicit_asif"] = unit("-", "Barrier conditions on the backup's flight.")
-    rate_1_s: Positive = unit("1/s", "The function alpha of eq. 7 is this times the value.", default=0.1)
+    rate_1_s: f.Positive = unit("1/s", "The function alpha of eq. 7 is this times the value.", default=0.1)
+
+    def start(self, law: Parking, watched: Families, sun: float) -> RunTimeFilter:
+        """See `BackupFilter.start`."""
+        from ..inspection.filters.flight_check import FlightCheck
+        from ..inspection.filters.implicit import ImplicitASIF
+
+        return ImplicitASIF(FlightCheck(law, self.horizon_s, sun, self.without), self.rate_1_s)
 
 
-Filter = Annotated[CentralizedFilter | DecentralizedFilter, Field(discriminator="kind")]
+Filter = Annotated[CentralizedFilter | DecentralizedFilter, *f.BY_KIND]
 """Those of a Monte Carlo: they answer for many runs at once."""
 
 FlightFilter = Annotated[
@@ -164,6 +200,6 @@ FlightFilter = Annotated[
     | ExplicitSimplexFilter
     | ImplicitSimplexFilter
     | ImplicitASIFFilter,
-    Field(discriminator="kind"),
+    *f.BY_KIND,
 ]
 """Those of one flight."""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import difflib
 from abc import abstractmethod
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,32 +12,18 @@ from ..inspection.constraints.strengthening import PRESETS, Strengthening
 from ..inspection.inspection import Inspection
 from ..model.checks import counted
 from ..model.errors import ScenarioError
-from . import inspection_rules as rules
 from . import inspection_tables as models
 from .base import Scenario, kept
-from .filter_tables import Alpha, FlightFilter
+from .fields import check_length, in_file_terms, whole_parts
+from .filter_tables import FAMILY_NAMES, Alpha, FlightFilter
+from .reading import did_you_mean
 
 if TYPE_CHECKING:
-    from ..inspection.backup.parking import Law
+    from ..inspection.backup.law import Law
     from ..inspection.constraints.families import Families
     from ..inspection.flights.primary import Primary
     from ..inspection.flights.simulation import BatchFilter
     from ..model.system import Array
-
-_PARAMETERS = {
-    "mass": "mass_kg",
-    "mean_motion": "mean_motion_rad_s",
-    "deputy_radius": "deputy_radius_m",
-    "chief_radius": "chief_radius_m",
-    "docking_speed": "docking_speed_m_s",
-    "speed_slope": "speed_slope_1_s",
-    "delta_v_max": "delta_v_max_m_s",
-    "distance_max": "distance_max_m",
-    "passive_time": "passive_time_s",
-    "speed_max": "speed_max_m_s",
-    "thrust_max": "thrust_max_N",
-    "smoothing": "smoothing_m",
-}
 
 
 class InspectionScenario(Scenario):
@@ -54,12 +40,18 @@ class InspectionScenario(Scenario):
     def inspection(self) -> Inspection:
         """The problem."""
         given = self.model.parameters
-        values = {name: getattr(given, field) for name, field in _PARAMETERS.items()}
-        try:
-            return Inspection(self.deputies, field_of_view=np.radians(given.field_of_view_deg), **values)
-        except ScenarioError as error:
-            field = f"parameters.{_PARAMETERS.get(error.field, error.field)}"
-            raise ScenarioError(field, error.given, error.rule) from error
+        with in_file_terms("parameters", given):
+            return Inspection(self.deputies, **given.arguments())
+
+    def _check_time(self, table: str, spec: models.FlightTime | models.FuelFlight | models.Campaign) -> None:
+        """Periods divide the flight, and there are not too many."""
+        duration, period = spec.duration_s, spec.period_s
+        count = whole_parts(duration, period)
+        if not count:
+            raise ScenarioError(f"{table}.period_s", period, f"must divide duration_s = {duration:g} s")
+        if count > models.MOST_PERIODS:
+            rule = f"must give at most {models.MOST_PERIODS} periods, not {count}"
+            raise ScenarioError(f"{table}.period_s", period, rule)
 
 
 class FilteredScenario(InspectionScenario):
@@ -72,20 +64,14 @@ class FilteredScenario(InspectionScenario):
         """The functions alpha, for every family."""
         table = self.model.strengthening
         if table.preset not in PRESETS:
-            near = difflib.get_close_matches(table.preset, PRESETS, n=1)
-            hint = f"; did you mean {near[0]}?" if near else ""
-            rule = f"must be one of {', '.join(map(repr, PRESETS))}{hint}"
+            rule = f"must be one of {', '.join(map(repr, PRESETS))}{did_you_mean(table.preset, PRESETS)}"
             raise ScenarioError("strengthening.preset", table.preset, rule)
         chosen = dict(PRESETS[table.preset])
         for family in chosen:
             given: Alpha | None = getattr(table, family)
             if given is not None:
-                c1, c2, c3 = given.coefficients
-                try:
-                    chosen[family] = Strengthening((c1, c2, c3), given.bias, given.recovery, given.push)
-                except ScenarioError as error:
-                    field = f"strengthening.{family}.{error.field}"
-                    raise ScenarioError(field, error.given, error.rule) from error
+                with in_file_terms(f"strengthening.{family}", given):
+                    chosen[family] = Strengthening(**given.arguments())
         return chosen
 
     def families(self) -> Families:
@@ -96,18 +82,14 @@ class FilteredScenario(InspectionScenario):
 
     def filter(self, spec: FlightFilter, period: float) -> BatchFilter:
         """The filter that a table describes."""
-        from .filters import build_filter
-
-        return build_filter(spec, self.inspection(), self.strengthening(), period)
+        return spec.build(self.inspection(), self.strengthening(), period)
 
     def _check_filter(self, path: str, spec: FlightFilter, table: str, period: float) -> None:
         """Build a filter once: the conditions between samples bound the control period."""
-        rules.check_left_out(path, spec)
-        try:
+        if len(set(spec.without)) == len(FAMILY_NAMES):
+            raise ScenarioError(f"{path}.without", list(spec.without), "must leave something to enforce")
+        with in_file_terms(path, spec, period=f"{table}.period_s"):
             self.filter(spec, period)
-        except ScenarioError as error:
-            field = f"{table}.period_s" if error.field == "period" else f"{path}.{error.field}"
-            raise ScenarioError(field, error.given, error.rule) from error
 
 
 class FlightScenario(FilteredScenario):
@@ -118,15 +100,42 @@ class FlightScenario(FilteredScenario):
 
     def _check(self) -> None:
         model, initial = self.model, self.model.initial
-        rules.check_time("flight", model.flight.duration_s, model.flight.period_s)
+        self._check_time("flight", model.flight)
         self.inspection()
-        rules.check_phases(model)
+        self._check_phases([phase.start_s for phase in model.primary])
         if isinstance(initial, models.InitialStates):
-            rules.check_states(initial)
+            for k, state in enumerate(initial.states):
+                check_length(f"initial.states[{k}]", state, 6)
         self.strengthening()
         self._check_filter("filter", model.filter, "flight", model.flight.period_s)
         if isinstance(initial, models.InitialStates):
-            rules.check_start(self.families(), initial)
+            self._check_start(initial)
+
+    def _check_phases(self, starts: list[float]) -> None:
+        """The phases of the primary controller follow one another from 0 on."""
+        if starts[0] != 0:
+            raise ScenarioError("primary[0].start_s", starts[0], "must be 0")
+        for k in range(1, len(starts)):
+            if starts[k] <= starts[k - 1]:
+                rule = f"must be later than the phase before it, {starts[k - 1]:g} s"
+                raise ScenarioError(f"primary[{k}].start_s", starts[k], rule)
+
+    def _check_start(self, given: models.InitialStates) -> None:
+        """Every constraint must hold at the start: a filter keeps a flight safe, it does not make it so."""
+        from ..inspection.constraints.allowable_set import allowable
+
+        (x, sun), q, families = self.initial(), self.inspection(), self.families()
+        broken: list[tuple[str, int, float]] = []
+        for name, values in allowable(q, x, sun).items():
+            who = q.pairs[:, 0] if name in ("phi2", "phi5") else np.arange(len(x))
+            broken += [(name, int(i), float(v)) for i, v in zip(who, values, strict=True) if not v >= 0]
+        h = families(x[None], np.array([sun])).h[0]
+        for k in np.flatnonzero(~(h >= 0)):
+            broken.append((f"{families.labels[k]} ({families.family[k]})", int(families.first[k]), h[k]))
+        if broken:
+            name, i, value = broken[0]
+            rule = f"must satisfy every constraint; {name} is {value:.3g} at the start"
+            raise ScenarioError(f"initial.states[{i}]", list(given.states[i]), rule)
 
     def outline(self) -> str:
         """What it describes, on one line."""
@@ -142,12 +151,12 @@ class FlightScenario(FilteredScenario):
 
     def initial(self) -> tuple[Array, float]:
         """States of the deputies, shape (N, 6), and the angle of the sun [rad]."""
-        from ..inspection.flights.sampling import initial_conditions
+        from ..inspection.flights.sampling import InitialConditions
 
         given = self.model.initial
         if isinstance(given, models.InitialStates):
             return np.array(given.states, dtype=float), float(np.radians(given.sun_angle_deg))
-        x, sun, _ = initial_conditions(self.families(), 1, given.seed, block=1024)
+        x, sun = InitialConditions(self.families(), given.seed, block=1024).first(1)
         return x[0], float(sun[0])
 
     def primary(self) -> Primary:
@@ -160,7 +169,7 @@ class FlightScenario(FilteredScenario):
                 controllers.append(NoInput())
             else:
                 distance = phase.distance_m if isinstance(phase, models.ToDistance) else 0.0
-                controllers.append(LQR(self.inspection(), distance, *phase.weights))
+                controllers.append(LQR(self.inspection(), distance, *_weights(phase)))
         return Phases([phase.start_s for phase in self.model.primary], controllers)
 
 
@@ -172,9 +181,16 @@ class FuelLimitScenario(InspectionScenario):
     deputies = 1
 
     def _check(self) -> None:
-        model = self.model
-        rules.check_time("flight", model.flight.duration_s, model.flight.period_s)
-        rules.check_fuel(model, self.inspection())
+        model, q, start = self.model, self.inspection(), self.model.initial_state
+        self._check_time("flight", model.flight)
+        check_length("initial_state", start, 6)
+        distance = float(np.linalg.norm(start[:3]))
+        if distance <= q.separation:
+            rule = f"must be farther from the chief than {q.separation:g} m, not {distance:.3g} m"
+            raise ScenarioError("initial_state", list(start), rule)
+        if model.fuel.spent_m_s > q.delta_v_max:
+            rule = f"must not exceed the limit, {q.delta_v_max:g} m/s"
+            raise ScenarioError("fuel.spent_m_s", model.fuel.spent_m_s, rule)
         self.backup()
 
     def outline(self) -> str:
@@ -190,32 +206,26 @@ class FuelLimitScenario(InspectionScenario):
         from ..inspection.backup.tracker import Tracker
         from ..inspection.enmt import Ellipses
 
-        given, q = self.model.fuel, self.inspection()
-        usual = Ellipses.of(q)
-        try:
-            ellipses = Ellipses(
-                q.mean_motion,
-                usual.least if given.semi_minor_least_m is None else given.semi_minor_least_m,
-                usual.largest if given.semi_minor_largest_m is None else given.semi_minor_largest_m,
-                usual.cross_track if given.cross_track_m is None else given.cross_track_m,
-            )
-        except ScenarioError as error:
-            names = {"least": "semi_minor_least_m", "largest": "semi_minor_largest_m"}
-            field = f"fuel.{names.get(error.field, error.field)}"
-            raise ScenarioError(field, error.given, error.rule) from error
-        law = Parking if given.backup == "parking" else Tracker
-        try:
+        given, q, usual = self.model.fuel, self.inspection(), Ellipses.of(self.inspection())
+        limits = {
+            "least": given.semi_minor_least_m,
+            "largest": given.semi_minor_largest_m,
+            "cross_track": given.cross_track_m,
+        }
+        keys = {"least": "fuel.semi_minor_least_m", "largest": "fuel.semi_minor_largest_m"}
+        with in_file_terms("fuel", given, period="flight.period_s", **keys):
+            ellipses = replace(usual, **{name: x for name, x in limits.items() if x is not None})
+            law = Parking if given.backup == "parking" else Tracker
             return law(q, ellipses, self.model.flight.period_s, given.response_s)
-        except ScenarioError as error:
-            field = "flight.period_s" if error.field == "period" else f"fuel.{error.field}_s"
-            raise ScenarioError(field, error.given, error.rule) from error
 
     def primary(self) -> Primary:
         """Regulators to the outer and to the inner target in turn."""
         from ..inspection.flights.primary import LQR, Phases
 
         q, given = self.inspection(), self.model.primary
-        targets = [LQR(q, distance, *given.weights) for distance in (given.distance_m / 4, given.distance_m)]
+        targets = [
+            LQR(q, distance, *_weights(given)) for distance in (given.distance_m / 4, given.distance_m)
+        ]
         starts = np.arange(0.0, self.model.flight.duration_s, given.swing_s)
         return Phases(starts.tolist(), [targets[k % 2] for k in range(len(starts))])
 
@@ -227,13 +237,16 @@ class MonteCarloScenario(FilteredScenario):
     MODEL = models.MonteCarloModel
 
     def _check(self) -> None:
-        campaign = self.model.campaign
-        rules.check_time("campaign", campaign.duration_s, campaign.period_s)
-        rules.check_studies(self.model)
+        names = [study.name for study in self.model.studies]
+        self._check_time("campaign", self.model.campaign)
+        for k, name in enumerate(names):
+            if name in names[:k]:
+                raise ScenarioError(f"studies[{k}].name", name, "must differ from those before it")
         self.inspection()
         self.strengthening()
         for k, study in enumerate(self.model.studies):
-            self._check_filter(f"studies[{k}].filter", study.filter, "campaign", campaign.period_s)
+            path, period = f"studies[{k}].filter", self.model.campaign.period_s
+            self._check_filter(path, study.filter, "campaign", period)
 
     def outline(self) -> str:
         """What it describes, on one line."""
@@ -245,3 +258,8 @@ class MonteCarloScenario(FilteredScenario):
     def deputies(self) -> int:
         """Number N of deputies."""
         return self.model.campaign.deputies
+
+
+def _weights(table: models.ToChief | models.ToDistance | models.Wasteful) -> tuple[float, float, float]:
+    """Weights of position, velocity and thrust."""
+    return table.position_weight_1_m2, table.velocity_weight_s2_m2, table.thrust_weight_1_N2

@@ -10,122 +10,86 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from .fields import (
-    Flag,
-    Name,
-    NonNegative,
-    Number,
-    Positive,
-    Real,
-    ScenarioPart,
-    Text,
-    Vector,
-    VersionOne,
-    Whole,
-    unit,
-)
+from . import fields as f
+from .fields import ScenarioPart, unit
 from .filter_tables import Filter, FlightFilter, StrengtheningTable
 
 MOST_PERIODS = 200_000
 """Most control periods of one flight."""
 
-Seed = Annotated[Whole, Field(ge=0, le=2**63 - 1)]
-
 
 class Parameters(ScenarioPart):
     """The spacecraft and the limits of Table 1."""
 
-    mass_kg: Real = unit("kg", "Mass m of a deputy.", default=12.0, ge=1e-3, le=1e7)
-    mean_motion_rad_s: Real = unit(
-        "rad/s", "Mean motion n of the chief's orbit.", default=0.001027, gt=0, le=0.01
-    )
-    deputy_radius_m: Positive = unit("m", "Collision radius r_d of a deputy.", default=5.0)
-    chief_radius_m: Positive = unit("m", "Collision radius r_c of the chief.", default=5.0)
-    docking_speed_m_s: Positive = unit("m/s", "Speed nu_0 allowed at the chief itself.", default=0.2)
-    speed_slope_1_s: Positive | None = unit(
-        "1/s", "Rate nu_1 at which the allowed speed grows with distance; twice n without it.", default=None
-    )
-    delta_v_max_m_s: Positive = unit("m/s", "Fuel limit.", default=20.0)
-    field_of_view_deg: Real = unit(
-        "deg", "Full opening angle alpha_FOV of the sensor.", default=60.0, gt=0, lt=180
-    )
-    distance_max_m: Positive = unit("m", "Largest distance r_max from the chief.", default=1000.0)
-    passive_time_s: Positive = unit(
-        "s", "Time T for which free flight must stay clear; at most half an orbit.", default=500.0
-    )
-    speed_max_m_s: Positive = unit("m/s", "Largest speed v_max along each axis.", default=1.0)
-    thrust_max_N: Positive = unit("N", "Thrust limit u_max per axis.", default=1.0)
-    smoothing_m: Positive = unit(
-        "m",
-        "Depth of the layer beside each boundary in which the square roots of eqs. 29, 30, 35 and 36 become "
-        "a line; costs half of it in distance.",
-        default=0.1,
-    )
-
-
-# -- start, time, primary controllers ---------------------------------------------------------------
+    mass_kg: f.Real = unit("kg", "Mass m of a deputy.", default=12.0, ge=1e-3, le=1e7)
+    mean_motion_rad_s: f.Real = unit("rad/s", default=0.001027, gt=0, le=0.01)
+    """Mean motion n of the chief's orbit."""
+    deputy_radius_m: f.Positive = unit("m", "Collision radius r_d of a deputy.", default=5.0)
+    chief_radius_m: f.Positive = unit("m", "Collision radius r_c of the chief.", default=5.0)
+    docking_speed_m_s: f.Positive = unit("m/s", "Speed nu_0 allowed at the chief itself.", default=0.2)
+    speed_slope_1_s: f.Positive | None = unit("1/s", default=None)
+    """Rate nu_1 at which the allowed speed grows with distance; twice n without it."""
+    delta_v_max_m_s: f.Positive = unit("m/s", "Fuel limit.", default=20.0)
+    field_of_view_deg: f.Real = unit("deg", default=60.0, gt=0, lt=180)
+    """Full opening angle alpha_FOV of the sensor."""
+    distance_max_m: f.Positive = unit("m", "Largest distance r_max from the chief.", default=1000.0)
+    passive_time_s: f.Positive = unit("s", default=500.0)
+    """Time T for which free flight must stay clear; at most half an orbit."""
+    speed_max_m_s: f.Positive = unit("m/s", "Largest speed v_max along each axis.", default=1.0)
+    thrust_max_N: f.Positive = unit("N", "Thrust limit u_max per axis.", default=1.0)
+    smoothing_m: f.Positive = unit("m", default=0.1)
+    """Depth of the layer beside each boundary in which the square roots of eqs. 29, 30, 35 and 36 become a
+    line; costs half of it in distance."""
 
 
 class InitialStates(ScenarioPart):
     """Given states."""
 
     kind: Literal["states"] = unit("-", "Given states.")
-    states: Annotated[tuple[Vector, ...], Field(min_length=1, max_length=50)] = unit(
-        "m, m/s", "One list `[r_x, r_y, r_z, v_x, v_y, v_z]` per deputy, in Hill's frame."
-    )
-    sun_angle_deg: Number = unit(
-        "deg", "Angle of the sun from the x axis at the start; it turns at -n.", default=0.0
-    )
+    states: Annotated[tuple[f.Vector, ...], Field(min_length=1, max_length=50)] = unit("m, m/s")
+    """One list `[r_x, r_y, r_z, v_x, v_y, v_z]` per deputy, in Hill's frame."""
+    sun_angle_deg: f.Number = unit("deg", default=0.0)
+    """Angle of the sun from the x axis at the start; it turns at -n."""
 
 
 class InitialSample(ScenarioPart):
     """Drawn by Latin hypercube sampling, again until every constraint holds."""
 
     kind: Literal["latin_hypercube"] = unit("-", "Drawn states and sun angle.")
-    deputies: Whole = unit("-", "Number N of deputies.", default=5, ge=1, le=50)
-    seed: Seed = unit("-", "The same seed gives the same states.", default=0)
+    deputies: f.Whole = unit("-", "Number N of deputies.", default=5, ge=1, le=50)
+    seed: f.Seed = unit("-", "The same seed gives the same states.", default=0)
 
 
-Initial = Annotated[InitialStates | InitialSample, Field(discriminator="kind")]
+Initial = Annotated[InitialStates | InitialSample, *f.BY_KIND]
 
 
 class FlightTime(ScenarioPart):
     """How long, and in what steps."""
 
-    duration_s: Positive = unit("s", "Length of the flight.", default=3000.0)
-    period_s: Positive = unit(
+    duration_s: f.Positive = unit("s", "Length of the flight.", default=3000.0)
+    period_s: f.Positive = unit(
         "s",
         f"Control period: the thrust is held for it. Must divide duration_s; at most {MOST_PERIODS} periods.",
         default=1.0,
     )
-    between: Whole = unit(
-        "-",
-        "Instants inside each period at which the constraints are evaluated, too.",
-        default=4,
-        ge=0,
-        le=99,
-    )
+    between: f.Whole = unit("-", default=4, ge=0, le=99)
+    """Instants inside each period at which the constraints are evaluated, too."""
 
 
 class NoThrust(ScenarioPart):
     """No thrust."""
 
     kind: Literal["none"] = unit("-", "No thrust.")
-    start_s: NonNegative = unit("s", "When it takes over.", default=0.0)
+    start_s: f.NonNegative = unit("s", "When it takes over.", default=0.0)
 
 
 class _Regulator(ScenarioPart):
     """A linear-quadratic regulator; the larger its weight of position, the more aggressive."""
 
-    start_s: NonNegative = unit("s", "When it takes over.", default=0.0)
-    position_weight_1_m2: Positive = unit("1/m^2", "Weight of the position.", default=1.0)
-    velocity_weight_s2_m2: NonNegative = unit("s^2/m^2", "Weight of the velocity.", default=1.0)
-    thrust_weight_1_N2: Positive = unit("1/N^2", "Weight of the thrust.", default=1.0)
-
-    @property
-    def weights(self) -> tuple[float, float, float]:
-        """Weights of position, velocity and thrust."""
-        return self.position_weight_1_m2, self.velocity_weight_s2_m2, self.thrust_weight_1_N2
+    start_s: f.NonNegative = unit("s", "When it takes over.", default=0.0)
+    position_weight_1_m2: f.Positive = unit("1/m^2", "Weight of the position.", default=1.0)
+    velocity_weight_s2_m2: f.NonNegative = unit("s^2/m^2", "Weight of the velocity.", default=1.0)
+    thrust_weight_1_N2: f.Positive = unit("1/N^2", "Weight of the thrust.", default=1.0)
 
 
 class ToChief(_Regulator):
@@ -138,33 +102,31 @@ class ToDistance(_Regulator):
     """A linear-quadratic regulator that drives every deputy straight out (or in) to a distance."""
 
     kind: Literal["to_distance"] = unit("-", "To a distance from the chief, in the direction it is in.")
-    distance_m: Positive = unit("m", "That distance.")
+    distance_m: f.Positive = unit("m", "That distance.")
 
 
-Primary = Annotated[NoThrust | ToChief | ToDistance, Field(discriminator="kind")]
+Primary = Annotated[NoThrust | ToChief | ToDistance, *f.BY_KIND]
 Phases = Annotated[tuple[Primary, ...], Field(min_length=1, max_length=100)]
 
 
-# -- the kinds of scenario --------------------------------------------------------------------------
+class _Scene(f.Head):
+    """What all have."""
+
+    kind: str
+    parameters: Parameters = unit("-", "Table 1.", default_factory=Parameters)
 
 
-class _Scene(ScenarioPart):
-    """Head of every scenario."""
+class _Filtered(_Scene):
+    """What flights under barrier filters have."""
 
-    schema_version: VersionOne = unit("-", "Version of this format.")
-    name: Name = unit("-", "Short name; the run folder is called after it.")
-    title: Text = unit("-", "One line for figures and tables.", min_length=1, max_length=200)
-    description: Text = unit("-", "What the scenario shows.", default="", max_length=5000)
+    strengthening: StrengtheningTable = unit("-", default_factory=StrengtheningTable)
+    """The functions alpha of eq. 7."""
 
 
-class InspectionModel(_Scene):
+class InspectionModel(_Filtered):
     """Deputies about a chief, one flight under a barrier filter."""
 
     kind: Literal["inspection"] = unit("-", "One flight of N deputies under a filter.")
-    parameters: Parameters = unit("-", "Table 1.", default_factory=Parameters)
-    strengthening: StrengtheningTable = unit(
-        "-", "The functions alpha of eq. 7.", default_factory=StrengtheningTable
-    )
     filter: FlightFilter = unit("-", "Who filters the primary controller's thrust.")
     initial: Initial = unit("-", "Where it starts.")
     flight: FlightTime = unit("-", "Length and control period.", default_factory=FlightTime)
@@ -174,59 +136,44 @@ class InspectionModel(_Scene):
 class FuelTable(ScenarioPart):
     """The latched switching filter of eq. 39 and its backup controller; the limit is `delta_v_max_m_s`."""
 
-    backup: Literal["parking", "tracker"] = unit(
-        "-",
-        "`parking`: feedback of the velocity error of eq. 41 alone. `tracker`: the paper's, with an integral "
-        "of the error (eq. 40), about a reference that moves on the ellipse.",
-        default="parking",
-    )
-    response_s: Positive = unit("s", "Time constant for which its weights are chosen.", default=20.0)
-    semi_minor_least_m: Positive | None = unit(
-        "m",
-        "Least semi-minor axis of a parking orbit; one and a half times r_d + r_c without it.",
-        default=None,
-    )
-    semi_minor_largest_m: Positive | None = unit(
-        "m", "Largest semi-minor axis; what keeps within the other limits without it.", default=None
-    )
-    cross_track_m: Positive | None = unit(
-        "m", "Largest amplitude cross-track; what keeps within the other limits without it.", default=None
-    )
-    keep_clear: Flag = unit(
-        "-", "The predicted flight must keep clear of the chief, too; eq. 39 has fuel only.", default=True
-    )
-    spent_m_s: NonNegative = unit("m/s", "Spent before the start.", default=0.0)
-    predictions: Whole = unit("-", "Backup flights that the figures show.", default=12, ge=0, le=200)
+    backup: Literal["parking", "tracker"] = unit("-", default="parking")
+    """`parking`: feedback of the velocity error of eq. 41 alone. `tracker`: the paper's, with an integral of
+    the error (eq. 40), about a reference that moves on the ellipse."""
+    response_s: f.Positive = unit("s", "Time constant for which its weights are chosen.", default=20.0)
+    semi_minor_least_m: f.Positive | None = unit("m", default=None)
+    """Least semi-minor axis of a parking orbit; one and a half times r_d + r_c without it."""
+    semi_minor_largest_m: f.Positive | None = unit("m", default=None)
+    """Largest semi-minor axis; what keeps within the other limits without it."""
+    cross_track_m: f.Positive | None = unit("m", default=None)
+    """Largest amplitude cross-track; what keeps within the other limits without it."""
+    keep_clear: f.Flag = unit("-", default=True)
+    """The predicted flight must keep clear of the chief, too; eq. 39 has fuel only."""
+    spent_m_s: f.NonNegative = unit("m/s", "Spent before the start.", default=0.0)
+    predictions: f.Whole = unit("-", "Backup flights that the figures show.", default=12, ge=0, le=200)
 
 
 class Wasteful(ScenarioPart):
     """An aggressive regulator that flies outwards and back without end, to spend fuel."""
 
-    distance_m: Positive = unit("m", "Outer target; the inner is a quarter of it.", default=400.0)
-    swing_s: Real = unit("s", "Time between the changes of target.", default=400.0, ge=1, le=1e6)
-    position_weight_1_m2: Positive = unit("1/m^2", "Weight of the position.", default=1e-6)
-    velocity_weight_s2_m2: NonNegative = unit("s^2/m^2", "Weight of the velocity.", default=0.0)
-    thrust_weight_1_N2: Positive = unit("1/N^2", "Weight of the thrust.", default=1.0)
-
-    @property
-    def weights(self) -> tuple[float, float, float]:
-        """Weights of position, velocity and thrust."""
-        return self.position_weight_1_m2, self.velocity_weight_s2_m2, self.thrust_weight_1_N2
+    distance_m: f.Positive = unit("m", "Outer target; the inner is a quarter of it.", default=400.0)
+    swing_s: f.Real = unit("s", "Time between the changes of target.", default=400.0, ge=1, le=1e6)
+    position_weight_1_m2: f.Positive = unit("1/m^2", "Weight of the position.", default=1e-6)
+    velocity_weight_s2_m2: f.NonNegative = unit("s^2/m^2", "Weight of the velocity.", default=0.0)
+    thrust_weight_1_N2: f.Positive = unit("1/N^2", "Weight of the thrust.", default=1.0)
 
 
 class FuelFlight(ScenarioPart):
     """How long, and in what steps."""
 
-    duration_s: Positive = unit("s", "Length of the flight.", default=7000.0)
-    period_s: Positive = unit("s", "Control period. Must divide duration_s.", default=1.0)
+    duration_s: f.Positive = unit("s", "Length of the flight.", default=7000.0)
+    period_s: f.Positive = unit("s", "Control period. Must divide duration_s.", default=1.0)
 
 
 class FuelLimitModel(_Scene):
     """One deputy flown into its fuel limit, until the backup controller takes over for good."""
 
     kind: Literal["fuel_limit"] = unit("-", "One deputy and its fuel limit.")
-    parameters: Parameters = unit("-", "Table 1.", default_factory=Parameters)
-    initial_state: Vector = unit("m, m/s", "`[r_x, r_y, r_z, v_x, v_y, v_z]` in Hill's frame.")
+    initial_state: f.Vector = unit("m, m/s", "`[r_x, r_y, r_z, v_x, v_y, v_z]` in Hill's frame.")
     flight: FuelFlight = unit("-", "Length and control period.", default_factory=FuelFlight)
     primary: Wasteful = unit("-", "The primary controller.", default_factory=Wasteful)
     fuel: FuelTable = unit("-", "The switching filter and its backup.", default_factory=FuelTable)
@@ -235,31 +182,25 @@ class FuelLimitModel(_Scene):
 class Study(ScenarioPart):
     """One filter, flown from every initial condition."""
 
-    name: Name = unit("-", "Short name, each different.")
+    name: f.Name = unit("-", "Short name, each different.")
     filter: Filter = unit("-", "The filter.")
 
 
 class Campaign(ScenarioPart):
     """Runs from drawn initial conditions, without thrust of the primary controller."""
 
-    deputies: Whole = unit("-", "Number N of deputies.", default=5, ge=1, le=50)
-    runs: Whole = unit(
-        "-", "Initial conditions; every study flies all of them.", default=2000, ge=1, le=1_000_000
-    )
-    seed: Seed = unit("-", "The same seed gives the same initial conditions.", default=0)
-    duration_s: Positive = unit("s", "Length of each flight.", default=500.0)
-    period_s: Positive = unit("s", "Control period. Must divide duration_s.", default=1.0)
+    deputies: f.Whole = unit("-", "Number N of deputies.", default=5, ge=1, le=50)
+    runs: f.Whole = unit("-", default=2000, ge=1, le=1_000_000)
+    """Initial conditions; every study flies all of them."""
+    seed: f.Seed = unit("-", "The same seed gives the same initial conditions.", default=0)
+    duration_s: f.Positive = unit("s", "Length of each flight.", default=500.0)
+    period_s: f.Positive = unit("s", "Control period. Must divide duration_s.", default=1.0)
 
 
-class MonteCarloModel(_Scene):
+class MonteCarloModel(_Filtered):
     """Many flights from drawn initial conditions, for one or more filters (`polaris campaign`)."""
 
     kind: Literal["monte_carlo"] = unit("-", "Many flights.")
-    parameters: Parameters = unit("-", "Table 1.", default_factory=Parameters)
-    strengthening: StrengtheningTable = unit(
-        "-", "The functions alpha of eq. 7.", default_factory=StrengtheningTable
-    )
     campaign: Campaign = unit("-", "How many runs, how long.", default_factory=Campaign)
-    studies: Annotated[tuple[Study, ...], Field(min_length=1, max_length=20)] = unit(
-        "-", "What is compared on the same initial conditions."
-    )
+    studies: Annotated[tuple[Study, ...], Field(min_length=1, max_length=20)] = unit("-")
+    """What is compared on the same initial conditions."""

@@ -6,12 +6,20 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..model.errors import ScenarioError
-from ..model.system import LinearSystem
+from ..model.system import Array, LinearSystem
 from . import scene_tables as scene
 from . import tables as models
-from .build import full_weight
+
+
+def full_weight(weight: ArrayLike) -> Array:
+    """Weight matrix from its diagonal or from itself, made exactly symmetric."""
+    matrix = np.asarray(weight, dtype=float)
+    if matrix.ndim == 1:
+        return np.diag(matrix)
+    return np.asarray((matrix + matrix.T) / 2)
 
 
 def check_numerics(model: models.ScenarioModel, system: LinearSystem) -> None:
@@ -25,7 +33,7 @@ def check_numerics(model: models.ScenarioModel, system: LinearSystem) -> None:
     if stuck is not None:
         field = "system.B" if model.system.kind == "linear" else "system"
         rule = (
-            f"must reach every mode that does not decay by itself (not stabilisable: eigenvalue {stuck:.4g})"
+            f"must reach all modes that do not decay by themselves (not stabilisable: eigenvalue {stuck:.4g})"
         )
         raise ScenarioError(field, system.B.tolist(), rule)
 
@@ -46,17 +54,17 @@ def _missed_mode(A: np.ndarray, B: np.ndarray) -> complex | None:
 def weights(model: models.ScenarioModel) -> Iterator[tuple[str, Any, Any]]:
     """Every pair of LQR weights with its path in the file; a controller has these or a gain."""
     yield "tracking", model.tracking.Q, model.tracking.R
-    for i, controller in enumerate(model.experimental):
-        if isinstance(controller, scene.Affine):
-            path = f"experimental[{i}]"
-            if controller.gain is not None:
-                if controller.Q is not None or controller.R is not None:
-                    raise ScenarioError(f"{path}.gain", controller.gain, "give gain or Q and R, not both")
-            elif controller.Q is None or controller.R is None:
-                missing = "Q" if controller.Q is None else "R"
-                raise ScenarioError(f"{path}.{missing}", None, "is required (Q and R, or gain)")
-            else:
-                yield path, controller.Q, controller.R
+    for path, spec in model.controllers():
+        if not isinstance(spec, scene.Affine):
+            continue
+        if spec.gain is None and (
+            missing := next((name for name in "QR" if getattr(spec, name) is None), "")
+        ):
+            raise ScenarioError(f"{path}.{missing}", None, "is required (Q and R, or gain)")
+        if spec.gain is None:
+            yield path, spec.Q, spec.R
+        elif spec.Q is not None or spec.R is not None:
+            raise ScenarioError(f"{path}.gain", spec.gain, "give gain or Q and R, not both")
 
 
 def check_weights(path: str, Q: Any, R: Any, system: LinearSystem) -> None:
@@ -67,17 +75,15 @@ def check_weights(path: str, Q: Any, R: Any, system: LinearSystem) -> None:
         field, matrix = f"{path}.{name}", np.asarray(value, dtype=float)
         if matrix.shape not in ((size,), (size, size)):
             given = " x ".join(str(s) for s in matrix.shape) + " numbers"
-            raise ScenarioError(
-                field, given, f"must have {size} numbers (the diagonal) or be {size} x {size}"
-            )
+            rule = f"must have {size} numbers (the diagonal) or be {size} x {size}"
+            raise ScenarioError(field, given, rule)
         scale = float(np.abs(matrix).max())
         if matrix.ndim == 2 and np.abs(matrix - matrix.T).max() > 1e-9 * scale:
             raise ScenarioError(field, matrix.tolist(), "must be symmetric")
         least = float(np.linalg.eigvalsh(full_weight(matrix)).min())
         if name == "R" and not least > 1e-12 * scale:
-            raise ScenarioError(
-                field, matrix.tolist(), f"must be positive definite (least eigenvalue {least:.3g})"
-            )
+            rule = f"must be positive definite (least eigenvalue {least:.3g})"
+            raise ScenarioError(field, matrix.tolist(), rule)
         if name == "Q" and not least >= -1e-12 * scale:
             rule = f"must be positive semidefinite (least eigenvalue {least:.3g})"
             raise ScenarioError(field, matrix.tolist(), rule)
@@ -93,7 +99,5 @@ def check_weights(path: str, Q: Any, R: Any, system: LinearSystem) -> None:
     except (LinAlgError, ValueError):
         stable = False
     if not stable:
-        rule = (
-            "must, with R, give a solvable Riccati equation; the weights are too far apart for the arithmetic"
-        )
+        rule = "must, with R, give a solvable Riccati equation; the weights are too far apart to compute with"
         raise ScenarioError(f"{path}.Q", np.asarray(Q).tolist(), rule)

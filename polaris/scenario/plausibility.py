@@ -29,40 +29,26 @@ def doubts(scenario: Scenario) -> list[str]:
     """
     if not isinstance(scenario, ScheduleScenario):
         return []
-    system, step = scenario.system(), scenario.step
-    found = []
-    if scenario.steps > MANY_STEPS:
-        found.append(
-            f"horizon: {scenario.steps} steps of {step:g} s; planning and sets grow with the number of steps,"
-            " and bundled scenes have 60: longer steps, or a shorter flight?"
-        )
-    if system.mean_motion is not None and system.mean_motion > FASTEST_ORBIT:
-        found.append(
-            f"system.mean_motion_rad_s: {system.mean_motion:g} rad/s is faster than any orbit of the Earth"
-            f" (at most {FASTEST_ORBIT:g}): revolutions per day, or degrees?"
-        )
-    if system.w_max == 0 or not np.any(system.D):
-        found.append(
-            "disturbance: none, so that a proof holds for a flight that obeys the model exactly; was it"
-            " forgotten, or D left at zero?"
-        )
-    push, shove = _pushed(system, step)
-    size = _size(scenario, system)
-    if size and push.max() > FAR * size:
-        found.append(
-            f"thrust: full thrust moves the chaser {push.max():.3g} m in one step of {step:g} s, and the"
-            f" scene is {size:.3g} m wide: another unit (mN, not N; m, not km), or shorter steps?"
-        )
-    if shove.max() > push.max() > 0:
-        found.append(
-            f"disturbance: it moves the chaser up to {shove.max():.3g} m in one step, and full thrust no more"
-            f" than {push.max():.3g} m: another unit?"
-        )
-    return found
+    system, step, steps = scenario.system(), scenario.step, scenario.steps
+    motion = system.mean_motion or 0.0
+    (push, shove), size = _pushed(system, step), _size(scenario, system)
+    notes = {
+        f"horizon: {steps} steps of {step:g} s; planning and sets grow with the number of steps, and bundled"
+        " scenes have 60: longer steps, or a shorter flight?": steps > MANY_STEPS,
+        f"system.mean_motion_rad_s: {motion:g} rad/s is faster than any orbit of the Earth (at most"
+        f" {FASTEST_ORBIT:g}): revolutions per day, or degrees?": motion > FASTEST_ORBIT,
+        "disturbance: none, so that a proof holds for a flight that obeys the model exactly; was it"
+        " forgotten, or D left at zero?": system.w_max == 0 or not np.any(system.D),
+        f"thrust: full thrust moves the chaser {push:.3g} m in one step of {step:g} s, and the scene is"
+        f" {size:.3g} m wide: another unit (mN, not N; m, not km), or shorter steps?": push > FAR * size > 0,
+        f"disturbance: it moves the chaser up to {shove:.3g} m in one step, and full thrust no more than"
+        f" {push:.3g} m: another unit?": shove > push > 0,
+    }
+    return [note for note, holds in notes.items() if holds]
 
 
-def _pushed(system: LinearSystem, step: float) -> tuple[np.ndarray, np.ndarray]:
-    """How far full thrust, and the disturbance, held over one step move every axis of position, (d,)."""
+def _pushed(system: LinearSystem, step: float) -> tuple[float, float]:
+    """How far [m] full thrust, and the disturbance, held over one step move the position along an axis."""
     inputs = np.hstack([system.B, system.D])
     block = np.zeros((system.n + inputs.shape[1],) * 2)
     block[: system.n, : system.n], block[: system.n, system.n :] = system.A, inputs
@@ -70,7 +56,7 @@ def _pushed(system: LinearSystem, step: float) -> tuple[np.ndarray, np.ndarray]:
         held = np.abs(system.position @ expm(block * step)[: system.n, system.n :])
     held = np.nan_to_num(held, nan=np.inf)
     push, shove = held[:, : system.m], held[:, system.m :]
-    return push @ system.u_max, np.linalg.norm(shove, axis=1) * system.w_max
+    return float((push @ system.u_max).max()), float(np.linalg.norm(shove, axis=1).max() * system.w_max)
 
 
 def _size(scenario: ScheduleScenario, system: LinearSystem) -> float:

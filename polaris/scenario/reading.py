@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import difflib
 import json
 import re
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, TypeVar, get_args
+from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
@@ -23,6 +23,12 @@ MAX_BYTES = 1_000_000
 Model = TypeVar("Model", bound=BaseModel)
 
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]{1,60}")
+
+
+def did_you_mean(word: object, known: Iterable[str], cutoff: float = 0.6) -> str:
+    """A hint at the known word nearest to another, ``; did you mean x?``, or an empty string."""
+    near = get_close_matches(word, list(known), n=1, cutoff=cutoff) if isinstance(word, str) else []
+    return f"; did you mean {near[0]}?" if near else ""
 
 
 class _Nothing:
@@ -53,9 +59,6 @@ def join_path(path: Sequence[str | int]) -> str:
     return out or "file"
 
 
-# -- files ------------------------------------------------------------------------------------------
-
-
 def read_document(path: Path) -> tuple[dict[str, Any], str]:
     """Read a TOML file; return its data and its text.
 
@@ -67,12 +70,9 @@ def read_document(path: Path) -> tuple[dict[str, Any], str]:
     """
     shown = printable(str(path))
     try:
-        if not path.exists():
-            raise ScenarioError("file", shown, "there is no such file")
-        if path.is_dir():
-            raise ScenarioError("file", shown, "must be a file, this is a directory")
         if not path.is_file():
-            raise ScenarioError("file", shown, "must be a regular file")
+            other = "must be a file, this is a directory" if path.is_dir() else "must be a regular file"
+            raise ScenarioError("file", shown, other if path.exists() else "there is no such file")
         with path.open("rb") as stream:
             data = stream.read(MAX_BYTES + 1)
     except (OSError, ValueError) as error:
@@ -100,9 +100,6 @@ def parse_toml(text: str, where: str) -> dict[str, Any]:
         raise ScenarioError("file", where, f"must be TOML: {printable(str(error))}") from error
 
 
-# -- validation -------------------------------------------------------------------------------------
-
-
 def validate(model: type[Model], document: Mapping[str, Any], where: str | None = None) -> Model:
     """Validate the fields of a document one by one (no rules that join several fields).
 
@@ -114,19 +111,10 @@ def validate(model: type[Model], document: Mapping[str, Any], where: str | None 
     try:
         return model.model_validate(document)
     except ValidationError as error:
-        raise explain(error.errors(include_url=False), document, where, model) from None
+        problems = error.errors(include_url=False)
     except RecursionError:
         raise ScenarioError("file", NOTHING, "must have fewer nested brackets", where) from None
-
-
-def explain(
-    problems: Sequence[ErrorDetails],
-    document: Mapping[str, Any],
-    where: str | None,
-    model: type[BaseModel],
-) -> ScenarioError:
-    """Turn pydantic's list of problems into one error: the likeliest cause first."""
-    found = [one for one in (_locate(problem, document, model) for problem in problems) if one]
+    found = [one for one in (_located(problem, document) for problem in problems) if one]
     # An unknown key explains a missing one (a slip of the pen), so it comes first.
     found.sort(key=lambda one: not one[2].startswith("unknown key"))
     path, given, rule = found[0]
@@ -134,7 +122,7 @@ def explain(
     if others:
         names = ", ".join(others[:3]) + (", ..." if len(others) > 3 else "")
         rule += f" (and {len(others)} more to correct: {names})"
-    return ScenarioError(path, _safe(given), rule, where)
+    raise ScenarioError(path, _safe(given), rule, where) from None
 
 
 def _safe(given: Any) -> Any:
@@ -146,15 +134,12 @@ def _safe(given: Any) -> Any:
     return given
 
 
-def _locate(
-    problem: ErrorDetails, document: Mapping[str, Any], model: type[BaseModel]
-) -> tuple[str, Any, str] | None:
+def _located(problem: ErrorDetails, document: Mapping[str, Any]) -> tuple[str, Any, str] | None:
     """Location in the document (union tags dropped), the value there, and the rule; None if spurious."""
-    location, kind = problem["loc"], problem["type"]
-    context: Mapping[str, Any] = problem.get("ctx") or {}
+    kind, context = problem["type"], problem.get("ctx") or {}
     path: list[str | int] = []
     value: Any = document
-    for part in location:
+    for part in problem["loc"]:
         inside = (isinstance(value, Mapping) and part in value) or (
             isinstance(value, (list, tuple)) and isinstance(part, int) and part < len(value)
         )
@@ -162,14 +147,13 @@ def _locate(
             value = value[part]
             path.append(part)
     if kind == "missing":
-        return join_path([*path, location[-1]]), NOTHING, "is required"
-    if kind == "extra_forbidden":
-        return join_path(path), value, _unknown_key(location, model)
-    if kind in ("union_tag_not_found", "union_tag_invalid"):
-        if not isinstance(value, Mapping):
-            return join_path(path), value, "must be a table with a key 'kind'"
-        kinds = [word for table in _tables(location, model) for word in _kinds(table)]
-        rule = "must be one of " + ", ".join(repr(word) for word in kinds)
+        return join_path([*path, problem["loc"][-1]]), NOTHING, "is required"
+    if kind == "unknown_key":
+        key, known = context["key"], context["known"]
+        hint = did_you_mean(key, known, 0.5) or f"; known here: {', '.join(known)}"
+        return join_path([*path, key]), value[key], f"unknown key{hint}"
+    if kind == "union_tag_invalid":
+        rule = f"must be one of {context['expected_tags']}"
         return join_path([*path, "kind"]), value.get("kind", NOTHING), rule
     if kind == "too_short" and len(value) >= context["min_length"]:
         return None  # pydantic counts valid entries only; the invalid one has its own message
@@ -212,44 +196,6 @@ def _rule(kind: str, context: Mapping[str, Any], value: Any, message: str) -> st
     if kind in _RULES:
         return _RULES[kind].format(**context)
     return printable(message[:1].lower() + message[1:])
-
-
-def _unknown_key(location: Sequence[str | int], model: type[BaseModel]) -> str:
-    tables = _tables(location[:-1], model)
-    known = list(dict.fromkeys(name for table in tables for name in table.model_fields))
-    near = difflib.get_close_matches(str(location[-1]), known, n=1, cutoff=0.5)
-    return "unknown key; " + (f"did you mean {near[0]}?" if near else f"known here: {', '.join(known)}")
-
-
-def _tables(location: Sequence[str | int], model: type[BaseModel]) -> list[type[BaseModel]]:
-    """Table classes a location may hold: a union's members until its tag has been read."""
-    tables = [model]
-    for part in location:
-        if not isinstance(part, str):
-            continue
-        tagged = [table for table in tables if part in _kinds(table)]
-        if tagged and len(tables) > 1:
-            tables = tagged
-        else:
-            fields = [table.model_fields[part] for table in tables if part in table.model_fields]
-            tables = [model for field in fields for model in _models_in(field.annotation)]
-    return tables
-
-
-def _kinds(table: type[BaseModel]) -> tuple[str, ...]:
-    field = table.model_fields.get("kind")
-    return get_args(field.annotation) if field else ()
-
-
-def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:
-    """Every table class inside an annotation such as ``tuple[A | B, ...]``."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        yield annotation
-    for part in get_args(annotation):
-        yield from _models_in(part)
-
-
-# -- writing ----------------------------------------------------------------------------------------
 
 
 def write_toml(document: Mapping[str, Any]) -> str:

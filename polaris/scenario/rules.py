@@ -6,20 +6,21 @@ run in an order in which each may rely on those before it (shapes before anythin
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 
-from ..model.checks import counted
+from reach.sets.zonotope import Zonotope
+
 from ..model.errors import ScenarioError
+from ..model.keep_in import KeepIn
 from ..model.obstacle import Obstacle, directions
 from ..model.satellite import SatelliteObstacle
 from ..model.system import LinearSystem
 from . import scene_tables as scene
 from . import tables as models
-from .build import in_file_terms, whole_parts
-from .fields import MAX_STEPS
+from .fields import MAX_STEPS, check_length, in_file_terms, whole_parts
 
 MAX_SPEED_M_S = 100.0
 """Fastest relative motion [m/s] of an obstacle: beyond it this is conjunction screening, not
@@ -29,6 +30,9 @@ HILL_RANGE_M = 1e5
 """Range [m] within which Hill's linear equations are taken to hold."""
 
 
+_TOUCH_M = 1e-9
+"""Depth [m] from which an overlap counts: touching is left to the planner, which books its margins."""
+
 PER_STATE = ("center", "half_widths", "state", "state_half_widths")
 """Fields of an initial set, a goal or an unsafe set that hold one number for each state."""
 
@@ -36,44 +40,26 @@ PER_AXIS = ("center_m", "half_widths_m", "velocity_m_s", "apex_m", "axis")
 """Those that hold one number for each position coordinate."""
 
 
-# -- shapes -----------------------------------------------------------------------------------------
-
-
-def check_system(spec: models.System) -> None:
-    """Shapes of the system's own fields."""
+def check_system(model: models.ScenarioModel) -> None:
+    """Which states are the position; all other shapes are checked where the system is built."""
+    spec = model.system
     if isinstance(spec, models.ClohessyWiltshire):
-        if isinstance(spec.thrust_max_N, tuple):
-            _length("system.thrust_max_N", spec.thrust_max_N, 3)
         return
-    n, m = len(spec.A), len(spec.B[0])
-    if len(spec.A[0]) != n:
-        raise ScenarioError("system.A", f"{n} x {len(spec.A[0])} numbers", "must be square")
-    for name, matrix in (("B", spec.B), ("D", spec.D)):
-        if len(matrix) != n:
-            raise ScenarioError(f"system.{name}", f"{len(matrix)} rows", f"must have {n} rows, as A has")
-    if isinstance(spec.input_max, tuple):
-        _length("system.input_max", spec.input_max, m)
-    if spec.C is not None and spec.position_states is not None:
-        raise ScenarioError("system.C", spec.C, "give C or position_states, not both")
-    if spec.C is not None and not (len(spec.C[0]) == n and len(spec.C) <= 3):
-        shape = f"{len(spec.C)} x {len(spec.C[0])} numbers"
+    if model.orbit is not None:
+        raise ScenarioError("orbit", spec.kind, "needs Hill's frame (system.kind = 'clohessy_wiltshire')")
+    n, C, chosen = len(spec.A), spec.C, spec.position_states
+    if C is not None and chosen is not None:
+        raise ScenarioError("system.C", C, "give C or position_states, not both")
+    if C is not None and not (len(C[0]) == n and len(C) <= 3):
+        shape = f"{len(C)} x {len(C[0])} numbers"
         raise ScenarioError("system.C", shape, f"must have one to three rows of {n} numbers")
-    if spec.C is not None and np.linalg.matrix_rank(np.array(spec.C)) < len(spec.C):
-        raise ScenarioError("system.C", spec.C, "must have linearly independent rows")
-    chosen = spec.position_states
+    if C is not None and np.linalg.matrix_rank(np.array(C)) < len(C):
+        raise ScenarioError("system.C", C, "must have linearly independent rows")
     if chosen is not None and not (len(set(chosen)) == len(chosen) and max(chosen) < n):
         raise ScenarioError("system.position_states", list(chosen), f"must be different numbers below {n}")
-    if spec.C is None and chosen is None and not 1 <= max(n // 2, 1) <= 3:
+    if C is None and chosen is None and n > 7:
         rule = f"is required for a system of {n} states (positions have one to three coordinates)"
         raise ScenarioError("system.position_states", None, rule)
-
-
-def check_orbit(model: models.ScenarioModel) -> None:
-    """The table of the orbit belongs to a spacecraft."""
-    if model.orbit is None or isinstance(model.system, models.ClohessyWiltshire):
-        return
-    rule = "needs Hill's frame (system.kind = 'clohessy_wiltshire')"
-    raise ScenarioError("orbit", model.system.kind, rule)
 
 
 def check_shapes(model: models.ScenarioModel, system: LinearSystem) -> None:
@@ -82,35 +68,29 @@ def check_shapes(model: models.ScenarioModel, system: LinearSystem) -> None:
     start = model.initial_set
     if isinstance(start, models.InitialZonotope):
         for i, generator in enumerate(start.generators):
-            _length(f"initial_set.generators[{i}]", generator, n)
+            check_length(f"initial_set.generators[{i}]", generator, n)
     if isinstance(model.tracking.weight, tuple):
-        _length("tracking.weight", model.tracking.weight, n)
+        check_length("tracking.weight", model.tracking.weight, n)
     for path, part in (("initial_set", start), ("goal", model.goal), *model.scene_parts()):
         for names, count in ((PER_STATE, n), (PER_AXIS, d)):
             for name in names:
                 if (vector := getattr(part, name, None)) is not None:
-                    _length(f"{path}.{name}", vector, count)
+                    check_length(f"{path}.{name}", vector, count)
     for path, obstacle in model.scene_parts():
         if isinstance(obstacle, scene.PolytopeObstacle | scene.KeepInPolytope):
             for row, normal in enumerate(obstacle.normals):
-                _length(f"{path}.normals[{row}]", normal, d)
-            _length(f"{path}.offsets_m", obstacle.offsets_m, len(obstacle.normals))
-    for i, controller in enumerate(model.experimental):
-        if not isinstance(controller, scene.Affine):
+                check_length(f"{path}.normals[{row}]", normal, d)
+            check_length(f"{path}.offsets_m", obstacle.offsets_m, len(obstacle.normals))
+    for path, spec in model.controllers():
+        if not isinstance(spec, scene.Affine):
             continue
-        if isinstance(controller.reference, scene.SetpointReference):
-            _length(f"experimental[{i}].reference.state", controller.reference.state, n)
-        if controller.gain is not None and (len(controller.gain), len(controller.gain[0])) != (m, n):
-            shape = f"{len(controller.gain)} x {len(controller.gain[0])} numbers"
-            raise ScenarioError(f"experimental[{i}].gain", shape, f"must be {m} x {n} numbers")
-
-
-def _length(field: str, vector: tuple[Any, ...], count: int) -> None:
-    if len(vector) != count:
-        raise ScenarioError(field, list(vector), f"must have {counted(count, 'number')}, has {len(vector)}")
-
-
-# -- time -------------------------------------------------------------------------------------------
+        if spec.reference.kind == "setpoint":
+            check_length(f"{path}.reference.state", spec.reference.state, n)
+        if spec.reference.kind == "nmt":
+            scene.hill_rate(system, f"{path}.reference.kind", "nmt")
+        if spec.gain is not None and (len(spec.gain), len(spec.gain[0])) != (m, n):
+            shape = f"{len(spec.gain)} x {len(spec.gain[0])} numbers"
+            raise ScenarioError(f"{path}.gain", shape, f"must be {m} x {n} numbers")
 
 
 def check_time(model: models.ScenarioModel) -> None:
@@ -122,9 +102,8 @@ def check_time(model: models.ScenarioModel) -> None:
         raise ScenarioError("horizon.step_s", delta, rule)
     K = whole_parts(T, delta)
     if not K:
-        raise ScenarioError(
-            "horizon.step_s", delta, f"must divide duration_s = {T:g} (a whole number of steps)"
-        )
+        rule = f"must divide duration_s = {T:g} (a whole number of steps)"
+        raise ScenarioError("horizon.step_s", delta, rule)
     if model.schedule.min_dwell_steps > K:
         rule = f"must be at most the number of steps, {K}"
         raise ScenarioError("schedule.min_dwell_steps", model.schedule.min_dwell_steps, rule)
@@ -137,33 +116,20 @@ def check_time(model: models.ScenarioModel) -> None:
             raise ScenarioError("feedback.period_s", period, f"must divide step_s = {delta:g}")
 
 
-# -- controllers, names, scene ----------------------------------------------------------------------
-
-
-def check_controllers(model: models.ScenarioModel, system: LinearSystem) -> None:
-    """References that only Hill's frame has."""
-    for i, controller in enumerate(model.experimental):
-        on_orbit = isinstance(controller, scene.Affine) and controller.reference.kind == "nmt"
-        if on_orbit:
-            scene.hill_rate(system, f"experimental[{i}].reference.kind", "nmt")
-
-
 def check_names(model: models.ScenarioModel) -> None:
     """Names are unique: obstacles and keep-in sets together, controllers among themselves."""
-    groups: tuple[list[tuple[str, str]], ...] = (
-        [(path, part.name) for path, part in model.scene_parts()],
-        [(f"experimental[{i}]", controller.name) for i, controller in enumerate(model.experimental)],
-    )
-    for group in groups:
+    for group in (model.scene_parts(), model.controllers()):
         seen: dict[str, str] = {}
-        for path, name in group:
-            if name in seen:
-                raise ScenarioError(f"{path}.name", name, f"must be unique; {seen[name]} has it too")
-            seen[name] = path
-    for i, controller in enumerate(model.experimental):
+        for path, part in group:
+            if part.name in seen:
+                raise ScenarioError(
+                    f"{path}.name", part.name, f"must be unique; {seen[part.name]} has it too"
+                )
+            seen[part.name] = path
+    for path, controller in model.controllers():
         if controller.name in ("safety", "polaris"):
             rule = "must not be 'safety' or 'polaris', which the results use"
-            raise ScenarioError(f"experimental[{i}].name", controller.name, rule)
+            raise ScenarioError(f"{path}.name", controller.name, rule)
 
 
 def check_scene(model: models.ScenarioModel, unsafe: Sequence[Obstacle], system: LinearSystem) -> None:
@@ -174,11 +140,9 @@ def check_scene(model: models.ScenarioModel, unsafe: Sequence[Obstacle], system:
         moving, velocity = "velocity_m_s", getattr(part, "velocity_m_s", None) or 0.0
         if isinstance(item, SatelliteObstacle):
             moving, velocity = "state", system.velocity @ np.asarray(item.state)
-            try:
+            with in_file_terms(path, part):
                 item.pushes(system)
-                directions(system.d, item.facets, f"{path}.facets")
-            except ScenarioError as error:
-                raise in_file_terms(error, path, part) from error
+                directions(system.d, item.facets)
         if (speed := float(np.linalg.norm(velocity))) > MAX_SPEED_M_S:
             rule = f"must move at most at {MAX_SPEED_M_S:g} m/s"
             raise ScenarioError(f"{path}.{moving}", f"{speed:.4g} m/s", rule)
@@ -187,3 +151,48 @@ def check_scene(model: models.ScenarioModel, unsafe: Sequence[Obstacle], system:
         if reach > HILL_RANGE_M:
             rule = f"must start within {HILL_RANGE_M:g} m of the target, where Hill's linear equations hold"
             raise ScenarioError("initial_set.center", f"{reach:.4g} m away", rule)
+
+
+def check_start_and_goal(
+    model: models.ScenarioModel, unsafe: Iterable[Obstacle], system: LinearSystem, theta: Zonotope
+) -> None:
+    """Refuse a start or a hold point that is unsafe as it stands.
+
+    Raises
+    ------
+    ScenarioError
+        If the initial set reaches into an obstacle or out of a keep-in set at t = 0, or a hold point lies in
+        an obstacle at its arrival or out of a keep-in set.
+    """
+    place, end = system.position @ theta, model.horizon.duration_s
+    for (path, _), item in zip(model.scene_parts(), unsafe, strict=True):
+        kept = isinstance(item, KeepIn)
+        side, into, wrong = ("inside", "out of it", "outside") if kept else ("outside", "into it", "inside")
+        named = f"{side} {path} ({item.name})"
+        if (depth := unsafe_depth(item, Zonotope.point(place.c), 0.0, system)) > _TOUCH_M:
+            rule = f"must start {named}, is {depth:.4g} m {wrong}"
+            raise ScenarioError("initial_set.center", list(model.initial_set.center), rule)
+        if (depth := unsafe_depth(item, place, 0.0, system)) > _TOUCH_M:
+            rule = f"must keep all of the initial set {named}, reaches {depth:.4g} m {into}"
+            raise ScenarioError(*_size_of(model), rule)
+        # Where another satellite is at the end is uncertain; the planner decides.
+        if isinstance(model.goal, scene.StationaryGoal) and not isinstance(item, SatelliteObstacle):
+            spot = Zonotope.point(system.position @ np.array(model.goal.state))
+            if (depth := unsafe_depth(item, spot, end, system)) > _TOUCH_M:
+                rule = f"must lie {named}{'' if kept else ' at the end'}, is {depth:.4g} m {wrong}"
+                raise ScenarioError("goal.state", list(model.goal.state), rule)
+
+
+def _size_of(model: models.ScenarioModel) -> tuple[str, Any]:
+    """The field that gives the initial set its size, and its value."""
+    spec = model.initial_set
+    field = next(key for key in ("half_widths", "position_radius_m", "generators") if hasattr(spec, key))
+    return f"initial_set.{field}", np.array(getattr(spec, field)).tolist()
+
+
+def unsafe_depth(item: Obstacle, place: Zonotope, time: float, system: LinearSystem) -> float:
+    """Largest depth [m] to which some point of a set of positions is unsafe; negative if none is."""
+    spans = place.G
+    if isinstance(item, SatelliteObstacle):  # it may be anywhere in its own box
+        spans = np.hstack([spans, system.position @ np.diag(np.asarray(item.state_half_widths))])
+    return item.shape.overlap(Zonotope(place.c - item.centre(time, system), spans))

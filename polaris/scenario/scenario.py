@@ -9,17 +9,15 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar, overload
 
 from ..model.errors import ScenarioError
-from .base import KINDS, SCHEDULE, Scenario, overridden
+from .base import KINDS, SCHEDULE, Scenario, overridden, parse_assignment
 from .inspection import FlightScenario, FuelLimitScenario, InspectionScenario, MonteCarloScenario
-from .overrides import parse_assignment
-from .reading import printable, read_document
+from .reading import did_you_mean, printable, read_document
 from .schedule import ScheduleScenario
 
 __all__ = [
@@ -71,7 +69,13 @@ def locate(name_or_path: str | Path) -> Path:
     text, bundled = str(name_or_path), bundled_files()
     if isinstance(name_or_path, str) and text in bundled:
         return bundled[text]
-    _refuse_unknown(text)
+    try:
+        there = Path(text).exists()
+    except (OSError, ValueError):
+        there = False
+    if not there and re.fullmatch(r"[\w-]+", text):  # a bare word: say what there is
+        rule = f"is neither a file nor a bundled scenario ({', '.join(bundled)}){did_you_mean(text, bundled)}"
+        raise ScenarioError("scenario", printable(text), rule)
     return Path(name_or_path)
 
 
@@ -116,18 +120,3 @@ def load_scenario(
     noted = () if isinstance(overrides, Mapping) else tuple(overrides)
     values = overrides if isinstance(overrides, Mapping) else dict(map(parse_assignment, noted))
     return only._of(overridden(document, values, where), where, None if values else text, noted)
-
-
-def _refuse_unknown(text: str) -> None:
-    """A bare word that is neither a file nor a bundled name: say what there is."""
-    try:
-        there = Path(text).exists()
-    except (OSError, ValueError):
-        there = False
-    if there or not re.fullmatch(r"[\w-]+", text):
-        return
-    names = bundled_files()
-    near = difflib.get_close_matches(text, names, n=1)
-    hint = f"; did you mean {near[0]}?" if near else ""
-    rule = f"is neither a file nor a bundled scenario ({', '.join(names)}){hint}"
-    raise ScenarioError("scenario", printable(text), rule)

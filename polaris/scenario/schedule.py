@@ -8,14 +8,14 @@ from reach.sets.zonotope import Zonotope
 
 from ..model.checks import counted
 from ..model.system import LinearSystem
-from . import build, numerics, rules
+from . import numerics, rules
 from .base import Scenario, kept
-from .geometry import check_start_and_goal
+from .fields import whole_parts
 from .tables import SampledFeedback, ScenarioModel, Simulation
 
 if TYPE_CHECKING:
     from ..model.obstacle import Obstacle
-    from ..planning.goal import Goal
+    from ..planning.goals import Goal
     from ..synthesis.controllers import Controller
     from ..synthesis.get_safety import Safety
     from ..synthesis.problem import Problem
@@ -30,19 +30,17 @@ class ScheduleScenario(Scenario):
 
     def _check(self) -> None:
         model = self.model
-        rules.check_system(model.system)
-        rules.check_orbit(model)
+        rules.check_system(model)
         system = self.system()
         rules.check_shapes(model, system)
         rules.check_time(model)
         numerics.check_numerics(model, system)
         for path, Q, R in numerics.weights(model):
             numerics.check_weights(path, Q, R, system)
-        rules.check_controllers(model, system)
         rules.check_names(model)
         rules.check_scene(model, self.obstacles(), system)
         self.goal()
-        check_start_and_goal(model, self.obstacles(), system, self.initial_set())
+        rules.check_start_and_goal(model, self.obstacles(), system, self.initial_set())
 
     def outline(self) -> str:
         """What it describes, on one line."""
@@ -53,12 +51,10 @@ class ScheduleScenario(Scenario):
             f" experimental controllers: {len(self.model.experimental)}"
         )
 
-    # -- the fields -----------------------------------------------------------------------------
-
     @property
     def steps(self) -> int:
         """Number K of steps."""
-        count = build.whole_parts(self.model.horizon.duration_s, self.model.horizon.step_s)
+        count = whole_parts(self.model.horizon.duration_s, self.model.horizon.step_s)
         assert count is not None  # checked on construction
         return count
 
@@ -72,22 +68,20 @@ class ScheduleScenario(Scenario):
         """Closed-loop runs."""
         return self.model.simulation
 
-    # -- the domain's objects -------------------------------------------------------------------
-
     @kept
     def system(self) -> LinearSystem:
         """The controlled system."""
-        return build.build_system(self.model.system)
+        return self.model.system.build()
 
     @kept
     def initial_set(self) -> Zonotope:
         """The initial set Theta, shape (n,); a ball is enclosed by a zonotope."""
-        return build.build_initial_set(self.model.initial_set, self.system())
+        return self.model.initial_set.build(self.system())
 
     @kept
     def obstacles(self) -> tuple[Obstacle, ...]:
         """Unsafe sets of the perception oracle: obstacles first, then keep-in sets."""
-        return build.build_obstacles(self.model)
+        return tuple(part.build(path) for path, part in self.model.scene_parts())
 
     @kept
     def goal(self) -> Goal:
@@ -106,7 +100,7 @@ class ScheduleScenario(Scenario):
         """
         from .experimental import build_controllers
 
-        return build_controllers(self.model.experimental, safety)
+        return build_controllers(self.model, safety)
 
     @kept
     def problem(self) -> Problem:
@@ -115,7 +109,7 @@ class ScheduleScenario(Scenario):
         from ..synthesis.problem import Problem
         from .experimental import gains_of
 
-        system, tracking, planner = self.system(), self.model.tracking, self.model.planner
+        system, tracking, given = self.system(), self.model.tracking, self.model.planner.arguments()
         feedback, weight = self.model.feedback, tracking.weight
         return Problem(
             system=system,
@@ -123,25 +117,20 @@ class ScheduleScenario(Scenario):
             unsafe=self.obstacles(),
             K=self.steps,
             delta=self.step,
-            Q=build.full_weight(tracking.Q),
-            R=build.full_weight(tracking.R),
+            Q=numerics.full_weight(tracking.Q),
+            R=numerics.full_weight(tracking.R),
             goal=self.goal(),
+            goal_tolerance=self.model.goal.tolerance_m,
             recoverable=self.model.recoverable.kind,
             recourse=self.model.recoverable.recourse,
             period=feedback.period_s if isinstance(feedback, SampledFeedback) else None,
             bound=tracking.bound,
-            weight=weight if isinstance(weight, str) else build.full_weight(weight),
-            objective=planner.objective,
-            extra_margin=planner.extra_margin_m,
-            thrust_reserve=planner.thrust_reserve,
-            planner=PlannerOptions(
-                solver=planner.solver,
-                max_linear_programs=planner.max_linear_programs,
-                max_nodes=planner.max_nodes,
-                time_limit=planner.time_limit_s,
-                gap=planner.gap,
-            ),
-            gains=gains_of(self.model.experimental, system),
+            weight=weight if isinstance(weight, str) else numerics.full_weight(weight),
+            objective=given.pop("objective"),
+            extra_margin=given.pop("extra_margin"),
+            thrust_reserve=given.pop("thrust_reserve"),
+            planner=PlannerOptions(**given),
+            gains=gains_of(self.model, system),
         )
 
     def switching_rules(self) -> SwitchingRules:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
-from typing import Any
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +12,7 @@ from ..model.checks import of_kind
 from ..model.system import Array
 from ..synthesis.schedule import Schedule
 from .metrics import Metrics
-from .run_metrics import Runs, evaluate
+from .run_metrics import evaluate
 from .simulate import simulate
 
 BATCH = 1000
@@ -53,30 +52,6 @@ class Flights:
     nearest: Array
     input_range: Array
 
-    @classmethod
-    def of(cls, runs: Runs, metrics: Metrics, labels: Mapping[int, str]) -> Flights:
-        """Keep the runs that are given a label."""
-        chosen = list(labels)
-        return cls(
-            metrics.controller,
-            tuple(labels.values()),
-            runs.times,
-            runs.states[chosen],
-            runs.inputs[chosen],
-            runs.modes,
-            metrics.nearest,
-            np.stack([runs.inputs.min(axis=0), runs.inputs.max(axis=0)]),
-        )
-
-    def _followed_by(self, other: Flights) -> Flights:
-        """The runs of both, in the envelope of the second."""
-        return replace(
-            other,
-            labels=self.labels + other.labels,
-            states=np.concatenate([self.states, other.states]),
-            inputs=np.concatenate([self.inputs, other.inputs]),
-        )
-
 
 @dataclass(frozen=True, eq=False)
 class Flown:
@@ -96,8 +71,10 @@ class Flown:
 
 def fly_nominal(schedule: Schedule, mode: int | None, name: str) -> Flights:
     """One run from the centre of the initial set, undisturbed."""
-    run = simulate(schedule, 1, mode=mode, initial="center", disturbance="none", substeps=2)
-    return Flights.of(run, evaluate(run, controller=name), {0: "nominal"})
+    runs = simulate(schedule, 1, mode=mode, initial="center", disturbance="none", substeps=2)
+    nearest, inputs = evaluate(runs, controller=name).nearest, runs.inputs
+    ranges = np.concatenate([inputs, inputs])
+    return Flights(name, ("nominal",), runs.times, runs.states, inputs, runs.modes, nearest, ranges)
 
 
 def compare(
@@ -128,34 +105,33 @@ def compare(
     out: dict[str, Flown] = {}
     for done, (key, mode) in enumerate(plans.items()):
         name = key if mode is None else schedule.controllers[mode].name
-        parts: list[tuple[Metrics, Flights]] = []
+        nominal = fly_nominal(schedule, mode, name)
+        parts: list[Metrics] = []
+        lowest, highest = [], []
         for first in range(0, n, BATCH):
             if progress:
                 progress(done * n + first, len(plans) * n)
             runs = simulate(schedule, min(BATCH, n - first), seed + first, mode=mode)
             metrics = evaluate(runs, seed + first, name)
-            labels = {metrics.worst: "closest"}
-            if first == 0:
-                labels |= {i: f"run {i}" for i in range(min(3, len(runs.states))) if i != metrics.worst}
-            parts.append((metrics, Flights.of(runs, metrics, labels)))
-        joined = Metrics.join([metrics for metrics, _ in parts])
-        out[key] = Flown(joined, fly_nominal(schedule, mode, name)._followed_by(_join(parts, joined)))
+            worst = metrics.worst
+            if not parts:
+                labels = [i for i in range(min(3, len(runs.states))) if i != worst]
+                others = runs.some(labels)
+            if not parts or metrics.min_distance[worst] < min(part.min_distance.min() for part in parts):
+                closest = runs.some([worst])
+            parts.append(metrics)
+            lowest.append(runs.inputs.min(axis=0))
+            highest.append(runs.inputs.max(axis=0))
+        joined = Metrics.join(parts)
+        flights = Flights(
+            name,
+            ("nominal", "closest", *(f"run {i}" for i in labels)),
+            nominal.times,
+            np.concatenate([nominal.states, closest.states, others.states]),
+            np.concatenate([nominal.inputs, closest.inputs, others.inputs]),
+            nominal.modes,
+            joined.nearest,
+            np.stack([np.min(lowest, axis=0), np.max(highest, axis=0)]),
+        )
+        out[key] = Flown(joined, flights)
     return out
-
-
-def _join(parts: list[tuple[Metrics, Flights]], joined: Metrics) -> Flights:
-    """Flights of the first batch, with the closest run of all and the envelope of all."""
-    first = parts[0][1]
-    worst = min(parts, key=lambda part: float(part[0].min_distance.min()))[1]
-    where: Any = worst.labels.index("closest")
-    here: Any = first.labels.index("closest")
-    states, inputs = first.states.copy(), first.inputs.copy()
-    states[here], inputs[here] = worst.states[where], worst.inputs[where]
-    ranges = np.stack([flights.input_range for _, flights in parts])
-    return replace(
-        first,
-        states=states,
-        inputs=inputs,
-        nearest=joined.nearest,
-        input_range=np.stack([ranges[:, 0].min(axis=0), ranges[:, 1].max(axis=0)]),
-    )

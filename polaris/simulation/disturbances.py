@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from reach.numerics.linear import discretize
 
 from ..model.system import Array
-from ..synthesis.controllers import AffineController, AnyThrust
+from ..synthesis.controllers import AffineController
+from ..synthesis.schedule import Schedule
 from .integration import Integrator
 
 Disturbance = Literal["none", "random", "worst", "mixed"]
@@ -52,13 +53,18 @@ def _piecewise(steps: int, n: int, p: int, longest: int, rng: np.random.Generato
     return np.asarray(raw[first + np.arange(steps)[:, None] // holds])
 
 
+def limit_rows(schedule: Schedule) -> Array:
+    """Directions of states in which the limits lie: every facet, then every input up and down."""
+    safety = schedule.safety
+    facets = [-u.normals @ safety.tracking.system.position for u in safety.clearance.unsafe]
+    return np.vstack([*facets, safety.tracking.gain, -safety.tracking.gain])
+
+
 def _worst_case(flight: Integrator, n: int, rng: np.random.Generator) -> tuple[Array, Array]:
     """Worst case of one facet (or input) and instant per run, both drawn at random."""
-    clearance = flight.schedule.safety.clearance
-    rows = [-u.normals @ flight.system.position for u in clearance.unsafe]
-    flat = np.vstack([*rows, flight.tracking.gain, -flight.tracking.gain])
+    rows = limit_rows(flight.schedule)
     targets = rng.integers(1, flight.steps + 1, n)
-    w, _, adjoint = adjoint_worst_case(flight, flat[rng.integers(0, len(flat), n)], targets)
+    w, _, adjoint = adjoint_worst_case(flight, rows[rng.integers(0, len(rows), n)], targets)
     return w, adjoint
 
 
@@ -74,32 +80,17 @@ def adjoint_worst_case(
     held over a step adds. For a linear loop no other held disturbance goes further; about a loop whose
     thrusters clip it is the worst case to first order.
 
-    Parameters
-    ----------
-    flight : Integrator
-    rows : ndarray, shape (R, n)
-        Directions in the space of states.
-    targets : ndarray of int, shape (R,)
-        Instants, as numbers of integration steps.
-    clipped : ndarray of bool, shape (steps, R, m), optional
-        Inputs that the thrusters clip: they do not answer to the state. None by default.
-
-    Returns
-    -------
-    w : ndarray, shape (steps, R, p)
-    free : ndarray, shape (steps, R, m), or None
-        Full thrust in the worst direction for controllers that may do anything; None if none flies.
-    adjoint : ndarray, shape (R, n)
-        Direction, at time 0, in which the initial state counts.
+    Rows (R, n) are directions in the space of states, targets (R,) instants as numbers of steps. Inputs that
+    the thrusters clip (steps, R, m) do not answer to the state. Returned are the disturbances (steps, R, p),
+    full thrust in the worst direction (steps, R, m) for controllers that may do anything (None if none
+    flies), and the direction (R, n), at time 0, in which the initial state counts.
     """
     system, steps = flight.system, flight.steps
     numbers = np.repeat(flight.modes, flight.steps_per_cell)
-    laws = [flight.schedule.controllers[int(number)] for number in np.unique(numbers)]
-    may_do_anything = any(isinstance(law, AnyThrust) for law in laws)
-    choices = {int(number): _loops(flight, int(number)) for number in np.unique(numbers)}
+    choices = {number: _loops(flight, number) for number in np.unique(numbers).tolist()}
     adjoint = np.zeros((len(rows), system.n))
     w = np.zeros((steps, len(rows), system.p))
-    free = np.zeros((steps, len(rows), system.m)) if may_do_anything else None
+    free = np.zeros((steps, len(rows), system.m)) if flight.may_do_anything else None
     bits = 2 ** np.arange(system.m)
     for step in range(steps - 1, -1, -1):
         starting = targets == step + 1
@@ -122,9 +113,7 @@ def adjoint_worst_case(
 def _loops(flight: Integrator, number: int) -> tuple[Array, Array, Array]:
     """Of one controller, for every set of clipped inputs: transition over a step, and what is held adds.
 
-    Returns
-    -------
-    back, push, thrust : ndarray, shapes (2^m, n, n), (2^m, n, p), (2^m, n, m)
+    For disturbance and thrust, shapes (2^m, n, n), (2^m, n, p), (2^m, n, m).
     """
     system, dt = flight.system, flight.dt
     law = flight.schedule.controllers[number]

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from reach.numerics.linear import discretize
 
 from ..model.system import Array
-from ..synthesis.controllers import AffineController, AnyThrust, Controller
+from ..synthesis.controllers import AffineController, AnyThrust
 from ..synthesis.schedule import Schedule
+from .run_metrics import Runs
 
 
 def runge_kutta(rate: Callable[[int, Array], Array], x: Array, dt: float, first: Array) -> Array:
@@ -29,11 +30,7 @@ def runge_kutta(rate: Callable[[int, Array], Array], x: Array, dt: float, first:
 class Integrator:
     """Time grid, references and transitions of one simulation.
 
-    Attributes
-    ----------
-    free : ndarray, shape (steps, R, m), or None
-        Inputs over each step of a controller that may do anything; without them it does as its
-        `command` says.
+    What a controller does that may do anything is `free` (steps, R, m); without it, as its `command` says.
     """
 
     def __init__(self, schedule: Schedule, modes: NDArray[np.int_], substeps: int) -> None:
@@ -46,26 +43,32 @@ class Integrator:
         self.steps_per_cell = self.q * substeps
         self.safe = safety.reference.fine(2 * self.steps_per_cell)
         self.own = {}
-        self._schemes: dict[int, tuple[Array, list[Array], list[Array]]] = {}
+        self._schemes: dict[int, tuple[list[Array], list[Array]]] = {}
         for number, controller in enumerate(schedule.controllers):
             if isinstance(controller, AffineController) and controller.own is not safety.reference:
                 self.own[number] = controller.own.fine(2 * self.steps_per_cell)
 
     @cached_property
-    def _held(self) -> tuple[Array, Array, Array]:
+    def held(self) -> tuple[Array, Array, Array]:
         """Transition over a step, and what an input and a disturbance held over it add."""
         Ad, Bd = discretize(self.system.A, self.system.B, self.dt)
         return Ad, Bd, discretize(self.system.A, self.system.D, self.dt)[1]
+
+    @property
+    def may_do_anything(self) -> bool:
+        """Whether a controller flies of which nothing but the thrust limits is known."""
+        return any(
+            isinstance(self.schedule.controllers[i], AnyThrust) for i in np.unique(self.modes).tolist()
+        )
 
     @property
     def steps(self) -> int:
         """Number of integration steps."""
         return len(self.modes) * self.steps_per_cell
 
-    def command(
-        self, controller: Controller, number: int, k: int, half: int, x: Array, later: int = 0
-    ) -> Array:
+    def command(self, number: int, k: int, half: int, x: Array, later: int = 0) -> Array:
         """Command before clipping, shape (R, m), `later` half-steps after the half-step `half` of cell k."""
+        controller = self.schedule.controllers[number]
         if self.free is not None and isinstance(controller, AnyThrust):
             return np.asarray(self.free[k * self.steps_per_cell + half // 2])
         xi = self.safe[k, half + later]
@@ -74,77 +77,78 @@ class Integrator:
 
     def rate(self, number: int, k: int, half: int, later: int, x: Array, force: Array) -> Array:
         """``x'`` under one controller, `later` half-steps after the half-step `half` of cell k."""
-        limit = self.system.u_max
-        raw = self.command(self.schedule.controllers[number], number, k, half, x, later)
-        return np.asarray(x @ self.system.A.T + np.clip(raw, -limit, limit) @ self.system.B.T + force)
+        raw = self.command(number, k, half, x, later)
+        u = np.clip(raw, -self.system.u_max, self.system.u_max)
+        return np.asarray(x @ self.system.A.T + u @ self.system.B.T + force)
 
-    def run(self, x0: Array, w: Array) -> tuple[Array, Array, Array, Array, Array]:
-        """Times, states, inputs, demanded thrust and velocity change (see `Runs`), runs first.
+    def move(self, number: int, k: int, step: int, x: Array, u: Array, w: Array) -> Array:
+        """States (R, n) a step later; u is what is held, or what a continuous law applies at first."""
+        if self.sampled:
+            Ad, Bd, Dd = self.held
+            return np.asarray(x @ Ad.T + u @ Bd.T + w @ Dd.T)
+        force = w @ self.system.D.T
+        rate = partial(self.rate, number, k, 2 * step, force=force)
+        return runge_kutta(rate, x, self.dt, x @ self.system.A.T + u @ self.system.B.T + force)
 
-        From initial states (R, n) under disturbances held over each step, (steps, R, p).
+    def period(
+        self, number: int, k: int, place: int, x: Array, w: Sequence[Array] | Array
+    ) -> tuple[Array, Array, Array, Array]:
+        """Fly from one node of cell k to the next, under any law, clipped or not.
+
+        Returned are the states there (R, n), the input applied at the beginning (R, m), the largest demand
+        meanwhile (R,), and the sum over the steps of the 1-norm of the input (R,).
         """
-        R, system, q = len(x0), self.system, self.q
-        nodes = len(self.modes) * q
+        limit = self.system.u_max
+        first = u = np.zeros(0)
+        demanded, spent = np.zeros(len(x)), np.zeros(len(x))
+        for sub in range(self.substeps):
+            step = place * self.substeps + sub
+            if sub == 0 or not self.sampled:
+                raw = self.command(number, k, 2 * step, x)
+                demanded = np.maximum(demanded, np.max(np.abs(raw) / limit, axis=1))
+                u = np.clip(raw, -limit, limit)
+            first = u if sub == 0 else first
+            x = self.move(number, k, step, x, u, w[sub])
+            spent += np.abs(u).sum(axis=1)
+        return x, first, demanded, spent
+
+    def run(self, x0: Array, w: Array) -> Runs:
+        """Fly from initial states (R, n) under disturbances held over each step, (steps, R, p)."""
+        q, nodes = self.q, len(self.modes) * self.q
         # Time comes first while writing: every instant's block is then one piece of memory.
-        states = np.empty((nodes + 1, R, system.n))
-        inputs = np.empty((nodes, R, system.m))
-        demanded, delta_v = np.zeros((nodes, R)), np.zeros(R)
+        states, inputs = np.empty((nodes + 1, *x0.shape)), np.empty((nodes, len(x0), self.system.m))
+        demanded, delta_v = np.zeros((nodes, len(x0))), np.zeros(len(x0))
         states[0] = x0
         for k, number in enumerate(self.modes.tolist()):
             first, last = k * q, (k + 1) * q
             pushes = w[k * self.steps_per_cell : (k + 1) * self.steps_per_cell]
             flown = self._unclipped(number, k, states[first], pushes)
             if flown is None:
-                flown = self._stepped(number, k, states[first], pushes)
-            states[first + 1 : last + 1], inputs[first:last], demanded[first:last], spent = flown
-            delta_v += spent * self.dt / system.mass
-        times = np.asarray(np.arange(nodes + 1) * self.tracking.flow.h, dtype=float)
-        return times, states.swapaxes(0, 1), inputs.swapaxes(0, 1), demanded.T, delta_v
-
-    def _stepped(self, number: int, k: int, x: Array, w: Array) -> tuple[Array, Array, Array, Array]:
-        """Fly one cell step by step: under any law, clipped or not.
-
-        Returned are states at the end of every period (q, R, n), inputs applied at its start (q, R, m), the
-        largest demand within it (q, R), and the sum over the steps of the 1-norm of the input (R,).
-        """
-        R, system, limit = len(x), self.system, self.system.u_max
-        states, inputs = np.empty((self.q, R, system.n)), np.empty((self.q, R, system.m))
-        demanded, spent = np.zeros((self.q, R)), np.zeros(R)
-        Ad, Bd, Dd = self._held
-        u = np.zeros((R, system.m))
-        controller = self.schedule.controllers[number]
-        for step in range(self.steps_per_cell):
-            node, sub = divmod(step, self.substeps)
-            force = w[step] @ system.D.T
-            if not self.sampled or sub == 0:
-                raw = self.command(controller, number, k, 2 * step, x)
-                demanded[node] = np.maximum(demanded[node], np.max(np.abs(raw) / limit, axis=1))
-                u = np.clip(raw, -limit, limit)
-            if sub == 0:
-                inputs[node] = u
-            if self.sampled:
-                x = x @ Ad.T + u @ Bd.T + w[step] @ Dd.T
+                spent = np.zeros(len(x0))
+                for place, node in enumerate(range(first, last)):
+                    held = pushes[place * self.substeps :]
+                    flown = self.period(number, k, place, states[node], held)
+                    states[node + 1], inputs[node], demanded[node], more = flown
+                    spent += more
             else:
-                rate = partial(self.rate, number, k, 2 * step, force=force)
-                x = runge_kutta(rate, x, self.dt, x @ system.A.T + u @ system.B.T + force)
-            spent += np.abs(u).sum(axis=1)
-            states[node] = x
-        return states, inputs, demanded, spent
+                states[first + 1 : last + 1], inputs[first:last], demanded[first:last], spent = flown
+            delta_v += spent * self.dt / self.system.mass
+        times = np.asarray(np.arange(nodes + 1) * self.tracking.flow.h, dtype=float)
+        path, applied = states.swapaxes(0, 1), inputs.swapaxes(0, 1)
+        return Runs(self.schedule, times, path, applied, demanded.T, delta_v, self.modes)
 
     def _unclipped(self, number: int, k: int, x: Array, w: Array) -> tuple[Array, Array, Array, Array] | None:
-        """The same for a linear law that nothing clips in this cell: one product per step; else None.
+        """Fly a cell under a linear law that nothing clips in it: one product per step; else None.
 
         The scheme's stages are linear in the state, the references and the disturbance, so all of the
-        cell's commands are worked out at once afterwards, and none may exceed the limits.
+        cell's commands are worked out at once afterwards, and none may exceed the limits. Returned is what
+        `period` returns for every node, stacked, and what is spent in the whole cell.
         """
         law, limit = self.schedule.controllers[number], self.system.u_max
-        if not isinstance(law, AffineController):
-            return None
-        if self.sampled and self.substeps > 1:
+        if not isinstance(law, AffineController) or (self.sampled and self.substeps > 1):
             return None
         own = self.own.get(number, self.safe)[k]  # of the law's reference, at whole and half steps
-        scheme = self._held_scheme if self.sampled else self._runge_kutta_scheme
-        carried, forced, places = scheme(law, number, k, own, w)
+        carried, forced, places = self._scheme(law, number, k, own, w)
         path = np.empty((len(w) + 1, *x.shape))
         path[0] = x
         for step in range(len(w)):
@@ -160,37 +164,27 @@ class Integrator:
         per_node = (size / limit).max(axis=2).reshape(self.q, self.substeps, len(x)).max(axis=1)
         return path[self.substeps :: self.substeps], raw[:: self.substeps], per_node, size.sum(axis=(0, 2))
 
-    def _held_scheme(
-        self, law: AffineController, number: int, k: int, own: Array, w: Array
-    ) -> tuple[list[Array], list[Array], list[Array]]:
-        """Inputs held over each step, which is exact: as `_runge_kutta_scheme`, without stages within."""
-        Ad, Bd, Dd = self._held
-        forced = ((law.own.nu[k] + own[:-1:2] @ law.gain.T) @ Bd.T)[:, None] + w @ Dd.T
-        return [(Ad - Bd @ law.gain).T], [forced], []
-
-    def _runge_kutta_scheme(
+    def _scheme(
         self, law: AffineController, number: int, k: int, own: Array, w: Array
     ) -> tuple[list[Array], list[Array], list[Array]]:
         """How the state enters the stages within a step and its end, what is added there, and the references.
 
-        The references are those of the stages within a step alone.
+        The references are those of the stages within a step alone; inputs held over a step have none.
         """
-        loop, carried, pushed = self._scheme(number)
         places = [own[:-1:2], own[1::2], own[1::2], own[2::2]]
+        if self.sampled:
+            Ad, Bd, Dd = self.held
+            forced = ((law.own.nu[k] + places[0] @ law.gain.T) @ Bd.T)[:, None] + w @ Dd.T
+            return [(Ad - Bd @ law.gain).T], [forced], []
+        loop = self.system.A - self.system.B @ law.gain
+        if number not in self._schemes:
+            carried = [np.eye(self.system.n) + part for part in self._stages(loop, [loop.T] * 4)]
+            self._schemes[number] = carried, self._stages(loop, [self.system.D.T] * 4)
+        carried, pushed = self._schemes[number]
         known = [(law.own.nu[k] + place @ law.gain.T) @ self.system.B.T for place in places]
         stages = zip(self._stages(loop, known), pushed, strict=True)
-        forced = [part[:, None] + w @ push for part, push in stages]
-        return carried[1:], forced[1:], places[1:]
-
-    def _scheme(self, number: int) -> tuple[Array, list[Array], list[Array]]:
-        """Closed loop of a law, and how a state and a disturbance held over a step enter its stages."""
-        if number not in self._schemes:
-            law, system = self.schedule.controllers[number], self.system
-            assert isinstance(law, AffineController)
-            loop = system.A - system.B @ law.gain
-            carried = [np.eye(system.n) + part for part in self._stages(loop, [loop.T] * 4)]
-            self._schemes[number] = loop, carried, self._stages(loop, [system.D.T] * 4)
-        return self._schemes[number]
+        added = [part[:, None] + w @ push for part, push in stages]
+        return carried[1:], added[1:], places[1:]
 
     def _stages(self, loop: Array, rates: Sequence[Array]) -> list[Array]:
         """Stages of the scheme for ``x' = loop x + rate`` from rest, and the end; rates at the stages."""

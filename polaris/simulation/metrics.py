@@ -1,4 +1,4 @@
-"""Metrics of simulated runs, one entry per run, and how a summary joins them."""
+"""Metrics of simulated runs, one entry per run, how a summary joins them, and confidence intervals."""
 
 from __future__ import annotations
 
@@ -32,6 +32,15 @@ DEFINITIONS = {
     "max_thrust_ratio_experimental": "the same while an experimental controller flies; null if none does",
 }
 """What each number of a summary means, and how it joins the runs."""
+
+
+CONFIDENCE = 0.95
+"""Of every interval and bound."""
+
+POSSIBLE = {"experimental_share": (0.0, 1.0)} | dict.fromkeys(
+    ("min_ttc_s", "min_ttc_free_drift_s", "switches", "delta_v_m_s", "deviation", "violations"), (0.0, np.inf)
+)
+"""Least and largest value of metrics that cannot have any; no confidence bound lies outside."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,11 +128,11 @@ class Metrics:
         return {
             "controller": self.controller,
             "runs": len(self.min_distance),
-            "min_distance_m": _finite(self.min_distance.min()),
-            "min_distance_mean_m": _finite(self.min_distance.mean()),
-            "mean_distance_m": _finite(self.mean_distance.mean()),
-            "min_ttc_s": _finite(self.min_ttc.min()),
-            "min_ttc_free_drift_s": _finite(self.min_ttc_free_drift.min()),
+            "min_distance_m": finite(self.min_distance.min()),
+            "min_distance_mean_m": finite(self.min_distance.mean()),
+            "mean_distance_m": finite(self.mean_distance.mean()),
+            "min_ttc_s": finite(self.min_ttc.min()),
+            "min_ttc_free_drift_s": finite(self.min_ttc_free_drift.min()),
             "drift_horizon_s": self.drift_horizon,
             "experimental_share": float(self.experimental_share.mean()),
             "switches": int(self.switches.max()),
@@ -132,8 +141,8 @@ class Metrics:
             "collided": bool(self.collided.any()),
             "collided_runs": int(self.collided.sum()),
             "max_thrust_ratio": float(self.max_thrust_ratio.max()),
-            "max_thrust_ratio_safety": _finite(self.max_thrust_ratio_safety.max()),
-            "max_thrust_ratio_experimental": _finite(self.max_thrust_ratio_experimental.max()),
+            "max_thrust_ratio_safety": finite(self.max_thrust_ratio_safety.max()),
+            "max_thrust_ratio_experimental": finite(self.max_thrust_ratio_experimental.max()),
         }
 
     def columns(self) -> dict[str, Array]:
@@ -161,5 +170,43 @@ class Metrics:
         return pandas.DataFrame(self.columns())
 
 
-def _finite(value: Any) -> float | None:
+def finite(value: Any) -> float | None:
+    """A number for strict JSON; none where it is infinite or unknown."""
     return float(value) if np.isfinite(value) else None
+
+
+def violation_interval(violations: int, runs: int) -> tuple[float, float]:
+    """Clopper and Pearson's two-sided interval on a probability, from so many violations in so many runs."""
+    from scipy.stats import binomtest
+
+    found = binomtest(violations, runs).proportion_ci(CONFIDENCE)
+    return float(found.low), float(found.high)
+
+
+def possible(metric: str, difference: bool = False) -> tuple[float, float]:
+    """Least and largest value that a metric, or a difference of two, can have."""
+    low, high = POSSIBLE.get(metric, (-np.inf, np.inf))
+    return (low - high, high - low) if difference else (low, high)
+
+
+def mean_interval(
+    values: Array, within: tuple[float, float] = (-np.inf, np.inf)
+) -> tuple[float, float | None, float | None]:
+    """Mean of finite values of some runs and Student's t interval about it; no interval for a single run.
+
+    The interval is cut to the values that are possible at all (`possible`).
+    """
+    from scipy.stats import t
+
+    mean = float(values.mean())
+    if len(values) < 2:
+        return mean, None, None
+    half = float(t.ppf((1 + CONFIDENCE) / 2, len(values) - 1) * values.std(ddof=1) / np.sqrt(len(values)))
+    return mean, max(mean - half, within[0]), min(mean + half, within[1])
+
+
+def lower_bound(successes: int, runs: int) -> float:
+    """Clopper and Pearson's lower bound on a probability of success, one-sided."""
+    from scipy.stats import binomtest
+
+    return float(binomtest(successes, runs, alternative="greater").proportion_ci(CONFIDENCE).low)

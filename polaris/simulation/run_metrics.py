@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..model.checks import of_kind
-from ..model.distances import closest, count_switches, mode_shares, ray_ttc, signed_distances
+from ..model.distances import Closest, closest, count_switches, mode_shares, ray_ttc, signed_distances
 from ..model.free_drift import drift_ttc
-from ..model.obstacle import Obstacle
 from ..model.satellite import true_states
 from ..model.system import Array, LinearSystem
 from ..synthesis.schedule import Schedule
@@ -52,6 +51,11 @@ class Runs:
     delta_v: Array
     modes: NDArray[np.int_]
 
+    def some(self, chosen: slice | list[int]) -> Runs:
+        """Some of the runs."""
+        parts = ("states", "inputs", "demanded", "delta_v")
+        return replace(self, **{name: getattr(self, name)[chosen] for name in parts})
+
     @property
     def positions(self) -> Array:
         """Positions [m], shape (R, N+1, d)."""
@@ -89,43 +93,9 @@ def evaluate(runs: Runs, seed: int = 0, controller: str | None = None) -> Metric
     and velocities, and every chord between nodes is checked for having entered a set.
     """
     of_kind("runs", runs, Runs, "polaris.simulate")
-    safety = runs.schedule.safety
-    obstacles: tuple[Obstacle, ...] = tuple(safety.problem.unsafe)
-    horizon = drift_horizon(safety.problem.system, safety.problem.K * safety.problem.delta)
-    rng = np.random.default_rng(seed)
+    rng, who = np.random.default_rng(seed), _who(runs) if controller is None else controller
     count = len(runs.states)
-    parts = [
-        _Part(runs, obstacles, slice(i, min(i + PART, count)), horizon, rng) for i in range(0, count, PART)
-    ]
-
-    def joined(name: str) -> Array:
-        return np.concatenate([getattr(part, name) for part in parts])
-
-    modes = np.broadcast_to(runs.modes, (count, len(runs.modes)))
-    edges = runs.times[:: (len(runs.times) - 1) // len(runs.modes)]
-    shares = mode_shares(edges, modes)
-    experimental = sum((share for mode, share in shares.items() if mode > 0), np.zeros(count))
-    distances = joined("nearest")
-    return Metrics(
-        controller=_who(runs) if controller is None else controller,
-        names=tuple(obstacle.name for obstacle in obstacles),
-        times=runs.times,
-        min_distance=joined("distance"),
-        mean_distance=distances.mean(axis=1),
-        closest_time=joined("when"),
-        closest_set=joined("which").astype(np.int64),
-        min_ttc=joined("ttc"),
-        min_ttc_free_drift=joined("drift"),
-        drift_horizon=horizon,
-        experimental_share=np.asarray(experimental),
-        switches=count_switches(modes),
-        delta_v=runs.delta_v,
-        collided=joined("collided").astype(bool),
-        max_thrust_ratio=runs.demanded.max(axis=1),
-        max_thrust_ratio_safety=_peak(runs, runs.mode_per_period == 0),
-        max_thrust_ratio_experimental=_peak(runs, runs.mode_per_period > 0),
-        nearest=np.stack([distances.min(axis=0), distances.mean(axis=0), distances.max(axis=0)]),
-    )
+    return Metrics.join([_measured(runs.some(slice(i, i + PART)), rng, who) for i in range(0, count, PART)])
 
 
 def drift_horizon(system: LinearSystem, duration: float) -> float:
@@ -133,78 +103,97 @@ def drift_horizon(system: LinearSystem, duration: float) -> float:
     return duration if system.mean_motion is None else 2 * np.pi / system.mean_motion
 
 
-class _Part:
-    """Everything measured on some of the runs; arrays have one entry per run."""
+def _measured(runs: Runs, rng: np.random.Generator, controller: str) -> Metrics:
+    """Metrics of so few runs that all their distances fit into memory."""
+    problem = runs.schedule.safety.problem
+    system, obstacles, times, x = problem.system, tuple(problem.unsafe), runs.times, runs.states
+    R, N = x.shape[0], x.shape[1] - 1
+    h, q = float(times[1] - times[0]), N // len(runs.modes)
+    truth = true_states(obstacles, system, times, R, rng)
+    p, v = x @ system.position.T, x @ system.velocity.T
+    distances = signed_distances(obstacles, times, p, system, truth)
+    nearest = closest(distances, times)
+    distance = np.full((R, N + 1), np.inf)
+    ttc = drift = np.full(R, np.inf)
+    collided = np.zeros(R, dtype=bool)
+    horizon = drift_horizon(system, problem.K * problem.delta)
+    if obstacles:
+        distance = distances.min(axis=0)
+        nearest = _refined(runs, truth, nearest)
+        ttc = ray_ttc(obstacles, times, p, v, system, truth).min(axis=(0, 2))
+        before = {name: states[:, :-1] for name, states in truth.items()}
+        entry = ray_ttc(obstacles, times[:-1], p[:, :-1], np.diff(p, axis=1) / h, system, before)
+        collided = (nearest.distance <= 0) | (entry <= h).any(axis=(0, 2))
+        starts = {name: states[:, ::q] for name, states in truth.items()}
+        drift = drift_ttc(obstacles, system, times[::q], x[:, ::q], horizon, starts, tolerance=0.05)
+        drift = drift.min(axis=(0, 2))
+    modes = np.broadcast_to(runs.modes, (R, len(runs.modes)))
+    return Metrics(
+        controller=controller,
+        names=tuple(obstacle.name for obstacle in obstacles),
+        times=times,
+        min_distance=nearest.distance,
+        mean_distance=distance.mean(axis=1),
+        closest_time=nearest.time,
+        closest_set=nearest.obstacle.astype(np.int64),
+        min_ttc=ttc,
+        min_ttc_free_drift=drift,
+        drift_horizon=horizon,
+        experimental_share=experimental_share(times[::q], modes),
+        switches=count_switches(modes),
+        delta_v=runs.delta_v,
+        collided=collided,
+        max_thrust_ratio=runs.demanded.max(axis=1),
+        max_thrust_ratio_safety=peak(runs.demanded, runs.mode_per_period == 0),
+        max_thrust_ratio_experimental=peak(runs.demanded, runs.mode_per_period > 0),
+        nearest=np.stack([distance.min(axis=0), distance.mean(axis=0), distance.max(axis=0)]),
+    )
 
-    def __init__(
-        self,
-        runs: Runs,
-        obstacles: Sequence[Obstacle],
-        chosen: slice,
-        horizon: float,
-        rng: np.random.Generator,
-    ) -> None:
-        self.system, self.times = runs.schedule.safety.problem.system, runs.times
-        self.obstacles, self.x = obstacles, runs.states[chosen]
-        self.h = float(self.times[1] - self.times[0])
-        R, N = self.x.shape[0], self.x.shape[1] - 1
-        self.truth = true_states(obstacles, self.system, self.times, R, rng)
-        p, v = self.x @ self.system.position.T, self.x @ self.system.velocity.T
-        distances = signed_distances(obstacles, self.times, p, self.system, self.truth)
-        nearest = closest(distances, self.times)
-        self.distance, self.when, self.which = nearest.distance, nearest.time, nearest.obstacle
-        self.ttc = self.drift = np.full(R, np.inf)
-        self.collided = np.zeros(R, dtype=bool)
-        self.nearest = np.full((R, N + 1), np.inf)
-        if not obstacles:
-            return
-        self.nearest = distances.min(axis=0)
-        self._refine()
-        self.ttc = ray_ttc(obstacles, self.times, p, v, self.system, self.truth).min(axis=(0, 2))
-        before = {name: states[:, :-1] for name, states in self.truth.items()}
-        chord = np.diff(p, axis=1) / self.h
-        entry = ray_ttc(obstacles, self.times[:-1], p[:, :-1], chord, self.system, before)
-        self.collided = (self.distance <= 0) | (entry <= self.h).any(axis=(0, 2))
-        q = N // len(runs.modes)
-        starts = {name: states[:, ::q] for name, states in self.truth.items()}
-        self.drift = drift_ttc(
-            obstacles, self.system, self.times[::q], self.x[:, ::q], horizon, starts, tolerance=0.05
-        ).min(axis=(0, 2))
 
-    def _refine(self, parts: int = 8) -> None:
-        """Look for a closer approach in the two periods about the closest node."""
-        system = self.system
-        if np.any(system.position @ system.B) or np.any(system.position @ system.D):
-            return  # the velocity is no function of the state
-        R, N = self.x.shape[0], self.x.shape[1] - 1
-        node = np.clip(np.round(self.when / self.h).astype(int), 0, N)
-        left = np.stack([np.maximum(node - 1, 0), np.minimum(node, N - 1)], axis=1)  # (R, 2)
-        s = np.linspace(0.0, 1.0, parts + 1)
-        t = (self.times[left][..., None] + s * self.h).reshape(R, -1)
-        p = self._cubic(self.x, left, s) @ system.position.T
-        states = {name: self._cubic(known, left, s) for name, known in self.truth.items()}
-        finer = closest(signed_distances(self.obstacles, t, p, system, states), t)
-        better = finer.distance < self.distance
-        for name, value in (("distance", finer.distance), ("when", finer.time), ("which", finer.obstacle)):
-            setattr(self, name, np.where(better, value, getattr(self, name)))
+def _refined(runs: Runs, truth: Mapping[str, Array], found: Closest, parts: int = 8) -> Closest:
+    """A closer approach in the two periods about the closest node, if there is one."""
+    problem, times = runs.schedule.safety.problem, runs.times
+    system, h, N = problem.system, float(times[1] - times[0]), len(times) - 1
+    if np.any(system.position @ system.B) or np.any(system.position @ system.D):
+        return found  # the velocity is no function of the state
+    node = np.clip(np.round(found.time / h).astype(int), 0, N)
+    left = np.stack([np.maximum(node - 1, 0), np.minimum(node, N - 1)], axis=1)  # (R, 2)
+    s = np.linspace(0.0, 1.0, parts + 1)
+    run = np.arange(len(left))[:, None]
 
-    def _cubic(self, x: Array, left: NDArray[np.int_], s: Array) -> Array:
-        """States between nodes from the states there and their unforced rates, shape (R, 2 parts, n).
-
-        Exact to third order in the positions, whose rate no input enters.
-        """
-        run = np.arange(len(x))[:, None]
+    def between(x: Array) -> Array:
+        """States from those at the nodes and their unforced rates: no input enters that of the position."""
         a, b = x[run, left][..., None, :], x[run, left + 1][..., None, :]
-        da, db = self.h * a @ self.system.A.T, self.h * b @ self.system.A.T
-        s = s[:, None]
-        out = (1 + 2 * s) * (1 - s) ** 2 * a + s * (1 - s) ** 2 * da
-        out = out + s**2 * (3 - 2 * s) * b + s**2 * (s - 1) * db
-        return np.asarray(out.reshape(len(x), -1, x.shape[-1]))
+        path = cubic(a, b, h * a @ system.A.T, h * b @ system.A.T, s[:, None])
+        return path.reshape(len(x), -1, x.shape[-1])
+
+    t = (times[left][..., None] + s * h).reshape(len(left), -1)
+    states = {name: between(known) for name, known in truth.items()}
+    obstacles = tuple(problem.unsafe)
+    finer = closest(
+        signed_distances(obstacles, t, between(runs.states) @ system.position.T, system, states), t
+    )
+    better = finer.distance < found.distance
+    pairs = zip(astuple(finer), astuple(found), strict=True)
+    return Closest(*(np.where(better, new, old) for new, old in pairs))
 
 
-def _peak(runs: Runs, chosen: NDArray[np.bool_]) -> Array:
-    """Largest demand of thrust in some of the periods, per run; nan without any."""
-    return runs.demanded[:, chosen].max(axis=1) if chosen.any() else np.full(len(runs.demanded), np.nan)
+def cubic(a: Array, b: Array, da: Array, db: Array, s: Array) -> Array:
+    """Hermite's cubic from a to b at the shares s of the way, with the slopes da and db at the ends."""
+    out = (1 + 2 * s) * (1 - s) ** 2 * a + s * (1 - s) ** 2 * da
+    return np.asarray(out + s**2 * (3 - 2 * s) * b + s**2 * (s - 1) * db)
+
+
+def experimental_share(t: Array, modes: NDArray[np.int_]) -> Array:
+    """Share of the time under experimental controllers, shape (R,), from modes (R, K) that begin at t."""
+    parts = [share for mode, share in mode_shares(t, modes).items() if mode > 0]
+    return np.asarray(sum(parts, np.zeros(len(modes))))
+
+
+def peak(demanded: Array, chosen: NDArray[np.bool_]) -> Array:
+    """Largest demand of thrust in the chosen periods, (N,) or (R, N), per run; nan without any."""
+    most = np.where(chosen, demanded, -np.inf).max(axis=1)
+    return np.where(np.isfinite(most), most, np.nan)
 
 
 def _who(runs: Runs) -> str:

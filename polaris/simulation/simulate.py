@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..model.checks import of_kind, one_of, whole
 from ..model.errors import ScenarioError
@@ -15,8 +16,7 @@ from .integration import Integrator
 from .run_metrics import Runs
 
 Initial = Literal["center", "random", "corners", "mixed"]
-DISTURBANCES = ("none", "random", "worst", "mixed")
-INITIALS = ("center", "random", "corners", "mixed")
+DISTURBANCES, INITIALS = get_args(Disturbance), get_args(Initial)
 
 
 def simulate(
@@ -36,10 +36,8 @@ def simulate(
     ----------
     schedule : Schedule
         Result of `synthesize`.
-    n : int
-        Number of runs.
-    seed : int
-        Same seed, same runs.
+    n, seed : int
+        Number of runs; same seed, same runs.
     mode : int, optional
         Fly this controller alone (0 is S) instead of the schedule.
     initial : {"mixed", "center", "random", "corners"}
@@ -61,34 +59,6 @@ def simulate(
     Feedback is integrated by a fourth-order Runge-Kutta scheme on the exact reference (continuous
     feedback) or by exact zero-order hold (sampled feedback). Thrusters clip every command.
     """
-    _check(schedule, n, seed, mode, initial, disturbance, substeps)
-    rng = np.random.default_rng(seed)
-    safety = schedule.safety
-    cells = safety.reference.cells if tail else safety.problem.K
-    modes = np.zeros(cells, dtype=int)
-    modes[: safety.problem.K] = schedule.modes if mode is None else mode
-    if substeps is None:
-        substeps = 1 if safety.tracking.feedback.sampled else 4
-    flight = Integrator(schedule, modes, substeps)
-    x0 = initial_states(schedule, n, rng, initial)
-    w, adjoint = disturbances(flight, n, rng, disturbance)
-    if initial in ("corners", "mixed") and len(adjoint):
-        # The worst disturbance strikes hardest from the corner that lies furthest in its direction.
-        theta = safety.problem.initial_set
-        x0[: len(adjoint)] = theta.c + np.where(adjoint @ theta.G < 0, -1.0, 1.0) @ theta.G.T
-    times, states, inputs, demanded, delta_v = flight.run(x0, w)
-    return Runs(schedule, times, states, inputs, demanded, delta_v, modes)
-
-
-def _check(
-    schedule: Schedule,
-    n: int,
-    seed: int,
-    mode: int | None,
-    initial: str,
-    disturbance: str,
-    substeps: int | None,
-) -> None:
     of_kind("schedule", schedule, Schedule, "polaris.synthesize")
     whole("simulation.runs", n, 1)
     whole("simulation.seed", seed, 0)
@@ -96,8 +66,25 @@ def _check(
     one_of("simulation.disturbance", disturbance, DISTURBANCES)
     if mode is not None and whole("simulation.mode", mode, 0) >= len(schedule.controllers):
         raise ScenarioError("simulation.mode", mode, f"must be below {len(schedule.controllers)}")
-    if substeps is not None:
-        whole("simulation.substeps", substeps, 1)
+    if substeps is None:
+        substeps = 1 if schedule.safety.tracking.feedback.sampled else 4
+    whole("simulation.substeps", substeps, 1)
+    rng = np.random.default_rng(seed)
+    flight = Integrator(schedule, flown_modes(schedule, tail, mode), substeps)
+    x0 = initial_states(schedule, n, rng, initial)
+    w, adjoint = disturbances(flight, n, rng, disturbance)
+    if initial in ("corners", "mixed") and len(adjoint):
+        # The worst disturbance strikes hardest from the corner that lies furthest in its direction.
+        x0[: len(adjoint)] = schedule.safety.problem.initial_set.support_vector(adjoint)
+    return flight.run(x0, w)
+
+
+def flown_modes(schedule: Schedule, tail: bool, mode: int | None = None) -> NDArray[np.int_]:
+    """Mode of every cell: those of the schedule, or one throughout; after T, where that is asked for, S."""
+    K, cells = schedule.safety.problem.K, schedule.safety.reference.cells
+    modes = np.zeros(cells if tail else K, dtype=int)
+    modes[:K] = schedule.modes if mode is None else mode
+    return modes
 
 
 def initial_states(schedule: Schedule, n: int, rng: np.random.Generator, initial: Initial) -> Array:

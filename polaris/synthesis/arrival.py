@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from reach.sets.zonotope import Zonotope
+
 from ..model.system import Array
 from ..model.tolerances import ROUNDING
-from ..planning.goal import GoalConditions
+from ..planning.goals import GoalConditions
 from .clearance import error_tube
 from .end_condition import in_hills_frame
-
-if TYPE_CHECKING:
-    from .problem import Problem
-    from .schedule import Schedule
+from .get_safety import Safety
+from .problem import Problem
 
 GOAL_SHARE = 0.05
 """Share of the goal's size within which it counts as reached, where no length is given."""
@@ -57,16 +56,18 @@ class Arrival:
     delta_v: float
 
 
-def arrival(schedule: Schedule) -> Arrival:
-    """What is proven of the goal at the nodes from T on, under S, until the end of the coasting tail."""
-    safety = schedule.safety
+def arrival(safety: Safety, final: Zonotope, spent: float) -> Arrival:
+    """What is proven of the goal at the nodes from T on, under S, until the end of the coasting tail.
+
+    `final` holds the errors at T, `spent` bounds the velocity change [m/s] until then.
+    """
     problem, tracking, reference = safety.problem, safety.tracking, safety.reference
     goal, K, h = problem.goal.conditions, problem.K, tracking.flow.h
     rows = np.vstack([goal.E, -goal.E, goal.G, *(-N for N, _ in goal.one_of)])
     sides = np.concatenate([goal.e, -goal.e, goal.g, *(-c for _, c in goal.one_of)])
     weight = _weights(problem, rows)
     rows, sides = rows * weight[:, None], sides * weight
-    every, sums = _needs(schedule, rows)
+    every, sums = _needs(safety, final, rows)
     cells = reference.fine(tracking.feedback.nodes_per_cell)[K:]
     states = np.concatenate([reference.chi[K][None], *(cell[1:] for cell in cells)])
     need = every[np.minimum(np.arange(len(states)), len(every) - 1)]
@@ -83,8 +84,8 @@ def arrival(schedule: Schedule) -> Arrival:
         by=K * problem.delta + best * h if len(within) else None,
         distance=float(most[best]),
         tolerance=tolerance,
-        drift=_drift(schedule, states[best], best),
-        delta_v=(schedule.delta_v[1] + sums[min(best, len(sums) - 1)]) * (1 + ROUNDING),
+        drift=_drift(safety, final, states[best], best),
+        delta_v=(spent + sums[min(best, len(sums) - 1)]) * (1 + ROUNDING),
     )
 
 
@@ -97,11 +98,11 @@ def _weights(problem: Problem, rows: Array) -> Array:
     return np.where(velocity, np.minimum(rate / soon, 1.0), 1.0)
 
 
-def _needs(schedule: Schedule, rows: Array) -> tuple[Array, Array]:
+def _needs(safety: Safety, final: Zonotope, rows: Array) -> tuple[Array, Array]:
     """What S's error needs along rows at every node after T (L, r), and its velocity change by then (L,)."""
-    safety, gain = schedule.safety, schedule.safety.tracking.gain
+    gain = safety.tracking.gain
     both = np.vstack([rows, gain, -gain])
-    need = error_tube(safety.tracking, schedule.final, both).need
+    need = error_tube(safety.tracking, final, both).need
     need = need + safety.clearance.jump_need(both) + safety.clearance.round_off(both)
     along, thrust = need[:, : len(rows)], need[:, len(rows) :]
     m = len(gain)
@@ -121,11 +122,11 @@ def _distance(goal: GoalConditions, over: Array) -> Array:
     return np.asarray(worst)
 
 
-def _drift(schedule: Schedule, x: Array, node: int) -> float | None:
+def _drift(safety: Safety, final: Zonotope, x: Array, node: int) -> float | None:
     """Bound on the along-track drift per orbit, ``6 pi |2 x + v_y / eta|``, at a node after T [m]."""
-    system = schedule.safety.problem.system
+    system = safety.problem.system
     if not in_hills_frame(system) or system.mean_motion is None:
         return None
     row = np.array([[2.0, 0.0, 0.0, 0.0, 1 / system.mean_motion, 0.0]])
-    need = _needs(schedule, np.vstack([row, -row]))[0]
+    need = _needs(safety, final, np.vstack([row, -row]))[0]
     return float(6 * np.pi * (np.abs(row @ x).max() + need[min(node, len(need) - 1)].max()) * (1 + ROUNDING))

@@ -25,7 +25,7 @@ from ..planning.following import Followed, FollowingSearch
 from ..planning.problem import IN_VIEW, Plan
 from ..planning.recheck import certified
 from ..planning.rows import Key, Rows
-from ..planning.search import Candidate, Levels, Seen
+from ..planning.search import Candidate, Seen
 from .clearance import error_tube
 from .controllers import AffineController
 from .planning_problem import perceive_unsafe, plan_problem
@@ -102,7 +102,7 @@ class Worth:
         return 0.0 if mode == 0 else weights[mode - 1] if mode <= len(weights) else 1.0
 
     def __call__(self, schedule: Schedule) -> tuple[bool, bool, bool, float]:
-        """Whether a schedule is as long safe as the printed one, in the goal, and in budget; and its worth."""
+        """Whether a schedule is as long safe as the printed one, arrives and keeps the budget; its worth."""
         shares = {mode: schedule.share(mode) for mode in range(len(schedule.controllers))}
         delta_v, most = schedule.delta_v
         within = self.rules.delta_v_max is None or most <= self.rules.delta_v_max
@@ -181,7 +181,7 @@ class Windows:
         followed = Followed.of(system, law.powers[-1], law.own)
         self.search = FollowingSearch(self.rows, perf_counter() + problem.planner.time_limit, followed)
         self.unit = float(self.rows.price.max())
-        self.search.set_prices(Levels(0.0, 0.0), 0.0, SHORT * self.unit)
+        self.search.set_prices(0.0, 0.0, 0.0, SHORT * self.unit)
         self.closing = np.arange(self.K) >= self.K - (system.n // system.m + 1)
         self.limited = np.any(np.abs(law.own.nu[: self.K]) > self.asked.u_limit, axis=1)
         z = (safety.plan.nu / system.u_max).ravel()
@@ -217,7 +217,7 @@ class Windows:
             cells = np.flatnonzero(surplus[: self.K].max(axis=1) < 0).tolist()
             if cells and surplus.shape[1] > 1:
                 sides += [({(i, k): f for k in cells}, None) for f in range(surplus.shape[1])]
-        found = []
+        found: list[tuple[float, int, Mask, Seen]] = []
         for choice, guide in sides:
             self.search.guide = guide
             for price in STICKING:

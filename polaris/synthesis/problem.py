@@ -13,7 +13,7 @@ from reach.sets.zonotope import Zonotope as Zonotope  # the door of the package 
 from ..model.checks import MAX_STEPS, non_negative, number, one_of, positive, whole
 from ..model.errors import ScenarioError
 from ..model.system import Array, LinearSystem
-from ..planning.goal import Goal
+from ..planning.goals import Goal
 from ..planning.problem import Objective, PlannerOptions
 
 RECOVERABLE_KINDS = ("polytope", "time_varying_ball", "ball", "paper_ball")

@@ -18,7 +18,7 @@ from .arrival import Arrival, arrival
 from .controllers import Controller, TubeSegment
 from .get_safety import Safety
 from .recoverable import Margin
-from .velocity import of_schedule
+from .velocity import of_steps
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,12 +89,14 @@ class Schedule:
     @cached_property
     def delta_v(self) -> tuple[float, float]:
         """Velocity change until T [m/s]: along the middle of the tubes, and proven never to be exceeded."""
-        return of_schedule(self)
+        problem = self.safety.problem
+        steps = ((self.controllers[step.mode], step.tube) for step in self.steps)
+        return of_steps(steps, problem.delta, problem.system.mass)
 
     @cached_property
     def arrival(self) -> Arrival:
         """Whether and by when the goal is proven reached."""
-        return arrival(self)
+        return arrival(self.safety, self.final, self.delta_v[1])
 
     def share(self, mode: int | None = None) -> float:
         """Share of time under one mode; without one, under any experimental controller."""

@@ -9,7 +9,7 @@ from typing import Any
 
 from ..model.errors import SynthesisInfeasible
 from ..planning.problem import Plan
-from .controllers import Controller
+from .controllers import AffineController, AnyThrust, Controller
 from .get_safety import Safety, get_safety
 from .in_view import Worth, in_view
 from .schedule import Schedule
@@ -83,16 +83,19 @@ def with_recourse(search: Search, printed: Schedule) -> Schedule:
     to one that does not.
     """
     problem, begun = printed.safety.problem, time.perf_counter()
+    laws = [law for law in printed.controllers[1:] if isinstance(law, (AffineController, AnyThrust))]
+    if len(laws) < len(printed.controllers) - 1:
+        return printed  # nothing is known of how another kind of law flies beside another reference
 
     def prove(plan: Plan, intended: tuple[int, ...]) -> Schedule | None:
         try:
             safety = get_safety(problem, along=plan)
         except SynthesisInfeasible:
             return None
-        laws = [law.along(safety.reference, safety.tracking) for law in printed.controllers[1:]]
-        turns = (safety.controller, *laws)
-        return switching_logic(replace(search, safety=safety, controllers=turns, intended=intended))
+        turns = [law.along(safety.reference, safety.tracking) for law in laws]
+        along = replace(search, safety=safety, controllers=(safety.controller, *turns), intended=intended)
+        return switching_logic(along)
 
     worth = Worth.beside(printed, search.rules)
     best = max([printed, *in_view(printed, worth, prove)], key=worth)
-    return replace(best, seconds=printed.seconds | {"recourse": time.perf_counter() - begun})
+    return replace(best, seconds={**printed.seconds, "recourse": time.perf_counter() - begun})

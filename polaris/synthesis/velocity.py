@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -10,9 +10,6 @@ from ..model.system import Array
 from ..model.tolerances import ROUNDING
 from .controllers import AffineController, Controller, TubeSegment
 from .tracking import at_nodes
-
-if TYPE_CHECKING:
-    from .schedule import Schedule
 
 
 def commands(law: AffineController, tube: TubeSegment, k: int) -> tuple[Array, Array]:
@@ -44,12 +41,10 @@ def velocity_change(law: Controller, tube: TubeSegment, k: int, delta: float) ->
     return float(held.sum()) * h, float(np.maximum(highest[:-1], highest[1:]).sum()) * h
 
 
-def of_schedule(schedule: Schedule) -> tuple[float, float]:
-    """Velocity change until T [m/s]: along the middle of the tubes, and at most, whatever is admissible."""
-    problem = schedule.safety.problem
-    parts = [
-        velocity_change(schedule.controllers[step.mode], step.tube, k, problem.delta)
-        for k, step in enumerate(schedule.steps)
-    ]
-    middle, most = np.sum(np.reshape(parts, (-1, 2)), axis=0) / problem.system.mass
+def of_steps(
+    steps: Iterable[tuple[Controller, TubeSegment]], delta: float, mass: float
+) -> tuple[float, float]:
+    """Velocity change over steps [m/s]: along the middle of the tubes, and at most, whatever is admissible."""
+    parts = [velocity_change(law, tube, k, delta) for k, (law, tube) in enumerate(steps)]
+    middle, most = np.sum(np.reshape(parts, (-1, 2)), axis=0) / mass
     return float(middle), float(most) * (1 + ROUNDING)

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from ..model.checks import non_negative
 from ..model.distances import UNKNOWN, count_switches, mode_shares
-from ..model.shapes import Ball
+from ..model.errors import ScenarioError
+from ..model.free_drift import drift_ttc
+from ..model.shapes import Ball, Shape
 from ..model.system import Array, LinearSystem
-from .drifting import Drift
+from ..simulation.run_metrics import drift_horizon
 from .model import MODE_NAMES, AgentTrace, Trace
-from .motion import between, interpolate
-from .placing import place
+from .placing import Part, Placed, place
 from .results import AgentMetrics, Separation, Spread, TraceMetrics
-from .settings import Velocity, doubtful, find_dims, find_velocity, stamped_by_simulator
+from .settings import Velocity, between, doubtful, find_dims, find_velocity, interpolate, stamped_by_simulator
 from .settings import restamp as restamped
 
 
@@ -55,98 +59,138 @@ def evaluate_trace(
     d = find_dims(trace, dims)
     drift = None if system is None else Drift(trace, system, d)
     notes = [f"passed over: {place}" for place in trace.ignored]
-    agents = {}
-    for name, agent in trace.agents.items():
-        if stamped_by_simulator(agent.times):
-            notes.append(
-                f"{name}: the first two rows carry the same time, as RTAEval's simulator stamps them;"
-                " --restamp gives every state its own"
-            )
-        agents[name] = _measure(trace, name, d, velocity, drift, agent_radius, notes)
+    found = _Measurement(trace, d, velocity, drift, agent_radius, notes)
+    agents = {name: found.agent(name) for name in trace.agents}
     if drift is not None:
-        notes.append(drift.note)
+        notes.append(
+            f"free drift looks {drift.horizon:.6g} s ahead, from at most {MOST_SAMPLES} samples of each agent"
+        )
     return TraceMetrics(d, agents, tuple(notes))
 
 
-def _measure(
-    trace: Trace,
-    name: str,
-    d: int | None,
-    wanted: Velocity,
-    drift: Drift | None,
-    radius: float,
-    notes: list[str],
-) -> AgentMetrics:
-    agent = trace.agents[name]
-    source = "not needed"
-    unsafe: tuple[Separation, ...] = ()
-    others: tuple[Separation, ...] = ()
-    if d is not None:
-        v, source = find_velocity(name, agent, d, wanted)
-        if v is not None and wanted not in (None, "differences") and doubtful(agent, d, v):
-            notes.append(f"{name}: its position does not change as a velocity of {source} would have it")
-        unsafe = _against_sets(trace, agent, d, v, drift)
-        others = tuple(
-            _against_agent(agent, v, other, trace.agents[other], d, wanted, radius)
-            for other in trace.agents
-            if other != name
+@dataclass(frozen=True, eq=False)
+class _Measurement:
+    """One trace, and how it is measured: see `evaluate_trace`."""
+
+    trace: Trace
+    d: int | None
+    wanted: Velocity
+    drift: Drift | None
+    radius: float
+    notes: list[str]
+
+    def agent(self, name: str) -> AgentMetrics:
+        agent, source = self.trace.agents[name], "not needed"
+        if stamped_by_simulator(agent.times):
+            self.notes.append(
+                f"{name}: the first two rows carry the same time, as RTAEval's simulator stamps them;"
+                " --restamp gives every state its own"
+            )
+        unsafe: tuple[Separation, ...] = ()
+        others: tuple[Separation, ...] = ()
+        if self.d is not None:
+            v, source = find_velocity(name, agent, self.d, self.wanted)
+            if v is not None and self.wanted not in (None, "differences") and doubtful(agent, self.d, v):
+                told = f"its position does not change as a velocity of {source} would have it"
+                self.notes.append(f"{name}: {told}")
+            unsafe = tuple(self.against_set(agent, self.d, v, other) for other in self.trace.unsafe)
+            rest = [other for other in self.trace.agents if other != name]
+            others = tuple(self.against_agent(agent, self.d, v, other) for other in rest)
+        shares = mode_shares(agent.times, agent.known_modes)
+        modes = {number: word.lower() for number, word in MODE_NAMES.items()} | {UNKNOWN: "unknown"}
+        spent = agent.running_times
+        return AgentMetrics(
+            len(agent.times),
+            float(agent.times[-1] - agent.times[0]),
+            source,
+            unsafe,
+            others,
+            {word: float(shares.get(number, 0.0)) for number, word in modes.items()},
+            int(count_switches(agent.known_modes, agent.times)),
+            (float(spent.mean()), float(spent.max()), float(spent.min())) if len(spent) else None,
         )
-    spent = agent.running_times
-    return AgentMetrics(
-        len(agent.times),
-        float(agent.times[-1] - agent.times[0]),
-        source,
-        unsafe,
-        others,
-        _usage(agent),
-        int(count_switches(agent.known_modes, agent.times)),
-        (float(spent.mean()), float(spent.max()), float(spent.min())) if len(spent) else None,
-    )
 
-
-def _usage(agent: AgentTrace) -> dict[str, float]:
-    shares = mode_shares(agent.times, agent.known_modes)
-    names = {number: name.lower() for number, name in MODE_NAMES.items()} | {UNKNOWN: "unknown"}
-    return {name: float(shares.get(number, 0.0)) for number, name in names.items()}
-
-
-def _against_sets(
-    trace: Trace, agent: AgentTrace, d: int, v: Array | None, drift: Drift | None
-) -> tuple[Separation, ...]:
-    t, p = agent.times, agent.states[:, :d]
-    out = []
-    for name, item in trace.unsafe.items():
+    def against_set(self, agent: AgentTrace, d: int, v: Array | None, name: str) -> Separation:
+        t, p, item = agent.times, agent.states[:, :d], self.trace.unsafe[name]
         placed = place(item, t, d)
         ttc = None if v is None else Spread.of(placed.entry_time(p, v), t)
         drifting = None
-        if drift is not None:
-            chosen, values = drift.entry_times(agent, placed)
+        if self.drift is not None:
+            chosen, values = self.drift.entry_times(agent, placed)
             drifting = Spread.of(values, t[chosen])
-        distance = Spread.of(placed.signed_distance(p), t)
-        out.append(Separation(name, item.set_type, distance, ttc, drifting))
-    return tuple(out)
+        return Separation(name, item.set_type, Spread.of(placed.signed_distance(p), t), ttc, drifting)
+
+    def against_agent(self, agent: AgentTrace, d: int, v: Array | None, name: str) -> Separation:
+        """Against another agent, interpolated linearly, at times when both are there."""
+        t, other = agent.times, self.trace.agents[name]
+        both = (t >= other.times[0]) & (t <= other.times[-1])
+        if not both.any():
+            return Separation(name, "agent", None, None)
+        left, right, share = between(other.times, t)
+        rows = left[both], right[both], share[both]
+        apart = agent.states[both, :d] - interpolate(other.states[:, :d], rows)
+        distance, ttc = Spread.of(np.linalg.norm(apart, axis=1), t[both]), None
+        w, _ = find_velocity(name, other, d, self.wanted)
+        if v is not None and w is not None:
+            relative = v[both] - interpolate(w, rows)
+            ttc = Spread.of(Ball(self.radius).entry_time(apart, relative), t[both])
+        return Separation(name, "agent", distance, ttc)
 
 
-def _against_agent(
-    agent: AgentTrace,
-    v: Array | None,
-    name: str,
-    other: AgentTrace,
-    d: int,
-    wanted: Velocity,
-    radius: float,
-) -> Separation:
-    """Against another agent, where it is interpolated linearly, at times when both are there."""
-    t = agent.times
-    both = (t >= other.times[0]) & (t <= other.times[-1])
-    if not both.any():
-        return Separation(name, "agent", None, None)
-    left, right, share = between(other.times, t)
-    rows = left[both], right[both], share[both]
-    apart = agent.states[both, :d] - interpolate(other.states[:, :d], rows)
-    distance = Spread.of(np.linalg.norm(apart, axis=1), t[both])
-    w, _ = find_velocity(name, other, d, wanted)
-    if v is None or w is None:
-        return Separation(name, "agent", distance, None)
-    relative = v[both] - interpolate(w, rows)
-    return Separation(name, "agent", distance, Spread.of(Ball(radius).entry_time(apart, relative), t[both]))
+# -- free drift ------------------------------------------------------------------------------------
+
+
+MOST_SAMPLES = 200
+"""Samples of one agent from which free drift is followed."""
+
+TOLERANCE = 0.05
+"""Passes less deep [m] than this may be missed."""
+
+
+@dataclass(frozen=True, eq=False)
+class Moving:
+    """A part of a set at some times, as `polaris.model.free_drift.drift_ttc` asks for it."""
+
+    name: str
+    shape: Shape
+    centre: Array
+    velocity: Array
+
+    def relative_drift(
+        self, t: ArrayLike, x: Array, system: LinearSystem, state: ArrayLike | None = None
+    ) -> tuple[Array, Array, Array]:
+        """See `polaris.model.obstacle.Obstacle.relative_drift`."""
+        return x, self.centre, self.velocity
+
+
+class Drift:
+    """Free drift of the agents of a trace under one system, whose states theirs must be."""
+
+    def __init__(self, trace: Trace, system: LinearSystem, d: int | None) -> None:
+        for name, agent in trace.agents.items():
+            if agent.n != system.n:
+                place = f"agents.{name}.state_trace[0]"
+                rule = f"must be the {system.n} states of the system that drifts (--mean-motion)"
+                raise ScenarioError(place, f"{agent.n} states", rule)
+        if d is not None and not np.array_equal(system.position, np.eye(d, system.n)):
+            given = f"{d} axes of position"
+            raise ScenarioError("--dims", given, "must be the first states of the system that drifts")
+        longest = max(float(np.ptp(agent.times)) for agent in trace.agents.values())
+        self.system, self.horizon = system, drift_horizon(system, longest)
+        if not self.horizon > 0:
+            raise ScenarioError("system", longest, "a trace that takes no time gives free drift no horizon")
+
+    def entry_times(self, agent: AgentTrace, placed: Placed) -> tuple[NDArray[np.int64], Array]:
+        """Samples chosen, evenly over the rows, and seconds from each until drift enters; inf if never."""
+        count = len(agent.times)
+        chosen = np.unique(np.linspace(0, count - 1, min(count, MOST_SAMPLES)).round().astype(np.int64))
+        found = [self._part(agent, part, chosen) for part in placed.parts]
+        return chosen, np.asarray(np.min(found, axis=0))
+
+    def _part(self, agent: AgentTrace, part: Part, chosen: NDArray[np.int64]) -> Array:
+        out = []
+        for rows in [chosen] if part.rigid else np.split(chosen, len(chosen)):
+            body = Moving("set", part.shape(int(rows[0])), part.centre[rows], part.velocity[rows])
+            t, x = agent.times[rows], agent.states[rows]
+            out.append(drift_ttc([body], self.system, t, x, self.horizon, tolerance=TOLERANCE)[0])
+        return np.concatenate(out)

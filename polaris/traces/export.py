@@ -15,19 +15,8 @@ from ..model.obstacle import Obstacle, RigidObstacle
 from ..model.obstacles import BallObstacle, BoxObstacle
 from ..model.satellite import SatelliteObstacle
 from ..model.system import Array, LinearSystem
-from ..model.timed_polytope import TimedPolytope
 from ..model.tolerances import TIME
-from .model import (
-    SAFETY,
-    UNTRUSTED,
-    AgentTrace,
-    AnySet,
-    BallTrace,
-    Modes,
-    PolytopeTrace,
-    RectangleTrace,
-    Trace,
-)
+from .model import SAFETY, UNTRUSTED, AgentTrace, AnySet, BallTrace, PolytopeTrace, RectangleTrace, Trace
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,14 +34,6 @@ class Export:
     notes: tuple[str, ...]
 
 
-def trace_modes(modes: ArrayLike) -> Modes:
-    """Modes of a trace for those of Polaris: 0 is SAFETY, 1 and above UNTRUSTED, below 0 unknown."""
-    given = np.asarray(modes)
-    if given.ndim != 1 or not np.issubdtype(given.dtype, np.integer):
-        raise ScenarioError("modes", given.shape, "must be a list of whole numbers")
-    return np.where(given > 0, UNTRUSTED, np.where(given == 0, SAFETY, given)).astype(np.int64)
-
-
 def to_trace(
     times: ArrayLike,
     states: ArrayLike,
@@ -62,8 +43,7 @@ def to_trace(
     *,
     name: str = "chaser",
     running_times: ArrayLike = (),
-    satellites: Mapping[str, ArrayLike] | None = None,
-    nominal: bool = False,
+    satellites: Mapping[str, ArrayLike | None] | None = None,
 ) -> Export:
     """One run as a trace with its unsafe sets, all stamped alike.
 
@@ -85,9 +65,8 @@ def to_trace(
     running_times : array_like, optional
         Wall time of each decision [s].
     satellites : mapping, optional
-        True states (N+1, n) of other satellites, by name, which become balls about them instead.
-    nominal : bool
-        Take all others for balls about where they are nominally.
+        True states (N+1, n) of other satellites, by name, or None for where they are nominally. They become
+        balls about these instead.
 
     Returns
     -------
@@ -102,7 +81,7 @@ def to_trace(
     unsafe: dict[str, AnySet] = {}
     notes: list[str] = []
     for obstacle in obstacles:
-        found, note = _sets(obstacle, agent.times, system, satellites or {}, nominal)
+        found, note = _sets(obstacle, agent.times, system, satellites or {})
         notes += [note] if note else []
         for key, item in found.items():
             if key in unsafe:
@@ -117,12 +96,15 @@ def _agent(
     if not np.array_equal(system.position, np.eye(system.d, system.n)):
         shown = system.position.tolist()
         raise ScenarioError("system.C", shown, "a trace's states must begin with the position")
-    given, count = trace_modes(modes), np.size(t)
+    given, count = np.asarray(modes), np.size(t)
+    if given.ndim != 1 or not np.issubdtype(given.dtype, np.integer):
+        raise ScenarioError("modes", given.shape, "must be a list of whole numbers")
     if len(given) not in (count - 1, count):
         raise ScenarioError("modes", given.shape, f"must be {count - 1}, one per step, or {count}")
-    given = given if len(given) == count else np.r_[given, given[-1:]]
+    given = np.pad(given, (0, count - len(given)), mode="edge")
+    flown = np.select([given > 0, given == 0], [UNTRUSTED, SAFETY], given)
     x, spent = np.asarray(states, dtype=float), np.asarray(running_times, dtype=float)
-    agent = AgentTrace(t, x, given, spent, where=f"agents.{name}")
+    agent = AgentTrace(t, x, flown, spent, where=f"agents.{name}")
     if agent.n != system.n:
         rule = f"must have {system.n} columns, as the system has states"
         raise ScenarioError("states", agent.states.shape, rule)
@@ -130,30 +112,27 @@ def _agent(
 
 
 def _sets(
-    obstacle: Obstacle, t: Array, system: LinearSystem, satellites: Mapping[str, ArrayLike], nominal: bool
+    obstacle: Obstacle, t: Array, system: LinearSystem, satellites: Mapping[str, ArrayLike | None]
 ) -> tuple[dict[str, AnySet], str | None]:
     """Sets of a trace for one obstacle, and what to say about them."""
     name = obstacle.name
-    if isinstance(obstacle, SatelliteObstacle) and (nominal or name in satellites):
-        true, radii = satellites.get(name), np.full(len(t), obstacle.radius)
-        ball = BallTrace(t, obstacle.centre(t, system, true), radii, obstacle.velocity_at(t, system, true))
+    if isinstance(obstacle, SatelliteObstacle) and name in satellites:
+        true, radii = satellites[name], np.full(len(t), obstacle.radius)
+        centre, velocity = obstacle.motion(t, system, true)
+        ball = BallTrace(t, centre, radii, velocity)
         told = f"{name}: another satellite, as a ball about where it is nominally"
-        return {name: ball}, None if name in satellites else told
-    if isinstance(obstacle, (BallObstacle, BoxObstacle)):
-        centers = obstacle.centre(t)
-        if isinstance(obstacle, BallObstacle):
-            return {name: BallTrace(t, centers, np.full(len(t), obstacle.radius))}, None
-        lengths = 2 * np.asarray(obstacle.half_widths)
+        return {name: ball}, told if true is None else None
+    if isinstance(obstacle, BallObstacle):
+        return {name: BallTrace(t, obstacle.centre(t), np.full(len(t), obstacle.radius))}, None
+    if isinstance(obstacle, BoxObstacle):
+        centers, lengths = obstacle.centre(t), 2 * np.asarray(obstacle.half_widths)
         return {name: RectangleTrace(t, centers, np.broadcast_to(lengths, centers.shape))}, None
     if isinstance(obstacle, RigidObstacle):
         cover, moved = obstacle.cover, obstacle.centre(t)
         told = f"{name}: as the polytope around it (over-approximated)"
         traced = PolytopeTrace(t, cover.H[None], cover.b + moved @ cover.H.T)
         return {name: traced}, None if cover is obstacle.shape else told
-    found: dict[str, AnySet] = {
-        part.name: PolytopeTrace(t, part.normals[None], offsets)
-        for part, offsets in _covers(obstacle, t, system)
-    }
+    found = _covers(obstacle, t, system)
     if isinstance(obstacle, SatelliteObstacle):
         return found, f"{name}: another satellite, as the polytope it is certain to be in (over-approximated)"
     if len(found) == 1:
@@ -164,22 +143,21 @@ def _sets(
     )
 
 
-def _covers(obstacle: Obstacle, t: Array, system: LinearSystem) -> list[tuple[TimedPolytope, Array]]:
-    """Timed polytopes and their offsets (N+1, F) at the times, which begin at 0 s.
+def _covers(obstacle: Obstacle, t: Array, system: LinearSystem) -> dict[str, AnySet]:
+    """Timed polytopes at the times, which begin at 0 s.
 
     Cells are as long as the shortest gap, so that what holds for a cell holds between its ends; at the
     border of two cells the larger offset counts.
     """
     gaps = np.diff(t)
     if t[0] != 0 or len(gaps) == 0 or np.ptp(gaps) > TIME * t[-1]:
-        raise ScenarioError(
-            "times", t[:3].tolist(), f"must begin at 0 and be evenly spaced for {obstacle.name}"
-        )
-    out = []
+        rule = f"must begin at 0 and be evenly spaced for {obstacle.name}"
+        raise ScenarioError("times", t[:3].tolist(), rule)
+    out: dict[str, AnySet] = {}
     for part in obstacle.timed_polytopes(system, float(t[-1] / len(gaps)), len(gaps)):
-        ends = np.full((2, len(t), part.normals.shape[0]), -np.inf)
-        ends[0, :-1], ends[1, 1:] = part.offsets[:, 0], part.offsets[:, 1]
-        out.append((part, ends.max(axis=0)))
+        first, last = part.offsets[:, 0], part.offsets[:, 1]
+        offsets = np.vstack([first[:1], np.maximum(first[1:], last[:-1]), last[-1:]])
+        out[part.name] = PolytopeTrace(t, part.normals[None], offsets)
     return out
 
 
@@ -199,7 +177,7 @@ def export_run(
     label : str
         Which flight: ``closest``, ``nominal`` (not in a comparison), ``run 0``, ...
     nominal : bool
-        As in `to_trace`.
+        Take other satellites for balls about where they are nominally.
 
     Raises
     ------
@@ -223,7 +201,8 @@ def export_run(
     else:
         modes = np.repeat(flown.modes, (len(flown.times) - 1) // len(flown.modes))
     obstacles, system = run.scenario.obstacles(), run.scenario.system()
-    return to_trace(flown.times, flown.states[row], modes, obstacles, system, nominal=nominal)
+    others = dict.fromkeys(item.name for item in obstacles) if nominal else None
+    return to_trace(flown.times, flown.states[row], modes, obstacles, system, satellites=others)
 
 
 def _chosen(kept: Mapping[str, Any], option: str, key: str, label: str) -> tuple[Any, int]:

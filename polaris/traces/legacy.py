@@ -8,22 +8,22 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar
+from typing import Any
 
 import daqp
 import numpy as np
 
 from ..model.system import Array
 from ..runs.tables import strict
-from .facets import turned, unit_rows
 from .model import SAFETY, UNTRUSTED, AgentTrace, AnySet, BallTrace, PointTrace, PolytopeTrace, Trace
-from .placing import place
+from .placing import Faceted, place, unit_rows
 from .settings import DIFFERENCES, Heading, Velocity, find_dims, find_velocity, guess_heading
 
 NEVER = 1e20
 """What stands for no collision between agents there."""
 
-Found = TypeVar("Found")
+Each = tuple[dict[str, float], dict[str, float], dict[str, float]]
+"""Least, largest and mean values by name of what is measured to."""
 
 
 class Raises(str):
@@ -71,7 +71,7 @@ def evaluate_legacy(trace: Trace, *, dims: int | None = None, velocity: Velocity
     """
     d = find_dims(trace, dims)
 
-    def attempt(method: Callable[[], Found]) -> Found | Raises:
+    def attempt(method: Callable[[], Any]) -> Any:
         try:
             with np.errstate(divide="ignore", invalid="ignore"):
                 return method()
@@ -92,22 +92,6 @@ def evaluate_legacy(trace: Trace, *, dims: int | None = None, velocity: Velocity
     return LegacyMetrics(agents)
 
 
-def controller_usage(modes: list[int]) -> tuple[float, float, int]:
-    """Shares of samples under UNTRUSTED and otherwise, and switches (defect 6).
-
-    The mode before the run is UNTRUSTED. Whatever is not UNTRUSTED counts, and is remembered, as SAFETY:
-    every sample of any other mode differs from what is remembered, and is one more switch.
-    """
-    if len(modes) < 2:
-        raise _Stop("one sample")
-    switches, last = 0, UNTRUSTED
-    for mode in modes:
-        switches += mode != last
-        last = UNTRUSTED if mode == UNTRUSTED else SAFETY
-    untrusted = modes.count(UNTRUSTED)
-    return untrusted / len(modes), (len(modes) - untrusted) / len(modes), switches
-
-
 class _Agent:
     """The methods, for one agent. Rows of others belong to its own by their place, whatever their stamps."""
 
@@ -124,8 +108,19 @@ class _Agent:
         ]
 
     def usage(self) -> tuple[float, float, int]:
-        """See `controller_usage`."""
-        return controller_usage(self.agent.modes.tolist())
+        """Shares of samples under UNTRUSTED and otherwise, and switches (defect 6).
+
+        The mode before the run is UNTRUSTED. Whatever is not UNTRUSTED counts, and is remembered, as SAFETY:
+        every sample of any other mode differs from what is remembered, and is one more switch.
+        """
+        modes, switches, last = self.agent.modes.tolist(), 0, UNTRUSTED
+        if len(modes) < 2:
+            raise _Stop("one sample")
+        for mode in modes:
+            switches += mode != last
+            last = UNTRUSTED if mode == UNTRUSTED else SAFETY
+        untrusted = modes.count(UNTRUSTED)
+        return untrusted / len(modes), (len(modes) - untrusted) / len(modes), switches
 
     # -- distances --------------------------------------------------------------------------------
 
@@ -156,17 +151,16 @@ class _Agent:
         if self.d == 1:
             raise _Stop("polytopes need two axes or three")
         A, b = self._paired(item.times, item.A, item.b)
-        held = replace(item, times=self.agent.times, A=A if len(item.A) > 1 else item.A, b=b)
+        held = replace(item, times=self.agent.times, A=A, b=b)
         p = self.agent.states[:, : self.d]
         distance = np.maximum(place(held, self.agent.times, self.d).signed_distance(p), 0.0)  # defect 7
-        H, offsets = unit_rows(held.A, held.b)
+        facets = Faceted(*unit_rows(held.A, held.b))
         lines = np.zeros_like(p)
         for i in np.flatnonzero(distance):
-            rows = turned(H, int(i))
-            slack = offsets[i] - rows @ p[i]
-            lines[i] = daqp.solve(np.eye(self.d), np.zeros(self.d), rows, slack, np.full(len(slack), -1e30))[
-                0
-            ]
+            facet = facets.at(int(i))
+            rows, slack = facet.H, facet.b - facet.H @ p[i]
+            free = np.full(len(slack), -1e30)
+            lines[i] = daqp.solve(np.eye(self.d), np.zeros(self.d), rows, slack, free)[0]
         return np.asarray(distance), lines
 
     def agent_dists(self) -> tuple[float, float, dict[str, float]]:
@@ -196,7 +190,7 @@ class _Agent:
             raise _Stop("the states have no heading")
         return v
 
-    def unsafe_ttc(self) -> tuple[dict[str, float], dict[str, float], dict[str, float]]:
+    def unsafe_ttc(self) -> Each:
         """({set: min}, {set: max}, {set: mean}) of distance over speed along the line to the centre.
 
         The line has no sign, and no width (defect 2). A polytope gets the last distance of the ball or
@@ -218,9 +212,9 @@ class _Agent:
             along = np.abs(np.sum(v * line, axis=1)) / np.linalg.norm(line, axis=1)
             found[name] = distance / along
             distance, line = float(np.atleast_1d(distance)[-1]), np.broadcast_to(line[-1], line.shape)
-        return _least(found), _most(found), _mean(found)
+        return _each(found)
 
-    def agent_ttc(self) -> tuple[dict[str, float], dict[str, float], dict[str, float]]:
+    def agent_ttc(self) -> Each:
         """({agent: min}, ...): when the first axes meet, if the others do then as floats (defect 5)."""
         found: dict[str, Array] = {}
         own = self._velocity(self.name, self.agent)
@@ -229,11 +223,9 @@ class _Agent:
             t = p[:, 0] / -(w - own)[:, 0]
             meet = np.all(np.isfinite(t)[:, None] & (p[:, 1:] == -(w - own)[:, 1:] * t[:, None]), axis=1)
             found[name] = np.where(meet & np.isfinite(t) & ~(t < 0), t, NEVER)
-        mean = {
-            name: float(values[values != NEVER].mean()) if np.any(values != NEVER) else NEVER
-            for name, values in found.items()
-        }
-        return _least(found), _most(found), mean
+        met = {name: values[values != NEVER] for name, values in found.items()}
+        mean = {name: float(values.mean()) if len(values) else NEVER for name, values in met.items()}
+        return *_each(found)[:2], mean
 
     def running_times(self) -> tuple[float, float, float]:
         """(avg, max, min): not the order its documentation gives."""
@@ -243,20 +235,15 @@ class _Agent:
         return float(spent.mean()), float(spent.max()), float(spent.min())
 
 
-def _least(found: dict[str, Array]) -> dict[str, float]:
-    """Python's ``min``, for which every comparison with nan is false."""
-    return {name: min(values.tolist()) for name, values in found.items()}
-
-
-def _most(found: dict[str, Array]) -> dict[str, float]:
-    return {name: max(values.tolist()) for name, values in found.items()}
-
-
-def _mean(found: dict[str, Array]) -> dict[str, float]:
-    return {name: float(values.mean()) for name, values in found.items()}
+def _each(found: dict[str, Array]) -> Each:
+    """Python's ``min`` and ``max``, for which every comparison with nan is false, and means."""
+    least = {name: min(values.tolist()) for name, values in found.items()}
+    most = {name: max(values.tolist()) for name, values in found.items()}
+    return least, most, {name: float(values.mean()) for name, values in found.items()}
 
 
 def _joined(found: dict[str, Array]) -> tuple[float, float, dict[str, float]]:
     if not found:
         raise _Stop("nothing to measure to")
-    return min(_least(found).values()), max(_most(found).values()), _mean(found)
+    least, most, mean = _each(found)
+    return min(least.values()), max(most.values()), mean

@@ -261,16 +261,10 @@ class Trace:
 
     def same_as(self, other: Trace) -> bool:
         """Whether both hold the same names, in the same order, and the same numbers."""
-        return _same(self.agents, other.agents) and _same(self.unsafe, other.unsafe)
+        pairs = (self.agents, other.agents), (self.unsafe, other.unsafe)
+        return all(list(a) == list(b) and all(map(_same, a.values(), b.values())) for a, b in pairs)
 
 
-def _same(one: Mapping[str, object], other: Mapping[str, object]) -> bool:
-    if list(one) != list(other):
-        return False
-    for a, b in zip(one.values(), other.values(), strict=True):
-        if type(a) is not type(b):
-            return False
-        left, right = ({k: v for k, v in vars(item).items() if k != "where"} for item in (a, b))
-        if not all(np.array_equal(left[key], right[key]) for key in left):
-            return False
-    return True
+def _same(one: object, other: object) -> bool:
+    mine, others = vars(one) | {"where": ""}, vars(other) | {"where": ""}
+    return type(one) is type(other) and all(np.array_equal(mine[key], others[key]) for key in mine)

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..model.errors import ScenarioError
-from ..model.shapes import Ball, Box, Polytope, Shape
+from ..model.shapes import CHUNK, Ball, Box, Polytope, Shape
 from ..model.system import Array
 from ..model.tolerances import ROUNDING
-from .facets import facet_distance, facet_entry, turned, unit_rows
 from .model import AnySet, BallTrace, PointTrace, PolytopeTrace
-from .motion import between, interpolate, rates
+from .settings import between, interpolate, rates
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,45 +42,69 @@ class Swelling:
 
 @dataclass(frozen=True, eq=False)
 class Faceted:
-    """A polytope whose facets change otherwise than by moving along; as they are at every instant.
+    """A polytope ``H p <= b`` whose facets differ from sample to sample; as they are at every instant."""
 
-    Attributes
-    ----------
-    H, b : ndarray, shapes (N or 1, F, d) and (N, F)
-        Unit rows.
-    """
-
-    H: Array
-    b: Array
+    H: Array  # unit rows, shape (N or 1, F, d)
+    b: Array  # shape (N, F)
 
     def signed_distance(self, p: Array) -> Array:
-        """Distance [m] of positions (N, d), one per time."""
-        return facet_distance(self.H, self.b, p)
+        """Exact distance [m] of positions (N, d), one per time.
+
+        The same dual as in `polaris.model.shapes.Polytope.signed_distance`, over all sets of at most d
+        independent facets: which of them meet differs from sample to sample.
+        """
+        out = np.empty(len(p))
+        _, F, d = self.H.shape
+        sets = [np.array(list(combinations(range(F), s))) for s in range(2, min(F, d) + 1)]
+        shared = [_inverses(self.H, index) for index in sets] if len(self.H) == 1 else None
+        step = max(1, CHUNK // (F + sum(index.size for index in sets) * d))
+        for i in range(0, len(p), step):
+            part = slice(i, i + step)
+            rows = np.broadcast_to(self.H, (len(p), F, d))[part]
+            r = np.einsum("nfd,nd->nf", rows, p[part]) - self.b[part]
+            worst = r.max(axis=1)
+            outside = np.flatnonzero(worst > 0)
+            if outside.size:
+                inverses = shared or [_inverses(rows[outside], index) for index in sets]
+                pairs = zip(sets, inverses, strict=True)
+                square = [_square(inverse, r[outside][:, index]) for index, inverse in pairs]
+                worst[outside] = np.sqrt(np.maximum.reduce([worst[outside] ** 2, *square]))
+            out[part] = worst
+        return out
 
     def entry_time(self, p: Array, v: Array) -> Array:
-        """Seconds until straight rays enter."""
-        return facet_entry(self.H, self.b, p, v)
+        """Seconds until straight rays enter; in the coordinates ``H p`` all facets are the same."""
+        rows = np.broadcast_to(self.H, (len(p), *self.H.shape[1:]))
+        reach, rate = (np.einsum("nfd,nd->nf", rows, x) for x in (p, v))
+        return Polytope(np.eye(self.H.shape[1]), self.b).entry_time(reach, rate)
 
-    def at(self, i: int) -> Shape:
+    def at(self, i: int) -> Polytope:
         """The polytope at one time."""
-        return Polytope(turned(self.H, i), self.b[i])
+        return Polytope(self.H[i if len(self.H) > 1 else 0], self.b[i])
+
+
+def _inverses(H: Array, index: NDArray[np.int64]) -> Array:
+    """``(H_S H_S')^-1`` of sets S of facets, shape (n, C, s, s); nan where they are not independent."""
+    rows = H[:, index]
+    gram = rows @ np.swapaxes(rows, -1, -2)
+    fit = (np.linalg.eigvalsh(gram)[..., 0] > 1e-11)[..., None, None]
+    return np.where(fit, np.linalg.inv(np.where(fit, gram, np.eye(gram.shape[-1]))), np.nan)
+
+
+def _square(inverse: Array, r: Array) -> Array:
+    """Largest ``r_S' (H_S H_S')^-1 r_S`` with multipliers >= 0, shape (n,); r is (n, C, s)."""
+    multipliers = (inverse @ r[..., None])[..., 0]
+    value = np.sum(multipliers * r, axis=-1)
+    return np.asarray(np.where(np.all(multipliers >= 0, axis=-1), value, 0.0).max(axis=1))
 
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """A convex set at N times.
+    """A convex set at N times."""
 
-    Attributes
-    ----------
-    body : Shape, Swelling or Faceted
-        The set relative to its centre; a shape does not change.
-    centre, velocity : ndarray, shapes (N, d)
-        [m] and [m/s]
-    """
-
-    body: Shape | Swelling | Faceted
-    centre: Array
-    velocity: Array
+    body: Shape | Swelling | Faceted  # relative to its centre; a shape does not change
+    centre: Array  # [m], shape (N, d)
+    velocity: Array  # [m/s], shape (N, d)
 
     @property
     def rigid(self) -> bool:
@@ -113,12 +138,7 @@ def place(item: AnySet, t: Array, d: int) -> Placed:
 
     Centres and sizes, and offsets of facets that do not turn, run linearly from stamp to stamp. Facets
     that turn are taken as they are at both stamps around. Before the first stamp and after the last the
-    set is at rest there.
-
-    Raises
-    ------
-    ScenarioError
-        If the set has fewer than d axes, is a polytope with more, or is empty.
+    set is at rest there. Refused are sets of fewer than d axes, polytopes of more, and empty ones.
     """
     if item.d < d or (item.d > d and isinstance(item, PolytopeTrace)):
         raise ScenarioError(f"{item.where}.state_trace[0]", f"{item.d} axes", f"must have {d} (see --dims)")
@@ -152,16 +172,14 @@ def _moved(item: AnySet, centers: Array, t: Array) -> tuple[Array, Array]:
 
 def _place_polytope(item: PolytopeTrace, t: Array) -> Placed:
     H, b = unit_rows(item.A, item.b)
-    first = Polytope(H[0], b[0])
-    if first.depth < 0:
-        raise ScenarioError(
-            f"{item.where}.state_trace[0]", item.b[0].tolist(), "A p <= b must hold somewhere"
-        )
-    local = b[0] - H[0] @ first.middle
+    local = b[0] - H[0] @ Polytope(H[0], b[0]).middle
     centers = np.einsum("mdf,mf->md", np.linalg.pinv(H), b - local)
     centre, velocity = _moved(item, centers, t)
     rest = b - np.einsum("mfd,md->mf", H, centers)
-    _not_empty(item, H, rest)
+    for row in np.flatnonzero(rest.min(axis=1) < 0):  # most are cleared by the centre itself
+        if Faceted(H, rest).at(int(row)).depth < 0:
+            given = item.b[row].tolist()
+            raise ScenarioError(f"{item.where}.state_trace[{row}]", given, "A p <= b must hold somewhere")
     size = np.abs(b).max(axis=1) + np.abs(local).max()
     if len(H) == 1 and np.all(np.abs(rest - local).max(axis=1) <= ROUNDING * size):
         return Placed((Part(Polytope(H[0], local), centre, velocity),))
@@ -173,9 +191,8 @@ def _place_polytope(item: PolytopeTrace, t: Array) -> Placed:
     return Placed(tuple(Part(Faceted(H[k], rest[k]), centers[k], velocity) for k in sides))
 
 
-def _not_empty(item: PolytopeTrace, H: Array, rest: Array) -> None:
-    """Refuse a row that no point satisfies; most are cleared by the centre itself."""
-    for row in np.flatnonzero(rest.min(axis=1) < 0):
-        if Polytope(turned(H, int(row)), rest[row]).depth < 0:
-            given = item.b[row].tolist()
-            raise ScenarioError(f"{item.where}.state_trace[{row}]", given, "A p <= b must hold somewhere")
+def unit_rows(A: Array, b: Array) -> tuple[Array, Array]:
+    """Rows ``A p <= b`` scaled to unit length; shapes (M or 1, F, d) and (M, F)."""
+    peak = np.abs(A).max(axis=-1, keepdims=True)
+    length = np.linalg.norm(A / peak, axis=-1, keepdims=True)
+    return A / peak / length, b / (peak * length)[..., 0]

@@ -68,9 +68,9 @@ def _parsed(path: str | Path) -> Any:
         raise ScenarioError("trace", str(path), f"cannot be read: {error.strerror or error}") from error
     except RecursionError as error:
         raise ScenarioError("trace", str(path), "must not nest this deep") from error
+    except Odd as error:
+        raise ScenarioError("trace", str(path), str(error)) from error
     except ValueError as error:
-        if isinstance(error, Odd):
-            raise ScenarioError("trace", str(path), str(error)) from error
         raise ScenarioError("trace", str(path), f"must be JSON in UTF-8 ({error})") from error
 
 
@@ -111,7 +111,7 @@ def _plain(value: Any) -> Any:
 # -- the parts --------------------------------------------------------------------------------------
 
 
-def _object(where: str, value: Any, rule: str) -> dict[str, Any]:
+def _object(where: str, value: Any, rule: str = "must be an object") -> dict[str, Any]:
     if not isinstance(value, dict):
         raise ScenarioError(where, value, rule)
     return value
@@ -119,27 +119,25 @@ def _object(where: str, value: Any, rule: str) -> dict[str, Any]:
 
 def _trace(data: Any) -> Trace:
     root = _object("trace", data, "must be an object with the keys agents and unsafe")
-    for key, rule in (
-        ("agents", "must be an object"),
-        ("unsafe", "must be an object, {} without unsafe sets"),
-    ):
-        _object(key, root.get(key), rule)
+    agents = _object("agents", root.get("agents"))
+    unsafe = _object("unsafe", root.get("unsafe"), "must be an object, {} without unsafe sets")
+    found = (
+        {name: _agent(f"agents.{name}", _object(f"agents.{name}", item)) for name, item in agents.items()},
+        {name: _set(f"unsafe.{name}", _object(f"unsafe.{name}", item)) for name, item in unsafe.items()},
+    )
     ignored = [key for key in root if key not in ("agents", "unsafe")]
-    agents, unsafe = {}, {}
-    for name, item in root["agents"].items():
-        where = f"agents.{name}"
-        agents[name] = _agent(where, _object(where, item, "must be an object"))
-        ignored += [f"{where}.{key}" for key in item if key not in AGENT_KEYS]
-    for name, item in root["unsafe"].items():
-        where = f"unsafe.{name}"
-        unsafe[name] = _set(where, _object(where, item, "must be an object"))
-        known = SET_KEYS if item.get("set_type") == "ball" else SET_KEYS[:2]
-        ignored += [f"{where}.{key}" for key in item if key not in known]
-    return Trace(agents, unsafe, tuple(ignored))
+    for key, items in (("agents", agents), ("unsafe", unsafe)):
+        for name, item in items.items():
+            known = KEYS["ball" if key == "unsafe" and item.get("set_type") == "ball" else key]
+            ignored += [f"{key}.{name}.{word}" for word in item if word not in known]
+    return Trace(*found, tuple(ignored))
 
 
-AGENT_KEYS = ("state_trace", "mode_trace", "running_times")
-SET_KEYS = ("set_type", "state_trace", "velocity_trace")
+KEYS = {
+    "agents": ("state_trace", "mode_trace", "running_times"),
+    "unsafe": ("set_type", "state_trace"),
+    "ball": ("set_type", "state_trace", "velocity_trace"),
+}
 
 
 def _list(where: str, item: dict[str, Any], key: str, rule: str) -> list[Any]:
@@ -153,17 +151,12 @@ def _agent(where: str, item: dict[str, Any]) -> AgentTrace:
     place = f"{where}.state_trace"
     rows = _list(where, item, "state_trace", "must be a list of rows [t, s0, s1, ...], at least one")
     values = table(place, rows, _agent_row)
-    running = item.get("running_times") or []
+    running, spent = item.get("running_times") or [], np.empty(0)
     if not isinstance(running, list):
         raise ScenarioError(f"{where}.running_times", running, "must be a list of numbers [s]")
-    spent = numbers(f"{where}.running_times", [[value] for value in running], running) if running else None
-    return AgentTrace(
-        values[:, 0],
-        values[:, 1:],
-        _modes(where, item, len(rows)),
-        np.empty(0) if spent is None else spent[:, 0],
-        where=where,
-    )
+    if running:
+        spent = numbers(f"{where}.running_times", [[value] for value in running], running)[:, 0]
+    return AgentTrace(values[:, 0], values[:, 1:], _modes(where, item, len(rows)), spent, where=where)
 
 
 def _agent_row(row: Any) -> list[Any]:

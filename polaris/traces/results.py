@@ -9,7 +9,16 @@ import numpy as np
 
 from ..model.system import Array
 from ..runs.tables import strict
-from .motion import weights
+
+
+def weights(t: Array) -> Array:
+    """Weight of every sample in a mean over time (trapezoidal), shape (N,); they add up to 1.
+
+    Samples of a trace that takes no time weigh the same.
+    """
+    gaps = np.diff(t)
+    total = np.r_[gaps, 0.0] + np.r_[0.0, gaps]
+    return np.asarray(total / total.sum() if total.sum() > 0 else np.full(len(t), 1 / len(t)))
 
 
 @dataclass(frozen=True)

@@ -21,25 +21,13 @@ class Odd(ValueError):
 
 
 def table(where: str, rows: list[Any], flat: Callable[[Any], list[Any]]) -> Array:
-    """All rows as one array, shape (rows, columns).
-
-    Parameters
-    ----------
-    where : str
-        What messages call the list.
-    rows : list
-    flat : callable
-        Turns a row into a flat list, or raises `Odd`.
-    """
-    try:
-        flattened = [flat(row) for row in rows]
-    except Odd as error:
-        for i, row in enumerate(rows):
-            try:
-                flat(row)
-            except Odd:
-                raise ScenarioError(f"{where}[{i}]", row, str(error)) from None
-        raise
+    """All rows as one array, shape (rows, columns); `flat` turns a row into a flat list, or raises `Odd`."""
+    flattened: list[list[Any]] = []
+    for row in rows:
+        try:
+            flattened.append(flat(row))
+        except Odd as error:
+            raise ScenarioError(f"{where}[{len(flattened)}]", row, str(error)) from None
     return numbers(where, flattened, rows)
 
 
@@ -74,13 +62,7 @@ FORMS = {
 
 
 def set_trace(where: str, kind: Any, rows: list[Any], velocities: Any = None) -> AnySet:
-    """The stamped definitions of one unsafe set; velocities are read for a ball only.
-
-    Raises
-    ------
-    ScenarioError
-        If the kind is none of the four, or a row is not of its form.
-    """
+    """The stamped definitions of one unsafe set; velocities are read for a ball only."""
     if not isinstance(kind, str) or kind not in FORMS:
         raise ScenarioError(f"{where}.set_type", kind, f"must be one of {', '.join(FORMS)}")
     place = f"{where}.state_trace"
@@ -88,14 +70,15 @@ def set_trace(where: str, kind: Any, rows: list[Any], velocities: Any = None) ->
         return _polytopes(where, place, rows)
     values = table(place, rows, lambda row: _centred(kind, row))
     t, rest = values[:, 0], values[:, 1:]
-    d = {"point": rest.shape[1], "ball": rest.shape[1] - 1, "rectangle": rest.shape[1] // 2}[kind]
-    if not 1 <= d <= 3 or (kind == "rectangle" and rest.shape[1] != 2 * d):
-        raise ScenarioError(f"{place}[0]", rows[0], f"{FORMS[kind]}; a center has 1 to 3 axes")
     if kind == "point":
         return PointTrace(t, rest, where=where)
     if kind == "ball":
-        return BallTrace(t, rest[:, :d], rest[:, d], _velocities(where, velocities, len(rows)), where=where)
-    return RectangleTrace(t, rest[:, :d], rest[:, d:], where=where)
+        known = _velocities(where, velocities, len(rows))
+        return BallTrace(t, rest[:, :-1], rest[:, -1], known, where=where)
+    if rest.shape[1] % 2:
+        raise ScenarioError(f"{place}[0]", rows[0], FORMS[kind])
+    center, lengths = np.hsplit(rest, 2)
+    return RectangleTrace(t, center, lengths, where=where)
 
 
 def _velocities(where: str, given: Any, count: int) -> Array | None:
@@ -106,12 +89,13 @@ def _velocities(where: str, given: Any, count: int) -> Array | None:
     if not isinstance(given, list) or len(given) != count:
         raise ScenarioError(place, given if not isinstance(given, list) else f"{len(given)} rows", rule)
 
-    def flat(row: Any) -> list[Any]:
-        if not isinstance(row, list):
-            raise Odd("must be a row [vx, vy, vz]")
-        return row
+    return table(place, given, _velocity)
 
-    return table(place, given, flat)
+
+def _velocity(row: Any) -> list[Any]:
+    if not isinstance(row, list):
+        raise Odd("must be a row [vx, vy, vz]")
+    return row
 
 
 def _definition(kind: str, row: Any) -> tuple[Any, Any]:
@@ -142,12 +126,9 @@ def _polytopes(where: str, place: str, rows: list[Any]) -> PolytopeTrace:
 
     def flat(row: Any) -> list[Any]:
         t, given = _definition("polytope", row)
-        if not isinstance(given, list) or len(given) != 2:
-            raise Odd(FORMS["polytope"])
-        A, b = given
-        if not isinstance(A, list) or not A or not all(isinstance(facet, list) for facet in A):
-            raise Odd(FORMS["polytope"])
-        if not isinstance(b, list) or len(b) != len(A) or len(set(map(len, A))) != 1:
+        A, b = given if isinstance(given, list) and len(given) == 2 else ([], [])
+        facets = isinstance(A, list) and all(isinstance(facet, list) for facet in A)
+        if not facets or not isinstance(b, list) or len(b) != len(A) or len(set(map(len, A))) != 1:
             raise Odd(FORMS["polytope"])
         if all(isinstance(item, list) and len(item) == 1 for item in b):
             b = [item[0] for item in b]
@@ -159,7 +140,5 @@ def _polytopes(where: str, place: str, rows: list[Any]) -> PolytopeTrace:
 
     values = table(place, rows, flat)
     F, d = shapes[0]
-    if not 1 <= d <= 3:
-        raise ScenarioError(f"{place}[0]", rows[0], "A must have 1, 2 or 3 columns, one per axis")
-    A = values[:, 1 : 1 + F * d].reshape(-1, F, d)
+    A = values[:, 1 : 1 + F * d].reshape(len(rows), F, d)
     return PolytopeTrace(values[:, 0], A, values[:, 1 + F * d :], where=where)

@@ -1,4 +1,4 @@
-"""What the numbers of a trace mean: axes of position, velocities, and the stamps of RTAEval's simulator."""
+"""What the numbers of a trace mean: axes, velocities, values between stamps, stamps of a simulator."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..model.distances import UNKNOWN
 from ..model.errors import ScenarioError
 from ..model.system import Array
 from .model import AgentTrace, Trace
-from .motion import rates
 
 
 @dataclass(frozen=True)
@@ -39,15 +39,7 @@ DIFFERENCES = "differences of positions"
 def find_dims(trace: Trace, dims: int | None) -> int | None:
     """Axes of position: as given, else as the unsafe sets have, else half of 4 or 6 states.
 
-    Returns
-    -------
-    int or None
-        None if there is nothing to measure distances to.
-
-    Raises
-    ------
-    ScenarioError
-        If it cannot be told, or an agent has fewer states.
+    None if there is nothing to measure to; refused if it cannot be told, or an agent has fewer states.
     """
     found = dims if dims is not None else _told(trace)
     if found is None:
@@ -64,18 +56,16 @@ def find_dims(trace: Trace, dims: int | None) -> int | None:
 
 
 def _told(trace: Trace) -> int | None:
-    axes = {item.d for item in trace.unsafe.values()}
-    if len(axes) > 1:
-        given = {name: item.d for name, item in trace.unsafe.items()}
-        raise ScenarioError("unsafe", given, "sets must have the same axes, or say which count (--dims)")
+    axes = {name: item.d for name, item in trace.unsafe.items()}
+    if len(set(axes.values())) > 1:
+        raise ScenarioError("unsafe", axes, "sets must have the same axes, or say which count (--dims)")
     if axes:
-        return axes.pop()
-    halves = {agent.n: agent.n // 2 for agent in trace.agents.values()}
-    if len(halves) == 1 and set(halves) <= {4, 6}:
-        return next(iter(halves.values()))
-    if len(trace.agents) == 1:
-        return None
+        return next(iter(axes.values()))
     counts = {name: agent.n for name, agent in trace.agents.items()}
+    if set(counts.values()) in ({4}, {6}):
+        return next(iter(counts.values())) // 2
+    if len(counts) == 1:
+        return None
     raise ScenarioError("agents", counts, "do not tell how many of the states are the position; say --dims")
 
 
@@ -83,25 +73,20 @@ def find_velocity(name: str, agent: AgentTrace, d: int, wanted: Velocity) -> tup
     """Velocities (N, d) [m/s], None if they cannot be known, and where they come from.
 
     By default the entries after the position where there are as many of them (2, 4 or 6 states) and the
-    position changes as they say; else `motion.rates` of the positions.
-
-    Raises
-    ------
-    ScenarioError
-        If entries are named that the states do not have, or not as many as the axes ask for.
+    position changes as they say; else `rates` of the positions. Refused are entries that the states do not
+    have, or not as many as the axes ask for.
     """
     if isinstance(wanted, Heading):
         return _by_heading(name, agent, d, wanted)
+    if isinstance(wanted, str) and wanted != "differences":
+        raise ScenarioError("--velocity", wanted, "must be 'differences' or the entries of the states")
     refused = ""
     if wanted is None and agent.n == 2 * d:
-        given = agent.states[:, d:]
         shown = f"states {', '.join(map(str, range(d, 2 * d)))}"
-        if not doubtful(agent, d, given):
-            return given, shown
+        if not doubtful(agent, d, agent.states[:, d:]):
+            return agent.states[:, d:], shown
         refused = f" ({shown} do not change its position as a velocity would)"
     if wanted is None or isinstance(wanted, str):
-        if wanted not in (None, "differences"):
-            raise ScenarioError("--velocity", wanted, "must be 'differences' or the entries of the states")
         found = rates(agent.times, agent.states[:, :d])
         return found, DIFFERENCES + refused if found is not None else "unknown (one instant only)"
     entries = list(wanted)
@@ -146,13 +131,7 @@ def doubtful(agent: AgentTrace, d: int, velocity: Array) -> bool:
 
 
 def parse_velocity(velocity: str | None, heading: str | None, speed: int | None) -> Velocity:
-    """What the options ``--velocity``, ``--heading`` and ``--speed`` say together.
-
-    Raises
-    ------
-    ScenarioError
-        If they contradict each other, or do not name entries.
-    """
+    """What the options ``--velocity``, ``--heading`` and ``--speed`` say together."""
     if heading is None and speed is None:
         return velocity if velocity in (None, "differences") else _entries("--velocity", velocity)
     if velocity is not None or speed is None:
@@ -207,4 +186,44 @@ def restamp(trace: Trace) -> Trace:
 
 
 def _own(times: Array) -> Array:
-    return np.asarray(np.r_[times[1:], 2 * times[-1] - times[-2]])
+    return np.append(times[1:], 2 * times[-1] - times[-2])
+
+
+# -- between stamps --------------------------------------------------------------------------------
+
+
+def between(stamps: Array, t: Array) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+    """Rows on either side of every time and how far it is from one to the other.
+
+    Times before the first stamp belong to the first row, those after the last to the last. Of rows with
+    the same stamp the last counts, unless both have the same stamps throughout: then rows are paired.
+    Two arrays of int and one of shares in [0, 1), each (N,).
+    """
+    if np.array_equal(stamps, t):
+        same = np.arange(len(t))
+        return same, same, np.zeros(len(t))
+    left = np.clip(np.searchsorted(stamps, t, side="right") - 1, 0, len(stamps) - 1)
+    right = np.minimum(left + 1, len(stamps) - 1)
+    gap = stamps[right] - stamps[left]
+    share = np.divide(t - stamps[left], gap, out=np.zeros(len(t)), where=gap > 0)
+    share = np.clip(share, 0.0, 1.0)
+    return left, np.where(share > 0, right, left), share
+
+
+def interpolate(values: Array, rows: tuple[NDArray[np.int64], NDArray[np.int64], Array]) -> Array:
+    """Linear between stamps; values (M, ...), `rows` from `between`, result (N, ...)."""
+    left, right, share = rows
+    share = share.reshape(-1, *[1] * (values.ndim - 1))
+    return np.asarray(values[left] * (1 - share) + values[right] * share)
+
+
+def rates(stamps: Array, values: Array) -> Array | None:
+    """Rates (M, k) of values at their stamps: second-order differences, one-sided at the ends.
+
+    Of rows with the same stamp the last is used, and all of them get its rate. None for one instant only.
+    """
+    last = np.r_[np.diff(stamps) > 0, True]
+    if last.sum() < 2:
+        return None
+    found = np.gradient(values[last], stamps[last], axis=0)
+    return np.asarray(found[np.cumsum(np.r_[False, last[:-1]])])

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from ..numerics.arguments import check_fields
-from ..numerics.checks import as_numbers
+from ..numerics.checks import as_array, as_numbers, check_fields, require_single
 from ..numerics.errors import ReachError
 from ..sets.convex import ConvexSet
 from ..sets.polytope import HPolytope
@@ -46,7 +45,8 @@ class Mode:
             raise ReachError(f"mode {self.name!r} needs a system in continuous time")
         if len(self.system.U) > 1:
             raise ReachError(f"mode {self.name!r} needs one set of inputs, it has {len(self.system.U)}")
-        _fits(f"the invariant of mode {self.name!r}", self.invariant, self.system.dim)
+        if self.invariant is not None:
+            require_single(f"the invariant of mode {self.name!r}", self.invariant, self.system.dim)
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,42 +149,32 @@ class HybridAutomaton:
             raise ReachError(f"start must be the name of a mode, got {self.start!r}")
         if self.start is None:
             object.__setattr__(self, "start", names[0])
-        asked = [self.start, *(name for t in self.transitions for name in (t.source, t.target))]
-        for name in asked:
-            if name not in names:
-                raise ReachError(f"there is no mode {name!r} among {names}")
+        for name in (self.start, *(name for t in self.transitions for name in (t.source, t.target))):
+            self[str(name)]
         object.__setattr__(self, "transitions", tuple(self._complete(t) for t in self.transitions))
 
     def _complete(self, t: Transition) -> Transition:
         """The transition with its reset filled in, after checks against its modes."""
         n, m = self[t.source].system.dim, self[t.target].system.dim
-        _fits(f"the guard of {t}", t.guard, n)
-        _fits(f"the uncertain part of {t}", t.uncertain, m)
-        R = np.eye(n) if t.R is None else as_numbers("R", t.R)
-        r = np.zeros(m) if t.r is None else as_numbers("r", t.r)
-        if R.shape != (m, n) or r.shape != (m,):
-            raise ReachError(
-                f"the reset of {t} needs R of shape {(m, n)} and r of {(m,)}, got {R.shape} and {r.shape}"
-            )
-        if not (np.all(np.isfinite(R)) and np.all(np.isfinite(r))):
-            raise ReachError(f"the reset of {t} has entries that are not finite numbers")
+        for what, body, dim in (("guard", t.guard, n), ("uncertain part", t.uncertain, m)):
+            if body is not None:
+                require_single(f"the {what} of {t}", body, dim)
+        R = np.eye(n) if t.R is None else as_array(f"R of {t}", t.R, m, n)
+        r = np.zeros(m) if t.r is None else as_array(f"r of {t}", t.r, m)
+        if R.shape != (m, n):
+            raise ReachError(f"{t} needs a reset R of shape {(m, n)}")
         w = t.uncertain
         if w is not None and not isinstance(w, Zonotope):
             w = w.interval_hull().to_zonotope()
-        return Transition(t.source, t.target, t.guard, t.window, t.dwell, R, r, w, t.urgent)
+        return replace(t, R=R, r=r, uncertain=w)
 
     def __getitem__(self, name: str) -> Mode:
         """The mode of a name."""
-        for mode in self.modes:
-            if mode.name == name:
-                return mode
-        raise ReachError(f"there is no mode {name!r}")
+        found = [mode for mode in self.modes if mode.name == name]
+        if not found:
+            raise ReachError(f"there is no mode {name!r}")
+        return found[0]
 
     def leaving(self, name: str) -> list[Transition]:
         """Transitions out of a mode."""
         return [t for t in self.transitions if t.source == name]
-
-
-def _fits(what: str, body: ConvexSet | None, n: int) -> None:
-    if body is not None and body.dim != n:
-        raise ReachError(f"{what} must have dimension {n}, got {body.dim}")

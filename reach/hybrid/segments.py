@@ -16,15 +16,6 @@ from .automaton import Mode
 
 
 @dataclass(frozen=True, eq=False)
-class Starts:
-    """Start sets of one mode: a stack, and the absolute times at which they may be entered."""
-
-    mode: Mode
-    sets: Zonotope
-    entered: Array
-
-
-@dataclass(frozen=True, eq=False)
 class Segment:
     """One mode, followed from a stack of N start sets over K time steps.
 

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import expm
 
-from ..numerics.arguments import checked
-from ..numerics.checks import Array
+from ..numerics.checks import Array, as_array, checked
 from ..numerics.errors import ReachError
+from ..numerics.exponentials import dense
 from ..sets.polytope import HPolytope
 from .automaton import HybridAutomaton, Mode, Transition
 
@@ -104,16 +104,15 @@ def simulate_hybrid(
     if policy == "random" and rng is None:
         raise ReachError("the policy 'random' needs a random generator")
     if not (0 < dt < np.inf and 0 <= horizon < np.inf) or horizon / dt > MOST_SAMPLES:
-        raise ReachError(
-            f"dt and horizon must be > 0 and give at most {MOST_SAMPLES:,} samples, got {dt!r}, {horizon!r}"
-        )
-    x, t, name = np.asarray(x0, dtype=float), 0.0, str(automaton.start)
-    if x.shape != (automaton[name].system.dim,):
-        raise ReachError(f"the initial state must have shape ({automaton[name].system.dim},), got {x.shape}")
+        given = f"got {dt!r}, {horizon!r}"
+        raise ReachError(f"dt and horizon must be > 0 and give at most {MOST_SAMPLES:,} samples, {given}")
+    t, name = 0.0, str(automaton.start)
+    x = as_array("the initial state", x0, automaton[name].system.dim)
     visits: list[Visit] = []
     while True:
         mode, drawn = automaton[name], rng if policy == "random" else None
-        move = _Motion(mode, x, _input(mode, drawn), dt)
+        u = _point(mode.system.U[0], drawn) if mode.system.U else np.zeros(0)
+        move = _Motion(mode, x, u, dt)
         left, bound = horizon - t, longest_stay(automaton, name, t)
         end, stops = move.leaves(min(left, bound))
         stops = stops or bound < left
@@ -127,10 +126,6 @@ def simulate_hybrid(
         visits.append(replace(move.visit(t, at), transition=transition, uncertain=w))
         x = transition.R @ move.at(at) + transition.r + (0 if w is None else w)
         t, name = t + at, transition.target
-
-
-def _input(mode: Mode, rng: np.random.Generator | None) -> Array:
-    return _point(mode.system.U[0], rng) if mode.system.U else np.zeros(0)
 
 
 def _point(body: Any, rng: np.random.Generator | None) -> Array:
@@ -148,10 +143,9 @@ class _Motion:
     def __init__(self, mode: Mode, x: Array, u: Array, dt: float) -> None:
         system = mode.system
         n = system.dim
-        A = system.A if isinstance(system.A, np.ndarray) else system.A.toarray()
         self.mode, self.u, self.dt, self.n = mode, u, dt, n
         self.M = np.zeros((n + 1, n + 1))
-        self.M[:n, :n], self.M[:n, n] = A, np.asarray(system.B @ u).ravel() + system.c
+        self.M[:n, :n], self.M[:n, n] = dense(system.A), np.asarray(system.B @ u).ravel() + system.c
         self.z, self.size = np.r_[x, 1.0], np.abs(x)
 
     def at(self, s: float) -> Array:
@@ -160,7 +154,7 @@ class _Motion:
 
     def samples(self, end: float) -> tuple[Array, Array]:
         """Times from 0 to `end` and states at them."""
-        count = int(np.ceil(end / self.dt)) if end > 0 else 0
+        count = int(np.ceil(max(end, 0.0) / self.dt))
         step, states = expm(self.M * self.dt), np.empty((count + 1, self.n + 1))
         states[0] = self.z
         have, power = 1, step
@@ -245,31 +239,23 @@ def _options(
         for first, after in edges.reshape(-1, 2):
             begin, stop = times[first], times[after - 1]
             if first > 0:
-                begin = move.bisect(times[first - 1], times[first], transition.guard, False)
+                begin = move.bisect(times[first - 1], begin, transition.guard, False)
             if after < len(times):
-                stop = move.bisect(times[after - 1], times[after], transition.guard, True)
-            begin, stop = max(begin, low), min(stop, high)
-            if begin <= stop:
-                found.append((transition, float(begin), float(stop)))
+                stop = move.bisect(stop, times[after], transition.guard, True)
+            if max(begin, low) <= min(stop, high):
+                found.append((transition, float(max(begin, low)), float(min(stop, high))))
     return found
 
 
 def _choose(
-    options: list[tuple[Transition, float, float]],
-    policy: Policy,
-    rng: np.random.Generator | None,
-    must: bool,
+    options: list[tuple[Transition, float, float]], policy: Policy, rng: Any, must: bool
 ) -> tuple[Transition, float] | None:
-    if not options:
+    """A transition and the time since entry at which it is taken; None if there is, or need be, none."""
+    if not options or (policy == "random" and not must and rng.random() < 0.2):
         return None
     if policy == "first":
-        transition, at, _ = min(options, key=lambda o: o[1])
-        return transition, at
+        return min(((t, low) for t, low, _ in options), key=lambda o: o[1])
     if policy == "last":
-        transition, _, at = max(options, key=lambda o: o[2])
-        return transition, at
-    assert rng is not None
-    if not must and rng.random() < 0.2:
-        return None
+        return max(((t, high) for t, _, high in options), key=lambda o: o[1])
     transition, low, high = options[rng.integers(len(options))]
     return transition, float(rng.choice([low, high, rng.uniform(low, high)]))

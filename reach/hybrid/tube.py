@@ -9,20 +9,20 @@ was entered is kept as an interval.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from ..numerics.arguments import checked
-from ..numerics.checks import as_count, as_numbers
+from ..numerics.checks import Array, as_count, as_numbers, checked, require_positive, require_single
 from ..numerics.errors import ReachError
-from ..sets.clipping import clip, strips
+from ..sets.clipping import clip, hull_of, strips
 from ..sets.convex import ConvexSet
 from ..sets.zonotope import Zonotope
-from .automaton import HybridAutomaton
-from .segments import HybridTube, Segment, Starts
-from .worklist import Worklist
+from ..tubes.flowpipes import Flowpipes, Propagator, flowpipes, input_response
+from .automaton import HybridAutomaton, Mode, Transition
+from .segments import HybridTube, Segment
 
 JUMPS = 50
 """Most transitions of one trajectory, if nothing else is said."""
@@ -74,13 +74,12 @@ def hybrid_tube(
         If a number is not positive and finite, a mode has no step, or dimensions differ.
     """
     for name, value in (("step", step), ("tolerance", tolerance), ("clusters", clusters)):
-        _positive(name, value, whole=name == "clusters")
+        _require_positive(name, value)
     if jumps < 0:
         raise ReachError(f"jumps must be at least 0, got {jumps}")
-    if not (np.isfinite(horizon) and horizon > 0):
-        raise ReachError(f"the horizon must be a finite number > 0, got {horizon!r}")
+    require_positive("horizon", horizon)
     worklist = Worklist(automaton, float(horizon), step, tolerance, clusters, order, reduction)
-    pending = _entries(automaton, initial)
+    pending = worklist.entries(initial)
     segments: list[Segment] = []
     for depth in range(jumps + 1):
         entered: list[Starts] = []
@@ -92,33 +91,183 @@ def hybrid_tube(
                 entered += [crossing] if crossing is not None else []
         pending = worklist.gathered(entered)
         if not pending:
-            return HybridTube(tuple(segments), float(horizon), True)
-    return HybridTube(tuple(segments), float(horizon), False)
+            break
+    return HybridTube(tuple(segments), float(horizon), complete=not pending)
 
 
-def _entries(automaton: HybridAutomaton, initial: ConvexSet) -> list[Starts]:
-    """The part of the initial set that the invariant of the first mode leaves, if any."""
-    assert automaton.start is not None
-    mode = automaton[automaton.start]
-    start = initial if isinstance(initial, Zonotope) else initial.interval_hull().to_zonotope()
-    start = start if start.batch else Zonotope(start.c[None], start.G[None])
-    if start.dim != mode.system.dim:
-        raise ReachError(f"the initial set has dimension {start.dim}, mode {mode.name!r} {mode.system.dim}")
-    start, meets = clip(start, *strips([mode.invariant], mode.system.dim))
-    return [Starts(mode, start[meets], np.zeros((int(meets.sum()), 2)))] if np.any(meets) else []
-
-
-def _positive(name: str, given: Any, whole: bool) -> None:
+def _require_positive(name: str, given: Any) -> None:
     """Refuse what is not positive: a number (of a tolerance several), or a mapping from names to such."""
     for value in given.values() if isinstance(given, Mapping) else (given,):
         if value is None:
             continue
-        if whole:
-            good = as_count(name, value) >= 1
-        else:
-            numbers = as_numbers(name, value)
-            good = bool(np.all((numbers > 0) & np.isfinite(numbers))) and numbers.ndim <= (
-                name == "tolerance"
-            )
-        if not good or isinstance(value, bool):
+        numbers = as_numbers(name, as_count(name, value) if name == "clusters" else value)
+        several = numbers.ndim > (name == "tolerance") or isinstance(value, bool)
+        if several or not np.all((numbers > 0) & np.isfinite(numbers)):
             raise ReachError(f"the {name} must be finite and > 0, got {value!r}")
+
+
+@dataclass(frozen=True, eq=False)
+class Starts:
+    """Start sets of one mode: a stack, and the absolute times (N, 2) between which each may be entered."""
+
+    mode: Mode
+    sets: Zonotope
+    entered: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Worklist:
+    """What `reach.hybrid_tube` was asked for, and the steps of its worklist."""
+
+    automaton: HybridAutomaton
+    horizon: float
+    step: Any
+    tolerance: Any
+    clusters: Any
+    order: float
+    reduction: str
+    propagators: dict[str, Propagator] = field(default_factory=dict)
+
+    def _of(self, value: Any, mode: Mode) -> Any:
+        return value.get(mode.name) if isinstance(value, Mapping) else value
+
+    def entries(self, initial: ConvexSet) -> list[Starts]:
+        """The part of the initial set that the invariant of the first mode leaves, if any."""
+        mode = self.automaton[str(self.automaton.start)]
+        start = initial if isinstance(initial, Zonotope) else initial.interval_hull().to_zonotope()
+        start = start if start.batch else Zonotope(start.c[None], start.G[None])
+        require_single("the initial set", start[0], mode.system.dim)
+        start, meets = clip(start, *strips([mode.invariant], mode.system.dim))
+        return [Starts(mode, start[meets], np.zeros((int(meets.sum()), 2)))] if np.any(meets) else []
+
+    def _flowpipes(self, mode: Mode, sets: Zonotope, length: float, **more: Any) -> Flowpipes:
+        step = self._of(self.step, mode)
+        if step is None:
+            raise ReachError(f"mode {mode.name!r} has no step")
+        if mode.name not in self.propagators:
+            self.propagators[mode.name] = Propagator(mode.system)
+        more |= {"step": step, "tolerance": self._of(self.tolerance, mode)}
+        return flowpipes(self.propagators[mode.name], sets, length, **more)
+
+    def _stay(self, starts: Starts | Segment) -> Array:
+        """Longest time in the mode after each entry, shape (N,).
+
+        A window that may have ended before the entry binds nobody.
+        """
+        a, b = starts.entered.T
+        until = self.horizon - a
+        for t in self.automaton.leaving(starts.mode.name):
+            if t.urgent and t.window is not None:
+                until = np.minimum(until, np.where(b <= t.window[1], t.window[1] - a, np.inf))
+            if t.urgent and t.dwell is not None:
+                until = np.minimum(until, t.dwell[1])
+        return np.asarray(np.maximum(until, 0.0))
+
+    def follow(self, starts: Starts, depth: int) -> Segment:
+        """Follow a mode until nothing is left of it."""
+        mode, until = starts.mode, self._stay(starts)
+        H, low, high = strips([mode.invariant], mode.system.dim)
+        alive: list[NDArray[np.bool_]] = [np.ones((1, len(until)), dtype=bool)]
+
+        def going(block: Flowpipes) -> NDArray[np.bool_]:
+            inside = meets(block, H, low, high) & (block.times[:-1, None] <= until)
+            inside = np.logical_and.accumulate(np.vstack([alive[-1][-1:], inside]))[1:]
+            alive.append(inside)
+            return np.asarray(inside[-1])
+
+        flow = self._flowpipes(mode, starts.sets, float(until.max()), going=going)
+        return Segment(mode, flow, starts.entered, np.concatenate(alive[1:]), depth)
+
+    def cross(self, segment: Segment, t: Transition) -> Starts | None:
+        """Start sets behind a transition; None if it cannot be taken."""
+        n, target = segment.mode.system.dim, self.automaton[t.target]
+        here = strips([segment.mode.invariant, t.guard], n)
+        if t.window is not None or t.dwell is not None:
+            sets, entered = self._timed(segment, t)
+        else:
+            k, i = np.nonzero(segment.alive & meets(segment.flowpipes, *here))
+            sets, entered = segment.flowpipes.sets(k, i), np.minimum(segment.span(k, i), self.horizon)
+        if len(sets) == 0:
+            return None
+        sets, hit = clip(sets, *here)
+        sets, entered = sets[hit], entered[hit]
+        sets = t.R @ sets + t.r
+        if t.uncertain is not None:
+            sets = sets + t.uncertain
+        sets, hit = clip(sets, *strips([target.invariant], target.system.dim))
+        return Starts(target, sets[hit], entered[hit]) if np.any(hit) else None
+
+    def _timed(self, segment: Segment, t: Transition) -> tuple[Zonotope, Array]:
+        """Sets over the local times at which a window or dwell time allows the transition."""
+        a, b = segment.entered.T
+        window = t.window or (0.0, self.horizon)
+        dwell = t.dwell or (0.0, np.inf)
+        # A start is dead from the beginning of its first step that misses the invariant.
+        lasting = segment.alive.sum(axis=0)
+        death = segment.flowpipes.times[lasting]
+        first = np.maximum(np.maximum(window[0] - b, dwell[0]), 0.0)
+        last = np.minimum(np.minimum(window[1] - a, dwell[1]), np.minimum(self._stay(segment), death))
+        open_ = np.nonzero((first <= last) & (lasting > 0))[0]
+        first, last = first[open_], last[open_]
+        plain = segment.flowpipes.start[open_].project(range(segment.mode.system.dim))
+        if len(open_) == 0:
+            return plain, np.zeros((0, 2))
+        flow = self._flowpipes(segment.mode, plain, float((last - first).max()), offset=first)
+        k, j = np.nonzero(flow.times[:-1, None] <= last - first)
+        sets = flow.sets(k, j)
+        if segment.mode.system.U and np.any(first):
+            sets = self._responding(
+                sets, segment, first[j] + np.minimum(flow.times[k + 1], (last - first)[j])
+            )
+        low, high = a[open_][j] + first[j] + flow.times[k], b[open_][j] + first[j] + flow.times[k + 1]
+        entered = np.stack([np.maximum(low, window[0]), np.minimum(high, window[1])], axis=-1)
+        keep = entered[:, 0] <= np.minimum(entered[:, 1], self.horizon)
+        return sets[keep], np.minimum(entered[keep], self.horizon)
+
+    def _responding(self, sets: Zonotope, segment: Segment, until: Array) -> Zonotope:
+        """Add the response to the inputs; it grows with time, as the centred inputs hold zero."""
+        if np.ptp(until) == 0:
+            step = self._of(self.step, segment.mode)
+            return sets + input_response(segment.mode.system, float(until[0]), step)
+        k = np.searchsorted(segment.flowpipes.times, until * (1 - 1e-12)) - 1
+        k = np.clip(k, 0, segment.flowpipes.shape[0] - 1)
+        low, high = segment.flowpipes.low[k], segment.flowpipes.high[k]
+        return (sets + (low + high) / 2).inflate((high - low) / 2)
+
+    def gathered(self, entered: list[Starts]) -> list[Starts]:
+        """Start sets to go on with, one entry per mode, merged and reduced."""
+        pending = []
+        for mode in self.automaton.modes:
+            same = [s for s in entered if s.mode is mode]
+            if not same:
+                continue
+            most = self._of(self.clusters, mode)
+            same = [s if most is None or len(s.sets) <= most else _merged(s, int(most)) for s in same]
+            width = max(s.sets.order_count for s in same)
+            padded = [s.sets._pad(width) for s in same]
+            sets = Zonotope(np.concatenate([p.c for p in padded]), np.concatenate([p.G for p in padded]))
+            times = np.concatenate([s.entered for s in same])
+            used = np.any(sets.G != 0, axis=(0, 1))
+            sets = Zonotope(sets.c, sets.G[..., used])
+            pending.append(Starts(mode, sets.reduce(self.order, self.reduction), times))
+        return pending
+
+
+def meets(flow: Flowpipes, H: Array, low: Array, high: Array) -> NDArray[np.bool_]:
+    """Whether each step of each start may meet strips, shape (K, N)."""
+    out = np.ones(flow.shape, dtype=bool)
+    if len(H) == 0:
+        return out
+    bounds = flow.support(np.vstack([H, -H]))
+    out &= np.all(bounds[..., : len(H)] >= low, axis=-1)
+    return np.asarray(out & np.all(-bounds[..., len(H) :] <= high, axis=-1))
+
+
+def _merged(starts: Starts, most: int) -> Starts:
+    """At most so many sets, each around those that are entered in one stretch of time."""
+    times = starts.entered
+    rank = np.argsort(times.sum(axis=1), kind="stable")
+    groups = np.array_split(rank, most)
+    hulls = Zonotope.stack([hull_of(starts.sets[g]) for g in groups])
+    spans = [[times[g, 0].min(), times[g, 1].max()] for g in groups]
+    return Starts(starts.mode, hulls, np.array(spans))

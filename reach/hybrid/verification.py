@@ -10,19 +10,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..numerics.arguments import checked
-from ..numerics.checks import Array, Index, as_count, require_single
+from ..numerics.checks import Array, Index, as_count, checked, require_single
 from ..numerics.errors import ReachError
 from ..numerics.rounding import gamma
 from ..sets.clipping import clip, strips
 from ..sets.convex import ConvexSet
 from ..sets.polytope import HPolytope
-from ..sets.zonotope import Zonotope
 from ..verification.specification import Always, Never
 from .automaton import HybridAutomaton
-from .replay import replay_hybrid
 from .segments import HybridTube, Segment
-from .simulation import HybridTrajectory, Policy, Visit, inside, simulate_hybrid
+from .simulation import REPLAYED, HybridTrajectory, Policy, Visit, inside, longest_stay, simulate_hybrid
 from .tube import JUMPS, hybrid_tube
 
 Specs = Mapping[str, Sequence[Always | Never]]
@@ -99,29 +96,31 @@ def verify_hybrid(
         If a mode is unknown or a region does not fit; also as `hybrid_tube`.
     """
     begun = perf_counter()
-    require_single(initial, "verify_hybrid")
+    require_single("the initial set", initial)
+
+    def verdict(status: str, reason: str) -> HybridVerdict:
+        return HybridVerdict(status, found, tube, perf_counter() - begun, reason)
+
     for name, asked in specs.items():
         for spec in asked:
             if spec.region.dim != automaton[name].system.dim:
                 raise ReachError(f"a region for mode {name!r} has dimension {spec.region.dim}")
     limit = int(options.get("jumps", JUMPS))
     rng = np.random.default_rng(as_count("seed", seed))
+    tube: HybridTube | None = None
     found = falsify_hybrid(automaton, initial, specs, horizon, dt=dt, jumps=limit)
-    tube, reason = None, ""
     if found is None:
         tube = hybrid_tube(automaton, initial, horizon, **options)
-        reason = "" if tube.complete else "the limit on jumps cut trajectories off"
-        for name, asked in specs.items():
-            for spec in asked:
-                reason = reason or unproven(tube, name, spec)
-        if not reason:
-            return HybridVerdict("proven", None, tube, perf_counter() - begun, "the tube meets all of it")
+        every = ((name, spec) for name, asked in specs.items() for spec in asked)
+        doubt = next(filter(None, (unproven(tube, name, spec) for name, spec in every)), "")
+        doubt = doubt if tube.complete else "the limit on jumps cut trajectories off"
+        if not doubt:
+            return verdict("proven", "the tube meets all of it")
         found = falsify_hybrid(automaton, initial, specs, horizon, dt=dt, runs=runs, rng=rng, jumps=limit)
-    if found is not None:
-        last = found.visits[-1]
-        reason = f"broken in mode {last.mode!r} at t = {last.times[-1]:.6g}"
-        return HybridVerdict("violated", found, tube, perf_counter() - begun, reason)
-    return HybridVerdict("unknown", None, tube, perf_counter() - begun, reason)
+        if found is None:
+            return verdict("unknown", doubt)
+    last = found.visits[-1]
+    return verdict("violated", f"broken in mode {last.mode!r} at t = {last.times[-1]:.6g}")
 
 
 def unproven(tube: HybridTube, mode: str, spec: Always | Never) -> str:
@@ -138,44 +137,34 @@ def unproven(tube: HybridTube, mode: str, spec: Always | Never) -> str:
     return ""
 
 
-def doubtful(segment: Segment, spec: Always | Never) -> tuple[Index, Index]:
-    """Steps k and starts i for which a specification is not proved."""
+def doubtful(segment: Segment, spec: Always | Never) -> Index:
+    """Steps k and starts i, shape (2, M), for which a specification is not proved."""
     asked = segment.alive.copy()
     if spec.during is not None:
         k, i = segment.steps
         span = segment.span(k, i)
         asked[k, i] = (span[:, 1] >= spec.during[0]) & (span[:, 0] <= spec.during[1])
-    invariant = segment.mode.invariant
-    rows, limits = spec.region.A, spec.region.b
+    invariant, terms = segment.mode.invariant, segment.flowpipes.start.terms + 8
+    rows, limits, cuts = spec.region.A, spec.region.b, [invariant]
     if isinstance(spec, Always):
         open_ = ~_implied(invariant, rows, limits)
         rows, limits = rows[open_], limits[open_]
         if len(rows) == 0:
-            return np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp)
+            return np.zeros((2, 0), dtype=np.intp)
         high = segment.flowpipes.support(rows)
-        safe = np.all(high + gamma(segment.flowpipes.start.terms + 8) * np.abs(high) <= limits, axis=-1)
+        safe = np.all(high + gamma(terms) * np.abs(high) <= limits, axis=-1)
     else:
-        low = -segment.flowpipes.support(-rows)
-        safe = np.any(low - gamma(segment.flowpipes.start.terms + 8) * np.abs(low) > limits, axis=-1)
+        cuts, low = [invariant, spec.region], -segment.flowpipes.support(-rows)
+        safe = np.any(low - gamma(terms) * np.abs(low) > limits, axis=-1)
     k, i = np.nonzero(asked & ~safe)
     left = np.ones(len(k), dtype=bool)
-    here = strips(
-        [invariant] if isinstance(spec, Always) else [invariant, spec.region], segment.mode.system.dim
-    )
     for j in range(0, len(k), PART):
         part = slice(j, j + PART)
-        sets, meets = clip(segment.flowpipes.sets(k[part], i[part]), *here)
+        sets, meets = clip(segment.flowpipes.sets(k[part], i[part]), *strips(cuts, segment.mode.system.dim))
         if isinstance(spec, Always):
-            left[part] = meets & np.any(_outer(sets, rows) > limits, axis=-1)
-        else:
-            left[part] = meets
-    return k[left], i[left]
-
-
-def _outer(sets: Zonotope, rows: Array) -> Array:
-    return np.asarray(
-        sets.support(rows) + gamma(sets.terms) * (np.abs(rows) @ sets.extent[..., None])[..., 0]
-    )
+            meets = meets & np.any(sets.support_up(rows) > limits, axis=-1)
+        left[part] = meets
+    return np.stack([k[left], i[left]])
 
 
 def _implied(invariant: HPolytope | None, rows: Array, limits: Array) -> NDArray[np.bool_]:
@@ -211,7 +200,7 @@ def falsify_hybrid(
     jumps : int
         Most transitions of one trajectory.
     """
-    require_single(initial, "falsify_hybrid")
+    require_single("the initial set", initial)
     rng = np.random.default_rng(0) if rng is None else rng
     corners = initial.support_vector(rng.normal(size=(max(runs, CORNERS), initial.dim)))
     plans: list[tuple[Array, Policy]] = [(x, "random") for x in corners]
@@ -242,3 +231,63 @@ def first_violation(path: HybridTrajectory, specs: Specs) -> HybridTrajectory | 
             end = Visit(visit.mode, visit.times[:k], visit.states[:k], visit.input)
             return HybridTrajectory((*path.visits[:j], end))
     return None
+
+
+@checked
+def replay_hybrid(automaton: HybridAutomaton, trajectory: HybridTrajectory, rtol: float = 1e-10) -> float:
+    """Integrate a trajectory again, independently, and check that it is admissible.
+
+    Every visit is integrated from the state in which the last one ended, with the same input and
+    duration; inputs, guards, windows, dwell times, invariants and resets are checked on the way. That
+    it begins in the initial set is not.
+
+    Returns
+    -------
+    float
+        Largest difference between the states, relative to the largest of each coordinate; inf if
+        some step is not admissible.
+    """
+    from scipy.integrate import solve_ivp  # slow to import
+
+    if not 0 < rtol < 1:
+        raise ReachError(f"rtol must lie between 0 and 1, got {rtol!r}")
+    rtol = max(rtol, 1e-13)
+    worst, x = 0.0, trajectory.visits[0].states[0]
+    if trajectory.visits[0].mode != automaton.start:
+        return float("inf")
+    for visit, after in zip(trajectory.visits, (*trajectory.visits[1:], None), strict=True):
+        mode, begun, length = automaton[visit.mode], visit.times[0], np.ptp(visit.times)
+        force = np.asarray(mode.system.B @ visit.input).ravel() + mode.system.c
+        size = np.abs(visit.states).max(axis=0)
+        scale = np.where(size > 0, size, size.max() or 1.0)
+        states = np.repeat(x[None], len(visit.times), axis=0)
+        if length > 0:
+            states = solve_ivp(
+                lambda s, y, A=mode.system.A, f=force: A @ y + f,
+                (0.0, length),
+                x,
+                method="LSODA" if np.abs(mode.system.A).max() * length > 100 else "DOP853",
+                t_eval=np.clip(visit.times - begun, 0, length),
+                rtol=rtol,
+                atol=rtol * float(scale.min()),
+            ).y.T
+        worst = max(worst, float(np.max(np.abs(states - visit.states) / scale)))
+        slack, t, x = 1e-9 * (1 + abs(visit.times[-1])), visit.transition, states[-1]
+        kept = [
+            *(U.contains(visit.input) for U in mode.system.U),
+            np.all(inside(mode.invariant, states, size, REPLAYED)),
+            length <= longest_stay(automaton, visit.mode, begun) + slack,
+        ]
+        if t is not None and after is not None:
+            w = np.zeros(len(t.r)) if visit.uncertain is None else visit.uncertain
+            kept += [
+                (t.source, t.target) == (visit.mode, after.mode),
+                inside(t.guard, x[None], size, REPLAYED)[0],
+                t.window is None or t.window[0] - slack <= visit.times[-1] <= t.window[1] + slack,
+                t.dwell is None or t.dwell[0] - slack <= length <= t.dwell[1] + slack,
+                not np.any(w) if t.uncertain is None else t.uncertain.contains(w),
+            ]
+            x = t.R @ x + t.r + w
+        if not all(kept):
+            return float("inf")
+    return worst

@@ -1,24 +1,156 @@
-"""What is given as numbers, vectors, maps and sets, checked: one clear error for each."""
+"""Arguments: numbers, vectors, maps and sets as they are given, each checked with one clear error.
+
+`checked` does so by the annotations of a function; what depends on the dimension of a set has functions.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields
+from functools import wraps
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .errors import ReachError
+from .errors import ReachError, Unresolved
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def checked(function: F) -> F:
+    """Check the arguments of a function whose annotations say what they are.
+
+    Arrays are converted to floats. What leaves floating point on the way, where nothing provides for it,
+    is `Unresolved`, not a warning of numpy's.
+    """
+    code = function.__code__
+    names = code.co_varnames[: code.co_argcount + code.co_kwonlyargcount]
+    kinds = {name: kind for name, kind in function.__annotations__.items() if name in names}
+
+    @wraps(function)
+    def call(*args: Any, **more: Any) -> Any:
+        given = [
+            as_kind(name, kinds[name], value) if name in kinds else value
+            for name, value in zip(names, args, strict=False)
+        ]
+        given += args[len(given) :]
+        named = {k: as_kind(k, kinds[k], v) if k in kinds else v for k, v in more.items()}
+        try:
+            with np.errstate(over="raise", invalid="raise", divide="raise"):
+                return function(*given, **named)
+        except (FloatingPointError, OverflowError) as exc:
+            raise Unresolved(f"the numbers given lead beyond floating point: {exc}") from exc
+
+    return call  # type: ignore[return-value]
+
+
+def check_fields(value: Any) -> None:
+    """The same for the fields of a dataclass, which are replaced by what they are converted to."""
+    for field in fields(value):
+        given = as_kind(field.name, str(field.type), getattr(value, field.name))
+        object.__setattr__(value, field.name, given)
+
+
+def as_kind(name: str, kind: str, value: Any) -> Any:
+    """The value as what an annotation asks for; names of classes that are not in the table are looked for."""
+    options = [option.strip() for option in kind.split("|")]
+    if value is None and not {"None", "Any", "Bound"}.isdisjoint(options):
+        return None
+    wanted = []
+    for option in options:
+        if option in _KINDS:
+            words, convert = _KINDS[option]
+            found = convert(value)
+            if found is not _WRONG:
+                return found
+            wanted.append(words)
+        elif option in ("Any",) or not option.isidentifier() or _is_a(value, option):
+            return value
+        elif option != "None":
+            wanted.append(option)
+    text = repr(value) if isinstance(value, int | float | str | tuple | list | None) else ""
+    shown = text if 0 < len(text) < 80 else f"an object of type {type(value).__name__}"
+    name = "the initial set" if name == "initial" else name
+    raise ReachError(f"{name} must be {' or '.join(wanted)}, got {shown}")
+
+
+_WRONG: Any = object()
+
+
+def _is_a(value: Any, *names: str) -> bool:
+    """Whether a value's class, or one it derives from, has one of some names."""
+    return any(base.__name__ in names for base in type(value).__mro__)
+
+
+def _where(good: Callable[[Any], bool]) -> Callable[[Any], Any]:
+    return lambda value: value if good(value) else _WRONG
+
+
+def _is_number(value: Any) -> bool:
+    known = isinstance(value, int | float | np.number | np.ndarray) and not isinstance(value, bool)
+    return known and not (np.ndim(value) or np.iscomplexobj(value) or np.isnan(value))
+
+
+def _is_whole(value: Any) -> bool:
+    return isinstance(value, int | np.integer) and not isinstance(value, bool)
+
+
+def _numbers(value: Any) -> Any:
+    try:
+        return as_numbers("", value)
+    except ReachError:
+        return _WRONG
+
+
+def _finite(value: Any) -> Any:
+    found = _numbers(value)
+    return found if found is not _WRONG and np.all(np.isfinite(found)) else _WRONG
+
+
+def _is_specs(value: Any) -> bool:
+    """Whether a value maps names of modes to sequences of specifications."""
+    if not isinstance(value, Mapping):
+        return False
+    good = all(isinstance(k, str) and isinstance(v, Sequence) for k, v in value.items())
+    return good and all(_is_a(spec, "Always", "Never") for v in value.values() for spec in v)
+
+
+def is_set(value: Any) -> bool:
+    """Whether a value answers as a convex set does (see `reach.ConvexSet`)."""
+    return hasattr(type(value), "support") and hasattr(type(value), "interval_hull")
+
+
+_STRING = ("a string", _where(lambda value: isinstance(value, str)))
+_SET = ("a convex set", _where(is_set))
+_KINDS: dict[str, tuple[str, Callable[[Any], Any]]] = {
+    "float": ("a number", _where(_is_number)),
+    "int": ("a whole number", _where(_is_whole)),
+    "bool": ("true or false", _where(lambda value: isinstance(value, bool | np.bool_))),
+    "str": _STRING,
+    "Policy": _STRING,
+    "Method": _STRING,
+    "ConvexSet": _SET,
+    "SetOperators": _SET,
+    "ArrayLike": ("numbers", _numbers),
+    "Array": ("an array of finite numbers", _finite),
+    "Specs": ("a mapping from names of modes to sequences of Always and Never", _where(_is_specs)),
+    "Bound": ("numbers or a function", lambda value: value if callable(value) else _numbers(value)),
+    "Callable[[float], ArrayLike]": ("a function of time", _where(callable)),
+    "np.random.Generator": ("a generator", _where(lambda value: isinstance(value, np.random.Generator))),
+}
+"""What an annotation asks for in words, and what converts to it; `_WRONG` where that cannot be."""
 
 
 def as_numbers(name: str, value: Any) -> Array:
-    """An array of floats, or one clear error."""
+    """An array of floats."""
     if isinstance(value, np.ndarray) and value.dtype == float:
         return value
     try:
+        if value is None or isinstance(value, str | bytes | Mapping) or is_set(value):
+            raise TypeError("they are not numbers")
         found = np.asarray(value)
         if found.dtype.kind not in "biufO":
             raise TypeError("they are not real numbers")
@@ -27,63 +159,91 @@ def as_numbers(name: str, value: Any) -> Array:
         raise ReachError(f"{name} must be numbers, got {type(value).__name__}: {exc}") from None
 
 
-def as_vector(value: ArrayLike, n: int) -> Array:
-    """A finite vector (or stack of them) of n entries, or one clear error."""
+def as_array(name: str, value: Any, *shape: int) -> Array:
+    """An array of finite floats of one shape."""
+    found = as_numbers(name, value)
+    if found.shape != shape or not np.all(np.isfinite(found)):
+        wanted = " x ".join(map(str, shape))
+        given = "nan or inf" if found.shape == shape else f"shape {found.shape}"
+        raise ReachError(f"{name} must be {wanted} finite numbers, got {given}")
+    return found
+
+
+def finite_fields(X: Any, *names: str) -> tuple[Array, ...]:
+    """Fields of a frozen dataclass as arrays of finite floats, which replace what was given."""
+    found = tuple(as_numbers(name, getattr(X, name)) for name in names)
+    for name, values in zip(names, found, strict=True):
+        if not np.all(np.isfinite(values)):
+            raise ReachError(f"{' and '.join(names)} must be finite numbers")
+        object.__setattr__(X, name, values)
+    return found
+
+
+def as_vector(value: ArrayLike, n: int, single: bool = False) -> Array:
+    """A finite vector of n entries, or a stack of them if there need not be a single one."""
     vector = as_numbers("a vector", value)
-    if vector.ndim == 0 or vector.shape[-1] != n:
+    if vector.ndim == 0 or vector.shape[-1] != n or (single and vector.ndim > 1):
         raise ReachError(f"expected vectors of {n} entries, got shape {vector.shape}")
     if not np.all(np.isfinite(vector)):
         raise ReachError("a vector must have finite entries, got nan or inf")
     return vector
 
 
-def as_rows(value: ArrayLike, n: int, batch: tuple[int, ...]) -> Array:
-    """Finite rows (..., r, n), or one vector (n,), that go together with a stack of sets."""
-    D = as_vector(value, n)
-    if batch and D.ndim > 2:
-        require_alike(D.shape[:-2], batch)
-    return D
-
-
-def as_one_vector(value: ArrayLike, n: int) -> Array:
-    """A finite vector of n entries, or one clear error."""
-    vector = as_vector(value, n)
-    if vector.ndim != 1:
-        raise ReachError(f"expected one vector of {n} entries, got shape {vector.shape}")
-    return vector
-
-
-def as_map(value: ArrayLike, n: int) -> Array:
-    """A finite matrix (or stack of them) that acts on dimension n, or one clear error."""
+def as_map(value: ArrayLike, n: int, single: bool = False) -> Array:
+    """A finite matrix that acts on dimension n, or a stack of them if there need not be a single one."""
     M = as_numbers("a map", value)
-    if M.ndim < 2 or M.shape[-1] != n:
+    if M.ndim < 2 or M.shape[-1] != n or (single and M.ndim > 2):
         raise ReachError(f"cannot apply a map of shape {M.shape} to a set of dimension {n}")
     if not np.all(np.isfinite(M)):
         raise ReachError("a map must have finite entries, got nan or inf")
     return M
 
 
-def as_matrix(value: ArrayLike, n: int) -> Array:
-    """A finite matrix with n columns, or one clear error."""
-    M = as_map(value, n)
-    if M.ndim != 2:
-        raise ReachError(f"a map of a single set must be one matrix, got shape {M.shape}")
-    return M
+def as_frame(value: ArrayLike | None, n: int) -> Array:
+    """An invertible matrix of n columns; the coordinate axes if none is given."""
+    F = np.eye(n) if value is None else as_array("the frame", value, n, n)
+    if np.linalg.matrix_rank(F) < n:
+        raise ReachError(f"the frame must be an invertible matrix of {n} rows")
+    return F
 
 
-def as_factor(value: float, name: str = "a factor") -> float:
-    """A finite number, or one clear error."""
+def as_directions(value: ArrayLike, n: int) -> Array:
+    """Finite rows (r, n), at least one; a single vector is one row."""
+    D = np.atleast_2d(as_numbers("directions", value))
+    if D.ndim != 2 or D.shape[1] != n or len(D) == 0 or not np.all(np.isfinite(D)):
+        raise ReachError(f"directions must be finite rows of length {n}, got shape {D.shape}")
+    return D
+
+
+def per_row(name: str, value: ArrayLike, r: int) -> Array:
+    """One number for each of r rows."""
+    numbers = as_numbers(f"the {name}", value)
+    if numbers.shape not in ((), (1,), (r,)) or np.any(np.isnan(numbers)):
+        raise ReachError(f"the {name} must be a number or {r} of them, got {value!r}")
+    return np.broadcast_to(numbers, (r,))
+
+
+def as_factor(value: float, name: str = "a factor", least: float = -np.inf) -> float:
+    """A finite number, not below the least allowed."""
     number = as_numbers(name, value)
     if number.ndim != 0 or not np.isfinite(number):
         raise ReachError(f"{name} must be one finite number, got {value!r}")
+    if number < least:
+        raise ReachError(f"{name} must be >= {least:g}, got {number:g}")
     return float(number)
 
 
 def as_count(name: str, value: Any) -> int:
-    """A whole number >= 0, or one clear error."""
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 0:
+    """A whole number >= 0."""
+    if not _is_whole(value) or value < 0:
         raise ReachError(f"{name} must be a whole number >= 0, got {value!r}")
     return int(value)
+
+
+def require_positive(name: str, value: Any) -> None:
+    """Refuse what is not one finite number above zero."""
+    if not (_is_number(value) and 0 < value < np.inf):
+        raise ReachError(f"the {name} must be a finite number > 0, got {value!r}")
 
 
 def require_same_dim(a: Any, b: Any) -> None:
@@ -93,11 +253,6 @@ def require_same_dim(a: Any, b: Any) -> None:
         raise ReachError(f"sets of dimensions {a.dim} and {b.dim} do not go together")
 
 
-def is_set(value: Any) -> bool:
-    """Whether a value answers as a convex set does (see `reach.ConvexSet`)."""
-    return hasattr(type(value), "support") and hasattr(type(value), "interval_hull")
-
-
 def require_sets(*values: Any) -> None:
     """Refuse what is not a convex set."""
     for value in values:
@@ -105,16 +260,14 @@ def require_sets(*values: Any) -> None:
             raise ReachError(f"a convex set is needed, got {type(value).__name__}")
 
 
-def as_alike(first: str, a: ArrayLike, second: str, b: ArrayLike) -> tuple[Array, Array]:
-    """Two arrays of numbers broadcast with each other, at least vectors."""
-    one, other = as_numbers(first, a), as_numbers(second, b)
-    try:
-        one, other = np.broadcast_arrays(one, other)
-    except ValueError:
-        raise ReachError(
-            f"{first} and {second} do not go together: shapes {one.shape}, {other.shape}"
-        ) from None
-    return one, other
+def require_single(name: str, value: Any, n: int | None = None) -> None:
+    """Refuse what is not one convex set, of dimension n if that is given."""
+    if not is_set(value):
+        raise ReachError(f"{name} must be a convex set, got {type(value).__name__}")
+    if getattr(value, "batch", ()):
+        raise ReachError(f"{name} must be a single set, got a stack of shape {value.batch}")
+    if n is not None and value.dim != n:
+        raise ReachError(f"{name} must have dimension {n}, got {value.dim}")
 
 
 def require_alike(*shapes: tuple[int, ...]) -> None:
@@ -123,27 +276,6 @@ def require_alike(*shapes: tuple[int, ...]) -> None:
         np.broadcast_shapes(*shapes)
     except ValueError:
         raise ReachError(f"stacks of shapes {', '.join(map(str, shapes))} do not go together") from None
-
-
-def require_stackable(parts: Any, kind: type) -> None:
-    """Refuse what is not a sequence of sets of one kind and shape."""
-    good = isinstance(parts, list | tuple) and parts and all(isinstance(part, kind) for part in parts)
-    if not good or len({(part.dim, part.batch) for part in parts}) > 1:
-        raise ReachError(f"a stack needs a sequence of {kind.__name__} of one dimension and shape")
-
-
-def stacked(values: Array, index: Any) -> Array:
-    """What an index selects from a stack, or one clear error."""
-    try:
-        return np.asarray(values[index])
-    except (IndexError, TypeError, ValueError) as exc:
-        raise ReachError(f"an index selects from the batch axes: {exc}") from None
-
-
-def require_single(X: Any, what: str) -> None:
-    """Refuse a stack of sets."""
-    if getattr(X, "batch", ()):
-        raise ReachError(f"{what} asks a single set, got a stack of shape {X.batch}")
 
 
 def selector(dims: Sequence[int], n: int) -> Array:
@@ -155,47 +287,3 @@ def selector(dims: Sequence[int], n: int) -> Array:
     if not picked or len(set(picked)) != len(picked) or not all(0 <= i < n for i in picked):
         raise ReachError(f"dims must be different numbers from 0 to {n - 1}, got {picked}")
     return np.asarray(np.eye(n)[picked])
-
-
-def single_set(name: str, value: Any) -> None:
-    """Refuse what is not one convex set."""
-    if not is_set(value):
-        raise ReachError(f"{name} must be a convex set, got {type(value).__name__}")
-    if getattr(value, "batch", ()):
-        raise ReachError(f"{name} must be a single set, got a stack of shape {value.batch}")
-
-
-def is_positive(value: Any) -> bool:
-    """Whether a value is one finite number above zero."""
-    real = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
-    return bool(real and 0 < value < np.inf)
-
-
-def require_positive(name: str, value: float) -> None:
-    """Refuse what is not one finite number above zero."""
-    if not is_positive(value):
-        raise ReachError(f"the {name} must be a finite number > 0, got {value!r}")
-
-
-def per_row(name: str, value: ArrayLike, r: int) -> Array:
-    """One number for each of r rows."""
-    numbers = as_numbers(f"the {name}", value)
-    if numbers.shape not in ((), (1,), (r,)) or np.any(np.isnan(numbers)):
-        raise ReachError(f"the {name} must be a number or {r} of them, got {value!r}")
-    return np.broadcast_to(numbers, (r,))
-
-
-def as_directions(name: str, value: ArrayLike, n: int) -> Array:
-    """Finite rows (r, n), at least one; a single vector is one row."""
-    D = np.atleast_2d(as_numbers(name, value))
-    if D.ndim != 2 or D.shape[1] != n or len(D) == 0 or not np.all(np.isfinite(D)):
-        raise ReachError(f"{name} must be finite rows of length {n}, got shape {D.shape}")
-    return D
-
-
-def as_frame(value: ArrayLike | None, n: int) -> Array:
-    """An invertible matrix of n columns; the coordinate axes if none is given."""
-    F = np.eye(n) if value is None else as_numbers("frame", value)
-    if F.shape != (n, n) or not np.all(np.isfinite(F)) or np.linalg.matrix_rank(F) < n:
-        raise ReachError(f"the frame must be an invertible matrix of {n} rows")
-    return F

@@ -8,12 +8,10 @@ numbers are slow.
 
 from __future__ import annotations
 
-from math import factorial
 from typing import Any
 
 import numpy as np
 from scipy import sparse
-from scipy.linalg import expm
 
 from .checks import Array
 from .errors import Unresolved
@@ -48,29 +46,16 @@ def exponential(A: Any, h: float) -> Any:
     norm = float(np.max(np.asarray(abs(A).sum(axis=-1)), initial=0.0)) * h
     halvings = int(np.clip(np.ceil(np.log2(max(norm, 1e-300))) + 1, 0, 1000))
     part = A * (h / 2.0**halvings)
-    dense = isinstance(A, np.ndarray)
-    out = _dense_series(part) if dense else _sparse_series(sparse.csr_matrix(part)).toarray()
+    out = _series(part) if isinstance(A, np.ndarray) else _series(sparse.csr_matrix(part)).toarray()
     for _ in range(halvings):
         out = flushed(out @ out)
     return out
 
 
-def _dense_series(X: Array) -> Array:
-    """Terms up to the 15th, in six products; the norm of X is at most 1/2 and the rest below 1e-18."""
-    X2 = X @ X
-    X3, X4 = X2 @ X, X2 @ X2
-    c = [1 / factorial(k) for k in range(16)]
-    out: Array = c[13] * X + c[14] * X2 + c[15] * X3
-    diagonal = np.arange(X.shape[-1])
-    for k in (12, 8, 4, 0):
-        if k < 12:
-            out = out @ X4 + c[k + 1] * X + c[k + 2] * X2 + c[k + 3] * X3
-        out[..., diagonal, diagonal] += c[k]
-    return out
-
-
-def _sparse_series(X: Any) -> Any:
-    term = total = sparse.identity(X.shape[0], format="csr")
+def _series(X: Any) -> Any:
+    """Terms up to the 15th; the norm of X, dense or sparse, is at most 1/2 and the rest below 1e-18."""
+    n = X.shape[-1]
+    term = total = np.eye(n) if isinstance(X, np.ndarray) else sparse.identity(n, format="csr")
     for k in range(1, 16):
         term = term @ X / k
         total = total + term
@@ -94,7 +79,7 @@ def thin_exponential(A: Any, h: float, action: Action, half: Any = None) -> Any:
     ):
         return None
     halvings = 1 if half is not None else max(int(np.ceil(np.log2(max(norm, 1e-300)))) + 2, 0)
-    out = half if half is not None else _sparse_series(sparse.csr_matrix(A * (h / 2.0**halvings)))
+    out = half if half is not None else _series(sparse.csr_matrix(A * (h / 2.0**halvings)))
     for _ in range(halvings):
         out = flushed(out @ out)
         out.eliminate_zeros()
@@ -105,10 +90,6 @@ class Action:
     """``e^{M t} v`` for a sparse matrix M and rows v, by Taylor's series; no exponential is formed.
 
     The mean of the diagonal is split off: it takes nothing but a factor.
-
-    Parameters
-    ----------
-    M : sparse matrix, shape (n, n)
     """
 
     def __init__(self, M: Any) -> None:
@@ -121,11 +102,6 @@ class Action:
         """``e^{M h l} v`` for l = 0..count and every row v of (r, n), shape (count+1, r, n).
 
         Each series spans as many steps as `REACH` allows, or a part of one.
-
-        Raises
-        ------
-        Unresolved
-            If one step takes more than `MOST_PARTS` series.
         """
         norm = h * self.norm
         if not norm <= MOST_PARTS * REACH:
@@ -193,16 +169,11 @@ def times(rows: Array, M: Any) -> Array:
     return out.reshape(*rows.shape[:-1], M.shape[1])
 
 
+def dense(M: Any) -> Array:
+    """The matrix as an array."""
+    return M if isinstance(M, np.ndarray) else np.asarray(M.toarray())
+
+
 def scaled(M: Any, s: Array) -> Any:
     """Rows of M, dense or sparse, times numbers s."""
     return M * s[:, None] if isinstance(M, np.ndarray) else sparse.csr_matrix(sparse.diags(s) @ M)
-
-
-def exponentials(X: Array) -> Array:
-    """``e^X`` of a stack of matrices (K, n, n), by Taylor's series together where norms are small."""
-    if np.abs(X).sum(axis=-1).max(initial=0.0) > 1:
-        return np.asarray(expm(X))
-    out = np.broadcast_to(np.eye(X.shape[-1]), X.shape)
-    for k in range(19, 0, -1):  # 1 / 20! < 5e-19
-        out = np.eye(X.shape[-1]) + X @ out / k
-    return np.asarray(out)

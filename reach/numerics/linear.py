@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import expm
 
-from .arguments import checked
-from .checks import Array
+from .checks import Array, checked
 from .errors import ReachError
 
 

@@ -18,21 +18,11 @@ SWEEPS = 6
 
 @dataclass(frozen=True)
 class Maximum:
-    """Answer to a linear program.
+    """Answer to a linear program; point and multipliers are nan unless the value is finite."""
 
-    Attributes
-    ----------
-    value : float
-        Largest value; inf if unbounded, -inf if nothing is feasible.
-    point : ndarray, shape (n,)
-        Where it is attained (nan unless the value is finite).
-    multipliers : ndarray, shape (m,)
-        ``>= 0``, with ``A.T @ multipliers`` close to the objective (nan unless the value is finite).
-    """
-
-    value: float
-    point: Array
-    multipliers: Array
+    value: float  # largest value; inf if unbounded, -inf if nothing is feasible
+    point: Array  # where it is attained, (n,)
+    multipliers: Array  # >= 0, with A.T @ multipliers close to the objective, (m,)
 
 
 def equilibrated(A: Array) -> tuple[Array, Array]:
@@ -53,13 +43,7 @@ def equilibrated(A: Array) -> tuple[Array, Array]:
 
 
 def maximise(objective: Array, A: Array, b: Array) -> Maximum:
-    """Solve ``max objective . x`` subject to ``A x <= b``.
-
-    Raises
-    ------
-    ReachError
-        If the solver gives up.
-    """
+    """Solve ``max objective . x`` subject to ``A x <= b``."""
     from scipy.optimize import linprog
 
     m, n = A.shape

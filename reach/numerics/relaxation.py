@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .arguments import checked
-from .checks import Array, require_alike
+from .checks import Array, checked, require_alike
 from .errors import ReachError
 
 

@@ -64,21 +64,10 @@ def floats(whole: Whole) -> Array:
 
 
 def cross(columns: NDArray[Any]) -> NDArray[Any]:
-    """Vectors orthogonal to n - 1 given ones (the generalised cross product), column by column.
+    """Vectors (n, k) orthogonal to k groups of n - 1 given ones, columns (n - 1, n, k) of floats or integers.
 
-    Parameters
-    ----------
-    columns : ndarray, shape (n - 1, n, k)
-        k groups of n - 1 vectors; floats, or Python integers for an exact answer.
-
-    Returns
-    -------
-    ndarray, shape (n, k)
-        Zero where the n - 1 vectors are linearly dependent.
-
-    Notes
-    -----
-    Laplace expansion, minors shared between the n determinants: no division, no pivoting.
+    The generalised cross product; zero where the n - 1 vectors are linearly dependent. Laplace expansion,
+    minors shared between the n determinants: no division, no pivoting, exact for integers.
     """
     n, k = columns.shape[1], columns.shape[2]
     minors: dict[tuple[int, ...], Any] = {(): np.ones(k, dtype=columns.dtype)}

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from fractions import Fraction
 from functools import lru_cache
-from math import comb
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..numerics.checks import Array
 from ..numerics.programs import Maximum, maximise
+from ..numerics.rounding import mixture
+
+EXACT_MOST = 24
+"""Largest dimension in which inequalities are mixed without rounding."""
 
 MOST_BASES = 4096
-"""Bases kept; and most that Qhull may be expected to return."""
+"""Bases kept."""
 INSIDE = 1e-11
 """A multiplier above minus this, rows scaled alike, counts as not negative."""
 OUTSIDE = 1e-10
@@ -30,17 +33,9 @@ class Bases:
     A direction that is a mixture of the n rows with weights >= 0 attains its maximum there, and the
     weights are the multipliers of the linear program. Nothing is proved here: what the multipliers
     prove is re-checked by weak duality.
-
-    Parameters
-    ----------
-    A : ndarray, shape (m, n)
-    b : ndarray, shape (m,)
-    inside : callable
-        A point in the middle of a bounded set, shape (n,): all bases are then found at once by Qhull,
-        where they are few. None of a set without bounds.
     """
 
-    def __init__(self, A: Array, b: Array, inside: Callable[[], Array | None]) -> None:
+    def __init__(self, A: Array, b: Array) -> None:
         self.A, self.b, n = A, b, A.shape[1]
         self.columns = np.abs(A).max(axis=0)
         self.columns = np.where(self.columns > 0, self.columns, 1.0)
@@ -48,7 +43,6 @@ class Bases:
         self.rows = A / self.columns / self.norms[:, None]
         self.members = np.zeros((0, n), dtype=np.intp)
         self.inverses, self.points = np.zeros((0, n, n)), np.zeros((0, n))
-        self._inside: Callable[[], Array | None] | None = inside
         self.program = lru_cache(1024)(lambda direction: maximise(np.frombuffer(direction), A, b))
 
     def answers(self, D: Array) -> tuple[Array, Array, Array]:
@@ -66,31 +60,6 @@ class Bases:
             points = np.array([one.point for one in solved])
             multipliers = np.array([one.multipliers for one in solved])
         return values.reshape(shape), points.reshape(D.shape), multipliers.reshape((*shape, len(self.b)))
-
-    def _enumerate(self) -> None:
-        """All bases at once, where they are few; asked for with the first many directions."""
-        n, inside = self.A.shape[1], self._inside
-        self._inside = None
-        if inside is None or n == 1 or 2 * comb(len(self.b), n // 2) > MOST_BASES:
-            return
-        middle = inside()
-        if middle is not None:
-            self._add(self._enumerated(middle))
-
-    def _enumerated(self, inside: Array) -> NDArray[np.intp]:
-        """Rows that meet in the vertices: facets, cut into simplices, of the polar set."""
-        from scipy.spatial import ConvexHull, QhullError
-
-        room = self.b / self.norms - self.rows @ (inside * self.columns)
-        n, most = self.A.shape[1], float(np.abs(room).max(initial=0.0))
-        if np.any(room < 1e-6 * most):  # a flat set: the bases of one slightly thicker, if they are its own
-            room = np.maximum(room, 0.0) + 1e-6 * most
-        if not most > 0:
-            return np.zeros((0, n), dtype=np.intp)
-        try:
-            return np.asarray(ConvexHull(self.rows / room[:, None]).simplices, dtype=np.intp)
-        except (QhullError, ValueError):
-            return np.zeros((0, n), dtype=np.intp)
 
     def _add(self, members: NDArray[np.intp]) -> None:
         """Keep the bases that have a well-conditioned inverse."""
@@ -114,40 +83,35 @@ class Bases:
     def maxima(self, D: Array) -> tuple[Array, Array, Array]:
         """Values (r,), points (r, n) and multipliers (r, m) along rows (r, n).
 
-        Those in the cone of no basis that is known go through a linear program.
+        Those in the cone of no basis that is known go through a linear program, which gives one more.
         """
-        self._enumerate()
         r, (m, n) = len(D), self.A.shape
         values, points, multipliers = np.full(r, np.nan), np.full((r, n), np.nan), np.zeros((r, m))
         scaled = D / self.columns
         sizes = np.abs(scaled).max(axis=1, initial=0.0)
         scaled = scaled / np.where(sizes > 0, sizes, 1.0)[:, None]
-        left = np.arange(r)
-        if len(self.members):
-            for some in _parts(left, len(self.members) + n * n):
-                best = (scaled[some] @ (self.points * self.columns).T).argmax(axis=1)
-                weights = (scaled[some][:, None, :] @ self.inverses[best])[:, 0]
-                self._take(some, best, weights, values, points, multipliers, D, sizes)
-            left = np.flatnonzero(np.isnan(values))
-            # Where many facets meet in one vertex it is another basis of it whose cone holds the direction.
-            for some in _parts(left, len(self.members) * n):
-                weights = np.einsum("rn,fnk->rfk", scaled[some], self.inverses)
-                best = weights.min(axis=2).argmax(axis=1)
-                chosen = weights[np.arange(len(some)), best]
-                self._take(some, best, chosen, values, points, multipliers, D, sizes)
-            left = np.flatnonzero(np.isnan(values))
+        left, tried = np.arange(r), 0
         while len(left):
-            at, left = left[0], left[1:]
-            found = self.program(D[at].tobytes())
-            values[at], points[at], multipliers[at] = found.value, found.point, found.multipliers
-            known = len(self.members)
-            if np.isfinite(found.value) and known < MOST_BASES:
-                self._add(self.basis(found))
-            if len(self.members) > known and len(left):
-                weights = scaled[left] @ self.inverses[known]
-                same = np.full(len(left), known)
-                self._take(left, same, weights, values, points, multipliers, D, sizes)
-                left = left[np.isnan(values[left])]
+            fresh, known = self.inverses[tried:], len(self.members)
+            span = max(1, ENTRIES // max(len(fresh) * n, 1))
+            for some in np.split(left, range(span, len(left), span)) if len(fresh) else ():
+                # Where many facets meet in one vertex, another basis of it has the direction in its cone.
+                weights = np.einsum("rn,fnk->rfk", scaled[some], fresh)
+                best = weights.min(axis=2).argmax(axis=1)
+                weights = weights[np.arange(len(some)), best]
+                good = weights.min(axis=1) >= -INSIDE * np.abs(weights).max(axis=1)
+                which, basis, weights = some[good], tried + best[good], np.maximum(weights[good], 0.0)
+                points[which] = self.points[basis]
+                values[which] = (D[which] * points[which]).sum(axis=1)
+                rows = self.members[basis]
+                multipliers[which[:, None], rows] = weights * sizes[which, None] / self.norms[rows]
+            left, tried = left[np.isnan(values[left])], known
+            if len(left):
+                at, left = left[0], left[1:]
+                found = self.program(D[at].tobytes())
+                values[at], points[at], multipliers[at] = found.value, found.point, found.multipliers
+                if np.isfinite(found.value) and known < MOST_BASES:
+                    self._add(self.basis(found))
         return values, points, multipliers
 
     def basis(self, found: Maximum) -> NDArray[np.intp]:
@@ -168,28 +132,28 @@ class Bases:
                 return np.asarray([picked], dtype=np.intp)
         return np.zeros((0, n), dtype=np.intp)
 
-    def _take(
-        self,
-        which: NDArray[np.intp],
-        basis: NDArray[np.intp],
-        weights: Array,
-        values: Array,
-        points: Array,
-        multipliers: Array,
-        D: Array,
-        sizes: Array,
-    ) -> None:
-        """Write down the answers of those directions that lie in the cone of a basis."""
-        good = np.all(weights >= -INSIDE * np.abs(weights).max(axis=1, keepdims=True, initial=0.0), axis=1)
-        which, basis, weights = which[good], basis[good], np.maximum(weights[good], 0.0)
-        points[which] = self.points[basis]
-        values[which] = (D[which] * points[which]).sum(axis=1)
-        rows = self.members[basis]
-        multipliers[which[:, None], rows] = weights * sizes[which, None] / self.norms[rows]
+    def proves(self, row: Array, offset: float) -> bool:
+        """Whether rows, mixed without rounding, show ``row . x <= offset`` for all points (Farkas).
+
+        Decides what rounding leaves open, and sets without bounds.
+        """
+        if self.A.shape[1] > EXACT_MOST:
+            return False
+        if np.any(np.all(row == self.A, axis=1) & (self.b <= offset)):
+            return True
+        found = self.program(np.asarray(row, dtype=float).tobytes())
+        if not np.isfinite(found.value):
+            return False
+        for used in (*self.basis(found), np.flatnonzero(found.multipliers > 0)):
+            level = mixed_level(self.A[used], self.b[used], row) if len(used) <= self.A.shape[1] else None
+            if level is not None and level <= Fraction(offset):
+                return True
+        return False
 
 
-def _parts(which: NDArray[np.intp], entries: int) -> Iterator[NDArray[np.intp]]:
-    """Parts of a list of directions, each of which takes so many entries."""
-    span = max(1, ENTRIES // max(entries, 1))
-    for k in range(0, len(which), span):
-        yield which[k : k + span]
+def mixed_level(rows: Array, levels: Array, target: Array) -> Fraction | None:
+    """Level of the mixture of rows, with weights >= 0 and without rounding, that is a target row."""
+    weights = mixture(rows, target)
+    if weights is None or min(weights, default=0) < 0:
+        return None
+    return sum((w * Fraction(b) for w, b in zip(weights, levels, strict=True)), Fraction(0))

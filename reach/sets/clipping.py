@@ -10,8 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..numerics.arguments import checked
-from ..numerics.checks import Array, as_vector, require_alike, require_same_dim
+from ..numerics.checks import Array, as_vector, checked, require_alike, require_same_dim
 from ..numerics.errors import ReachError
 from ..numerics.rounding import gamma
 from .polytope import HPolytope
@@ -24,19 +23,12 @@ WORTH = 0.9
 
 
 def strips(polytopes: Sequence[HPolytope | None], n: int) -> tuple[Array, Array, Array]:
-    """Rows and limits of ``low <= H x <= high`` for the intersection of polytopes.
+    """Unit rows (q, n) and limits (q,) of ``low <= H x <= high`` for the intersection of polytopes.
 
-    Rows that are parallel share one strip, so that an equation written as two inequalities is seen
-    as one.
-
-    Returns
-    -------
-    H : ndarray, shape (q, n), unit rows
-    low, high : ndarray, shape (q,)
+    Rows that are parallel share one strip, so that an equation written as two inequalities is seen as one.
     """
-    given = [p for p in polytopes if p is not None]
     H, low, high = np.zeros((0, n)), np.zeros(0), np.zeros(0)
-    for p in given:
+    for p in filter(None, polytopes):
         norms = np.linalg.norm(p.A, axis=1)
         for row, b in zip(p.A / norms[:, None], p.b / norms, strict=True):
             same, opposite = np.all(row == H, axis=1), np.all(row == -H, axis=1)
@@ -52,26 +44,14 @@ def strips(polytopes: Sequence[HPolytope | None], n: int) -> tuple[Array, Array,
 
 
 def clip(Z: Zonotope, H: Array, low: Array, high: Array) -> tuple[Zonotope, NDArray[np.bool_]]:
-    """Enclose the part of every zonotope of a stack that lies in the strips.
+    """Enclose the part of every zonotope of a stack (M,) that lies in the strips.
 
     Two steps, both sound. The coefficients are narrowed to those with which the limits can be met
     (the interval hull of each cut of the cube of coefficients, so the order does not grow). Where a
     strip still cuts, the zonotope ``c + l (d - h c), [(I - l h) G, l s]`` encloses the
     intersection with ``|h x - d| <= s`` for any l; the l of the least sum of squares is taken
-    (Bravo et al. 2006).
-
-    Parameters
-    ----------
-    Z : Zonotope, batch (M,)
-    H, low, high : ndarray, shapes (q, n), (q,), (q,)
-        As from `strips`; or one of each per member, (M, q, n), (M, q), (M, q).
-
-    Returns
-    -------
-    Zonotope, batch (M,)
-        Of what is empty, the unchanged set.
-    meets : ndarray of bool, shape (M,)
-        False where the intersection is proved to be empty.
+    (Bravo et al. 2006). The strips are those of `strips`, or one of each per member, (M, q, n) and (M, q).
+    Also said is which members meet the strips, (M,): the others are proved not to, and stay as they are.
     """
     meets = np.ones(len(Z), dtype=bool)
     q = H.shape[-2]
@@ -80,8 +60,8 @@ def clip(Z: Zonotope, H: Array, low: Array, high: Array) -> tuple[Zonotope, NDAr
     slack = gamma(Z.terms + 2 * q) * (np.abs(H) @ Z.extent[..., None])[..., 0]
     slack = slack + gamma(4) * np.where(np.isfinite(high), np.abs(high), np.abs(low))
     lows, highs = low - slack, high + slack
-    narrowed, meets = _narrow(Z, H, lows, highs, meets)
-    cut, grew = narrowed, False
+    cut, meets = _narrow(Z, H, lows, highs, meets)
+    grew = False
     for j in range(q):
         cut, changed = _strip(cut, H[..., j, :], lows[:, j], highs[:, j], slack[:, j], meets)
         grew = grew or changed
@@ -113,9 +93,7 @@ def _narrow(
                 # w b_l <= room_high - what the others take at least, and the same from below
                 above = room_high[:, None] - (total_least - least)
                 below = room_low[:, None] - (total_most - most)
-                ends = above / w, below / w
-                upper = np.where(w > 0, ends[0], np.where(w < 0, ends[1], np.inf))
-                lower = np.where(w > 0, ends[1], np.where(w < 0, ends[0], -np.inf))
+                upper, lower = np.maximum(above / w, below / w), np.minimum(above / w, below / w)
                 tiny = np.abs(w) < 1e-9 * np.abs(w).max(axis=1, keepdims=True, initial=0.0)
                 widen = 1e-12
                 hi = np.where(tiny | np.isnan(upper), hi, np.clip(upper + widen, lo, hi))

@@ -30,22 +30,6 @@ MOST = 20_000
 TOUCHING = "the sets touch to within rounding"
 
 
-def with_bounds(method: Callable[..., Answer]) -> Callable[..., Answer]:
-    """The method for polytopes in bounded sets: one without bounds leaves the interval hull too."""
-
-    def within(outer: Any, inner: HPolytope, how: Method, most: int) -> Answer:
-        if inner.is_bounded:
-            return method(outer, inner, how, most)
-        return in_polytope(outer.interval_hull().to_polytope(), inner, how, most)
-
-    return within
-
-
-def in_interval(outer: Interval, inner: Any, method: Method, most: int) -> Answer:
-    """By the inequalities of the box."""
-    return in_polytope(outer.to_polytope(), inner, method, most)
-
-
 def in_intersection(outer: Intersection, inner: Any, method: Method, most: int) -> Answer:
     """Inside every part."""
     from .pairs import contains
@@ -96,7 +80,7 @@ def in_polytope(outer: HPolytope, inner: Any, method: Method, most: int) -> Answ
 
     def settle(left: NDArray[np.intp]) -> list[bool | None]:
         if isinstance(inner, HPolytope):
-            return [True if inner.proved_below(outer.A[i], outer.b[i]) else None for i in left]
+            return [True if inner.bases.proves(outer.A[i], outer.b[i]) else None for i in left]
         if not isinstance(inner, Zonotope | Interval):
             return [None]
         rows, offsets = integers(outer.A[left], outer.b[left])

@@ -11,15 +11,7 @@ from typing import TYPE_CHECKING, Any, Protocol, Self, cast, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..numerics.checks import (
-    Array,
-    as_factor,
-    as_matrix,
-    as_one_vector,
-    as_vector,
-    require_sets,
-    selector,
-)
+from ..numerics.checks import Array, as_factor, as_map, as_vector, checked, require_sets, selector
 from ..numerics.errors import ReachError
 from ..numerics.rounding import gamma
 
@@ -97,7 +89,7 @@ class SetOperators(ConvexSet, ABC):
         """Linear image ``M @ X``."""
         from .lazy import AffineImage
 
-        M = as_matrix(M, self.dim)
+        M = as_map(M, self.dim, single=True)
         return AffineImage(M, self, np.zeros(M.shape[0]))
 
     def __add__(self, other: Any) -> Any:
@@ -106,7 +98,7 @@ class SetOperators(ConvexSet, ABC):
             from .pairs import minkowski_sum
 
             return minkowski_sum(self, other)
-        return self._translated(as_one_vector(other, self.dim))
+        return self._translated(as_vector(other, self.dim, single=True))
 
     def __mul__(self, factor: float) -> Any:
         """Scaled copy ``{a x}``."""
@@ -114,13 +106,29 @@ class SetOperators(ConvexSet, ABC):
 
     def support_up(self, directions: ArrayLike) -> Array:
         """Support with its rounding booked: never below the true value, shape (..., r)."""
-        D = as_vector(directions, self.dim)
-        return np.asarray(self.support(D) + gamma(self.terms) * weighed(D, self.extent))
+        return self._booked(as_vector(directions, self.dim), 1)
 
     def support_down(self, directions: ArrayLike) -> Array:
         """Support with its rounding booked: never above the true value, shape (..., r)."""
-        D = as_vector(directions, self.dim)
-        return np.asarray(self.support(D) - gamma(self.terms) * weighed(D, self.extent))
+        return self._booked(as_vector(directions, self.dim), -1)
+
+    def _booked(self, D: Array, way: int) -> Array:
+        """Support with its rounding booked upwards (1) or downwards (-1)."""
+        return np.asarray(self.support(D) + way * gamma(self.terms) * weighed(D, self.extent))
+
+    def interval_hull(self) -> Interval:
+        """Smallest box around the set, rounded outwards."""
+        from .interval import Interval
+
+        low, high = -self.support_up(-np.eye(self.dim)), self.support_up(np.eye(self.dim))
+        return Interval(np.minimum(low, high), high)
+
+    @checked
+    def contains(self, points: ArrayLike, slack: float = 1e-9) -> NDArray[np.bool_]:
+        """Whether each point lies in the set, to `slack` times its size; shape (...) for (..., n)."""
+        from .distance import contains_by_distance
+
+        return contains_by_distance(self, points, slack)
 
     def __radd__(self, other: Any) -> Any:
         return self + other
@@ -138,7 +146,7 @@ class SetOperators(ConvexSet, ABC):
         return self + (-as_vector(vector, self.dim))  # type: ignore[no-any-return]
 
     def __contains__(self, point: ArrayLike) -> bool:
-        return bool(self.contains(as_one_vector(point, self.dim)))
+        return bool(self.contains(as_vector(point, self.dim, single=True)))
 
     def __and__(self, other: Any) -> Any:
         """Intersection with another set: a box of two boxes, a polytope of inequalities, else lazy.
@@ -188,7 +196,7 @@ class SetOperators(ConvexSet, ABC):
             return cast("Zonotope", same())
         from .interval import Interval
 
-        F = as_matrix(frame, self.dim)
+        F = as_map(frame, self.dim, single=True)
         if F.shape != (self.dim, self.dim) or not np.linalg.cond(F) < 1e12:
             raise ReachError(f"frame must be an invertible {self.dim} x {self.dim} matrix")
         R = np.linalg.inv(F)
@@ -249,12 +257,6 @@ def find(table: Mapping[tuple[type, ...], Any], *sets: Any) -> Any:
     if exact is not None:
         return exact
     return next((table[key] for key in product(*(type(X).__mro__ for X in sets)) if key in table), None)
-
-
-def magnitude(X: ConvexSet, directions: ArrayLike) -> Array:
-    """Largest ``|d . x|`` over a set, shape (..., r) for rows (..., r, n)."""
-    D = np.asarray(directions, dtype=float)
-    return np.maximum(X.support(D), X.support(-D))
 
 
 def weighed(rows: Array, extent: Array) -> Array:

@@ -6,15 +6,14 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from ..numerics.checks import Array
 from ..numerics.errors import ReachError
 from ..numerics.programs import maximise
 from .distance import nearest, unit_sizes
-from .lifted import lifted
 from .polytope import HPolytope
+from .separation import lifted
 from .zonotope import Zonotope
 
 CUTS = 30
@@ -28,13 +27,7 @@ DEPTH = 1e-7
 
 
 class Search:
-    """Furthest points of an intersection, and how their direction is split between the parts.
-
-    Parameters
-    ----------
-    parts : tuple of sets
-        At least one of them bounded.
-    """
+    """Furthest points of an intersection, one part of which is bounded, and how their direction is split."""
 
     def __init__(self, parts: tuple[Any, ...]) -> None:
         self.parts, self.n = parts, parts[0].dim
@@ -51,7 +44,9 @@ class Search:
         axes = np.vstack([np.eye(self.n), -np.eye(self.n)]) / self.size
         self.planes = [axes if flat is None else np.zeros((0, self.n)) for flat in self.flat]
         # Of other sets with flat faces the program itself gives the coefficients of a point.
-        self._asked = [p for p, flat in zip(parts, self.flat, strict=True) if flat is None or _is_rows(p)]
+        self._asked = [
+            p for p, flat in zip(parts, self.flat, strict=True) if flat is None or isinstance(p, HPolytope)
+        ]
         self._known: dict[bytes, tuple[Array, Array]] = {}
 
     def split(self, direction: Array) -> tuple[Array, Array]:
@@ -82,51 +77,33 @@ class Search:
     def _solve(self, direction: Array, depth: bool) -> tuple[Array, Array, float]:
         """One linear program in ``(x - middle) / size``, the parts' own coordinates, and a depth."""
         n, size = self.n, self.size
-        blocks, offsets = [], []
+        rows, own, offsets, inner = [], [], [], []
         for part, flat, planes in zip(self.parts, self.flat, self.planes, strict=True):
-            if flat is None:
-                blocks.append((planes * size, np.zeros((len(planes), 0))))
-                offsets.append(part.support(planes) - planes @ self.middle)
-            elif _is_rows(part):
-                blocks.append((flat.A, np.zeros((len(flat.A), flat.G.shape[1]))))
-                offsets.append(flat.b)
-            else:
-                same, own = np.eye(n), flat.G / size[:, None]
-                none = np.zeros((len(flat.A), n))
-                shift = (flat.c - self.middle) / size
-                blocks.append((np.vstack([same, -same, none]), np.vstack([-own, own, flat.A])))
+            if flat is None or isinstance(part, HPolytope):
+                H, h = (planes, part.support(planes)) if flat is None else (part.A, part.b)
+                rows.append(H)
+                own.append(np.zeros((len(H), 0)))
+                offsets.append(h - H @ self.middle)
+                inner.append(np.ones(len(H)))
+            else:  # two rows for every coordinate say that the points are the same
+                same, G, shift = np.diag(1 / size), flat.G / size[:, None], (flat.c - self.middle) / size
+                rows.append(np.vstack([same, -same, np.zeros((len(flat.A), n))]))
+                own.append(np.vstack([-G, G, flat.A]))
                 offsets.append(np.r_[shift, -shift, flat.b])
-        A = np.hstack(
-            [np.vstack([block[0] for block in blocks]), block_diag(*(block[1] for block in blocks))]
-        )
-        b = np.hstack(offsets)
-        equal = np.hstack([self._equal(*one) for one in zip(self.parts, self.flat, self.planes, strict=True)])
-        room = np.where(equal, 0.0, np.linalg.norm(A, axis=1))[:, None] * float(depth)
-        A = np.vstack([np.hstack([A, room]), np.eye(A.shape[1] + 1)[-1:]])
-        goal = (
-            np.r_[np.zeros(A.shape[1] - 1), 1.0]
-            if depth
-            else np.r_[direction * size, np.zeros(A.shape[1] - n)]
-        )
-        found = maximise(goal, A, np.r_[b, 1.0])
+                inner.append(np.r_[np.zeros(2 * n), np.ones(len(flat.A))])
+        A = np.hstack([np.vstack(rows) * size, block_diag(*own)])
+        room = np.hstack(inner) * np.linalg.norm(A, axis=1) * float(depth)
+        A = np.vstack([np.c_[A, room], np.eye(A.shape[1] + 1)[-1:]])
+        goal = np.zeros(A.shape[1])
+        goal[:n], goal[-1] = direction * size, float(depth)
+        found = maximise(goal, A, np.r_[np.hstack(offsets), 1.0])
         if not np.isfinite(found.value):
             raise ReachError("the intersection has no point, or none that was found")
-        point = self.middle + size * found.point[:n]
-        rows, at = [], 0
-        for block, flat, part in zip(blocks, self.flat, self.parts, strict=True):
-            weights = found.multipliers[at : at + len(block[0])]
-            at += len(block[0])
-            exact = part.A if flat is not None and _is_rows(part) else block[0] / size
-            rows.append(weights @ exact)
-        return point, np.array(rows), float(found.point[-1])
-
-    def _equal(self, part: Any, flat: Any, planes: Array) -> NDArray[np.bool_]:
-        """Which rows of a part say that two points are the same."""
-        if flat is None:
-            return np.zeros(len(planes), dtype=bool)
-        if _is_rows(part):
-            return np.zeros(len(flat.A), dtype=bool)
-        return np.asarray(np.arange(2 * self.n + len(flat.A)) < 2 * self.n)
+        ends = np.cumsum([len(part) for part in rows])
+        split = [
+            w @ part for w, part in zip(np.split(found.multipliers[: ends[-1]], ends[:-1]), rows, strict=True)
+        ]
+        return self.middle + size * found.point[:n], np.array(split), float(found.point[-1])
 
     @cached_property
     def inner(self) -> tuple[Array, float]:
@@ -145,8 +122,3 @@ class Search:
             if all(bool(part.contains(pulled, 1e-10)) for part in self._asked):
                 return np.asarray(pulled)
         return np.full(self.n, np.nan)
-
-
-def _is_rows(part: Any) -> bool:
-    """Whether a part is given by inequalities in the coordinates of the whole."""
-    return isinstance(part, HPolytope)

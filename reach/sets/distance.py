@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..numerics.checks import Array, as_vector, require_same_dim
+from ..numerics.checks import Array, as_vector
 from .convex import ConvexSet
 
 STEPS = 300
@@ -19,45 +20,21 @@ CLOSE = 1e-9
 
 @dataclass(frozen=True)
 class Nearest:
-    """Nearest points found, in coordinates scaled so that the sets have about unit size.
+    """Nearest points found, in coordinates scaled so that the sets have about unit size."""
 
-    Attributes
-    ----------
-    x, y : ndarray, shape (n,)
-        Points of the first and the second set.
-    gap : float
-        Scaled distance of the two points.
-    least : float
-        The sets are at least this far apart (scaled, before rounding); not above `gap`.
-    direction : ndarray, shape (n,)
-        In true coordinates: ``direction . (y - x)`` is positive for disjoint sets.
-    scale : ndarray, shape (n,)
-        Size of one unit along each axis.
+    x: Array  # of the first set, (n,)
+    y: Array  # of the second set, (n,)
+    gap: float  # scaled distance of the two points
+    least: float  # the sets are at least this far apart (scaled, before rounding); not above `gap`
+    direction: Array  # in true coordinates: direction . (y - x) is positive for disjoint sets, (n,)
+
+
+def nearest(X: Any, Y: Any, scale: Array) -> Nearest:
+    """Nearest points of two bounded convex sets (Wolfe 1976: the point of least norm of ``X - Y``).
+
+    Distances are measured in `scale`, one unit for each axis. Of the sets a `center` and `support_vector`
+    are asked, nothing else.
     """
-
-    x: Array
-    y: Array
-    gap: float
-    least: float
-    direction: Array
-    scale: Array
-
-
-def nearest(X: ConvexSet, Y: ConvexSet, scale: Array | None = None, enough: float = 0.0) -> Nearest:
-    """Nearest points of two sets (Wolfe 1976: the point of least norm of ``X - Y``).
-
-    Parameters
-    ----------
-    X, Y : ConvexSet
-        Single bounded sets.
-    scale : ndarray, shape (n,), optional
-        Size of one unit along each axis; by default the larger of the two interval hulls.
-    enough : float
-        Scaled distance at or below which the points need not come closer.
-    """
-    require_same_dim(X, Y)
-    if scale is None:
-        scale = unit_sizes(np.maximum(X.interval_hull().half_widths, Y.interval_hull().half_widths))
     pairs = [np.stack([X.center, Y.center])]
     corral, weights, least = ((X.center - Y.center) / scale)[None], np.ones(1), 0.0
     for _ in range(STEPS):
@@ -77,7 +54,7 @@ def nearest(X: ConvexSet, Y: ConvexSet, scale: Array | None = None, enough: floa
         pairs = [pair for pair, use in zip(pairs, kept, strict=True) if use]
     x, y = np.tensordot(weights, np.array(pairs), axes=1)
     z = weights @ corral
-    return Nearest(x, y, float(np.linalg.norm(z)), least, -z / scale, scale)
+    return Nearest(x, y, float(np.linalg.norm(z)), least, -z / scale)
 
 
 def unit_sizes(half_widths: Array) -> Array:

@@ -9,17 +9,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import gamma as gamma_function
 
-from ..numerics.arguments import checked
-from ..numerics.checks import Array, as_factor, as_matrix, as_numbers, as_vector
+from ..numerics.checks import Array, as_factor, as_numbers, as_vector, checked, finite_fields
 from ..numerics.errors import ReachError
 from ..numerics.rounding import gamma
-from .convex import SetOperators
 from .interval import Interval
+from .stacks import Generated
 from .zonotope import Zonotope
 
 
 @dataclass(frozen=True, eq=False)
-class Ellipsoid(SetOperators):
+class Ellipsoid(Generated):
     """``{c + L u : norm(u, 2) <= 1}``, the image of the unit ball.
 
     Parameters
@@ -38,21 +37,17 @@ class Ellipsoid(SetOperators):
     c: Array
     L: Array
 
+    names = ("c", "L")
+
     def __post_init__(self) -> None:
-        c, L = as_numbers("c", self.c), as_numbers("L", self.L)
+        c, L = finite_fields(self, *self.names)
         if c.ndim != 1 or L.ndim != 2 or len(L) != len(c):
             raise ReachError(f"c must have shape (n,) and L shape (n, k), got {c.shape} and {L.shape}")
-        if not (np.all(np.isfinite(c)) and np.all(np.isfinite(L))):
-            raise ReachError("c and L must be finite numbers")
-        object.__setattr__(self, "c", c)
-        object.__setattr__(self, "L", L)
 
     @classmethod
     def ball(cls, center: ArrayLike, radius: float) -> Ellipsoid:
         """Euclidean ball; a radius below zero is refused."""
-        center, radius = as_numbers("center", center), as_factor(radius, "radius")
-        if not radius >= 0:
-            raise ReachError(f"radius must be >= 0, got {radius:g}")
+        center, radius = as_numbers("center", center), as_factor(radius, "radius", 0.0)
         return cls(center, radius * np.eye(len(np.atleast_1d(center))))
 
     @classmethod
@@ -76,23 +71,11 @@ class Ellipsoid(SetOperators):
         ReachError
             If P is not square, not symmetric or not positive definite, or the level is negative.
         """
-        level = as_factor(level, "level")
-        if not level >= 0:
-            raise ReachError(f"level must be >= 0, got {level:g}")
+        level = as_factor(level, "level", 0.0)
         values, vectors = _spectrum("P", P)
         if not values.min() > 0:
             raise ReachError(f"P must be positive definite, got an eigenvalue {values.min():.3g}")
         return cls(as_numbers("center", center), vectors * np.sqrt(level / values))
-
-    @property
-    def dim(self) -> int:
-        """Dimension n of the space."""
-        return len(self.c)
-
-    @property
-    def center(self) -> Array:
-        """Centre, shape (n,)."""
-        return self.c
 
     @property
     def shape(self) -> Array:
@@ -100,14 +83,9 @@ class Ellipsoid(SetOperators):
         return np.asarray(self.L @ self.L.T)
 
     @property
-    def extent(self) -> Array:
-        """Elementwise bound on the points, before rounding, shape (n,)."""
-        return np.asarray(np.abs(self.c) + np.linalg.norm(self.L, axis=1))
-
-    @property
-    def terms(self) -> int:
-        """Number of products summed in one value of the support function."""
-        return self.dim + int(self.L.shape[1])
+    def half_widths(self) -> Array:
+        """Half-widths of the interval hull, shape (n,)."""
+        return np.asarray(np.linalg.norm(self.L, axis=1))
 
     def support(self, directions: ArrayLike) -> Array:
         """Largest value of each direction over the set, shape (..., r) for rows (..., r, n)."""
@@ -122,30 +100,18 @@ class Ellipsoid(SetOperators):
 
     def interval_hull(self) -> Interval:
         """Smallest box around the set, rounded outwards."""
-        half = np.linalg.norm(self.L, axis=1)
-        return Interval.ball(self.c, half * (1 + gamma(self.L.shape[1])))
+        return Interval.ball(self.c, self.half_widths * (1 + gamma(self.L.shape[1])))
 
     @checked
     def contains(self, points: ArrayLike, slack: float = 1e-9) -> NDArray[np.bool_]:
         """Whether each point is reached with ``norm(u, 2) <= 1 + slack``, shape (...) for (..., n)."""
         gap = as_vector(points, self.dim) - self.c
-        size = np.linalg.norm(self.L, axis=1)
+        size = self.half_widths
         size = np.where(size > 0, size, 1.0)
         scaled = self.L / size[:, None]
         u = (gap / size) @ np.linalg.pinv(scaled).T
         missed = np.abs(u @ scaled.T - gap / size).max(axis=-1, initial=0.0)
         return np.asarray((np.linalg.norm(u, axis=-1) <= 1 + slack) & (missed <= slack))
-
-    def __rmatmul__(self, M: ArrayLike) -> Ellipsoid:
-        """Linear image ``M @ X``."""
-        M = as_matrix(M, self.dim)
-        return Ellipsoid(M @ self.c, M @ self.L)
-
-    def _translated(self, v: Array) -> Ellipsoid:
-        return Ellipsoid(self.c + v, self.L)
-
-    def _scaled(self, a: float) -> Ellipsoid:
-        return Ellipsoid(a * self.c, a * self.L)
 
     def enclosing_zonotope(self, frame: ArrayLike | None = None) -> Zonotope:
         """Zonotope around the set: the image of `reach.ball_generators`, or a parallelotope in a frame.
@@ -155,7 +121,7 @@ class Ellipsoid(SetOperators):
         """
         if frame is not None:
             return super().enclosing_zonotope(frame)
-        size = np.linalg.norm(self.L, axis=1)
+        size = self.half_widths
         U, s, _ = np.linalg.svd(self.L / np.where(size > 0, size, 1.0)[:, None], full_matrices=False)
         live = s > 0
         if not live.any():

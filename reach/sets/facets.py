@@ -21,29 +21,12 @@ def combination_count(G: Array) -> int:
 
 
 def facet_normals(G: Array, most: int) -> Whole:
-    """Normals of all facets of ``{G b : |b_i| <= 1}``, one of each opposite pair, exact.
+    """Normals of all facets of ``{G b : |b_i| <= 1}``, one of each opposite pair, exact: integers (n, k).
 
-    Parameters
-    ----------
-    G : ndarray, shape (n, g)
-    most : int
-        Largest number of combinations to look at.
-
-    Returns
-    -------
-    ndarray of int, shape (n, k)
-        Scaled by some power of two. A flat zonotope is the limit of its sum with a vanishing box,
-        so the axes join its generators; the normals then include those of the flat.
-
-    Raises
-    ------
-    ReachError
-        If there are more than `most` combinations.
-
-    Notes
-    -----
-    A facet is spanned by n - 1 generators (Althoff, Stursberg and Buss 2010, theorem 7), so
-    ``comb(g, n - 1)`` of them are looked at.
+    They are scaled by some power of two. A flat zonotope is the limit of its sum with a vanishing box, so
+    the axes join its generators; the normals then include those of the flat. A facet is spanned by n - 1
+    generators (Althoff, Stursberg and Buss 2010, theorem 7): ``comb(g, n - 1)`` are looked at, `most` at
+    the most.
     """
     n, candidates = len(G), _spanning(G)
     count = comb(candidates.shape[1], n - 1)
@@ -75,13 +58,7 @@ def _spanning(G: Array) -> Array:
 
 
 def volume(G: Array, most: int) -> Array:
-    """Volume of ``{G b : |b_i| <= 1}``: ``2^n`` times the sum of all n x n determinants' sizes, shape (...).
-
-    Raises
-    ------
-    ReachError
-        If there are more than `most` determinants.
-    """
+    """Volume of ``{G b : |b_i| <= 1}``, shape (...): ``2^n`` times the sum of the sizes of n x n minors."""
     n, g = G.shape[-2:]
     if comb(g, n) > most:
         raise ReachError(f"{g} generators in dimension {n} have {comb(g, n)} determinants, more than {most}")

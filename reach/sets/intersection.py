@@ -8,11 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..numerics.arguments import checked
-from ..numerics.checks import (
-    Array,
-    as_vector,
-)
+from ..numerics.checks import Array, as_vector, checked
 from ..numerics.errors import ReachError
 from ..numerics.rounding import gamma
 from .convex import weighed
@@ -83,12 +79,15 @@ class Intersection(OfParts):
         """Upper bound of each direction over the set, shape (..., r) for rows (..., r, n)."""
         return self.support_up(directions)
 
-    def support_up(self, directions: ArrayLike) -> Array:
-        """Upper bound with its rounding booked, shape (..., r)."""
+    def _booked(self, D: Array, way: int) -> Array:
+        """Up: a bound by splitting each direction. Down: at a point that passes the parts' tests, or -inf."""
         self._refuse_empty()
-        D = as_vector(directions, self.dim)
-        found = [self._bound(d, self._search.split(d)[1]) for d in D.reshape(-1, self.dim)]
-        return np.array(found).reshape(D.shape[:-1])
+        rows = D.reshape(-1, self.dim)
+        if way > 0:
+            return np.array([self._bound(d, self._search.split(d)[1]) for d in rows]).reshape(D.shape[:-1])
+        values = np.array([float(d @ self._search.inside(d)) for d in rows])
+        booked = weighed(rows, 1e-9 * self.interval_hull().half_widths + gamma(self.dim) * self.extent)
+        return np.nan_to_num(values - booked, nan=-np.inf).reshape(D.shape[:-1])
 
     def _bound(self, d: Array, split: Array) -> float:
         """Sum of the supports of the parts along a split of d; its rounding weighed with the whole."""
@@ -98,15 +97,6 @@ class Intersection(OfParts):
             total += float(part.support_up(row)) if row.any() else 0.0
         total += float(weighed(booked, self.extent)) + gamma(len(split)) * abs(total)
         return min(best, total) if np.isfinite(total) else best
-
-    def support_down(self, directions: ArrayLike) -> Array:
-        """Value at a point that passes the parts' own tests, shape (..., r); -inf if none was found."""
-        self._refuse_empty()
-        D = as_vector(directions, self.dim)
-        rows = D.reshape(-1, self.dim)
-        values = [float(d @ point) for d, point in zip(rows, map(self._search.inside, rows), strict=True)]
-        booked = weighed(rows, 1e-9 * self.interval_hull().half_widths + gamma(self.dim) * self.extent)
-        return np.nan_to_num(np.array(values) - booked, nan=-np.inf).reshape(D.shape[:-1])
 
     def support_vector(self, directions: ArrayLike) -> Array:
         """Points that attain the support, shape of `directions`, pulled in where there is room."""
@@ -118,15 +108,13 @@ class Intersection(OfParts):
             out.append(point if np.all(np.isfinite(point)) else self._search.split(d)[0])
         return np.array(out).reshape(D.shape)
 
-    @cached_property
-    def _hull(self) -> Interval:
-        eye = np.eye(self.dim)
-        low, high = -self.support_up(-eye), self.support_up(eye)
-        return Interval(np.minimum(low, high), high)
-
     def interval_hull(self) -> Interval:
         """Box around the set, rounded outwards."""
         return self._hull
+
+    @cached_property
+    def _hull(self) -> Interval:
+        return super().interval_hull()
 
     @checked
     def contains(self, points: ArrayLike, slack: float = 1e-9) -> NDArray[np.bool_]:

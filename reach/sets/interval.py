@@ -4,75 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..numerics.arguments import checked
-from ..numerics.checks import (
-    Array,
-    as_alike,
-    as_map,
-    as_numbers,
-    as_rows,
-    as_vector,
-    require_alike,
-    require_same_dim,
-    require_single,
-    require_stackable,
-    selector,
-    stacked,
-)
+from ..numerics import checks
+from ..numerics.checks import Array, checked
 from ..numerics.errors import ReachError
 from ..numerics.rounding import add_down, add_up, gamma
-from .convex import SetOperators
+from .stacks import SetStack, as_center_and_sizes
 
 if TYPE_CHECKING:
     from .polytope import HPolytope
     from .zonotope import Zonotope
-
-
-class SetStack(SetOperators):
-    """A set, or a stack of them along leading axes of its two arrays (their names in `names`)."""
-
-    names: ClassVar[tuple[str, str]]
-
-    @property
-    def _arrays(self) -> tuple[Array, Array]:
-        return getattr(self, self.names[0]), getattr(self, self.names[1])
-
-    @property
-    def dim(self) -> int:
-        """Dimension n of the space."""
-        return int(self._arrays[0].shape[-1])
-
-    @property
-    def batch(self) -> tuple[int, ...]:
-        """Leading axes."""
-        return self._arrays[0].shape[:-1]
-
-    def __getitem__(self, index: Any) -> Self:
-        """Select from the batch axes."""
-        if not self.batch:
-            raise ReachError(f"a single {type(self).__name__} cannot be indexed")
-        parts = [stacked(part, index) for part in self._arrays]
-        if parts[0].ndim == 0 or parts[0].shape[-1] != self.dim:
-            raise ReachError(f"an index selects from the batch axes {self.batch} only, got {index!r}")
-        return type(self)(*parts)
-
-    def __len__(self) -> int:
-        if not self.batch:
-            raise ReachError(f"a single {type(self).__name__} has no length")
-        return self.batch[0]
-
-    def __add__(self, other: Any) -> Any:
-        """Minkowski sum with another set, or translation by vectors that broadcast with the batch."""
-        if isinstance(other, SetOperators):
-            return super().__add__(other)
-        v = as_vector(other, self.dim)
-        require_alike(v.shape[:-1], self.batch)
-        return self._translated(v)
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,40 +41,26 @@ class Interval(SetStack):
     names = ("lo", "hi")
 
     def __post_init__(self) -> None:
-        lo, hi = as_numbers("lo", self.lo), as_numbers("hi", self.hi)
+        lo, hi = checks.finite_fields(self, *self.names)
         if lo.ndim == 0 or lo.shape != hi.shape:
             raise ReachError(f"lo and hi must be vectors of the same shape, got {lo.shape} and {hi.shape}")
-        if not (np.all(np.isfinite(lo)) and np.all(np.isfinite(hi))):
-            raise ReachError("lo and hi must be finite numbers")
         if np.any(lo > hi):
             at = tuple(int(i) for i in np.argwhere(lo > hi)[0])
             raise ReachError(f"lo must not exceed hi, got lo{list(at)} = {lo[at]:g} > {hi[at]:g}")
-        object.__setattr__(self, "lo", lo)
-        object.__setattr__(self, "hi", hi)
 
     @classmethod
     def ball(cls, center: ArrayLike, radius: ArrayLike) -> Interval:
         """Box around a centre with half-widths `radius` (a number or one per axis), rounded outwards."""
-        c, r = as_alike("center", center, "radius", radius)
-        if not np.all(r >= 0):
-            raise ReachError(f"radius must be >= 0, got {r.min():g}")
-        if not (np.all(np.isfinite(c)) and np.all(np.isfinite(r))):
-            raise ReachError("centre and radius must be finite numbers")
+        c, r = as_center_and_sizes(center, "radius", radius)
         return cls(add_down(c, -r), add_up(c, r))
 
     @classmethod
     def around(cls, points: ArrayLike) -> Interval:
         """Smallest box that holds points, shape (..., k, n)."""
-        points = as_numbers("points", points)
+        points = checks.as_numbers("points", points)
         if points.ndim < 2 or points.shape[-2] == 0:
             raise ReachError(f"points must have shape (..., k, n) with k >= 1, got {points.shape}")
         return cls(points.min(axis=-2), points.max(axis=-2))
-
-    @classmethod
-    def stack(cls, parts: Sequence[Interval]) -> Interval:
-        """Stack boxes along a new leading axis."""
-        require_stackable(parts, cls)
-        return cls(np.stack([part.lo for part in parts]), np.stack([part.hi for part in parts]))
 
     @property
     def center(self) -> Array:
@@ -158,13 +89,13 @@ class Interval(SetStack):
 
     def support(self, directions: ArrayLike) -> Array:
         """Largest value of each direction over the set, shape (..., r) for rows (..., r, n)."""
-        D = as_rows(directions, self.dim, self.batch)
+        D = self._rows(directions)
         up, down = np.maximum(D, 0), np.minimum(D, 0)
         return np.asarray((up @ self.hi[..., None] + down @ self.lo[..., None])[..., 0])
 
     def support_vector(self, directions: ArrayLike) -> Array:
         """Corners that attain the support, shape of `directions` broadcast with the batch."""
-        D = as_rows(directions, self.dim, self.batch)
+        D = self._rows(directions)
         lo, hi = (self.lo, self.hi) if D.ndim == 1 else (self.lo[..., None, :], self.hi[..., None, :])
         return np.where(D >= 0, hi, lo)
 
@@ -179,13 +110,16 @@ class Interval(SetStack):
         Batch axes broadcast with the points'. Each half-width is taken ``1 + slack`` times, and the
         rounding of the points forgiven.
         """
-        require_alike(np.shape(points)[:-1], self.batch)
-        x, extra = as_vector(points, self.dim), slack * (self.hi - self.lo) / 2 + gamma(1) * self.extent
+        checks.require_alike(np.shape(points)[:-1], self.batch)
+        x, extra = (
+            checks.as_vector(points, self.dim),
+            slack * (self.hi - self.lo) / 2 + gamma(1) * self.extent,
+        )
         return np.asarray(np.all((self.lo - extra <= x) & (x <= self.hi + extra), axis=-1))
 
     def __rmatmul__(self, M: ArrayLike) -> Zonotope:
         """Linear image ``M @ X``, a zonotope."""
-        return as_map(M, self.dim) @ self.to_zonotope()
+        return checks.as_map(M, self.dim) @ self.to_zonotope()
 
     def _translated(self, v: Array) -> Interval:
         return Interval(add_down(self.lo, v), add_up(self.hi, v))
@@ -196,13 +130,13 @@ class Interval(SetStack):
 
     def project(self, dims: Sequence[int]) -> Interval:
         """Coordinates in the order given (exact)."""
-        selector(dims, self.dim)
+        checks.selector(dims, self.dim)
         return Interval(self.lo[..., list(dims)], self.hi[..., list(dims)])
 
     @checked
     def hull(self, other: Interval) -> Interval:
         """Smallest box that holds both."""
-        require_same_dim(self, other)
+        checks.require_same_dim(self, other)
         return Interval(np.minimum(self.lo, other.lo), np.maximum(self.hi, other.hi))
 
     def to_zonotope(self) -> Zonotope:
@@ -215,7 +149,7 @@ class Interval(SetStack):
         """The same box by inequalities (exact)."""
         from .polytope import HPolytope
 
-        require_single(self, "to_polytope")
+        checks.require_single("a set to convert", self)
         eye = np.eye(self.dim)
         return HPolytope(np.vstack([eye, -eye]), np.r_[self.hi, -self.lo])
 
@@ -234,8 +168,8 @@ class Interval(SetStack):
         ReachError
             If no point of (one of) the set(s) is left.
         """
-        a, b = as_vector(normal, self.dim), as_numbers("offset", offset)[..., None]
-        require_alike(a.shape[:-1], b.shape[:-1], self.batch)
+        a, b = checks.as_vector(normal, self.dim), checks.as_numbers("offset", offset)[..., None]
+        checks.require_alike(a.shape[:-1], b.shape[:-1], self.batch)
         if not np.all(np.isfinite(b)):
             raise ReachError("offset must be finite")
         # The least the other coordinates can contribute leaves this much for each one.

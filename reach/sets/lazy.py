@@ -6,22 +6,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from ..numerics.arguments import checked
-from ..numerics.checks import (
-    Array,
-    as_matrix,
-    as_one_vector,
-    as_vector,
-    require_same_dim,
-    require_sets,
-    require_single,
-)
+from ..numerics.checks import Array, as_map, as_vector, require_same_dim, require_single
 from ..numerics.errors import ReachError
 from ..numerics.rounding import gamma
 from .convex import SetOperators, weighed
-from .distance import contains_by_distance
 from .interval import Interval
 
 if TYPE_CHECKING:
@@ -45,11 +35,10 @@ class AffineImage(SetOperators):
     v: Array
 
     def __post_init__(self) -> None:
-        require_sets(self.base)
-        require_single(self.base, "an affine image")
-        M = as_matrix(self.M, self.base.dim)
+        require_single("the base of an affine image", self.base)
+        M = as_map(self.M, self.base.dim, single=True)
         object.__setattr__(self, "M", M)
-        object.__setattr__(self, "v", as_one_vector(self.v, len(M)))
+        object.__setattr__(self, "v", as_vector(self.v, len(M), single=True))
 
     @property
     def dim(self) -> int:
@@ -66,18 +55,9 @@ class AffineImage(SetOperators):
         D = as_vector(directions, self.dim)
         return np.asarray(self.base.support(D @ self.M) + D @ self.v)
 
-    def support_up(self, directions: ArrayLike) -> Array:
-        """Support with its rounding booked: never below the true value, shape (..., r)."""
-        D = as_vector(directions, self.dim)
-        return np.asarray(self.base.support_up(D @ self.M) + D @ self.v + self._booked(D))
-
-    def support_down(self, directions: ArrayLike) -> Array:
-        """Support with its rounding booked: never above the true value, shape (..., r)."""
-        D = as_vector(directions, self.dim)
-        return np.asarray(self.base.support_down(D @ self.M) + D @ self.v - self._booked(D))
-
-    def _booked(self, D: Array) -> Array:
-        return gamma(2 * self.dim) * weighed(D, self.extent)
+    def _booked(self, D: Array, way: int) -> Array:
+        inner = self.base.support_up(D @ self.M) if way > 0 else self.base.support_down(D @ self.M)
+        return np.asarray(inner + D @ self.v + way * gamma(2 * self.dim) * weighed(D, self.extent))
 
     def support_vector(self, directions: ArrayLike) -> Array:
         """Points of the set that attain the support, shape of `directions`."""
@@ -94,19 +74,9 @@ class AffineImage(SetOperators):
         """Number of products summed in one value of the support function."""
         return self.dim + int(self.base.terms)
 
-    def interval_hull(self) -> Interval:
-        """Smallest box around the set, rounded outwards."""
-        eye = np.eye(self.dim)
-        return Interval(-self.support_up(-eye), self.support_up(eye))
-
-    @checked
-    def contains(self, points: ArrayLike, slack: float = 1e-9) -> NDArray[np.bool_]:
-        """Whether each point lies in the set, to `slack` times its size; shape (...) for (..., m)."""
-        return contains_by_distance(self, points, slack)
-
     def __rmatmul__(self, M: ArrayLike) -> AffineImage:
         """Linear image."""
-        M = as_matrix(M, self.dim)
+        M = as_map(M, self.dim, single=True)
         return AffineImage(M @ self.M, self.base, M @ self.v)
 
     def _translated(self, v: Array) -> AffineImage:
@@ -139,13 +109,7 @@ class AffineImage(SetOperators):
 
 
 def inverse(M: Array) -> Array:
-    """Approximate inverse of a square matrix.
-
-    Raises
-    ------
-    ReachError
-        If there is none to working precision.
-    """
+    """Approximate inverse of a square matrix, which must have one to working precision."""
     if M.shape[0] != M.shape[1] or not np.linalg.cond(M) < 1e15:
         raise ReachError(f"the map must have an inverse to working precision, its shape is {M.shape}")
     return np.asarray(np.linalg.inv(M))
@@ -163,7 +127,7 @@ class OfParts(SetOperators):
         object.__setattr__(self, "parts", tuple(self.parts))
         for part in self.parts:
             require_same_dim(self.parts[0], part)
-            require_single(part, f"a lazy {type(self).__name__}")
+            require_single(f"a part of a lazy {type(self).__name__}", part)
 
     @property
     def dim(self) -> int:
@@ -194,17 +158,9 @@ class MinkowskiSum(OfParts):
         """Largest value of each direction over the set, shape (..., r) for rows (..., r, n)."""
         return np.asarray(sum(part.support(directions) for part in self.parts))
 
-    def support_up(self, directions: ArrayLike) -> Array:
-        """Support with its rounding booked: never below the true value, shape (..., r)."""
-        D = as_vector(directions, self.dim)
-        booked = gamma(len(self.parts)) * weighed(D, self.extent)
-        return np.asarray(sum(part.support_up(D) for part in self.parts) + booked)
-
-    def support_down(self, directions: ArrayLike) -> Array:
-        """Support with its rounding booked: never above the true value, shape (..., r)."""
-        D = as_vector(directions, self.dim)
-        booked = gamma(len(self.parts)) * weighed(D, self.extent)
-        return np.asarray(sum(part.support_down(D) for part in self.parts) - booked)
+    def _booked(self, D: Array, way: int) -> Array:
+        values = (part.support_up(D) if way > 0 else part.support_down(D) for part in self.parts)
+        return np.asarray(sum(values) + way * gamma(len(self.parts)) * weighed(D, self.extent))
 
     def support_vector(self, directions: ArrayLike) -> Array:
         """Points of the set that attain the support, shape of `directions`."""
@@ -222,14 +178,9 @@ class MinkowskiSum(OfParts):
             total = total + part.interval_hull()
         return total  # type: ignore[no-any-return]
 
-    @checked
-    def contains(self, points: ArrayLike, slack: float = 1e-9) -> NDArray[np.bool_]:
-        """Whether each point lies in the set, to `slack` times its size; shape (...) for (..., n)."""
-        return contains_by_distance(self, points, slack)
-
     def __rmatmul__(self, M: ArrayLike) -> MinkowskiSum:
         """Linear image: the sum of the images."""
-        return MinkowskiSum(tuple(as_matrix(M, self.dim) @ part for part in self.parts))
+        return MinkowskiSum(tuple(as_map(M, self.dim, single=True) @ part for part in self.parts))
 
     def _translated(self, v: Array) -> MinkowskiSum:
         return MinkowskiSum((self.parts[0] + v, *self.parts[1:]))

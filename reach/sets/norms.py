@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..numerics.arguments import checked
-from ..numerics.checks import Array, require_single
+from ..numerics.checks import Array, checked, require_single
 from ..numerics.rounding import gamma
 from .convex import SetOperators
 from .ellipsoid import Ellipsoid
@@ -50,23 +49,23 @@ def largest_norm(X: SetOperators, most: int = 20_000, level: float | None = None
     level : float, optional
         Stop as soon as the maximum is known to lie on one side of this number.
     """
-    require_single(X, "largest_norm")
+    require_single("a set whose norm is asked", X)
     if isinstance(X, Interval):
         corner = np.where(np.abs(X.lo) > np.abs(X.hi), X.lo, X.hi)
         return _bracket(X, corner, float(np.linalg.norm(corner)))
     if isinstance(X, Zonotope):
-        return _over_signs(X, most, np.inf if level is None else level, level)
+        return _over_signs(X, most, level)
     if isinstance(X, Ellipsoid):
         return _s_lemma(X)
     if isinstance(X, AffineImage) and isinstance(X.base, Ellipsoid | Zonotope):
         found = largest_norm(X.M @ X.base + X.v, most, level)  # but for the rounding of the image
         booked = gamma(2 * X.terms) * float(np.linalg.norm(X.extent))
         return NormBracket(found.lower - booked, found.upper + booked, found.point)
+    found = _bracket(X, _climb(X, X.center), float(np.linalg.norm(X.interval_hull().extent)))
     if isinstance(X, MinkowskiSum):
-        total = sum(largest_norm(part, most).upper for part in X.parts)
-        found = _bracket(X, _climb(X, X.center), float(np.linalg.norm(X.interval_hull().extent)))
-        return NormBracket(found.lower, min(found.upper, total * (1 + gamma(len(X.parts)))), found.point)
-    return _bracket(X, _climb(X, X.center), float(np.linalg.norm(X.interval_hull().extent)))
+        total = sum(largest_norm(part, most).upper for part in X.parts) * (1 + gamma(len(X.parts)))
+        return replace(found, upper=min(found.upper, total))
+    return found
 
 
 def _bracket(X: SetOperators, point: Array, upper: float) -> NormBracket:
@@ -85,7 +84,7 @@ def _climb(X: SetOperators, start: Array) -> Array:
     return point
 
 
-def _over_signs(Z: Zonotope, most: int, target: float, level: float | None) -> NormBracket:
+def _over_signs(Z: Zonotope, most: int, level: float | None) -> NormBracket:
     """Branch and bound: signs are fixed from the longest generator to the shortest, level by level."""
     G = Z.G[:, np.argsort(-np.linalg.norm(Z.G, axis=0), kind="stable")]
     G = G[:, np.any(G != 0, axis=0)]
@@ -106,7 +105,7 @@ def _over_signs(Z: Zonotope, most: int, target: float, level: float | None) -> N
         floor = least * (1 + 1e-9)
         if level is not None and least > level:
             return _bracket(Z, best, max(float(bounds.max()), upper))
-        keep = bounds > (floor if level is None else max(floor, min(target, level)))
+        keep = bounds > (floor if level is None else max(floor, level))
         upper = max(upper, float(bounds[~keep].max(initial=floor)))
         fixed, bounds = fixed[keep], bounds[keep]
         if len(fixed) == 0:

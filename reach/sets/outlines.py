@@ -9,9 +9,8 @@ import numpy as np
 from ..numerics.checks import Array, require_sets
 from ..numerics.errors import ReachError
 from .ellipsoid import Ellipsoid
-from .intersection import Intersection
 from .interval import Interval
-from .lazy import AffineImage, MinkowskiSum
+from .lazy import AffineImage, OfParts
 from .zonotope import Zonotope
 
 OUTLINE = 128
@@ -23,43 +22,29 @@ SAME = 1e-9
 
 def is_round(X: Any) -> bool:
     """Whether there is an ellipsoid in the set."""
-    if isinstance(X, AffineImage):
-        return is_round(X.base)
-    if isinstance(X, MinkowskiSum):
-        return any(is_round(part) for part in X.parts)
-    if isinstance(X, Intersection):
-        return any(is_round(part) for part in X.parts)
-    return isinstance(X, Ellipsoid)
+    inner = (X.base,) if isinstance(X, AffineImage) else X.parts if isinstance(X, OfParts) else ()
+    return isinstance(X, Ellipsoid) or any(map(is_round, inner))
 
 
 def outline(X: Any) -> Array:
     """Polygon around a planar set, counter-clockwise, shape (k, 2): exact unless the set is round."""
     require_sets(X)
-    require_planar(X)
+    _require_planar(X)
     return round_outline(X) if is_round(X) else np.asarray(X.vertices_2d())
 
 
-def require_planar(X: Any) -> None:
-    """Refuse what is not planar."""
+def _require_planar(X: Any) -> None:
     if X.dim != 2:
         raise ReachError(f"an outline asks a planar set, got dimension {X.dim}")
 
 
 def vertices_2d(X: Any) -> Array:
-    """Vertices of a planar set with flat faces, counter-clockwise, shape (k, 2).
-
-    Raises
-    ------
-    ReachError
-        If the set is not planar, is round, or unbounded.
-    """
-    if X.dim != 2:
-        raise ReachError(f"vertices_2d asks a planar set, got dimension {X.dim}")
+    """Vertices of a planar set with flat faces, counter-clockwise, shape (k, 2)."""
+    _require_planar(X)
     if is_round(X):
         raise ReachError("a set with an ellipsoid in it has no vertices; reach.outline draws around it")
-    if isinstance(X, Interval):
-        X = X.to_zonotope()
-    return _of_zonotope(X) if isinstance(X, Zonotope) else _by_chords(X)
+    flat = X.to_zonotope() if isinstance(X, Interval) else X
+    return _of_zonotope(flat) if isinstance(flat, Zonotope) else _by_chords(X)
 
 
 def _of_zonotope(Z: Zonotope) -> Array:
@@ -103,8 +88,6 @@ def _by_chords(X: Any) -> Array:
 
 def round_outline(X: Any, count: int = OUTLINE) -> Array:
     """Polygon of supporting lines around a planar set, counter-clockwise, shape (count, 2)."""
-    if X.dim != 2:
-        raise ReachError(f"an outline asks a planar set, got dimension {X.dim}")
     hull = X.interval_hull()
     size = np.where(hull.half_widths > 0, hull.half_widths, 1.0)
     angles = 2 * np.pi * np.arange(count) / count

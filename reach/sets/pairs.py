@@ -1,8 +1,7 @@
-"""What is asked of two sets: one table from the classes of both to the function that answers.
+"""What is asked of two sets: one table from their classes to the function that answers.
 
 Where a pair has no entry of its own, the bases of the classes are tried in the order of
-`reach.sets.convex.find`: the second set gives way first, then the first. So ``(HPolytope, SetOperators)``
-serves a polytope and any set of the library, unless the other set's class has an entry with it.
+`reach.sets.convex.find`: the second set gives way first, then the first.
 """
 
 from __future__ import annotations
@@ -12,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ..numerics.arguments import checked
-from ..numerics.checks import as_count, require_alike, require_same_dim, require_single
+from ..numerics.checks import as_count, checked, require_alike, require_same_dim, require_single
 from ..numerics.errors import ReachError
 from ..numerics.rounding import add_down, add_up
 from . import containment as inside
@@ -25,6 +23,7 @@ from .intersection import Intersection
 from .interval import Interval
 from .lazy import AffineImage, MinkowskiSum
 from .polytope import HPolytope
+from .stacks import Generated
 from .zonotope import Zonotope
 
 
@@ -64,10 +63,12 @@ def contains(outer: Any, inner: Any, method: Method = "auto", most: int = MOST) 
         raise ReachError(f"method must be 'auto', 'exact' or 'sufficient', got {method!r}")
     most = as_count("most", most)
     for one in (outer, inner):
-        require_single(one, "contains")
+        require_single("a set asked about", one)
     if getattr(inner, "is_empty", False):
         return Answer(True, np.inf) if inner.proved_empty else Answer(None, 0.0, reason=inside.TOUCHING)
-    answer: Callable[..., Answer] | None = find(CONTAINS, outer, inner)
+    if isinstance(inner, HPolytope) and not inner.is_bounded and isinstance(outer, Generated):
+        outer = outer.interval_hull().to_polytope()  # what has no bounds leaves the hull too
+    answer: Callable[..., Answer] | None = find(CONTAINS, outer)
     if answer is None:
         given = type(outer).__name__
         raise ReachError(f"containment in a {given} is not offered: enclose or convert it first")
@@ -102,11 +103,10 @@ def disjoint(X: Any, Y: Any) -> Answer:
     """
     require_same_dim(X, Y)
     for one in (X, Y):
-        require_single(one, "disjoint")
+        require_single("a set asked about", one)
         if getattr(one, "is_empty", False):
             return Answer(True, np.inf) if one.proved_empty else Answer(None, 0.0, reason=apart.CLOSER)
-    judge: Callable[..., Answer] = find(DISJOINT, X, Y)
-    return judge(X, Y)
+    return apart.separate(X, Y)
 
 
 def intersect(X: Any, Y: Any) -> Any:
@@ -136,8 +136,6 @@ def _box_of_boxes(X: Interval, Y: Interval) -> Interval:
 def _shared_points(X: Any, Y: Any) -> Any:
     """One polytope of all inequalities, and the other sets; lazy unless one of both is all there is."""
     parts = [part for one in (X, Y) for part in (one.parts if isinstance(one, Intersection) else (one,))]
-    for part in parts:
-        require_single(part, "an intersection")
     rows = [part.to_polytope() for part in parts if isinstance(part, Interval | HPolytope)]
     others = [part for part in parts if not isinstance(part, Interval | HPolytope)]
     if rows:
@@ -151,42 +149,21 @@ def _sum_of_boxes(X: Interval, Y: Interval) -> Interval:
     return Interval(add_down(X.lo, Y.lo), add_up(X.hi, Y.hi))
 
 
-def _joined_generators(X: Zonotope | Interval, Y: Zonotope | Interval) -> Zonotope:
-    a, b = (one.to_zonotope() for one in (X, Y))
-    require_same_dim(a, b)
-    require_alike(a.batch, b.batch)
-    c = a.c + b.c
-    parts = [np.broadcast_to(z.G, (*c.shape, z.order_count)) for z in (a, b)]
-    return Zonotope(c, np.concatenate(parts, axis=-1))
-
-
 def _lazy_sum(X: Any, Y: Any) -> MinkowskiSum:
     """Kept unevaluated; nested sums are flattened."""
-    for part in (X, Y):
-        require_single(part, "a lazy Minkowski sum")
     parts = [part for one in (X, Y) for part in (one.parts if isinstance(one, MinkowskiSum) else (one,))]
     return MinkowskiSum(tuple(parts))
 
 
 CONTAINS: dict[tuple[type, ...], Callable[..., Answer]] = {
-    (Interval, object): inside.in_interval,
-    (Interval, HPolytope): inside.with_bounds(inside.in_interval),
-    (HPolytope, object): inside.in_polytope,
-    (Zonotope, object): inside.in_zonotope,
-    (Zonotope, HPolytope): inside.with_bounds(inside.in_zonotope),
-    (Ellipsoid, object): inside.in_ellipsoid,
-    (Ellipsoid, HPolytope): inside.with_bounds(inside.in_ellipsoid),
-    (AffineImage, object): inside.in_image,
-    (Intersection, object): inside.in_intersection,
+    (Interval,): lambda outer, *asked: inside.in_polytope(outer.to_polytope(), *asked),
+    (HPolytope,): inside.in_polytope,
+    (Zonotope,): inside.in_zonotope,
+    (Ellipsoid,): inside.in_ellipsoid,
+    (AffineImage,): inside.in_image,
+    (Intersection,): inside.in_intersection,
 }
-"""Of the outer set's class, then the inner one's. No entry: not offered."""
-
-DISJOINT: dict[tuple[type, ...], Callable[..., Answer]] = {
-    (HPolytope, HPolytope): apart.by_shape,
-    (HPolytope, object): apart.polytope_and_other,
-    (object, HPolytope): apart.other_and_polytope,
-    (object, object): apart.by_shape,
-}
+"""Of the outer set's class, whatever the inner one. No entry: not offered."""
 
 INTERSECTION: dict[tuple[type, ...], Callable[..., Any]] = {
     (Interval, Interval): _box_of_boxes,
@@ -195,8 +172,7 @@ INTERSECTION: dict[tuple[type, ...], Callable[..., Any]] = {
 
 MINKOWSKI_SUM: dict[tuple[type, ...], Callable[..., Any]] = {
     (Interval, Interval): _sum_of_boxes,
-    (Interval, Zonotope): lambda X, Y: _joined_generators(Y, X),
-    (Zonotope, Interval): _joined_generators,
-    (Zonotope, Zonotope): _joined_generators,
+    (Interval, Zonotope): lambda X, Y: Y + X.to_zonotope(),
+    (Zonotope, Interval): lambda X, Y: X + Y.to_zonotope(),
     (SetOperators, SetOperators): _lazy_sum,
 }

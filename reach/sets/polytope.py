@@ -3,35 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from fractions import Fraction
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..numerics.arguments import checked
-from ..numerics.checks import Array, as_factor, as_matrix, as_numbers, as_one_vector, as_vector
+from ..numerics.checks import Array, as_factor, as_map, as_vector, checked, finite_fields
 from ..numerics.errors import ReachError
 from ..numerics.programs import maximise
-from ..numerics.rounding import gamma, is_product, mixture
-from .bases import Bases
+from ..numerics.rounding import gamma, is_product
+from .bases import EXACT_MOST, Bases, mixed_level
 from .convex import SetOperators, weighed
+from .distance import unit_sizes
 from .interval import Interval
-
-EXACT_MOST = 24
-"""Largest dimension in which inequalities are mixed without rounding."""
 
 FLATNESS = 1e-9
 """An inscribed radius above minus this, relative to the offsets, counts as 'not empty'."""
-
-
-def _mixed(rows: Array, levels: Array, target: Array) -> Fraction | None:
-    """Level of the mixture of rows, with weights >= 0 and without rounding, that is a target row."""
-    weights = mixture(rows, target)
-    if weights is None or min(weights, default=0) < 0:
-        return None
-    return sum((w * Fraction(b) for w, b in zip(weights, levels, strict=True)), Fraction(0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,15 +42,11 @@ class HPolytope(SetOperators):
     b: Array
 
     def __post_init__(self) -> None:
-        A, b = as_numbers("A", self.A), as_numbers("b", self.b)
+        A, b = finite_fields(self, "A", "b")
         if A.ndim != 2 or A.shape[1] == 0 or b.shape != A.shape[:1]:
             raise ReachError(f"A must have shape (m, n) and b shape (m,), got {A.shape} and {b.shape}")
-        if not (np.all(np.isfinite(A)) and np.all(np.isfinite(b))):
-            raise ReachError("A and b must be finite numbers")
         if np.any(~A.any(axis=1)):
             raise ReachError(f"row {int(np.argmin(A.any(axis=1)))} of A is zero")
-        object.__setattr__(self, "A", A)
-        object.__setattr__(self, "b", b)
 
     @property
     def dim(self) -> int:
@@ -101,34 +85,15 @@ class HPolytope(SetOperators):
         used = used[self._ball[2][used] > 0]
         sizes = np.exp2(np.round(np.log2(np.linalg.norm(self.A[used], axis=1))))
         rows, levels = np.c_[self.A[used] / sizes[:, None], np.ones(len(used))], self.b[used] / sizes
-        level = _mixed(rows, levels, np.eye(self.dim + 1)[-1]) if np.all(np.isfinite(levels)) else None
+        level = mixed_level(rows, levels, np.eye(self.dim + 1)[-1]) if np.all(np.isfinite(levels)) else None
         return level is not None and level < 0
-
-    def proved_below(self, row: Array, offset: float) -> bool:
-        """Whether rows, mixed without rounding, show ``row . x <= offset`` for all points (Farkas).
-
-        Decides what rounding leaves open, and sets without bounds.
-        """
-        if self.dim > EXACT_MOST:
-            return False
-        if np.any(np.all(row == self.A, axis=1) & (self.b <= offset)):
-            return True
-        found = self._bases.program(np.asarray(row, dtype=float).tobytes())
-        if not np.isfinite(found.value):
-            return False
-        for used in (*self._bases.basis(found), np.flatnonzero(found.multipliers > 0)):
-            level = _mixed(self.A[used], self.b[used], row) if len(used) <= self.dim else None
-            if level is not None and level <= Fraction(offset):
-                return True
-        return False
 
     @cached_property
     def frame(self) -> tuple[Array, Array]:
         """A point and sizes to measure with, each (n,); those of the offsets if it has no bounds."""
         if self.is_bounded and not self.is_empty:
             hull = self.interval_hull()
-            half = hull.half_widths
-            return hull.center, np.where(half > 0, half, float(half.max()) or 1.0)
+            return hull.center, unit_sizes(hull.half_widths)
         columns = np.abs(self.A).max(axis=0, initial=0.0)
         columns = 1 / np.where(columns > 0, columns, 1.0)
         level = np.abs(self.b) / np.linalg.norm(self.A * columns, axis=1)
@@ -162,7 +127,7 @@ class HPolytope(SetOperators):
         """Weak duality along the positive, then the negative axes; levels (2 n,) are nan without a bound."""
         axes = np.vstack([np.eye(self.dim), -np.eye(self.dim)])
         self._refuse_empty()
-        found = [self._bases.program(axis.tobytes()) for axis in axes]
+        found = [self.bases.program(axis.tobytes()) for axis in axes]
         return self.weak_duality(axes, np.array([one.multipliers for one in found]))
 
     @property
@@ -212,35 +177,32 @@ class HPolytope(SetOperators):
         The bound of `support_up` where there is one, else what the solver says (1e-9 relative). An
         empty set is refused.
         """
-        D, values, _, multipliers = self._answers(directions)
+        D = as_vector(directions, self.dim)
+        values, _, multipliers = self._answers(D)
         proved = self._proved(D, values, multipliers)
         return np.where(np.isfinite(proved), proved, values)
 
-    def support_up(self, directions: ArrayLike) -> Array:
-        """Support proved by weak duality, residuals booked, shape (..., r); inf where there is no proof.
+    def _booked(self, D: Array, way: int) -> Array:
+        """Up: proved by weak duality, inf where there is no proof (of a bounded set there always is one).
 
-        Of a bounded set there always is one.
+        Down: the value at the solver's point less its tolerance, inf if unbounded.
         """
-        D, values, _, multipliers = self._answers(directions)
-        return self._proved(D, values, multipliers)
-
-    def support_down(self, directions: ArrayLike) -> Array:
-        """Value at the solver's point less its tolerance, shape (..., r); inf if unbounded."""
-        D, values, points, _ = self._answers(directions)
+        values, points, multipliers = self._answers(D)
+        if way > 0:
+            return self._proved(D, values, multipliers)
         known = np.isfinite(values)
-        sizes = np.where(known[..., None], points, 0.0), np.where(known, values, 0.0)
-        room = (np.abs(D) * np.abs(sizes[0])).sum(axis=-1) + np.abs(sizes[1])
-        return np.asarray(values - FLATNESS * room)
+        terms = (np.abs(D) * np.abs(np.where(known[..., None], points, 0.0))).sum(axis=-1)
+        return np.asarray(values - FLATNESS * (terms + np.abs(np.where(known, values, 0.0))))
 
     @cached_property
-    def _bases(self) -> Bases:
-        return Bases(self.A, self.b, lambda: self.center if self.is_bounded else None)
+    def bases(self) -> Bases:
+        """Vertices found so far, and proofs by the rows that meet in them."""
+        return Bases(self.A, self.b)
 
-    def _answers(self, directions: ArrayLike) -> tuple[Array, Array, Array, Array]:
-        """Directions (..., n), and the values, points and multipliers of the largest along them."""
-        D = as_vector(directions, self.dim)
+    def _answers(self, D: Array) -> tuple[Array, Array, Array]:
+        """Values, points and multipliers of the largest along directions (..., n)."""
         self._refuse_empty()
-        return D, *self._bases.answers(D)
+        return self.bases.answers(D)
 
     def _proved(self, D: Array, values: Array, multipliers: Array) -> Array:
         level, residual = self.weak_duality(D, np.where(np.isfinite(multipliers), multipliers, 0.0))
@@ -248,7 +210,7 @@ class HPolytope(SetOperators):
 
     def support_vector(self, directions: ArrayLike) -> Array:
         """Points of the set that attain the support, shape of `directions`; refused where unbounded."""
-        points = self._answers(directions)[2]
+        points = self._answers(as_vector(directions, self.dim))[1]
         if np.any(np.isnan(points)):
             raise ReachError("the polytope is unbounded in a direction asked for")
         return points
@@ -280,7 +242,7 @@ class HPolytope(SetOperators):
         `AffineImage.to_polytope` encloses that by inequalities, where the map has an inverse. Translations
         and scaled copies are polytopes under the same condition.
         """
-        M = as_matrix(M, self.dim)
+        M = as_map(M, self.dim, single=True)
         if M.shape == (self.dim, self.dim) and np.linalg.cond(M) < 1 / np.finfo(float).eps:
             rows = np.asarray(np.linalg.solve(M.T, self.A.T).T, dtype=np.float64)
             if is_product(self.A, rows, M):
@@ -301,7 +263,7 @@ class HPolytope(SetOperators):
 
     def intersect_halfspace(self, normal: ArrayLike, offset: float) -> HPolytope:
         """Part of the set with ``normal . x <= offset`` (exact)."""
-        row = as_one_vector(normal, self.dim)
+        row = as_vector(normal, self.dim, single=True)
         return HPolytope(np.vstack([self.A, row]), np.r_[self.b, as_factor(offset, "offset")])
 
     def to_polytope(self) -> HPolytope:

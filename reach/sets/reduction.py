@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..numerics.arguments import checked
-from ..numerics.checks import Array, require_alike, require_same_dim
+from ..numerics.checks import Array, checked, require_alike, require_same_dim
 from ..numerics.errors import ReachError
 from ..numerics.rounding import gamma
 from .zonotope import Zonotope
@@ -54,19 +53,14 @@ def reduce(zonotope: Zonotope, order: float, method: str = "pca") -> Zonotope:
     if zonotope.order_count <= budget:
         return zonotope
     # Powers of two, so that scaling there and back leaves every number as it was.
-    size = np.exp2(np.round(np.log2(np.where(zonotope.half_widths > 0, zonotope.half_widths, 1.0))))[
-        ..., None
-    ]
-    flat = (zonotope.half_widths == 0)[..., None]
-    G = zonotope.G / size
-    size = np.where(flat, 0.0, size)
+    half = zonotope.half_widths[..., None]
+    size = np.exp2(np.round(np.log2(np.where(half > 0, half, 1.0))))
+    G, size = zonotope.G / size, np.where(half == 0, 0.0, size)
     if method != "auto":
         return Zonotope(zonotope.c, METHODS[method](G, budget) * size)
     found = [one(G, budget) for one in METHODS.values()]
-    widths = np.stack([mean_width(one) for one in found])
-    best = np.take_along_axis(
-        np.stack(found), _ranks(widths, 0).argmin(axis=0)[None, ..., None, None], axis=0
-    )[0]
+    least = _ranks(np.stack([mean_width(one) for one in found]), 0).argmin(axis=0)
+    best = np.take_along_axis(np.stack(found), least[None, ..., None, None], axis=0)[0]
     return Zonotope(zonotope.c, best * size)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,8 +13,11 @@ from ..numerics.programs import maximise
 from ..numerics.rounding import gamma, integers
 from .convex import Answer, weighed
 from .distance import nearest, unit_sizes
-from .lifted import Lifted, lifted
+from .intersection import Intersection
+from .interval import Interval
+from .lazy import AffineImage, MinkowskiSum
 from .polytope import HPolytope
+from .zonotope import Zonotope
 
 COMMON = 1e-9
 """Points of the two sets this close, in sizes of the sets, count as a common point."""
@@ -22,38 +25,24 @@ COMMON = 1e-9
 CLOSER = "the sets are closer than rounding can tell"
 
 
-def by_shape(X: Any, Y: Any) -> Answer:
-    """One linear program where both sets have flat faces, else nearest points."""
+def separate(X: Any, Y: Any) -> Answer:
+    """One linear program where both sets have flat faces, else nearest points.
+
+    Of an unbounded polytope and a round set only the part within the other's interval hull is asked.
+    """
     middle, size, units = _frame(X, Y)
     first, second = lifted(X, middle, size), lifted(Y, middle, size)
     if first is not None and second is not None:
         return _by_program(X, Y, first, second, units)
-    found = nearest(X, Y, units)
-    room = -float(X.support_up(found.direction) + Y.support_up(-found.direction))
-    return _answer(X, Y, found.direction, room, found.x, found.y, units)
-
-
-def polytope_and_other(X: HPolytope, Y: Any) -> Answer:
-    """Of an unbounded polytope and a round set only the part within the other's interval hull is asked."""
-    from .pairs import disjoint
-
-    if not _is_open_beside(X, Y):
-        return by_shape(X, Y)
-    box = Y.interval_hull()
-    apart, within = disjoint(X, box), X & box
-    return apart if apart or within.is_empty else disjoint(within, Y)
-
-
-def other_and_polytope(X: Any, Y: HPolytope) -> Answer:
-    """The same the other way round: what separates leads from X to Y."""
-    if not _is_open_beside(Y, X):
-        return by_shape(X, Y)
-    found = polytope_and_other(Y, X)
-    return found if found.direction is None else replace(found, direction=-found.direction)
-
-
-def _is_open_beside(P: HPolytope, other: Any) -> bool:
-    return not P.is_bounded and lifted(other, *_frame(P, other)[:2]) is None
+    for P, other, way in ((X, Y, 1.0), (Y, X, -1.0)):
+        if isinstance(P, HPolytope) and not P.is_bounded:
+            box = other.interval_hull()
+            found, within = separate(P, box), P & box
+            found = found if found or within.is_empty else separate(within, other)
+            return found if found.direction is None else replace(found, direction=way * found.direction)
+    near = nearest(X, Y, units)
+    room = -float(X.support_up(near.direction) + Y.support_up(-near.direction))
+    return _answer(X, Y, near.direction, room, near.x, near.y, units)
 
 
 def _frame(X: Any, Y: Any) -> tuple[Array, Array, Array]:
@@ -138,3 +127,69 @@ def _cancel(P: HPolytope, multipliers: Array) -> bool:
     A, b = integers(P.A, P.b)
     (weights,) = integers(multipliers)
     return not np.any(weights @ A) and bool(weights @ b < 0)
+
+
+@dataclass(frozen=True)
+class Lifted:
+    """``{c + G z : A z <= b}``, the z of about unit size where the set's own size is known."""
+
+    c: Array
+    G: Array
+    A: Array
+    b: Array
+
+
+def lifted(X: Any, middle: Array, size: Array) -> Lifted | None:
+    """A set with flat faces as the image of a polytope; None for any other set.
+
+    Polytopes are written in ``(x - middle) / size``, about where the points of interest lie.
+    """
+    if isinstance(X, Interval):
+        return Lifted(X.center, np.diag(X.half_widths), *_cube(X.dim))
+    if isinstance(X, Zonotope):
+        return Lifted(X.c, X.G, *_cube(X.order_count))
+    if isinstance(X, HPolytope):
+        return Lifted(middle, np.diag(size), X.A * size, X.b - X.A @ middle)
+    if isinstance(X, AffineImage):
+        base = lifted(X.base, *_own_frame(X.base))
+        return base and Lifted(X.M @ base.c + X.v, X.M @ base.G, base.A, base.b)
+    if isinstance(X, MinkowskiSum | Intersection):
+        parts = [lifted(part, *_own_frame(part)) for part in X.parts]
+        known = [part for part in parts if part is not None]
+        if len(known) == len(parts):
+            return _summed(known) if isinstance(X, MinkowskiSum) else _shared(known)
+    return None
+
+
+def _cube(g: int) -> tuple[Array, Array]:
+    return np.vstack([np.eye(g), -np.eye(g)]), np.ones(2 * g)
+
+
+def _own_frame(X: Any) -> tuple[Array, Array]:
+    """A point and sizes to measure a set with; those of its offsets where it is unbounded."""
+    if isinstance(X, HPolytope):
+        return X.frame
+    return np.zeros(X.dim), np.ones(X.dim)
+
+
+def _summed(parts: list[Lifted]) -> Lifted:
+    A = block_diag(*(part.A for part in parts))
+    c = np.sum([part.c for part in parts], axis=0)
+    return Lifted(c, np.hstack([part.G for part in parts]), A, np.hstack([part.b for part in parts]))
+
+
+def _shared(parts: list[Lifted]) -> Lifted:
+    """Points of the first set that are points of all others, each equation as two rows."""
+    first, A = parts[0], block_diag(*(part.A for part in parts))
+    rows, offsets, at = [A], [part.b for part in parts], first.G.shape[1]
+    for part in parts[1:]:
+        same = np.zeros((len(first.c), A.shape[1]))
+        same[:, : first.G.shape[1]] = first.G
+        same[:, at : at + part.G.shape[1]] = -part.G
+        at += part.G.shape[1]
+        live = same.any(axis=1)
+        rows += [same[live], -same[live]]
+        offsets += [(part.c - first.c)[live], (first.c - part.c)[live]]
+    G = np.zeros((len(first.c), A.shape[1]))
+    G[:, : first.G.shape[1]] = first.G
+    return Lifted(first.c, G, np.vstack(rows), np.hstack(offsets))

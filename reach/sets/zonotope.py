@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import Any, overload
@@ -10,31 +9,19 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..numerics.arguments import checked
-from ..numerics.checks import (
-    Array,
-    as_alike,
-    as_count,
-    as_map,
-    as_numbers,
-    as_rows,
-    as_vector,
-    require_alike,
-    require_same_dim,
-    require_single,
-    require_stackable,
-    selector,
-)
+from ..numerics import checks
+from ..numerics.checks import Array, checked
 from ..numerics.errors import ReachError
 from ..numerics.rounding import gamma
 from .convex import SetOperators
 from .facets import facet_normals, least_level, unit_columns, volume
-from .interval import Interval, SetStack
+from .interval import Interval
 from .polytope import HPolytope
+from .stacks import Generated, as_center_and_sizes
 
 
 @dataclass(frozen=True, eq=False)
-class Zonotope(SetStack):
+class Zonotope(Generated):
     """``{c + G b : |b_i| <= 1}``, or a stack of such sets.
 
     Parameters
@@ -56,37 +43,21 @@ class Zonotope(SetStack):
     names = ("c", "G")
 
     def __post_init__(self) -> None:
-        c, G = as_numbers("c", self.c), as_numbers("G", self.G)
+        c, G = checks.finite_fields(self, *self.names)
         if c.ndim == 0 or G.ndim != c.ndim + 1 or G.shape[:-1] != c.shape:
             raise ReachError(f"generators must have shape {c.shape} + (g,), got {G.shape}")
-        if not (np.all(np.isfinite(c)) and np.all(np.isfinite(G))):
-            raise ReachError("centre and generators must be finite numbers")
-        object.__setattr__(self, "c", c)
-        object.__setattr__(self, "G", G)
 
     @classmethod
     def box(cls, center: ArrayLike, half_widths: ArrayLike) -> Zonotope:
         """Axis-aligned box (exact). Batches allowed; a half-width below zero is refused."""
-        center, half = as_alike("center", center, "half-widths", half_widths)
-        if not np.all(half >= 0):
-            raise ReachError(f"half-widths must be >= 0, got {half.min()}")
-        if not np.all(np.isfinite(half)):
-            raise ReachError("half-widths must be finite numbers")
+        center, half = as_center_and_sizes(center, "half-widths", half_widths)
         return cls(center.copy(), half[..., :, None] * np.eye(half.shape[-1]))
 
     @classmethod
     def point(cls, c: ArrayLike) -> Zonotope:
         """A single point (no generators)."""
-        c = as_numbers("c", c)
+        c = checks.as_numbers("c", c)
         return cls(c, np.zeros((*c.shape, 0)))
-
-    @classmethod
-    def stack(cls, parts: Sequence[Zonotope]) -> Zonotope:
-        """Stack sets along a new leading axis, padding with zero generators."""
-        require_stackable(parts, cls)
-        width = max(part.order_count for part in parts)
-        padded = [part._pad(width) for part in parts]
-        return cls(np.stack([part.c for part in padded]), np.stack([part.G for part in padded]))
 
     def _pad(self, count: int) -> Zonotope:
         missing = count - self.order_count
@@ -104,34 +75,11 @@ class Zonotope(SetStack):
         """Half-widths of the interval hull, shape (..., n)."""
         return np.asarray(np.abs(self.G).sum(axis=-1))
 
-    @property
-    def center(self) -> Array:
-        """Centre of symmetry, shape (..., n)."""
-        return self.c
-
-    @property
-    def extent(self) -> Array:
-        """Elementwise bound on the points, before rounding, shape (..., n)."""
-        return np.asarray(np.abs(self.c) + self.half_widths)
-
-    @property
-    def terms(self) -> int:
-        """Number of products summed in one value of the support function."""
-        return self.dim + self.order_count
-
     def interval_hull(self) -> Interval:
         """Smallest enclosing box, rounded outwards (exact where one generator moves each axis)."""
         moving = np.count_nonzero(self.G, axis=-1)
         slack = np.where(moving > 1, moving * np.finfo(float).eps, 0.0)
         return Interval.ball(self.c, self.half_widths * (1 + slack))
-
-    def __rmatmul__(self, M: ArrayLike) -> Zonotope:
-        """Linear image ``M @ Z``; M may carry batch axes that broadcast with the set's."""
-        M = as_map(M, self.dim)
-        require_alike(M.shape[:-2], self.batch)
-        c = (M @ self.c[..., None])[..., 0]
-        G = M @ self.G
-        return Zonotope(c, np.broadcast_to(G, (*c.shape, self.order_count)))
 
     @overload
     def __add__(self, other: Zonotope | Interval | ArrayLike) -> Zonotope: ...
@@ -144,19 +92,17 @@ class Zonotope(SetStack):
 
         Zonotopes and intervals give a zonotope, other sets a lazy `reach.MinkowskiSum`.
         """
-        return super().__add__(other)
+        return self._joined(other) if type(other) is Zonotope else super().__add__(other)
 
-    def _translated(self, v: Array) -> Zonotope:
-        c = self.c + v
-        return Zonotope(c, np.broadcast_to(self.G, (*c.shape, self.order_count)))
-
-    def _scaled(self, a: float) -> Zonotope:
-        return Zonotope(a * self.c, a * self.G)
-
-    def project(self, dims: Sequence[int]) -> Zonotope:
-        """Coordinates in the order given."""
-        selector(dims, self.dim)
-        return Zonotope(self.c[..., list(dims)], self.G[..., list(dims), :])
+    def _joined(self, other: Zonotope) -> Zonotope:
+        """Minkowski sum of two zonotopes: the generators of both."""
+        G, H = self.G, other.G
+        if G.shape[:-1] != H.shape[:-1]:
+            checks.require_same_dim(self, other)
+            checks.require_alike(self.batch, other.batch)
+            shape = np.broadcast_shapes(self.c.shape, other.c.shape)
+            G, H = (np.broadcast_to(M, (*shape, M.shape[-1])) for M in (G, H))
+        return Zonotope(self.c + other.c, np.concatenate([G, H], axis=-1))
 
     @checked
     def inflate(self, half_widths: ArrayLike) -> Zonotope:
@@ -164,28 +110,18 @@ class Zonotope(SetStack):
         half = np.asarray(half_widths, dtype=float)
         if half.shape[-1:] not in ((), (1,), (self.dim,)) or not np.all(np.isfinite(half)):
             raise ReachError(f"half-widths must be {self.dim} finite numbers, got shape {half.shape}")
-        require_alike(half.shape[:-1], self.batch)
+        checks.require_alike(half.shape[:-1], self.batch)
         half = np.broadcast_to(half, (*np.broadcast_shapes(half.shape[:-1], self.batch), self.dim))
         return self + Zonotope.box(np.zeros_like(half), half)
 
     def support(self, directions: ArrayLike) -> Array:
-        """Largest value of each direction over the set.
-
-        Parameters
-        ----------
-        directions : array_like, shape (..., r, n)
-            Rows; batch axes broadcast with the set's.
-
-        Returns
-        -------
-        ndarray, shape (..., r)
-        """
-        D = as_rows(directions, self.dim, self.batch)
+        """Largest value of each direction over the set, shape (..., r) for rows (..., r, n)."""
+        D = self._rows(directions)
         return np.asarray((D @ self.c[..., None])[..., 0] + np.abs(D @ self.G).sum(axis=-1))
 
     def support_vector(self, directions: ArrayLike) -> Array:
         """Corners that attain the support, shape of `directions` broadcast with the batch."""
-        D = as_rows(directions, self.dim, self.batch)
+        D = self._rows(directions)
         signs = np.where(D @ self.G < 0, -1.0, 1.0)
         if D.ndim == 1:
             return np.asarray(self.c + (self.G @ signs[..., None])[..., 0])
@@ -193,9 +129,9 @@ class Zonotope(SetStack):
 
     def corners(self, most: int = 4096) -> Array:
         """All points ``c + G b``, b in {-1, 1}^g: at most `most`, vertices among them, shape (2^g, n)."""
-        require_single(self, "corners")
+        checks.require_single("a set asked for its corners", self)
         G = self.G[:, np.any(self.G != 0, axis=0)]
-        if 2 ** G.shape[1] > as_count("most", most):
+        if 2 ** G.shape[1] > checks.as_count("most", most):
             raise ReachError(f"{G.shape[1]} generators have more than {most} corners")
         signs = np.array(list(product((-1.0, 1.0), repeat=G.shape[1]))).reshape(2 ** G.shape[1], G.shape[1])
         return np.asarray(self.c + signs @ G.T)
@@ -203,8 +139,8 @@ class Zonotope(SetStack):
     @checked
     def sample(self, rng: np.random.Generator, count: int) -> Array:
         """Points of the (single) set, a third of them corners; not uniform. Shape (count, n)."""
-        require_single(self, "sample")
-        b = rng.uniform(-1, 1, (as_count("count", count), self.order_count))
+        checks.require_single("a set to sample", self)
+        b = rng.uniform(-1, 1, (checks.as_count("count", count), self.order_count))
         b[: count // 3] = np.sign(b[: count // 3])
         return np.asarray(self.c + b @ self.G.T)
 
@@ -218,8 +154,8 @@ class Zonotope(SetStack):
         slack : float
             Points reached with ``|b_i| <= 1 + slack`` count as inside.
         """
-        require_single(self, "contains")
-        x = as_vector(points, self.dim)
+        checks.require_single("a set asked about points", self)
+        x = checks.as_vector(points, self.dim)
         levels = [least_level(self.c, self.G, p) for p in x.reshape(-1, self.dim)]
         return np.array(levels).reshape(x.shape[:-1]) <= 1 + slack
 
@@ -231,8 +167,8 @@ class Zonotope(SetStack):
         [0, 1], which is what consecutive sets of a tube need; see `reach.enclosing_hull` for
         unrelated sets. The last n generators carry the rounding.
         """
-        require_same_dim(self, other)
-        require_alike(self.batch, other.batch)
+        checks.require_same_dim(self, other)
+        checks.require_alike(self.batch, other.batch)
         width = max(self.order_count, other.order_count)
         a, b = self._pad(width), other._pad(width)
         G = np.concatenate([(a.G + b.G) / 2, (a.G - b.G) / 2, ((a.c - b.c) / 2)[..., None]], axis=-1)
@@ -245,7 +181,7 @@ class Zonotope(SetStack):
         The least of two bounds: the norm of the interval hull of ``W Z`` and the sum of the norms
         of the generators of ``W Z``. Exact for a point and for one generator.
         """
-        image = as_map(W, self.dim) @ self
+        image = checks.as_map(W, self.dim) @ self
         hull = np.linalg.norm(np.abs(image.c) + image.half_widths, axis=-1)
         total = np.linalg.norm(image.c, axis=-1) + np.linalg.norm(image.G, axis=-2).sum(axis=-1)
         return np.asarray(np.minimum(hull, total))
@@ -259,7 +195,7 @@ class Zonotope(SetStack):
 
     @checked
     def meet_halfspace(self, normal: ArrayLike, offset: ArrayLike) -> Zonotope:
-        """Enclosure of the part with ``normal . x <= offset``; see `reach.sets.intersection`."""
+        """Enclosure of the part with ``normal . x <= offset``; see `reach.meet_halfspace`."""
         from .clipping import meet_halfspace
 
         return meet_halfspace(self, normal, offset)
@@ -278,11 +214,11 @@ class Zonotope(SetStack):
         ReachError
             If more than `most` groups of n - 1 generators would have to be looked at.
         """
-        require_single(self, "to_polytope")
-        rows = np.unique(unit_columns(facet_normals(self.G, as_count("most", most))).T, axis=0)
+        checks.require_single("a set to convert", self)
+        rows = np.unique(unit_columns(facet_normals(self.G, checks.as_count("most", most))).T, axis=0)
         rows = np.vstack([rows, -rows])
         return HPolytope(rows, self.support_up(rows))
 
     def volume(self, most: int = 1_000_000) -> Array:
         """Volume, by ``comb(g, n)`` determinants (at most `most` of them), shape (...)."""
-        return volume(self.G, as_count("most", most))
+        return volume(self.G, checks.as_count("most", most))

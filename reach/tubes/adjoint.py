@@ -12,19 +12,19 @@ trapezoid from above) and between the nodes alike.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from scipy import sparse
 
-from ..numerics.checks import Array, single_set
+from ..numerics.checks import Array, require_single
 from ..numerics.errors import ReachError, Unresolved
 from ..numerics.exponentials import FLUSHED, scaled, times
 from ..sets.convex import ConvexSet
-from ..sets.ellipsoid import Ellipsoid
 from ..sets.interval import Interval
-from ..sets.zonotope import Zonotope
+from ..sets.lazy import AffineImage
+from ..sets.stacks import Generated
 from .rows import Rows
 from .systems import LinearSystem
 
@@ -38,60 +38,27 @@ class Overflow(Unresolved):
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """Bounds over consecutive steps of one length, for r rows.
+    """Bounds over m steps of one length, for r rows and p input sets; rounding is not booked yet."""
 
-    Attributes
-    ----------
-    rows : ndarray, shape (m+1, r, n)
-        ``d e^{A t}`` at the nodes, in the balanced coordinates.
-    first, attained : ndarray, shape (m+1, r)
-        Support of the initial set at the nodes, and what one of its points attains.
-    upper, lower : ndarray, shape (m, p, r)
-        What one step adds, for each of p input sets: never less than it can, never more than some
-        input attains.
-    bow : ndarray, shape (m, r)
-        How far the bound between two nodes may exceed the line that joins them, without inputs.
-    bend : ndarray, shape (m, p, r)
-        The same for each input set.
-    size : ndarray, shape (2, m+1, r)
-        Sizes of the terms of the support and of the rate of its integral, for booking rounding.
-    """
-
-    rows: Array
-    first: Array
-    attained: Array
-    upper: Array
-    lower: Array
-    bow: Array
-    bend: Array
-    size: Array
+    rows: Array  # d e^{A t} at the nodes in the balanced coordinates, (m+1, r, n)
+    first: Array  # support of the initial set at the nodes, (m+1, r)
+    attained: Array  # what one of its points attains there, (m+1, r)
+    upper: Array  # what one step adds for each input set, never less than it can, (m, p, r)
+    lower: Array  # never more than some input attains, (m, p, r)
+    bow: Array  # how far the bound exceeds the line between two nodes, without inputs, (m, r)
+    bend: Array  # the same for each input set, (m, p, r)
+    size: Array  # sizes of the terms of the support, and of the rate of its integral, (2, m+1, r)
 
 
 class Adjoint:
-    """Bounds along given rows for one system and one initial set.
-
-    Parameters
-    ----------
-    system : LinearSystem
-    initial : ConvexSet
-        Of the dimension of the state, bounded.
-
-    Raises
-    ------
-    ReachError
-        If the dimensions differ or the initial set or an input set is unbounded.
-    """
+    """Bounds along given rows for one system and one initial set; the sets must be bounded."""
 
     def __init__(self, system: LinearSystem, initial: ConvexSet) -> None:
-        single_set("the initial set", initial)
-        if initial.dim != system.dim:
-            raise ReachError(
-                f"the initial set has dimension {initial.dim}, the system has {system.dim} states"
-            )
+        require_single("the initial set", initial, system.dim)
         self.system, self.rows = system, Rows(system)
         A, s = self.rows.A, self.rows.scale
-        self.initial, self._shrink = in_units(initial, s)
-        self.inputs, self.input_pieces = system.U, max(len(system.U), int(np.any(system.c)))
+        self.initial, self.inputs = initial, system.U
+        self.input_pieces = max(len(system.U), int(np.any(system.c)))
         self._A2 = A @ A if isinstance(A, np.ndarray) else None
         B, c = scaled(system.B, 1 / s), system.c / s
         thin = not isinstance(B, np.ndarray) and B.nnz < min(np.prod(B.shape) / 4, np.prod(B.shape) - SMALL)
@@ -143,7 +110,7 @@ class Adjoint:
         rate, along = np.zeros(rows.shape[:2]), self.along(rows)[0]
         for i in range(self.input_pieces):
             rate += self.magnitudes(i, along)
-        return _magnitude(self.initial, rows if self._shrink is None else rows / self._shrink), rate
+        return _magnitude(self.initial, rows / self.rows.scale), rate
 
     def sizes(self, rows: Array, h: float) -> tuple[Array, Array]:
         """Largest absolute values over a block: of the first part, and about what the inputs add, (r,)."""
@@ -151,24 +118,17 @@ class Adjoint:
         return first.max(axis=0), h * np.minimum(rate[1:], rate[:-1]).sum(axis=0)
 
     def block(self, start: Array, h: float, count: int) -> Block:
-        """Carry rows (balanced, shape (r, n)) over `count` steps of length h.
-
-        Raises
-        ------
-        Overflow
-            If a row is too large for floating point.
-        """
+        """Carry rows (balanced, shape (r, n)) over `count` steps of length h; may be an `Overflow`."""
         with np.errstate(over="ignore", invalid="ignore"):
             return self._block(self.rows.carry(start, h, count), h, count)
 
     def _block(self, R: Array, h: float, count: int) -> Block:
         """Bounds along rows at nodes, shape (count+1, r, n); not finite where anything overflows."""
-        _in_range(R)
-        shrunk = R / self._shrink if self._shrink is not None else R
-        first = supported(self.initial, shrunk)
-        attained = attained_support(self.initial, shrunk, first)
-        absolute = np.abs(R)
-        size = np.moveaxis(times(absolute, self.weights + FLUSHED * self.weights.sum(axis=0)), -1, 0)
+        unscaled = R / self.rows.scale
+        _in_range(R, unscaled)
+        first = supported(self.initial, unscaled)
+        attained = attained_support(self.initial, unscaled, first)
+        size = np.moveaxis(times(np.abs(R), self.weights + FLUSHED * self.weights.sum(axis=0)), -1, 0)
         shape = (count, self.input_pieces, R.shape[1])
         upper, lower, bend = np.empty(shape), np.empty(shape), np.zeros(shape)
         if self.system.discrete:
@@ -182,7 +142,7 @@ class Adjoint:
             self._grown[h] = self.rows.closing(h, self._sizes)
         closing = times(np.abs(self._curved(R2)[:-1]), self._grown[h])
         closing = h**2 / 8 * np.where(np.isnan(closing), np.inf, closing)
-        R2 = R2 / self._shrink if self._shrink is not None else R2
+        R2 = R2 / self.rows.scale
         along = self.along(R) if self.input_pieces else R
         _in_range(R2, along)
         p2 = _ends(_magnitude(self.initial, R2)) + closing[..., 0]
@@ -203,20 +163,9 @@ class Adjoint:
         return times(times(rows, self.rows.A), self.rows.A)
 
 
-def in_units(body: ConvexSet, s: Array) -> tuple[Any, Array | None]:
-    """The set in coordinates divided by powers of two, or the set itself and what to divide rows by."""
-    if isinstance(body, Interval):
-        return Interval(body.lo / s, body.hi / s), None
-    if isinstance(body, Zonotope):
-        return Zonotope(body.c / s, body.G / s[:, None]), None
-    if isinstance(body, Ellipsoid):
-        return Ellipsoid(body.c / s, body.L / s[:, None]), None
-    return body, s
-
-
 def is_symmetric(body: ConvexSet) -> bool:
     """Whether a set is known to be symmetric about its centre."""
-    return isinstance(body, Interval | Zonotope | Ellipsoid)
+    return isinstance(body, Interval | Generated)
 
 
 def attained_support(body: Any, rows: Array, support: Array) -> Array:
@@ -253,3 +202,38 @@ def _in_range(*numbers: Array) -> None:
 
 def _ends(values: Array) -> Array:
     return np.maximum(values[:-1], values[1:])
+
+
+def augmented(system: LinearSystem, start: Any) -> tuple[LinearSystem, Any]:
+    """The system with its drift and the centre of its input moved into one more state, constantly 1.
+
+    What is left of the input varies about 0. Of an input that changes its set only the drift is moved. The
+    set gets the last coordinate 1, too; both are those given if there is nothing to move.
+    """
+    require_single("the initial set", start, system.dim)
+    inputs, drift = system.U, system.c
+    if len(inputs) == 1:
+        try:
+            middle = inputs[0].center
+        except ReachError as exc:
+            raise ReachError(f"an input set must be bounded and not empty: {exc}") from None
+        drift = drift + np.asarray(system.B @ middle).ravel()
+        inputs = (inputs[0] + (-middle),) if np.any(middle) else inputs
+    if not np.any(drift):
+        return replace(system, U=inputs or None, c=None), start
+    n, m = system.dim, system.inputs
+    one = 1.0 if system.discrete else 0.0
+    A: Any = np.zeros((n + 1, n + 1))
+    if system.sparse:
+        A = sparse.bmat([[system.A, drift[:, None]], [None, [[one]]]], format="csr")
+        B = sparse.vstack([system.B, sparse.csr_matrix((1, m))])
+    else:
+        A[:n, :n], A[:n, n], A[n, n] = system.A, drift, one
+        B = np.vstack([sparse.csr_matrix(system.B).toarray(), np.zeros((1, m))])
+    around = replace(system, A=A, B=B, U=inputs or None, c=None)
+    if isinstance(start, Interval):
+        return around, Interval(np.r_[start.lo, 1.0], np.r_[start.hi, 1.0])
+    if isinstance(start, Generated):
+        c, G = start.arrays
+        return around, type(start)(np.r_[c, 1.0], np.vstack([G, np.zeros((1, G.shape[1]))]))
+    return around, AffineImage(np.eye(n + 1, n), start, np.eye(n + 1)[n])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -16,53 +16,52 @@ from .systems import LinearSystem
 
 @dataclass(frozen=True, eq=False)
 class RowBounds:
-    """Bounds along r rows over K steps.
+    """Bounds along r rows over K steps, some of which may be parts of one step that was asked for."""
 
-    Attributes
-    ----------
-    times : ndarray, shape (K+1,)
-    first, attained : ndarray, shape (K+1, r)
-        Support of the initial set, moved on without unknown inputs, at the nodes; and what one of
-        its points attains.
-    driven : ndarray, shape (K+1, r)
-        The part of it that a nominal input causes.
-    kinks : ndarray, shape (K+1, r)
-        By how much the slope of that part jumps at the nodes.
-    upper, lower : ndarray, shape (K+1, r)
-        Support of the response to the inputs alone: bound and attained value.
-    bow, bend : ndarray, shape (K, r)
-        How far the two parts may exceed the lines that join the nodes.
-    rounding : ndarray, shape (K+1, r)
-        Booked rounding of the sum of the two parts.
-    rows : ndarray, shape (K+1, r, n), or None
-        ``d e^{A t}`` at the nodes, if they were to be kept.
-    """
+    times: Array  # nodes, (K+1,)
+    first: Array  # support of the initial set, moved on without unknown inputs, at the nodes, (K+1, r)
+    attained: Array  # what one of its points attains there, (K+1, r)
+    driven: Array  # the part of it that a nominal input causes, (K+1, r)
+    kinks: Array  # by how much the slope of that part jumps at the nodes, (K+1, r)
+    upper: Array  # support of the response to the inputs alone: bound, (K+1, r)
+    lower: Array  # and attained value, (K+1, r)
+    bow: Array  # how far the first part exceeds the lines that join the nodes, (K, r)
+    bend: Array  # and how far the response to the inputs does, (K, r)
+    rounding: Array  # booked rounding of the sum of the two parts, (K+1, r)
+    rows: Array | None  # d e^{A t} at the nodes, if they were to be kept, (K+1, r, n)
+    parts: int = 1
 
-    times: Array
-    first: Array
-    attained: Array
-    driven: Array
-    kinks: Array
-    upper: Array
-    lower: Array
-    bow: Array
-    bend: Array
-    rounding: Array
-    rows: Array | None
+    @property
+    def above(self) -> Array:
+        """Bounds at the nodes, rounding included, shape (K+1, r)."""
+        return self.first + self.upper + self.rounding
 
-    def every(self, s: int) -> RowBounds:
-        """The same bounds with one node in s; steps must be alike within each group of s."""
+    @property
+    def below(self) -> Array:
+        """What is attained at the nodes, rounding included, shape (K+1, r)."""
+        return self.attained + self.lower - self.rounding
+
+    @property
+    def between(self) -> Array:
+        """Bounds over the steps that were asked for, shape (K / parts, r)."""
+        above = self.above
+        over = np.maximum(above[1:], above[:-1]) + self.bow + self.bend
+        return np.asarray(over.reshape(-1, self.parts, over.shape[1]).max(axis=1))
+
+    def coarse(self) -> RowBounds:
+        """The same bounds over the steps that were asked for."""
+        s = self.parts
         if s == 1:
             return self
         bow, bend = (s**2 * part.reshape(-1, s, part.shape[1]).max(axis=1) for part in (self.bow, self.bend))
         kinks = self.kinks[:-1].reshape(-1, s, self.kinks.shape[1])[:, 1:].sum(axis=1)
         bow = bow + np.diff(self.times[::s])[:, None] / 4 * kinks
-        nodes = {name: getattr(self, name)[::s] for name in NODES if getattr(self, name) is not None}
-        return replace(self, **nodes, bow=bow, bend=bend)
-
-
-NODES = ("times", "first", "attained", "driven", "kinks", "upper", "lower", "rounding", "rows")
-"""Fields of `RowBounds` that belong to nodes."""
+        nodes = {
+            field.name: getattr(self, field.name)[::s]
+            for field in fields(self)
+            if isinstance(getattr(self, field.name), np.ndarray)
+        }
+        return replace(self, **nodes | {"bow": bow, "bend": bend, "parts": 1})
 
 
 def collect(
@@ -74,24 +73,26 @@ def collect(
     parts: int = 1,
 ) -> RowBounds:
     """Put blocks together: sums of the steps, shifted for every input set, and the rounding."""
-    found: list[tuple[Array, ...]] = []
-    begin: tuple[Array, ...] = ()
-    for h, block in blocks:
-        nodes = (block.first, block.attained, block.rows if keep else block.first, *block.size)
-        begin = begin or tuple(node[:1] for node in nodes)
-        between = (np.full(len(block.bow), h), block.upper, block.lower, block.bow, block.bend)
-        found.append((*(node[1:] for node in nodes), *between))
-    first, attained, rows, states, rates, steps, upper, lower, bow, bend = (
-        np.concatenate(p) for p in zip(*found, strict=True)
+    found = [(h, block if keep else replace(block, rows=block.first)) for h, block in blocks]
+
+    def at_nodes(values: list[Array]) -> Array:
+        return np.concatenate([values[0], *(part[1:] for part in values[1:])])
+
+    def over_steps(name: str) -> Array:
+        return np.concatenate([getattr(block, name) for _, block in found])
+
+    first, attained, rows = (
+        at_nodes([getattr(block, name) for _, block in found]) for name in ("first", "attained", "rows")
     )
-    nodes = (first, attained, rows, states, rates)
-    first, attained, rows, states, rates = (np.concatenate([b, p]) for b, p in zip(begin, nodes, strict=True))
+    states, rates = (at_nodes([block.size[i] for _, block in found]) for i in (0, 1))
+    steps = np.repeat([h for h, _ in found], [len(block.bow) for _, block in found])
+    upper, lower, bow, bend = map(over_steps, ("upper", "lower", "bow", "bend"))
     # Where steps differ they are powers of two of the horizon, so that their sum is exact.
     times = np.r_[0.0, horizon * np.cumsum(steps / horizon)]
     if not np.ptp(steps):
         times = np.linspace(0, horizon, len(steps) + 1)
-    starts, missed = piece_starts(adjoint.system, times, parts)
-    rounding = booked(adjoint, D, times, steps, states, rates)
+    starts, missed = _piece_starts(adjoint.system, times, parts)
+    rounding = _booked(adjoint, D, times, steps, states, rates)
     # The rate of an integral between two nodes exceeds that at a node by its slope times half the step.
     slope = np.vstack([np.zeros((1, len(D))), 4 * bend.sum(axis=1) / steps[:, None]])
     rounding = rounding + missed * np.maximum.accumulate(rates + slope)
@@ -107,16 +108,17 @@ def collect(
         attained + motion,
         motion,
         kinks,
-        totals(upper, starts),
-        totals(lower, starts),
+        _totals(upper, starts),
+        _totals(lower, starts),
         bow,
-        bends(bend, starts),
+        _bends(bend, starts),
         rounding,
         rows / adjoint.rows.scale if keep else None,
+        parts,
     )
 
 
-def booked(adjoint: Adjoint, D: Array, times: Array, steps: Array, states: Array, rates: Array) -> Array:
+def _booked(adjoint: Adjoint, D: Array, times: Array, steps: Array, states: Array, rates: Array) -> Array:
     """Bound on the rounding of the sum of both parts at the nodes, shape (K+1, r).
 
     What a step gets wrong, a share of the row it is applied to, is then carried on as the row is:
@@ -135,11 +137,8 @@ def booked(adjoint: Adjoint, D: Array, times: Array, steps: Array, states: Array
     return np.asarray(ROUNDING * work[:, None] * (state + total))
 
 
-def piece_starts(system: LinearSystem, times: Array, parts: int) -> tuple[list[int], float]:
-    """Node at which every input set begins, and by how much all breaks lie off their nodes together.
-
-    Between a break and the node it is moved to, the wrong set is taken: what that may add is booked.
-    """
+def _piece_starts(system: LinearSystem, times: Array, parts: int) -> tuple[list[int], float]:
+    """Node at which every input set begins, and by how much all breaks lie off their nodes together."""
     starts, missed = [0], 0.0
     for b in system.breaks:
         if b >= times[-1]:
@@ -151,7 +150,7 @@ def piece_starts(system: LinearSystem, times: Array, parts: int) -> tuple[list[i
     return starts, missed
 
 
-def totals(steps: Array, starts: list[int]) -> Array:
+def _totals(steps: Array, starts: list[int]) -> Array:
     """Integral of the inputs at every node from what the steps add per input set, shape (K+1, r).
 
     At time t the set that begins at b and ends at e has acted over the lags ``t - e`` to ``t - b``.
@@ -166,7 +165,7 @@ def totals(steps: Array, starts: list[int]) -> Array:
     return out
 
 
-def bends(bend: Array, starts: list[int]) -> Array:
+def _bends(bend: Array, starts: list[int]) -> Array:
     """Bow of the integral between nodes, shape (K, r): the rates at both ends of every set's lags."""
     K, pieces, r = bend.shape
     out = np.zeros((K, r))

@@ -12,8 +12,7 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import expm, matrix_balance, solve_continuous_lyapunov, solve_discrete_lyapunov
 
-from ..numerics.arguments import checked
-from ..numerics.checks import Array
+from ..numerics.checks import Array, checked
 from ..numerics.errors import ReachError
 from ..numerics.linear import discretize, growth, powers, require_square
 from ..sets.ellipsoid import ball_generators

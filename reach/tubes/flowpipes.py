@@ -12,11 +12,10 @@ from scipy.linalg import expm
 
 from ..numerics.checks import Array, per_row
 from ..numerics.errors import ReachError
-from ..numerics.exponentials import times
+from ..numerics.exponentials import dense, times
 from ..numerics.linear import powers
 from ..sets.zonotope import Zonotope
-from .adjoint import Adjoint
-from .augment import augmented
+from .adjoint import Adjoint, augmented
 from .rows import ROUNDING
 from .stepping import MAX_STEPS, substeps
 from .systems import LinearSystem
@@ -84,12 +83,9 @@ class Flowpipes:
 
 
 class Propagator:
-    """One system made ready for many flowpipes: its drift in the state, its exponentials kept.
+    """A system in continuous time, with one input set at most, made ready for many flowpipes.
 
-    Parameters
-    ----------
-    system : LinearSystem
-        In continuous time, with one set of inputs at most.
+    Its drift is in the state, its exponentials are kept.
     """
 
     def __init__(self, system: LinearSystem) -> None:
@@ -98,14 +94,12 @@ class Propagator:
         self.dim = around.dim
         self.adjoint = Adjoint(around, Zonotope.point(np.zeros(self.dim)))
         self.rows = self.adjoint.rows
-        self.scale, self.A = self.rows.scale, self.rows.A
 
     def lifted(self, start: Zonotope) -> Zonotope:
         """Start sets with a last coordinate that is constantly 1, if there is a drift."""
         if self.dim == start.dim:
             return start
-        one = np.concatenate([start.c, np.ones((len(start), 1))], axis=-1)
-        return Zonotope(one, np.concatenate([start.G, np.zeros((len(start), 1, start.order_count))], axis=1))
+        return np.eye(self.dim, start.dim) @ start + np.eye(self.dim)[-1]  # type: ignore[no-any-return]
 
 
 def flowpipes(
@@ -118,33 +112,17 @@ def flowpipes(
     offset: Array | None = None,
     going: Callable[[Flowpipes], NDArray[np.bool_]] | None = None,
 ) -> Flowpipes:
-    """Follow a stack of start sets over a horizon.
+    """Follow a stack of start sets over a horizon, in steps of a length at most.
 
-    Parameters
-    ----------
-    propagator : Propagator
-    start : Zonotope, batch (N,)
-    horizon : float
-        At least 0.
-    step : float
-        Longest step.
-    tolerance : array_like of shape (n,), optional
-        Steps are halved until the bow between nodes is below this (but for `HALVINGS`).
-    offset : ndarray, shape (N,), optional
-        Local time from which every start is followed. The response to the inputs is then not
-        contained: see `respond`.
-    going : callable, optional
-        Asked about every block of steps: which starts (N,) are still to be followed. Stepping
-        ends when there are none.
+    Steps are halved until the bow between nodes is below a tolerance, shape (n,) (but for `HALVINGS`). With
+    an `offset`, shape (N,), every start is followed from that local time on, and the response to the inputs
+    is not contained (see `input_response`). `going` is asked about every block of steps which starts (N,)
+    are still to be followed; stepping ends when there are none.
     """
-    if not (np.isfinite(step) and step > 0 and np.isfinite(horizon) and horizon >= 0):
-        raise ReachError(f"step and horizon must be finite and > 0, got {step!r} and {horizon!r}")
     if horizon / step > MAX_STEPS:
         raise ReachError(f"more than {MAX_STEPS:,} steps: horizon {horizon:g}, step {step:g}")
     stepper = _Stepper(propagator, start, offset, step, horizon)
     limit = None if tolerance is None else per_row("tolerance", tolerance, propagator.system.dim)
-    if limit is not None and not np.all(limit > 0):
-        raise ReachError(f"the tolerance must be > 0, got {tolerance!r}")
     blocks: list[Flowpipes] = []
     h, done = step, 0.0
     while done < horizon or not blocks:
@@ -159,7 +137,7 @@ def flowpipes(
             continue
         if error == np.inf:
             raise ReachError(f"the step {step:g} is too long: the bounds are beyond floating point")
-        stepper.accept(block)
+        stepper.accept()
         blocks.append(block)
         done = horizon if length == left else done + count * length
         if going is not None and not np.any(going(block)):
@@ -185,8 +163,8 @@ class _Stepper:
     def __init__(
         self, propagator: Propagator, start: Zonotope, offset: Array | None, step: float, horizon: float
     ) -> None:
-        n, d, s, rows = propagator.system.dim, propagator.dim, propagator.scale, propagator.rows
-        self.n, self.propagator, self.start = n, propagator, propagator.lifted(start)
+        n, d, rows = propagator.system.dim, propagator.dim, propagator.rows
+        self.n, self.propagator, self.start, s = n, propagator, propagator.lifted(start), rows.scale
         self.x = Zonotope(self.start.c / s, self.start.G / s[:, None])
         self.extent = self.x.extent
         self.offset = np.zeros(len(start)) if offset is None else np.asarray(offset, dtype=float)
@@ -195,8 +173,7 @@ class _Stepper:
         self.forced = propagator.adjoint.input_pieces > 0 and late == 0
         self.rows = np.eye(n, d) * s
         if late > 0:
-            A = propagator.A if isinstance(propagator.A, np.ndarray) else propagator.A.toarray()
-            self.rows = (self.rows @ expm(A * self.offset[: self.M, None, None])).reshape(-1, d)
+            self.rows = (self.rows @ expm(dense(rows.A) * self.offset[: self.M, None, None])).reshape(-1, d)
         elif self.forced:
             self.rows = np.vstack([self.rows, -self.rows])
         self.sum, self.work = np.zeros(2 * n), d + rows.norm * late
@@ -209,10 +186,10 @@ class _Stepper:
 
     def block(self, begin: float, h: float, count: int) -> Flowpipes:
         """Steps that follow what was accepted, not yet accepted themselves."""
-        n, M, A, rows = self.n, self.M, self.propagator.A, self.propagator.rows
-        parts = substeps(self.propagator.adjoint, h) if h > 0 else 1
+        n, M, adjoint, rows = self.n, self.M, self.propagator.adjoint, self.propagator.rows
+        A, parts = rows.A, substeps(adjoint, h)
         f = h / parts
-        raw = self.propagator.adjoint.block(self.rows, f, count * parts) if self.forced else None
+        raw = adjoint.block(self.rows, f, count * parts) if self.forced else None
         every = rows.carry(self.rows, f, count * parts) if raw is None else raw.rows
         R = every[:, : M * n].reshape(count * parts + 1, M, n, -1)
         R2 = times(times(R, A), A)
@@ -237,10 +214,10 @@ class _Stepper:
             low, high, added = -ends[:, n:], ends[:, :n], sums[-1]
         self._next = every[-1], added, work
         nodes = np.asarray(begin + h * np.arange(count + 1), dtype=float)
-        maps = np.asarray(coarse / self.propagator.scale, dtype=float)
+        maps = np.asarray(coarse / rows.scale, dtype=float)
         return Flowpipes(nodes, self.offset, self.start, maps, bow, low, high)
 
-    def accept(self, block: Flowpipes) -> None:
+    def accept(self) -> None:
         """Go on from the end of the last block."""
         self.rows, self.sum, self.work = self._next
 
@@ -276,8 +253,7 @@ def input_response(system: LinearSystem, time: float, step: float) -> Zonotope:
     if not isinstance(U, Zonotope):
         hull, c = U.interval_hull(), U.center
         U = Zonotope.box(np.zeros(U.dim), np.maximum(hull.hi - c, c - hull.lo))
-    B = system.B if isinstance(system.B, np.ndarray) else system.B.toarray()
-    A = system.A if isinstance(system.A, np.ndarray) else system.A.toarray()
+    A, B = dense(system.A), dense(system.B)
     count = max(int(np.ceil(time / step * (1 - 1e-12))), 1)
     h = time / count
     BU = B @ U.G

@@ -12,8 +12,7 @@ from scipy import sparse
 from ..numerics.checks import Array
 from ..numerics.exponentials import times
 from .rows import Rows
-from .signals import Signal
-from .systems import LinearSystem
+from .systems import LinearSystem, Signal
 
 SNAP = 1e-14
 """A knot as near to a node as this share of the horizon is the node."""
@@ -25,24 +24,12 @@ AHEAD = 256
 
 @dataclass(frozen=True, eq=False)
 class KnownResponse:
-    """The part of ``d x(t)`` that a known signal causes, for r rows d.
+    """The part of ``d x(t)`` that a known signal causes, for r rows d."""
 
-    Attributes
-    ----------
-    values : ndarray, shape (K+1, r)
-        At the nodes.
-    bow : ndarray, shape (K, r)
-        Between two nodes it leaves the line that joins them by no more than ``4 s (1 - s) bow``.
-    kinks : ndarray, shape (K+1, r)
-        By how much its slope jumps at the nodes.
-    states : ndarray, shape (K+1, n)
-        The trajectory itself.
-    """
-
-    values: Array
-    bow: Array
-    kinks: Array
-    states: Array
+    values: Array  # at the nodes, (K+1, r)
+    bow: Array  # between two nodes it leaves the line that joins them by 4 s (1 - s) bow at most, (K, r)
+    kinks: Array  # by how much its slope jumps at the nodes, (K+1, r)
+    states: Array  # the trajectory itself, (K+1, n)
 
 
 def known_response(system: LinearSystem, D: Array, nodes: Array, steps: Array) -> KnownResponse:
@@ -79,8 +66,8 @@ class _Substeps:
     def __init__(self, signal: Signal, nodes: Array, steps: Array) -> None:
         begin, end = nodes[0], nodes[-1]
         knots = np.unique(signal.times[(signal.times > begin) & (signal.times < end)])
-        near = np.abs(knots - nodes[np.clip(np.searchsorted(nodes, knots), 1, len(nodes) - 1)])
-        near = np.minimum(near, np.abs(knots - nodes[np.clip(np.searchsorted(nodes, knots) - 1, 0, None)]))
+        after = np.searchsorted(nodes, knots)  # between 1 and len(nodes) - 1
+        near = np.minimum(np.abs(knots - nodes[after]), np.abs(knots - nodes[after - 1]))
         knots = knots[near > SNAP * end]
         points = np.concatenate([nodes, knots])
         order = np.argsort(points, kind="stable")
@@ -113,10 +100,8 @@ def _follow(system: LinearSystem, D: Array, substeps: _Substeps) -> tuple[Array,
     D4 = np.abs(times(times(D2, A), A)) * forward.scale
     y, curve = np.zeros((len(substeps.length) + 1, n)), np.empty((len(substeps.length), len(D)))
     most = max(ENTRIES // (n + 2 * m), 64)
-    for _, run in groupby(
-        range(len(substeps.length)), key=lambda i: (substeps.length[i], substeps.segment[i])
-    ):
-        indices = list(run)
+    alike = groupby(range(len(substeps.length)), key=lambda i: (substeps.length[i], substeps.segment[i]))
+    for indices in (list(run) for _, run in alike):
         for k in range(0, len(indices), most):
             i, count = indices[k], len(indices[k : k + most])
             h = float(substeps.length[i])

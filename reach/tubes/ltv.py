@@ -19,18 +19,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..numerics.arguments import checked
-from ..numerics.checks import Array, as_directions, as_frame, as_numbers, single_set
+from ..numerics.checks import (
+    Array,
+    as_directions,
+    as_frame,
+    as_numbers,
+    checked,
+    require_positive,
+    require_single,
+)
 from ..numerics.errors import ReachError
-from ..numerics.exponentials import exponentials
+from ..numerics.exponentials import exponential
 from ..sets.convex import ConvexSet
 from ..sets.zonotope import Zonotope
 from .adjoint import attained_support, extent
 from .rows import ROUNDING
 from .stepping import warn_if_wide
-from .support_tube import SupportTube
+from .tubes import SupportTube, ZonotopeTube, along_frame
 from .varying import Varying, sample
-from .zonotope_tube import ZonotopeTube
 
 MAX_STEPS = 20_000
 
@@ -67,7 +73,7 @@ class LTVSystem:
         if self.U is None and self.B is not None:
             raise ReachError("B is given without U, the set of its input")
         if self.U is not None:
-            single_set("U", self.U)
+            require_single("U", self.U)
         B = np.eye(n, n if self.U is not None else 0) if self.B is None else self.B
         object.__setattr__(self, "B", B)
         object.__setattr__(self, "c", np.zeros(n) if self.c is None else self.c)
@@ -117,7 +123,7 @@ def ltv_support_tube(
     ReachError
         If shapes do not fit, numbers are not finite, or the bounds on derivatives do not hold.
     """
-    D, n = as_directions("directions", directions, system.dim), system.dim
+    D, n = as_directions(directions, system.dim), system.dim
     r = len(D)
     sweep = _Sweep(system, initial, horizon, step, begin)
     rows = np.vstack([D, np.eye(n), -np.eye(n)])
@@ -161,20 +167,16 @@ def ltv_zonotope_tube(
     """
     n = system.dim
     F = as_frame(frame, n)
-    single_set("the initial set", initial)
+    require_single("the initial set", initial)
     start = initial if isinstance(initial, Zonotope) else initial.interval_hull().to_zonotope()
     sweep = _Sweep(system, start, horizon, step, begin)
     inverse = np.linalg.inv(F)
     run = sweep.run(np.vstack([inverse, -inverse]), slice(n), slice(n, None), F)
-    image = run.maps @ start
-    high, low = run.upper[:, :n], run.upper[:, n:]
-    size = np.abs(image.c @ inverse.T) + np.abs(inverse @ image.G).sum(axis=-1) + (high + low) / 2
-    widths = (high + low) / 2 + ROUNDING * n * size @ (np.abs(inverse) @ np.abs(F)).T
-    G = np.concatenate([image.G, F * widths[:, None, :]], axis=-1)
-    bow = np.maximum(run.bow[:, :n], run.bow[:, n:])
     nodes = run.first + run.upper
     warn_if_wide(nodes.max(axis=0) + run.bow.max(axis=0), nodes.max(axis=0), np.abs(nodes).max(axis=0))
-    return ZonotopeTube(sweep.times, Zonotope(image.c + (high - low) / 2 @ F.T, G), bow, F)
+    bow = np.maximum(run.bow[:, :n], run.bow[:, n:])
+    inputs = run.upper[:, n:], run.upper[:, :n]
+    return along_frame(sweep.times, inverse @ (run.maps @ start), inputs, bow, F)
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,16 +197,12 @@ class _Sweep:
         self, system: LTVSystem, initial: ConvexSet, horizon: float, step: float, begin: float
     ) -> None:
         n, m = system.dim, system.inputs
-        single_set("the initial set", initial)
-        if initial.dim != n:
-            raise ReachError(f"the initial set has dimension {initial.dim}, the system has {n} states")
-        for name, value in (("horizon", horizon), ("step", step)):
-            if not (np.isfinite(value) and value > 0):
-                raise ReachError(f"the {name} must be a finite number > 0, got {value!r}")
+        require_single("the initial set", initial, n)
+        require_positive("horizon", horizon)
+        require_positive("step", step)
         if not np.isfinite(begin) or horizon / step > MAX_STEPS:
-            raise ReachError(
-                f"at most {MAX_STEPS:,} steps from a finite begin, got {begin!r}, {horizon / step}"
-            )
+            given = f"got {begin!r}, {horizon / step}"
+            raise ReachError(f"at most {MAX_STEPS:,} steps from a finite begin, {given}")
         count = max(int(np.ceil(horizon / step * (1 - 1e-12))), 1)
         self.initial, self.U, self.n, self.m = initial, system.U, n, m
         self.times = begin + np.linspace(0, horizon, count + 1)
@@ -212,50 +210,48 @@ class _Sweep:
         A, B = sample("A", system.A, (n, n), self.times), sample("B", system.B, (n, m), self.times)
         c = sample("c", system.c, (n,), self.times)
         self.x0 = extent("the initial set", initial)
-        u = extent("an input set", system.U) if m else np.zeros(0)
+        u = np.r_[extent("an input set", system.U) if m else np.zeros(0), 1.0]
+        G = np.concatenate([B.nodes, c.nodes], axis=-1)
 
-        def force(matrix_B: Array, matrix_c: Array) -> Array:
-            return np.asarray(np.abs(matrix_B) @ u + np.abs(matrix_c)[..., 0])
+        def force(name: str) -> Array:
+            """Bound on ``[B c] (u, 1)``, or on what it changes by, over every step, shape (K, n, 1)."""
+            both = np.concatenate([getattr(B, name), getattr(c, name)], axis=-1)
+            return np.asarray(np.abs(both) @ u)[..., None]
 
         # Transitions and the elementwise bound on what they miss, see the docstring of the module.
         M, S = A.middle, A.chord
-        half = exponentials(h / 2 * M)
+        half = exponential(M, h / 2)
         C1 = S @ M - M @ S
         C2 = C1 @ M - M @ C1
         C3 = np.abs(C2 @ M - M @ C2)
         self.P = half @ half + h**3 / 12 * (half @ C1 @ half)
         D = h / 2 * np.abs(S) + A.off
-        W, Y = (exponentials(h * _growing(M, more)) for more in (0.0, D))
+        W, Y = (exponential(_growing(M, more), h) for more in (0.0, D))
         missed = W @ (h**5 / 480 * C3 + A.area + h**2 / 2 * (D @ W @ D)) @ Y
         # Inputs: the trapezoid of V(s) = Phi(t_k+1, s) G(s), G = [B c], whose V'' bounds its rest.
-        G0, G1 = force(B.nodes[:-1], c.nodes[:-1]), force(B.most, c.most)
-        rate, area = force(B.rate, c.rate), force(B.area, c.area)
-        most, Y1 = A.most, Y @ G1[..., None]
-        curved = A.rate @ G1[..., None] + 2 * most @ rate[..., None] + most @ most @ G1[..., None]
-        self.missed = missed
-        self.rest = (Y @ (h**3 / 12 * curved + area[..., None]) + h / 2 * missed @ G0[..., None])[..., 0]
-        self.rest += ROUNDING * n * h * Y1[..., 0]
-        self.noise = ROUNDING * n * W
-        self.early, self.late = (self.P @ B.nodes[:-1], self.P @ c.nodes[:-1]), (B.nodes[1:], c.nodes[1:])
+        first, force_most, rate, most = np.abs(G[:-1]) @ u, force("most"), force("rate"), A.most
+        curved = A.rate @ force_most + 2 * most @ rate + most @ most @ force_most
+        driven = Y @ force_most
+        rest = Y @ (h**3 / 12 * curved + force("area")) + h / 2 * missed @ first[..., None]
+        self.missed, self.rest = missed + ROUNDING * n * W, (rest + ROUNDING * n * h * driven)[..., 0]
+        self.early, self.late = self.P @ G[:-1], G[1:]
         # Between the nodes: y'' = (A^2 + A') y, and the input's share by its Lipschitz constant.
         self.curve = M @ M + S
         self.more = np.abs(M) @ D + D @ np.abs(M) + D @ D + A.swing
         self.more = self.more @ Y + h * np.abs(self.curve) @ most @ Y
-        slide = most @ Y1 + (Y @ (most @ G1[..., None] + rate[..., None])) / 2
+        slide = most @ driven + Y @ (most @ force_most + rate) / 2
         self.local = h**2 / 4 * slide[..., 0]
 
-    def _support(self, rows: Array, parts: tuple[Array, Array], attained: bool = False) -> Array:
-        """``sup of rows (B u + c)``, shape (j, r) for rows (j, r, n) and j matrices."""
-        value = (rows @ parts[1])[..., 0]
+    def _support(self, along: Array, attained: bool = False) -> Array:
+        """``sup of b u + c`` for rows ``[b c]``, or what some u attains."""
+        value, rows = along[..., -1], along[..., :-1]
         if not self.m:
             return np.asarray(value)
-        support = self.U.support(rows @ parts[0])
-        return np.asarray(
-            value + (attained_support(self.U, rows @ parts[0], support) if attained else support)
-        )
+        support = self.U.support(rows)
+        return np.asarray(value + (attained_support(self.U, rows, support) if attained else support))
 
     def run(self, rows: Array, plus: slice, minus: slice, F: Array) -> _Run:
-        """RowBounds forward; `plus` and `minus` are the rows inv(F) and their opposites, which bound x."""
+        """Bounds forward; `plus` and `minus` are the rows inv(F) and their opposites, which bound x."""
         K, n, h = len(self.P), self.n, self.h
         first, upper, lower = (np.zeros((K + 1, len(rows))) for _ in range(3))
         bow, maps, later = np.empty((K, len(rows))), np.empty((K + 1, n, n)), np.empty((K, n, n))
@@ -264,7 +260,7 @@ class _Sweep:
         moved, upper[0] = np.zeros(n), ROUNDING * n * (absolute @ size)
         lower[0] = attained_support(self.initial, rows, first[0]) - upper[0]
         for k in range(K):
-            boxes[k] = self.missed[k] @ size + self.noise[k] @ size + self.rest[k]
+            boxes[k] = self.missed[k] @ size + self.rest[k]
             curved = rows @ self.curve[k]
             along = curved @ maps[k]
             known = np.maximum(self.initial.support(along), self.initial.support(-along))
@@ -275,10 +271,8 @@ class _Sweep:
             maps[k + 1] = self.P[k] @ maps[k]
             first[k + 1] = self.initial.support(rows @ maps[k + 1])
             R = rows @ later[: k + 1]
-            ends = self.late[0][: k + 1], self.late[1][: k + 1]
-            starts = self.early[0][: k + 1], self.early[1][: k + 1]
-            value = self._support(R, ends) + self._support(R, starts)
-            middle = self._support(R, ((ends[0] + starts[0]) / 2, (ends[1] + starts[1]) / 2), True)
+            start, end = R @ self.early[: k + 1], R @ self.late[: k + 1]
+            value, middle = self._support(start) + self._support(end), self._support((start + end) / 2, True)
             error = (np.abs(R) @ boxes[: k + 1, :, None]).sum(axis=0)[:, 0]
             upper[k + 1] = h / 2 * value.sum(axis=0) + error
             lower[k + 1] = h * middle.sum(axis=0) - error

@@ -5,20 +5,25 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
-from scipy.sparse.csgraph import connected_components
 
 from ..numerics.checks import Array
-from ..numerics.exponentials import CANCELLED, Action, exponential, flushed, scaled, thin_exponential, times
+from ..numerics.exponentials import (
+    CANCELLED,
+    Action,
+    dense,
+    exponential,
+    flushed,
+    scaled,
+    thin_exponential,
+    times,
+)
 from .systems import LinearSystem
 
 SPARSE = 0.1
 """Share of entries below which products with A use its sparse form."""
 DENSE = 300
 """States up to which exponentials are formed."""
-SMALL_PART = 32
-"""Largest independent part whose exponentials are formed on their own."""
 ROUNDING = 16 * np.finfo(float).eps
 """Booked relative rounding per step and state, see `docs`; never the error of a method."""
 SAMPLES = 8
@@ -59,9 +64,8 @@ def balance(A: Array) -> Array:
 class Rows:
     """Rows ``d e^{A t}`` on regular grids, in coordinates in which A is balanced.
 
-    Three ways to carry them, chosen by the structure of A: through the exponentials of its
-    independent parts where it falls apart into small ones, through the action of the exponential
-    where A is sparse, through the dense exponential otherwise.
+    They are carried through the action of the exponential, or the exponential itself where that is thin, if A
+    is large and sparse, and through the dense exponential otherwise.
 
     `work` is how many roundings of a row one unit of time takes.
     """
@@ -70,14 +74,11 @@ class Rows:
         self.discrete = system.discrete
         self.scale = s = np.ones(system.dim) if system.discrete else balance(system.A)
         A = sparse.csr_matrix(scaled(scaled(system.A, 1 / s).T, s).T)
-        self.parts, self.constants = _parts(A)
-        self.parts = None if system.discrete else self.parts
         thin = system.sparse or A.nnz < SPARSE * A.shape[0] ** 2
         self.A = A if thin else A.toarray()
         self.norm = float(np.max(np.asarray(abs(A).sum(axis=1)), initial=0.0))
-        large = system.sparse and self.parts is None and system.dim > DENSE
+        large = system.sparse and system.dim > DENSE and not self.discrete
         self.action = Action(self.A.T) if large else None
-        self.action = None if self.discrete else self.action
         self.work = self.norm * (CANCELLED if self.action else 1.0)
         sums = np.asarray(abs(A).sum(axis=1)).ravel() + A.diagonal() - np.abs(A.diagonal())
         # The logarithmic norm of largest entries, up to rounding.
@@ -100,21 +101,13 @@ class Rows:
                 elif half is not None:
                     self._maps[h] = flushed(half @ half)
                 elif self.discrete:
-                    self._maps[h] = np.linalg.matrix_power(_dense(self.A), int(h))
+                    self._maps[h] = np.linalg.matrix_power(dense(self.A), int(h))
                 else:
                     self._maps[h] = self._exponential(self.A, h)
         return self._maps[h]
 
     def _exponential(self, A: Any, h: float) -> Any:
-        if self.parts is None:
-            return exponential(A if A.shape[0] > DENSE else _dense(A), h)
-        # Every part is joined by the constants, which act on all of them and change by none.
-        size, k = self.parts.shape[1], self.constants
-        blocks = np.hstack([self.parts, np.tile(k, (len(self.parts), 1))])
-        rows, columns = np.broadcast_arrays(blocks[:, :, None], blocks[:, None, :])
-        found = exponential(np.asarray(A[rows.ravel(), columns.ravel()]).reshape(rows.shape), h)
-        place = np.r_[rows[:, :size].ravel(), k], np.r_[columns[:, :size].ravel(), k]
-        return sparse.csr_matrix((np.r_[found[:, :size].ravel(), np.ones(len(k))], place), shape=A.shape)
+        return exponential(A if A.shape[0] > DENSE else dense(A), h)
 
     def carry(self, rows: Array, h: float, count: int) -> Array:
         """``rows e^{A h l}`` for l = 0..count, shape (count+1, r, n); rows of shape (r, n)."""
@@ -156,7 +149,7 @@ class Rows:
 
     def lags(self, h: float, horizon: float) -> list[float]:
         """Powers of two of a step, up to the horizon; none where exponentials are not to be formed."""
-        if self.action is not None or (self.A.shape[0] > WATCHED and self.parts is None):
+        if self.action is not None or self.A.shape[0] > WATCHED:
             return []
         return [h * 2.0**i for i in range(int(np.log2(horizon / h)) + 1)]
 
@@ -244,24 +237,3 @@ class Rows:
             x = self.map(horizon / 2**m) @ x
             most = np.maximum(most, np.abs(x))
         return np.stack([start, most.T])
-
-
-def _dense(A: Any) -> Array:
-    return A if isinstance(A, np.ndarray) else np.asarray(A.toarray())
-
-
-def _parts(A: Any) -> tuple[NDArray[np.intp] | None, NDArray[np.intp]]:
-    """Indices of the independent parts of A, shape (p, size), if all have one small size; constants.
-
-    A constant is a state that nothing acts on; it may act on every part.
-    """
-    A.eliminate_zeros()
-    active = np.diff(A.indptr) > 0
-    constant = ~active & (np.diff(A.tocsc().indptr) > 0)
-    inner = np.nonzero(~constant)[0]
-    count, label = connected_components(A[inner][:, inner], directed=False)
-    sizes = np.bincount(label)
-    constants = np.nonzero(constant)[0]
-    if count < 2 or np.ptp(sizes) or sizes[0] + len(constants) > SMALL_PART:
-        return None, constants
-    return inner[np.argsort(label, kind="stable")].reshape(count, sizes[0]), constants

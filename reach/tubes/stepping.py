@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from time import perf_counter
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..numerics.checks import Array, is_positive, per_row, require_positive
+from ..numerics.checks import Array, per_row, require_positive
 from ..numerics.errors import ReachError, ReachWarning, Unresolved
-from .adjoint import Adjoint, Block, Overflow
+from ..sets.convex import ConvexSet
+from .adjoint import Adjoint, Block, Overflow, augmented
 from .bounds import RowBounds, collect
 from .known_input import Forecast
 from .rows import ROUNDING
+from .systems import LinearSystem
 
 MAX_STEPS = 2_000_000
 BLOCK = 64
@@ -42,26 +44,28 @@ FINEST = 2.0**-40
 class Steps:
     """How a horizon is stepped through: with a step or by a tolerance, see `reach.support_tube`.
 
-    A step is carried in some `parts`; rows are kept if asked for; `deadline` is a time of `perf_counter`.
+    A step may be `cut` into parts; rows are kept if asked for; `deadline` is a time of `perf_counter`.
     """
 
     step: float | None = None
     tolerance: ArrayLike | None = None
     limit: ArrayLike | None = None
-    parts: int = 1
+    cut: bool = True
     keep: bool = False
     deadline: float = np.inf
 
 
-def carry_rows(adjoint: Adjoint, D: Array, horizon: float, steps: Steps) -> RowBounds:
-    """Carry rows D over the horizon."""
-    step, tolerance = steps.step, steps.tolerance
+def row_bounds(system: LinearSystem, initial: ConvexSet, D: Array, horizon: float, steps: Steps) -> RowBounds:
+    """Carry rows D of a system over the horizon."""
+    around, start = augmented(system, initial)
+    D = np.hstack([D, np.zeros((len(D), around.dim - system.dim))])
+    adjoint, step, tolerance = Adjoint(around, start), steps.step, steps.tolerance
     require_positive("horizon", horizon)
     if step is not None and tolerance is not None:
         raise ReachError("give a step or a tolerance, not both")
     if step is not None:
         require_positive("step", step)
-    if adjoint.system.discrete:
+    if system.discrete:
         if horizon != round(horizon) or step not in (None, 1):
             given = f"got horizon {horizon!r} and step {step!r}"
             raise ReachError(f"a discrete system takes a whole number of steps of 1, {given}")
@@ -69,35 +73,31 @@ def carry_rows(adjoint: Adjoint, D: Array, horizon: float, steps: Steps) -> RowB
     if step is None and adjoint.input_pieces > 1:
         raise ReachError("an input that changes its set needs a step, best one that divides its breaks")
     if step is not None:
-        return regular(adjoint, D, horizon, replace(steps, step=step))
+        parts = substeps(adjoint, step, horizon, len(D)) if steps.cut else 1
+        return _regular(adjoint, D, horizon, step, parts, steps)
     goal = None if tolerance is None else per_row("tolerance", tolerance, len(D))
     if goal is not None and not np.all((goal > 0) & np.isfinite(goal)):
         raise ReachError(f"the tolerance must be finite and > 0, got {tolerance!r}")
     ceiling = np.full(len(D), -np.inf) if steps.limit is None else per_row("limit", steps.limit, len(D))
-    blocks = adaptive(adjoint, D, horizon, goal, ceiling, steps.deadline)
+    blocks = _adaptive(adjoint, D, horizon, goal, ceiling, steps.deadline)
     return collect(adjoint, D, horizon, blocks, steps.keep)
 
 
 def in_time(deadline: float) -> None:
-    """Stop where a time (of `perf_counter`) has passed.
-
-    Raises
-    ------
-    Unresolved
-    """
+    """Be `Unresolved` where a time (of `perf_counter`) has passed."""
     if perf_counter() > deadline:
         raise Unresolved("time ran out")
 
 
-def substeps(adjoint: Adjoint, step: float | None, horizon: float = 0.0, rows: int = 1) -> int:
+def substeps(adjoint: Adjoint, step: float, horizon: float = 0.0, rows: int = 1) -> int:
     """Parts, a power of two, that a given step is carried in so that little turns in one.
 
     Up to `PARTS`; more where the whole run, if its horizon is given, stays `CHEAP`.
     """
-    if step is None or adjoint.system.discrete or not is_positive(step):
+    if adjoint.system.discrete or not step > 0:
         return 1
     most = np.log2(PARTS)
-    if is_positive(horizon):
+    if horizon > 0:
         most = max(most, np.floor(np.log2(CHEAP / max(rows * adjoint.system.dim * horizon / step, 1.0))))
     return int(2 ** np.clip(np.ceil(np.log2(max(2 * step * adjoint.rows.norm, 1.0))), 0, most))
 
@@ -115,17 +115,14 @@ def warn_if_wide(bounds: Array, attained: Array, sizes: Array) -> None:
         )
 
 
-def regular(adjoint: Adjoint, D: Array, horizon: float, steps: Steps) -> RowBounds:
+def _regular(adjoint: Adjoint, D: Array, horizon: float, step: float, parts: int, steps: Steps) -> RowBounds:
     """Steps of one length, each carried in some parts."""
-    step, parts = steps.step, steps.parts
-    assert step is not None
     if horizon / step > MAX_STEPS:
         raise Unresolved(f"more than {MAX_STEPS:,} steps: horizon {horizon:g}, step {step:g}")
     count = max(int(np.ceil(horizon / step * (1 - 1e-12))), 1) * parts
     size = int(np.clip(ENTRIES // D.size, BLOCK, count))
     h = horizon / count
-    ahead = forecast(adjoint, D, horizon)
-    adjoint.watch(adjoint.rows.lags(h, horizon), 0.0 if ahead is None else ahead.states)
+    _watch(adjoint, D, h, horizon)
 
     def blocks() -> Iterator[tuple[float, Block]]:
         rows = D * adjoint.rows.scale
@@ -141,12 +138,14 @@ def regular(adjoint: Adjoint, D: Array, horizon: float, steps: Steps) -> RowBoun
     return run
 
 
-def forecast(adjoint: Adjoint, D: Array, horizon: float) -> Forecast | None:
-    """What a nominal input will ask of steps, if there is one."""
-    return None if adjoint.system.nominal is None else Forecast(adjoint.system, D, horizon)
+def _watch(adjoint: Adjoint, D: Array, h: float, horizon: float) -> Forecast | None:
+    """Weigh rounding by the sizes that states grow to; what a nominal input, if any, will ask of steps."""
+    ahead = None if adjoint.system.nominal is None else Forecast(adjoint.system, D, horizon)
+    adjoint.watch(adjoint.rows.lags(h, horizon), 0.0 if ahead is None else ahead.states)
+    return ahead
 
 
-def adaptive(
+def _adaptive(
     adjoint: Adjoint, D: Array, horizon: float, goal: Array | None, ceiling: Array, deadline: float
 ) -> Iterator[tuple[float, Block]]:
     """Blocks whose steps are a half, a quarter, ... of the horizon, as short as the tolerance asks.
@@ -157,13 +156,12 @@ def adaptive(
     """
     rows = D * adjoint.rows.scale
     level = int(np.clip(np.ceil(np.log2(max(horizon * adjoint.rows.norm, 1.0))), 0, 40))
-    ahead = forecast(adjoint, D, horizon)
+    ahead = _watch(adjoint, D, horizon * 2.0**-level, horizon)
     if ahead is not None:
         ceiling = np.full(len(D), -np.inf)  # what is compared with it leaves the nominal input out
-    adjoint.watch(adjoint.rows.lags(horizon * 2.0**-level, horizon), 0.0 if ahead is None else ahead.states)
     done, patience, steps = 0.0, 0, 0
     reached, spent, sums, met = np.zeros((4, len(D)))
-    known = foreseen(adjoint, rows, horizon) if goal is None else met
+    known = _foreseen(adjoint, rows, horizon) if goal is None else met
     while done < 1:
         in_time(deadline)
         h = 2.0**-level
@@ -219,7 +217,7 @@ def _allowed(adjoint: Adjoint, block: Block, horizon: float, goal: Array | None,
     return goal
 
 
-def foreseen(adjoint: Adjoint, rows: Array, horizon: float) -> Array:
+def _foreseen(adjoint: Adjoint, rows: Array, horizon: float) -> Array:
     """About what rows will come to over the horizon, from rates at a few instants, shape (r,).
 
     From rest nothing is met in the first step, and a hundredth of nothing is no tolerance. Nothing but
@@ -232,9 +230,7 @@ def foreseen(adjoint: Adjoint, rows: Array, horizon: float) -> Array:
             path = np.array([rows, *some, *adjoint.rows.carry(rows, horizon / AHEAD, AHEAD)[1:]])
             times = np.r_[0.0, early if some else [], horizon / AHEAD * np.arange(1, AHEAD + 1)]
             start, rate = adjoint.values(path)
-            value = start.max(axis=0) + (np.diff(times)[:, None] * np.minimum(rate[1:], rate[:-1])).sum(
-                axis=0
-            )
+            value = start.max(axis=0) + np.diff(times) @ np.minimum(rate[1:], rate[:-1])
     except Unresolved:
         return np.zeros(len(rows))
     return np.where(np.isfinite(value), value, 0.0)

@@ -9,15 +9,74 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import sparse
 
-from ..numerics.checks import as_numbers, single_set
+from ..numerics.checks import Array, as_array, as_numbers, finite_fields, require_single
 from ..numerics.errors import ReachError
-from ..sets.convex import ConvexSet
-from .signals import Signal
 
 FILLED = 0.25
 """Share of entries from which a matrix in a sparse container is handled as a dense one."""
 FILLED_MOST = 1000
 """Most states for which it is: beyond, exponentials cost more than they save."""
+
+
+@dataclass(frozen=True, eq=False)
+class Signal:
+    """Values joined by straight lines, constant before the first and after the last.
+
+    Parameters
+    ----------
+    times : array_like, shape (k,)
+        Not decreasing. Two equal times are a jump, after which the second value holds.
+    values : array_like, shape (k, m)
+
+    Raises
+    ------
+    ReachError
+        If a shape does not fit, a number is not finite, or the times decrease.
+    """
+
+    times: Array
+    values: Array
+
+    def __post_init__(self) -> None:
+        t, values = finite_fields(self, "times", "values")
+        _require_pairs(t, values)
+        if np.any(np.diff(t) < 0):
+            k = int(np.argmax(np.diff(t) < 0))
+            raise ReachError(f"times of a signal must not decrease, got {t[k]:g} before {t[k + 1]:g}")
+
+    @classmethod
+    def constant_pieces(cls, times: ArrayLike, values: ArrayLike) -> Signal:
+        """Each value holds from its time to the next."""
+        t, v = as_numbers("times", times), as_numbers("values", values)
+        _require_pairs(t, v)
+        return cls(np.r_[t[:1], np.repeat(t[1:], 2)], np.repeat(v, 2, axis=0)[:-1])
+
+    @property
+    def dim(self) -> int:
+        """Number m of values."""
+        return int(self.values.shape[1])
+
+    def __call__(self, t: ArrayLike) -> Array:
+        """Values at given times, the later one at a jump, shape (len(t), m)."""
+        t = np.atleast_1d(as_numbers("t", t))
+        k = np.searchsorted(self.times, t, side="right") - 1
+        since = np.where(k < 0, 0.0, t - self.times[np.maximum(k, 0)])
+        return np.asarray(self.values[np.maximum(k, 0)] + since[:, None] * self.slope(t))
+
+    def slope(self, t: ArrayLike) -> Array:
+        """Slopes at given times, those to the right at a knot, shape (len(t), m)."""
+        length = np.diff(self.times)
+        rise = np.diff(self.values, axis=0)
+        inner = np.divide(rise, length[:, None], out=np.zeros_like(rise), where=length[:, None] > 0)
+        slopes = np.vstack([np.zeros((1, self.dim)), inner, np.zeros((1, self.dim))])
+        return np.asarray(
+            slopes[np.searchsorted(self.times, np.atleast_1d(as_numbers("t", t)), side="right")]
+        )
+
+
+def _require_pairs(t: Array, values: Array) -> None:
+    if t.ndim != 1 or len(t) == 0 or values.ndim != 2 or len(values) != len(t):
+        raise ReachError(f"a signal needs times (k,) and values (k, m), got {t.shape} and {values.shape}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +128,9 @@ class LinearSystem:
             raise ReachError(f"A must be square, got shape {A.shape}")
         if sparse.issparse(A) and n <= FILLED_MOST and A.nnz >= FILLED * n**2:
             A = A.toarray()
-        pieces = self._pieces()
+        pieces = () if self.U is None else tuple(self.U) if isinstance(self.U, list | tuple) else (self.U,)
+        for U in pieces:
+            require_single("U", U)
         B, driven = self.B, pieces or self.nominal is not None
         if B is None:
             B = np.eye(n) if driven and not sparse.issparse(A) else sparse.identity(n, format="csr")
@@ -84,31 +145,17 @@ class LinearSystem:
                 f"nominal must have dimension {B.shape[1]}, the columns of B, got {self.nominal.dim}"
             )
         for U in pieces:
-            if U.dim != B.shape[1]:
-                raise ReachError(f"U must have dimension {B.shape[1]}, the columns of B, got {U.dim}")
-        c = np.zeros(n) if self.c is None else as_numbers("c", self.c)
-        if c.shape != (n,) or not np.all(np.isfinite(c)):
-            raise ReachError(f"c must be {n} finite numbers, got {self.c!r}")
-        breaks = as_numbers("breaks", self.breaks)
-        if breaks.shape != (max(len(pieces) - 1, 0),) or not (
-            np.all(np.isfinite(breaks)) and np.all(np.diff(breaks, prepend=0.0) > 0)
-        ):
-            raise ReachError(
-                f"{len(pieces)} input sets need {max(len(pieces) - 1, 0)} breaks, positive and increasing, "
-                f"got {self.breaks!r}"
-            )
+            require_single("U", U, B.shape[1])
+        c = np.zeros(n) if self.c is None else as_array("c", self.c, n)
+        breaks, count = as_numbers("breaks", self.breaks), max(len(pieces) - 1, 0)
+        later = np.diff(breaks, prepend=0.0) > 0 if breaks.shape == (count,) else np.zeros(1)
+        if not (np.all(later) and np.all(np.isfinite(breaks))):
+            given = f"{len(pieces)} input sets need {count} breaks, positive and increasing"
+            raise ReachError(f"{given}, got {self.breaks!r}")
         if self.discrete and np.any(breaks != np.round(breaks)):
             raise ReachError(f"the breaks of a discrete system must be whole numbers, got {self.breaks!r}")
         for name, value in (("A", A), ("B", B), ("U", pieces), ("c", c), ("breaks", breaks)):
             object.__setattr__(self, name, value)
-
-    def _pieces(self) -> tuple[ConvexSet, ...]:
-        if self.U is None:
-            return ()
-        pieces = tuple(self.U) if isinstance(self.U, list | tuple) else (self.U,)
-        for U in pieces:
-            single_set("U", U)
-        return pieces
 
     @property
     def dim(self) -> int:

@@ -12,15 +12,12 @@ from scipy import sparse
 from scipy.linalg import expm
 from scipy.sparse.linalg import expm_multiply
 
-from ..numerics.arguments import checked
-from ..numerics.checks import Array, as_numbers, single_set
+from ..numerics.checks import Array, as_array, checked, require_single
 from ..numerics.errors import ReachError
-from ..numerics.exponentials import times
+from ..numerics.exponentials import dense, times
 from ..sets.convex import ConvexSet
-from .adjoint import Adjoint
-from .augment import augmented
 from .known_input import known_response
-from .stepping import Steps, carry_rows
+from .stepping import Steps, row_bounds
 from .systems import LinearSystem
 
 DENSE_MOST = 400
@@ -65,14 +62,10 @@ def simulate(system: LinearSystem, x0: ArrayLike, instants: ArrayLike, inputs: A
     ReachError
         If shapes do not fit or the instants do not increase.
     """
-    x0, t = np.asarray(x0, dtype=float), np.asarray(instants, dtype=float)
-    u = np.asarray(inputs, dtype=float)
-    if x0.shape != (system.dim,):
-        raise ReachError(f"the initial state must have shape ({system.dim},), got {x0.shape}")
+    x0, t = as_array("the initial state", x0, system.dim), np.asarray(instants, dtype=float)
     if t.ndim != 1 or len(t) < 2 or not np.all(np.diff(t) > 0):
         raise ReachError("instants must be at least two increasing times")
-    if u.shape != (len(t) - 1, system.inputs):
-        raise ReachError(f"inputs must have shape ({len(t) - 1}, {system.inputs}), got {u.shape}")
+    u = as_array("inputs", inputs, len(t) - 1, system.inputs)
     states = np.empty((len(t), system.dim))
     states[0] = x0
     advance = _discrete if system.discrete else _sparse if system.dim > DENSE_MOST else _dense
@@ -91,9 +84,8 @@ def _discrete(system: LinearSystem, states: Array, t: Array, u: Array) -> None:
 
 def _dense(system: LinearSystem, states: Array, t: Array, u: Array) -> None:
     n, m = system.dim, system.inputs
-    A, B = (part.toarray() if sparse.issparse(part) else part for part in (system.A, system.B))
     block = np.zeros((n + m + 1,) * 2)
-    block[:n] = np.hstack([A, B, system.c[:, None]])
+    block[:n] = np.hstack([dense(system.A), dense(system.B), system.c[:, None]])
     drive, lengths = np.hstack([u, np.ones((len(u), 1))]), np.diff(t)
     # Steps that differ by the rounding of their ends only share the exponential of their mean.
     alike = np.unique([float(f"{h:.9g}") for h in lengths], return_inverse=True)[1]
@@ -150,17 +142,13 @@ def worst_case(
     Unresolved
         If the tolerance cannot be met.
     """
-    d = np.atleast_2d(as_numbers("direction", direction))
-    if d.shape != (1, system.dim) or not np.all(np.isfinite(d)):
-        raise ReachError(f"the direction must be {system.dim} finite numbers, got {direction!r}")
-    single_set("the initial set", initial)
+    d = as_array("the direction", np.ravel(direction), system.dim)[None]
+    require_single("the initial set", initial)
     if horizon == 0:
         return Trajectory(np.zeros(1), initial.support_vector(d), np.zeros((0, system.inputs)))
-    around, start = (system, initial) if system.discrete else augmented(system, initial)
-    adjoint, row = Adjoint(around, start), np.hstack([d, np.zeros((1, around.dim - system.dim))])
     if step is None and tolerance is None and not system.discrete:
         step = horizon / STEPS
-    run = carry_rows(adjoint, row, horizon, Steps(step, tolerance, [np.inf], keep=True))
+    run = row_bounds(system, initial, d, horizon, Steps(step, tolerance, [np.inf], cut=False, keep=True))
     assert run.rows is not None
     rows = run.rows[:, 0, : system.dim]
     x0 = initial.support_vector(rows[-1])

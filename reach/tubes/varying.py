@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..numerics.arguments import check_fields
-from ..numerics.checks import Array, as_numbers
+from ..numerics.checks import Array, as_array, as_numbers, check_fields
 from ..numerics.errors import ReachError
 
 Bound = ArrayLike | Callable[[float, float], ArrayLike] | None
@@ -52,29 +51,14 @@ class Varying:
 
 @dataclass(frozen=True, eq=False)
 class Sampled:
-    """A varying matrix over K steps of length h, compared with the chord between two nodes.
+    """A varying matrix over K steps of length h, compared with the chord between two nodes."""
 
-    Attributes
-    ----------
-    nodes : ndarray, shape (K+1, p, q)
-    chord : ndarray, shape (K, p, q)
-        Slope of the chord.
-    off : ndarray, shape (K, p, q)
-        Largest distance from the chord.
-    area : ndarray, shape (K, p, q)
-        Integral of that distance over the step.
-    rate : ndarray, shape (K, p, q)
-        Largest absolute value of the derivative.
-    swing : ndarray, shape (K, p, q)
-        Largest distance of the derivative from the slope of the chord.
-    """
-
-    nodes: Array
-    chord: Array
-    off: Array
-    area: Array
-    rate: Array
-    swing: Array
+    nodes: Array  # values, (K+1, p, q)
+    chord: Array  # slope of the chord, (K, p, q)
+    off: Array  # largest distance from the chord, (K, p, q)
+    area: Array  # integral of that distance over the step, (K, p, q)
+    rate: Array  # largest absolute value of the derivative, (K, p, q)
+    swing: Array  # largest distance of the derivative from the slope of the chord, (K, p, q)
 
     @property
     def middle(self) -> Array:
@@ -88,23 +72,17 @@ class Sampled:
 
 
 def sample(name: str, M: Any, shape: tuple[int, ...], times: Array) -> Sampled:
-    """Evaluate a constant or varying matrix, vectors as one column.
-
-    Raises
-    ------
-    ReachError
-        If a value has another shape or is not finite, or breaks the bounds given.
-    """
+    """Evaluate a constant or varying matrix, vectors as one column; its bounds must hold at the nodes."""
     column = (*shape, 1)[:2]
     h, count = np.diff(times), len(times)
     if not isinstance(M, Varying):
-        value = _checked(name, M, shape).reshape(column)
+        value = as_array(name, M, *shape).reshape(column)
         zero = np.zeros((count - 1, *column))
         return Sampled(np.tile(value, (count, 1, 1)), zero, zero, zero, zero, zero)
     with np.errstate(all="ignore"):  # what is not finite is refused with its name and time
         values = [M.value(float(t)) for t in times]
     named = zip(values, times, strict=True)
-    nodes = np.stack([_checked(f"{name}({t:g})", value, shape).reshape(column) for value, t in named])
+    nodes = np.stack([as_array(f"{name}({t:g})", value, *shape).reshape(column) for value, t in named])
     step = h[:, None, None]
     chord = np.diff(nodes, axis=0) / step
     slope = _bound(f"slope of {name}", M.slope, shape, times).reshape(count - 1, *column)
@@ -123,13 +101,6 @@ def sample(name: str, M: Any, shape: tuple[int, ...], times: Array) -> Sampled:
         np.minimum(slope, np.abs(chord) + step / 2 * bend),
         np.minimum(slope + np.abs(chord), step / 2 * bend),
     )
-
-
-def _checked(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
-    matrix = as_numbers(name, value)
-    if matrix.shape != shape or not np.all(np.isfinite(matrix)):
-        raise ReachError(f"{name} must be finite and of shape {shape}, got shape {matrix.shape}")
-    return matrix
 
 
 def _bound(name: str, bound: Bound, shape: tuple[int, ...], times: Array) -> Array:

@@ -8,24 +8,21 @@ that ends in the region.
 
 from __future__ import annotations
 
-from dataclasses import replace
-from time import perf_counter
+from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.optimize import nnls
 
 from ..numerics.checks import Array
 from ..numerics.errors import Unresolved
 from ..numerics.rounding import gamma
-from ..sets.convex import ConvexSet
 from ..sets.distance import nearest, unit_sizes
 from ..sets.interval import Interval
 from ..sets.polytope import HPolytope
 from ..tubes.stepping import in_time
-from ..tubes.systems import LinearSystem
 from ..tubes.trajectory import STEPS, Trajectory, simulate, worst_case
-from .invariance import FIRST, LAST, REPLAY, SHARPER, seen, sharp_tube, visited
+from .invariance import FIRST, LAST, REPLAY, SHARPER, Motions
 from .specification import Verdict
 
 MOST_DIRECTIONS = 64
@@ -38,61 +35,37 @@ SHRINK = (0.25, 0.01, 0.0)
 so that rounding cannot put its end outside."""
 
 
+@dataclass
 class Reached:
-    """What the rows of a region are at one time, asked through trajectories: its answers are attained.
+    """What rows are at one time, asked through trajectories of a system: its answers are attained.
 
     Each answer is kept, so that a point found as a mixture of answers can be traced back to one
     trajectory: initial sets and input sets are convex, and motions are linear in them.
     """
 
-    def __init__(
-        self,
-        system: LinearSystem,
-        initial: ConvexSet,
-        rows: Array,
-        time: float,
-        step: float | None,
-        deadline: float = np.inf,
-    ) -> None:
-        self.deadline = deadline
-        self.system, self.initial, self.rows, self.time, self.step = system, initial, rows, time, step
-        self.found: list[Trajectory] = []
-
-    @property
-    def dim(self) -> int:
-        """Number of rows."""
-        return len(self.rows)
+    motions: Motions
+    rows: Array
+    time: float
+    step: float | None
+    found: list[Trajectory] = field(default_factory=list)
 
     @property
     def center(self) -> Array:
         """Some point of the set, shape (r,)."""
-        return self.support_vector(np.ones(self.dim))
+        return self.support_vector(np.ones(len(self.rows)))
 
     def support_vector(self, directions: ArrayLike) -> Array:
         """The values of the rows that go furthest in one direction, shape (r,)."""
-        in_time(self.deadline)
+        in_time(self.motions.deadline)
         d = np.asarray(directions, dtype=float) @ self.rows
-        self.found.append(worst_case(self.system, self.initial, self.time, d, step=self.step))
+        motions = self.motions
+        self.found.append(worst_case(motions.system, motions.initial, self.time, d, step=self.step))
         return np.asarray(self.rows @ self.found[-1].states[-1])
-
-    def support(self, directions: ArrayLike) -> Array:
-        """What is attained in one direction."""
-        return np.asarray(np.asarray(directions, dtype=float) @ self.support_vector(directions))
 
     @property
     def answers(self) -> Array:
         """Every point found so far, shape (k, r)."""
         return np.array([self.rows @ path.states[-1] for path in self.found])
-
-    def interval_hull(self) -> Interval:
-        """Box around the answers so far (an inner one)."""
-        return Interval(self.answers.min(axis=0), self.answers.max(axis=0))
-
-    def contains(self, points: ArrayLike, slack: float = 1e-9) -> NDArray[np.bool_]:
-        """Whether each point is within `slack` of a mixture of the answers so far."""
-        points = np.atleast_2d(np.asarray(points, dtype=float))
-        ends = np.array([self.rows @ self.leading_to(p).states[-1] for p in points])
-        return np.asarray(np.all(np.abs(ends - points) <= slack * (1 + np.abs(points)), axis=-1))
 
     def leading_to(self, point: Array) -> Trajectory:
         """The trajectory that mixes the answers so as to end closest to a point."""
@@ -108,92 +81,76 @@ class Reached:
         inputs = np.tensordot(weights, np.array([path.inputs for path in self.found]), axes=1)
         if self.time == 0:
             return replace(self.found[0], states=x0[None])
-        return simulate(self.system, x0, self.found[0].times, inputs)
+        return simulate(self.motions.system, x0, self.found[0].times, inputs)
 
 
-def verify_never(
-    system: LinearSystem,
-    initial: ConvexSet,
-    region: HPolytope,
-    window: tuple[float, float],
-    begun: float,
-    deadline: float,
-) -> Verdict:
+def verify_never(motions: Motions, region: HPolytope) -> Verdict:
     """`verify` for a region to stay out of."""
     D, least = -region.A, -region.b
-    lengths = np.linalg.norm(D, axis=1)
-    bounds, steps, path, reason = np.full((1, len(D)), np.nan), 0, None, ""
+    bounds, steps, share = np.full((1, len(D)), np.nan), 0, FIRST
 
-    def verdict(status: str, margin: float) -> Verdict:
-        nothing, seconds = np.full(len(D), np.nan), perf_counter() - begun
-        return Verdict(status, margin, bounds.max(axis=0), nothing, path, steps, seconds, reason)
+    def verdict(status: str, margin: float, reason: str, path: Trajectory | None = None) -> Verdict:
+        return Verdict(status, margin, bounds.max(axis=0), np.full(len(D), np.nan), path, steps, reason)
 
-    sizes: Array | None = None
-    share = FIRST
     try:
-        if region.is_empty and region.is_empty_within(visited(system, initial, window[1], deadline)):
-            reason = "the region is empty"
-            return verdict("proven", np.inf)
+        if region.is_empty and region.is_empty_within(motions.visited):
+            return verdict("proven", np.inf, "the region is empty")
         while share >= LAST:
-            size = np.maximum(np.abs(least), np.maximum(initial.support(D), initial.support(-D)))
-            size = np.where(size > 0, size, 1.0)
-            between = least if window[0] < window[1] else np.full(len(D), np.inf)
-            tube = sharp_tube(system, initial, window[1], D, share * size, between, deadline)
-            t, bounds = seen(tube, window, system.discrete)
+            tube = motions.tube(D, share * motions.sizes(D, least), least)
+            t, bounds = motions.seen(tube)
             steps, step = len(tube.times) - 1, float(np.min(np.diff(tube.times), initial=np.inf))
             best = ((least - bounds) / np.linalg.norm(D, axis=1)).max(axis=1)
             worst = int(np.argmin(best))
             if best[worst] > 0:
                 reason = f"some direction keeps {best[worst]:.6g} from the region at every time"
-                return verdict("proven", float(best[worst]))
-            path, mix = _try(system, initial, region, float(t[worst]), window, step, deadline)
+                return verdict("proven", float(best[worst]), reason)
+            path, mix = _try(motions, region, float(t[worst]), step)
             if path is not None:
-                depth = float(np.min((region.b - region.A @ path.states[-1]) / lengths))
+                room = region.b - region.A @ path.states[-1]
+                depth = float(np.min(room / np.linalg.norm(region.A, axis=1)))
                 reason = f"a trajectory is in the region at t = {path.times[-1]:.6g}, {depth:.6g} deep"
-                return verdict("violated", -depth)
+                return verdict("violated", -depth, reason, path)
             if mix is not None and len(D) < MOST_DIRECTIONS and _is_new(-mix @ region.A, D):
                 # In the region -mix A x >= -mix b, but for the rounding of the products.
-                sizes = visited(system, initial, window[1], deadline) if sizes is None else sizes
                 level, residual = region.weak_duality((mix @ region.A)[None], mix[None])
-                most = level + (1 + gamma(system.dim)) * residual @ sizes
+                most = level + (1 + gamma(motions.system.dim)) * residual @ motions.visited
                 D, least = np.vstack([D, -mix @ region.A]), np.r_[least, -most]
             else:
                 share /= SHARPER
-        reason = "found no directions that separate, and no trajectory that enters beyond rounding"
     except Unresolved as exc:
-        reason = f"neither proven nor violated: {exc}"
-    return verdict("unknown", np.nan)
+        return verdict("unknown", np.nan, f"neither proven nor violated: {exc}")
+    reason = "found no directions that separate, and no trajectory that enters beyond rounding"
+    return verdict("unknown", np.nan, reason)
+
+
+def _is_new(d: Array, D: Array) -> bool:
+    """Whether a direction differs from all those in use."""
+    cosines = D @ d / np.linalg.norm(D, axis=1) / np.linalg.norm(d)
+    return bool(np.max(cosines) < 1 - 1e-9)
 
 
 def _try(
-    system: LinearSystem,
-    initial: ConvexSet,
-    region: HPolytope,
-    time: float,
-    window: tuple[float, float],
-    step: float,
-    deadline: float,
+    motions: Motions, region: HPolytope, time: float, step: float
 ) -> tuple[Trajectory | None, Array | None]:
     """A trajectory that ends in the region at about a time, or else what separates there.
 
     In the coordinates ``y = A x`` the region is what lies below b, so that a separating direction
     is a mixture of the rows of A: with l >= 0, ``-l A x >= -l b`` in the region.
     """
-    if system.discrete:
-        time = float(np.clip(round(time), *window))
-    else:
-        step = max(min(time / STEPS, step), time / MOST_STEPS)
-    body = Reached(system, initial, region.A, time, None if system.discrete or time == 0 else step, deadline)
-    for d in np.vstack([np.eye(body.dim), -np.eye(body.dim)]):
+    held = None if time == 0 else max(min(time / STEPS, step), time / MOST_STEPS)
+    if motions.system.discrete:
+        time, held = float(np.clip(round(time), *motions.window)), None
+    body = Reached(motions, region.A, time, held)
+    for d in np.vstack([np.eye(len(region.b)), -np.eye(len(region.b))]):
         body.support_vector(d)
-    hull = body.interval_hull()
-    size = unit_sizes(hull.half_widths)
-    if np.any(hull.lo > region.b):
+    lo = body.answers.min(axis=0)
+    size = unit_sizes(np.ptp(body.answers, axis=0) / 2)
+    if np.any(lo > region.b):
         return None, None  # a row separates: only the bounds were not sharp enough
-    floor = np.minimum(hull.lo, region.b) - size
+    floor = np.minimum(lo, region.b) - size
     for share in SHRINK:
-        aim = Interval(floor, np.maximum(region.b - share * np.minimum(size, region.b - hull.lo), floor))
-        answer = nearest(body, aim, size, enough=TOUCHING)
+        aim = Interval(floor, np.maximum(region.b - share * np.minimum(size, region.b - lo), floor))
+        answer = nearest(body, aim, size)
         if answer.gap <= TOUCHING:
             path = body.leading_to(answer.x)
             deep = REPLAY * (np.abs(region.A) @ np.abs(path.states[-1]) + np.abs(region.b))
@@ -202,9 +159,3 @@ def _try(
     mix = np.maximum(-answer.direction, 0.0)
     d, terms = -mix @ region.A, mix @ np.abs(region.A)
     return None, mix if answer.least > 0 and np.any(np.abs(d) > 1e-9 * terms) else None
-
-
-def _is_new(d: Array, D: Array) -> bool:
-    """Whether a direction differs from all those in use."""
-    cosines = D @ d / np.linalg.norm(D, axis=1) / np.linalg.norm(d)
-    return bool(np.max(cosines) < 1 - 1e-9)

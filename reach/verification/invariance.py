@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from fractions import Fraction
+from functools import cached_property
 from math import lcm
 from time import perf_counter
 from typing import Any
@@ -13,9 +15,9 @@ from ..numerics.checks import Array
 from ..numerics.errors import Unresolved
 from ..sets.convex import ConvexSet
 from ..sets.polytope import HPolytope
-from ..tubes.support_tube import SupportTube, support_tube
 from ..tubes.systems import LinearSystem
 from ..tubes.trajectory import Trajectory, worst_case
+from ..tubes.tubes import SupportTube, support_tube
 from .specification import Verdict
 
 REPLAY = 1e-9
@@ -31,98 +33,89 @@ GRID = 10_000
 """Most steps that a first grid takes to have every change of the input set on a node."""
 
 
-def visited(system: LinearSystem, initial: ConvexSet, horizon: float, deadline: float) -> Array:
-    """Largest absolute values of the states over the horizon, never too small, shape (n,)."""
-    axes = np.vstack([np.eye(system.dim), -np.eye(system.dim)])
-    if horizon == 0:
-        most = initial.support(axes)
-    else:
-        step = {"step": horizon / 64} if len(system.U) > 1 and not system.discrete else {}
-        seconds = deadline - perf_counter()
-        most = support_tube(system, initial, horizon, axes, max_seconds=seconds, **step).most
-    return np.asarray(np.maximum(most[: system.dim], most[system.dim :]).clip(min=0))
+@dataclass(frozen=True, eq=False)
+class Motions:
+    """All trajectories of a system from an initial set, asked about within a window of time."""
 
+    system: LinearSystem
+    initial: ConvexSet
+    window: tuple[float, float]
+    deadline: float  # a time of `perf_counter`
 
-def verify_always(
-    system: LinearSystem,
-    initial: ConvexSet,
-    region: HPolytope,
-    window: tuple[float, float],
-    begun: float,
-    deadline: float,
-) -> Verdict:
-    """`verify` for a region to stay in: one tube along its normals, sharper where it must be."""
-    C, limits = region.A, region.b
-    size = np.maximum(np.abs(limits), np.maximum(initial.support(C), initial.support(-C)))
-    size = np.where(size > 0, size, 1.0)
-    bounds, reached = np.full(len(C), np.inf), np.full(len(C), -np.inf)
-    share, steps, path, reason = FIRST, 0, None, ""
+    def sizes(self, rows: Array, limits: Array) -> Array:
+        """Sizes in which rows (r, n) are measured, shape (r,): of their limits and over the initial set."""
+        most = np.maximum(self.initial.support(rows), self.initial.support(-rows))
+        size = np.maximum(np.abs(limits), most)
+        return np.where(size > 0, size, 1.0)
 
-    def verdict(status: str, margin: float) -> Verdict:
-        return Verdict(status, margin, bounds, reached, path, steps, perf_counter() - begun, reason)
+    @cached_property
+    def visited(self) -> Array:
+        """Largest absolute values of the states up to the end of the window, never too small, shape (n,)."""
+        n, end = self.system.dim, self.window[1]
+        axes = np.vstack([np.eye(n), -np.eye(n)])
+        most = self.initial.support(axes)
+        if end > 0:
+            step = {"step": end / 64} if len(self.system.U) > 1 and not self.system.discrete else {}
+            most = self._support_tube(axes, **step).most
+        return np.asarray(np.maximum(most[:n], most[n:]).clip(min=0))
 
-    while True:
-        rows = np.nonzero(~(bounds <= limits))[0]
-        if len(rows) == 0:
-            margin = float(np.min((limits - bounds) / np.linalg.norm(C, axis=1)))
-            reason = f"every bound keeps {margin:.6g} from its limit"
-            return verdict("proven", margin)
-        if share < LAST:
-            gap = np.max((np.abs(bounds - reached) / size)[rows])
-            reason = f"bounds and trajectories are within {gap:.1g} of each other and of the limit"
-            return verdict("unknown", np.nan)
-        # At a single instant, which is a node, nothing between nodes matters.
-        between = limits[rows] if window[0] < window[1] else np.full(len(rows), np.inf)
-        try:
-            tube = sharp_tube(system, initial, window[1], C[rows], share * size[rows], between, deadline)
-        except Unresolved as exc:
-            reason = f"neither proven nor violated: {exc}"
-            return verdict("unknown", np.nan)
-        steps = len(tube.times) - 1
-        bounds[rows], instants, reached[rows] = extremes(tube, window, system.discrete)
-        broken = np.nonzero(reached > limits)[0]
-        if len(broken):
-            row = int(broken[np.argmax((reached - limits)[broken] / size[broken])])
-            instant = float(instants[rows.tolist().index(row)])
-            excess = float(reached[row] - limits[row])
-            path = sharp_worst_case(system, initial, instant, C[row], excess / 2, window[1] / max(steps, 1))
-            value = float(C[row] @ path.states[-1])
-            if value > limits[row] + REPLAY * size[row]:
-                reason = f"row {row} reaches {value:.6g} at t = {instant:.6g}, its limit is {limits[row]:.6g}"
-                return verdict("violated", float((limits[row] - value) / np.linalg.norm(C[row])))
-            path = None
-        share /= SHARPER
+    def _support_tube(self, C: Array, **how: Any) -> SupportTube:
+        seconds = self.deadline - perf_counter()
+        return support_tube(self.system, self.initial, self.window[1], C, max_seconds=seconds, **how)
 
+    def tube(self, C: Array, tolerance: Array, limits: Array) -> SupportTube:
+        """A tube as sharp as a tolerance asks; with several input sets, equal steps short enough for it.
 
-def sharp_tube(
-    system: LinearSystem,
-    initial: ConvexSet,
-    horizon: float,
-    C: Array,
-    tolerance: Array,
-    limits: Array,
-    deadline: float = np.inf,
-) -> SupportTube:
-    """A tube as sharp as a tolerance asks; with several input sets, equal steps short enough for it.
+        What stays below its limit between nodes is sharp enough; at a single instant, which is a node,
+        nothing between nodes matters.
+        """
+        end, system = self.window[1], self.system
+        if end == 0:
+            start, none = self.initial.support(C)[None], np.zeros((0, len(C)))
+            return SupportTube(np.zeros(1), C, start, start, none, none)
+        limits = limits if self.window[0] < end else np.full(len(C), np.inf)
+        if system.discrete:
+            return self._support_tube(C)
+        if len(system.U) < 2:
+            return self._support_tube(C, tolerance=tolerance, limit=limits)
+        step = end / _grid(system.breaks[system.breaks < end] / end)
+        while True:
+            tube = self._support_tube(C, step=step)
+            loose = np.maximum((tube.upper - tube.attained).max(axis=0), tube.bow.max(axis=0))
+            if np.all(loose <= tolerance):
+                return tube
+            step /= 2
 
-    Raises
-    ------
-    Unresolved
-        If that takes too many steps, or longer than the deadline.
-    """
-    if horizon == 0:
-        start, none = initial.support(C)[None], np.zeros((0, len(C)))
-        return SupportTube(np.zeros(1), C, start, start, none, none)
-    if len(system.U) < 2 or system.discrete:
-        how: dict[str, Any] = {} if system.discrete else {"tolerance": tolerance, "limit": limits}
-        return support_tube(system, initial, horizon, C, max_seconds=deadline - perf_counter(), **how)
-    step = horizon / _grid(system.breaks[system.breaks < horizon] / horizon)
-    while True:
-        tube = support_tube(system, initial, horizon, C, step=step, max_seconds=deadline - perf_counter())
-        loose = np.maximum((tube.upper - tube.attained).max(axis=0), tube.bow.max(axis=0))
-        if np.all(loose <= tolerance):
-            return tube
-        step /= 2
+    def worst_case(self, instant: float, d: Array, tolerance: float, step: float) -> Trajectory:
+        """`reach.worst_case` by a tolerance; with the step of the tube where that cannot be."""
+        if not self.system.discrete and len(self.system.U) < 2:
+            try:
+                return worst_case(self.system, self.initial, instant, d, tolerance=tolerance)
+            except Unresolved:
+                pass
+        held = {} if self.system.discrete else {"step": step}
+        return worst_case(self.system, self.initial, instant, d, **held)
+
+    def seen(self, tube: SupportTube) -> tuple[Array, Array]:
+        """Times, one each, and bounds (k, r) over what covers the window: intervals, or nodes if discrete."""
+        (begin, end), before, after = self.window, tube.times[:-1], tube.times[1:]
+        if self.system.discrete or len(before) == 0:
+            inside = (tube.times >= begin) & (tube.times <= end)
+            return tube.times[inside], tube.upper[inside]
+        if begin == end:
+            return np.array([end]), tube.at([end])
+        meets = (before < end) & (after > begin)
+        return np.clip((before + after)[meets] / 2, begin, end), tube.interval[meets]
+
+    def extremes(self, tube: SupportTube) -> tuple[Array, Array, Array]:
+        """Bounds over the window, where it is reached most, and what is attained there, each (r,)."""
+        bounds = self.seen(tube)[1].max(axis=0)
+        inside = np.nonzero((tube.times >= self.window[0]) & (tube.times <= self.window[1]))[0]
+        if len(inside) == 0:
+            nowhere = np.full(len(bounds), -np.inf)
+            return bounds, nowhere, nowhere
+        best = inside[np.argmax(tube.attained[inside], axis=0)]
+        return bounds, tube.times[best], tube.attained[best, np.arange(len(bounds))]
 
 
 def _grid(shares: Array) -> int:
@@ -132,38 +125,35 @@ def _grid(shares: Array) -> int:
     return count if count <= GRID else 64
 
 
-def sharp_worst_case(
-    system: LinearSystem, initial: ConvexSet, horizon: float, d: Array, tolerance: float, step: float
-) -> Trajectory:
-    """`worst_case` by a tolerance; with the step of the tube where that cannot be."""
-    if system.discrete:
-        return worst_case(system, initial, horizon, d)
-    if len(system.U) < 2:
+def verify_always(motions: Motions, region: HPolytope) -> Verdict:
+    """`verify` for a region to stay in: one tube along its normals, sharper where it must be."""
+    C, limits = region.A, region.b
+    lengths, size = np.linalg.norm(C, axis=1), motions.sizes(C, limits)
+    bounds, reached = np.full(len(C), np.inf), np.full(len(C), -np.inf)
+    share, steps, rows = FIRST, 0, np.arange(len(C))
+    while len(rows):
+        if share < LAST:
+            gap = np.max((np.abs(bounds - reached) / size)[rows])
+            reason = f"bounds and trajectories are within {gap:.1g} of each other and of the limit"
+            return Verdict("unknown", np.nan, bounds, reached, None, steps, reason)
         try:
-            return worst_case(system, initial, horizon, d, tolerance=tolerance)
-        except Unresolved:
-            pass
-    return worst_case(system, initial, horizon, d, step=step)
-
-
-def extremes(tube: SupportTube, window: tuple[float, float], discrete: bool) -> tuple[Array, Array, Array]:
-    """Bounds over a window, where it is reached most, and what is attained there, each (r,)."""
-    bounds = seen(tube, window, discrete)[1].max(axis=0)
-    inside = np.nonzero((tube.times >= window[0]) & (tube.times <= window[1]))[0]
-    if len(inside) == 0:
-        nowhere = np.full(len(bounds), -np.inf)
-        return bounds, nowhere, nowhere
-    best = inside[np.argmax(tube.attained[inside], axis=0)]
-    return bounds, tube.times[best], tube.attained[best, np.arange(len(bounds))]
-
-
-def seen(tube: SupportTube, window: tuple[float, float], discrete: bool) -> tuple[Array, Array]:
-    """Times, one each, and bounds (k, r) of what covers a window: intervals, or nodes where those are all."""
-    before, after = tube.times[:-1], tube.times[1:]
-    if discrete or len(before) == 0:
-        inside = (tube.times >= window[0]) & (tube.times <= window[1])
-        return tube.times[inside], tube.upper[inside]
-    if window[0] == window[1]:
-        return np.array([window[1]]), tube.at([window[1]])
-    meets = (before < window[1]) & (after > window[0])
-    return np.clip((before + after)[meets] / 2, *window), tube.interval[meets]
+            tube = motions.tube(C[rows], share * size[rows], limits[rows])
+        except Unresolved as exc:
+            reason = f"neither proven nor violated: {exc}"
+            return Verdict("unknown", np.nan, bounds, reached, None, steps, reason)
+        steps = len(tube.times) - 1
+        bounds[rows], instants, reached[rows] = motions.extremes(tube)
+        broken = np.nonzero(reached > limits)[0]
+        if len(broken):
+            row = int(broken[np.argmax((reached - limits)[broken] / size[broken])])
+            instant, excess = float(instants[rows.tolist().index(row)]), float(reached[row] - limits[row])
+            path = motions.worst_case(instant, C[row], excess / 2, motions.window[1] / max(steps, 1))
+            value = float(C[row] @ path.states[-1])
+            if value > limits[row] + REPLAY * size[row]:
+                reason = f"row {row} reaches {value:.6g} at t = {instant:.6g}, its limit is {limits[row]:.6g}"
+                margin = float((limits[row] - value) / lengths[row])
+                return Verdict("violated", margin, bounds, reached, path, steps, reason)
+        rows, share = np.nonzero(~(bounds <= limits))[0], share / SHARPER
+    margin = float(np.min((limits - bounds) / lengths))
+    reason = f"every bound keeps {margin:.6g} from its limit"
+    return Verdict("proven", margin, bounds, reached, None, steps, reason)

@@ -63,10 +63,10 @@ class Verdict:
         instant of the violation.
     steps : int
         Steps of the last tube.
-    seconds : float
-        Wall time.
     reason : str
         One sentence.
+    seconds : float
+        Wall time.
     """
 
     status: str
@@ -75,8 +75,8 @@ class Verdict:
     reached: Array
     trajectory: Trajectory | None
     steps: int
-    seconds: float
     reason: str
+    seconds: float = 0.0
 
     def __bool__(self) -> bool:
         return self.status == "proven"

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from time import perf_counter
 from typing import Any
 
 import numpy as np
 
-from ..numerics.arguments import checked
-from ..numerics.checks import as_numbers, single_set
+from ..numerics.checks import checked, require_single
 from ..numerics.errors import ReachError
 from ..sets.convex import ConvexSet
 from ..sets.polytope import HPolytope
 from ..tubes.systems import LinearSystem
 from ..tubes.trajectory import worst_case
 from .avoidance import verify_never
-from .invariance import verify_always
+from .invariance import Motions, verify_always
 from .specification import Always, Never, Verdict
 
 
@@ -50,18 +50,18 @@ def verify(
         If dimensions differ, or the times of the specification lie outside the horizon.
     """
     window = _window(system, spec, horizon)
-    single_set("the initial set", initial)
-    begun = perf_counter()
-    deadline = begun + max_seconds
-    region = spec.region
+    require_single("the initial set", initial)
+    begun, region = perf_counter(), spec.region
+    motions = Motions(system, initial, window, begun + max_seconds)
     if len(region.b) == 0:
-        return _without_limits(system, initial, spec, window[0], begun)
-    if isinstance(spec, Never) and len(region.b) == 1:
-        # Out of one halfspace is inside the opposite one, its boundary excluded.
-        region = HPolytope(-region.A, np.nextafter(-region.b, -np.inf))
-    elif isinstance(spec, Never):
-        return verify_never(system, initial, region, window, begun, deadline)
-    return verify_always(system, initial, region, window, begun, deadline)
+        found = _without_limits(motions, spec)
+    elif isinstance(spec, Always):
+        found = verify_always(motions, region)
+    elif len(region.b) == 1:  # out of one halfspace is inside the opposite one, its boundary excluded
+        found = verify_always(motions, HPolytope(-region.A, np.nextafter(-region.b, -np.inf)))
+    else:
+        found = verify_never(motions, region)
+    return replace(found, seconds=perf_counter() - begun)
 
 
 def _window(system: LinearSystem, spec: Any, horizon: float) -> tuple[float, float]:
@@ -70,10 +70,10 @@ def _window(system: LinearSystem, spec: Any, horizon: float) -> tuple[float, flo
         raise ReachError(f"the specification must be Always or Never, got {type(spec).__name__}")
     if spec.region.dim != system.dim:
         raise ReachError(f"the region has dimension {spec.region.dim}, the system {system.dim} states")
-    if not (as_numbers("horizon", horizon).shape == () and 0 <= horizon < np.inf):
+    if not 0 <= horizon < np.inf:
         raise ReachError(f"the horizon must be a finite number >= 0, got {horizon!r}")
     during = (0.0, horizon) if spec.during is None else spec.during
-    if as_numbers("during", during).shape != (2,) or not 0 <= during[0] <= during[1] <= horizon:
+    if not 0 <= during[0] <= during[1] <= horizon:
         raise ReachError(f"`during` must be two times within [0, {horizon:g}], got {spec.during!r}")
     first, last = float(during[0]), float(during[1])
     if system.discrete:
@@ -83,14 +83,10 @@ def _window(system: LinearSystem, spec: Any, horizon: float) -> tuple[float, flo
     return first, last
 
 
-def _without_limits(
-    system: LinearSystem, initial: ConvexSet, spec: Always | Never, time: float, begun: float
-) -> Verdict:
+def _without_limits(motions: Motions, spec: Always | Never) -> Verdict:
     """Of a region that is everything there is nothing to compute."""
-    none, path = np.zeros(0), None
+    none, system = np.zeros(0), motions.system
     if isinstance(spec, Always):
-        status, margin, reason = "proven", np.inf, "the region has no limits"
-    else:
-        path = worst_case(system, initial, time, np.ones(system.dim))
-        status, margin, reason = "violated", -np.inf, "the region to avoid has no limits"
-    return Verdict(status, margin, none, none, path, 0, perf_counter() - begun, reason)
+        return Verdict("proven", np.inf, none, none, None, 0, "the region has no limits")
+    path = worst_case(system, motions.initial, motions.window[0], np.ones(system.dim))
+    return Verdict("violated", -np.inf, none, none, path, 0, "the region to avoid has no limits")

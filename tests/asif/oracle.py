@@ -2,7 +2,7 @@
 
 They take complex numbers, so that they can be differentiated by a complex step. Theory notes 14 and 16
 are followed: eq. 19 has a norm, the cone turns at -n, and the square roots get the layer of
-`polaris.inspection.braking`, written out here once more.
+`polaris.inspection.constraints.barriers.Braking`, written out here once more.
 """
 
 import numpy as np

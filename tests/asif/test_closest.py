@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 
 from polaris.inspection import closest
-from polaris.inspection.closest import TOLERANCE, ClosestApproach, FreeFlight, circle_map, map_norms
+from polaris.inspection.closest import TOLERANCE, ClosestApproach, circle_map, flight_parts, flown, map_norms
 from polaris.inspection.constraints.passive import Passive
 from polaris.model.hill import cw_matrix, free_flight
 
@@ -120,7 +120,11 @@ def test_dips_between_instants_that_the_rates_do_not_show_are_found(monkeypatch)
     monkeypatch.setattr(closest, "SEGMENT", 600.0)
     n, T = N_ORBIT, 1200.0
     z = circular(np.random.default_rng(4), n, 4000)
-    flight, every = FreeFlight(z, n), np.ones(len(z))
+    parts, every = flight_parts(z, n), np.ones(len(z))
+
+    def flight(t):
+        return flown(parts, n, t)
+
     approach = ClosestApproach(n, T)
     assert len(approach.times) == 3
     path = [flight(t * every) for t in approach.times]

@@ -5,10 +5,11 @@ import pytest
 from typer.testing import CliRunner
 
 from polaris.cli import app as cli
-from polaris.report.figures import inspection as figures
-from polaris.report.figures.inspection.monte_carlo import draw_failures, draw_initial_conditions
+from polaris.report.figures import flight as figures
+from polaris.report.figures.flight import free_flights, nearest_deputy
+from polaris.report.figures.fuel_limit import draw_fuel_run
+from polaris.report.figures.monte_carlo import draw_failures, draw_initial_conditions
 from polaris.report.figures.style import new_figure, style
-from polaris.report.scene.inspection import free_flights, nearest_deputy
 from polaris.runs.fuel_limit import fly_fuel
 from polaris.runs.inspection import fly_flight
 from polaris.runs.monte_carlo import CampaignPicture
@@ -75,7 +76,7 @@ def test_fuel_figures_are_drawn_with_and_without_a_switch(tmp_path):
         )
         flown = fly_fuel(scenario)
         assert (flown.latched_at is not None) == switched
-        names = {path.name for path in figures.draw_fuel_run(flown, tmp_path)}
+        names = {path.name for path in draw_fuel_run(flown, tmp_path)}
         assert names == {f"{name}.{kind}" for name in ("path", "fuel", "thrust") for kind in ("pdf", "png")}
 
 

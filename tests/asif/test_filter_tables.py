@@ -11,9 +11,10 @@ from polaris.cli import app as cli
 from polaris.inspection.backup.parking import Parking
 from polaris.inspection.constraints.families import Families
 from polaris.inspection.filters.explicit import Centralized
+from polaris.inspection.filters.flight_check import FlightCheck
 from polaris.inspection.filters.implicit import ImplicitASIF
-from polaris.inspection.filters.one_flight import BACKUP, UNPROVEN
 from polaris.inspection.filters.simplex import ExplicitSimplex, Guarded, ImplicitSimplex
+from polaris.inspection.flights.simulation import BACKUP, UNPROVEN
 from polaris.model.errors import ScenarioError
 from polaris.rta.projection import FILTERED
 from polaris.runs.run import read_run
@@ -37,8 +38,8 @@ def by_hand(kind, q, alpha, sun):
             families, Guarded(Centralized(families), law, sun), 1.0, 0.01, 0.06, sun_start=sun, looks=3
         )
     if kind == "implicit_simplex":
-        return ImplicitSimplex(q, law, 500.0, 3.0, sun_start=sun)
-    return ImplicitASIF(q, law, rate=0.2, sun_start=sun)
+        return ImplicitSimplex(FlightCheck(law, 500.0, sun), 3.0)
+    return ImplicitASIF(FlightCheck(law, sun_start=sun), 0.2)
 
 
 def invoke(*args):
@@ -89,7 +90,7 @@ def test_flight_is_judged_and_told(flown):
 
 
 def test_flight_is_on_the_page_and_in_the_figures(flown, tmp_path, monkeypatch):
-    monkeypatch.setattr("polaris.report.figures.inspection.FLIGHT_FIGURES", ("speed",))
+    monkeypatch.setattr("polaris.report.figures.flight.FLIGHT_FIGURES", ("speed",))
     assert invoke("plot", flown[1]).exit_code == 0
     assert (flown[1] / "figures" / "speed.pdf").is_file()
     done = invoke("report", flown[1], "--out", tmp_path / "page.html")

@@ -1,13 +1,15 @@
 """Backup flights judged, and the implicit barrier filter."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 
-from polaris.inspection.backup.backup_flight import fly_backup
-from polaris.inspection.backup.parking import Coast, Parking
+from polaris.inspection.backup.law import Coast, fly_backup
+from polaris.inspection.backup.parking import Parking
 from polaris.inspection.constraints.allowable_set import AllowableRows, allowable
-from polaris.inspection.filters.flight_check import FlightCheck, Inherited
+from polaris.inspection.filters.flight_check import FlightCheck
 from polaris.inspection.filters.implicit import ImplicitASIF
 from polaris.inspection.flights.primary import LQR
 from polaris.inspection.inspection import Inspection
@@ -40,7 +42,7 @@ def test_rows_agree_with_the_allowable_set():
     sun = rng.uniform(0, 7, 400)
     rows = AllowableRows(THREE)
     ours, theirs = rows(x, sun).h, allowable(THREE, x, sun)
-    kinds = np.array([f"phi{number}" for number in rows.number])
+    kinds = np.array([label.split("[")[0] for label in rows.labels])
     for name in ("phi1", "phi2", "phi3", "phi6", "phi9", "phi10", "phi11"):
         np.testing.assert_allclose(ours[:, kinds == name], theirs[name], atol=1e-9)
     np.testing.assert_array_equal(ours[:, kinds == "phi4"] >= 0, theirs["phi4"] >= 0)
@@ -125,16 +127,23 @@ def test_flights_that_do_not_settle_are_not_proven():
     assert np.isfinite(FlightCheck(Coast(ONE), 600.0)(0.0, on_orbit)).all()
 
 
-def test_what_is_inherited():
-    proven = Inherited(2.0)
+def test_what_was_proven_stays_proven_along_its_flight():
+    check, zero = FlightCheck(Coast(ONE, period=2.0)), np.zeros((1, 3))
     x = np.ones((1, 6))
-    assert not proven.holds(0.0, x)
-    proven.prove(10.0, x)
-    assert proven.holds(12.0, x)
-    assert not proven.holds(14.0, x)
-    assert not proven.holds(12.0, x + 1e-3)
-    proven.clear()
-    assert not proven.holds(12.0, x)
+    after = x @ check.law.motion[0].T
+
+    def proves(t, x, good=False, known=True):
+        return check.proves(SimpleNamespace(t=t, x=x, known=np.array([known])), zero, good)
+
+    def begun():
+        return proves(10.0, x, good=True)
+
+    assert not proves(0.0, x)
+    assert begun() and proves(12.0, after)
+    assert begun() and not proves(14.0, after)
+    assert begun() and not proves(12.0, after + 1e-3)
+    assert begun() and not proves(12.0, after, known=False) and not proves(14.0, after)
+    assert not proves(10.0, x, good=True, known=False)
 
 
 # ---- the filter's conditions
@@ -142,10 +151,10 @@ def test_what_is_inherited():
 
 def test_conditions_against_differences_of_the_backup_flight():
     """The rate of phi at the end of the flight while the state moves under some input."""
-    f = ImplicitASIF(TWO, sun_start=np.pi)
+    f = ImplicitASIF(FlightCheck(Parking(TWO), sun_start=np.pi))
     rows, law = f.check.rows, f.law
     x = formation(TWO) + np.array([0, 0, 0, 0.1, -0.1, 0.05])
-    flight = fly_backup(law, x, law.start(x), 80)
+    flight = fly_backup(law, x, 80)
     count = len(flight.x)
     G, bound, value = f.conditions(50.0, x, flight)
     u = np.array([[0.3, -0.7, 0.2], [-0.4, 0.5, 0.9]])
@@ -174,7 +183,7 @@ def test_conditions_against_differences_of_the_backup_flight():
     ids=["one", "three"],
 )
 def test_an_aggressive_primary_is_held_in_the_allowable_set(q, without):
-    f = ImplicitASIF(q, sun_start=np.pi, without=without)
+    f = ImplicitASIF(FlightCheck(Parking(q), sun_start=np.pi, without=without))
     primary, x = LQR(q), formation(q)
     Phi, Gamma = f.law.motion
     seen, least, states = set(), np.inf, []
@@ -195,7 +204,7 @@ def test_an_aggressive_primary_is_held_in_the_allowable_set(q, without):
 
 
 def test_harmless_input_passes_unchanged():
-    f = ImplicitASIF(ONE, sun_start=np.pi)
+    f = ImplicitASIF(FlightCheck(Parking(ONE), sun_start=np.pi))
     x = elliptical_nmt(N, 150.0, 4.9)[None]
     u = np.array([[0.01, -0.02, 0.01]])
     d = f.filter(0.0, x, u)
@@ -207,14 +216,14 @@ def test_harmless_input_passes_unchanged():
 
 
 def test_a_state_that_cannot_be_helped_is_recorded():
-    d = ImplicitASIF(ONE).filter(0.0, np.zeros((1, 6)), np.ones((1, 3)))
+    d = ImplicitASIF(FlightCheck(Parking(ONE))).filter(0.0, np.zeros((1, 6)), np.ones((1, 3)))
     assert d.status == "backup"
     assert "not proven" in d.fallback
     assert np.isfinite(d.u).all()
 
 
 def test_missing_input_is_backup_and_unknown_state_coasts():
-    f = ImplicitASIF(TWO, sun_start=np.pi, without=("deputy_sun",))
+    f = ImplicitASIF(FlightCheck(Parking(TWO), sun_start=np.pi, without=("deputy_sun",)))
     x = formation(TWO)
     x[:, 3:] = f.law.ellipses.nearest(x)[:, 3:]
     d = f.filter(0.0, x, None)
@@ -226,7 +235,7 @@ def test_missing_input_is_backup_and_unknown_state_coasts():
     assert "state not known: deputy 1" in d.fallback
     assert not d.u[1].any()
     assert np.isfinite(d.margins["phi2[0,1]"])  # from the last good state, propagated
-    fresh = ImplicitASIF(TWO, sun_start=np.pi)
+    fresh = ImplicitASIF(FlightCheck(Parking(TWO), sun_start=np.pi))
     d = fresh.filter(0.0, lost, np.full((2, 3), 0.01))
     assert np.isnan(d.margins["phi2[0,1]"])
     assert np.isfinite(d.margins["phi1[0]"])
@@ -234,13 +243,13 @@ def test_missing_input_is_backup_and_unknown_state_coasts():
 
 
 def test_malformed_values_are_answered():
-    malformed(ImplicitASIF(TWO))
+    malformed(ImplicitASIF(FlightCheck(Parking(TWO))))
 
 
 @given(calls(2, 2))
 @settings(max_examples=12, deadline=None, suppress_health_check=list(HealthCheck))
 def test_garbage(sequence):
-    answers(ImplicitASIF(TWO, PARKING_2, horizon=60.0), sequence)
+    answers(ImplicitASIF(FlightCheck(PARKING_2, 60.0)), sequence)
 
 
 PARKING_2 = Parking(TWO)
@@ -248,4 +257,4 @@ PARKING_2 = Parking(TWO)
 
 def test_odd_times_are_answered_and_told():
     q = TWO
-    odd_times(ImplicitASIF(q, sun_start=np.pi), formation(q), np.zeros((2, 3)))
+    odd_times(ImplicitASIF(FlightCheck(Parking(q), sun_start=np.pi)), formation(q), np.zeros((2, 3)))

@@ -248,7 +248,7 @@ def test_held_motion_is_that_of_the_matrices():
 
     x, u = np.array([100.0, -30.0, 20.0, 0.1, 0.2, -0.1]), np.array([0.3, -1.0, 0.5])
     push = np.r_[0, 0, 0, u / Q.mass]
-    flown = solve_ivp(lambda t, y: Q.A @ y + push, (0, 7), x, rtol=1e-12, atol=1e-12).y[:, -1]
+    flown = solve_ivp(lambda t, y: Q.system.A @ y + push, (0, 7), x, rtol=1e-12, atol=1e-12).y[:, -1]
     np.testing.assert_allclose(Phi @ x + Gamma @ u, flown, rtol=1e-9)
 
 

@@ -8,19 +8,33 @@ import pytest
 from polaris.inspection.constraints.allowable_set import allowable
 from polaris.inspection.constraints.families import Families
 from polaris.inspection.constraints.motion import SampledData
-from polaris.inspection.filters.explicit import Centralized
-from polaris.inspection.flights.primary import LQR, NoInput
-from polaris.inspection.flights.sampling import InitialConditions, initial_conditions
-from polaris.inspection.flights.simulation import Kept, fly_one
-from polaris.inspection.flights.studies import Outcome, Study, fly_block
+from polaris.inspection.filters.explicit import Centralized, Decentralized
+from polaris.inspection.flights.blocks import Outcome, fly_block
+from polaris.inspection.flights.primary import LQR
+from polaris.inspection.flights.sampling import InitialConditions
+from polaris.inspection.flights.simulation import Flights, Kept, fly_one
 from polaris.inspection.inspection import Inspection
 from polaris.model.errors import ScenarioError
+from polaris.runs.arrays import held_by
 from polaris.runs.campaign import local
-from polaris.runs.inspection import flight_arrays
+from polaris.runs.inspection import ARRAYS
 from polaris.runs.monte_carlo import run_monte_carlo
 from polaris.scenario.scenario import load_scenario
 
 Q = Inspection()
+
+
+def initial_conditions(families, count, seed=0):
+    drawn = InitialConditions(families, seed)
+    return *drawn.first(count), drawn.acceptance
+
+
+def central(q=Q, **options):
+    return Centralized(Families(q, **options))
+
+
+def without_sun():
+    return Decentralized(Families(Q, without=("deputy_sun",)))
 
 
 @pytest.fixture(scope="module")
@@ -50,10 +64,9 @@ def test_sampling_gives_up_where_there_is_no_room(monkeypatch):
 
 def test_least_values_are_those_of_the_flight_flown_alone(drawn):
     x, sun, _ = drawn
-    study = Study("central")
-    found = fly_block(Q, study, x[:3], sun[:3], 30.0, 1.0)
+    found = fly_block(Flights(Q, x[:3], sun[:3], 30.0), central())
     for run in range(3):
-        flight = fly_one(Q, Centralized(Families(Q)), NoInput(), x[run], float(sun[run]), 30.0)
+        flight = fly_one(Flights(Q, x[run : run + 1], sun[run : run + 1], 30.0), central())
         for name, values in allowable(Q, flight.x, flight.sun).items():
             at_samples = values.min()
             assert found.least[name][run] <= at_samples + 1e-9
@@ -72,11 +85,10 @@ def test_conditions_asked_for_in_parts_are_those_drawn_at_once(drawn):
 
 def test_results_come_back_from_their_columns(drawn):
     x, sun, _ = drawn
-    study = Study("without", "coasting", ("deputy_sun",))
-    found = fly_block(Q, study, x[:3], sun[:3], 4.0)
-    again = Outcome.from_columns(study, found.columns())
+    found = fly_block(Flights(Q, x[:3], sun[:3], 4.0), without_sun())
+    again = Outcome({"run": np.arange(3)} | {name: values.copy() for name, values in found.columns.items()})
     assert list(again.least) == list(found.least) and "phi5" not in again.least
-    assert np.isnan(found.columns()["least_phi5"]).all()
+    assert np.isnan(found.columns["least_phi5"]).all()
     for key, values in found.least.items():
         np.testing.assert_array_equal(values, again.least[key])
     np.testing.assert_array_equal(found.delta_v, again.delta_v)
@@ -85,12 +97,13 @@ def test_results_come_back_from_their_columns(drawn):
 
 def test_a_run_kept_out_of_a_block_is_the_run_flown_alone(drawn):
     x, sun, _ = drawn
-    kept = Kept(2)
-    fly_block(Q, Study("central"), x[:3], sun[:3], 6.0, 0.5, kept=kept)
-    run = kept.flight(Q, float(sun[2]), 6.0, 0.5)
-    alone = fly_one(Q, Centralized(Families(Q)), NoInput(), x[2], float(sun[2]), 6.0, 0.5)
-    for name, values in flight_arrays(run).items():
-        np.testing.assert_allclose(values, flight_arrays(alone)[name], rtol=1e-9, atol=1e-9)
+    flights = Flights(Q, x[:3], sun[:3], 6.0, 0.5)
+    kept = Kept(flights, 2)
+    fly_block(flights, central(), kept)
+    run = kept.flight()
+    alone = fly_one(Flights(Q, x[2:3], sun[2:3], 6.0, 0.5), central())
+    for name, values in held_by(run, ARRAYS).items():
+        np.testing.assert_allclose(values, held_by(alone, ARRAYS)[name], rtol=1e-9, atol=1e-9)
     np.testing.assert_array_equal(run.t, alone.t)
 
 
@@ -101,8 +114,8 @@ def test_a_failure_says_what_who_and_when():
     x[0, 0] = [0, 300, 0, 0, -0.4, 0]
     x[0, 1] = [0, 289, 0, 0, 0.4, 0]
     x[0, 2] = [0, 0, 1010, 0, 0, 0]
-    found = fly_block(q, Study("central"), x, np.zeros(1), 10.0)
-    assert not found.success[0] and found.violated[0]
+    found = fly_block(Flights(q, x, np.zeros(1), 10.0), central(q))
+    assert not found.success[0] and any(least[0] < 0 for least in found.least.values())
     what = {row["what"]: row for row in found.failures()}
     assert what["phi2"]["deputies"] == (0, 1) and what["phi2"]["value"] < 0 < what["phi2"]["time"] <= 10
     assert what["phi6"]["deputies"] == (2,) and what["phi6"]["time"] == 0.0
@@ -112,7 +125,7 @@ def test_a_failure_says_what_who_and_when():
 
 def test_what_is_left_out_is_not_judged(drawn):
     x, sun, _ = drawn
-    found = fly_block(Q, Study("without", "coasting", ("deputy_sun",)), x[:2], sun[:2], 3.0)
+    found = fly_block(Flights(Q, x[:2], sun[:2], 3.0), without_sun())
     assert "phi5" not in found.least and "phi4" in found.least and "phi8" in found.least
 
 
@@ -120,12 +133,12 @@ def test_left_out_families_and_sampled_studies_are_judged_alike():
     """A fast deputy on its way past the chief: phi9 to phi11 count unless left out, phi7 always."""
     q = Inspection(deputies=1)
     x = np.array([[[0.0, -60.0, 0.0, 0.0, 1.2, 0.0]]])
-    sun = np.array([1.0])
-    plain = fly_block(q, Study("plain"), x, sun, 3.0)
+    flights = Flights(q, x, np.array([1.0]), 3.0)
+    plain = fly_block(flights, central(q))
     assert plain.least["phi10"][0] < 0 and plain.least["phi7"][0] < 0
-    without = fly_block(q, Study("without", without=("velocity",)), x, sun, 3.0)
+    without = fly_block(flights, central(q, without=("velocity",)))
     assert not {"phi9", "phi10", "phi11"} & set(without.least)
-    sampled = fly_block(q, Study("sampled", sampled=SampledData(1.0)), x, sun, 3.0)
+    sampled = fly_block(flights, central(q, sampled=SampledData(1.0)))
     assert sampled.least["phi7"][0] < 0 and "phi7" in {row["what"] for row in sampled.failures()}
 
 
@@ -135,22 +148,24 @@ def test_what_cannot_be_told_is_a_failure(drawn):
     lost = x[:1].copy()
     lost[0, 2, 4] = np.nan
     with np.errstate(invalid="ignore"):
-        found = fly_block(Q, Study("central"), lost, sun[:1], 2.0)
+        found = fly_block(Flights(Q, lost, sun[:1], 2.0), central())
     assert not found.success[0] and found.least["phi1"][0] == -np.inf
 
     class Broken:
         def __call__(self, t, states):
             return np.full((*states.shape[:-1], 3), np.nan if t >= 1 else 0.0)
 
-    found = fly_block(Q, Study("central"), x[:2], sun[:2], 3.0, primary=Broken())
-    assert not found.success.any() and (found.short == 1.0).all()
-    assert np.isfinite(found.least["phi1"]).all() and not found.violated.any()
+    found = fly_block(Flights(Q, x[:2], sun[:2], 3.0, primary=Broken()), central())
+    assert not found.success.any() and (found.columns["short_s"] == 1.0).all()
+    assert np.isfinite(found.least["phi1"]).all() and not any(
+        (least < 0).any() for least in found.least.values()
+    )
 
 
 def test_a_primary_controller_that_attacks_is_filtered(drawn):
     x, sun, _ = drawn
-    found = fly_block(Q, Study("centralized"), x[:2], sun[:2], 20.0, 0.2, primary=LQR(Q))
-    assert (found.interventions == 1).all() and found.success.all()
+    found = fly_block(Flights(Q, x[:2], sun[:2], 20.0, 0.2, LQR(Q)), central())
+    assert (found.columns["interventions_share"] == 1).all() and found.success.all()
 
 
 @pytest.mark.slow

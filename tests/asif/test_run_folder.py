@@ -11,10 +11,10 @@ from typer.testing import CliRunner
 
 from polaris.cli import app as cli
 from polaris.model.errors import ScenarioError
-from polaris.runs.inspection_summary import covered_periods
+from polaris.runs.inspection import covered_periods
 from polaris.runs.run import read_run
 from polaris.scenario.scenario import load_scenario
-from polaris.simulation.intervals import lower_bound
+from polaris.simulation.metrics import lower_bound
 
 SHORT = ("--set", "flight.duration_s=20")
 CAMPAIGN = ("campaign", "inspection-monte-carlo", "--runs", "2", "--set", "campaign.duration_s=5")
@@ -212,7 +212,6 @@ def test_arrays_that_do_not_belong_together_are_refused(folders, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("run", "inspection-monte-carlo"), ("polaris campaign",)),
         (("campaign", "inspection"), ("polaris run",)),
         (("campaign", "nope"), ("nope",)),
         (("run", "inspection", "--solver", "highs"), ("planner", "unknown key")),
@@ -252,6 +251,6 @@ def test_a_run_that_fails_late_leaves_the_old_folder_whole(folders, tmp_path, mo
     def fail(*args):
         raise RuntimeError("no ink")
 
-    monkeypatch.setattr("polaris.report.figures.inspection.draw_flight", fail)
+    monkeypatch.setattr("polaris.report.figures.flight.draw_flight", fail)
     assert invoke("run", "inspection", "--set", "flight.duration_s=2", "--out", folder, "-q").exit_code == 1
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before

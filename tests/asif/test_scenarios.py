@@ -14,12 +14,12 @@ from polaris.inspection.constraints.families import Families
 from polaris.inspection.constraints.strengthening import PRESETS
 from polaris.inspection.filters.explicit import Filtered
 from polaris.inspection.flights.judge import judge
-from polaris.inspection.flights.simulation import fly_one
+from polaris.inspection.flights.simulation import Flights, fly_one
 from polaris.inspection.inspection import Inspection
 from polaris.model.errors import ScenarioError
 from polaris.runs.inspection import fly_flight
+from polaris.scenario.base import put
 from polaris.scenario.filter_tables import FAMILY_NAMES
-from polaris.scenario.overrides import put
 from polaris.scenario.scenario import (
     KINDS,
     FlightScenario,
@@ -302,14 +302,16 @@ class Unfiltered:
 
 
 def fly_unfiltered(q, primary, x, sun, duration):
-    return fly_one(q, Unfiltered(q), primary, x, sun, duration)
+    return fly_one(Flights(q, x[None], np.array([sun]), duration, primary=primary), Unfiltered(q))
 
 
 def test_primary_alone_breaks_what_the_filter_keeps():
     scenario = load_scenario("inspection").with_assignments(["flight.duration_s=1200"])
     x, sun = scenario.initial()
     alone = fly_unfiltered(scenario.inspection(), scenario.primary(), x, sun, 1200.0)
-    broken = {name for name, least in judge(alone, scenario.families(), 0)[0].items() if least.value < 0}
+    broken = {
+        name for name, least in judge(alone, scenario.families(), 0).constraints.items() if least.value < 0
+    }
     assert broken >= {"phi1", "phi2", "phi3", "phi7", "phi8", "phi10", "phi11"}
 
 
@@ -327,8 +329,8 @@ def test_judge_sees_what_happens_between_samples():
     scenario = load_scenario("inspection").with_assignments(["initial.states=[[0, 300, 0, 0, 0, 0]]"])
     x = np.array([[0.0, 20.0, 0.0, 0.0, -40.0, 0.0]])
     run = fly_unfiltered(scenario.inspection(), lambda t, x: np.zeros((1, 1, 3)), x, 0.0, 1.0)
-    at_samples = judge(run, scenario.families(), 0)[0]["phi1"]
-    between = judge(run, scenario.families(), 3)[0]["phi1"]
+    at_samples = judge(run, scenario.families(), 0).constraints["phi1"]
+    between = judge(run, scenario.families(), 3).constraints["phi1"]
     assert at_samples.value == pytest.approx(10.0, abs=0.1) and at_samples.violated_share == 0
     assert between.value == pytest.approx(-10.0, abs=0.1) and between.time == 0.5
     assert between.at_samples == at_samples.value

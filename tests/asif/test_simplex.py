@@ -8,6 +8,7 @@ from polaris.inspection.backup.parking import Parking
 from polaris.inspection.constraints.allowable_set import allowable
 from polaris.inspection.constraints.families import Families
 from polaris.inspection.filters.explicit import Centralized
+from polaris.inspection.filters.flight_check import FlightCheck
 from polaris.inspection.filters.simplex import ExplicitSimplex, Guarded, ImplicitSimplex
 from polaris.inspection.flights.primary import LQR, Phases
 from polaris.inspection.inspection import Inspection
@@ -25,7 +26,7 @@ GENTLE = 2e4  # velocity weight of a primary that brakes
 def both(q):
     without = ("deputy_sun",) if q.deputies > 1 else ()
     yield ExplicitSimplex(Families(q, without=without), sun_start=np.pi)
-    yield ImplicitSimplex(q, sun_start=np.pi, without=("deputy_sun",))
+    yield ImplicitSimplex(FlightCheck(Parking(q), sun_start=np.pi, without=("deputy_sun",)))
 
 
 def fly(f, primary, x, count):
@@ -127,10 +128,10 @@ def test_implicit_stops_earlier_than_a_look_at_the_next_state_would():
     x = np.array([[0.0, -60.0, 0.0, 0.0, 0.3, 0.0]])
     explicit_phi = allowable(ONE, x @ ONE.held(1.0)[0].T, np.pi)
     assert min(value.min() for value in explicit_phi.values() if value.size) > 0
-    f = ImplicitSimplex(ONE, sun_start=np.pi)
+    f = ImplicitSimplex(FlightCheck(Parking(ONE), sun_start=np.pi))
     for y in np.linspace(-60, -12, 200):
         x[0, 1] = y
-        f = ImplicitSimplex(ONE, sun_start=np.pi)
+        f = ImplicitSimplex(FlightCheck(Parking(ONE), sun_start=np.pi))
         f.filter(0.0, x, np.zeros((1, 3)))
         if f.latched[0]:
             break
@@ -186,9 +187,9 @@ def test_release_below_the_margin_is_refused():
     with pytest.raises(ScenarioError, match="release"):
         ExplicitSimplex(FAMILIES_2, margin=0.1, release=0.05)
     with pytest.raises(ScenarioError, match="release_distance"):
-        ImplicitSimplex(TWO, release_distance=-1.0)
+        ImplicitSimplex(FlightCheck(PARKING_2), release_distance=-1.0)
     with pytest.raises(ScenarioError, match="dwell"):
-        ImplicitSimplex(TWO, dwell=-1.0)
+        ImplicitSimplex(FlightCheck(PARKING_2), dwell=-1.0)
 
 
 @given(calls(2, 3))
@@ -200,7 +201,7 @@ def test_garbage_explicit(sequence):
 @given(calls(2, 2))
 @settings(max_examples=10, deadline=None, suppress_health_check=list(HealthCheck))
 def test_garbage_implicit(sequence):
-    answers(ImplicitSimplex(TWO, PARKING_2, horizon=60.0), sequence)
+    answers(ImplicitSimplex(FlightCheck(PARKING_2, 60.0)), sequence)
 
 
 @given(calls(2, 2))

@@ -14,9 +14,11 @@ import pyarrow.parquet as pq
 import pytest
 
 from polaris.model.errors import PolarisError, ScenarioError
+from polaris.runs.atomic import replacing
 from polaris.runs.campaign import Interrupted, Workers, batch, local, make_cases, read_campaign, schedules
+from polaris.runs.ownership import MANIFEST
 from polaris.scenario.scenario import load_scenario
-from polaris.simulation.intervals import violation_interval
+from polaris.simulation.metrics import violation_interval
 from polaris.simulation.run_metrics import evaluate
 from polaris.simulation.simulate import simulate
 from polaris.synthesis.synthesize import synthesize
@@ -208,13 +210,13 @@ def test_another_campaign_is_refused_unless_asked_to_be_replaced(tmp_path):
 
 
 def test_other_folders_are_not_touched(tmp_path):
-    (tmp_path / "full").mkdir()
-    told = '{"schema_version": 1, "scenario": "tiny"}'
-    (tmp_path / "full" / "summary.json").write_text(told, encoding="utf-8")
+    with replacing(tmp_path / "full") as beside:
+        (beside / "summary.json").write_text("{}", encoding="utf-8")
     for fresh in (False, True):
         with pytest.raises(ScenarioError, match="run folder"):
             run(make_cases([TINY]), 3, tmp_path / "full", fresh=fresh)
     (tmp_path / "full" / "summary.json").rename(tmp_path / "full" / "precious")
+    (tmp_path / "full" / MANIFEST).unlink()
     with pytest.raises(ScenarioError, match="other contents"):
         run(make_cases([TINY]), 3, tmp_path / "full", fresh=True)
     assert [path.name for path in (tmp_path / "full").iterdir()] == ["precious"]

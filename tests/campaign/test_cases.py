@@ -8,9 +8,8 @@ from scipy.stats import binom
 
 from polaris.model.errors import ScenarioError
 from polaris.runs.campaign import CampaignPlan, ScheduleRuns, make_cases, parse_grid
-from polaris.runs.campaign.drive import time_left
 from polaris.runs.campaign.schedules import batch_seeds
-from polaris.simulation.intervals import POSSIBLE, mean_interval, possible, violation_interval
+from polaris.simulation.metrics import POSSIBLE, mean_interval, possible, violation_interval
 from tests.campaign.scene import TINY, cases
 
 
@@ -162,14 +161,3 @@ def test_no_confidence_bound_is_impossible():
             assert least <= low <= mean <= high <= most
             mean, low, high = mean_interval(values - values[::-1], within=possible(name, difference=True))
             assert least - most <= low <= mean <= high <= most - least
-
-
-def test_time_left_is_told_once_something_was_done():
-    told = []
-    progress = time_left(lambda *given: told.append(given))
-    progress(500, 2000)
-    progress(1000, 2000)
-    progress(2000, 2000)
-    assert told[0] == ("500 of 2,000 runs", 500, 2000)
-    assert told[1][0].startswith("1,000 of 2,000 runs, about ") and told[1][0].endswith(" left")
-    assert told[2][0] == "2,000 of 2,000 runs, about 0 s left"

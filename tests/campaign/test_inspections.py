@@ -12,7 +12,7 @@ from polaris.cli import app as cli
 from polaris.model.errors import PolarisError, ScenarioError
 from polaris.runs.campaign import batch, find_worst, inspections, local, read_campaign, replay_run
 from polaris.runs.monte_carlo import run_monte_carlo
-from polaris.runs.run import read_run
+from polaris.runs.run import read_run, run
 from polaris.scenario.scenario import load_scenario
 from tests.campaign.scene import TINY, table
 
@@ -51,7 +51,7 @@ def seen(monkeypatch):
 
 
 def test_all_studies_fly_the_same_conditions_and_the_picture_is_that_of_the_table(flown):
-    columns, picture = flown.parts.read(0), read_run(flown.path).picture()
+    columns, picture = flown.read(0), read_run(flown.path).picture()
     assert len(columns["run"]) == RUNS * len(STUDIES) and picture.studies == STUDIES
     assert len(list((flown.path / "runs").glob("case-*.parquet"))) == 3
     for k, name in enumerate(STUDIES):
@@ -84,7 +84,7 @@ def test_a_pool_gives_the_same_table(flown, tmp_path):
 def test_one_run_is_flown_again_bit_for_bit(flown, monkeypatch):
     folder = read_campaign(flown.path)
     found = replay_run(folder, 0, 1, 1, "decentralized")
-    columns = folder.parts.read(0)
+    columns = folder.read(0)
     place = np.flatnonzero((columns["mode"] == "decentralized") & (columns["batch"] == 1))[1]
     np.testing.assert_equal(found.row, {name: values[place] for name, values in columns.items()})
     run = found.arrays
@@ -100,12 +100,18 @@ def test_one_run_is_flown_again_bit_for_bit(flown, monkeypatch):
 
     def another(*args, **more):
         outcome = real(*args, **more)
-        outcome.delta_v[:] += 1e-9
+        outcome.columns["delta_v_0_m_s"][:] += 1e-9
         return outcome
 
     monkeypatch.setattr(inspections, "fly_block", another)
     with pytest.raises(PolarisError, match="differently on this machine: delta_v_0_m_s"):
         replay_run(folder, 0, 1, 1)
+
+
+def test_it_runs_as_any_scenario_does(flown, tmp_path):
+    folder = run(scenario(), tmp_path / "c", draw=lambda written: (written.path / "figures").mkdir())
+    assert table(folder.path) == table(flown.path) and (folder.path / "figures").is_dir()
+    assert read_run(folder.path).summary["studies"] == folder.summary["studies"] == flown.summary["studies"]
 
 
 def test_no_initial_conditions_is_one_message(tmp_path, monkeypatch):

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from polaris.inspection.braking import Braking
 from polaris.inspection.constraints.allowable_set import allowable
-from polaris.inspection.constraints.barriers import SunCone
+from polaris.inspection.constraints.barriers import Braking, SunCone
 from polaris.inspection.constraints.families import Families
 from polaris.inspection.inspection import Inspection
 from polaris.model.hill import cw_matrix

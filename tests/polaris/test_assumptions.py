@@ -11,7 +11,7 @@ from polaris.certificate.assumptions import assumptions
 from polaris.certificate.document import Document, digest
 from polaris.certificate.verdict import Rejected
 from polaris.cli.show import show_summary
-from polaris.report.html.claims import guarantee as told_in_report
+from polaris.report.html.run_report import guarantee as told_in_report
 from polaris.runs.certificate import certificate
 from polaris.runs.schedule import SCHEDULE, FlownSchedule
 from polaris.scenario.scenario import load_scenario

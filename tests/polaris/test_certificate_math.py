@@ -16,10 +16,9 @@ from flint import arb, arb_mat
 from polaris.certificate.argument import Argument
 from polaris.certificate.balls import column, exponential_over, matrix, norms, require
 from polaris.certificate.document import Document, digest
-from polaris.certificate.limits import Limits, Target
 from polaris.certificate.loop import Memory, Needs
-from polaris.certificate.motion import Plant
-from polaris.certificate.recovery import Recovery
+from polaris.certificate.motion import Plant, Push
+from polaris.certificate.recovery import Limits, Recovery, Target
 from polaris.certificate.verdict import Record, Rejected, Undecided
 from polaris.certificate.zonotopes import Merging, Zonotope, ball_cover, inner_radius, widest
 from polaris.runs.certificate import certificate, hexadecimal
@@ -111,9 +110,9 @@ def test_gains_along_rows_are_upper_bounds_and_tight(sampled):
     X = values(motion.X)
     fine = np.linspace(0, 0.2, 1001)
     exact = 0.5 * trapezoid([abs(row @ expm(X * s) @ [0, 1]) for s in fine], fine)
-    bound = float(motion.disturbance_gain(matrix([row.tolist()]))[0])
+    bound = float(motion.push_gain(matrix([row.tolist()]), plant.disturbance)[0])
     assert exact * (1 - 1e-6) <= bound <= exact * 1.05
-    held = float(motion.input_gain(matrix([row.tolist()]), B, [arb(0.5)])[0])
+    held = float(motion.push_gain(matrix([row.tolist()]), Push.in_box(B, [arb(0.5)]))[0])
     assert exact * (1 - 1e-6) <= held <= exact * 1.05
 
 
@@ -129,10 +128,8 @@ def test_gains_over_a_part_of_a_period_are_that_part_of_the_gain_and_a_bend(samp
         X = values(motion.X)
         rates = 0.5 * np.abs([row @ expm(X * s) @ B[:, 0] for s in fine])
         done = cumulative_trapezoid(rates, fine, initial=0)
-        for bend, gain in (
-            (motion.disturbance_bend(R), motion.disturbance_gain(R)),
-            (motion.input_bend(R, BB, [arb(0.5)]), motion.input_gain(R, BB, [arb(0.5)])),
-        ):
+        for push in (plant.disturbance, Push.in_box(BB, [arb(0.5)])):
+            bend, gain = motion.push_bend(R, push), motion.push_gain(R, push)
             most = fine / 0.4 * float(gain[0]) + float(bend[0])
             assert np.all(done <= most * (1 + 1e-6))
             lagging = max(lagging, float(np.max(done - fine / 0.4 * float(gain[0]))))
@@ -254,9 +251,9 @@ def test_a_jump_of_the_reference_takes_its_part_of_a_claimed_share():
         memory=SimpleNamespace(periods=2, z=column([1.0])),
         forgotten=[arb(0)],
     )
-    path = SimpleNamespace(planned=0, cells=1, kinematics=SimpleNamespace(q=1), jump=column([0.5]))
+    path = SimpleNamespace(planned=0, plant=SimpleNamespace(q=1), jump=column([0.5]))
     limits = Limits(row, [[[Target(0, arb(1), "wall", arb(1))]] * 2]).less_jump(needs, path)
-    recovery = Recovery(limits, needs, q=1, planned=0, delta=1.0, forever=False, stored=1)
+    recovery = Recovery(SimpleNamespace(), limits, needs)
     (target,) = limits.at(0, first=True)
     recovery._leaves(0.5, target, arb(0), "the start")
     with pytest.raises(Rejected) as told:

@@ -15,11 +15,12 @@ from polaris.runs.schedule import digest, write_run
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.disturbances import adjoint_worst_case
 from polaris.simulation.falsification.attacks import Attack, Attacker
-from polaris.simulation.falsification.claims import Claims
-from polaris.simulation.falsification.measure import EXACT_M, attained
+from polaris.simulation.falsification.claims import EXACT_M, Claims, attained
 from polaris.simulation.falsification.search import falsify
 from polaris.simulation.integration import Integrator
 from polaris.synthesis.clearance import error_tube
+from polaris.synthesis.controllers import AnyThrust
+from polaris.synthesis.get_safety import get_safety
 from polaris.synthesis.synthesize import synthesize
 
 from .conftest import synthesised
@@ -214,6 +215,15 @@ def test_a_disturbance_beyond_its_bound_breaks_the_margin():
 
 
 # -- files and commands -----------------------------------------------------------------------------
+
+
+def test_where_there_is_nothing_to_hit_the_thrust_limits_are_attacked():
+    scenario, schedule = tiny()
+    safety = get_safety(replace(schedule.safety.problem, unsafe=()))
+    law = AnyThrust("anything", scenario.system(), safety.reference, safety.tracking)
+    found = falsify(synthesize(safety, experimental=[law]), 200)
+    assert found.failure is None and found.names == scenario.system().input_names
+    assert (found.proven <= found.least).all()
 
 
 def test_case_that_was_changed_is_refused(tmp_path):

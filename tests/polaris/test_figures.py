@@ -17,7 +17,7 @@ from polaris.model.system import LinearSystem
 from polaris.planning.goals import Box, EllipticalNMT, LinearNMT, StationaryPoint
 from polaris.planning.reference import Reference
 from polaris.report.figures import _FIGURES, NAMES, draw_figures, plot_reference, plot_schedule
-from polaris.report.figures.style import new_figure, style
+from polaris.report.figures.style import style
 from polaris.report.figures.timelines import limit_group
 from polaris.report.scene.closeups import MOST, closeups, outline_gap
 from polaris.report.scene.geometry import faces, flat_outline, polygon, stretches, tube_support
@@ -33,8 +33,8 @@ from polaris.report.scene.palette import (
     shades,
 )
 from polaris.report.scene.space import Space
-from polaris.runs.frame import Frame, directions
-from polaris.runs.picture import Picture, picture_of, picture_of_safety, tube_of
+from polaris.runs.picture import Frame, Picture, directions
+from polaris.runs.picturing import picture_of, picture_of_safety, tube_of
 from polaris.simulation.baselines import Flights
 from reach.sets.zonotope import Zonotope
 
@@ -50,7 +50,7 @@ def picture():
 
 def drawn(name, picture, dpi=150):
     with style():
-        figure = _FIGURES[name](picture, new_figure)
+        figure = _FIGURES[name](picture)
         figure.set_dpi(dpi)
         figure.draw_without_rendering()
     return figure

@@ -35,7 +35,7 @@ class Exact(Integrator):
         if self.sampled or (number and self.schedule.steps[k].tube.slopes is not None):
             return super()._unclipped(number, k, x, w)
         if isinstance(law, AnyThrust):
-            (Ad, Bd, Dd), path = self._held, [x]
+            (Ad, Bd, Dd), path = self.held, [x]
             for push, u in zip(w, self.free[steps], strict=False):
                 path.append(path[-1] @ Ad.T + u @ Bd.T + push @ Dd.T)
         else:
@@ -79,7 +79,7 @@ def worst_share(schedule, k, substeps, finer=1):
         flight = Exact(schedule, modes, substeps * finer)
         flight.free = None if free is None else np.repeat(free, finer, axis=0)
         x0 = safety.problem.initial_set.support_vector(adjoint)
-        states = flight.run(x0, np.repeat(w, finer, axis=0))[1]
+        states = flight.run(x0, np.repeat(w, finer, axis=0)).states
         errors = states[:, nodes] - path[nodes]
         needs = np.einsum("rn,pjn->jrp", rows, errors).max(axis=-1)  # of any run at any node
         for need, at in zip(needs, nodes, strict=True):

@@ -12,12 +12,13 @@ from polaris.cli.app import app
 from polaris.model.errors import ScenarioError
 from polaris.model.satellite import SatelliteObstacle
 from polaris.scenario.scenario import load_scenario
+from polaris.simulation.integration import runge_kutta
 from polaris.simulation.orbit.environment import MU, Environment
 from polaris.simulation.orbit.frame import frame_rates, near_circular, relative_rate
 from polaris.simulation.orbit.model_error import justify, model_error, sample_residual, two_digits
 from polaris.simulation.orbit.region import Region, visited
 from polaris.simulation.orbit.residual import residual_bound
-from polaris.simulation.orbit.truth import declared, drift_true, fly_true
+from polaris.simulation.orbit.truth import declared, fly_true
 from polaris.simulation.simulate import simulate
 
 from .conftest import synthesised
@@ -31,6 +32,19 @@ BARE = Environment(ETA, j2=False)
 def box(radial, along, cross, speed):
     upper = np.array([[radial, along, cross, speed, speed, speed]])
     return Region(("box",), np.zeros(1), -upper, upper)
+
+
+def drift_true(env, target, x, ballistic, h, nodes):
+    """Free nonlinear motion from states x (R, 6) at targets (R, 6), shape (R, nodes + 1, 6), h apart [s]."""
+
+    def rate(later, state):
+        x_rate, target_rate, _ = relative_rate(env, state[:, 6:], state[:, :6], ballistic)
+        return np.concatenate([x_rate, target_rate], axis=1)
+
+    path = [np.concatenate([x, target], axis=1)]
+    for _ in range(nodes):
+        path.append(runge_kutta(rate, path[-1], h, rate(0, path[-1])))
+    return np.stack(path, axis=1)[..., :6]
 
 
 # -- the exact equations ----------------------------------------------------------------------------

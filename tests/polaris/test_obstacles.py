@@ -17,6 +17,7 @@ from polaris.model.obstacles import BallObstacle, BoxObstacle, PolytopeObstacle,
 from polaris.model.satellite import SatelliteObstacle
 from polaris.model.shapes import Polytope
 from polaris.model.system import LinearSystem
+from polaris.report.scene.geometry import boxed
 from reach.numerics.linear import discretize
 
 CW = clohessy_wiltshire(0.0012, 10.0, 0.1, w_max=1e-6)
@@ -170,7 +171,7 @@ def test_rigid_sets_are_inside_their_polytopes(seed, d, kind, moving):
 )
 def test_ball_cover_is_circumscribed_and_close(d, facets, worst):
     ball = BallObstacle("b", np.zeros(d), 2.0, facets=facets)
-    reach = np.linalg.norm(ball.outline(0.0), axis=1) / 2
+    reach = np.linalg.norm(ball.cover.vertices(), axis=1) / 2
     assert 1 <= reach.max() <= worst
     assert len(ball.cover.H) == {1: 2, 2: 12, 3: facets or 26}[d]
     np.testing.assert_allclose(np.linalg.norm(directions(d, facets), axis=1), 1)
@@ -188,7 +189,8 @@ def test_cone_polytope_is_inscribed_and_touches(seed, d, angle, cut, facets):
     sets = perceive([cone], system, 1.0, 3)
     assert all(s.keep_in and s.static and len(s.normals) == 1 and s.cells == 3 for s in sets)
     assert len(sets) == (facets if d == 3 else 2) + cut
-    corners = cone.outline(0.0, extent=100.0)
+    inside, middle = cone.inside, cone.inside.middle
+    corners = (inside if cut else boxed(inside.H, inside.b, middle - 100.0, middle + 100.0)).vertices()
     p = corners.mean(axis=0) + (corners - corners.mean(axis=0)) * 0.999
     p = np.vstack([p, rng.dirichlet(np.ones(len(corners)), size=200) @ corners])
     safe = np.all([p @ s.normals[0] > s.offsets[0, 0, 0] for s in sets], axis=0)
@@ -367,9 +369,8 @@ def test_entry_time_agrees_with_dense_sampling(seed, kind):
     v = rng.normal(size=(12, 3)) - 0.4 * p
     found = obstacle.entry_time(0.0, p, v, CW)
     s = np.linspace(0, 12, 1201)
-    relative = (
-        p[:, None] - obstacle.centre(0.0, CW) + s[:, None] * (v[:, None] - obstacle.velocity_at(0.0, CW))
-    )
+    centre, velocity = obstacle.motion(0.0, CW)
+    relative = p[:, None] - centre + s[:, None] * (v[:, None] - velocity)
     distance = obstacle.shape.signed_distance(relative)
     for i in range(len(p)):
         hits = np.flatnonzero(distance[i] <= 0)
@@ -388,7 +389,7 @@ SIX = np.zeros(6)
 @pytest.mark.parametrize(
     ("build", "field"),
     [
-        (lambda: BoxObstacle("o", [0, 0], [1, 0], path="obstacles[0]"), "obstacles[0].half_widths"),
+        (lambda: BoxObstacle("o", [0, 0], [1, 0]), "obstacles['o'].half_widths"),
         (lambda: BoxObstacle("o", [0, np.nan], [1, 1]), "obstacles['o'].center"),
         (lambda: BoxObstacle("o", [0, 0], [1, 1, 1]), "obstacles['o'].half_widths"),
         (lambda: BoxObstacle("o", [0, 0, 0, 0], [1, 1, 1, 1]), "obstacles['o'].center"),
@@ -446,13 +447,13 @@ def test_an_exploding_satellite_is_refused():
 
 
 def test_outlines():
-    assert BOX.outline(0.0).shape == (4, 2)
-    np.testing.assert_allclose(BOX.outline(0.0), [[-1, -1], [1, -1], [1, 1], [-1, 1]], atol=1e-12)
-    moving = BoxObstacle("o", [0, 0, 0], [1, 1, 1], velocity=[1, 0, 0])
-    assert moving.outline(5.0).min(axis=0) == pytest.approx([4, -1, -1])
-    wall = PolytopeObstacle("o", [[1, 0]], [3], unbounded=True).outline(0.0, extent=100)
-    assert wall.shape == (4, 2)
-    assert wall[:, 0].max() == pytest.approx(3)
+    np.testing.assert_allclose(BOX.cover.vertices(), [[-1, -1], [1, -1], [1, 1], [-1, 1]], atol=1e-12)
+    wall = PolytopeObstacle("o", [[1, 0]], [3], unbounded=True)
+    with pytest.raises(ScenarioError, match="must be bounded"):
+        wall.cover.vertices()
+    corners = boxed(wall.cover.H, wall.cover.b, np.full(2, -100.0), np.full(2, 100.0)).vertices()
+    assert corners.shape == (4, 2)
+    assert corners[:, 0].max() == pytest.approx(3)
     sat = SatelliteObstacle("s", [100, 0, 0, 0, -0.24, 0], np.ones(6) * 0.01, 10)
     assert sat.outline(0.0, CW).max(axis=0) == pytest.approx([110.01, 10.01, 10.01], rel=0.02)
     assert np.ptp(sat.outline(600.0, CW), axis=0).min() > 20

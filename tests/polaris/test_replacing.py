@@ -151,23 +151,12 @@ def test_whatever_was_there_only_ours_goes(tmp_path_factory, first, theirs, seco
     assert [path.name for path in target.parent.iterdir()] == ["run"]
 
 
-def test_folders_of_versions_without_a_list_are_taken_and_nothing_in_them_is_lost(tmp_path):
-    target = tmp_path / "run"
-    target.mkdir()
-    (target / "summary.json").write_text('{"schema_version": 1, "scenario": "old"}', encoding="utf-8")
-    (target / "notes.txt").write_text("mine", encoding="utf-8")
-    check_target(target)
-    write(target, {"summary.json": b"new"})
-    assert (target / "notes.txt").read_text(encoding="utf-8") == "mine"
-    assert set(contents(target)) == {"summary.json", "notes.txt", ownership.MANIFEST}
-
-
 @pytest.mark.parametrize(
     ("files", "words"),
     [
         ({"thesis.tex": "all of it"}, "other contents"),
         ({"summary.json": '{"of": "another program"}'}, "other contents"),
-        ({"summary.json": "not JSON"}, "other contents"),
+        ({"summary.json": '{"schema_version": 1, "scenario": "x"}'}, "other contents"),
         ({"manifest.json": "{}", "summary.json": '{"schema_version": 1, "scenario": "x"}'}, "a campaign"),
         ({ownership.MANIFEST: '{"format": "something else", "files": []}'}, "other contents"),
     ],

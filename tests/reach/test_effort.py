@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy import sparse
 
+import reach.sets.bases
 import reach.sets.polytope
 from reach import (
     Always,
@@ -33,7 +34,8 @@ def counted(monkeypatch):
         solved.append(1)
         return original(*arguments)
 
-    monkeypatch.setattr(reach.sets.polytope, "maximise", count)
+    for module in (reach.sets.polytope, reach.sets.bases):
+        monkeypatch.setattr(module, "maximise", count)
     return solved
 
 

@@ -380,7 +380,7 @@ ONE = [Mode("a", PLAIN)]
         (lambda: hybrid_tube(HybridAutomaton(ONE), BOX, 1.0, step=0.0), "step"),
         (lambda: hybrid_tube(HybridAutomaton(ONE), BOX, 1.0, step={"b": 0.1}), "no step"),
         (lambda: hybrid_tube(HybridAutomaton(ONE), BOX, 1.0, step=0.1, tolerance=-1.0), "tolerance"),
-        (lambda: hybrid_tube(HybridAutomaton(ONE), Zonotope.point([0.0]), 1.0, step=0.1), "dimension 1"),
+        (lambda: hybrid_tube(HybridAutomaton(ONE), Zonotope.point([0.0]), 1.0, step=0.1), "2, got 1"),
         (lambda: hybrid_tube(HybridAutomaton(ONE), BOX, 1.0, step=0.1).at(2.0), "time must lie"),
         (lambda: simulate_hybrid(HybridAutomaton(ONE), [0.0], 1.0, dt=0.1), "shape"),
         (lambda: simulate_hybrid(HybridAutomaton(ONE), [0, 0], 1.0, dt=0.1, policy="x"), "policy"),

@@ -238,7 +238,7 @@ GOOD = {"system": LTVSystem(SINE), "initial": BOX, "horizon": 1.0, "directions":
             {"system": LTVSystem(Varying(lambda t: np.eye(2 + (t > 0.5)), bend=np.eye(2)))},
             r"A\(0\.6\) must be",
         ),
-        ({"system": LTVSystem(Varying(lambda t: np.eye(2) / (t < 0.5), bend=np.eye(2)))}, "must be finite"),
+        ({"system": LTVSystem(Varying(lambda t: np.eye(2) / (t < 0.5), bend=np.eye(2)))}, "2 x 2 finite"),
         ({"system": LTVSystem(SINE, c=[1.0])}, "c must be"),
         ({"system": LTVSystem(SINE, np.eye(3), BOX)}, "B must be"),
         ({"system": LTVSystem(Varying(lambda t: np.eye(2), bend=-np.eye(2)))}, "bend of A must be >= 0"),

@@ -13,11 +13,10 @@ from polaris.model.obstacles import BallObstacle, BoxObstacle, PolytopeObstacle
 from polaris.model.satellite import SatelliteObstacle
 from polaris.model.shapes import Polytope
 from polaris.model.system import LinearSystem
-from polaris.planning.goal import Goal, GoalConditions
-from polaris.planning.goals import Box, EllipticalNMT, LinearNMT, StationaryPoint
+from polaris.planning.goals import Box, EllipticalNMT, Goal, GoalConditions, LinearNMT, StationaryPoint
 from polaris.planning.reference import Reference
-from polaris.report.html.bounds import proven_distance
 from polaris.report.html.scene import scene_data
+from polaris.report.html.timelines import proven_distance
 from polaris.report.scene.closeups import plane_gap
 from polaris.report.scene.scene import describe, shown_axes
 from polaris.runs.picture import Picture, TubePicture

@@ -147,7 +147,8 @@ def test_the_attack_breaks_a_monitor_without_its_limits(order):
     monitor = Monitor(scene)
     monitor.recovery.reciprocals[:] = 0.0
     monitor.recovery.far_shares[:] = 0.0
-    for prospect in monitor.cautious.values():
+    for prospect in monitor.prospects.values():
+        prospect.inner_limits[:] = 0.0
         object.__setattr__(prospect.demand, "base", 0.0)
         object.__setattr__(prospect.demand, "slope", 0.0)
     assert attack(scene, monitor)[0] < 0
@@ -156,7 +157,7 @@ def test_the_attack_breaks_a_monitor_without_its_limits(order):
 def test_a_reference_of_u_that_jumps_is_predicted_and_its_clip_seen():
     scene = DecisionGrid.of(line(any_thrust=False, jump=True, goal=3.0), 0.25)
     monitor, engine, rng = Monitor(scene, "declared"), _Engine(scene), np.random.default_rng(0)
-    prospect, compared = monitor.declared[1, 0], 0
+    prospect, compared = monitor.prospects[1, 0], 0
     none = np.zeros((20, 1))
     for k in range(scene.decisions - 1):
         node, after = k * scene.nodes, (k + 1) * scene.nodes

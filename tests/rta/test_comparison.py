@@ -10,6 +10,7 @@ from polaris.cli.app import app
 from polaris.model.errors import ScenarioError
 from polaris.report.figures import draw_run
 from polaris.rta.arena import compare_methods
+from polaris.rta.decision_grid import DecisionGrid
 from polaris.rta.flight import Conditions, Flight, fly
 from polaris.rta.method import Claim
 from polaris.rta.method_result import DEFINITIONS, MethodResult, flown, measure
@@ -149,8 +150,10 @@ def test_batches_make_no_difference_to_what_is_joined(monkeypatch):
     ],
 )
 def test_wrong_options_are_refused(options, told):
+    grid = {name: options[name] for name in options if name not in ("methods", "runs")}
+    options = {name: value for name, value in options.items() if name not in grid}
     with pytest.raises(ScenarioError, match="must") as caught:
-        compare_methods(robot(), **options)
+        compare_methods(DecisionGrid.of(robot(), **grid), **options)
     assert told in str(caught.value)
 
 
@@ -175,9 +178,9 @@ def test_methods_are_tuned_and_the_folder_says_how(tmp_path):
 
 def test_a_scene_that_a_method_does_not_admit_is_told():
     schedule = corridor()
-    comparison = compare_methods(schedule, 2, 0, methods=("safety", "asif_explicit"), half_widths=0.0)
+    comparison = compare_methods(schedule, 2, 0, methods=("safety", "asif_explicit"))
     assert set(comparison.results) | set(comparison.refused) == {"safety", "asif_explicit"}
-    far = compare_methods(schedule, 2, 0, methods=("monitor",), half_widths=5.0)
+    far = compare_methods(DecisionGrid.of(schedule, half_widths=5.0), 2, 0, methods=("monitor",))
     assert far.results["monitor"].metrics.experimental_share.max() == 0.0  # S throughout, and safe
     assert not far.results["monitor"].metrics.collided.any()
 
@@ -233,7 +236,7 @@ def test_command(tmp_path):
         (["compare", "robot", "--methods", "nonsense"], "must be one of"),
         (["compare", "robot", "--estimate-error", "much"], "must be numbers"),
         (["compare", str(TINY), "--tune", "monitor.dwell"], "must be METHOD.OPTION=NUMBER"),
-        (["compare", str(TINY), "--tune", "monitor.gain=2"], "must be one of monitor.dwell"),
+        (["compare", str(TINY), "--tune", "monitor.gain=2"], "must be one of 'monitor.dwell'"),
         (["compare", "nowhere"], "nowhere"),
     ):
         failed = runner.invoke(app, [*arguments, "--out", str(tmp_path / "other")])

@@ -79,7 +79,8 @@ def test_monitor_without_its_limits_lets_u_collide():
     monitor = Monitor(made)
     monitor.recovery.reciprocals[:] = 0.0  # nothing limits any more
     monitor.recovery.far_shares[:] = 0.0
-    for prospect in (*monitor.cautious.values(), *monitor.declared.values()):
+    for prospect in monitor.prospects.values():
+        prospect.inner_limits[:] = 0.0
         object.__setattr__(prospect.demand, "base", 0.0)
         object.__setattr__(prospect.demand, "slope", 0.0)
     conditions = Conditions.draw(made, 4, 0)
@@ -139,9 +140,11 @@ def test_options_are_checked():
 def test_u_is_not_trusted_unless_that_is_asked_for():
     made = scene("robot")
     usual = Monitor(made)
-    assert (usual.key, usual.trust, usual.declared) == ("monitor", "thrust_limits", {})
+    assert (usual.key, usual.trust) == ("monitor", "thrust_limits")
+    assert {mode for mode, _ in usual.prospects} == {0}
     trusting = METHODS["monitor_declared"](made)
-    assert (trusting.key, trusting.trust) == ("monitor_declared", "declared") and trusting.declared
+    assert (trusting.key, trusting.trust) == ("monitor_declared", "declared")
+    assert {mode for mode, _ in trusting.prospects} > {0}
     assert "nothing but its thrust limits" in METHODS["monitor"](made).claim.reach
 
 

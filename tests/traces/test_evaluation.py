@@ -23,8 +23,9 @@ from polaris.traces import (
     parse_trace,
     restamp,
 )
-from polaris.traces.facets import facet_distance, facet_entry
-from polaris.traces.motion import between, interpolate, rates, weights
+from polaris.traces.placing import Faceted
+from polaris.traces.results import weights
+from polaris.traces.settings import between, interpolate, rates
 
 from .traces import agent, entry, moving, trace
 
@@ -528,14 +529,13 @@ def polytopes(draw):
 @given(polytopes())
 def test_facets_agree_with_fixed_polytopes(case):
     H, b, p, v = case
-    distance, entry_time = facet_distance(H, b, p), facet_entry(H, b, p, v)
+    distance, entry_time = Faceted(H, b).signed_distance(p), Faceted(H, b).entry_time(p, v)
     for i in range(len(p)):
         one = Polytope(H[i], b[i])
         assert distance[i] == pytest.approx(float(one.signed_distance(p[i])), abs=1e-7)
         assert entry_time[i] == pytest.approx(float(one.entry_time(p[i], v[i])), rel=1e-6, abs=1e-9)
-        shared = facet_distance(
-            H[i : i + 1], np.repeat(b[i : i + 1], 2, axis=0), np.repeat(p[i : i + 1], 2, axis=0)
-        )
+        both = Faceted(H[i : i + 1], np.repeat(b[i : i + 1], 2, axis=0))
+        shared = both.signed_distance(np.repeat(p[i : i + 1], 2, axis=0))
         assert shared == pytest.approx([distance[i]] * 2, abs=1e-9)
 
 
@@ -545,4 +545,6 @@ def test_facet_distance_against_a_solver():
     nearest = minimize(
         lambda q: np.sum((q - p) ** 2), np.zeros(3), constraints={"type": "ineq", "fun": lambda q: b - H @ q}
     )
-    assert facet_distance(H[None], b[None], p[None])[0] == pytest.approx(np.sqrt(nearest.fun), rel=1e-5)
+    assert Faceted(H[None], b[None]).signed_distance(p[None])[0] == pytest.approx(
+        np.sqrt(nearest.fun), rel=1e-5
+    )

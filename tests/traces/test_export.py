@@ -157,7 +157,7 @@ def test_satellite_is_covered_known_or_nominal():
     x0 = elliptical_nmt(0.0012, 150.0, 0.1)
     visitor = SatelliteObstacle("visitor", x0, [2, 2, 2, 0.01, 0.01, 0.01], 20.0)
     cover = to_trace(T, STATES, MODES, [visitor], SYSTEM)
-    nominal = to_trace(T, STATES, MODES, [visitor], SYSTEM, nominal=True)
+    nominal = to_trace(T, STATES, MODES, [visitor], SYSTEM, satellites={"visitor": None})
     truth = visitor.nominal(T, SYSTEM) + [1, 0, 0, 0, 0, 0]
     known = to_trace(T, STATES, MODES, [visitor], SYSTEM, satellites={"visitor": truth})
     assert [len(item.notes) for item in (cover, nominal, known)] == [1, 1, 0]

@@ -9,8 +9,8 @@ from rich.console import Console
 from rich.text import Text
 
 from ...model.checks import counted
-from ...runs.inspection_summary import MEANING
-from .printing import RED, Printout, alarming, plain, table
+from ...runs.inspection import MEANING
+from .printing import RED, Printout, alarming, table
 
 
 def show_flight(summary: Mapping[str, Any], folder: str, console: Console | None = None) -> None:
@@ -55,7 +55,7 @@ def show_fuel(summary: Mapping[str, Any], folder: str, console: Console | None =
         ("least distance from the chief", f"{least:.4g} m at {summary['distance_least_time_s']:g} s"),
         ("semi-minor axis at the end", f"{summary['parking_orbit']['semi_minor_m']:.4g} m"),
     ]
-    out.table(plain(rows))
+    out.table(table("", "", rows=rows))
     if latched is not None:
         out.say(f"Why: {summary['latch_reason']}.")
     safe = summary["safe"]
@@ -70,7 +70,7 @@ def show_campaign(summary: Mapping[str, Any], folder: str, console: Console | No
     out.say(str(summary["title"]), "bold")
     kinds = sorted({kind for study in summary["studies"] for kind in study["failures"]})
     head = f"{counted(summary['runs'], 'run')} of {summary['duration_s']:g} s"
-    found = table(head, "success", "at least, 95%", *kinds, wrap=False)
+    found = table(head, "success", "at least, 95%", *kinds, wrap=0)
     for study in summary["studies"]:
         failures = [study["failures"].get(kind, 0) for kind in kinds]
         found.add_row(

@@ -46,20 +46,11 @@ class Printout:
             self.say(f"  - {assumption}")
 
 
-def table(first: str, *numbers: str, wrap: bool = True) -> Table:
-    """A table with a column of words and columns of numbers."""
-    shown = Table(box=None, pad_edge=False, header_style="bold")
-    shown.add_column(first, no_wrap=not wrap)
-    for name in numbers:
-        shown.add_column(name, justify="right", no_wrap=not wrap)
-    return shown
-
-
-def plain(rows: Iterable[tuple[str, str]]) -> Table:
-    """A table of names and values, without a head."""
-    shown = Table(box=None, pad_edge=False, show_header=False)
-    shown.add_column()
-    shown.add_column(justify="right")
+def table(*heads: str, words: int = 1, wrap: int = 99, rows: Iterable[tuple[str | Text, ...]] = ()) -> Table:
+    """A table with columns of words, then of numbers; the first `wrap` may be broken; heads may be empty."""
+    shown = Table(box=None, pad_edge=False, header_style="bold", show_header=any(heads))
+    for k, head in enumerate(heads):
+        shown.add_column(Text(head), justify="left" if k < words else "right", no_wrap=k >= wrap)
     for row in rows:
         shown.add_row(*row)
     return shown

@@ -13,7 +13,7 @@ from rich.text import Text
 from ...model.checks import counted
 from ...traces.legacy import LegacyMetrics, Raises
 from ...traces.results import AgentMetrics, Separation, Spread, TraceMetrics
-from .printing import Printout, alarming
+from .printing import Printout, alarming, table
 
 
 def show_metrics(found: TraceMetrics | LegacyMetrics, console: Console | None = None) -> None:
@@ -50,15 +50,11 @@ QUANTITIES = (("distance", "distance [m]"), ("ttc", "TTC, straight [s]"), ("drif
 
 
 def _separations(items: Iterable[Separation]) -> Table:
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    table.add_column("to")
-    table.add_column("quantity", no_wrap=True)
-    for head in ("min", "mean", "max", "min at [s]", "on course"):
-        table.add_column(Text(head), justify="right", no_wrap=True)
+    found = table("to", "quantity", "min", "mean", "max", "min at [s]", "on course", words=2, wrap=1)
     for item in items:
         title = Text(f"{item.name} ({item.kind})")
         if item.distance is None:
-            table.add_row(title, "never there at the same time")
+            found.add_row(title, "never there at the same time")
             continue
         for key, quantity in QUANTITIES:
             spread: Spread | None = getattr(item, key)
@@ -67,9 +63,9 @@ def _separations(items: Iterable[Separation]) -> Table:
             values = (spread.min, spread.mean, spread.max, spread.at)
             shown = ["-" if math.isnan(value) else f"{value:.5g}" for value in values]
             course = "" if key == "distance" else f"{spread.share:.1%}"
-            table.add_row(title, Text(quantity), alarming(shown[0], spread.min <= 0), *shown[1:], course)
+            found.add_row(title, Text(quantity), alarming(shown[0], spread.min <= 0), *shown[1:], course)
             title = Text("")
-    return table
+    return found
 
 
 # -- the numbers of RTAEval -------------------------------------------------------------------------
@@ -88,12 +84,8 @@ def _show_legacy(found: LegacyMetrics, out: Printout) -> None:
     """Print what RTAEval's methods return, in their order."""
     for name, methods in found.agents.items():
         out.say(f"{name}: as RTAEval computes it, defects included", "bold")
-        table = Table(box=None, pad_edge=False, header_style="bold")
-        for head in ("method", "returns", "value"):
-            table.add_column(head)
-        for method, value in methods.items():
-            table.add_row(method, LEGACY_FORMS[method], Text(_shown(value)))
-        out.table(table)
+        rows = [(method, LEGACY_FORMS[method], Text(_shown(value))) for method, value in methods.items()]
+        out.table(table("method", "returns", "value", words=3, rows=rows))
 
 
 def _shown(value: Any) -> str:

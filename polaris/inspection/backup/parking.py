@@ -1,153 +1,20 @@
-"""Backup controllers: coasting, and parking on a closed eNMT by feedback of the state alone.
+"""The backup controller that parks on a closed eNMT by feedback of the state alone.
 
 `polaris.inspection.backup.tracker.Tracker` is the paper's, with integral action and a moving reference.
 """
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from dataclasses import dataclass
-
-import control
 import numpy as np
 from numpy.typing import NDArray
 
 from ...model.checks import positive
-from ...model.hill import clohessy_wiltshire
 from ...model.system import Array
+from ...synthesis.tracking import solve_are
 from ..enmt import Ellipses, semi_axes, velocity_error
 from ..inspection import Inspection
+from .law import Memoryless, Outlook
 from .settled import Decay
-
-
-@dataclass(frozen=True, eq=False)
-class Outlook:
-    """What is known about the flight under a backup law for ever after, for each of N deputies.
-
-    Valid without disturbances, while the law is followed period by period.
-
-    Attributes
-    ----------
-    settled : ndarray of bool, shape (N,)
-        The loop is linear from here on: no thrust is clipped and no limit of the eNMT is reached. The
-        other fields mean something only here.
-    delta_v : ndarray, shape (N,)
-        Upper bound on what will still be spent [m/s]; inf where not settled.
-    ellipse : ndarray, shape (N, 6)
-        State on a closed eNMT which, flown freely, stays near the deputy.
-    strays, slips : ndarray, shape (N,)
-        Upper bounds on the distance [m] and the relative speed [m/s] between the two, at all times.
-    distance : ndarray, shape (N,)
-        Lower bound on the distance from the chief's centre [m]; -inf where not settled.
-    """
-
-    settled: NDArray[np.bool_]
-    delta_v: Array
-    ellipse: Array
-    strays: Array
-    slips: Array
-    distance: Array
-
-    @classmethod
-    def of(
-        cls,
-        settled: NDArray[np.bool_],
-        delta_v: Array,
-        ellipse: Array,
-        strays: Array,
-        slips: Array,
-        distance: Array,
-    ) -> Outlook:
-        """With what holds where a deputy has settled; nothing is known elsewhere."""
-        delta_v, strays, slips = (np.where(settled, bound, np.inf) for bound in (delta_v, strays, slips))
-        return cls(settled, delta_v, ellipse, strays, slips, np.where(settled, distance, -np.inf))
-
-
-class Law(ABC):
-    """A backup controller whose flights can be predicted: all that it remembers is handed to it.
-
-    Parameters
-    ----------
-    inspection : Inspection
-    period : float
-        Time for which each thrust is held [s].
-
-    Attributes
-    ----------
-    motion : tuple of ndarray
-        Exact motion over a period, ``x -> Phi x + Gamma u``.
-    """
-
-    def __init__(self, inspection: Inspection, period: float = 1.0) -> None:
-        self.inspection, self.period = inspection, positive("period", period, "s")
-        self.motion = inspection.held(self.period)
-
-    @abstractmethod
-    def start(self, x: Array) -> Array:
-        """What the law remembers when it takes over at states (N, 6); shape (N, m)."""
-
-    @abstractmethod
-    def thrust(self, x: Array, memory: Array) -> tuple[Array, Array]:
-        """Thrust of the next period [N], shape (N, 3), within the limits, and the memory after it."""
-
-    @abstractmethod
-    def settled(self, x: Array, memory: Array, share: float = 1.0) -> NDArray[np.bool_]:
-        """Whether the loop is linear from here on, shape (N,), with at most a share of the thrust."""
-
-    @abstractmethod
-    def outlook(self, x: Array, memory: Array) -> Outlook:
-        """What is known about all the future."""
-
-    @abstractmethod
-    def __call__(self, t: float, x: Array) -> Array:
-        """Thrust [N], shape (N, 3), at finite states (N, 6): as a `Backup`."""
-
-
-class Memoryless(Law):
-    """A law that depends on the state alone: a flight's rest is the flight from where it has come to."""
-
-    def start(self, x: Array) -> Array:
-        """Nothing: shape (N, 0)."""
-        return np.empty((len(x), 0))
-
-    def thrust(self, x: Array, memory: Array) -> tuple[Array, Array]:
-        """Thrust of the next period [N], shape (N, 3), and the memory."""
-        return self(0.0, x), memory
-
-    @abstractmethod
-    def thrust_slope(self, x: Array) -> Array:
-        """Derivative of the thrust by the state, shape (N, 3, 6)."""
-
-
-class Coast(Memoryless):
-    """No thrust.
-
-    Parameters
-    ----------
-    inspection : Inspection
-    period : float
-        [s]
-    """
-
-    def __call__(self, t: float, x: Array) -> Array:
-        """Zeros, shape (N, 3)."""
-        return np.zeros((len(x), 3))
-
-    def thrust_slope(self, x: Array) -> Array:
-        """Zeros, shape (N, 3, 6)."""
-        return np.zeros((len(x), 3, 6))
-
-    def settled(self, x: Array, memory: Array, share: float = 1.0) -> NDArray[np.bool_]:
-        """Always."""
-        return np.ones(len(x), dtype=bool)
-
-    def outlook(self, x: Array, memory: Array) -> Outlook:
-        """Nothing more is ever spent; where it leads is known only on a closed eNMT."""
-        n = self.inspection.mean_motion
-        still = (velocity_error(x, n) == 0).all(axis=1)
-        zero, off = np.zeros(len(x)), np.where(still, 0.0, np.inf)
-        distance = np.where(still, semi_axes(x, n)[0], -np.inf)
-        return Outlook(np.ones(len(x), dtype=bool), zero, np.array(x), off, off, distance)
 
 
 class Parking(Memoryless):
@@ -192,35 +59,26 @@ class Parking(Memoryless):
         self.ellipses = Ellipses.fitting(q, ellipses)
         self.gain = lqr_gain(q, response)
         Phi, Gamma = self.motion
-        E = np.zeros((2, 6))
-        E[0, 3] = E[1, 4] = 1.0
-        E[0, 1], E[1, 0] = -q.mean_motion / 2, 2 * q.mean_motion
+        E = velocity_error(np.eye(6), q.mean_motion).T
         feedback = -self.gain[:, 3:5] @ E
         axes = np.zeros((4, 6))  # whose squares add up in pairs to those of a and c
         axes[[0, 1, 2, 3], [0, 1, 2, 5]] = [1.0, 0.5, 1.0, 1 / q.mean_motion]
         self._seen = np.concatenate([feedback, axes]).T
-        back = np.zeros((6, 2))
-        back[3, 0] = back[4, 1] = 1.0
-        loop = E @ (Phi + Gamma @ feedback) @ back
-        scale = np.ones(2)
-        self._thrusts = Decay(loop, -self.gain[:, 3:5], scale)
-        self._errors = Decay(loop, np.eye(2), scale)
+        loop = E @ (Phi + Gamma @ feedback) @ np.eye(6)[:, 3:5]
+        self._thrusts = Decay(loop, -self.gain[:, 3:5], np.ones(2))
+        self._errors = Decay(loop, np.eye(2), np.ones(2))
 
     def __call__(self, t: float, x: Array) -> Array:
         """Thrust [N], shape (N, 3), at finite states of shape (N, 6)."""
-        limit = self.inspection.thrust_max
+        limit, rings = self.inspection.thrust_max, self.ellipses
         seen = x @ self._seen
-        if self._inside(seen).all():
-            u = seen[:, :3]
-        else:
-            u = -(x - self.ellipses.inside(x)) @ self.gain.T
-        return np.asarray(np.minimum(np.maximum(u, -limit), limit))
-
-    def _inside(self, seen: Array) -> NDArray[np.bool_]:
         squares = seen * seen
         a, c = squares[:, 3] + squares[:, 4], squares[:, 5] + squares[:, 6]
-        e = self.ellipses
-        return np.asarray((a >= e.least**2) & (a <= e.largest**2) & (c <= e.cross_track**2))
+        if ((a >= rings.least**2) & (a <= rings.largest**2) & (c <= rings.cross_track**2)).all():
+            u = seen[:, :3]  # as below, and quicker
+        else:
+            u = -(x - rings.inside(x)) @ self.gain.T
+        return np.asarray(np.minimum(np.maximum(u, -limit), limit))
 
     def thrust_slope(self, x: Array) -> Array:
         """Derivative of the thrust by the state, shape (N, 3, 6): zero for axes that are clipped."""
@@ -229,18 +87,14 @@ class Parking(Memoryless):
         slope[clipped] = 0.0
         return np.asarray(slope)
 
-    def _room(self, x: Array, moved: Array) -> NDArray[np.bool_]:
-        """Whether the semi-minor axis may change so much [m], and all limits are kept."""
-        a, c = semi_axes(x, self.inspection.mean_motion)
-        e = self.ellipses
-        return np.asarray((a >= e.least + moved) & (a <= e.largest - moved) & (c <= e.cross_track))
-
     def settled(self, x: Array, memory: Array, share: float = 1.0) -> NDArray[np.bool_]:
         """Whether the loop is linear from here on, shape (N,)."""
-        e = velocity_error(x, self.inspection.mean_motion)
-        moved = 2 * self.period * self._errors.total_gain * np.sqrt((e * e).sum(axis=1))
+        n, rings = self.inspection.mean_motion, self.ellipses
+        e, (a, c) = velocity_error(x, n), semi_axes(x, n)
         calm = self._thrusts.never_above(e, share * self.inspection.thrust_max)
-        return np.asarray(calm & self._room(x, moved))
+        moved = 2 * self.period * self._errors.total_gain * np.sqrt((e * e).sum(axis=1))  # the axis, by most
+        room = (a >= rings.least + moved) & (a <= rings.largest - moved) & (c <= rings.cross_track)
+        return np.asarray(calm & room)
 
     def outlook(self, x: Array, memory: Array) -> Outlook:
         """What is known about all the future.
@@ -257,7 +111,7 @@ class Parking(Memoryless):
         delta_v = self._thrusts.total(e).sum(axis=1) * D / q.mass
         fastest = 1.1 * np.linalg.norm(self._errors.peak(e), axis=1)
         nearest, a = self.ellipses.nearest(x), semi_axes(x, n)[0]
-        return Outlook.of(settled, delta_v, nearest, 2 * moved, 2 * n * moved + fastest, a - moved)
+        return Outlook(settled, delta_v, nearest, 2 * moved, 2 * n * moved + fastest, a - moved)
 
 
 def lqr_weights(inspection: Inspection, response: float) -> tuple[float, list[float]]:
@@ -273,10 +127,8 @@ def lqr_weights(inspection: Inspection, response: float) -> tuple[float, list[fl
 
 def lqr_gain(inspection: Inspection, response: float) -> Array:
     """Gain of an LQR on the six states [N/m, N s/m], shape (3, 6); see `lqr_weights`."""
-    q = inspection
-    system = clohessy_wiltshire(q.mean_motion, q.mass, q.thrust_max)
-    weights = lqr_weights(q, response)[1]
-    gain = np.array(control.lqr(system.A, system.B, np.diag(weights), np.eye(3))[0])
+    system, weights = inspection.system, lqr_weights(inspection, response)[1]
+    gain = solve_are(system.A, system.B, np.diag(weights), np.eye(3))[1]
     gain[2, [0, 1, 3, 4]] = 0.0  # the cross-track motion is apart; what the solver leaves is rounding
     gain[:2, 2::3] = 0.0
     return gain

@@ -20,19 +20,9 @@ LONGEST = 8192
 
 
 class Decay:
-    """The loop ``s_{k+1} = M s_k`` with outputs ``C s_k``.
+    """The loop ``s_{k+1} = M s_k`` of d states with r outputs ``C s_k``; the norm is ``norm(s / weight)``.
 
-    Parameters
-    ----------
-    M : ndarray, shape (d, d)
-    C : ndarray, shape (r, d)
-    weight : ndarray, shape (d,)
-        Scales of the state: its norm is ``norm(s / weight)``.
-
-    Raises
-    ------
-    ScenarioError
-        If the loop is not stable, or too slow.
+    A ScenarioError if the loop is not stable, or too slow.
     """
 
     def __init__(self, M: Array, C: Array, weight: Array) -> None:

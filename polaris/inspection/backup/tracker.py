@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import control
 import numpy as np
 from numpy.typing import NDArray
 
-from ...model.hill import clohessy_wiltshire
 from ...model.system import Array
+from ...synthesis.tracking import solve_are
 from ..enmt import Ellipses, semi_axes, stopping_point
 from ..inspection import Inspection
-from .parking import Law, Outlook, lqr_weights
+from .law import Law, Outlook
+from .parking import lqr_weights
 from .settled import Decay
 
 BRAKING = 0.5
@@ -19,8 +19,7 @@ BRAKING = 0.5
 
 def augmented(inspection: Inspection) -> tuple[Array, Array]:
     """System of the tracking error and the integral of its positions, shapes (9, 9) and (9, 3)."""
-    q = inspection
-    system = clohessy_wiltshire(q.mean_motion, q.mass, q.thrust_max)
+    system = inspection.system
     A = np.zeros((9, 9))
     A[:6, :6] = system.A
     A[6:, :3] = np.eye(3)
@@ -72,7 +71,7 @@ class Tracker(Law):
         A, B = augmented(q)
         stiffness, weights = lqr_weights(q, response)
         weights += [(stiffness / (8 * response)) ** 2] * 3
-        self.gain = np.asarray(control.lqr(A, B, np.diag(weights), np.eye(3))[0])
+        self.gain = solve_are(A, B, np.diag(weights), np.eye(3))[1]
         loop = np.zeros((9, 9))
         loop[:6, :6] = self.motion[0]
         loop[:6] -= self.motion[1] @ self.gain
@@ -96,7 +95,7 @@ class Tracker(Law):
         """Thrust of the next period [N], shape (N, 3), and the memory after it."""
         q = self.inspection
         error = x - memory[:, :6]
-        wanted = -np.concatenate([error, memory[:, 6:]], axis=1) @ self.gain.T
+        wanted = -_errors(x, memory) @ self.gain.T
         u = np.clip(wanted, -q.thrust_max, q.thrust_max)
         growing = -error[:, :3] * np.diag(self.gain[:, 6:]) * wanted > 0
         held = (u != wanted) & growing
@@ -107,13 +106,12 @@ class Tracker(Law):
 
     def settled(self, x: Array, memory: Array, share: float = 1.0) -> NDArray[np.bool_]:
         """Whether the loop is linear from here on, shape (N,)."""
-        s = np.concatenate([x - memory[:, :6], memory[:, 6:]], axis=1)
-        return np.asarray(self._thrusts.never_above(s, share * self.inspection.thrust_max))
+        return self._thrusts.never_above(_errors(x, memory), share * self.inspection.thrust_max)
 
     def outlook(self, x: Array, memory: Array) -> Outlook:
         """What is known about all the future: in the linear range, by sums over the loop's powers."""
         q, D = self.inspection, self.period
-        s = np.concatenate([x - memory[:, :6], memory[:, 6:]], axis=1)
+        s = _errors(x, memory)
         settled = self._thrusts.never_above(s, q.thrust_max)
         peaks = self._errors.peak(s)
         # Between samples: the errors' acceleration is the thrust's and little else.
@@ -122,7 +120,7 @@ class Tracker(Law):
         slips = np.linalg.norm(peaks[:, 3:], axis=1) + push * D / 2
         spent = self._thrusts.total(s).sum(axis=1) * D / q.mass
         distance = semi_axes(memory, q.mean_motion)[0] - strays
-        return Outlook.of(settled, spent, memory[:, :6], strays, slips, distance)
+        return Outlook(settled, spent, memory[:, :6], strays, slips, distance)
 
     def reset(self) -> None:
         """Forget the references; the next call chooses new ones."""
@@ -142,3 +140,8 @@ class Tracker(Law):
         u, self._memory = self.thrust(x, self._memory)
         self._last, self._next = (t, u), t + self.period
         return u.copy()
+
+
+def _errors(x: Array, memory: Array) -> Array:
+    """Tracking errors and the integrals of their positions, shape (N, 9)."""
+    return np.concatenate([x - memory[:, :6], memory[:, 6:]], axis=1)

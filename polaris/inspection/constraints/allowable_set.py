@@ -60,23 +60,11 @@ def allowable(inspection: Inspection, x: Array, sun: ArrayLike) -> dict[str, Arr
 class AllowableRows(Table):
     """phi1 to phi6 and phi9 to phi11 with gradients, as rows; phi4 and phi5 in metres, not as angles.
 
-    Parameters
-    ----------
-    inspection : Inspection
-    without : collection of str
-        Families left out.
-
-    Attributes
-    ----------
-    labels : tuple of str, length M
-        Names of the rows: ``phi1[2]``, ``phi5+[0,3]``. For `family`, `first` and `second` see `Table`.
-    is_speed : ndarray of bool, shape (M,)
-        Whether a row is about velocities.
+    Which rows are about velocities, `is_speed` (M,) says.
     """
 
     def __init__(self, inspection: Inspection, without: Collection[str] = ()) -> None:
-        super().__init__(inspection, without)
-        self.labels = self.names("phi")
+        super().__init__(inspection, "phi", without)
         self.is_speed = self.among("speed", "velocity")
 
     def __call__(self, x: Array, sun: Array) -> Evaluation:
@@ -85,31 +73,20 @@ class AllowableRows(Table):
         Shapes (S, M), (S, M, 6) and (S, M), at states (S, N, 6) and sun angles (S,) [rad].
         """
         every = self.stack(x)
-        shape = (len(x), len(self.family))
-        phi = np.empty(shape), np.empty((*shape, 6)), np.empty(shape)
-        start = 0
-        for group in self.groups:
-            rows = slice(start, start := start + len(group.family))
-            for whole, part in zip(phi, group.barrier.phi(every[:, group.at], sun[:, None]), strict=True):
-                whole[:, rows] = part
-        return Evaluation(*phi)
+        found = [group.barrier.phi(every[:, group.at], sun[:, None]) for group in self.groups]
+        return Evaluation(
+            np.concatenate([phi.h for phi in found], axis=1),
+            np.concatenate([phi.gradient for phi in found], axis=1),
+            np.concatenate([np.broadcast_to(phi.change, phi.h.shape) for phi in found], axis=1),
+        )
 
     def between(self, value: Array, x: Array, period: float, push: float) -> Array:
-        """Lower bounds between each two samples, shape (S-1, M).
+        """Lower bounds (S-1, M) of values (S, M) between samples x (S, N, 6) that are `period` [s] apart.
 
-        Parameters
-        ----------
-        value : ndarray, shape (S, M)
-        x : ndarray, shape (S, N, 6)
-            Samples `period` [s] apart.
-        push : float
-            Largest acceleration by thrust of one deputy [m/s^2], constant between samples.
-
-        Notes
-        -----
-        Distances change no faster than the position moves (seen from the turning cone, for phi4 and
-        phi5): between two samples they are at least the mean of both less half the path. Speeds lie on
-        a chord but for the jerk; the largest is at an end.
+        `push` is the largest acceleration by thrust of one deputy [m/s^2], constant between samples.
+        Distances change no faster than the position moves (seen from the turning cone, for phi4 and phi5):
+        between two samples they are at least the mean of both less half the path. Speeds lie on a chord but
+        for the jerk; the largest is at an end.
         """
         n, D = self.inspection.mean_motion, period
         z = self.relative(x)

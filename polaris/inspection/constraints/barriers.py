@@ -1,5 +1,7 @@
 """Barriers about the positions: spheres (h1, h2, h6) and sun cones (h4, h5), and what every barrier offers.
 
+They brake before a boundary: `Braking` is the speed from which a spacecraft can still stop.
+
 All act on states ``z = [p, v]`` in Hill's frame: of one deputy, or of one relative to another (the motion
 is linear, so both obey the same equations). They broadcast over leading axes, and their parameters over
 rows, so that one object evaluates a whole family at once. Each is the one account of its constraint: of
@@ -15,25 +17,18 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from ...model.system import Array
-from ..braking import Braking
 from ..vectors import CENTRE, dot, length, rounded_length, turning
 from .motion import Motion
 
 
 class Evaluation(NamedTuple):
-    """A barrier, or the constraint that it keeps, at some states.
+    """A barrier, or the constraint that it keeps, at some states (..., 6).
 
-    Attributes
-    ----------
-    h : ndarray, shape (...)
-        Value, >= 0 inside.
-    gradient : ndarray, shape (..., 6)
-        With respect to the state.
-    change : ndarray, shape (...) or float
-        Partial derivative with respect to time [1/s].
+    Its value (...), >= 0 inside; the gradient (..., 6) by the state; the partial derivative with respect to
+    time [1/s], (...) or a number.
     """
 
     h: Array
@@ -43,6 +38,11 @@ class Evaluation(NamedTuple):
 
 class Barrier(ABC):
     """A constraint ``phi(t, z) >= 0`` and a control-invariant ``h(t, z) >= 0`` that keeps it."""
+
+    @property
+    def repeat(self) -> int:
+        """Rows per state."""
+        return 1
 
     @abstractmethod
     def __call__(self, z: Array, sun: ArrayLike = 0.0) -> Evaluation:
@@ -57,20 +57,94 @@ class Barrier(ABC):
         raise TypeError(f"no bound for {type(self).__name__}")
 
 
+def join(by_position: Array, by_velocity: Array) -> Array:
+    """A gradient from its halves, (..., 3) each."""
+    return np.concatenate([by_position, by_velocity], axis=-1)
+
+
+@dataclass(frozen=True, eq=False)
+class Braking:
+    """Approach speed ``s(delta)`` that may be held at the distance delta from a boundary.
+
+    The paper's ``sqrt(2 a delta)`` has no slope at the boundary and no value behind it (theory, item 14).
+    Here ``s(delta) = k delta`` in a layer of the depth d and ``sqrt(2 a (delta - d / 2))`` above it,
+    with ``k = sqrt(a / d)``: value and slope are continuous, ``s(0) = 0``, and s never exceeds the paper's,
+    so whatever respects it respects eq. 27. Braking in the layer needs ``k^2 delta <= a`` only.
+
+    Outside (``delta < 0``) ``s = k delta / (1 + k |delta| / c)``, which has the same value and slope at 0
+    and never asks for a way back faster than c, however far outside. The acceleration a [m/s^2] broadcasts
+    against delta; the depth d is in m, the speed back c in m/s, and all are positive.
+    """
+
+    acceleration: Array | float
+    depth: float
+    back: float
+
+    @cached_property
+    def _numbers(self) -> tuple[Array, Array]:
+        """``2 a`` and k."""
+        return np.asarray(2 * self.acceleration), np.sqrt(np.asarray(self.acceleration) / self.depth)
+
+    def __call__(self, delta: ArrayLike) -> tuple[Array, Array]:
+        """Speed [m/s] and its slope [1/s] at a signed distance [m]."""
+        twice, k = self._numbers
+        half = self.depth / 2
+        delta = np.asarray(delta, dtype=float)
+        root = np.sqrt(twice * np.maximum(delta - half, half))
+        # The line is tangent to the root, and above it; inside the layer the root is held at k d.
+        speed, slope = np.minimum(root, k * delta), self.acceleration / root
+        if not (delta < 0).any():
+            return speed, slope
+        fade = 1 + k / self.back * np.maximum(-delta, 0.0)
+        return speed / fade, slope / fade**2
+
+    def steepest(self, nearest: ArrayLike, farthest: ArrayLike) -> Array:
+        """Largest slope [1/s] between two distances: it rises up to 0 and falls beyond the layer."""
+        return self(np.clip(0.0, nearest, farthest))[1]
+
+    def bend(self, nearest: ArrayLike, farthest: ArrayLike) -> Array:
+        """Bound on ``-s''`` [1/(m s)] between two distances; below the layer's depth s does not bend down."""
+        a, d = self.acceleration, self.depth
+        root = np.sqrt(2 * a * np.maximum(np.asarray(nearest) - d / 2, d / 2))
+        return np.where(np.asarray(farthest) <= d, 0.0, a**2 / root**3)
+
+    def curvature(
+        self,
+        delta: Array,
+        rate: Array,
+        distance: Array,
+        motion: Motion,
+        share: float = 1.0,
+        outside: NDArray[np.bool_] | bool = True,
+    ) -> Array:
+        """Bound M on the second derivative of ``-(s(delta) + d(delta)/dt)`` over a period.
+
+        Of delta, the `share` that is a distance [m] from a centre or an axis (or its negative, not `outside`)
+        is about a direction that turns. M is inf where that may turn at once, -inf where h cannot become
+        negative meanwhile.
+        """
+        v, push, D = motion.speed, motion.acceleration, motion.period
+        nearest = distance - v * D
+        near = np.maximum(nearest, CENTRE)
+        around = share * v**2 / near  # centripetal, pushes outwards
+        low, high = push + np.where(outside, 0.0, around), push + np.where(outside, around, 0.0)
+        # third derivative: 3 v_t a_t / r - 3 r' v_t^2 / r^2 + jerk, and r' v_t^2 <= 2 / sqrt(27) v^3
+        third = share * (3 * v * push / near + 1.155 * v**3 / near**2) + motion.jerk
+        slowest, quickest = rate - low * D, rate + high * D
+        closest = delta + np.minimum(slowest, 0.0) * D
+        farthest = delta + np.maximum(quickest, 0.0) * D
+        fastest = np.maximum(np.abs(slowest), np.abs(quickest))
+        M = self.bend(closest, farthest) * fastest**2 + self.steepest(closest, farthest) * low + third
+        M = np.where(nearest > CENTRE, M, np.inf)
+        return np.where((self(closest)[0] + slowest >= 0) & (closest >= 0), -np.inf, M)
+
+
 @dataclass(frozen=True, eq=False)
 class Radial(Barrier):
-    """Stop before a sphere: h1 (eq. 29), h2 (eq. 30) from outside, h6 (eq. 36) from inside.
+    """Stop before a sphere: h1 (eq. 29), h2 (eq. 30) from outside (`side` +1), h6 (eq. 36) from inside (-1).
 
-    ``h = s(delta) + d(delta)/dt`` with ``delta = side (norm(p) - radius)``.
-
-    Parameters
-    ----------
-    radius : array_like
-        [m]
-    braking : Braking
-        With a_max for one deputy, 2 a_max for two that both brake.
-    side : array_like
-        +1 to stay outside, -1 to stay inside.
+    ``h = s(delta) + d(delta)/dt`` with ``delta = side (norm(p) - radius)`` [m]; the braking has a_max for one
+    deputy, 2 a_max for two that both brake.
     """
 
     radius: Array | float
@@ -83,57 +157,36 @@ class Radial(Barrier):
         distance, toward = rounded_length(p, CENTRE)
         speed, slope = self.braking(self.side * (distance - self.radius))
         away = dot(toward, v)
-        gradient = np.empty(z.shape)
-        gradient[..., :3] = slope[..., None] * toward + turning(v, toward, away, distance)
-        gradient[..., 3:] = toward
+        gradient = join(slope[..., None] * toward + turning(v, toward, away, distance), toward)
         gradient *= np.asarray(self.side)[..., None]
         return Evaluation(speed + self.side * away, gradient, 0.0)
 
     def phi(self, z: Array, sun: ArrayLike = 0.0) -> Evaluation:
         """Evaluate the signed distance delta [m] itself."""
         distance, toward = rounded_length(z[..., :3], CENTRE)
-        gradient = np.zeros(z.shape)
-        gradient[..., :3] = np.asarray(self.side)[..., None] * toward
-        return Evaluation(self.side * (distance - self.radius), gradient, 0.0)
+        toward = np.asarray(self.side)[..., None] * toward
+        return Evaluation(self.side * (distance - self.radius), join(toward, np.zeros_like(toward)), 0.0)
 
     def curvature(self, z: Array, sun: ArrayLike, motion: Motion) -> Array:
         """Bound M; see `Barrier.curvature`."""
-        side, D = np.asarray(self.side), motion.period
         distance, outward = rounded_length(z[..., :3], CENTRE)
-        nearest = distance - motion.speed * D
-        near = np.maximum(nearest, CENTRE)
-        around = motion.speed**2 / near  # centripetal, pushes outwards
-        speed, push = motion.speed, motion.acceleration
-        low, high = push + np.where(side > 0, 0.0, around), push + np.where(side > 0, around, 0.0)
-        # third derivative: 3 v_t a_t / r - 3 r' v_t^2 / r^2 + jerk, and r' v_t^2 <= 2 / sqrt(27) speed^3
-        third = 3 * speed * push / near + 1.155 * speed**3 / near**2 + motion.jerk
-        delta = np.asarray(side * (distance - np.asarray(self.radius)))
-        rate = np.asarray(side * dot(outward, z[..., 3:]))
-        return self.braking.curvature(delta, rate, low, high, third, nearest > CENTRE, D)
+        delta = np.asarray(self.side * (distance - self.radius))
+        rate = np.asarray(self.side * dot(outward, z[..., 3:]))
+        return self.braking.curvature(delta, rate, distance, motion, outside=np.asarray(self.side) > 0)
 
 
 @dataclass(frozen=True, eq=False)
 class SunCone(Barrier):
     """Stop before the cone of positions from which the sensor would see the sun: h4, h5 (eqs. 33 to 35).
 
-    The cone has its apex at the origin, its axis along ``-r_s`` (`side` +1) and half the field of view
-    as its angle. Let ``delta = cos(theta) norm(p_perp) - sin(theta) <p, axis>``, the signed distance from
-    the line through the apex that eq. 34 projects onto. The cone turns with the sun, at -n (theory, item
-    16), so that ``d(delta)/dt = <normal, v - w x p>`` with ``w = [0, 0, -n]``, and
+    The cone has its apex at the origin, its axis along ``-r_s`` (`side` +1) or ``r_s`` (-1) and half the
+    field of view as its angle theta [rad]. Let ``delta = cos(theta) norm(p_perp) - sin(theta) <p, axis>``,
+    the signed distance from the line through the apex that eq. 34 projects onto. The cone turns with the
+    sun, at -n (theory, item 16), so that ``d(delta)/dt = <normal, v - w x p>`` with ``w = [0, 0, -n]``, and
     ``h = s(delta) + d(delta)/dt``.
 
     For a pair of deputies both cones count, the one about ``-r_s`` and the one about ``r_s``: eq. 35's
     choice of the nearer jumps where they are equally near.
-
-    Parameters
-    ----------
-    half_angle : float
-        theta [rad].
-    mean_motion : float
-        n [rad/s].
-    braking : Braking
-    side : array_like
-        +1 for the cone about ``-r_s``, -1 for the one about ``r_s``.
     """
 
     half_angle: float
@@ -172,32 +225,26 @@ class SunCone(Barrier):
         across = slip - forward[..., None] * axis
         away = dot(outward, across)
         c, s = np.cos(self.half_angle), np.sin(self.half_angle)
-        gradient = np.empty(z.shape)
-        gradient[..., :3] = slope[..., None] * normal + normal @ self._turn[:3, :3]
-        gradient[..., :3] += c * turning(across, outward, away, radius)
-        gradient[..., 3:] = normal
+        by_position = slope[..., None] * normal + normal @ self._turn[:3, :3]
+        gradient = join(by_position + c * turning(across, outward, away, radius), normal)
         return Evaluation(speed + c * away - s * forward, gradient, -dot(gradient, turned))
 
     def phi(self, z: Array, sun: ArrayLike = 0.0) -> Evaluation:
         """Evaluate the signed distance delta [m] itself."""
         delta, normal, *_ = self._geometry(z[..., :3], sun)
-        gradient = np.zeros(z.shape)
-        gradient[..., :3] = normal
         # What the sun's turning changes is what turning the position back would.
-        return Evaluation(delta, gradient, -dot(normal, (z @ self._turn)[..., :3]))
+        change = -dot(normal, (z @ self._turn)[..., :3])
+        return Evaluation(delta, join(normal, np.zeros_like(normal)), change)
 
     def curvature(self, z: Array, sun: ArrayLike, motion: Motion) -> Array:
         """Bound M; see `Barrier.curvature`."""
-        n, D, c = self.mean_motion, motion.period, np.cos(self.half_angle)
+        n = self.mean_motion
         delta, normal, _, _, radius = self._geometry(z[..., :3], sun)
         rate = dot(normal, z[..., 3:] - (z @ self._turn)[..., :3])
-        far = length(z[..., :3]) + motion.speed * D
+        far = length(z[..., :3]) + motion.speed * motion.period
         # Everything as seen from the turning cone.
         slip = motion.speed + n * far
         push = motion.acceleration + 2 * n * slip + n**2 * far
         jerk = motion.jerk + n * motion.acceleration + 2 * n * push + n**2 * slip
-        nearest = radius - slip * D
-        near = np.maximum(nearest, CENTRE)
-        third = c * (3 * slip * push / near + 1.155 * slip**3 / near**2) + jerk
-        high = push + c * slip**2 / near
-        return self.braking.curvature(delta, rate, push, high, third, nearest > CENTRE, D)
+        seen = Motion(motion.period, slip, push, jerk, motion.thrust)
+        return self.braking.curvature(delta, rate, radius, seen, np.cos(self.half_angle))

@@ -6,17 +6,10 @@ from typing import NamedTuple
 
 
 class Kind(NamedTuple):
-    """One family of constraints.
+    """One family of constraints: what it keeps of phi1 to phi11 (eqs. 12 to 23), of one deputy or a pair.
 
-    Attributes
-    ----------
-    phi : tuple of str
-        What it keeps of phi1 to phi11 (eqs. 12 to 23); h1 to h11 are its barriers.
-    rank : int
-        What gives way last where no input satisfies all conditions: not to collide (0), not to collide
-        should the thrusters fail, speeds, the zone, the sun.
-    pair : bool
-        Whether each concerns two deputies.
+    The rank is what gives way last where no input satisfies all conditions: not to collide (0), not to
+    collide should the thrusters fail, speeds, the zone, the sun.
     """
 
     phi: tuple[str, ...]
@@ -41,9 +34,6 @@ FAMILIES = tuple(KINDS)
 
 CONSTRAINTS = tuple(name for kind in KINDS.values() for name in kind.phi)
 """phi1 to phi11."""
-
-PAIRWISE = frozenset(name for kind in KINDS.values() if kind.pair for name in kind.phi)
-"""The constraints on two deputies."""
 
 PASSIVE = {"phi7": "passive", "phi8": "deputy_passive"}
 """The constraints on free flights: they are their own barriers, and no part of what a backup must keep."""

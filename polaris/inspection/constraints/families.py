@@ -75,10 +75,9 @@ class Families(Table):
         if sampled is not None:
             sampled.growth(inspection.mean_motion)  # refuses periods that are too long
         self.sampled, self.alpha = sampled, _checked(strengthening)
-        approach = ClosestApproach(inspection.mean_motion, inspection.passive_time)
+        self.approach = approach = ClosestApproach(inspection.mean_motion, inspection.passive_time)
         beyond = np.inf if exact or sampled is not None else self._beyond(inspection, approach)
-        super().__init__(inspection, without, approach, sampled is not None, beyond)
-        self.labels = self.names("h")
+        super().__init__(inspection, "h", without, approach, sampled is not None, beyond)
         self._alpha = tuple(np.array([self.alpha[name].numbers for name in self.family]).T)
         self._rank = np.array([KINDS[name].rank for name in self.family], dtype=np.intp)
 
@@ -111,23 +110,21 @@ class Families(Table):
         """Barrier conditions at states of shape (..., N, 6) and sun angles of shape (...) [rad]."""
         q = self.inspection
         every = self.stack(x)
-        drift = every @ q.A.T
+        drift = every @ q.system.A.T
         sun = np.asarray(sun)[..., None]
         motion = self._motion(every, drift)
         shape = (*x.shape[:-2], len(self.family))
         h, rate, M = np.empty(shape), np.empty(shape), np.zeros(shape)
         G = np.empty((*shape, 3))
-        start = 0
         for group in self.groups:
+            barrier, rows = group.barrier, (..., group.rows)
             z, moved = every[..., group.at, :], drift[..., group.at, :]
-            value, gradient, change = group.barrier(z, sun)
-            rows = (..., slice(start, start := start + len(group.family) * group.repeat))
-            h[rows] = value
-            G[(*rows, slice(None))] = gradient[..., 3:]
-            moved = np.repeat(moved, group.repeat, axis=-2) if group.repeat > 1 else moved
+            h[rows], gradient, change = barrier(z, sun)
+            G[..., group.rows, :] = gradient[..., 3:]
+            moved = np.repeat(moved, barrier.repeat, axis=-2) if barrier.repeat > 1 else moved
             rate[rows] = dot(gradient, moved) + change
             if motion is not None:
-                M[rows] = group.barrier.curvature(z, sun, motion[group.at])
+                M[rows] = barrier.curvature(z, sun, motion[group.at])
         G *= 1 / q.mass
         alpha = evaluate(h, *self._alpha)
         bound = -rate - alpha

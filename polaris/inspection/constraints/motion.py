@@ -50,7 +50,7 @@ class SampledData:
             raise ScenarioError("share", self.share, "must be in (0, 1]")
 
     def growth(self, n: float) -> float:
-        """How much larger than at its start the acceleration may be within a period.
+        """How much larger than at its start the acceleration may be within a period; n in rad/s.
 
         Raises
         ------
@@ -60,24 +60,15 @@ class SampledData:
         D = self.period
         rest = 1 - 2 * n * D - 3 * n**2 * D**2
         if rest <= 0:
-            raise ScenarioError(
-                "period", D, f"must be below {1 / (3 * n):.6g} s, a third over the mean motion"
-            )
+            rule = f"must be below {1 / (3 * n):.6g} s, a third over the mean motion"
+            raise ScenarioError("period", D, rule)
         return 1 / rest
 
     def motion(self, z: Array, drift: Array, n: float, thrust: Array) -> Motion:
-        """Bounds over the period.
+        """Bounds over the period, from states z (..., 6) at the sample, of deputies or relative ones.
 
-        Parameters
-        ----------
-        z : ndarray, shape (..., 6)
-            States of deputies, or of deputies relative to each other, at the sample.
-        drift : ndarray, shape (..., 6)
-            Their natural rates.
-        n : float
-            Mean motion [rad/s].
-        thrust : ndarray, shape (...)
-            Largest acceleration by thrust [m/s^2].
+        `drift` (..., 6) are their natural rates, n the mean motion [rad/s], `thrust` (...) the largest
+        acceleration by thrust [m/s^2].
         """
         D, speed = self.period, length(z[..., 3:])
         # a <= natural + thrust + 3 n^2 (speed + a D) D + 2 n a D, solved for a.
@@ -88,14 +79,9 @@ class SampledData:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Bounds on the motion over one period, each of shape (...).
+    """Bounds on speed, acceleration and jerk over one period [s], each of shape (...), in SI units.
 
-    Attributes
-    ----------
-    period : float
-        [s]
-    speed, acceleration, jerk, thrust : ndarray
-        [m/s], [m/s^2], [m/s^3]; thrust is the part of the acceleration that is held [m/s^2].
+    `thrust` is the part of the acceleration that is held.
     """
 
     period: float

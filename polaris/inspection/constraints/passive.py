@@ -20,15 +20,9 @@ BOW = 0.01
 
 @dataclass(frozen=True, eq=False)
 class Passive(Barrier):
-    """Clear of a sphere for T seconds without thrust: ``inf norm(p(t)) - radius`` over free flight.
+    """Clear of a sphere for T seconds without thrust: ``inf norm(p(t)) - radius`` [m] over free flight.
 
-    Parameters
-    ----------
-    radius : array_like
-        [m]
-    approach : ClosestApproach
-    beyond : float
-        Values larger than this [m] need not be exact: they may come out smaller, but not below it.
+    Values larger than `beyond` [m] need not be exact: they may come out smaller, but not below it.
     """
 
     radius: Array | float
@@ -55,20 +49,14 @@ class PassiveSegments(Barrier):
     flight stays clear there if both ends of the chord lie beyond ``radius + bow`` along that direction.
     Every instant of the flight is covered, not only the closest approach, whose place may jump within a
     period. The directions at the next sample are the best for the chords then, and the bow is a function of
-    the state: h at the next sample is no less than what was left of it.
-
-    Parameters
-    ----------
-    radius : array_like, shape (K,)
-        One for each flight [m].
-    approach : ClosestApproach
+    the state: h at the next sample is no less than what was left of it. Each flight has its radius [m].
     """
 
     radius: Array | float
     approach: ClosestApproach
 
     @property
-    def rows(self) -> int:
+    def repeat(self) -> int:
         """Rows per flight."""
         return 2 * (len(self.approach.times) - 1)
 
@@ -93,16 +81,11 @@ class PassiveSegments(Barrier):
         h = np.stack([first, first + dot(outward, chord)], axis=-1)
         h = h - (np.asarray(self.radius) + per_amplitude * amplitude)[..., None, None]
         Phi = self.approach.place_maps
-        gradient = np.stack(
-            [
-                np.einsum("...si,sij->...sj", outward, Phi[:-1]),
-                np.einsum("...si,sij->...sj", outward, Phi[1:]),
-            ],
-            axis=-2,
-        )
+        both = [np.einsum("...si,sij->...sj", outward, maps) for maps in (Phi[:-1], Phi[1:])]
+        gradient = np.stack(both, axis=-2)
         growth = (per_amplitude / amplitude)[..., None] * (circle @ to_circle)
         gradient -= growth[..., None, None, :]
-        shape = (*z.shape[:-2], z.shape[-2] * self.rows)
+        shape = (*z.shape[:-2], z.shape[-2] * self.repeat)
         return Evaluation(h.reshape(shape), gradient.reshape(*shape, 6), 0.0)
 
     def _amplitude(self, z: Array) -> tuple[Array, Array]:

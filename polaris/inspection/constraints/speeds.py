@@ -10,21 +10,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...model.system import Array
 from ..vectors import CENTRE, STANDSTILL, dot, rounded_length
-from .barriers import Barrier, Evaluation
+from .barriers import Barrier, Evaluation, join
 from .motion import Motion
 
 
 @dataclass(frozen=True, eq=False)
 class Speed(Barrier):
-    """Slower when nearer: h3 = phi3 (eq. 14), ``nu_0 + nu_1 norm(p) - norm(v)``.
-
-    Parameters
-    ----------
-    docking_speed : float
-        nu_0 [m/s].
-    slope : float
-        nu_1 [1/s].
-    """
+    """Slower when nearer: h3 = phi3 (eq. 14), ``nu_0 + nu_1 norm(p) - norm(v)``; nu_0 [m/s], nu_1 [1/s]."""
 
     docking_speed: float
     slope: float
@@ -39,8 +31,7 @@ class Speed(Barrier):
     def __call__(self, z: Array, sun: ArrayLike = 0.0) -> Evaluation:
         """Evaluate at states of shape (..., 6)."""
         limit, outward, speed, ahead = self._parts(z)
-        gradient = np.concatenate([self.slope * outward, -ahead], axis=-1)
-        return Evaluation(limit - speed, gradient, 0.0)
+        return Evaluation(limit - speed, join(self.slope * outward, -ahead), 0.0)
 
 
 class SpeedInSquares(Speed):
@@ -53,9 +44,7 @@ class SpeedInSquares(Speed):
     def __call__(self, z: Array, sun: ArrayLike = 0.0) -> Evaluation:
         """Evaluate at states of shape (..., 6)."""
         limit, outward, speed, _ = self._parts(z)
-        gradient = np.empty(z.shape)
-        gradient[..., :3] = (2 * limit * self.slope)[..., None] * outward
-        gradient[..., 3:] = -2 * z[..., 3:]
+        gradient = join((2 * limit * self.slope)[..., None] * outward, -2 * z[..., 3:])
         return Evaluation(limit - speed, gradient / (limit + speed)[..., None], 0.0)
 
     def curvature(self, z: Array, sun: ArrayLike, motion: Motion) -> Array:
@@ -69,15 +58,7 @@ class SpeedInSquares(Speed):
 
 @dataclass(frozen=True, eq=False)
 class Velocity(Barrier):
-    """Structural limit along one axis: h9, h10, h11 = phi9, phi10, phi11 (eq. 23), ``v_max^2 - v_axis^2``.
-
-    Parameters
-    ----------
-    axis : int or array of int
-        0, 1 or 2.
-    limit : float
-        v_max [m/s].
-    """
+    """Structural limit [m/s] along an axis: h9 to h11 = phi9 to phi11 (eq. 23), ``v_max^2 - v_axis^2``."""
 
     axis: int | NDArray[np.intp]
     limit: float
@@ -90,9 +71,11 @@ class Velocity(Barrier):
     def __call__(self, z: Array, sun: ArrayLike = 0.0) -> Evaluation:
         """Evaluate at states of shape (..., 6)."""
         along = dot(z[..., 3:], self.direction)
-        gradient = np.zeros(z.shape)
-        gradient[..., 3:] = (-2 * along)[..., None] * self.direction
-        return Evaluation(self.limit**2 - along**2, gradient, 0.0)
+        by_velocity = -self._slope(along)[..., None] * self.direction
+        return Evaluation(self.limit**2 - along**2, join(np.zeros_like(by_velocity), by_velocity), 0.0)
+
+    def _slope(self, along: Array) -> Array:
+        return 2 * along
 
 
 class VelocitySide(Velocity):
@@ -101,12 +84,8 @@ class VelocitySide(Velocity):
     Linear in the velocity, so that its curvature is the jerk's, and its gradient never vanishes.
     """
 
-    def __call__(self, z: Array, sun: ArrayLike = 0.0) -> Evaluation:
-        """Evaluate at states of shape (..., 6)."""
-        along = dot(z[..., 3:], self.direction)
-        gradient = np.zeros(z.shape)
-        gradient[..., 3:] = -np.copysign(self.limit + np.abs(along), along)[..., None] * self.direction
-        return Evaluation(self.limit**2 - along**2, gradient, 0.0)
+    def _slope(self, along: Array) -> Array:
+        return np.copysign(self.limit + np.abs(along), along)
 
     def curvature(self, z: Array, sun: ArrayLike, motion: Motion) -> Array:
         """Bound M; ``-inf`` where the limit cannot be reached within the period, ``inf`` where both can."""

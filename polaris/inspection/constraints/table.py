@@ -2,127 +2,107 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
-from functools import cached_property
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...model.errors import ScenarioError
 from ...model.system import Array
-from ..braking import Braking
 from ..closest import ClosestApproach
 from ..inspection import Inspection
-from .barriers import Barrier, Radial, SunCone
+from .barriers import Barrier, Braking, Radial, SunCone
 from .catalogue import FAMILIES
 from .passive import Passive, PassiveSegments
 from .speeds import Speed, SpeedInSquares, Velocity, VelocitySide
 
 Index = NDArray[np.intp]
 
-_Member = tuple[str, str, Index, float, float, float]
-"""Family, number of the constraint, places, and the parameters of the formula."""
+
+class _Member(NamedTuple):
+    """A constraint of all deputies or pairs: what it is called behind ``h``, its places, its parameters."""
+
+    family: str
+    number: str
+    places: Index
+    values: tuple[float, ...]
 
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """Constraints of one formula: a barrier with a parameter per place in the stack (`Table.stack`).
+    """Constraints of one formula: where they are in the stack (see `Table.stack`), and their rows.
 
-    Of each place: its family, what the constraint is called behind ``h`` or ``phi``, and as many rows as
-    `repeat` says.
+    The places are a slice if they follow each other: a view is quicker than a copy.
     """
 
     barrier: Barrier
-    family: list[str]
-    number: list[str]
-    place: Index
-    repeat: int = 1
-
-    @cached_property
-    def at(self) -> Index | slice:
-        """The places as a slice if they follow each other: a view is quicker than a copy."""
-        first, last = int(self.place[0]), int(self.place[-1])
-        straight = np.array_equal(self.place, np.arange(first, last + 1))
-        return slice(first, last + 1) if straight else self.place
+    at: Index | slice
+    rows: slice
 
 
-def _groups(
-    q: Inspection,
-    without: Collection[str],
-    approach: ClosestApproach | None,
-    sampled: bool,
-    beyond: float,
-) -> list[Group]:
-    """Stack what shares a formula; parameters as of `Table`."""
+def _formulas(
+    q: Inspection, approach: ClosestApproach | None, sampled: bool, beyond: float
+) -> list[tuple[Callable[..., Barrier], list[_Member]]]:
+    """The formulas, from columns of parameters, and the constraints that have them."""
     alone, pairs = np.arange(q.deputies), q.deputies + np.arange(len(q.pairs))
+    braking = partial(Braking, depth=q.smoothing, back=q.return_speed)
+    speed, velocity = (SpeedInSquares, VelocitySide) if sampled else (Speed, Velocity)
 
-    def stack(*members: _Member) -> tuple[tuple[list[str], list[str], Index], Array]:
-        """Families, numbers and places of the members that are kept, and each of their three parameters."""
-        kept = [member for member in members if member[0] not in without]
-        family = [member[0] for member in kept for _ in member[2]]
-        number = [member[1] for member in kept for _ in member[2]]
-        place = np.concatenate([alone[:0], *(member[2] for member in kept)])
-        values = np.array([member[3:] for member in kept for _ in member[2]], dtype=float)
-        return (family, number, place), values.reshape(-1, 3).T
+    def passive(radius: Array) -> Barrier:
+        assert approach is not None
+        return PassiveSegments(radius, approach) if sampled else Passive(radius, approach, beyond)
 
-    rows, (radius, a, side) = stack(
-        ("chief_separation", "1", alone, q.separation, q.a_max, 1.0),
-        ("deputy_separation", "2", pairs, q.deputy_separation, 2 * q.a_max, 1.0),
-        ("keep_in", "6", alone, q.distance_max, q.a_inside, -1.0),
-    )
-    groups = [Group(Radial(radius, Braking(a, q.smoothing, q.return_speed), side), *rows)]
-    rows, (a, side, _) = stack(
-        ("sun", "4", alone, q.a_max, 1.0, 0.0),
-        ("deputy_sun", "5+", pairs, q.a_max, 1.0, 0.0),
-        ("deputy_sun", "5-", pairs, q.a_max, -1.0, 0.0),
-    )
-    braking = Braking(a, q.smoothing, q.return_speed)
-    groups.append(Group(SunCone(q.field_of_view / 2, q.mean_motion, braking, side), *rows))
-    if approach is not None:
-        rows, (radius, _, _) = stack(
-            ("passive", "7", alone, q.separation, 0.0, 0.0),
-            ("deputy_passive", "8", pairs, q.deputy_separation, 0.0, 0.0),
-        )
-        segments = PassiveSegments(radius, approach)
-        flights: Barrier = segments if sampled else Passive(radius, approach, beyond)
-        groups.append(Group(flights, *rows, repeat=segments.rows if sampled else 1))
-    rows, _ = stack(("speed", "3", alone, 0.0, 0.0, 0.0))
-    groups.append(Group((SpeedInSquares if sampled else Speed)(q.docking_speed, q.nu_1), *rows))
-    rows, (axis, _, _) = stack(*(("velocity", str(9 + axis), alone, axis, 0.0, 0.0) for axis in range(3)))
-    limit = VelocitySide if sampled else Velocity
-    groups.append(Group(limit(axis.astype(np.intp), q.speed_max), *rows))
-    return [group for group in groups if len(group.place)]
+    spheres = [
+        _Member("chief_separation", "1", alone, (q.separation, q.a_max, 1.0)),
+        _Member("deputy_separation", "2", pairs, (q.deputy_separation, 2 * q.a_max, 1.0)),
+        _Member("keep_in", "6", alone, (q.distance_max, q.a_inside, -1.0)),
+    ]
+    cones = [
+        _Member("sun", "4", alone, (q.a_max, 1.0)),
+        _Member("deputy_sun", "5+", pairs, (q.a_max, 1.0)),
+        _Member("deputy_sun", "5-", pairs, (q.a_max, -1.0)),
+    ]
+    flights = [
+        _Member("passive", "7", alone, (q.separation,)),
+        _Member("deputy_passive", "8", pairs, (q.deputy_separation,)),
+    ]
+    return [
+        (lambda radius, a, side: Radial(radius, braking(a), side), spheres),
+        (lambda a, side: SunCone(q.field_of_view / 2, q.mean_motion, braking(a), side), cones),
+        (passive, flights if approach else []),
+        (lambda: speed(q.docking_speed, q.nu_1), [_Member("speed", "3", alone, ())]),
+        (
+            lambda axis: velocity(axis.astype(np.intp), q.speed_max),
+            [_Member("velocity", str(9 + axis), alone, (axis,)) for axis in range(3)],
+        ),
+    ]
 
 
 class Table:
-    """The constraints of all deputies and pairs, in one fixed order of rows.
+    """The constraints of all deputies and pairs, in one fixed order of M rows.
 
-    Parameters
-    ----------
-    inspection : Inspection
-    without : collection of str
-        Families left out, of `FAMILIES`.
-    approach : ClosestApproach, optional
-        Of the free flights; without it those of `passive` and `deputy_passive` are left out.
-    sampled : bool
-        The forms of the barriers that bound their curvature.
-    beyond : float
-        See `Passive`.
+    Labels begin with the letter h or phi; families `without` are left out, and those of the free flights
+    without their closest `approach` (`beyond` as in `Passive`). Where they are `sampled`, barriers have the
+    forms that bound their curvature.
 
     Attributes
     ----------
-    family : tuple of str, length M
-        Family of each row.
-    number : tuple of str, length M
-        Of each row, as in ``h5+``; ``5+`` and ``5-`` are the two cones of a pair.
+    labels, family : tuple of str, length M
+        Of each row: its name, as in ``h1[2]`` or ``h5+[0,3]`` (``5+`` and ``5-`` are the two cones of a
+        pair), and its family.
     first, second : ndarray of int, shape (M,)
         The deputies a row concerns; second is -1 where there is one only.
+    place : ndarray of int, shape (M,)
+        Where each is in the stack; `everyone` (N + P, 2) are the deputies of all places.
     """
 
     def __init__(
         self,
         inspection: Inspection,
+        letter: str,
         without: Collection[str] = (),
         approach: ClosestApproach | None = None,
         sampled: bool = False,
@@ -131,21 +111,33 @@ class Table:
         for name in without:
             if name not in FAMILIES:
                 raise ScenarioError("without", name, f"must be one of {', '.join(FAMILIES)}")
-        q = self.inspection = inspection
-        self.groups = _groups(q, without, approach, sampled, beyond)
-        if not self.groups:
+        self.inspection = inspection
+        alone = np.arange(inspection.deputies)
+        self.everyone = np.concatenate([np.stack([alone, np.full_like(alone, -1)], axis=1), inspection.pairs])
+        self.groups: list[Group] = []
+        rows: list[tuple[str, str, np.intp]] = []
+        for make, members in _formulas(inspection, approach, sampled, beyond):
+            kept = [m for m in members if m.family not in without and len(m.places)]
+            if not kept:
+                continue
+            size = [len(m.places) for m in kept]
+            columns = zip(*(m.values for m in kept), strict=True)
+            barrier = make(*(np.repeat(column, size) for column in columns))
+            place = np.concatenate([m.places for m in kept])
+            straight = np.array_equal(place, np.arange(place[0], place[-1] + 1))
+            at = slice(int(place[0]), int(place[-1]) + 1) if straight else place
+            of_each = ((m.family, letter + m.number, k) for m in kept for k in m.places)
+            start = len(rows)
+            rows += [row for row in of_each for _ in range(barrier.repeat)]
+            self.groups.append(Group(barrier, at, slice(start, len(rows))))
+        if not rows:
             raise ScenarioError("without", sorted(without), "must leave a constraint")
-        self.place = np.concatenate([np.repeat(group.place, group.repeat) for group in self.groups])
-        self.family = tuple(name for g in self.groups for name in g.family for _ in range(g.repeat))
-        self.number = tuple(name for g in self.groups for name in g.number for _ in range(g.repeat))
-        alone = np.stack([np.arange(q.deputies), np.full(q.deputies, -1)], axis=1)
-        self.first, self.second = np.concatenate([alone, q.pairs])[self.place].T
-
-    def names(self, letter: str) -> tuple[str, ...]:
-        """Names of the rows: ``h1[2]``, ``h2[0,3]``, for a letter of h or phi."""
-        return tuple(
-            f"{letter}{number}[{i},{j}]" if j >= 0 else f"{letter}{number}[{i}]"
-            for number, i, j in zip(self.number, self.first, self.second, strict=True)
+        self.family = tuple(family for family, _, _ in rows)
+        self.place = np.array([place for _, _, place in rows])
+        self.first, self.second = self.everyone[self.place].T
+        self.labels = tuple(
+            f"{number}[{i},{j}]" if j >= 0 else f"{number}[{i}]"
+            for (_, number, _), i, j in zip(rows, self.first, self.second, strict=True)
         )
 
     def among(self, *families: str) -> NDArray[np.bool_]:

@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
-
 import numpy as np
 
 from ...model.system import Array
+from ...rta.one_call import Answer, Backup, CallByCall, named
 from ...rta.projection import FAILED, SHORT
-from ..constraints.families import Families, Rows
-from ..constraints.motion import SampledData
-from ..constraints.strengthening import Strengthening
-from ..inspection import Inspection
+from ...rta.received import Received, Receiver
+from ..constraints.families import Rows
 from ..vectors import dot
-from .decision import Answer, Backup, CallByCall, named
-from .explicit import CENTRALIZED, make_filter
-from .received import Received, Receiver
+from .explicit import Centralized, Decentralized
 
 TIGHT = 1e-7
 """A condition counts as active if the input misses equality by less [N]."""
@@ -37,11 +32,8 @@ class ActiveSetFilter(CallByCall):
 
     Parameters
     ----------
-    inspection : Inspection
-    sharing : str
-        ``centralized``, or how a decentralized filter shares (see `Decentralized`).
-    strengthening, without, sampled : as in `Families`
-        See `Families`.
+    filtering : Centralized or Decentralized
+        Where its constraints are tightened for sampled data, answers are for their period.
     backup : Backup, optional
         Default: no thrust.
     sun_start : float
@@ -50,22 +42,18 @@ class ActiveSetFilter(CallByCall):
 
     def __init__(
         self,
-        inspection: Inspection,
-        sharing: str = CENTRALIZED,
-        strengthening: str | Mapping[str, Strengthening] = "polaris",
-        without: Collection[str] = (),
-        sampled: SampledData | None = None,
+        filtering: Centralized | Decentralized,
         backup: Backup | None = None,
         sun_start: float = 0.0,
     ) -> None:
-        self.backup, self.sun_start = backup, sun_start
-        self.families = Families(inspection, strengthening, without, sampled)
-        self.batch = make_filter(self.families, sharing)
+        self.filtering, self.backup, self.sun_start = filtering, backup, sun_start
+        self.families, self.inspection = filtering.families, filtering.families.inspection
+        sampled = self.families.sampled
         labels = np.array(self.families.labels)
         # Several rows may stand for one constraint; they follow each other.
         self._starts = np.flatnonzero(np.append(True, labels[1:] != labels[:-1]))
         self._names = tuple(labels[self._starts].tolist())
-        super().__init__(inspection, None if sampled is None else sampled.period)
+        super().__init__(self.inspection, None if sampled is None else sampled.period)
 
     def reset(self) -> None:
         """Forget the last states: a new flight begins."""
@@ -83,7 +71,7 @@ class ActiveSetFilter(CallByCall):
         # Commands beyond a million times the limit are as good as that; squares of huge ones overflow.
         most = 1e6 * self.inspection.thrust_max
         sun = self.inspection.sun_angle([got.t], self.sun_start)
-        found = self.batch.batch(got.x[None], sun, np.clip(desired, -most, most)[None])
+        found = self.filtering.batch(got.x[None], sun, np.clip(desired, -most, most)[None])
         u, status, rows = found.u[0], found.status[0], found.rows
         if (failed := status == FAILED).any():
             notes.append("the program failed")

@@ -12,12 +12,11 @@ import numpy as np
 
 from ...model.hill import free_flight
 from ...model.system import Array
-from ..backup.backup_flight import fly_backup, periods
-from ..backup.parking import Memoryless, Outlook
+from ...rta.received import Received
+from ..backup.law import Memoryless, Outlook, fly_backup, periods
 from ..constraints.allowable_set import AllowableRows
 from ..enmt import semi_axes
 from ..vectors import length
-from .received import Received
 
 PHASES = 360
 """Instants at which a parking orbit is looked at over one revolution."""
@@ -32,25 +31,24 @@ class FlightCheck:
     Parameters
     ----------
     law : Memoryless
+        As `Parking`. Its period is that of the filter which asks.
     horizon : float
         Longest flight until all have settled [s].
     sun_start : float
         Sun angle at t = 0 [rad].
     without : collection of str
-        Families left out.
+        Families of constraints left out.
     """
 
     def __init__(
-        self, law: Memoryless, horizon: float, sun_start: float = 0.0, without: Collection[str] = ()
+        self, law: Memoryless, horizon: float = 600.0, sun_start: float = 0.0, without: Collection[str] = ()
     ) -> None:
-        self.law, self.inspection = law, law.inspection
-        self.rows = AllowableRows(law.inspection, without)
-        self.sun_start = sun_start
-        self.steps = periods(horizon, law.period)
-        self.inherited = Inherited(law.period)
-        revolution = 2 * np.pi / law.inspection.mean_motion
-        self._times = np.linspace(0.0, revolution, PHASES + 1)
-        self._orbit = free_flight(law.inspection.mean_motion, self._times)
+        q = law.inspection
+        self.law, self.inspection, self.rows = law, q, AllowableRows(q, without)
+        self.sun_start, self.steps = sun_start, periods(horizon, law.period)
+        self._due, self._proven = np.nan, np.zeros((q.deputies, 6))
+        self._times = np.linspace(0.0, 2 * np.pi / q.mean_motion, PHASES + 1)
+        self._orbit = free_flight(q.mean_motion, self._times)
 
     def __call__(self, t: float, x: Array, u: Array | None = None) -> Array:
         """Lower bounds of all constraints over all time, in their units, shape (M,).
@@ -60,7 +58,7 @@ class FlightCheck:
         """
         law, q = self.law, self.inspection
         first = x if u is None else x @ law.motion[0].T + u @ law.motion[1].T
-        flight = fly_backup(law, first, law.start(first), self.steps, SHARE)
+        flight = fly_backup(law, first, self.steps, SHARE)
         states = flight.x if u is None else np.concatenate([x[None], flight.x])
         at = t + law.period * np.arange(len(states))
         value = self.rows(states, q.sun_angle(at, self.sun_start)).h
@@ -73,14 +71,17 @@ class FlightCheck:
     def proves(self, got: Received, u: Array, good: bool) -> bool:
         """Note what the thrust u (N, 3) leads to; whether the flight after it is proven to stay allowable.
 
-        It is if all states are known and its bounds are good, or if it is the rest of one that was proven.
+        It is if all states are known and its bounds are good. It also is if it is the rest of one that was
+        proven: the bounds are not sharp, and those of a rest may come out lower than those of the whole. A
+        rest is known by the deputies being where that flight has them, at the time for which it has them
+        there, but for rounding.
         """
-        proven = bool(got.known.all()) and (good or self.inherited.holds(got.t, got.x))
-        if proven:
-            Phi, Gamma = self.law.motion
-            self.inherited.prove(got.t, got.x @ Phi.T + u @ Gamma.T)
-        else:
-            self.inherited.clear()
+        due = abs(got.t - self._due) <= 1e-6 * self.law.period
+        rest = due and bool((np.abs(got.x - self._proven) <= 1e-9 * (1 + np.abs(got.x))).all())
+        proven = bool(got.known.all()) and (good or rest)
+        Phi, Gamma = self.law.motion
+        self._due = got.t + self.law.period if proven else np.nan
+        self._proven = got.x @ Phi.T + u @ Gamma.T
         return proven
 
     def parked(self, t: float, outlook: Outlook) -> Array:
@@ -108,30 +109,3 @@ class FlightCheck:
             lost = np.where(rows.among("velocity"), slip * (2 * speed + slip), lost)
         settled = np.isfinite(lost)
         return np.asarray(np.where(settled, least - np.where(settled, lost, 0.0), -np.inf))
-
-
-class Inherited:
-    """Whether the backup flight from here is the rest of one that has been proven before.
-
-    The bounds of `FlightCheck` are not sharp, and those of a rest may come out lower than those of the
-    whole. What has been proven stays proven: if the deputies are where the proven flight has them, at the
-    time for which it has them there. The period is in seconds.
-    """
-
-    def __init__(self, period: float) -> None:
-        self.period = period
-        self.clear()
-
-    def prove(self, t: float, x: Array) -> None:
-        """Note that the backup flight from the states x (N, 6) at t + period is proven."""
-        self._due, self._x = t + self.period, x
-
-    def clear(self) -> None:
-        """Nothing is proven."""
-        self._due, self._x = np.nan, np.empty((0, 6))
-
-    def holds(self, t: float, x: Array) -> bool:
-        """Whether the flight from x at t is proven; states may differ by rounding."""
-        if not abs(t - self._due) <= 1e-6 * self.period:
-            return False
-        return bool((np.abs(x - self._x) <= 1e-9 * (1 + np.abs(x))).all())

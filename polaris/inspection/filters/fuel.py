@@ -16,11 +16,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...model.errors import ScenarioError
 from ...model.system import Array
-from ..backup.backup_flight import BackupFlight, fly_backup, periods
-from ..backup.parking import Law, Parking
-from ..inspection import Inspection
-from .decision import Answer, CallByCall, Switch
-from .received import Received, listed
+from ...rta.one_call import Answer, CallByCall, Switch
+from ...rta.received import Received, listed
+from ..backup.law import BackupFlight, Law, fly_backup, periods
 
 
 class FuelLimit(CallByCall):
@@ -31,9 +29,8 @@ class FuelLimit(CallByCall):
 
     Parameters
     ----------
-    inspection : Inspection
-    law : Law, optional
-        Backup law; default ``Parking(inspection)``. Its period is the filter's: call it once per period.
+    law : Law
+        Backup law, as `Parking` or `Tracker`. Its period is the filter's: call it once per period.
     keep_clear : bool
         The predicted flight must also keep away from the chief; the printed condition has fuel only.
     horizon : float
@@ -64,17 +61,13 @@ class FuelLimit(CallByCall):
 
     def __init__(
         self,
-        inspection: Inspection,
-        law: Law | None = None,
+        law: Law,
         keep_clear: bool = True,
         horizon: float = 3000.0,
         spent: ArrayLike = 0.0,
     ) -> None:
-        q = inspection
-        self.law = Parking(q) if law is None else law
-        if self.law.inspection != q:
-            raise ScenarioError("law", type(law).__name__, "must be for the same inspection problem")
-        self.keep_clear = keep_clear
+        q = law.inspection
+        self.inspection, self.law, self.keep_clear = q, law, keep_clear
         self.steps = periods(horizon, self.law.period)
         before = np.asarray(spent, dtype=float)
         if before.shape not in ((), (q.deputies,)) or not (np.isfinite(before) & (before >= 0)).all():
@@ -84,7 +77,7 @@ class FuelLimit(CallByCall):
         self.log: list[Switch] = []
         self.predicted: BackupFlight | None = None
         super().__init__(q, self.law.period)
-        self._memory: list[Array | None] = [None] * q.deputies
+        self._on_backup, self._memory = np.zeros(q.deputies, dtype=bool), law.start(np.zeros((q.deputies, 6)))
         self._due = np.inf
         self._applied = np.zeros((q.deputies, 3))
 
@@ -119,22 +112,18 @@ class FuelLimit(CallByCall):
         Phi, Gamma = self.law.motion
         x, u = got.x[asked], got.u[asked]
         after = x @ Phi.T + u @ Gamma.T
-        flight = self.predicted = fly_backup(self.law, after, self.law.start(after), self.steps)
+        flight = self.predicted = fly_backup(self.law, after, self.steps)
         coming = np.abs(u).sum(axis=1) * D / q.mass
         reserve = q.delta_v_max - self.spent[asked] - coming - flight.delta_v(q.mass, D)
-        nearest = clearance(flight, x, u, q, D) if self.keep_clear else np.full(len(x), np.inf)
-        reasons = []
+        nearest = clearance(flight, x, self.law) if self.keep_clear else np.full(len(x), np.inf)
+        reasons, coming_flight = [], "the backup flight after this period"
         for left, room, settled in zip(reserve, nearest, flight.outlook.settled, strict=True):
             if not settled:
                 reasons.append("the backup flight does not settle within the horizon")
             elif left < 0:
-                reasons.append(
-                    f"fuel: the backup flight after this period would exceed the limit by {-left:.3g} m/s"
-                )
+                reasons.append(f"fuel: {coming_flight} would exceed the limit by {-left:.3g} m/s")
             elif room < 0:
-                reasons.append(
-                    f"chief: the backup flight after this period would come {-room:.3g} m too near"
-                )
+                reasons.append(f"chief: {coming_flight} would come {-room:.3g} m too near")
             else:
                 reasons.append("")
         return reserve, reasons
@@ -146,22 +135,17 @@ class FuelLimit(CallByCall):
         if late > 0:
             self.spent = self.spent + np.abs(self._applied).sum(axis=1) * late / self.inspection.mass
         if abs(late) > 1e-6 * D:
-            self._memory = [None] * len(self._memory)
+            self._on_backup = np.zeros_like(self._on_backup)
         self._due = t + D
 
     def _thrust(self, got: Received) -> Array:
         """Desired, backup, or none where the state is not known."""
         passed = got.known & got.given & ~self.latched
-        u = np.where(passed[:, None], got.u, 0.0)
-        for i in range(len(u)):
-            if passed[i] or not got.known[i]:
-                self._memory[i] = None  # when it is needed next, the backup takes over anew
-                continue
-            x = got.x[i : i + 1]
-            memory = self._memory[i]
-            held, self._memory[i] = self.law.thrust(x, self.law.start(x) if memory is None else memory)
-            u[i] = held[0]
-        return u
+        backed = got.known & ~passed
+        memory = np.where(self._on_backup[:, None], self._memory, self.law.start(got.x))
+        held, self._memory = self.law.thrust(got.x, memory)
+        self._on_backup = backed  # of the others, the backup takes over anew when it is needed next
+        return np.where(passed[:, None], got.u, np.where(backed[:, None], held, 0.0))
 
     def _affordable(self, u: Array) -> Array:
         """Share of a thrust that the fuel allows, shape (N,)."""
@@ -171,15 +155,15 @@ class FuelLimit(CallByCall):
         return np.where(cost > left, left / np.where(cost > 0, cost, 1.0), 1.0)
 
 
-def clearance(flight: BackupFlight, x: Array, u: Array, inspection: Inspection, period: float) -> Array:
+def clearance(flight: BackupFlight, x: Array, law: Law) -> Array:
     """Lower bound on the distance from the chief, less the separation [m], over all time; shape (N,).
 
-    From the states x (N, 6) through one period [s] of the thrust u (N, 3), along the flight after it, and
+    From the states x (N, 6) through one period of thrust, along the flight after it, and
     for ever after. Between two samples a position is at least ``(r_k + r_{k+1} - length) / 2`` away, where
     the path's length is at most the period times the larger speed at its ends and half of what the
     acceleration adds.
     """
-    q = inspection
+    q, period = law.inspection, law.period
     states = np.concatenate([x[None], flight.x])
     distance = np.linalg.norm(states[..., :3], axis=-1)
     speed = np.linalg.norm(states[..., 3:], axis=-1)

@@ -7,21 +7,18 @@ present input (eq. 7); every answer is tried before it is given. What holds, and
 
 from __future__ import annotations
 
-from collections.abc import Collection
-
 import numpy as np
 from numpy.typing import NDArray
 
 from ...model.checks import positive
 from ...model.hill import free_flight
 from ...model.system import Array
+from ...rta.one_call import Answer, CallByCall, named
 from ...rta.projection import FILTERED, solve
-from ..backup.backup_flight import BackupFlight, fly_backup, sensitivities
-from ..backup.parking import Memoryless, Parking
-from ..inspection import Inspection
-from .decision import Answer, CallByCall, named
+from ...rta.received import Received
+from ..backup.law import BackupFlight, fly_backup, sensitivities
+from ..backup.parking import Parking
 from .flight_check import FlightCheck
-from .received import Received
 
 SAMPLES = 40
 """Most samples along the flight for which there is a condition."""
@@ -37,17 +34,10 @@ class ImplicitASIF(CallByCall):
 
     Parameters
     ----------
-    inspection : Inspection
-    law : Memoryless, optional
-        Default ``Parking(inspection)``. Its period is the filter's.
-    horizon : float
-        Longest backup flight [s].
+    check : FlightCheck
+        Of the backup's flights; its period is the filter's.
     rate : float
         Strengthening ``alpha(g) = rate g`` [1/s].
-    sun_start : float
-        Sun angle at t = 0 [rad].
-    without : collection of str
-        Families of constraints left out.
 
     Notes
     -----
@@ -58,39 +48,18 @@ class ImplicitASIF(CallByCall):
     one its rows are left out. One without a desired input is asked to follow the backup.
     """
 
-    def __init__(
-        self,
-        inspection: Inspection,
-        law: Memoryless | None = None,
-        horizon: float = 600.0,
-        rate: float = 0.1,
-        sun_start: float = 0.0,
-        without: Collection[str] = (),
-    ) -> None:
-        self.law: Memoryless = Parking(inspection) if law is None else law
-        self.check = FlightCheck(self.law, horizon, sun_start, without)
-        self.rate = positive("rate", rate, "1/s")
+    def __init__(self, check: FlightCheck, rate: float = 0.1) -> None:
+        self.check, self.law, self.inspection = check, check.law, check.inspection
+        self.rate, inspection = positive("rate", rate, "1/s"), check.inspection
         super().__init__(inspection, self.law.period)
         times = np.linspace(0.0, 2 * np.pi / inspection.mean_motion, ORBIT, endpoint=False)
         self._times, self._orbit = times, free_flight(inspection.mean_motion, times)
 
     def conditions(self, t: float, x: Array, flight: BackupFlight) -> tuple[Array, Array, Array]:
-        """Rows ``G u >= bound`` at the states x (N, 6) and t [s].
+        """Rows ``G u >= bound`` at the states x (N, 6) and t [s], for the backup's flight from there.
 
-        Parameters
-        ----------
-        t : float
-        x : ndarray, shape (N, 6)
-        flight : BackupFlight
-            From x.
-
-        Returns
-        -------
-        G : ndarray, shape (S, M, N, 3)
-            By sample (along the flight, then along the parking orbit) and constraint.
-        bound : ndarray, shape (S, M)
-        value : ndarray, shape (S, M)
-            The constraints themselves.
+        G (S, M, N, 3) and bound (S, M), by sample (along the flight, then along the parking orbit) and
+        constraint; and the constraints themselves, (S, M).
         """
         q, rows, law = self.inspection, self.check.rows, self.law
         slopes = sensitivities(law, flight.x)
@@ -112,7 +81,7 @@ class ImplicitASIF(CallByCall):
         along[:, pair, rows.second[pair]] = -np.einsum(
             "smi,smij->smj", phi.gradient[:, pair], slopes_at[:, rows.second[pair]]
         )
-        drift = np.einsum("smni,ni->sm", along, x @ q.A.T) + phi.change
+        drift = np.einsum("smni,ni->sm", along, x @ q.system.A.T) + phi.change
         return along[..., 3:] / q.mass, -drift - self.rate * phi.h, phi.h
 
     def _answer(self, got: Received) -> Answer:
@@ -140,7 +109,7 @@ class ImplicitASIF(CallByCall):
     def _filtered(self, got: Received, wanted: Array, counted: NDArray[np.bool_]) -> tuple[Array, list[str]]:
         """Solve the quadratic program; no notes if it has a solution."""
         limit = self.inspection.thrust_max
-        flight = fly_backup(self.law, got.x, self.law.start(got.x), self.check.steps)
+        flight = fly_backup(self.law, got.x, self.check.steps)
         G, bound, _ = self.conditions(got.t, got.x, flight)
         G = np.where(got.known[:, None], G, 0.0)[:, counted].reshape(-1, wanted.size)
         bound = bound[:, counted].ravel()

@@ -11,7 +11,6 @@ constraint that concerns it at `release` or more. For guarantees see ``docs/insp
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Collection
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,25 +18,19 @@ from numpy.typing import NDArray
 from ...model.checks import non_negative, positive, whole
 from ...model.errors import ScenarioError
 from ...model.system import Array
-from ..backup.parking import Memoryless, Parking
+from ...rta.one_call import Answer, Backup, CallByCall, Switch, named
+from ...rta.received import Received
+from ..backup.parking import Parking
 from ..constraints.families import Families
-from ..inspection import Inspection
-from .decision import Answer, Backup, CallByCall, Switch, named
+from ..constraints.table import Table
 from .explicit import Centralized
 from .flight_check import FlightCheck
-from .received import Received
 
 
 class Guarded:
     """A backup made safe: a barrier filter about the thrust of a simpler one.
 
-    Parameters
-    ----------
-    filtering : Centralized
-    inner : Backup
-        Its thrust is the desired input; where the program fails it is answered as it is.
-    sun_start : float
-        Sun angle at t = 0 [rad].
+    The inner one's thrust is the desired input; where the program fails it is answered as it is.
     """
 
     def __init__(self, filtering: Centralized, inner: Backup, sun_start: float = 0.0) -> None:
@@ -55,39 +48,41 @@ class Guarded:
 class Latched(CallByCall):
     """Latching, handing back, the log, unknown states; what both filters share.
 
-    A subclass provides the constraints: `first`, `second`, `labels`, and `_try`.
+    A subclass tries thrusts on the constraints that are the rows; margin and release are in their units, one
+    for all or of shape (M,). The period and the dwell are in seconds.
     """
-
-    first: NDArray[np.intp]
-    second: NDArray[np.intp]
-    labels: tuple[str, ...]
 
     def __init__(
         self,
-        inspection: Inspection,
+        rows: Table,
         backup: Backup,
         period: float,
-        margin: Array,
-        release: Array,
+        margin: Array | float,
+        release: Array | float,
         dwell: float,
     ) -> None:
-        self.backup, self.period = backup, positive("period", period, "s")
-        super().__init__(inspection, self.period)
-        if (release < margin).any():
-            raise ScenarioError("release", float(release.min()), "must be at least the margin")
+        self.rows, self.backup, self.period = rows, backup, positive("period", period, "s")
+        self.inspection = rows.inspection
+        super().__init__(rows.inspection, self.period)
+        if np.any(release < margin):
+            raise ScenarioError("release", float(np.min(release)), "must be at least the margin")
         self._margin, self._release = margin, release
         self.dwell = non_negative("dwell", dwell, "s")
-        self.latched = np.zeros(inspection.deputies, dtype=bool)
+        self.latched = np.zeros(self.inspection.deputies, dtype=bool)
         self.log: list[Switch] = []
-        self._clear_since = np.full(inspection.deputies, np.nan)
+        self._clear_since = np.full(self.inspection.deputies, np.nan)
 
     @abstractmethod
     def _try(self, t: float, x: Array, u: Array) -> Array:
         """Least value of each constraint if the thrust u (N, 3) is held for the coming period, shape (M,)."""
 
+    def _proves(self, got: Received, u: Array, good: bool) -> bool:
+        """Note the outcome; whether it is known to be safe, be it that the constraints hold (`good`)."""
+        return good
+
     def _answer(self, got: Received) -> Answer:
         notes: list[str] = []
-        counted, able = got.counted(self.first, self.second), got.known & got.given
+        counted, able = got.counted(self.rows.first, self.rows.second), got.known & got.given
         backup = np.where(got.known[:, None], self._backed_up(self.backup, got, notes), 0.0)
         if not got.steady:
             self._clear_since[:] = np.nan  # nothing has lasted across a break of the clock
@@ -97,13 +92,14 @@ class Latched(CallByCall):
             notes.append("the backup itself does not keep the constraints for certain")
         passed = able & ~self.latched
         none = np.full(len(u), not got.known.any())
-        margins = named(self.labels, value, counted)
+        margins = named(self.rows.labels, value, counted)
         return Answer(u, ~passed | got.clipped, ~passed, none, margins, notes, active, unproven=not proven)
 
     def _decide(
         self, got: Received, able: NDArray[np.bool_], backup: Array, counted: NDArray[np.bool_]
     ) -> tuple[Array, Array, tuple[str, ...], bool]:
         """Switch deputies until the constraints hold, or all are on backup."""
+        labels = self.rows.labels
         active: tuple[str, ...] = tuple(f"latched[{i}]" for i in np.flatnonzero(self.latched))
         while True:
             passed = able & ~self.latched
@@ -113,43 +109,34 @@ class Latched(CallByCall):
             if not bad.any() or not passed.any():
                 return u, value, active, self._proves(got, u, not bad.any())
             worst = int(np.flatnonzero(bad)[np.argmin((value - self._margin)[bad])])
-            active += tuple(self.labels[k] for k in np.flatnonzero(bad))
+            active += tuple(labels[k] for k in np.flatnonzero(bad))
             concerned = self._concerned(bad) & passed
-            reason = f"{self.labels[worst]} would be {value[worst]:.3g}"
-            for i in np.flatnonzero(concerned if concerned.any() else passed):
-                self.latched[i] = True
-                self._clear_since[i] = np.nan
-                self.log.append(Switch(got.t, int(i), "backup", reason))
-
-    def _proves(self, got: Received, u: Array, good: bool) -> bool:
-        """Note the outcome; whether it is known to be safe, be it that the constraints hold (`good`)."""
-        return good
+            reason = f"{labels[worst]} would be {value[worst]:.3g}"
+            self._switch(concerned if concerned.any() else passed, got.t, "backup", reason)
 
     def _hand_back(
         self, got: Received, able: NDArray[np.bool_], backup: Array, counted: NDArray[np.bool_]
     ) -> None:
         """Hand back deputies whose desired input has been acceptable for long enough."""
-        asking = self.latched & able
-        self._clear_since[~asking] = np.nan
-        if not asking.any():
-            return
-        wish = np.where(able[:, None], got.u, backup)
-        clear = asking & ~self._concerned(counted & ~(self._try(got.t, got.x, wish) >= self._release))
-        self._clear_since[~clear] = np.nan
-        begun = np.isnan(self._clear_since)
-        self._clear_since = np.where(clear & begun, got.t, self._clear_since)
-        for i in np.flatnonzero(clear & (got.t - self._clear_since >= self.dwell)):
-            self.latched[i] = False
-            self._clear_since[i] = np.nan
-            reason = f"all constraints at their release for {self.dwell:g} s"
-            self.log.append(Switch(got.t, int(i), "desired", reason))
+        clear = self.latched & able
+        if clear.any():
+            value = self._try(got.t, got.x, np.where(able[:, None], got.u, backup))
+            clear &= ~self._concerned(counted & ~(value >= self._release))
+        since = np.where(np.isnan(self._clear_since), got.t, self._clear_since)
+        self._clear_since = np.where(clear, since, np.nan)
+        reason = f"all constraints at their release for {self.dwell:g} s"
+        self._switch(clear & (got.t - since >= self.dwell), got.t, "desired", reason)
+
+    def _switch(self, who: NDArray[np.bool_], t: float, to: str, reason: str) -> None:
+        """Switch some deputies (N,) to ``backup`` or back, and log it."""
+        self.latched[who] = to == "backup"
+        self._clear_since[who] = np.nan
+        self.log += [Switch(t, int(i), to, reason) for i in np.flatnonzero(who)]
 
     def _concerned(self, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Deputies of the chosen constraints, shape (N,)."""
-        out = np.zeros(self.inspection.deputies, dtype=bool)
-        out[self.first[chosen]] = True
-        out[self.second[chosen & (self.second >= 0)]] = True
-        return out
+        who = np.concatenate([self.rows.first[chosen], self.rows.second[chosen]])
+        return np.isin(np.arange(self.inspection.deputies), who)
 
 
 class ExplicitSimplex(Latched):
@@ -193,9 +180,7 @@ class ExplicitSimplex(Latched):
         if backup is None:
             backup = Guarded(Centralized(families), Parking(q, period=period), sun_start)
         self.families, self.sun_start = families, sun_start
-        self.first, self.second, self.labels = families.first, families.second, families.labels
-        size = len(self.labels)
-        super().__init__(q, backup, period, np.full(size, margin), np.full(size, release), dwell)
+        super().__init__(families, backup, period, margin, release, dwell)
         self._parts = self.period * np.arange(1, whole("looks", looks, 1) + 1) / looks
         self._moves = [q.held(float(part)) for part in self._parts]
 
@@ -210,19 +195,12 @@ class ImplicitSimplex(Latched):
 
     Parameters
     ----------
-    inspection : Inspection
-    law : Memoryless, optional
-        The backup; default ``Parking(inspection)``. Its period is the filter's.
-    horizon : float
-        Longest backup flight until all deputies have settled [s].
+    check : FlightCheck
+        Of the flights under its law, which is the backup; its period is the filter's.
     release_distance, release_speed : float
         Least values for handing back of distances [m] and of speeds [m/s] (phi9 to phi11: [m^2/s^2]).
     dwell : float
         [s]
-    sun_start : float
-        Sun angle at t = 0 [rad].
-    without : collection of str
-        Families of constraints left out.
 
     Attributes
     ----------
@@ -232,25 +210,18 @@ class ImplicitSimplex(Latched):
 
     def __init__(
         self,
-        inspection: Inspection,
-        law: Memoryless | None = None,
-        horizon: float = 600.0,
+        check: FlightCheck,
         release_distance: float = 2.0,
         release_speed: float = 0.02,
         dwell: float = 30.0,
-        sun_start: float = 0.0,
-        without: Collection[str] = (),
     ) -> None:
-        law = Parking(inspection) if law is None else law
-        self.check = FlightCheck(law, horizon, sun_start, without)
-        rows = self.check.rows
-        self.first, self.second, self.labels = rows.first, rows.second, rows.labels
+        self.check, law = check, check.law
         release = np.where(
-            rows.is_speed,
+            check.rows.is_speed,
             non_negative("release_speed", release_speed, "m/s"),
             non_negative("release_distance", release_distance, "m"),
         )
-        super().__init__(inspection, law, law.period, np.zeros(len(release)), release, dwell)
+        super().__init__(check.rows, law, law.period, 0.0, release, dwell)
 
     def _try(self, t: float, x: Array, u: Array) -> Array:
         return self.check(t, x, u)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from time import perf_counter
 
 import numpy as np
@@ -12,8 +12,7 @@ from numpy.typing import ArrayLike
 from ...model.checks import vector
 from ...model.errors import ScenarioError
 from ...model.system import Array
-from ..backup.backup_flight import fly_backup
-from ..backup.parking import Law
+from ..backup.law import Law, fly_backup
 from ..filters.fuel import FuelLimit
 from ..inspection import Inspection
 from .primary import Primary
@@ -27,14 +26,7 @@ ENDED = 1e-4
 class Prediction:
     """A backup flight as it was predicted at some instant and, unless it is the last, not flown.
 
-    Attributes
-    ----------
-    t : ndarray, shape (J+1,)
-        [s]
-    x : ndarray, shape (J+1, 6)
-        [m, m/s]
-    delta_v : ndarray, shape (J+1,)
-        Spent by then, from the run's start [m/s].
+    Instants t (J+1,) [s], states x (J+1, 6), and delta_v (J+1,) spent by then, from the run's start [m/s].
     """
 
     t: Array
@@ -59,14 +51,14 @@ class FuelRun:
         Spent by each instant [m/s] (eq. 25); ``phi12 = inspection.delta_v_max - delta_v``.
     latched_at : float or None
         When the backup took over [s]; None if it never did.
-    reason : str or None
-        Why.
     predictions : tuple of Prediction
         Backup flights from the instants asked for, and from that of the switch.
+    reason : str or None
+        Why it did; not known of a run read from files, nor what follows.
     exhausted : bool
         Thrust was cut because no fuel was left: the limit held, the parking orbit may not be reached.
-    slowest_decision, median_decision : float
-        Time of the decisions that predicted a flight, those before the switch [s].
+    seconds : ndarray
+        Wall time of each decision that predicted a flight, those before the switch [s].
     """
 
     inspection: Inspection
@@ -76,11 +68,10 @@ class FuelRun:
     desired: Array
     delta_v: Array
     latched_at: float | None
-    reason: str | None
     predictions: tuple[Prediction, ...]
-    exhausted: bool
-    slowest_decision: float
-    median_decision: float
+    reason: str | None = None
+    exhausted: bool = False
+    seconds: Array = field(default_factory=lambda: np.empty(0))
 
 
 def fly_fuel_limit(
@@ -108,12 +99,12 @@ def fly_fuel_limit(
     q, law = filtering.inspection, filtering.law
     if q.deputies != 1:
         raise ScenarioError("deputies", q.deputies, "must be 1")
-    count = whole_periods(duration, law.period)
+    count, (Phi, Gamma) = whole_periods(duration, law.period), law.motion
     t = np.asarray(np.arange(count + 1) * law.period, dtype=float)
     x, u, desired = np.empty((count + 1, 6)), np.empty((count, 3)), np.empty((count, 3))
     x[0], delta_v = vector("x0", x0, 6), np.empty(count + 1)
     delta_v[0] = filtering.spent[0]
-    (Phi, Gamma), asked, exhausted = law.motion, sorted(predict_at), False
+    asked, exhausted = sorted(predict_at), False
     times: list[float] = []
     kept: list[Prediction] = []
     for k in range(count):
@@ -129,14 +120,12 @@ def fly_fuel_limit(
         u[k] = decision.u[0]
         x[k + 1] = Phi @ x[k] + Gamma @ u[k]
         delta_v[k + 1] = filtering.spent[0]
-    switch = filtering.log[0] if filtering.log else None
-    when, why = (None, None) if switch is None else (switch.t, switch.reason)
-    slowest, median = max(times), float(np.median(times))
-    return FuelRun(q, t, x, u, desired, delta_v, when, why, tuple(kept), exhausted, slowest, median)
+    when, why = (filtering.log[0].t, filtering.log[0].reason) if filtering.log else (None, None)
+    return FuelRun(q, t, x, u, desired, delta_v, when, tuple(kept), why, exhausted, np.array(times))
 
 
 def _predict(law: Law, t: float, x: Array, spent: float, steps: int) -> Prediction:
-    flight = fly_backup(law, x[None], law.start(x[None]), steps, ENDED)
+    flight = fly_backup(law, x[None], steps, ENDED)
     each = np.abs(flight.u).sum(axis=(1, 2)) * law.period / law.inspection.mass
     instants = np.asarray(t + np.arange(len(flight.x)) * law.period, dtype=float)
     return Prediction(instants, flight.x[:, 0], spent + np.append(0.0, np.cumsum(each)))

@@ -6,13 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-import control
 import numpy as np
 
 from ...model.checks import non_negative, positive
 from ...model.errors import ScenarioError
-from ...model.hill import clohessy_wiltshire
 from ...model.system import Array
+from ...synthesis.tracking import lqr_gain
 from ..inspection import Inspection
 
 
@@ -52,14 +51,11 @@ class LQR:
         velocity_weight: float = 1.0,
         thrust_weight: float = 1.0,
     ) -> None:
-        q = inspection
-        system = clohessy_wiltshire(q.mean_motion, q.mass, q.thrust_max)
-        Q = np.diag(
-            [positive("position_weight", position_weight, "1/m^2")] * 3
-            + [non_negative("velocity_weight", velocity_weight, "s^2/m^2")] * 3
+        weights = [positive("position_weight", position_weight, "1/m^2")] * 3
+        weights += [non_negative("velocity_weight", velocity_weight, "s^2/m^2")] * 3
+        self.gain = lqr_gain(
+            inspection.system, weights, [positive("thrust_weight", thrust_weight, "1/N^2")] * 3
         )
-        R = np.eye(3) * positive("thrust_weight", thrust_weight, "1/N^2")
-        self.gain = np.asarray(control.lqr(system.A, system.B, Q, R)[0])
         self.distance = distance
 
     def __call__(self, t: float, x: Array) -> Array:
@@ -88,12 +84,8 @@ class Phases:
 
     def __post_init__(self) -> None:
         starts = list(self.starts)
-        if (
-            len(starts) != len(self.controllers)
-            or not starts
-            or starts[0] != 0
-            or sorted(set(starts)) != starts
-        ):
+        rising = starts[:1] == [0] and sorted(set(starts)) == starts
+        if not rising or len(starts) != len(self.controllers):
             raise ScenarioError("starts", starts, "must begin with 0, increase, one for each controller")
 
     def __call__(self, t: float, x: Array) -> Array:

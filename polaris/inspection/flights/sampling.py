@@ -20,7 +20,7 @@ PATIENCE = 200_000
 class InitialConditions:
     """States inside the safe set, drawn as they are asked for: the same ones in the same order.
 
-    Samples that violate a constraint are removed and drawn again.
+    Samples that violate a constraint are removed and drawn again. Threads may share one.
 
     Parameters
     ----------
@@ -31,6 +31,11 @@ class InitialConditions:
         Half-widths of the sampled cube [m], [m/s]; default r_max and v_max.
     block : int
         Samples per Latin hypercube.
+
+    Attributes
+    ----------
+    x, sun : ndarray, shapes (K, N, 6) and (K,)
+        All accepted so far, of the `drawn`; angles of the sun in rad.
     """
 
     def __init__(
@@ -71,6 +76,11 @@ class InitialConditions:
                 self._draw()
             return self.x[:count], self.sun[:count]
 
+    @property
+    def acceptance(self) -> float:
+        """Share of the samples drawn so far that satisfied everything."""
+        return len(self.x) / self.drawn
+
     def _draw(self) -> None:
         sample = self.sampler.random(self.block)
         x = (self.wide * (2 * sample[:, :-1] - 1)).reshape(self.block, -1, 6)
@@ -83,31 +93,3 @@ class InitialConditions:
             good = part[(self.families(x[part], sun[part]).h >= 0).all(axis=1)]
             self.x = np.concatenate([self.x, x[good]])
             self.sun = np.concatenate([self.sun, sun[good]])
-
-
-def initial_conditions(
-    families: Families,
-    count: int,
-    seed: int = 0,
-    position: float | None = None,
-    speed: float | None = None,
-    block: int = 4096,
-) -> tuple[Array, Array, float]:
-    """Draw some initial conditions; arguments as of `InitialConditions`.
-
-    Returns
-    -------
-    x : ndarray, shape (count, N, 6)
-    sun : ndarray, shape (count,)
-        Angle of the sun at the start [rad].
-    acceptance : float
-        Share of the samples that satisfied everything.
-
-    Raises
-    ------
-    ScenarioError
-        If hardly any sample satisfies every constraint (less than one in `PATIENCE`).
-    """
-    drawn = InitialConditions(families, seed, position, speed, block)
-    x, sun = drawn.first(count)
-    return x, sun, len(drawn.x) / drawn.drawn

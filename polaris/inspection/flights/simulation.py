@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from time import perf_counter
 from typing import Protocol
 
 import numpy as np
@@ -12,40 +13,86 @@ from numpy.typing import NDArray
 from ...model.checks import positive, whole
 from ...model.errors import ScenarioError
 from ...model.system import Array
-from ...rta.projection import FAILED
+from ...rta.one_call import RunTimeFilter
+from ...rta.projection import DESIRED, FAILED, FILTERED, SHORT
+from ..constraints.families import Families
 from ..filters.explicit import Filtered
 from ..inspection import Inspection
-from .primary import Primary
+from .primary import NoInput, Primary
+
+BACKUP, UNPROVEN = FAILED + 1, FAILED + 2
+"""How an input came about, beside those of `polaris.rta.projection`: the backup controller gave it; it did,
+and not even that is known to keep the constraints."""
 
 
 class BatchFilter(Protocol):
-    """A filter of R runs at once: `Centralized` or `Decentralized`."""
+    """A filter of R runs at once, as `Centralized` or `Decentralized`, and the constraints that it keeps."""
+
+    @property
+    def families(self) -> Families:
+        """The constraints."""
+        ...
 
     def batch(self, x: Array, sun: Array, desired: Array) -> Filtered:
         """Filter inputs of shape (R, N, 3) at states (R, N, 6) and sun angles (R,) [rad]."""
         ...
 
 
-@dataclass(frozen=True, eq=False)
-class Step:
-    """One control period of a batch, as observers see it.
+class OneFlight:
+    """One flight under a `RunTimeFilter`, made for the sun at its start [rad] and asked every period [s].
 
-    Attributes
+    A `BatchFilter` of one run; `families` are the barriers whose values are recorded.
+    """
+
+    def __init__(self, start: Callable[[float], RunTimeFilter], families: Families, period: float) -> None:
+        self.start, self.families, self.period = start, families, period
+        self.filter, self._calls = start(0.0), 0
+
+    def batch(self, x: Array, sun: Array, desired: Array) -> Filtered:
+        """Filter inputs of shape (1, N, 3) at states (1, N, 6) and the sun angle (1,) [rad]."""
+        if not self._calls:
+            self.filter = self.start(float(sun[0]))
+        decision = self.filter.filter(self._calls * self.period, x[0], desired[0])
+        self._calls += 1
+        short = SHORT if decision.status == "short" else FILTERED
+        status = np.where(decision.intervened, np.where(decision.on_backup, BACKUP, short), DESIRED)
+        if decision.unproven:
+            status[:] = UNPROVEN
+        return Filtered(decision.u[None], status[None].astype(np.int8), self.families(x, sun))
+
+
+@dataclass(frozen=True, eq=False)
+class Flights:
+    """R flights of N deputies that are to be flown.
+
+    Parameters
     ----------
-    k : int
-        Index of the period.
-    t : float
-        Its start [s].
+    inspection : Inspection
     x : ndarray, shape (R, N, 6)
-        States at the start.
+        Initial states.
     sun : ndarray, shape (R,)
         Sun angles at the start [rad].
-    desired : ndarray, shape (R, N, 3)
-        [N]
-    filtered : Filtered
-        Where the program failed, its input is replaced by no thrust.
-    between : ndarray, shape (B, R, N, 6)
-        States at instants strictly inside the period, evenly spaced.
+    duration, period : float
+        Of each flight and of one control period [s]; the period must divide the duration.
+    primary : Primary
+        By default nobody wants any thrust.
+    """
+
+    inspection: Inspection
+    x: Array
+    sun: Array
+    duration: float = 500.0
+    period: float = 1.0
+    primary: Primary = field(default_factory=NoInput)
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """Control period k of a batch, from t [s] on, as observers see it.
+
+    States x (R, N, 6) and sun angles (R,) [rad] are those at its start. Where the program failed, the
+    filtered input is replaced by no thrust. `after` has the states at evenly spaced instants of the period,
+    its end among them, shape (B+1, R, N, 6); `seconds` is the wall time of the filter.
     """
 
     k: int
@@ -54,7 +101,11 @@ class Step:
     sun: Array
     desired: Array
     filtered: Filtered
-    between: Array
+    after: Array
+    seconds: float
+
+
+Observer = Callable[[Step], None]
 
 
 def whole_periods(duration: float, period: float) -> int:
@@ -65,56 +116,38 @@ def whole_periods(duration: float, period: float) -> int:
     return count
 
 
-def fly(
-    inspection: Inspection,
-    filtering: BatchFilter,
-    primary: Primary,
-    x: Array,
-    sun: Array,
-    duration: float,
-    period: float = 1.0,
-    between: int = 1,
-    observe: Callable[[Step], None] = lambda step: None,
-) -> Array:
-    """Fly R runs of N deputies.
+def fly(flights: Flights, filtering: BatchFilter, *observers: Observer, between: int = 1) -> Array:
+    """Fly all runs at once.
 
     Parameters
     ----------
-    inspection : Inspection
+    flights : Flights
     filtering : BatchFilter
-    primary : Primary
-    x : ndarray, shape (R, N, 6)
-        Initial states.
-    sun : ndarray, shape (R,)
-        Sun angles at the start [rad].
-    duration, period : float
-        Of the flight and of one control period [s]; the period must divide the duration.
+    *observers : callable
+        Called with every `Step`, in order.
     between : int
-        Instants inside each period handed to the observer.
-    observe : callable
-        Called once per period, in order.
+        Instants inside each period handed to the observers.
 
     Returns
     -------
     ndarray, shape (R, N, 6)
         Final states.
     """
-    count = whole_periods(duration, period)
-    parts = whole("between", between, 0) + 1
-    moves = [inspection.held(period * (b + 1) / parts) for b in range(parts)]
+    q, period, x = flights.inspection, flights.period, flights.x
+    count, parts = whole_periods(flights.duration, period), whole("between", between, 0) + 1
+    moves = [q.held(period * (b + 1) / parts) for b in range(parts)]
     for k in range(count):
         t = k * period
-        angles = inspection.sun_angle(t, sun)
-        desired = primary(t, x)
+        sun, desired = q.sun_angle(t, flights.sun), flights.primary(t, x)
         lost = np.asarray(~np.isfinite(desired).all(axis=2))
-        filtered = filtering.batch(x, angles, np.where(lost[..., None], 0.0, desired))
-        u = filtered.u
-        failed = filtered.status == FAILED
-        if failed.any():
-            u[failed] = 0.0
+        begun = perf_counter()
+        filtered = filtering.batch(x, sun, np.where(lost[..., None], 0.0, desired))
+        seconds = perf_counter() - begun
+        filtered.u[filtered.status == FAILED] = 0.0
         filtered.status[lost] = FAILED
-        after = np.stack([x @ Phi.T + u @ Gamma.T for Phi, Gamma in moves])
-        observe(Step(k, t, x, angles, desired, filtered, after[:-1]))
+        after = np.stack([x @ Phi.T + filtered.u @ Gamma.T for Phi, Gamma in moves])
+        for observe in observers:
+            observe(Step(k, t, x, sun, desired, filtered, after, seconds))
         x = after[-1]
     return x
 
@@ -138,6 +171,8 @@ class InspectionRun:
         See `polaris.rta.projection`.
     h : ndarray, shape (K, M)
         Values of the barriers, in the order of `Families.family`.
+    seconds : ndarray, shape (K,)
+        Wall time of the filter in each period [s]; empty if read from files.
     """
 
     inspection: Inspection
@@ -148,6 +183,7 @@ class InspectionRun:
     desired: Array
     status: NDArray[np.int8]
     h: Array
+    seconds: Array = field(default_factory=lambda: np.empty(0))
 
     @property
     def delta_v(self) -> Array:
@@ -156,45 +192,30 @@ class InspectionRun:
         return np.concatenate([np.zeros((1, steps.shape[1])), np.cumsum(steps, axis=0)])
 
 
-def fly_one(
-    inspection: Inspection,
-    filtering: BatchFilter,
-    primary: Primary,
-    x: Array,
-    sun: float,
-    duration: float,
-    period: float = 1.0,
-) -> InspectionRun:
-    """Fly one run and keep all of it; arguments as in `fly`, x of shape (N, 6)."""
-    kept = Kept(0)
-    fly(inspection, filtering, primary, x[None], np.array([sun]), duration, period, 0, kept)
-    return kept.flight(inspection, sun, duration, period)
+def fly_one(flights: Flights, filtering: BatchFilter, *observers: Observer) -> InspectionRun:
+    """Fly one run (R = 1) and keep all of it; further observers are as in `fly`."""
+    kept = Kept(flights)
+    fly(flights, filtering, kept, *observers, between=0)
+    return kept.flight()
 
 
 class Kept:
-    """Observer of `fly` that keeps one run of a batch in full.
+    """Observer of `fly` that keeps one run of a batch in full, by its number."""
 
-    Parameters
-    ----------
-    run : int
-        Its number in the batch.
-    """
-
-    def __init__(self, run: int) -> None:
-        self.run = run
+    def __init__(self, flights: Flights, run: int = 0) -> None:
+        self.flights, self.run = flights, run
         self.steps: list[tuple[Array, ...]] = []
 
     def __call__(self, step: Step) -> None:
         """Take in one control period."""
         given = (step.x, step.filtered.u, step.desired, step.filtered.status, step.filtered.rows.h)
-        self.steps.append((np.array(step.t), *(values[self.run].copy() for values in given)))
-        self.last = step
+        parts = (values[self.run].copy() for values in given)
+        self.steps.append((np.array(step.t), np.array(step.seconds), *parts))
+        self.last = step.after[-1, self.run]
 
-    def flight(self, inspection: Inspection, sun: float, duration: float, period: float) -> InspectionRun:
-        """The run, from the angle of the sun at its start [rad]; arguments else as in `fly`."""
-        t, x, u, desired, status, h = (np.stack(values) for values in zip(*self.steps, strict=True))
-        Phi, Gamma = inspection.held(period)
-        final = self.last.x @ Phi.T + self.last.filtered.u @ Gamma.T  # as `fly` moves the whole batch
-        t = np.append(t, duration)
-        x = np.concatenate([x, final[None, self.run]])
-        return InspectionRun(inspection, t, x, inspection.sun_angle(t, sun), u, desired, status, h)
+    def flight(self) -> InspectionRun:
+        """The run."""
+        t, seconds, x, u, desired, status, h = (np.stack(values) for values in zip(*self.steps, strict=True))
+        t, q = np.append(t, self.flights.duration), self.flights.inspection
+        sun = q.sun_angle(t, float(self.flights.sun[self.run]))
+        return InspectionRun(q, t, np.concatenate([x, self.last[None]]), sun, u, desired, status, h, seconds)

@@ -1,22 +1,21 @@
-"""Figures for print: the scene with its modes, distance and thrust, timeline, containment margin.
-
-matplotlib is imported when the first figure is drawn.
-"""
+"""Figures for print: the scene with its modes, distance and thrust, timeline, containment margin."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from ...model.checks import of_kind
 from ...runs.folder import RunFolder
-from ...runs.picture import Picture, picture_of, picture_of_safety
+from ...runs.picture import Picture
+from ...runs.picturing import picture_of, picture_of_safety
 from ...synthesis.get_safety import Safety
 from ...synthesis.schedule import Schedule
 from ..scene.scene import describe
 from .scene import draw_scene, scene_figure
 from .scene3d import scene_3d_figure
-from .style import WIDTH, keep_ticks, new_figure, printing, save, style
+from .style import WIDTH, keep_ticks, save_all, style
 from .timelines import distance_figure, margin_figure, modes_figure
 
 __all__ = ["NAMES", "draw_figures", "draw_run", "plot_reference", "plot_schedule"]
@@ -64,10 +63,12 @@ def _plot(picture: Picture, ax: Any) -> Any:
             draw_scene(ax, describe(picture))
             keep_ticks([ax])
             return ax
-        from matplotlib import pyplot
+        from matplotlib import pyplot  # it may look for a screen
 
-        shown = lambda height: pyplot.figure(figsize=(WIDTH, height), layout="constrained")  # noqa: E731
-        return scene_figure(picture, shown).axes[0]
+        def new(height: float) -> Any:
+            return pyplot.figure(figsize=(WIDTH, height), layout="constrained")
+
+        return scene_figure(picture, new).axes[0]
 
 
 def draw_run(folder: RunFolder) -> list[Path]:
@@ -90,7 +91,9 @@ def draw_run(folder: RunFolder) -> list[Path]:
     """
     from ...runs.atomic import replacing
     from .comparison import draw_comparison
-    from .inspection import draw_campaign, draw_flight, draw_fuel_run
+    from .flight import draw_flight
+    from .fuel_limit import draw_fuel_run
+    from .monte_carlo import draw_campaign
 
     draw: Any = {
         "schedule": draw_figures,
@@ -106,21 +109,12 @@ def draw_run(folder: RunFolder) -> list[Path]:
 
 
 def draw_figures(picture: Picture, folder: Path) -> list[Path]:
-    """Draw and write a run folder's figures, each as PDF and PNG; same picture, same bytes.
-
-    Parameters
-    ----------
-    picture : Picture
-        With a schedule and its flights.
-    folder : Path
-        Must exist.
-    """
-    with printing():
-        names = [name for name in NAMES if name != "scene_3d" or picture.system.d > 1]
-        return [path for name in names for path in save(_FIGURES[name](picture, new_figure), folder, name)]
+    """Draw and write a schedule's figures into a folder, each as PDF and PNG; same picture, same bytes."""
+    names = [name for name in NAMES if name != "scene_3d" or picture.system.d > 1]
+    return save_all(((name, _FIGURES[name](picture)) for name in names), folder)
 
 
-_FIGURES = {
+_FIGURES: dict[str, Callable[[Picture], Any]] = {
     "scene": scene_figure,
     "scene_3d": scene_3d_figure,
     "distance": distance_figure,

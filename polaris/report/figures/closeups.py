@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from matplotlib.patches import Polygon
 
 from ...runs.picture import Picture
 from ..scene.closeups import CloseUp
@@ -43,8 +44,6 @@ def draw_closeup(ax: Any, picture: Picture, one: CloseUp, letter: str, aspect: f
 
 
 def _in_plane(ax: Any, picture: Picture, one: CloseUp, axes: list[int], aspect: float) -> None:
-    from matplotlib.patches import Polygon
-
     times, path = picture.safe_path()
     space, origin = Space.of(picture), np.zeros(picture.system.d)
     if moves(one.obstacle, picture):

@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.lines import Line2D
 
+from ...rta.arena import Shown
+from ...runs.comparison import ComparisonPicture
 from ...runs.picture import Picture
-from ...simulation.baselines import Flights
 from ..scene.items import under_mode
 from ..scene.palette import BLUE, GREEN, GREY, ORANGE, RED
 from ..scene.scene import describe
 from .scene import draw_unsafe
-from .style import DOTS, new_figure, printing, save, shortened
+from .style import DOTS, new_figure, printing, save_all, shortened
 from .view import View
-
-if TYPE_CHECKING:
-    from ...rta.arena import Shown
-    from ...runs.comparison import ComparisonPicture
 
 MODES = ((1, ORANGE, "U's input"), (-1, GREY, "filtered input"), (0, BLUE, "S"))
 
@@ -35,28 +34,20 @@ PANELS: tuple[tuple[str, str, bool], ...] = (
 
 
 def draw_comparison(found: ComparisonPicture, out: Path) -> list[Path]:
-    """Draw ``paths`` (every method's run that came closest) and ``tradeoffs`` (metrics with intervals).
+    """Draw ``paths`` (every method's run that came closest) and ``tradeoffs`` (metrics with intervals)."""
 
-    Parameters
-    ----------
-    found : ComparisonPicture
-    out : Path
-        Where PDF and PNG files go.
-    """
-    methods = [method for method in found.table["methods"] if method["available"]]
-    drawn: list[Path] = []
-    with printing():
-        drawn += save(_tradeoffs(methods), out, "tradeoffs")
+    def figures() -> Iterable[tuple[str, Any]]:
+        methods = [method for method in found.table["methods"] if method["available"]]
+        yield "tradeoffs", _tradeoffs(methods)
         picture = found.run.picture()
         if picture.system.d > 1:
-            drawn += save(_paths(picture, methods, found.shown), out, "paths")
-    return drawn
+            yield "paths", _paths(picture, methods, found.shown)
+
+    return save_all(figures(), out)
 
 
 def tradeoffs_png(methods: Sequence[Mapping[str, Any]]) -> bytes:
     """The figure ``tradeoffs`` as a picture for a page."""
-    from io import BytesIO
-
     file = BytesIO()
     with printing():
         chosen = [method for method in methods if method.get("available", True)]
@@ -98,9 +89,7 @@ def _tradeoffs(methods: Sequence[Mapping[str, Any]]) -> Any:
 
 
 def _paths(picture: Picture, methods: Sequence[Mapping[str, Any]], shown: Mapping[str, Shown]) -> Any:
-    from matplotlib.lines import Line2D
-
-    view, alone = View.of(describe(picture)), replace(picture, tube=None, slices=None)
+    view, alone = View(describe(picture), mute=True), replace(picture, tube=None, slices=None)
     columns = 3 if view.aspect < 0.8 else 4
     rows = -(-len(methods) // columns)
     width = 7.2
@@ -111,7 +100,7 @@ def _paths(picture: Picture, methods: Sequence[Mapping[str, Any]], shown: Mappin
         ax.set_axis_off()
     for ax, method in zip(grid.flat, methods, strict=False):
         ax.set_aspect("equal")
-        ax.set(xlim=view.x, ylim=view.y)
+        ax.set(xlim=view.span[0], ylim=view.span[1])
         one = shown.get(method["key"])
         # The distance tells whether a set is passed or entered, which a plane need not show.
         told = "" if one is None else f": {float(one.nearest[0].min()):.3g} m"
@@ -119,8 +108,8 @@ def _paths(picture: Picture, methods: Sequence[Mapping[str, Any]], shown: Mappin
         ax.set_title(name, fontsize=7, color=GREEN if method["guarantee"] == "proved" else RED)
         ax.tick_params(labelsize=6)
         ax.plot(*picture.path()[0][:, flat].T, color=GREY, lw=0.6, ls=DOTS, zorder=2)
-        own = {} if one is None else {"polaris": _flights(method["name"], one)}
-        draw_unsafe(ax, describe(replace(alone, flights=own)), _Mute(view.x, view.y, view.points))
+        own: Any = {} if one is None else {"polaris": one}
+        draw_unsafe(ax, describe(replace(alone, flights=own)), view)
         if one is not None:
             flown = (one.states[0] @ picture.system.position.T)[:, flat]
             for mode, colour, _ in MODES:
@@ -132,17 +121,3 @@ def _paths(picture: Picture, methods: Sequence[Mapping[str, Any]], shown: Mappin
     handles = [Line2D([], [], color=colour, lw=1.4, label=name) for _, colour, name in MODES]
     figure.legend(handles=handles, loc="outside upper center", ncols=3, fontsize=7)
     return figure
-
-
-def _flights(name: str, shown: Shown) -> Flights:
-    """The run that came closest, as the other figures know flights."""
-    states, inputs, modes = shown.states[:1], shown.inputs[:1], shown.modes[0]
-    ranges = np.stack([shown.inputs.min(axis=0), shown.inputs.max(axis=0)])
-    return Flights(name, shown.labels[:1], shown.times, states, inputs, modes, shown.nearest, ranges)
-
-
-class _Mute(View):
-    """A view in which no names are written."""
-
-    def label(self, ax: Any, text: str, outline: Any, colour: str) -> None:
-        """Write nothing."""

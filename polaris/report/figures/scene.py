@@ -11,30 +11,36 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from matplotlib.collections import PolyCollection
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch, PathPatch, Polygon
+from matplotlib.path import Path
 
 from ...model.system import Array
 from ...runs.picture import Picture
-from ..scene.geometry import Shape
 from ..scene.items import Item, Scene
 from ..scene.palette import BLACK, DARK_OLIVE, GREEN, GREY, LOOKS, OLIVE, ORANGE, RED, mode_colour, tint
 from ..scene.scene import describe
 from ..scene.unsafe import seconds
+from . import style
 from .closeups import LETTERS, draw_closeup
-from .style import DASHES, DOTS, GOAL_DASHES, LONG, WIDTH, draw_safe_path, keep_ticks, legend_above, shortened
+from .style import DASHES, DOTS, GOAL_DASHES, LONG, WIDTH, draw_safe_path, new_figure, shortened
 from .view import View
 
 
-def scene_figure(picture: Picture, new_figure: Any) -> Any:
-    """A figure of the scene with the close-ups it needs, no higher than they ask for."""
+def scene_figure(picture: Picture, new: Callable[[float], Any] = new_figure) -> Any:
+    """A figure of the scene with the close-ups it needs, no higher than they ask for.
+
+    `new` makes an empty figure of some height [in].
+    """
     scene = describe(picture)
     found = scene.closeups
     wide = 1 if len(found) == 1 else 2
     rows = -(-len(found) // wide)
-    figure = new_figure(3.0)
+    figure = new(3.0)
     # One close-up is as wide as the figure.
     panel = 1.15 if wide == 2 else 1.3
-    heights = [3.0, *[panel] * rows]
-    grid = figure.add_gridspec(1 + rows, wide, height_ratios=heights)
+    grid = figure.add_gridspec(1 + rows, wide, height_ratios=[3.0, *[panel] * rows])
     ax = figure.add_subplot(grid[0, :])
     top = draw_scene(ax, scene, lettered=True)
     for i, one in enumerate(found):
@@ -46,28 +52,27 @@ def scene_figure(picture: Picture, new_figure: Any) -> Any:
     main = 2.9 / 3.5 * WIDTH * ((y1 - y0) / (x1 - x0) if ax.get_aspect() == 1.0 else 0.6)
     grid.set_height_ratios([main + 0.45 + top, *[panel + 0.75] * rows])
     figure.set_figheight(main + 0.58 + top + rows * (panel + 0.75))
-    keep_ticks(figure.axes)
+    style.keep_ticks(figure.axes)
     return figure
 
 
 def draw_scene(ax: Any, scene: Scene, lettered: bool = False) -> float:
     """Draw everything in the plane of motion; on the line, position over time. Height of the legend [in].
 
-    Parameters
-    ----------
-    ax : matplotlib axes
-    scene : Scene
-        In two axes.
-    lettered : bool
-        Whether close-ups are drawn beside it, in the order of their letters.
+    If `lettered`, close-ups are drawn beside it, in the order of their letters.
     """
-    view = View.of(scene)
+    view = View(scene)
     if scene.time_axis is None:
         ax.set_aspect("equal")
-    ax.set(xlim=view.x, ylim=view.y, xlabel=scene.labels[0], ylabel=scene.labels[1])
+    ax.set(xlim=view.span[0], ylim=view.span[1], xlabel=scene.labels[0], ylabel=scene.labels[1])
     ax.grid(True)
-    drawers: tuple[Callable[..., list[Any]], ...] = (_slices, _tube, _start, _goal, _paths)
+    drawers: tuple[Callable[..., list[Any]], ...] = (_slices, _tube, _goal, _paths)
     handles = [handle for draw in drawers for handle in draw(ax, scene, view)]
+    for item in scene.of("initial"):
+        if scene.time_axis is None:
+            _outline(ax, item.points, 0.6, "-", BLACK, 5)
+        else:
+            ax.plot(*item.points.T, color=BLACK, lw=3, clip_on=False, zorder=6)
     draw_unsafe(ax, scene, view, lettered)
     for t, _, outline in scene.picture.printed_slices() if scene.time_axis is None else ():
         if len(view.seen(outline)):
@@ -79,7 +84,7 @@ def draw_scene(ax: Any, scene: Scene, lettered: bool = False) -> float:
         # Else an unsafe set round the target has its own name there.
         if np.all(np.array(near) > 0) and view.contains(np.zeros(2)):
             view.label(ax, "target", np.zeros((1, 2)), BLACK)
-    return legend_above(ax, handles, 2)
+    return style.legend_above(ax, handles, 2)
 
 
 # -- sets that are drawn lightly --------------------------------------------------------------------
@@ -87,16 +92,13 @@ def draw_scene(ax: Any, scene: Scene, lettered: bool = False) -> float:
 
 def _slices(ax: Any, scene: Scene, view: View) -> list[Any]:
     """Few recoverable sets, with the chaser in them; on the line, over time, there is room for all."""
-    from matplotlib.collections import PolyCollection
-    from matplotlib.patches import Patch
-
     look, slices = LOOKS["slice"], scene.picture.slices
     if slices is not None and scene.time_axis == 0:
         ends = slices.outlines[:, 0, :, 0]
         low, high = ends.min(axis=1), ends.max(axis=1)
         colour, edge = tint(look.colour, 0.6), tint(look.colour, 0.6)
         ax.vlines(slices.times, low, high, color=colour, lw=1.0, zorder=1)
-        seen = bool(np.any((high > view.y[0]) & (low < view.y[1])))
+        seen = bool(np.any((high > view.low[1]) & (low < view.high[1])))
     else:
         outlines = [outline for _, _, outline in scene.picture.printed_slices()]
         colour, edge = tint(look.colour, 0.28), tint(OLIVE, 0.5)
@@ -110,14 +112,10 @@ def _slices(ax: Any, scene: Scene, view: View) -> list[Any]:
 
 def _tube(ax: Any, scene: Scene, view: View) -> list[Any]:
     """The tube by mode; the handle is of the mode that can be seen best beside the path."""
-    from matplotlib.patches import Patch, PathPatch
-    from matplotlib.path import Path
-
     seen: dict[int, Any] = {}
     for item in scene.of("tube"):
-        assert item.modes is not None  # there is no tube without a schedule
         outlines = np.stack([shape.points for shape in item.shapes if shape])
-        for mode in np.unique(item.modes):
+        for mode in np.unique(scene.picture.modes):
             chosen = outlines[item.modes == mode]
             colour = tint(mode_colour(int(mode)), 0.3)
             together = Path.make_compound_path_from_polys(chosen)
@@ -130,20 +128,8 @@ def _tube(ax: Any, scene: Scene, view: View) -> list[Any]:
     return [seen[max(seen)]] if seen else []
 
 
-def _start(ax: Any, scene: Scene, view: View) -> list[Any]:
-    for item in scene.of("initial"):
-        shape = item.shape
-        if shape and shape.kind == "line":
-            ax.plot(*shape.points.T, color=BLACK, lw=3, clip_on=False, zorder=6)
-        elif shape:
-            _outline(ax, shape.points, 0.6, "-", BLACK, 5)
-    return []
-
-
 def _goal(ax: Any, scene: Scene, view: View) -> list[Any]:
     """The goal as far as it is in view, on the line if it all is; a handle if it is."""
-    from matplotlib.lines import Line2D
-
     over = scene.time_axis == 0
     handles: list[Any] = []
     line: dict[str, Any] = {"color": GREEN, "lw": 3 if over else 0.7, "ls": "-" if over else GOAL_DASHES}
@@ -169,8 +155,6 @@ def _goal(ax: Any, scene: Scene, view: View) -> list[Any]:
 def _outline(
     ax: Any, outline: Array, width: float, dashes: Any, edge: Any, order: float, face: Any = "none"
 ) -> None:
-    from matplotlib.patches import Polygon
-
     ax.add_patch(Polygon(outline, facecolor=face, edgecolor=edge, lw=width, ls=dashes, zorder=order))
 
 
@@ -179,17 +163,13 @@ def _outline(
 
 def _paths(ax: Any, scene: Scene, view: View) -> list[Any]:
     """Reference, U alone, and the trajectory under Polaris coloured by mode."""
-    from matplotlib.lines import Line2D
-
     handles = []
     for item in scene.of("reference", "tail"):
-        look: dict[str, Any] = {"color": GREY, "lw": 1.1, "ls": DOTS}
         if item.role == "tail":
-            look = {"color": tint(GREY, 0.6), "lw": 0.7, "ls": DOTS}
-        else:
-            handles.append(Line2D([], [], label=LOOKS["reference"].legend, **look))
-        assert item.shape is not None
-        ax.plot(*item.shape.points.T, zorder=4.5 if item.role == "reference" else 2.6, **look)
+            ax.plot(*item.points.T, zorder=2.6, color=tint(GREY, 0.6), lw=0.7, ls=DOTS)
+            continue
+        ax.plot(*item.points.T, zorder=4.5, color=GREY, lw=1.1, ls=DOTS)
+        handles.append(Line2D([], [], label=LOOKS["reference"].legend, color=GREY, lw=1.1, ls=DOTS))
     alone = scene.flown("experimental")
     if alone is not None:
         ax.plot(*alone.T, color=ORANGE, lw=0.9, ls=DASHES, zorder=3.5)
@@ -197,9 +177,8 @@ def _paths(ax: Any, scene: Scene, view: View) -> list[Any]:
             handles.append(Line2D([], [], color=ORANGE, lw=0.9, ls=DASHES, label="U alone"))
     picture, flown = scene.picture, scene.safe_path()
     for mode in draw_safe_path(ax, picture, flown):
-        handles.append(
-            Line2D([], [], color=mode_colour(mode), lw=1.5, label=f"under {picture.mode_name(mode)}")
-        )
+        name = f"under {picture.mode_name(mode)}"
+        handles.append(Line2D([], [], color=mode_colour(mode), lw=1.5, label=name))
     if scene.time_axis is None:
         ax.plot(*flown[-1], marker="s", color=BLACK, ms=2.6, zorder=6)
         ax.plot(*flown[0], marker="o", color=BLACK, ms=2.6, zorder=6)
@@ -213,7 +192,9 @@ def draw_unsafe(ax: Any, scene: Scene, view: View, lettered: bool = False) -> No
     """Draw every unsafe set and keep-in set with its name."""
     for item in scene.items:
         if item.role == "unsafe" and scene.time_axis == 0:
-            _band(ax, item, view)
+            _outline(ax, item.points, 0.6, "-", RED, 3, tint(RED, 0.45))
+            for mark in item.marks:
+                view.label(ax, shortened(item.name, 1.5), mark.shape.points, RED)
         elif item.role == "unsafe":
             _unsafe(ax, item, view, lettered)
         elif item.role == "keep_in":
@@ -229,7 +210,12 @@ def _unsafe(ax: Any, item: Item, view: View, lettered: bool) -> None:
         first, outline = mark is item.marks[0], mark.shape.points
         if not (len(view.seen(outline)) or (not aside and view.within(outline))):
             continue  # out of view; or passed out of the plane, and all of the view
-        _set(ax, outline, first, aside)
+        edge = tint(RED, 1.0 if first else 0.5)
+        if aside:
+            _outline(ax, outline, 0.7, LONG, edge, 1.5)
+        else:
+            _outline(ax, outline, 0.0, "-", "none", 1.5, tint(RED, 0.45 if first else 0.2))
+            _outline(ax, outline, 0.6, "-", edge, 1.6)
         if mark.cover is not None:
             _outline(ax, mark.cover, 0.5, LONG if aside else "-", RED, 1.6)
             view.avoid(view.seen(mark.cover))
@@ -244,36 +230,17 @@ def _unsafe(ax: Any, item: Item, view: View, lettered: bool) -> None:
             view.label(ax, mark.told, mark.place[None], RED)
 
 
-def _set(ax: Any, outline: Array, first: bool, aside: bool) -> None:
-    if aside:
-        _outline(ax, outline, 0.7, LONG, tint(RED, 1.0 if first else 0.5), 1.5)
-        return
-    _outline(ax, outline, 0.0, "-", "none", 1.5, tint(RED, 0.45 if first else 0.2))
-    _outline(ax, outline, 0.6, "-", tint(RED, 1.0 if first else 0.5), 1.6)
-
-
-def _band(ax: Any, item: Item, view: View) -> None:
-    assert item.shape is not None
-    _outline(ax, item.shape.points, 0.6, "-", RED, 3, tint(RED, 0.45))
-    for mark in item.marks:
-        view.label(ax, shortened(item.name, 1.5), mark.shape.points, RED)
-
-
 def _keep_in(ax: Any, item: Item, view: View) -> None:
     """Draw a keep-in set and write its name: on the line in the middle, else at the end that is in view."""
     name, _, inside = item.name.rpartition(" (")
     told = f"{shortened(name, 1.5)} ({inside}"
     if item.shape is not None:
-        ax.plot(*item.shape.points.T, color=RED, lw=0.8, ls=LONG, zorder=3 if item.marks else 1.6)
+        ax.plot(*item.points.T, color=RED, lw=0.8, ls=LONG, zorder=3 if item.marks else 1.6)
     if item.marks:
         view.label(ax, told + item.marks[0].told, item.marks[0].shape.points, RED)
         return
-    seen = view.seen(_rim(item.shape))
+    seen = view.seen(item.points[:-1])
     if len(seen):
         far = seen[np.argmax(np.linalg.norm(seen - view.points.mean(axis=0), axis=1))]
         view.avoid(seen)
         view.label(ax, told, far[None], RED)
-
-
-def _rim(shape: Shape | None) -> Array:
-    return np.zeros((0, 2)) if shape is None else shape.points[:-1]

@@ -5,17 +5,19 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from matplotlib.ticker import MaxNLocator
+from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from ...model.system import Array
 from ...runs.picture import Picture
-from ..scene.geometry import Shape, closed, faces, gapped
+from ..scene.geometry import closed, faces, gapped
 from ..scene.items import Item, Scene, by_mode
 from ..scene.palette import BLACK, GREEN, GREY, ORANGE, RED, mode_colour, tint
 from ..scene.scene import describe, over_time
-from .style import DASHES, DOTS, GOAL_DASHES, LONG, legend_rows
+from .style import DASHES, DOTS, GOAL_DASHES, LONG, legend_rows, new_figure
 
 
-def scene_3d_figure(picture: Picture, new_figure: Any) -> Any:
+def scene_3d_figure(picture: Picture) -> Any:
     """A figure of the scene in space."""
     space = picture.system.d == 3
     figure = new_figure(2.5 if space else 3.0)
@@ -43,8 +45,6 @@ def scene_3d_figure(picture: Picture, new_figure: Any) -> Any:
 
 def frame_axes(ax: Any, labels: Any, low: Array, high: Array) -> None:
     """Limits, labels and few ticks of axes in space."""
-    from matplotlib.ticker import MaxNLocator
-
     ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
     for axis, label in zip("xyz", labels, strict=True):
         getattr(ax, f"set_{axis}label")(label, fontsize=7, labelpad=-6 if axis == "z" else -3)
@@ -57,12 +57,10 @@ def frame_axes(ax: Any, labels: Any, low: Array, high: Array) -> None:
 
 
 def _paths(ax: Any, scene: Scene) -> None:
-    for item in scene.of("reference", "tail"):
-        look: dict[str, Any] = {"color": GREY, "lw": 1.0, "label": "reference"}
-        if item.role == "tail":
-            look = {"color": tint(GREY, 0.6), "lw": 0.7}
-        assert item.shape is not None
-        ax.plot(*item.shape.points.T, ls=DOTS, **look)
+    for item in scene.of("reference"):
+        ax.plot(*item.points.T, ls=DOTS, color=GREY, lw=1.0, label="reference")
+    for item in scene.of("tail"):
+        ax.plot(*item.points.T, ls=DOTS, color=tint(GREY, 0.6), lw=0.7)
     alone, flown = scene.flown("experimental"), scene.flown("polaris")
     if alone is not None:
         ax.plot(*alone.T, color=ORANGE, lw=0.9, ls=DASHES, label="U alone")
@@ -93,27 +91,20 @@ def _solids(ax: Any, item: Item, scene: Scene) -> None:
     """A set at some instants, the most important one strongest."""
     shown = [mark.shape for mark in item.marks if _seen(mark.shape.points, scene)][::-1]
     for strength, shape in zip(np.linspace(1 / max(len(shown), 1), 1, len(shown)), shown, strict=True):
-        _fill(ax, shape, float(strength), 0.12 if item.cut else 0.28)
+        polygons = faces(shape.points)
+        edge = (*tint(RED, float(strength)), 0.8) if len(polygons) < 50 else "none"  # not of what is round
+        face = (*tint(RED, 0.7), (0.12 if item.cut else 0.28) * float(strength))
+        many = Poly3DCollection(polygons, linewidth=0.35, facecolor=face, edgecolor=edge)
+        ax.add_collection3d(many, autolim=False)
     if shown:
         _name(ax, item.name, shown[-1].points)
 
 
-def _fill(ax: Any, shape: Shape, strength: float, opacity: float) -> None:
-    from mpl_toolkits.mplot3d.art3d import Poly3DCollection
-
-    polygons = faces(shape.points)
-    edge = (*tint(RED, strength), 0.8) if len(polygons) < 50 else "none"  # not of what is round
-    face = (*tint(RED, 0.7), opacity * strength)
-    many = Poly3DCollection(polygons, linewidth=0.35, facecolor=face, edgecolor=edge)
-    ax.add_collection3d(many, autolim=False)
-
-
 def _sides(ax: Any, item: Item, scene: Scene) -> None:
     """Edges of a keep-in set."""
-    shape = item.shape
-    if shape is not None and _seen(shape.points, scene):
-        ax.plot(*shape.points.T, color=RED, lw=0.6, alpha=0.6, ls=LONG)
-        _name(ax, item.name.removesuffix(": its sides"), shape.points)
+    if item.shape is not None and _seen(item.points, scene):
+        ax.plot(*item.points.T, color=RED, lw=0.6, alpha=0.6, ls=LONG)
+        _name(ax, item.name.removesuffix(": its sides"), item.points)
 
 
 def _name(ax: Any, name: str, points: Array) -> None:

@@ -5,6 +5,8 @@ Labels are plain text: setting mathematics takes longer than drawing everything 
 
 from __future__ import annotations
 
+import atexit
+import shutil
 import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -12,7 +14,14 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import matplotlib
 import numpy as np
+from fontTools import subset
+from matplotlib import font_manager, get_data_path
+from matplotlib.figure import Figure
+from matplotlib.font_manager import FontProperties
+from matplotlib.textpath import text_to_path
+from matplotlib.ticker import AutoLocator
 
 from ...model.system import Array
 from ...runs.picture import Picture
@@ -30,27 +39,17 @@ ABOVE: Any = {"loc": "lower left", "bbox_to_anchor": (-0.02, 1.0), "ncols": 3}
 _STYLE: Any = {
     "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans"],
-    "font.size": 8,
-    "axes.labelsize": 8,
-    "axes.titlesize": 8,
-    "xtick.labelsize": 7,
-    "ytick.labelsize": 7,
-    "legend.fontsize": 7,
-    "axes.linewidth": 0.6,
-    "xtick.major.width": 0.6,
-    "ytick.major.width": 0.6,
-    "xtick.major.size": 2.5,
-    "ytick.major.size": 2.5,
+    **dict.fromkeys(("font.size", "axes.labelsize", "axes.titlesize"), 8),
+    **dict.fromkeys(("xtick.labelsize", "ytick.labelsize", "legend.fontsize"), 7),
+    **dict.fromkeys(("axes.linewidth", "xtick.major.width", "ytick.major.width", "patch.linewidth"), 0.6),
+    **dict.fromkeys(("xtick.major.size", "ytick.major.size"), 2.5),
     "lines.linewidth": 1.2,
-    "patch.linewidth": 0.6,
-    "hatch.linewidth": 0.4,
     "legend.frameon": False,
     "legend.handlelength": 1.6,
     "legend.columnspacing": 1.2,
     "legend.handletextpad": 0.5,
     "legend.borderaxespad": 0.2,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
+    **dict.fromkeys(("axes.spines.top", "axes.spines.right"), False),
     "axes.axisbelow": True,
     # A power of ten apart from the ticks would stand in the legend.
     "axes.formatter.limits": (-6, 7),
@@ -59,19 +58,15 @@ _STYLE: Any = {
     "grid.linewidth": 0.4,
     "savefig.dpi": 300,
     "pdf.fonttype": 42,
-    "svg.hashsalt": "polaris",
     "path.simplify": True,
     # Figures ask for their layout themselves.
-    "figure.autolayout": False,
-    "figure.constrained_layout.use": False,
+    **dict.fromkeys(("figure.autolayout", "figure.constrained_layout.use"), False),
 }
 
 
 @contextmanager
 def style() -> Iterator[None]:
     """Apply the house style while figures are drawn and saved; the user's own settings come back after."""
-    import matplotlib
-
     with matplotlib.rc_context(_STYLE):
         yield
 
@@ -79,8 +74,6 @@ def style() -> Iterator[None]:
 @contextmanager
 def printing() -> Iterator[None]:
     """The house style with a font that is quick to embed."""
-    import matplotlib
-
     with style(), matplotlib.rc_context({"font.family": [_light_font(), "DejaVu Sans"]}):
         yield
 
@@ -92,9 +85,6 @@ def _light_font() -> str:
     Every PDF embeds the glyphs it shows, and searching all of the font for them again for each figure
     takes longer than drawing it. The glyphs are the same; what is missing comes from DejaVu Sans itself.
     """
-    from fontTools import subset
-    from matplotlib import font_manager, get_data_path
-
     options = subset.Options(legacy_kern=True, glyph_names=True, notdef_outline=True)
     options.drop_tables += ["FFTM", "GDEF", "GPOS", "GSUB", "MATH"]
     font = subset.load_font(str(Path(get_data_path(), "fonts", "ttf", "DejaVuSans.ttf")), options)
@@ -106,37 +96,35 @@ def _light_font() -> str:
             entry.string = "PolarisSans"
         elif entry.nameID == 2:
             entry.string = "Regular"
-    path = Path(_scratch().name, "PolarisSans.ttf")
+    folder = tempfile.mkdtemp(prefix="polaris-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    path = Path(folder, "PolarisSans.ttf")
     font.save(path)
     font_manager.fontManager.addfont(path)
     return "PolarisSans"
 
 
-@cache
-def _scratch() -> tempfile.TemporaryDirectory[str]:
-    """A folder that is removed when the process ends."""
-    return tempfile.TemporaryDirectory(prefix="polaris-")
-
-
 def new_figure(height: float, width: float = WIDTH) -> Any:
     """Return an empty figure that no window and no global state knows of."""
-    from matplotlib.figure import Figure
-
     # The resolution it is saved with, so that the layout is that of what is printed.
     return Figure(figsize=(width, height), dpi=_STYLE["savefig.dpi"], layout="constrained")
 
 
-def save(figure: Any, folder: Path, name: str) -> tuple[Path, Path]:
-    """Write one figure as PDF and PNG with nothing in them that changes from run to run."""
-    pdf, png = folder / f"{name}.pdf", folder / f"{name}.png"
-    # The layout is solved once. As long as a figure has an engine, each format is drawn twice.
-    engine = figure.get_layout_engine()
-    if engine is not None:
-        engine.execute(figure)
-    figure.set_layout_engine(None)
-    figure.savefig(pdf, metadata={"CreationDate": None, "Creator": "polaris", "Producer": None})
-    figure.savefig(png, metadata={"Software": "polaris"})
-    return pdf, png
+def save_all(figures: Iterable[tuple[str, Any]], folder: Path) -> list[Path]:
+    """Draw and write named figures as PDF and PNG, with nothing in them that changes from run to run."""
+    paths: list[Path] = []
+    with printing():
+        for name, figure in figures:
+            # The layout is solved once. As long as a figure has an engine, each format is drawn twice.
+            engine = figure.get_layout_engine()
+            if engine is not None:
+                engine.execute(figure)
+            figure.set_layout_engine(None)
+            pdf, png = folder / f"{name}.pdf", folder / f"{name}.png"
+            figure.savefig(pdf, metadata={"CreationDate": None, "Creator": "polaris", "Producer": None})
+            figure.savefig(png, metadata={"Software": "polaris"})
+            paths += [pdf, png]
+    return paths
 
 
 def keep_ticks(axes: Iterable[Any]) -> None:
@@ -145,8 +133,6 @@ def keep_ticks(axes: Iterable[Any]) -> None:
     Left alone, matplotlib finds as many as fit by the settings and the width of the moment, however long
     their labels: others after the layout is solved than before, or outside of `style`.
     """
-    from matplotlib.ticker import AutoLocator
-
     for ax in axes:
         ax.tick_params(labelsize=_STYLE["xtick.labelsize"])
         place = ax.get_position(original=True)
@@ -162,20 +148,17 @@ def keep_ticks(axes: Iterable[Any]) -> None:
             axis.get_major_locator().set_params(nbins=most, min_n_ticks=min(most, 2))
 
 
-def text_width(text: str, size: float = 7.0) -> float:
-    """Width of a text [in], with what fitting letters to pixels may add."""
-    from matplotlib.font_manager import FontProperties
-    from matplotlib.textpath import text_to_path
-
-    font = FontProperties(size=size)
+def text_width(text: str) -> float:
+    """Width of a text of 7 points [in], with what fitting letters to pixels may add."""
+    font = FontProperties(size=7.0)
     return 1.05 * float(text_to_path.get_text_width_height_descent(text, font, False)[0]) / 72
 
 
-def shortened(text: str, width: float, size: float = 7.0) -> str:
+def shortened(text: str, width: float) -> str:
     """A text, its end cut off if it is wider than this [in]."""
-    if text_width(text, size) <= width:
+    if text_width(text) <= width:
         return text
-    while len(text) > 1 and text_width(text + "\N{HORIZONTAL ELLIPSIS}", size) > width:
+    while len(text) > 1 and text_width(text + "\N{HORIZONTAL ELLIPSIS}") > width:
         text = text[:-1]
     return text + "\N{HORIZONTAL ELLIPSIS}"
 

@@ -6,23 +6,14 @@ import re
 from typing import Any
 
 import numpy as np
+from matplotlib.patches import Patch
 from numpy.typing import ArrayLike
 
 from ...runs.picture import Picture
+from ..scene import palette
 from ..scene.geometry import stretches
-from ..scene.palette import (
-    BLACK,
-    GREY,
-    INPUT_SHADES,
-    PILOTS,
-    RED,
-    SET_SHADES,
-    input_labels,
-    mode_colour,
-    shades,
-    tint,
-)
-from .style import keep_ticks, legend_above, step_edges
+from ..scene.palette import BLACK, GREY, PILOTS, RED, mode_colour, shades, tint
+from .style import keep_ticks, legend_above, new_figure, step_edges
 
 INPUT_DASHES: tuple[Any, ...] = ("-", (0, (4, 1.2)), (0, (1.2, 1)))
 
@@ -34,7 +25,7 @@ FLOWN: dict[str, tuple[Any, float, float]] = {
 """Dashes, width and order of those that flew."""
 
 
-def distance_figure(picture: Picture, new_figure: Any) -> Any:
+def distance_figure(picture: Picture) -> Any:
     """Distance to the nearest unsafe set, and below it the input."""
     figure = new_figure(3.6)
     upper, lower = figure.subplots(2, 1, sharex=True)
@@ -62,8 +53,7 @@ def _distance(ax: Any, picture: Picture) -> None:
     pad = 0.06 * (highest - lowest) + 1e-9
     bottom = lowest - 2 * pad
     _beyond(ax, 0.0, bottom)
-    place = {"ha": "right", "va": "top", "transform": ax.get_yaxis_transform()}
-    ax.text(0.99, 0.0, "unsafe", color=RED, fontsize=7, **place)
+    _beside(ax, 0.99, 0.0, "unsafe", color=RED, ha="right", va="top")
     ax.set(xlim=(0, picture.duration), ylim=(bottom, highest + pad), ylabel="Distance (m)")
     ax.grid(True)
     legend_above(ax, handles, 3)
@@ -72,7 +62,7 @@ def _distance(ax: Any, picture: Picture) -> None:
 def _input(ax: Any, picture: Picture) -> None:
     """Input under Polaris: nominal run, band over all runs, limits shaded."""
     flights, limit = picture.flights["polaris"], picture.system.u_max
-    label, names = input_labels(picture.system)
+    label, names = palette.input_labels(picture.system)
     same = bool(np.all(limit == limit[0]))
     scale, top = (np.ones_like(limit), float(limit[0])) if same else (limit, 1.0)
     handles = []
@@ -90,7 +80,7 @@ def _input(ax: Any, picture: Picture) -> None:
     legend_above(ax, handles, 3)
 
 
-def modes_figure(picture: Picture, new_figure: Any) -> Any:
+def modes_figure(picture: Picture) -> Any:
     """One row per controller: when it flies, and its share of the time."""
     rows = len(picture.controllers)
     figure = new_figure(0.6 + 0.28 * rows)
@@ -99,8 +89,7 @@ def modes_figure(picture: Picture, new_figure: Any) -> Any:
         row, flags = rows - 1 - mode, picture.modes == mode
         ax.broken_barh([(0, picture.duration)], (row - 0.3, 0.6), facecolor="#F2F2F2", lw=0)
         _bars(ax, picture, flags, (row - 0.3, 0.6), mode_colour(mode))
-        place = {"va": "center", "transform": ax.get_yaxis_transform()}
-        ax.text(1.01, row, f"{np.mean(flags):.0%}", fontsize=7, **place)
+        _beside(ax, 1.01, row, f"{np.mean(flags):.0%}", va="center")
     ax.set(xlim=(0, picture.duration), ylim=(-0.6, rows - 0.4), xlabel="Time (s)")
     ax.set_yticks(range(rows), [picture.mode_name(mode) for mode in range(rows)][::-1])
     ax.tick_params(axis="y", length=0)
@@ -109,10 +98,8 @@ def modes_figure(picture: Picture, new_figure: Any) -> Any:
     return figure
 
 
-def margin_figure(picture: Picture, new_figure: Any) -> Any:
+def margin_figure(picture: Picture) -> Any:
     """The containment margin of every step, and below it what limits it."""
-    from matplotlib.patches import Patch
-
     figure = new_figure(2.4)
     ax, modes, delta = figure.add_subplot(), picture.modes, picture.reference.delta
     floor = -0.3 if np.any(picture.margins < 0) else -0.03
@@ -126,13 +113,12 @@ def margin_figure(picture: Picture, new_figure: Any) -> Any:
     ax.axhline(0, color=BLACK, lw=0.6)
     names = np.array([limit_group(name) for name in picture.limits])
     place, height = floor - 0.17, 0.12
-    for wanted, ends in ((True, INPUT_SHADES), (False, SET_SHADES)):
+    for wanted, ends in ((True, palette.INPUT_SHADES), (False, palette.SET_SHADES)):
         own = [name for name in dict.fromkeys(names) if (name in picture.system.input_names) == wanted]
         for name, shade in zip(own, shades(ends, len(own)), strict=True):
             _bars(ax, picture, names == name, (place, height), shade)
             handles.append(Patch(facecolor=shade, label=name))
-    look = {"ha": "right", "va": "center", "transform": ax.get_yaxis_transform()}
-    ax.text(-0.015, place + height / 2, "limit", fontsize=7, **look)
+    _beside(ax, -0.015, place + height / 2, "limit", ha="right", va="center")
     label = "Margin (share of room left)"
     ax.set(xlim=(0, picture.duration), ylim=(place - 0.03, 1.0), xlabel="Time (s)", ylabel=label)
     ax.set_yticks([0, 0.25, 0.5, 0.75, 1.0])
@@ -149,6 +135,11 @@ def _bars(
     delta = picture.reference.delta
     spans = [(a * delta, (b - a) * delta) for a, b in stretches(flags)]
     ax.broken_barh(spans, rows, facecolor=colour, lw=0, **look)
+
+
+def _beside(ax: Any, x: float, y: float, text: str, **look: Any) -> None:
+    """Write at a share of the width, and a value."""
+    ax.text(x, y, text, fontsize=7, transform=ax.get_yaxis_transform(), **look)
 
 
 def _beyond(ax: Any, value: float, end: float) -> None:

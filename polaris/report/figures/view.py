@@ -5,50 +5,37 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from matplotlib.patheffects import withStroke
 
 from ...model.system import Array
 from ..scene.items import Scene
 from .style import text_width
 
+WIDTH = 2.8
+"""Of the axes [in]."""
+
 
 class View:
-    """A rectangle of the plane, and what is in it already.
+    """The rectangle that a scene in two axes shows, and what is in it already; a mute one has no names."""
 
-    Parameters
-    ----------
-    x, y : (float, float)
-        [m]
-    points : ndarray, shape (N, 2)
-        What names should not cover.
-    width : float
-        Of the axes [in].
-    """
-
-    def __init__(
-        self, x: tuple[float, float], y: tuple[float, float], points: Array, width: float = 2.8
-    ) -> None:
-        self.x, self.y, self.points, self.width = x, y, points, width
-        self.taken: list[tuple[float, float, float, float]] = []
-
-    @classmethod
-    def of(cls, scene: Scene, width: float = 2.8) -> View:
-        """What a scene in two axes shows."""
-        (x0, y0), (x1, y1) = scene.low.tolist(), scene.high.tolist()
-        flown = [scene.flown(key) for key in scene.picture.flights]
-        drawn = [item.shape.points for item in scene.of("reference", "tail") if item.shape]
-        return cls(
-            (x0, x1), (y0, y1), np.vstack([*drawn, *(path for path in flown if path is not None)]), width
-        )
+    def __init__(self, scene: Scene, mute: bool = False) -> None:
+        self.low, self.high, self.mute = scene.low, scene.high, mute
+        self.span = np.stack([self.low, self.high], axis=1).tolist()
+        flown = [path for key in scene.picture.flights if (path := scene.flown(key)) is not None]
+        drawn = [item.points for item in scene.of("reference", "tail")]
+        self.points = np.vstack([*drawn, *flown])
+        """What names should not cover, shape (N, 2)."""
+        self.taken: list[tuple[Array, Array]] = []
 
     @property
     def aspect(self) -> float:
         """Height over width."""
-        return float((self.y[1] - self.y[0]) / (self.x[1] - self.x[0]))
+        x, y = self.high - self.low
+        return float(y / x)
 
     def contains(self, points: Array) -> Any:
         """Which points lie in the view."""
-        x, y = points[..., 0], points[..., 1]
-        return (x > self.x[0]) & (x < self.x[1]) & (y > self.y[0]) & (y < self.y[1])
+        return np.all((points > self.low) & (points < self.high), axis=-1)
 
     def seen(self, outline: Array) -> Array:
         """Points along a closed outline that are in the view, shape (N, 2)."""
@@ -58,18 +45,17 @@ class View:
 
     def within(self, outline: Array) -> bool:
         """Whether an outline goes round all of the view."""
-        (x0, y0), (x1, y1) = outline.min(axis=0), outline.max(axis=0)
-        return bool(x0 < self.x[0] and y0 < self.y[0] and x1 > self.x[1] and y1 > self.y[1])
+        return bool(np.all((outline.min(axis=0) < self.low) & (outline.max(axis=0) > self.high)))
 
     def inch(self, ax: Any) -> Array:
         """What one inch of these axes is along x and y, in their units."""
         # On paper, one scale serves both axes or they have a shape of their own.
         shape = self.aspect if ax.get_aspect() == 1.0 else 0.6
-        return np.array([self.x[1] - self.x[0], (self.y[1] - self.y[0]) / shape]) / self.width
+        return np.asarray((self.high - self.low) / (1, shape) / WIDTH)
 
     def clip(self, outline: Array) -> Array:
         """Cut an outline to the view."""
-        return np.clip(outline, (self.x[0], self.y[0]), (self.x[1], self.y[1]))
+        return np.clip(outline, self.low, self.high)
 
     def avoid(self, points: Array) -> None:
         """Keep names off these points, too."""
@@ -77,33 +63,28 @@ class View:
 
     def label(self, ax: Any, text: str, outline: Array, colour: str) -> None:
         """Write a name beside an outline, or into it if it is large, where fewest lines pass."""
-        from matplotlib.patheffects import withStroke
-
+        if self.mute:
+            return
         per_inch = self.inch(ax)
-        w, h = np.array([text_width(text) + 0.04, 8.5 / 72]) * per_inch
-        gap = 3 / 72 * per_inch
+        size, gap = np.array([text_width(text) + 0.04, 8.5 / 72]) * per_inch, 3 / 72 * per_inch
         low, high = outline.min(axis=0) - gap, outline.max(axis=0) + gap
-        mid = (low + high) / 2
-        xs, ys = (low[0] - w, mid[0] - w / 2, high[0]), (low[1] - h, mid[1] - h / 2, high[1])
+        middle = (low + high) / 2 - size / 2
+        sides = np.stack([low - size, middle, high])
         beside = ((1, 2), (2, 1), (1, 0), (0, 1), (2, 2), (2, 0), (0, 2), (0, 0))  # above first, then right
-        places = [(xs[i], ys[j]) for i, j in beside]
-        if w < high[0] - low[0] and 1.8 * h < high[1] - low[1]:
-            places = [
-                (mid[0] - w / 2, low[1] + share * (high[1] - low[1]) - h / 2) for share in (0.5, 0.25, 0.75)
-            ]
+        places = [sides[list(place), [0, 1]] for place in beside]
+        if np.all(size * (1, 1.8) < high - low):
+            heights = (low[1] + share * (high[1] - low[1]) - size[1] / 2 for share in (0.5, 0.25, 0.75))
+            places = [np.array([middle[0], height]) for height in heights]
 
-        def cost(place: tuple[float, float]) -> float:
-            x, y = place
-            crossing = self.points - (x, y)
-            over = int(np.count_nonzero(np.all((crossing > 0) & (crossing < (w, h)), axis=1)))
-            inside = self.x[0] <= x and x + w <= self.x[1] and self.y[0] <= y and y + h <= self.y[1]
-            clash = any(x < a + c and a < x + w and y < b + d and b < y + h for a, b, c, d in self.taken)
-            return float(min(over, 20)) / 20 + 3 * (not inside) + 2 * clash
+        def cost(place: Array) -> float:
+            crossing = self.points - place
+            over = int(np.count_nonzero(np.all((crossing > 0) & (crossing < size), axis=1)))
+            inside = np.all((self.low <= place) & (place + size <= self.high))
+            clash = any(np.all((place < at + own) & (at < place + size)) for at, own in self.taken)
+            return min(over, 20) / 20 + 3 * (not inside) + 2 * clash
 
-        x, y = min(places, key=cost)
-        x = max(min(x, self.x[1] - w), self.x[0])
-        y = max(min(y, self.y[1] - h), self.y[0])
-        self.taken.append((x, y, w, h))
-        place = {"ha": "center", "va": "center", "zorder": 8, "clip_on": True}
-        drawn = ax.text(x + w / 2, y + h / 2, text, color=colour, fontsize=7, **place)
+        place = np.maximum(np.minimum(min(places, key=cost), self.high - size), self.low)
+        self.taken.append((place, size))
+        look = {"ha": "center", "va": "center", "zorder": 8, "clip_on": True}
+        drawn = ax.text(*(place + size / 2), text, color=colour, fontsize=7, **look)
         drawn.set_path_effects([withStroke(linewidth=1.6, foreground="white")])

@@ -12,15 +12,12 @@ from typing import Any
 import numpy as np
 
 from ...runs.comparison import ComparisonPicture
-from ...runs.run import read_run
+from ...runs.folder import RunFolder
 from ...synthesis.recoverable import directed
 from ..scene.palette import method_style
-from . import claims
-from .html import Cell, badge, items, number_cell, table, text_cell
-from .measures import TITLES, Measure
-from .numbers import escaped, shown
-from .page import Page
-from .run_report import NOTE, definitions, footer
+from .page import Page, reading
+from .run_report import NOTE, guarantee, loud
+from .tables import Cell, Measure, badge, details, escaped, items, number_cell, shown, table, text_cell
 from .timelines import Flown, flight_data
 
 FIRST = 4
@@ -32,55 +29,46 @@ MOST_STRETCHES = 40
 Methods = Sequence[Mapping[str, Any]]
 
 
-def comparison_page(folder: Path) -> Page:
-    """The report of a comparison folder.
-
-    Raises
-    ------
-    ScenarioError
-        If a file in it is missing or damaged.
-    """
-    picture: ComparisonPicture = read_run(folder).picture()
+def comparison_page(folder: RunFolder) -> Page:
+    """The report of a comparison folder."""
+    picture: ComparisonPicture = folder.picture()
     found, summary = picture.table, picture.run.summary
-    methods = found["methods"]
-    claim = summary["guarantee"]
-    proved = claim["kind"] == "proved"
+    methods, claim = found["methods"], summary["guarantee"]
     name, recoverable = escaped(found["scenario"]), str(summary["synthesis"]["recoverable"])
     lead = f"<p>{len(methods)} methods flown under the same conditions. Scenario <code>{name}</code>.</p>"
-    if not proved:
-        lead += claims.loud(recoverable)
-    lead += tradeoffs(methods)
+    if claim["kind"] != "proved":
+        lead += loud(recoverable)
+    names = {method["key"]: str(method["name"]) for method in methods}
     return Page(
         f"{found['title']}: comparison",
-        lead,
+        lead + _tradeoffs(methods),
         (
             ("methods", "Methods compared", _methods(methods) + _protocol(found["protocol"])),
             ("claims", "What each method claims", _claims(methods)),
-            ("paired", "Differences, run by run", _paired(found["paired"], methods)),
-            ("decisions", "Decisions of the run shown", decisions(folder / "decisions.jsonl", methods)),
-            ("guarantee", "The guarantee of the schedule", claims.guarantee(claim, recoverable)),
-            ("reading", "How to read this", f"<p>{NOTE}</p>" + definitions(found.get("definitions", {}))),
+            ("paired", "Differences, run by run", _paired(found["paired"], names)),
+            ("decisions", "Decisions of the run shown", _decisions(folder.path / "decisions.jsonl", names)),
+            ("guarantee", "The guarantee of the schedule", guarantee(claim, recoverable)),
+            reading(found, NOTE),
         ),
-        comparison_data(picture),
-        footer(summary),
+        comparison_data(picture, claim["kind"] == "proved"),
+        summary,
     )
 
 
-def comparison_data(picture: ComparisonPicture) -> dict[str, Any]:
+def comparison_data(picture: ComparisonPicture, proved: bool) -> dict[str, Any]:
     """What the page's script draws of a comparison; methods without flights are left out."""
     flown: list[Flown] = []
-    shown = picture.shown
-    for method in (method for method in picture.table["methods"] if method["key"] in shown):
+    kept = picture.shown
+    for method in (method for method in picture.table["methods"] if method["key"] in kept):
         look = method_style(len(flown)) | {"on": len(flown) < FIRST}
-        flown.append(Flown(str(method["key"]), str(method["name"]), look, shown[method["key"]]))
+        flown.append(Flown(str(method["key"]), str(method["name"]), look, kept[method["key"]]))
     known = [one.runs for one in flown[:FIRST] if np.isfinite(one.runs.nearest[0]).all()]
     least = [(float(one.nearest[0].min()), float(one.times[np.argmin(one.nearest[0])])) for one in known]
     opened = (min(least)[1] if least else 0.0) or None  # not at the start
-    proved = picture.run.summary["guarantee"]["kind"] == "proved"
     return flight_data(replace(picture.run.picture(), slices=None), flown, proved, "pilot", opened)
 
 
-def tradeoffs(methods: Methods) -> str:
+def _tradeoffs(methods: Methods) -> str:
     """The picture of what every method gains and loses, within the page."""
     from ..figures.comparison import tradeoffs_png
 
@@ -95,21 +83,24 @@ def tradeoffs(methods: Methods) -> str:
     )
 
 
+def _name_cell(name: str) -> Cell:
+    return Cell(escaped(name), name)
+
+
+def _claim_cell(method: Mapping[str, Any], told: str) -> Cell:
+    return Cell(told, str(method["guarantee"]), text=True)
+
+
 def _methods(methods: Methods) -> str:
-    known = {key for method in methods for key in method.get("metrics") or {}}
-    order = [key for key in TITLES if key in known] + sorted(known - set(TITLES))
-    measures = [Measure.of(key) for key in order]
+    measures = Measure.known(*(method.get("metrics") or {} for method in methods))
     rows = []
     for method in methods:
-        values = method.get("metrics") or {}
-        name = escaped(method["name"])
+        values, name = method.get("metrics") or {}, _name_cell(str(method["name"]))
         if not method.get("available", True):
-            name += ' <span class="quiet">(not available)</span>'
+            name = replace(name, html=name.html + ' <span class="quiet">(not available)</span>')
         told = f'<span title="{escaped(method.get("reach") or "")}">{badge(method["guarantee"])}</span>'
         cells = [one.cell(values[one.key], unit=False) if one.key in values else Cell("") for one in measures]
-        rows.append(
-            [Cell(name, str(method["name"])), Cell(told, str(method["guarantee"]), text=True), *cells]
-        )
+        rows.append([name, _claim_cell(method, told), *cells])
     caption = (
         "Mean over runs, of violations the number of runs, with 95 % confidence bounds; select a head to sort"
     )
@@ -117,12 +108,11 @@ def _methods(methods: Methods) -> str:
 
 
 def _protocol(protocol: Mapping[str, Any]) -> str:
-    statement = protocol.get("statement")
+    measures = [Measure.of(key) for key in protocol if key != "statement"]
     rows = [
-        [Cell(escaped(Measure.of(key).title)), number_cell(value, key, unit=Measure.of(key).unit)]
-        for key, value in protocol.items()
-        if key != "statement"
+        [Cell(escaped(one.title)), number_cell(protocol[one.key], one.key, unit=one.unit)] for one in measures
     ]
+    statement = protocol.get("statement")
     told = f"<p>{escaped(statement)}</p>" if statement else ""
     return f"<h3>How it was compared</h3>{told}" + table("Protocol", ["", "value"], rows)
 
@@ -131,7 +121,7 @@ def _claims(methods: Methods) -> str:
     rows = [
         [
             Cell(escaped(method["name"])),
-            Cell(badge(method["guarantee"]), str(method["guarantee"]), text=True),
+            _claim_cell(method, badge(method["guarantee"])),
             text_cell(method.get("reach") or "none"),
             text_cell(method.get("note") or ""),
         ]
@@ -140,32 +130,26 @@ def _claims(methods: Methods) -> str:
     return table("How far each claim goes", ["method", "guarantee", "reach", "decisions by reason"], rows)
 
 
-def _paired(paired: Iterable[Mapping[str, Any]], methods: Methods) -> str:
+def _paired(paired: Iterable[Mapping[str, Any]], names: Mapping[str, str]) -> str:
     """One table for each method that others are compared with: a row per method, a column per metric."""
     found: dict[str, dict[str, dict[str, Cell]]] = {}
     for one in paired:
         cells = found.setdefault(one["against"], {}).setdefault(one["method"], {})
         cells[one["metric"]] = _difference(one)
-    names = {method["key"]: str(method["name"]) for method in methods}
-    return "\n".join(_differences(against, rows, names) for against, rows in found.items()) or (
-        "<p>None were computed.</p>"
-    )
-
-
-def _differences(against: str, found: Mapping[str, Mapping[str, Cell]], names: Mapping[str, str]) -> str:
-    measures = [Measure.of(key) for key in dict.fromkeys(key for cells in found.values() for key in cells)]
-    rows = [
-        [
-            Cell(escaped(names.get(key, key)), names.get(key, key)),
-            *(cells.get(one.key, Cell("")) for one in measures),
+    tables = []
+    for against, others in found.items():
+        known = dict.fromkeys(key for cells in others.values() for key in cells)
+        measures = [Measure.of(key) for key in known]
+        rows = [
+            [_name_cell(names.get(key, key)), *(cells.get(one.key, Cell("")) for one in measures)]
+            for key, cells in others.items()
         ]
-        for key, cells in found.items()
-    ]
-    caption = (
-        f"Method less {names.get(against, against)}, in the same runs; mean and 95 % confidence bounds;"
-        " differences that could as well be 0 say so"
-    )
-    return table(caption, ["method", *(one.head for one in measures)], rows, sort=True)
+        caption = (
+            f"Method less {names.get(against, against)}, in the same runs; mean and 95 % confidence bounds;"
+            " differences that could as well be 0 say so"
+        )
+        tables.append(table(caption, ["method", *(one.head for one in measures)], rows, sort=True))
+    return "\n".join(tables) or "<p>None were computed.</p>"
 
 
 def _difference(one: Mapping[str, Any]) -> Cell:
@@ -193,13 +177,7 @@ class Stretch:
 
 
 def stretches(lines: Iterable[str]) -> dict[str, list[Stretch]]:
-    """Decisions joined where nothing changes, by method, in the order of the file.
-
-    Parameters
-    ----------
-    lines : iterable of str
-        JSON objects with ``method``, ``t``, ``mode`` and perhaps ``margin`` and ``reason``.
-    """
+    """Decisions (JSON, one per line) joined where nothing changes, by method, in the order of the file."""
     found: dict[str, list[Stretch]] = {}
     for row in (json.loads(line) for line in lines if line.strip()):
         own = found.setdefault(str(row["method"]), [])
@@ -213,37 +191,32 @@ def stretches(lines: Iterable[str]) -> dict[str, list[Stretch]]:
     return found
 
 
-def decisions(path: Path, methods: Methods) -> str:
-    """Why each online method decided as it did; empty without a log."""
+def _decisions(path: Path, names: Mapping[str, str]) -> str:
+    """Why each online method decided as it did."""
     if not path.is_file():
         return "<p>This folder has no log of decisions.</p>"
     with path.open(encoding="utf-8") as file:
         found = stretches(file)
-    names = {method["key"]: str(method["name"]) for method in methods}
-    logs = "\n".join(_log(names.get(key, key), own) for key, own in found.items())
+    logs = "\n".join(details(names.get(key, key), _log(own)) for key, own in found.items())
     return logs or "<p>The log is empty.</p>"
 
 
-def _margin_cell(margin: float | None) -> Cell:
-    """A share of the room that is left, rounded down."""
-    if margin is None or not np.isfinite(margin):
-        return number_cell(margin)
-    return Cell(directed(margin, ".4g"), margin)
-
-
-def _log(name: str, own: Sequence[Stretch]) -> str:
-    rows = [
-        [
-            Cell(f"{shown(one.begin)} to {shown(one.end)} s", one.begin),
-            text_cell({0: "S", -1: "filtered"}.get(one.mode, f"U ({one.mode})")),
-            number_cell(one.count),
-            _margin_cell(one.margin),
-            text_cell(one.reason or "none"),
-        ]
-        for one in own[:MOST_STRETCHES]
-    ]
+def _log(own: Sequence[Stretch]) -> str:
+    rows = []
+    for one in own[:MOST_STRETCHES]:
+        margin = number_cell(one.margin)
+        if one.margin is not None and np.isfinite(one.margin):
+            margin = Cell(directed(one.margin, ".4g"), one.margin)  # a share of room left is rounded down
+        rows.append(
+            [
+                Cell(f"{shown(one.begin)} to {shown(one.end)} s", one.begin),
+                text_cell({0: "S", -1: "filtered"}.get(one.mode, f"U ({one.mode})")),
+                number_cell(one.count),
+                margin,
+                text_cell(one.reason or "none"),
+            ]
+        )
     total, changes = sum(one.count for one in own), len(own)
-    rest = items([f"and {changes - MOST_STRETCHES} more"]) if changes > MOST_STRETCHES else ""
     heads = ["time", "who flies", "decisions", "least margin", "reason"]
     body = table(f"{total} decisions in {changes} stretches of the same reason", heads, rows)
-    return f"<details><summary>{escaped(name)}</summary>{body}{rest}</details>"
+    return body + (items([f"and {changes - MOST_STRETCHES} more"]) if changes > MOST_STRETCHES else "")

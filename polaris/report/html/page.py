@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import json
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
+from string import Template
 from typing import Any
 
-from .html import section
-from .numbers import escaped, script_json
+from .tables import Measure, details, escaped, items
 
 SCRIPTS = ("tables.js", "scene.js", "timelines.js", "main.js")
 
@@ -21,72 +22,59 @@ SCRIPTS = ("tables.js", "scene.js", "timelines.js", "main.js")
 class Page:
     """What a report says.
 
-    Attributes
-    ----------
-    title : str
-        Of the scenario; escaped when the page is written.
-    lead : str
-        HTML right under the title.
-    sections : tuple of (key, title, HTML)
-        In the order of the page; the scene and the timelines come first, if there are any.
-    data : dict
-        What the scripts draw; without ``scene`` nothing is drawn.
-    footer : str
-        HTML at the end.
+    The title (of the scenario, escaped when the page is written), HTML right under it, sections (key, title,
+    HTML) in their order, what the scripts draw (nothing without ``scene``), and the summary of the folder,
+    whose definitions and versions come last. The scene and the timelines come first, if there are any.
     """
 
     title: str
     lead: str
     sections: tuple[tuple[str, str, str], ...]
     data: dict[str, Any] = field(default_factory=dict)
-    footer: str = ""
+    summary: Mapping[str, Any] = field(default_factory=dict)
 
 
 def page_html(page: Page) -> str:
-    """The whole file."""
-    data = script_json(page.data)
+    """The whole file; it makes no connections, and runs no scripts but those that it was written with."""
     drawn = "scene" in page.data
     scripts = [plotly(), own_script()] if drawn else [own_script()]
     sections = [*([("flight", "The flight", resource("flight.html"))] if drawn else []), *page.sections]
-    links = "".join(f'<li><a href="#{key}">{escaped(title)}</a></li>' for key, title, _ in sections)
-    body = "\n".join(section(key, title, inner) for key, title, inner in sections)
-    return "\n".join(
-        [
-            "<!DOCTYPE html>",
-            '<html lang="en">',
-            "<head>",
-            '<meta charset="utf-8">',
-            f'<meta http-equiv="Content-Security-Policy" content="{policy(scripts)}">',
-            '<meta name="viewport" content="width=device-width, initial-scale=1">',
-            '<link rel="icon" href="data:,">',
-            f"<title>{escaped(page.title)} - Polaris report</title>",
-            f"<style>\n{resource('report.css')}</style>",
-            "</head>",
-            "<body>",
-            f"<header>\n<h1>{escaped(page.title)}</h1>\n{page.lead}\n"
-            f'<nav aria-label="Parts of this report"><ul>{links}</ul></nav>\n</header>',
-            f"<main>\n{body}\n</main>",
-            f"<footer>{page.footer}</footer>",
-            f'<script type="application/json" id="data">{data}</script>',
-            *[f"<script>{text}</script>" for text in scripts],
-            "</body>",
-            "</html>",
-            "",
-        ]
+    versions = ", ".join(f"{name} {version}" for name, version in page.summary.get("versions", {}).items())
+    digests = (base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in scripts)
+    made = escaped(page.summary.get("created", "an unknown date"))
+    return Template(resource("page.html")).substitute(
+        hashes=" ".join(f"'sha256-{digest}'" for digest in digests),
+        title=escaped(page.title),
+        style=resource("report.css"),
+        lead=page.lead,
+        links="".join(f'<li><a href="#{key}">{escaped(title)}</a></li>' for key, title, _ in sections),
+        body="\n".join(
+            f'<section id="{key}" aria-labelledby="{key}-h">\n<h2 id="{key}-h">{escaped(title)}</h2>\n{inner}'
+            "\n</section>"
+            for key, title, inner in sections
+        ),
+        footer=f"<p>Made by polaris report. Folder of {made}; {escaped(versions)}.</p>",
+        data=script_json(page.data),
+        scripts="\n".join(f"<script>{text}</script>" for text in scripts),
     )
 
 
-def policy(scripts: Sequence[str]) -> str:
-    """Content Security Policy: no connections, and no scripts but those that this page was written with."""
-    hashes = " ".join(f"'sha256-{_digest(text)}'" for text in scripts)
-    return (
-        f"default-src 'none'; connect-src 'none'; script-src {hashes}; style-src 'unsafe-inline'; "
-        "img-src data: blob:; base-uri 'none'; form-action 'none'"
-    )
+def reading(summary: Mapping[str, Any], note: str = "") -> tuple[str, str, str]:
+    """The section that says how to read the page: a note, and what each metric means, as the folder says."""
+    told = summary.get("definitions", {})
+    texts = items(f"{Measure.of(key).title} ({key}): {text}" for key, text in told.items())
+    inner = f"<p>{note}</p>" if note else ""
+    if told:
+        inner += details("Definitions of the metrics", texts)
+    return "reading", "How to read this", inner
 
 
-def _digest(text: str) -> str:
-    return base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
+def script_json(data: Any) -> str:
+    """JSON that is inert inside ``<script>``: no text in it can end the element."""
+    text = json.dumps(data, allow_nan=False, ensure_ascii=False, separators=(",", ":"))
+    for mark in ("<", ">", "&", "\u2028", "\u2029"):
+        text = text.replace(mark, f"\\u{ord(mark):04x}")
+    return text
 
 
 def own_script() -> str:

@@ -1,21 +1,14 @@
-"""The page of an ordinary run folder."""
+"""The page of an ordinary run folder, and guarantees in words: what is proven, how far, on what grounds."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-
-from ...rta.arena import Shown
 from ...runs.folder import RunFolder
-from ..scene.items import modes_per_node
 from ..scene.palette import PILOTS
-from . import claims
-from .html import Cell, badge, items, table
-from .measures import TITLES, Measure
-from .numbers import escaped
-from .page import Page
+from .page import Page, reading
+from .tables import Cell, Measure, badge, escaped, items, table
 from .timelines import Flown, flight_data
 
 NOTE = (
@@ -28,108 +21,124 @@ SLICE = (
     "then it is filled, and dashed until the next one."
 )
 
+NOT_PROVEN = (
+    "That the schedule reaches the goal. The reference does; the flight need not, as long as U is used.",
+    "Anything about U alone: its runs are here to compare with.",
+    "Anything if an assumption fails: another motion, a larger disturbance, an unsafe set nobody has seen or "
+    "that leaves its cover, a late or inexact command.",
+    "Simulated runs and the diagrams illustrate the guarantee. They are no part of it.",
+)
+
 
 def run_page(folder: RunFolder) -> Page:
-    """The report of a run folder.
-
-    Raises
-    ------
-    ScenarioError
-        If a file in it is missing or damaged.
-    """
+    """The report of a run folder."""
     summary = folder.summary
     claim, recoverable = summary["guarantee"], str(summary["synthesis"]["recoverable"])
     proved = claim["kind"] == "proved"
-    told = f"safe {claims.reach(claim)}" if proved else "no claim"
+    told = f"safe {reach(claim)}" if proved else "no claim"
     name = escaped(summary["scenario"])
     lead = f"<p>{badge(claim['kind'])} {escaped(told)}. Scenario <code>{name}</code>.</p>"
-    if not proved:
-        lead += claims.loud(recoverable)
+    picture = folder.picture()
+    flown = [
+        Flown(key, name, {"colour": colour, "dash": dash, "on": key == "polaris"}, picture.flights[key])
+        for key, (name, _, colour, dash) in PILOTS.items()
+        if key in picture.flights
+    ]
     return Page(
         str(summary["title"]),
-        lead,
+        lead + ("" if proved else loud(recoverable)),
         (
             ("numbers", "Metrics", metrics(summary)),
-            ("guarantee", "The guarantee", claims.guarantee(claim, recoverable)),
+            ("guarantee", "The guarantee", guarantee(claim, recoverable)),
             ("synthesis", "Synthesis", synthesis(summary)),
-            (
-                "reading",
-                "How to read this",
-                f"<p>{NOTE} {SLICE}</p>" + definitions(summary.get("definitions", {})),
-            ),
+            reading(summary, f"{NOTE} {SLICE}"),
         ),
-        run_data(folder),
-        footer(summary),
+        flight_data(picture, flown, proved, "mode"),
+        summary,
     )
-
-
-def run_data(folder: RunFolder) -> dict[str, Any]:
-    """What the page's script draws of a run folder.
-
-    Raises
-    ------
-    ScenarioError
-        If a file is missing or damaged.
-    """
-    picture, flown = folder.picture(), []
-    for key, (name, _, colour, dash) in PILOTS.items():
-        if key in picture.flights:
-            item = picture.flights[key]
-            who = np.tile(modes_per_node(item), (len(item.labels), 1))
-            runs = Shown(item.labels, item.times, item.states, item.inputs, who, item.nearest, [])
-            look = {"colour": colour, "dash": dash, "on": key == "polaris"}
-            flown.append(Flown(key, name, look, runs, item.input_range))
-    return flight_data(picture, flown, folder.summary["guarantee"]["kind"] == "proved", "mode")
 
 
 def metrics(summary: Mapping[str, Any]) -> str:
     """Metrics of S alone, U alone and the schedule."""
     who = [key for key in ("safety", "experimental", "polaris") if key in summary]
-    known = {key for name in who for key in summary[name]} - {"controller"}
-    order = [key for key in TITLES if key in known] + sorted(known - set(TITLES))
-    rows = []
-    for key in order:
-        measure = Measure.of(key)
-        rows.append([Cell(escaped(measure.title)), *(measure.cell(summary[name].get(key)) for name in who)])
-    return table(
-        "From simulated runs, under random and worst-case disturbances",
-        ["", *(PILOTS[name][0] for name in who)],
-        rows,
-    )
+    rows = [
+        [Cell(escaped(one.title)), *(one.cell(summary[name].get(one.key)) for name in who)]
+        for one in Measure.known(*(summary[name] for name in who))
+        if one.key != "controller"
+    ]
+    heads = ["", *(PILOTS[name][0] for name in who)]
+    return table("From simulated runs, under random and worst-case disturbances", heads, rows)
 
 
 def synthesis(summary: Mapping[str, Any]) -> str:
     """What the synthesis found, and how long it took."""
     found = summary["synthesis"]
-    plan, seconds = found["planner"], found["seconds"]
-    start = Measure.of("start_share")
-    rows = [
-        ("recoverable sets", escaped(found["recoverable"])),
-        ("plan", f"{escaped(plan['status'])} ({escaped(plan.get('solver_name', plan['solver']))})"),
-        ("clearance of the plan beyond the tube", Measure.of("margin_m").text(plan["margin_m"], proven=True)),
-        ("velocity change of the plan", Measure.of("delta_v_m_s").text(plan["delta_v_m_s"])),
-        (
-            "room left at the start",
-            f"{start.text(found['start_margin'], proven=True)}, least at {escaped(found['start_limit'])}",
-        ),
-        ("time of synthesis", Measure.of("total_s").text(seconds["total"])),
-    ]
-    return table("Before the flight", ["", ""], [[Cell(name), Cell(text)] for name, text in rows])
+    plan, start = found["planner"], Measure.of("start_share")
+    room = start.text(found["start_margin"], proven=True)
+    rows = {
+        "recoverable sets": escaped(found["recoverable"]),
+        "plan": f"{escaped(plan['status'])} ({escaped(plan.get('solver_name', plan['solver']))})",
+        "clearance of the plan beyond the tube": Measure.of("margin_m").text(plan["margin_m"], proven=True),
+        "velocity change of the plan": Measure.of("delta_v_m_s").text(plan["delta_v_m_s"]),
+        "room left at the start": f"{room}, least at {escaped(found['start_limit'])}",
+        "time of synthesis": Measure.of("total_s").text(found["seconds"]["total"]),
+    }
+    return table("Before the flight", ["", ""], [[Cell(name), Cell(text)] for name, text in rows.items()])
 
 
-def definitions(told: Mapping[str, Any]) -> str:
-    """What each metric means, as the folder says."""
-    if not told:
-        return ""
+# -- guarantees -------------------------------------------------------------------------------------
+
+
+def reach(claim: Mapping[str, Any]) -> str:
+    """How far a proved schedule's claim goes, in words."""
+    until = claim.get("until_s")
+    if claim.get("horizon") == "infinite":
+        return "for all time"
+    if claim.get("horizon") == "one_period" and until is not None:
+        return f"until {until:.6g} s: the end of the schedule and one further period under S"
+    return "up to the end of the schedule only"
+
+
+def guarantee(claim: Mapping[str, Any], recoverable: str) -> str:
+    """The section of an ordinary run folder, from ``summary.json``."""
+    if claim["kind"] != "proved":
+        return f"{loud(recoverable)}\n{_part('What is not proven', items(('Anything.', *NOT_PROVEN[:2])))}"
+    what = (
+        "From every state of the initial set, under every admissible disturbance, and whatever the "
+        "experimental controllers do within their declared models, the spacecraft under the schedule enters "
+        "no unsafe set, between time steps too, and the safety controller never asks for more thrust than "
+        "there is."
+    )
+    after = "" if claim.get("horizon") == "infinite" else " Beyond that time nothing is claimed."
+    far = f"Safe {escaped(reach(claim))}. The reason: {escaped(claim['reason'])}.{after}"
+    parts = (
+        ("What is proven", f"<p>{what}</p>"),
+        ("How far it reaches", f"<p>{far}</p>"),
+        ("Assumptions", items(claim["assumptions"])),
+        ("What is not proven", items(NOT_PROVEN)),
+    )
+    return "\n".join([f"<p>{badge('proved')}</p>", *(_part(*part) for part in parts)])
+
+
+def other_guarantee(claim: Mapping[str, Any], limits: tuple[str, ...]) -> str:
+    """The section of a run that claims something else than a schedule does."""
+    nothing = claim["kind"] == "none"
+    head = "Why nothing is claimed" if nothing else "What is claimed"
+    parts = [f"<p>{badge(claim['kind'])}</p>", *([loud("")] if nothing else [])]
+    parts.append(_part(head, f"<p>{escaped(claim.get('reason', 'nothing'))}.</p>"))
+    if claim.get("assumptions"):
+        parts.append(_part("Assumptions", items(claim["assumptions"])))
+    return "\n".join([*parts, _part("What is not proven", items(limits))])
+
+
+def loud(recoverable: str) -> str:
+    """What nobody must overlook."""
+    why = f" (recoverable sets of the kind <code>{escaped(recoverable)}</code>)" if recoverable else ""
     return (
-        "<details><summary>Definitions of the metrics</summary>"
-        + items(f"{Measure.of(key).title} ({key}): {text}" for key, text in told.items())
-        + "</details>"
+        f'<div class="loud" role="alert"><strong>NOTHING IS PROVEN</strong><br>This run claims nothing{why}, '
+        "whatever its simulation shows. It is there to compare with.</div>"
     )
 
 
-def footer(summary: Mapping[str, Any]) -> str:
-    """When and with what the folder was made."""
-    versions = ", ".join(f"{name} {version}" for name, version in summary.get("versions", {}).items())
-    made = escaped(summary.get("created", "an unknown date"))
-    return f"<p>Made by polaris report. Folder of {made}; {escaped(versions)}.</p>"
+def _part(head: str, inner: str) -> str:
+    return f"<h3>{head}</h3>{inner}"

@@ -9,16 +9,20 @@ the next one. A ``slice`` is of the instants ``t`` alone, with frames by run; ``
 
 from __future__ import annotations
 
+from math import isfinite
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..scene.geometry import Shape, closed
 from ..scene.items import Item, Scene
 from ..scene.palette import LOOKS
-from .numbers import plain
 
 Layer = dict[str, Any]
+
+DIGITS = 6
+"""Significant digits of what is drawn; tables show the folder's numbers with four."""
 
 AREAS = {"unsafe": 0.5, "cover": 0.16, "keep_in": 0.16, "goal": 0.2, "ring": 0.12, "initial": 0.4}
 AREAS |= {"slice": 0.45, "tube": 0.35, "chief": 0.6}
@@ -33,14 +37,25 @@ POINTS = {"start": ("circle", 4), "goal": ("diamond", 5)}
 """Symbol and size of single points, by role."""
 
 
-def scene_data(scene: Scene) -> dict[str, Any]:
-    """A scene in two or three axes as the page's script reads it.
+def plain(values: ArrayLike) -> Any:
+    """Nested lists of short numbers, whole ones without ``.0``; what is not finite is None."""
+    array = np.asarray(values)
+    if array.dtype.kind in "iub":
+        return array.tolist()
+    if array.ndim > 1:
+        return [plain(part) for part in array]
+    return [_short(value) for value in array.tolist()] if array.ndim else _short(float(array))
 
-    Returns
-    -------
-    dict
-        ``space`` (2 or 3 axes), ``equal`` (whether one scale serves all), ``axes``, ``range``, ``layers``.
-    """
+
+def _short(value: float) -> float | int | None:
+    if not isfinite(value):
+        return None
+    short = float(f"{value:.{DIGITS}g}")
+    return int(short) if short.is_integer() and abs(short) < 1e15 else short
+
+
+def scene_data(scene: Scene) -> dict[str, Any]:
+    """A scene: ``space`` (2 or 3 axes), ``equal`` (one scale serves all), ``axes``, ``range``, ``layers``."""
     return {
         "space": len(scene.labels),
         "equal": scene.time_axis is None,
@@ -54,7 +69,8 @@ def layer(item: Item) -> Layer:
     """One thing of a scene as the page's script reads it."""
     shape, look = item.shape, LOOKS[item.role]
     assert shape is not None
-    found: Layer = {"name": item.name, "kind": shape.kind, "group": look.group, "colour": look.colour}
+    name = item.name or look.name
+    found: Layer = {"name": name, "kind": shape.kind, "group": look.group, "colour": look.colour}
     found["opacity"] = 1.0
     if shape.kind in ("area", "mesh"):
         found["opacity"] = AREAS[item.role]
@@ -67,7 +83,7 @@ def layer(item: Item) -> Layer:
     else:
         found["symbol"], found["size"] = POINTS[item.role]
     if item.role in ("unsafe", "chief"):
-        found["label"] = item.name.partition(":")[0] if item.role == "chief" else item.name
+        found["label"] = name.partition(":")[0] if item.role == "chief" else name
     if item.times is None:
         return found | _corners(shape)
     found["t"] = plain(item.times)

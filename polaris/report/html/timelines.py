@@ -11,45 +11,43 @@ the pilot's, ``step`` if it is held until the next sample, and perhaps a ``band`
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from reach.numerics.linear import growth
+
 from ...model.distances import UNKNOWN, signed_distances
+from ...model.obstacles import perceive
 from ...model.system import Array
+from ...model.tolerances import ROUNDING
 from ...rta.arena import Shown
 from ...runs.picture import Picture
+from ...simulation.baselines import Flights
 from ...synthesis.recoverable import directed
+from ..scene.items import modes_per_node
 from ..scene.palette import GREEN, input_labels, mode_colour
 from ..scene.scene import describe, shown_axes
-from .bounds import proven_distance
-from .numbers import plain
-from .scene import scene_data
+from .scene import plain, scene_data
 
 MOST = 400
 """Most samples of a run that are drawn, besides changes of controller."""
 
 WHO = "Who flies"
 
-Panel = dict[str, Any]
-Pilot = dict[str, Any]
+Drawn = tuple[str, Array, Array | None]
+"""Key of a pilot, inputs of its runs (r, N, m), and least and largest over all runs (2, N, m) if known."""
 
 
-@dataclass(frozen=True, eq=False)
-class Flown:
-    """Who flew, how it looks (``colour``, ``dash``, ``on`` at first), the runs that can be shown.
-
-    Perhaps with the least and largest input over all runs, shape (2, N, m).
-    """
+class Flown(NamedTuple):
+    """Who flew, how it looks (``colour``, ``dash``, ``on`` at first), the runs that can be shown."""
 
     key: str
     name: str
     look: dict[str, Any]
-    runs: Shown
-    input_range: Array | None = None
+    runs: Flights | Shown
 
 
 def flight_data(
@@ -57,45 +55,50 @@ def flight_data(
 ) -> dict[str, Any]:
     """What the page's script draws of a schedule and of those that flew it.
 
-    Parameters
-    ----------
-    picture : Picture
-    flown : sequence of Flown
-    proved : bool
-        Whether the distance that is proven is shown.
-    by : str
-        Whether paths are coloured by ``mode`` or by ``pilot``.
-    opened : float, optional
-        Time that is shown first [s]; default that of the closest approach.
+    Paths are coloured by ``mode`` or by ``pilot``. The distance that is proven is shown if there is a proof.
+    The page opens at some time [s], by default that of the closest approach.
     """
     C = picture.system.position
     paths = [one.runs.states[0] @ C.T for one in flown]
     scene = describe(picture, paths, shown_axes(picture, paths))
     pilots, distances, drawn = [], [], []
     for one in flown:
-        runs, t = one.runs, one.runs.times
-        chosen = kept(len(t), runs.modes, [int(np.argmin(runs.nearest[0]))])
+        runs, t, modes = one.runs, one.runs.times, modes_per_node(one.runs)
+        chosen = kept(len(t), modes, [int(np.argmin(runs.nearest[0]))])
         held, positions = np.minimum(chosen, runs.inputs.shape[1] - 1), runs.states @ C.T
-        pilots.append(pilot(one, chosen, scene.placed(positions[:, chosen], t[chosen])))
+        who = modes[:, np.minimum(chosen[:-1], modes.shape[1] - 1)]
+        places = scene.placed(positions[:, chosen], t[chosen])
+        pilots.append(pilot(one.key, one.name, runs.labels, t[chosen], places, who) | one.look)
         if picture.obstacles:  # other satellites are where they are nominally: no file says where they were
             found = signed_distances(picture.obstacles, t, positions, picture.system).min(axis=0)
             band = runs.nearest[[0, 2]][:, chosen]
             distances.append({"pilot": one.key, "runs": plain(found[:, chosen]), "band": plain(band)})
-        span = None if one.input_range is None else one.input_range[:, held]
+        span = runs.input_range[:, held] if isinstance(runs, Flights) else None
         drawn.append((one.key, runs.inputs[:, held], span))
     bound = proven_distance(picture) if proved else None
     if bound is not None:
         distances.append(_proven(bound, picture.reference.delta))
-    panels = [_margins(picture), *_inputs(picture, drawn)]
+    label, names = input_labels(picture.system)
+    what, _, unit = label.rstrip(")").partition(" (")
+    titles = [f"{what}, {name}" if what != "Input" else f"Input: {name}" for name in names]
+    panels = [_margins(picture), *input_panels(titles, unit, picture.system.u_max, drawn)]
     if picture.obstacles:
         title = "Distance to the nearest unsafe set"
         panels.insert(0, panel("distance", title, "m", [limit(0.0, "unsafe", "below")], distances))
-    present = np.concatenate([picture.modes, *(one.runs.modes.ravel() for one in flown)])
+
+    def named(mode: int) -> tuple[str, str]:
+        if mode == UNKNOWN:
+            return "filtered input, or not known", "#9A9A9A"
+        known = 0 <= mode < len(picture.controllers)
+        return picture.mode_name(mode) if known else f"controller {mode}", mode_colour(mode)
+
+    present = np.concatenate([picture.modes, *(np.ravel(one.runs.modes) for one in flown)])
+    opened = picture.closest if opened is None else opened
     return {
         "scene": scene_data(scene),
-        "end": plain(max((one["t"][-1] for one in pilots), default=picture.duration)),
-        "open": plain(picture.closest if opened is None else opened),
-        "modes": mode_names(picture, present),
+        "end": max((one["t"][-1] for one in pilots), default=plain(opened)),
+        "open": plain(opened),
+        "modes": modes_present(present, named),
         "modes_title": WHO,
         "by": by,
         "pilots": pilots,
@@ -104,16 +107,7 @@ def flight_data(
 
 
 def kept(count: int, modes: ArrayLike = (), must: Sequence[int] = ()) -> NDArray[np.intp]:
-    """Samples that are drawn of `count`: evenly many, the ends, changes of mode, and some that must be.
-
-    Parameters
-    ----------
-    count : int
-    modes : array_like, shape (r, count-1)
-        Of every run, from each sample on.
-    must : sequence of int
-        Such as that of the least distance.
-    """
+    """Samples of `count` that are drawn: evenly many, the ends, changes of modes (r, N-1), what must be."""
     if count <= MOST:
         return np.arange(count)
     even = np.linspace(0, count - 1, MOST).astype(int)
@@ -123,25 +117,18 @@ def kept(count: int, modes: ArrayLike = (), must: Sequence[int] = ()) -> NDArray
     return np.unique(np.concatenate([even, changes, must]).astype(int))
 
 
-def pilot(one: Flown, chosen: NDArray[np.intp], paths: Array) -> Pilot:
-    """One pilot at some samples, with paths (r, N, dim) in the axes of the scene [m] at these."""
-    shown = one.runs
-    modes = shown.modes[:, np.minimum(chosen[:-1], shown.modes.shape[1] - 1)]
+def pilot(
+    key: str, name: str, labels: Sequence[str], t: Array, paths: Array, modes: NDArray[np.int_]
+) -> dict[str, Any]:
+    """One pilot at times (N,) [s]: paths (r, N, dim) in the axes of the scene [m], who flies (r, N-1)."""
     runs = [{"p": plain(path.T), "modes": plain(who)} for path, who in zip(paths, modes, strict=True)]
-    told = {"key": one.key, "name": one.name, "labels": list(shown.labels), "t": plain(shown.times[chosen])}
-    return told | {"runs": runs} | one.look
+    return {"key": key, "name": name, "labels": list(labels), "t": plain(t), "runs": runs}
 
 
-def mode_names(picture: Picture, present: ArrayLike) -> list[dict[str, Any]]:
+def modes_present(present: ArrayLike, named: Callable[[int], tuple[str, str]]) -> list[dict[str, Any]]:
     """Name and colour of every mode that occurs."""
-    told = []
-    for mode in np.unique(np.asarray(present, dtype=int)).tolist():
-        known = 0 <= mode < len(picture.controllers)
-        name, colour = picture.mode_name(mode) if known else f"controller {mode}", mode_colour(mode)
-        if mode == UNKNOWN:
-            name, colour = "filtered input, or not known", "#9A9A9A"
-        told.append({"mode": mode, "name": name, "colour": colour})
-    return told
+    keys = ("mode", "name", "colour")
+    return [dict(zip(keys, (mode, *named(mode)), strict=True)) for mode in np.unique(present).tolist()]
 
 
 def limit(y: float, text: str, unsafe: str = "") -> dict[str, Any]:
@@ -149,15 +136,46 @@ def limit(y: float, text: str, unsafe: str = "") -> dict[str, Any]:
     return {"y": plain(y), "text": text, "unsafe": unsafe}
 
 
-def panel(key: str, title: str, unit: str, limits: list[dict[str, Any]], series: list[Any]) -> Panel:
+def panel(key: str, title: str, unit: str, limits: list[dict[str, Any]], series: list[Any]) -> dict[str, Any]:
     """One diagram."""
     return {"key": key, "title": title, "unit": unit, "limits": limits, "series": series}
 
 
-def input_panel(axis: int, title: str, unit: str, most: float, series: list[Any], form: str = ".4g") -> Panel:
-    """One input between its limits."""
-    limits = [limit(-most, "", "below"), limit(most, f"limit {most:{form}}", "above")]
-    return panel(f"input{axis}", title, unit, limits, series)
+def input_panels(
+    titles: Sequence[str], unit: str, most: ArrayLike, drawn: Sequence[Drawn]
+) -> list[dict[str, Any]]:
+    """One panel per input, between its limits."""
+    found = []
+    for axis, (title, end) in enumerate(zip(titles, np.asarray(most).tolist(), strict=True)):
+        series = [
+            {"pilot": key, "step": True, "runs": plain(inputs[..., axis])}
+            | ({} if span is None else {"band": plain(span[..., axis])})
+            for key, inputs, span in drawn
+        ]
+        limits = [limit(-end, "", "below"), limit(end, f"limit {end:.4g}", "above")]
+        found.append(panel(f"input{axis}", title, unit, limits, series))
+    return found
+
+
+def _margins(picture: Picture) -> dict[str, Any]:
+    """Room left in the recoverable sets, step by step."""
+    delta = picture.reference.delta
+    told = zip(picture.margins, picture.limits, strict=True)
+    series = {
+        "pilot": None,
+        "name": "margin",
+        "bars": True,
+        "t": plain((np.arange(len(picture.modes)) + 0.5) * delta),
+        "width": plain(delta),
+        "y": plain(picture.margins),
+        "modes": plain(picture.modes),
+        "text": [f"margin {directed(share, '.3f')}, limit: {name}" for share, name in told],
+    }
+    title = "Containment margin of each step of the schedule"
+    return panel("margin", title, "share of room", [limit(0.0, "")], [series])
+
+
+# -- what is proven ---------------------------------------------------------------------------------
 
 
 def _proven(bound: Array, delta: float) -> dict[str, Any]:
@@ -169,43 +187,28 @@ def _proven(bound: Array, delta: float) -> dict[str, Any]:
     return {"pilot": None, "name": "proven for the schedule: at least"} | line | look
 
 
-def _margins(picture: Picture) -> Panel:
-    """Room left in the recoverable sets, step by step."""
-    delta = picture.reference.delta
-    series = {
-        "pilot": None,
-        "name": "margin",
-        "bars": True,
-        "t": plain((np.arange(len(picture.modes)) + 0.5) * delta),
-        "width": plain(delta),
-        "y": plain(picture.margins),
-        "modes": plain(picture.modes),
-        "text": [
-            f"margin {directed(share, '.3f')}, limit: {name}"
-            for share, name in zip(picture.margins, picture.limits, strict=True)
-        ],
-    }
-    title = "Containment margin of each step of the schedule"
-    return panel("margin", title, "share of room", [limit(0.0, "")], [series])
+def proven_distance(picture: Picture) -> Array | None:
+    """Least distance (K, q) [m] from all unsafe sets that a proved schedule promises over every period.
 
-
-def _inputs(picture: Picture, drawn: Sequence[tuple[str, Array, Array | None]]) -> list[Panel]:
-    """One panel per input.
-
-    Parameters
-    ----------
-    picture : Picture
-    drawn : sequence of (pilot, inputs, range)
-        Inputs of the runs (r, N, m), and least and largest over all runs (2, N, m) if they are known.
+    The tube over a period lies in the hull of the sets at its ends, up to its bow and that of the
+    reference, and the offsets of a timed polytope run linearly over it: the gap to one facet is least at
+    an end. Where this comes out negative the proof rests on S taking over from a recoverable set, and
+    promises no more than 0. Without a tube or unsafe sets there is none; without a proof it means nothing.
     """
-    label, names = input_labels(picture.system)
-    what, _, unit = label.rstrip(")").partition(" (")
+    tube, system = picture.tube, picture.system
+    unsafe = perceive(picture.obstacles, system, picture.reference.delta, picture.planned)
+    if tube is None or not unsafe:
+        return None
+    q, K, reference = tube.bow.shape[1], picture.planned, picture.reference
+    rate = reference.fine(q)[:K, :-1] @ system.A.T + (reference.nu[:K] @ system.B.T)[:, None, :]
+    grown = np.abs(rate) @ growth(system.A, reference.delta / q).T
+    bow = tube.bow + (reference.delta / q) ** 2 / 8 * grown @ np.abs(system.position @ system.A).T
     found = []
-    for axis, (name, most) in enumerate(zip(names, picture.system.u_max.tolist(), strict=True)):
-        series = []
-        for key, inputs, span in drawn:
-            band = {} if span is None else {"band": plain(span[..., axis])}
-            series.append({"pilot": key, "step": True, "runs": plain(inputs[..., axis])} | band)
-        title = f"{what}, {name}" if what != "Input" else f"Input: {name}"
-        found.append(input_panel(axis, title, unit, most, series))
-    return found
+    for timed in unsafe:
+        rows, offsets = timed.normals, timed.fine(q)
+        reach = np.abs(np.einsum("fd,kqdg->kqfg", rows, tube.generators)).sum(axis=-1)
+        size = np.abs(tube.centre).sum(axis=-1, keepdims=True) + np.abs(offsets)
+        gap = tube.centre @ rows.T - reach - offsets - ROUNDING * size
+        between = np.minimum(gap[:, :-1], gap[:, 1:]) - bow @ np.abs(rows).T
+        found.append(between.max(axis=-1))
+    return np.asarray(np.maximum(np.min(found, axis=0), 0.0))

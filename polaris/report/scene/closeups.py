@@ -25,17 +25,10 @@ FLAT = 0.05
 
 @dataclass(frozen=True, eq=False)
 class CloseUp:
-    """One passage of one unsafe set.
+    """One passage of one unsafe set, closest at a time [s] with a distance [m].
 
-    Attributes
-    ----------
-    obstacle : Obstacle
-    time, distance : float
-        Of the closest approach of this passage [s], [m].
-    axes : list of two int, or None
-        Position coordinates that show the gap; None if only the distance over time does.
-    span : (int, int)
-        First and one-past-last sample of the safe path at which they do.
+    `axes` are the two position coordinates that show the gap, or None if only the distance over time does;
+    `span` is the first and one-past-last sample of the safe path at which they do.
     """
 
     obstacle: Obstacle
@@ -94,11 +87,7 @@ def _passages(obstacle: Obstacle, space: Space, distance: Array) -> list[CloseUp
 def is_flat(picture: Picture, paths: Sequence[Array] = ()) -> bool:
     """Whether the plane of the figures shows all there is to see: motion within it, past all sets.
 
-    Parameters
-    ----------
-    picture : Picture
-    paths : sequence of ndarray, shape (N, d)
-        Further positions flown [m].
+    `paths` are further positions flown, shape (N, d) [m].
     """
     if picture.system.d < 3:
         return True
@@ -110,34 +99,23 @@ def is_flat(picture: Picture, paths: Sequence[Array] = ()) -> bool:
 
 
 def plane_gap(obstacle: Obstacle, picture: Picture, axes: Sequence[int]) -> Array:
-    """How far the safe path is from a set at the same time, as both look along the other axes [m].
+    """How far the safe path is from a set at the same time, as both look along the other axes, (N,) [m].
 
     Negative where the path is drawn within the set. Of another satellite the timed cover counts.
-
-    Parameters
-    ----------
-    obstacle : Obstacle
-        Not a keep-in set.
-    axes : sequence of two int
-
-    Returns
-    -------
-    ndarray, shape (N,)
-        At the times of `Picture.safe_path`.
     """
-    axes, system = list(axes), picture.system
+    axes, system, shape = list(axes), picture.system, obstacle.drawn
     times, path = picture.safe_path()
-    if isinstance(obstacle, SatelliteObstacle):
+    if isinstance(obstacle, SatelliteObstacle) or not shape.bounded:  # by the facets that are seen edge on
         (timed,) = obstacle.timed_polytopes(system, picture.reference.delta, picture.planned)
         cell = np.clip(times / picture.reference.delta, 0, picture.planned)
         k = np.minimum(cell.astype(int), picture.planned - 1)
         s = (cell - k)[:, None]
-        return _edge_on(timed.normals, timed.offsets[k, 0] * (1 - s) + timed.offsets[k, 1] * s, path, axes)
-    path, shape = path - obstacle.centre(times, system), obstacle.drawn
+        rows = np.all(np.abs(np.delete(timed.normals, axes, axis=1)) < 1e-9, axis=1)
+        offsets = (timed.offsets[k, 0] * (1 - s) + timed.offsets[k, 1] * s)[:, rows]
+        return np.asarray((path @ timed.normals[rows].T - offsets).max(axis=1, initial=-np.inf))
+    path = path - obstacle.centre(times, system)
     if isinstance(shape, Ball):
         return np.asarray(np.linalg.norm(path[:, axes], axis=1) - shape.radius)
-    if not shape.bounded:
-        return _edge_on(shape.H, shape.b[None], path, axes)
     return outline_gap(flat_outline(shape.vertices()[:, axes]), path[:, axes])
 
 
@@ -147,10 +125,3 @@ def outline_gap(outline: Array, points: Array) -> Array:
     normal = np.stack([edge[:, 1], -edge[:, 0]], axis=1)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     return np.asarray((points @ normal.T - np.sum(normal * outline, axis=1)).max(axis=1))
-
-
-def _edge_on(normals: Array, offsets: Array, path: Array, axes: list[int]) -> Array:
-    """Gap to the facets ``normals p = offsets`` that are seen edge on; -inf if there are none."""
-    rows = np.all(np.abs(np.delete(normals, axes, axis=1)) < 1e-9, axis=1)
-    gap = path @ normals[rows].T - offsets[:, rows]
-    return np.asarray(gap.max(axis=1, initial=-np.inf))

@@ -5,26 +5,22 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
 
 from ...model.shapes import Polytope
 from ...model.system import Array
-from ...runs.frame import directions
+from ...runs.picture import directions
 
 
 @dataclass(frozen=True, eq=False)
 class Shape:
     """A ``line`` (with gaps where it is nan), single ``points``, an ``area`` in an outline, or a ``mesh``.
 
-    Attributes
-    ----------
-    kind : str
-    points : ndarray, shape (N, dim)
-        [m]
-    faces : ndarray of int, shape (F, 3), optional
-        Corners of the triangles of a mesh.
+    Points are of shape (N, dim) [m]; a mesh has triangles (F, 3) with corners among them.
     """
 
     kind: str
@@ -44,15 +40,7 @@ class Shape:
 
 
 def polygon(support: ArrayLike, rays: Array) -> Array:
-    """Corners of ``{p : rays p <= support}`` where every ray supports the set, shape (..., count, 2).
-
-    Parameters
-    ----------
-    support : array_like, shape (..., count)
-        Support of a convex set along each ray: the polygon is circumscribed about it.
-    rays : ndarray, shape (count, 2)
-        Unit vectors in the order of their angle (`directions`).
-    """
+    """Corners (..., R, 2) of a polygon about a set, by its support (..., R) along rays in order of angle."""
     h = np.asarray(support, dtype=float)
     after, h_after = np.roll(rays, -1, axis=0), np.roll(h, -1, axis=-1)
     cross = rays[:, 0] * after[:, 1] - rays[:, 1] * after[:, 0]
@@ -62,23 +50,14 @@ def polygon(support: ArrayLike, rays: Array) -> Array:
 
 
 def tube_support(centre: Array, generators: Array, bow: Array, parts: int, rays: Array) -> Array:
-    """Support of a tube over parts of every step along rays (R, e), shape (K, parts, R).
+    """Support (K, parts, R) [m] of a tube over parts of every step, at most q, along rays (R, e).
 
-    Parameters
-    ----------
-    centre : ndarray, shape (K, q+1, e)
-        Centres at the nodes of every step [m].
-    generators : ndarray, shape (K, q+1, e, g)
-    bow : ndarray, shape (K, q, e)
-        Bound on what lies outside the hull of consecutive nodes.
-    parts : int
-        Parts per step, at most q.
-    rays : ndarray, shape (R, e)
+    Centres (K, q+1, e) and generators (K, q+1, e, g) are those at the nodes of every step; the bow (K, q, e)
+    bounds what lies outside the hull of consecutive nodes.
     """
     node = centre @ rays.T + np.abs(np.einsum("ri,kqig->kqrg", rays, generators)).sum(axis=-1)
     between = np.maximum(node[:, :-1], node[:, 1:]) + bow @ np.abs(rays).T
-    edges = part_edges(bow.shape[1], parts)
-    return np.stack([between[:, a:b].max(axis=1) for a, b in zip(edges[:-1], edges[1:], strict=True)], axis=1)
+    return np.asarray(np.maximum.reduceat(between, part_edges(bow.shape[1], parts)[:-1], axis=1))
 
 
 def part_edges(q: int, parts: int) -> NDArray[np.int_]:
@@ -87,23 +66,13 @@ def part_edges(q: int, parts: int) -> NDArray[np.int_]:
 
 
 def flat_outline(vertices: Array) -> Array:
-    """Convex hull of points in the plane, counter-clockwise, shape (V, 2)."""
-    points = sorted({(float(x), float(y)) for x, y in vertices})
-    if len(points) < 3:
-        return np.array(points).reshape(-1, 2)
-
-    def half(ordered: list[tuple[float, float]]) -> list[tuple[float, float]]:
-        chain: list[tuple[float, float]] = []
-        for p in ordered:
-            while len(chain) >= 2:
-                (ax, ay), (bx, by) = chain[-2], chain[-1]
-                if (bx - ax) * (p[1] - ay) - (by - ay) * (p[0] - ax) > 0:
-                    break
-                chain.pop()
-            chain.append(p)
-        return chain[:-1]
-
-    return np.array(half(points) + half(points[::-1]))
+    """Convex hull (V, 2) of points in the plane, counter-clockwise; the ends of what has no area."""
+    points = np.unique(vertices, axis=0)
+    try:
+        corners = ConvexHull(points).vertices
+    except (QhullError, ValueError):  # too few, or all on a line
+        return np.asarray(points[:: max(len(points) - 1, 1)])
+    return np.asarray(points[np.roll(corners, -int(np.argmin(corners)))])
 
 
 def closed(outline: Array) -> Array:
@@ -128,8 +97,6 @@ def stretches(flags: ArrayLike) -> list[tuple[int, int]]:
 
 def hull(points: Array) -> Shape | None:
     """Surface of the convex hull of points (V, 3); None if it has no volume."""
-    from scipy.spatial import ConvexHull, QhullError
-
     if len(points) < 4:
         return None
     size = max(float(np.ptp(points, axis=0).max()), 1e-300)
@@ -144,18 +111,7 @@ def hull(points: Array) -> Shape | None:
 
 
 def polyhedron(normals: Array, support: Array, inside: Array) -> Shape | None:
-    """Surface of ``{p : normals p <= support}``, bounded.
-
-    Parameters
-    ----------
-    normals : ndarray, shape (F, 3)
-    support : ndarray, shape (F,)
-        [m]
-    inside : ndarray, shape (3,)
-        A point strictly inside [m].
-    """
-    from scipy.spatial import HalfspaceIntersection, QhullError
-
+    """Surface of the bounded set ``normals p <= support``, from a point strictly inside [m]."""
     room = support - normals @ inside
     size = float(np.max(np.abs(room)))
     if not np.all(room > 1e-12 * max(size, 1e-300)):
@@ -170,24 +126,21 @@ def polyhedron(normals: Array, support: Array, inside: Array) -> Shape | None:
 
 
 @cache
-def _unit_ball(splits: int) -> Shape:
+def _unit_ball() -> Shape:
+    """An icosahedron, its triangles split in four twice."""
     golden = (1 + 5**0.5) / 2
     corners = np.array([[-1.0, golden, 0.0], [1.0, golden, 0.0], [-1.0, -golden, 0.0], [1.0, -golden, 0.0]])
     points = np.vstack([np.roll(corners, turn, axis=1) for turn in range(3)])
-    for _ in range(splits):
-        surface = hull(points / np.linalg.norm(points, axis=1, keepdims=True))
-        assert surface is not None and surface.faces is not None  # a ball's points have a volume
+    for _ in range(3):
+        surface: Any = hull(points / np.linalg.norm(points, axis=1, keepdims=True))
         edges = np.sort(surface.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
         points = np.vstack([surface.points, surface.points[np.unique(edges, axis=0)].mean(axis=1)])
-    found = hull(points / np.linalg.norm(points, axis=1, keepdims=True))
-    assert found is not None
-    return found
+    return Shape("mesh", surface.points, surface.faces)
 
 
-def ball(radius: float, splits: int = 2) -> Shape:
-    """A ball about the origin: an icosahedron, its triangles split in four a few times."""
-    unit = _unit_ball(splits)
-    return Shape("mesh", radius * unit.points, unit.faces)
+def ball(radius: float) -> Shape:
+    """A ball [m] about the origin."""
+    return Shape("mesh", radius * _unit_ball().points, _unit_ball().faces)
 
 
 def ball_points(radius: float, d: int) -> Array:
@@ -204,32 +157,25 @@ def boxed(H: Array, b: Array, low: Array, high: Array) -> Polytope:
 
 
 def cut_surface(H: Array, b: Array, low: Array, high: Array) -> Shape | None:
-    """Surface of ``H p <= b`` within a box, open where it leaves it; None if nothing of it is there.
-
-    Parameters
-    ----------
-    H, b : ndarray, shapes (F, 3) and (F,)
-        Unit rows; b in m.
-    low, high : ndarray, shape (3,)
-        The box [m].
-    """
+    """Surface of ``H p <= b`` within a box [m], open where it leaves it; None if nothing of it is there."""
     whole = boxed(H, b, low, high)
     if not whole.depth > 0:
         return None
     found = polyhedron(whole.H, whole.b, whole.middle)
     if found is None or found.faces is None:
         return None
-    near = 1e-6 * float(np.max(high - low))
-    on_low = np.abs(found.points - low) <= near
-    on_high = np.abs(found.points - high) <= near
-    capped = np.any(on_low[found.faces].all(axis=1) | on_high[found.faces].all(axis=1), axis=1)
-    return Shape("mesh", found.points, found.faces[~capped]) if np.any(~capped) else None
+    inner = ~on_box(found.points[found.faces], low, high)
+    return Shape("mesh", found.points, found.faces[inner]) if np.any(inner) else None
+
+
+def on_box(parts: Array, low: Array, high: Array) -> NDArray[np.bool_]:
+    """Which lines or triangles (N, corners, 3) lie in a side of a box [m]."""
+    apart = np.abs(np.stack([parts - low, parts - high]))
+    return np.asarray(np.any(np.all(apart <= 1e-6 * np.max(high - low), axis=2), axis=(0, 2)))
 
 
 def faces(vertices: Array) -> list[Array]:
     """Faces of the convex hull of points in space, corners in order, each of shape (V, 3)."""
-    from scipy.spatial import ConvexHull, QhullError
-
     if len(vertices) < 4:
         return []
     try:
@@ -237,12 +183,10 @@ def faces(vertices: Array) -> list[Array]:
     except QhullError:  # no volume
         return []
     found = []
-    for plane in np.unique(np.round(hull.equations, 6), axis=0):
-        normal = plane[:3]
-        on = vertices[np.abs(vertices @ normal + plane[3]) <= 1e-4 * (1 + np.abs(plane[3]))]
-        if len(on) < 3:
-            continue
-        first = np.linalg.svd(on - on.mean(axis=0))[2][:2]
-        flat = (on - on.mean(axis=0)) @ first.T
-        found.append(on[np.argsort(np.arctan2(flat[:, 1], flat[:, 0]))])
+    for *normal, offset in np.unique(np.round(hull.equations, 6), axis=0):
+        on = vertices[np.abs(vertices @ normal + offset) <= 1e-4 * (1 + np.abs(offset))]
+        if len(on) >= 3:
+            beside = on - on.mean(axis=0)
+            x, y = np.linalg.svd(beside)[2][:2] @ beside.T
+            found.append(on[np.argsort(np.arctan2(y, x))])
     return found

@@ -14,6 +14,7 @@ from .closeups import CloseUp
 from .geometry import Shape, gapped, stretches
 
 if TYPE_CHECKING:
+    from ...rta.arena import Shown
     from ...simulation.baselines import Flights
 
 
@@ -21,8 +22,7 @@ if TYPE_CHECKING:
 class Mark:
     """The true set at one of the instants that print shows, and what is written there besides its name.
 
-    Perhaps with the outline (V, 2) of where another satellite is known to be, and the chaser's place (dim,)
-    at that time [m].
+    Perhaps with the outline (V, 2) of where another satellite is known to be, and the chaser's place (dim,).
     """
 
     shape: Shape
@@ -33,34 +33,18 @@ class Mark:
 
 @dataclass(frozen=True, eq=False)
 class Item:
-    """One thing of a scene.
+    """One thing of a scene; its role is a key of `palette.LOOKS`, which has a name for it, too.
 
-    Attributes
-    ----------
-    role : str
-        A key of `palette.LOOKS`.
-    name : str
-    shapes : tuple of Shape or None
-        One, or one for each of `times`, which is shown from then on; None where nothing is there.
-    times : ndarray, shape (T,), optional
-        [s]
-    shift : ndarray, shape (T, dim), optional
-        How far the shape is carried by each time, evenly in between [m].
-    modes : ndarray of int, shape (T,), optional
-        Who flies from each time on.
-    marks : tuple of Mark
-        The most important one first.
-    way : ndarray, shape (N, dim), optional
-        Path of the centre of a moving set.
-    passages : tuple of int, optional
-        Which close-ups of the scene show how it is passed; the plane does not.
-    cut : bool
-        Whether it goes on beyond the scene.
+    There is one shape, or one for each of the times (T,) [s], shown from then on (None where nothing is
+    there). `shift` (T, dim) [m] says how far the shape is carried by each time, evenly in between; `modes`
+    (T,) who flies from each time on. Marks are in order of importance; `way` (N, dim) is the path of the
+    centre of a moving set; `passages` say which close-ups of the scene show how it is passed, if the plane
+    does not; `cut` says that it goes on beyond the scene.
     """
 
     role: str
-    name: str
     shapes: tuple[Shape | None, ...]
+    name: str = ""
     times: NDArray[np.floating[Any]] | None = None
     shift: Array | None = None
     modes: NDArray[np.int_] | None = None
@@ -74,25 +58,18 @@ class Item:
         """The first shape there is."""
         return next((one for one in self.shapes if one is not None), None)
 
+    @property
+    def points(self) -> Array:
+        """Points of that shape, (N, dim); none if there is none."""
+        return np.zeros((0, 2)) if self.shape is None else self.shape.points
+
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """What is drawn of a picture, in two or three axes.
+    """What is drawn of a picture in two or three axes, from `low` to `high` (dim,) [m], along time [s].
 
-    Attributes
-    ----------
-    picture : Picture
-    axes : list of int
-        Position coordinates that are drawn.
-    labels : tuple of str
-        Of the axes, with units.
-    low, high : ndarray, shape (dim,)
-        What is shown [m]; along the axis of time [s].
-    items : tuple of Item
-    time_axis : int, optional
-        Which axis is time: the first one for motion on a line, the last one for a plane seen in space.
-    closeups : tuple of CloseUp
-        Passages that the plane does not show to be safe.
+    `axes` are the position coordinates drawn; `time_axis` is the first axis for motion on a line, the last
+    one for a plane seen in space; `closeups` are the passages that the plane does not show to be safe.
     """
 
     picture: Picture
@@ -128,9 +105,12 @@ class Scene:
         return [item for role in roles for item in self.items if item.role == role]
 
 
-def modes_per_node(flights: Flights) -> NDArray[np.int_]:
-    """Who flies from each node to the next, shape (N,)."""
-    return np.repeat(flights.modes, (len(flights.times) - 1) // len(flights.modes))
+def modes_per_node(runs: Flights | Shown) -> NDArray[np.int_]:
+    """Who flies from each node to the next in every run, shape (r, N)."""
+    if np.ndim(runs.modes) == 2:
+        return np.asarray(runs.modes)
+    one = np.repeat(runs.modes, (len(runs.times) - 1) // len(runs.modes))
+    return np.tile(one, (len(runs.labels), 1))
 
 
 def under_mode(flown: Array, flags: NDArray[np.bool_]) -> Array:
@@ -139,19 +119,12 @@ def under_mode(flown: Array, flags: NDArray[np.bool_]) -> Array:
 
 
 def by_mode(picture: Picture, shown: Array, span: tuple[int, int] | None = None) -> dict[int, Array]:
-    """The first run under Polaris in pieces, by mode: the one that flew most first, so that none is hidden.
+    """The first run under Polaris in pieces by mode: the one that flew most first, so that none is hidden.
 
-    Parameters
-    ----------
-    picture : Picture
-        With this run.
-    shown : ndarray, shape (N+1, dim)
-        Where to draw its nodes.
-    span : (int, int), optional
-        First and one-past-last node to draw.
+    `shown` (N+1, dim) says where its nodes are drawn, `span` the first and one-past-last node to draw.
     """
     a, b = (0, len(shown)) if span is None else span
-    who = modes_per_node(picture.flights["polaris"])[a : b - 1]
+    who = modes_per_node(picture.flights["polaris"])[0, a : b - 1]
     modes, counts = np.unique(who, return_counts=True)
     order = modes[np.argsort(-counts, kind="stable")]
     return {int(mode): under_mode(shown[a:b], who == mode) for mode in order}

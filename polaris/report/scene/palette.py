@@ -54,18 +54,7 @@ BACKUP_MODES = {0: ("primary controller", ORANGE), 1: ("backup controller", BLUE
 
 @dataclass(frozen=True)
 class Look:
-    """How one kind of thing is called and coloured.
-
-    Attributes
-    ----------
-    colour : str
-    name : str
-        On the page.
-    legend : str
-        In print.
-    group : str
-        What switches it on and off on the page.
-    """
+    """Colour of one kind of thing, its name on the page and in print, and what switches it on the page."""
 
     colour: str
     name: str

@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from ...model.obstacle import directions as directions_in_space
 from ...model.system import Array
-from ...runs.frame import directions
-from ...runs.picture import Picture
+from ...runs.picture import Picture, directions
+from . import geometry
 from .closeups import closeups, is_flat
-from .geometry import Shape, flat_outline, hull, part_edges, polygon, polyhedron, tube_support
+from .geometry import Shape, flat_outline
 from .items import Item, Scene
-from .line import line_scene
-from .palette import LOOKS
+from .line import Stretch
 from .space import Space
 from .unsafe import prisms, unsafe_items
 
-MOST_FRAMES = (960, 240)
-"""Most sets of a tube that are drawn in the plane and in space: neighbours are drawn as one beyond it."""
+MOST_FRAMES = (1, 960, 240)
+"""Most sets of a tube that are drawn on the line (one per step), in the plane and in space."""
+
+PATHS = ("reference", "tail")
+"""Roles of the reference until the horizon and after it."""
 
 
 def shown_axes(picture: Picture, paths: Sequence[Array] = ()) -> list[int]:
@@ -29,19 +32,13 @@ def shown_axes(picture: Picture, paths: Sequence[Array] = ()) -> list[int]:
 
 
 def describe(picture: Picture, paths: Sequence[Array] | None = None, axes: list[int] | None = None) -> Scene:
-    """What a scene shows of a picture.
+    """What a scene shows of a picture in two or three axes, by default the plane of the figures.
 
-    Parameters
-    ----------
-    picture : Picture
-    paths : sequence of ndarray, shape (N, d), optional
-        Positions flown [m]; the scene is widened for those that stay near it. Default the picture's own.
-    axes : list of int, optional
-        Position coordinates to draw, two or three; default the plane of the figures. Motion on a line is
-        drawn over time.
+    It is widened for paths flown (N, d) [m] that stay near, by default the picture's own. Motion on a line is
+    drawn over time.
     """
     if picture.system.d == 1:
-        return line_scene(picture, paths)
+        return _on_the_line(picture, paths)
     axes = picture.frame.flat if axes is None else axes
     space = Space.of(picture, paths)
     found = closeups(picture) if len(axes) == 2 else []
@@ -49,7 +46,7 @@ def describe(picture: Picture, paths: Sequence[Array] | None = None, axes: list[
         *unsafe_items(space, axes, found),
         *_goal(space, axes),
         *_start(picture, axes),
-        *_reference(picture, axes),
+        *(_line(role, path[:, axes]) for role, path in zip(PATHS, picture.path(), strict=True) if len(path)),
         *_tube(picture, axes),
     ]
     labels = picture.frame.labels[: len(axes)]
@@ -62,18 +59,29 @@ def over_time(picture: Picture) -> Scene:
     axes, space, end = picture.frame.flat, Space.of(picture), picture.duration
     low, high = np.append(space.low[axes], 0.0), np.append(space.high[axes], end)
     scene = Scene(picture, axes, (*picture.frame.labels, "Time (s)"), low, high, time_axis=2)
-    items = [Item("goal", "goal", (_part(part, axes, end),)) for part in space.goal()]
+    goal = [Item("goal", (_part(part, axes, end),)) for part in space.goal()]
     way = scene.placed(picture.path()[0], picture.path_times())
-    items.append(Item("reference", LOOKS["reference"].name, (Shape("line", way),)))
-    items += prisms(space)
-    return Scene(picture, axes, scene.labels, low, high, tuple(items), time_axis=2)
+    return replace(scene, items=(*goal, _line("reference", way), *prisms(space)))
 
 
-def _reference(picture: Picture, axes: list[int]) -> list[Item]:
-    paths = zip(("reference", "tail"), picture.path(), strict=True)
-    return [
-        Item(role, LOOKS[role].name, (Shape("line", path[:, axes]),)) for role, path in paths if len(path)
-    ]
+def _on_the_line(picture: Picture, paths: Sequence[Array] | None) -> Scene:
+    """The scene of a system that moves on a line: position over time."""
+    space, end = Stretch.of(picture, paths), picture.duration
+    low, high = np.array([0.0, space.low]), np.array([end, space.high])
+    scene = Scene(picture, [0], ("Time (s)", picture.frame.labels[0]), low, high, time_axis=0)
+    start = picture.initial_positions
+    reach = float(np.abs(start.G).sum())
+    goal = np.array([[end, value] for value in space.goal()])
+    items = [item for obstacle in picture.obstacles for item in space.unsafe(obstacle)]
+    if len(goal):
+        items.append(Item("goal", (Shape("line" if len(goal) == 2 else "points", goal),)))
+    items.append(_line("initial", np.array([[0.0, start.c[0] - reach], [0.0, start.c[0] + reach]])))
+    items.append(_line("reference", scene.placed(picture.path()[0], picture.path_times())))
+    return replace(scene, items=(*items, *_tube(picture, [0])))
+
+
+def _line(role: str, points: Array) -> Item:
+    return Item(role, (Shape("line", points),))
 
 
 def _start(picture: Picture, axes: list[int]) -> list[Item]:
@@ -82,24 +90,24 @@ def _start(picture: Picture, axes: list[int]) -> list[Item]:
     rays = directions(64) if len(axes) == 2 else directions_in_space(3)
     size = np.abs(rays @ G).sum(axis=-1)
     if len(axes) == 2:
-        shape: Shape | None = Shape("area", polygon(rays @ c + size, rays))
+        shape: Shape | None = Shape("area", geometry.polygon(rays @ c + size, rays))
     else:
         thick = np.maximum(size, 1e-3 * float(np.max(size, initial=0.0)))
-        shape = polyhedron(rays, rays @ c + thick, c)
-    found = [Item("start", "start", (Shape("points", c[None]),))]
-    return [*found, Item("initial", LOOKS["initial"].name, (shape,))] if shape else found
+        shape = geometry.polyhedron(rays, rays @ c + thick, c)
+    found = [Item("start", (Shape("points", c[None]),))]
+    return [*found, Item("initial", (shape,))] if shape else found
 
 
 def _goal(space: Space, axes: list[int]) -> list[Item]:
     """The goal's positions: rings of ellipses, a stretch, a point or a box."""
     parts = space.goal()
-    found = [Item("goal", "goal", (shape,)) for part in parts if (shape := _part(part, axes))]
+    found = [Item("goal", (shape,)) for part in parts if (shape := _part(part, axes))]
     if len(parts) == 2 and len(axes) == 3:
         inner, outer = (part.points[:, axes] for part in parts)
         a = np.arange(len(inner) - 1)
         b = a + len(inner)
         between = np.vstack([np.stack([a, a + 1, b], axis=1), np.stack([a + 1, b + 1, b], axis=1)])
-        found.append(Item("ring", "goal", (Shape("mesh", np.vstack([inner, outer]), between),)))
+        found.append(Item("ring", (Shape("mesh", np.vstack([inner, outer]), between),)))
     return found
 
 
@@ -110,29 +118,33 @@ def _part(part: Shape, axes: list[int], at: float | None = None) -> Shape | None
     if np.all(np.ptp(points, axis=0) == 0):  # a line seen end on, too
         kind, points = "points", points[:1]
     if kind == "area" and len(axes) == 3:
-        return hull(points)
+        return geometry.hull(points)
     points = flat_outline(points) if kind == "area" else points
     return Shape(kind, points if at is None else np.column_stack([points, np.full(len(points), at)]))
 
 
 def _tube(picture: Picture, axes: list[int]) -> list[Item]:
     """Where the spacecraft may be over each part of a step, whatever the disturbance."""
-    tube = picture.tube
+    tube, dim, delta = picture.tube, len(axes), picture.reference.delta
     if tube is None or not len(tube.bow):
         return []
     K, q = tube.bow.shape[:2]
-    parts = max(1, min(q, 4 if len(axes) == 2 else q, MOST_FRAMES[len(axes) - 2] // K))
-    edges = part_edges(q, parts)
-    times = (np.arange(K)[:, None] + edges[:-1] / q) * picture.reference.delta
-    rays = directions(32) if len(axes) == 2 else directions_in_space(3)
+    parts = max(1, min(q, 4 if dim == 2 else q, MOST_FRAMES[dim - 1] // K))
+    edges = geometry.part_edges(q, parts)
+    times = ((np.arange(K)[:, None] + edges[:-1] / q) * delta).ravel()
+    rays = directions(32) if dim == 2 else directions_in_space(dim)
     centre = tube.centre[..., axes]
-    support = tube_support(centre, tube.generators[..., axes, :], tube.bow[..., axes], parts, rays)
+    support = geometry.tube_support(centre, tube.generators[..., axes, :], tube.bow[..., axes], parts, rays)
+    support = support.reshape(-1, len(rays))
     shapes: list[Shape | None]
-    if len(axes) == 2:
-        shapes = [Shape("area", one) for one in polygon(support, rays).reshape(-1, len(rays), 2)]
+    if dim == 1:
+        ends = zip(times, -support[:, 1], support[:, 0], strict=True)
+        steps = [np.array([[t, a], [t + delta, a], [t + delta, b], [t, b]]) for t, a, b in ends]
+        shapes = [Shape("area", one) for one in steps]
+    elif dim == 2:
+        shapes = [Shape("area", one) for one in geometry.polygon(support, rays)]
     else:
         inside = centre[:, (edges[:-1] + edges[1:]) // 2].reshape(-1, 3)
-        pairs = zip(support.reshape(-1, len(rays)), inside, strict=True)
-        shapes = [polyhedron(rays, b, c) for b, c in pairs]
+        shapes = [geometry.polyhedron(rays, b, c) for b, c in zip(support, inside, strict=True)]
     modes = np.repeat(picture.modes, len(edges) - 1) if len(picture.modes) == K else None
-    return [Item("tube", LOOKS["tube"].name, tuple(shapes), times.ravel(), modes=modes)]
+    return [Item("tube", tuple(shapes), times=times, modes=modes)]

@@ -7,18 +7,15 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-
-from reach.sets.zonotope import Zonotope
+from scipy.optimize import linprog
 
 from ...model.keep_in import KeepIn
 from ...model.obstacle import Obstacle
 from ...model.satellite import SatelliteObstacle
 from ...model.shapes import Ball
 from ...model.system import Array
-from ...planning.goal import Goal
-from ...planning.goals import Box, EllipticalNMT, LinearNMT, StationaryPoint
-from ...runs.frame import directions
-from ...runs.picture import Approach, Picture
+from ...planning.goals import EllipticalNMT, Goal, LinearNMT
+from ...runs.picture import Approach, Picture, directions
 from .geometry import Shape, ball_points, boxed, flat_outline
 
 NEAR = 0.35
@@ -27,15 +24,9 @@ NEAR = 0.35
 
 @dataclass(frozen=True, eq=False)
 class Space:
-    """The part of space a scene shows, and the sets in it.
+    """The part of space a scene shows, from `low` to `high` (d,) [m], and the sets in it.
 
     Everything is in the system's coordinates; whoever draws picks the axes.
-
-    Attributes
-    ----------
-    picture : Picture
-    low, high : ndarray, shape (d,)
-        [m]
     """
 
     picture: Picture
@@ -44,22 +35,17 @@ class Space:
 
     @classmethod
     def of(cls, picture: Picture, paths: Sequence[Array] | None = None) -> Space:
-        """Room for the safe path and reference, what is flown about them, and what they come near.
+        """Room for the safe path and the reference, what they come near, and paths (N, d) [m] about them.
 
-        Parameters
-        ----------
-        picture : Picture
-        paths : sequence of ndarray, shape (N, d), optional
-            Positions flown [m]; those that stay near widen the view. Default the picture's first runs.
+        The paths are by default the picture's first runs; those that stray far are left out.
         """
         flat = picture.frame.flat
         start = picture.initial_positions
         reach = np.abs(start.G).sum(axis=-1)
         points = np.vstack([*picture.path(), picture.safe_path()[1], start.c - reach, start.c + reach])
         size = float(np.max(np.ptp(points[:, flat], axis=0)))
-        for path in (
-            [picture.positions(item) for item in picture.flights.values()] if paths is None else paths
-        ):
+        flown = map(picture.positions, picture.flights.values())
+        for path in flown if paths is None else paths:
             beyond = np.maximum(points.min(axis=0) - path, path - points.max(axis=0))[:, flat]
             if np.all(beyond < NEAR * size):
                 points = np.vstack([points, path])
@@ -70,10 +56,10 @@ class Space:
             if isinstance(obstacle, KeepIn):
                 continue
             near = picture.approach(obstacle)
-            if not obstacle.drawn.bounded:
-                outline = _within(obstacle, picture, near, reach)
-            else:
+            if obstacle.drawn.bounded:
                 outline = cls(picture, low, high).corners(obstacle, near.time)
+            else:
+                outline = _within(obstacle, picture, near, reach)
             seen.append(np.clip(outline, low - reach, high + reach))
         points = np.vstack(seen)
         low, high = points.min(axis=0), points.max(axis=0)
@@ -128,7 +114,7 @@ class Space:
 
         Infinite widths are cut to this space.
         """
-        goal, system = self.picture.goal, self.picture.system
+        goal = self.picture.goal
         if isinstance(goal, EllipticalNMT):
             angle = np.linspace(0, 2 * np.pi, 121)
             ring = np.stack([np.sin(angle), 2 * np.cos(angle), np.zeros_like(angle)], axis=1)
@@ -137,37 +123,30 @@ class Space:
         if isinstance(goal, LinearNMT):
             most = goal.amplitude_max
             return [Shape("line", np.array([[0.0, goal.along_track, z] for z in (-most, most)]))]
-        if isinstance(goal, StationaryPoint):
-            return [Shape("points", (system.position @ np.asarray(goal.state))[None])]
-        return self._box(goal) if isinstance(goal, Box) else self._allowed(goal)
+        return self._allowed(goal)
 
     def _allowed(self, goal: Goal) -> list[Shape]:
-        """Outermost positions that the conditions of any other goal allow; none if they have no bounds."""
-        from scipy.optimize import linprog
+        """Outermost positions that the conditions of a goal allow; none if they allow all."""
+        C, asked, eye = self.picture.system.position, goal.conditions, np.eye(len(self.low))
 
-        C, asked = self.picture.system.position, goal.conditions
-        rays = np.array([ray for ray in product((-1.0, 0.0, 1.0), repeat=len(C)) if any(ray)])
-        limits = asked.G, asked.g, asked.E, asked.e
-        ends = [linprog(-ray @ C, *limits, bounds=(None, None)).x for ray in rays]
-        return [Shape("area", np.array(ends) @ C.T)] if all(end is not None for end in ends) else []
+        def outermost(ray: Array, G: Array = asked.G, g: Array = asked.g) -> Array | None:
+            state = linprog(-ray @ C, G, g, asked.E, asked.e, bounds=(None, None)).x
+            return None if state is None else C @ state
 
-    def _box(self, goal: Box) -> list[Shape]:
-        C, half = self.picture.system.position, np.asarray(goal.half_widths)
-        centre, free = C @ np.asarray(goal.center), np.any(C[:, np.isinf(half)] != 0, axis=1)
+        free = np.array([outermost(ray) is None or outermost(-ray) is None for ray in eye])
         if np.all(free):
             return []
-        arms = C[:, np.isfinite(half)] * half[np.isfinite(half)]
-        arms = arms[:, np.any(arms != 0, axis=0)]
-        if arms.shape[1] == 0 and not np.any(free):
-            return [Shape("points", centre[None])]
-        thin = 2e-3 * float(np.max(self.high - self.low)) * np.eye(len(centre))  # to be seen at all
-        arms = np.hstack([arms, thin[:, np.abs(arms).sum(axis=1) + free == 0]])
-        if np.any(free) or arms.shape[1] > 8:  # axis by axis
-            reach = np.abs(arms).sum(axis=1)
-            low = np.where(free, self.low, centre - reach)
-            high = np.where(free, self.high, centre + reach)
-            return [Shape("area", np.array(list(product(*zip(low, high, strict=True)))))]
-        return [Shape("area", Zonotope(centre, arms).corners())]
+        G = np.vstack([asked.G, eye[free] @ C, -eye[free] @ C])
+        g = np.concatenate([asked.g, self.high[free], -self.low[free]])
+        corners = np.array(
+            [outermost(np.array(ray), G, g) for ray in product((-1.0, 0.0, 1.0), repeat=len(C))]
+        )
+        size = np.ptp(corners, axis=0)
+        flat = size <= 1e-9 * np.max(self.high - self.low)
+        if np.all(flat):
+            return [Shape("points", corners[:1])]
+        thin = 2e-3 * float(np.max(self.high - self.low)) * flat  # to be seen at all
+        return [Shape("area", np.vstack([corners - thin, corners + thin]))]
 
 
 def _within(obstacle: Obstacle, picture: Picture, near: Approach, depth: float) -> Array:

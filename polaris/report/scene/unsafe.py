@@ -1,21 +1,28 @@
-"""Unsafe sets and keep-in sets in a scene in the plane, in space, or in the plane over time."""
+"""Unsafe and keep-in sets in a scene: in the plane, in space, in the plane over time, and about a chief."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from ...model.keep_in import KeepIn, KeepInCone
+from ...inspection.inspection import Inspection
+from ...model.keep_in import KeepIn
 from ...model.obstacle import Obstacle
 from ...model.satellite import SatelliteObstacle
 from ...model.shapes import Ball, Polytope
 from ...model.system import Array
+from . import geometry
 from .closeups import CloseUp
-from .geometry import Shape, ball, boxed, closed, cut_surface, faces, flat_outline, gapped, hull, polyhedron
+from .geometry import Shape, boxed, closed, faces, flat_outline, gapped, hull, on_box
 from .items import Item, Mark
+from .palette import LOOKS
 from .space import Space, moves
+
+AXES = ("Radial", "Along-track", "Cross-track")
+ORDER = [1, 0, 2]
+"""Hill's coordinates in the order of the axes of a scene: along-track, radial, cross-track."""
 
 PATH = 121
 """Instants between which a moving set is carried evenly."""
@@ -28,16 +35,9 @@ PRISMS = 5
 
 
 def unsafe_items(space: Space, axes: list[int], found: Sequence[CloseUp]) -> list[Item]:
-    """All unsafe sets of a scene in the plane or in space.
+    """All unsafe sets of a scene in the plane or in space, by its axes and the passages out of the plane.
 
-    Parameters
-    ----------
-    space : Space
-        What is shown: unbounded sets are cut to it, in the plane to more, so that they fill any frame.
-    axes : list of int
-        The two or three position coordinates that are drawn.
-    found : sequence of CloseUp
-        Passages out of the plane.
+    Unbounded sets are cut to the space, in the plane to more, so that they fill any frame.
     """
     items: list[Item] = []
     for obstacle in space.picture.obstacles:
@@ -52,23 +52,22 @@ def unsafe_items(space: Space, axes: list[int], found: Sequence[CloseUp]) -> lis
 
 def _body(obstacle: Obstacle, space: Space, axes: list[int], found: Sequence[CloseUp]) -> list[Item]:
     """The true set: once, and the way it goes; a moving wall cut to the scene at every instant."""
-    system, flat = space.picture.system, len(axes) == 2
-    shown = space.wider(1.0) if flat else space
+    system, end = space.picture.system, space.picture.duration
+    shown = space.wider(1.0) if len(axes) == 2 else space
     passages = tuple(i for i, one in enumerate(found) if one.obstacle is obstacle)
-    moving = moves(obstacle, space.picture)
+    moving, cut = moves(obstacle, space.picture), not obstacle.drawn.bounded
     chosen = [found[i].time for i in passages] or instants(obstacle, space)
     marks = _marks(obstacle, shown, axes, chosen if moving else chosen[:1], moving)
-    cut = not obstacle.drawn.bounded
-    item = Item("unsafe", obstacle.name, (), marks=marks, passages=passages, cut=cut)
-    if not moving:
-        item = replace(item, shapes=(_at(obstacle, shown, axes, 0.0),))
-        return [item] if item.shape else []
-    times = np.linspace(0, space.picture.duration, PATH)
-    shift = (obstacle.centre(times, system) - obstacle.centre(0.0, system))[:, axes]
-    frames = [_at(obstacle, shown, axes, float(t)) for t in (times if cut else times[:1])]
-    shapes = tuple(one and one.moved(-gone) for one, gone in zip(frames, shift, strict=False))
-    way = obstacle.centre(np.linspace(0, space.picture.duration, 201), system)[:, axes]
-    item = replace(item, shapes=shapes, times=times, shift=shift, way=way)
+    shapes: tuple[Shape | None, ...] = (_at(obstacle, shown, axes, 0.0),)
+    motion: dict[str, Any] = {}
+    if moving:
+        times = np.linspace(0, end, PATH)
+        shift = (obstacle.centre(times, system) - obstacle.centre(0.0, system))[:, axes]
+        frames = [_at(obstacle, shown, axes, float(t)) for t in (times if cut else times[:1])]
+        shapes = tuple(one and one.moved(-gone) for one, gone in zip(frames, shift, strict=False))
+        way = obstacle.centre(np.linspace(0, end, 201), system)[:, axes]
+        motion = {"times": times, "shift": shift, "way": way}
+    item = Item("unsafe", shapes, obstacle.name, marks=marks, passages=passages, cut=cut, **motion)
     return [item] if item.shape else []
 
 
@@ -77,7 +76,8 @@ def _at(obstacle: Obstacle, space: Space, axes: list[int], t: float) -> Shape | 
         outline = space.outline(obstacle, t, axes)
         return Shape("area", outline) if len(outline) else None
     if isinstance(obstacle.drawn, Ball):
-        return ball(obstacle.drawn.radius).moved(obstacle.centre(t, space.picture.system)).along(axes)
+        centre = obstacle.centre(t, space.picture.system)
+        return geometry.ball(obstacle.drawn.radius).moved(centre).along(axes)
     surface = hull(space.corners(obstacle, t))
     return surface and surface.along(axes)
 
@@ -132,47 +132,26 @@ def _keep_in(obstacle: KeepIn, space: Space, axes: list[int]) -> list[Item]:
     name = f"{obstacle.name} (stay inside)"
     if len(axes) == 2:
         outline = closed(flat_outline(space.corners(obstacle, 0.0)[:, axes]))
-        return [Item("keep_in", name, (Shape("line", outline),))] if len(outline) else []
+        return [Item("keep_in", (Shape("line", outline),), name)] if len(outline) else []
     inside = obstacle.inside
-    surface = cut_surface(inside.H, inside.b, space.low, space.high)
-    found = [Item("keep_in", name, (surface.along(axes),))] if surface else []
-    if isinstance(obstacle, KeepInCone):
-        lines = _rulings(obstacle, space)
-    else:
-        within = boxed(inside.H, inside.b, space.low, space.high)
-        lines = _edges(within.vertices() if within.depth > 0 else np.zeros((0, 3)))
-        near = 1e-6 * float(np.max(space.high - space.low))
-        on = np.stack([np.abs(lines - space.low) <= near, np.abs(lines - space.high) <= near])
-        lines = lines[~np.any(on.all(axis=2), axis=(0, 2))]
-    return found + _sides(obstacle, lines[..., axes])
+    surface = geometry.cut_surface(inside.H, inside.b, space.low, space.high)
+    found = [Item("keep_in", (surface.along(axes),), name)] if surface else []
+    within = boxed(inside.H, inside.b, space.low, space.high)
+    lines = _edges(within.vertices() if within.depth > 0 else np.zeros((0, 3)))
+    return found + _sides(obstacle, lines[~on_box(lines, space.low, space.high)][..., axes])
 
 
 def _sides(obstacle: KeepIn, lines: Array) -> list[Item]:
     """Lines (L, 2, 3) along what the chaser must stay inside, if there are any."""
     shape = Shape("line", gapped(lines, 3))
-    return [Item("sides", f"{obstacle.name}: its sides", (shape,))] if len(lines) else []
+    return [Item("sides", (shape,), f"{obstacle.name}: its sides")] if len(lines) else []
 
 
 def _edges(corners: Array) -> Array:
     """Edges of the convex hull of points in space, shape (L, 2, 3)."""
-    lines = [np.stack([one, np.roll(one, -1, axis=0)], axis=1) for one in faces(corners)]
-    return np.concatenate(lines) if lines else np.zeros((0, 2, 3))
-
-
-def _rulings(obstacle: KeepInCone, space: Space) -> Array:
-    """Lines from a cone's tip along its sides, shape (L, 2, 3): its surface alone is hard to read."""
-    tip, axis = obstacle.anchor, np.asarray(obstacle.axis)
-    aside = np.linalg.svd(axis[None])[2][1:]
-    angle = np.linspace(0, 2 * np.pi, 12, endpoint=False)
-    ways = axis + np.tan(obstacle.half_angle_rad) * np.stack([np.cos(angle), np.sin(angle)], axis=1) @ aside
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ends = np.where(
-            ways > 0, (space.high - tip) / ways, np.where(ways < 0, (space.low - tip) / ways, np.inf)
-        )
-    reach = np.maximum(ends.min(axis=1), 0.0)
-    if obstacle.length is not None:
-        reach = np.minimum(reach, obstacle.length)
-    return np.stack([np.broadcast_to(tip, ways.shape), tip + reach[:, None] * ways], axis=1)
+    rims = [np.stack([face, np.roll(face, -1, axis=0)], axis=1).tolist() for face in faces(corners)]
+    found = {tuple(sorted(map(tuple, edge))) for rim in rims for edge in rim}  # each is of two faces
+    return np.array(sorted(found)).reshape(-1, 2, 3)
 
 
 def _covers(obstacle: SatelliteObstacle, space: Space, axes: list[int]) -> list[Item]:
@@ -190,7 +169,7 @@ def _covers(obstacle: SatelliteObstacle, space: Space, axes: list[int]) -> list[
     ends = np.maximum(timed.offsets[:, 0] - gone[:-1], timed.offsets[:, 1] - gone[1:])
     ends = np.vstack([ends, timed.offsets[-1, 1] - gone[-1]])
     shapes = tuple(_cover(timed.normals, b, axes) for b in ends)
-    item = Item("cover", f"{obstacle.name} is within", shapes, times, centres[:, axes])
+    item = Item("cover", shapes, f"{obstacle.name} is within", times, centres[:, axes])
     return [item] if item.shape else []
 
 
@@ -198,7 +177,7 @@ def _cover(normals: Array, support: Array, axes: list[int]) -> Shape | None:
     """A cover about its middle."""
     if normals.shape[1] != 3:
         return Shape("area", flat_outline(Polytope(normals, support).vertices()[:, axes]))
-    solid = polyhedron(normals, support, np.zeros(3))
+    solid = geometry.polyhedron(normals, support, np.zeros(3))
     if solid is None or len(axes) == 3:
         return solid and solid.along(axes)
     return Shape("area", flat_outline(solid.points[:, axes]))
@@ -223,5 +202,16 @@ def prisms(space: Space) -> list[Item]:
         marks = [Mark(one) for one in map(hull, pairs) if one]
         if marks:
             cut = not obstacle.drawn.bounded
-            found.append(Item("unsafe", obstacle.name, (marks[-1].shape,), marks=tuple(marks[::-1]), cut=cut))
+            found.append(Item("unsafe", (marks[-1].shape,), obstacle.name, marks=tuple(marks[::-1]), cut=cut))
     return found
+
+
+def surroundings(q: Inspection) -> list[Item]:
+    """The chief's sphere, and three circles of the sphere to stay within, in the axes of a scene."""
+    angle = np.linspace(0, 2 * np.pi, 73)
+    ring = q.distance_max * np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=1)
+    rings = gapped((np.roll(ring, turn, axis=1) for turn in range(3)), 3)
+    return [
+        Item("chief", (geometry.ball(q.separation),)),
+        Item("keep", (Shape("line", rings),), f"{LOOKS['keep'].name}, {q.distance_max:g} m"),
+    ]

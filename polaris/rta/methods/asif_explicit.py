@@ -71,14 +71,20 @@ class ExplicitASIF(Method):
             raise ScenarioError(
                 "method", self.key, "the input moves the position only by its third derivative"
             )
-        self.balls = {o.name: o for o in grid.schedule.safety.problem.unsafe if isinstance(o, BallObstacle)}
-        self.sets = [unsafe for unsafe in grid.unsafe if unsafe.name not in self.balls]
-        parts = np.split(grid.facets[1], grid.facets[2][1:], axis=1)
-        self.offsets = [part for part, u in zip(parts, grid.unsafe, strict=False) if u.name not in self.balls]
+        self.balls = [o for o in grid.schedule.safety.problem.unsafe if isinstance(o, BallObstacle)]
         span = float(np.abs(grid.xi @ self.drift.T).max(initial=0.0))
-        self.brakes = [self._brake(unsafe.name, unsafe.normals, span) for unsafe in self.sets]
-        # Along the direction in which the thrusters push least a ball must be met too.
-        self.ball_brake = self._brake("balls", _directions(system.d), span).min() if self.balls else 0.0
+        parts = np.split(grid.facets[1], grid.facets[2][1:], axis=1)
+        round_ones = {ball.name for ball in self.balls}
+        # Normals, offsets at every node, and how hard full thrust brakes along the normals.
+        self.walls = [
+            (u.normals, offsets, self._brake(u.name, u.normals, span))
+            for u, offsets in zip(grid.unsafe, parts, strict=False)
+            if u.name not in round_ones
+        ]
+        # A ball must be met also where the thrusters push least: along an axis or the diagonal.
+        d = system.d
+        ways = np.vstack([np.eye(d), np.ones((1, d)) / np.sqrt(d)])
+        self.ball_brake = self._brake("balls", ways, span).min() if self.balls else 0.0
 
     def _brake(self, name: str, normals: Array, span: float) -> Array:
         """Deceleration [m/s^2] by full thrust along normals (F, d), against drift and disturbance."""
@@ -105,13 +111,11 @@ class ExplicitASIF(Method):
             return Choice(np.full(R, FILTERED), np.full(R, np.inf), np.zeros(R, dtype=int), seen.desired)
         node = seen.k * grid.nodes
         p, v = x @ grid.system.position.T, x @ grid.system.velocity.T
-        found = [self._facets(i, node, x, p, v) for i in range(len(self.sets))]
-        found += [self._ball(ball, node, x, p, v) for ball in self.balls.values()]
-        h = np.stack([one[0] for one in found], axis=1)
-        rows, bound = np.stack([one[1] for one in found], axis=1), np.stack([one[2] for one in found], axis=1)
+        found = [self._facets(*wall, node, x, p, v) for wall in self.walls]
+        found += [self._ball(ball, node, x, p, v) for ball in self.balls]
+        h, rows, bound = (np.stack(part, axis=1) for part in zip(*found, strict=True))
         rows = rows * grid.system.u_max
-        length = np.maximum(np.linalg.norm(rows, axis=2), 1e-12)
-        answer = project(rows / length[..., None], bound / length, seen.desired / grid.system.u_max, 1.0)
+        answer = project(rows, bound, seen.desired / grid.system.u_max, 1.0)
         lost = answer.status > SOLVED
         u = np.where(lost[:, None], 0.0, answer.u) * grid.system.u_max
         return Choice(
@@ -121,15 +125,16 @@ class ExplicitASIF(Method):
             u,
         )
 
-    def _facets(self, i: int, node: int, x: Array, p: Array, v: Array) -> tuple[Array, Array, Array]:
+    def _facets(
+        self, normals: Array, offsets: Array, brakes: Array, node: int, x: Array, p: Array, v: Array
+    ) -> tuple[Array, Array, Array]:
         """Barrier (R,), row (R, m) and bound (R,) of one polytope: of its facet with the largest barrier."""
-        offsets, normals = self.offsets[i], self.sets[i].normals
         here, after = offsets[node], offsets[min(node + 1, len(offsets) - 1)]
         speed = (after - here) / self.grid.h
         d = p @ normals.T - here - np.abs(normals @ self.grid.system.position) @ self.grid.half_widths
         error = np.abs(normals @ self.grid.system.velocity) @ self.grid.half_widths
         closing = v @ normals.T - speed - (0.0 if self.direct else error)
-        allowed, slope = self._allowed(d, self.brakes[i])
+        allowed, slope = self._allowed(d, brakes)
         h = d if self.direct else closing + allowed
         best = h.argmax(axis=1)
         run = np.arange(len(x))
@@ -142,14 +147,15 @@ class ExplicitASIF(Method):
         """The same of a ball."""
         system, half = self.grid.system, self.grid.half_widths
         t = node * self.grid.h
-        away = p - ball.centre(t)
+        centre, velocity = ball.motion(t)
+        away = p - centre
         distance = np.maximum(np.linalg.norm(away, axis=1), 1e-9)
         normal = away / distance[:, None]
-        relative = v - ball.velocity_at(t)
+        relative = v - velocity
         d = distance - ball.radius - np.linalg.norm(np.abs(system.position) @ half)
         closing = (relative * normal).sum(axis=1)
         if self.direct:
-            return self._condition(x, normal, d, -(normal * ball.velocity_at(t)).sum(axis=1))
+            return self._condition(x, normal, d, -(normal * velocity).sum(axis=1))
         closing = closing - np.linalg.norm(np.abs(system.velocity) @ half)
         allowed, slope = self._allowed(d, np.array(self.ball_brake))
         turning = ((relative**2).sum(axis=1) - (relative * normal).sum(axis=1) ** 2) / distance
@@ -173,8 +179,3 @@ class ExplicitASIF(Method):
         steep = np.sqrt(brake / depth)
         thick = d > depth
         return np.where(thick, root, steep * d), np.where(thick, brake / np.maximum(root, 1e-300), steep)
-
-
-def _directions(d: int) -> Array:
-    """Directions in which the sum of the thrusters' shares is least or largest: axes and diagonals."""
-    return np.vstack([np.eye(d), np.ones((1, d)) / np.sqrt(d)])

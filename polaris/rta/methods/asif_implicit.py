@@ -68,22 +68,22 @@ class ImplicitASIF(Method):
         self.settings = {"slope": self.slope}
         self.recovery = Recovery.certified(grid)
         before = Leg.any_thrust(self.recovery) if grid.delay else None
-        self.prospect = Prospect(self.recovery, before, Leg.held(self.recovery), grid.half_widths)
+        self.prospect = Prospect(self.recovery, before, Leg.held(self.recovery))
         # What an input of full thrust (per axis) held until the next moment of effect adds at its end.
         phi, step = self.recovery.open_flow.phi, self.recovery.open_flow.input_map(grid.system.B)
-        moved = np.zeros_like(step)
-        self.moves = []
-        for _ in range(grid.nodes):
-            moved = phi @ moved + step
-            self.moves.append(moved * grid.system.u_max)
-        self.moved = self.moves[-1]
+        moves = [step * grid.system.u_max]
+        for _ in range(grid.nodes - 1):
+            moves.append(phi @ moves[-1] + moves[0])
+        facets = self.recovery.matrix[: len(self.recovery.bow), :-1]
+        self.inner_moves = np.vstack(
+            [np.zeros((0, grid.system.m)), *(facets @ moved for moved in moves[:-1])]
+        )
         demand = self.prospect.demand
-        self.rows = demand.tall[: demand.near, :-2] @ self.moved
+        self.rows = demand.tall[: demand.near, :-2] @ moves[-1]
         self.most = np.abs(self.rows).sum(axis=1)
         W = grid.tracking.W
-        self.pushed = max(float(np.linalg.norm(np.abs(W @ m).sum(axis=1))) for m in self.moves) * (
-            1 + ROUNDING
-        )
+        pushed = (float(np.linalg.norm(np.abs(W @ moved).sum(axis=1))) for moved in moves)
+        self.pushed = max(pushed) * (1 + ROUNDING)
 
     def decide(self, seen: Seen) -> Choice:
         """Solve one program for every run whose desired input is not recoverable."""
@@ -111,15 +111,15 @@ class ImplicitASIF(Method):
         for run in np.flatnonzero((margin < 0) & ~lost):
             for rooms in (allowed, room) if self.slope < 1 else (room,):
                 near = rooms[run] < self.most
-                found = _nearest(self.rows[near], rooms[run, near], desired[run])
-                if found is not None:
-                    u[run] = found
+                found = project(-self.rows[None, near], -rooms[None, run, near], desired[None, run], 1.0)
+                if found.status[0] <= SOLVED:
+                    u[run] = found.u[0]
                     break
             else:
                 lost[run] = True
         # Whatever the solver says, what it found is checked; what cannot be worked out is not met.
         lost |= ~(room - u @ self.rows.T >= -slack).all(axis=1)
-        lost |= ~(self._inner(k, e, size, u) <= 1)
+        lost |= ~(self.prospect.inner_share(k, e, size, u @ self.inner_moves.T) <= 1)
         mode = np.where(lost, 0, FILTERED)
         why = np.where(lost, 2, np.where((margin < 0) & (u != desired).any(axis=1), 1, 0))
         return Choice(mode, margin, why, u * grid.system.u_max)
@@ -139,24 +139,3 @@ class ImplicitASIF(Method):
         kept = np.zeros((len(e), len(limit)))
         kept[:, : len(rows)] = np.maximum(limit[: len(rows)] - need, 0.0)
         return (1 - self.slope) * kept
-
-    def _inner(self, k: int, e: Array, size: Array, u: Array) -> Array:
-        """Share of the room needed at facets at the nodes before the next moment of effect."""
-        out = np.zeros(len(e))
-        pairs = zip(self.prospect.inner, self.prospect.inner_demand, self.moves[:-1], strict=True)
-        for j, (stage, demand, moved) in enumerate(pairs):
-            there = e @ stage.M.T + stage.offset[k * self.grid.nodes] + u @ moved.T
-            node = k * self.grid.nodes + self.grid.delay + j + 1
-            out = np.maximum(out, self.recovery.facets_share(node, there, size, demand))
-        return out
-
-
-def _nearest(rows: Array, room: Array, desired: Array) -> Array | None:
-    """Input v with ``rows v <= room``, ``|v_i| <= 1`` nearest to the desired one; None if there is none."""
-    length = np.linalg.norm(rows, axis=1)
-    if np.any(room[length == 0] < 0):
-        return None
-    kept = length > 0
-    G, bound = -rows[kept] / length[kept, None], -room[kept] / length[kept]
-    found = project(G[None], bound[None], desired[None], 1.0)
-    return np.asarray(found.u[0]) if found.status[0] <= SOLVED else None

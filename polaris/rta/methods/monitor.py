@@ -22,7 +22,6 @@ from ...synthesis.controllers import AffineController
 from ..decision_grid import DecisionGrid
 from ..method import Choice, Method, Option, Seen
 from ..prospect import Leg, Prospect
-from ..quick import QuickProspect
 from ..recovery import Recovery
 
 TRUST = ("declared", "thrust_limits")
@@ -66,22 +65,17 @@ class Monitor(Method):
         self.dwell = whole("dwell", dwell, 1)
         self.settings = {"dwell": float(self.dwell)}
         self.recovery, self.trust = Recovery.certified(grid), trust
+        # By controller (0: anything within the thrust limits) and by who flies until a decision takes effect.
+        self.prospects: dict[tuple[int, int], Prospect] = {}
         any_thrust, safe = Leg.any_thrust(self.recovery), Leg.declared(self.recovery, 0)
-        befores = {0: safe, 1: any_thrust} if grid.delay else {0: None, 1: None}
-        self.cautious = {
-            flown: Prospect(self.recovery, before, any_thrust, grid.half_widths)
-            for flown, before in befores.items()
-        }
-        self.declared: dict[tuple[int, int], Prospect] = {}
+        legs = {0: any_thrust}
         for mode, law in enumerate(grid.controllers):
             if mode and trust == "declared" and isinstance(law, AffineController):
-                leg = Leg.declared(self.recovery, mode)
-                for flown, before in befores.items():
-                    self.declared[mode, flown] = Prospect(self.recovery, before, leg, grid.half_widths)
-        every = {**self.declared, **{(0, flown): prospect for flown, prospect in self.cautious.items()}}
-        self._quick = {key: QuickProspect(prospect) for key, prospect in every.items()}
+                legs[mode] = Leg.declared(self.recovery, mode)
+        for mode, leg in legs.items():
+            for flown, before in enumerate((safe, any_thrust)):
+                self.prospects[mode, flown] = Prospect(self.recovery, before if grid.delay else None, leg)
         self._since = np.zeros(0, dtype=int)
-        self.start_share = self.recovery.start_share
 
     @property
     def reach(self) -> str:
@@ -139,37 +133,36 @@ class Monitor(Method):
         return mode, margin
 
     def _share(self, k: int, e: Array, candidate: int, before: int) -> Array:
-        if (candidate, before) not in self.declared:
-            return self.cautious[before].share(k, e)[0]
-        share, holds = self.declared[candidate, before].share(k, e)
+        cautious = self.prospects[0, before]
+        share, holds = self.prospects.get((candidate, before), cautious).share(k, e)
         if not holds.all():
-            share[~holds] = self.cautious[before].share(k, e[~holds])[0]
+            share[~holds] = cautious.share(k, e[~holds])[0]
         return share
 
     def judge_one(self, k: int, e: Array, flown: int) -> tuple[int, float]:
-        """`judge` of one run, e of shape (n,): the quick way through; not for several threads at once."""
-        mode, share, _ = self._quickest(k, e, flown)
-        return mode, 1 - share
+        """`judge` of one run, e of shape (n,): the quick way through."""
+        return self._quickest(k, e, flown)[:2]
 
     def explained(self, k: int, e: Array, flown: int) -> tuple[int, float, str]:
         """The same, and the tightest limit in words: its name, and when S would meet it."""
-        mode, share, prospect = self._quickest(k, e, flown)
-        return mode, 1 - share, prospect.limit() if prospect else "there is no experimental controller"
+        mode, margin, found = self._quickest(k, e, flown)
+        return mode, margin, found[0].limit(k, found[1]) if found else "there is no experimental controller"
 
-    def _quickest(self, k: int, e: Array, flown: int) -> tuple[int, float, QuickProspect | None]:
-        """Mode; share of the room and prospect of the controller chosen, or of the best refused."""
+    def _quickest(self, k: int, e: Array, flown: int) -> tuple[int, float, tuple[Prospect, int] | None]:
+        """Mode; margin and tightest limit of the controller chosen, or of the best refused."""
         before, best, nearest = 1 if self.grid.delay and flown else 0, np.inf, None
         for candidate in range(1, len(self.grid.controllers)):
-            prospect = self._quick.get((candidate, before), self._quick[0, before])
-            share = prospect.share(k, e)
-            if not prospect.holds:
-                prospect = self._quick[0, before]
-                share = prospect.share(k, e)
+            cautious = self.prospects[0, before]
+            prospect = self.prospects.get((candidate, before), cautious)
+            share, where, holds = prospect.share_one(k, e)
+            if not holds:
+                prospect = cautious
+                share, where, _ = prospect.share_one(k, e)
             if share <= 1:
-                return candidate, share, prospect
+                return candidate, 1 - share, (prospect, where)
             if nearest is None or share < best:
-                best, nearest = share, prospect
-        return 0, best, nearest
+                best, nearest = share, (prospect, where)
+        return 0, 1 - best, nearest
 
 
 class DeclaredMonitor(Monitor):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import floor, isfinite
 
 from ...model.foreign import real
-from .faults import Fault
+from .runtime_options import Fault
 
 MOST = 1e9
 """Numbers of decisions beyond this are none."""
@@ -21,14 +21,8 @@ class DecisionClock:
     goes unnoticed. A reading that agrees again is believed again; a clock that was set never does, until
     `resynchronise` says so.
 
-    Parameters
-    ----------
-    period : float
-        Time between decisions [s].
-    tolerance : float
-        A decision may be called so much earlier or later than its instant [s].
-    drift : float
-        Both clocks may differ by so much [s].
+    Decisions are one period [s] apart and may be called so much earlier or later than their instants as the
+    tolerance says [s]; both clocks may differ by the drift [s].
     """
 
     def __init__(self, period: float, tolerance: float, drift: float) -> None:
@@ -51,14 +45,7 @@ class DecisionClock:
     ) -> tuple[int | None, Fault | None]:
         """Number of the decision, if it is known, and what is wrong.
 
-        Parameters
-        ----------
-        now : float
-            The clock [s].
-        reference : float, optional
-            The second clock [s], from any origin.
-        number : int, optional
-            Number of the decision, as the caller counts it.
+        The clock [s], the second clock [s] from any origin, and the number as the caller counts it.
         """
         self.missed = 0
         self._calls += 1

@@ -8,6 +8,7 @@ text ``nan``, ``inf`` or ``-inf``; what is no number at all as ``{"unreadable": 
 from __future__ import annotations
 
 import json
+from dataclasses import fields
 from math import isfinite
 from pathlib import Path
 from typing import Any, TextIO
@@ -16,11 +17,8 @@ import numpy as np
 
 from ...model.checks import whole
 from ...model.errors import ScenarioError
-from ...model.foreign import LONGEST, Unreadable, kind_of
+from ...model.foreign import Unreadable, settled
 from .estimate import Measurement
-
-DIGITS = 10_000
-"""Binary digits from which on a whole number cannot be written."""
 
 
 class DecisionLog:
@@ -79,34 +77,23 @@ class DecisionLog:
 
 # -- values that may be anything ---------------------------------------------------------------------
 
+PARTS = tuple(field.name for field in fields(Measurement))
+
 
 def plain(value: object) -> Any:
-    """What arrived, for strict JSON; whatever it is, nothing is raised."""
-    try:
-        return _plain(value, [LONGEST])
-    except BaseException:  # the value's own code has run
-        return {"unreadable": kind_of(value)}
+    """What arrived, for strict JSON: numbers as they are read, and whatever it is, nothing is raised."""
+    if type(value) is Measurement:
+        return {name: plain(getattr(value, name)) for name in PARTS}
+    read = value if type(value) is Unreadable else settled(value)
+    if isinstance(read, Unreadable):
+        return {"unreadable": read.kind}
+    return _texts(read.tolist() if isinstance(read, np.ndarray) else read)
 
 
-def _plain(value: object, left: list[int]) -> Any:
-    """The same; `left`: how many entries may still be written, lists that hold themselves included."""
-    kind, left[0] = type(value), left[0] - 1
-    if value is None or (kind is int and value.bit_length() < DIGITS):  # type: ignore[attr-defined]
-        return value
-    if kind is float:
-        return value if isfinite(value) else str(value)  # type: ignore[arg-type]
-    if isinstance(value, Unreadable):
-        return {"unreadable": value.kind}
-    if isinstance(value, (np.floating, np.integer)):
-        return _plain(value.item(), left)
-    if kind is np.ndarray and value.size <= LONGEST and value.dtype.kind in "iuf":  # type: ignore[attr-defined]
-        return _plain(value.tolist(), [2 * LONGEST])  # type: ignore[attr-defined]
-    if kind in (list, tuple) and len(value) <= left[0]:  # type: ignore[arg-type]
-        return [_plain(entry, left) for entry in value]  # type: ignore[attr-defined]
-    if isinstance(value, Measurement):
-        parts = (value.stamp, value.state, value.half_widths)
-        return dict(zip(("stamp", "state", "half_widths"), map(plain, parts), strict=True))
-    return {"unreadable": kind_of(value)}
+def _texts(value: Any) -> Any:
+    if isinstance(value, list):
+        return [_texts(entry) for entry in value]
+    return value if value is None or isfinite(value) else str(value)
 
 
 def restored(value: Any) -> Any:
@@ -116,7 +103,7 @@ def restored(value: Any) -> Any:
     if isinstance(value, str):
         return float(value)
     if isinstance(value, dict) and "stamp" in value:
-        return Measurement(*(restored(value[name]) for name in ("stamp", "state", "half_widths")))
+        return Measurement(*(restored(value[name]) for name in PARTS))
     return value
 
 

@@ -11,6 +11,7 @@ is one minimum.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from math import factorial
 
 import numpy as np
@@ -63,20 +64,8 @@ class BoxMotion:
 
     With ``x(t) = e^{At} x + int e^{As} (B u + D w)``, every entry of the transition is a power series in
     t, and so are the bounds ``sum |A^i B| t^{i+1}/(i+1)!`` and ``sum norm(A^i D) t^{i+1}/(i+1)!`` on what
-    inputs about their mean and the disturbance add.
-
-    Parameters
-    ----------
-    system : LinearSystem
-    period : float
-        Durations are rounded to multiples of ``TIME period`` [s]; the rounding is booked.
-    longest : float
-        Longest duration [s].
-
-    Raises
-    ------
-    ScenarioError
-        If the motion over the longest duration cannot be bounded usefully.
+    inputs about their mean and the disturbance add. Durations, up to `longest` [s], are rounded to multiples
+    of ``TIME period``; the rounding is booked. A `ScenarioError` says that the motion is too fast for that.
     """
 
     def __init__(self, system: LinearSystem, period: float, longest: float) -> None:
@@ -96,23 +85,14 @@ class BoxMotion:
         self._disturbance = np.linalg.norm(integrated @ system.D, axis=2) * system.w_max
         self._rest = np.linalg.norm(system.A, 1) ** len(terms) / factorial(len(terms)) * np.exp(size)
         self._slip = ROUNDING * (np.eye(system.n) + np.abs(system.A) * period)
-        self._known: dict[int, Array] = {}
+        self._matrix = lru_cache(KEPT)(self._over)
 
     def over(self, duration: float) -> Array:
-        """The matrix that maps ``[hi, -lo, bound on |x|, u high, -u low, 1]`` to ``[hi, -lo]`` later.
+        """Matrix from ``[hi, -lo, bound on |x|, u high, -u low, 1]`` to ``[hi, -lo]`` so much later [s]."""
+        return self._matrix(round(duration / self._grain))
 
-        Shape (2 n, 3 n + 2 m + 1); the duration [s] is at most the longest.
-        """
-        grains = round(duration / self._grain)
-        found = self._known.get(grains)
-        if found is None:
-            if len(self._known) >= KEPT:
-                self._known.clear()
-            found = self._known[grains] = self._matrix(grains * self._grain)
-        return found
-
-    def _matrix(self, t: float) -> Array:
-        n, m = self.system.n, self.system.m
+    def _over(self, grains: int) -> Array:
+        n, m, t = self.system.n, self.system.m, grains * self._grain
         weights = t ** np.arange(len(self._state))
         Phi = np.tensordot(weights, self._state, 1)
         push, spread = t * np.tensordot(weights, self._input, 1), t * np.tensordot(weights, self._spread, 1)
@@ -134,94 +114,69 @@ class BoxMotion:
 
 
 class BoxFilter:
-    """The box of states that all accepted measurements allow, and its instant.
-
-    Parameters
-    ----------
-    motion : BoxMotion
-    low, high : ndarray, shape (n,)
-        Of the states at the time zero.
-    """
+    """The box of states that all accepted measurements allow, and its instant; at first one at time zero."""
 
     def __init__(self, motion: BoxMotion, low: Array, high: Array) -> None:
-        self.motion, system = motion, motion.system
-        self.n, self.m = system.n, system.m
-        self.t = 0.0
-        self._z = np.ones(3 * self.n + 2 * self.m + 1)  # what BoxMotion.over applies to
-        self._box, self._size = self._z[: 2 * self.n], self._z[2 * self.n : 3 * self.n]
-        self._inputs = self._z[3 * self.n : -1]
-        self._moved, self._measured = np.empty(2 * self.n), np.empty(2 * self.n)
-        self._width = np.empty(self.n)
-        parts = [(whole[: self.n], whole[self.n :]) for whole in (self._box, self._moved, self._measured)]
-        (self._high, self._low), (self._moved_high, self._moved_low) = parts[:2]  # _low: lower ends, negated
-        self._measured_high, self._measured_low = parts[2]
-        self._any_input = np.concatenate([system.u_max, system.u_max])
-        self._inputs[:] = self._any_input
-        self._high[:], self._low[:] = high, -low
+        self.motion, self.t = motion, 0.0
+        self._box, self._n = np.concatenate([high, -low]), len(low)
+        self._any_input = np.tile(motion.system.u_max, 2)
+        self._inputs = self._any_input  # bounds [high, -low] since the instant of the box
 
     @property
     def low(self) -> Array:
         """Lower ends at the instant of the last accepted measurement, shape (n,)."""
-        return -self._low
+        return -self._box[self._n :]
 
     @property
     def high(self) -> Array:
         """Upper ends, shape (n,)."""
-        return self._high.copy()
+        return self._box[: self._n].copy()
 
-    def flown(self, low: Array | None, high: Array | None, fresh: bool) -> None:
-        """Note bounds (m,) on the input since the last call; None where only its limits are known.
+    def flown(self, bounds: Array | None, fresh: bool) -> None:
+        """Note bounds (2, m) on the input since the last call; None where only its limits are known.
 
-        Parameters
-        ----------
-        low, high : ndarray, shape (m,), or None
-        fresh : bool
-            Whether the box is not older than the last call, so that earlier inputs no longer matter.
+        The box is fresh if it is not older than the last call: earlier inputs no longer matter then.
         """
-        if low is None or high is None:
-            self._inputs[:] = self._any_input
+        if bounds is None:
+            self._inputs = self._any_input
             return
-        given = np.minimum(np.concatenate([high, -low]), self._any_input)
-        self._inputs[:] = given if fresh else np.maximum(self._inputs, given)
+        given = np.minimum(np.concatenate([bounds[1], -bounds[0]]), self._any_input)
+        self._inputs = given if fresh else np.maximum(self._inputs, given)
 
     def reaches(self, t: float) -> bool:
         """Whether the box can be moved to the time t [s]."""
         return 0 <= t - self.t <= self.motion.longest
 
     def moved(self, t: float) -> Array:
-        """``[hi, -lo]`` at a time that it `reaches`; overwritten by the next call."""
-        np.maximum(self._high, self._low, out=self._size)
-        return np.dot(self.motion.over(t - self.t), self._z, out=self._moved)
+        """``[hi, -lo]`` at a time that it `reaches`."""
+        return self._moved(self._box, t - self.t)
 
     def cut(self, t: float, x: Array, half: Array) -> int:
-        """Take in a measurement at a time that the box `reaches`.
+        """Take in a measurement at a time that the box `reaches`: -1 if it agrees.
 
-        Returns
-        -------
-        int
-            -1 if it agrees; else the state that disagrees most, and the box stays as it was.
+        Else the state that disagrees most, and the box stays as it was.
         """
-        moved = self.moved(t)
-        np.minimum(moved, self._boxed(x, half), out=moved)
-        width = np.add(self._moved_high, self._moved_low, out=self._width)
+        box = np.minimum(self.moved(t), _boxed(x, half))
+        width = box[: self._n] + box[self._n :]
         if not min(width.tolist()) >= 0:
             return int(width.argmin())
-        self._box[:], self.t = moved, t
+        self._box, self.t = box, t
         return -1
 
     def ahead(self, x: Array, half: Array, duration: float) -> tuple[Array, Array]:
         """Lower and upper ends, from one measurement alone, so much later [s]."""
-        z = self._z.copy()
-        z[: 2 * self.n] = self._boxed(x, half)
-        z[2 * self.n : 3 * self.n] = np.maximum(z[: self.n], z[self.n : 2 * self.n])
-        moved = self.motion.over(duration) @ z
-        return -moved[self.n :], moved[: self.n]
+        moved = self._moved(_boxed(x, half), duration)
+        return -moved[self._n :], moved[: self._n]
 
     def restart(self, t: float, x: Array, half: Array) -> None:
         """Forget everything but this measurement."""
-        self._box[:], self.t = self._boxed(x, half), t
+        self._box, self.t = _boxed(x, half), t
 
-    def _boxed(self, x: Array, half: Array) -> Array:
-        np.add(half, x, out=self._measured_high)
-        np.subtract(half, x, out=self._measured_low)
-        return self._measured
+    def _moved(self, box: Array, duration: float) -> Array:
+        size = np.maximum(box[: self._n], box[self._n :])
+        bounded = np.concatenate([box, size, self._inputs, (1.0,)])
+        return np.asarray(np.dot(self.motion.over(duration), bounded))
+
+
+def _boxed(x: Array, half: Array) -> Array:
+    return np.concatenate([half + x, half - x])

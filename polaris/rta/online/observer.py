@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import isfinite
 from typing import NamedTuple
 
 import numpy as np
@@ -11,8 +12,7 @@ from ...model.system import Array
 from ...model.tolerances import TIME
 from ..decision_grid import DecisionGrid
 from .estimate import BoxFilter, BoxMotion, Measurement
-from .faults import Fault, largest
-from .runtime_options import Limits
+from .runtime_options import Fault, Limits
 
 
 class Reading(NamedTuple):
@@ -26,21 +26,15 @@ class Reading(NamedTuple):
 class Observer:
     """Checks every measurement by itself and against all earlier ones.
 
-    Parameters
-    ----------
-    grid : DecisionGrid
-    limits : Limits
-    farthest : float
-        Entries of the state beyond this are taken for faults.
-    trusted : int
-        Number of consecutive measurements that must agree; at the start the initial set vouches for them.
+    Entries of the state beyond `farthest` are taken for faults. After a conflict so many measurements as are
+    `trusted` must agree; at the start the initial set vouches for them.
     """
 
     def __init__(self, grid: DecisionGrid, limits: Limits, farthest: float, trusted: int) -> None:
         self.grid = grid
         self._same = TIME * grid.period
         self._max_age, self._farthest = limits.max_age, farthest
-        self._shape, self._half_list = (grid.system.n,), grid.half_widths.tolist()
+        self._shape = (grid.system.n,)
         self._newest, self._state = -np.inf, b""  # of the good ones
         theta = grid.schedule.safety.problem.initial_set
         half = np.abs(theta.G).sum(axis=1)
@@ -52,21 +46,19 @@ class Observer:
         self.conflicts = 0  # since so many agreed
         self._called = 0.0
 
-    def note_inputs(self, applied: object) -> Fault | None:
+    def note_inputs(self, applied: object, faults: list[Fault]) -> None:
         """Take note of the input since the last call, (m,) or (2, m) [N]; None if it is not known."""
         fresh = self.filter.t >= self._called - self._same
         self._called = np.inf  # not known, unless `observe` is told
         m, limit = self.grid.system.m, self.grid.system.u_max * (1 + TIME)
-        if applied is not None:
-            held = numbers(applied, (m,))
-            bounds = numbers(applied, (2, m)) if held is None else np.array([held, held])
-            if bounds is not None and ((-limit <= bounds) & (bounds <= limit)).all():
-                low, high = bounds
-                if (low <= high).all():
-                    self.filter.flown(low, high, fresh)
-                    return None
-        self.filter.flown(None, None, fresh)
-        return None if applied is None else Fault("measurement", "malformed: the applied input")
+        held = numbers(applied, (m,))
+        bounds = numbers(applied, (2, m)) if held is None else np.array([held, held])
+        if bounds is not None:
+            rising = np.array([-limit, *bounds, limit])
+            bounds = bounds if (rising[:-1] <= rising[1:]).all() else None
+        if applied is not None and bounds is None:
+            faults.append(Fault("measurement", "malformed: the applied input"))
+        self.filter.flown(bounds, fresh)
 
     def observe(self, measurement: object, instant: float, faults: list[Fault]) -> Array | None:
         """State at a decision's instant [s], within the scene's half widths of the truth; else None.
@@ -75,8 +67,8 @@ class Observer:
         """
         self._called = instant
         reading = self._read(measurement, instant)
-        if isinstance(reading, Fault):
-            faults.append(reading)
+        if isinstance(reading, str):
+            faults.append(Fault("measurement", reading))
             return None
         self._compare(reading, faults)
         age = instant - reading.stamp
@@ -94,8 +86,7 @@ class Observer:
         if stamp > reading.stamp + self._same:  # only before the first accepted one
             faults.append(Fault("measurement", "late: from before the start of the plan"))
         elif not self.filter.reaches(stamp):
-            text = "nothing to compare with: the last measurement is too long ago"
-            faults.append(Fault("estimate", text))
+            faults.append(Fault("estimate", "nothing to compare with: the last measurement is too long ago"))
             self.filter.restart(*reading)
             self.agreed = 1
         else:
@@ -108,54 +99,36 @@ class Observer:
             faults.append(Fault("estimate", f"conflict: {name} contradicts earlier measurements"))
             self.conflicts, self.agreed = self.conflicts + 1, 0  # the box stays: what lied is not let in
 
-    def _read(self, measurement: object, instant: float) -> Reading | Fault:
-        """Check a measurement at the instant of a decision [s]; a good one is remembered."""
+    def _read(self, measurement: object, instant: float) -> Reading | str:
+        """A measurement at a decision's instant [s], remembered if its form is in order; or what is wrong."""
         if not isinstance(measurement, Measurement):
-            if measurement is None:
-                return Fault("measurement", "missing")
-            return Fault("measurement", "malformed: not a measurement")
-        stamp = real(measurement.stamp)
-        x = numbers(measurement.state, self._shape)
+            return "missing" if measurement is None else "malformed: not a measurement"
+        stamp, x = real(measurement.stamp), numbers(measurement.state, self._shape)
         if stamp is None or x is None:
-            return Fault("measurement", f"malformed: the {'stamp' if stamp is None else 'state'}")
-        wrong = self._in_time(stamp, instant)
-        if wrong is not None:
-            return wrong
-        size = largest(x.tolist())
-        if size != size:
-            return Fault("measurement", "the state is not finite")
-        if size > self._farthest:
-            return Fault("measurement", f"absurd: an entry beyond {self._farthest:g}")
-        half = self.grid.half_widths
+            return f"malformed: the {'stamp' if stamp is None else 'state'}"
+        age = instant - stamp
+        if not isfinite(age):
+            return "the stamp is not finite"
+        if age < -self._same:
+            return "future: newer than the decision's instant"
+        if stamp <= self._newest + self._same:
+            what = "duplicated" if stamp >= self._newest - self._same else "reordered"
+            return f"{what}: not newer than the last one, so missing"
+        if age > self._max_age:
+            return f"stale: {age:.6g} s old"
+        if not np.isfinite(x).all():
+            return "the state is not finite"
+        if np.abs(x).max() > self._farthest:
+            return f"absurd: an entry beyond {self._farthest:g}"
+        half: Array | None = self.grid.half_widths
         if measurement.half_widths is not None:
-            given = self._bound(measurement.half_widths)
-            if isinstance(given, Fault):
-                return given
-            half = given
+            half = numbers(measurement.half_widths, self._shape)
+        if half is None:
+            return "malformed: the half widths"
+        if not ((half >= 0) & (half <= self.grid.half_widths)).all():  # also for nan
+            return "half widths: not between zero and the scene's"
         contents = x.tobytes()
         repeated, self._newest, self._state = contents == self._state, stamp, contents
         if repeated:
-            return Fault("measurement", "frozen: the same state as before with a new stamp")
+            return "frozen: the same state as before with a new stamp"
         return Reading(stamp, x, half)
-
-    def _in_time(self, stamp: float, instant: float) -> Fault | None:
-        age = instant - stamp
-        if age - age != 0.0:
-            return Fault("measurement", "the stamp is not finite")
-        if age < -self._same:
-            return Fault("measurement", "future: newer than the decision's instant")
-        if stamp <= self._newest + self._same:
-            what = "duplicated" if stamp >= self._newest - self._same else "reordered"
-            return Fault("measurement", f"{what}: not newer than the last one, so missing")
-        if age > self._max_age:
-            return Fault("measurement", f"stale: {age:.6g} s old")
-        return None
-
-    def _bound(self, value: object) -> Array | Fault:
-        half = numbers(value, self._shape)
-        if half is None:
-            return Fault("measurement", "malformed: the half widths")
-        for given, most in zip(half.tolist(), self._half_list, strict=True):
-            if not 0 <= given <= most:  # also for nan
-                return Fault("measurement", "half widths: not between zero and the scene's")
-        return half

@@ -10,8 +10,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable
-from itertools import cycle
-from math import isfinite
+from math import inf, isfinite
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,12 +19,12 @@ from numpy.typing import ArrayLike
 from ...model.foreign import Unreadable, kind_of, settled
 from ...model.system import Array
 from ..methods.monitor import Monitor
+from ..received import commanded
 from .decision_clock import DecisionClock
 from .decision_log import DecisionLog, plain, restored
 from .estimate import Measurement
-from .faults import Fault, Guard
 from .observer import Observer
-from .runtime_options import OnlineDecision, RuntimeOptions
+from .runtime_options import Fault, OnlineDecision, RuntimeOptions
 
 
 class _Told(NamedTuple):
@@ -69,15 +68,27 @@ class OnlineMonitor:
         self._log, self._timer = log, timer
         self.clock = DecisionClock(self.grid.period, self.limits.tolerance, self.limits.drift)
         self.observer = Observer(self.grid, self.limits, self.options.farthest, self.options.reacquire)
-        self.guard = Guard(self.grid.system.u_max, self.limits.budget, timer)
+        self._noted: list[Fault] = []  # of U, since the last step
         self._flown, self._dwelt, self._strikes = 0, self.options.min_dwell, 0
         self._unwritten: list[Fault] = []  # of the log
         self._latch: list[Fault] = []  # why S flies for good
         self._asked: object = None
 
     def command(self, law: Callable[..., Any], *arguments: Any) -> Array | None:
-        """Command of U, clipped to the limits [N]; None if it is at fault: see `Guard.command`."""
-        return self.guard.command(law, *arguments)
+        """Command of U, clipped to the limits [N]; None if it is at fault, and S must fly at once.
+
+        Nothing that U raises gets through, ``SystemExit`` and ``KeyboardInterrupt`` included: an interrupt
+        from the keyboard during a call counts as a fault of U. Reading what it returns belongs to the call,
+        and to its time budget.
+        """
+        begun, limit = self._timer(), self.grid.system.u_max
+        u, wrong = commanded(law, arguments, limit.shape, BaseException)
+        if not wrong and self._timer() - begun > self.limits.budget:
+            wrong = "over its time budget"
+        if u is None or wrong:
+            self._noted.append(Fault("controller", wrong))
+            return None
+        return np.asarray(np.clip(u, -limit, limit))
 
     def resynchronise(self, now: float) -> None:
         """Say what the clock will read at the next call [s], after it was found wrong."""
@@ -121,9 +132,9 @@ class OnlineMonitor:
             self._asked,
         )
         self._asked = None
-        noted = self.guard.taken()
+        noted, self._noted = self._noted, []
         self._strikes += len(noted)
-        faults = list(noted)
+        faults = [*noted]
         k, mode, margin, reason = -1, 0, np.nan, ""
         try:
             k, mode, margin, reason = self._decide(told, faults)
@@ -158,9 +169,7 @@ class OnlineMonitor:
         before = self._flown  # after missed decisions too: more than S, which flew, is allowed for
         if self.clock.missed and before:  # the permission ended, and S took over
             self._dwelt, self._flown = self.clock.missed, 0
-        wrong = self.observer.note_inputs(told.applied)
-        if wrong is not None:
-            faults.append(wrong)
+        self.observer.note_inputs(told.applied, faults)
         state = None if k is None else self.observer.observe(told.measurement, k * self.grid.period, faults)
         self._latched(faults)
         if k is None or state is None:
@@ -230,23 +239,13 @@ def replay_log(
     monitor : Monitor
     options : RuntimeOptions, optional
     """
-    wall = _Wall()
-    online = OnlineMonitor(monitor, options, timer=wall)
-    answers = []
-    for record in records:
-        wall.late = LATE in record["faults"]
+    flown = list(records)
+    # Read at the beginning and at the end of every step.
+    wall = (end for one in flown for end in (0.0, inf if LATE in one["faults"] else 0.0))
+    online, answers = OnlineMonitor(monitor, options, timer=wall.__next__), []
+    for record in flown:
         if record["resynchronised"] is not None:
             online.resynchronise(restored(record["resynchronised"]))
-        online.guard.faults += [Fault("controller", text) for text in record["controller"]]
+        online._noted += [Fault("controller", text) for text in record["controller"]]
         answers.append(online.step(*(restored(record.get(name)) for name in _Told._fields[:-1])))
     return answers
-
-
-class _Wall:
-    """A clock that is read at the beginning and at the end of every step."""
-
-    def __init__(self) -> None:
-        self.late, self._end = False, cycle((False, True))
-
-    def __call__(self) -> float:
-        return float("inf") if next(self._end) and self.late else 0.0

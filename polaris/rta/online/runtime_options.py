@@ -1,14 +1,36 @@
-"""What the runtime of the online monitor tolerates in flight, and what it answers."""
+"""What can go wrong in flight, what the runtime of the online monitor tolerates, and what it answers."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from ...model.checks import positive, whole
 from ...model.errors import ScenarioError
 from ...model.tolerances import FARTHEST
 from ..decision_grid import DecisionGrid
-from .faults import Fault
+
+HARMLESS = ("missed", "log")
+"""Families that do not keep U from flying: what they tell of is over, and no premise of the proof."""
+
+
+class Fault(NamedTuple):
+    """One fault: its family, and a text that begins alike for the same kind of fault.
+
+    Families are clock, missed, measurement, estimate, controller, monitor, log, and rule: no fault of its
+    own, but S is kept (dwell, latch, re-acquisition).
+    """
+
+    family: str
+    text: str
+
+    def __str__(self) -> str:
+        return f"{self.family}: {self.text}"
+
+    @property
+    def harmless(self) -> bool:
+        """Whether U may fly all the same."""
+        return self.family in HARMLESS
 
 
 @dataclass(frozen=True)
@@ -65,10 +87,8 @@ class RuntimeOptions:
             if getattr(self, name) is not None:
                 positive(name, getattr(self, name), "s")
         positive("farthest", self.farthest, "units of the state")
-        for name in ("reacquire", "min_dwell"):
-            whole(name, getattr(self, name), 1)
-        for name in ("latch", "latch_conflicts"):
-            if getattr(self, name) is not None:
+        for name in ("reacquire", "min_dwell", "latch", "latch_conflicts"):
+            if name in ("reacquire", "min_dwell") or getattr(self, name) is not None:
                 whole(name, getattr(self, name), 1)
 
     def limits(self, grid: DecisionGrid) -> Limits:

@@ -5,13 +5,19 @@ A task is text and numbers, its result plain arrays: nothing else travels betwee
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol
+from dataclasses import dataclass, fields
+from typing import Any, ClassVar, Self
+
+import numpy as np
 
 from ...model.errors import PolarisError
 from ...model.system import Array
 from ...model.version import version
+
+Columns = dict[str, Array]
+"""Results by name, one entry per run: one mode after the other."""
 
 
 @dataclass(frozen=True)
@@ -35,33 +41,19 @@ class Case:
     @property
     def label(self) -> str:
         """What tables call it: ``static, planner.extra_margin_m=20``."""
-        return ", ".join([self.scenario, *(f"{key}={_shown(value)}" for key, value in self.parameters)])
-
-
-def _shown(value: Any) -> str:
-    return f"{value:g}" if isinstance(value, float) else str(value)
+        shown = [
+            f"{key}={value:g}" if isinstance(value, float) else f"{key}={value}"
+            for key, value in self.parameters
+        ]
+        return ", ".join([self.scenario, *shown])
 
 
 @dataclass(frozen=True)
 class Task:
-    """One batch of runs of one case.
+    """One batch of runs of one case: the scenario as TOML, and numbers.
 
-    Attributes
-    ----------
-    kind : Kind
-        Flies it.
-    case, batch : int
-        Numbers, counted from 0.
-    text : str
-        Scenario as TOML.
-    first : int
-        Number of its first run in the case.
-    runs : int
-        Runs per mode.
-    seed : int
-        Of the campaign.
-    version : str
-        Of this package; a worker that has another refuses.
+    Cases, batches and runs count from 0; `first` is the number of its first run in the case, `runs` how
+    many each mode flies. A worker with another `version` of this package refuses.
     """
 
     kind: Kind
@@ -75,68 +67,58 @@ class Task:
 
 
 @dataclass(frozen=True, eq=False)
-class Batch:
-    """What became of a task.
-
-    Attributes
-    ----------
-    schedule : str
-        SHA-256 of what the schedule that flies does, on which all batches of a case must agree; may be empty.
-    columns : dict of str to ndarray, shapes (modes * runs,)
-        One entry per run: one mode after the other.
-    failure : str
-        Why the case cannot be flown; else empty.
-    code : int
-        Exit code of that.
-    """
-
-    schedule: str
-    columns: dict[str, Array]
-    failure: str = ""
-    code: int = 0
-
-
-@dataclass(frozen=True, eq=False)
-class Results:
-    """A finished campaign, as statistics see it.
-
-    Attributes
-    ----------
-    cases : tuple of Case
-    runs, seed, batch : int
-        As in `CampaignPlan`.
-    failures : dict of int to dict
-        Cases that cannot be flown, with ``message`` and ``exit_code``.
-    read : callable
-        Columns of all runs of a case, by its number and their names (None: all), in order.
-    """
-
-    cases: tuple[Case, ...]
-    runs: int
-    seed: int
-    batch: int
-    failures: Mapping[int, Mapping[str, Any]]
-    read: Callable[[int, Sequence[str] | None], dict[str, Array]]
-
-
-@dataclass(frozen=True, eq=False)
 class Trajectory:
-    """One run of a batch in full.
+    """One run of a batch in full: arrays by the names they have in an ``.npz`` file, units included.
 
-    Attributes
-    ----------
-    arrays : dict of str to ndarray
-        By the names they have in an ``.npz`` file, units included.
-    table : dict of str to ndarray
-        The same as columns of a table; those of control periods are one shorter than those of instants.
+    `table` has the same as columns; those of control periods are one shorter than those of instants.
     """
 
     arrays: Mapping[str, Any]
     table: Mapping[str, Array]
 
 
-class Kind(Protocol):
-    """What a kind of run brings to a campaign; plain data, for it travels with every task."""
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """What became of a task: columns, shapes (modes * runs,), or why its case cannot be flown.
+
+    `schedule` is the SHA-256 of what the schedule that flies does, on which all batches of a case must agree;
+    it may be empty. `trajectory` is that of the run that was asked for.
+    """
+
+    schedule: str
+    columns: Columns
+    failure: str = ""
+    code: int = 0  # exit code of the failure
+    trajectory: Trajectory | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Results:
+    """A finished campaign, as statistics see it.
+
+    `failures` tells ``message`` and ``exit_code`` of cases that cannot be flown; `read` gives columns of all
+    runs of a case, by its number and their names (None: all), in order.
+    """
+
+    cases: Sequence[Case]
+    runs: int
+    seed: int
+    batch: int
+    failures: Mapping[int, Mapping[str, Any]]
+    read: Callable[[int, Sequence[str] | None], Columns]
+
+
+@dataclass(frozen=True)
+class Kind(ABC):
+    """What a kind of run brings to a campaign; plain data, for it travels with every task.
+
+    Attributes
+    ----------
+    modes : tuple of str
+        Who flies; every run is flown once by each.
+    """
+
+    modes: tuple[str, ...]
 
     name: ClassVar[str]
     """By which a manifest knows it."""
@@ -147,42 +129,45 @@ class Kind(Protocol):
     ranking: ClassVar[str]
     """Column by which its runs are ranked, the least first; empty if they are not."""
 
-    @property
-    def modes(self) -> tuple[str, ...]:
-        """Who flies; every run is flown once by each."""
-        ...
-
     def data(self) -> dict[str, Any]:
         """Options on which results hang, as plain data for the manifest."""
-        ...
+        return vars(self) | {"modes": list(self.modes)}
 
     @classmethod
-    def from_data(cls, data: Mapping[str, Any]) -> Kind:
+    def from_data(cls, data: Mapping[str, Any]) -> Self:
         """The same kind from a manifest."""
-        ...
+        options = {field.name: data[field.name] for field in fields(cls)}
+        return cls(**options | {"modes": tuple(map(str, data["modes"]))})
 
-    def fly_batch(self, task: Task) -> Batch:
-        """Fly and measure one batch; bit for bit the same in every process."""
-        ...
+    @abstractmethod
+    def fly(self, task: Task, mode: str, run: int | None = None) -> Batch:
+        """Fly and measure one mode of a batch, bit for bit the same in every process.
 
-    def fly_again(self, task: Task, mode: str, run: int) -> tuple[Batch, Trajectory | None]:
-        """Fly one mode of a batch again: its columns, and one of its runs; None if it cannot be flown."""
-        ...
+        The trajectory is that of `run`. A `PolarisError` says why the case cannot be flown.
+        """
 
+    @abstractmethod
     def summarise(self, results: Results, worst: int) -> dict[str, Any]:
         """Contents of ``summary.json``, with at most `worst` of the worst runs per case and mode."""
-        ...
 
 
 def fly_batch(task: Task) -> Batch:
-    """Fly one batch, in whatever process.
-
-    Raises
-    ------
-    PolarisError
-        If this process has another version of the package than the campaign.
-    """
+    """Fly one batch, in whatever process; `PolarisError` if that has another version of the package."""
     if task.version != version():
         rule = f"a worker has version {version()} of this package, the campaign {task.version}"
         raise PolarisError(f"{rule}; install the same everywhere")
-    return task.kind.fly_batch(task)
+    try:
+        parts = [task.kind.fly(task, mode) for mode in task.kind.modes]
+    except PolarisError as error:
+        return Batch("", {}, str(error), error.exit_code)
+    return Batch(parts[0].schedule, joined([part.columns for part in parts]))
+
+
+def joined(parts: Sequence[Columns]) -> Columns:
+    """The rows of several parts, one after the other."""
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
+def of_mode(columns: Mapping[str, Array], mode: str) -> Columns:
+    """The rows of one mode."""
+    return {name: values[columns["mode"] == mode] for name, values in columns.items()}

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import time
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from ...model.errors import PolarisError
-from ..atomic import CannotWrite
 from .batch import Batch, Task, fly_batch
 from .folder import CampaignFolder, open_campaign
 from .plan import CampaignPlan
@@ -34,15 +31,7 @@ class Interrupted(PolarisError):
 
 @dataclass
 class Driver:
-    """Hands out the tasks of a campaign until all of them are done.
-
-    Attributes
-    ----------
-    folder : CampaignFolder
-    workers : Workers
-    progress : callable
-        Told the runs done and all of them.
-    """
+    """Hands out the tasks of a campaign until all are done; tells `progress` how many runs of how many."""
 
     folder: CampaignFolder
     workers: Workers
@@ -53,44 +42,35 @@ class Driver:
 
     def fly(self) -> None:
         """Do every task whose result is not there yet."""
-        plan = self.folder.plan
+        try:
+            self._fly()
+        except (KeyboardInterrupt, PolarisError) as error:
+            kept = f"{self.done} runs are kept in {self.folder.path}, and the same command goes on from there"
+            if isinstance(error, KeyboardInterrupt):
+                raise Interrupted(f"interrupted; {kept}") from None
+            raise PolarisError(f"{error}; {kept}") from error
+
+    def _fly(self) -> None:
         self.failed = set(self.folder.failures())
-        missing = deque(task for task in plan.tasks() if not self._kept(task))
+        missing = deque(task for task in self.folder.plan.tasks() if not self._kept(task))
         self._tell()
         losses = 0
-        executor: Executor | None = None
-        try:
-            while missing:
-                executor = executor or self._make()
-                before = self.done
-                lost = self._until_broken(executor, missing)
-                losses = losses + 1 if self.done == before else 1
-                if not lost:
-                    break
-                missing.extendleft(reversed(lost))
-                self._close(executor)
-                executor = None
-                if not self.workers.again or losses > RECOVERIES:
-                    raise PolarisError(
-                        f"workers were lost {losses} times without finishing a batch (out of memory, or"
-                        f" killed?); {self._kept_so_far()}"
-                    )
-        except KeyboardInterrupt:
-            raise Interrupted(f"interrupted; {self._kept_so_far()}") from None
-        except CannotWrite as error:
-            raise PolarisError(f"{error}; {self._kept_so_far()}") from error
-        finally:
-            if executor is not None:
-                self._close(executor)
+        while missing:
+            before = self.done
+            lost = self._until_broken(missing)
+            if not lost:
+                break
+            missing.extendleft(reversed(lost))
+            losses = losses + 1 if self.done == before else 1
+            if not self.workers.again or losses > RECOVERIES:
+                rule = (
+                    f"workers were lost {losses} times without finishing a batch (out of memory, or killed?)"
+                )
+                raise PolarisError(rule)
 
-    def _make(self) -> Executor:
-        try:
-            return self.workers.make()
-        except PolarisError as error:
-            raise PolarisError(f"{error}; {self._kept_so_far()}") from error
-
-    def _until_broken(self, executor: Executor, missing: deque[Task]) -> list[Task]:
+    def _until_broken(self, missing: deque[Task]) -> list[Task]:
         """Hand out tasks until all are done or workers are lost; returns the tasks lost."""
+        executor = self.workers.make()
         flying: dict[Future[Batch], Task] = {}
         lost: list[Task] = []
         try:
@@ -106,24 +86,25 @@ class Driver:
                 ready, _ = wait(flying, TICK, FIRST_COMPLETED)
                 trouble = "" if ready else self.workers.trouble()
                 if trouble:
-                    raise PolarisError(f"{trouble}; {self._kept_so_far()}")
+                    raise PolarisError(trouble)
                 for future in ready:
                     task = flying.pop(future)
                     try:
                         self._keep(task, future.result())
                     except self.workers.lost:
                         lost.append(task)
-        except BaseException:
+        finally:
             for future in flying:
                 future.cancel()
-            raise
+            if self.workers.again:
+                executor.shutdown(wait=False)
         return sorted(lost, key=lambda task: (task.case, task.batch))
 
     def _kept(self, task: Task) -> bool:
         """Whether a task needs no work: its part is there, or its case cannot be flown."""
         if task.case in self.failed:
             return True
-        schedule = self.folder.parts.check(task)
+        schedule = self.folder.check(task)
         if schedule is None:
             return False
         self._same_schedule(task, schedule)
@@ -131,14 +112,13 @@ class Driver:
         return True
 
     def _keep(self, task: Task, batch: Batch) -> None:
-        if batch.failure:
-            if task.case not in self.failed:
-                self.failed.add(task.case)
-                self.folder.fail(task.case, batch)
-        else:
+        if not batch.failure:
             self._same_schedule(task, batch.schedule)
-            self.folder.parts.write(task, batch)
+            self.folder.write(task, batch)
             self.done += task.runs
+        elif task.case not in self.failed:
+            self.failed.add(task.case)
+            self.folder.fail(task.case, batch)
         self._tell()
 
     def _same_schedule(self, task: Task, schedule: str) -> None:
@@ -147,20 +127,12 @@ class Driver:
             label = self.folder.plan.cases[task.case].label
             raise PolarisError(
                 f"{label}: workers (or an earlier part of this campaign) found different schedules: other"
-                " processors, or other versions of the solver;"
-                f" {self._kept_so_far()}"
+                " processors, or other versions of the solver"
             )
 
     def _tell(self) -> None:
         plan = self.folder.plan
         self.progress(self.done, plan.runs * (len(plan.cases) - len(self.failed)))
-
-    def _kept_so_far(self) -> str:
-        return f"{self.done} runs are kept in {self.folder.path}, and the same command goes on from there"
-
-    def _close(self, executor: Executor) -> None:
-        if self.workers.again:
-            executor.shutdown(wait=False)
 
 
 def run_campaign(
@@ -205,30 +177,5 @@ def run_campaign(
     folder = open_campaign(out, plan, fresh)
     workers = executor if isinstance(executor, Workers) else given(executor) if executor else local(1)
     Driver(folder, workers, progress).fly()
-    folder.write_summary(plan.kind.summarise(folder.results(), worst))
+    folder.write_summary(worst)
     return folder
-
-
-def time_left(show: Callable[[str, int, int], Any]) -> Progress:
-    """Progress that tells `show` a text with the time left, and the counts."""
-    begun: list[tuple[float, int]] = []
-
-    def progress(done: int, total: int) -> None:
-        now = time.monotonic()
-        if not begun:
-            begun.append((now, done))
-        since, first = begun[0]
-        text = f"{done:,} of {total:,} runs"
-        if done > first:
-            seconds = (now - since) / (done - first) * (total - done)
-            text += f", about {_spoken(seconds)} left"
-        show(text, done, total)
-
-    return progress
-
-
-def _spoken(seconds: float) -> str:
-    for size, unit in ((86400.0, "days"), (3600.0, "h"), (60.0, "min")):
-        if seconds >= 2 * size:
-            return f"{seconds / size:.0f} {unit}"
-    return f"{seconds:.0f} s"

@@ -11,19 +11,22 @@ summary.json    statistics of the kind of run
 from __future__ import annotations
 
 import json
+import zipfile
+from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ...model.errors import NotCertified, ScenarioError
-from ...model.version import version, versions
-from ..atomic import check_file, check_target, replacing, replacing_file
-from ..folder import read_json
+from ...model.version import version
+from ..atomic import check_file, check_target, replacing, replacing_file, write_whole
+from ..folder import provenance, read_json
 from ..ownership import RESULTS, tidy_all
-from ..tables import json_text, write_text
-from .batch import Batch, Results
-from .parts import Parts, usable
+from ..tables import json_text
+from .batch import Batch, Columns, Results, Task, joined
+from .formats import FORMATS, usable
 from .plan import CampaignPlan
 
 MANIFEST = "manifest.json"
@@ -46,14 +49,62 @@ class CampaignFolder:
     table: str
 
     @property
-    def parts(self) -> Parts:
-        """The table of all runs."""
-        return Parts(self.path / "runs", self.plan, self.table)
-
-    @property
     def summary(self) -> dict[str, Any]:
         """Contents of ``summary.json``."""
         return read_json(self.path / "summary.json")
+
+    def write_summary(self, worst: int) -> None:
+        """Write ``summary.json``, once all parts are there."""
+        plan = self.plan
+        results = Results(plan.cases, plan.runs, plan.seed, plan.batch, self.failures(), self.read)
+        write_whole(self.path / "summary.json", json_text(plan.kind.summarise(results, worst)))
+
+    # -- parts: one table per batch, written beside and renamed into place ---------------------------
+
+    def part(self, task: Task) -> Path:
+        """Where a batch goes: ``runs/case-0000-batch-00000.parquet`` and so on."""
+        return self.path / "runs" / f"case-{task.case:04d}-batch-{task.batch:05d}.{self.table}"
+
+    def write(self, task: Task, batch: Batch) -> None:
+        """Write a batch: whole, or not at all."""
+        count, case = task.runs * len(self.plan.kind.modes), self.plan.cases[task.case]
+        columns: Columns = {
+            "case": np.full(count, task.case, dtype=np.int32),
+            "scenario": np.full(count, case.scenario),
+        }
+        for key, kind in self.plan.parameter_types().items():
+            value = dict(case.parameters)[key]
+            columns[key] = np.repeat(np.array(str(value) if kind is str else value, dtype=kind), count)
+        columns["batch"] = np.full(count, task.batch, dtype=np.int32)
+        who = self._who(task) | {"schedule": batch.schedule}
+        with replacing_file(self.part(task)) as beside:
+            FORMATS[self.table].write(beside, columns | batch.columns, json.dumps(who))
+
+    def check(self, task: Task) -> str | None:
+        """Schedule (its SHA-256) of a part that is whole and belongs here; None if it must be flown again."""
+        try:
+            text, rows = FORMATS[self.table].check(self.part(task))
+            told = json.loads(text)
+            schedule = str(told.pop("schedule"))
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+            return None
+        return schedule if told == self._who(task) and rows == task.runs * len(self.plan.kind.modes) else None
+
+    def read(self, case: int, names: Sequence[str] | None = None) -> Columns:
+        """Some columns of all runs of a case, in order; all columns if not said."""
+        tasks = (self.plan.task(case, batch) for batch in range(self.plan.batches))
+        return joined([FORMATS[self.table].read(self.part(task), names) for task in tasks])
+
+    def row(self, task: Task, mode: str, run: int) -> dict[str, Any]:
+        """Everything the table says of one run."""
+        place = self.plan.kind.modes.index(mode) * task.runs + run
+        row = {name: values[place] for name, values in FORMATS[self.table].read(self.part(task)).items()}
+        return {name: value.item() if isinstance(value, np.generic) else value for name, value in row.items()}
+
+    def _who(self, task: Task) -> dict[str, Any]:
+        return {"campaign": self.plan.digest, "case": task.case, "batch": task.batch}
+
+    # -- cases that cannot be flown -------------------------------------------------------------------
 
     def failures(self) -> dict[int, dict[str, Any]]:
         """Cases that cannot be flown, by number, with ``message`` and ``exit_code``."""
@@ -66,11 +117,6 @@ class CampaignFolder:
                     found[case] = told
         return found
 
-    def results(self) -> Results:
-        """What statistics see of it, once all parts are there."""
-        plan = self.plan
-        return Results(tuple(plan.cases), plan.runs, plan.seed, plan.batch, self.failures(), self.parts.read)
-
     def fail(self, case: int, batch: Batch) -> None:
         """Note why a case cannot be flown."""
         told = {
@@ -80,22 +126,7 @@ class CampaignFolder:
             "exit_code": batch.code,
             "campaign": self.plan.digest,
         }
-        write_beside(self._failure(case), json_text(told))
-
-    def forget_undecided(self) -> None:
-        """Drop the failures that more time might change: not certified, rather than infeasible."""
-        for case, told in self.failures().items():
-            if told["exit_code"] == NotCertified.exit_code:
-                self._failure(case).unlink()
-
-    def clear(self) -> None:
-        """Remove what killed processes left half written."""
-        for folder in (self.path, self.path / "runs", self.path / "failed"):
-            tidy_all(folder)
-
-    def write_summary(self, summary: dict[str, Any]) -> None:
-        """Write ``summary.json``."""
-        write_beside(self.path / "summary.json", json_text(summary))
+        write_whole(self._failure(case), json_text(told))
 
     def _failure(self, case: int) -> Path:
         return self.path / "failed" / f"case-{case:04d}.json"
@@ -104,24 +135,23 @@ class CampaignFolder:
 def open_campaign(out: str | Path, plan: CampaignPlan, fresh: bool = False) -> CampaignFolder:
     """Make a folder for a campaign, or take up the one that is there.
 
-    Raises
-    ------
-    ScenarioError
-        If there is something else, or another campaign and not `fresh`.
+    What killed processes left half written is removed, and failures that more time might change (not
+    certified, rather than infeasible) are forgotten. `ScenarioError` if there is something else, or another
+    campaign and not `fresh`.
     """
     path = Path(out).resolve()
     table = usable(plan.kind.formats)
-    if not (path / MANIFEST).is_file():
-        check_target(out)
-        if (path / "summary.json").is_file():
+    known = _manifest(path) if (path / MANIFEST).is_file() else None
+    if known is None or fresh:
+        check_target(out, campaign=known is not None)
+        if known is None and (path / "summary.json").is_file():
             raise ScenarioError("--out", str(out), "is a run folder; a campaign needs one of its own")
-        return _new(path, plan, table)
-    if fresh:
-        check_target(out, campaign=True)
-        _manifest(path)
-        return _new(path, plan, table)
+        with replacing(path, RESULTS) as beside:
+            for name in ("runs", "failed"):
+                (beside / name).mkdir()
+            _write_manifest(beside, plan, table)
+        return CampaignFolder(path, plan, table)
     check_file(path / "summary.json")
-    known = _manifest(path)
     if known.get("digest") != plan.digest:
         rule = f"holds another campaign ({_difference(known, plan)}); --fresh replaces it"
         raise ScenarioError("--out", str(out), rule)
@@ -133,8 +163,11 @@ def open_campaign(out: str | Path, plan: CampaignPlan, fresh: bool = False) -> C
         (path / name).mkdir(exist_ok=True)
     if known["runs"] < plan.runs:
         _write_manifest(path, plan, folder.table)
-    folder.clear()
-    folder.forget_undecided()
+    for half in (path, path / "runs", path / "failed"):
+        tidy_all(half)
+    for case, told in folder.failures().items():
+        if told["exit_code"] == NotCertified.exit_code:
+            folder._failure(case).unlink()
     return folder
 
 
@@ -152,54 +185,37 @@ def read_campaign(path: str | Path, same_version: bool = True) -> CampaignFolder
     ScenarioError
         If it is none, is damaged, or was made by another version.
     """
+
+    def refuse(rule: str) -> ScenarioError:
+        return ScenarioError("campaign", str(path), rule)
+
     folder = Path(path)
     if not (folder / MANIFEST).is_file():
-        raise ScenarioError("campaign", str(path), f"must be a campaign folder; it has no {MANIFEST}")
+        raise refuse(f"must be a campaign folder; it has no {MANIFEST}")
     known = _manifest(folder)
     if same_version and known.get("version") != version():
-        rule = f"was made by version {known.get('version')}, this is {version()}: its runs may differ"
-        raise ScenarioError("campaign", str(path), rule)
+        raise refuse(f"was made by version {known.get('version')}, this is {version()}: its runs may differ")
     try:
         plan, table = CampaignPlan.from_data(known), str(known["table"])
     except (ValueError, KeyError, TypeError, AttributeError, ScenarioError) as error:
-        raise ScenarioError("campaign", str(path), f"its manifest is damaged ({error})") from error
+        raise refuse(f"its manifest is damaged ({error})") from error
     if same_version and plan.digest != known.get("digest"):
-        raise ScenarioError("campaign", str(path), "its manifest was changed: the digest does not fit")
+        raise refuse("its manifest was changed: the digest does not fit")
     return CampaignFolder(folder, plan, usable([table]))
 
 
-def write_beside(path: Path, text: str) -> None:
-    """Write a file: whole, or not at all."""
-    with replacing_file(path) as beside:
-        write_text(beside, text)
-
-
-def _new(path: Path, plan: CampaignPlan, table: str) -> CampaignFolder:
-    with replacing(path, RESULTS) as beside:
-        for name in ("runs", "failed"):
-            (beside / name).mkdir()
-        _write_manifest(beside, plan, table)
-    return CampaignFolder(path, plan, table)
-
-
 def _write_manifest(folder: Path, plan: CampaignPlan, table: str) -> None:
-    data = {
-        **plan.data(),
-        "digest": plan.digest,
-        "table": table,
-        "versions": versions(),
-        "created": datetime.now(UTC).isoformat(timespec="seconds"),
-    }
-    write_beside(folder / MANIFEST, json_text(data))
+    data = {**plan.data(), "digest": plan.digest, "table": table, **provenance()}
+    write_whole(folder / MANIFEST, json_text(data))
 
 
 def _manifest(folder: Path) -> dict[str, Any]:
     try:
         known = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
+        if not isinstance(known, dict) or not isinstance(known.get("runs"), int):
+            raise ValueError("it is none")
     except (OSError, ValueError) as error:
         raise ScenarioError("campaign", str(folder), f"its manifest is damaged ({error})") from error
-    if not isinstance(known, dict) or not isinstance(known.get("runs"), int):
-        raise ScenarioError("campaign", str(folder), "its manifest is damaged")
     return known
 
 

@@ -6,24 +6,21 @@ import tomllib
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from functools import lru_cache
 from typing import Any, ClassVar
 
 import numpy as np
 
-from ...inspection.constraints.motion import SampledData
-from ...inspection.flights.sampling import InitialConditions, initial_conditions
-from ...inspection.flights.simulation import InspectionRun, Kept
-from ...inspection.flights.studies import Outcome, Study, fly_block
-from ...model.errors import ScenarioError
+from ...inspection.flights.blocks import Outcome, fly_block
+from ...inspection.flights.sampling import InitialConditions
+from ...inspection.flights.simulation import BatchFilter, Flights, InspectionRun, Kept
 from ...model.system import Array
-from ...model.version import versions
-from ...scenario.filter_tables import DecentralizedFilter
 from ...scenario.scenario import MonteCarloScenario
-from ...simulation.intervals import CONFIDENCE, lower_bound
-from ..inspection import flight_arrays
-from .batch import Batch, Case, Results, Task, Trajectory
+from ...simulation.metrics import CONFIDENCE, lower_bound
+from ..arrays import held_by
+from ..folder import summary_of
+from ..inspection import ARRAYS
+from .batch import Batch, Case, Kind, Results, Task, Trajectory, of_mode
 
 BLOCK = 100
 """Runs flown together: what fits into fast memory."""
@@ -49,7 +46,7 @@ GUARANTEE = {
 
 
 @dataclass(frozen=True)
-class InspectionRuns:
+class InspectionRuns(Kind):
     """Runs of a scenario of the kind ``monte_carlo``.
 
     Attributes
@@ -58,65 +55,33 @@ class InspectionRuns:
         Names of the scenario's studies; all fly the same initial conditions.
     """
 
-    modes: tuple[str, ...]
-
     name: ClassVar[str] = "inspection"
     formats: ClassVar[tuple[str, ...]] = ("parquet", "npz")
     ranking: ClassVar[str] = ""
 
-    def data(self) -> dict[str, Any]:
-        """As `Kind.data`."""
-        return {"modes": list(self.modes)}
-
-    @classmethod
-    def from_data(cls, data: Mapping[str, Any]) -> InspectionRuns:
-        """As `Kind.from_data`."""
-        return cls(tuple(map(str, data["modes"])))
-
-    def fly_batch(self, task: Task) -> Batch:
-        """As `Kind.fly_batch`."""
-        try:
-            parts = [self._fly(task, mode)[0] for mode in self.modes]
-        except ScenarioError as error:
-            return Batch("", {}, str(error), error.exit_code)
-        return Batch("", {name: np.concatenate([part[name] for part in parts]) for name in parts[0]})
-
-    def fly_again(self, task: Task, mode: str, run: int) -> tuple[Batch, Trajectory | None]:
-        """As `Kind.fly_again`."""
-        columns, flown = self._fly(task, mode, run)
-        assert flown is not None
-        return Batch("", columns), _trajectory(flown)
-
-    def _fly(
-        self, task: Task, mode: str, run: int | None = None
-    ) -> tuple[dict[str, Array], InspectionRun | None]:
-        """Columns of one study, shapes (runs,), and one of the runs if asked for."""
-        scenario, drawn, studies = _made(task.text)
+    def fly(self, task: Task, mode: str, run: int | None = None) -> Batch:
+        """As `Kind.fly`."""
+        scenario, drawn, filters = _made(task.text)
         plan, q = scenario.model.campaign, scenario.inspection()
         x, sun = (values[task.first :] for values in drawn.first(task.first + task.runs))
-        kept = None if run is None else Kept(run)
-        outcome = fly_block(q, studies[mode], x, sun, plan.duration_s, plan.period_s, kept=kept)
+        flights = Flights(q, x, sun, plan.duration_s, plan.period_s)
+        kept = [] if run is None else [Kept(flights, run)]
+        outcome = fly_block(flights, filters[mode], *kept)
         columns = {
             "run": np.arange(task.runs, dtype=np.int64),
             "mode": np.repeat(mode, task.runs),
             "sun_rad": sun,
             **dict(zip(_names(q.deputies), x.reshape(task.runs, -1).T, strict=True)),
-            **outcome.columns(),
+            **outcome.columns,
         }
-        if kept is None or run is None:
-            return columns, None
-        return columns, kept.flight(q, float(sun[run]), plan.duration_s, plan.period_s)
+        return Batch("", columns, trajectory=_trajectory(kept[0].flight()) if kept else None)
 
     def summarise(self, results: Results, worst: int) -> dict[str, Any]:
         """As `Kind.summarise`."""
         (case,) = results.cases
         scenario = _made(case.text)[0]
         plan = scenario.model.campaign
-        told = {
-            "schema_version": 1,
-            "scenario": scenario.name,
-            "kind": scenario.kind,
-            "title": scenario.title,
+        told: dict[str, Any] = {
             "runs": results.runs,
             "deputies": plan.deputies,
             "duration_s": plan.duration_s,
@@ -124,18 +89,16 @@ class InspectionRuns:
             "seed": plan.seed,
         }
         for failure in results.failures.values():
-            return told | {"failure": failure["message"], "exit_code": failure["exit_code"]}
-        _, _, acceptance = initial_conditions(scenario.families(), results.runs, plan.seed)
-        return told | {
-            "acceptance": acceptance,
-            "studies": [
-                _told(name, outcome) for name, outcome in outcomes(case, results.read(0, None)).items()
-            ],
-            "guarantee": GUARANTEE,
-            "definitions": DEFINITIONS,
-            "versions": versions(),
-            "created": datetime.now(UTC).isoformat(timespec="seconds"),
-        }
+            told |= {"failure": failure["message"], "exit_code": failure["exit_code"]}
+            return summary_of(scenario, scenario.kind, told)
+        drawn = InitialConditions(scenario.families(), plan.seed)
+        drawn.first(results.runs)
+        told["acceptance"] = drawn.acceptance
+        found = outcomes(case, results.read(0, None))
+        told["studies"] = [_told(name, outcome) for name, outcome in found.items()]
+        return summary_of(
+            scenario, scenario.kind, told | {"guarantee": GUARANTEE, "definitions": DEFINITIONS}
+        )
 
 
 def case_of(scenario: MonteCarloScenario) -> Case:
@@ -143,31 +106,10 @@ def case_of(scenario: MonteCarloScenario) -> Case:
     return Case(scenario.name, (), scenario.set("campaign.runs", 1).to_toml())
 
 
-def studies_of(scenario: MonteCarloScenario) -> dict[str, Study]:
-    """The studies of a scenario by name."""
-    model, alpha = scenario.model, scenario.strengthening()
-    return {
-        study.name: Study(
-            study.name,
-            study.filter.sharing if isinstance(study.filter, DecentralizedFilter) else "centralized",
-            tuple(study.filter.without),
-            alpha,
-            SampledData(model.campaign.period_s, study.filter.sampled_data_share)
-            if study.filter.sampled_data
-            else None,
-        )
-        for study in model.studies
-    }
-
-
 def outcomes(case: Case, columns: Mapping[str, Array]) -> dict[str, Outcome]:
     """Results of every study, from the columns of all runs."""
-    return {
-        name: Outcome.from_columns(
-            study, {key: all_[columns["mode"] == name] for key, all_ in columns.items()}
-        )
-        for name, study in _made(case.text)[2].items()
-    }
+    studies = _made(case.text)[0].model.studies
+    return {study.name: Outcome(of_mode(columns, study.name)) for study in studies}
 
 
 def initial_states(columns: Mapping[str, Array]) -> Array:
@@ -178,11 +120,13 @@ def initial_states(columns: Mapping[str, Array]) -> Array:
 
 
 @lru_cache(2)
-def _made(text: str) -> tuple[MonteCarloScenario, InitialConditions, dict[str, Study]]:
-    """What a process needs of a case: whoever flies draws the initial conditions."""
+def _made(text: str) -> tuple[MonteCarloScenario, InitialConditions, dict[str, BatchFilter]]:
+    """What a process needs of a case: whoever flies draws the initial conditions; filters by study."""
     scenario = MonteCarloScenario.from_dict(tomllib.loads(text))
-    drawn = InitialConditions(scenario.families(), scenario.model.campaign.seed)
-    return scenario, drawn, studies_of(scenario)
+    plan = scenario.model.campaign
+    drawn = InitialConditions(scenario.families(), plan.seed)
+    filters = {study.name: scenario.filter(study.filter, plan.period_s) for study in scenario.model.studies}
+    return scenario, drawn, filters
 
 
 def _names(deputies: int) -> list[str]:
@@ -198,7 +142,7 @@ def _told(name: str, outcome: Outcome) -> dict[str, Any]:
         "success_share_lower_95": lower_bound(successes, runs),
         "failures": dict(sorted(Counter(str(one["what"]) for one in outcome.failures()).items())),
         "least": {key: float(values.min()) for key, values in outcome.least.items()},
-        "interventions_share": float(outcome.interventions.mean()),
+        "interventions_share": float(np.mean(outcome.columns["interventions_share"])),
         "delta_v_mean_m_s": float(outcome.delta_v.mean()),
     }
 
@@ -214,4 +158,4 @@ def _trajectory(run: InspectionRun) -> Trajectory:
     for i in range(deputies):
         table |= {f"deputy_{i}_u_{axis}_N": run.u[:, i, k] for k, axis in enumerate("xyz")}
         table[f"deputy_{i}_status"] = run.status[:, i]
-    return Trajectory(flight_arrays(run), table)
+    return Trajectory(held_by(run, ARRAYS), table)

@@ -12,7 +12,7 @@ from typing import Any
 from ...model.checks import whole
 from ...model.errors import ScenarioError
 from ...model.version import version
-from ...scenario.overrides import parse_assignment
+from ...scenario.base import parse_assignment
 from ...scenario.scenario import Scenario, ScheduleScenario, load_scenario
 from .batch import Case, Kind, Task
 from .inspections import InspectionRuns
@@ -79,13 +79,7 @@ class CampaignPlan:
         return hashlib.sha256(text.encode()).hexdigest()
 
     def task(self, case: int, batch: int) -> Task:
-        """One task.
-
-        Raises
-        ------
-        ScenarioError
-            If there is no such case or batch.
-        """
+        """One task; `ScenarioError` if there is no such case or batch."""
         if not 0 <= case < len(self.cases):
             raise ScenarioError("--case", case, f"must be from 0 to {len(self.cases) - 1}")
         if not 0 <= batch < self.batches:
@@ -99,6 +93,14 @@ class CampaignPlan:
         for case in range(len(self.cases)):
             for batch in range(self.batches):
                 yield self.task(case, batch)
+
+    def parameter_types(self) -> dict[str, type]:
+        """Type of the column of each key of the grid: the same in all parts."""
+        values: dict[str, set[type]] = {}
+        for case in self.cases:
+            for key, value in case.parameters:
+                values.setdefault(key, set()).add(type(value))
+        return {key: _column_type(found) for key, found in values.items()}
 
     def data(self) -> dict[str, Any]:
         """Plain data, from which `from_data` makes the same plan."""
@@ -129,6 +131,12 @@ class CampaignPlan:
         )
         kind = KINDS[data["kind"]].from_data(data)
         return cls(cases, data["runs"], data["seed"], data["batch"], kind)
+
+
+def _column_type(found: set[type]) -> type:
+    if found in ({bool}, {int}):
+        return found.pop()
+    return float if found <= {int, float} else str
 
 
 # -- cases -------------------------------------------------------------------------------------------

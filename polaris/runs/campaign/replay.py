@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -17,23 +17,16 @@ from .folder import CampaignFolder
 
 
 @dataclass(frozen=True, eq=False)
-class Replayed:
+class Replayed(Trajectory):
     """One run of a campaign, flown again.
 
     Attributes
     ----------
     row : dict
         What the campaign's table says of it.
-    trajectory : Trajectory
     """
 
     row: dict[str, Any]
-    trajectory: Trajectory
-
-    @property
-    def arrays(self) -> Mapping[str, Any]:
-        """The trajectory, by the names it has in an ``.npz`` file."""
-        return self.trajectory.arrays
 
     def write(self, path: str | Path) -> Path:
         """Write the trajectory as CSV or, if the name ends so, as ``.npz``; whole, or not at all.
@@ -48,21 +41,13 @@ class Replayed:
             if target.suffix == ".npz":
                 np.savez(beside, **self.arrays)
             else:
-                table = {name: values.tolist() for name, values in self.trajectory.table.items()}
-                count = max(map(len, table.values()))
-                padded = [values + [None] * (count - len(values)) for values in table.values()]
-                write_csv(beside, tuple(table), [list(row) for row in zip(*padded, strict=True)])
+                rows = zip_longest(*(values.tolist() for values in self.table.values()))
+                write_csv(beside, [dict(zip(self.table, row, strict=True)) for row in rows])
         return target
 
 
 def check_trajectory(path: str | Path) -> Path:
-    """Whether a trajectory may be written there.
-
-    Raises
-    ------
-    ScenarioError
-        If the name does not end with ``.csv`` or ``.npz``, or the file cannot be written.
-    """
+    """Whether a trajectory may be written there, as CSV or ``.npz``."""
     return check_file(path, endings=(".csv", ".npz"))
 
 
@@ -86,7 +71,7 @@ def find_worst(
     for number in cases:
         _check(folder, folder.plan.task(number, 0), mode)
         try:
-            table = folder.parts.read(number, ["batch", "run", "mode", ranking])
+            table = folder.read(number, ["batch", "run", "mode", ranking])
         except OSError as error:
             raise ScenarioError(
                 "campaign", str(folder.path), "is not finished; run it again first"
@@ -123,30 +108,27 @@ def replay_run(folder: CampaignFolder, case: int, batch: int, run: int, mode: st
     _check(folder, task, mode)
     if not 0 <= run < task.runs:
         raise ScenarioError("--run", run, f"must be from 0 to {task.runs - 1}")
-    known = folder.parts.check(task)
+    known = folder.check(task)
     if known is None:
-        rule = f"the part {folder.parts.path(task).name} is missing or damaged; run the campaign again"
+        rule = f"the part {folder.part(task).name} is missing or damaged; run the campaign again"
         raise ScenarioError("campaign", str(folder.path), rule)
-    flown, trajectory = folder.plan.kind.fly_again(task, mode, run)
-    if trajectory is None or flown.schedule != known:
+    flown = folder.plan.kind.fly(task, mode, run)
+    if flown.schedule != known:
         raise PolarisError("this case gives another schedule here than it gave then (other versions?)")
-    row = folder.parts.row(task, mode, run)
+    row = folder.row(task, mode, run)
     for name, values in flown.columns.items():
-        if not _same(values[run].item(), row[name]):
-            given = f"{name} is {values[run].item()!r} here and {row[name]!r} in the table"
+        here, there = values[run].item(), row[name]
+        if here != there and (here == here or there == there):  # the same, or both nan
+            given = f"{name} is {here!r} here and {there!r} in the table"
             raise PolarisError(f"the run comes out differently on this machine: {given}")
-    return Replayed(row, trajectory)
+    assert flown.trajectory is not None
+    return Replayed(**vars(flown.trajectory), row=row)
 
 
 def _check(folder: CampaignFolder, task: Task, mode: str) -> None:
     if mode not in folder.plan.kind.modes:
-        raise ScenarioError(
-            "--mode", mode, f"was not flown; must be one of {', '.join(folder.plan.kind.modes)}"
-        )
+        rule = f"was not flown; must be one of {', '.join(folder.plan.kind.modes)}"
+        raise ScenarioError("--mode", mode, rule)
     failure = folder.failures().get(task.case)
     if failure is not None:
         raise ScenarioError("--case", task.case, f"cannot be flown: {failure['message']}")
-
-
-def _same(here: Any, there: Any) -> bool:
-    return bool(here == there or (here != here and there != there))

@@ -6,26 +6,27 @@ import hashlib
 import threading
 import tomllib
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
 from ...model.distances import signed_distances
-from ...model.errors import ClockWarning, OutOfTime, PolarisError, ScenarioError
+from ...model.errors import ClockWarning, OutOfTime, PolarisError, ScenarioError, SynthesisInfeasible
 from ...model.satellite import true_states
 from ...model.system import Array
+from ...scenario.scenario import ScheduleScenario
 from ...simulation.disturbances import Disturbance
+from ...simulation.metrics import CONFIDENCE, mean_interval, possible, violation_interval
 from ...simulation.run_metrics import PART, Runs, evaluate
 from ...simulation.simulate import DISTURBANCES, INITIALS, Initial, simulate
+from ...synthesis.schedule import Schedule
+from ...synthesis.synthesize import synthesize
+from ..schedule import digest
 from ..tables import columns
-from .batch import Batch, Results, Task, Trajectory
-from .statistics import summarise
-
-if TYPE_CHECKING:
-    from ...synthesis.schedule import Schedule
+from .batch import Batch, Columns, Kind, Results, Task, Trajectory, of_mode
 
 MODES: dict[str, int | None] = {"polaris": None, "safety": 0, "experimental": 1}
 """Who flies: the schedule, S alone, or the preferred U alone."""
@@ -35,9 +36,73 @@ KEPT = 4
 
 _lock = threading.Lock()
 
+MEANS = ("min_distance_m", "mean_distance_m", "experimental_share", "delta_v_m_s")
+"""Columns whose mean is told with an interval."""
+
+WORST: dict[str, Callable[[Array], Any]] = {
+    "min_distance_m": np.min,
+    "min_ttc_s": np.min,
+    "min_ttc_free_drift_s": np.min,
+    "experimental_share": np.min,
+    "switches": np.max,
+    "delta_v_m_s": np.max,
+    "max_thrust_ratio": np.max,
+    "max_thrust_ratio_safety": np.max,
+}
+"""Columns whose worst value over runs is told, and which one that is."""
+
+COLUMNS = sorted({*MEANS, *WORST, "batch", "run", "mode", "controller", "collided"})
+
+DEFINITIONS = {
+    "violations": "runs that entered a true unsafe set",
+    "violation_probability": "of a run drawn as here: share of the runs, and the two-sided 95 % interval of"
+    " Clopper and Pearson",
+    "mean": "over runs, with the two-sided 95 % interval of Student's t, cut to what is possible; null if a"
+    " run has no finite value",
+    "worst": "largest over runs for switches, delta_v_m_s and max_thrust_ratio, least for the others",
+    "worst_runs": "those that came closest to an unsafe set, nearest first",
+}
+
+ASSUMPTIONS = {
+    "mixed": "half of the runs of each batch start at corners under worst-case disturbances, the others are"
+    " random; probabilities and means are those of this mixture, not of flights in nature",
+    "drawn": "probabilities and means are those of initial states and disturbances drawn as here, not of"
+    " flights in nature",
+    "independent": "runs count as independent; that halves of the mixture are fixed can only make the"
+    " intervals wider than needed",
+    "normal": "the mean of so many runs is taken to be normally distributed",
+}
+
+
+@lru_cache(KEPT)
+def _made(text: str) -> tuple[Schedule, str] | PolarisError:
+    """A schedule and its digest, or why there is none."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ClockWarning)  # told below
+            schedule = synthesize(ScheduleScenario.from_dict(tomllib.loads(text)))
+    except PolarisError as error:
+        return error
+    except np.linalg.LinAlgError as error:
+        return SynthesisInfeasible(f"the numbers of this case defeat the linear algebra: {error}")
+    if schedule.safety.cut_by_clock:
+        cut = ", ".join(schedule.safety.cut_by_clock)
+        rule = f"the wall clock ended the planner's search early ({cut}), and a campaign must be repeatable"
+        return OutOfTime(f"{rule}: raise planner.time_limit_s")
+    return schedule, digest(schedule)
+
+
+def schedule_of(text: str) -> tuple[Schedule, str]:
+    """Schedule of a scenario's text, and its digest; made once per process, whatever its threads ask for."""
+    with _lock:
+        made = _made(text)
+    if isinstance(made, PolarisError):
+        raise made.with_traceback(None)
+    return made
+
 
 @dataclass(frozen=True)
-class ScheduleRuns:
+class ScheduleRuns(Kind):
     """Runs of switching schedules, as `polaris.simulate` flies and `polaris.evaluate` measures them.
 
     Attributes
@@ -72,51 +137,57 @@ class ScheduleRuns:
         if not self.modes or len(set(self.modes)) < len(self.modes):
             raise ScenarioError("--mode", list(self.modes), "must name at least one mode, each once")
 
-    def data(self) -> dict[str, Any]:
-        """As `Kind.data`."""
-        return {"modes": list(self.modes), "initial": self.initial, "disturbance": self.disturbance}
-
-    @classmethod
-    def from_data(cls, data: Mapping[str, Any]) -> ScheduleRuns:
-        """As `Kind.from_data`."""
-        return cls(tuple(map(str, data["modes"])), data["initial"], data["disturbance"])
-
-    def fly_batch(self, task: Task) -> Batch:
-        """As `Kind.fly_batch`."""
-        made = schedule_of(task.text)
-        if made.schedule is None:
-            return Batch("", {}, made.failure, made.code)
-        parts = [self.fly_mode(task, made.schedule, mode)[1] for mode in self.modes]
-        return Batch(made.digest, {name: np.concatenate([part[name] for part in parts]) for name in parts[0]})
-
-    def fly_mode(self, task: Task, schedule: Schedule, mode: str) -> tuple[Runs, dict[str, Array]]:
-        """The runs of one mode of a batch, and their columns of the table, shapes (runs,)."""
+    def fly(self, task: Task, mode: str, run: int | None = None) -> Batch:
+        """As `Kind.fly`."""
+        schedule, known = schedule_of(task.text)
         number = MODES[mode]
         name = mode if number is None else schedule.controllers[number].name
         seed, seed_truth = batch_seeds(task)
         runs = simulate(
             schedule, task.runs, seed, mode=number, initial=self.initial, disturbance=self.disturbance
         )
-        who: dict[str, Any] = {
+        flown: dict[str, Any] = {
             "seed": np.full(task.runs, seed, dtype=np.int64),
             "seed_truth": np.full(task.runs, seed_truth, dtype=np.int64),
             "run": np.arange(task.runs, dtype=np.int64),
             "mode": np.repeat(mode, task.runs),
             "controller": np.repeat(name, task.runs),
+            **evaluate(runs, seed_truth, name).columns(),
         }
-        return runs, who | evaluate(runs, seed_truth, name).columns()
-
-    def fly_again(self, task: Task, mode: str, run: int) -> tuple[Batch, Trajectory | None]:
-        """As `Kind.fly_again`."""
-        made = schedule_of(task.text)
-        if made.schedule is None:
-            return Batch("", {}, made.failure, made.code), None
-        runs, measured = self.fly_mode(task, made.schedule, mode)
-        return Batch(made.digest, measured), _trajectory(task, runs, run)
+        return Batch(known, flown, trajectory=None if run is None else _trajectory(task, runs, run))
 
     def summarise(self, results: Results, worst: int) -> dict[str, Any]:
         """As `Kind.summarise`."""
-        return summarise(results, self.data(), worst)
+        cases = []
+        for number, case in enumerate(results.cases):
+            told: dict[str, Any] = {
+                "case": number,
+                "scenario": case.scenario,
+                "parameters": dict(case.parameters),
+                "label": case.label,
+            }
+            failure = results.failures.get(number)
+            if failure is None:
+                rows = results.read(number, COLUMNS)
+                told["modes"] = {mode: _told(of_mode(rows, mode), worst) for mode in self.modes}
+            else:
+                told |= {"failure": failure["message"], "exit_code": failure["exit_code"]}
+            cases.append(told)
+        kind = "mixed" if "mixed" in (self.initial, self.disturbance) else "drawn"
+        return {
+            "schema_version": 1,
+            "kind": "campaign",
+            "runs": results.runs,
+            "seed": results.seed,
+            "batch": results.batch,
+            "initial": self.initial,
+            "disturbance": self.disturbance,
+            "confidence": CONFIDENCE,
+            "flown": results.runs * len(self.modes) * (len(cases) - len(results.failures)),
+            "cases": cases,
+            "assumptions": [ASSUMPTIONS[name] for name in (kind, "independent", "normal")],
+            "definitions": DEFINITIONS,
+        }
 
 
 def batch_seeds(task: Task) -> tuple[int, int]:
@@ -159,41 +230,23 @@ def _trajectory(task: Task, runs: Runs, run: int) -> Trajectory:
     return Trajectory(arrays, table)
 
 
-# -- schedules, one synthesis per process ---------------------------------------------------------
-
-
-@dataclass(frozen=True, eq=False)
-class Made:
-    """A synthesis, or why there is none."""
-
-    schedule: Schedule | None
-    digest: str = ""
-    failure: str = ""
-    code: int = 0
-
-
-def schedule_of(text: str) -> Made:
-    """Schedule of a scenario's text; made once per process, whatever its threads ask for."""
-    with _lock:
-        return _made(text)
-
-
-@lru_cache(KEPT)
-def _made(text: str) -> Made:
-    from ...scenario.scenario import ScheduleScenario
-    from ...synthesis.synthesize import synthesize
-    from ..schedule import digest
-
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", ClockWarning)  # told below
-            schedule = synthesize(ScheduleScenario.from_dict(tomllib.loads(text)))
-    except PolarisError as error:
-        return Made(None, failure=str(error), code=error.exit_code)
-    except np.linalg.LinAlgError as error:
-        return Made(None, failure=f"the numbers of this case defeat the linear algebra: {error}", code=3)
-    if schedule.safety.cut_by_clock:
-        cut = ", ".join(schedule.safety.cut_by_clock)
-        rule = f"the wall clock ended the planner's search early ({cut}), and a campaign must be repeatable"
-        return Made(None, failure=f"{rule}: raise planner.time_limit_s", code=OutOfTime.exit_code)
-    return Made(schedule, digest(schedule))
+def _told(columns: Columns, worst: int) -> dict[str, Any]:
+    runs, violations = len(columns["run"]), int(columns["collided"].sum())
+    low, high = violation_interval(violations, runs)
+    means: dict[str, Any] = {}
+    for name in MEANS:
+        values = np.asarray(columns[name], dtype=float)
+        mean = mean_interval(values, within=possible(name)) if np.isfinite(values).all() else [None] * 3
+        means[name] = dict(zip(("mean", "low", "high"), mean, strict=True))
+    order = np.lexsort((columns["run"], columns["batch"], columns["min_distance_m"]))[:worst]
+    return {
+        "controller": str(columns["controller"][0]),
+        "runs": runs,
+        "violations": violations,
+        "violation_probability": {"share": violations / runs, "low": low, "high": high},
+        "mean": means,
+        "worst": {name: least(columns[name]) for name, least in WORST.items()},
+        "worst_runs": [
+            {name: columns[name][i] for name in ("batch", "run", "min_distance_m")} for i in order
+        ],
+    }

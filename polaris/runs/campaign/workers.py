@@ -128,13 +128,9 @@ def cluster(address: str) -> Iterator[Workers]:
             rule = f"no scheduler answers there within {PATIENCE:g} s ({told})"
             raise ScenarioError("--scheduler", address, rule) from error
         crew = _Crew(client, address)
+        lost = (BrokenExecutor, CancelledError, distributed.KilledWorker)
         try:
-            yield Workers(
-                lambda: _answering(client, address).get_executor(pure=False),
-                lambda: AHEAD * max(crew.threads(), 4),
-                lost=(BrokenExecutor, CancelledError, distributed.KilledWorker),
-                trouble=crew.trouble,
-            )
+            yield Workers(crew.executor, crew.window, lost=lost, trouble=crew.trouble)
         finally:
             client.close(timeout=PATIENCE)
 
@@ -155,11 +151,21 @@ def _unlogged() -> Iterator[None]:
 
 
 class _Crew:
-    """How many threads the workers of a cluster have, and since when there are none."""
+    """The workers of a cluster: how many threads they have, and since when there are none."""
 
     def __init__(self, client: Any, address: str) -> None:
         self.client, self.address = client, address
         self.known, self.asked, self.seen = 0, -ASKED, time.monotonic()
+
+    def executor(self) -> Any:
+        """The cluster's executor, if its scheduler still answers."""
+        if self.client.status != "running":
+            raise PolarisError(f"the scheduler at {self.address} no longer answers")
+        return self.client.get_executor(pure=False)
+
+    def window(self) -> int:
+        """Most tasks to hand out at a time."""
+        return AHEAD * max(self.threads(), 4)
 
     def threads(self) -> int:
         """Threads of all workers, as told a moment ago at most."""
@@ -179,13 +185,6 @@ class _Crew:
         if self.threads() or time.monotonic() - self.seen < DESERTED:
             return ""
         return f"the cluster at {self.address} has had no worker for {DESERTED:g} s"
-
-
-def _answering(client: Any, address: str) -> Any:
-    """The client, if its scheduler still answers."""
-    if client.status != "running":
-        raise PolarisError(f"the scheduler at {address} no longer answers")
-    return client
 
 
 def _prepare() -> None:

@@ -8,26 +8,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.system import Array
-from ...synthesis.controllers import AnyThrust
-from ..disturbances import adjoint_worst_case, disturbances
+from ...synthesis.schedule import Schedule
+from ..disturbances import adjoint_worst_case, disturbances, limit_rows
 from ..integration import Integrator
 from ..run_metrics import Runs
 from ..simulate import initial_states
-from .claims import Claims
-from .measure import Attained
+from .claims import Attained, Claims
 
 
 @dataclass(frozen=True, eq=False)
 class Attack:
-    """What is done to a schedule, run by run.
+    """What is done to a schedule in R runs.
 
-    Attributes
-    ----------
-    x0 : ndarray, shape (R, n)
-    w : ndarray, shape (steps, R, p)
-        Disturbance held over each step.
-    free : ndarray, shape (steps, R, m), or None
-        Inputs of controllers that may do anything.
+    Initial states (R, n), disturbances held over each step (steps, R, p), and the inputs (steps, R, m) of
+    controllers that may do anything.
     """
 
     x0: Array
@@ -54,32 +48,26 @@ class Attack:
     def fly(self, flight: Integrator) -> Runs:
         """Simulate."""
         flight.free = self.free
-        times, states, inputs, demanded, delta_v = flight.run(self.x0, self.w)
-        return Runs(flight.schedule, times, states, inputs, demanded, delta_v, flight.modes)
+        return flight.run(self.x0, self.w)
 
 
 class Attacker:
-    """Makes attacks on one schedule.
-
-    Parameters
-    ----------
-    claims : Claims
-    flight : Integrator
-        On the same cells.
-    rng : numpy.random.Generator
-    """
+    """Makes attacks on one schedule, flown on the cells that its claims are about."""
 
     def __init__(self, claims: Claims, flight: Integrator, rng: np.random.Generator) -> None:
         self.claims, self.flight, self.rng = claims, flight, rng
-        system, gain = flight.system, flight.tracking.gain
-        rows = [-u.normals @ system.position for u in claims.unsafe]
-        self.rows = np.vstack([*rows, gain, -gain])
-        self.first = np.cumsum([0, *(len(part) for part in rows)])
-        periods = claims.cells * claims.schedule.safety.clearance.q
+        self.rows = limit_rows(flight.schedule)
+        self.first = np.cumsum([0, *(len(u.normals) for u in claims.unsafe)])
         # Where the proof leaves least: the facet that certifies a period, ranked by what is left there.
-        margins = [part.reshape(periods, -1) for part in claims.facets]
-        self._best = [np.argmax(part, axis=1) for part in margins]
-        self._left = np.array([part.max(axis=1) for part in margins]).reshape(len(rows), periods)
+        shape = len(claims.unsafe), claims.cells * claims.q
+        self._best = np.array([part.argmax(axis=1) for part in claims.facets], dtype=int).reshape(shape)
+        self._left = np.array([part.max(axis=1) for part in claims.facets]).reshape(shape)
+
+    @classmethod
+    def of(cls, schedule: Schedule, tail: bool, rng: np.random.Generator) -> Attacker:
+        """With S's flight after T or without, one integration step per node."""
+        claims = Claims(schedule, tail)
+        return cls(claims, Integrator(schedule, claims.modes, 1), rng)
 
     def random(self, count: int) -> Attack:
         """Random disturbances from random states and corners; inputs at random, most of them bang-bang."""
@@ -97,10 +85,7 @@ class Attacker:
             weight = np.exp(-(self._left - self._left.min()) / scale).ravel()
             chosen = self.rng.choice(weight.size, near, p=weight / weight.sum())
             which, period = np.divmod(chosen, self._left.shape[1])
-            facet = np.array(
-                [self.first[o] + self._best[o][i] for o, i in zip(which, period, strict=True)], dtype=int
-            )
-            rows[:near] = self.rows[facet]
+            rows[:near] = self.rows[self.first[which] + self._best[which, period]]
             later = self.rng.integers(0, self.flight.substeps + 1, near)
             targets[:near] = np.clip(period * self.flight.substeps + later, 1, self.flight.steps)
         return self._towards(rows, targets, None)
@@ -145,26 +130,22 @@ class Attacker:
 
     def _towards(self, rows: Array, targets: NDArray[np.int_], clipped: NDArray[np.bool_] | None) -> Attack:
         w, free, adjoint = adjoint_worst_case(self.flight, rows, targets, clipped)
-        theta = self.flight.schedule.safety.problem.initial_set
-        x0 = theta.c + np.where(adjoint @ theta.G < 0, -1.0, 1.0) @ theta.G.T
-        return Attack(x0, w, free)
+        return Attack(self.flight.schedule.safety.problem.initial_set.support_vector(adjoint), w, free)
 
     def _row(self, limit: int, x: Array, node: int) -> Array:
         """The row of a limit that counts at a state: its nearest facet, or the input's sign."""
-        unsafe, system = self.claims.unsafe, self.flight.system
-        if limit < len(unsafe):
-            q = self.claims.schedule.safety.clearance.q
-            cell = min(node // q, self.claims.cells - 1)
-            offsets = self.claims.offsets[limit][cell, node - cell * q]
-            left = unsafe[limit].normals @ (system.position @ x) - offsets
+        claims, m = self.claims, self.flight.system.m
+        if limit < len(claims.unsafe):
+            period = min(node, claims.cells * claims.q - 1)
+            offsets = claims.offsets[limit][int(node > period)][period]
+            left = claims.unsafe[limit].normals @ (self.flight.system.position @ x) - offsets
             return np.asarray(self.rows[self.first[limit] + int(np.argmax(left))])
-        axis = limit - len(unsafe)
-        return np.asarray(self.rows[self.first[-1] + axis + system.m * int(self.rng.integers(0, 2))])
+        axis = limit - len(claims.unsafe)
+        return np.asarray(self.rows[self.first[-1] + axis + m * int(self.rng.integers(0, 2))])
 
     def _thrust(self, count: int) -> Array | None:
         """Random inputs of a controller that may do anything."""
-        laws = (self.flight.schedule.controllers[int(number)] for number in np.unique(self.flight.modes))
-        if not any(isinstance(law, AnyThrust) for law in laws):
+        if not self.flight.may_do_anything:
             return None
         steps, m = self.flight.steps, self.flight.system.m
         hold = int(self.rng.integers(1, 4 * self.flight.steps_per_cell))

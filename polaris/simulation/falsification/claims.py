@@ -1,19 +1,32 @@
-"""What a schedule's proof promises at every instant: the margins that no run may go below."""
+"""What a schedule's proof promises at every instant, and how far runs stay from every limit."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from math import floor
 
 import numpy as np
 from numpy.typing import NDArray
 
-from reach.sets.zonotope import Zonotope
-
-from ...model.system import Array
+from ...model.system import Array, LinearSystem
 from ...model.timed_polytope import TimedPolytope
 from ...synthesis.clearance import error_tube, facet_room
 from ...synthesis.schedule import Schedule
+from ..run_metrics import Runs, cubic
+from ..simulate import flown_modes
+
+PARTS = 8
+"""Parts of a period in which it is looked at closely."""
+
+LOOKED_AT = 4
+"""Periods of each run, those with the least margins at their ends, that are looked at so closely."""
+
+EXACT_M = 1e-3
+"""Length [m] by which simulated margins may fall short of proven ones: the integration's error."""
+
+EXACT_INPUT = 1e-6
+"""The same for inputs, as a share of their limits."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,28 +34,31 @@ class Claims:
     """Proven margins of one schedule, period by period.
 
     The limits are the timed polytopes, one each (margin in m: how far outside the best facet), and then
-    the inputs, one each (margin in N: thrust left while S flies).
-
-    Attributes
-    ----------
-    schedule : Schedule
-    tail : bool
-        Whether S's flight after T is included.
+    the inputs, one each (margin in N: thrust left while S flies). S's flight after T is included with `tail`.
     """
 
     schedule: Schedule
     tail: bool
 
     @property
-    def cells(self) -> int:
-        """Number of cells that are looked at."""
-        safety = self.schedule.safety
-        return safety.reference.cells if self.tail else safety.problem.K
+    def system(self) -> LinearSystem:
+        """What flies."""
+        return self.schedule.safety.problem.system
 
     @property
-    def proved(self) -> bool:
-        """Whether anything is claimed at all."""
-        return self.schedule.guarantee == "proved"
+    def q(self) -> int:
+        """Periods per cell."""
+        return self.schedule.safety.clearance.q
+
+    @property
+    def h(self) -> float:
+        """Length of a period [s]."""
+        return self.schedule.safety.tracking.flow.h
+
+    @property
+    def cells(self) -> int:
+        """Number of cells that are looked at."""
+        return len(self.modes)
 
     @property
     def unsafe(self) -> tuple[TimedPolytope, ...]:
@@ -52,68 +68,62 @@ class Claims:
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of the limits."""
-        return (*(u.name for u in self.unsafe), *self.schedule.safety.problem.system.input_names)
+        return (*(u.name for u in self.unsafe), *self.system.input_names)
 
     @cached_property
     def modes(self) -> NDArray[np.int_]:
         """Mode of every cell, S after T."""
-        return np.append(self.schedule.modes, np.zeros(self.cells - len(self.schedule.modes), dtype=int))
+        return flown_modes(self.schedule, self.tail)
 
     @cached_property
-    def offsets(self) -> list[Array]:
-        """Offsets of every polytope at the nodes of every cell, (cells, q+1, F) each [m]."""
-        q = self.schedule.safety.clearance.q
-        return [u.fine(q)[: self.cells] for u in self.unsafe]
-
-    def edges(self, unsafe: int) -> tuple[Array, Array]:
-        """Offsets of a polytope at the beginning and the end of every period, (periods, F) each [m]."""
-        offsets = self.offsets[unsafe]
-        facets = offsets.shape[-1]
-        return offsets[:, :-1].reshape(-1, facets), offsets[:, 1:].reshape(-1, facets)
+    def offsets(self) -> list[tuple[Array, Array]]:
+        """Offsets of every polytope at the beginning and the end of every period, (periods, F) each [m]."""
+        fine = [u.fine(self.q)[: self.cells] for u in self.unsafe]
+        return [(self._flat(part[:, :-1]), self._flat(part[:, 1:])) for part in fine]
 
     @cached_property
     def facets(self) -> list[Array]:
-        """Lower bounds on the margin of every facet over each period, (cells, q, F) each [m]."""
-        safety = self.schedule.safety
-        out = []
+        """Lower bounds on the margin of every facet over each period, (periods, F) each [m]."""
+        safety, out = self.schedule.safety, []
         for u in self.unsafe:
-            rows = -u.normals @ safety.problem.system.position
-            room = facet_room(safety.tracking, safety.reference, u, safety.clearance.q)[: self.cells]
-            need, bow = self._needs(rows)
+            room = facet_room(safety.tracking, safety.reference, u, self.q)[: self.cells]
+            need, bow = self._needs(-u.normals @ self.system.position)
             left = room - need
-            out.append(np.minimum(left[:, :-1], left[:, 1:]) - bow)
+            out.append(self._flat(np.minimum(left[:, :-1], left[:, 1:]) - bow))
         return out
 
     @cached_property
     def floor(self) -> Array:
-        """Proven margin of every limit over each period, (cells, q, limits); -inf where there is none.
+        """Proven margin of every limit over each period, (periods, limits); -inf where there is none.
 
         While S flies no margin can be negative, whatever its tube shows: S took over from a recoverable set.
         """
-        safety = self.schedule.safety
-        q, system = safety.clearance.q, safety.problem.system
-        parts = [part.max(axis=2) for part in self.facets]
+        safety, m, o = self.schedule.safety, self.system.m, len(self.unsafe)
         gain = safety.tracking.gain
         need, bow = self._needs(np.vstack([gain, -gain]))
         nu = safety.reference.nu[: self.cells]
-        room = np.tile(system.u_max, 2) + np.hstack([nu, -nu])
-        left = np.min((room[:, None, :] - need).reshape(self.cells, q + 1, 2, system.m), axis=2)
-        thrust = np.minimum(left[:, :-1], left[:, 1:]) - np.max(bow.reshape(self.cells, q, 2, -1), axis=2)
-        floor = np.concatenate([np.stack(parts, axis=-1), thrust], axis=-1)
-        under_s = (self.modes == 0)[:, None, None]
-        floor = np.where(under_s, np.maximum(floor, 0.0), floor)
-        floor[self.modes != 0, :, len(parts) :] = -np.inf  # what U demands is limited by its own model alone
-        return floor if self.proved else np.full(floor.shape, -np.inf)
+        room = np.tile(self.system.u_max, 2) + np.hstack([nu, -nu])
+        left = np.min((room[:, None, :] - need).reshape(self.cells, self.q + 1, 2, m), axis=2)
+        thrust = np.minimum(left[:, :-1], left[:, 1:]) - bow.reshape(self.cells, self.q, 2, m).max(axis=2)
+        out = np.column_stack([*(part.max(axis=1) for part in self.facets), self._flat(thrust)])
+        by_s = np.repeat(self.modes == 0, self.q)
+        out[by_s] = np.maximum(out[by_s], 0.0)
+        out[~by_s, o:] = -np.inf  # what U demands is limited by its own model alone
+        return out if self.schedule.guarantee == "proved" else np.full(out.shape, -np.inf)
+
+    def _flat(self, parts: Array) -> Array:
+        """One row per period, out of (cells, q, columns)."""
+        return parts.reshape(self.cells * self.q, -1)
 
     def _needs(self, rows: Array) -> tuple[Array, Array]:
         """Largest ``row e`` at the nodes (cells, q+1, r), and what may be added between (cells, q, r)."""
-        safety = self.schedule.safety
-        K, q = safety.problem.K, safety.clearance.q
+        safety, q = self.schedule.safety, self.q
         need = np.empty((self.cells, q + 1, len(rows)))
         bow = np.zeros((self.cells, q, len(rows)))
         for k, step in enumerate(self.schedule.steps):
-            need[k] = support(step.tube.nodes, rows)
+            need[k] = step.tube.nodes.support(rows)
             bow[k] = step.tube.bow @ np.abs(rows).T
+        K = len(self.schedule.steps)
         if self.cells > K:
             at_end = self.schedule.final.inflate(safety.clearance.jump)
             tube = error_tube(safety.tracking, at_end, rows).need
@@ -121,12 +131,81 @@ class Claims:
             need[K:] = tube[np.minimum(lag, len(tube) - 1)]
         return need, bow
 
-    def period_at(self, time: Array) -> NDArray[np.int_]:
-        """Number of the period that holds instants [s]."""
-        h, last = self.schedule.safety.tracking.flow.h, self.cells * self.schedule.safety.clearance.q - 1
-        return np.asarray(np.clip(np.floor(time / h * (1 + 1e-12)).astype(int), 0, last))
+    def period_at(self, time: float) -> int:
+        """Number of the period that holds an instant [s]."""
+        return min(max(floor(time / self.h * (1 + 1e-12)), 0), self.cells * self.q - 1)
 
 
-def support(nodes: Zonotope, rows: Array) -> Array:
-    """Support of a stack of zonotopes along rows, shape (nodes, r)."""
-    return np.asarray(nodes.c @ rows.T + np.abs(rows @ nodes.G).sum(axis=-1))
+@dataclass(frozen=True, eq=False)
+class Attained:
+    """Of R runs and every limit the least margin [m, N], when [s], and how far below what is proven.
+
+    The margin is inf where a limit was never looked at (inputs if S never flies); `below` is the largest
+    amount by which a margin fell short of the proven one of its period, negative if none did.
+    """
+
+    margin: Array
+    when: Array
+    below: Array
+
+
+def attained(claims: Claims, runs: Runs) -> Attained:
+    """Measure runs against the limits of a schedule."""
+    system, shape = claims.system, (len(runs.states), len(claims.names))
+    out = Attained(np.full(shape, np.inf), np.zeros(shape), np.full(shape, -np.inf))
+    p = (runs.states @ system.position.T).reshape(-1, system.d).T
+    smooth = not (np.any(system.position @ system.B) or np.any(system.position @ system.D))
+    # How far a path may bow away from its chords, by the accelerations seen.
+    change = np.abs(np.diff(runs.states @ system.velocity.T, axis=1)).max(axis=(1, 2), keepdims=True)[:, 0]
+    bow = 2 * claims.h / 8 * np.sqrt(system.d) * change
+    every = np.arange(shape[0])
+    for o, u in enumerate(claims.unsafe):
+        along = (u.normals @ p).reshape(-1, *runs.states.shape[:2])
+        before, after = claims.offsets[o]
+        at = np.max(along[:, :, :-1] - before.T[:, None], axis=0)
+        ends = np.minimum(at, np.max(along[:, :, 1:] - after.T[:, None], axis=0))
+        best = np.argmin(ends, axis=1)
+        out.margin[:, o] = ends[every, best]
+        out.when[:, o] = runs.times[np.where(at[every, best] <= ends[every, best], best, best + 1)]
+        out.below[:, o] = np.max(claims.floor[:, o] - ends, axis=1)
+        if smooth:
+            few = min(LOOKED_AT, ends.shape[1])
+            near = np.argpartition(ends, few - 1, axis=1)[:, :few]
+            run, place = np.nonzero(np.take_along_axis(ends, near, axis=1) < out.margin[:, o, None] + bow)
+            _look_closer(claims, runs, o, run, near[run, place], out)
+    flown = np.flatnonzero(np.repeat(claims.modes == 0, claims.q))
+    if len(flown):
+        _measure_thrust(claims, runs, flown, out)
+    return out
+
+
+def _look_closer(
+    claims: Claims, runs: Runs, o: int, run: NDArray[np.intp], period: NDArray[np.intp], out: Attained
+) -> None:
+    """Margins within some periods, along cubics through positions and velocities."""
+    system, h, u = claims.system, claims.h, claims.unsafe[o]
+    s = np.linspace(0, 1, PARTS + 1)[1:-1, None]
+    ends = [runs.states[run, period + side][:, None] for side in (0, 1)]
+    (a, b), (da, db) = ([part @ x.T for part in ends] for x in (system.position, h * system.velocity))
+    p = cubic(a, b, da, db, s)
+    left, right = (offsets[period][:, None] for offsets in claims.offsets[o])
+    margin = np.max(p @ u.normals.T - ((1 - s) * left + s * right), axis=-1)
+    best = np.argmin(margin, axis=1)
+    least = margin[np.arange(len(margin)), best]
+    order = np.argsort(-least)  # the least comes last and stays
+    closer = order[least[order] < out.margin[run[order], o]]
+    out.when[run[closer], o] = runs.times[period[closer]] + s[best[closer], 0] * h
+    out.margin[run[closer], o] = least[closer]
+    np.maximum.at(out.below[:, o], run, claims.floor[period, o] - least)
+
+
+def _measure_thrust(claims: Claims, runs: Runs, flown: NDArray[np.intp], out: Attained) -> None:
+    """Thrust left at the nodes of the periods that S flies."""
+    safety, system = claims.schedule.safety, claims.system
+    xi = safety.clearance.nodes[: claims.cells, :-1].reshape(-1, system.n)[flown]
+    mu = np.repeat(safety.reference.nu[: claims.cells], claims.q, axis=0)[flown]
+    left = system.u_max - np.abs(mu + (xi - runs.states[:, flown]) @ safety.tracking.gain.T)
+    inputs = slice(len(claims.unsafe), None)
+    out.margin[:, inputs] = left.min(axis=1)
+    out.when[:, inputs] = runs.times[flown][np.argmin(left, axis=1)]
+    out.below[:, inputs] = np.max(claims.floor[flown, inputs] - left, axis=1)

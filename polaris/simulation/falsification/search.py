@@ -16,8 +16,7 @@ from ...synthesis.schedule import Schedule
 from ..integration import Integrator
 from ..run_metrics import Runs
 from .attacks import Attack, Attacker
-from .claims import Claims
-from .measure import EXACT_INPUT, EXACT_M, Attained, attained
+from .claims import EXACT_INPUT, EXACT_M, Attained, Claims, attained
 
 BATCH = 100_000
 """States of all runs flown at a time: few enough that they stay near the processor."""
@@ -161,31 +160,16 @@ def falsify(
     return _Search(schedule, runs, np.random.default_rng(seed)).run(progress)
 
 
-@dataclass(frozen=True, eq=False)
-class _Arena:
-    """A schedule with or without S's flight after T, and who attacks it."""
-
-    claims: Claims
-    flight: Integrator
-    attacker: Attacker
-
-    @classmethod
-    def of(cls, schedule: Schedule, tail: bool, rng: np.random.Generator) -> _Arena:
-        claims = Claims(schedule, tail)
-        flight = Integrator(schedule, claims.modes, 1)
-        return cls(claims, flight, Attacker(claims, flight, rng))
-
-
 class _Search:
     def __init__(self, schedule: Schedule, runs: int, rng: np.random.Generator) -> None:
         self.schedule, self.wanted, self.flown = schedule, runs, 0
-        self.main = _Arena.of(schedule, False, rng)
+        self.main = Attacker.of(schedule, False, rng)
         proven_after = schedule.safety.end.proven and schedule.guarantee == "proved"
-        self.tail = _Arena.of(schedule, True, rng) if proven_after else None
+        self.tail = Attacker.of(schedule, True, rng) if proven_after else None
         limits = len(self.main.claims.names)
         self.least, self.at = np.full(limits, np.inf), np.full(limits, np.nan)
         claimed = (self.tail or self.main).claims.floor
-        self.proven = np.where(np.isneginf(claimed), np.inf, claimed).min(axis=(0, 1))
+        self.proven = np.where(np.isneginf(claimed), np.inf, claimed).min(axis=0)
         self.elites: dict[int, tuple[Attack, Array]] = {}
         self.last: tuple[Runs, Attained] | None = None
 
@@ -197,36 +181,33 @@ class _Search:
         while self.flown < self.wanted and found is None:
             left = self.wanted - self.flown
             due = batch % TAIL_EVERY == TAIL_EVERY - 1 or (not beyond and left <= usual and batch > 0)
-            arena = self.tail if self.tail is not None and due else self.main
-            beyond = beyond or arena is self.tail
-            count = min(max(min(usual, BATCH // arena.flight.steps), SMALLEST), left)
-            attack = self._attack(arena, ROUND[batch % len(ROUND)], count)
-            flown = attack.fly(arena.flight)
-            measured = attained(arena.claims, flown)
-            self.flown += count
-            batch += 1
-            found = self._record(arena.claims, attack, measured)
-            if arena is self.main:
+            attacker = self.tail if self.tail is not None and due else self.main
+            beyond = beyond or attacker is self.tail
+            count = min(max(min(usual, BATCH // attacker.flight.steps), SMALLEST), left)
+            attack = self._attack(attacker, ROUND[batch % len(ROUND)], count)
+            flown = attack.fly(attacker.flight)
+            measured = attained(attacker.claims, flown)
+            self.flown, batch = self.flown + count, batch + 1
+            found = self._record(attacker.claims, attack, measured)
+            if attacker is self.main:
                 self.last = flown, measured
                 self._keep(attack, measured)
             if progress:
                 progress(self.flown, self.wanted)
         failure, case = found or (None, None)
-        spent = time.perf_counter() - begun
-        names = self.main.claims.names
-        return Falsification(
-            self.schedule, names, self.least, self.proven, self.at, self.flown, spent, failure, case
-        )
+        names, spent = self.main.claims.names, time.perf_counter() - begun
+        limits = names, self.least, self.proven, self.at
+        return Falsification(self.schedule, *limits, self.flown, spent, failure, case)
 
-    def _attack(self, arena: _Arena, kind: str, count: int) -> Attack:
-        if arena is self.main:
+    def _attack(self, attacker: Attacker, kind: str, count: int) -> Attack:
+        if attacker is self.main:
             if kind == "again" and self.last is not None:
-                return arena.attacker.again(*self.last, count)
+                return attacker.again(*self.last, count)
             if kind == "mutate":
-                return arena.attacker.mutate(Attack.join([pool for pool, _ in self.elites.values()]), count)
+                return attacker.mutate(Attack.join([pool for pool, _ in self.elites.values()]), count)
             if kind == "random":
-                return arena.attacker.random(count)
-        return arena.attacker.worst(count)
+                return attacker.random(count)
+        return attacker.worst(count)
 
     def _record(
         self, claims: Claims, attack: Attack, measured: Attained
@@ -262,7 +243,7 @@ def broken(claims: Claims, measured: Attained) -> tuple[Any, Any, Any]:
     """Which limits each run violates: by entering, by asking for too much, by coming closer than proven."""
     obstacles = len(claims.unsafe)
     exact = np.full(len(claims.names), EXACT_M)
-    exact[obstacles:] = EXACT_INPUT * claims.schedule.safety.problem.system.u_max
+    exact[obstacles:] = EXACT_INPUT * claims.system.u_max
     entered, beyond = measured.margin < 0, measured.margin < -exact
     entered[:, obstacles:] = beyond[:, :obstacles] = False
     return entered, beyond, measured.below > exact
@@ -276,18 +257,15 @@ def violation(claims: Claims, measured: Attained, run: int = 0) -> Failure | Non
         if len(which):
             limit = int(which[np.argmin(size[which])])
             when, margin = float(measured.when[run, limit]), float(measured.margin[run, limit])
-            floor = claims.floor.reshape(-1, len(claims.names))[claims.period_at(np.array(when)), limit]
-            return Failure(kind, claims.names[limit], when, margin, float(floor))
+            floor = float(claims.floor[claims.period_at(when), limit])
+            return Failure(kind, claims.names[limit], when, margin, floor)
     return None
 
 
 def confirm(claims: Claims, attack: Attack) -> tuple[Failure, Attack, int] | None:
     """Fly one attack again with four times as many integration steps, its disturbance the same.
 
-    Returns
-    -------
-    failure, attack, substeps
-        The violation, the attack on the finer steps, and their number per node; None if it was none.
+    Returned are the violation, the attack on the finer steps, and their number per node; None if it was none.
     """
     substeps = 1 if claims.schedule.safety.tracking.feedback.sampled else 4
     free = None if attack.free is None else np.repeat(attack.free, substeps, axis=0)

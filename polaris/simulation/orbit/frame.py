@@ -16,18 +16,9 @@ from .environment import MU, Environment
 
 
 def frame_rates(env: Environment, target: Array) -> tuple[Array, Array, Array]:
-    """Rotation of the frame, its rate of change, and the rate of the target's state.
+    """Rotation of the frame [rad/s], its rate of change [rad/s^2], and the rate of the target's state.
 
-    Parameters
-    ----------
-    target : ndarray, shape (..., 6)
-
-    Returns
-    -------
-    omega, omega_rate : ndarray, shape (..., 3)
-        [rad/s], [rad/s^2]
-    rate : ndarray, shape (..., 6)
-        Of the target's state.
+    Shapes (..., 3), (..., 3), (..., 6), for targets (..., 6).
     """
     R, V, h = target[..., 0], target[..., 1], target[..., 2]
     px, py, pz = target[..., 3], target[..., 4], target[..., 5]
@@ -56,21 +47,9 @@ def relative_rate(
 ) -> tuple[Array, Array, Array]:
     """Exact free motion of another craft in the target's frame.
 
-    Parameters
-    ----------
-    target : ndarray, shape (..., 6)
-    x : ndarray, shape (..., 6)
-        Position and velocity in the frame [m, m/s].
-    ballistic : array_like
-        The other craft's drag coefficient times area over mass [m^2/kg].
-
-    Returns
-    -------
-    x_rate : ndarray, shape (..., 6)
-        Without thrust.
-    target_rate : ndarray, shape (..., 6)
-    residual : ndarray, shape (..., 3)
-        What Hill's linear equations leave out of the acceleration [m/s^2].
+    For targets and states x (..., 6) [m, m/s] of craft with that drag coefficient times area over mass
+    [m^2/kg]. Returned are the rates of both, without thrust, and what Hill's linear equations leave out of
+    the acceleration (..., 3) [m/s^2].
     """
     omega, omega_rate, target_rate = frame_rates(env, target)
     p, v = x[..., :3], x[..., 3:]
@@ -91,14 +70,7 @@ def near_circular(env: Environment, latitude: Array, inclination: Array | float)
     """Target states whose orbit stays as near to the circle as J2 lets it, shape (..., 6).
 
     To first order in J2 the radius then differs from a constant only by a ripple of twice the orbital rate,
-    and the mean rate is the mean motion.
-
-    Parameters
-    ----------
-    latitude : ndarray, shape (...)
-        Argument of latitude u [rad].
-    inclination : float
-        [rad]
+    and the mean rate is the mean motion. Arguments of latitude and inclinations are in rad.
     """
     u, i = np.broadcast_arrays(np.asarray(latitude, dtype=float), np.asarray(inclination, dtype=float))
     a, eta = env.radius, env.mean_motion

@@ -21,17 +21,7 @@ from ...synthesis.tracking import at_nodes
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """Boxes of states in Hill's frame, one per stretch of the flight.
-
-    Attributes
-    ----------
-    what : tuple of str
-        Who is there.
-    start : ndarray, shape (N,)
-        Beginning of each stretch [s].
-    lower, upper : ndarray, shape (N, 6)
-        [m, m/s]
-    """
+    """Boxes (N, 6) [m, m/s] of states in Hill's frame, who is there, and since when [s], for N stretches."""
 
     what: tuple[str, ...]
     start: Array

@@ -20,22 +20,10 @@ from .environment import MU, Environment
 class Residual:
     """Bounds on the parts of the residual acceleration [m/s^2], each of the shape of the sets asked for.
 
-    Attributes
-    ----------
-    curvature : ndarray
-        Central gravity beyond its gradient at the target.
-    radius : ndarray
-        That gradient where the target's distance is not that of the circle.
-    oblateness : ndarray
-        Difference of J2's pull on the two craft.
-    rotation : ndarray
-        Coriolis, centrifugal and Euler terms of a frame that does not turn evenly.
-    drag_ballistic : ndarray
-        Drag by different ballistic coefficients.
-    drag_place : ndarray
-        Drag by different density and velocity at the two places.
-    other : ndarray
-        As declared.
+    Central gravity beyond its gradient at the target; that gradient where the target's distance is not that
+    of the circle; J2's pull on the two craft; Coriolis, centrifugal and Euler terms of a frame that does not
+    turn evenly; drag by different ballistic coefficients; drag by different density and velocity; what is
+    declared.
     """
 
     curvature: Array
@@ -58,14 +46,9 @@ class Residual:
 
 
 def residual_bound(env: Environment, radial: ArrayLike, distance: ArrayLike, speed: ArrayLike) -> Residual:
-    """Bound the residual over ``|r_x| <= radial, norm(r) <= distance, norm(v) <= speed``.
+    """Bound the residual over ``|r_x| <= radial, norm(r) <= distance, norm(v) <= speed`` [m, m, m/s].
 
-    Parameters
-    ----------
-    env : Environment
-        Bounds on the target's orbit and on the forces.
-    radial, distance, speed : array_like, broadcast together
-        [m], [m], [m/s]
+    The environment bounds the target's orbit and the forces.
     """
     x, r, v = np.broadcast_arrays(*(np.asarray(value, dtype=float) for value in (radial, distance, speed)))
     a, eta, off = env.radius, env.mean_motion, env.radius_deviation

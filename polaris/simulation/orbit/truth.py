@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,7 @@ from ...model.system import Array
 from ...synthesis.schedule import Schedule
 from ..integration import Integrator, runge_kutta
 from ..run_metrics import Runs
-from ..simulate import Initial, initial_states
+from ..simulate import Initial, flown_modes, initial_states
 from .environment import Environment
 from .frame import frame_rates, near_circular, relative_rate
 
@@ -70,11 +71,7 @@ def fly_true(
         Steps of the fourth-order Runge-Kutta scheme per node.
     """
     rng = np.random.default_rng(seed)
-    safety = schedule.safety
-    cells = safety.reference.cells if tail else safety.problem.K
-    modes = np.zeros(cells, dtype=int)
-    modes[: safety.problem.K] = schedule.modes
-    grid = Integrator(schedule, modes, substeps)
+    modes = flown_modes(schedule, tail)
     x = initial_states(schedule, n, rng, initial)
     # J2 itself moves the inclination by a few hundredths of a degree.
     steepest = max(env.inclination_max - (1e-3 if env.j2 else 0.0), 0.0)
@@ -83,50 +80,47 @@ def fly_true(
     ballistic = np.maximum(env.ballistic + rng.choice([-1.0, 1.0], n) * env.ballistic_difference, 0.0)
     push = rng.normal(size=(n, 3))
     push *= env.other / np.linalg.norm(push, axis=1, keepdims=True)
-    return _march(grid, env, np.concatenate([x, target], axis=1), ballistic, push)
+    flight = _TrueMotion(schedule, modes, substeps)
+    flight.env, flight.ballistic = env, ballistic
+    flight.residual = np.zeros((len(modes) * flight.q, n))
+    runs = flight.run(np.concatenate([x, target], axis=1), np.broadcast_to(push, (flight.steps, n, 3)))
+    target = runs.states[..., 6:]
+    runs = replace(runs, states=runs.states[..., :6])
+    return TrueFlights(runs, flight.residual.T, target, ballistic, declared(env, target))
 
 
-def _march(grid: Integrator, env: Environment, y: Array, ballistic: Array, push: Array) -> TrueFlights:
-    system, dt, limit = grid.system, grid.dt, grid.system.u_max
-    nodes, count = len(grid.modes) * grid.q, len(y)
-    path = np.empty((nodes + 1, count, 12))
-    inputs, demanded = np.empty((nodes, count, system.m)), np.zeros((nodes, count))
-    residual, spent = np.zeros((nodes, count)), np.zeros(count)
-    path[0] = y
-    for step in range(grid.steps):
-        k, within = divmod(step, grid.steps_per_cell)
-        node, sub = divmod(step, grid.substeps)
-        number = int(grid.modes[k])
-        controller = grid.schedule.controllers[number]
+class _TrueMotion(Integrator):
+    """Its states are those of craft and target, (R, 12); what disturbs is an acceleration (R, 3)."""
 
-        def asked(later: int, state: Array) -> Array:
-            return grid.command(controller, number, k, 2 * within, state[:, :6], later)  # noqa: B023
+    env: Environment
+    ballistic: Array
+    residual: Array  # largest within each period, (nodes, R)
 
-        def moved(u: Array, state: Array) -> tuple[Array, Array]:
-            x_rate, target_rate, left_out = relative_rate(env, state[:, 6:], state[:, :6], ballistic)
-            x_rate = x_rate + u @ system.B.T
-            x_rate[:, 3:] += push
-            return np.concatenate([x_rate, target_rate], axis=1), left_out + push
+    def command(self, number: int, k: int, half: int, x: Array, later: int = 0) -> Array:
+        return super().command(number, k, half, x[:, :6], later)
 
-        if sub == 0 or not grid.sampled:
-            raw = asked(0, y)
-            demanded[node] = np.maximum(demanded[node], np.max(np.abs(raw) / limit, axis=1))
-            u = np.clip(raw, -limit, limit)
-        if sub == 0:
-            inputs[node] = u
+    def _unclipped(self, *cell: Any) -> None:
+        """Nothing is linear here."""
+
+    def move(self, number: int, k: int, step: int, x: Array, u: Array, w: Array) -> Array:
+        limit = self.system.u_max
+
+        def rates(u: Array, state: Array) -> tuple[Array, Array]:
+            own, target, left_out = relative_rate(self.env, state[:, 6:], state[:, :6], self.ballistic)
+            own = own + u @ self.system.B.T
+            own[:, 3:] += w
+            return np.concatenate([own, target], axis=1), left_out + w
 
         def rate(later: int, state: Array) -> Array:
-            return moved(u if grid.sampled else np.clip(asked(later, state), -limit, limit), state)[0]  # noqa: B023
+            if self.sampled:
+                return rates(u, state)[0]
+            asked = self.command(number, k, 2 * step, state, later)
+            return rates(np.clip(asked, -limit, limit), state)[0]
 
-        first, left_out = moved(u, y)
-        y = runge_kutta(rate, y, dt, first)
-        residual[node] = np.maximum(residual[node], np.linalg.norm(left_out, axis=1))
-        spent += np.abs(u).sum(axis=1) * dt / system.mass
-        path[node + 1] = y
-    times = np.asarray(np.arange(nodes + 1) * grid.tracking.flow.h, dtype=float)
-    states = path.swapaxes(0, 1)
-    runs = Runs(grid.schedule, times, states[..., :6], inputs.swapaxes(0, 1), demanded.T, spent, grid.modes)
-    return TrueFlights(runs, residual.T, states[..., 6:], ballistic, declared(env, states[..., 6:]))
+        first, left_out = rates(u, x)
+        node = k * self.q + step // self.substeps
+        self.residual[node] = np.maximum(self.residual[node], np.linalg.norm(left_out, axis=1))
+        return runge_kutta(rate, x, self.dt, first)
 
 
 def declared(env: Environment, target: Array) -> NDArray[np.bool_]:
@@ -137,23 +131,3 @@ def declared(env: Environment, target: Array) -> NDArray[np.bool_]:
     kept = (np.abs(R - env.radius) <= env.radius_deviation) & (np.abs(V) <= env.radial_rate)
     kept &= np.abs(turn / env.mean_motion - 1) <= env.rate_deviation
     return np.asarray(np.all(kept & (tilt <= np.sin(env.inclination_max)), axis=-1))
-
-
-def drift_true(env: Environment, target: Array, x: Array, ballistic: Array, h: float, nodes: int) -> Array:
-    """Free nonlinear motion of another craft, shape (R, nodes + 1, 6), at nodes h apart [s].
-
-    Parameters
-    ----------
-    target, x : ndarray, shape (R, 6)
-        The target's orbit and the craft's relative state at the start.
-    ballistic : ndarray, shape (R,)
-    """
-
-    def rate(later: int, state: Array) -> Array:
-        x_rate, target_rate, _ = relative_rate(env, state[:, 6:], state[:, :6], ballistic)
-        return np.concatenate([x_rate, target_rate], axis=1)
-
-    path = [np.concatenate([x, target], axis=1)]
-    for _ in range(nodes):
-        path.append(runge_kutta(rate, path[-1], h, rate(0, path[-1])))
-    return np.stack(path, axis=1)[..., :6]

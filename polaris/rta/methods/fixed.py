@@ -1,4 +1,4 @@
-"""One controller from beginning to end."""
+"""Methods that look at no measurement: one controller throughout, or the schedule of Algorithm 2."""
 
 from __future__ import annotations
 
@@ -50,3 +50,29 @@ class ExperimentalAlone(Alone):
     def __init__(self, grid: DecisionGrid) -> None:
         super().__init__(grid)
         self.name = f"U alone ({grid.controllers[1].name})"
+
+
+class Precomputed(Method):
+    """Who flies when was decided, and proven, before the flight."""
+
+    key, name, place, proven = "schedule", "Polaris schedule", 2, True
+    how = "decided before the flight, looks at nothing"
+    reasons = ("scheduled",)
+    delayed = False
+
+    @property
+    def reach(self) -> str:
+        """What happens at the end."""
+        return self.grid.schedule.safety.end.reason
+
+    @property
+    def claim(self) -> Claim:
+        """Theorem 2."""
+        return Claim(self.grid.schedule.guarantee, self.reach)
+
+    def decide(self, seen: Seen) -> Choice:
+        """Look the mode up."""
+        R, schedule = len(seen.estimate), self.grid.schedule
+        step = seen.k * self.grid.nodes // self.grid.clearance.q
+        mode, margin = int(schedule.modes[step]), float(schedule.margins[step])
+        return Choice(np.full(R, mode), np.full(R, margin), np.zeros(R, dtype=int))

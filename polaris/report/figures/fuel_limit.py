@@ -1,19 +1,19 @@
-"""Figures of the fuel limit: path, spent velocity change, thrust (figures 9a to 9c)."""
+"""Figures of a flight into the fuel limit: path, spent velocity change, thrust (figures 9a to 9c)."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from matplotlib.collections import LineCollection
+from matplotlib.lines import Line2D
 
-from ...scene.inspection import ORDER, thrust_charts
-from ...scene.palette import BLACK, BLUE, LOOKS, ORANGE, PURPLE, SKY, VERMILION
-from ..style import ABOVE, step_edges
-from .charts import shade, tell
-from .paths import draw_chief
-
-if TYPE_CHECKING:
-    from ....inspection.flights.fuel_run import FuelRun
+from ...inspection.flights.fuel_run import FuelRun
+from ..scene.palette import BLACK, BLUE, LOOKS, ORANGE, PURPLE, SKY, VERMILION
+from ..scene.unsafe import AXES, ORDER
+from .flight import draw_chief, shade, shade_thrust, stack, tell
+from .style import ABOVE, save_all, step_edges
 
 PIECES = 400
 """Pieces in which a path changes its colour."""
@@ -22,10 +22,14 @@ AFTER = 500.0
 """Time [s] for which a predicted flight is shown after its last thrust: nothing more is spent."""
 
 
-def draw_path(ax: Any, run: FuelRun) -> None:
-    """Draw the path in the plane of the orbit, cyan at the start and magenta at the end."""
-    from matplotlib.collections import LineCollection
+def draw_fuel_run(run: FuelRun, folder: Path) -> list[Path]:
+    """Draw and write the figures of a flight into the fuel limit, each as PDF and PNG."""
+    drawers = (("path", _path, 2.0), ("fuel", _fuel, 2.6), ("thrust", _thrust, 2.4))
+    return save_all(((name, stack(height, draw)(run)) for name, draw, height in drawers), folder)
 
+
+def _path(ax: Any, run: FuelRun) -> None:
+    """The path in the plane of the orbit, cyan at the start and magenta at the end."""
     near = 1.5 * run.inspection.separation
     chosen = np.unique(np.linspace(0, len(run.t) - 1, PIECES + 1).astype(int))
     points = run.x[chosen][:, ORDER[:2]]
@@ -49,10 +53,8 @@ def draw_path(ax: Any, run: FuelRun) -> None:
     ax.figure.colorbar(lines, ax=ax, label="Time (s)", aspect=20, pad=0.03)
 
 
-def draw_fuel(ax: Any, run: FuelRun) -> None:
-    """Draw what was spent, the limit, and what predicted backup flights would have spent."""
-    from matplotlib.lines import Line2D
-
+def _fuel(ax: Any, run: FuelRun) -> None:
+    """What was spent, the limit, and what predicted backup flights would have spent."""
     most = run.inspection.delta_v_max
     shade(ax, 0, 1.1 * max(most, float(run.delta_v.max())), [(most, True)])
     for one in run.predictions:
@@ -67,15 +69,13 @@ def draw_fuel(ax: Any, run: FuelRun) -> None:
     ax.legend(handles=handles, columnspacing=0.9, **ABOVE)
 
 
-def draw_fuel_thrust(ax: Any, run: FuelRun) -> None:
-    """Draw the thrust along each axis between its limits, and when the backup took over."""
-    limit = run.inspection.thrust_max
-    for chart, shown in zip(thrust_charts(run.inspection, run.u), (BLUE, ORANGE, PURPLE), strict=True):
-        name, values = chart.label.partition("\n")[0], step_edges(chart.lines)
+def _thrust(ax: Any, run: FuelRun) -> None:
+    """The thrust along each axis between its limits, and when the backup took over."""
+    for name, values, shown in zip(AXES, step_edges(run.u).T, (BLUE, ORANGE, PURPLE), strict=True):
         ax.plot(run.t, values, drawstyle="steps-post", color=shown, lw=0.8, zorder=3, label=name)
-    shade(ax, *chart.span, chart.limits)
+    shade_thrust(ax, run.inspection)
     if run.latched_at is not None:
         ax.axvline(run.latched_at, color=BLACK, lw=0.7, ls=(0, (3, 2)), zorder=2)
-        ax.text(run.latched_at, 1.13 * limit, " backup", fontsize=6.5, va="center")
+        ax.text(run.latched_at, 1.13 * run.inspection.thrust_max, " backup", fontsize=6.5, va="center")
     ax.set(xlim=(0, run.t[-1]), xlabel="Time (s)", ylabel="Thrust (N)")
     ax.legend(columnspacing=0.9, **ABOVE)

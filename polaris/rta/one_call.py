@@ -1,4 +1,7 @@
-"""The one call of every run-time filter: receive, decide, put into words; and what a backup controller is."""
+"""The one call of every run-time filter: receive, decide, put into words; and what a backup controller is.
+
+Beside it, `polaris.rta.method` is the protocol by which many runs are decided at once.
+"""
 
 from __future__ import annotations
 
@@ -10,9 +13,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...model.system import Array
-from ..inspection import Inspection
-from .received import Received, Receiver
+from ..model.system import Array
+from .received import Craft, Received, Receiver, commanded
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,7 +23,7 @@ class Decision:
 
     Attributes
     ----------
-    u : ndarray, shape (N, 3)
+    u : ndarray, shape (N, m)
         Thrust to apply [N]: always finite and within the limits.
     intervened : ndarray of bool, shape (N,)
         Whose input differs from the desired one.
@@ -64,9 +66,9 @@ class RunTimeFilter(Protocol):
         t : float
             Time [s]. Whatever it is, there is an answer: that it is no number, stands still, runs backwards
             or jumps is noted in the decision (see `Receiver`).
-        x : array_like, shape (N, 6)
-            States in Hill's frame [m, m/s]; not finite where unknown. What is no such numbers is unknown.
-        u_des : array_like, shape (N, 3), or None
+        x : array_like, shape (N, n)
+            States; not finite where unknown. What is no such numbers is unknown.
+        u_des : array_like, shape (N, m), or None
             Desired thrust [N]; None if it came too late. What is no such numbers did not come at all.
         """
         ...
@@ -76,23 +78,13 @@ class Backup(Protocol):
     """A controller to fall back to."""
 
     def __call__(self, t: float, x: Array) -> Array:
-        """Thrust [N], shape (N, 3), within the limits, for finite states of shape (N, 6)."""
+        """Thrust [N], shape (N, m), within the limits, for finite states of shape (N, n)."""
         ...
 
 
 @dataclass(frozen=True)
 class Switch:
-    """One entry of the log of a filter that switches.
-
-    Attributes
-    ----------
-    t : float
-        [s]
-    deputy : int
-    to : str
-        ``backup`` or ``desired``.
-    reason : str
-    """
+    """One entry of the log of a filter that switches: when [s], whom, to ``backup`` or ``desired``, why."""
 
     t: float
     deputy: int
@@ -134,16 +126,11 @@ class Answer:
 class CallByCall(ABC):
     """A `RunTimeFilter`: takes in each call, has a subclass decide, words the decision, remembers the thrust.
 
-    Parameters
-    ----------
-    inspection : Inspection
-    period : float, optional
-        Longest time [s] for which an answer may be held; default any.
+    The period [s] is the longest time for which an answer may be held; default any.
     """
 
-    def __init__(self, inspection: Inspection, period: float | None) -> None:
-        self.inspection = inspection
-        self._receiver = Receiver(inspection, period)
+    def __init__(self, craft: Craft, period: float | None) -> None:
+        self._receiver = Receiver(craft, period)
 
     def filter(self, t: float, x: ArrayLike, u_des: ArrayLike | None) -> Decision:
         """Decide on the inputs of the next control period; see `RunTimeFilter`."""
@@ -169,21 +156,14 @@ class CallByCall(ABC):
 
     def _backed_up(self, backup: Backup | None, got: Received, notes: list[str]) -> Array:
         """The backup controller's input; no thrust where it has none to give, which is recorded."""
-        nothing, failed = np.zeros((self.inspection.deputies, 3)), "the backup controller failed: "
+        nothing = np.zeros(got.u.shape)
         if backup is None:
             return nothing
-        try:
-            u = np.asarray(backup(got.t, got.x), dtype=float)
-        except Exception as error:  # whatever it is, the filter must answer
-            notes.append(f"{failed}{type(error).__name__}")
-            return nothing
-        if u.shape != nothing.shape:
-            notes.append(f"{failed}an answer of shape {u.shape}")
-            return nothing
-        if not np.isfinite(u).all():
-            notes.append(f"{failed}an answer that is not finite")
-        limit = self.inspection.thrust_max
-        return np.where(np.isfinite(u), np.clip(u, -limit, limit), 0.0)
+        u, wrong = commanded(backup, (got.t, got.x), nothing.shape)
+        if wrong:
+            notes.append(f"the backup controller failed: {wrong}")
+        limit = self._receiver.craft.thrust_max
+        return nothing if u is None else np.where(np.isfinite(u), np.clip(u, -limit, limit), 0.0)
 
 
 def named(labels: Sequence[str], values: Array, shown: NDArray[np.bool_] | bool = True) -> dict[str, float]:

@@ -2,40 +2,66 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...model.foreign import kind_of, numbers, real
-from ...model.system import Array
-from ...model.tolerances import FARTHEST
-from ..inspection import Inspection
+from ..model.foreign import kind_of, numbers, real
+from ..model.system import Array
+from ..model.tolerances import FARTHEST
 
 MEMORY = 60.0
 """Time [s] for which the last good state is propagated in place of an unknown one."""
 
 
+class Craft(Protocol):
+    """Craft of one kind that fly together, with n states and m inputs each."""
+
+    @property
+    def deputies(self) -> int:
+        """How many, N."""
+
+    @property
+    def thrust_max(self) -> float | Array:
+        """Limit of every input [N], one number or shape (m,)."""
+
+    def held(self, duration: float) -> tuple[Array, Array]:
+        """Transition (n, n) over a time [s], and what an input held meanwhile adds, (n, m)."""
+
+
+def commanded(
+    law: Callable[..., Any],
+    arguments: tuple[Any, ...],
+    shape: tuple[int, ...],
+    caught: type[BaseException] = Exception,
+) -> tuple[Array | None, str]:
+    """What a controller that nobody trusts answers, an array of our own, and what is wrong with it, in words.
+
+    None where it raises what is `caught` or answers no numbers of the shape; numbers need not be finite.
+    """
+    try:
+        answer = law(*arguments)
+    except caught as error:
+        return None, f"raised {kind_of(error)}"
+    u = numbers(answer)
+    if u is None or u.shape != shape:
+        what = kind_of(answer) if u is None else f"of shape {u.shape}"
+        return None, f"the command is malformed: {what}"
+    return u.copy(), "" if np.isfinite(u).all() else "the command is not finite"
+
+
 @dataclass(frozen=True, eq=False)
 class Received:
-    """One call of a filter.
+    """One call of a filter, made safe: everything is finite.
 
-    Attributes
-    ----------
-    t : float
-        [s]
-    x : ndarray, shape (N, 6)
-        States, always finite: estimates where unknown, zeros where there is no estimate either.
-    known, estimated : ndarray of bool, shape (N,)
-        Whose state was measured; whose was, or was propagated from the last good one.
-    u, wanted : ndarray, shape (N, 3)
-        Desired thrust, clipped to the limits and before [N]; zero where not given.
-    given, clipped : ndarray of bool, shape (N,)
-        Whose desired thrust came in time and was finite; whose was beyond the limits.
-    odd : tuple of str
-        What was wrong with the time, and what was no numbers of the right shape, in words.
-    steady : bool
-        Whether the time went on from the last call's without a break: what lasted till then lasts.
+    The time [s]; states (N, n), estimates where they are not `known`, zeros where not even `estimated`: then
+    nothing could be propagated from the last good one. Desired thrusts (N, m), clipped to the limits and as
+    `wanted` [N], zero where not `given` in time as finite numbers; whose were `clipped`. `odd` says in words
+    what was wrong with the time, and what was no numbers of the right shape; `steady` whether the time went
+    on from the last call's without a break: what lasted till then lasts.
     """
 
     t: float
@@ -79,20 +105,16 @@ class Receiver:
       what was remembered is forgotten: no state is propagated across it;
     - one later than the period for which the last answer was made is told, and by two periods is a break.
 
-    Parameters
-    ----------
-    inspection : Inspection
-    period : float, optional
-        Longest time [s] for which an answer may be held; default any.
+    The period [s] is the longest time for which an answer may be held; default any.
     """
 
-    def __init__(self, inspection: Inspection, period: float | None = None) -> None:
-        self.inspection, self.period = inspection, period
+    def __init__(self, craft: Craft, period: float | None = None) -> None:
+        self.craft, self.period = craft, period
         self._step = 0.0
-        N = inspection.deputies
-        self._x, self._t = np.zeros((N, 6)), np.nan
+        N, (n, m) = craft.deputies, craft.held(1.0)[1].shape
+        self._x, self._t = np.zeros((N, n)), np.nan
         self._seen = np.full(N, -np.inf)  # when each state was last known
-        self._applied = np.zeros((N, 3))
+        self._applied = np.zeros((N, m))
 
     def receive(self, t: float, x: ArrayLike, u_des: ArrayLike | None) -> Received:
         """Take in one call; arguments as of `RunTimeFilter.filter`.
@@ -100,32 +122,32 @@ class Receiver:
         States and desired thrusts that are no numbers of the right shape are not known and not given:
         whatever a primary controller or navigation hands over, there is an answer.
         """
-        q = self.inspection
+        limit, shape = self.craft.thrust_max, self._applied.shape
         t, clock, steady = self._time(t)
         odd = [clock] if clock else []
-        states = numbers(x, (q.deputies, 6))
+        states = numbers(x, self._x.shape)
         if states is None:
             odd.append(f"the states are malformed: {kind_of(x)}")
-            states = np.full((q.deputies, 6), np.nan)
+            states = np.full(self._x.shape, np.nan)
         known = np.asarray((np.abs(states) <= FARTHEST).all(axis=1))  # false for nan and inf
         seen, estimate = self._estimate(t)
         seen = np.where(known, t, seen)
         estimated = np.asarray(t - seen <= MEMORY)
         states = np.where(known[:, None], states, np.where(estimated[:, None], estimate, 0.0))
         self._x, self._t, self._seen = states, t, np.where(estimated, seen, -np.inf)
-        self._applied = np.zeros((q.deputies, 3))
-        asked = numbers(u_des, (q.deputies, 3))
+        self._applied = np.zeros(shape)
+        asked = numbers(u_des, shape)
         if asked is None and u_des is not None:
             odd.append(f"the desired input is malformed: {kind_of(u_des)}")
-        wanted = np.full((q.deputies, 3), np.nan) if asked is None else asked
+        wanted = np.full(shape, np.nan) if asked is None else asked
         given = np.asarray(np.isfinite(wanted).all(axis=1))
         wanted = np.where(given[:, None], wanted, 0.0)
-        u = np.clip(wanted, -q.thrust_max, q.thrust_max)
+        u = np.clip(wanted, -limit, limit)
         clipped = np.asarray((u != wanted).any(axis=1))
         return Received(t, states, known, estimated, u, given, clipped, wanted, tuple(odd), steady)
 
     def applied(self, u: Array) -> None:
-        """Note the thrust [N], shape (N, 3), that was answered to the last call."""
+        """Note the thrust [N], shape (N, m), that was answered to the last call."""
         self._applied = np.array(u)
 
     def _time(self, t: object) -> tuple[float, str | None, bool]:
@@ -156,5 +178,5 @@ class Receiver:
             return np.full(len(self._x), -np.inf), self._x
         if passed == 0 or (self._seen == -np.inf).all():
             return self._seen, self._x
-        Phi, Gamma = self.inspection.held(passed)
+        Phi, Gamma = self.craft.held(passed)
         return self._seen, self._x @ Phi.T + self._applied @ Gamma.T
