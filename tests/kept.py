@@ -33,7 +33,7 @@ GENERATIONS = 3
 
 @cache
 def digest():
-    """Of every source and scenario, of what runs them, and of this file."""
+    """Of every source and scenario, of what makes scenes for tests, and of what runs them."""
     found = hashlib.sha256(f"{sys.version} {platform.platform()} {platform.machine()}".encode())
     for name in LIBRARIES:
         try:
@@ -42,8 +42,11 @@ def digest():
             found.update(f"no {name}".encode())
     packages = [Path(package.__file__).parent for package in (polaris, reach)]
     files = [file for package in packages for file in package.rglob("*.py")]
-    for file in sorted([*files, *ROOT.glob("scenarios/*.toml"), Path(__file__)]):
-        found.update(f"{file} {file.stat().st_size}".encode() + file.read_bytes())
+    files += [file for file in ROOT.glob("tests/**/*.py") if not file.name.startswith("test_")]
+    files += [*ROOT.glob("scenarios/*.toml"), *ROOT.glob("tests/**/*.toml")]
+    for file in sorted(files):
+        content = file.read_bytes()
+        found.update(f"{file} {len(content)}".encode() + content)
     return found.hexdigest()[:20]
 
 
@@ -67,19 +70,30 @@ def alone(path):
         yield
 
 
-@cache
-def scheduled(name, *assignments):
-    """(scenario, schedule) of a bundled scenario, with what is to be set in it, as ``key=value``."""
-    file = folder() / (re.sub(r"[^\w=.-]", "_", "-".join([name, *assignments])) + ".pickle")
+def kept(name, make):
+    """What `make` returns, or what it returned under this name to whoever called it first.
+
+    A safety that the wall clock had a part in is not kept: a slow moment must not leave it to quick ones.
+    """
+    file = folder() / (re.sub(r"[^\w=.-]", "_", name) + ".pickle")
     with alone(file.with_suffix(".lock")):
         if file.exists():
             return pickle.loads(file.read_bytes())
-        scenario = load_scenario(name)
-        if assignments:
-            scenario = scenario.with_assignments(list(assignments))
-        found = scenario, synthesize(scenario)
-        if not found[1].safety.cut_by_clock:  # a slow machine must not leave its schedules to a quick one
+        found = make()
+        made = found[1] if isinstance(found, tuple) else found
+        if not getattr(made, "safety", made).cut_by_clock:
             beside = file.with_suffix(f".{os.getpid()}")
             beside.write_bytes(pickle.dumps(found))
             beside.replace(file)
     return found
+
+
+@cache
+def scheduled(name):
+    """(scenario, schedule) of a bundled scenario."""
+
+    def make():
+        scenario = load_scenario(name)
+        return scenario, synthesize(scenario)
+
+    return kept(name, make)

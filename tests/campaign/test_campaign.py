@@ -323,6 +323,7 @@ def test_a_process_of_the_pool_that_is_killed_loses_nothing(flown, tmp_path, vic
     assert table(fly(tmp_path / "c", local(2)).path) == table(flown.path)
 
 
+@pytest.mark.slow  # `Breaking` stands for it in the others
 def test_the_only_process_of_a_pool_is_killed_and_another_takes_its_place(tmp_path, victim):
     one = cases()[:1]  # a single task: the pool starts a single process
     whole = run(one, 4, tmp_path / "here")

@@ -15,7 +15,7 @@ from polaris.synthesis.problem import Problem
 from polaris.synthesis.tracking import lqr_gain
 from reach.sets.zonotope import Zonotope
 
-from ..kept import scheduled
+from ..kept import kept, scheduled
 
 
 def synthesised(name):
@@ -48,7 +48,8 @@ def small_problem(period=None, w_max=1e-5, recoverable="polytope"):
 
 @cache
 def _safety(period, w_max, recoverable):
-    return get_safety(small_problem(period, w_max, recoverable))
+    name = f"small-{period}-{w_max}-{recoverable}"
+    return kept(name, lambda: get_safety(small_problem(period, w_max, recoverable)))
 
 
 def small_safety(period=None, w_max=1e-5, recoverable="polytope"):
