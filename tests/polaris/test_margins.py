@@ -242,6 +242,24 @@ def test_a_jump_of_the_reference_counts_as_a_need_and_not_as_less_room(kind, tmp
             assert jumped.margin_at(clearance.planned, nothing).value > 1 - 1e4 * size
 
 
+@pytest.mark.parametrize("kind", ["polytope", "time_varying_ball", "ball"])
+def test_round_off_of_the_reference_is_needed_anew_at_every_step(kind, tmp_path):
+    """As if it could be seen: the states of every step are off by it, each in the worst direction."""
+    safety = synthesised(152, tmp_path)[1].safety
+    clearance, tracking, q = safety.clearance, safety.tracking, safety.clearance.q
+    assert safety.problem.system.w_max == 0  # so that nothing else is needed from no error
+    rows = np.vstack([clearance.obstacle_rows[0], tracking.gain, -tracking.gain])
+    lags = [np.linalg.matrix_power(tracking.flow.phi, steps * q) for steps in range(8)]
+    worst, room = sum(np.abs(rows @ phi) for phi in lags), rooms(safety, 8 * q)
+    for size in (1e-9, 1e-6, 1e-4):
+        off = size * np.abs(safety.reference.chi).max(axis=0)
+        reference = replace(safety.reference)
+        vars(reference)["rounding"] = np.tile(off, (reference.cells, 1))
+        found = get_recover(kind, replace(clearance, reference=reference), safety.bounds)
+        printed = found.margin_at(0, 0 * safety.start).value
+        assert 1 - 1e6 * size < printed <= np.min(1 - worst @ off / room)
+
+
 @pytest.mark.parametrize(
     ("value", "form", "down", "up"),
     [
