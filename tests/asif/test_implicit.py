@@ -66,6 +66,17 @@ def test_gradients_and_changes_against_differences():
     np.testing.assert_allclose(phi.change, numeric, atol=1e-5)
 
 
+def test_a_flight_is_judged_from_where_it_begins():
+    """Too near the chief now, and far enough after the period that is tried."""
+    x = np.array([[0.0, -ONE.separation + 0.05, 0.0, 0.0, -0.2, 0.0]])
+    Phi, _ = ONE.held(1.0)
+    check = FlightCheck(Parking(ONE), 600.0, np.pi)
+    chief = check.rows.among("chief_separation")
+    assert (allowable(ONE, x @ Phi.T, np.pi)["phi1"] > 0).all()
+    assert (check(0.0, x, np.zeros((1, 3)))[chief] <= -0.05).all()
+    assert (check(0.0, x @ Phi.T)[chief] > 0).all()
+
+
 def test_kinds_left_out():
     assert "phi5+[0,1]" in AllowableRows(TWO).labels
     assert "phi5+[0,1]" not in AllowableRows(TWO, ("deputy_sun",)).labels

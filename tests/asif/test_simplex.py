@@ -106,6 +106,16 @@ def test_hand_back_waits_for_the_release_and_the_dwell_time(which):
     assert f.log[-1].t == begin + 30
 
 
+@pytest.mark.parametrize("which", [0, 1], ids=["explicit", "implicit"])
+def test_a_constraint_of_which_nothing_can_be_told_is_not_kept(which, monkeypatch):
+    f = list(both(ONE))[which]
+    x = elliptical_nmt(ONE.mean_motion, 150.0, 4.9)[None]
+    monkeypatch.setattr(f, "_try", lambda t, x, u: np.full(len(f.labels), np.nan))
+    for k in range(40):  # longer than the dwell
+        decision = f.filter(float(k), x, np.zeros((1, 3)))
+        assert f.latched.all() and decision.status == "backup" and decision.unproven
+
+
 def test_only_those_concerned_are_switched():
     x = elliptical_nmt(THREE.mean_motion, np.full(3, 150.0), np.array([3.7, 4.7, 5.7]))
     u = np.zeros((3, 3))

@@ -14,6 +14,7 @@ from polaris.synthesis.get_safety import get_recover
 from polaris.synthesis.recoverable import directed, left
 from reach.numerics.linear import discretize
 
+from .conftest import small_safety
 from .random_scenarios import synthesised
 
 STEPS, NODES = 3, 16
@@ -240,6 +241,23 @@ def test_a_jump_of_the_reference_counts_as_a_need_and_not_as_less_room(kind, tmp
             shares = [1 - need / rooms(safety, first + lag) for lag, need in enumerate(needs.T)]
             assert jumped.margin_at(clearance.planned, nothing).value <= np.min(shares)
             assert jumped.margin_at(clearance.planned, nothing).value > 1 - 1e4 * size
+
+
+@pytest.mark.parametrize("first", [0, 7])
+def test_no_limit_is_left_out_however_late(first, period):
+    """One that nothing meets, put at a node: within the memory of the loop, where it ends, and beyond."""
+    safety = small_safety(period)
+    sets, clearance, memory = safety.recoverable, safety.clearance, safety.tracking.memory
+    assert sets.margin_at(first, safety.start).inside
+    begin, end = first * clearance.q, clearance.cells * clearance.q
+    assert begin + memory + 6 < end
+    late = range(begin + memory - 3, begin + memory + 7)
+    for node in {*range(begin, begin + clearance.q + 1), *late, *range(begin, end, 61), end - 1}:
+        cell, place = divmod(node, clearance.q)
+        blocked, room = replace(sets), sets.room.copy()
+        room[cell, place, 0] = -1.0
+        vars(blocked)["room"] = room
+        assert not blocked.margin_at(first, safety.start).inside, node
 
 
 @pytest.mark.parametrize("kind", ["polytope", "time_varying_ball", "ball"])
