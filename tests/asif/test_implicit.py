@@ -1,5 +1,7 @@
 """Backup flights judged, and the implicit barrier filter."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -75,6 +77,18 @@ def test_a_flight_is_judged_from_where_it_begins():
     assert (allowable(ONE, x @ Phi.T, np.pi)["phi1"] > 0).all()
     assert (check(0.0, x, np.zeros((1, 3)))[chief] <= -0.05).all()
     assert (check(0.0, x @ Phi.T)[chief] > 0).all()
+
+
+@pytest.mark.parametrize("who", [0, 1])
+def test_a_pair_on_parking_orbits_is_as_uncertain_as_both_together(who):
+    check = FlightCheck(Parking(TWO), 600.0, np.pi)
+    x = elliptical_nmt(N, np.array([150.0, 150.0]), np.array([3.7, 4.7]))
+    outlook = fly_backup(check.law, x, check.law.start(x), check.steps, 0.02).outlook
+    strays = outlook.strays.copy()
+    strays[who] += 3.0
+    pair = check.rows.among("deputy_separation")
+    less = check.parked(0.0, outlook) - check.parked(0.0, replace(outlook, strays=strays))
+    assert pair.any() and less[pair] == pytest.approx(3.0)
 
 
 def test_kinds_left_out():

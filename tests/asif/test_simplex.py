@@ -107,6 +107,18 @@ def test_hand_back_waits_for_the_release_and_the_dwell_time(which):
 
 
 @pytest.mark.parametrize("which", [0, 1], ids=["explicit", "implicit"])
+def test_the_dwell_begins_anew_when_a_release_is_missed(which, monkeypatch):
+    f = list(both(ONE))[which]
+    x = elliptical_nmt(ONE.mean_motion, 150.0, 4.9)[None]
+    f.latched[0] = True
+    for k in range(60):
+        value = f._release + (-0.01 if k == 20 else 1.0)  # kept, but less than is wanted for handing back
+        monkeypatch.setattr(f, "_try", lambda t, x, u, value=value: value)
+        f.filter(float(k), x, np.zeros((1, 3)))
+        assert f.latched[0] == (k < 21 + f.dwell), k
+
+
+@pytest.mark.parametrize("which", [0, 1], ids=["explicit", "implicit"])
 def test_a_constraint_of_which_nothing_can_be_told_is_not_kept(which, monkeypatch):
     f = list(both(ONE))[which]
     x = elliptical_nmt(ONE.mean_motion, 150.0, 4.9)[None]

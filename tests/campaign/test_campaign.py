@@ -427,6 +427,15 @@ def test_schedules_that_differ_between_workers_are_an_error(tmp_path, monkeypatc
         fly(tmp_path / "c")
 
 
+def test_a_schedule_that_differs_from_that_of_parts_kept_is_an_error(tmp_path, monkeypatch):
+    out, real = run(make_cases([TINY]), 9, tmp_path / "c", batch=3).path, batch.fly_batch
+    (out / "runs" / "case-0000-batch-00001.parquet").unlink()
+    changed = "polaris.runs.campaign.drive.fly_batch"
+    monkeypatch.setattr(changed, lambda task: batch.Batch("0" * 64, real(task).columns))
+    with pytest.raises(PolarisError, match="different schedules"):
+        run(make_cases([TINY]), 9, out, batch=3)
+
+
 def test_a_worker_of_another_version_refuses(flown, monkeypatch):
     task = flown.plan.task(0, 0)
     monkeypatch.setattr("polaris.runs.campaign.batch.version", lambda: "99.0")
