@@ -1,5 +1,7 @@
 """The checker's recovery argument: no limit is left out, whenever it is."""
 
+import math
+
 import pytest
 
 pytest.importorskip("flint")
@@ -47,6 +49,15 @@ def test_a_limit_that_nothing_meets_is_noticed_wherever_it_is(step):
         for i in range(Q + 1):
             with pytest.raises(Rejected):
                 check(recovery((cell, i)), step)
+
+
+def test_what_is_booked_at_a_node_covers_the_periods_on_both_sides_of_it():
+    """Between its nodes ``e^(-2 t)`` leaves its chord by so much, half way."""
+    needs, h = recovery().needs, 0.5
+    half_way = (1 + math.exp(-2 * h)) / 2 - math.exp(-h)
+    for lag in range(1, needs.memory.periods):
+        for begun in (lag - 1, lag):
+            assert needs.bend[lag][0, 0] >= math.exp(-2 * h * begun) * half_way
 
 
 def test_what_is_over_is_over():
