@@ -83,6 +83,11 @@ def test_summary_is_that_of_the_table(flown):
             spent = np.array([row["delta_v_m_s"] for row in mine])
             assert entry["mean"]["delta_v_m_s"]["mean"] == pytest.approx(spent.mean(), rel=1e-12)
             assert entry["worst"]["delta_v_m_s"] == spent.max()
+            for name in ("max_thrust_ratio", "max_thrust_ratio_safety", "switches"):
+                most = max(row[name] for row in mine)  # of S's thrust where S never flies: no number
+                assert entry["worst"][name] == (None if np.isnan(most) else most), name
+            for name in ("min_distance_m", "experimental_share"):
+                assert entry["worst"][name] == min(row[name] for row in mine), name
             nearest = sorted((row["min_distance_m"], row["batch"], row["run"]) for row in mine)[:5]
             worst = [(row["min_distance_m"], row["batch"], row["run"]) for row in entry["worst_runs"]]
             assert worst == nearest

@@ -162,6 +162,20 @@ def test_a_disturbance_that_fades_within_a_period_exceeds_the_chord_of_the_nodes
     assert max(excess) > 1e-6, "the chord alone does not hold it"
 
 
+@pytest.mark.parametrize("sampled", [False, True])
+def test_a_law_that_pulls_away_from_the_safe_reference_leaves_the_chord_of_its_nodes(sampled):
+    """Undisturbed on a reference of its own, the error is the parabola between the two."""
+    A, B = [[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]]
+    system = LinearSystem(A, B, B, [5.0], 0.0)
+    tracking = Tracking(system, np.array([[1.0, 1.5]]), Feedback(2, sampled), 1.0)
+    safe, own = (Reference.propagate(system, 1.0, np.zeros(2), np.array([[u]])) for u in (-1.0, 1.0))
+    law = AffineController("pulls", system, tracking.gain, safe, own, tracking)
+    flight, h = law.fly(Zonotope.point(np.zeros(2)), 0), tracking.flow.h
+    for i in range(2):
+        chord = flight.nodes.c[i : i + 2, 0].mean()
+        assert abs((i + 0.5) ** 2 * h**2 - chord) <= flight.bow[i, 0] + 1e-15
+
+
 def test_error_tube_of_s_is_reached_to_a_few_per_cent(period):
     """The closed-form worst case: initial vertex and disturbance against the tight tube."""
     safety = small_safety(period)
