@@ -23,10 +23,10 @@ demo: $(BASE) ## Run the static scenario and say where its report lies
 	@echo "Report: $(CURDIR)/$(RUN)/report.html"
 
 test: $(TEST) ## Run the quick tests
-	$(BIN)/python -m pytest -q -n 2 --dist loadfile $(ARGS)
+	$(BIN)/python -m pytest -q -n 2 --dist loadfile --no-loadscope-reorder $(ARGS)
 
-test-slow: $(TEST) ## Run the long tests only
-	$(BIN)/python -m pytest -q -n 2 -m slow $(ARGS)
+test-slow: $(TEST) ## Run the long tests, and properties on all of their examples
+	HYPOTHESIS_PROFILE=whole $(BIN)/python -m pytest -q -n 2 -m "slow or property" $(ARGS)
 
 lint: $(TEST) ## Check style, formatting and types
 	$(BIN)/ruff check .

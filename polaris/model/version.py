@@ -28,7 +28,7 @@ def versions() -> dict[str, str]:
     import platform
 
     found = {"polaris": version(), "python": platform.python_version()}
-    for name in ("numpy", "scipy", "control", "highspy", "matplotlib"):
+    for name in ("numpy", "scipy", "control", "pulp", "highspy", "matplotlib"):
         try:
             found[name] = metadata.version(name)
         except metadata.PackageNotFoundError:  # vendored, or installed without its metadata

@@ -1,7 +1,4 @@
-"""A mixed-integer program as matrices, and two back ends in process that solve it: HiGHS and Gurobi.
-
-Both have the same limits and tolerances, and start from a point if there is one.
-"""
+"""Two back ends of PuLP, in process: HiGHS with a warm start, and Gurobi; same limits and tolerances."""
 
 from __future__ import annotations
 
@@ -13,47 +10,21 @@ from typing import Any
 import numpy as np
 
 from ..model.errors import ScenarioError
-from ..model.system import Array
 from ..model.tolerances import SOLVER_FEASIBILITY
 from .problem import PlannerOptions
 
 Listen = Callable[[float, float], None]
 
 
-@dataclass(frozen=True, eq=False)
-class Program:
-    """``min cost x  s.t.  lower <= A x <= upper, low <= x <= high``, the last columns binary.
-
-    Attributes
-    ----------
-    cost, low, high : ndarray, shape (n,)
-    A : scipy.sparse.csr_array, shape (R, n)
-    lower, upper : ndarray, shape (R,)
-    binaries : int
-        Number of binary columns.
-    start : ndarray, shape (n,), or None
-        A point to start from.
-    """
-
-    cost: Array
-    low: Array
-    high: Array
-    A: Any
-    lower: Array
-    upper: Array
-    binaries: int
-    start: Array | None
-
-
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Found:
-    """Answer of a back end: solution x, if any; proven lower bound on the objective; nodes searched.
+    """Answer of a back end: whether it has a solution; proven lower bound on the objective; nodes searched.
 
     Its status is "optimal", "infeasible", or what stopped it ("effort_limit" of nodes, or "time_limit").
     """
 
     status: str
-    x: Array | None
+    solved: bool
     bound: float
     nodes: float
 
@@ -86,40 +57,41 @@ def require(solver: str) -> None:
         raise ScenarioError("planner.solver", "gurobi", rule)
 
 
-def run(program: Program, options: PlannerOptions, limits: Limits, listen: Listen) -> Found:
-    """Solve a program; `listen` is told the incumbent and the bound."""
+def run(lp: Any, options: PlannerOptions, limits: Limits, listen: Listen) -> Found:
+    """Solve a PuLP model in place, from the values that its variables have, if any.
+
+    `listen` is told the incumbent and the bound.
+    """
     solve = _gurobi if options.solver == "gurobi" else _highs
-    return solve(program, options, limits, listen)
+    return solve(lp, options, limits, listen)
 
 
-def _highs(program: Program, options: PlannerOptions, limits: Limits, listen: Listen) -> Found:
+def _warm_highs(**options: Any) -> Any:
+    """PuLP's HiGHS with a warm start, which PuLP offers for other solvers only."""
+    import pulp
+
+    class WarmHiGHS(pulp.HiGHS):  # type: ignore[misc]
+        def callSolver(self, lp: Any) -> None:
+            known = [(v.index, v.varValue) for v in lp.variables() if v.varValue is not None]
+            if known:
+                index, value = zip(*known, strict=True)
+                lp.solverModel.setSolution(len(index), np.array(index, dtype=np.int32), np.array(value))
+            lp.solverModel.run()
+
+        def findSolutionValues(self, lp: Any) -> tuple[int, int]:
+            try:
+                found: tuple[int, int] = super().findSolutionValues(lp)
+            except KeyError:  # statuses that PuLP has no word for, as of a limit on nodes; values are set
+                found = (pulp.LpStatusNotSolved, pulp.LpSolutionNoSolutionFound)
+            return found
+
+    return WarmHiGHS(msg=False, **options)
+
+
+def _highs(lp: Any, options: PlannerOptions, limits: Limits, listen: Listen) -> Found:
     import highspy
 
-    make: Any = highspy.Highs  # its constructor carries no types
-    model, kind, gave_up = make(), highspy.HighsModelStatus, [""]
-    settings = {
-        "output_flag": False,
-        "threads": options.threads,
-        "time_limit": max(limits.seconds, 0.05),
-        "mip_rel_gap": options.gap / 2,
-        "mip_max_nodes": limits.nodes,
-        "primal_feasibility_tolerance": SOLVER_FEASIBILITY,
-        "mip_feasibility_tolerance": SOLVER_FEASIBILITY,
-    }
-    for name, value in settings.items():
-        if value is not None:
-            model.setOptionValue(name, value)
-    (R, n), none = program.A.shape, np.zeros(0, dtype=np.int32)
-    model.addCols(
-        n, program.cost, program.low, program.high, 0, np.zeros(n, dtype=np.int32), none, np.zeros(0)
-    )
-    A = program.A
-    model.addRows(R, program.lower, program.upper, A.nnz, A.indptr[:-1], A.indices, A.data)
-    if count := program.binaries:
-        whole = np.full(count, highspy.HighsVarType.kInteger)
-        model.changeColsIntegrality(count, np.arange(n - count, n, dtype=np.int32), whole)
-    if program.start is not None:
-        model.setSolution(n, np.arange(n, dtype=np.int32), program.start)
+    kind, gave_up = highspy.HighsModelStatus, [""]
 
     def hear(what: Any, message: str, data: Any, answer: Any, user: Any) -> None:
         listen(data.mip_primal_bound, data.mip_dual_bound)
@@ -127,23 +99,31 @@ def _highs(program: Program, options: PlannerOptions, limits: Limits, listen: Li
         gave_up[0] = limits.given_up(found, data.mip_node_count, data.running_time) or gave_up[0]
         answer.user_interrupt = bool(gave_up[0])
 
-    model.setCallback(hear, None)
-    model.startCallback(highspy.cb.HighsCallbackType.kCallbackMipInterrupt)
-    model.run()
-    status, info = model.getModelStatus(), model.getInfo()
+    solver = _warm_highs(
+        gapRel=options.gap / 2,
+        timeLimit=max(limits.seconds, 0.05),
+        threads=options.threads,
+        callbackTuple=(hear, None),
+        callbacksToActivate=[highspy.cb.HighsCallbackType.kCallbackMipInterrupt],
+        mip_max_nodes=limits.nodes,
+        primal_feasibility_tolerance=SOLVER_FEASIBILITY,
+        mip_feasibility_tolerance=SOLVER_FEASIBILITY,
+    )
+    lp.solve(solver)
+    status, info = lp.solverModel.getModelStatus(), lp.solverModel.getInfo()
     bound, nodes = float(info.mip_dual_bound), float(max(info.mip_node_count, 0))
     if not np.isfinite(bound) or info.mip_node_count < 0:
         bound = float(info.objective_function_value) if status == kind.kOptimal else -np.inf
     if status in (kind.kInfeasible, kind.kUnboundedOrInfeasible):
-        return Found("infeasible", None, np.inf, nodes)
+        return Found("infeasible", False, np.inf, nodes)
     solved = info.primal_solution_status == 2  # kSolutionStatusFeasible
-    x = np.array(model.getSolution().col_value) if solved else None
     ended = "time_limit" if status == kind.kTimeLimit else "effort_limit"
-    return Found("optimal" if status == kind.kOptimal else gave_up[0] or ended, x, bound, nodes)
+    return Found("optimal" if status == kind.kOptimal else gave_up[0] or ended, solved, bound, nodes)
 
 
-def _gurobi(program: Program, options: PlannerOptions, limits: Limits, listen: Listen) -> Found:
+def _gurobi(lp: Any, options: PlannerOptions, limits: Limits, listen: Listen) -> Found:
     import gurobipy as gp
+    import pulp
 
     grb, gave_up = gp.GRB, [""]
 
@@ -158,8 +138,8 @@ def _gurobi(program: Program, options: PlannerOptions, limits: Limits, listen: L
             model.terminate()
 
     settings = {
-        "TimeLimit": max(limits.seconds, 0.05),
-        "MIPGap": options.gap / 2,
+        "timeLimit": max(limits.seconds, 0.05),
+        "MIPGap": options.gap / 2,  # PuLP's own argument passes a gap of 0 over
         "NodeLimit": limits.nodes,
         "FeasibilityTol": SOLVER_FEASIBILITY,
         "IntFeasTol": SOLVER_FEASIBILITY,
@@ -167,30 +147,23 @@ def _gurobi(program: Program, options: PlannerOptions, limits: Limits, listen: L
     }
     try:
         # an environment of its own: the default one writes its licence to standard output
-        with gp.Env(params={"OutputFlag": 0}) as env, gp.Model(env=env) as model:
-            for name, value in settings.items():
-                model.setParam(name, value)
-            count = len(program.cost)
-            types = [grb.CONTINUOUS] * (count - program.binaries) + [grb.BINARY] * program.binaries
-            x = model.addMVar(count, program.low, program.high, program.cost, types)
-            least = np.isfinite(program.lower)
-            sense = np.where(program.lower == program.upper, "=", np.where(least, ">", "<"))
-            model.addMConstr(program.A, x, sense, np.where(least, program.lower, program.upper))
-            if program.start is not None:
-                x.Start = program.start
-            model.optimize(hear)
-            return _gurobi_answer(model, x, grb, gave_up[0])
+        with gp.Env(params={"OutputFlag": 0}) as env:
+            solver = pulp.GUROBI(msg=False, env=env, warmStart=True, **settings)
+            try:
+                lp.solve(solver, callback=hear)
+                return _gurobi_answer(lp.solverModel, grb, gave_up[0])
+            finally:
+                solver.close()
     except gp.GurobiError as error:
         rule = f"Gurobi refused the model ({error}); use another solver, or a licence without size limit"
         raise ScenarioError("planner.solver", "gurobi", rule) from error
 
 
-def _gurobi_answer(model: Any, x: Any, grb: Any, gave_up: str) -> Found:
+def _gurobi_answer(model: Any, grb: Any, gave_up: str) -> Found:
     nodes = float(model.NodeCount) if model.IsMIP else 0.0
     if model.Status in (grb.INFEASIBLE, grb.INF_OR_UNBD):
-        return Found("infeasible", None, np.inf, nodes)
-    optimal, solved = model.Status == grb.OPTIMAL, model.SolCount > 0
+        return Found("infeasible", False, np.inf, nodes)
+    optimal = model.Status == grb.OPTIMAL
     bound = float(model.ObjBound) if model.IsMIP else float(model.ObjVal) if optimal else -np.inf
     ended = "time_limit" if model.Status == grb.TIME_LIMIT else "effort_limit"
-    status = "optimal" if optimal else gave_up or ended
-    return Found(status, np.array(x.X) if solved else None, bound, nodes)
+    return Found("optimal" if optimal else gave_up or ended, model.SolCount > 0, bound, nodes)

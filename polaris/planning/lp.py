@@ -1,7 +1,7 @@
 """A linear program that grows: HiGHS kept warm while rows come and go.
 
-The hundreds of small linear programs of the path search differ by a few rows, and the simplex basis
-carries over from one to the next.
+The mixed-integer program goes through PuLP (`model`); the hundreds of small linear programs of the
+path search do not, because they differ by a few rows and the simplex basis carries over.
 """
 
 from __future__ import annotations

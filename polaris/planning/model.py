@@ -1,16 +1,19 @@
-"""The mixed-integer program (eqs. 14-23, corrected) by a back end, lazily.
+"""The mixed-integer program (eqs. 14-23, corrected), written in PuLP and solved by a back end, lazily.
 
 Disjunctions enter the program when its solution lacks clearance there.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import replace
+from itertools import chain
+from operator import eq, ge, le
 from time import perf_counter
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..model.system import Array
 from . import backends
@@ -23,13 +26,11 @@ from .tree import Outcome
 MAX_ROUNDS = 60
 MAX_BOOKINGS = 4
 
-Columns = NDArray[np.int_]
-
 
 class Model:
-    """The program at the prices of a search, over some disjunctions.
+    """The PuLP model of the program at the prices of a search, over some disjunctions.
 
-    Its columns are the input shares either way, the margin variable s, the states at the waypoints, and the
+    Its variables are the input shares either way, the margin variable s, the states at the waypoints, and the
     binaries. The states stay in it although the inputs determine them: the rows are then sparse, which is
     worth more to a branch-and-cut code than fewer columns.
 
@@ -38,53 +39,56 @@ class Model:
     """
 
     def __init__(self, search: PathSearch, cells: Collection[Key], budget: float = np.inf) -> None:
-        self.search, self.rows, self.budget = search, search.rows, budget
-        self.K, self.n, self.N = self.rows.problem.K, self.rows.problem.system.n, self.rows.N
+        import pulp
+
+        self.pulp, self.search, self.rows, self.budget = pulp, search, search.rows, budget
+        self.lp: Any = pulp.LpProblem("reference", pulp.LpMinimize)
         self.frame = goal_frame(self.rows)
         self.back = np.linalg.inv(self.frame)
-        self.cols, self.count = 2 * self.N + 1 + self.K * self.n, 0
-        self.entries: list[tuple[Columns, Columns, Array]] = []
-        self.sides: list[tuple[Array, Array]] = []
+        self.K, m, new = self.rows.problem.K, self.rows.problem.system.m, self.lp.add_variable
+        limit, steps, n = self.rows.limit.tolist(), range(1, self.K + 1), len(self.frame)
+        self.plus = [new(f"p{j // m}_{j % m}", 0.0, most) for j, most in enumerate(limit)]
+        self.minus = [new(f"m{j // m}_{j % m}", 0.0, most) for j, most in enumerate(limit)]
+        self.s = new("s", search.low, search.high)
+        self.x = [[new(f"x{k}_{i}") for i in range(n)] for k in steps]
+        inputs, price = self.plus + self.minus, np.tile(self.rows.price, 2)
+        cost = np.r_[price * search.fuel_price, -search.margin_price]
+        self.lp.setObjective(self._sum([*inputs, self.s], cost.tolist()))
         if np.isfinite(budget):
-            self._add(np.arange(2 * self.N), np.r_[self.rows.price, self.rows.price][None], -np.inf, budget)
+            self._add(inputs, price[None], le, budget)
         self._dynamics()
-        goal, unit, last = self.rows.problem.goal.conditions, self.rows.length, self._state(self.K)
-        self._add(last, goal.E @ self.back / unit, goal.e / unit, goal.e / unit)
-        self._add(last, goal.G @ self.back / unit, -np.inf, goal.g / unit)
-        self.z: dict[tuple[Key, int], int | None] = {}
+        goal, unit = self.rows.problem.goal.conditions, self.rows.length
+        self._add(self.x[-1], goal.E @ self.back / unit, eq, goal.e / unit)
+        self._add(self.x[-1], goal.G @ self.back / unit, le, goal.g / unit)
+        self.z: dict[tuple[Key, int], Any] = {}
         self.impossible = not all(self._one_of(key) for key in sorted(cells, key=lambda c: (c[1], c[0])))
 
-    def _add(self, columns: Columns, a: Array, lower: ArrayLike, upper: ArrayLike) -> None:
-        """Add rows ``lower <= a x[columns] <= upper``, a of shape (R, C)."""
-        R, C = a.shape
-        at = np.repeat(np.arange(self.count, self.count + R), C)
-        self.entries.append((at, np.tile(columns, R), a.ravel()))
-        self.sides.append((np.broadcast_to(lower, R), np.broadcast_to(upper, R)))
-        self.count += R
+    def _sum(self, variables: Iterable[Any], weights: list[float]) -> Any:
+        terms = [(v, w) for v, w in zip(variables, weights, strict=True) if w != 0.0]
+        return self.pulp.LpAffineExpression(terms)
 
-    def _state(self, k: int) -> Columns:
-        """Columns of the state at waypoint k >= 1."""
-        return 2 * self.N + 1 + (k - 1) * self.n + np.arange(self.n)
+    def _add(
+        self, variables: list[Any], a: Array, relation: Callable[[Any, float], Any], rhs: ArrayLike
+    ) -> None:
+        """Add a row of some variables for each of a, of shape (R, variables): equal, at most or at least."""
+        for weights, value in zip(a.tolist(), np.broadcast_to(rhs, len(a)).tolist(), strict=True):
+            self.lp += relation(self._sum(variables, weights), value)
 
-    def _inputs(self, k: int) -> Columns:
-        """Columns of the input shares of step k, either way."""
-        m = self.N // self.K
-        plus = k * m + np.arange(m)
-        return np.concatenate([plus, self.N + plus])
+    def _inputs(self, k: int) -> list[Any]:
+        """Input shares of step k, either way; none at the last waypoint."""
+        m = len(self.plus) // self.K
+        step = slice(k * m, (k + 1) * m)
+        return self.plus[step] + self.minus[step]
 
     def _dynamics(self) -> None:
         """States at the waypoints (eq. 14), in units that make them numbers near 1."""
         rows, W = self.rows, self.frame
         A = W @ rows.Ad @ np.linalg.inv(W)
         B = W @ rows.Bd * rows.problem.system.u_max
-        here = np.hstack([B, -B, -np.eye(self.n)])
-        for k in range(self.K):
-            columns = np.r_[self._inputs(k), self._state(k + 1)]
-            if k:
-                self._add(np.r_[columns, self._state(k)], np.hstack([here, A]), 0.0, 0.0)
-            else:
-                start = -(A @ W @ rows.problem.x0)
-                self._add(columns, here, start, start)
+        here = np.hstack([B, -B, -np.eye(len(W))])
+        self._add(self._inputs(0) + self.x[0], here, eq, -(A @ W @ rows.problem.x0))
+        for k in range(1, self.K):
+            self._add(self._inputs(k) + self.x[k] + self.x[k - 1], np.hstack([here, A]), eq, 0.0)
 
     def _one_of(self, key: Key) -> bool:
         """State one disjunction, with big-M as small as the input limits allow; False if none can hold."""
@@ -100,67 +104,45 @@ class Model:
         can = np.all(most >= options.need + options.slope * search.low - 1e-9, axis=1)
         chosen, k = np.nonzero(can)[0].tolist(), options.at
         need = options.need + (options.free if k else 0.0)
-        where = [self._state(k)] if k else []
-        where += [self._inputs(k)] if k < self.K else []
-        binaries = self.cols + np.arange(len(chosen) if len(chosen) > 1 else 0)
+        variables = (self.x[k - 1] if k else []) + self._inputs(k) + [self.s]
+        binaries = []
         for j in chosen:
             parts = [options.g[j] @ self.back] if k else []
             parts += [options.h[j], -options.h[j]] if k < self.K else []
             a = np.hstack([*parts, np.full((len(need[j]), 1), -options.slope)])
-            columns = np.r_[(*where, 2 * self.N)]
-            if not len(binaries):
+            if len(chosen) == 1:
                 self.z[key, j] = None
-                self._add(columns, a, need[j], np.inf)
+                self._add(variables, a, ge, need[j])
                 continue
-            z, M, open_ = self.cols, big[j][:, None], big[j] > 0
-            self.z[key, j], self.cols = z, z + 1
-            self._add(np.r_[columns, z], np.hstack([a, -M])[open_], (need[j] - big[j])[open_], np.inf)
-        if len(binaries):
-            self._add(binaries, np.ones((1, len(binaries))), 1.0, 1.0)
+            z = self.z[key, j] = self.lp.add_variable(f"z{key[0] + 1}_{key[1]}_{j}", cat="Binary")
+            binaries.append(z)
+            M, open_ = big[j][:, None], big[j] > 0
+            self._add([*variables, z], np.hstack([a, -M])[open_], ge, (need[j] - big[j])[open_])
+        if binaries:
+            self.lp += self.pulp.lpSum(binaries) == 1
         return bool(chosen)
 
-    def path(self, x: Array) -> Candidate:
-        """A solution as a path."""
-        z = x[: self.N] - x[self.N : 2 * self.N]
-        choice = {key: j for (key, j), column in self.z.items() if column is None or x[column] > 0.5}
-        fuel = float(np.sum(self.rows.price * np.abs(z)))
-        return Candidate(z, float(x[2 * self.N]), 0.0, fuel, choice)
-
-    @property
-    def binaries(self) -> int:
-        """Number of binaries, the last columns."""
-        return self.cols - 2 * self.N - 1 - self.K * self.n
-
-    def program(self, start: Candidate | None) -> backends.Program:
-        """The matrices, with a path to start from."""
-        from scipy.sparse import csr_array
-
-        search, states, binary = self.search, np.full(self.K * self.n, np.inf), np.zeros(self.binaries)
-        price, most = np.tile(self.rows.price, 2), np.tile(self.rows.limit, 2)
-        at, columns, values = (np.concatenate(parts) for parts in zip(*self.entries, strict=True))
-        A = csr_array((values, (at, columns)), shape=(self.count, self.cols))
-        A.eliminate_zeros()
-        return backends.Program(
-            cost=np.r_[price * search.fuel_price, -search.margin_price, np.zeros(len(states)), binary],
-            low=np.r_[np.zeros(len(most)), search.low, -states, binary],
-            high=np.r_[most, search.high, states, binary + 1],
-            A=A,
-            lower=np.concatenate([lower for lower, _ in self.sides]),
-            upper=np.concatenate([upper for _, upper in self.sides]),
-            binaries=self.binaries,
-            start=None if start is None else self._point(start),
-        )
-
-    def _point(self, path: Candidate) -> Array:
-        """A path as a point of the program."""
-        x = np.empty(self.cols)
-        x[: 2 * self.N + 1] = np.r_[np.maximum(path.z, 0.0), np.maximum(-path.z, 0.0), path.level]
+    def begin_at(self, path: Candidate) -> None:
+        """Give the variables the values of a path, where a back end starts."""
         seen = self.search.look(path)
-        x[2 * self.N + 1 : self.cols - self.binaries] = (seen.states[1:] @ self.frame.T).ravel()
-        for (key, j), column in self.z.items():
-            if column is not None:
-                x[column] = j == (path.choice[key] if key in path.choice else self.search.pick(key, seen))
-        return x
+        states = (seen.states[1:] @ self.frame.T).ravel()
+        values = np.r_[np.maximum(path.z, 0.0), np.maximum(-path.z, 0.0), path.level, states]
+        variables = [*self.plus, *self.minus, self.s, *chain.from_iterable(self.x)]
+        for variable, value in zip(variables, values.tolist(), strict=True):
+            variable.setInitialValue(value, check=False)
+        for (key, j), z in self.z.items():
+            if z is not None:
+                facet = path.choice[key] if key in path.choice else self.search.pick(key, seen)
+                z.setInitialValue(float(j == facet), check=False)
+
+    def path(self) -> Candidate:
+        """The solution as a path."""
+        # PuLP leaves variables that no row mentions without a value
+        plus, minus = (np.array([v.varValue or 0.0 for v in side]) for side in (self.plus, self.minus))
+        level = self.search.high if self.s.varValue is None else float(self.s.varValue)
+        choice = {key: j for (key, j), z in self.z.items() if z is None or z.varValue > 0.5}
+        z = plus - minus
+        return Candidate(z, level, 0.0, float(np.sum(self.rows.price * np.abs(z))), choice)
 
 
 def goal_frame(rows: Rows) -> Array:
@@ -217,7 +199,7 @@ def by_back_end(effort: Effort, stage: str, best: Candidate | None, allowed: All
             bound = search.value(best) if best is not None else np.inf
             return outcome("infeasible" if best is None else "optimal")
         bound = max(bound, answer.bound)
-        path, lacking = (None, {}) if answer.x is None else _polished(search, model.path(answer.x))
+        path, lacking = _polished(search, model.path()) if answer.solved else (None, {})
         if path is not None and lacking:
             path = search.dive(path.choice)
         if path is not None and (best is None or search.value(path) < search.value(best)):
@@ -245,15 +227,18 @@ def _run(
 ) -> backends.Found:
     """Solve a model from the best path, and account for it."""
     if model.impossible:
-        return backends.Found("infeasible", None, np.inf, 0.0)
+        return backends.Found("infeasible", False, np.inf, 0.0)
     begun, top = perf_counter(), effort.search.value(best) if best is not None else np.inf
 
     def listen(incumbent: float, bound: float) -> None:
         effort.report(stage, min(top, incumbent), bound)
 
-    found = backends.run(model.program(best), effort.options, limits, listen)
+    if best is not None:
+        model.begin_at(best)
+    found = backends.run(model.lp, effort.options, limits, listen)
     effort.add_time("solver", begun)
-    sizes = {"rows": model.count, "cols": model.cols, "binaries": model.binaries}
+    binaries = sum(z is not None for z in model.z.values())
+    sizes = {"rows": model.lp.numConstraints(), "cols": model.lp.numVariables(), "binaries": binaries}
     effort.stats |= {name: max(effort.stats[name], float(size)) for name, size in sizes.items()}
     effort.stats["nodes"] += found.nodes
     return found

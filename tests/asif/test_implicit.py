@@ -1,5 +1,6 @@
 """Backup flights judged, and the implicit barrier filter."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -66,6 +67,29 @@ def test_gradients_and_changes_against_differences():
             np.testing.assert_allclose(phi.gradient[..., k] * sign, numeric, atol=1e-5)
     numeric = (rows(x, sun - N * 0.05).h - rows(x, sun + N * 0.05).h) / 0.1
     np.testing.assert_allclose(phi.change, numeric, atol=1e-5)
+
+
+def test_a_flight_is_judged_from_where_it_begins():
+    """Too near the chief now, and far enough after the period that is tried."""
+    x = np.array([[0.0, -ONE.separation + 0.05, 0.0, 0.0, -0.2, 0.0]])
+    Phi, _ = ONE.held(1.0)
+    check = FlightCheck(Parking(ONE), 600.0, np.pi)
+    chief = check.rows.among("chief_separation")
+    assert (allowable(ONE, x @ Phi.T, np.pi)["phi1"] > 0).all()
+    assert (check(0.0, x, np.zeros((1, 3)))[chief] <= -0.05).all()
+    assert (check(0.0, x @ Phi.T)[chief] > 0).all()
+
+
+@pytest.mark.parametrize("who", [0, 1])
+def test_a_pair_on_parking_orbits_is_as_uncertain_as_both_together(who):
+    check = FlightCheck(Parking(TWO), 600.0, np.pi)
+    x = elliptical_nmt(N, np.array([150.0, 150.0]), np.array([3.7, 4.7]))
+    outlook = fly_backup(check.law, x, check.steps, 0.02).outlook
+    strays = outlook.strays.copy()
+    strays[who] += 3.0
+    pair = check.rows.among("deputy_separation")
+    less = check.parked(0.0, outlook) - check.parked(0.0, replace(outlook, strays=strays))
+    assert pair.any() and less[pair] == pytest.approx(3.0)
 
 
 def test_kinds_left_out():

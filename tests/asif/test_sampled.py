@@ -10,6 +10,7 @@ from scipy.optimize import differential_evolution
 from polaris.inspection.closest import ClosestApproach
 from polaris.inspection.constraints.allowable_set import allowable
 from polaris.inspection.constraints.barriers import Braking, Radial, SunCone
+from polaris.inspection.constraints.catalogue import FAMILIES
 from polaris.inspection.constraints.families import Families
 from polaris.inspection.constraints.motion import SampledData
 from polaris.inspection.constraints.passive import PassiveSegments
@@ -484,3 +485,21 @@ def test_motion_bounds_hold_over_the_period(period):
             (motion.jerk, (rate @ A.T)[..., 3:]),
         ):
             assert (np.linalg.norm(actual, axis=-1) <= bound * (1 + 1e-12)).all()
+
+
+@pytest.mark.parametrize("period", [0.5, 3.0])
+def test_filters_ask_for_what_the_attacks_here_only_just_satisfy(period):
+    """With a strengthening so steep that the share of h decides, the rows of all families are `Attack`'s."""
+    q, data, rng = Inspection(deputies=1), SampledData(period), np.random.default_rng(6)
+    families = Families(q, {name: Strengthening((1e3, 0.0, 0.0)) for name in FAMILIES}, sampled=data)
+    z = np.concatenate([rng.normal(size=(60, 1, 3)) * 60, rng.normal(size=(60, 1, 3)) * 0.4], axis=2)
+    sun, start, finite = rng.uniform(-3, 3, 60), 0, 0
+    found = families(z, sun)
+    for group in families.groups:
+        attack = Attack(group.barrier, q.mean_motion, period, q.thrust_max / q.mass, data.share)
+        h, _, need, M = attack.rows(families.stack(z)[..., group.at, :], sun[:, None])
+        own = slice(start, start := start + h.shape[-1])
+        inside = h > 0
+        finite += np.isfinite(M[inside]).sum()
+        np.testing.assert_allclose(found.bound[:, own][inside], need[inside], rtol=1e-9, atol=1e-12)
+    assert start == len(families.labels) and finite > 20

@@ -107,6 +107,29 @@ def test_hand_back_waits_for_the_release_and_the_dwell_time(which):
     assert f.log[-1].t == begin + 30
 
 
+@pytest.mark.parametrize("which", [0, 1], ids=["explicit", "implicit"])
+def test_the_dwell_begins_anew_when_a_release_is_missed(which, monkeypatch):
+    f = list(both(ONE))[which]
+    x = elliptical_nmt(ONE.mean_motion, 150.0, 4.9)[None]
+    f.latched[0] = True
+    for k in range(60):
+        # kept, but less than is wanted for handing back
+        value = np.full(len(f.rows.labels), f._release) + (-0.01 if k == 20 else 1.0)
+        monkeypatch.setattr(f, "_try", lambda t, x, u, value=value: value)
+        f.filter(float(k), x, np.zeros((1, 3)))
+        assert f.latched[0] == (k < 21 + f.dwell), k
+
+
+@pytest.mark.parametrize("which", [0, 1], ids=["explicit", "implicit"])
+def test_a_constraint_of_which_nothing_can_be_told_is_not_kept(which, monkeypatch):
+    f = list(both(ONE))[which]
+    x = elliptical_nmt(ONE.mean_motion, 150.0, 4.9)[None]
+    monkeypatch.setattr(f, "_try", lambda t, x, u: np.full(len(f.rows.labels), np.nan))
+    for k in range(40):  # longer than the dwell
+        decision = f.filter(float(k), x, np.zeros((1, 3)))
+        assert f.latched.all() and decision.status == "backup" and decision.unproven
+
+
 def test_only_those_concerned_are_switched():
     x = elliptical_nmt(THREE.mean_motion, np.full(3, 150.0), np.array([3.7, 4.7, 5.7]))
     u = np.zeros((3, 3))

@@ -85,6 +85,11 @@ def test_summary_is_that_of_the_table(flown):
             spent = np.array([row["delta_v_m_s"] for row in mine])
             assert entry["mean"]["delta_v_m_s"]["mean"] == pytest.approx(spent.mean(), rel=1e-12)
             assert entry["worst"]["delta_v_m_s"] == spent.max()
+            for name in ("max_thrust_ratio", "max_thrust_ratio_safety", "switches"):
+                most = max(row[name] for row in mine)  # of S's thrust where S never flies: no number
+                assert entry["worst"][name] == (None if np.isnan(most) else most), name
+            for name in ("min_distance_m", "experimental_share"):
+                assert entry["worst"][name] == min(row[name] for row in mine), name
             nearest = sorted((row["min_distance_m"], row["batch"], row["run"]) for row in mine)[:5]
             worst = [(row["min_distance_m"], row["batch"], row["run"]) for row in entry["worst_runs"]]
             assert worst == nearest
@@ -325,6 +330,7 @@ def test_a_process_of_the_pool_that_is_killed_loses_nothing(flown, tmp_path, vic
     assert table(fly(tmp_path / "c", local(2)).path) == table(flown.path)
 
 
+@pytest.mark.slow  # `Breaking` stands for it in the others
 def test_the_only_process_of_a_pool_is_killed_and_another_takes_its_place(tmp_path, victim):
     one = cases()[:1]  # a single task: the pool starts a single process
     whole = run(one, 4, tmp_path / "here")
@@ -426,6 +432,15 @@ def test_schedules_that_differ_between_workers_are_an_error(tmp_path, monkeypatc
     monkeypatch.setattr("polaris.runs.campaign.drive.fly_batch", fly_batch)
     with pytest.raises(PolarisError, match="different schedules.*5 runs are kept"):
         fly(tmp_path / "c")
+
+
+def test_a_schedule_that_differs_from_that_of_parts_kept_is_an_error(tmp_path, monkeypatch):
+    out, real = run(make_cases([TINY]), 9, tmp_path / "c", batch=3).path, batch.fly_batch
+    (out / "runs" / "case-0000-batch-00001.parquet").unlink()
+    changed = "polaris.runs.campaign.drive.fly_batch"
+    monkeypatch.setattr(changed, lambda task: batch.Batch("0" * 64, real(task).columns))
+    with pytest.raises(PolarisError, match="different schedules"):
+        run(make_cases([TINY]), 9, out, batch=3)
 
 
 def test_a_worker_of_another_version_refuses(flown, monkeypatch):

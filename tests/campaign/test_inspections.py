@@ -9,6 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from polaris.cli import app as cli
+from polaris.inspection.flights.sampling import InitialConditions
 from polaris.model.errors import PolarisError, ScenarioError
 from polaris.runs.campaign import batch, find_worst, inspections, local, read_campaign, replay_run
 from polaris.runs.monte_carlo import run_monte_carlo
@@ -54,9 +55,13 @@ def test_all_studies_fly_the_same_conditions_and_the_picture_is_that_of_the_tabl
     columns, picture = flown.read(0), read_run(flown.path).picture()
     assert len(columns["run"]) == RUNS * len(STUDIES) and picture.studies == STUDIES
     assert len(list((flown.path / "runs").glob("case-*.parquet"))) == 3
+    x, sun = InitialConditions(scenario().families(), 1).first(RUNS)
+    np.testing.assert_array_equal(picture.x, x)
+    assert len(np.unique(sun)) == RUNS, "no batch flies another one's conditions"
     for k, name in enumerate(STUDIES):
         mine = columns["mode"] == name
         np.testing.assert_array_equal(columns["deputy_1_vy_m_s"][mine], picture.x[:, 1, 4])
+        np.testing.assert_array_equal(columns["sun_rad"][mine], sun)
         np.testing.assert_array_equal(columns["success"][mine], picture.success[k])
     assert np.isnan(columns["least_phi5"][columns["mode"] == "decentralized-no-h5"]).all()
     assert (flown.summary["runs"], flown.summary["seed"]) == (RUNS, 1)

@@ -43,7 +43,7 @@ def test_replay_of_other_satellites_is_what_was_measured(tmp_path):
     other = {
         "kind": "satellite",
         "name": "other",
-        "state": [6.0, 0.0, 0.0, 0.05],
+        "state": [8.5, 3.0, 0.0, 0.05],
         "state_half_widths": [0.05, 0.05, 0.0, 0.0],
         "radius_m": 0.5,
         "thrust_accel_max_m_s2": 0.001,
@@ -54,6 +54,7 @@ def test_replay_of_other_satellites_is_what_was_measured(tmp_path):
     for run in (3, 255):
         found = replay_run(folder, 0, 0, run)
         nearest = found.arrays["distances_m"].min(axis=0)
+        assert (found.arrays["distances_m"].argmin(axis=0) == 1).any(), "the other satellite has a part in it"
         assert nearest.mean() == pytest.approx(found.row["mean_distance_m"], rel=1e-9)
 
 

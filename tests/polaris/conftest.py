@@ -9,20 +9,18 @@ from polaris.model.hill import clohessy_wiltshire
 from polaris.model.obstacles import BoxObstacle
 from polaris.planning.goals import EllipticalNMT
 from polaris.planning.reference import Reference
-from polaris.scenario.scenario import load_scenario
 from polaris.synthesis.controllers import AffineController, AnyThrust
 from polaris.synthesis.get_safety import get_safety
 from polaris.synthesis.problem import Problem
-from polaris.synthesis.synthesize import synthesize
 from polaris.synthesis.tracking import lqr_gain
 from reach.sets.zonotope import Zonotope
 
+from ..kept import kept, scheduled
 
-@cache
+
 def synthesised(name):
     """(scenario, schedule) of a bundled scenario."""
-    scenario = load_scenario(name)
-    return scenario, synthesize(scenario)
+    return scheduled(name)
 
 
 @cache
@@ -50,7 +48,8 @@ def small_problem(period=None, w_max=1e-5, recoverable="polytope"):
 
 @cache
 def _safety(period, w_max, recoverable):
-    return get_safety(small_problem(period, w_max, recoverable))
+    name = f"small-{period}-{w_max}-{recoverable}"
+    return kept(name, lambda: get_safety(small_problem(period, w_max, recoverable)))
 
 
 def small_safety(period=None, w_max=1e-5, recoverable="polytope"):

@@ -522,10 +522,15 @@ def synthesised(seed: int, folder: Path) -> tuple[Any, Any]:
     from polaris.scenario.scenario import load_scenario
     from polaris.synthesis.synthesize import synthesize
 
-    path = folder / f"random-{seed}.toml"
-    path.write_text(random_scenario(seed), encoding="utf-8")
-    scenario = load_scenario(path)
-    return scenario, synthesize(scenario)
+    from ..kept import kept
+
+    def make():
+        path = folder / f"random-{seed}.toml"
+        path.write_text(random_scenario(seed), encoding="utf-8")
+        scenario = load_scenario(path)
+        return scenario, synthesize(scenario)
+
+    return kept(f"random-{seed}", make)
 
 
 def written(seed: int, folder: Path) -> Path:

@@ -117,7 +117,7 @@ def test_an_unclipped_controller_between_balls_verifies(kind):
 
 
 def test_the_printed_ball_is_rejected_because_the_thrusters_saturate():
-    data = variant("recoverable.kind=paper_ball", "tracking.R=[1,1]")
+    data = variant("recoverable.kind=paper_ball", "tracking.R=[1.5,1.5]")
     assert data["guarantee"] == "none" and 1 in data["schedule"]["modes"]
     for claimed in (data, relabelled(data)):
         verdict = verify_document(claimed)

@@ -26,7 +26,7 @@ from polaris.scenario.scenario import bundled_files, load_scenario
 
 from .tiny import TINY, flown, synthesised
 
-HEAVY = ("matplotlib", "control", "highspy", "scipy.optimize", "numpy", "pydantic")
+HEAVY = ("matplotlib", "control", "pulp", "highspy", "scipy.optimize", "numpy", "pydantic")
 
 
 @pytest.fixture

@@ -88,7 +88,9 @@ def monitored(seed, schedule):
 
 
 def test_the_integrator_agrees_with_the_packages():
-    for seed, schedule in proved((5016, 5050)):
+    scenes = list(proved((5016, 5050)))
+    assert len(scenes) == 2
+    for seed, schedule in scenes:
         loop = Loop(schedule)
         n, m, p = loop.system.n, loop.system.m, loop.system.p
         still = np.zeros((loop.N, 1, n)), np.zeros((loop.N, 1, p)), np.zeros((loop.N, 1, m))

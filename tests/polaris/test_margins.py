@@ -14,6 +14,7 @@ from polaris.synthesis.get_safety import get_recover
 from polaris.synthesis.recoverable import directed, left
 from reach.numerics.linear import discretize
 
+from .conftest import small_safety
 from .random_scenarios import synthesised
 
 STEPS, NODES = 3, 16
@@ -240,6 +241,41 @@ def test_a_jump_of_the_reference_counts_as_a_need_and_not_as_less_room(kind, tmp
             shares = [1 - need / rooms(safety, first + lag) for lag, need in enumerate(needs.T)]
             assert jumped.margin_at(clearance.planned, nothing).value <= np.min(shares)
             assert jumped.margin_at(clearance.planned, nothing).value > 1 - 1e4 * size
+
+
+@pytest.mark.parametrize("first", [0, 7])
+def test_no_limit_is_left_out_however_late(first, period):
+    """One that nothing meets, put at a node: within the memory of the loop, where it ends, and beyond."""
+    safety = small_safety(period)
+    sets, clearance, memory = safety.recoverable, safety.clearance, safety.tracking.memory
+    assert sets.margin_at(first, safety.start).inside
+    begin, end = first * clearance.q, clearance.cells * clearance.q
+    assert begin + memory + 6 < end
+    late = range(begin + memory - 3, begin + memory + 7)
+    for node in {*range(begin, begin + clearance.q + 1), *late, *range(begin, end, 61), end - 1}:
+        cell, place = divmod(node, clearance.q)
+        blocked, room = replace(sets), sets.room.copy()
+        room[cell, place, 0] = -1.0
+        vars(blocked)["room"] = room
+        assert not blocked.margin_at(first, safety.start).inside, node
+
+
+@pytest.mark.parametrize("kind", ["polytope", "time_varying_ball", "ball"])
+def test_round_off_of_the_reference_is_needed_anew_at_every_step(kind, tmp_path):
+    """As if it could be seen: the states of every step are off by it, each in the worst direction."""
+    safety = synthesised(152, tmp_path)[1].safety
+    clearance, tracking, q = safety.clearance, safety.tracking, safety.clearance.q
+    assert safety.problem.system.w_max == 0  # so that nothing else is needed from no error
+    rows = np.vstack([clearance.obstacle_rows[0], tracking.gain, -tracking.gain])
+    lags = [np.linalg.matrix_power(tracking.flow.phi, steps * q) for steps in range(8)]
+    worst, room = sum(np.abs(rows @ phi) for phi in lags), rooms(safety, 8 * q)
+    for size in (1e-9, 1e-6, 1e-4):
+        off = size * np.abs(safety.reference.chi).max(axis=0)
+        reference = replace(safety.reference)
+        vars(reference)["rounding"] = np.tile(off, (reference.cells, 1))
+        found = get_recover(kind, replace(clearance, reference=reference), safety.bounds)
+        printed = found.margin_at(0, 0 * safety.start).value
+        assert 1 - 1e6 * size < printed <= np.min(1 - worst @ off / room)
 
 
 @pytest.mark.parametrize(

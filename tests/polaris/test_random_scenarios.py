@@ -21,6 +21,7 @@ from polaris.scenario.reading import write_toml
 from polaris.scenario.scenario import load_scenario
 from polaris.synthesis.synthesize import synthesize
 
+from ..kept import scheduled
 from .random_scenarios import random_scenario, synthesised
 from .test_margins import worst_share
 
@@ -120,6 +121,21 @@ def test_a_reference_at_rest_may_end_sooner_than_the_loop_forgets_but_must_rest(
     assert (cut(0).outcome, cut(0).claim) == ("REJECTED", "end")
 
 
+def test_a_closed_orbit_is_safe_for_ever_only_after_a_whole_turn():
+    scenario, schedule = scheduled("static")
+    assert schedule.safety.end.horizon == "infinite"
+
+    def change(copy):
+        copy["reference"]["states"], copy["reference"]["inputs"], copy["facets"] = (
+            part[:-1] for part in (copy["reference"]["states"], copy["reference"]["inputs"], copy["facets"])
+        )
+        for item in copy["unsafe_sets"]:
+            item["offsets"] = item["offsets"][:-1]
+
+    verdict = changed(certificate(schedule, scenario.name), change)
+    assert (verdict.outcome, verdict.claim) == ("REJECTED", "end")
+
+
 def test_no_margin_beyond_what_is_left_is_accepted_however_late_its_limit():
     schedule, data = document(10)
     late = [k for k, step in enumerate(schedule.steps) if step.mode and is_late(schedule, k, step.margin)]
@@ -168,8 +184,8 @@ def clipped_verdicts(seeds, folder):
 
 
 def test_clipped_proofs_verify(tmp_path):
-    found = dict(clipped_verdicts((0, 5, 10), tmp_path))  # 5: sampled, wide bands within a period
-    assert len(found) == 3
+    found = dict(clipped_verdicts((0, 5, 25, 35, 41, 43), tmp_path))  # 5: sampled, wide bands within a period
+    assert len(found) == 6
     assert {seed: verdict.text() for seed, verdict in found.items() if verdict.exit_code} == {}
 
 

@@ -5,8 +5,11 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
+from polaris.model.system import LinearSystem
+from polaris.planning.reference import Reference
 from polaris.synthesis.clearance import error_tube
-from polaris.synthesis.controllers import AffineController
+from polaris.synthesis.controllers import AffineController, AnyThrust
+from polaris.synthesis.tracking import Feedback, Tracking
 from reach.numerics.linear import discretize
 from reach.sets.zonotope import Zonotope
 
@@ -138,6 +141,39 @@ def test_a_switch_to_s_between_two_nodes_lands_in_the_hull_of_the_nodes(name):
         s_side = (safety.tracking.flow.phi @ flight.nodes[period]).support(D)
         limit = np.maximum(s_side, flight.nodes[period + 1].support(D)) + flight.bow[period] @ np.abs(D).T
         assert np.all(landed <= limit + 1e-6 * (1 + np.abs(limit)))
+
+
+@pytest.mark.parametrize("kind", ["affine", "any"])
+def test_a_disturbance_that_fades_within_a_period_exceeds_the_chord_of_the_nodes(kind):
+    """From rest, in closed form, along a state that no input reaches: the bow must make up for it."""
+    system = LinearSystem([[0.0, 0.0], [0.0, -0.5]], [[1.0], [0.0]], np.eye(2), [1.0], 0.1)
+    tracking = Tracking(system, np.array([[1.0, 0.0]]), Feedback(2), 1.0)
+    still = Reference.propagate(system, 1.0, np.zeros(2), np.zeros((1, 1)))
+    law = AnyThrust("any", system, still, tracking)
+    if kind == "affine":
+        law = AffineController("affine", system, tracking.gain, still, still, tracking)
+    flight, row = law.fly(Zonotope.point(np.zeros(2)), 0), np.array([[0.0, 1.0]])
+    nodes, bow, excess = flight.nodes.support(row)[:, 0], flight.bow @ row[0], []
+    for i in range(len(bow)):
+        for part in np.linspace(0, 1, 41):
+            worst = 0.1 / 0.5 * (1 - np.exp(-0.5 * (i + part) * tracking.flow.h))
+            excess.append(worst - (1 - part) * nodes[i] - part * nodes[i + 1])
+            assert excess[-1] <= bow[i] * (1 + 1e-9)
+    assert max(excess) > 1e-6, "the chord alone does not hold it"
+
+
+@pytest.mark.parametrize("sampled", [False, True])
+def test_a_law_that_pulls_away_from_the_safe_reference_leaves_the_chord_of_its_nodes(sampled):
+    """Undisturbed on a reference of its own, the error is the parabola between the two."""
+    A, B = [[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]]
+    system = LinearSystem(A, B, B, [5.0], 0.0)
+    tracking = Tracking(system, np.array([[1.0, 1.5]]), Feedback(2, sampled), 1.0)
+    safe, own = (Reference.propagate(system, 1.0, np.zeros(2), np.array([[u]])) for u in (-1.0, 1.0))
+    law = AffineController("pulls", system, tracking.gain, safe, own, tracking)
+    flight, h = law.fly(Zonotope.point(np.zeros(2)), 0), tracking.flow.h
+    for i in range(2):
+        chord = flight.nodes.c[i : i + 2, 0].mean()
+        assert abs((i + 0.5) ** 2 * h**2 - chord) <= flight.bow[i, 0] + 1e-15
 
 
 def test_error_tube_of_s_is_reached_to_a_few_per_cent(period):

@@ -257,3 +257,13 @@ def test_parts_of_a_block_bound_what_they_say(case, steps):
             assert np.all(block.lower[k, 0] <= total + spread + slack)
             half = rate[:100].sum(axis=0) * fine
             assert np.all(half <= total / 2 + block.bend[k, 0] + spread + slack)
+
+
+def test_what_inputs_add_is_bounded_where_their_rate_changes_most_in_the_middle_of_a_step():
+    """Half a turn of an oscillator in one step: at both ends the rate is even, in between it is steepest."""
+    system = LinearSystem([[0.0, 1.0], [-4.0, 0.0]], [[1.0], [0.0]], Interval([-1.0], [1.0]))
+    adjoint, h = Adjoint(system, Interval([0.0, 0.0], [0.0, 0.0])), np.pi / 2
+    block = adjoint.block(np.array([[1.0, 0.0]]) * adjoint.rows.scale, h, 1)
+    assert block.upper[0, 0, 0] >= 1.0  # the integral of |cos 2 t|
+    quarter = np.sin(2 * h / 4) / 2  # by a quarter of the step, where the line between the nodes says 1 / 4
+    assert quarter <= 1 / 4 + block.bend[0, 0, 0] * 3 / 4

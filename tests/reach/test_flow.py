@@ -248,3 +248,11 @@ def test_of_84_random_systems_nothing_that_is_reached_is_missed(kind, seed):
             As, Bs = discretize(A, B, share * h)
             path, chord = (As - Bs @ K if sampled else As) @ e, (1 - share) * e + share * (f.phi @ e)
             assert np.all(np.abs(path - chord) <= bow * (1 + 1e-9) + 1e-9 * np.abs(f.phi) @ np.abs(e))
+
+
+def test_an_input_that_changes_sign_within_a_period_is_enclosed():
+    """Along ``p - h v / 2`` a push early counts against, one late for: most is ``int |s - h / 2| ds``."""
+    h, B = 0.5, np.array([[0.0], [1.0]])
+    flow = LinearFlow.continuous(np.array([[0.0, 1.0], [0.0, 0.0]]), B, 0.0, h)
+    reached = flow.input_zonotope(B, np.eye(1), np.abs(B) @ np.ones(1))
+    assert reached.support(np.array([[1.0, -h / 2]]))[0] >= h**2 / 4

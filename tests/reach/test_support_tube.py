@@ -347,3 +347,16 @@ def test_discrete_steps_are_whole():
         support_tube(system, BOX, 2.5, np.eye(2))
     with pytest.raises(ReachError, match="whole number"):
         support_tube(system, BOX, 2, np.eye(2), step=0.5)
+
+
+@pytest.mark.parametrize("count", [4, 16])
+def test_between_nodes_an_input_that_has_ended_counts_as_one_that_acts(count):
+    """A push at an oscillator that stops at a quarter of a turn: what is left swings over its chord."""
+    stop = np.pi / 2
+    sets = (Interval([-1.0], [1.0]), Interval([0.0], [0.0]))
+    system = LinearSystem([[0.0, 1.0], [-1.0, 0.0]], [[0.0], [1.0]], sets, breaks=[stop])
+    rest = Interval([0.0, 0.0], [0.0, 0.0])
+    tube = support_tube(system, rest, 2 * stop, [[1.0, 0.0]], step=stop / count)
+    t = stop + stop / count * np.linspace(0, 1, 9)
+    exact = np.cos(t - stop) - np.cos(t)  # the integral of the sine over the lags at which it was pushed
+    assert np.all(exact <= tube.at(t)[:, 0])

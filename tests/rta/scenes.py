@@ -9,7 +9,6 @@ from polaris.model.system import LinearSystem
 from polaris.planning.goals import Box
 from polaris.planning.reference import Reference
 from polaris.rta.decision_grid import DecisionGrid
-from polaris.scenario.scenario import load_scenario
 from polaris.synthesis.controllers import AffineController, AnyThrust
 from polaris.synthesis.get_safety import get_safety
 from polaris.synthesis.problem import Problem
@@ -17,11 +16,12 @@ from polaris.synthesis.synthesize import synthesize
 from polaris.synthesis.tracking import lqr_gain
 from reach.sets.zonotope import Zonotope
 
+from ..kept import scheduled
 
-@cache
+
 def robot():
     """The bundled scenario of a robot in the plane: sampled feedback, an obstacle at rest, one in motion."""
-    return synthesize(load_scenario("robot"))
+    return scheduled("robot")[1]
 
 
 @cache

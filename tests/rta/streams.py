@@ -9,15 +9,14 @@ from polaris.rta.decision_grid import DecisionGrid
 from polaris.rta.flight import Conditions, _Engine
 from polaris.rta.methods.monitor import Monitor
 from polaris.rta.online.estimate import Measurement
-from polaris.scenario.scenario import load_scenario
-from polaris.synthesis.synthesize import synthesize
+
+from ..kept import scheduled
 
 HALF = 0.01
 
 
-@cache
 def robot_schedule():
-    return synthesize(load_scenario("robot"))
+    return scheduled("robot")[1]
 
 
 @cache

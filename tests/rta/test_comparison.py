@@ -233,7 +233,7 @@ def test_command(tmp_path):
     assert table["methods"][2]["settings"] == {"dwell": 4.0}
     for arguments, told in (
         (["compare", "inspection"], "must be a scenario of the kind 'schedule'"),
-        (["compare", "robot", "--methods", "nonsense"], "must be one of"),
+        (["compare", str(TINY), "--methods", "nonsense"], "must be one of"),
         (["compare", "robot", "--estimate-error", "much"], "must be numbers"),
         (["compare", str(TINY), "--tune", "monitor.dwell"], "must be METHOD.OPTION=NUMBER"),
         (["compare", str(TINY), "--tune", "monitor.gain=2"], "must be one of 'monitor.dwell'"),

@@ -163,7 +163,7 @@ def test_a_gentle_implicit_filter_is_as_safe_and_bends_inputs_earlier(slope):
 
 
 def test_same_conditions_give_the_same_flights():
-    made = scene("robot")
+    made = scene("robot", period=0.25)
     conditions = Conditions.draw(made, 2, 5)
     for key, make in METHODS.items():
         first, again = (fly(made, make(made), conditions) for _ in range(2))
@@ -173,7 +173,7 @@ def test_same_conditions_give_the_same_flights():
 
 
 def test_a_run_does_not_depend_on_its_neighbours():
-    made = scene("robot", half=0.005)
+    made = scene("robot", period=0.25, half=0.005)
     conditions = Conditions.draw(made, 3, 5)
     for key, make in METHODS.items():
         together = fly(made, make(made), conditions)

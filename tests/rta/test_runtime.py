@@ -19,9 +19,8 @@ from polaris.rta.online.decision_log import DecisionLog, plain, read_log, restor
 from polaris.rta.online.estimate import BoxFilter, BoxMotion, Measurement
 from polaris.rta.online.runtime import OnlineMonitor, replay_log
 from polaris.rta.online.runtime_options import RuntimeOptions
-from polaris.scenario.scenario import load_scenario
-from polaris.synthesis.synthesize import synthesize
 
+from ..kept import scheduled
 from ..polaris import tiny
 
 PATIENT = {"deadline": 1e3, "budget": 1e3}
@@ -34,9 +33,8 @@ def monitor(latency=0.0, trust="thrust_limits", half=HALF):
     return Monitor(DecisionGrid.of(_static(), latency=latency, half_widths=half), trust)
 
 
-@cache
 def _static():
-    return synthesize(load_scenario("static"))
+    return scheduled("static")[1]
 
 
 class Flight:

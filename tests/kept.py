@@ -1,0 +1,99 @@
+"""Schedules that several test files fly, made once: for all workers, and until a source changes.
+
+They lie in ``.pytest_cache/kept``, under a digest of all that they hang on. `make clean` removes them.
+"""
+
+import hashlib
+import os
+import pickle
+import platform
+import re
+import shutil
+import sys
+from contextlib import contextmanager
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import polaris
+import reach
+from polaris.scenario.scenario import load_scenario
+from polaris.synthesis.synthesize import synthesize
+
+try:
+    import fcntl
+except ImportError:  # where files cannot be locked, two workers may make the same thing, each for itself
+    fcntl = None
+
+ROOT = Path(__file__).resolve().parents[1]
+PLACE = ROOT / ".pytest_cache" / "kept"
+LIBRARIES = ("numpy", "scipy", "control", "pulp", "highspy", "gurobipy", "daqp", "pydantic")
+GENERATIONS = 3
+
+
+@cache
+def digest():
+    """Of every source and scenario, of what makes scenes for tests, and of what runs them."""
+    found = hashlib.sha256(f"{sys.version} {platform.platform()} {platform.machine()}".encode())
+    for name in LIBRARIES:
+        try:
+            found.update(f"{name} {version(name)}".encode())
+        except PackageNotFoundError:
+            found.update(f"no {name}".encode())
+    packages = [Path(package.__file__).parent for package in (polaris, reach)]
+    files = [file for package in packages for file in package.rglob("*.py")]
+    files += [file for file in ROOT.glob("tests/**/*.py") if not file.name.startswith("test_")]
+    files += [*ROOT.glob("scenarios/*.toml"), *ROOT.glob("tests/**/*.toml")]
+    for file in sorted(files):
+        content = file.read_bytes()
+        found.update(f"{file} {len(content)}".encode() + content)
+    return found.hexdigest()[:20]
+
+
+@cache
+def folder():
+    """Where this generation lies; of older ones, the latest few stay."""
+    found = PLACE / digest()
+    found.mkdir(parents=True, exist_ok=True)
+    os.utime(found)
+    for old in sorted(PLACE.iterdir(), key=os.path.getmtime)[:-GENERATIONS]:
+        shutil.rmtree(old, ignore_errors=True)  # another worker may do the same
+    return found
+
+
+@contextmanager
+def alone(path):
+    """Nobody else is in here with the same path."""
+    with path.open("w") as lock:
+        if fcntl is not None:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+
+
+def kept(name, make):
+    """What `make` returns, or what it returned under this name to whoever called it first.
+
+    A safety that the wall clock had a part in is not kept: a slow moment must not leave it to quick ones.
+    """
+    file = folder() / (re.sub(r"[^\w=.-]", "_", name) + ".pickle")
+    with alone(file.with_suffix(".lock")):
+        if file.exists():
+            return pickle.loads(file.read_bytes())
+        found = make()
+        made = found[1] if isinstance(found, tuple) else found
+        if not getattr(made, "safety", made).cut_by_clock:
+            beside = file.with_suffix(f".{os.getpid()}")
+            beside.write_bytes(pickle.dumps(found))
+            beside.replace(file)
+    return found
+
+
+@cache
+def scheduled(name):
+    """(scenario, schedule) of a bundled scenario."""
+
+    def make():
+        scenario = load_scenario(name)
+        return scenario, synthesize(scenario)
+
+    return kept(name, make)

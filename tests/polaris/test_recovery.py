@@ -1,0 +1,65 @@
+"""The checker's recovery argument: no limit is left out, whenever it is."""
+
+import math
+from types import SimpleNamespace
+
+import pytest
+
+pytest.importorskip("flint")
+
+from flint import arb
+
+from polaris.certificate.balls import column, identity, matrix
+from polaris.certificate.loop import Memory, Needs
+from polaris.certificate.motion import Plant
+from polaris.certificate.recovery import Limits, Recovery, Target
+from polaris.certificate.verdict import Rejected
+from polaris.certificate.zonotopes import Zonotope
+
+Q, CELLS = 2, 16
+
+
+def recovery(bad=None):
+    """A loop that forgets quickly, wide limits at every node, and one that nothing meets."""
+    zero, one = matrix([[0.0]]), matrix([[1.0]])
+    plant = Plant(zero, one, one, one, [arb(10)], arb(0.01), arb(0.5), sampled=False)
+    loop = plant.loop(matrix([[2.0]]))
+    memory = Memory.of(loop, column([arb(1)]), Q)
+    wide, none = Target(0, arb(100), "wall", arb(100)), Target(0, arb(-1), "wall", arb(100))
+    targets = [[[none if (cell, i) == bad else wide] for i in range(Q + 1)] for cell in range(CELLS)]
+    limits = Limits(identity(1), targets)
+    document = SimpleNamespace(q=Q, steps=CELLS - 2, delta=1.0, horizon="one_period", cells=CELLS)
+    return Recovery(document, limits, Needs(loop, memory, identity(1)))
+
+
+def check(found, step):
+    found.check_sets({step: Zonotope(column([arb(0)]), identity(1))}, {step: 0.1})
+    found.check_far()
+
+
+def test_wide_limits_are_met():
+    found = recovery()
+    assert found.needs.memory.periods < (CELLS - 3) * Q, "some limits lie beyond the memory"
+    check(found, 0)
+    check(found, 3)
+
+
+@pytest.mark.parametrize("step", [0, 3])
+def test_a_limit_that_nothing_meets_is_noticed_wherever_it_is(step):
+    for cell in range(step, CELLS):
+        for i in range(Q + 1):
+            with pytest.raises(Rejected):
+                check(recovery((cell, i)), step)
+
+
+def test_what_is_booked_at_a_node_covers_the_periods_on_both_sides_of_it():
+    """Between its nodes ``e^(-2 t)`` leaves its chord by so much, half way."""
+    needs, h = recovery().needs, 0.5
+    half_way = (1 + math.exp(-2 * h)) / 2 - math.exp(-h)
+    for lag in range(1, needs.memory.periods):
+        for begun in (lag - 1, lag):
+            assert needs.bend[lag][0, 0] >= math.exp(-2 * h * begun) * half_way
+
+
+def test_what_is_over_is_over():
+    check(recovery((1, 1)), 3)
