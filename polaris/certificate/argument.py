@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from flint import arb, arb_mat
 
+from .arrival import Arrival
 from .balls import above, column, identity, largest, magnitude, matrix, plain, require
 from .document import Document, UnsafeSet
 from .flights import Flown, Pilot, fly
@@ -20,7 +21,7 @@ from .zonotopes import Merging, Zonotope, widest
 ORDERS = (12, 80)
 """Generators per dimension that sets keep from one step to the next: what is tried in turn."""
 
-NARROWER = ("controllers", "separation", "enclosures", "recoverable", "margins")
+NARROWER = ("controllers", "separation", "enclosures", "recoverable", "margins", "goal")
 """Claims that may fail because sets are wider than they need to be."""
 
 PATH_SLACK = 1e-9
@@ -89,6 +90,10 @@ class Argument:
         if self.stated.norm_bounds is not None:
             check_norm_bounds(self.stated.norm_bounds, self.gain, self.loop, memory)
         self.recoverability(path, memory, sets)
+        if self.stated.goal is not None and self.document.guarantee == "proved":
+            spent = sum((step.spent for step in flown), arb(0)) / self.document.mass
+            arrival = Arrival(self.document, path, self.loop, memory, sets[-1], spent)
+            self.record.holds("goal", arrival.check(*self.stated.goal))
 
     def reference(self) -> Path:
         """The reference is the exact motion under the stored inputs, and these are within the limits."""

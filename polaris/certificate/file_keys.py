@@ -76,6 +76,10 @@ CERTIFICATE = {
 CLAIMED = {
     "kind": GUARANTEE, "horizon": HORIZON, "until_s": OPTIONAL, "reason": TEXT,
     "assumptions": Rows(TEXT),
+    "goal": {
+        "reached": Either((bool, Text(("not_proven",)))), "by_s": OPTIONAL,
+        **every(NOT_NEGATIVE, "distance_m tolerance_m delta_v_max_m_s"), "drift_m_per_orbit": BOUND,
+    },
 }
 """The guarantee as the schedule and the summary repeat it."""
 
@@ -86,6 +90,7 @@ SCHEDULE = {
     "rules": {
         "strategy": TEXT, "min_dwell": Whole(1), "max_switches": Either((Whole(), None)),
         "weights": VECTOR, "beam": Whole(1),
+        **every(NOT_NEGATIVE, "delta_v_price switch_price"), "delta_v_max": Either((NOT_NEGATIVE, None)),
     },
     "modes": Rows(Whole()),
     "switches": Whole(),

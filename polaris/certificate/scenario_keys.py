@@ -44,6 +44,7 @@ _REFERENCE = Kinds({
 _AFFINE = {
     "name": NAME, "Q?": WEIGHT, "R?": WEIGHT, "gain?": MATRIX, "reference?": _REFERENCE, "weight?": WORTH,
 }
+_GOAL = {"tolerance_m?": POSITIVE}
 _BODY = {"name": NAME, "velocity_m_s?": VECTOR}
 _POLYTOPE = {"name": NAME, "normals": MATRIX, "offsets_m": VECTOR}
 
@@ -76,13 +77,16 @@ SCENARIO = {
         "Q": WEIGHT, "R": WEIGHT, "bound?": Text(("envelope", "lyapunov")),
         "weight?": Either((Text(("auto", "identity")), LIMITS)),
     },
-    "recoverable?": {"kind?": Text(("polytope", "ball", "time_varying_ball", "paper_ball"))},
+    "recoverable?": {
+        "kind?": Text(("polytope", "ball", "time_varying_ball", "paper_ball")),
+        "recourse?": Text(("in_view", "none")),
+    },
     "goal": Kinds({
-        "elliptical_nmt": {"inner_semi_minor_m": NOT_NEGATIVE, "outer_semi_minor_m": POSITIVE,
+        "elliptical_nmt": {**_GOAL, "inner_semi_minor_m": NOT_NEGATIVE, "outer_semi_minor_m": POSITIVE,
                            "sides?": Whole(4, 64), "cross_track_max_m?": POSITIVE},
-        "linear_nmt": {"amplitude_max_m": POSITIVE, "along_track_m?": NUMBER},
-        "stationary": {"state": VECTOR},
-        "box": {"center": VECTOR, "half_widths": OPEN_WIDTHS},
+        "linear_nmt": {**_GOAL, "amplitude_max_m": POSITIVE, "along_track_m?": NUMBER},
+        "stationary": {**_GOAL, "state": VECTOR},
+        "box": {**_GOAL, "center": VECTOR, "half_widths": OPEN_WIDTHS},
     }),
     "planner?": {
         "objective?": Text(("margin_then_fuel", "distance", "fuel")),
@@ -114,6 +118,7 @@ SCENARIO = {
         "min_dwell_steps?": Whole(1, STEPS),
         "max_switches?": Whole(0),
         "beam?": Whole(1, 1000),
+        **every(NOT_NEGATIVE, "delta_v_price? switch_price?"), "delta_v_max_m_s?": POSITIVE,
     },
     "simulation?": {"runs?": Whole(1, 1_000_000), "seed?": Whole(0, 2**63 - 1)},
 }

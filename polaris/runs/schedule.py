@@ -180,13 +180,21 @@ def _tell(scenario: ScheduleScenario, found: FlownSchedule, seconds: Mapping[str
 
 def guarantee(schedule: Schedule) -> dict[str, Any]:
     """What is claimed, until when, why, and on what assumptions."""
-    end = schedule.safety.end
+    end, goal = schedule.safety.end, schedule.arrival
     return {
         "kind": schedule.guarantee,
         "horizon": end.horizon,
         "until_s": end.until if np.isfinite(end.until) else None,
         "reason": end.reason,
         "assumptions": list(schedule.assumptions),
+        "goal": {
+            "reached": goal.reached,
+            "by_s": goal.by,
+            "distance_m": goal.distance,
+            "tolerance_m": goal.tolerance,
+            "drift_m_per_orbit": goal.drift,
+            "delta_v_max_m_s": goal.delta_v,
+        },
     }
 
 

@@ -44,7 +44,7 @@ def velocity_change(law: Controller, tube: TubeSegment, k: int, delta: float) ->
 def of_steps(
     steps: Iterable[tuple[Controller, TubeSegment]], delta: float, mass: float
 ) -> tuple[float, float]:
-    """Velocity change over steps [m/s]: along the middle of the tubes, and at most, whatever is admissible."""
+    """Velocity change over steps [m/s]: along the middle of the tubes, and at most, for any flight."""
     parts = [velocity_change(law, tube, k, delta) for k, (law, tube) in enumerate(steps)]
     middle, most = np.sum(np.reshape(parts, (-1, 2)), axis=0) / mass
     return float(middle), float(most) * (1 + ROUNDING)

@@ -47,6 +47,8 @@ def show_summary(summary: Mapping[str, Any], folder: str, console: Console | Non
     proved = claim["kind"] == "proved"
     out.say(f"Guarantee: {_claim(claim)}", "bold" if proved else RED)
     out.assume(claim["assumptions"] if proved else ())
+    if proved:
+        out.say(f"Goal: {_goal(claim['goal'])}")
     out.say(f"Run folder: {folder}")
 
 
@@ -71,6 +73,19 @@ def _claim(claim: Mapping[str, Any]) -> str:
         "none": "up to the end of the schedule only",
     }[claim["horizon"]]
     return f"{claim['kind']}, safe {reach} ({claim['reason']}), assuming that"
+
+
+def _goal(claim: Mapping[str, Any]) -> str:
+    """Whether the goal is reached, how nearly, and at what cost."""
+    near, drift = directed(claim["distance_m"], ".4g", up=True), claim["drift_m_per_orbit"]
+    off = f"within {near} m" + (
+        "" if drift is None else f", drift up to {directed(drift, '.3g', up=True)} m per orbit"
+    )
+    spent = f"velocity change at most {directed(claim['delta_v_max_m_s'], '.4g', up=True)} m/s"
+    if claim["reached"] is True:
+        return f"reached by {claim['by_s']:.6g} s ({off}; {spent})."
+    missed = "not proven to be reached" if claim["reached"] == "not_proven" else "not reached"
+    return f"{missed}: {off} at best, {claim['tolerance_m']:.4g} m count as reached; {spent}."
 
 
 def _metrics(summary: Mapping[str, Any]) -> Table:
