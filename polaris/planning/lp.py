@@ -39,7 +39,7 @@ class GrowingLP:
         empty_i, empty = np.zeros(0, dtype=np.int32), np.zeros(0)
         self.highs.addCols(n, cost, low, high, 0, np.zeros(n, dtype=np.int32), empty_i, empty)
         self._room = np.asarray(high - low, dtype=float)
-        self._a, self._slack = [np.zeros((0, n))], [np.zeros(0)]
+        self._a, self._least, self._slack = [np.zeros((0, n))], [np.zeros(0)], [np.zeros(0)]
         self.rows = 0
         self.out_of_time = False
 
@@ -55,6 +55,7 @@ class GrowingLP:
         starts = np.searchsorted(where[0], np.arange(R)).astype(np.int32)
         self.highs.addRows(R, lo, up, len(where[0]), starts, where[1].astype(np.int32), a[where])
         self._a.append(a)
+        self._least.append(lo)
         self._slack.append(up - lo)
         self.rows += R
 
@@ -65,6 +66,7 @@ class GrowingLP:
             self.highs.deleteRows(len(drop), drop)
         while self.rows > rows:
             self.rows -= len(self._a.pop())
+            self._least.pop()
             self._slack.pop()
 
     def price(self, first: int, cost: Array) -> None:
@@ -112,6 +114,15 @@ class GrowingLP:
         self.highs.setOptionValue("time_limit", self.highs.getRunTime() + max(seconds, 0.01))
         self.highs.run()
         return self.highs.getModelStatus()
+
+    def stated(self) -> tuple[Array, Array]:
+        """The rows as they stand, shape (R, n), and the least that each must come to, shape (R,)."""
+        return np.vstack(self._a), np.concatenate(self._least)
+
+    def ray(self) -> Array:
+        """What proves that the program just solved has no point: weights of its rows, shape (R,), or none."""
+        found, weights = self.highs.getDualRay()[1:]
+        return np.asarray(weights, dtype=float) if found else np.zeros(self.rows)
 
     def costs(self, a: Array, lack: Array) -> Array:
         """Lower bounds, shape (J,), on what the optimum loses if one more row has to hold, without solving.

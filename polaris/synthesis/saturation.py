@@ -18,26 +18,36 @@ SLOPES = 8
 def clipped_step(law: AffineLaw, d: Zonotope, mu: Array) -> tuple[Zonotope, Array]:
     """Enclose the next node of ``d' = A d + B (clip(mu - Lambda_U d) - mu) + D w``.
 
+    d is relative to the law's own reference, mu, shape (m,), that reference's input. Returned with the set
+    are the slopes of the band, shape (m,): what the set rests on, and a certificate repeats.
+    """
+    phi, known, push, slope = clipped_map(law, d, mu)
+    noise = law.flow if law.feedback.sampled else law.relaxed_flow(slope)
+    out = phi @ d + known + noise.period_zonotope
+    return (out + push if np.any(push.G) else out).reduce(6), slope
+
+
+def clipped_map(law: AffineLaw, d: Zonotope, mu: Array) -> tuple[Array, Array, Zonotope, Array]:
+    """What `clipped_step` makes of d but for the disturbance, ``phi d + known + push``, and the slopes.
+
     The clip is replaced by an affine band over the range of the command: at the node for sampled
-    feedback (the input is then held), over the whole period for continuous feedback. d is relative to the
-    law's own reference, mu, shape (m,), that reference's input. Returned with the set are the slopes of
-    the band, shape (m,): what the set rests on, and a certificate repeats.
+    feedback (the input is then held), over the whole period for continuous feedback.
     """
     system = law.system
     image = law.gain @ d
     lo, hi = mu - image.c - image.half_widths, mu - image.c + image.half_widths
     if law.feedback.sampled:
-        return _sampled(law, d, mu, lo, hi)
+        slope, offset, radius = clip_relaxation(lo, hi, system.u_max)
+        Ah, Bh = discretize(system.A, system.B, law.flow.h)
+        known = Bh @ (slope * mu + offset - mu)
+        return Ah - Bh @ (slope[:, None] * law.gain), known, Zonotope(np.zeros(system.n), Bh * radius), slope
     command = np.maximum(np.abs(mu - lo), np.abs(hi - mu)) + np.maximum(np.abs(mu) - system.u_max, 0)
     moved, _ = clipped_motion(law, np.abs(d.c) + d.half_widths, command, mu)
     drift = np.abs(law.gain) @ moved
     slope, offset, radius = clip_relaxation(lo - drift, hi + drift, system.u_max, SLOPES)
     step = law.relaxed_flow(slope)
-    known = step.input_map(system.B) @ (slope * mu + offset - mu)
-    out = step.phi @ d + known + step.period_zonotope
-    if np.any(radius > 0):
-        out = out + step.input_zonotope(system.B, np.diag(radius), np.abs(system.B) @ radius)
-    return out.reduce(6), slope
+    push = step.input_zonotope(system.B, np.diag(radius), np.abs(system.B) @ radius)
+    return step.phi, step.input_map(system.B) @ (slope * mu + offset - mu), push, slope
 
 
 def clipped_motion(law: AffineLaw, extent: Array, command: Array, mu: Array) -> tuple[Array, Array]:
@@ -66,12 +76,3 @@ def clipped_motion(law: AffineLaw, extent: Array, command: Array, mu: Array) -> 
         moved = still + loose.h * push @ np.abs(system.B).T @ loose.growth.T
         push = np.minimum(most, command + moved @ np.abs(law.gain).T)
     return still + loose.h * push @ np.abs(system.B).T @ loose.growth.T, push
-
-
-def _sampled(law: AffineLaw, d: Zonotope, mu: Array, lo: Array, hi: Array) -> tuple[Zonotope, Array]:
-    system, h = law.system, law.flow.h
-    slope, offset, radius = clip_relaxation(lo, hi, system.u_max)
-    Ah, Bh = discretize(system.A, system.B, h)
-    out = (Ah - Bh @ (slope[:, None] * law.gain)) @ d + Bh @ (slope * mu + offset - mu)
-    band = Zonotope(np.zeros(system.n), Bh * radius)
-    return (out + band + law.flow.period_zonotope).reduce(6), slope
