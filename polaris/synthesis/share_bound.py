@@ -36,6 +36,8 @@ PARTS = 4
 """Held inputs in which the thrust of a free step is enclosed (Lemma 11 covers the rest)."""
 EACH = 60
 """Most linear programs for one question; left open, it counts as possible."""
+STRETCH = (8, 4, 2, 1)
+"""Steps by which a window of an impossible flight is stretched, one after the other."""
 NODES = 2000
 """Most nodes of an integer program; what it has proven until then is used."""
 OPEN = 1e-6
@@ -80,38 +82,45 @@ class Flights:
     """
 
     def __init__(self, problem: Problem, laws: Sequence[AffineController]) -> None:
-        system, self.K = problem.system, problem.K
-        self.system, self.start, self.laws = system, np.asarray(problem.initial_set.c), laws
+        system, K = problem.system, problem.K
+        self.system, self.laws = system, laws
         flow = LinearFlow.continuous(system.A, system.D, 0.0, problem.delta / PARTS)
         push = flow.input_zonotope(system.B, np.diag(system.u_max), np.abs(system.B) @ system.u_max).G
         moved = [np.linalg.matrix_power(flow.phi, j) for j in range(PARTS + 1)]
         self.moved, self.push = moved[PARTS], np.hstack([part @ push for part in moved[:PARTS]])
-        sets = perceive_unsafe(problem, self.K)
+        sets = perceive_unsafe(problem, K)
         self.normals = [unsafe.normals for unsafe in sets]
-        ends = [unsafe.offsets[np.minimum(np.arange(self.K), unsafe.cells - 1)] for unsafe in sets]
+        ends = [unsafe.offsets[np.minimum(np.arange(K), unsafe.cells - 1)] for unsafe in sets]
         # The set of both cells that meet at a node: less than either.
         self.offsets = [np.minimum(b[:, 1], np.vstack([b[1:, 0], b[-1:, 1]])) for b in ends]
+        start = np.asarray(problem.initial_set.c)
+        self._first = start, np.zeros((system.n, 0)), np.abs(start)
+        self._held: Held = ()
+        self._found: list[tuple[Array, Array, Array]] = []
         self.programs = 0
 
     def fly(self, held: Held) -> tuple[Array, Array, Array]:
-        """States at the ends of the steps: centres (K, n), generators (K, n, N), sizes added up on the way."""
-        c, G, size = self.start, np.zeros((self.system.n, 0)), np.abs(self.start)
-        found, sizes = [], []
-        for k, mode in enumerate(held):
-            if mode == FREE:
+        """States at the ends of the first steps: centres (k, n), generators (k, n, N), sizes met on the way."""
+        same = 0
+        while same < min(len(held), len(self._held)) and held[same] == self._held[same]:
+            same += 1
+        found = self._found[:same]
+        c, G, size = found[-1] if found else self._first
+        for k in range(same, len(held)):
+            if held[k] == FREE:
                 c, G = self.moved @ c, np.hstack([self.moved @ G, self.push])
             else:
-                law = self.laws[mode - 1]
+                law = self.laws[held[k] - 1]
                 own = law.own.chi[k : k + 2]
                 c, G = self._under(law, k, Zonotope(c - own[0], G))
                 c, size = c + own[1], np.maximum(size, np.abs(own).max(axis=0))
             size = np.maximum(size, np.abs(c) + np.abs(G).sum(axis=1))
-            found.append((c, G))
-            sizes.append(size)
-        whole = np.zeros((self.K, self.system.n, G.shape[1]))
-        for k, (_, part) in enumerate(found):
+            found.append((c, G, size))
+        self._held, self._found = held, found
+        whole = np.zeros((len(held), self.system.n, G.shape[1]))
+        for k, (_, part, _) in enumerate(found):
             whole[k, :, : part.shape[1]] = part
-        return np.array([c for c, _ in found]), whole, np.array(sizes)
+        return np.array([c for c, _, _ in found]), whole, np.array([size for *_, size in found])
 
     def _under(self, law: AffineController, k: int, d: Zonotope) -> tuple[Array, Array]:
         """Deviation from the law's own reference after step k: as the law moves it, or clipped."""
@@ -129,11 +138,30 @@ class Flights:
         return d.c, d.G
 
     def impossible(self, held: Held) -> bool:
-        """Whether it is proven that no flight keeps clear."""
+        """Whether it is proven that no flight keeps clear, as far as the steps are given."""
         asked = _Clear(self, *self.fly(held))
         found = asked.impossible()
         self.programs += 1 + asked.programs
         return found
+
+    def widened(self, held: Held) -> Held:
+        """An impossible flight, cut off as early and with as long windows of free steps as it stays so."""
+        short, long = 0, len(held)
+        while long - short > 1:
+            middle = (short + long) // 2
+            if self.impossible(held[:middle]):
+                long = middle
+            else:
+                short = middle
+        held = held[:long]
+        free = np.flatnonzero(np.array(held) == FREE).tolist()
+        for edge, way in [(k, way) for k in free for way in (1, -1) if k + way not in free]:
+            for size in STRETCH:
+                a, b = max(min(edge, edge + way * size), 0), max(edge, edge + way * size) + 1
+                longer = (*held[:a], *(FREE,) * (b - a), *held[b:])[: len(held)]
+                if longer != held and self.impossible(longer):
+                    held, edge = longer, edge + way * size
+        return held
 
 
 class _Clear:
@@ -142,63 +170,64 @@ class _Clear:
     def __init__(self, flights: Flights, c: Array, G: Array, size: Array) -> None:
         position = flights.system.position
         centre, spread, reach = c @ position.T, position @ G, size @ np.abs(position).T
-        self.unit = float(reach.max())
+        self.unit, self.programs, self.never = float(reach.max()), 0, False
         self.ways: list[tuple[Array, Array]] = []
-        self.programs, self.never = 0, False
-        for normals, b in zip(flights.normals, flights.offsets, strict=True):
-            a = np.einsum("fd,kdg->kfg", normals, spread)
+        only = [(np.zeros((0, G.shape[2])), np.zeros(0))]
+        for normals, offsets in zip(flights.normals, flights.offsets, strict=True):
+            a, b = np.einsum("fd,kdg->kfg", normals, spread), offsets[: len(c)]
             need, most = b - centre @ normals.T, np.abs(a).sum(axis=2)
             need = need - ROUNDING * (reach @ np.abs(normals).T + np.abs(b) + most)
-            for k in np.flatnonzero(np.all(most < need, axis=1)):
-                self.never = True
-            for k in np.flatnonzero(np.all(-most < need, axis=1)):
-                can = most[k] >= need[k]
-                self.ways.append((a[k, can] / self.unit, need[k, can] / self.unit))
+            can, open_ = most >= need, np.all(-most < need, axis=1)
+            self.never |= bool(np.any(~np.any(can, axis=1)))
+            one = open_ & (np.sum(can, axis=1) == 1)
+            only.append((a[one][can[one]] / self.unit, need[one][can[one]] / self.unit))
+            for k in np.flatnonzero(open_ & (np.sum(can, axis=1) > 1)):
+                self.ways.append((a[k, can[k]] / self.unit, need[k, can[k]] / self.unit))
+        self.only = tuple(np.concatenate(parts) for parts in zip(*only, strict=True))
         ones = np.ones(2 * G.shape[2])
         self.lp = GrowingLP(ones, 0 * ones, ones)
 
     def impossible(self) -> bool:
         """Whether some node is inside a set whatever is flown, or every choice of facets is refuted."""
-        if self.never or not self.ways:
-            return self.never
-        for a, need in self.ways:
-            if len(need) == 1:
-                self._state(a, need)
-        return self._refuted()
+        return self.never or bool(self.ways or len(self.only[1])) and self._refuted()
 
     def _state(self, a: Array, need: Array) -> None:
         self.lp.add(np.hstack([a, -a]), need, np.inf)
 
     def _refuted(self) -> bool:
-        """Whether no path keeps the facets stated and one of every other node's."""
+        """Whether no path keeps the facets stated, those without alternative, and one of every other node's."""
         if self.programs == EACH:
             return False
         self.programs += 1
         answer = self.lp.solve(np.inf)
         if answer is None:
             return self._certain()
-        g = np.subtract(*np.split(answer[1], 2))
+        g, known = np.subtract(*np.split(answer[1], 2)), self.lp.rows
+        a, need = self.only
+        short = need - a @ g > OPEN
+        if np.any(short):
+            self._state(a[short], need[short])
+            return self._back(self._refuted(), known)
         lack = [float(np.min(need - a @ g)) for a, need in self.ways]
-        worst = int(np.argmax(lack))
-        if lack[worst] <= OPEN:
+        if max(lack, default=0.0) <= OPEN:
             return False
-        a, need = self.ways[worst]
-        known = self.lp.rows
+        a, need = self.ways[int(np.argmax(lack))]
         for f in np.argsort(need - a @ g):
             self._state(a[f : f + 1], need[f : f + 1])
-            refuted = self._refuted()
-            self.lp.take_back(known)
-            if not refuted:
+            if not self._back(self._refuted(), known):
                 return False
         return True
+
+    def _back(self, found: bool, rows: int) -> bool:
+        self.lp.take_back(rows)
+        return found
 
     def _certain(self) -> bool:
         """Whether a sum of rows, each weighed by what the solver answers, asks for more than there is."""
         ray, rows, need = self.lp.ray(), *self.lp.stated()
         for weights in (np.maximum(ray, 0.0), np.maximum(-ray, 0.0)):
-            asked, sums = weights @ need, np.abs(weights @ rows)
-            N = len(sums) // 2
-            if asked - sums[:N].sum() > ROUNDING * (weights @ (np.abs(need) + np.abs(rows).sum(axis=1))):
+            most = np.abs(weights @ rows)[: rows.shape[1] // 2].sum()
+            if weights @ need - most > ROUNDING * (weights @ (np.abs(need) + np.abs(rows).sum(axis=1))):
                 return True
         return False
 
@@ -260,22 +289,6 @@ class Master:
         return max(fewest, 0), tuple(int(mode) for mode in flown.argmax(axis=1))
 
 
-def widened(flights: Flights, held: Held, limit: int) -> Held:
-    """An impossible flight with as many steps set free as it stays impossible with."""
-    def free(held: Held, a: int, b: int) -> Held:
-        rest = (*held[:a], *(FREE,) * (b - a), *held[b:])
-        if rest == held or flights.programs >= limit:
-            return held
-        if flights.impossible(rest):
-            return rest
-        if b - a == 1:
-            return held
-        middle = (a + b) // 2
-        return free(free(held, middle, b), a, middle)
-
-    return free(held, 0, len(held))
-
-
 def share_bound(schedule: Schedule, rules: SwitchingRules, limit: int) -> ShareBound:
     """Bound the share of the time under experimental controllers, with at most about `limit` programs."""
     safety = schedule.safety
@@ -293,6 +306,6 @@ def share_bound(schedule: Schedule, rules: SwitchingRules, limit: int) -> ShareB
         if not flights.impossible(held):
             ended = "reached"
             break
-        master.demand(widened(flights, held, limit))
+        master.demand(flights.widened(held))
         demands += 1
     return ShareBound(1.0 - min(least, problem.K) / problem.K, flights.programs, demands, ended)
