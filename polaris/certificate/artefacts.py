@@ -91,7 +91,8 @@ def unchecked(scenario: dict[str, Any], folder: Path) -> list[str]:
     plans = ", ".join(item["name"] for item in specs if item.get("reference", {}).get("kind") == "unaware")
     cheapest = f"the plans that {plans} follows are the cheapest (start, dynamics, limits, goal hold)"
     flown = "statistics of simulated runs in summary.json, which prove nothing"
-    return [cheapest] * bool(plans) + [flown] * found(folder / SUMMARY)
+    bound = "the bound on the share of experimental control in summary.json, over all schedules"
+    return [cheapest] * bool(plans) + [flown, bound] * found(folder / SUMMARY)
 
 
 # -- the summary ------------------------------------------------------------------------------------

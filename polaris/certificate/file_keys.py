@@ -146,7 +146,8 @@ SUMMARY = {
     **every(FLOWN, "polaris safety experimental?"),
     "synthesis": {
         **every(TEXT, "recoverable start_limit"),
-        "experimental_share": SHARE,
+        **every(SHARE, "experimental_share share_at_most"),
+        "share_bound": {**every(Whole(), "programs demands"), "ended": TEXT},
         "switches": Whole(),
         "start_margin": OPTIONAL,
         "planner": Named(object),

@@ -118,6 +118,7 @@ SCENARIO = {
         "min_dwell_steps?": Whole(1, STEPS),
         "max_switches?": Whole(0),
         "beam?": Whole(1, 1000),
+        "bound_programs?": Whole(0, 10**9),
         **every(NOT_NEGATIVE, "delta_v_price? switch_price?"), "delta_v_max_m_s?": POSITIVE,
     },
     "simulation?": {"runs?": Whole(1, 1_000_000), "seed?": Whole(0, 2**63 - 1)},

@@ -33,6 +33,7 @@ from ..synthesis import get_safety, synthesize
 from ..synthesis.controllers import AffineController
 from ..synthesis.same_system import check_safety
 from ..synthesis.schedule import Schedule
+from ..synthesis.share_bound import ShareBound, share_bound
 from . import arrays
 from . import tables as files
 from .certificate import write_certificate
@@ -55,9 +56,10 @@ DATA_FILES = (
 
 @dataclass(frozen=True, eq=False)
 class FlownSchedule:
-    """A schedule, and the simulated runs of S, U and Polaris."""
+    """A schedule, what no schedule can exceed, and the simulated runs of S, U and Polaris."""
 
     schedule: Schedule
+    at_most: ShareBound
     flown: Mapping[str, baselines.Flown]
 
 
@@ -87,9 +89,15 @@ def fly_schedule(scenario: ScheduleScenario, stages: Stages) -> FlownSchedule:
     with stages.stage("schedule"):
         counting = stages.counting("schedule: step {} of {}")
         schedule = synthesize.synthesize(scenario, safety, experimental, progress=counting, recourse=True)
+    with stages.stage("bound"):
+        at_most = _at_most(scenario, schedule)
     with stages.stage("simulation"):
         plan, counting = scenario.simulation, stages.counting("simulation: {} of {} runs")
-        return FlownSchedule(schedule, baselines.compare(schedule, plan.runs, plan.seed, counting))
+        return FlownSchedule(schedule, at_most, baselines.compare(schedule, plan.runs, plan.seed, counting))
+
+
+def _at_most(scenario: ScheduleScenario, schedule: Schedule) -> ShareBound:
+    return share_bound(schedule, scenario.switching_rules(), scenario.model.schedule.bound_programs)
 
 
 def write_run(
@@ -126,7 +134,8 @@ def write_run(
     check_safety(schedule.safety, scenario.problem())  # or the folder would tell of a proof of something else
     if flown is None:
         flown = baselines.compare(schedule, scenario.simulation.runs, scenario.simulation.seed)
-    return write_folder(out, SCHEDULE, scenario, FlownSchedule(schedule, flown), draw=draw)
+    found = FlownSchedule(schedule, _at_most(scenario, schedule), flown)
+    return write_folder(out, SCHEDULE, scenario, found, draw=draw)
 
 
 def _write(folder: Path, scenario: ScheduleScenario, found: FlownSchedule) -> None:
@@ -146,7 +155,7 @@ def _write(folder: Path, scenario: ScheduleScenario, found: FlownSchedule) -> No
 def _tell(scenario: ScheduleScenario, found: FlownSchedule, seconds: Mapping[str, float]) -> dict[str, Any]:
     """Contents of ``summary.json``."""
     schedule, safety = found.schedule, found.schedule.safety
-    plan, stages = safety.plan, dict(schedule.seconds)
+    plan, stages, bound = safety.plan, dict(schedule.seconds), asdict(found.at_most)
     # The schedule tells itself, part by part, how long the two stages of its synthesis took.
     around = {name: time for name, time in seconds.items() if name not in ("safety controller", "schedule")}
     if "experimental controllers" in around:
@@ -156,6 +165,8 @@ def _tell(scenario: ScheduleScenario, found: FlownSchedule, seconds: Mapping[str
         "synthesis": {
             "recoverable": safety.recoverable.kind,
             "experimental_share": schedule.share(),
+            "share_at_most": bound.pop("share"),
+            "share_bound": bound,
             "switches": schedule.switches,
             "start_margin": safety.start_margin.value,
             "start_limit": safety.start_margin.limit,

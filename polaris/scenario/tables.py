@@ -270,6 +270,9 @@ class Schedule(ScenarioPart):
     beam: f.Whole = unit("-", default=1, ge=1, le=1000)
     """Schedules that `look_ahead` keeps at every step for each number of switches and controller. More find
     better ones, in as much more time."""
+    bound_programs: f.Whole = unit("-", default=400, ge=0, le=10**9)
+    """Linear programs, about, spent on a proven bound on the time under experimental controllers over all
+    schedules; 0 for none."""
 
 
 class Simulation(ScenarioPart):

@@ -16,9 +16,11 @@ import numpy as np
 from scipy.optimize import Bounds, LinearConstraint, milp
 from scipy.sparse import coo_array
 
+from reach.numerics.errors import ReachError
 from reach.sets.zonotope import Zonotope
 from reach.tubes.flow import LinearFlow
 
+from ..model.errors import NotCertified
 from ..model.system import Array
 from ..model.tolerances import ROUNDING
 from ..planning.lp import GrowingLP
@@ -40,6 +42,8 @@ STRETCH = (8, 4, 2, 1)
 """Steps by which a window of an impossible flight is stretched, one after the other."""
 NODES = 2000
 """Most nodes of an integer program; what it has proven until then is used."""
+ROWS, STEPS = 20_000, 500
+"""Most rows that state the dwell time, and most steps of a schedule, for which an integer program is made."""
 OPEN = 1e-6
 """Share of the scene's size by which a path may miss a facet that its linear program does not state."""
 
@@ -139,9 +143,16 @@ class Flights:
 
     def impossible(self, held: Held) -> bool:
         """Whether it is proven that no flight keeps clear, as far as the steps are given."""
-        asked = _Clear(self, *self.fly(held))
-        found = asked.impossible()
-        self.programs += 1 + asked.programs
+        self.programs += 1
+        try:
+            flown = self.fly(held)
+            if not all(np.all(np.isfinite(part)) for part in flown):
+                return False
+            asked = _Clear(self, *flown)
+            found = asked.impossible()
+        except (NotCertified, ReachError):  # no answer, or numbers beyond floating point
+            return False
+        self.programs += asked.programs
         return found
 
     def widened(self, held: Held) -> Held:
@@ -244,8 +255,9 @@ class Master:
         self.rows: list[tuple[dict[int, float], float]] = []
         for k in range(K):
             one = dict.fromkeys(range(k * modes, (k + 1) * modes), 1.0)
-            self.rows += [(one, 1.0), ({at: -1.0 for at in one}, -1.0)]
+            self.rows += [(one, 1.0), (dict.fromkeys(one, -1.0), -1.0)]
         dwell, cap = rules.min_dwell, rules.max_switches
+        dwell = dwell if K * modes * dwell <= ROWS else 1
         for k in range(1, K):
             for mode in range(modes):
                 here, before = self._at(k, mode), self._at(k - 1, mode)
@@ -294,7 +306,7 @@ def share_bound(schedule: Schedule, rules: SwitchingRules, limit: int) -> ShareB
     safety = schedule.safety
     problem, laws = safety.problem, schedule.controllers[1:]
     own = [law for law in laws if isinstance(law, AffineController) and law.own is not law.reference]
-    if limit == 0 or len(own) < len(laws) or safety.guarantee != "proved" or not laws:
+    if limit == 0 or len(own) < len(laws) or safety.guarantee != "proved" or problem.K > STEPS:
         return ShareBound(1.0)
     flights, master = Flights(problem, own), Master(problem.K, len(laws) + 1, rules)
     demands, least, ended = 0, 0, "effort_limit"

@@ -43,6 +43,7 @@ def show_summary(summary: Mapping[str, Any], folder: str, console: Console | Non
     start, limit = synthesis["start_margin"], synthesis["start_limit"]
     if start is not None:
         out.say(f"Start: {directed(start, '.1%')} of the room is left, least at {limit}.")
+    out.say(f"U flies {_share(synthesis)}.")
     out.say(f"Synthesis: {seconds['total']:.2f} s ({stages}).")
     proved = claim["kind"] == "proved"
     out.say(f"Guarantee: {_claim(claim)}", "bold" if proved else RED)
@@ -50,6 +51,12 @@ def show_summary(summary: Mapping[str, Any], folder: str, console: Console | Non
     if proved:
         out.say(f"Goal: {_goal(claim['goal'])}")
     out.say(f"Run folder: {folder}")
+
+
+def _share(synthesis: Mapping[str, Any]) -> str:
+    """Share of the time under U, and what is proven of any schedule."""
+    flies, most = f"{synthesis['experimental_share']:.1%} of the time", synthesis["share_at_most"]
+    return f"{flies}, of at most {directed(most - 1e-12, '.1%', up=True)}" if most < 1 else flies
 
 
 def _planned(plan: Mapping[str, Any]) -> str:
