@@ -1,7 +1,8 @@
-"""Whether an undisturbed flight can keep clear at all, with U's law in some steps and any thrust in the others.
+"""Whether an undisturbed flight can keep clear at all, with U's law in some steps and any thrust in others.
 
 What moves is a zonotope whose generators are shared by all instants: the thrust of free steps in parts, and
-what a clipped command may differ from its band. Where no choice of facets is open to it, no flight keeps clear.
+what a clipped command may differ from its band. Where every choice of facets is refuted, no flight keeps
+clear (docs/theory.md, Proposition 20).
 """
 
 from __future__ import annotations

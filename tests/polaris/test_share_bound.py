@@ -144,7 +144,7 @@ def test_the_word_of_a_solver_is_not_enough(monkeypatch):
 
 
 def kept(modes, rules, demands):
-    """Whether modes keep the dwell time between switches, the cap, and every demand."""
+    """Whether modes keep the dwell time from every switch to the next, the cap, and every demand."""
     edges = [k for k in range(1, len(modes)) if modes[k] != modes[k - 1]]
     cap = rules.max_switches
     dwelt = all(b - a >= rules.min_dwell for a, b in zip(edges, edges[1:], strict=False))
