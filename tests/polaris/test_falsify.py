@@ -140,13 +140,13 @@ def test_black_box_does_what_the_attack_says():
 
 
 def test_margins_are_those_of_the_timed_polytopes_between_nodes_too():
-    schedule = synthesised("static")[1]
+    schedule = printed("static")[1]
     claims, coarse = flight_of(schedule)
     box = schedule.safety.problem.unsafe[0]
     attack = Attacker(claims, coarse, np.random.default_rng(0)).worst(60)
     measured = attained(claims, attack.fly(coarse))
-    fine = Integrator(schedule, claims.modes, 64)  # it passes a corner: only the nodes are looked at here
-    fine_attack = Attack(attack.x0, np.repeat(attack.w, 64, axis=0), None)
+    fine = Integrator(schedule, claims.modes, 16)
+    fine_attack = Attack(attack.x0, np.repeat(attack.w, 16, axis=0), None)
     x = attack.x0
     nearest = np.full(len(x), np.inf)
     for step in range(fine.steps):
