@@ -252,7 +252,8 @@ class Windows:
             for attempt in range(ATTEMPTS):
                 path = self.search.improved(self.path(mask)[1])
                 intended = tuple(np.where(mask, 0, self.mode).tolist())
-                schedule = prove(self._certified(path), intended) if path is not None else None
+                plan = self._certified(path)
+                schedule = prove(plan, intended) if plan is not None else None
                 if schedule is None:
                     break
                 yield schedule
@@ -295,10 +296,20 @@ class Windows:
                     break
         return mask
 
-    def _certified(self, path: Candidate) -> Plan:
+    @property
+    def late(self) -> bool:
+        """Whether the wall clock has ended the search early: another machine may find something else."""
+        return perf_counter() > self.search.deadline
+
+    def _certified(self, path: Candidate | None) -> Plan | None:
+        if path is None:
+            return None
         nu = path.z.reshape(self.K, -1) * self.asked.system.u_max
         none = np.zeros((len(self.asked.unsafe), self.K))
-        return certified(self.asked, nu, none, path.fuel, -np.inf, IN_VIEW)
+        try:
+            return certified(self.asked, nu, none, path.fuel, -np.inf, IN_VIEW)
+        except NotCertified:
+            return None
 
 
 def followable(printed: Schedule) -> list[tuple[int, AffineController]]:
@@ -315,8 +326,10 @@ def followable(printed: Schedule) -> list[tuple[int, AffineController]]:
     return found
 
 
-def in_view(printed: Schedule, worth: Worth, prove: Prove) -> Iterator[Schedule]:
-    """Schedules along references with U in view, each proven by `prove`."""
+def views(printed: Schedule, worth: Worth) -> list[Windows]:
+    """The searches for windows along the paths of all laws that a reference can follow."""
+    found = []
     for mode, law in followable(printed):
-        with suppress(NotCertified, ScenarioError):
-            yield from Windows(printed, law, mode, worth).schedules(prove)
+        with suppress(ScenarioError):  # of the loop of a law that S's steps are too long for
+            found.append(Windows(printed, law, mode, worth))
+    return found

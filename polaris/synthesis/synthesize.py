@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import time
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
-from ..model.errors import SynthesisInfeasible
+from ..model.errors import ClockWarning, SynthesisInfeasible
 from ..planning.problem import Plan
 from .controllers import AffineController, AnyThrust, Controller
 from .get_safety import Safety, get_safety
-from .in_view import Worth, in_view
+from .in_view import Worth, views
 from .schedule import Schedule
 from .search import Branch, Search, SwitchingRules
 
@@ -97,5 +98,13 @@ def with_recourse(search: Search, printed: Schedule) -> Schedule:
         return switching_logic(along)
 
     worth = Worth.beside(printed, search.rules)
-    best = max([printed, *in_view(printed, worth, prove)], key=worth)
-    return replace(best, seconds={**printed.seconds, "recourse": time.perf_counter() - begun})
+    searches = views(printed, worth)
+    best = max([printed, *(found for view in searches for found in view.schedules(prove))], key=worth)
+    seconds = {**printed.seconds, "recourse": time.perf_counter() - begun}
+    if any(view.late for view in searches):
+        warnings.warn(
+            f"{LATE}: another machine, or another run, may find another", ClockWarning, stacklevel=3
+        )
+        cut = (*printed.safety.cut_by_clock, LATE)
+        best = replace(best, safety=replace(best.safety, cut_by_clock=cut))
+    return replace(best, seconds=seconds)
