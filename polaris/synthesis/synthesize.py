@@ -80,8 +80,8 @@ def switching_logic(search: Search) -> Schedule:
 def with_recourse(search: Search, printed: Schedule) -> Schedule:
     """The most worthy schedule: the printed one, or one along a reference planned with U in view.
 
-    Each candidate passes both algorithms whole, and one that keeps the budget of velocity change is preferred
-    to one that does not.
+    Each candidate passes both algorithms whole. First come those that are proven safe for as long as the printed
+    one, then those that are proven to arrive, then those that keep the budget of velocity change (`Worth`).
     """
     problem, begun = printed.safety.problem, time.perf_counter()
     laws = [law for law in printed.controllers[1:] if isinstance(law, (AffineController, AnyThrust))]
@@ -102,9 +102,10 @@ def with_recourse(search: Search, printed: Schedule) -> Schedule:
     best = max([printed, *(found for view in searches for found in view.schedules(prove))], key=worth)
     seconds = {**printed.seconds, "recourse": time.perf_counter() - begun}
     if any(view.late for view in searches):
+        told = "the wall clock (planner.time_limit_s) ended the search for a reference with U in view early"
         warnings.warn(
-            f"{LATE}: another machine, or another run, may find another", ClockWarning, stacklevel=3
+            f"{told}: another machine, or another run, may find another", ClockWarning, stacklevel=3
         )
-        cut = (*printed.safety.cut_by_clock, LATE)
+        cut = (*printed.safety.cut_by_clock, "reference with U in view")
         best = replace(best, safety=replace(best.safety, cut_by_clock=cut))
     return replace(best, seconds=seconds)
