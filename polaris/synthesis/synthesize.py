@@ -80,7 +80,7 @@ def switching_logic(search: Search) -> Schedule:
 def with_recourse(search: Search, printed: Schedule) -> Schedule:
     """The most worthy schedule: the printed one, or one along a reference planned with U in view.
 
-    Each candidate passes both algorithms whole. First come those that are proven safe for as long as the printed
+    Each candidate passes both algorithms whole. First come those proven safe for as long as the printed
     one, then those that are proven to arrive, then those that keep the budget of velocity change (`Worth`).
     """
     problem, begun = printed.safety.problem, time.perf_counter()
