@@ -83,7 +83,7 @@ def random_scenes(count: int) -> str:
     goal = sum(new.arrival.reached is True for _, new in found)
     better = sum(new.share() > old.share() for old, new in found)
     return (
-        f"{count} random scenes (of {seed} drawn): share at least the printed one's in {share} (more in {better}),"
+        f"{count} random scenes (of {seed}): share at least the printed one's in {share} (more in {better}),"
         f" velocity change at most its in {fuel}, median of (velocity change / S alone) {ratio:.2f},"
         f" goal proven in {goal}"
     )
@@ -97,9 +97,7 @@ def main() -> None:
     parser.add_argument("names", nargs="*", default=[])
     parser.add_argument("--random", type=int, default=0, metavar="N")
     options = parser.parse_args()
-    print(
-        "scene        S alone             |  printed: share, switches, velocity change, goal, time  |  in view"
-    )
+    print("scene, S alone | printed: share, switches, velocity change, goal, time | the same in view")
     for name in options.names or BUNDLED:
         print(row(name), flush=True)
     if options.random:
