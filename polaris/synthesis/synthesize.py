@@ -12,9 +12,10 @@ from ..model.errors import ClockWarning, SynthesisInfeasible
 from ..planning.problem import Plan
 from .controllers import AffineController, AnyThrust, Controller
 from .get_safety import Safety, get_safety
-from .in_view import Worth, views
+from .in_view import views
 from .schedule import Schedule
 from .search import Branch, Search, SwitchingRules
+from .worth import Worth
 
 
 def synthesize(
