@@ -56,11 +56,11 @@ DATA_FILES = (
 
 @dataclass(frozen=True, eq=False)
 class FlownSchedule:
-    """A schedule, what no schedule can exceed, and the simulated runs of S, U and Polaris."""
+    """A schedule, the simulated runs of S, U and Polaris, and what no schedule can exceed."""
 
     schedule: Schedule
-    at_most: ShareBound
     flown: Mapping[str, baselines.Flown]
+    at_most: ShareBound = ShareBound(1.0)
 
 
 def digest(schedule: Schedule) -> str:
@@ -93,7 +93,8 @@ def fly_schedule(scenario: ScheduleScenario, stages: Stages) -> FlownSchedule:
         at_most = _at_most(scenario, schedule)
     with stages.stage("simulation"):
         plan, counting = scenario.simulation, stages.counting("simulation: {} of {} runs")
-        return FlownSchedule(schedule, at_most, baselines.compare(schedule, plan.runs, plan.seed, counting))
+        flown = baselines.compare(schedule, plan.runs, plan.seed, counting)
+        return FlownSchedule(schedule, flown, at_most)
 
 
 def _at_most(scenario: ScheduleScenario, schedule: Schedule) -> ShareBound:
@@ -134,7 +135,7 @@ def write_run(
     check_safety(schedule.safety, scenario.problem())  # or the folder would tell of a proof of something else
     if flown is None:
         flown = baselines.compare(schedule, scenario.simulation.runs, scenario.simulation.seed)
-    found = FlownSchedule(schedule, _at_most(scenario, schedule), flown)
+    found = FlownSchedule(schedule, flown, _at_most(scenario, schedule))
     return write_folder(out, SCHEDULE, scenario, found, draw=draw)
 
 
