@@ -49,6 +49,7 @@ NO_CLAIM = (
     "scenario.toml: all of it without orbit",
     "scenario.toml: all of it without description",
     "scenario.toml: all of it without planner",
+    "scenario.toml: schedule.bound_programs *",
     "schedule.json: rules.beam *",
     "summary.json: created *",
     "summary.json: definitions*",
