@@ -50,7 +50,7 @@ STARTS, ATTEMPTS = 3, 4
 """Sets of windows that are improved, and attempts to prove each."""
 WORSE = 10.0
 """How much more a step counts by which a schedule is worse than the printed one."""
-SPARE = 1.3
+SPARE = 2.0
 """By how much more than was lacking the clearance is raised from one attempt to the next."""
 
 Prove = Callable[[Plan, tuple[int, ...]], Schedule | None]
