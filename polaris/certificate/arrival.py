@@ -121,7 +121,8 @@ class Weighted:
     def of(cls, goal: Goal, soon: arb, document: Document) -> Weighted:
         """Weigh a goal's rows."""
         every = [*goal.rows, *(row for group in goal.groups for row in group)]
-        rows = matrix([row for row, _ in every], len(document.A))
+        every = every or [_row(len(document.A), {}, 0)]  # any state will do
+        rows = matrix([row for row, _ in every])
         weights = []
         for along, length in zip(norms(rows * matrix(document.C).transpose()), norms(rows), strict=True):
             weight = soon / length if along == 0 and length > 0 else arb(1)
@@ -165,7 +166,9 @@ class Arrival:
         """
         reached, by = claim["reached"] is True, claim["by_s"]
         if reached == (by is None):
-            raise Rejected("goal", "an instant belongs to a goal that is claimed to be reached, and to no other")
+            raise Rejected(
+                "goal", "an instant belongs to a goal that is claimed to be reached, and to no other"
+            )
         rows = Weighted.of(GOALS[spec["kind"]](self.document, spec), self._soon(), self.document)
         needs = Needs(self.loop, self.memory, rows.rows)
         self._tolerance(claim, spec, rows.scale, largest(needs.settled))
@@ -173,7 +176,9 @@ class Arrival:
         refusals: list[Rejected | Undecided] = []
         for node in nodes:
             try:
-                self._no_less("distance from the goal", claim["distance_m"], self._distance(rows, needs, node))
+                self._no_less(
+                    "distance from the goal", claim["distance_m"], self._distance(rows, needs, node)
+                )
                 self._drift(claim["drift_m_per_orbit"], node)
                 spent = self.spent + self._correcting(node)
                 self._no_less("velocity change", claim["delta_v_max_m_s"], spent)
@@ -181,7 +186,9 @@ class Arrival:
                 refusals.append(error)
             else:
                 within = f"within {claim['distance_m']:.4g} m"
-                return f"reached by {by:.6g} s, {within}" if reached else f"not claimed to be reached, {within}"
+                return (
+                    f"reached by {by:.6g} s, {within}" if reached else f"not claimed to be reached, {within}"
+                )
         raise refusals[0]
 
     def _soon(self) -> arb:
