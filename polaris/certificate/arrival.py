@@ -7,8 +7,8 @@ with N sides stands for a circle, inside it where it must not be left, around it
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from itertools import pairwise
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 from flint import arb, arb_mat
@@ -157,6 +157,7 @@ class Arrival:
     memory: Memory
     final: Zonotope
     spent: arb
+    _known: dict[int, list[arb]] = field(default_factory=dict, repr=False)
 
     def check(self, claim: dict[str, Any], spec: dict[str, Any]) -> str:
         """Refuse a claim that does not hold; returns what was confirmed.
@@ -288,13 +289,22 @@ class Arrival:
 
     def _correcting(self, nodes: int) -> arb:
         """Bound on S's velocity change over periods after T [m/s]."""
-        doc, plant, gain = self.document, self.loop.plant, matrix(self.document.laws[0].gain or [])
-        m, total = gain.nrows(), arb(0)
-        needs = Needs(self.loop, self.memory, above(gain, -gain))
-        around = [self._around(needs, node) for node in range(nodes + 1)]
-        for node, (first, last) in enumerate(pairwise(around)):
+        doc, plant, m, total = self.document, self.loop.plant, len(self.document.u_max), arb(0)
+        for node in range(nodes):
+            first, last = self._thrust(node), self._thrust(node + 1)
             u = doc.inputs[doc.steps + node // doc.q]
             for i, top in enumerate(plant.u_max):
                 most = largest((first[i], first[m + i], last[i], last[m + i])) + abs(u[i])
                 total += smallest((most, top))
         return total * plant.h / doc.mass
+
+    @cached_property
+    def _commands(self) -> Needs:
+        gain = matrix(self.document.laws[0].gain or [])
+        return Needs(self.loop, self.memory, above(gain, -gain))
+
+    def _thrust(self, node: int) -> list[arb]:
+        """What S commands for errors, of both signs, in the periods on both sides of a node."""
+        if node not in self._known:
+            self._known[node] = self._around(self._commands, node)
+        return self._known[node]

@@ -1,6 +1,5 @@
 """The claims of the goal and of the velocity change: derived alike twice, and refused if forged."""
 
-import re
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -203,7 +202,7 @@ FORGED = {
     "beyond the tail": lambda goal, h: {"by_s": 1e6},
     "next to never": lambda goal, h: {"by_s": 1.7e308},
     "no instant": lambda goal, h: {"by_s": None},
-    "nearer": lambda goal, h: {"distance_m": 0.99 * goal["distance_m"]},
+    "nearer": lambda goal, h: {"distance_m": 0.3 * goal["distance_m"]},
     "there": lambda goal, h: {"distance_m": 0.0},
     "further than tolerated": lambda goal, h: {"distance_m": goal["tolerance_m"] * 1.01},
     "more tolerated": lambda goal, h: {"tolerance_m": goal["tolerance_m"] * 1.01},
