@@ -109,7 +109,7 @@ def _run_many(
 
 
 def read_run(path: str | Path) -> RunFolder:
-    """Open a folder: of a schedule, a flight, one into the fuel limit, many flights, a comparison, a trade-off.
+    """Open a folder: a schedule, a flight, one into the fuel limit, many flights, comparison, trade-off.
 
     Raises
     ------

@@ -21,7 +21,7 @@ Places = dict[tuple[float, float, int], list[Mapping[str, Any]]]
 
 def draw_tradeoff(points: Sequence[Mapping[str, Any]], folder: Path) -> list[Path]:
     """Draw and write the figure ``tradeoff``, as PDF and PNG."""
-    return save_all([("tradeoff", _front(points))], folder)
+    return save_all(((name, _front(points)) for name in ("tradeoff",)), folder)
 
 
 def _front(points: Sequence[Mapping[str, Any]]) -> Any:
@@ -67,11 +67,20 @@ def _label(ax: Any, places: Places, gap: float) -> None:
     heights[-1] = min(heights[-1], 1.0)
     for i in reversed(range(len(order) - 1)):
         heights[i] = min(heights[i], heights[i + 1] - gap)
+    every = [one["price"] for here in places.values() for one in here]
+    known = sorted(price for price in every if price is not None)
     for place, height in zip(order, heights, strict=True):
-        prices = [one["price"] for one in places[place]]
-        names = ", ".join("printed" if price is None else f"{price:g}" for price in prices)
-        text = f"{shortened(names, 1.2)}: {counted(place[2], 'switch', 'switches')}"
+        text = f"{shortened(_prices(places[place], known), 1.4)}, {counted(place[2], 'switch', 'switches')}"
         look = {"arrowstyle": "-", "lw": 0.4, "color": GREY, "shrinkA": 1, "shrinkB": 3}
         where: Any = {"xytext": (1.04, height), "textcoords": "axes fraction", "va": "center", "fontsize": 7}
         ax.annotate(text, place[:2], arrowprops=look, annotation_clip=False, **where)
-    ax.text(1.04, 1.05, "price: switches", transform=ax.transAxes, fontsize=7, va="bottom", color=GREY)
+
+
+def _prices(here: Sequence[Mapping[str, Any]], known: Sequence[float]) -> str:
+    """Prices of the points at one place, three or more in a row of all that are known as from and to."""
+    prices = sorted(one["price"] for one in here if one["price"] is not None)
+    names = [f"{price:g}" for price in prices]
+    if len(prices) > 2 and prices == [price for price in known if prices[0] <= price <= prices[-1]]:
+        names = [f"{names[0]} to {names[-1]}"]
+    told = [f"price {', '.join(names)}"] if names else []
+    return ", ".join(told + ["printed"] * (len(here) > len(prices)))
