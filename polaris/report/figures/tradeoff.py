@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from matplotlib.lines import Line2D
+from matplotlib.ticker import LogLocator, NullLocator
 
 from ...model.checks import counted
 from ..scene.palette import BLACK, GREY, PURPLE
@@ -14,6 +15,9 @@ from .style import ABOVE, WIDTH, new_figure, save_all, shortened
 
 GAP = 0.14
 """Height of a label [in]."""
+
+SPREAD = 4.0
+"""Ratio of the largest velocity change to the least from which on the axis is logarithmic."""
 
 Places = dict[tuple[float, float, int], list[Mapping[str, Any]]]
 """Points by velocity change [m/s], share [%] and switches."""
@@ -34,6 +38,12 @@ def _front(points: Sequence[Mapping[str, Any]]) -> Any:
     figure = new_figure(height + 0.7, 1.4 * WIDTH)
     ax = figure.add_subplot()
     ax.margins(0.1)
+    spent = [place[0] for place in places]
+    if max(spent) > SPREAD * min(spent) > 0:
+        ax.set_xscale("log")
+        ax.xaxis.set_major_locator(LogLocator(subs=(1, 2, 3, 5)))
+        ax.xaxis.set_major_formatter("{x:g}")
+        ax.xaxis.set_minor_locator(NullLocator())
     front = sorted(place for place, here in places.items() if any(one["non_dominated"] for one in here))
     ax.plot([place[0] for place in front], [place[1] for place in front], color=BLACK, lw=0.9, zorder=2)
     for (x, y, _), here in places.items():
