@@ -134,7 +134,7 @@ class Arrival:
         allowed = (
             arb(spec["tolerance_m"])
             if "tolerance_m" in spec
-            else largest((arb(SHARE) * goal.scale, settled * (1 + arb(SHARE))))
+            else largest((arb(SHARE) * goal.scale, 2 * settled))
         )
         require(
             "goal", allowed * (1 + SLACK) - claim["tolerance_m"], "the tolerance is more than the scenario's"
@@ -179,7 +179,7 @@ class Arrival:
         return arcs[at].nodes[place] if at < len(arcs) else arcs[-1].nodes[-1]
 
     def _distance(self, goal: Goal, node: int) -> tuple[arb, arb]:
-        """Largest excess over the goal's rows at a node, and what S needs along them for ever."""
+        """Largest excess over the goal's rows at a node, and what S needs along them in the end."""
         every = [*goal.rows, *(row for group in goal.groups for row in group)]
         rows = matrix([row for row, _ in every])
         weights = self._weights(rows)
@@ -195,7 +195,7 @@ class Arrival:
         for group in goal.groups:
             found.append(smallest(over[at : at + len(group)]))
             at += len(group)
-        return largest(found), largest(needs.disturbed[-1])
+        return largest(found), largest(self._need(needs, self.memory.periods + 1))
 
     def _weights(self, rows: arb_mat) -> list[arb]:
         """A row of velocities alone counts for no more than the length made in `SOON` of the horizon."""

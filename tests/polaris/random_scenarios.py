@@ -511,8 +511,8 @@ def _plain(value: Any) -> Any:
 # -- running ----------------------------------------------------------------------------------------
 
 
-def synthesised(seed: int, folder: Path) -> tuple[Any, Any]:
-    """(scenario, schedule) of a random scene, read from a file that is written into a folder.
+def synthesised(seed: int, folder: Path, *assignments: str) -> tuple[Any, Any]:
+    """(scenario, schedule) of a random scene, read from a file that is written into a folder, and changed.
 
     Raises
     ------
@@ -527,10 +527,10 @@ def synthesised(seed: int, folder: Path) -> tuple[Any, Any]:
     def make():
         path = folder / f"random-{seed}.toml"
         path.write_text(random_scenario(seed), encoding="utf-8")
-        scenario = load_scenario(path)
+        scenario = load_scenario(path, assignments)
         return scenario, synthesize(scenario)
 
-    return kept(f"random-{seed}", make)
+    return kept("-".join(["random", str(seed), *assignments]), make)
 
 
 def written(seed: int, folder: Path) -> Path:

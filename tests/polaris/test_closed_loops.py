@@ -31,20 +31,23 @@ FIRST = 5000
 """Scenes of the slow tests begin here."""
 
 
+PRINTED = "recoverable.recourse=none"
+
+
 @cache
-def made(seed):
+def made(seed, *assignments):
     """Schedule of a random scene, if it is proved."""
     with TemporaryDirectory() as folder:
         try:
-            schedule = synthesised(seed, Path(folder))[1]
+            schedule = synthesised(seed, Path(folder), *assignments)[1]
         except PolarisError:
             return None
     return schedule if schedule.guarantee == "proved" else None
 
 
-def proved(seeds):
+def proved(seeds, *assignments):
     """(seed, schedule) of the random scenes that are proved."""
-    return ((seed, schedule) for seed in seeds if (schedule := made(seed)) is not None)
+    return ((seed, schedule) for seed in seeds if (schedule := made(seed, *assignments)) is not None)
 
 
 def judge(seed, found):
@@ -102,11 +105,12 @@ def test_the_integrator_agrees_with_the_packages():
 
 
 def test_a_few_proofs_hold_at_their_worst_and_leave_little_idle():
-    found = {seed: attack(schedule, 60, seed) for seed, schedule in proved(FEW)}
-    assert len(found) == len(FEW)
-    for seed, one in found.items():
-        judge(seed, one)
-    assert np.median([one.tight for one in found.values()]) > 0.8
+    for assignments, least in (((PRINTED,), 0.8), ((), 0.6)):  # with U in view it stays well inside
+        found = {seed: attack(schedule, 60, seed) for seed, schedule in proved(FEW, *assignments)}
+        assert len(found) == len(FEW)
+        for seed, one in found.items():
+            judge(seed, one)
+        assert np.median([one.tight for one in found.values()]) > least
 
 
 def test_a_schedule_that_ignores_its_proof_is_broken():
@@ -144,7 +148,7 @@ def test_falsify_looks_beyond_the_end_however_few_its_runs():
 
 def test_a_few_monitors_hold_at_their_worst():
     under = []
-    for seed, schedule in proved((5010, 5024, 5050)):
+    for seed, schedule in proved((5010, 5024, 5050), PRINTED):
         found, share = attack_monitor(monitored(seed, schedule), 40, seed)
         judge(seed, found)
         under.append(share)

@@ -172,6 +172,7 @@ def clipped_verdicts(seeds, folder):
                 law["R"] = [weight / 10 ** rng.uniform(0, 2) for weight in law["R"]]
             else:
                 law["gain"] = [[2 * x for x in row] for row in law["gain"]]
+        model.setdefault("recoverable", {})["recourse"] = "none"  # with U in view it need not clip
         path = folder / "clipped.toml"
         path.write_text(write_toml(model), encoding="utf-8")
         try:

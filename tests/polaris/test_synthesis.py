@@ -15,7 +15,7 @@ from polaris.synthesis.get_safety import get_recover, get_safety
 from polaris.synthesis.search import SwitchingRules
 from polaris.synthesis.synthesize import synthesize
 
-from .conftest import small_controllers, small_problem, small_safety, synthesised
+from .conftest import printed, small_controllers, small_problem, small_safety, synthesised
 
 FEASIBLE = ["static", "dynamic", "keep_out", "hold_point", "robot"]
 
@@ -142,7 +142,7 @@ def pulses(modes):
     ],
 )
 def test_dwell_and_cap_are_kept(strategy, dwell, cap):
-    scenario, schedule = synthesised("static")
+    scenario, schedule = printed("static")
     rules = SwitchingRules(strategy, dwell, cap, (1.0,))
     other = synthesize(scenario, schedule.safety, schedule.controllers[1:], rules)
     assert cap is None or other.switches <= cap
