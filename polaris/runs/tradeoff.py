@@ -15,7 +15,7 @@ from ..scenario.base import parse_assignment
 from ..scenario.scenario import ScheduleScenario, load_scenario
 from .atomic import check_target
 from .campaign.drive import Interrupted
-from .campaign.workers import Workers, given, local
+from .campaign.workers import AHEAD, Workers, given, local
 from .folder import SCENARIO, Draw, RunFolder, write_folder
 from .front import TRADEOFF, Row, non_dominated, row_of
 from .ownership import listed, tidy_all, write_manifest
@@ -145,7 +145,7 @@ def _compute(
     executor = workers.make() if missing else None
     try:
         while executor and (missing or flying):
-            while missing and len(flying) < workers.window():
+            while missing and len(flying) < max(workers.window() // AHEAD, 1):  # none waits, to be cut short
                 name = missing.popleft()
                 flying[executor.submit(_write_point, points[name], target / name)] = name
             for future in wait(flying, return_when=FIRST_COMPLETED).done:
