@@ -165,6 +165,14 @@ class Picture:
         """Positions of one run [m], shape (N+1, d)."""
         return np.asarray(flights.states[run] @ self.system.position.T)
 
+    @property
+    def arrival(self) -> str:
+        """By when the goal is proven to be reached, in words; nothing if it is not."""
+        if self.reached is None:
+            return ""
+        after = ", under S after T" if self.reached > self.duration * (1 + 1e-9) else ""
+        return f"goal reached by {seconds(self.reached)} s{after}"
+
     def velocity_change(self, runs: Flights | Shown) -> Array:
         """How the velocity change of runs adds up, the 1-norm of the input over the mass [m/s], (r, N+1)."""
         parts = np.abs(runs.inputs).sum(axis=2) * np.diff(runs.times) / self.system.mass

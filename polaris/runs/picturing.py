@@ -54,8 +54,8 @@ def picture_of(schedule: Schedule, flights: Mapping[str, Flights] | None = None)
         limits=tuple(step.margin.limit for step in schedule.steps),
         flights=flights,
         tube=tube_of(schedule),
-        reached=arrival and arrival.by,
-        delta_v_max=arrival and arrival.delta_v,
+        reached=arrival.by if arrival else None,
+        delta_v_max=arrival.delta_v if arrival else None,
     )
     return replace(picture, slices=recoverable_slices(schedule.safety, picture))
 

@@ -93,6 +93,21 @@ def test_axes_have_units_and_obstacles_have_names(picture):
     assert upper.get_ylabel() == "Distance (m)" and lower.get_xlabel() == "Time (s)"
 
 
+def test_every_hand_over_has_the_set_of_its_own_time(picture):
+    told = [text.get_text() for text in drawn("scene", picture).axes[0].texts]
+    switches = np.flatnonzero(np.diff(picture.modes)) + 1
+    assert (
+        len(switches) and [one.mode for one in picture.printed_slices()] == picture.modes[switches].tolist()
+    )
+    for one, k in zip(picture.printed_slices(), switches, strict=True):
+        assert one.time == pytest.approx(k * picture.reference.delta)
+        assert f"{'SU'[one.mode]} from {one.time:.3g} s" in told
+        for obstacle in picture.obstacles:  # this is why it is safe
+            assert obstacle.signed_distance(np.full(len(one.outline), one.time), one.outline).min() > 0
+    gone = replace(picture.slices, times=picture.slices.times + 0.1 * picture.reference.delta)
+    assert not list(replace(picture, slices=gone).printed_slices())
+
+
 def test_hills_frame_is_along_track_to_the_right_and_radial_up():
     frame = Frame.of(clohessy_wiltshire(0.0012, 10.0, 0.1))
     assert frame.axes == (1, 0, 2)

@@ -69,10 +69,10 @@ def _spent(ax: Any, picture: Picture) -> None:
     if picture.delta_v_max is not None:
         ax.axhline(picture.delta_v_max, color=GREY, lw=0.7)
         _beside(ax, 0.01, picture.delta_v_max, "until the goal at most, proven", color=GREY, va="top")
-    if picture.reached is not None and picture.reached <= picture.duration * (1 + 1e-9):
-        ax.axvline(picture.reached, color=GREEN, lw=1.2, ls=GOAL_DASHES, clip_on=False)
-        look = {"color": GREEN, "fontsize": 7, "ha": "right", "va": "bottom"}
-        ax.text(picture.reached, 0.0, "goal reached ", transform=ax.get_xaxis_transform(), **look)
+    if picture.reached is not None:  # at T or later: a line there is seen only if it is at T
+        ax.axvline(picture.reached, color=GREEN, lw=1.2, ls=GOAL_DASHES)
+    look = {"color": GREEN, "fontsize": 7, "ha": "right", "va": "bottom"}
+    ax.text(0.99, 0.02, picture.arrival, transform=ax.transAxes, **look)
     ax.set(ylim=(0, None), ylabel="Velocity\nchange (m/s)")
     ax.grid(True)
 

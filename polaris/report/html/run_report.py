@@ -68,7 +68,7 @@ def answers(summary: Mapping[str, Any], picture: Picture) -> str:
     """The first screen: is it safe, does it arrive, what does it cost, and who flies when."""
     claim, flown, found = summary["guarantee"], summary["polaris"], summary["synthesis"]
     goal, proved = claim["goal"], claim["kind"] == "proved"
-    within, most = (directed(goal[key], ".4g", up=True) for key in ("distance_m", "delta_v_max_m_s"))
+    within, most = _most(goal, "distance_m"), _most(goal, "delta_v_max_m_s")
     runs = counted(flown["runs"], "simulated run")
     arrives = ("nothing is claimed", "the proof that it would rest on is missing")
     cost = f"mean of {runs}"
@@ -92,8 +92,15 @@ def answers(summary: Mapping[str, Any], picture: Picture) -> str:
             f"{counted(found['switches'], 'switch', 'switches')}; {_when(picture)}{_bar(picture)}",
         ),
     )
-    told = (f"<div><dt>{head}</dt><dd><strong>{text}</strong> {more}</dd></div>" for head, text, more in cards)
+    told = (
+        f"<div><dt>{head}</dt><dd><strong>{text}</strong> {more}</dd></div>" for head, text, more in cards
+    )
     return f'<dl class="answers">{"".join(told)}</dl>'
+
+
+def _most(goal: Mapping[str, Any], key: str) -> str:
+    """A bound of the goal's claim."""
+    return directed(goal[key], ".4g", up=True)
 
 
 def _time(t: float) -> str:
@@ -115,7 +122,8 @@ def _bar(picture: Picture) -> str:
         f'<i style="flex: {b - a}; background: {mode_colour(mode)}"></i>'
         for a, b, mode in zip(ends[:-1], ends[1:], picture.modes[ends[:-1]].tolist(), strict=True)
     )
-    return f'<span class="modes" role="img" aria-label="Who flies, from 0 to {_time(picture.duration)}">{parts}</span>'
+    label = f"Who flies, from 0 to {_time(picture.duration)}"
+    return f'<span class="modes" role="img" aria-label="{label}">{parts}</span>'
 
 
 def metrics(summary: Mapping[str, Any]) -> str:
@@ -162,7 +170,8 @@ def reach(claim: Mapping[str, Any]) -> str:
 def guarantee(claim: Mapping[str, Any], recoverable: str) -> str:
     """The section of an ordinary run folder, from ``summary.json``."""
     if claim["kind"] != "proved":
-        return f"{loud(recoverable)}\n{_part('What is not proven', items(('Anything.', NO_GOAL, NOT_PROVEN[0])))}"
+        nothing = items(("Anything.", NO_GOAL, NOT_PROVEN[0]))
+        return f"{loud(recoverable)}\n{_part('What is not proven', nothing)}"
     what = (
         "From every state of the initial set, under every admissible disturbance, and whatever the "
         "experimental controllers do within their declared models, the spacecraft under the schedule enters "
@@ -175,8 +184,8 @@ def guarantee(claim: Mapping[str, Any], recoverable: str) -> str:
     arrives = goal["reached"] is True
     if arrives:
         what += (
-            f" It is within {directed(goal['distance_m'], '.4g', up=True)} m of the goal at {_time(goal['by_s'])}, "
-            f"for a velocity change of at most {directed(goal['delta_v_max_m_s'], '.4g', up=True)} m/s until then."
+            f" It is within {_most(goal, 'distance_m')} m of the goal at {_time(goal['by_s'])}, for a "
+            f"velocity change of at most {_most(goal, 'delta_v_max_m_s')} m/s until then."
         )
     parts = (
         ("What is proven", f"<p>{what}</p>"),

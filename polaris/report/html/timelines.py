@@ -83,7 +83,11 @@ def flight_data(
     label, names = input_labels(picture.system)
     what, _, unit = label.rstrip(")").partition(" (")
     titles = [f"{what}, {name}" if what != "Input" else f"Input: {name}" for name in names]
-    panels = [_margins(picture), _spent(picture.delta_v_max if proved else None, spent), *input_panels(titles, unit, picture.system.u_max, drawn)]
+    panels = [
+        _margins(picture),
+        _spent(picture.delta_v_max if proved else None, spent),
+        *input_panels(titles, unit, picture.system.u_max, drawn),
+    ]
     if picture.obstacles:
         title = "Distance to the nearest unsafe set"
         panels.insert(0, panel("distance", title, "m", [limit(0.0, "unsafe", "below")], distances))
@@ -103,7 +107,9 @@ def flight_data(
         "modes": modes_present(present, named),
         "modes_title": WHO,
         "by": by,
-        "marks": [{"t": plain(picture.reached), "text": "goal reached"}] if proved and picture.reached else [],
+        "marks": [{"t": plain(picture.reached), "text": picture.arrival}]
+        if proved and picture.reached
+        else [],
         "pilots": pilots,
         "panels": panels,
     }

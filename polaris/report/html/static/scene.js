@@ -74,7 +74,7 @@ function overTraces(data, layer, state, now) {
     const text = traceOf(space, name, { p: p.map((axis, k) => [Math.min(Math.max(axis[end], range[k][0]), range[k][1])]) },
       { kind: "text", colour, opacity: 1, text: [name], size: 1, uid: uid + "name" });
     return [traceOf(space, name + ": recoverable then", { p }, { kind: "line", colour, opacity: 1, width: space === 3 ? 3 : 1.5, dash: i === now ? "solid" : "dash", uid }),
-      { ...text, textposition: side ? "bottom center" : "middle right" }];
+      { ...text, textposition: side ? "top center" : "middle right" }];
   });
 }
 
