@@ -73,11 +73,10 @@ def answers(summary: Mapping[str, Any], picture: Picture) -> str:
     arrives = ("nothing is claimed", "the proof that it would rest on is missing")
     cost = f"mean of {runs}"
     if proved:
-        arrives = {
-            True: (f"by {_time(goal['by_s'])}", f"proven, within {within} m of the goal"),
-            "not_proven": ("not proven", f"at best within {within} m; {goal['tolerance_m']:.4g} m would do"),
-            False: ("no", f"at best within {within} m; {goal['tolerance_m']:.4g} m would do"),
-        }[goal["reached"]]
+        word = "not proven" if goal["reached"] == "not_proven" else "no"
+        arrives = (word, f"at best within {within} m; {goal['tolerance_m']:.4g} m would do")
+        if goal["reached"] is True:
+            arrives = (f"by {_time(goal['by_s'])}", f"proven, within {within} m of the goal")
         then = "to the goal" if goal["reached"] is True else "by then"
         cost += f"; {then} at most {most} m/s, proven"
     if "safety" in summary:
