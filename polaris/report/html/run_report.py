@@ -77,7 +77,7 @@ def answers(summary: Mapping[str, Any], picture: Picture) -> str:
         arrives = (word, f"at best within {within} m; {goal['tolerance_m']:.4g} m would do")
         if goal["reached"] is True:
             arrives = (f"by {_time(goal['by_s'])}", f"proven, within {within} m of the goal")
-        then = "to the goal" if goal["reached"] is True else "by then"
+        then = "to the goal" if goal["reached"] is True else "until it is nearest"
         cost += f"; {then} at most {most} m/s, proven"
     if "safety" in summary:
         cost += f"; S alone {Measure.of('delta_v_m_s').text(summary['safety']['delta_v_m_s'])}"
