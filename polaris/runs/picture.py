@@ -171,7 +171,7 @@ class Picture:
         if self.reached is None:
             return ""
         after = ", under S after T" if self.reached > self.duration * (1 + 1e-9) else ""
-        return f"goal reached by {seconds(self.reached)} s{after}"
+        return f"goal reached by {self.reached:.6g} s{after}"
 
     def velocity_change(self, runs: Flights | Shown) -> Array:
         """How the velocity change of runs adds up, the 1-norm of the input over the mass [m/s], (r, N+1)."""

@@ -72,7 +72,7 @@ def _spent(ax: Any, picture: Picture) -> None:
     if picture.reached is not None:  # at T or later: a line there is seen only if it is at T
         ax.axvline(picture.reached, color=GREEN, lw=1.2, ls=GOAL_DASHES)
     look = {"color": GREEN, "fontsize": 7, "ha": "right", "va": "bottom"}
-    ax.text(0.99, 0.02, picture.arrival, transform=ax.transAxes, **look)
+    ax.text(1.0, 1.01, picture.arrival, transform=ax.transAxes, **look)
     ax.set(ylim=(0, None), ylabel="Velocity\nchange (m/s)")
     ax.grid(True)
 
