@@ -10,14 +10,13 @@ reference will do for Theorem 2, and each candidate passes both algorithms whole
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from time import perf_counter
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..model.errors import NotCertified, PolarisError, ScenarioError
 from ..model.system import Array
@@ -31,10 +30,8 @@ from .controllers import AffineController
 from .planning_problem import perceive_unsafe, plan_problem
 from .recoverable import contains_tube
 from .schedule import Schedule
-from .search import SwitchingRules
 from .tracking import Tracking
-
-Mask = NDArray[np.bool_]
+from .worth import Mask, Worth
 
 STICKING = (20.0, 3.0)
 """Prices of a departure from U's path, in units of what its fuel costs, at which windows are looked for."""
@@ -48,74 +45,11 @@ PROGRAMS = 120
 """Most windows tried from each start."""
 STARTS, ATTEMPTS = 3, 4
 """Sets of windows that are improved, and attempts to prove each."""
-WORSE = 10.0
-"""How much more a step counts by which a schedule is worse than the printed one."""
-SPARE = 1.3
+SPARE = 2.0
 """By how much more than was lacking the clearance is raised from one attempt to the next."""
 
 Prove = Callable[[Plan, tuple[int, ...]], Schedule | None]
 """What both algorithms make of a plan and the modes intended along it; None if nothing is proven."""
-
-
-@dataclass(frozen=True)
-class Worth:
-    """What a schedule is worth: the time of U, less velocity change and switches, as shares of the horizon.
-
-    Parameters
-    ----------
-    rules : SwitchingRules
-        Weights, prices and budget.
-    scale : float
-        Velocity change of S alone [m/s], the unit of the price of velocity change.
-    share, delta_v : float
-        Share of the time under U and velocity change [m/s] of the printed algorithms' schedule. Less of the
-        one or more of the other is worth `WORSE` times as much less: it is hardly ever preferred.
-    until : float
-        Instant [s] until which the printed one is proven safe.
-    """
-
-    rules: SwitchingRules
-    scale: float
-    share: float
-    delta_v: float
-    until: float
-
-    @classmethod
-    def beside(cls, printed: Schedule, rules: SwitchingRules) -> Worth:
-        """Worth of the schedules of one scene, in units of what S alone would spend there."""
-        problem = printed.safety.problem
-        most = problem.K * problem.delta * float(problem.system.u_max.sum()) / problem.system.mass
-        scale = max(printed.safety.plan.delta_v, 1e-3 * most)
-        return cls(rules, scale, printed.share(), printed.delta_v[0], printed.safety.end.until)
-
-    def of(self, shares: Mapping[int, float], delta_v: float, switches: int) -> float:
-        """Worth of shares of the time by mode, a velocity change [m/s] and a number of switches."""
-        time = sum(self.weight(mode) * share for mode, share in shares.items())
-        price = self.rules.delta_v_price * delta_v / self.scale + self.rules.switch_price * switches
-        less = max(self.share - sum(share for mode, share in shares.items() if mode), 0.0)
-        more = max(delta_v - self.delta_v, 0.0) / self.scale
-        return time - price - WORSE * (less + more)
-
-    def weight(self, mode: int) -> float:
-        """Worth of a step under one mode."""
-        weights = self.rules.weights
-        return 0.0 if mode == 0 else weights[mode - 1] if mode <= len(weights) else 1.0
-
-    def __call__(self, schedule: Schedule) -> tuple[bool, bool, bool, float]:
-        """Whether a schedule is as long safe as the printed one, arrives and keeps the budget; its worth."""
-        shares = {mode: schedule.share(mode) for mode in range(len(schedule.controllers))}
-        delta_v, most = schedule.delta_v
-        within = self.rules.delta_v_max is None or most <= self.rules.delta_v_max
-        lasts = schedule.safety.end.until >= self.until
-        return lasts, schedule.arrival.reached is True, within, self.of(shares, delta_v, schedule.switches)
-
-    def allows(self, mask: Mask) -> bool:
-        """Whether S may fly just these steps, by the dwell time and the cap on switches."""
-        edges = np.r_[0, np.flatnonzero(np.diff(mask)) + 1, len(mask)]
-        switches = len(edges) - 2
-        cap = self.rules.max_switches
-        spent = switches + (not mask[-1] and switches > 0)
-        return bool(np.all(np.diff(edges)[:-1] >= self.rules.min_dwell)) and (cap is None or spent <= cap)
 
 
 def windows(mask: Mask) -> list[tuple[int, int]]:
@@ -252,7 +186,8 @@ class Windows:
             for attempt in range(ATTEMPTS):
                 path = self.search.improved(self.path(mask)[1])
                 intended = tuple(np.where(mask, 0, self.mode).tolist())
-                schedule = prove(self._certified(path), intended) if path is not None else None
+                plan = self._certified(path)
+                schedule = prove(plan, intended) if plan is not None else None
                 if schedule is None:
                     break
                 yield schedule
@@ -295,10 +230,20 @@ class Windows:
                     break
         return mask
 
-    def _certified(self, path: Candidate) -> Plan:
+    @property
+    def late(self) -> bool:
+        """Whether the wall clock has ended the search early: another machine may find something else."""
+        return perf_counter() > self.search.deadline
+
+    def _certified(self, path: Candidate | None) -> Plan | None:
+        if path is None:
+            return None
         nu = path.z.reshape(self.K, -1) * self.asked.system.u_max
         none = np.zeros((len(self.asked.unsafe), self.K))
-        return certified(self.asked, nu, none, path.fuel, -np.inf, IN_VIEW)
+        try:
+            return certified(self.asked, nu, none, path.fuel, -np.inf, IN_VIEW)
+        except NotCertified:
+            return None
 
 
 def followable(printed: Schedule) -> list[tuple[int, AffineController]]:
@@ -315,8 +260,10 @@ def followable(printed: Schedule) -> list[tuple[int, AffineController]]:
     return found
 
 
-def in_view(printed: Schedule, worth: Worth, prove: Prove) -> Iterator[Schedule]:
-    """Schedules along references with U in view, each proven by `prove`."""
+def views(printed: Schedule, worth: Worth) -> list[Windows]:
+    """The searches for windows along the paths of all laws that a reference can follow."""
+    found = []
     for mode, law in followable(printed):
-        with suppress(NotCertified, ScenarioError):
-            yield from Windows(printed, law, mode, worth).schedules(prove)
+        with suppress(ScenarioError):  # of the loop of a law that S's steps are too long for
+            found.append(Windows(printed, law, mode, worth))
+    return found

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import time
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
-from ..model.errors import SynthesisInfeasible
+from ..model.errors import ClockWarning, SynthesisInfeasible
 from ..planning.problem import Plan
 from .controllers import AffineController, AnyThrust, Controller
 from .get_safety import Safety, get_safety
-from .in_view import Worth, in_view
+from .in_view import views
 from .schedule import Schedule
 from .search import Branch, Search, SwitchingRules
+from .worth import Worth
 
 
 def synthesize(
@@ -79,8 +81,8 @@ def switching_logic(search: Search) -> Schedule:
 def with_recourse(search: Search, printed: Schedule) -> Schedule:
     """The most worthy schedule: the printed one, or one along a reference planned with U in view.
 
-    Each candidate passes both algorithms whole, and one that keeps the budget of velocity change is preferred
-    to one that does not.
+    Each candidate passes both algorithms whole. First come those proven safe for as long as the printed
+    one, then those that are proven to arrive, then those that keep the budget of velocity change (`Worth`).
     """
     problem, begun = printed.safety.problem, time.perf_counter()
     laws = [law for law in printed.controllers[1:] if isinstance(law, (AffineController, AnyThrust))]
@@ -97,5 +99,14 @@ def with_recourse(search: Search, printed: Schedule) -> Schedule:
         return switching_logic(along)
 
     worth = Worth.beside(printed, search.rules)
-    best = max([printed, *in_view(printed, worth, prove)], key=worth)
-    return replace(best, seconds={**printed.seconds, "recourse": time.perf_counter() - begun})
+    searches = views(printed, worth)
+    best = max([printed, *(found for view in searches for found in view.schedules(prove))], key=worth)
+    seconds = {**printed.seconds, "recourse": time.perf_counter() - begun}
+    if any(view.late for view in searches):
+        told = "the wall clock (planner.time_limit_s) ended the search for a reference with U in view early"
+        warnings.warn(
+            f"{told}: another machine, or another run, may find another", ClockWarning, stacklevel=3
+        )
+        cut = (*printed.safety.cut_by_clock, "reference with U in view")
+        best = replace(best, safety=replace(best.safety, cut_by_clock=cut))
+    return replace(best, seconds=seconds)

@@ -13,9 +13,10 @@ from polaris.planning.rows import Rows
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.simulate import simulate
 from polaris.synthesis.arrival import _distance, _weights
-from polaris.synthesis.in_view import Windows, Worth, followable, in_windows, neighbours, windows
+from polaris.synthesis.in_view import Windows, followable, in_windows, neighbours, windows
 from polaris.synthesis.search import SwitchingRules
 from polaris.synthesis.synthesize import synthesize
+from polaris.synthesis.worth import Worth
 
 from .random_scenarios import synthesised as random_schedule
 from .tiny import TINY, synthesised

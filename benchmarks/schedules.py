@@ -1,0 +1,108 @@
+"""Schedules along a reference planned with U in view, beside those of the printed algorithms.
+
+    python -m benchmarks.schedules                    bundled scenarios
+    python -m benchmarks.schedules static robot
+    python -m benchmarks.schedules --random 100       random scenes of the tests as well (some minutes)
+
+For each scene: share of time under the experimental controllers, switches, mean velocity change of
+simulated runs (of the middle of the tubes in random scenes), that of S alone, and whether the goal is proven
+reached. Times are CPU seconds of the whole synthesis; the printed one is a part of it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+import warnings
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from polaris.model.errors import PolarisError
+from polaris.scenario.scenario import ScheduleScenario, load_scenario
+from polaris.simulation.simulate import simulate
+from polaris.synthesis.schedule import Schedule
+from polaris.synthesis.synthesize import synthesize
+
+BUNDLED = ("static", "dynamic", "keep_out", "hold_point", "robot")
+PRINTED = "recoverable.recourse=none"
+RUNS = 100
+
+
+def timed(scenario: ScheduleScenario) -> tuple[Schedule, float]:
+    """The schedule, and the CPU time that it took [s]."""
+    begun = time.process_time()
+    return synthesize(scenario), time.process_time() - begun
+
+
+def spent(schedule: Schedule, mode: int | None = None) -> float:
+    """Mean velocity change of simulated runs [m/s]; of one controller alone with a mode."""
+    return float(simulate(schedule, RUNS, 0, mode=mode).delta_v.mean())
+
+
+def row(name: str) -> str:
+    """A bundled scene: printed, and with U in view."""
+    scenario = load_scenario(name)
+    printed, first = timed(scenario.with_assignments([PRINTED]))
+    found, whole = timed(scenario)
+    cells = [f"{name:11s}  S alone {spent(printed, 0):6.3f} m/s"]
+    for schedule, seconds in ((printed, first), (found, whole)):
+        goal = schedule.arrival
+        arrives = f"by {goal.by:.6g} s" if goal.by is not None else str(goal.reached)
+        told = (
+            f"{schedule.share():6.1%} {schedule.switches:3d} {spent(schedule):7.3f} m/s  goal {arrives:12s}"
+        )
+        cells.append(f"{told} {seconds:5.1f} s")
+    return "  |  ".join(cells)
+
+
+def random_scenes(count: int) -> str:
+    """What comes of the first so many random scenes that are proved."""
+    from tests.polaris.random_scenarios import random_scenario
+
+    found: list[tuple[Schedule, Schedule]] = []
+    seed = 0
+    with TemporaryDirectory() as folder, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        while len(found) < count:
+            path = Path(folder) / "scene.toml"
+            path.write_text(random_scenario(seed), encoding="utf-8")
+            seed += 1
+            try:
+                scenario = load_scenario(path)
+                printed = synthesize(scenario.with_assignments([PRINTED]))
+                if printed.guarantee == "proved":
+                    found.append((printed, synthesize(scenario)))
+            except PolarisError:
+                continue
+    fuel_of = [(old.safety.plan.delta_v, old.delta_v[0], new.delta_v[0]) for old, new in found]
+    share = sum(new.share() >= old.share() for old, new in found)
+    fuel = sum(new <= old * (1 + 1e-9) for _, old, new in fuel_of)
+    ratio = np.median([new / alone for alone, _, new in fuel_of if alone > 0])
+    goal = sum(new.arrival.reached is True for _, new in found)
+    better = sum(new.share() > old.share() for old, new in found)
+    return (
+        f"{count} random scenes (of {seed}): share at least the printed one's in {share} (more in {better}),"
+        f" velocity change at most its in {fuel}, median of (velocity change / S alone) {ratio:.2f},"
+        f" goal proven in {goal}"
+    )
+
+
+def main() -> None:
+    """Run it."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("names", nargs="*", default=[])
+    parser.add_argument("--random", type=int, default=0, metavar="N")
+    options = parser.parse_args()
+    print("scene, S alone | printed: share, switches, velocity change, goal, time | the same in view")
+    for name in options.names or BUNDLED:
+        print(row(name), flush=True)
+    if options.random:
+        print(random_scenes(options.random))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,78 @@
+"""What a schedule is worth: what the search for references with U in view compares schedules by."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .schedule import Schedule
+from .search import SwitchingRules
+
+Mask = NDArray[np.bool_]
+"""Steps that S is meant to fly, shape (K,)."""
+WORSE = 10.0
+"""How much more a step counts by which a schedule is worse than the printed one."""
+
+
+@dataclass(frozen=True)
+class Worth:
+    """What a schedule is worth: the time of U, less velocity change and switches, as shares of the horizon.
+
+    Parameters
+    ----------
+    rules : SwitchingRules
+        Weights, prices and budget.
+    scale : float
+        Velocity change of S alone [m/s], the unit of the price of velocity change.
+    share, delta_v : float
+        Share of the time under U and velocity change [m/s] of the printed algorithms' schedule. Less of the
+        one or more of the other is worth `WORSE` times as much less: it is hardly ever preferred.
+    until : float
+        Instant [s] until which the printed one is proven safe.
+    """
+
+    rules: SwitchingRules
+    scale: float
+    share: float
+    delta_v: float
+    until: float
+
+    @classmethod
+    def beside(cls, printed: Schedule, rules: SwitchingRules) -> Worth:
+        """Worth of the schedules of one scene, in units of what S alone would spend there."""
+        problem = printed.safety.problem
+        most = problem.K * problem.delta * float(problem.system.u_max.sum()) / problem.system.mass
+        scale = max(printed.safety.plan.delta_v, 1e-3 * most)
+        return cls(rules, scale, printed.share(), printed.delta_v[0], printed.safety.end.until)
+
+    def of(self, shares: Mapping[int, float], delta_v: float, switches: int) -> float:
+        """Worth of shares of the time by mode, a velocity change [m/s] and a number of switches."""
+        time = sum(self.weight(mode) * share for mode, share in shares.items())
+        price = self.rules.delta_v_price * delta_v / self.scale + self.rules.switch_price * switches
+        less = max(self.share - sum(share for mode, share in shares.items() if mode), 0.0)
+        more = max(delta_v - self.delta_v, 0.0) / self.scale
+        return time - price - WORSE * (less + more)
+
+    def weight(self, mode: int) -> float:
+        """Worth of a step under one mode."""
+        weights = self.rules.weights
+        return 0.0 if mode == 0 else weights[mode - 1] if mode <= len(weights) else 1.0
+
+    def __call__(self, schedule: Schedule) -> tuple[bool, bool, bool, float]:
+        """Whether a schedule is as long safe as the printed one, arrives and keeps the budget; its worth."""
+        shares = {mode: schedule.share(mode) for mode in range(len(schedule.controllers))}
+        delta_v, most = schedule.delta_v
+        within = self.rules.delta_v_max is None or most <= self.rules.delta_v_max
+        lasts = schedule.safety.end.until >= self.until
+        return lasts, schedule.arrival.reached is True, within, self.of(shares, delta_v, schedule.switches)
+
+    def allows(self, mask: Mask) -> bool:
+        """Whether S may fly just these steps, by the dwell time and the cap on switches."""
+        edges = np.r_[0, np.flatnonzero(np.diff(mask)) + 1, len(mask)]
+        switches = len(edges) - 2
+        cap = self.rules.max_switches
+        spent = switches + (not mask[-1] and switches > 0)
+        return bool(np.all(np.diff(edges)[:-1] >= self.rules.min_dwell)) and (cap is None or spent <= cap)
