@@ -73,8 +73,8 @@ class View:
         beside = ((1, 2), (2, 1), (1, 0), (0, 1), (2, 2), (2, 0), (0, 2), (0, 0))  # above first, then right
         places = [sides[list(place), [0, 1]] for place in beside]
         if np.all(size * (1, 1.8) < high - low):
-            heights = (low[1] + share * (high[1] - low[1]) - size[1] / 2 for share in (0.5, 0.25, 0.75))
-            places = [np.array([middle[0], height]) for height in heights]
+            shares = (0.5, 0.25, 0.75)
+            places = [low + (high - low) * (x, y) - size / 2 for x in shares for y in shares]
 
         def cost(place: Array) -> float:
             crossing = self.points - place
