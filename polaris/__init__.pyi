@@ -65,6 +65,7 @@ from .runs.run import read_run as read_run
 from .runs.run import run as run
 from .runs.schedule import write_run as write_run
 from .runs.stages import Stages as Stages
+from .runs.tradeoff import tradeoff as tradeoff
 from .scenario.scenario import FlightScenario as FlightScenario
 from .scenario.scenario import FuelLimitScenario as FuelLimitScenario
 from .scenario.scenario import MonteCarloScenario as MonteCarloScenario

@@ -18,7 +18,7 @@ from .recovery import Barrier, Limits, Recovery
 from .verdict import Record, Rejected
 from .zonotopes import Merging, Zonotope, widest
 
-ORDERS = (12, 80)
+ORDERS = (12, 80, 400)
 """Generators per dimension that sets keep from one step to the next: what is tried in turn."""
 
 NARROWER = ("controllers", "separation", "enclosures", "recoverable", "margins", "goal")

@@ -75,7 +75,7 @@ class Needs:
         return [per[0], *(_larger(a, b) for a, b in pairwise(per))]
 
     @cached_property
-    def _responses(self) -> list[list[arb]]:
+    def responses(self) -> list[list[arb]]:
         """Response at node L to the disturbance from rest, for L = 0 ... N + 1."""
         w, found = self.motion.plant.disturbance, [[arb(0)] * self.rows.nrows()]
         for gains in self._split(self.motion.push_gain(above(*self.carried[:-1]), w)):
@@ -101,7 +101,7 @@ class Needs:
     @cached_property
     def settled(self) -> list[arb]:
         """Bound on the disturbance's share at every node, however late."""
-        return [x.upper() for x in sums(self._responses[-1], self._late)]
+        return [x.upper() for x in sums(self.responses[-1], self._late)]
 
     @cached_property
     def disturbed(self) -> list[list[arb]]:
@@ -110,10 +110,10 @@ class Needs:
         closed = self.motion.closed
         rates = (Needs(self.motion, self.memory, M).settled for M in (closed, self.motion.X * closed))
         curved = self.motion.lesser_bow(self.rows, *(magnitude(column(rate)) for rate in rates))
-        first = self._responses[1]
+        first = self.responses[1]
         until = [
             [largest((a + f, b)) + k for a, b, f, k in zip(now, following, first, curved, strict=True)]
-            for now, following in pairwise(self._responses)
+            for now, following in pairwise(self.responses)
         ]
         return [*until, sums(self.settled, first, curved)]
 

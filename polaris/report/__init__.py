@@ -12,6 +12,7 @@ from pathlib import Path
 from ..model.errors import ScenarioError
 from ..runs.atomic import check_file, replacing_file
 from ..runs.folder import RunFolder, readable
+from ..runs.front import TRADEOFF
 from ..runs.run import read_run
 from .html.page import Page, page_html
 
@@ -43,6 +44,9 @@ def write_report(folder: str | Path, out: str | Path | None = None) -> Path:
         rule = "is a file; must be a run folder or a comparison" if known else "there is no such folder"
         raise ScenarioError("report", str(folder), rule)
     run = read_run(folder)
+    if run.kind is TRADEOFF:
+        rule = "is a trade-off, which is a table and a figure; give one of the run folders in it"
+        raise ScenarioError("report", str(folder), rule)
     target = run.path / "report.html" if out is None else Path(out)
     check_file(target, endings=(".html", ".htm"))
     text = page_html(report_page(run))

@@ -35,7 +35,7 @@ class RunKind:
     figures and pages are drawn from. `fly` is what `polaris.run` does with a scenario, telling how far it is.
     """
 
-    name: str  # as the scenario's kind, or ``comparison``
+    name: str  # as the scenario's kind, ``comparison`` or ``tradeoff``
     files: tuple[str, ...]  # all but the summary and the certificate
     write: Callable[[Path, Any, Any], None] | None
     tell: Callable[[Any, Any, Mapping[str, float]], dict[str, Any]] | None
@@ -76,8 +76,9 @@ class RunFolder:
 
         Returns
         -------
-        Picture, InspectionRun, FuelRun, CampaignPicture or ComparisonPicture
-            By kind: a schedule, a flight, a flight into the fuel limit, many flights, a comparison.
+        Picture, InspectionRun, FuelRun, CampaignPicture, ComparisonPicture or list
+            By kind: a schedule, a flight, a flight into the fuel limit, many flights, a comparison, or the
+            rows of a trade-off.
 
         Raises
         ------

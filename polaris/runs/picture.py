@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,10 +16,21 @@ from ..model.system import Array, LinearSystem
 from ..planning.reference import Reference
 
 if TYPE_CHECKING:
+    from ..rta.arena import Shown
     from ..simulation.baselines import Flights
 
-PRINTED = 4
-"""Most slices in a printed figure."""
+PRINTED = 8
+"""Most hand-overs that are drawn with their slices."""
+
+
+def seconds(t: float) -> str:
+    """A time in a figure."""
+    return f"{t:.0f}" if t >= 100 else f"{t:.3g}"
+
+
+def taking_over(time: float, mode: int | None) -> str:
+    """What is written at the slice of a time [s], at which a controller may take over."""
+    return f"{'' if mode is None else 'S from ' if mode == 0 else 'U from '}{seconds(time)} s"
 
 
 def directions(count: int = 32) -> Array:
@@ -83,6 +94,15 @@ class SlicePicture:
     outlines: Array
 
 
+class PrintedSlice(NamedTuple):
+    """Time [s], who then takes over (None if nobody does), the chaser's place (d,), the slice (M, e) [m]."""
+
+    time: float
+    mode: int | None
+    place: Array
+    outline: Array
+
+
 @dataclass(frozen=True, eq=False)
 class Approach:
     """Where the safe path is closest to one unsafe set: time [s], distance [m] and position (d,) [m]."""
@@ -111,6 +131,8 @@ class Picture:
     flights: Mapping[str, Flights] = field(default_factory=dict)  # of safety, experimental, polaris, as flown
     tube: TubePicture | None = None
     slices: SlicePicture | None = None
+    reached: float | None = None  # by when the goal is proven to be reached [s]
+    delta_v_max: float | None = None  # bound on the velocity change until then [m/s]
 
     @property
     def frame(self) -> Frame:
@@ -143,6 +165,19 @@ class Picture:
         """Positions of one run [m], shape (N+1, d)."""
         return np.asarray(flights.states[run] @ self.system.position.T)
 
+    @property
+    def arrival(self) -> str:
+        """By when the goal is proven to be reached, in words; nothing if it is not."""
+        if self.reached is None:
+            return ""
+        after = ", under S after T" if self.reached > self.duration * (1 + 1e-9) else ""
+        return f"goal reached by {self.reached:.6g} s{after}"
+
+    def velocity_change(self, runs: Flights | Shown) -> Array:
+        """How the velocity change of runs adds up, the 1-norm of the input over the mass [m/s], (r, N+1)."""
+        parts = np.abs(runs.inputs).sum(axis=2) * np.diff(runs.times) / self.system.mass
+        return np.pad(np.cumsum(parts, axis=1), ((0, 0), (1, 0)))
+
     def safe_path(self) -> tuple[Array, Array]:
         """Times [s] and positions [m] of the first run under Polaris, or of the reference: (N,), (N, d)."""
         flights = self.flights.get("polaris")
@@ -164,20 +199,30 @@ class Picture:
         least = min(found, key=lambda one: one.distance).time if found else 0.0
         return least or self.duration
 
-    def printed_slices(self) -> Iterator[tuple[float, Array, Array]]:
-        """Time [s], chaser's place (d,) and slice (M, e) about it [m], of few instants of the first run.
+    @property
+    def hand_overs(self) -> dict[float, int]:
+        """When another controller takes over [s], and its mode; of very many some, evenly spread."""
+        nodes = np.flatnonzero(np.diff(self.modes)) + 1
+        if len(nodes) > PRINTED:
+            nodes = nodes[np.linspace(0, len(nodes) - 1, PRINTED).astype(int)]
+        return {float(k * self.reference.delta): int(self.modes[k]) for k in nodes}
 
-        The closest approach and some of the switches, or of the decisions if there are none.
+    def printed_slices(self) -> Iterator[PrintedSlice]:
+        """Slices of the first run at its hand-overs, without any at the closest approach and a few decisions.
+
+        A hand-over whose own slice is not there has none.
         """
         if self.slices is None:
             return
-        times, known = self.slices.times, np.flatnonzero(~np.isnan(self.slices.places[:, 0, 0]))
-        switches = (np.flatnonzero(np.diff(self.modes)) + 1) * self.reference.delta
-        spread = switches if len(switches) else np.linspace(0, self.duration, PRINTED)
-        wanted = [self.closest, *spread[np.linspace(0, len(spread) - 1, PRINTED - 1).astype(int)]]
-        near = {int(known[np.argmin(np.abs(times[known] - t))]) for t in wanted} if len(known) else set()
-        for i in sorted(near):
-            yield float(times[i]), self.slices.places[i, 0], self.slices.outlines[i, 0]
+        times, known = self.slices.times, ~np.isnan(self.slices.places[:, 0, 0])
+        spread = (self.closest, *np.linspace(0, self.duration, 3))
+        wanted: dict[int, int | None] = {}
+        for t, mode in (self.hand_overs or dict.fromkeys(spread)).items():
+            i = int(np.argmin(np.abs(times - t) + np.where(known | (mode is not None), 0.0, np.inf)))
+            if known[i] and (mode is None or abs(times[i] - t) <= 1e-6 * self.reference.delta):
+                wanted[i] = mode
+        for i, mode in sorted(wanted.items()):
+            yield PrintedSlice(float(times[i]), mode, self.slices.places[i, 0], self.slices.outlines[i, 0])
 
     def mode_name(self, mode: int) -> str:
         """How legends call a controller."""

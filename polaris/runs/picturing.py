@@ -44,6 +44,7 @@ def picture_of(schedule: Schedule, flights: Mapping[str, Flights] | None = None)
         flights = {"polaris": fly_nominal(schedule, None, "polaris")}
         if len(schedule.controllers) > 1:
             flights["experimental"] = fly_nominal(schedule, 1, schedule.controllers[1].name)
+    arrival = schedule.arrival if schedule.guarantee == "proved" else None
     picture = replace(
         _bare(schedule.safety),
         title="Switching schedule",
@@ -53,6 +54,8 @@ def picture_of(schedule: Schedule, flights: Mapping[str, Flights] | None = None)
         limits=tuple(step.margin.limit for step in schedule.steps),
         flights=flights,
         tube=tube_of(schedule),
+        reached=arrival.by if arrival else None,
+        delta_v_max=arrival.delta_v if arrival else None,
     )
     return replace(picture, slices=recoverable_slices(schedule.safety, picture))
 

@@ -16,6 +16,7 @@ from .atomic import check_target
 from .campaign.workers import Workers
 from .comparison import COMPARISON
 from .folder import SCENARIO, Draw, RunFolder, RunKind, write_folder
+from .front import TRADEOFF
 from .fuel_limit import FUEL_LIMIT
 from .inspection import FLIGHT
 from .monte_carlo import MONTE_CARLO, run_monte_carlo
@@ -108,7 +109,7 @@ def _run_many(
 
 
 def read_run(path: str | Path) -> RunFolder:
-    """Open a run folder: of a schedule, a flight, a flight into the fuel limit, many flights, a comparison.
+    """Open a folder: a schedule, a flight, one into the fuel limit, many flights, comparison, trade-off.
 
     Raises
     ------
@@ -134,8 +135,9 @@ def read_run(path: str | Path) -> RunFolder:
 
 def _kind_of(folder: Path) -> RunKind:
     """What a folder holds, as far as the files that tell it can be read."""
-    if (folder / COMPARISON.summary).is_file():
-        return COMPARISON
+    for kind in (COMPARISON, TRADEOFF):
+        if (folder / kind.summary).is_file():
+            return kind
     try:
         told = tomllib.loads((folder / SCENARIO).read_text(encoding="utf-8")).get("kind")
     except (OSError, ValueError):

@@ -200,7 +200,8 @@ def guarantee(schedule: Schedule) -> dict[str, Any]:
 
 def _read(folder: Path, scenario: ScheduleScenario) -> Picture:
     told, system = read_json(folder / "schedule.json"), scenario.system()
-    steps = told["steps"]
+    steps, claim = told["steps"], told["guarantee"]
+    goal = claim["goal"] if claim["kind"] == "proved" else {}
     return Picture(
         scenario.title,
         system,
@@ -216,6 +217,8 @@ def _read(folder: Path, scenario: ScheduleScenario) -> Picture:
         arrays.read_flights(folder / "trajectories.npz"),
         arrays.position_tube(arrays.read_arrays(folder / "tubes.npz"), system.position),
         arrays.read_slices(folder / "sets.npz"),
+        goal.get("by_s"),
+        goal.get("delta_v_max_m_s"),
     )
 
 

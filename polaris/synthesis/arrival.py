@@ -15,6 +15,7 @@ from .clearance import error_tube
 from .end_condition import in_hills_frame
 from .get_safety import Safety
 from .problem import Problem
+from .tracking import Tracking
 
 GOAL_SHARE = 0.05
 """Share of the goal's size within which it counts as reached, where no length is given."""
@@ -27,7 +28,7 @@ class Arrival:
     """What is proven of the goal, S flying from T on.
 
     Lengths are the goal's own: each of its conditions is scaled so that what is missing is in metres
-    (`polaris.planning.goal.GoalConditions`), but a velocity counts for no more than the length it makes in a
+    (`polaris.planning.goals.GoalConditions`), but a velocity counts for no more than the length it makes in a
     quarter of the horizon.
 
     Attributes
@@ -67,25 +68,26 @@ def arrival(safety: Safety, final: Zonotope, spent: float) -> Arrival:
     sides = np.concatenate([goal.e, -goal.e, goal.g, *(-c for _, c in goal.one_of)])
     weight = _weights(problem, rows)
     rows, sides = rows * weight[:, None], sides * weight
-    every, sums = _needs(safety, final, rows)
     cells = reference.fine(tracking.feedback.nodes_per_cell)[K:]
     states = np.concatenate([reference.chi[K][None], *(cell[1:] for cell in cells)])
-    need = every[np.minimum(np.arange(len(states)), len(every) - 1)]
-    middle = states @ rows.T - sides
-    most = _distance(goal, middle + need + ROUNDING * (np.abs(states) @ np.abs(rows).T + np.abs(sides)))
+    need, centre = _needs(safety, final, rows)
+    lag = np.minimum(np.arange(len(states)), len(need) - 1)
+    beyond = states @ rows.T - sides
+    size = ROUNDING * (np.abs(states) @ np.abs(rows).T + np.abs(sides))
+    most = _distance(goal, beyond + need[lag] + size)
     tolerance = problem.goal_tolerance
     if tolerance is None:
-        tolerance = max(GOAL_SHARE * goal.scale, float(every[-1].max()) * (1 + GOAL_SHARE))
-    within = np.flatnonzero(most <= tolerance)
+        tolerance = max(GOAL_SHARE * goal.scale, _to_hold(tracking, rows) * (1 + GOAL_SHARE))
+    within = np.flatnonzero(most <= tolerance) if safety.guarantee == "proved" else np.zeros(0, dtype=int)
     best = int(within[0]) if len(within) else int(np.argmin(most))
-    near = bool(np.min(_distance(goal, middle)) <= tolerance)
+    near = bool(np.min(_distance(goal, beyond + centre[lag])) <= tolerance)
     return Arrival(
         reached=True if len(within) else "not_proven" if near else False,
         by=K * problem.delta + best * h if len(within) else None,
         distance=float(most[best]),
         tolerance=tolerance,
         drift=_drift(safety, final, states[best], best),
-        delta_v=(spent + sums[min(best, len(sums) - 1)]) * (1 + ROUNDING),
+        delta_v=(spent + _correcting(safety, final, best)) * (1 + ROUNDING),
     )
 
 
@@ -99,16 +101,33 @@ def _weights(problem: Problem, rows: Array) -> Array:
 
 
 def _needs(safety: Safety, final: Zonotope, rows: Array) -> tuple[Array, Array]:
-    """What S's error needs along rows at every node after T (L, r), and its velocity change by then (L,)."""
-    gain = safety.tracking.gain
-    both = np.vstack([rows, gain, -gain])
-    need = error_tube(safety.tracking, final, both).need
+    """What errors need along rows at every node after T, and what their middle does, shapes (memory + 3, r).
+
+    The last entries hold for every later node.
+    """
+    tracking = safety.tracking
+    carried = rows @ tracking.transitions
+    centre, spread = carried @ final.c, np.abs(carried @ final.G).sum(axis=-1)
+    need = centre + spread + tracking.flow.disturbance_support(rows, len(carried) - 1)
+    need = np.vstack([need, error_tube(tracking, final, rows).need[-1]])
+    need = need + safety.clearance.jump_need(rows) + safety.clearance.round_off(rows)
+    return need + ROUNDING * np.abs(need), np.vstack([centre, np.zeros(len(rows))])
+
+
+def _to_hold(tracking: Tracking, rows: Array) -> float:
+    """What S needs along the rows against the disturbance once it has forgotten where it came from [m]."""
+    return float(np.max(tracking.flow.disturbance_support(rows, tracking.memory + 1)[-1], initial=0.0))
+
+
+def _correcting(safety: Safety, final: Zonotope, nodes: int) -> float:
+    """Bound on S's velocity change over so many periods after T [m/s]; the reference coasts."""
+    tracking, system = safety.tracking, safety.problem.system
+    both = np.vstack([tracking.gain, -tracking.gain])
+    need = error_tube(tracking, final, both).need
     need = need + safety.clearance.jump_need(both) + safety.clearance.round_off(both)
-    along, thrust = need[:, : len(rows)], need[:, len(rows) :]
-    m = len(gain)
-    spent = np.minimum(np.maximum(thrust[:, :m], thrust[:, m:]), safety.problem.system.u_max).sum(axis=1)
-    sums = np.cumsum(np.maximum(spent[:-1], spent[1:])) * safety.tracking.flow.h / safety.problem.system.mass
-    return along, np.r_[0.0, sums]
+    thrust = np.minimum(need.reshape(len(need), 2, -1).max(axis=1), system.u_max).sum(axis=1)
+    at = thrust[np.minimum(np.arange(nodes + 1), len(thrust) - 1)]
+    return float(np.maximum(at[:-1], at[1:]).sum() * tracking.flow.h / system.mass)
 
 
 def _distance(goal: GoalConditions, over: Array) -> Array:
@@ -128,5 +147,7 @@ def _drift(safety: Safety, final: Zonotope, x: Array, node: int) -> float | None
     if not in_hills_frame(system) or system.mean_motion is None:
         return None
     row = np.array([[2.0, 0.0, 0.0, 0.0, 1 / system.mean_motion, 0.0]])
-    need = _needs(safety, final, np.vstack([row, -row]))[0]
-    return float(6 * np.pi * (np.abs(row @ x).max() + need[min(node, len(need) - 1)].max()) * (1 + ROUNDING))
+    both = np.vstack([row, -row])
+    need = _needs(safety, final, both)[0]
+    size = ROUNDING * (np.abs(both) @ np.abs(x))
+    return float(6 * np.pi * np.max(both @ x + size + need[min(node, len(need) - 1)]) * (1 + ROUNDING))

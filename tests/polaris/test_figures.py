@@ -70,7 +70,7 @@ def test_column_width_and_type_of_at_least_7_points(picture, name):
 @pytest.mark.parametrize("name", ["scene", "distance", "margin"])
 def test_legends_cover_no_data(picture, name):
     figure = drawn(name, picture)
-    for ax in figure.axes:
+    for ax in (ax for ax in figure.axes if ax.get_legend()):
         legend = ax.get_legend().get_window_extent()
         assert legend.y0 >= ax.get_window_extent().y1 - 1
         assert legend.x1 <= figure.bbox.x1 + 1 and legend.y1 <= figure.bbox.y1 + 1
@@ -89,8 +89,23 @@ def test_axes_have_units_and_obstacles_have_names(picture):
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("Position x (m)", "Position y (m)")
     texts = " ".join(text.get_text() for text in ax.texts)
     assert "pillar" in texts and "trolley, " in texts
-    upper, lower = drawn("distance", picture).axes
+    upper, _, lower = drawn("distance", picture).axes
     assert upper.get_ylabel() == "Distance (m)" and lower.get_xlabel() == "Time (s)"
+
+
+def test_every_hand_over_has_the_set_of_its_own_time(picture):
+    told = [text.get_text() for text in drawn("scene", picture).axes[0].texts]
+    switches = np.flatnonzero(np.diff(picture.modes)) + 1
+    assert (
+        len(switches) and [one.mode for one in picture.printed_slices()] == picture.modes[switches].tolist()
+    )
+    for one, k in zip(picture.printed_slices(), switches, strict=True):
+        assert one.time == pytest.approx(k * picture.reference.delta)
+        assert f"{'SU'[one.mode]} from {one.time:.3g} s" in told
+        for obstacle in picture.obstacles:  # this is why it is safe
+            assert obstacle.signed_distance(np.full(len(one.outline), one.time), one.outline).min() > 0
+    gone = replace(picture.slices, times=picture.slices.times + 0.1 * picture.reference.delta)
+    assert not list(replace(picture, slices=gone).printed_slices())
 
 
 def test_hills_frame_is_along_track_to_the_right_and_radial_up():
@@ -564,7 +579,7 @@ def test_slices_of_random_scenes_are_of_their_instants(seed, tmp_path):
         pytest.skip("refused")
     picture = picture_of(schedule)
     assert_slices_are_of_their_instants(schedule, picture)
-    for t, place, outline in picture.printed_slices():
+    for t, _, place, outline in picture.printed_slices():
         i = int(np.argmin(np.abs(picture.safe_path()[0] - t)))
         np.testing.assert_allclose(picture.safe_path()[1][i], place, rtol=1e-12)
         assert (

@@ -141,6 +141,72 @@ def test_band_and_proof_lie_around_the_simulated_distances(run, html):
     assert max(proven["y"]) > 0
 
 
+def test_first_screen_answers_what_a_reader_asks(run, html):
+    summary, told = read_run(run).summary, words(html)
+    head = told[: told.index("The flight")]
+    goal, found = summary["guarantee"]["goal"], summary["synthesis"]
+    assert goal["reached"] is True and f"Does it arrive? by {goal['by_s']:.6g} s proven, within" in head
+    assert "Is it safe? ✓ proved" in head
+    for key, text in (
+        ("distance_m", r"within ([\d.]+) m of the goal"),
+        ("delta_v_max_m_s", r"at most ([\d.]+) m/s"),
+    ):
+        (bound,) = re.findall(text, head)
+        assert goal[key] <= float(bound) <= goal[key] * 1.001
+    for who in ("polaris", "safety"):
+        assert f"{summary[who]['delta_v_m_s']:.4g} m/s" in head
+    assert f"U {100 * found['experimental_share']:.1f} %" in head and f"{found['switches']} switch" in head
+    modes = read_run(run).picture().modes
+    bar = [int(width) for width in re.findall(r'<i style="flex: (\d+)', html)]
+    assert sum(bar) == len(modes) and len(bar) == 1 + found["switches"]
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"goal": {"reached": "not_proven", "by_s": None}}, "Does it arrive? not proven at best within"),
+        ({"goal": {"reached": False, "by_s": None}}, "Does it arrive? no at best within"),
+        ({"kind": "none"}, "Does it arrive? nothing is claimed"),
+    ],
+)
+def test_first_screen_says_no_more_than_is_proven(run, tmp_path, change, told):
+    folder = shutil.copytree(run, tmp_path / "run")
+
+    def less(data):
+        claim = data["guarantee"]
+        claim |= change | {"goal": claim["goal"] | change.get("goal", {})}
+
+    rewrite_json(folder / "summary.json", less)
+    html = report_of(folder, tmp_path)
+    assert told in words(html) and "of the goal at" not in words(html)
+    assert "That the schedule reaches the goal." in words(html)
+    assert data_of(html)["marks"] == [] or "kind" not in change
+
+
+def test_sets_of_the_hand_overs_are_those_of_their_times(run, html):
+    data, modes = data_of(html), np.array(read_run(run).json("schedule.json")["modes"])
+    (layer,) = [layer for layer in data["scene"]["layers"] if layer["kind"] == "slice"]
+    switches = np.flatnonzero(np.diff(modes)) + 1
+    assert len(layer["over"]) == len(switches) > 0
+    for (i, name, _), k in zip(layer["over"], switches, strict=True):
+        assert layer["t"][i] == pytest.approx(float(k)) and name == f"{'SU'[modes[k]]} from {float(k):.3g} s"
+
+
+def test_velocity_change_adds_up_to_what_was_flown(run, html):
+    folder = read_run(run)
+    picture, (panel,) = folder.picture(), [one for one in data_of(html)["panels"] if one["key"] == "spent"]
+    (bound,) = panel["limits"]
+    assert bound["y"] == pytest.approx(folder.summary["guarantee"]["goal"]["delta_v_max_m_s"], rel=1e-5)
+    for series in panel["series"]:
+        flights = picture.flights[series["pilot"]]
+        for inputs, drawn in zip(flights.inputs, series["runs"], strict=True):
+            whole = (np.abs(inputs) * np.diff(flights.times)[:, None]).sum() / picture.system.mass
+            assert (
+                drawn[0] == 0 and np.all(np.diff(drawn) >= 0) and drawn[-1] == pytest.approx(whole, rel=1e-5)
+            )
+            assert series["pilot"] != "polaris" or drawn[-1] <= bound["y"]
+
+
 def test_page_opens_at_the_closest_approach(run, html):
     flights = read_run(run).picture().flights["polaris"]
     picture = read_run(run).picture()

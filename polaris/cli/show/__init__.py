@@ -8,6 +8,7 @@ from typing import Any
 from .comparison import show_comparison
 from .inspection import show_campaign, show_flight, show_fuel
 from .schedule import show_summary
+from .tradeoff import show_tradeoff
 
 __all__ = ["SUMMARIES", "show_campaign", "show_comparison", "show_summary"]
 
@@ -17,5 +18,6 @@ SUMMARIES: dict[str, Callable[[Any, str], None]] = {
     "fuel_limit": show_fuel,
     "monte_carlo": show_campaign,
     "comparison": show_comparison,
+    "tradeoff": show_tradeoff,
 }
 """What prints the summary of a run folder."""

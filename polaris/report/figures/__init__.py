@@ -94,6 +94,7 @@ def draw_run(folder: RunFolder) -> list[Path]:
     from .flight import draw_flight
     from .fuel_limit import draw_fuel_run
     from .monte_carlo import draw_campaign
+    from .tradeoff import draw_tradeoff
 
     draw: Any = {
         "schedule": draw_figures,
@@ -101,6 +102,7 @@ def draw_run(folder: RunFolder) -> list[Path]:
         "fuel_limit": draw_fuel_run,
         "monte_carlo": draw_campaign,
         "comparison": draw_comparison,
+        "tradeoff": draw_tradeoff,
     }[folder.kind.name]
     picture, place = folder.picture(), folder.path / "figures"
     with replacing(place) as beside:

@@ -11,12 +11,11 @@ from typing import Any
 import numpy as np
 from matplotlib.patches import Polygon
 
-from ...runs.picture import Picture
+from ...runs.picture import Picture, seconds
 from ..scene.closeups import CloseUp
 from ..scene.geometry import flat_outline
 from ..scene.palette import BLACK, RED, tint
 from ..scene.space import Space, moves
-from ..scene.unsafe import seconds
 from .style import draw_safe_path, shortened, text_width
 
 LETTERS = "abcdef"

@@ -17,11 +17,10 @@ from matplotlib.patches import Patch, PathPatch, Polygon
 from matplotlib.path import Path
 
 from ...model.system import Array
-from ...runs.picture import Picture
+from ...runs.picture import Picture, taking_over
 from ..scene.items import Item, Scene
 from ..scene.palette import BLACK, DARK_OLIVE, GREEN, GREY, LOOKS, OLIVE, ORANGE, RED, mode_colour, tint
 from ..scene.scene import describe
-from ..scene.unsafe import seconds
 from . import style
 from .closeups import LETTERS, draw_closeup
 from .style import DASHES, DOTS, GOAL_DASHES, LONG, WIDTH, draw_safe_path, new_figure, shortened
@@ -74,9 +73,11 @@ def draw_scene(ax: Any, scene: Scene, lettered: bool = False) -> float:
         else:
             ax.plot(*item.points.T, color=BLACK, lw=3, clip_on=False, zorder=6)
     draw_unsafe(ax, scene, view, lettered)
-    for t, _, outline in scene.picture.printed_slices() if scene.time_axis is None else ():
-        if len(view.seen(outline)):
-            view.label(ax, f"{seconds(t)} s", view.clip(outline), DARK_OLIVE)
+    found = scene.picture.printed_slices() if scene.time_axis is None else ()
+    for one in sorted(found, key=lambda one: float(np.prod(np.ptp(one.outline, axis=0)))):  # least room first
+        colour = DARK_OLIVE if one.mode is None else mode_colour(one.mode)
+        if len(view.seen(one.outline)):
+            view.label(ax, taking_over(one.time, one.mode), view.clip(one.outline), colour)
     if scene.picture.system.mean_motion is not None:
         ax.plot(0, 0, marker="+", color=BLACK, ms=5, mew=0.8, zorder=6)
         system, origin = scene.picture.system, np.zeros(scene.picture.system.d)
@@ -91,8 +92,11 @@ def draw_scene(ax: Any, scene: Scene, lettered: bool = False) -> float:
 
 
 def _slices(ax: Any, scene: Scene, view: View) -> list[Any]:
-    """Few recoverable sets, with the chaser in them; on the line, over time, there is room for all."""
-    look, slices = LOOKS["slice"], scene.picture.slices
+    """Recoverable sets at the hand-overs, with the chaser in them, rimmed in the colour of who takes over.
+
+    On the line, over time, there is room for all.
+    """
+    look, slices, printed = LOOKS["slice"], scene.picture.slices, list(scene.picture.printed_slices())
     if slices is not None and scene.time_axis == 0:
         ends = slices.outlines[:, 0, :, 0]
         low, high = ends.min(axis=1), ends.max(axis=1)
@@ -100,13 +104,18 @@ def _slices(ax: Any, scene: Scene, view: View) -> list[Any]:
         ax.vlines(slices.times, low, high, color=colour, lw=1.0, zorder=1)
         seen = bool(np.any((high > view.low[1]) & (low < view.high[1])))
     else:
-        outlines = [outline for _, _, outline in scene.picture.printed_slices()]
         colour, edge = tint(look.colour, 0.28), tint(OLIVE, 0.5)
+        outlines = [one.outline for one in printed]
         ax.add_collection(PolyCollection(outlines, facecolor=colour, edgecolor="none", zorder=1))
-        ax.add_collection(PolyCollection(outlines, facecolor="none", edgecolor=edge, lw=0.35, zorder=1.1))
-        for _, place, _ in scene.picture.printed_slices():
-            ax.plot(*place[scene.axes], "o", ms=2.6, mfc=look.colour, mec=DARK_OLIVE, mew=0.6, zorder=6)
         seen = any(len(view.seen(outline)) for outline in outlines)
+    for one in printed:
+        rim, when = edge if one.mode is None else mode_colour(one.mode), np.array([one.time])
+        outline = one.outline
+        if scene.time_axis == 0:
+            outline = np.column_stack([np.repeat(when, len(outline)), outline])
+        _outline(ax, outline, 0.35 if one.mode is None else 0.7, "-", rim, 1.1)
+        at = scene.placed(one.place[None], when)
+        ax.plot(*at.T, "o", ms=2.6, mfc=look.colour, mec=DARK_OLIVE, mew=0.6, zorder=6)
     return [Patch(facecolor=colour, edgecolor=edge, lw=0.35, label=look.legend)] if seen else []
 
 
@@ -211,6 +220,7 @@ def _unsafe(ax: Any, item: Item, view: View, lettered: bool) -> None:
         if not (len(view.seen(outline)) or (not aside and view.within(outline))):
             continue  # out of view; or passed out of the plane, and all of the view
         edge = tint(RED, 1.0 if first else 0.5)
+        view.avoid(view.seen(outline))
         if aside:
             _outline(ax, outline, 0.7, LONG, edge, 1.5)
         else:

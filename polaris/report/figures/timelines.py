@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 from ...runs.picture import Picture
 from ..scene import palette
 from ..scene.geometry import stretches
-from ..scene.palette import BLACK, GREY, PILOTS, RED, mode_colour, shades, tint
-from .style import keep_ticks, legend_above, new_figure, step_edges
+from ..scene.palette import BLACK, GREEN, GREY, PILOTS, RED, mode_colour, shades, tint
+from .style import GOAL_DASHES, keep_ticks, legend_above, new_figure, step_edges
 
 INPUT_DASHES: tuple[Any, ...] = ("-", (0, (4, 1.2)), (0, (1.2, 1)))
 
@@ -26,10 +26,11 @@ FLOWN: dict[str, tuple[Any, float, float]] = {
 
 
 def distance_figure(picture: Picture) -> Any:
-    """Distance to the nearest unsafe set, and below it the input."""
-    figure = new_figure(3.6)
-    upper, lower = figure.subplots(2, 1, sharex=True)
+    """Distance to the nearest unsafe set, the velocity change so far, and the input."""
+    figure = new_figure(4.8)
+    upper, middle, lower = figure.subplots(3, 1, sharex=True, height_ratios=(3, 2, 3))
     _distance(upper, picture)
+    _spent(middle, picture)
     _input(lower, picture)
     for mode in np.unique(picture.modes):  # along the foot, which controller flies
         look = {"transform": lower.get_xaxis_transform(), "zorder": 5}
@@ -57,6 +58,23 @@ def _distance(ax: Any, picture: Picture) -> None:
     ax.set(xlim=(0, picture.duration), ylim=(bottom, highest + pad), ylabel="Distance (m)")
     ax.grid(True)
     legend_above(ax, handles, 3)
+
+
+def _spent(ax: Any, picture: Picture) -> None:
+    """Velocity change of the first runs as it adds up, what is proven of it, and when the goal is reached."""
+    for key, (dashes, width, order) in FLOWN.items():
+        if key in picture.flights:
+            flights, look = picture.flights[key], {"color": PILOTS[key][2], "ls": dashes, "lw": width}
+            ax.plot(flights.times, picture.velocity_change(flights)[0], zorder=order, **look)
+    if picture.delta_v_max is not None:
+        ax.axhline(picture.delta_v_max, color=GREY, lw=0.7)
+        _beside(ax, 0.01, picture.delta_v_max, "until the goal at most, proven", color=GREY, va="top")
+    if picture.reached is not None:  # at T or later: a line there is seen only if it is at T
+        ax.axvline(picture.reached, color=GREEN, lw=1.2, ls=GOAL_DASHES)
+    look = {"color": GREEN, "fontsize": 7, "ha": "right", "va": "bottom"}
+    ax.text(1.0, 1.01, picture.arrival, transform=ax.transAxes, **look)
+    ax.set(ylim=(0, None), ylabel="Velocity\nchange (m/s)")
+    ax.grid(True)
 
 
 def _input(ax: Any, picture: Picture) -> None:

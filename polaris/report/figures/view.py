@@ -73,17 +73,20 @@ class View:
         beside = ((1, 2), (2, 1), (1, 0), (0, 1), (2, 2), (2, 0), (0, 2), (0, 0))  # above first, then right
         places = [sides[list(place), [0, 1]] for place in beside]
         if np.all(size * (1, 1.8) < high - low):
-            shares = (0.5, 0.25, 0.75)
-            places = [low + (high - low) * (x, y) - size / 2 for x in shares for y in shares]
+            heights = (low[1] + share * (high[1] - low[1]) - size[1] / 2 for share in (0.5, 0.25, 0.75))
+            places = [*(np.array([middle[0], height]) for height in heights), *places]
 
-        def cost(place: Array) -> float:
+        def into(place: Array) -> Array:
+            return np.maximum(np.minimum(place, self.high - size), self.low)
+
+        def cost(wanted: Array) -> float:
+            place = into(wanted)
             crossing = self.points - place
             over = int(np.count_nonzero(np.all((crossing > 0) & (crossing < size), axis=1)))
-            inside = np.all((self.low <= place) & (place + size <= self.high))
             clash = any(np.all((place < at + own) & (at < place + size)) for at, own in self.taken)
-            return min(over, 20) / 20 + 3 * (not inside) + 2 * clash
+            return min(over, 20) / 20 + np.any(place != wanted) + 2 * clash
 
-        place = np.maximum(np.minimum(min(places, key=cost), self.high - size), self.low)
+        place = into(min(places, key=cost))
         self.taken.append((place, size))
         look = {"ha": "center", "va": "center", "zorder": 8, "clip_on": True}
         drawn = ax.text(*(place + size / 2), text, color=colour, fontsize=7, **look)

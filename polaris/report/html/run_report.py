@@ -5,11 +5,20 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
+from ...model.checks import counted
 from ...runs.folder import RunFolder
-from ..scene.palette import PILOTS
+from ...runs.picture import Picture
+from ...synthesis.recoverable import directed
+from ..scene.geometry import stretches
+from ..scene.palette import PILOTS, mode_colour
 from .page import Page, reading
 from .tables import Cell, Measure, badge, escaped, items, table
 from .timelines import Flown, flight_data
+
+MOST_TOLD = 3
+"""Most stretches under S that are told one by one."""
 
 NOTE = (
     "Drawn paths keep at most 400 samples of a run; the tables use all of them. Bands reach over all "
@@ -21,8 +30,8 @@ SLICE = (
     "then it is filled, and dashed until the next one."
 )
 
+NO_GOAL = "That the schedule reaches the goal. The reference does; the flight need not, as long as U is used."
 NOT_PROVEN = (
-    "That the schedule reaches the goal. The reference does; the flight need not, as long as U is used.",
     "Anything about U alone: its runs are here to compare with.",
     "Anything if an assumption fails: another motion, a larger disturbance, an unsafe set nobody has seen or "
     "that leaves its cover, a late or inexact command.",
@@ -35,9 +44,6 @@ def run_page(folder: RunFolder) -> Page:
     summary = folder.summary
     claim, recoverable = summary["guarantee"], str(summary["synthesis"]["recoverable"])
     proved = claim["kind"] == "proved"
-    told = f"safe {reach(claim)}" if proved else "no claim"
-    name = escaped(summary["scenario"])
-    lead = f"<p>{badge(claim['kind'])} {escaped(told)}. Scenario <code>{name}</code>.</p>"
     picture = folder.picture()
     flown = [
         Flown(key, name, {"colour": colour, "dash": dash, "on": key == "polaris"}, picture.flights[key])
@@ -46,7 +52,7 @@ def run_page(folder: RunFolder) -> Page:
     ]
     return Page(
         str(summary["title"]),
-        lead + ("" if proved else loud(recoverable)),
+        ("" if proved else loud(recoverable)) + answers(summary, picture),
         (
             ("numbers", "Metrics", metrics(summary)),
             ("guarantee", "The guarantee", guarantee(claim, recoverable)),
@@ -56,6 +62,67 @@ def run_page(folder: RunFolder) -> Page:
         flight_data(picture, flown, proved, "mode"),
         summary,
     )
+
+
+def answers(summary: Mapping[str, Any], picture: Picture) -> str:
+    """The first screen: is it safe, does it arrive, what does it cost, and who flies when."""
+    claim, flown, found = summary["guarantee"], summary["polaris"], summary["synthesis"]
+    goal, proved = claim["goal"], claim["kind"] == "proved"
+    within, most = _most(goal, "distance_m"), _most(goal, "delta_v_max_m_s")
+    runs = counted(flown["runs"], "simulated run")
+    arrives = ("nothing is claimed", "the proof that it would rest on is missing")
+    cost = f"mean of {runs}"
+    if proved:
+        word = "not proven" if goal["reached"] == "not_proven" else "no"
+        arrives = (word, f"at best within {within} m; {goal['tolerance_m']:.4g} m would do")
+        if goal["reached"] is True:
+            arrives = (f"by {_time(goal['by_s'])}", f"proven, within {within} m of the goal")
+        then = "to the goal" if goal["reached"] is True else "until it is nearest"
+        cost += f"; {then} at most {most} m/s, proven"
+    if "safety" in summary:
+        cost += f"; S alone {Measure.of('delta_v_m_s').text(summary['safety']['delta_v_m_s'])}"
+    cards = (
+        ("Is it safe?", badge(claim["kind"]), reach(claim) if proved else "no claim"),
+        ("Does it arrive?", *arrives),
+        ("What does it cost?", Measure.of("delta_v_m_s").text(flown["delta_v_m_s"]), cost),
+        (
+            "Who flies when?",
+            f"U {Measure.of('experimental_share').text(found['experimental_share'])}",
+            f"{counted(found['switches'], 'switch', 'switches')}; {_when(picture)}{_bar(picture)}",
+        ),
+    )
+    told = (
+        f"<div><dt>{head}</dt><dd><strong>{text}</strong> {more}</dd></div>" for head, text, more in cards
+    )
+    return f'<dl class="answers">{"".join(told)}</dl>'
+
+
+def _most(goal: Mapping[str, Any], key: str) -> str:
+    """A bound of the goal's claim."""
+    return directed(goal[key], ".4g", up=True)
+
+
+def _time(t: float) -> str:
+    return f"{t:.6g} s"
+
+
+def _when(picture: Picture) -> str:
+    """When S flies."""
+    delta, found = picture.reference.delta, stretches(picture.modes == 0)
+    if len(found) > MOST_TOLD:
+        return f"S in {len(found)} stretches"
+    return "S " + (", ".join(f"{a * delta:.6g} to {_time(b * delta)}" for a, b in found) or "never")
+
+
+def _bar(picture: Picture) -> str:
+    """A slim bar of the modes over time."""
+    ends = [0, *(np.flatnonzero(np.diff(picture.modes)) + 1).tolist(), len(picture.modes)]
+    parts = "".join(
+        f'<i style="flex: {b - a}; background: {mode_colour(mode)}"></i>'
+        for a, b, mode in zip(ends[:-1], ends[1:], picture.modes[ends[:-1]].tolist(), strict=True)
+    )
+    label = f"Who flies, from 0 to {_time(picture.duration)}"
+    return f'<span class="modes" role="img" aria-label="{label}">{parts}</span>'
 
 
 def metrics(summary: Mapping[str, Any]) -> str:
@@ -102,7 +169,8 @@ def reach(claim: Mapping[str, Any]) -> str:
 def guarantee(claim: Mapping[str, Any], recoverable: str) -> str:
     """The section of an ordinary run folder, from ``summary.json``."""
     if claim["kind"] != "proved":
-        return f"{loud(recoverable)}\n{_part('What is not proven', items(('Anything.', *NOT_PROVEN[:2])))}"
+        nothing = items(("Anything.", NO_GOAL, NOT_PROVEN[0]))
+        return f"{loud(recoverable)}\n{_part('What is not proven', nothing)}"
     what = (
         "From every state of the initial set, under every admissible disturbance, and whatever the "
         "experimental controllers do within their declared models, the spacecraft under the schedule enters "
@@ -111,11 +179,18 @@ def guarantee(claim: Mapping[str, Any], recoverable: str) -> str:
     )
     after = "" if claim.get("horizon") == "infinite" else " Beyond that time nothing is claimed."
     far = f"Safe {escaped(reach(claim))}. The reason: {escaped(claim['reason'])}.{after}"
+    goal = claim["goal"]
+    arrives = goal["reached"] is True
+    if arrives:
+        what += (
+            f" It is within {_most(goal, 'distance_m')} m of the goal at {_time(goal['by_s'])}, for a "
+            f"velocity change of at most {_most(goal, 'delta_v_max_m_s')} m/s until then."
+        )
     parts = (
         ("What is proven", f"<p>{what}</p>"),
         ("How far it reaches", f"<p>{far}</p>"),
         ("Assumptions", items(claim["assumptions"])),
-        ("What is not proven", items(NOT_PROVEN)),
+        ("What is not proven", items(NOT_PROVEN if arrives else (NO_GOAL, *NOT_PROVEN))),
     )
     return "\n".join([f"<p>{badge('proved')}</p>", *(_part(*part) for part in parts)])
 

@@ -4,7 +4,8 @@ A layer is a mapping with ``name``, ``kind`` (``line``, ``area``, ``mesh`` or ``
 switches show and hide), ``colour``, ``opacity``, and either ``p``, coordinates by axis in metres (meshes
 also ``f``, corners of the triangles by place), or ``frames``, a list of those. Frame i is shown from
 ``t[i]`` on. A layer with ``t`` and ``shift`` is carried along that path, its frames too: they must hold until
-the next one. A ``slice`` is of the instants ``t`` alone, with frames by run; ``at`` is the chaser.
+the next one. A ``slice`` is of the instants ``t`` alone, with frames by run; ``at`` is the chaser. Those of
+``over`` (place in ``t``, name, colour) are of the hand-overs.
 """
 
 from __future__ import annotations
@@ -15,9 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ...runs.picture import taking_over
 from ..scene.geometry import Shape, closed
 from ..scene.items import Item, Scene
-from ..scene.palette import LOOKS
+from ..scene.palette import LOOKS, mode_colour
 
 Layer = dict[str, Any]
 
@@ -112,8 +114,13 @@ def _slices(scene: Scene) -> list[Layer]:
         for run in range(places.shape[1])
     ]
     found = {"name": look.name, "kind": "slice", "group": look.group, "colour": look.colour}
-    opacity = {"opacity": AREAS["slice"], "pilot": "polaris"}
-    return [found | opacity | {"t": plain(slices.times), "frames": frames}]
+    over = [
+        (i, taking_over(t, mode), mode_colour(mode))
+        for t, mode in scene.picture.hand_overs.items()
+        for i in np.flatnonzero(np.isclose(slices.times, t, rtol=1e-9)).tolist()
+    ]
+    own = {"opacity": AREAS["slice"], "pilot": "polaris", "over": over}
+    return [found | own | {"t": plain(slices.times), "frames": frames}]
 
 
 def _corners(shape: Shape | None) -> dict[str, Any]:

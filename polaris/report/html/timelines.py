@@ -61,7 +61,7 @@ def flight_data(
     C = picture.system.position
     paths = [one.runs.states[0] @ C.T for one in flown]
     scene = describe(picture, paths, shown_axes(picture, paths))
-    pilots, distances, drawn = [], [], []
+    pilots, distances, drawn, spent = [], [], [], []
     for one in flown:
         runs, t, modes = one.runs, one.runs.times, modes_per_node(one.runs)
         chosen = kept(len(t), modes, [int(np.argmin(runs.nearest[0]))])
@@ -73,6 +73,8 @@ def flight_data(
             found = signed_distances(picture.obstacles, t, positions, picture.system).min(axis=0)
             band = runs.nearest[[0, 2]][:, chosen]
             distances.append({"pilot": one.key, "runs": plain(found[:, chosen]), "band": plain(band)})
+        total = picture.velocity_change(runs)[:, chosen]
+        spent.append({"pilot": one.key, "runs": plain(total)})
         span = runs.input_range[:, held] if isinstance(runs, Flights) else None
         drawn.append((one.key, runs.inputs[:, held], span))
     bound = proven_distance(picture) if proved else None
@@ -81,7 +83,11 @@ def flight_data(
     label, names = input_labels(picture.system)
     what, _, unit = label.rstrip(")").partition(" (")
     titles = [f"{what}, {name}" if what != "Input" else f"Input: {name}" for name in names]
-    panels = [_margins(picture), *input_panels(titles, unit, picture.system.u_max, drawn)]
+    panels = [
+        _margins(picture),
+        _spent(picture.delta_v_max if proved else None, spent),
+        *input_panels(titles, unit, picture.system.u_max, drawn),
+    ]
     if picture.obstacles:
         title = "Distance to the nearest unsafe set"
         panels.insert(0, panel("distance", title, "m", [limit(0.0, "unsafe", "below")], distances))
@@ -101,6 +107,9 @@ def flight_data(
         "modes": modes_present(present, named),
         "modes_title": WHO,
         "by": by,
+        "marks": [{"t": plain(picture.reached), "text": picture.arrival}]
+        if proved and picture.reached
+        else [],
         "pilots": pilots,
         "panels": panels,
     }
@@ -155,6 +164,12 @@ def input_panels(
         limits = [limit(-end, "", "below"), limit(end, f"limit {end:.4g}", "above")]
         found.append(panel(f"input{axis}", title, unit, limits, series))
     return found
+
+
+def _spent(most: float | None, series: list[Any]) -> dict[str, Any]:
+    """Velocity change so far, and what is proven of it."""
+    told = f"schedule, until the goal: at most {directed(most, '.4g', up=True)}" if most else ""
+    return panel("spent", "Velocity change so far", "m/s", [limit(most, told)] if most else [], series)
 
 
 def _margins(picture: Picture) -> dict[str, Any]:

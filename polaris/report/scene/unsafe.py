@@ -13,6 +13,7 @@ from ...model.obstacle import Obstacle
 from ...model.satellite import SatelliteObstacle
 from ...model.shapes import Ball, Polytope
 from ...model.system import Array
+from ...runs.picture import seconds
 from . import geometry
 from .closeups import CloseUp
 from .geometry import Shape, boxed, closed, faces, flat_outline, gapped, hull, on_box
@@ -94,24 +95,23 @@ def _marks(
             continue
         cover = space.cover(obstacle, t) if order == 0 and len(axes) == 2 else None
         rim = None if cover is None else flat_outline(cover[:, axes])
-        place = path[int(np.argmin(np.abs(known - t)))][axes] if moving else None
+        place = path[int(np.argmin(np.abs(known - t)))][axes]
+        place = place if moving and t not in space.picture.hand_overs else None  # a slice has it
         found.append(Mark(shape, f"{seconds(t)} s" if moving else "", rim, place))
     return tuple(found)
 
 
-def seconds(t: float) -> str:
-    """A time in a figure."""
-    return f"{t:.0f}" if t >= 100 else f"{t:.3g}"
-
-
 def instants(obstacle: Obstacle, space: Space) -> list[float]:
-    """When a set is marked: at the closest approach, and if it moves once before and after, if in view."""
-    picture, axes = space.picture, space.picture.frame.flat
+    """When a set is marked: at the closest approach, and if it moves at hand-overs, if it is then in view.
+
+    Without hand-overs once before and after.
+    """
+    picture, axes, system = space.picture, space.picture.frame.flat, space.picture.system
     closest = picture.approach(obstacle).time
     if not moves(obstacle, picture):
         return [0.0]
     times = np.unique(np.append(np.linspace(0, picture.duration, 201), closest))
-    centres = np.asarray(obstacle.centre(times, picture.system))
+    centres = np.asarray(obstacle.centre(times, system))
     seen = np.all((centres > space.low) & (centres < space.high), axis=1)
     outline = space.outline(obstacle, closest, axes)
     at = int(np.searchsorted(times, closest))
@@ -120,6 +120,14 @@ def instants(obstacle: Obstacle, space: Space) -> list[float]:
     gone = np.linalg.norm((centres - centres[at])[:, axes], axis=1)
     wanted = APART * float(np.max(np.ptp(outline, axis=0)))
     found = [closest]
+    for t in picture.hand_overs:
+        node = int(np.argmin(np.abs(times - t)))
+        others = np.asarray(obstacle.centre(np.array(found), system))[:, axes]
+        apart = np.linalg.norm(others - obstacle.centre(t, system)[axes], axis=1)
+        if seen[node] and apart.min() > 0.1 * wanted:
+            found.append(t)
+    if picture.hand_overs:
+        return found
     for side in (np.arange(at), np.arange(at + 1, len(times))):
         side = side[seen[side] & (gone[side] > 0.5 * wanted)]
         if len(side):

@@ -41,8 +41,8 @@ function snapped(data, t) {
 }
 
 // Filled at its own time, later dashed about the chaser's place of then; its time stands at it either way.
-function sliceTraces(data, layer, last) {
-  const found = last && last.p ? last : null;
+function sliceTraces(data, layer, state) {
+  const last = sliceAt(data, state), found = last && last.p ? last : null;
   const { space, range } = data.scene, edge = "#8A7F00", none = [[], [], []];
   const name = found ? `recoverable at ${short(found.t)} s` : layer.name;
   const p = found ? [...found.p, found.p[0].map(() => found.at[2])].slice(0, space) : none, n = p[0].length - 1;
@@ -53,7 +53,7 @@ function sliceTraces(data, layer, last) {
     return k === 1 ? low : (low + high) / 2;
   });
   const look = (part) => ({ colour: edge, opacity: 1, uid: "slice" + part });
-  return [
+  return [...(last ? overTraces(data, layer, state, now && last.i) : []),
     traceOf(space, name, now ? { p, f: fan } : { p: none }, { ...layer, kind: space === 3 ? "mesh" : "area", uid: "slice" }),
     traceOf(space, name, { p }, { ...look("edge"), kind: "line", width: space === 3 ? 4 : 2, dash: now ? "solid" : "dash" }),
     traceOf(space, name + ": the chaser then", { p: found && !now ? found.at.map((v) => [v]) : none },
@@ -61,6 +61,21 @@ function sliceTraces(data, layer, last) {
     // A trace of its own for each time: plotly shrinks a text in space that changes.
     { ...traceOf(space, name, { p: found ? foot.map((v) => [v]) : none }, { ...look("time" + (found ? found.i : "")), kind: "text", text: [name], size: 1 }), textposition: (space === 3 ? "bottom" : "top") + " center" },
   ];
+}
+
+// The sets in which the run shown is handed over, rimmed in the colour of who takes over; dashed but at their own times.
+function overTraces(data, layer, state, now) {
+  const { space, range } = data.scene, run = runOf(data.pilots.find((one) => one.key === layer.pilot), state);
+  return layer.over.flatMap(([i, name, colour]) => {
+    const frame = (layer.frames[run] || [])[i];
+    if (!frame) return [];
+    const p = [...frame.p, frame.p[0].map(() => frame.at[2])].slice(0, space), uid = "over" + i;
+    const side = name.startsWith("S ") ? 0 : 1, end = p[side].indexOf(Math.max(...p[side])); // apart from one another
+    const text = traceOf(space, name, { p: p.map((axis, k) => [Math.min(Math.max(axis[end], range[k][0]), range[k][1])]) },
+      { kind: "text", colour, opacity: 1, text: [name], size: 1, uid: uid + "name" });
+    return [traceOf(space, name + ": recoverable then", { p }, { kind: "line", colour, opacity: 1, width: space === 3 ? 3 : 1.5, dash: i === now ? "solid" : "dash", uid }),
+      { ...text, textposition: side ? "top center" : "middle right" }];
+  });
 }
 
 // All frames of a layer as one body, for a tube that is shown at all times.
@@ -128,7 +143,7 @@ function sceneTraces(data, state) {
   const { space, layers } = data.scene, traces = [], labels = { p: [[], [], []], text: [] };
   layers.forEach((layer, n) => {
     if (!state.groups.has(layer.group)) return;
-    if (layer.kind === "slice") { traces.push(...sliceTraces(data, layer, sliceAt(data, state))); return; }
+    if (layer.kind === "slice") { traces.push(...sliceTraces(data, layer, state)); return; }
     const all = state.always && layer.group === "tube";
     const shape = all ? whole(layer) : shapeAt(layer, state.t);
     traces.push(traceOf(space, layer.name, shape, { ...layer, uid: "layer" + n }));
@@ -168,36 +183,45 @@ function sceneLayout(data, frame) {
   const common = { margin: { l: 0, r: 0, t: 0, b: 0 }, paper_bgcolor: "#fff", uirevision: "keep", hovermode: "closest",
     font: { family: "system-ui, sans-serif", color: "#222" } };
   if (space === 2) {
+    if (data.scene.equal) frame.style.aspectRatio = Math.max((range[0][1] - range[0][0]) / (range[1][1] - range[1][0]), 1);
     return { ...common, margin: { l: 60, r: 10, t: 10, b: 46 }, plot_bgcolor: "#fff", xaxis: axis(0),
       yaxis: { ...axis(1), ...(data.scene.equal ? { scaleanchor: "x" } : {}) } };
   }
   const size = range.map(([low, high]) => high - low), mean = Math.cbrt(size[0] * size[1] * size[2]);
   const ratio = size.map((v) => v / mean);
+  frame.style.aspectRatio = seenFrom(ratio, 2).aspect;
   return { ...common, scene: { xaxis: axis(0), yaxis: axis(1), zaxis: axis(2), aspectmode: "manual",
     aspectratio: { x: ratio[0], y: ratio[1], z: ratio[2] }, camera: cameraFor(ratio, frame.clientWidth / frame.clientHeight) } };
+}
+
+const WAY = [0.36, -0.78, 0.51]; // to the eye, from the middle of the box
+
+// The corners of a box as seen from a distance (to the right, up, depth), how much room they take, and its aspect.
+function seenFrom(ratio, far) {
+  const along = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2], flat = Math.hypot(WAY[0], WAY[1]);
+  const right = [-WAY[1] / flat, WAY[0] / flat, 0], length = Math.hypot(...WAY);
+  const up = [-WAY[2] * right[1] / length, WAY[2] * right[0] / length, flat / length];
+  const corners = [-0.5, 0.5].flatMap((x) => [-0.5, 0.5].flatMap((y) => [-0.5, 0.5].map((z) => [x * ratio[0], y * ratio[1], z * ratio[2]])));
+  const points = corners.map((p) => {
+    const depth = far - along(p, WAY);
+    return [along(p, right) / depth, along(p, up) / depth, depth];
+  });
+  const size = [0, 1].map((k) => Math.max(...points.map((p) => p[k])) - Math.min(...points.map((p) => p[k])));
+  return { points, size, right, up, aspect: size[0] / size[1] };
 }
 
 // The nearest camera, from one direction, for which a box and its labels fill the frame and are all within it.
 function cameraFor(ratio, aspect) {
   const half = Math.tan(Math.PI / 8), room = 0.86; // half the angle of view; labels stand outside of the box
-  const way = [0.36, -0.78, 0.51], along = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-  const flat = Math.hypot(way[0], way[1]), right = [-way[1] / flat, way[0] / flat, 0];
-  const up = [-way[2] * right[1], way[2] * right[0], flat], length = Math.hypot(...up);
-  const corners = [-0.5, 0.5].flatMap((x) => [-0.5, 0.5].flatMap((y) => [-0.5, 0.5].map((z) => [x * ratio[0], y * ratio[1], z * ratio[2]])));
-  const seen = (far) => corners.map((p) => {
-    const depth = far - along(p, way);
-    return [along(p, right) / depth, along(p, up) / length / depth, depth];
-  });
   let near = 0.1, far = 50;
   for (let i = 0; i < 40; i++) {
-    const middle = (near + far) / 2, points = seen(middle);
-    const extent = (k) => Math.max(...points.map((p) => p[k])) - Math.min(...points.map((p) => p[k]));
-    const fits = points.every((p) => p[2] > 0.05) && extent(0) <= 2 * room * half * aspect && extent(1) <= 2 * room * half;
+    const middle = (near + far) / 2, { points, size } = seenFrom(ratio, middle);
+    const fits = points.every((p) => p[2] > 0.05) && size[0] <= 2 * room * half * aspect && size[1] <= 2 * room * half;
     if (fits) far = middle; else near = middle;
   }
-  const points = seen(far), mid = (k) => far * (Math.max(...points.map((p) => p[k])) + Math.min(...points.map((p) => p[k]))) / 2;
+  const { points, right, up } = seenFrom(ratio, far), mid = (k) => far * (Math.max(...points.map((p) => p[k])) + Math.min(...points.map((p) => p[k]))) / 2;
   const [a, b] = [mid(0), mid(1) - 0.04 * far * half];
-  const shift = [0, 1, 2].map((k) => a * right[k] + b * up[k] / length);
+  const shift = [0, 1, 2].map((k) => a * right[k] + b * up[k]);
   const point = (v) => ({ x: v[0], y: v[1], z: v[2] });
-  return { eye: point(way.map((v, k) => v * far + shift[k])), center: point(shift), up: { x: 0, y: 0, z: 1 } };
+  return { eye: point(WAY.map((v, k) => v * far + shift[k])), center: point(shift), up: { x: 0, y: 0, z: 1 } };
 }

@@ -103,6 +103,13 @@ function timelineFigure(data, state) {
     layout[n ? "yaxis" + (n + 1) : "yaxis"] = yaxis;
     traces.push(...own);
   });
+  for (const one of data.marks || []) { // after the line of the time shown
+    if (one.t <= data.end * 1.001) {
+      layout.shapes.push({ type: "line", xref: "x", yref: "paper", x0: one.t, x1: one.t, y0: 0, y1: 1, line: { color: "#009E73", width: 1.5, dash: "dot" } });
+    }
+    layout.annotations.push({ text: plain(one.text), xref: "x", yref: "paper", x: Math.min(one.t, data.end), y: 1, xanchor: "right",
+      yanchor: "top", showarrow: false, font: { size: 11, color: "#00694d" } });
+  }
   layout.xaxis.anchor = data.panels.length ? "y" + (data.panels.length + 1) : "y";
   return { traces, layout };
 }

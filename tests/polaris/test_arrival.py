@@ -1,0 +1,333 @@
+"""The claims of the goal and of the velocity change: derived alike twice, and refused if forged."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("flint")
+
+import flint
+from flint import arb
+
+from polaris.certificate import arrival as checked
+from polaris.certificate.argument import Argument
+from polaris.certificate.balls import matrix
+from polaris.certificate.checker import verify
+from polaris.certificate.document import read
+from polaris.certificate.verdict import Failed, Record, Rejected
+from polaris.certificate.zonotopes import Merging, widest
+from polaris.model.errors import PolarisError
+from polaris.planning.goals import Box, EllipticalNMT, LinearNMT, StationaryPoint
+from polaris.synthesis.arrival import SOON, _correcting, _distance, _needs, _weights, arrival
+from polaris.synthesis.get_safety import get_safety
+from polaris.synthesis.synthesize import synthesize
+
+from .forging import CERTIFICATE, Forger, Lie, make
+from .random_scenarios import written
+from .tiny import synthesised
+
+VARIANTS = {
+    "reached": [],
+    "too narrow": ["goal.tolerance_m=0.01"],
+    "any state": ['goal={kind="box",center=[8.0,6.0,0.0,0.0],half_widths=[inf,inf,inf,inf]}'],
+    "a box": ['goal={kind="box",center=[8.0,6.0,0.0,0.0],half_widths=[0.0,0.5,inf,0.1]}'],
+}
+
+
+@pytest.fixture(scope="module")
+def forgers(tmp_path_factory):
+    made = {}
+
+    def forger(kind):
+        if kind not in made:
+            folder = tmp_path_factory.mktemp("arrival")
+            made[kind] = Forger(make(VARIANTS[kind], folder), folder)
+        return made[kind]
+
+    return forger
+
+
+# -- two derivations of the same rows ---------------------------------------------------------------
+
+
+def random_goal(rng, kind):
+    """(Table of a scenario, goal, mean motion) of one kind, in space or in n states."""
+    rate = float(rng.uniform(5e-4, 2e-3))
+    if kind == "elliptical_nmt":
+        outer, inner = rng.uniform(20, 500), rng.choice([0.0, 3.0, 10.0])
+        across, sides = rng.choice([None, 7.0]), int(rng.integers(6, 30))
+        spec = {"inner_semi_minor_m": inner, "outer_semi_minor_m": outer, "sides": sides}
+        spec |= {"cross_track_max_m": across} if across else {}
+        return spec, EllipticalNMT(rate, inner, outer, sides, across), rate
+    if kind == "linear_nmt":
+        amplitude, along = rng.uniform(0.1, 200), rng.uniform(-300, 300)
+        return {"amplitude_max_m": amplitude, "along_track_m": along}, LinearNMT(rate, amplitude, along), rate
+    n = int(rng.integers(1, 8))
+    middle = rng.normal(size=n) * rng.choice([0.0, 1.0, 100.0])
+    eta = rate if n == 6 else None
+    if kind == "stationary":
+        return {"state": middle.tolist()}, StationaryPoint(middle, eta or 1e-2), eta
+    half = rng.choice([0.0, 0.3, 5.0, np.inf], n)
+    return {"center": middle.tolist(), "half_widths": half.tolist()}, Box(middle, half, eta or 1e-2), eta
+
+
+@pytest.mark.parametrize("kind", checked.GOALS)
+def test_the_checker_derives_the_planner_s_rows(kind):
+    """Distances of random states are the same, for goals of every kind and any number of states."""
+    rng = np.random.default_rng(5)
+    for _ in range(40):
+        spec, goal, eta = random_goal(rng, kind)
+        n, steps, delta = goal.n, int(rng.integers(5, 60)), float(rng.uniform(0.1, 60))
+        C = np.eye(n)[: int(rng.integers(1, min(n, 3) + 1))]
+        document = SimpleNamespace(mean_motion=eta, A=np.eye(n).tolist(), C=C.tolist())
+        found = checked.GOALS[kind](document, spec)
+        rows = checked.Weighted.of(found, arb(SOON) * steps * delta, document)
+        conditions = goal.conditions
+        assert found.scale == pytest.approx(conditions.scale, rel=1e-15)
+        problem = SimpleNamespace(system=SimpleNamespace(position=C), K=steps, delta=delta)
+        ours = np.vstack([conditions.E, -conditions.E, conditions.G, *(-N for N, _ in conditions.one_of)])
+        sides = [conditions.e, -conditions.e, conditions.g, *(-c for _, c in conditions.one_of)]
+        weight = _weights(problem, ours)
+        for x in rng.normal(size=(10, n)) * np.exp(rng.uniform(-3, 6, (10, 1))):
+            expected = _distance(conditions, ((ours @ x - np.concatenate(sides)) * weight)[None])[0]
+            derived = rows.distance(rows.over(matrix([[value] for value in x])))
+            assert float(derived.mid()) == pytest.approx(float(expected), rel=1e-9, abs=1e-9)
+
+
+# -- what is claimed ----------------------------------------------------------------------------------
+
+
+def test_the_velocity_change_goes_on_for_as_long_as_s_corrects():
+    """Beyond the memory of the loop, too, where the need is the same in every period."""
+    _, schedule = synthesised()
+    safety, final = schedule.safety, schedule.final
+    late = safety.tracking.memory + 5
+    spent = [_correcting(safety, final, nodes) for nodes in (0, late, late + 10, late + 20)]
+    assert spent[0] == 0 and spent[1] > 0
+    assert spent[2] - spent[1] == pytest.approx(spent[3] - spent[2], rel=1e-9)
+    assert spent[2] > spent[1]
+
+
+def test_the_middle_of_the_tube_counts_and_not_the_reference():
+    """Where U leaves flights off the reference at T, and the tail ends before S is back, it is not near."""
+    _, schedule = synthesised()
+    off = schedule.final + np.array([30.0, 0.0, 0.0, 0.0])
+    rows = schedule.safety.problem.goal.conditions.E
+    need, centre = _needs(schedule.safety, off, rows)
+    assert np.abs(centre[0]).max() == pytest.approx(30, rel=0.1)
+    assert np.all(need >= centre) and np.all(np.diff(np.abs(centre[:, 0]))[-3:] <= 0)
+    short = replace(
+        schedule.safety, reference=replace(schedule.safety.reference, **cut(schedule.safety, after=0))
+    )
+    assert arrival(short, off, 0.0).reached is False
+    assert arrival(short, schedule.final, 0.0).reached is True
+
+
+def cut(safety, after):
+    """Fields of the reference with so many cells after T."""
+    cells = safety.problem.K + after
+    return {"chi": safety.reference.chi[: cells + 1], "nu": safety.reference.nu[:cells]}
+
+
+def test_nothing_is_reached_where_nothing_is_proved():
+    scenario, _ = synthesised()
+    problem = replace(scenario.problem(), recoverable="paper_ball", recourse="none")
+    schedule = synthesize(get_safety(problem), experimental=[])
+    assert schedule.guarantee == "none"
+    assert schedule.arrival.reached == "not_proven" and schedule.arrival.by is None
+
+
+def test_a_tail_that_does_not_coast_costs_what_it_commands(forgers):
+    """Only a claim for ever needs a coasting tail; the bound on the velocity change does not rest on one."""
+    found, _, _ = derived(forgers("reached"))
+    document = found.document
+    nodes = 2 * document.q
+    coasting = float(found._correcting(nodes).mid())
+    assert document.cells >= document.steps + 2
+    document.inputs[document.steps] = [0.05, 0.0]
+    more = float(found._correcting(nodes).mid()) - coasting
+    assert more == pytest.approx(0.05 * document.delta / document.mass, rel=1e-9)
+
+
+# -- forgeries ------------------------------------------------------------------------------------------
+
+
+def derived(forger):
+    """(What the checker makes of a run, an honest claim, the scenario's goal)."""
+    flint.ctx.prec = 128
+    document = read(forger.run / CERTIFICATE)
+    argument = Argument(document, Record())
+    path = argument.reference()
+    sets, flown = argument.tubes(path, Merging(80))
+    memory = checked.Memory.of(argument.loop, widest(sets), document.q)
+    spent = sum((step.spent for step in flown), arb(0)) / document.mass
+    found = checked.Arrival(document, path, argument.loop, memory, sets[-1], spent)
+    return found, forger.tree("schedule.json")["guarantee"]["goal"], forger.tree("scenario.toml")["goal"]
+
+
+@pytest.fixture(scope="module")
+def judged(forgers):
+    kept = {}
+
+    def judge(kind):
+        if kind not in kept:
+            kept[kind] = derived(forgers(kind))
+        found, goal, spec = kept[kind]
+        return found, dict(goal), dict(spec)
+
+    return judge
+
+
+@pytest.mark.parametrize("kind", VARIANTS)
+def test_untouched_they_are_verified(forgers, kind):
+    verdict = forgers(kind).judge({})
+    assert verdict.outcome == "VERIFIED", verdict.text()
+    reached = forgers(kind).tree("summary.json")["guarantee"]["goal"]["reached"]
+    assert reached == ("not_proven" if kind == "too narrow" else True)
+
+
+def claim_of(lie):
+    """The claim of the goal, the same table in both files."""
+    goal = lie.schedule["guarantee"]["goal"]
+    lie.summary["guarantee"]["goal"] = goal
+    return goal
+
+
+FORGED = {
+    "sooner": lambda goal, h: {"by_s": goal["by_s"] - h},
+    "before the flight": lambda goal, h: {"by_s": -1.0},
+    "between nodes": lambda goal, h: {"by_s": goal["by_s"] + h / 3},
+    "beyond the tail": lambda goal, h: {"by_s": 1e6},
+    "next to never": lambda goal, h: {"by_s": 1.7e308},
+    "no instant": lambda goal, h: {"by_s": None},
+    "nearer": lambda goal, h: {"distance_m": 0.3 * goal["distance_m"]},
+    "there": lambda goal, h: {"distance_m": 0.0},
+    "further than tolerated": lambda goal, h: {"distance_m": goal["tolerance_m"] * 1.01},
+    "more tolerated": lambda goal, h: {"tolerance_m": goal["tolerance_m"] * 1.01},
+    "no end of tolerance": lambda goal, h: {"tolerance_m": 1e300},
+    "cheaper": lambda goal, h: {"delta_v_max_m_s": 0.9 * goal["delta_v_max_m_s"]},
+    "for nothing": lambda goal, h: {"delta_v_max_m_s": 0.0},
+    "a drift": lambda goal, h: {"drift_m_per_orbit": 1.0},
+    "an instant, though not reached": lambda goal, h: {"reached": "not_proven"},
+}
+
+
+@pytest.mark.parametrize("how", FORGED)
+def test_a_goal_that_is_forged_is_refused(judged, how):
+    found, goal, spec = judged("reached")
+    found.check(goal, spec)
+    with pytest.raises(Rejected) as caught:
+        found.check(goal | FORGED[how](goal, found.document.delta / found.document.q), spec)
+    assert caught.value.claim == "goal"
+
+
+def test_a_whole_folder_with_a_forged_goal_is_refused(forgers):
+    lie = Lie(forgers("any state"))
+    claim_of(lie)["by_s"] = 1e6
+    lie.judge({"goal"})
+
+
+@pytest.mark.parametrize("key", ["distance_m", "tolerance_m", "delta_v_max_m_s"])
+@pytest.mark.parametrize("value", ["NaN", "1e999", "-1.0", "null", "true"])
+def test_numbers_that_are_none_are_refused(forgers, key, value):
+    forger = forgers("reached")
+    text = (forger.run / "schedule.json").read_text(encoding="utf-8")
+    at = text.index(f'"{key}": ') + len(f'"{key}": ')
+    forged = (
+        text[:at] + value + text[text.index(",", at) if "," in text[at : at + 30] else text.index("\n", at) :]
+    )
+    verdict = forger.judge({"schedule.json": forged})
+    assert verdict.outcome == "REJECTED" and verdict.claim in {"schedule", "artefacts"}, verdict.text()
+
+
+def test_a_weaker_claim_is_as_true(judged):
+    found, goal, spec = judged("reached")
+    goal |= {key: goal[key] * 1.5 for key in ("distance_m", "delta_v_max_m_s")}
+    assert "reached by" in found.check(goal, spec)
+    assert "not claimed" in found.check(goal | {"reached": "not_proven", "by_s": None}, spec)
+
+
+@pytest.mark.parametrize(
+    "forged",
+    [
+        {"reached": True, "by_s": 12.0},
+        {"reached": True, "by_s": 12.0, "tolerance_m": 0.4},
+        {"reached": True, "by_s": 12.0, "distance_m": 0.01},
+        {"reached": True},
+        {"distance_m": 0.01},
+        {"distance_m": 0.0, "reached": False},
+        {"tolerance_m": 0.4},
+        {"delta_v_max_m_s": 0.01},
+    ],
+    ids=str,
+)
+def test_a_goal_that_is_not_reached_is_not_claimed(judged, forged):
+    found, goal, spec = judged("too narrow")
+    found.check(goal, spec)
+    with pytest.raises(Rejected):
+        found.check(goal | forged, spec)
+
+
+def test_a_scenario_that_tolerates_less_makes_the_claim_false(judged):
+    found, goal, spec = judged("too narrow")
+    with pytest.raises(Rejected, match="tolerance"):
+        found.check(goal, spec | {"tolerance_m": 0.001})
+
+
+@pytest.mark.parametrize("file", ["schedule", "summary"])
+def test_both_files_make_the_same_claim(forgers, file):
+    lie = Lie(forgers("reached"))
+    getattr(lie, file)["guarantee"]["goal"]["distance_m"] *= 1.5
+    lie.judge({"summary"})
+
+
+@pytest.mark.parametrize("file", ["schedule", "summary"])
+def test_a_folder_without_the_goal_is_refused(forgers, file):
+    lie = Lie(forgers("reached"))
+    for name in ("schedule", "summary") if file == "schedule" else ("summary",):
+        del getattr(lie, name)["guarantee"]["goal"]
+    verdict = lie.verdict()
+    assert verdict.claim == file
+    assert "the key 'goal' is missing" in verdict.witness
+
+
+@pytest.mark.parametrize("key", ["delta_v_price", "switch_price", "delta_v_max"])
+def test_rules_are_the_scenario_s(forgers, key):
+    lie = Lie(forgers("reached"))
+    lie.schedule["rules"][key] = 0.5
+    lie.judge({"schedule"})
+
+
+def test_a_drift_needs_hill_s_frame(forgers):
+    document = SimpleNamespace(system_kind="linear", mean_motion=1e-3)
+    found = checked.Arrival(document, None, None, None, None, arb(0))
+    found._drift(None, 0)
+    with pytest.raises(Rejected, match="Hill"):
+        found._drift(5.0, 0)
+
+
+# -- random scenes --------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seeds", [range(start, start + 12) for start in (0, 12, 24, 36, 48)], ids=str)
+def test_random_scenes_are_verified_and_their_forgeries_are_not(seeds, tmp_path):
+    """Every plant, set, goal, rule, law; each number of the claim made a little better than it is."""
+    some = 0
+    for seed in seeds:
+        try:
+            folder = written(seed, tmp_path)
+        except PolarisError:
+            continue
+        verdict = verify(folder)
+        assert verdict.outcome == "VERIFIED", (seed, verdict.text())
+        found, goal, spec = derived(Forger(folder, tmp_path / f"scratch-{seed}"))
+        for key in ("distance_m", "delta_v_max_m_s", "drift_m_per_orbit"):
+            if goal[key] is None or goal[key] <= 1e-6:
+                continue
+            with pytest.raises(Failed):
+                found.check(goal | {key: 0.3 * goal[key]}, spec)
+            some += 1
+    assert some

@@ -1,0 +1,315 @@
+"""Trade-offs: points that are run folders, the front, resumed and killed, the command line, the figure."""
+
+import csv
+import itertools
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from matplotlib.text import Text
+from typer.testing import CliRunner
+
+import polaris
+from polaris.cli.app import app
+from polaris.model.errors import PolarisError, ScenarioError
+from polaris.report.figures.style import printing
+from polaris.report.figures.tradeoff import _front
+from polaris.runs import tradeoff as module
+from polaris.runs.campaign.drive import Interrupted
+from polaris.runs.campaign.workers import InProcess, Workers, local
+from polaris.runs.front import non_dominated
+from polaris.runs.schedule import DATA_FILES
+
+from .tiny import TINY
+
+ROOT = Path(__file__).parents[2]
+SET = ["system.input_max=2.0", "simulation.runs=2"]
+PRICES = [3, 0]
+NAMES = ["price-0", "price-3", "printed"]
+TABLES = ["tradeoff.csv", "scenario.toml"]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    place = tmp_path_factory.mktemp("tradeoff") / "one"
+    return polaris.tradeoff(TINY, place, PRICES, overrides=SET, draw=polaris.draw_run)
+
+
+@pytest.fixture
+def copied(folder, tmp_path):
+    """A copy of the folder that a test may spoil."""
+    return Path(shutil.copytree(folder.path, tmp_path / "one"))
+
+
+@pytest.fixture
+def computed(folder, monkeypatch):
+    """Names of the points that are computed, which are copied from those that are known."""
+    names = []
+
+    def run(scenario, place):
+        names.append(place.name)
+        shutil.rmtree(place, ignore_errors=True)
+        shutil.copytree(folder.path / place.name, place)
+
+    monkeypatch.setattr(module, "run", run)
+    return names
+
+
+def contents(path, names=(*TABLES, *(f"{name}/{file}" for name in NAMES for file in DATA_FILES))):
+    return {name: (path / name).read_bytes() for name in names}
+
+
+# -- points and front ---------------------------------------------------------------------------------
+
+
+def test_points_are_run_folders_of_their_price(folder, tmp_path):
+    rows = folder.summary["points"]
+    assert [(row["folder"], row["price"]) for row in rows] == list(zip(NAMES, [0, 3, None], strict=True))
+    alone = polaris.run(TINY, tmp_path / "alone", overrides=[*SET, "schedule.delta_v_price=3.0"])
+    assert contents(alone.path, DATA_FILES) == contents(folder.path / "price-3", DATA_FILES)
+    opened = {row["folder"]: polaris.read_run(folder.path / row["folder"]) for row in rows}
+    assert opened["price-0"].scenario.switching_rules().delta_v_price == 0
+    assert opened["printed"].scenario.model.recoverable.recourse == "none"
+    for row in rows:
+        told = opened[row["folder"]].summary
+        assert row["share"] == row["weighted_share"] == told["synthesis"]["experimental_share"]
+        assert row["switches"] == told["synthesis"]["switches"]
+        assert row["delta_v_m_s"] == told["polaris"]["delta_v_m_s"] <= row["delta_v_max_m_s"]
+        assert row["delta_v_undisturbed_m_s"] == pytest.approx(row["delta_v_m_s"], rel=0.1)
+        assert (
+            row["delta_v_most_m_s"] == told["guarantee"]["goal"]["delta_v_max_m_s"] > row["delta_v_max_m_s"]
+        )
+        assert (row["goal_reached"], row["guarantee"], row["until_s"]) == (True, "proved", 20.0)
+
+
+def test_a_price_buys_less_velocity_change_and_the_printed_schedule_is_outdone(folder):
+    free, dear, printed = folder.summary["points"]
+    assert free["share"] > dear["share"] and free["delta_v_m_s"] > dear["delta_v_m_s"]
+    assert [row["non_dominated"] for row in (free, dear, printed)] == [True, True, False]
+
+
+def test_the_table_says_the_same(folder):
+    with (folder.path / "tradeoff.csv").open(encoding="utf-8", newline="") as file:
+        read = list(csv.DictReader(file))
+    told = [{key: "" if v is None else str(v) for key, v in row.items()} for row in folder.summary["points"]]
+    assert read == told and polaris.read_run(folder.path).picture() == folder.summary["points"]
+
+
+GOOD = {"weighted_share": 0.5, "delta_v_m_s": 1.0, "switches": 2, "goal_reached": True}
+GOOD |= {"guarantee": "proved", "until_s": None}
+
+
+@pytest.mark.parametrize(
+    "worse",
+    [
+        {"weighted_share": 0.4},
+        {"delta_v_m_s": 1.1},
+        {"switches": 3},
+        {"goal_reached": "not_proven"},
+        {"guarantee": "none"},
+        {"until_s": 100.0},
+    ],
+    ids=lambda worse: next(iter(worse)),
+)
+def test_front(worse):
+    assert non_dominated([GOOD, GOOD | worse, GOOD]) == [True, False, True]
+    better = {"delta_v_m_s": 0.9} if "delta_v_m_s" not in worse else {"switches": 1}
+    assert non_dominated([GOOD, GOOD | worse | better]) == [True, True]
+
+
+def test_weights_count(folder, tmp_path):
+    path = shutil.copytree(folder.path / "price-0", tmp_path / "half")
+    text = (path / "scenario.toml").read_text(encoding="utf-8")
+    scenario = polaris.load_scenario(TINY, [*SET, "experimental[0].weight=0.5"])
+    assert "weight = 1.0" in text
+    run = polaris.RunFolder(path, scenario, polaris.read_run(folder.path / "price-0").kind)
+    row = module.row_of(run, "half", 0.0)
+    assert row["weighted_share"] == row["share"] / 2 > 0
+
+
+# -- resumed, killed, interrupted ----------------------------------------------------------------------
+
+
+def again(path, prices=PRICES, overrides=SET, **how):
+    return polaris.tradeoff(TINY, path, prices, overrides=overrides, **how)
+
+
+def test_points_that_are_there_are_kept_and_others_computed(folder, copied, computed):
+    before = contents(folder.path)
+    assert contents(again(copied).path) == before and computed == []
+    shutil.rmtree(copied / "price-3")
+    assert contents(again(copied).path) == before and computed == ["price-3"]
+    with pytest.raises(FileNotFoundError):  # a new price is asked for
+        again(copied, [0, 3, 7])
+    assert computed[1:] == ["price-7"] and contents(copied) == before
+
+
+@pytest.mark.parametrize("name", ["sets.npz", "summary.json", "certificate.json", "trajectories.npz"])
+def test_a_damaged_point_is_computed_again(name, folder, copied, computed):
+    (copied / "price-0" / name).write_bytes(b"{}")
+    assert contents(again(copied).path) == contents(folder.path) and computed == ["price-0"]
+
+
+def test_points_of_other_scenarios_and_versions_are_computed_again(copied, computed, monkeypatch):
+    again(copied, overrides=[*SET, "simulation.seed=1"])
+    assert computed == NAMES
+    computed.clear()
+    monkeypatch.setattr(module, "versions", lambda: {"polaris": "another"})
+    again(copied)
+    assert computed == NAMES
+
+
+def test_an_interrupted_one_goes_on_from_there(folder, computed, tmp_path, monkeypatch):
+    run, counted = module.run, []
+
+    def interrupted(scenario, place):
+        if place.name == "price-3":
+            raise KeyboardInterrupt
+        run(scenario, place)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(module, "run", interrupted)
+        with pytest.raises(Interrupted, match="goes on from there"):
+            again(tmp_path / "one")
+    stages = polaris.Stages()
+    stages.note = lambda text, done=0, total=None: counted.append((done, total))
+    again(tmp_path / "one", stages=stages)
+    assert computed == NAMES and counted[:3] == [(1, 3), (2, 3), (3, 3)]
+    assert contents(tmp_path / "one") == contents(folder.path)
+
+
+KILLED = """
+import os, shutil, signal, sys
+from polaris.runs import schedule, tradeoff
+known, out, tiny, *overrides = sys.argv[1:]
+run = tradeoff.run
+def copying(scenario, place):
+    if place.name == "price-0":
+        shutil.copytree(f"{known}/price-0", place)
+    else:
+        run(scenario, place)
+tradeoff.run = copying
+schedule.write_certificate = lambda *args: os.kill(os.getpid(), signal.SIGKILL)
+tradeoff.tradeoff(tiny, out, [0, 3], overrides=overrides)
+"""
+
+
+def test_a_killed_one_goes_on_from_there(folder, computed, tmp_path):
+    command = [sys.executable, "-c", KILLED, str(folder.path), str(tmp_path / "one"), str(TINY), *SET]
+    done = subprocess.run(command, env={**os.environ, "PYTHONPATH": str(ROOT)}, timeout=120, check=False)
+    left = sorted(path.name for path in (tmp_path / "one").iterdir())
+    assert done.returncode == -9 and left[0].startswith(".polaris") and left[2:] == ["price-0"], left
+    assert left[1].startswith(".price-3.new-"), "half written"
+    assert contents(again(tmp_path / "one").path) == contents(folder.path)
+    assert computed == ["price-3", "printed"]
+    assert not list((tmp_path / "one").glob(".p*.new-*"))
+
+
+class Lost(InProcess):
+    """Loses its worker."""
+
+    def submit(self, fn, /, *args, **kwargs):
+        raise OSError
+
+
+def test_a_lost_worker_is_told(tmp_path):
+    with pytest.raises(PolarisError, match="a worker was lost.*goes on from there"):
+        again(tmp_path / "one", executor=Workers(Lost, lambda: 1, lost=(OSError,)))
+
+
+@pytest.mark.slow
+def test_a_pool_gives_the_same_and_tells_why_there_is_no_schedule(folder, tmp_path):
+    assert contents(again(tmp_path / "one", executor=local(2)).path) == contents(folder.path)
+    with pytest.raises(PolarisError, match=r"(price-\d|printed): .*feasible") as told:
+        again(tmp_path / "two", overrides=["system.input_max=0.05"], executor=local(2))
+    assert told.value.exit_code == 3
+
+
+# -- what is refused ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("prices", [[], [-0.1], [0.1, 0.2, 0.1], [0.0, -0.0], [float("nan")], ["x"]], ids=str)
+def test_prices_that_make_no_sense(prices, tmp_path):
+    with pytest.raises(ScenarioError, match="prices"):
+        polaris.tradeoff(TINY, tmp_path / "one", prices)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("text", ["schedule.delta_v_price=1", "recoverable.recourse=none"])
+def test_overrides_that_are_its_own(text, tmp_path):
+    with pytest.raises(ScenarioError, match="must be left out"):
+        polaris.tradeoff(TINY, tmp_path / "one", [0], overrides=[text])
+
+
+def test_folders_of_others_are_left_alone(folder, copied, tmp_path):
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "notes").write_text("mine", encoding="utf-8")
+    for place, word in ((copied / "price-0", "other results"), (tmp_path / "mine", "other contents")):
+        with pytest.raises(ScenarioError, match=word):
+            again(place)
+    assert contents(copied) == contents(folder.path)
+    with pytest.raises(ScenarioError, match="is a trade-off"):
+        polaris.write_report(copied)
+
+
+# -- command line ---------------------------------------------------------------------------------------
+
+
+def invoke(*args):
+    return CliRunner().invoke(app, ["tradeoff", str(TINY), *map(str, args), "--workers", "1"])
+
+
+def test_command(copied, computed):
+    given = ["--out", copied, "--prices", "0,3", *itertools.chain(*(("--set", text) for text in SET))]
+    done = invoke(*given)
+    assert done.exit_code == 0, done.output
+    lines = [line.split()[:3] for line in done.stdout.splitlines()]
+    assert ["*", "price-0", "58.3%"] in lines and ["*", "price-3", "33.3%"] in lines
+    assert ["printed", "33.3%", "2"] in lines and (copied / "figures" / "tradeoff.pdf").is_file()
+    told = invoke(*given, "--json", "--no-figures")
+    assert json.loads(told.stdout) == json.loads((copied / "tradeoff.json").read_text(encoding="utf-8"))
+    assert not (copied / "figures").exists()
+    assert (invoke(*given, "-q").output, computed) == ("", [])
+
+
+@pytest.mark.parametrize(
+    ("given", "code"),
+    [(["--prices", "0,,1"], 2), (["--prices=-1"], 2), (["--set", "system.input_max=0.05"], 3)],
+    ids=str,
+)
+def test_exit_codes(given, code, tmp_path):
+    done = invoke("--out", tmp_path / "one", "-q", *given)
+    assert (done.exit_code, done.stderr[:6], done.stderr.count("\n")) == (code, "error:", 1), done.output
+
+
+# -- figure ---------------------------------------------------------------------------------------------
+
+
+def test_figure_is_redrawn_from_the_files_alone(folder, copied):
+    figures = copied / "figures"
+    shutil.rmtree(figures)
+    assert polaris.draw_run(polaris.read_run(copied)) == [figures / "tradeoff.pdf", figures / "tradeoff.png"]
+    assert (figures / "tradeoff.png").read_bytes() == (folder.path / "figures" / "tradeoff.png").read_bytes()
+
+
+def test_labels_lie_beside_one_another_and_say_price_and_switches(folder):
+    row, rows = folder.summary["points"][0], []
+    for i in range(9):
+        place = {"weighted_share": 0.9 + 1e-3 * (i % 3), "delta_v_m_s": 1 + 1e-3 * i, "switches": i}
+        rows.append(row | {"price": i / 10} | place)
+    rows += [row | {"price": price, "weighted_share": 0.5} for price in (1, 2, 3, None)]
+    with printing():
+        figure = _front(rows)
+        figure.draw_without_rendering()
+        boxes = [
+            Text.get_window_extent(text) for text in figure.axes[0].texts
+        ]  # without the line to its point
+        whole = figure.bbox
+    texts = {text.get_text() for text in figure.axes[0].texts}
+    assert len(boxes) == 10 and texts > {"price 0.1, 1 switch", "price 1 to 3, printed, 2 switches"}
+    assert not any(one.overlaps(other) for one, other in itertools.combinations(boxes, 2))
+    assert all(whole.x0 <= box.x0 and box.x1 <= whole.x1 and whole.y0 <= box.y0 for box in boxes)
