@@ -231,7 +231,7 @@ SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in ("dynamic", "keep
 
 @pytest.mark.parametrize("name", ["static", *SLOW])
 def test_table_of_scenarios_is_what_a_run_gives(name, shell):
-    share, switches, proven, alone, under = scenario_rows()[name]
+    share, switches, spent, proven, goal, alone, under = scenario_rows()[name]
     _, code = shell.run(f"polaris run {name}")
     assert code == 0
     found = json.loads((shell.folder / "runs" / name / "summary.json").read_text(encoding="utf-8"))
@@ -240,7 +240,10 @@ def test_table_of_scenarios_is_what_a_run_gives(name, shell):
     expected = {"infinite": "for all time", "one_period": f"until {until} s", "none": "up to T"}
     assert (end["kind"], expected[end["horizon"]]) == ("proved", proven)
     assert float(share.split()[0]) == pytest.approx(100 * found["polaris"]["experimental_share"], abs=3.0)
-    assert int(switches) == pytest.approx(found["polaris"]["switches"], abs=4)
+    assert int(switches) == pytest.approx(found["polaris"]["switches"], abs=1)
+    assert float(spent.split()[0]) == pytest.approx(found["polaris"]["delta_v_m_s"], rel=0.05)
+    assert end["goal"]["reached"] is True
+    assert float(goal.split()[0]) == pytest.approx(end["goal"]["by_s"], rel=0.02)
     for shown, who in ((alone, "experimental"), (under, "polaris")):
         metres = found[who]["min_distance_m"]
         assert float(shown.split()[0]) == pytest.approx(metres, rel=CLOSE, abs=0.06)
