@@ -125,7 +125,7 @@ def test_with_u_in_view_nothing_is_lost_in_many_scenes(folder):
         kept += schedule.share() >= before.share() and schedule.delta_v[0] <= before.delta_v[0] + 1e-12
         changed += not np.array_equal(schedule.safety.reference.chi, before.safety.reference.chi)
         assert schedule.safety.end.until >= before.safety.end.until
-    assert changed >= 15
+    assert changed >= 12
     assert kept >= 0.95 * 80
 
 
