@@ -129,11 +129,19 @@ class AffineController(AffineLaw):
         own = reference if self.own is self.reference else self.own
         return replace(self, reference=reference, own=own, tracking=tracking, _relaxed={})
 
-    def _over_limit(self, nodes: Zonotope, bow: Array, k: int) -> tuple[float, int]:
-        """By how much the unclipped command may exceed the limits in the step [N], and on which axis."""
+    def commanded(self, nodes: Zonotope, bow: Array, k: int) -> tuple[Array, Array]:
+        """Command before clipping in step k, its middle and spread at every node [N], shapes (q+1, m).
+
+        `nodes` are errors about the law's own reference. With the bow on either side booked, the hull of two
+        nodes holds what is commanded in the part between them.
+        """
         centre = self.own.nu[k] - nodes.c @ self.gain.T
         spread = np.abs(self.gain @ nodes.G).sum(axis=-1)
-        spread += at_nodes(bow) @ np.abs(self.gain).T
+        return centre, spread + at_nodes(bow) @ np.abs(self.gain).T
+
+    def _over_limit(self, nodes: Zonotope, bow: Array, k: int) -> tuple[float, int]:
+        """By how much the unclipped command may exceed the limits in the step [N], and on which axis."""
+        centre, spread = self.commanded(nodes, bow, k)
         excess = (np.abs(centre) + spread) * (1 + ROUNDING) - self.system.u_max
         return float(excess.max()), int(np.argmax(excess.max(axis=0)))
 

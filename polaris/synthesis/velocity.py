@@ -6,21 +6,8 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from ..model.system import Array
 from ..model.tolerances import ROUNDING
 from .controllers import AffineController, Controller, TubeSegment
-from .tracking import at_nodes
-
-
-def commands(law: AffineController, tube: TubeSegment, k: int) -> tuple[Array, Array]:
-    """Command of an affine law along a tube of errors: at the middle of every node, and its spread about it.
-
-    Both have shape (q+1, m) [N]. With the bow on either side booked, the hull of two nodes holds what is
-    commanded in the part between them.
-    """
-    centre = law.own.nu[k] - (tube.nodes.c - law.offset[k]) @ law.gain.T
-    spread = np.abs(law.gain @ tube.nodes.G).sum(axis=-1) + at_nodes(tube.bow) @ np.abs(law.gain).T
-    return centre, spread
 
 
 def velocity_change(law: Controller, tube: TubeSegment, k: int, delta: float) -> tuple[float, float]:
@@ -33,7 +20,7 @@ def velocity_change(law: Controller, tube: TubeSegment, k: int, delta: float) ->
         most = float(np.sum(limit.u_max)) * delta if limit is not None else np.inf
         return most, most
     u_max = law.system.u_max
-    centre, spread = commands(law, tube, k)
+    centre, spread = law.commanded(tube.nodes - law.offset[k], tube.bow, k)
     middle = np.minimum(np.abs(centre), u_max)
     highest = np.minimum((np.abs(centre) + spread) * (1 + ROUNDING), u_max)
     h = delta / (len(centre) - 1)

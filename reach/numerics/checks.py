@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from functools import wraps
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -44,7 +44,7 @@ def checked(function: F) -> F:
         except (FloatingPointError, OverflowError) as exc:
             raise Unresolved(f"the numbers given lead beyond floating point: {exc}") from exc
 
-    return call  # type: ignore[return-value]
+    return cast(F, call)
 
 
 def check_fields(value: Any) -> None:

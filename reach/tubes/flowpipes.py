@@ -99,7 +99,8 @@ class Propagator:
         """Start sets with a last coordinate that is constantly 1, if there is a drift."""
         if self.dim == start.dim:
             return start
-        return np.eye(self.dim, start.dim) @ start + np.eye(self.dim)[-1]  # type: ignore[no-any-return]
+        lifted: Zonotope = np.eye(self.dim, start.dim) @ start + np.eye(self.dim)[-1]
+        return lifted
 
 
 def flowpipes(
