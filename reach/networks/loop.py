@@ -1,0 +1,175 @@
+"""A linear system under a network that reads it once a period: reachable sets, sound in continuous time.
+
+Each period the network is enclosed over the set of states of that instant, its output still tied to the state
+(`Network.enclose`), so that the contraction of the loop is kept: intervals alone would lose it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..numerics.checks import Array, as_count, checked, require_single
+from ..numerics.errors import ReachError
+from ..numerics.rounding import gamma
+from ..sets.zonotope import Zonotope
+from ..tubes.flow import LinearFlow
+from ..tubes.tubes import locate
+from .network import Network
+
+ORDER = 90.0
+"""Generators per dimension of a tube: what was long ago must have decayed before it is merged."""
+OWN_ORDER = 3.0
+"""Generators per input that stand for what the bands of one enclosure leave open."""
+NOISE_ORDER = 3.0
+"""Generators per dimension for disturbance and rounding of one period."""
+
+
+@dataclass(frozen=True, eq=False)
+class NetworkTube:
+    """Sets that hold the states of a loop at its samples, and over every period between them.
+
+    Attributes
+    ----------
+    times : ndarray, shape (K+1,)
+        Samples [s], from 0.
+    nodes : Zonotope, batch (K+1,)
+    bow : ndarray, shape (K, n)
+        Over the period after node k the state leaves the hull of corresponding points of the two nodes by no
+        more than this, elementwise.
+    inputs : Zonotope, batch (K,)
+        What the network commands in each period.
+    """
+
+    times: Array
+    nodes: Zonotope
+    bow: Array
+    inputs: Zonotope
+
+    def support(self, directions: ArrayLike) -> Array:
+        """Bounds on ``d x(t)`` over every period for rows d, shape (K, r) for rows (r, n)."""
+        D = np.atleast_2d(np.asarray(directions, dtype=float))
+        nodes = self.nodes.support(D)
+        return np.asarray(np.maximum(nodes[1:], nodes[:-1]) + self.bow @ np.abs(D).T)
+
+    def at(self, t: ArrayLike) -> Zonotope:
+        """Boxes that hold the state at given times, batch (len(t),)."""
+        k, _ = locate(self.times, t)
+        n = self.nodes.dim
+        rows = np.vstack([np.eye(n), -np.eye(n)])
+        most = self.support(rows)[k]
+        return Zonotope.box((most[:, :n] - most[:, n:]) / 2, (most[:, :n] + most[:, n:]) / 2)
+
+
+@dataclass(frozen=True, eq=False)
+class NetworkLoop:
+    """``x' = A x + B (u + v) + D w``, where ``u = network(C x + s)`` is renewed every h and held.
+
+    v and s are known and may differ from period to period; ``norm(w, 2) <= w_max``, any function of time.
+
+    Parameters
+    ----------
+    A, B, D : ndarray, shapes (n, n), (n, m), (n, p)
+    w_max : float
+    h : float
+        Period [s].
+    network : Network
+        With m outputs; any limits of the input are its last activation.
+    C : ndarray, shape (r, n)
+        What the network reads.
+
+    Raises
+    ------
+    ReachError
+        If shapes do not fit.
+    """
+
+    A: Array
+    B: Array
+    D: Array
+    w_max: float
+    h: float
+    network: Network
+    C: Array
+
+    def __post_init__(self) -> None:
+        if self.B.shape != (len(self.A), self.network.outputs):
+            raise ReachError(f"B must have shape {(len(self.A), self.network.outputs)}, got {self.B.shape}")
+        if np.shape(self.C) != (self.network.inputs, len(self.A)):
+            shape = (self.network.inputs, len(self.A))
+            raise ReachError(f"C must have shape {shape}, got {np.shape(self.C)}")
+
+    @cached_property
+    def flow(self) -> LinearFlow:
+        """Motion between two samples, the input apart."""
+        return LinearFlow.continuous(self.A, self.D, self.w_max, self.h)
+
+    def command(self, states: Zonotope, s: ArrayLike | float = 0.0) -> Zonotope:
+        """The network over a set of states: the first generators are theirs, the others few."""
+        seen = self.C @ states + np.broadcast_to(s, (self.network.inputs,))
+        rounding = gamma(states.dim) * (np.abs(self.C) @ states.extent + np.abs(s))
+        out = self.network.enclose(seen, rounding)
+        g = states.order_count
+        own = Zonotope(np.zeros(out.dim), out.G[:, g:]).reduce(OWN_ORDER)
+        return Zonotope(out.c, np.hstack([out.G[:, :g], own.G]))
+
+    @checked
+    def step(self, states: Zonotope, s: Any = 0.0, v: Any = 0.0) -> tuple[Zonotope, Array, Zonotope]:
+        """One period from a (single) set of states.
+
+        Parameters
+        ----------
+        states : Zonotope
+        s, v : array_like, shapes (r,) and (m,)
+            What is added to what the network reads, and to what it commands.
+
+        Returns
+        -------
+        after : Zonotope
+            States at the next sample, not reduced.
+        bow : ndarray, shape (n,)
+            As in `NetworkTube`, disturbance included.
+        command : Zonotope
+            What the network commands.
+        """
+        require_single("the states", states)
+        command = self.command(states, s)
+        held = self.flow.input_map(self.B)
+        drive = command.c + v
+        phi = self.flow.phi
+        grown = command.G.shape[1] - states.G.shape[1]
+        G = np.pad(states.G, ((0, 0), (0, grown)))
+        after = Zonotope(phi @ states.c + held @ drive, phi @ G + held @ command.G)
+        size = np.abs(phi) @ states.extent + np.abs(held) @ (np.abs(drive) + command.half_widths)
+        noise = self.flow.period_zonotope.inflate(gamma(len(phi) + len(drive)) * size)
+        after = after + noise.reduce(NOISE_ORDER)
+        # x'' = e^{A s} A (A x + B u), states and inputs taken together.
+        turn = self.A @ self.A, self.A @ self.B
+        bend = np.abs(turn[0] @ G + turn[1] @ command.G).sum(axis=1)
+        bend = bend + np.abs(turn[0] @ states.c + turn[1] @ drive)
+        return after, self.h**2 / 8 * self.flow.growth @ bend + self.flow.period_box, command
+
+    @checked
+    def tube(self, initial: Zonotope, periods: int, order: float = ORDER) -> NetworkTube:
+        """Reachable sets over a number of periods, with at most ``order * n`` generators each.
+
+        Reducing wraps what turns, so it is done late and then by much.
+
+        Raises
+        ------
+        Unresolved
+            If the sets grow beyond floating point.
+        """
+        require_single("the initial set", initial)
+        nodes, bows, inputs = [initial], [], []
+        for _ in range(as_count("periods", periods)):
+            after, bow, command = self.step(nodes[-1])
+            nodes.append(after if after.order_count <= order * after.dim else after.reduce(order / 3))
+            bows.append(bow)
+            inputs.append(command)
+        times = np.arange(len(nodes)) * np.float64(self.h)
+        return NetworkTube(times, Zonotope.stack(nodes), np.array(bows), Zonotope.stack(inputs))

@@ -1,0 +1,193 @@
+"""Networks from ONNX files: read as data, never executed (optional package ``onnx``)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..numerics.checks import Array
+from ..numerics.errors import ReachError
+from .bands import Activation
+from .network import Affine, Network
+
+LARGEST = 64 * 2**20
+"""Bytes of a file beyond which it is refused: a controller is small."""
+
+
+def read_onnx(path: str | Path) -> Network:
+    """Read a feed-forward network.
+
+    Understood are Gemm, MatMul, Add, Sub, Mul, Div (with constants), BatchNormalization, Relu, LeakyRelu, Tanh,
+    Sigmoid, Clip, and what changes no value (Identity, Flatten, Reshape, Squeeze, Unsqueeze, Cast, Dropout). The
+    batch axis counts for nothing. Weights are taken as stored, arithmetic is in double precision.
+
+    Raises
+    ------
+    ReachError
+        If the package is missing, the file is none, too large, keeps weights elsewhere, branches, has an operator
+        that is not understood, or a weight that is not finite.
+    """
+    try:
+        import onnx
+    except ImportError as error:
+        raise ReachError(
+            "reading ONNX files needs the package onnx (pip install 'polaris[networks]')"
+        ) from error
+    path = Path(path)
+    try:
+        if path.stat().st_size > LARGEST:
+            raise ReachError(f"{path} has more than {LARGEST} bytes: not a controller")
+        graph = onnx.load_model_from_string(path.read_bytes()).graph
+    except OSError as error:
+        raise ReachError(f"{path} cannot be read: {error.strerror}") from error
+    except ReachError:
+        raise
+    except Exception as error:  # the parser of the package raises errors of its own
+        raise ReachError(f"{path} is not an ONNX file: {error}") from error
+    try:
+        return _Reader(graph).network()
+    except ReachError as error:
+        raise ReachError(f"{path}: {error}") from error
+
+
+@dataclass
+class _Reader:
+    """One walk along the chain of operators, from the input to the output."""
+
+    graph: Any
+    layers: list[Affine | Activation] = field(default_factory=list)
+    width: int = 0
+
+    def network(self) -> Network:
+        from onnx import TensorProto, numpy_helper
+
+        self.constants: dict[str, Array] = {}
+        for tensor in self.graph.initializer:
+            if tensor.data_location == TensorProto.EXTERNAL:
+                raise ReachError(f"the weights {tensor.name} lie in another file")
+            self._keep(tensor.name, numpy_helper.to_array(tensor))
+        given = [value for value in self.graph.input if value.name not in self.constants]
+        if len(given) != 1 or len(self.graph.output) != 1:
+            raise ReachError(f"needs one input and one output, has {len(given)} and {len(self.graph.output)}")
+        shape = [axis.dim_value for axis in given[0].type.tensor_type.shape.dim]
+        self.width = shape[-1] if shape else 0
+        if self.width < 1 or any(size > 1 for size in shape[:-1]):
+            raise ReachError(f"the input must be a vector of known size, has shape {shape}")
+        at = given[0].name
+        for node in self.graph.node:
+            at = self._apply(node, at)
+        if at != self.graph.output[0].name:
+            raise ReachError("the output is not the end of the chain of operators")
+        return Network(tuple(self.layers))
+
+    def _apply(self, node: Any, at: str) -> str:
+        from onnx import helper, numpy_helper
+
+        more = {item.name: helper.get_attribute_value(item) for item in node.attribute}
+        if node.op_type == "Constant":
+            if "value" not in more:
+                raise ReachError("a constant that is not a tensor is not understood")
+            self._keep(node.output[0], numpy_helper.to_array(more["value"]))
+            return at
+        if node.op_type not in _OPERATORS:
+            raise ReachError(f"the operator {node.op_type} is not understood")
+        inputs = [None if name == at or not name else self.constants.get(name, name) for name in node.input]
+        if list(node.input).count(at) != 1 or any(isinstance(value, str) for value in inputs):
+            raise ReachError(
+                f"{node.op_type} does not take the output before it and constants: only chains are understood"
+            )
+        _OPERATORS[node.op_type](self, inputs, more)
+        return str(node.output[0])
+
+    def _keep(self, name: str, value: Any) -> None:
+        if value.dtype.kind not in "fiu" or not np.all(np.isfinite(value)):
+            raise ReachError(f"the weights {name} are not finite numbers")
+        self.constants[name] = np.asarray(value, dtype=float)
+
+    def _affine(self, W: Array, b: Array) -> None:
+        if W.ndim != 2 or W.shape[1] != self.width:
+            raise ReachError(f"weights of shape {W.shape} follow {self.width} values")
+        self.layers.append(Affine(W, np.broadcast_to(b.reshape(-1), (len(W),))))
+        self.width = len(W)
+
+    def _gemm(self, inputs: list[Any], more: dict[str, Any]) -> None:
+        W = self._weights(inputs, "Gemm")
+        if more.get("transA", 0):
+            raise ReachError("Gemm with a transposed input is not understood")
+        W = W if more.get("transB", 0) else W.T
+        b = inputs[2] if len(inputs) > 2 and inputs[2] is not None else np.zeros(1)
+        self._affine(more.get("alpha", 1.0) * W, more.get("beta", 1.0) * b)
+
+    def _matmul(self, inputs: list[Any], _: dict[str, Any]) -> None:
+        self._affine(self._weights(inputs, "MatMul").T, np.zeros(1))
+
+    @staticmethod
+    def _weights(inputs: list[Any], name: str) -> Array:
+        if len(inputs) < 2 or inputs[0] is not None or inputs[1] is None or inputs[1].ndim != 2:
+            raise ReachError(f"{name} must multiply by weights from the right")
+        return np.asarray(inputs[1])
+
+    def _diagonal(self, scale: Any, shift: Any) -> None:
+        spread = [np.asarray(value, dtype=float).reshape(-1) for value in (scale, shift)]
+        if any(value.size not in (1, self.width) for value in spread):
+            raise ReachError(
+                f"constants of sizes {[value.size for value in spread]} follow {self.width} values"
+            )
+        scale, shift = (np.broadcast_to(value, (self.width,)) for value in spread)
+        self._affine(np.diag(scale), shift)
+
+    def _combine(self, kind: str, inputs: list[Any]) -> None:
+        first = inputs[0] is None
+        value = inputs[1] if first else inputs[0]
+        if kind == "Div" and (not first or np.any(value == 0)):
+            raise ReachError("Div must divide by constants that are not zero")
+        sign = -1.0 if kind == "Sub" else 1.0
+        scale = {"Mul": value, "Div": 1 / value if kind == "Div" else 1.0}.get(kind, 1.0 if first else sign)
+        shift = {"Add": value, "Sub": -value if first else value}.get(kind, 0.0)
+        self._diagonal(scale, shift)
+
+    def _normalize(self, inputs: list[Any], more: dict[str, Any]) -> None:
+        if len(inputs) < 5 or more.get("training_mode", 0):
+            raise ReachError("BatchNormalization must be that of inference")
+        gain, shift, mean, variance = inputs[1:5]
+        if np.any(variance + more.get("epsilon", 1e-5) <= 0):
+            raise ReachError("BatchNormalization has a variance that is not positive")
+        scale = gain / np.sqrt(variance + more.get("epsilon", 1e-5))
+        self._diagonal(scale, shift - mean * scale)
+
+    def _clip(self, inputs: list[Any], more: dict[str, Any]) -> None:
+        ends = [
+            float(inputs[at]) if len(inputs) > at and inputs[at] is not None else more.get(name)
+            for at, name in ((1, "min"), (2, "max"))
+        ]
+        if None in ends:
+            raise ReachError("Clip must have both limits")
+        self.layers.append(Activation("clip", *ends))
+
+
+def _activation(kind: str, default: float = 0.0) -> Callable[[_Reader, list[Any], dict[str, Any]], None]:
+    return lambda reader, _, more: reader.layers.append(Activation(kind, more.get("alpha", default)))
+
+
+def _combining(kind: str) -> Callable[[_Reader, list[Any], dict[str, Any]], None]:
+    return lambda reader, inputs, _: reader._combine(kind, inputs)
+
+
+_OPERATORS: dict[str, Callable[[_Reader, list[Any], dict[str, Any]], None]] = {
+    "Gemm": _Reader._gemm,
+    "MatMul": _Reader._matmul,
+    "BatchNormalization": _Reader._normalize,
+    "Clip": _Reader._clip,
+    "Relu": _activation("relu"),
+    "LeakyRelu": _activation("relu", 0.01),
+    "Tanh": _activation("tanh"),
+    "Sigmoid": _activation("sigmoid"),
+    **{kind: _combining(kind) for kind in ("Add", "Sub", "Mul", "Div")},
+    **dict.fromkeys(
+        ("Identity", "Flatten", "Reshape", "Squeeze", "Unsqueeze", "Cast", "Dropout"), lambda *_: None
+    ),
+}

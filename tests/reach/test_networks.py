@@ -1,0 +1,153 @@
+"""Networks: enclosures against sampled truth, bands against dense grids, loops against flights."""
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from reach.networks.bands import Activation
+from reach.networks.loop import NetworkLoop
+from reach.networks.network import Affine, Network
+from reach.numerics.errors import ReachError
+from reach.numerics.linear import discretize
+from reach.sets.zonotope import Zonotope
+
+ACTIVATIONS = [
+    Activation("relu"),
+    Activation("relu", 0.1),
+    Activation("tanh"),
+    Activation("sigmoid"),
+    Activation("clip", -0.5, 1.0),
+]
+
+
+def random_network(rng, inputs, widths, outputs, activation, scale=1.0):
+    sizes = [inputs, *widths, outputs]
+    layers = []
+    for before, after in zip(sizes, sizes[1:], strict=False):
+        W = rng.normal(size=(after, before)) * scale / np.sqrt(before)
+        layers += [Affine(W, rng.normal(size=after)), activation]
+    return Network(tuple(layers[:-1]))
+
+
+@pytest.mark.parametrize("activation", ACTIVATIONS, ids=lambda a: f"{a.kind}{a.low:g}")
+def test_bands_hold_on_a_grid_and_touch(activation):
+    rng = np.random.default_rng(1)
+    for size in (1e-8, 1e-3, 1.0, 30.0, 1e5):
+        ends = np.sort(rng.normal(size=(400, 2)) * size, axis=1)
+        lo, hi = ends[:, 0], ends[:, 1]
+        slope, offset, radius = activation.band(lo, hi)
+        y = lo + (hi - lo) * np.linspace(0, 1, 2001)[:, None]
+        off = np.abs(activation(y) - slope * y - offset)
+        assert np.all(off <= radius)
+        # What rounding is booked apart, the band is the least of its slope.
+        slack = 64 * np.finfo(float).eps * (np.abs(ends).max(axis=1) + 1)
+        assert np.all(off.max(axis=0) >= 0.999 * radius - slack - 1e-5 * (hi - lo) * (radius > 0))
+
+
+@pytest.mark.parametrize("activation", ACTIVATIONS, ids=lambda a: f"{a.kind}{a.low:g}")
+@pytest.mark.parametrize("depth", [1, 3, 6])
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 20.0, 1e8])
+def test_outputs_stay_tied_to_their_inputs(activation, depth, scale):
+    rng = np.random.default_rng(depth)
+    net = random_network(rng, 4, [24] * depth, 2, activation, scale)
+    inputs = Zonotope(rng.normal(size=4), rng.normal(size=(4, 7)) * 0.1)
+    found = net.enclose(inputs)
+    a = rng.uniform(-1, 1, (4000, 7))
+    a[:2000] = np.sign(a[:2000])
+    left = np.abs(net(inputs.c + a @ inputs.G.T) - found.c - a @ found.G[:, :7].T)
+    assert np.all(left <= np.abs(found.G[:, 7:]).sum(axis=1))
+
+
+def test_exact_where_nothing_bends():
+    """One unit is always off, one always on: the network is affine there, and so is what is found."""
+    W = np.array([[1.0, 2.0], [-1.0, 0.5]])
+    net = Network((Affine(W, np.array([10.0, -10.0])), Activation("relu"), Affine(np.eye(2), np.zeros(2))))
+    found = net.enclose(Zonotope.box([0.0, 0.0], [1.0, 1.0]))
+    assert found.c == pytest.approx([10.0, 0.0])
+    assert found.G[:, :2] == pytest.approx(np.array([[1.0, 2.0], [0.0, 0.0]]))
+    assert np.abs(found.G[:, 2:]).sum() < 1e-12
+
+
+def test_small_sets_cost_their_square():
+    """What the bands leave open shrinks with the square of the set where the activation is smooth."""
+    net = random_network(np.random.default_rng(5), 3, [16, 16], 2, Activation("tanh"))
+    rest = [
+        np.abs(net.enclose(Zonotope.box(np.full(3, 0.2), np.full(3, size))).G[:, 3:]).sum()
+        for size in (1e-2, 1e-3)
+    ]
+    assert 80 < rest[0] / rest[1] < 120
+
+
+def a_loop(seed, activation=ACTIVATIONS[2]):
+    """A double integrator under a random network around a stabilising law, clipped."""
+    rng = np.random.default_rng(seed)
+    net = random_network(rng, 2, [12], 1, activation, 0.3)
+    # relu(y) - relu(-y) = y: the law is carried past the random part.
+    first, last = net.layers[0], net.layers[2]
+    K = np.array([[1.0, 1.7]])
+    W = np.vstack([first.W, K, -K])
+    body = Affine(W, np.r_[first.b, 0, 0])
+    relu = Activation("relu")
+    out = Affine(np.c_[0.05 * last.W, [[-1.0, 1.0]]], 0.05 * last.b)
+    layers = (body, relu, out, Activation("clip", -1.0, 1.0))
+    A, B, D = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]]), np.array([[0.0], [1.0]])
+    return NetworkLoop(A, B, D, 0.02, 0.1, Network(layers))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_flights_stay_in_the_tube_between_samples_too(seed):
+    loop, rng = a_loop(seed), np.random.default_rng(seed)
+    start = Zonotope.box(rng.normal(size=2), [0.1, 0.1])
+    tube = loop.tube(start, 80)
+    x = start.sample(rng, 300)
+    w = 0.02 * np.sign(rng.normal(size=(300, 1)))
+    parts = 4
+    Ah, Bh = discretize(loop.A, np.hstack([loop.B, loop.D]), loop.h / parts)
+    rows = np.vstack([np.eye(2), -np.eye(2), rng.normal(size=(6, 2))])
+    most, nodes = tube.support(rows), tube.nodes.support(rows)
+    reached = -np.inf
+    for k in range(80):
+        u = loop.network(x)
+        w = np.where(rng.uniform(size=w.shape) < 0.1, -w, w)
+        for _ in range(parts):
+            assert np.all(x @ rows.T <= most[k] + 1e-12)
+            x = x @ Ah.T + np.hstack([u, w]) @ Bh.T
+        assert np.all(x @ rows.T <= nodes[k + 1] + 1e-12)
+        reached = max(reached, float(np.max(x @ rows.T / nodes[k + 1])))
+    # Contracting: the loop's tube ends where the disturbance holds it, not where it began, or beyond.
+    assert np.all(tube.nodes[-1].half_widths < 0.35)
+    assert reached > 0.5
+
+
+def test_periods_agree_with_matrix_exponentials():
+    loop = a_loop(0)
+    x = np.array([0.3, -0.2])
+    after, bow, command = loop.step(Zonotope.point(x), v=np.array([0.4]))
+    u = loop.network(x) + 0.4
+    joined = np.block([[loop.A, (loop.B @ u)[:, None]], [np.zeros((1, 3))]])
+    exact = expm(joined * loop.h) @ np.r_[x, 1.0]
+    assert np.abs(after.c - exact[:2]).max() < 1e-12
+    assert command.c + 0.4 == pytest.approx(u)
+    assert np.all(bow >= loop.flow.period_box)
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: Affine(np.ones((2, 3)), np.ones(3)), "biases"),
+        (lambda: Affine(np.full((2, 2), np.nan), np.ones(2)), "finite"),
+        (lambda: Activation("softplus"), "must be one of"),
+        (lambda: Activation("relu", -0.5), "leaky"),
+        (lambda: Activation("clip", 1.0, 0.0), "low <= high"),
+        (lambda: Network((Activation("relu"),)), "at least one"),
+        (
+            lambda: Network((Affine(np.ones((2, 3)), np.ones(2)), Affine(np.ones((1, 3)), np.ones(1)))),
+            "follows",
+        ),
+        (lambda: a_loop(0).network.enclose(Zonotope.point(np.zeros(3))), "dimension 3"),
+        (lambda: a_loop(0).network.enclose(Zonotope.point([1e308, 1e308])), "beyond floating point"),
+    ],
+)
+def test_what_is_no_network_is_told(make, words):
+    with pytest.raises(ReachError, match=words):
+        make()
