@@ -21,15 +21,15 @@ LARGEST = 64 * 2**20
 def read_onnx(path: str | Path) -> Network:
     """Read a feed-forward network.
 
-    Understood are Gemm, MatMul, Add, Sub, Mul, Div (with constants), BatchNormalization, Relu, LeakyRelu, Tanh,
-    Sigmoid, Clip, and what changes no value (Identity, Flatten, Reshape, Squeeze, Unsqueeze, Cast, Dropout). The
-    batch axis counts for nothing. Weights are taken as stored, arithmetic is in double precision.
+    Understood are Gemm, MatMul, Add, Sub, Mul, Div (with constants), BatchNormalization, Relu, LeakyRelu,
+    Tanh, Sigmoid, Clip, and what changes no value (Identity, Flatten, Reshape, Squeeze, Unsqueeze, Cast,
+    Dropout). The batch axis counts for nothing. Weights are as stored, arithmetic is in double precision.
 
     Raises
     ------
     ReachError
-        If the package is missing, the file is none, too large, keeps weights elsewhere, branches, has an operator
-        that is not understood, or a weight that is not finite.
+        If the package is missing, the file is none, too large, keeps weights elsewhere, branches, has an
+        operator that is not understood, or a weight that is not finite.
     """
     try:
         import onnx
@@ -97,9 +97,7 @@ class _Reader:
             raise ReachError(f"the operator {node.op_type} is not understood")
         inputs = [None if name == at or not name else self.constants.get(name, name) for name in node.input]
         if list(node.input).count(at) != 1 or any(isinstance(value, str) for value in inputs):
-            raise ReachError(
-                f"{node.op_type} does not take the output before it and constants: only chains are understood"
-            )
+            raise ReachError(f"{node.op_type} takes more than constants and the output before it: no chain")
         _OPERATORS[node.op_type](self, inputs, more)
         return str(node.output[0])
 
@@ -160,13 +158,13 @@ class _Reader:
         self._diagonal(scale, shift - mean * scale)
 
     def _clip(self, inputs: list[Any], more: dict[str, Any]) -> None:
+        given = [*inputs[1:3], None, None]
         ends = [
-            float(inputs[at]) if len(inputs) > at and inputs[at] is not None else more.get(name)
-            for at, name in ((1, "min"), (2, "max"))
+            more.get(name) if end is None else end for name, end in zip(("min", "max"), given, strict=False)
         ]
-        if None in ends:
+        if any(end is None for end in ends):
             raise ReachError("Clip must have both limits")
-        self.layers.append(Activation("clip", *ends))
+        self.layers.append(Activation("clip", float(ends[0]), float(ends[1])))
 
 
 def _activation(kind: str, default: float = 0.0) -> Callable[[_Reader, list[Any], dict[str, Any]], None]:
