@@ -158,13 +158,12 @@ class _Reader:
         self._diagonal(scale, shift - mean * scale)
 
     def _clip(self, inputs: list[Any], more: dict[str, Any]) -> None:
-        given = [*inputs[1:3], None, None]
-        ends = [
-            more.get(name) if end is None else end for name, end in zip(("min", "max"), given, strict=False)
-        ]
-        if any(end is None for end in ends):
+        given = [more.get("min"), more.get("max")]
+        for at, value in enumerate(inputs[1:3]):
+            given[at] = given[at] if value is None else value
+        if given[0] is None or given[1] is None:
             raise ReachError("Clip must have both limits")
-        self.layers.append(Activation("clip", float(ends[0]), float(ends[1])))
+        self.layers.append(Activation("clip", float(given[0]), float(given[1])))
 
 
 def _activation(kind: str, default: float = 0.0) -> Callable[[_Reader, list[Any], dict[str, Any]], None]:
