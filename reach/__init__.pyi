@@ -41,8 +41,6 @@ from .tubes.flow import LinearFlow as LinearFlow
 from .tubes.flow import state_scale as state_scale
 from .tubes.flowpipes import Flowpipes as Flowpipes
 from .tubes.ltv import LTVSystem as LTVSystem
-from .tubes.ltv import ltv_support_tube as ltv_support_tube
-from .tubes.ltv import ltv_zonotope_tube as ltv_zonotope_tube
 from .tubes.systems import LinearSystem as LinearSystem
 from .tubes.systems import Signal as Signal
 from .tubes.trajectory import Trajectory as Trajectory

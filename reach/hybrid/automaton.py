@@ -24,7 +24,7 @@ class Mode:
     ----------
     name : str
     system : LinearSystem
-        Continuous, with one set of inputs at most.
+        Continuous, with one set of inputs at most and no nominal input.
     invariant : HPolytope, optional
         A trajectory stays in this mode only while it is inside; where it would leave it must take a
         transition, and without one it ends there. None: everywhere.
@@ -32,7 +32,7 @@ class Mode:
     Raises
     ------
     ReachError
-        If the system is discrete, its input set changes in time, or the dimensions differ.
+        If the system is discrete or has a nominal input, its input set changes in time, or dimensions differ.
     """
 
     name: str
@@ -45,6 +45,8 @@ class Mode:
             raise ReachError(f"mode {self.name!r} needs a system in continuous time")
         if len(self.system.U) > 1:
             raise ReachError(f"mode {self.name!r} needs one set of inputs, it has {len(self.system.U)}")
+        if self.system.nominal is not None:
+            raise ReachError(f"mode {self.name!r} takes no nominal input: it would be left out of the tube")
         if self.invariant is not None:
             require_single(f"the invariant of mode {self.name!r}", self.invariant, self.system.dim)
 

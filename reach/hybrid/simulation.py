@@ -15,10 +15,8 @@ from ..numerics.exponentials import dense
 from ..sets.polytope import HPolytope
 from .automaton import HybridAutomaton, Mode, Transition
 
-TOUCH = 1e-9
-"""A state this close to a face, relative to the terms of its row, counts as on it."""
-REPLAYED = 1e-6
-"""The same for a trajectory that is integrated again."""
+TOUCH = 1e-9  # a state this close to a face, relative to the terms of its row, counts as on it
+REPLAYED = 1e-6  # the same for a trajectory that is integrated again
 BISECTIONS = 40
 
 MOST_SAMPLES = 10_000_000

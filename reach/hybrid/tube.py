@@ -24,8 +24,7 @@ from ..tubes.flowpipes import Flowpipes, Propagator, flowpipes, input_response
 from .automaton import HybridAutomaton, Mode, Transition
 from .segments import HybridTube, Segment
 
-JUMPS = 50
-"""Most transitions of one trajectory, if nothing else is said."""
+JUMPS = 50  # most transitions of one trajectory, if nothing else is said
 
 
 @checked

@@ -24,12 +24,9 @@ from .tube import JUMPS, hybrid_tube
 
 Specs = Mapping[str, Sequence[Always | Never]]
 
-DEEP = 1e-6
-"""A violation must go beyond its limit by this share of the terms of the row, after the replay."""
-CORNERS = 8
-"""Directions in which corners of the initial set are tried."""
-PART = 20_000
-"""Sets that are cut at once."""
+DEEP = 1e-6  # a violation must go beyond its limit by this share of the terms of the row, after the replay
+CORNERS = 8  # directions in which corners of the initial set are tried
+PART = 20_000  # sets that are cut at once
 
 
 @dataclass(frozen=True, eq=False)

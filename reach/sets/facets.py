@@ -11,8 +11,7 @@ from ..numerics.checks import Array
 from ..numerics.errors import ReachError
 from ..numerics.rounding import Whole, cross, floats, gamma, integers
 
-FLAT = 1e-9
-"""Ratio of singular values (axes scaled to unit size) below which a zonotope is treated as flat."""
+FLAT = 1e-9  # ratio of singular values (axes scaled to unit size) below which a zonotope is treated as flat
 
 
 def combination_count(G: Array) -> int:

@@ -28,8 +28,7 @@ from ..sets.stacks import Generated
 from .rows import Rows
 from .systems import LinearSystem
 
-SMALL = 2000
-"""Entries that a product with a sparse input map must save to be worth it."""
+SMALL = 2000  # entries that a product with a sparse input map must save to be worth it
 
 
 class Overflow(Unresolved):

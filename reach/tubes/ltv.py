@@ -14,28 +14,17 @@ grows with the square of the number of steps.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from ..numerics.checks import (
-    Array,
-    as_directions,
-    as_frame,
-    as_numbers,
-    checked,
-    require_positive,
-    require_single,
-)
+from ..numerics.checks import Array, as_factor, as_numbers, require_single
 from ..numerics.errors import ReachError
 from ..numerics.exponentials import exponential
 from ..sets.convex import ConvexSet
-from ..sets.zonotope import Zonotope
 from .adjoint import attained_support, extent
+from .bounds import RowBounds, in_time
 from .rows import ROUNDING
-from .stepping import warn_if_wide
-from .tubes import SupportTube, ZonotopeTube, along_frame
 from .varying import Varying, sample
 
 MAX_STEPS = 20_000
@@ -52,6 +41,8 @@ class LTVSystem:
         Input map; the identity if only U is given.
     U : ConvexSet of dimension m, optional
     c : Varying or array_like, shape (n,), optional
+    begin : float
+        Time at which the state is in its initial set, and at which tubes begin.
 
     Raises
     ------
@@ -63,14 +54,17 @@ class LTVSystem:
     B: Any = None
     U: Any = None
     c: Any = None
+    begin: float = 0.0
+    discrete: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
-        A = self.A.value(0.0) if isinstance(self.A, Varying) else self.A
+        object.__setattr__(self, "begin", as_factor(self.begin, "begin"))
+        A = self.A.value(self.begin) if isinstance(self.A, Varying) else self.A
         A = as_numbers("A", A)
         if A.ndim != 2 or A.shape[0] != A.shape[1] or len(A) == 0:
             raise ReachError(f"A must be square, got shape {A.shape}")
         n = len(A)
-        if self.U is None and self.B is not None:
+        if self.U is None and self.B is not None and np.size(self.B):
             raise ReachError("B is given without U, the set of its input")
         if self.U is not None:
             require_single("U", self.U)
@@ -90,122 +84,24 @@ class LTVSystem:
         return 0 if self.U is None else int(self.U.dim)
 
 
-@checked
-def ltv_support_tube(
-    system: LTVSystem,
-    initial: ConvexSet,
-    horizon: float,
-    directions: ArrayLike,
-    *,
-    step: float,
-    begin: float = 0.0,
-) -> SupportTube:
-    """Bound chosen directions over the reachable sets, continuously in time.
-
-    Parameters
-    ----------
-    system : LTVSystem
-    initial : ConvexSet
-        Of the state at the time `begin`.
-    horizon : float
-    directions : array_like, shape (r, n)
-    step : float
-        Length of every step (shortened so that it divides the horizon).
-    begin : float
-
-    Returns
-    -------
-    SupportTube
-        With times from `begin` to ``begin + horizon``.
-
-    Raises
-    ------
-    ReachError
-        If shapes do not fit, numbers are not finite, or the bounds on derivatives do not hold.
-    """
-    D, n = as_directions(directions, system.dim), system.dim
-    r = len(D)
-    sweep = _Sweep(system, initial, horizon, step, begin)
-    rows = np.vstack([D, np.eye(n), -np.eye(n)])
-    run = sweep.run(rows, slice(r, r + n), slice(r + n, None), np.eye(n))
-    upper, bow = (run.first + run.upper)[:, :r], run.bow[:, :r]
-    attained = run.lower[:, :r]
-    interval = np.maximum(upper[1:], upper[:-1]) + bow
-    warn_if_wide(interval.max(axis=0), attained.max(axis=0), np.abs(upper).max(axis=0))
-    return SupportTube(sweep.times, D, upper, attained, interval, bow)
-
-
-@checked
-def ltv_zonotope_tube(
-    system: LTVSystem,
-    initial: ConvexSet,
-    horizon: float,
-    *,
-    step: float,
-    begin: float = 0.0,
-    frame: ArrayLike | None = None,
-) -> ZonotopeTube:
-    """Enclose the reachable sets by zonotopes, continuously in time and without wrapping.
-
-    Parameters
-    ----------
-    system : LTVSystem
-    initial : ConvexSet
-        A zonotope; of any other set the interval hull is taken.
-    horizon : float
-    step : float
-        Length of every step (shortened so that it divides the horizon).
-    begin : float
-    frame : array_like, shape (n, n), optional
-        Columns: axes along which the response to the inputs is bounded tightly. Default: the
-        coordinate axes.
-
-    Raises
-    ------
-    ReachError
-        As for `reach.ltv_support_tube`.
-    """
-    n = system.dim
-    F = as_frame(frame, n)
-    require_single("the initial set", initial)
-    start = initial if isinstance(initial, Zonotope) else initial.interval_hull().to_zonotope()
-    sweep = _Sweep(system, start, horizon, step, begin)
-    inverse = np.linalg.inv(F)
-    run = sweep.run(np.vstack([inverse, -inverse]), slice(n), slice(n, None), F)
-    nodes = run.first + run.upper
-    warn_if_wide(nodes.max(axis=0) + run.bow.max(axis=0), nodes.max(axis=0), np.abs(nodes).max(axis=0))
-    bow = np.maximum(run.bow[:, :n], run.bow[:, n:])
-    inputs = run.upper[:, n:], run.upper[:, :n]
-    return along_frame(sweep.times, inverse @ (run.maps @ start), inputs, bow, F)
-
-
-@dataclass(frozen=True, eq=False)
-class _Run:
-    """Bounds at the nodes, (K+1, r): of the initial set moved on, of the rest, and attained by both."""
-
-    first: Array
-    upper: Array
-    lower: Array
-    bow: Array
-    maps: Array
+def varying_bounds(
+    system: LTVSystem, initial: ConvexSet, D: Array, horizon: float, step: float, deadline: float
+) -> RowBounds:
+    """Bounds along rows D in steps of one length at most; rows D carried to the nodes are kept."""
+    return _Sweep(system, initial, horizon, step).run(D, deadline)
 
 
 class _Sweep:
     """Steps of a varying system: transitions, what inputs add, and boxes around all rests."""
 
-    def __init__(
-        self, system: LTVSystem, initial: ConvexSet, horizon: float, step: float, begin: float
-    ) -> None:
+    def __init__(self, system: LTVSystem, initial: ConvexSet, horizon: float, step: float) -> None:
         n, m = system.dim, system.inputs
         require_single("the initial set", initial, n)
-        require_positive("horizon", horizon)
-        require_positive("step", step)
-        if not np.isfinite(begin) or horizon / step > MAX_STEPS:
-            given = f"got {begin!r}, {horizon / step}"
-            raise ReachError(f"at most {MAX_STEPS:,} steps from a finite begin, {given}")
+        if horizon / step > MAX_STEPS:
+            raise ReachError(f"a system that varies takes at most {MAX_STEPS:,} steps, got {horizon / step}")
         count = max(int(np.ceil(horizon / step * (1 - 1e-12))), 1)
         self.initial, self.U, self.n, self.m = initial, system.U, n, m
-        self.times = begin + np.linspace(0, horizon, count + 1)
+        self.times = system.begin + np.linspace(0, horizon, count + 1)
         self.h = h = horizon / count
         A, B = sample("A", system.A, (n, n), self.times), sample("B", system.B, (n, m), self.times)
         c = sample("c", system.c, (n,), self.times)
@@ -250,16 +146,25 @@ class _Sweep:
         support = self.U.support(rows)
         return np.asarray(value + (attained_support(self.U, rows, support) if attained else support))
 
-    def run(self, rows: Array, plus: slice, minus: slice, F: Array) -> _Run:
-        """Bounds forward; `plus` and `minus` are the rows inv(F) and their opposites, which bound x."""
-        K, n, h = len(self.P), self.n, self.h
-        first, upper, lower = (np.zeros((K + 1, len(rows))) for _ in range(3))
+    def run(self, D: Array, deadline: float) -> RowBounds:
+        """Bounds forward; rows along the axes and against them bound the state on the way."""
+        K, n, h, r = len(self.P), self.n, self.h, len(D)
+        axes = np.vstack([np.eye(n), -np.eye(n)])
+        rows = D if np.array_equal(D, axes) else np.vstack([D, axes])
+        first, upper, lower, attained = (np.zeros((K + 1, len(rows))) for _ in range(4))
         bow, maps, later = np.empty((K, len(rows))), np.empty((K + 1, n, n)), np.empty((K, n, n))
         boxes = np.empty((K, n))
         maps[0], first[0], size, absolute = np.eye(n), self.initial.support(rows), self.x0, np.abs(rows)
-        moved, upper[0] = np.zeros(n), ROUNDING * n * (absolute @ size)
-        lower[0] = attained_support(self.initial, rows, first[0]) - upper[0]
+        attained[0] = attained_support(self.initial, rows, first[0])
+        upper[0] = ROUNDING * n * (absolute @ size)
+        moved, lower[0] = np.zeros(n), -upper[0]
+
+        def largest(bounds: Array) -> Array:
+            """Elementwise bound on what has bounds along the axes and against them."""
+            return np.maximum(np.abs(bounds[-2 * n : -n]), np.abs(bounds[-n:]))
+
         for k in range(K):
+            in_time(deadline)
             boxes[k] = self.missed[k] @ size + self.rest[k]
             curved = rows @ self.curve[k]
             along = curved @ maps[k]
@@ -269,18 +174,19 @@ class _Sweep:
             later[:k] = self.P[k] @ later[:k]
             later[k] = np.eye(n)
             maps[k + 1] = self.P[k] @ maps[k]
-            first[k + 1] = self.initial.support(rows @ maps[k + 1])
+            carried = rows @ maps[k + 1]
+            first[k + 1] = self.initial.support(carried)
+            attained[k + 1] = attained_support(self.initial, carried, first[k + 1])
             R = rows @ later[: k + 1]
             start, end = R @ self.early[: k + 1], R @ self.late[: k + 1]
             value, middle = self._support(start) + self._support(end), self._support((start + end) / 2, True)
             error = (np.abs(R) @ boxes[: k + 1, :, None]).sum(axis=0)[:, 0]
             upper[k + 1] = h / 2 * value.sum(axis=0) + error
             lower[k + 1] = h * middle.sum(axis=0) - error
-            lower[k + 1] += attained_support(self.initial, rows @ maps[k + 1], first[k + 1])
-            moved = np.abs(F) @ np.maximum(np.abs(upper[k + 1, plus]), np.abs(upper[k + 1, minus]))
-            ends_x = first[k + 1] + upper[k + 1]
-            size = np.abs(F) @ np.maximum(np.abs(ends_x[plus]), np.abs(ends_x[minus]))
-        return _Run(first, upper, lower, bow, maps)
+            moved, size = largest(upper[k + 1]), largest(first[k + 1] + upper[k + 1])
+        first, attained, upper, lower, bow = (part[:, :r] for part in (first, attained, upper, lower, bow))
+        none, straight = np.zeros((K + 1, r)), np.zeros((K, r))
+        return RowBounds(self.times, first, attained, upper, lower, bow, straight, none, none, none, D @ maps)
 
 
 def _growing(M: Array, more: Array | float) -> Array:

@@ -20,10 +20,8 @@ from .known_input import known_response
 from .stepping import Steps, row_bounds
 from .systems import LinearSystem
 
-DENSE_MOST = 400
-"""States up to which a simulation forms exponentials."""
-STEPS = 256
-"""Steps of a worst case if no tolerance is given."""
+DENSE_MOST = 400  # states up to which a simulation forms exponentials
+STEPS = 256  # steps of a worst case if no tolerance is given
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,16 +20,14 @@ from ..numerics.rounding import gamma
 from ..sets.distance import nearest, unit_sizes
 from ..sets.interval import Interval
 from ..sets.polytope import HPolytope
-from ..tubes.stepping import in_time
+from ..tubes.bounds import in_time
 from ..tubes.trajectory import STEPS, Trajectory, simulate, worst_case
 from .invariance import FIRST, LAST, REPLAY, SHARPER, Motions
 from .specification import Verdict
 
 MOST_DIRECTIONS = 64
-MOST_STEPS = 20_000
-"""Steps of a trajectory into the region."""
-TOUCHING = 1e-8
-"""Distance, in sizes of the sets, at which two points count as one."""
+MOST_STEPS = 20_000  # steps of a trajectory into the region
+TOUCHING = 1e-8  # distance, in sizes of the sets, at which two points count as one
 SHRINK = (0.25, 0.01, 0.0)
 """Shares of the inscribed radius by which the region is pulled in while a trajectory into it is sought,
 so that rounding cannot put its end outside."""

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
-from fractions import Fraction
 from functools import cached_property
-from math import lcm
 from time import perf_counter
 from typing import Any
 
@@ -23,14 +22,8 @@ from .specification import Verdict
 REPLAY = 1e-9
 """A replayed trajectory must pass a limit by this share of its size before it counts as a violation."""
 
-SHARPER = 8.0
-"""Factor by which the tolerance shrinks while neither proof nor violation is found."""
-
-FIRST, LAST = 0.05, 1e-7
-"""First and last tolerance, as shares of the size of the quantity bounded."""
-
-GRID = 10_000
-"""Most steps that a first grid takes to have every change of the input set on a node."""
+SHARPER = 8.0  # factor by which the tolerance shrinks while neither proof nor violation is found
+FIRST, LAST = 0.05, 1e-7  # first and last tolerance, as shares of the size of the quantity bounded
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,8 +48,7 @@ class Motions:
         axes = np.vstack([np.eye(n), -np.eye(n)])
         most = self.initial.support(axes)
         if end > 0:
-            step = {"step": end / 64} if len(self.system.U) > 1 and not self.system.discrete else {}
-            most = self._support_tube(axes, **step).most
+            most = self._support_tube(axes).most
         return np.asarray(np.maximum(most[:n], most[n:]).clip(min=0))
 
     def _support_tube(self, C: Array, **how: Any) -> SupportTube:
@@ -64,35 +56,25 @@ class Motions:
         return support_tube(self.system, self.initial, self.window[1], C, max_seconds=seconds, **how)
 
     def tube(self, C: Array, tolerance: Array, limits: Array) -> SupportTube:
-        """A tube as sharp as a tolerance asks; with several input sets, equal steps short enough for it.
+        """A tube as sharp as a tolerance asks.
 
         What stays below its limit between nodes is sharp enough; at a single instant, which is a node,
         nothing between nodes matters.
         """
-        end, system = self.window[1], self.system
+        end = self.window[1]
         if end == 0:
             start, none = self.initial.support(C)[None], np.zeros((0, len(C)))
             return SupportTube(np.zeros(1), C, start, start, none, none)
         limits = limits if self.window[0] < end else np.full(len(C), np.inf)
-        if system.discrete:
-            return self._support_tube(C)
-        if len(system.U) < 2:
-            return self._support_tube(C, tolerance=tolerance, limit=limits)
-        step = end / _grid(system.breaks[system.breaks < end] / end)
-        while True:
-            tube = self._support_tube(C, step=step)
-            loose = np.maximum((tube.upper - tube.attained).max(axis=0), tube.bow.max(axis=0))
-            if np.all(loose <= tolerance):
-                return tube
-            step /= 2
+        return self._support_tube(
+            C, **({} if self.system.discrete else {"tolerance": tolerance, "limit": limits})
+        )
 
     def worst_case(self, instant: float, d: Array, tolerance: float, step: float) -> Trajectory:
         """`reach.worst_case` by a tolerance; with the step of the tube where that cannot be."""
-        if not self.system.discrete and len(self.system.U) < 2:
-            try:
+        if not self.system.discrete:
+            with suppress(Unresolved):
                 return worst_case(self.system, self.initial, instant, d, tolerance=tolerance)
-            except Unresolved:
-                pass
         held = {} if self.system.discrete else {"step": step}
         return worst_case(self.system, self.initial, instant, d, **held)
 
@@ -116,13 +98,6 @@ class Motions:
             return bounds, nowhere, nowhere
         best = inside[np.argmax(tube.attained[inside], axis=0)]
         return bounds, tube.times[best], tube.attained[best, np.arange(len(bounds))]
-
-
-def _grid(shares: Array) -> int:
-    """Least number of equal parts of [0, 1] that has all shares at its nodes, if there is a small one."""
-    near = [Fraction(share).limit_denominator(GRID) for share in shares]
-    count = lcm(*(share.denominator for share in near))
-    return count if count <= GRID else 64
 
 
 def verify_always(motions: Motions, region: HPolytope) -> Verdict:
