@@ -6,6 +6,7 @@ from .hybrid.segments import Segment as Segment
 from .hybrid.simulation import HybridTrajectory as HybridTrajectory
 from .hybrid.simulation import Visit as Visit
 from .hybrid.simulation import simulate_hybrid as simulate_hybrid
+from .hybrid.tube import HybridOptions as HybridOptions
 from .hybrid.tube import hybrid_tube as hybrid_tube
 from .hybrid.verification import HybridVerdict as HybridVerdict
 from .hybrid.verification import falsify_hybrid as falsify_hybrid

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from time import perf_counter
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +19,7 @@ from ..verification.specification import Always, Never
 from .automaton import HybridAutomaton
 from .segments import HybridTube, Segment
 from .simulation import REPLAYED, HybridTrajectory, Policy, Visit, inside, longest_stay, simulate_hybrid
-from .tube import JUMPS, hybrid_tube
+from .tube import HybridOptions, hybrid_tube
 
 Specs = Mapping[str, Sequence[Always | Never]]
 
@@ -61,11 +60,11 @@ def verify_hybrid(
     initial: ConvexSet,
     specs: Specs,
     horizon: float,
+    options: HybridOptions,
     *,
     dt: float,
     runs: int = 100,
     seed: int = 0,
-    **options: Any,
 ) -> HybridVerdict:
     """Decide whether every trajectory meets what is asked in each mode, in continuous time.
 
@@ -79,13 +78,13 @@ def verify_hybrid(
     initial : ConvexSet
     specs : mapping from mode names to sequences of Always and Never
     horizon : float
+    options : HybridOptions
+        Of `hybrid_tube`.
     dt : float
         Sampling of the trajectories tried.
     runs : int
         Random trajectories tried.
     seed : int
-    **options
-        Of `hybrid_tube`.
 
     Raises
     ------
@@ -102,18 +101,17 @@ def verify_hybrid(
         for spec in asked:
             if spec.region.dim != automaton[name].system.dim:
                 raise ReachError(f"a region for mode {name!r} has dimension {spec.region.dim}")
-    limit = int(options.get("jumps", JUMPS))
-    rng = np.random.default_rng(as_count("seed", seed))
+    rng, jumps = np.random.default_rng(as_count("seed", seed)), options.jumps
     tube: HybridTube | None = None
-    found = falsify_hybrid(automaton, initial, specs, horizon, dt=dt, jumps=limit)
+    found = falsify_hybrid(automaton, initial, specs, horizon, dt=dt, jumps=jumps)
     if found is None:
-        tube = hybrid_tube(automaton, initial, horizon, **options)
+        tube = hybrid_tube(automaton, initial, horizon, options)
         every = ((name, spec) for name, asked in specs.items() for spec in asked)
         doubt = next(filter(None, (unproven(tube, name, spec) for name, spec in every)), "")
         doubt = doubt if tube.complete else "the limit on jumps cut trajectories off"
         if not doubt:
             return verdict("proven", "the tube meets all of it")
-        found = falsify_hybrid(automaton, initial, specs, horizon, dt=dt, runs=runs, rng=rng, jumps=limit)
+        found = falsify_hybrid(automaton, initial, specs, horizon, dt=dt, runs=runs, rng=rng, jumps=jumps)
         if found is None:
             return verdict("unknown", doubt)
     last = found.visits[-1]
@@ -182,7 +180,7 @@ def falsify_hybrid(
     dt: float,
     runs: int = 0,
     rng: np.random.Generator | None = None,
-    jumps: int = JUMPS,
+    jumps: int = HybridOptions.jumps,
 ) -> HybridTrajectory | None:
     """Look for a trajectory that breaks a specification; None if none was found, which proves nothing.
 

@@ -66,17 +66,13 @@ class Motions:
             start, none = self.initial.support(C)[None], np.zeros((0, len(C)))
             return SupportTube(np.zeros(1), C, start, start, none, none)
         limits = limits if self.window[0] < end else np.full(len(C), np.inf)
-        return self._support_tube(
-            C, **({} if self.system.discrete else {"tolerance": tolerance, "limit": limits})
-        )
+        return self._support_tube(C, tolerance=tolerance, limit=limits)
 
     def worst_case(self, instant: float, d: Array, tolerance: float, step: float) -> Trajectory:
         """`reach.worst_case` by a tolerance; with the step of the tube where that cannot be."""
-        if not self.system.discrete:
-            with suppress(Unresolved):
-                return worst_case(self.system, self.initial, instant, d, tolerance=tolerance)
-        held = {} if self.system.discrete else {"step": step}
-        return worst_case(self.system, self.initial, instant, d, **held)
+        with suppress(Unresolved):
+            return worst_case(self.system, self.initial, instant, d, tolerance=tolerance)
+        return worst_case(self.system, self.initial, instant, d, step=step)
 
     def seen(self, tube: SupportTube) -> tuple[Array, Array]:
         """Times, one each, and bounds (k, r) over what covers the window: intervals, or nodes if discrete."""
@@ -106,16 +102,19 @@ def verify_always(motions: Motions, region: HPolytope) -> Verdict:
     lengths, size = np.linalg.norm(C, axis=1), motions.sizes(C, limits)
     bounds, reached = np.full(len(C), np.inf), np.full(len(C), -np.inf)
     share, steps, rows = FIRST, 0, np.arange(len(C))
+
+    def verdict(status: str, margin: float, reason: str, path: Trajectory | None = None) -> Verdict:
+        return Verdict(status, margin, bounds, reached, path, steps, reason)
+
     while len(rows):
         if share < LAST:
             gap = np.max((np.abs(bounds - reached) / size)[rows])
             reason = f"bounds and trajectories are within {gap:.1g} of each other and of the limit"
-            return Verdict("unknown", np.nan, bounds, reached, None, steps, reason)
+            return verdict("unknown", np.nan, reason)
         try:
             tube = motions.tube(C[rows], share * size[rows], limits[rows])
         except Unresolved as exc:
-            reason = f"neither proven nor violated: {exc}"
-            return Verdict("unknown", np.nan, bounds, reached, None, steps, reason)
+            return verdict("unknown", np.nan, f"neither proven nor violated: {exc}")
         steps = len(tube.times) - 1
         bounds[rows], instants, reached[rows] = motions.extremes(tube)
         broken = np.nonzero(reached > limits)[0]
@@ -126,9 +125,7 @@ def verify_always(motions: Motions, region: HPolytope) -> Verdict:
             value = float(C[row] @ path.states[-1])
             if value > limits[row] + REPLAY * size[row]:
                 reason = f"row {row} reaches {value:.6g} at t = {instant:.6g}, its limit is {limits[row]:.6g}"
-                margin = float((limits[row] - value) / lengths[row])
-                return Verdict("violated", margin, bounds, reached, path, steps, reason)
+                return verdict("violated", float((limits[row] - value) / lengths[row]), reason, path)
         rows, share = np.nonzero(~(bounds <= limits))[0], share / SHARPER
     margin = float(np.min((limits - bounds) / lengths))
-    reason = f"every bound keeps {margin:.6g} from its limit"
-    return Verdict("proven", margin, bounds, reached, None, steps, reason)
+    return verdict("proven", margin, f"every bound keeps {margin:.6g} from its limit")

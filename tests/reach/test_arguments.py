@@ -15,6 +15,7 @@ from reach import (
     Ellipsoid,
     HPolytope,
     HybridAutomaton,
+    HybridOptions,
     Intersection,
     Interval,
     LinearFlow,
@@ -100,11 +101,8 @@ CALLS = {
     "disjoint": (reach.disjoint, (BOX, ROUND)),
     "enclosing_hull": (reach.enclosing_hull, (ZONOTOPE, ZONOTOPE)),
     "growth": (reach.growth, (A, 0.1)),
-    "hybrid_tube": (
-        reach.hybrid_tube,
-        (AUTOMATON, BOX, 0.5),
-        {"step": 0.1, "tolerance": 0.1, "jumps": 2, "order": 5.0, "reduction": "pca", "clusters": 2},
-    ),
+    "HybridOptions": (HybridOptions, (0.1, 0.1, 2, 5.0, "pca", 2)),
+    "hybrid_tube": (reach.hybrid_tube, (AUTOMATON, BOX, 0.5, HybridOptions(0.1, jumps=2))),
     "largest_norm": (reach.largest_norm, (ZONOTOPE, 100, 1.0)),
     "support_tube, varying": (reach.support_tube, (VARYING, BOX, 0.5, np.eye(2)), {"step": 0.1}),
     "zonotope_tube, varying": (
@@ -131,8 +129,8 @@ CALLS = {
     ),
     "verify_hybrid": (
         reach.verify_hybrid,
-        (AUTOMATON, BOX, {"a": [Always(POLYTOPE)]}, 0.3),
-        {"dt": 0.1, "runs": 1, "seed": 0, "step": 0.1},
+        (AUTOMATON, BOX, {"a": [Always(POLYTOPE)]}, 0.3, HybridOptions(0.1)),
+        {"dt": 0.1, "runs": 1, "seed": 0},
     ),
     "state_scale": (reach.state_scale, (A - np.eye(2),)),
     "support_tube": (
