@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ..numerics.checks import as_array, as_numbers, check_fields, require_single
+from ..numerics.checks import Array, as_array, as_numbers, check_fields, require_single
 from ..numerics.errors import ReachError
 from ..sets.convex import ConvexSet
 from ..sets.polytope import HPolytope
@@ -180,3 +180,16 @@ class HybridAutomaton:
     def leaving(self, name: str) -> list[Transition]:
         """Transitions out of a mode."""
         return [t for t in self.transitions if t.source == name]
+
+    def longest_stay(self, name: str, first: Array | float, last: Array | float) -> Array:
+        """How long a mode entered between two times, shapes (...), may last by its urgent transitions.
+
+        A window that may have ended before the entry binds nobody.
+        """
+        stay = np.full(np.shape(first), np.inf)
+        for t in self.leaving(name):
+            if t.urgent and t.window is not None:
+                stay = np.minimum(stay, np.where(last <= t.window[1], t.window[1] - first, np.inf))
+            if t.urgent and t.dwell is not None:
+                stay = np.minimum(stay, t.dwell[1])
+        return np.asarray(stay)

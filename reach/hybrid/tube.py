@@ -169,18 +169,10 @@ class Worklist:
         return flowpipes(self.propagators[mode.name], sets, length, **more)
 
     def _stay(self, starts: Starts | Segment) -> Array:
-        """Longest time in the mode after each entry, shape (N,).
-
-        A window that may have ended before the entry binds nobody.
-        """
+        """Longest time in the mode after each entry, shape (N,)."""
         a, b = starts.entered.T
-        until = self.horizon - a
-        for t in self.automaton.leaving(starts.mode.name):
-            if t.urgent and t.window is not None:
-                until = np.minimum(until, np.where(b <= t.window[1], t.window[1] - a, np.inf))
-            if t.urgent and t.dwell is not None:
-                until = np.minimum(until, t.dwell[1])
-        return np.asarray(np.maximum(until, 0.0))
+        stay = self.automaton.longest_stay(starts.mode.name, a, b)
+        return np.asarray(np.maximum(np.minimum(self.horizon - a, stay), 0.0))
 
     def follow(self, starts: Starts, depth: int) -> Segment:
         """Follow a mode until nothing is left of it."""

@@ -18,7 +18,7 @@ from ..sets.polytope import HPolytope
 from ..verification.specification import Always, Never
 from .automaton import HybridAutomaton
 from .segments import HybridTube, Segment
-from .simulation import REPLAYED, HybridTrajectory, Policy, Visit, inside, longest_stay, simulate_hybrid
+from .simulation import REPLAYED, HybridTrajectory, Policy, Visit, inside, simulate_hybrid
 from .tube import HybridOptions, hybrid_tube
 
 Specs = Mapping[str, Sequence[Always | Never]]
@@ -271,7 +271,7 @@ def replay_hybrid(automaton: HybridAutomaton, trajectory: HybridTrajectory, rtol
         kept = [
             *(U.contains(visit.input) for U in mode.system.U),
             np.all(inside(mode.invariant, states, size, REPLAYED)),
-            length <= longest_stay(automaton, visit.mode, begun) + slack,
+            length <= float(automaton.longest_stay(visit.mode, begun, begun)) + slack,
         ]
         if t is not None and after is not None:
             w = np.zeros(len(t.r)) if visit.uncertain is None else visit.uncertain

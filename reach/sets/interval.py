@@ -111,10 +111,8 @@ class Interval(SetStack):
         rounding of the points forgiven.
         """
         checks.require_alike(np.shape(points)[:-1], self.batch)
-        x, extra = (
-            checks.as_vector(points, self.dim),
-            slack * (self.hi - self.lo) / 2 + gamma(1) * self.extent,
-        )
+        x = checks.as_vector(points, self.dim)
+        extra = slack * (self.hi - self.lo) / 2 + gamma(1) * self.extent
         return np.asarray(np.all((self.lo - extra <= x) & (x <= self.hi + extra), axis=-1))
 
     def __rmatmul__(self, M: ArrayLike) -> Zonotope:

@@ -92,11 +92,7 @@ class Adjoint:
 
     def supports(self, piece: int, along: Array, attained: bool = False) -> Array:
         """``sup over u in U of b u + c`` for rows ``[b c]``, or what some u attains."""
-        if not self.inputs:
-            return np.asarray(along[..., -1])
-        rows, U = along[..., :-1], self.inputs[piece]
-        support = supported(U, rows)
-        return np.asarray(along[..., -1] + (attained_support(U, rows, support) if attained else support))
+        return driven_support(self.inputs[piece] if self.inputs else None, along, attained)
 
     def magnitudes(self, piece: int, along: Array) -> Array:
         """``sup over u in U of |b u + c|`` for rows ``[b c]``."""
@@ -170,6 +166,15 @@ def is_symmetric(body: ConvexSet) -> bool:
 def attained_support(body: Any, rows: Array, support: Array) -> Array:
     """What is proved to be attained, where the support is found by a program and is an upper bound."""
     return support if is_symmetric(body) or not hasattr(body, "support_down") else body.support_down(rows)
+
+
+def driven_support(U: Any, along: Array, attained: bool = False) -> Array:
+    """``sup over u in U of b u + c`` for rows ``[b c]``, or what some u attains; c where there is no U."""
+    value, rows = along[..., -1], along[..., :-1]
+    if U is not None:
+        support = supported(U, rows)
+        value = value + (attained_support(U, rows, support) if attained else support)
+    return np.asarray(value)
 
 
 def supported(body: Any, rows: Array) -> Array:

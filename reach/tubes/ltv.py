@@ -22,7 +22,7 @@ from ..numerics.checks import Array, as_factor, as_numbers, require_single
 from ..numerics.errors import ReachError
 from ..numerics.exponentials import exponential
 from ..sets.convex import ConvexSet
-from .adjoint import attained_support, extent
+from .adjoint import attained_support, driven_support, extent
 from .bounds import RowBounds, in_time
 from .rows import ROUNDING
 from .varying import Varying, sample
@@ -100,7 +100,7 @@ class _Sweep:
         if horizon / step > MAX_STEPS:
             raise ReachError(f"a system that varies takes at most {MAX_STEPS:,} steps, got {horizon / step}")
         count = max(int(np.ceil(horizon / step * (1 - 1e-12))), 1)
-        self.initial, self.U, self.n, self.m = initial, system.U, n, m
+        self.initial, self.U, self.n = initial, system.U, n
         self.times = system.begin + np.linspace(0, horizon, count + 1)
         self.h = h = horizon / count
         A, B = sample("A", system.A, (n, n), self.times), sample("B", system.B, (n, m), self.times)
@@ -138,14 +138,6 @@ class _Sweep:
         slide = most @ driven + Y @ (most @ force_most + rate) / 2
         self.local = h**2 / 4 * slide[..., 0]
 
-    def _support(self, along: Array, attained: bool = False) -> Array:
-        """``sup of b u + c`` for rows ``[b c]``, or what some u attains."""
-        value, rows = along[..., -1], along[..., :-1]
-        if not self.m:
-            return np.asarray(value)
-        support = self.U.support(rows)
-        return np.asarray(value + (attained_support(self.U, rows, support) if attained else support))
-
     def run(self, D: Array, deadline: float) -> RowBounds:
         """Bounds forward; rows along the axes and against them bound the state on the way."""
         K, n, h, r = len(self.P), self.n, self.h, len(D)
@@ -179,7 +171,8 @@ class _Sweep:
             attained[k + 1] = attained_support(self.initial, carried, first[k + 1])
             R = rows @ later[: k + 1]
             start, end = R @ self.early[: k + 1], R @ self.late[: k + 1]
-            value, middle = self._support(start) + self._support(end), self._support((start + end) / 2, True)
+            value = driven_support(self.U, start) + driven_support(self.U, end)
+            middle = driven_support(self.U, (start + end) / 2, attained=True)
             error = (np.abs(R) @ boxes[: k + 1, :, None]).sum(axis=0)[:, 0]
             upper[k + 1] = h / 2 * value.sum(axis=0) + error
             lower[k + 1] = h * middle.sum(axis=0) - error

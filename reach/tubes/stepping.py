@@ -39,13 +39,12 @@ FINEST = 2.0**-40  # shortest step of the automatic choice, as a share of the ho
 class Steps:
     """How a horizon is stepped through: with a step or by a tolerance, see `reach.support_tube`.
 
-    A step may be `cut` into parts; rows are kept if asked for; `deadline` is a time of `perf_counter`.
+    Rows are kept if asked for; `deadline` is a time of `perf_counter`.
     """
 
     step: float | None = None
     tolerance: ArrayLike | None = None
     limit: ArrayLike | None = None
-    cut: bool = True
     keep: bool = False
     deadline: float = np.inf
 
@@ -73,8 +72,7 @@ def row_bounds(
             raise ReachError(f"a discrete system takes a whole number of steps of 1, {given}")
         step = 1.0
     if step is not None:
-        parts = substeps(adjoint, step, horizon, len(D)) if steps.cut else 1
-        return _regular(adjoint, D, horizon, step, parts, steps)
+        return _regular(adjoint, D, horizon, step, substeps(adjoint, step, horizon, len(D)), steps)
     goal = None if tolerance is None else per_row("tolerance", tolerance, len(D))
     if goal is not None and not np.all((goal > 0) & np.isfinite(goal)):
         raise ReachError(f"the tolerance must be finite and > 0, got {tolerance!r}")

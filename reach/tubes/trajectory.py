@@ -146,7 +146,7 @@ def worst_case(
         return Trajectory(np.zeros(1), initial.support_vector(d), np.zeros((0, system.inputs)))
     if step is None and tolerance is None and not system.discrete:
         step = horizon / STEPS
-    run = row_bounds(system, initial, d, horizon, Steps(step, tolerance, [np.inf], cut=False, keep=True))
+    run = row_bounds(system, initial, d, horizon, Steps(step, tolerance, [np.inf], keep=True)).coarse()
     assert run.rows is not None
     rows = run.rows[:, 0, : system.dim]
     x0 = initial.support_vector(rows[-1])
