@@ -62,7 +62,7 @@ def outside(tube, path, rng, looks=5):
     return lost
 
 
-def holds_all(automaton, initial, horizon, tube, runs=6, dt=0.01, jumps=12, seed=0):
+def holds_all(automaton, initial, horizon, tube, runs=4, dt=0.01, jumps=12, seed=0):
     rng = np.random.default_rng(seed)
     assert tube.complete
     counts = []
