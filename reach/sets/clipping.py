@@ -41,17 +41,14 @@ def strips(polytopes: Sequence[HPolytope | None], n: int) -> tuple[Array, Array,
     return H, low, high
 
 
-def clip(
-    Z: Zonotope, H: Array, low: Array, high: Array, narrowed: bool = False
-) -> tuple[Zonotope, NDArray[np.bool_]]:
+def clip(Z: Zonotope, H: Array, low: Array, high: Array) -> tuple[Zonotope, NDArray[np.bool_]]:
     """Enclose the part of every zonotope of a stack (M,) that lies in the strips.
 
     Two steps, both sound. The coefficients are narrowed to those with which the limits can be met
     (the interval hull of each cut of the cube of coefficients, so the order does not grow). Where a
     strip still cuts, the zonotope ``c + l (d - h c), [(I - l h) G, l s]`` encloses the
     intersection with ``|h x - d| <= s`` for any l; the l of the least sum of squares is taken
-    (Bravo et al. 2006); not where sets are only to be `narrowed`. The strips are those of `strips`, or one
-    of each per member, (M, q, n) and (M, q).
+    (Bravo et al. 2006). The strips are those of `strips`, or one of each per member, (M, q, n) and (M, q).
     Also said is which members meet the strips, (M,): the others are proved not to, and stay as they are.
     """
     meets = np.ones(len(Z), dtype=bool)
@@ -63,7 +60,7 @@ def clip(
     lows, highs = low - slack, high + slack
     cut, meets = _narrow(Z, H, lows, highs, meets)
     grew = False
-    for j in range(0 if narrowed else q):
+    for j in range(q):
         cut, changed = _strip(cut, H[..., j, :], lows[:, j], highs[:, j], slack[:, j], meets)
         grew = grew or changed
     if grew:
@@ -181,9 +178,7 @@ def enclosing_hull(first: Zonotope, second: Zonotope) -> Zonotope:
 
 
 @checked
-def meet_halfspace(
-    zonotope: Zonotope, normal: ArrayLike, offset: ArrayLike, narrowed: bool = False
-) -> Zonotope:
+def meet_halfspace(zonotope: Zonotope, normal: ArrayLike, offset: ArrayLike) -> Zonotope:
     """Enclose the part of a zonotope with ``normal . x <= offset``.
 
     See `clip`: coefficients are narrowed, then the strip between the least value of ``normal . x`` and
@@ -196,8 +191,6 @@ def meet_halfspace(
     normal : array_like, shape (..., n)
     offset : array_like, shape (...)
         Both broadcast with the stack.
-    narrowed : bool
-        Narrow the coefficients only: of a box this is the smallest box around what is left.
 
     Returns
     -------
@@ -221,7 +214,7 @@ def meet_halfspace(
     H, high = np.broadcast_to(H, (*shape, n)).reshape(M, 1, n), np.broadcast_to(high, shape).reshape(M, 1)
     c, G = np.broadcast_to(zonotope.c, (*shape, n)), np.broadcast_to(zonotope.G, (*shape, n, g))
     stack = Zonotope(c.reshape(M, n), G.reshape(M, n, g))
-    cut, meets = clip(stack, H, np.full_like(high, -np.inf), high, narrowed)
+    cut, meets = clip(stack, H, np.full_like(high, -np.inf), high)
     if not np.all(meets):
         raise ReachError("no point of the set satisfies normal . x <= offset")
     return Zonotope(cut.c.reshape(*shape, n), cut.G.reshape(*shape, n, cut.order_count))

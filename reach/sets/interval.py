@@ -153,11 +153,24 @@ class Interval(SetStack):
 
     @checked
     def meet_halfspace(self, normal: ArrayLike, offset: ArrayLike) -> Interval:
-        """Smallest box (to 1e-12 of its size) around the part with ``normal . x <= offset``.
+        """Smallest box around the part with ``normal . x <= offset``, rounded outwards.
 
-        As `reach.meet_halfspace`, of which it takes the first step only.
+        Arguments and errors are those of `reach.meet_halfspace`.
         """
-        from .clipping import meet_halfspace
-
-        cut = meet_halfspace(self.to_zonotope(), normal, offset, narrowed=True).interval_hull()
-        return Interval(np.maximum(cut.lo, self.lo), np.minimum(cut.hi, self.hi))
+        a, b = checks.as_vector(normal, self.dim), checks.as_numbers("offset", offset)[..., None]
+        checks.require_alike(a.shape[:-1], b.shape[:-1], self.batch)
+        if not np.all(np.isfinite(b)):
+            raise ReachError("offset must be finite")
+        # The least the other coordinates can contribute leaves this much for each one.
+        least = np.minimum(a * self.lo, a * self.hi)
+        booked = gamma(2 * self.dim) * (np.abs(a) * self.extent).sum(axis=-1, keepdims=True)
+        total = least.sum(axis=-1, keepdims=True)
+        if np.any(total - booked > b):
+            raise ReachError("no point of the set satisfies normal . x <= offset")
+        room = b - (total - least) + booked + gamma(1) * np.abs(b)
+        with np.errstate(over="ignore"):  # of a row that hardly depends on a coordinate: no limit
+            ratio = np.divide(room, a, out=np.zeros(np.broadcast_shapes(room.shape, a.shape)), where=a != 0)
+            ratio = ratio + gamma(1) * np.sign(a) * np.abs(ratio)
+        lo, hi = np.broadcast_arrays(self.lo, ratio)[0], np.broadcast_arrays(self.hi, ratio)[0]
+        cut = np.where(a > 0, np.clip(ratio, lo, hi), hi)
+        return Interval(np.where(a < 0, np.clip(ratio, lo, hi), lo), cut)

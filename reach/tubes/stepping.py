@@ -26,6 +26,7 @@ BLOCK = 64  # steps that are carried together when their length may change
 ENTRIES = 50_000  # entries of all rows that are carried together when it does not
 GRID = 10_000  # most steps that a first grid takes to have every change of the input on a node
 SHARE = 0.01  # tolerance if none is given, as a share of the largest support
+CELLS = 256  # least steps in which it is looked at how large a known motion becomes
 AHEAD = 64  # instants, and halvings of the first of them, at which it is looked at what a row will come to
 PARTS = 16  # parts that a step of the user may be carried in whatever that costs
 CHEAP = 1_000_000  # entries of all rows of a run up to which a step is carried in as many parts as it needs
@@ -116,11 +117,13 @@ def _regular(adjoint: Adjoint, D: Array, horizon: float, step: float, parts: int
     count = max(int(np.ceil(horizon / step * (1 - 1e-12))), 1) * parts
     size = int(np.clip(ENTRIES // D.size, BLOCK, count))
     h = horizon / count
-    known = None
+    known, sizes = None, np.zeros(adjoint.system.dim)
     if adjoint.system.nominal is not None:
-        nodes, lengths = np.linspace(0, horizon, count + 1), np.full(count, h)
-        known = known_response(adjoint.system, D, nodes, lengths)
-    sizes = 0.0 if known is None else np.abs(known.states).max(axis=0)
+        # The sizes that it brings states to are looked at in many places, however few the nodes are.
+        every = 1 if adjoint.system.discrete else -(-CELLS // count)
+        nodes, lengths = np.linspace(0, horizon, every * count + 1), np.full(every * count, h / every)
+        sizes = np.abs(known_response(adjoint.system, D[:1], nodes, lengths).states).max(axis=0)
+        known = known_response(adjoint.system, D, nodes[::every], np.full(count, h))
     adjoint.watch(adjoint.rows.lags(h, horizon), sizes)
 
     def blocks() -> Iterator[tuple[float, Block]]:
