@@ -79,7 +79,6 @@ def verify_hybrid(
     specs : mapping from mode names to sequences of Always and Never
     horizon : float
     options : HybridOptions
-        Of `hybrid_tube`.
     dt : float
         Sampling of the trajectories tried.
     runs : int

@@ -71,19 +71,16 @@ class Adjoint:
         self._force = sparse.hstack(force, format="csr") if thin else np.hstack(force)
         self._sizes = np.stack(sizes, axis=1)
         self._grown: dict[float, Array] = {}
-        self.weights = self._weighed([], 0.0)
+        self.watch([])
 
     def watch(self, lags: list[float], moved: Array | float = 0.0) -> None:
         """Weigh rounding by the sizes that states grow to after some lags (see `Rows.lags`).
 
         `moved` are the sizes that a nominal input brings them to.
         """
-        self.weights = self._weighed(lags, moved)
-
-    def _weighed(self, lags: list[float], moved: Array | float) -> Array:
         states = self._sizes[:, 0] + moved / self.rows.scale
         both = np.stack([states, self._sizes[:, 1:].sum(axis=1)], axis=1)
-        return self.rows.weights(lags, self.rows.weights(lags, both))
+        self.weights = self.rows.weights(lags, self.rows.weights(lags, both))
 
     def along(self, rows: Array) -> Array:
         """``rows A^k [B c]`` for k = 0, 1, 2, shape (3, ..., m+1); rows in balanced coordinates."""

@@ -192,14 +192,7 @@ def _consistent(name: str, seen: Array, bound: Array) -> None:
         raise ReachError(f"the bound on the {name} is too small: {given}, the bound is {bound[k, i, j]:g}")
 
 
-def varying_bounds(
-    system: LTVSystem, initial: ConvexSet, D: Array, horizon: float, step: float, deadline: float
-) -> RowBounds:
-    """Bounds along rows D in steps of one length at most; rows D carried to the nodes are kept."""
-    return _Sweep(system, initial, horizon, step).run(D, deadline)
-
-
-class _Sweep:
+class Sweep:
     """Steps of a varying system: transitions, what inputs add, and boxes around all rests."""
 
     def __init__(self, system: LTVSystem, initial: ConvexSet, horizon: float, step: float) -> None:
@@ -247,7 +240,7 @@ class _Sweep:
         self.local = h**2 / 4 * slide[..., 0]
 
     def run(self, D: Array, deadline: float) -> RowBounds:
-        """Bounds forward; rows along the axes and against them bound the state on the way."""
+        """Bounds along rows D, which are kept; rows along the axes and against them bound the states."""
         K, n, h, r = len(self.P), self.n, self.h, len(D)
         axes = np.vstack([np.eye(n), -np.eye(n)])
         rows = D if np.array_equal(D, axes) else np.vstack([D, axes])

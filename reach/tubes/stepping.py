@@ -17,7 +17,7 @@ from ..sets.convex import ConvexSet
 from .adjoint import Adjoint, Block, Overflow, augmented
 from .bounds import RowBounds, collect, in_time
 from .known_input import known_response
-from .ltv import LTVSystem, varying_bounds
+from .ltv import LTVSystem, Sweep
 from .rows import ROUNDING
 from .systems import LinearSystem
 
@@ -63,7 +63,7 @@ def row_bounds(
     if isinstance(system, LTVSystem):
         if step is None:
             raise ReachError("a system that varies in time needs a step")
-        return varying_bounds(system, initial, D, horizon, step, steps.deadline)
+        return Sweep(system, initial, horizon, step).run(D, steps.deadline)
     around, start = augmented(system, initial)
     D = np.hstack([D, np.zeros((len(D), around.dim - system.dim))])
     adjoint = Adjoint(around, start)
