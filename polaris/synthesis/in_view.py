@@ -25,9 +25,9 @@ from ..planning.problem import IN_VIEW, Plan
 from ..planning.recheck import certified
 from ..planning.rows import Key, Rows
 from ..planning.search import Candidate, Seen
+from .attempts import perceive_unsafe, plan_problem
 from .clearance import error_tube
 from .controllers import AffineController
-from .planning_problem import perceive_unsafe, plan_problem
 from .schedule import Schedule
 from .tracking import Tracking
 from .worth import Mask, Worth
