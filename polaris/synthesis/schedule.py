@@ -123,6 +123,14 @@ class Schedule:
         """Whether and by when the goal is proven reached."""
         return arrival(self.safety, self.final, self.delta_v[1])
 
+    @property
+    def spent(self) -> float:
+        """Velocity change [m/s] that is proven never to be exceeded until the goal, or T if it is not proven.
+
+        This is what a budget, `SwitchingRules.delta_v_max`, is held against.
+        """
+        return self.arrival.delta_v if self.arrival.reached is True else self.delta_v[1]
+
     def share(self, mode: int | None = None) -> float:
         """Share of time under one mode; without one, under any experimental controller."""
         flying = self.modes > 0 if mode is None else self.modes == mode

@@ -44,7 +44,7 @@ class SwitchingRules:
     switch_price : float
         Share of the horizon that a switch costs there.
     delta_v_max : float or None
-        Budget [m/s] that the proven bound on the velocity change should keep.
+        Budget [m/s] of velocity change (`Schedule.spent`): what is returned is proven to keep it.
     """
 
     strategy: str = "greedy"
@@ -68,6 +68,10 @@ class SwitchingRules:
             positive("schedule.delta_v_max_m_s", self.delta_v_max, "m/s")
         for weight in self.weights:
             positive("schedule.weights", weight, "-")
+
+    def affords(self, spent: float) -> bool:
+        """Whether the budget allows a velocity change [m/s]."""
+        return self.delta_v_max is None or spent <= self.delta_v_max
 
 
 @dataclass(frozen=True, eq=False)
