@@ -150,9 +150,9 @@ def within_budget(search: Search, over: Sequence[Schedule]) -> Schedule:
                 many = tried
         kept += [best] if best else []
     if not kept:
+        told = directed(least, ".4g", up=True)
         raise NotCertified(
-            f"none found within schedule.delta_v_max_m_s = {search.rules.delta_v_max:g}: the least that one is"
-            f" proven to keep is {directed(least, '.4g', up=True)} m/s; raise the budget, or give more time or"
-            " a wider goal"
+            f"none found within schedule.delta_v_max_m_s = {search.rules.delta_v_max:g}: the least that one"
+            f" is proven to keep is {told} m/s; raise the budget, or give more time or a wider goal"
         )
     return max(kept, key=Worth.beside(over[0], search.rules))
