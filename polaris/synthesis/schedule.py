@@ -121,7 +121,10 @@ class Schedule:
     @cached_property
     def arrival(self) -> Arrival:
         """Whether and by when the goal is proven reached."""
-        return arrival(self.safety, self.final, self.delta_v[1])
+        safety, last = self.safety, max((step.k + 1 for step in self.steps if step.mode), default=0)
+        handed = self.steps[last - 1].tube.end if last else safety.start
+        flown = (len(self.steps) - last) * safety.clearance.q
+        return arrival(safety, ((handed, flown), (self.final, 0)), self.delta_v[1])
 
     @property
     def spent(self) -> float:

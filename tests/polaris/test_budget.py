@@ -5,10 +5,9 @@ import re
 import pytest
 
 from polaris.model.errors import NotCertified
-from polaris.scenario.scenario import load_scenario
 from polaris.synthesis.synthesize import synthesize
 
-from .random_scenarios import random_scenario
+from .random_scenarios import synthesised as random_scene
 from .tiny import synthesised
 
 
@@ -45,10 +44,7 @@ def test_a_budget_is_kept_or_nothing_is_returned(recourse):
 
 @pytest.mark.parametrize("seed", [2])
 def test_budgets_of_random_scenes(seed, tmp_path):
-    path = tmp_path / "scene.toml"
-    path.write_text(random_scenario(seed), encoding="utf-8")
-    scenario = load_scenario(path)
-    judge(scenario, synthesize(scenario))
+    judge(*random_scene(seed, tmp_path))
 
 
 @pytest.mark.slow
