@@ -31,10 +31,13 @@ from .random_scenarios import written
 from .tiny import synthesised
 
 VARIANTS = {
-    "reached": [],
+    "reached": ["recoverable.recourse=in_view"],
     "too narrow": ["goal.tolerance_m=0.01"],
     "any state": ['goal={kind="box",center=[8.0,6.0,0.0,0.0],half_widths=[inf,inf,inf,inf]}'],
-    "a box": ['goal={kind="box",center=[8.0,6.0,0.0,0.0],half_widths=[0.0,0.5,inf,0.1]}'],
+    "a box": [
+        'goal={kind="box",center=[8.0,6.0,0.0,0.0],half_widths=[0.0,0.5,inf,0.1]}',
+        "recoverable.recourse=in_view",
+    ],
 }
 
 
