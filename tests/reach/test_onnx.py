@@ -1,0 +1,131 @@
+"""ONNX files: what is read computes what the file says; what is not understood is one clear error."""
+
+import numpy as np
+import pytest
+
+onnx = pytest.importorskip("onnx")
+
+from onnx import TensorProto, helper, numpy_helper  # noqa: E402
+from onnx.reference import ReferenceEvaluator  # noqa: E402
+
+from reach.networks.onnx_file import read_onnx  # noqa: E402
+from reach.numerics.errors import ReachError  # noqa: E402
+
+
+def constant(name, value):
+    return numpy_helper.from_array(np.asarray(value, dtype=np.float32), name)
+
+
+def model(nodes, weights, inputs=3, outputs=2, shape=None):
+    ends = [
+        helper.make_tensor_value_info(name, TensorProto.FLOAT, size)
+        for name, size in (("x", [1, inputs] if shape is None else shape), ("y", [1, outputs]))
+    ]
+    graph = helper.make_graph(
+        nodes, "policy", ends[:1], ends[1:], [constant(*pair) for pair in weights.items()]
+    )
+    return helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+
+
+def node(kind, inputs, out, **more):
+    return helper.make_node(kind, inputs.split(), [out], **more)
+
+
+def saved(tmp_path, *args, **more):
+    path = tmp_path / "policy.onnx"
+    path.write_bytes(model(*args, **more).SerializeToString())
+    return path
+
+
+RNG = np.random.default_rng(3)
+W1, b1, W2, b2 = RNG.normal(size=(3, 5)), RNG.normal(size=5), RNG.normal(size=(2, 5)), RNG.normal(size=2)
+LAST = node("Gemm", "h W2 b2", "y", transB=1, alpha=0.5, beta=2.0)
+WEIGHTS = {"W1": W1, "b1": b1, "W2": W2, "b2": b2}
+CHAINS = {
+    **{
+        kind: (
+            [node("MatMul", "x W1", "a"), node("Add", "a b1", "s"), node(kind, "s", "h", **more), LAST],
+            {},
+        )
+        for kind, more in {"Relu": {}, "LeakyRelu": {"alpha": 0.3}, "Tanh": {}, "Sigmoid": {}}.items()
+    },
+    "Clip": (
+        [node("Gemm", "x W1 b1", "a"), node("Clip", "a low high", "h"), LAST],
+        {"low": np.float32(-0.5), "high": np.float32(0.7)},
+    ),
+    "scaled": (
+        [
+            node("Sub", "x mean", "c"),
+            node("Div", "c spread", "d"),
+            node("MatMul", "d W1", "a"),
+            node("Sub", "b1 a", "s"),
+            node("Mul", "gain s", "g"),
+            node("Relu", "g", "h"),
+            LAST,
+        ],
+        {"mean": [1.0, 2.0, 3.0], "spread": [0.5, 2.0, 4.0], "gain": 1.5},
+    ),
+    "normalised": (
+        [
+            node("Flatten", "x", "f"),
+            node("Gemm", "f W1 b1", "a"),
+            node("BatchNormalization", "a g s m v", "n"),
+            node("Relu", "n", "h"),
+            LAST,
+        ],
+        {"g": b1, "s": b1 + 1, "m": b1 - 1, "v": np.abs(b1) + 0.1},
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CHAINS)
+def test_it_computes_what_the_file_says(name, tmp_path):
+    nodes, more = CHAINS[name]
+    path = saved(tmp_path, nodes, WEIGHTS | more)
+    net, truth = read_onnx(path), ReferenceEvaluator(str(path))
+    for x in RNG.normal(size=(20, 1, 3)).astype(np.float32):
+        assert net(x.astype(float))[0] == pytest.approx(truth.run(None, {"x": x})[0][0], rel=1e-5, abs=1e-5)
+
+
+FIRST = node("Gemm", "x W1 b1", "h")
+WRONG = {
+    "an operator": ([node("Softmax", "x", "h"), LAST], {}, "Softmax is not understood"),
+    "a branch": ([FIRST, node("Add", "h h", "t"), node("Gemm", "t W2 b2", "y", transB=1)], {}, "no chain"),
+    "a step back": ([FIRST, node("Relu", "x", "t"), LAST], {}, "no chain"),
+    "shapes": ([node("MatMul", "x W2", "y")], {}, "follow 3 values"),
+    "nan": ([FIRST, LAST], {"W1": np.full((3, 5), np.nan)}, "not finite"),
+    "an end elsewhere": ([FIRST], {}, "not the end"),
+    "a clip without limits": ([FIRST, node("Clip", "h", "c"), LAST], {}, "both limits"),
+    "zero": ([node("Div", "x zero", "c"), node("Gemm", "c W1 b1", "h"), LAST], {"zero": 0.0}, "not zero"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_what_is_not_understood_is_one_error(name, tmp_path):
+    nodes, more, words = WRONG[name]
+    with pytest.raises(ReachError, match=words) as told:
+        read_onnx(saved(tmp_path, nodes, WEIGHTS | more))
+    assert "policy.onnx" in str(told.value) and "\n" not in str(told.value)
+
+
+def test_files_that_are_none(tmp_path):
+    with pytest.raises(ReachError, match="cannot be read"):
+        read_onnx(tmp_path / "missing.onnx")
+    (tmp_path / "text.onnx").write_text("no network", encoding="utf-8")
+    with pytest.raises(ReachError, match="not an ONNX file"):
+        read_onnx(tmp_path / "text.onnx")
+    with (tmp_path / "huge.onnx").open("wb") as file:
+        file.truncate(65 * 2**20)
+    with pytest.raises(ReachError, match="not a controller"):
+        read_onnx(tmp_path / "huge.onnx")
+    with pytest.raises(ReachError, match="vector of known size"):
+        read_onnx(saved(tmp_path, [FIRST, LAST], WEIGHTS, shape=[4, 3]))
+
+
+def test_weights_in_another_file_are_refused(tmp_path):
+    made = model([FIRST, LAST], WEIGHTS)
+    made.graph.initializer[0].data_location = TensorProto.EXTERNAL
+    path = tmp_path / "policy.onnx"
+    path.write_bytes(made.SerializeToString())
+    with pytest.raises(ReachError, match="another file"):
+        read_onnx(path)
