@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from ..runs.campaign.folder import CampaignFolder
     from ..runs.campaign.plan import CampaignPlan
     from ..runs.campaign.workers import Workers
-    from ..runs.stages import Stages
+    from ..runs.folder import Stages
     from ..scenario.scenario import Scenario, ScheduleScenario
 
 
@@ -132,7 +132,7 @@ def replay_command(
 def _plan(scenarios: Sequence[ScheduleScenario], options: Options, stages: Stages) -> CampaignPlan:
     """The campaign of schedules that the options ask for."""
     from ..runs.campaign import CampaignPlan, ScheduleRuns, make_cases, parse_grid
-    from ..runs.campaign.formats import usable
+    from ..runs.campaign.folder import usable
 
     given = {name: getattr(options, name) for name in ("initial", "disturbance") if getattr(options, name)}
     sized = {"batch": options.batch} if options.batch else {}

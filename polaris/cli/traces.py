@@ -96,7 +96,7 @@ def export_command(
     from ..runs.atomic import check_file
     from ..runs.run import read_run
     from ..traces.export import export_run
-    from ..traces.writing import write_trace
+    from ..traces.reading import write_trace
 
     check_file(trace, "trace", (".json",))
     compared = read_run(run).kind.name == "comparison"

@@ -24,9 +24,8 @@ from ..rta.method_result import DEFINITIONS
 from ..rta.methods import METHODS
 from ..scenario.scenario import ScheduleScenario
 from .arrays import held_by, read_arrays, read_held
-from .folder import Draw, RunFolder, RunKind, read_json, write_folder
+from .folder import Draw, RunFolder, RunKind, Stages, read_json, write_folder
 from .schedule import SCHEDULE, write_run
-from .stages import Stages
 from .tables import strict, write_text
 
 ARRAYS = {

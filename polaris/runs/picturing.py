@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,23 +20,20 @@ SLICES = 240
 """Decisions, and besides them switches, up to which all get a slice of their recoverable set."""
 
 
-def picture_of_safety(safety: Safety) -> Picture:
-    """What Algorithm 1 found."""
-    picture = _bare(safety)
-    return replace(picture, slices=recoverable_slices(safety, picture))
-
-
-def _bare(safety: Safety) -> Picture:
+def picture_of_safety(safety: Safety, **more: Any) -> Picture:
+    """What Algorithm 1 found, and what else there is to see."""
     problem = safety.problem
-    return Picture(
-        "Safe reference",
+    picture = Picture(
+        more.pop("title", "Safe reference"),
         problem.system,
         tuple(problem.unsafe),
         problem.goal,
         problem.initial_set,
         safety.reference,
         problem.K,
+        **more,
     )
+    return replace(picture, slices=recoverable_slices(safety, picture))
 
 
 def picture_of(schedule: Schedule, flights: Mapping[str, Flights] | None = None) -> Picture:
@@ -45,8 +43,8 @@ def picture_of(schedule: Schedule, flights: Mapping[str, Flights] | None = None)
         if len(schedule.controllers) > 1:
             flights["experimental"] = fly_nominal(schedule, 1, schedule.controllers[1].name)
     arrival = schedule.arrival if schedule.guarantee == "proved" else None
-    picture = replace(
-        _bare(schedule.safety),
+    return picture_of_safety(
+        schedule.safety,
         title="Switching schedule",
         controllers=tuple(controller.name for controller in schedule.controllers),
         modes=schedule.modes,
@@ -57,7 +55,6 @@ def picture_of(schedule: Schedule, flights: Mapping[str, Flights] | None = None)
         reached=arrival.by if arrival else None,
         delta_v_max=arrival.delta_v if arrival else None,
     )
-    return replace(picture, slices=recoverable_slices(schedule.safety, picture))
 
 
 def tube_of(schedule: Schedule) -> TubePicture:

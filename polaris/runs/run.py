@@ -15,13 +15,12 @@ from ..scenario.scenario import MonteCarloScenario, Scenario, load_scenario
 from .atomic import check_target
 from .campaign.workers import Workers
 from .comparison import COMPARISON
-from .folder import SCENARIO, Draw, RunFolder, RunKind, write_folder
+from .folder import SCENARIO, Draw, RunFolder, RunKind, Stages, write_folder
 from .front import TRADEOFF
 from .fuel_limit import FUEL_LIMIT
 from .inspection import FLIGHT
 from .monte_carlo import MONTE_CARLO, run_monte_carlo
 from .schedule import SCHEDULE
-from .stages import Stages
 
 KINDS: dict[str, RunKind] = {kind.name: kind for kind in (SCHEDULE, FLIGHT, FUEL_LIMIT, MONTE_CARLO)}
 """What a run leaves, by the kind of its scenario."""
@@ -84,15 +83,11 @@ def run(
     target = f"runs/{scenario.name}" if out is None else out
     if isinstance(scenario, MonteCarloScenario):
         return _run_many(target, scenario, draw, stages, executor=executor, fresh=fresh)
-    return _run_one(check_target(target), scenario, draw, stages)
-
-
-def _run_one(target: Path, scenario: Scenario, draw: Draw | None, stages: Stages) -> RunFolder:
-    kind = KINDS[scenario.kind]
+    place, kind = check_target(target), KINDS[scenario.kind]
     assert kind.fly is not None
     found = kind.fly(scenario, stages)
     with stages.stage("run folder"):
-        return write_folder(target, kind, scenario, found, draw=draw, stages=stages)
+        return write_folder(place, kind, scenario, found, draw=draw, stages=stages)
 
 
 def _run_many(

@@ -16,11 +16,11 @@ from .model import Trace as Trace
 from .model import UnsafeTrace as UnsafeTrace
 from .reading import parse_trace as parse_trace
 from .reading import read_trace as read_trace
+from .reading import trace_data as trace_data
+from .reading import write_trace as write_trace
 from .results import AgentMetrics as AgentMetrics
 from .results import Separation as Separation
 from .results import Spread as Spread
 from .results import TraceMetrics as TraceMetrics
 from .settings import Heading as Heading
 from .settings import restamp as restamp
-from .writing import trace_data as trace_data
-from .writing import write_trace as write_trace

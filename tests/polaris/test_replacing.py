@@ -51,7 +51,7 @@ def write(target, files, also=()):
 
 
 def test_a_newer_run_replaces_what_polaris_wrote_and_nothing_else(tmp_path, monkeypatch):
-    def draw(picture, folder):
+    def draw(picture, folder, figures):
         paths = [folder / name for name in ("scene.pdf", "scene.png")]
         for path in paths:
             path.write_bytes(b"drawn")

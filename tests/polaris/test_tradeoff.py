@@ -16,11 +16,10 @@ from typer.testing import CliRunner
 import polaris
 from polaris.cli.app import app
 from polaris.model.errors import PolarisError, ScenarioError
+from polaris.report.figures.comparison import _front
 from polaris.report.figures.style import printing
-from polaris.report.figures.tradeoff import _front
 from polaris.runs import tradeoff as module
-from polaris.runs.campaign.drive import Interrupted
-from polaris.runs.campaign.workers import InProcess, Workers, local
+from polaris.runs.campaign.workers import InProcess, Interrupted, Workers, local
 from polaris.runs.front import non_dominated
 from polaris.runs.schedule import DATA_FILES
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from .comparison import show_comparison
+from .comparison import show_comparison, show_tradeoff
 from .inspection import show_campaign, show_flight, show_fuel
 from .schedule import show_summary
-from .tradeoff import show_tradeoff
 
 __all__ = ["SUMMARIES", "show_campaign", "show_comparison", "show_summary"]
 

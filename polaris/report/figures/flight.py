@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,7 +18,7 @@ from ...model.system import Array
 from ..scene.palette import BLACK, BLUE, GREEN, GREY, LOOKS, RED, SKY, deputy_colour, tint
 from ..scene.unsafe import AXES, ORDER, surroundings
 from .scene3d import frame_axes
-from .style import ABOVE, WIDTH, new_figure, save_all, step_edges
+from .style import ABOVE, WIDTH, new_figure, step_edges
 
 DASHES: tuple[Any, ...] = ("-", (0, (5, 1.2)), (0, (1.2, 1)), (0, (4, 1, 1, 1)), (0, (2, 1)))
 
@@ -35,13 +34,6 @@ FINE = 101
 
 MOST_NAMED = 10
 """Most lines that a legend names."""
-
-
-def draw_flight(run: InspectionRun, folder: Path) -> list[Path]:
-    """Draw and write the figures of one flight, each as PDF and PNG; same flight, same bytes."""
-    alone = run.inspection.deputies == 1
-    names = [name for name in FLIGHT_FIGURES if not (alone and name in ("separation", "deputy_sun"))]
-    return save_all(((name, _FIGURES[name](run)) for name in names), folder)
 
 
 # -- figures ----------------------------------------------------------------------------------------
@@ -62,6 +54,11 @@ def stack(height: float, *panels: Panel) -> Callable[[Any], Any]:
         return figure
 
     return drawn
+
+
+def _of_pairs(draw: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """A figure that a deputy alone has not."""
+    return lambda run: draw(run) if run.inspection.deputies > 1 else None
 
 
 def _overview(run: InspectionRun) -> Any:
@@ -305,18 +302,16 @@ def _legend(ax: Any, lines: list[Any], pairs: Any = None) -> None:
         handle.set_linewidth(1.2)
 
 
-_FIGURES: dict[str, Callable[[InspectionRun], Any]] = {
+FIGURES: dict[str, Callable[[InspectionRun], Any]] = {
     "overview": _overview,
     "speed": stack(2.8, _speed),
     "velocity": stack(3.9, *(partial(_velocity, k) for k in range(3))),
-    "separation": stack(2.8, _distance),
+    "separation": _of_pairs(stack(2.8, _distance)),
     "sun": stack(2.6, partial(_sun, False)),
-    "deputy_sun": stack(2.8, partial(_sun, True)),
+    "deputy_sun": _of_pairs(stack(2.8, partial(_sun, True))),
     "passive": _passive_and_distance,
     "thrust": stack(3.9, *(partial(_thrust, k) for k in range(3))),
     "delta_v": stack(2.4, _spent),
     "paths_3d": _paths_3d,
 }
-
-FLIGHT_FIGURES = tuple(_FIGURES)
 """Figures of a flight."""

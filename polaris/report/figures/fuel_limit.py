@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,19 +12,13 @@ from ...inspection.flights.fuel_run import FuelRun
 from ..scene.palette import BLACK, BLUE, LOOKS, ORANGE, PURPLE, SKY, VERMILION
 from ..scene.unsafe import AXES, ORDER
 from .flight import draw_chief, shade, shade_thrust, stack, tell
-from .style import ABOVE, save_all, step_edges
+from .style import ABOVE, step_edges
 
 PIECES = 400
 """Pieces in which a path changes its colour."""
 
 AFTER = 500.0
 """Time [s] for which a predicted flight is shown after its last thrust: nothing more is spent."""
-
-
-def draw_fuel_run(run: FuelRun, folder: Path) -> list[Path]:
-    """Draw and write the figures of a flight into the fuel limit, each as PDF and PNG."""
-    drawers = (("path", _path, 2.0), ("fuel", _fuel, 2.6), ("thrust", _thrust, 2.4))
-    return save_all(((name, stack(height, draw)(run)) for name, draw, height in drawers), folder)
 
 
 def _path(ax: Any, run: FuelRun) -> None:
@@ -79,3 +72,7 @@ def _thrust(ax: Any, run: FuelRun) -> None:
         ax.text(run.latched_at, 1.13 * run.inspection.thrust_max, " backup", fontsize=6.5, va="center")
     ax.set(xlim=(0, run.t[-1]), xlabel="Time (s)", ylabel="Thrust (N)")
     ax.legend(columnspacing=0.9, **ABOVE)
+
+
+FIGURES = {"path": stack(2.0, _path), "fuel": stack(2.6, _fuel), "thrust": stack(2.4, _thrust)}
+"""Figures of a flight into the fuel limit."""

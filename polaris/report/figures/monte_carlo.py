@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,34 +9,21 @@ from matplotlib.lines import Line2D
 
 from ...runs.monte_carlo import CampaignPicture
 from ..scene.palette import BLACK, BLUE, GREY, ORANGE, PURPLE, RED, SKY, VERMILION, tint
-from .style import WIDTH, new_figure, save_all
+from .style import WIDTH, new_figure
 
 BAR_COLOURS = (RED, ORANGE, PURPLE, SKY, BLACK, BLUE, VERMILION, GREY)
 
 
-def draw_campaign(picture: CampaignPicture, folder: Path) -> list[Path]:
-    """Draw and write the figures of a campaign, each as PDF and PNG."""
-
-    def figures() -> Iterable[tuple[str, Any]]:
-        count = len(picture.studies)
-        columns = min(count, 2)
-        rows = -(-count // columns)
-        wide = new_figure(0.7 + 2.0 * rows, WIDTH if columns == 1 else 1.35 * WIDTH)
-        axes = wide.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
-        draw_initial_conditions(axes.ravel(), picture)
-        yield "initial_conditions", wide
-        bars = new_figure(0.8 + 0.5 * count, 1.35 * WIDTH)
-        draw_failures(bars.add_subplot(), picture)
-        yield "failures", bars
-
-    return save_all(figures(), folder)
-
-
-def draw_initial_conditions(axes: Any, picture: CampaignPicture) -> None:
-    """Draw where every deputy of every run starts, one panel per study: red where it failed, else cyan.
+def initial_conditions(picture: CampaignPicture) -> Any:
+    """Where every deputy of every run starts, one panel per study: red where it failed, else cyan.
 
     Of a run that failed, the deputies that the failures concern are red.
     """
+    count = len(picture.studies)
+    columns = min(count, 2)
+    rows = -(-count // columns)
+    figure = new_figure(0.7 + 2.0 * rows, WIDTH if columns == 1 else 1.35 * WIDTH)
+    axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
     order = picture.x[..., :3]
     limit = 1.08 * float(np.abs(order).max())
     size = 9.0 if len(order) * order.shape[1] < 1500 else 3.0
@@ -62,14 +47,16 @@ def draw_initial_conditions(axes: Any, picture: CampaignPicture) -> None:
             ("o", BLACK, 3, "chief"),
         )
     ]
-    figure = axes[0].figure
     figure.legend(handles=handles, loc="outside upper center", ncols=3)
     figure.supxlabel("Along-track at the start (m)", fontsize=8)
     figure.supylabel("Radial at the start (m)", fontsize=8)
+    return figure
 
 
-def draw_failures(ax: Any, picture: CampaignPicture) -> None:
-    """Draw how many runs of each study failed, by what failed."""
+def failures(picture: CampaignPicture) -> Any:
+    """How many runs of each study failed, by what failed."""
+    figure = new_figure(0.8 + 0.5 * len(picture.studies), 1.35 * WIDTH)
+    ax = figure.add_subplot()
     rows = np.arange(len(picture.studies))[::-1]
     height = 0.8 / max(len(picture.whats), 1)
     for k, what in enumerate(picture.whats):
@@ -86,3 +73,8 @@ def draw_failures(ax: Any, picture: CampaignPicture) -> None:
         ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4)
     else:
         ax.text(0.5, 0.5, "no failures", transform=ax.transAxes, ha="center", va="center", fontsize=8)
+    return figure
+
+
+FIGURES = {"initial_conditions": initial_conditions, "failures": failures}
+"""Figures of a campaign."""

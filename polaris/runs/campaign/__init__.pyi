@@ -1,5 +1,4 @@
 from .batch import Case as Case
-from .drive import Interrupted as Interrupted
 from .drive import run_campaign as run_campaign
 from .folder import CampaignFolder as CampaignFolder
 from .folder import read_campaign as read_campaign
@@ -11,6 +10,7 @@ from .replay import Replayed as Replayed
 from .replay import find_worst as find_worst
 from .replay import replay_run as replay_run
 from .schedules import ScheduleRuns as ScheduleRuns
+from .workers import Interrupted as Interrupted
 from .workers import Workers as Workers
 from .workers import cluster as cluster
 from .workers import local as local

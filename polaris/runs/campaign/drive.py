@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -12,21 +12,12 @@ from ...model.errors import PolarisError
 from .batch import Batch, Task, fly_batch
 from .folder import CampaignFolder, open_campaign
 from .plan import CampaignPlan
-from .workers import Workers, given, local
+from .workers import Workers, going_on, work_through, workers_of
 
 RECOVERIES = 3
 """Times in a row that lost workers are replaced without a batch being finished."""
 
-TICK = 2.0
-"""Seconds without a result after which the workers are asked whether there are any."""
-
 Progress = Callable[[int, int], None]
-
-
-class Interrupted(PolarisError):
-    """The user stopped the campaign; what was finished is kept."""
-
-    exit_code = 130
 
 
 @dataclass
@@ -42,63 +33,26 @@ class Driver:
 
     def fly(self) -> None:
         """Do every task whose result is not there yet."""
-        try:
-            self._fly()
-        except (KeyboardInterrupt, PolarisError) as error:
-            kept = f"{self.done} runs are kept in {self.folder.path}, and the same command goes on from there"
-            if isinstance(error, KeyboardInterrupt):
-                raise Interrupted(f"interrupted; {kept}") from None
-            raise PolarisError(f"{error}; {kept}") from error
-
-    def _fly(self) -> None:
         self.failed = set(self.folder.failures())
-        missing = deque(task for task in self.folder.plan.tasks() if not self._kept(task))
-        self._tell()
-        losses = 0
-        while missing:
-            before = self.done
-            lost = self._until_broken(missing)
-            if not lost:
-                break
-            missing.extendleft(reversed(lost))
-            losses = losses + 1 if self.done == before else 1
-            if not self.workers.again or losses > RECOVERIES:
-                rule = (
-                    f"workers were lost {losses} times without finishing a batch (out of memory, or killed?)"
-                )
-                raise PolarisError(rule)
+        with going_on(lambda: f"{self.done} runs are kept in {self.folder.path}"):
+            missing = deque(task for task in self.folder.plan.tasks() if not self._kept(task))
+            self._tell()
+            losses = 0
+            while missing:
+                before = self.done
+                lost = work_through(self.workers, fly_batch, self._left(missing), self._keep)
+                missing.extendleft(sorted(lost, key=lambda task: (task.case, task.batch), reverse=True))
+                losses = losses + 1 if self.done == before else 1
+                if lost and (not self.workers.again or losses > RECOVERIES):
+                    rule = f"workers were lost {losses} times without finishing a batch"
+                    raise PolarisError(f"{rule} (out of memory, or killed?)")
 
-    def _until_broken(self, missing: deque[Task]) -> list[Task]:
-        """Hand out tasks until all are done or workers are lost; returns the tasks lost."""
-        executor = self.workers.make()
-        flying: dict[Future[Batch], Task] = {}
-        lost: list[Task] = []
-        try:
-            while (missing and not lost) or flying:
-                while missing and not lost and len(flying) < self.workers.window():
-                    task = missing.popleft()
-                    if task.case in self.failed:
-                        continue
-                    try:
-                        flying[executor.submit(fly_batch, task)] = task
-                    except self.workers.lost:
-                        lost.append(task)
-                ready, _ = wait(flying, TICK, FIRST_COMPLETED)
-                trouble = "" if ready else self.workers.trouble()
-                if trouble:
-                    raise PolarisError(trouble)
-                for future in ready:
-                    task = flying.pop(future)
-                    try:
-                        self._keep(task, future.result())
-                    except self.workers.lost:
-                        lost.append(task)
-        finally:
-            for future in flying:
-                future.cancel()
-            if self.workers.again:
-                executor.shutdown(wait=False)
-        return sorted(lost, key=lambda task: (task.case, task.batch))
+    def _left(self, missing: deque[Task]) -> Iterator[Task]:
+        """Tasks of cases that can be flown, taken out of those that are missing."""
+        while missing:
+            task = missing.popleft()
+            if task.case not in self.failed:
+                yield task
 
     def _kept(self, task: Task) -> bool:
         """Whether a task needs no work: its part is there, or its case cannot be flown."""
@@ -175,7 +129,6 @@ def run_campaign(
         If workers are lost again and again, stay away or disagree; what was finished is kept.
     """
     folder = open_campaign(out, plan, fresh)
-    workers = executor if isinstance(executor, Workers) else given(executor) if executor else local(1)
-    Driver(folder, workers, progress).fly()
+    Driver(folder, workers_of(executor), progress).fly()
     folder.write_summary(worst)
     return folder
