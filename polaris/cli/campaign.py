@@ -105,8 +105,8 @@ def replay_command(
     as_json: Json = False,
 ) -> None:
     """Fly one run of a campaign again, bit for bit, and write its trajectory."""
+    from ..runs.campaign.drive import check_trajectory, find_worst, replay_run
     from ..runs.campaign.folder import read_campaign
-    from ..runs.campaign.replay import check_trajectory, find_worst, replay_run
     from .show.schedule import show_run
 
     if out is not None:

@@ -11,8 +11,8 @@ from pathlib import Path
 
 from ..model.errors import ScenarioError
 from ..runs.atomic import check_file, replacing_file
+from ..runs.comparison import TRADEOFF
 from ..runs.folder import RunFolder, readable
-from ..runs.front import TRADEOFF
 from ..runs.run import read_run
 from .html.page import Page, page_html
 

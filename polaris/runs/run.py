@@ -14,9 +14,8 @@ from ..model.errors import ScenarioError
 from ..scenario.scenario import MonteCarloScenario, Scenario, load_scenario
 from .atomic import check_target
 from .campaign.workers import Workers
-from .comparison import COMPARISON
+from .comparison import COMPARISON, TRADEOFF
 from .folder import SCENARIO, Draw, RunFolder, RunKind, Stages, write_folder
-from .front import TRADEOFF
 from .fuel_limit import FUEL_LIMIT
 from .inspection import FLIGHT
 from .monte_carlo import MONTE_CARLO, run_monte_carlo

@@ -15,8 +15,8 @@ from ..scenario.base import parse_assignment
 from ..scenario.scenario import ScheduleScenario, load_scenario
 from .atomic import check_target
 from .campaign.workers import AHEAD, Workers, going_on, work_through, workers_of
+from .comparison import TRADEOFF, Row, non_dominated, row_of
 from .folder import SCENARIO, Draw, RunFolder, Stages, write_folder
-from .front import TRADEOFF, Row, non_dominated, row_of
 from .ownership import listed, tidy_all, write_manifest
 from .run import read_run, run
 from .schedule import SCHEDULE

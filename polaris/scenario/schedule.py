@@ -8,7 +8,7 @@ from reach.sets.zonotope import Zonotope
 
 from ..model.checks import counted
 from ..model.system import LinearSystem
-from . import numerics, rules
+from . import rules
 from .base import Scenario, kept
 from .fields import whole_parts
 from .tables import SampledFeedback, ScenarioModel, Simulation
@@ -34,9 +34,9 @@ class ScheduleScenario(Scenario):
         system = self.system()
         rules.check_shapes(model, system)
         rules.check_time(model)
-        numerics.check_numerics(model, system)
-        for path, Q, R in numerics.weights(model):
-            numerics.check_weights(path, Q, R, system)
+        rules.check_numerics(model, system)
+        for path, Q, R in rules.weights(model):
+            rules.check_weights(path, Q, R, system)
         rules.check_names(model)
         rules.check_scene(model, self.obstacles(), system)
         self.goal()
@@ -117,15 +117,15 @@ class ScheduleScenario(Scenario):
             unsafe=self.obstacles(),
             K=self.steps,
             delta=self.step,
-            Q=numerics.full_weight(tracking.Q),
-            R=numerics.full_weight(tracking.R),
+            Q=rules.full_weight(tracking.Q),
+            R=rules.full_weight(tracking.R),
             goal=self.goal(),
             goal_tolerance=self.model.goal.tolerance_m,
             recoverable=self.model.recoverable.kind,
             recourse=self.model.recoverable.recourse,
             period=feedback.period_s if isinstance(feedback, SampledFeedback) else None,
             bound=tracking.bound,
-            weight=weight if isinstance(weight, str) else numerics.full_weight(weight),
+            weight=weight if isinstance(weight, str) else rules.full_weight(weight),
             objective=given.pop("objective"),
             extra_margin=given.pop("extra_margin"),
             thrust_reserve=given.pop("thrust_reserve"),
@@ -137,15 +137,7 @@ class ScheduleScenario(Scenario):
         """Options of Algorithm 2."""
         from ..synthesis.search import SwitchingRules
 
-        rules = self.model.schedule
+        given = self.model.schedule.arguments()
+        given.pop("bound_programs")
         weights = tuple(spec.weight for spec in self.model.experimental)
-        return SwitchingRules(
-            rules.strategy,
-            rules.min_dwell_steps,
-            rules.max_switches,
-            weights,
-            rules.beam,
-            rules.delta_v_price,
-            rules.switch_price,
-            rules.delta_v_max_m_s,
-        )
+        return SwitchingRules(min_dwell=given.pop("min_dwell_steps"), weights=weights, **given)

@@ -5,10 +5,10 @@ import pytest
 from typer.testing import CliRunner
 
 from polaris.cli import app as cli
-from polaris.report.figures import draw_figures, fuel_limit
+from polaris.report.figures import draw_figures, inspection
 from polaris.report.figures import flight as figures
 from polaris.report.figures.flight import free_flights, nearest_deputy
-from polaris.report.figures.monte_carlo import failures, initial_conditions
+from polaris.report.figures.inspection import failures, initial_conditions
 from polaris.report.figures.style import style
 from polaris.runs.fuel_limit import fly_fuel
 from polaris.runs.inspection import fly_flight
@@ -39,12 +39,12 @@ def inside(figure):
 @pytest.mark.parametrize("name", ["speed", "separation", "sun", "deputy_sun", "velocity", "delta_v"])
 def test_figure_fits_its_page(run, name):
     with style():
-        inside(figures._FIGURES[name](run))
+        inside(figures.FIGURES[name](run))
 
 
 def test_lines_are_the_data(run):
     with style():
-        ax = figures._FIGURES["separation"](run).axes[0]
+        ax = figures.FIGURES["separation"](run).axes[0]
     lines = [line for line in ax.get_lines() if len(line.get_xdata()) == len(run.t)]
     assert len(lines) == len(run.inspection.pairs)
     i, j = run.inspection.pairs[3]
@@ -76,7 +76,7 @@ def test_fuel_figures_are_drawn_with_and_without_a_switch(tmp_path):
         )
         flown = fly_fuel(scenario)
         assert (flown.latched_at is not None) == switched
-        names = {path.name for path in draw_figures(flown, tmp_path, fuel_limit.FIGURES)}
+        names = {path.name for path in draw_figures(flown, tmp_path, inspection.FUEL_FIGURES)}
         assert names == {f"{name}.{kind}" for name in ("path", "fuel", "thrust") for kind in ("pdf", "png")}
 
 

@@ -231,7 +231,7 @@ def test_unwritable_files_are_found_before_the_work(tmp_path, monkeypatch):
 
     for name in (
         "polaris.runs.case.load_target",
-        "polaris.runs.campaign.replay.replay_run",
+        "polaris.runs.campaign.drive.replay_run",
         "polaris.traces.export.export_run",
         "polaris.report.report_page",
         "polaris.synthesis.get_safety.get_safety",

@@ -20,7 +20,7 @@ from polaris.report.figures.comparison import _front
 from polaris.report.figures.style import printing
 from polaris.runs import tradeoff as module
 from polaris.runs.campaign.workers import InProcess, Interrupted, Workers, local
-from polaris.runs.front import non_dominated
+from polaris.runs.comparison import non_dominated
 from polaris.runs.schedule import DATA_FILES
 
 from .tiny import TINY

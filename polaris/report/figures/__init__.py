@@ -90,13 +90,13 @@ def draw_run(folder: RunFolder) -> list[Path]:
         If a file is missing or damaged, or the place cannot be written to.
     """
     from ...runs.atomic import replacing
-    from . import comparison, flight, fuel_limit, monte_carlo
+    from . import comparison, flight, inspection
 
     known: dict[str, Mapping[str, Figure]] = {
         "schedule": FIGURES,
         "inspection": flight.FIGURES,
-        "fuel_limit": fuel_limit.FIGURES,
-        "monte_carlo": monte_carlo.FIGURES,
+        "fuel_limit": inspection.FUEL_FIGURES,
+        "monte_carlo": inspection.FIGURES,
         "comparison": comparison.FIGURES,
         "tradeoff": comparison.TRADEOFF,
     }

@@ -233,7 +233,7 @@ class _Crew:
     def threads(self) -> int:
         """Threads of all workers."""
         try:
-            known = sum(self.client.nthreads().values())
+            known = int(sum(self.client.nthreads().values()))
         except OSError:  # a lost scheduler shows in the futures
             known = 0
         if known:
