@@ -2,7 +2,6 @@ from .evaluation import evaluate_trace as evaluate_trace
 from .export import Export as Export
 from .export import export_run as export_run
 from .export import to_trace as to_trace
-from .legacy import LegacyMetrics as LegacyMetrics
 from .legacy import evaluate_legacy as evaluate_legacy
 from .model import NORMAL as NORMAL
 from .model import SAFETY as SAFETY
