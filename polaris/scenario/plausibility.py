@@ -20,13 +20,7 @@ FASTEST_ORBIT = 1.25e-3
 
 
 def doubts(scenario: Scenario) -> list[str]:
-    """What a user may want to look at again before a long run, one sentence each.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        Valid; what no scenario may be is refused before.
-    """
+    """What a user may want to look at again before a long run of a valid scenario, one sentence each."""
     if not isinstance(scenario, ScheduleScenario):
         return []
     system, step, steps = scenario.system(), scenario.step, scenario.steps

@@ -62,11 +62,7 @@ def join_path(path: Sequence[str | int]) -> str:
 def read_document(path: Path) -> tuple[dict[str, Any], str]:
     """Read a TOML file; return its data and its text.
 
-    Raises
-    ------
-    ScenarioError
-        If there is no such regular file, it cannot be read, is too large, empty, not UTF-8 text, or
-        not TOML.
+    `ScenarioError` if it is no regular file, or cannot be read, or is too large, empty, or not TOML in UTF-8.
     """
     shown = printable(str(path))
     try:
@@ -103,10 +99,7 @@ def parse_toml(text: str, where: str) -> dict[str, Any]:
 def validate(model: type[Model], document: Mapping[str, Any], where: str | None = None) -> Model:
     """Validate the fields of a document one by one (no rules that join several fields).
 
-    Raises
-    ------
-    ScenarioError
-        Naming the field as in the TOML, what was given, and the rule.
+    `ScenarioError` names the field as in the TOML, what was given, and the rule.
     """
     try:
         return model.model_validate(document)

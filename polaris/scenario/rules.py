@@ -159,11 +159,8 @@ def check_start_and_goal(
 ) -> None:
     """Refuse a start or a hold point that is unsafe as it stands.
 
-    Raises
-    ------
-    ScenarioError
-        If the initial set reaches into an obstacle or out of a keep-in set at t = 0, or a hold point lies in
-        an obstacle at its arrival or out of a keep-in set.
+    The initial set must not reach into an obstacle or out of a keep-in set at t = 0, nor a hold point lie in
+    an obstacle at its arrival or out of a keep-in set.
     """
     place, end = system.position @ theta, model.horizon.duration_s
     for (path, _), item in zip(model.scene_parts(), unsafe, strict=True):

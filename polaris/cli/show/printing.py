@@ -13,12 +13,7 @@ RED = "bold red"
 
 
 class Printout:
-    """Prints to standard output, or to a console.
-
-    Parameters
-    ----------
-    console : Console, optional
-    """
+    """Prints to a console, by default to standard output."""
 
     def __init__(self, console: Console | None = None) -> None:
         self.console = console or Console(highlight=False)

@@ -112,10 +112,7 @@ class Results:
 class Kind(ABC):
     """What a kind of run brings to a campaign; plain data, for it travels with every task.
 
-    Attributes
-    ----------
-    modes : tuple of str
-        Who flies; every run is flown once by each.
+    Every run is flown once by each of the `modes`.
     """
 
     modes: tuple[str, ...]
