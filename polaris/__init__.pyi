@@ -61,10 +61,10 @@ from .runs.case import replay as replay
 from .runs.case import write_case as write_case
 from .runs.comparison import write_comparison as write_comparison
 from .runs.folder import RunFolder as RunFolder
-from .runs.folder import Stages as Stages
 from .runs.run import read_run as read_run
 from .runs.run import run as run
 from .runs.schedule import write_run as write_run
+from .runs.stages import Stages as Stages
 from .runs.tradeoff import tradeoff as tradeoff
 from .scenario.scenario import FlightScenario as FlightScenario
 from .scenario.scenario import FuelLimitScenario as FuelLimitScenario

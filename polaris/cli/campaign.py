@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from ..runs.campaign.folder import CampaignFolder
     from ..runs.campaign.plan import CampaignPlan
     from ..runs.campaign.workers import Workers
-    from ..runs.folder import Stages
+    from ..runs.stages import Stages
     from ..scenario.scenario import Scenario, ScheduleScenario
 
 
@@ -105,7 +105,8 @@ def replay_command(
     as_json: Json = False,
 ) -> None:
     """Fly one run of a campaign again, bit for bit, and write its trajectory."""
-    from ..runs.campaign.drive import check_trajectory, find_worst, replay_run
+    from ..runs.campaign.batch import check_trajectory
+    from ..runs.campaign.drive import find_worst, replay_run
     from ..runs.campaign.folder import read_campaign
     from .show.schedule import show_run
 

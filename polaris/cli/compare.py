@@ -66,12 +66,12 @@ def compare_command(scenario: Name, options: Options) -> None:
 
         loaded = load_scenario(scenario, options.assignments or (), only=ScheduleScenario)
         target = check_target(options.out if options.out is not None else f"runs/{loaded.name}-comparison")
-        half, tuning = _numbers(options.estimate_error), _tuning(options.tune)
+        half, tuning = _numbers("--estimate-error", options.estimate_error or "0"), _tuning(options.tune)
     with stages.stage("schedule"):
         schedule = synthesize(loaded)
     with stages.stage("flights"):
         comparison = compare_methods(
-            DecisionGrid.of(schedule, options.period, options.latency, half),
+            DecisionGrid.of(schedule, options.period, options.latency, half if len(half) > 1 else half[0]),
             options.runs,
             options.seed,
             methods=None if options.methods is None else options.methods.replace(" ", "").split(","),
@@ -84,14 +84,11 @@ def compare_command(scenario: Name, options: Options) -> None:
     finish(folder, True, options.as_json, options.quiet)
 
 
-def _numbers(text: str | None) -> Any:
-    if text is None:
-        return 0.0
+def _numbers(option: str, text: str) -> list[float]:
     try:
-        found = [float(part) for part in text.split(",")]
+        return [float(part) for part in text.split(",")]
     except ValueError:
-        raise ScenarioError("--estimate-error", text, "must be numbers separated by commas") from None
-    return found[0] if len(found) == 1 else found
+        raise ScenarioError(option, text, "must be numbers separated by commas") from None
 
 
 def _tuning(assignments: list[str]) -> dict[str, float]:
@@ -126,14 +123,10 @@ def tradeoff_command(
     from ..runs.tradeoff import tradeoff
     from .console import ShownStages
 
-    try:
-        values = [float(part) for part in prices.split(",")]
-    except ValueError:
-        raise ScenarioError("--prices", prices, "must be numbers separated by commas") from None
     folder = tradeoff(
         scenario,
         out,
-        values,
+        _numbers("--prices", prices),
         overrides=assignments or (),
         draw=drawing(figures),
         stages=ShownStages(quiet or as_json),

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.text import Text
 
-from ..runs.folder import Stages
+from ..runs.stages import Stages
 
 if TYPE_CHECKING:
     from rich.progress import Progress

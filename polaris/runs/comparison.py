@@ -29,8 +29,9 @@ from ..rta.method_result import DEFINITIONS
 from ..rta.methods import METHODS
 from ..scenario.scenario import ScheduleScenario
 from .arrays import held_by, read_arrays, read_flights, read_held
-from .folder import SCENARIO, Draw, RunFolder, RunKind, Stages, read_json, readable, write_folder
+from .folder import SCENARIO, Draw, RunFolder, RunKind, read_json, readable, write_folder
 from .schedule import SCHEDULE, write_run
+from .stages import Stages
 from .tables import strict, write_csv, write_text
 
 ARRAYS = {

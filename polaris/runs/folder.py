@@ -7,23 +7,20 @@ the same bytes, but for ``created`` and the wall times in the summary.
 from __future__ import annotations
 
 import json
-import time
 import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ..model.errors import ScenarioError
 from ..model.version import versions
 from ..scenario.scenario import Scenario
 from .atomic import check_target, replacing
+from .stages import Stages
 from .tables import json_text, write_text
-
-if TYPE_CHECKING:
-    from ..planning.problem import Progress
 
 SCENARIO = "scenario.toml"
 
@@ -176,47 +173,3 @@ def readable(path: Path) -> Iterator[None]:
         raise ScenarioError(
             "run folder", str(path), f"a file in it is damaged ({told}); run the scenario again"
         ) from error
-
-
-class Stages:
-    """Times stages and shows nothing; the command line has one that shows them.
-
-    Attributes
-    ----------
-    seconds : dict of str to float
-        Wall time by stage.
-    """
-
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
-
-    @contextmanager
-    def stage(self, name: str) -> Iterator[None]:
-        """Time one stage."""
-        begun = time.perf_counter()
-        try:
-            yield
-        finally:
-            self.seconds[name] = time.perf_counter() - begun
-
-    def note(self, text: str, done: int = 0, total: int | None = None) -> None:
-        """Take note of what the stage is doing, and how far it is if that is known."""
-
-    def counting(self, form: str) -> Callable[[int, int], None]:
-        """Callback of what is counted; `form` says what, as in ``schedule: step {} of {}``."""
-        return lambda done, total: self.note(form.format(done, total), done, total)
-
-    def planner(self, progress: Progress) -> None:
-        """Callback of `polaris.planning.PlannerOptions`."""
-        self.note(planner_line(progress))
-
-
-def planner_line(progress: Progress) -> str:
-    """One line on how far the planner is."""
-    known = {
-        "best {:.4g}": progress.incumbent,
-        "bound {:.4g}": progress.bound,
-        "gap {:.2%}": progress.gap,
-    }
-    parts = [form.format(value) for form, value in known.items() if abs(value) < float("inf")]
-    return ", ".join([f"plan: {progress.stage}", *parts])

@@ -14,7 +14,8 @@ from ..inspection.flights.fuel_run import FuelRun, Prediction, fly_fuel_limit
 from ..scenario.inspection_tables import FuelLimitModel
 from ..scenario.scenario import FuelLimitScenario
 from .arrays import held_by, read_finite, read_held
-from .folder import SCENARIO, RunKind, Stages
+from .folder import SCENARIO, RunKind
+from .stages import Stages
 
 ARRAYS = {"t_s": "t", "states": "x", "thrust_N": "u", "desired_N": "desired", "delta_v_m_s": "delta_v"}
 """Attribute of a flight by the name of its array."""

@@ -33,7 +33,8 @@ from ..scenario.filter_tables import BackupFilter, BarrierFilter, ExplicitSimple
 from ..scenario.inspection_tables import InspectionModel
 from ..scenario.scenario import FlightScenario
 from .arrays import held_by, read_finite, read_held
-from .folder import SCENARIO, RunKind, Stages
+from .folder import SCENARIO, RunKind
+from .stages import Stages
 from .tables import write_csv
 
 ARRAYS = {

@@ -82,9 +82,7 @@ class SlicePicture:
 
     times: Array  # (S,) [s]
     places: Array  # where the chaser then is in each run, (S, R, d) [m]; nan if not recoverable
-    outlines: (
-        Array  # in the plane of the figures, (S, R, M, 2), or on the line (S, R, 2, 1) [m]; nan likewise
-    )
+    outlines: Array  # in the plane, (S, R, M, 2), or on the line, (S, R, 2, 1) [m]; nan likewise
 
 
 class PrintedSlice(NamedTuple):

@@ -15,11 +15,12 @@ from ..scenario.scenario import MonteCarloScenario, Scenario, load_scenario
 from .atomic import check_target
 from .campaign.workers import Workers
 from .comparison import COMPARISON, TRADEOFF
-from .folder import SCENARIO, Draw, RunFolder, RunKind, Stages, write_folder
+from .folder import SCENARIO, Draw, RunFolder, RunKind, write_folder
 from .fuel_limit import FUEL_LIMIT
 from .inspection import FLIGHT
 from .monte_carlo import MONTE_CARLO, run_monte_carlo
 from .schedule import SCHEDULE
+from .stages import Stages
 
 KINDS: dict[str, RunKind] = {kind.name: kind for kind in (SCHEDULE, FLIGHT, FUEL_LIMIT, MONTE_CARLO)}
 """What a run leaves, by the kind of its scenario."""

@@ -37,9 +37,10 @@ from ..synthesis.share_bound import ShareBound, share_bound
 from . import arrays
 from . import tables as files
 from .certificate import write_certificate
-from .folder import SCENARIO, Draw, RunFolder, RunKind, Stages, read_json, write_folder
+from .folder import SCENARIO, Draw, RunFolder, RunKind, read_json, write_folder
 from .picture import Picture
 from .picturing import picture_of
+from .stages import Stages
 
 DATA_FILES = (
     SCENARIO,

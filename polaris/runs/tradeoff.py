@@ -16,10 +16,11 @@ from ..scenario.scenario import ScheduleScenario, load_scenario
 from .atomic import check_target
 from .campaign.workers import AHEAD, Workers, going_on, work_through, workers_of
 from .comparison import TRADEOFF, Row, non_dominated, row_of
-from .folder import SCENARIO, Draw, RunFolder, Stages, write_folder
+from .folder import SCENARIO, Draw, RunFolder, write_folder
 from .ownership import listed, tidy_all, write_manifest
 from .run import read_run, run
 from .schedule import SCHEDULE
+from .stages import Stages
 
 PRICES = (0.0, 0.02, 0.06, 0.1, 0.2, 0.5)
 """Prices of velocity change, if none are given."""

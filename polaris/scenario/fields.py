@@ -108,7 +108,7 @@ def whole_parts(total: float, part: float) -> int | None:
 
 
 def unit(text: str, description: str | None = None, **rules: Any) -> Any:
-    """Field with its unit ("-" if it has none) and what it means, which the JSON Schema and the reference show.
+    """Field with its unit ("-" if it has none) and what it means, as the JSON Schema and the reference say.
 
     Without a description the string beneath the field is one; `rules` are those of `pydantic.Field`.
     """

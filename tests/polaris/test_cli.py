@@ -20,7 +20,7 @@ from polaris.model.checks import counted
 from polaris.model.errors import NotCertified, ScenarioError, SynthesisInfeasible
 from polaris.planning.problem import Progress
 from polaris.report.figures import FIGURES, draw_figures
-from polaris.runs.folder import planner_line
+from polaris.runs.stages import planner_line
 from polaris.scenario.plausibility import doubts
 from polaris.scenario.scenario import bundled_files, load_scenario
 

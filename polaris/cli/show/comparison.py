@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ...model.checks import counted
-from .printing import Printout, table
+from . import Printout, table
 
 SAFETY = (
     ("violations", "viola-\ntions"),

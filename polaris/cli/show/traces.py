@@ -13,7 +13,7 @@ from rich.text import Text
 from ...model.checks import counted
 from ...traces.legacy import Legacy, Raises
 from ...traces.results import AgentMetrics, Separation, Spread, TraceMetrics
-from .printing import Printout, alarming, table
+from . import Printout, alarming, table
 
 
 def show_metrics(found: TraceMetrics, console: Console | None = None) -> None:

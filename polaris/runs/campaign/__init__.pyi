@@ -1,5 +1,5 @@
 from .batch import Case as Case
-from .drive import Replayed as Replayed
+from .batch import Replayed as Replayed
 from .drive import find_worst as find_worst
 from .drive import replay_run as replay_run
 from .drive import run_campaign as run_campaign

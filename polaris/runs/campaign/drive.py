@@ -8,17 +8,13 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
-from dataclasses import dataclass, field
-from itertools import zip_longest
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from ...model.errors import PolarisError, ScenarioError
-from ..atomic import check_file, replacing_file
-from ..tables import write_csv
-from .batch import Batch, Task, Trajectory, fly_batch
+from .batch import Batch, Replayed, Task, fly_batch
 from .folder import CampaignFolder, open_campaign
 from .plan import CampaignPlan
 from .workers import Workers, going_on, work_through, workers_of
@@ -143,41 +139,6 @@ def run_campaign(
     return folder
 
 
-@dataclass(frozen=True, eq=False)
-class Replayed(Trajectory):
-    """One run of a campaign, flown again.
-
-    Attributes
-    ----------
-    row : dict
-        What the campaign's table says of it.
-    """
-
-    row: dict[str, Any]
-
-    def write(self, path: str | Path) -> Path:
-        """Write the trajectory as CSV or, if the name ends so, as ``.npz``; whole, or not at all.
-
-        Raises
-        ------
-        ScenarioError
-            If the name ends otherwise, or the file cannot be written.
-        """
-        target = check_trajectory(path)
-        with replacing_file(target) as beside:
-            if target.suffix == ".npz":
-                np.savez(beside, **self.arrays)
-            else:
-                rows = zip_longest(*(values.tolist() for values in self.table.values()))
-                write_csv(beside, [dict(zip(self.table, row, strict=True)) for row in rows])
-        return target
-
-
-def check_trajectory(path: str | Path) -> Path:
-    """Whether a trajectory may be written there, as CSV or ``.npz``."""
-    return check_file(path, endings=(".csv", ".npz"))
-
-
 def find_worst(
     folder: CampaignFolder, rank: int, mode: str | None = None, case: int | None = None
 ) -> tuple[int, int, int]:
@@ -249,7 +210,7 @@ def replay_run(folder: CampaignFolder, case: int, batch: int, run: int, mode: st
             given = f"{name} is {here!r} here and {there!r} in the table"
             raise PolarisError(f"the run comes out differently on this machine: {given}")
     assert flown.trajectory is not None
-    return Replayed(**vars(flown.trajectory), row=row)
+    return replace(flown.trajectory, row=row)
 
 
 def _check(folder: CampaignFolder, task: Task, mode: str) -> None:

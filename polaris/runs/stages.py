@@ -1,0 +1,55 @@
+"""The stages of a piece of work: how long each took, and how far it is."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from ..planning.problem import Progress
+
+
+class Stages:
+    """Times stages and shows nothing; the command line has one that shows them.
+
+    Attributes
+    ----------
+    seconds : dict of str to float
+        Wall time by stage.
+    """
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Time one stage."""
+        begun = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[name] = time.perf_counter() - begun
+
+    def note(self, text: str, done: int = 0, total: int | None = None) -> None:
+        """Take note of what the stage is doing, and how far it is if that is known."""
+
+    def counting(self, form: str) -> Callable[[int, int], None]:
+        """Callback of what is counted; `form` says what, as in ``schedule: step {} of {}``."""
+        return lambda done, total: self.note(form.format(done, total), done, total)
+
+    def planner(self, progress: Progress) -> None:
+        """Callback of `polaris.planning.PlannerOptions`."""
+        self.note(planner_line(progress))
+
+
+def planner_line(progress: Progress) -> str:
+    """One line on how far the planner is."""
+    known = {
+        "best {:.4g}": progress.incumbent,
+        "bound {:.4g}": progress.bound,
+        "gap {:.2%}": progress.gap,
+    }
+    parts = [form.format(value) for form, value in known.items() if abs(value) < float("inf")]
+    return ", ".join([f"plan: {progress.stage}", *parts])
