@@ -1,21 +1,80 @@
-"""Figures of a campaign (initial conditions by success, figure 8) and of the fuel limit (figure 9)."""
+"""Figures of a campaign (initial conditions by success, figure 8) and of the fuel limit (figure 9).
+
+And the parts that figures of flights are made of.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from matplotlib.collections import LineCollection
 from matplotlib.lines import Line2D
+from matplotlib.patches import Circle
 
 from ...inspection.flights.fuel_run import FuelRun
+from ...inspection.inspection import Inspection
 from ...runs.monte_carlo import CampaignPicture
-from ..scene.palette import BLACK, BLUE, GREY, LOOKS, ORANGE, PURPLE, RED, SKY, VERMILION, tint
+from ..scene.palette import BLACK, BLUE, GREEN, GREY, LOOKS, ORANGE, PURPLE, RED, SKY, VERMILION, tint
 from ..scene.unsafe import AXES, ORDER
-from .flight import draw_chief, shade, shade_thrust, stack, tell
 from .style import ABOVE, WIDTH, new_figure, step_edges
 
 BAR_COLOURS = (RED, ORANGE, PURPLE, SKY, BLACK, BLUE, VERMILION, GREY)
+
+SAFE, UNSAFE = tint(GREEN, 0.14), tint(RED, 0.16)
+
+Panel = Callable[[Any, Any], None]
+
+
+def stack(height: float, *panels: Panel) -> Callable[[Any], Any]:
+    """A figure of some height [in] of panels over each other, named and labelled once."""
+
+    def drawn(run: Any) -> Any:
+        figure = new_figure(height)
+        axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False).ravel()
+        for ax, draw in zip(axes, panels, strict=True):
+            draw(ax, run)
+            if ax is not axes[0]:
+                without_legend(ax)
+            if ax is not axes[-1]:
+                ax.set_xlabel("")
+        return figure
+
+    return drawn
+
+
+def draw_chief(ax: Any, q: Inspection) -> Any:
+    """Draw the sphere round the chief as a circle; a handle for legends."""
+    ax.add_patch(Circle((0, 0), q.separation, fc=tint(RED, 0.45), ec=RED, zorder=2.5))
+    look: dict[str, Any] = {"marker": "o", "mfc": tint(RED, 0.45), "ls": "none", "ms": 5}
+    return Line2D([], [], color=RED, label=LOOKS["chief"].legend, **look)
+
+
+def shade(ax: Any, low: float, high: float, limits: Any) -> None:
+    """Shade an axis of values: safe, and unsafe beyond each limit (value, whether above it is unsafe)."""
+    ax.axhspan(low, high, color=SAFE, lw=0, zorder=0)
+    for value, above in limits:
+        ax.axhspan(value, high if above else low, color=UNSAFE, lw=0, zorder=0.1)
+        ax.axhline(value, color=RED, lw=0.7, zorder=0.2)
+    ax.set_ylim(low, high)
+
+
+def shade_thrust(ax: Any, q: Inspection) -> None:
+    """The same of thrust between its limits."""
+    most = q.thrust_max
+    shade(ax, -1.25 * most, 1.25 * most, ((most, True), (-most, False)))
+
+
+def tell(ax: Any, text: str, x: float, y: float, **options: Any) -> None:
+    """Write the name of a limit in its colour."""
+    ax.text(x, y, text, color=RED, fontsize=6.5, zorder=6, **options)
+
+
+def without_legend(ax: Any) -> None:
+    """Take the legend away, if there is one."""
+    if ax.get_legend() is not None:
+        ax.get_legend().remove()
 
 
 def initial_conditions(picture: CampaignPicture) -> Any:
