@@ -158,24 +158,20 @@ _RULES = {
     "greater_than_equal": "must be >= {ge:g}",
     "less_than": "must be < {lt:g}",
     "less_than_equal": "must be <= {le:g}",
-    "finite_number": "must be a finite number",
     "float_type": "must be a number",
     "int_type": "must be a whole number",
     "int_from_float": "must be a whole number",
     "int_parsing_size": "must be a whole number",
     "string_type": "must be text in quotes",
-    "literal_error": "must be {expected}",
     "tuple_type": "must be a list",
     "list_type": "must be a list",
-    "too_long": "must have at most {max_length} entries",
     "string_pattern_mismatch": f"must consist of letters, digits, _ and -, as in {NAME_PATTERN}",
-    "string_too_long": "must have at most {max_length} characters",
     "string_too_short": "must not be empty",
     "model_type": "must be a table",
     "model_attributes_type": "must be a table",
     "dict_type": "must be a table",
 }
-"""The rule that was broken, in plain words, by pydantic's name of it."""
+"""The rule that was broken, by pydantic's name of it, where there are plainer words than its own."""
 
 
 def _rule(kind: str, context: Mapping[str, Any], value: Any, message: str) -> str:
@@ -188,7 +184,7 @@ def _rule(kind: str, context: Mapping[str, Any], value: Any, message: str) -> st
         return printable(str(context.get("error", message)))
     if kind in _RULES:
         return _RULES[kind].format(**context)
-    return printable(message[:1].lower() + message[1:])
+    return printable(re.sub(r"^[A-Z]\w* should", "must", message))
 
 
 def write_toml(document: Mapping[str, Any]) -> str:
