@@ -19,9 +19,8 @@ from polaris.planning.reference import Reference
 from polaris.report.figures import FIGURES, draw_figures, plot_reference, plot_schedule
 from polaris.report.figures.style import style
 from polaris.report.figures.timelines import limit_group
-from polaris.report.scene.closeups import MOST, closeups, outline_gap
 from polaris.report.scene.geometry import faces, flat_outline, polygon, stretches, tube_support
-from polaris.report.scene.items import under_mode
+from polaris.report.scene.items import MOST, closeups, outline_gap, under_mode
 from polaris.report.scene.palette import (
     GREEN,
     INPUT_SHADES,

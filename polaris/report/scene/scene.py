@@ -14,9 +14,8 @@ from ...model.shapes import Ball, Box
 from ...model.system import Array
 from ...runs.picture import Picture, directions
 from . import geometry
-from .closeups import closeups, is_flat
 from .geometry import Shape, flat_outline
-from .items import Item, Mark, Scene
+from .items import Item, Mark, Scene, closeups, is_flat
 from .space import Space
 from .unsafe import prisms, unsafe_items
 
