@@ -116,8 +116,8 @@ def read_run(path: str | Path) -> RunFolder:
     kind = _kind_of(folder)
     for name in kind.files:
         if not (folder / name).is_file():
-            has_none = f"must be a run folder; it has no {name}"
-            rule = has_none if folder.is_dir() else "there is no such folder"
+            other = "is a file; must be a run folder" if folder.exists() else "there is no such folder"
+            rule = f"must be a run folder; it has no {name}" if folder.is_dir() else other
             raise ScenarioError("run folder", str(path), rule)
     if kind is COMPARISON:
         return RunFolder(folder, read_run(folder / "run").scenario, kind)

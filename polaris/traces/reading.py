@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gc
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from enum import Enum
 from pathlib import Path
@@ -16,6 +16,7 @@ from ..model.checks import of_kind
 from ..model.distances import UNKNOWN
 from ..model.errors import ScenarioError
 from ..runs.atomic import check_file, replacing_file
+from ..runs.tables import strict
 from .model import MODE_NAMES, AgentTrace, AnySet, BallTrace, Modes, PointTrace, RectangleTrace, Trace
 from .rows import Odd, numbers, set_trace, table
 
@@ -84,7 +85,7 @@ def parse_trace(data: Any) -> Trace:
     ScenarioError
         As `read_trace`.
     """
-    return _trace(_plain(data))
+    return _trace(strict(data, float))
 
 
 def _no_constant(name: str) -> NoReturn:
@@ -97,17 +98,6 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         keys = [key for key, _ in pairs]
         raise Odd(f"holds the key {next(key for key in keys if keys.count(key) > 1)!r} twice in one object")
     return out
-
-
-def _plain(value: Any) -> Any:
-    """Lists for tuples and arrays, plain numbers for NumPy's."""
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, (np.ndarray, np.generic)):
-        return _plain(value.tolist())
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    return value
 
 
 # -- the parts --------------------------------------------------------------------------------------

@@ -329,7 +329,7 @@ def test_bad_input_is_one_message_and_exit_code_2(invoke, tmp_path, arguments, w
         (("export", "here", "here/schedule.json"), ("part of the results",)),
         (("falsify", "here", "--runs", "1", "--out", "here/gains.json"), ("part of the results",)),
         (("report", "mine.toml"), ("mine.toml", "is a file")),
-        (("report", "nope"), ("report", "'nope'", "no such folder")),
+        (("report", "nope"), ("run folder", "'nope'", "no such folder")),
         (("verify", "nope"), ("'nope'", "no such file or folder")),
     ],
 )

@@ -211,12 +211,9 @@ def _write_manifest(folder: Path, plan: CampaignPlan, table: str) -> None:
 
 
 def _manifest(folder: Path) -> dict[str, Any]:
-    try:
-        known = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
-        if not isinstance(known, dict) or not isinstance(known.get("runs"), int):
-            raise ValueError("it is none")
-    except (OSError, ValueError) as error:
-        raise ScenarioError("campaign", str(folder), f"its manifest is damaged ({error})") from error
+    known = read_json(folder / MANIFEST)
+    if not isinstance(known.get("runs"), int):
+        raise ScenarioError("campaign", str(folder), "its manifest is damaged (no number of runs)")
     return known
 
 
