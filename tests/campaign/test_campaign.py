@@ -382,14 +382,13 @@ def test_a_schedule_that_hangs_on_the_clock_is_not_flown(tmp_path, monkeypatch):
     """Another machine might fly another one."""
     from polaris.planning.effort import Effort
 
-    schedules._made.cache_clear()
     with monkeypatch.context() as late:
+        late.setattr(schedules, "_made", schedules._made.__wrapped__)  # others keep what they made
         struck = property(lambda self: ("fuel",) if self.search.rows.problem.unsafe else ())
         late.setattr(Effort, "cut_by_clock", struck)
         found = run(make_cases([TINY]), 3, tmp_path / "c").summary
     assert found["flown"] == 0 and "raise planner.time_limit_s" in found["cases"][0]["failure"]
     assert found["cases"][0]["exit_code"] == 4
-    schedules._made.cache_clear()
     assert run(make_cases([TINY]), 3, tmp_path / "c").summary["flown"] == 3
 
 
