@@ -20,19 +20,16 @@ SLICES = 240
 """Decisions, and besides them switches, up to which all get a slice of their recoverable set."""
 
 
-def picture_of_safety(safety: Safety, **more: Any) -> Picture:
-    """What Algorithm 1 found, and what else there is to see."""
+def picture_of_safety(safety: Safety) -> Picture:
+    """What Algorithm 1 found."""
+    return _picture(safety, "Safe reference")
+
+
+def _picture(safety: Safety, title: str, **found: Any) -> Picture:
+    """The reference, what Algorithm 2 found besides, and slices of the recoverable sets."""
     problem = safety.problem
-    picture = Picture(
-        more.pop("title", "Safe reference"),
-        problem.system,
-        tuple(problem.unsafe),
-        problem.goal,
-        problem.initial_set,
-        safety.reference,
-        problem.K,
-        **more,
-    )
+    scene = (problem.system, tuple(problem.unsafe), problem.goal, problem.initial_set)
+    picture = Picture(title, *scene, safety.reference, problem.K, **found)
     return replace(picture, slices=recoverable_slices(safety, picture))
 
 
@@ -43,9 +40,9 @@ def picture_of(schedule: Schedule, flights: Mapping[str, Flights] | None = None)
         if len(schedule.controllers) > 1:
             flights["experimental"] = fly_nominal(schedule, 1, schedule.controllers[1].name)
     arrival = schedule.arrival if schedule.guarantee == "proved" else None
-    return picture_of_safety(
+    return _picture(
         schedule.safety,
-        title="Switching schedule",
+        "Switching schedule",
         controllers=tuple(controller.name for controller in schedule.controllers),
         modes=schedule.modes,
         margins=schedule.margins,
