@@ -103,7 +103,7 @@ def replay(path: str | Path) -> tuple[Failure | None, ScheduleScenario]:
         raise ScenarioError("case", str(path), rule)
     try:
         attack = Attack(
-            np.array(data["x0"], dtype=float)[None],
+            _finite(data["x0"])[None],
             _unpacked(data["w"]),
             None if data["inputs"] is None else _unpacked(data["inputs"]),
         )
@@ -136,5 +136,12 @@ def _packed(rows: Array) -> list[list[Any]]:
 
 
 def _unpacked(packed: list[list[Any]]) -> Array:
-    rows = np.array([row for _, row in packed], dtype=float)
+    rows = _finite([row for _, row in packed])
     return np.repeat(rows, [int(count) for count, _ in packed], axis=0)[:, None]
+
+
+def _finite(values: Any) -> Array:
+    found = np.array(values, dtype=float)
+    if not np.isfinite(found).all():
+        raise ValueError("numbers that are not finite")
+    return found
