@@ -91,7 +91,7 @@ def a_loop(seed, activation=ACTIVATIONS[2]):
     out = Affine(np.c_[0.05 * last.W, [[-1.0, 1.0]]], 0.05 * last.b)
     layers = (body, relu, out, Activation("clip", -1.0, 1.0))
     A, B, D = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]]), np.array([[0.0], [1.0]])
-    return NetworkLoop(A, B, D, 0.02, 0.1, Network(layers))
+    return NetworkLoop(A, B, D, 0.02, 0.1, Network(layers), np.eye(2))
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -140,10 +140,7 @@ def test_periods_agree_with_matrix_exponentials():
         (lambda: Activation("relu", -0.5), "leaky"),
         (lambda: Activation("clip", 1.0, 0.0), "low <= high"),
         (lambda: Network((Activation("relu"),)), "at least one"),
-        (
-            lambda: Network((Affine(np.ones((2, 3)), np.ones(2)), Affine(np.ones((1, 3)), np.ones(1)))),
-            "follows",
-        ),
+        (lambda: Network([Affine(np.ones((k, 3)), np.ones(k)) for k in (2, 1)]), "followed by"),
         (lambda: a_loop(0).network.enclose(Zonotope.point(np.zeros(3))), "dimension 3"),
         (lambda: a_loop(0).network.enclose(Zonotope.point([1e308, 1e308])), "beyond floating point"),
     ],

@@ -21,9 +21,8 @@ def model(nodes, weights, inputs=3, outputs=2, shape=None):
         helper.make_tensor_value_info(name, TensorProto.FLOAT, size)
         for name, size in (("x", [1, inputs] if shape is None else shape), ("y", [1, outputs]))
     ]
-    graph = helper.make_graph(
-        nodes, "policy", ends[:1], ends[1:], [constant(*pair) for pair in weights.items()]
-    )
+    stored = [constant(*pair) for pair in weights.items()]
+    graph = helper.make_graph(nodes, "policy", ends[:1], ends[1:], stored)
     return helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
 
 
