@@ -18,6 +18,7 @@ from ..model.system import Array, LinearSystem
 from ..model.timed_polytope import TimedPolytope
 from ..synthesis.clearance import Clearance
 from ..synthesis.controllers import AffineController, Controller
+from ..synthesis.neural import NeuralController
 from ..synthesis.polytope_sets import PolytopeSets
 from ..synthesis.schedule import Schedule
 from ..synthesis.tracking import Feedback, Tracking
@@ -169,7 +170,10 @@ class DecisionGrid:
         """The experimental controllers' own references at every node up to T, by mode."""
         out = {}
         for mode, law in enumerate(self.controllers):
-            if isinstance(law, AffineController) and law.own is not self.clearance.reference:
+            if (
+                isinstance(law, (AffineController, NeuralController))
+                and law.own is not self.clearance.reference
+            ):
                 out[mode] = _at_nodes(law.own.fine(self.clearance.q))
         return out
 

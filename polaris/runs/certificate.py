@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from reach.networks.network import Affine
 from reach.numerics.linear import growth
 
 from ..certificate.document import FORMAT, VERSION, canonical, digest
@@ -18,6 +19,7 @@ from ..model.tolerances import ROUNDING
 from ..synthesis.clearance import error_tube
 from ..synthesis.controllers import AffineController, Controller, TubeSegment
 from ..synthesis.get_safety import Safety
+from ..synthesis.neural import NeuralController
 from ..synthesis.schedule import Schedule
 from .tables import finite, strict, write_text
 
@@ -91,11 +93,26 @@ def _unsafe(item: TimedPolytope, cells: int) -> dict[str, Any]:
 def _controller(item: Controller, safety: Safety) -> dict[str, Any]:
     if item is safety.controller:
         return {"name": item.name, "kind": "safety", "gain": safety.controller.gain}
-    if not isinstance(item, AffineController):
+    if not isinstance(item, (AffineController, NeuralController)):
         return {"name": item.name, "kind": "any_thrust"}
-    kind = "saturated_affine" if item.clips else "affine"
     own = {} if item.own is safety.reference else {"own_states": item.own.chi, "own_inputs": item.own.nu}
+    if isinstance(item, NeuralController):
+        return {"name": item.name, "kind": "neural", **described(item), **own}
+    kind = "saturated_affine" if item.clips else "affine"
     return {"name": item.name, "kind": kind, "gain": item.gain, **own}
+
+
+def described(law: NeuralController) -> dict[str, Any]:
+    """What a network reads, its layers and its scales."""
+    policy = law.policy
+    layers: list[dict[str, Any]] = [
+        {"kind": "affine", "W": layer.W, "b": layer.b}
+        if isinstance(layer, Affine)
+        else {"kind": layer.kind, "low": float(layer.low), "high": float(layer.high)}
+        for layer in policy.network.layers
+    ]
+    scales = {"input_scale": policy.input_scale, "output_scale": policy.output_scale}
+    return {"inputs": list(policy.inputs), **scales, "layers": layers}
 
 
 def _bounds(safety: Safety) -> dict[str, Any]:

@@ -7,6 +7,7 @@ the same bytes, but for ``created`` and the wall times in the summary.
 from __future__ import annotations
 
 import json
+import shutil
 import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -115,6 +116,8 @@ def write_folder(
         with clock.stage("files"):
             if SCENARIO in kind.files:
                 write_text(folder / SCENARIO, scenario.copy_text())
+                for file in scenario.files():
+                    shutil.copyfile(file, folder / file.name)
             kind.write(folder, scenario, found)
         _summarise(folder, kind, scenario, found, clock.seconds)
         if draw is not None:

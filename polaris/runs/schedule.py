@@ -24,6 +24,7 @@ from typing import Any
 
 import numpy as np
 
+from ..certificate.document import canonical
 from ..model.checks import of_kind
 from ..planning.problem import SOLVERS
 from ..scenario.scenario import ScheduleScenario
@@ -31,12 +32,13 @@ from ..simulation import baselines
 from ..simulation.metrics import DEFINITIONS
 from ..synthesis import get_safety, synthesize
 from ..synthesis.controllers import AffineController
+from ..synthesis.neural import NeuralController
 from ..synthesis.same_system import check_safety
 from ..synthesis.schedule import Schedule
 from ..synthesis.share_bound import ShareBound, share_bound
 from . import arrays
 from . import tables as files
-from .certificate import write_certificate
+from .certificate import described, hexadecimal, write_certificate
 from .folder import SCENARIO, Draw, RunFolder, RunKind, read_json, write_folder
 from .picture import Picture
 from .picturing import picture_of
@@ -72,6 +74,9 @@ def digest(schedule: Schedule) -> str:
     for law in schedule.controllers:
         if isinstance(law, AffineController):
             arrays += [law.gain, law.own.chi, law.own.nu]
+        elif isinstance(law, NeuralController):
+            found.update(canonical(hexadecimal(described(law))).encode())
+            arrays += [law.own.chi, law.own.nu]
     for array in arrays:
         found.update(np.ascontiguousarray(array).tobytes())
     return found.hexdigest()
@@ -150,7 +155,9 @@ def _write(folder: Path, scenario: ScheduleScenario, found: FlownSchedule) -> No
     np.savez(folder / "sets.npz", **arrays.set_arrays(schedule, picture.slices))
     np.savez(folder / "tubes.npz", **arrays.tube_arrays(schedule))
     np.savez(folder / "trajectories.npz", **arrays.flight_arrays(flights))
-    write_certificate(folder, schedule, scenario.name, DATA_FILES)
+    write_certificate(
+        folder, schedule, scenario.name, [*DATA_FILES, *(file.name for file in scenario.files())]
+    )
 
 
 def _tell(scenario: ScheduleScenario, found: FlownSchedule, seconds: Mapping[str, float]) -> dict[str, Any]:

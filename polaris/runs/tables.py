@@ -13,6 +13,7 @@ import numpy as np
 from ..model.system import LinearSystem
 from ..planning.reference import Reference
 from ..synthesis.controllers import AffineController
+from ..synthesis.neural import NeuralController
 from ..synthesis.schedule import Schedule
 
 
@@ -149,8 +150,11 @@ def gains(schedule: Schedule) -> dict[str, Any]:
     for entry, controller in zip(controllers, schedule.controllers, strict=True):
         if isinstance(controller, AffineController):
             entry |= {"gain": controller.gain, "clips": controller.clips}
-            if controller.own is not safety.reference:
-                entry |= {"own_states": controller.own.chi, "own_inputs": controller.own.nu}
+        if (
+            isinstance(controller, (AffineController, NeuralController))
+            and controller.own is not safety.reference
+        ):
+            entry |= {"own_states": controller.own.chi, "own_inputs": controller.own.nu}
     return {
         "law": "u = mu(t) + gain (xi(t) - x), reference.csv gives xi and mu",
         "system": {

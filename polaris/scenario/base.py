@@ -10,6 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import wraps
+from pathlib import Path
 from typing import Any, ClassVar, Self, TypeVar
 
 from ..model.errors import ScenarioError
@@ -56,6 +57,8 @@ class Scenario(ABC):
         The file's text, comments included; None once a value has been overridden.
     overrides : tuple of str
         Texts ``key=value`` that changed it, which are noted in copies of it.
+    folder : Path or None
+        Where other files that it names lie; the current folder without it.
 
     Raises
     ------
@@ -67,6 +70,7 @@ class Scenario(ABC):
     source: str | None = None
     text: str | None = None
     overrides: tuple[str, ...] = ()
+    folder: Path | None = None
 
     MODEL: ClassVar[type[ScenarioPart]]
 
@@ -99,6 +103,7 @@ class Scenario(ABC):
         source: str | None,
         text: str | None = None,
         overrides: Iterable[str] = (),
+        folder: Path | None = None,
     ) -> Self:
         kind = document.get("kind", SCHEDULE)
         found = KINDS.get(kind) if isinstance(kind, str) else None
@@ -111,7 +116,7 @@ class Scenario(ABC):
             wanted = [name for name, known in KINDS.items() if issubclass(known, cls)]
             rule = f"must be a scenario of the kind {' or '.join(map(repr, wanted))} here"
             raise ScenarioError("kind", kind, rule, source)
-        return found(validate(found.MODEL, document, source), source, text, tuple(overrides))
+        return found(validate(found.MODEL, document, source), source, text, tuple(overrides), folder)
 
     def set(self, key: str, value: Any) -> Self:
         """Return a copy with one value replaced.
@@ -146,7 +151,9 @@ class Scenario(ABC):
         return self._changed(values, (*self.overrides, *texts)) if texts else self
 
     def _changed(self, values: Mapping[str, Any], noted: Iterable[str]) -> Self:
-        return self._of(overridden(self.to_dict(), values, self.source), self.source, None, noted)
+        return self._of(
+            overridden(self.to_dict(), values, self.source), self.source, None, noted, self.folder
+        )
 
     @property
     def name(self) -> str:
@@ -175,6 +182,10 @@ class Scenario(ABC):
     def to_toml(self) -> str:
         """All values, defaults included, as TOML that loads back to the same scenario."""
         return write_toml(self.to_dict())
+
+    def files(self) -> list[Path]:
+        """Files besides its own that it names; a run folder holds copies."""
+        return []
 
     def copy_text(self) -> str:
         """Text of its copy in a run folder: its own, or all values under a note of what changed."""

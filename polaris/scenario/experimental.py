@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from reach.networks.onnx_file import read_onnx
+from reach.numerics.errors import ReachError
 
 from ..model.errors import OutOfTime, ScenarioError
 from ..model.hill import elliptical_nmt
@@ -15,11 +20,12 @@ from ..planning.reference import Reference
 from ..planning.solve import plan
 from ..synthesis.controllers import AffineController, AnyThrust, Controller
 from ..synthesis.get_safety import Safety
+from ..synthesis.neural import NEEDS_SAMPLES, NeuralController, Policy
 from ..synthesis.problem import Problem
 from ..synthesis.tracking import lqr_gain
-from .scene_tables import Affine, Experimental, hill_rate
+from .scene_tables import Affine, Experimental, Neural, hill_rate
 from .scene_tables import AnyThrust as AnyThrustTable
-from .tables import ScenarioModel
+from .tables import SampledFeedback, ScenarioModel
 
 
 def gain_of(spec: Affine, system: LinearSystem, path: str) -> Array:
@@ -37,13 +43,61 @@ def gains_of(model: ScenarioModel, system: LinearSystem) -> tuple[Array, ...]:
     )
 
 
-def build_controllers(model: ScenarioModel, safety: Safety) -> tuple[Controller, ...]:
+def network_file(spec: Neural, folder: Path | None) -> Path:
+    """The file of a network: from the scenario's folder, or, as in a run folder, beside the scenario."""
+    here = folder or Path()
+    found = here / spec.path
+    return found if found.exists() else here / found.name
+
+
+def read_policies(
+    model: ScenarioModel, system: LinearSystem, folder: Path | None
+) -> dict[str, tuple[Path, Policy]]:
+    """Networks of a scenario and their files, by the name of their controller.
+
+    Raises
+    ------
+    ScenarioError
+        If feedback is not sampled, a file cannot be read, or a network does not fit the system.
+    """
+    found: dict[str, tuple[Path, Policy]] = {}
+    for path, spec in model.controllers():
+        if not isinstance(spec, Neural):
+            continue
+        if not isinstance(model.feedback, SampledFeedback):
+            raise ScenarioError("feedback.kind", model.feedback.kind, NEEDS_SAMPLES)
+        file = network_file(spec, folder)
+        if any(other.name == file.name and other != file for other, _ in found.values()):
+            raise ScenarioError(f"{path}.path", spec.path, "must not have the file name of another network")
+        try:
+            network = read_onnx(file)
+        except ReachError as error:
+            raise ScenarioError(f"{path}.path", spec.path, f"cannot be used: {error}") from error
+        scale = np.ones(network.inputs) if spec.input_scale is None else np.array(spec.input_scale)
+        thrust = np.array(spec.output_scale_N, dtype=float)
+        thrust = np.full(system.m, thrust) if thrust.ndim == 0 else thrust
+        policy = Policy(network, spec.inputs, scale, thrust)
+        policy.check(system, path)
+        found[spec.name] = file, policy
+    return found
+
+
+def build_controllers(
+    model: ScenarioModel, safety: Safety, policies: Mapping[str, tuple[Path, Policy]]
+) -> tuple[Controller, ...]:
     """Controllers as a scenario describes them; see `ScheduleScenario.controllers`."""
-    return tuple(_build(spec, path, safety) for path, spec in model.controllers())
+    return tuple(_build(spec, path, safety, policies) for path, spec in model.controllers())
 
 
-def _build(spec: Experimental, path: str, safety: Safety) -> Controller:
+def _build(
+    spec: Experimental, path: str, safety: Safety, policies: Mapping[str, tuple[Path, Policy]]
+) -> Controller:
     system = safety.problem.system
+    if isinstance(spec, Neural):
+        own = own_reference(spec.reference, None, safety, f"{path}.reference")
+        return NeuralController(
+            spec.name, system, policies[spec.name][1], safety.reference, own, safety.tracking
+        )
     if isinstance(spec, AnyThrustTable):
         return AnyThrust(spec.name, system, safety.reference, safety.tracking)
     gain = gain_of(spec, system, path)
@@ -52,7 +106,7 @@ def _build(spec: Experimental, path: str, safety: Safety) -> Controller:
     return AffineController(spec.name, system, gain, safety.reference, own, safety.tracking, clips)
 
 
-def own_reference(spec: Any, gain: Array, safety: Safety, path: str) -> Reference:
+def own_reference(spec: Any, gain: Array | None, safety: Safety, path: str) -> Reference:
     """What an experimental controller follows, as a trajectory that obeys the dynamics."""
     problem: Problem = safety.problem
     system, K, delta = problem.system, problem.K, problem.delta
@@ -62,7 +116,12 @@ def own_reference(spec: Any, gain: Array, safety: Safety, path: str) -> Referenc
         x0 = elliptical_nmt(hill_rate(system, f"{path}.kind", spec.kind), **spec.arguments())
         return Reference.propagate(system, delta, x0, np.zeros((K, system.m)))
     if spec.kind == "setpoint":
-        return _settled(system, gain, as_finite(f"{path}.state", spec.state, 1), K, delta, path)
+        state = as_finite(f"{path}.state", spec.state, 1)
+        return (
+            _still(system, state, K, delta, path)
+            if gain is None
+            else _settled(system, gain, state, K, delta, path)
+        )
     limit = np.broadcast_to(system.u_max * (1 - SOLVER_BOOK_INPUT), (K, system.m))
     asked = PlanProblem(system, problem.initial_set.c, K, delta, (), (), limit, problem.goal, "fuel")
     found = plan(asked, problem.planner)
@@ -72,6 +131,14 @@ def own_reference(spec: Any, gain: Array, safety: Safety, path: str) -> Referenc
             f"(planner.time_limit_s = {problem.planner.time_limit:g})"
         )
     return Reference.propagate(system, delta, problem.initial_set.c, found.nu)
+
+
+def _still(system: LinearSystem, state: Array, K: int, delta: float, path: str) -> Reference:
+    """A state that needs no thrust to be kept: a network's setpoint, about which nothing else is known."""
+    if np.any(system.A @ state):
+        rule = "must need no thrust to be kept, where a network heads for it; give its offset to the network"
+        raise ScenarioError(f"{path}.state", state.tolist(), rule)
+    return Reference(system, delta, np.repeat(state[None], K + 1, axis=0), np.zeros((K, system.m)))
 
 
 def _settled(system: LinearSystem, gain: Array, state: Array, K: int, delta: float, path: str) -> Reference:

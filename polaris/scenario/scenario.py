@@ -119,4 +119,4 @@ def load_scenario(
     (document, text), where = read_document(path), printable(path.name)
     noted = () if isinstance(overrides, Mapping) else tuple(overrides)
     values = overrides if isinstance(overrides, Mapping) else dict(map(parse_assignment, noted))
-    return only._of(overridden(document, values, where), where, None if values else text, noted)
+    return only._of(overridden(document, values, where), where, None if values else text, noted, path.parent)

@@ -270,4 +270,30 @@ class AnyThrust(ScenarioPart):
     weight: f.Real = unit("-", "What a second of its use is worth to look_ahead.", default=1.0, gt=0, le=1e6)
 
 
-Experimental = Annotated[Affine | AnyThrust, *f.BY_KIND]
+class Neural(ScenarioPart):
+    """A feed-forward network that is evaluated once a control period, clipped at the thrust limits.
+
+    Needs sampled feedback. Each number that it reads is multiplied by its entry of `input_scale`, its outputs
+    by `output_scale_N`; what it reads is taken at the start of the period, the time at that of the step.
+    """
+
+    kind: Literal["neural"] = unit("-", "Neural network from an ONNX file.")
+    name: f.Name = unit("-", "Its name in tables and figures.")
+    path: f.Text = unit("-", min_length=6, max_length=200, pattern=r"\.onnx$")
+    """The ONNX file, from the folder of the scenario; a run folder holds a copy of it."""
+    inputs: tuple[Literal["error", "state", "time", "reference_input"], ...] = unit(
+        "-", default=("error",), min_length=1, max_length=4
+    )
+    """What it reads, in this order: `error` (reference - x, n numbers), `state` (n), `time` (start of the
+    step [s], 1), `reference_input` (m)."""
+    input_scale: f.Vector | None = unit("-", default=None)
+    """What each number that it reads is multiplied by; 1 without it."""
+    output_scale_N: f.PositivePerAxis = unit(
+        "N (unit of the input)", "Thrust at an output of 1; one number or m."
+    )
+    reference: ControllerReference = unit("-", default_factory=lambda: SharedReference(kind="shared"))
+    """What `error` and `reference_input` are about; the safety controller's reference without it."""
+    weight: f.Real = unit("-", "What a second of its use is worth to look_ahead.", default=1.0, gt=0, le=1e6)
+
+
+Experimental = Annotated[Affine | AnyThrust | Neural, *f.BY_KIND]

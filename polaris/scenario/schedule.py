@@ -14,13 +14,17 @@ from ..model.system import LinearSystem
 from . import rules
 from .base import Scenario, kept
 from .fields import whole_parts
+from .scene_tables import Neural
 from .tables import SampledFeedback, ScenarioModel, Simulation
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from ..model.obstacle import Obstacle
     from ..planning.goals import Goal
     from ..synthesis.controllers import Controller
     from ..synthesis.get_safety import Safety
+    from ..synthesis.neural import Policy
     from ..synthesis.problem import Problem
     from ..synthesis.search import SwitchingRules
 
@@ -44,6 +48,7 @@ class ScheduleScenario(Scenario):
         rules.check_scene(model, self.obstacles(), system)
         self.goal()
         rules.check_start_and_goal(model, self.obstacles(), system, self.initial_set())
+        self.policies()
 
     def outline(self) -> str:
         """What it describes, on one line."""
@@ -103,7 +108,20 @@ class ScheduleScenario(Scenario):
         """
         from .experimental import build_controllers
 
-        return build_controllers(self.model, safety)
+        return build_controllers(self.model, safety, self.policies())
+
+    @kept
+    def policies(self) -> dict[str, tuple[Path, Policy]]:
+        """Neural networks and their files, by the name of their controller."""
+        if not any(isinstance(spec, Neural) for spec in self.model.experimental):
+            return {}
+        from .experimental import read_policies
+
+        return read_policies(self.model, self.system(), self.folder)
+
+    def files(self) -> list[Path]:
+        """Files besides its own that it names."""
+        return sorted({file for file, _ in self.policies().values()})
 
     @kept
     def problem(self) -> Problem:

@@ -12,6 +12,7 @@ from reach.numerics.linear import discretize
 
 from ..model.system import Array
 from ..synthesis.controllers import AffineController, AnyThrust
+from ..synthesis.neural import NeuralController
 from ..synthesis.schedule import Schedule
 from .run_metrics import Runs
 
@@ -45,7 +46,10 @@ class Integrator:
         self.own = {}
         self._schemes: dict[int, tuple[list[Array], list[Array]]] = {}
         for number, controller in enumerate(schedule.controllers):
-            if isinstance(controller, AffineController) and controller.own is not safety.reference:
+            if (
+                isinstance(controller, (AffineController, NeuralController))
+                and controller.own is not safety.reference
+            ):
                 self.own[number] = controller.own.fine(2 * self.steps_per_cell)
 
     @cached_property

@@ -19,6 +19,7 @@ from ..model.system import Array
 from ..model.tolerances import REFERENCE, ROUNDING
 from .controllers import AffineController, AnyThrust, Controller, TubeSegment
 from .get_safety import Safety, get_safety
+from .neural import NeuralController
 from .problem import Problem
 
 UNPROVEN = ("problem", "plan", "start_margin", "seconds", "cut_by_clock", "_relaxed")
@@ -89,7 +90,7 @@ def check_segment(controller: Controller, start: Zonotope, tube: Any, safety: Sa
     ScenarioError
         If it is no tube from that start over one step.
     """
-    if type(controller) in (AffineController, AnyThrust) and isinstance(tube, TubeSegment):
+    if type(controller) in (AffineController, AnyThrust, NeuralController) and isinstance(tube, TubeSegment):
         return tube
     name, n, q = f"{controller.name}.fly", safety.problem.system.n, safety.tracking.feedback.nodes_per_cell
     if not isinstance(tube, TubeSegment):

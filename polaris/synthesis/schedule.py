@@ -18,6 +18,7 @@ from ..model.tolerances import ROUNDING
 from .arrival import Arrival, arrival
 from .controllers import AffineController, Controller, TubeSegment
 from .get_safety import Safety
+from .neural import NeuralController
 from .recoverable import Margin, RecoverableSet
 
 
@@ -160,7 +161,7 @@ def _pushed(law: Controller, step: Step, delta: float) -> tuple[float, float]:
 
     A controller of which only the thrust limits are known is charged all of them.
     """
-    if not isinstance(law, AffineController):
+    if not isinstance(law, (AffineController, NeuralController)):
         limit = getattr(law, "system", None)
         most = float(np.sum(limit.u_max)) * delta if limit is not None else np.inf
         return most, most

@@ -14,6 +14,7 @@ from .controllers import AffineController, AnyThrust, Controller
 from .get_safety import Safety, get_safety
 from .in_view import views
 from .look_ahead import SAFETY
+from .neural import NeuralController
 from .recoverable import directed
 from .schedule import Schedule
 from .search import Branch, Search, SwitchingRules
@@ -92,7 +93,8 @@ def with_recourse(search: Search, printed: Schedule) -> Schedule:
     While none keeps the budget, more are looked for at higher prices of velocity change.
     """
     problem, begun = printed.safety.problem, time.perf_counter()
-    laws = [law for law in printed.controllers[1:] if isinstance(law, (AffineController, AnyThrust))]
+    known = AffineController, AnyThrust, NeuralController
+    laws = [law for law in printed.controllers[1:] if isinstance(law, known)]
     if len(laws) < len(printed.controllers) - 1:
         return printed  # nothing is known of how another kind of law flies beside another reference
 

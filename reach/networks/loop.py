@@ -108,17 +108,19 @@ class NetworkLoop:
         """Motion between two samples, the input apart."""
         return LinearFlow.continuous(self.A, self.D, self.w_max, self.h)
 
-    def command(self, states: Zonotope, s: ArrayLike | float = 0.0) -> Zonotope:
+    def command(self, states: Zonotope, s: ArrayLike | float = 0.0, off: Any = 0.0) -> Zonotope:
         """The network over a set of states: the first generators are theirs, the others few."""
         seen = self.C @ states + np.broadcast_to(s, (self.network.inputs,))
-        rounding = gamma(states.dim) * (np.abs(self.C) @ states.extent + np.abs(s))
+        rounding = gamma(states.dim) * (np.abs(self.C) @ states.extent + np.abs(s)) + off
         out = self.network.enclose(seen, rounding)
         g = states.order_count
         own = Zonotope(np.zeros(out.dim), out.G[:, g:]).reduce(OWN_ORDER)
         return Zonotope(out.c, np.hstack([out.G[:, :g], own.G]))
 
     @checked
-    def step(self, states: Zonotope, s: Any = 0.0, v: Any = 0.0) -> tuple[Zonotope, Array, Zonotope]:
+    def step(
+        self, states: Zonotope, s: Any = 0.0, v: Any = 0.0, off: Any = 0.0
+    ) -> tuple[Zonotope, Array, Zonotope]:
         """One period from a (single) set of states.
 
         Parameters
@@ -126,6 +128,8 @@ class NetworkLoop:
         states : Zonotope
         s, v : array_like, shapes (r,) and (m,)
             What is added to what the network reads, and to what it commands.
+        off : array_like, shape (r,)
+            By how much what it reads may be off, elementwise.
 
         Returns
         -------
@@ -137,7 +141,7 @@ class NetworkLoop:
             What the network commands.
         """
         require_single("the states", states)
-        command = self.command(states, s)
+        command = self.command(states, s, off)
         held = self.flow.input_map(self.B)
         drive = command.c + v
         phi = self.flow.phi

@@ -1,0 +1,98 @@
+"""Small networks that imitate known laws, as ONNX files: what the tests and the documentation fly.
+
+    python -m benchmarks.policies [FOLDER]
+
+NumPy alone, seeds fixed. Trained with Adam and weight decay: a smooth imitation is what a tube stays narrow
+around. Each reads the error, scaled to about 1, and its output 1 stands for full thrust.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import polaris
+from polaris.model.system import Array, LinearSystem
+from polaris.scenario.base import Scenario
+from polaris.synthesis.tracking import lqr_gain
+
+FOLDER = Path(__file__).resolve().parents[1] / "scenarios" / "policies"
+TINY = Path(__file__).resolve().parents[1] / "tests" / "polaris" / "data" / "tiny.toml"
+STEPS, BATCH, RATE, DECAY = 3000, 512, 3e-3, 1.0
+SCALES = (0.1, 0.5, 1.0, 2.0)
+"""Sizes of the errors trained on, as shares of the scale."""
+
+ASKED: dict[str, tuple[str | Path, list[float], int]] = {
+    "fuel_saver": ("static", [60.0, 60.0, 60.0, 1.0, 1.0, 1.0], 32),
+    "hasty": (TINY, [1.0, 1.0, 1.0, 1.0], 16),
+}
+"""By name of the file: scenario whose first law is imitated, size of the errors, width of the layers."""
+
+
+def train(system: LinearSystem, gain: Array, size: Array, width: int, seed: int = 0) -> list[Array]:
+    """Weights and biases of two tanh layers and a linear one that imitate ``clip(gain error) / u_max``."""
+    rng = np.random.default_rng(seed)
+    dims = [system.n, width, width, system.m]
+    W = [rng.normal(size=(b, a)) / np.sqrt(a) for a, b in zip(dims, dims[1:], strict=False)]
+    P = [*W, *(np.zeros(d) for d in dims[1:])]
+    first, second = [0 * p for p in P], [0 * p for p in P]
+    for step in range(STEPS):
+        z = rng.uniform(-1, 1, (BATCH, system.n)) * rng.choice(SCALES, (BATCH, 1))
+        wanted = np.clip((z * size) @ gain.T / system.u_max, -1, 1)
+        a = np.tanh(z @ P[0].T + P[3])
+        b = np.tanh(a @ P[1].T + P[4])
+        out = (b @ P[2].T + P[5] - wanted) / BATCH
+        back = out @ P[2] * (1 - b * b)
+        front = back @ P[1] * (1 - a * a)
+        slopes = [front.T @ z, back.T @ a, out.T @ b, front.sum(0), back.sum(0), out.sum(0)]
+        rate = RATE * 0.5 * (1 + np.cos(np.pi * step / STEPS))
+        for i, slope in enumerate(slopes):
+            first[i] = 0.9 * first[i] + 0.1 * slope
+            second[i] = 0.999 * second[i] + 0.001 * slope**2
+            moved = first[i] / (1 - 0.9 ** (step + 1))
+            moved = moved / (np.sqrt(second[i] / (1 - 0.999 ** (step + 1))) + 1e-8)
+            P[i] = P[i] - rate * (moved + (DECAY * P[i] if i < 3 else 0))
+    return P
+
+
+def write_onnx(path: Path, weights: list[Array]) -> None:
+    """Write two tanh layers and a linear one, in single precision."""
+    from onnx import TensorProto, checker, helper, numpy_helper, save_model
+
+    names = ["W0", "W1", "W2", "b0", "b1", "b2"]
+    stored = [numpy_helper.from_array(w.astype(np.float32), n) for w, n in zip(weights, names, strict=True)]
+    nodes, at = [], "x"
+    for i in range(3):
+        nodes.append(helper.make_node("Gemm", [at, f"W{i}", f"b{i}"], [f"y{i}"], transB=1))
+        if i < 2:
+            nodes.append(helper.make_node("Tanh", [f"y{i}"], [f"a{i}"]))
+        at = f"a{i}"
+    ends: list[Any] = [
+        helper.make_tensor_value_info(name, TensorProto.FLOAT, [1, width])
+        for name, width in (("x", weights[0].shape[1]), ("y2", weights[2].shape[0]))
+    ]
+    graph = helper.make_graph(nodes, path.stem, ends[:1], ends[1:], stored)
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    checker.check_model(model)
+    save_model(model, path)
+
+
+def imitate(scenario: Scenario, size: list[float], width: int) -> list[Array]:
+    """Train on the first law of a scenario, an affine one with weights Q and R."""
+    system, law = scenario.system(), scenario.model.experimental[0]  # type: ignore[attr-defined]
+    return train(system, lqr_gain(system, law.Q, law.R), np.array(size), width)
+
+
+def main(folder: Path = FOLDER) -> None:
+    """Train and write all of them."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, (scenario, size, width) in ASKED.items():
+        write_onnx(folder / f"{name}.onnx", imitate(polaris.load_scenario(scenario), size, width))
+        print(name, (folder / f"{name}.onnx").stat().st_size, "bytes")
+
+
+if __name__ == "__main__":
+    main(*map(Path, sys.argv[1:2]))
