@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +26,8 @@ MOST_NODES_IN_ALL = 2_000_000
 """Most periods in all steps, those of the tail included."""
 MOST_GENERATORS = 1000
 """Most generators of the initial set."""
+MOST_WORK = 10**10
+"""Most products of numbers that all enclosures of a network may take."""
 MOST_STATES = 32
 """Most states of a system: Lyapunov's equation is solved as n^2 linear ones."""
 
@@ -62,14 +64,43 @@ class UnsafeSet:
 
 
 @dataclass(frozen=True)
+class Layer:
+    """One layer of a network: weights and biases of an affine one, or limits of an activation."""
+
+    kind: str  # affine, relu, tanh, sigmoid or clip
+    W: Matrix = field(default_factory=list)
+    b: Vector = field(default_factory=list)
+    low: float = 0.0
+    high: float = 0.0
+
+
+@dataclass(frozen=True)
 class Law:
-    """One controller; gain and own reference are None for ``any_thrust``, the latter also for S."""
+    """One controller; gain and own reference are None for ``any_thrust``, the latter also for S.
+
+    A network has no gain, but what it reads, its layers, and what its inputs and outputs are multiplied by.
+    """
 
     name: str
-    kind: str  # safety, affine, saturated_affine or any_thrust
+    kind: str  # safety, affine, saturated_affine, any_thrust or neural
     gain: Matrix | None = None
     states: Matrix | None = None
     inputs: Matrix | None = None
+    reads: list[str] = field(default_factory=list)
+    input_scale: Vector = field(default_factory=list)
+    output_scale: Vector = field(default_factory=list)
+    layers: list[Layer] = field(default_factory=list)
+
+    @property
+    def work(self) -> int:
+        """Products of two numbers that one enclosure of the network takes, roughly."""
+        found, width = 0, len(self.input_scale)
+        for layer in self.layers:
+            if layer.kind == "affine":
+                found += len(layer.W) * len(layer.W[0]) * width
+            else:
+                width += len(layer.b)
+        return found
 
 
 class Document:
@@ -150,7 +181,7 @@ class Document:
         if self.cells < self.steps:
             raise ValueError("the reference must cover every step")
         self.laws = [
-            Law(*map(law.get, ("name", "kind", "gain", "own_states", "own_inputs")))
+            Law(*map(law.get, ("name", "kind", "gain", "own_states", "own_inputs")), **_network(law))
             for law in read["controllers"]
         ]
 
@@ -216,6 +247,14 @@ class Document:
                 raise ValueError(f"the reference of {law.name} must cover every step")
         if max(self.modes) >= len(self.laws):
             raise ValueError("modes must be known")
+        sizes = {"error": len(self.A), "state": len(self.A), "time": 1, "reference_input": len(self.u_max)}
+        for mode, law in enumerate(self.laws):
+            if sum(sizes[name] for name in law.reads) != len(law.input_scale):
+                raise ValueError(f"{law.name} reads another number of values than it scales")
+            if law.kind == "neural" and not self.sampled:
+                raise ValueError(f"{law.name} is a network, which needs sampled feedback")
+            if law.work * self.q * self.modes.count(mode) > MOST_WORK:
+                raise Undecided("controllers", f"the network {law.name} would take too long to follow")
         if self.cells == self.steps and self.radius[-1] is None:
             self.radius.pop()  # nothing is claimed of what follows T
         if None in self.radius:
@@ -234,6 +273,30 @@ def read(path: Path) -> Document:
     if not isinstance(data, dict):
         raise Rejected("format", "not a JSON object")
     return Document(data)
+
+
+def _network(law: dict[str, Any]) -> dict[str, Any]:
+    """Fields of a law that is a network, its layers of sizes that fit."""
+    if law["kind"] != "neural":
+        return {}
+    layers, width = [Layer(**layer) for layer in law["layers"]], len(law["input_scale"])
+    for layer in layers:
+        if layer.kind == "affine":
+            if not layer.W or len(layer.W) != len(layer.b) or any(len(row) != width for row in layer.W):
+                raise ValueError(f"layers of {law['name']} do not fit one another")
+            width = len(layer.W)
+        elif (layer.kind == "relu" and not 0 <= layer.low <= 1) or not (
+            layer.kind != "clip" or layer.low <= layer.high
+        ):
+            raise ValueError(f"{law['name']} has a {layer.kind} that decreases")
+    if (
+        width != len(law["output_scale"])
+        or min(law["output_scale"]) <= 0
+        or len(set(law["inputs"])) < len(law["inputs"])
+    ):
+        raise ValueError(f"inputs or outputs of {law['name']} do not fit")
+    scales = {name: law[name] for name in ("input_scale", "output_scale")}
+    return {"reads": law["inputs"], "layers": layers, **scales}
 
 
 def _unsafe(item: dict[str, Any]) -> UnsafeSet:

@@ -30,6 +30,26 @@ def grid(sizes: str, item: Shape = HEX) -> Shape:
 
 _OWN = {"name": NAME, "gain": grid("m n"), "own_states?": grid("* n"), "own_inputs?": grid("* m")}
 
+_LIMITS = {"low": HEX, "high": HEX}
+_NETWORK = {
+    "name": NAME,
+    "inputs": Rows(Text(("error", "state", "time", "reference_input")), 1, 4),
+    "input_scale": grid("*"),
+    "output_scale": grid("m"),
+    "layers": Rows(
+        Kinds(
+            {
+                "affine": {"W": grid("* *"), "b": grid("*")},
+                **every(_LIMITS, "relu tanh sigmoid clip"),
+            }
+        ),
+        1,
+        1000,
+    ),
+    "own_states?": grid("* n"),
+    "own_inputs?": grid("* m"),
+}
+
 # fmt: off
 CERTIFICATE = {
     **every(TEXT, "format digest guarantee"),
@@ -57,6 +77,7 @@ CERTIFICATE = {
         "affine": _OWN,
         "saturated_affine": _OWN,
         "any_thrust": {"name": NAME},
+        "neural": _NETWORK,
     }), 1),
     "schedule": {"modes": grid("K", Whole()), "margins": grid("K", Either((HEX, None)))},
     "error_bounds": {"per_step": grid("K 2d+2m"), "settled": grid("2d+2m")},

@@ -11,6 +11,7 @@ from flint import arb, arb_mat
 from .balls import above, column, diagonal, identity, largest, matrix, plain, require, smallest, sums
 from .document import Law, Matrix
 from .motion import Arc, Motion, Path, Plant, Push
+from .networks import Policy
 from .recovery import Barrier
 from .verdict import Rejected
 from .zonotopes import Merging, Zonotope
@@ -46,6 +47,11 @@ class Pilot:
         return self._loops[key]
 
     @cached_property
+    def policy(self) -> Policy:
+        """Of a network."""
+        return Policy(self.law, self.plant)
+
+    @cached_property
     def commands(self) -> arb_mat:
         """Rows of its command and, for the other limit, of the negative one."""
         return above(-self.gain, self.gain)
@@ -61,7 +67,9 @@ class Pilot:
     def spent(self, period: Period, d: Zonotope, u: arb_mat) -> arb:
         """Bound on the integral of the 1-norm of the thrust over a period from a set about the base arc."""
         tops = self.plant.u_max
-        if self.law.kind != "any_thrust":
+        if period.most is not None:
+            tops = [smallest(pair) for pair in zip(tops, period.most, strict=True)]
+        elif self.law.kind != "any_thrust":
             most = d.support(self.commands)
             if not self.plant.sampled:
                 most = period.within(self.commands, d, most)
@@ -71,11 +79,15 @@ class Pilot:
             ]
         return sum(tops, arb(0)) * self.plant.h
 
-    def period(self, d: Zonotope, u: arb_mat, k: int, i: int) -> Period:
-        """Motion over a period of a step from a set about the base arc, whose input is u."""
-        still, kind = arb_mat(d.c.nrows(), 1), self.law.kind
+    def period(self, d: Zonotope, base: Arc, k: int, i: int) -> Period:
+        """Motion over a period of a step from a set about the base arc."""
+        still, kind, u = arb_mat(d.c.nrows(), 1), self.law.kind, base.u
         if kind == "any_thrust":
             return Period(self.plant.open, still, Push.in_box(self.plant.B, self.plant.u_max))
+        if kind == "neural":
+            command = self.policy.command(d, self.policy.known(base, k, i))
+            push = Push.in_zonotope(self.plant.B, command.V)
+            return Period(self.plant.loop(-command.K), self.plant.B * (command.c - u), push, command.most)
         linear = Period(self.loop(), still)
         if kind == "safety":
             return linear
@@ -99,6 +111,7 @@ class Period:
     motion: Motion
     g: arb_mat
     push: Push | None = None
+    most: list[arb] | None = None  # bounds on the thrust, where they are known already
 
     def ends(self, d: Zonotope) -> Zonotope:
         """Where the motion without disturbance and without v ends."""
@@ -161,7 +174,7 @@ def fly(
     highs: list[list[arb]] = [[] for _ in range(n)]
     spent = arb(0)
     for i in range(pilot.plant.q):
-        period = pilot.period(d, base.u, k, i)
+        period = pilot.period(d, base, k, i)
         spent += pilot.spent(period, d, base.u)
         end, extra = period.ends(d), period.extra(rows, d)
         for place, z, more in ((i, d, extra[0]), (i + 1, end, extra[1])):

@@ -166,11 +166,21 @@ def _check_controllers(document: Document, scenario: dict[str, Any]) -> None:
         _need("controllers", f"kind of {law.name}", law.kind, spec["kind"])
         if law.kind == "any_thrust":
             continue
+        goal = partial(_check_goal, scenario["goal"])
+        if law.kind == "neural":
+            top = spec["output_scale_N"]
+            _need("controllers", "inputs", law.reads, spec.get("inputs", ["error"]))
+            ones = [1.0] * len(law.input_scale)
+            _need("controllers", "scale of the inputs", law.input_scale, spec.get("input_scale", ones))
+            tops = top if isinstance(top, list) else [top] * len(document.u_max)
+            _need("controllers", "scale of the outputs", law.output_scale, tops)
+            check_own(document, law, scenario, spec, goal)
+            continue
         if spec.get("gain") is not None:
             _need("controllers", f"gain of {law.name}", law.gain, spec["gain"])
         else:
             check_gain(document, law, spec)
-        check_own(document, law, scenario, spec, partial(_check_goal, scenario["goal"]))
+        check_own(document, law, scenario, spec, goal)
 
 
 # -- goal -------------------------------------------------------------------------------------------

@@ -41,6 +41,11 @@ class Push:
         return cls(V, diagonal(bounds), lambda rows: (magnitude(rows) * column(bounds)).entries())
 
     @classmethod
+    def in_zonotope(cls, V: arb_mat, generators: arb_mat) -> Push:
+        """``v = generators b``, every ``|b_i| <= 1``."""
+        return cls(V, generators, lambda rows: row_sums(rows * generators))
+
+    @classmethod
     def in_ball(cls, V: arb_mat, radius: arb) -> Push:
         """``norm(v, 2) <= radius``."""
         return cls(V, ball_cover(V.ncols(), radius), lambda rows: [radius * x for x in norms(rows)])
@@ -94,7 +99,7 @@ class Motion:
 
     @cached_property
     def _exponentials(self) -> tuple[arb_mat, arb_mat]:
-        return exponential(self.X, self.plant.h)
+        return exponential(self.X, self.plant.h) if self.held is None else self.plant.open._exponentials
 
     @cached_property
     def phi(self) -> arb_mat:
@@ -110,7 +115,7 @@ class Motion:
     @cached_property
     def over(self) -> arb_mat:
         """Enclosure of ``e^{X s}`` for all s of the period."""
-        return exponential_over(self.X, self.plant.h)
+        return exponential_over(self.X, self.plant.h) if self.held is None else self.plant.open.over
 
     def bend(self, rows: arb_mat) -> arb_mat:
         """Bound on ``(h^2/8) |row X e^{X s}|``, entry by entry, for all s of the period.
@@ -166,6 +171,8 @@ class Motion:
 
     def disturbance_along(self, rows: arb_mat) -> tuple[list[arb], list[arb]]:
         """`push_bend` and `push_gain` of the disturbance, once for the same rows: every period asks."""
+        if self.held is not None:  # X is that of the open motion
+            return self.plant.open.disturbance_along(rows)
         if id(rows) not in self._asked:
             w = self.plant.disturbance
             self._asked[id(rows)] = rows, self.push_bend(rows, w), self.push_gain(rows, w)
@@ -174,7 +181,8 @@ class Motion:
     @cached_property
     def disturbance_set(self) -> arb_mat:
         """Generators that enclose what the disturbance adds over one period."""
-        return self.pushed(self.plant.disturbance)
+        held = self.held is not None
+        return self.plant.open.disturbance_set if held else self.pushed(self.plant.disturbance)
 
     @cached_property
     def disturbance_box(self) -> arb_mat:

@@ -124,7 +124,8 @@ def check_schedule(document: Document, scenario: dict[str, Any], folder: Path) -
 
 def _controller(document: Document, mode: int) -> dict[str, Any]:
     law = document.laws[mode]
-    return {"mode": mode, "name": law.name, "kind": "AnyThrust" if law.gain is None else "AffineController"}
+    kind = {"any_thrust": "AnyThrust", "neural": "NeuralController"}.get(law.kind, "AffineController")
+    return {"mode": mode, "name": law.name, "kind": kind}
 
 
 def share(modes: list[int]) -> float:

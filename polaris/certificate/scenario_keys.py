@@ -112,6 +112,9 @@ SCENARIO = {
         "affine": _AFFINE,
         "saturated_affine": _AFFINE,
         "any_thrust": {"name": NAME, "weight?": WORTH},
+        "neural": {"name": NAME, "path": Text(pattern=r"(?s:.{2,200})\.onnx"), "input_scale?": VECTOR,
+                   "inputs?": Rows(Text(("error", "state", "time", "reference_input")), 1, 4),
+                   "output_scale_N": PER_AXIS, "reference?": _REFERENCE, "weight?": WORTH},
     }), 1, 8),
     "schedule?": {
         "strategy?": Text(("greedy", "look_ahead")),
@@ -133,7 +136,8 @@ def check_keys(scenario: Any) -> None:
     if {"C", "position_states"} <= set(scenario["system"]):
         raise Rejected("scenario", "system gives both C and position_states")
     for i, spec in enumerate(scenario["experimental"]):
-        if spec["kind"] != "any_thrust" and not ("gain" in spec) == ("Q" not in spec) == ("R" not in spec):
+        linear = spec["kind"] in ("affine", "saturated_affine")
+        if linear and not ("gain" in spec) == ("Q" not in spec) == ("R" not in spec):
             raise Rejected("scenario", f"experimental[{i}] must have either a gain or Q and R")
     bodies = [*scenario.get("obstacles", ()), *scenario.get("keep_in", ())]
     for spec in bodies:
