@@ -13,6 +13,7 @@ from .document import Document
 from .file_keys import SUMMARY as SUMMARY_KEYS
 from .files import LARGEST_SCENARIO, contents, found, sha256
 from .lemma import Stated
+from .onnx_file import check_file
 from .repeated import check_gains, check_reference, check_schedule, limit_names, same, share, switches
 from .scenario_keys import check_keys
 from .structure import conform, strict_json
@@ -48,6 +49,18 @@ def check_hashes(document: Document, folder: Path, record: Record) -> None:
         if name not in document.artefacts:
             raise Rejected("artefacts", f"no hash of {name}")
     record.holds("artefacts", f"{len(document.artefacts)} files")
+
+
+def check_networks(document: Document, scenario: dict[str, Any], folder: Path, record: Record) -> None:
+    """Layers are those of the files that the scenario names, copied into the folder."""
+    laws = zip(document.laws[1:], scenario["experimental"], strict=True)
+    networks = [(law, Path(spec["path"]).name) for law, spec in laws if law.kind == "neural"]
+    for law, name in networks:
+        if name not in document.artefacts:
+            raise Rejected("artefacts", f"no hash of {ascii(name)}")
+        check_file(law, folder / name)
+    if networks:
+        record.holds("controllers", f"layers of {len(networks)} networks are those of their files")
 
 
 def read_scenario(folder: Path) -> dict[str, Any]:

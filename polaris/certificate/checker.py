@@ -9,7 +9,7 @@ from pathlib import Path
 import flint
 
 from .argument import Argument
-from .artefacts import check_artefacts, check_hashes, has_artefacts, read_scenario, unchecked
+from .artefacts import check_artefacts, check_hashes, check_networks, has_artefacts, read_scenario, unchecked
 from .balls import PRECISION
 from .document import Document, read
 from .inputs import check_inputs
@@ -82,6 +82,7 @@ def _check(document: Document, folder: Path | None, record: Record, whole: bool 
         check_hashes(document, folder, record)
         scenario = read_scenario(folder)
         check_inputs(document, scenario, record)
+        check_networks(document, scenario, folder, record)
         stated = check_artefacts(document, folder, scenario, record)
         trusted += unchecked(scenario, folder)
     Argument(document, record, stated).run()
