@@ -93,6 +93,8 @@ def _layer(kind: str, values: list[Any], more: dict[str, Fields], width: int) ->
             raise ValueError("weights of another number than their shape says")
         W = [[alpha * x for x in flat[i * columns : (i + 1) * columns]] for i in range(rows)]
         W = W if _whole(more, "transB") else [list(column) for column in zip(*W, strict=True)]
+        if any(len(row) != width for row in W):
+            raise ValueError(f"weights of another shape follow {width} values")
         b = values[2][1] if len(values) > 2 and values[2] is not None else [0.0]
         return Layer("affine", W, _spread([beta * x for x in b], len(W)))
     scale, shift = _scaling(kind, values, more)

@@ -1,0 +1,412 @@
+"""A network as U: its tube against flights, its run against forgery, its files against mistakes."""
+
+import json
+import shutil
+from dataclasses import replace
+from functools import cache
+from hashlib import sha256
+
+import numpy as np
+import pytest
+
+pytest.importorskip("flint")
+
+from flint import arb, arb_mat
+
+from polaris.certificate.balls import matrix
+from polaris.certificate.checker import verify
+from polaris.certificate.document import Law, Layer, canonical, digest
+from polaris.certificate.networks import Policy as CheckedPolicy
+from polaris.certificate.networks import band, value
+from polaris.certificate.onnx_file import read_layers
+from polaris.certificate.zonotopes import Zonotope as CheckedZonotope
+from polaris.model.errors import ScenarioError
+from polaris.model.tolerances import ROUNDING
+from polaris.planning.reference import Reference
+from polaris.rta.decision_grid import DecisionGrid
+from polaris.rta.methods.monitor import Monitor
+from polaris.runs.run import read_run, run
+from polaris.scenario.reading import write_toml
+from polaris.scenario.scenario import load_scenario, scenario_folder
+from polaris.simulation.simulate import simulate
+from polaris.synthesis.get_safety import get_safety
+from polaris.synthesis.neural import NeuralController, Policy
+from polaris.synthesis.synthesize import synthesize
+from reach.networks.bands import Activation
+from reach.networks.network import Affine, Network
+from reach.numerics.linear import discretize
+from reach.sets.zonotope import Zonotope
+
+from .tiny import TINY
+
+HASTY = scenario_folder() / "policies" / "hasty.onnx"
+SAMPLED = {
+    "feedback": {"kind": "sampled", "period_s": 0.25},
+    "tracking.R": [60.0, 60.0],
+    "simulation.runs": 3,
+}
+KINDS = {
+    "relu": Activation("relu", 0.1),
+    "tanh": Activation("tanh"),
+    "sigmoid": Activation("sigmoid"),
+    "clip": Activation("clip", -0.4, 0.7),
+}
+READS = (("error",), ("state", "time"), ("reference_input", "error", "time"), ("error", "state"))
+
+
+def random_network(rng, inputs, outputs, depth=2, width=12):
+    sizes = [inputs, *(int(rng.integers(2, width + 1)) for _ in range(depth)), outputs]
+    layers = []
+    for before, after in zip(sizes, sizes[1:], strict=False):
+        layers += [
+            Affine(rng.normal(size=(after, before)) / np.sqrt(before), 0.3 * rng.normal(size=after)),
+            KINDS[str(rng.choice(list(KINDS)))],
+        ]
+    return Network(tuple(layers[:-1]))
+
+
+@cache
+def tiny_safety():
+    return get_safety(load_scenario(TINY, SAMPLED))
+
+
+def random_controller(seed):
+    rng, safety = np.random.default_rng(seed), tiny_safety()
+    system, reads = safety.problem.system, READS[seed % len(READS)]
+    count = sum({"error": 4, "state": 4, "time": 1, "reference_input": 2}[name] for name in reads)
+    scale = rng.uniform(0.2, 1.5, count) * rng.choice([-1, 1], count)
+    network = random_network(rng, count, system.m, int(rng.integers(1, 4)))
+    policy = Policy(network, reads, scale, rng.uniform(0.3, 3.0, system.m))
+    own = safety.reference
+    if seed % 2:
+        moved = own.chi[0] + rng.normal(size=4) * 0.3
+        own = Reference.propagate(system, own.delta, moved, own.nu + 0.05 * rng.normal(size=own.nu.shape))
+    return NeuralController("net", system, policy, safety.reference, own, safety.tracking), rng
+
+
+# -- the tube ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_tube_holds_what_flies_from_corners_at_and_between_nodes(seed):
+    controller, rng = random_controller(seed)
+    system, k, parts = controller.system, seed % 11, 5
+    q, h = controller.feedback.nodes_per_cell, controller.tracking.flow.h
+    start = Zonotope(0.1 * rng.normal(size=4), 0.15 * rng.normal(size=(4, 6)))
+    tube = controller.fly(start, k)
+    assert not tube.refused
+    rows = np.vstack([np.eye(4), -np.eye(4), rng.normal(size=(12, 4))])
+    signs = np.concatenate([rng.choice([-1.0, 1.0], (300, 6)), rng.uniform(-1, 1, (100, 6))])
+    e = start.c + signs @ start.G.T
+    Ad, Bd = discretize(system.A, np.hstack([system.B, system.D]), h / parts)
+    safe, own = controller.reference.fine(q * parts)[k], controller.own.fine(q * parts)[k]
+    support = tube.nodes.support(rows)
+    # Disturbances at their worst: constant, turning, or with the state.
+    way = rng.normal(size=(len(e), system.D.shape[1]))
+    for i in range(q * parts):
+        x = safe[i] + e
+        if i % parts == 0:
+            u = np.clip(controller.command(k, safe[i], own[i], x), -system.u_max, system.u_max)
+            way = rng.normal(size=way.shape) if seed % 3 == 0 else way
+        w = system.w_max * way / np.linalg.norm(way, axis=1, keepdims=True)
+        x = x @ Ad.T + np.hstack([u, w]) @ Bd.T
+        e = x - safe[i + 1]
+        node, inside = divmod(i + 1, parts)
+        most = support[node]
+        if inside:
+            most = np.maximum(support[node], support[node + 1]) + tube.bow[node] @ np.abs(rows).T
+        assert np.all(e @ rows.T <= most + ROUNDING), (i, np.max(e @ rows.T - most))
+    assert np.all(e @ rows.T <= tube.end.support(rows) + ROUNDING)
+
+
+def test_tube_of_a_small_network_is_no_looser_than_it_has_to_be():
+    """A network that is affine on the whole set is followed like an affine law."""
+    controller, rng = random_controller(0)
+    linear = Network((Affine(0.2 * rng.normal(size=(2, 4)), np.zeros(2)), Activation("clip", -5.0, 5.0)))
+    controller = replace(controller, policy=Policy(linear, ("error",), np.ones(4), np.full(2, 0.1)))
+    start = Zonotope.box(np.zeros(4), np.full(4, 0.05))
+    flown, q = controller.fly(start, 0), controller.feedback.nodes_per_cell
+    Ad, Bd = discretize(controller.system.A, controller.system.B, controller.tracking.flow.h)
+    gain, moved = 0.1 * linear.layers[0].W, start
+    for _ in range(q):
+        moved = (Ad - Bd @ gain) @ moved + controller.loop.flow.period_zonotope
+    centred = flown.nodes[-1].half_widths
+    assert np.all(centred <= moved.half_widths * 1.03)
+    assert np.all(centred >= moved.half_widths * (1 - 1e-9))
+
+
+def test_commands_lie_in_what_is_said_of_them():
+    for seed in range(4):
+        controller, rng = random_controller(seed)
+        start = Zonotope(np.zeros(4), 0.1 * rng.normal(size=(4, 5)))
+        tube = controller.fly(start, 3)
+        middle, spread = controller.commanded(tube.nodes - controller.offset[3], tube.bow, 3)
+        x = controller.reference.fine(4)[3, 0] + rng.choice([-1.0, 1.0], (200, 5)) @ start.G.T
+        own = controller.own.fine(4)[3, 0]
+        limit = controller.system.u_max
+        u = np.clip(controller.command(3, x, own, x), -limit, limit)
+        assert np.all(np.abs(u - middle[0]) <= spread[0] + ROUNDING)
+
+
+# -- the checker's own networks ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_bands_of_the_checker_hold_the_activation(kind):
+    rng, layer = np.random.default_rng(1), Layer(kind, low=KINDS[kind].low, high=KINDS[kind].high)
+    for width in (0.0, 1e-12, 0.1, 2.0, 40.0):
+        for _ in range(20):
+            lo = 3 * rng.normal()
+            slope, middle, radius = band(layer, arb(lo), arb(lo) + width)
+            for y in (lo, *(lo + width * rng.uniform(0, 1, 8))):
+                assert abs(value(layer, arb(y)) - slope * arb(y) - middle) <= radius + 1e-12
+
+
+def test_the_checker_encloses_what_a_network_commands():
+    for seed in range(6):
+        controller, rng = random_controller(seed)
+        policy, limit = controller.policy, controller.system.u_max
+        law = Law(
+            *("net", "neural", None, None, None, list(policy.inputs)),
+            *(policy.input_scale.tolist(), policy.output_scale.tolist(), layers_of(policy.network)),
+        )
+        G = 0.1 * rng.normal(size=(4, 5))
+        d = CheckedZonotope(arb_mat(4, 1), matrix(G.tolist()))
+        plant = type("Plant", (), {"A": arb_mat(4, 4), "B": arb_mat(4, 2), "u_max": list(map(arb, limit))})
+        checked = CheckedPolicy(law, plant)
+        known = policy.stack(
+            {
+                "error": np.zeros(4),
+                "state": np.full(4, 0.3),
+                "time": np.array([2.0]),
+                "reference_input": np.array([0.1, -0.2]),
+            }
+        )
+        found = checked.command(d, matrix([[x] for x in known]))
+        for signs in rng.choice([-1.0, 1.0], (60, 5)):
+            e = G @ signs
+            reads = known + policy.stack(
+                {"error": -e, "state": e, "time": np.zeros(1), "reference_input": np.zeros(2)}
+            )
+            u = np.clip(policy.network(reads) * policy.output_scale, -limit, limit)
+            left = found.K * matrix([[x] for x in e]) + found.c
+            for i in range(2):
+                room = sum((abs(v) for v in found.V.tolist()[i]), arb(0))
+                assert abs(u[i] - left[i, 0]) <= room + 1e-12
+                assert abs(u[i]) <= found.most[i] + 1e-12
+
+
+def layers_of(network):
+    return [
+        Layer("affine", layer.W.tolist(), layer.b.tolist())
+        if isinstance(layer, Affine)
+        else Layer(layer.kind, low=layer.low, high=layer.high)
+        for layer in network.layers
+    ]
+
+
+# -- runs -------------------------------------------------------------------------------------------
+
+
+def scene(folder, file=HASTY, feedback=None, **more):
+    """A scenario file in a folder that flies a network beside it."""
+    table = {"kind": "neural", "name": "net", "path": file.name, "output_scale_N": 1.0}
+    table |= {"reference": {"kind": "unaware"}, **more}
+    if file.parent != folder:
+        shutil.copyfile(file, folder / file.name)
+    found = load_scenario(TINY, SAMPLED).to_dict() | {"experimental": [table]}
+    found["feedback"] = feedback or found["feedback"]
+    (folder / "scene.toml").write_text(write_toml(found), encoding="utf-8")
+    return folder / "scene.toml"
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    pytest.importorskip("onnx")
+    folder = tmp_path_factory.mktemp("neural")
+    return run(scene(folder), folder / "run").path
+
+
+def test_a_run_of_a_network_verifies_and_stands_alone(made, tmp_path):
+    shutil.copytree(made, tmp_path / "alone")
+    folder = read_run(tmp_path / "alone")
+    verdict = verify(folder.path)
+    assert verdict.outcome == "VERIFIED", verdict.text()
+    assert any("layers of 1 networks" in told for _, told in verdict.checked)
+    assert folder.summary["synthesis"]["experimental_share"] > 0.3
+    assert folder.summary["polaris"]["collided"] is False
+    (controller,) = folder.scenario.controllers(get_safety(folder.scenario.problem()))
+    assert isinstance(controller, NeuralController)
+
+
+@pytest.mark.parametrize("seed", [0, *(pytest.param(s, marks=pytest.mark.slow) for s in range(1, 6))])
+def test_runs_of_other_networks_verify(seed, tmp_path):
+    pytest.importorskip("onnx")
+    from benchmarks.policies import write_onnx
+    from reach.networks.onnx_file import read_onnx
+
+    rng = np.random.default_rng(seed)
+    affine = [layer for layer in read_onnx(HASTY).layers if isinstance(layer, Affine)]
+    weights = [layer.W * rng.uniform(0.9, 1.1, layer.W.shape) for layer in affine]
+    write_onnx(tmp_path / "other.onnx", [*weights, *(layer.b for layer in affine)])
+    found = run(scene(tmp_path, tmp_path / "other.onnx", name=f"net{seed}"), tmp_path / "run")
+    verdict = verify(found.path)
+    assert verdict.outcome == "VERIFIED", verdict.text()
+    assert 1 in found.json("schedule.json")["modes"]
+
+
+def forged(made, folder, change, files=()):
+    """Verdict on a copy whose certificate was changed, hashes and digest made to fit."""
+    shutil.copytree(made, folder)
+    for name, contents in files:
+        (folder / name).write_bytes(contents)
+    data = json.loads((folder / "certificate.json").read_text(encoding="utf-8"))
+    change(data)
+    for name in data["artefacts"]:
+        data["artefacts"][name] = sha256((folder / name).read_bytes()).hexdigest()
+    data["digest"] = digest(data)
+    (folder / "certificate.json").write_text(canonical(data), encoding="utf-8")
+    return verify(folder)
+
+
+def law_of(data):
+    return data["controllers"][1]
+
+
+def _weight(data):
+    law_of(data)["layers"][2]["W"][0][0] = (0.123).hex()
+
+
+def _bias(data):
+    law_of(data)["layers"][0]["b"][1] = (0.5).hex()
+
+
+def _activation(data):
+    law_of(data)["layers"][1]["kind"] = "sigmoid"
+
+
+def _fewer(data):
+    law_of(data)["layers"][1:3] = []
+
+
+def _scale(data):
+    law_of(data)["output_scale"] = [(0.5).hex()] * 2
+
+
+def _reads(data):
+    law_of(data)["inputs"] = ["state"]
+
+
+def _any_thrust(data):
+    data["controllers"][1] = {"name": "net", "kind": "any_thrust"}
+
+
+FORGERIES = (_weight, _bias, _activation, _fewer, _scale, _reads, _any_thrust)
+
+
+@pytest.mark.parametrize("change", FORGERIES, ids=lambda change: change.__name__)
+def test_a_certificate_of_another_network_is_refused(change, made, tmp_path):
+    verdict = forged(made, tmp_path / "forged", change)
+    assert verdict.outcome == "REJECTED" and verdict.claim in ("controllers", "format"), verdict.text()
+
+
+def test_a_file_of_another_network_is_refused(made, tmp_path):
+    other = (scenario_folder() / "policies" / "fuel_saver.onnx").read_bytes()
+    verdict = forged(made, tmp_path / "forged", lambda data: None, [("hasty.onnx", other)])
+    assert verdict.outcome == "REJECTED" and verdict.claim == "controllers"
+    verdict = forged(made, tmp_path / "cut", lambda data: None, [("hasty.onnx", other[:-7])])
+    assert verdict.outcome != "VERIFIED" and verdict.claim == "controllers"
+    (made.parent / "bare").mkdir()
+    shutil.copytree(made, made.parent / "bare" / "run")
+    (made.parent / "bare" / "run" / "hasty.onnx").unlink()
+    assert verify(made.parent / "bare" / "run").claim == "artefacts"
+    with pytest.raises(ScenarioError):
+        read_run(made.parent / "bare" / "run")
+
+
+def test_a_stronger_network_does_not_keep_within_the_claims(made, tmp_path):
+    """File, layers and hash agree; the tube that they lead to is another."""
+    scenario = (made / "scenario.toml").read_text(encoding="utf-8")
+    assert "output_scale_N = 1.0" in scenario
+    weaker = scenario.replace("output_scale_N = 1.0", "output_scale_N = 0.2").encode()
+
+    def change(data):
+        law_of(data)["output_scale"] = [(0.2).hex()] * 2
+
+    verdict = forged(made, tmp_path / "forged", change, [("scenario.toml", weaker)])
+    assert verdict.outcome == "REJECTED", verdict.text()
+
+
+def test_the_checker_reads_files_as_the_package_does(tmp_path):
+    pytest.importorskip("onnx")
+    from reach.networks.onnx_file import read_onnx
+    from tests.reach.test_onnx import CHAINS, WEIGHTS, WRONG, saved
+
+    for nodes, more in CHAINS.values():
+        path = saved(tmp_path, nodes, WEIGHTS | more)
+        assert read_layers(path.read_bytes(), 3) == layers_of(read_onnx(path))
+    for nodes, more, _ in WRONG.values():
+        with pytest.raises((ValueError, LookupError, ZeroDivisionError)):
+            read_layers(saved(tmp_path, nodes, WEIGHTS | more).read_bytes(), 3)
+
+
+# -- who else flies it ------------------------------------------------------------------------------
+
+
+def test_simulation_flies_it_and_the_monitor_trusts_its_thrust_limits_only(made):
+    scenario = read_run(made).scenario
+    schedule = synthesize(scenario)
+    flown = simulate(schedule, n=6, seed=1)
+    assert flown.states.shape[0] >= 6
+    law, q = schedule.controllers[1], schedule.safety.tracking.feedback.nodes_per_cell
+    k = schedule.modes.tolist().index(1)
+    x, safe = flown.states[:, k * q], schedule.safety.reference.fine(q)[k, 0]
+    limit = law.system.u_max
+    u = np.clip(law.command(k, safe, law.own.fine(q)[k, 0], x), -limit, limit)
+    assert flown.inputs[:, k * q] == pytest.approx(u, abs=1e-12)
+    for step in schedule.steps:
+        e = flown.states[:, step.k * q] - schedule.safety.reference.fine(q)[step.k, 0]
+        rows = np.vstack([np.eye(4), -np.eye(4)])
+        assert np.all(e @ rows.T <= step.tube.nodes.support(rows)[0] + ROUNDING)
+    monitor = Monitor(DecisionGrid.of(schedule), trust="declared")
+    assert {mode for mode, _ in monitor.prospects} == {0}
+
+
+# -- what is refused --------------------------------------------------------------------------------
+
+WRONG = {
+    "continuous feedback": ({"feedback": {"kind": "continuous"}}, "feedback.kind"),
+    "too few inputs": ({"inputs": ["time"]}, "experimental[0].inputs"),
+    "an input twice": ({"inputs": ["error", "error"]}, "experimental[0].inputs"),
+    "an input that is none": ({"inputs": ["weather"]}, "experimental[0].inputs[0]"),
+    "scales": ({"input_scale": [1.0, 2.0]}, "experimental[0].input_scale"),
+    "a scale of outputs": ({"output_scale_N": [1.0, 1.0, 1.0]}, "experimental[0].output_scale_N"),
+    "no file": ({"path": "nowhere.onnx"}, "experimental[0].path"),
+    "no ONNX file": ({"path": "text.onnx"}, "experimental[0].path"),
+    "another ending": ({"path": "hasty.pickle"}, "experimental[0].path"),
+    "a network of another size": ({"path": "fuel_saver.onnx"}, "experimental[0].inputs"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_what_does_not_fit_is_one_error(name, tmp_path):
+    pytest.importorskip("onnx")
+    changes, field = WRONG[name]
+    (tmp_path / "text.onnx").write_text("no network", encoding="utf-8")
+    shutil.copyfile(scenario_folder() / "policies" / "fuel_saver.onnx", tmp_path / "fuel_saver.onnx")
+    with pytest.raises(ScenarioError) as told:
+        load_scenario(scene(tmp_path, **changes))
+    assert told.value.field == field
+    assert "\n" not in str(told.value)
+
+
+def test_a_missing_package_is_one_error(tmp_path, monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "onnx", None)
+    with pytest.raises(ScenarioError, match="needs the package onnx"):
+        load_scenario(scene(tmp_path))
+
+
+def test_numbers_beyond_floating_point_refuse_a_step():
+    controller, _ = random_controller(0)
+    start = Zonotope.box(np.zeros(4), np.full(4, 1e308))
+    assert controller.fly(start, 0).refused
