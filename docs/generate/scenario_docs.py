@@ -85,6 +85,7 @@ def _schedule_lines() -> Iterator[str]:
     whole = schema()
     tables = whole["$defs"]
     yield from ("## Top level", "", *_fields(whole, tables))
+    told = False  # what a controller follows is described once
     for key, node in whole["properties"].items():
         members = list(_members(node, tables))
         if not members:
@@ -94,7 +95,8 @@ def _schedule_lines() -> Iterator[str]:
         yield from _choices(node, members, tables, "" if key == "recoverable" else "###")
         for member in members:
             reference = member["properties"].get("reference")
-            if reference:
+            if reference and not told:
+                told = True
                 yield from ("", "#### `reference` of a controller")
                 yield from _choices({}, list(_members(reference, tables)), tables, "#####")
 

@@ -112,7 +112,7 @@ SCENARIO = {
         "affine": _AFFINE,
         "saturated_affine": _AFFINE,
         "any_thrust": {"name": NAME, "weight?": WORTH},
-        "neural": {"name": NAME, "path": Text(pattern=r"(?s:.{2,200})\.onnx"), "input_scale?": VECTOR,
+        "neural": {"name": NAME, "path": Text(pattern=r"(?s:.{1,1000})\.onnx"), "input_scale?": VECTOR,
                    "inputs?": Rows(Text(("error", "state", "time", "reference_input")), 1, 4),
                    "output_scale_N": PER_AXIS, "reference?": _REFERENCE, "weight?": WORTH},
     }), 1, 8),

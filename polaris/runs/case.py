@@ -66,7 +66,7 @@ def write_case(path: str | Path, scenario: ScheduleScenario, found: Falsificatio
     data = {
         "format": FORMAT,
         "version": VERSION,
-        "scenario": scenario.to_toml(),
+        "scenario": scenario.text_elsewhere(),
         "schedule": digest(found.schedule),
         "tail": tail,
         "substeps": substeps,

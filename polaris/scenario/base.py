@@ -187,9 +187,17 @@ class Scenario(ABC):
         """Files besides its own that it names; a run folder holds copies."""
         return []
 
+    def text_elsewhere(self) -> str:
+        """TOML that loads to the same scenario from any folder."""
+        return self.to_toml()
+
+    def _copied(self) -> str:
+        """Text of a copy beside copies of its `files`, but for notes."""
+        return self.text if self.text is not None else self.to_toml()
+
     def copy_text(self) -> str:
         """Text of its copy in a run folder: its own, or all values under a note of what changed."""
-        text = self.text if self.text is not None else self.to_toml()
+        text = self._copied()
         if not self.overrides:
             return text
         noted = "".join(f"#   {' '.join(line.split())}\n" for line in self.overrides)

@@ -43,13 +43,6 @@ def gains_of(model: ScenarioModel, system: LinearSystem) -> tuple[Array, ...]:
     )
 
 
-def network_file(spec: Neural, folder: Path | None) -> Path:
-    """The file of a network: from the scenario's folder, or, as in a run folder, beside the scenario."""
-    here = folder or Path()
-    found = here / spec.path
-    return found if found.exists() else here / found.name
-
-
 def read_policies(
     model: ScenarioModel, system: LinearSystem, folder: Path | None
 ) -> dict[str, tuple[Path, Policy]]:
@@ -66,7 +59,7 @@ def read_policies(
             continue
         if not isinstance(model.feedback, SampledFeedback):
             raise ScenarioError("feedback.kind", model.feedback.kind, NEEDS_SAMPLES)
-        file = network_file(spec, folder)
+        file = (folder or Path()) / spec.path
         if any(other.name == file.name and other != file for other, _ in found.values()):
             raise ScenarioError(f"{path}.path", spec.path, "must not have the file name of another network")
         try:

@@ -279,8 +279,8 @@ class Neural(ScenarioPart):
 
     kind: Literal["neural"] = unit("-", "Neural network from an ONNX file.")
     name: f.Name = unit("-", "Its name in tables and figures.")
-    path: f.Text = unit("-", min_length=6, max_length=200, pattern=r"\.onnx$")
-    """The ONNX file, from the folder of the scenario; a run folder holds a copy of it."""
+    path: f.Text = unit("-", min_length=6, max_length=1000, pattern=r"\.onnx$")
+    """The ONNX file, from the folder of the scenario; a run folder holds a copy, beside its scenario."""
     inputs: tuple[Literal["error", "state", "time", "reference_input"], ...] = unit(
         "-", default=("error",), min_length=1, max_length=4
     )

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,12 +17,11 @@ from ..model.system import LinearSystem
 from . import rules
 from .base import Scenario, kept
 from .fields import whole_parts
+from .reading import write_toml
 from .scene_tables import Neural
 from .tables import SampledFeedback, ScenarioModel, Simulation
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from ..model.obstacle import Obstacle
     from ..planning.goals import Goal
     from ..synthesis.controllers import Controller
@@ -118,6 +120,29 @@ class ScheduleScenario(Scenario):
         from .experimental import read_policies
 
         return read_policies(self.model, self.system(), self.folder)
+
+    def text_elsewhere(self) -> str:
+        """TOML with the whole paths of networks; their digests are noted, as the text stands for them."""
+        if not self.files():
+            return self.to_toml()
+        digests = (hashlib.sha256(file.read_bytes()).hexdigest() for file in self.files())
+        return self._moved(lambda file: str(file.resolve())) + "".join(f"# {each}\n" for each in digests)
+
+    def _copied(self) -> str:
+        beside = all(file.name == spec.path for spec, file in self._networks())
+        return super()._copied() if beside else self._moved(lambda file: file.name)
+
+    def _networks(self) -> list[tuple[Neural, Path]]:
+        found = [spec for spec in self.model.experimental if isinstance(spec, Neural)]
+        return [(spec, self.policies()[spec.name][0]) for spec in found]
+
+    def _moved(self, place: Callable[[Path], str]) -> str:
+        """TOML with other paths of its networks."""
+        data, paths = self.to_dict(), {spec.name: place(file) for spec, file in self._networks()}
+        for table in data["experimental"]:
+            if table["name"] in paths:
+                table["path"] = paths[table["name"]]
+        return write_toml(data)
 
     def files(self) -> list[Path]:
         """Files besides its own that it names."""

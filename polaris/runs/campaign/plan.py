@@ -178,7 +178,7 @@ def make_cases(
         loaded = loaded.with_assignments(overrides)
         for combination in itertools.product(*values.values()):
             chosen = dict(zip(values, combination, strict=True))
-            text = loaded.with_overrides(chosen).to_toml()
+            text = loaded.with_overrides(chosen).text_elsewhere()
             found.append(Case(loaded.name, tuple(chosen.items()), text))
     if len({case.text for case in found}) < len(found) or not found:
         raise ScenarioError("scenarios", [case.label for case in found], "must be different cases")
