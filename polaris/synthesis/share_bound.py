@@ -115,7 +115,7 @@ def share_bound(schedule: Schedule, rules: SwitchingRules, limit: int) -> ShareB
     own = [law for law in laws if isinstance(law, AffineController) and law.own is not law.reference]
     if limit == 0 or len(own) < len(laws) or safety.guarantee != "proved" or problem.K > STEPS:
         return ShareBound(1.0)
-    flights, master = Flights(problem, own), Master(problem.K, len(laws) + 1, rules)
+    flights, master = Flights(safety, own), Master(problem.K, len(laws) + 1, rules)
     demands, least, ended = 0, 0, "effort_limit"
     while flights.programs < limit:
         fewest, held = master.solve()
