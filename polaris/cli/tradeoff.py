@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 
+import typer
 from typer import Option
 
 from ..model.errors import ClockWarning, ScenarioError
@@ -44,6 +45,9 @@ def tradeoff_command(
         stages=ShownStages(quiet or as_json),
         executor=local(workers),
     )
+    unproven = [point["folder"] for point in folder.summary["points"] if point["guarantee"] != "proved"]
+    if unproven:  # even if asked to be quiet
+        typer.echo(f"warning: NOTHING IS PROVEN by {', '.join(unproven)}", err=True)
     cut = [point["folder"] for point in folder.summary["points"] if point["cut_by_clock"]]
     if cut:
         told = (

@@ -9,6 +9,7 @@ from typing import Any
 from rich.console import Console
 
 from ...model.checks import counted
+from ...synthesis.recoverable import directed
 from .printing import Printout, table
 
 HEADS = ("", "share of U", "switches", "mean m/s", "largest", "proven", "goal by s", "safe until s")
@@ -32,7 +33,8 @@ def _row(point: Mapping[str, Any]) -> tuple[str, ...]:
         f"{'*' if point['non_dominated'] else ' '} {point['folder']}",
         f"{point['share']:.1%}",
         str(point["switches"]),
-        *(f"{point[key]:.4g}" for key in ("delta_v_m_s", "delta_v_max_m_s", "delta_v_most_m_s")),
+        *(f"{point[key]:.4g}" for key in ("delta_v_m_s", "delta_v_max_m_s")),
+        directed(point["delta_v_most_m_s"], ".4g", up=True) if proved else "not proven",
         f"{point['goal_by_s']:.6g}" if point["goal_reached"] is True else "not proven",
         until if proved else "not proven",
     )
