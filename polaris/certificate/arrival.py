@@ -295,7 +295,7 @@ class Arrival:
             u = doc.inputs[doc.steps + node // doc.q]
             for i, top in enumerate(plant.u_max):
                 most = largest((first[i], first[m + i], last[i], last[m + i])) + abs(u[i])
-                total += smallest((most, top))
+                total += smallest((most.upper(), top))
         return total * plant.h / doc.mass
 
     @cached_property

@@ -415,7 +415,7 @@ def arrivals(schedule: Schedule, rounds: int = 3) -> dict[str, float]:
 
     Aimed at is every row of the goal, as docs/theory.md weighs it, and the row that drifts.
     """
-    loop, claim, problem = Loop(schedule), schedule.arrival, schedule.safety.problem
+    loop, claim, problem = Loop(schedule, 8), schedule.arrival, schedule.safety.problem
     if claim.by is None:
         return {}
     goal, at, eta = problem.goal.conditions, round(claim.by / loop.dt), problem.system.mean_motion
@@ -437,12 +437,14 @@ def arrivals(schedule: Schedule, rounds: int = 3) -> dict[str, float]:
         for N, _ in goal.one_of:
             parts.append(over[:, first : first + len(N)].min(axis=1))
             first += len(N)
-        least = 1e-9 * goal.scale  # what lies well inside a goal is at no distance from it
-        found = {"distance": float(np.max(parts)) / max(claim.distance, least)}
+        error = 1e-8 * float(np.abs(x @ problem.system.position.T).max())  # of the integration [m]
+        found = {"distance": float(np.max(parts)) / (claim.distance + error)}
         found["delta_v"] = _spent(loop, flown, at) / claim.delta_v
         if len(drifts):
             assert claim.drift is not None
-            found["drift"] = 6 * np.pi * float(np.abs(x @ np.transpose(drifts)).max()) / claim.drift
+            found["drift"] = (
+                6 * np.pi * float(np.abs(x @ np.transpose(drifts)).max()) / (claim.drift + 60 * error)
+            )
         most = {key: max(value, most.get(key, 0.0)) for key, value in found.items()}
     return most
 
