@@ -141,7 +141,7 @@ class Needs:
     def booked(self, start: Zonotope, lag: int) -> list[arb]:
         """What is booked between nodes for one set, for the periods next to node l: no more than `bend`."""
         later = [start.image(self.motion.closed * self.memory.powers[at]) for at in {lag, max(lag - 1, 0)}]
-        bows = [self.motion.bow(self.rows, rate) for rate in later]
+        bows = [self.motion.closer_bow(self.rows, rate) for rate in later]
         return [largest(each) for each in zip(*bows, strict=True)]
 
     def per_norm(self, inverse: arb_mat) -> list[list[arb]]:

@@ -123,10 +123,12 @@ class Motion:
     def bow(self, rows: arb_mat, rate: Zonotope) -> list[arb]:
         """Bound on how far ``row x(s)`` leaves the chord of its end values; `rate` is ``A_c x(0) + g``.
 
-        The least of ``|row X e^{X s}| |rate|``, of ``|row e^{X s}| |X rate|``, as X commutes with
-        ``e^{X s}``, and of ``|row X rate| + h |row X e^{X s}| |X rate|``, where the first part is that of the
-        set and not of its box.
+        The lesser of ``|row X e^{X s}| |rate|`` and ``|row e^{X s}| |X rate|``: X commutes with ``e^{X s}``.
         """
+        return self.lesser_bow(rows, rate.size(), rate.image(self.X).size())
+
+    def closer_bow(self, rows: arb_mat, rate: Zonotope) -> list[arb]:
+        """The same, or ``|row X rate| + h |row X e^{X s}| |X rate|``, whose first part is of the whole set."""
         turned = rate.image(self.X)
         size, along = turned.size(), turned.image(rows).size() * (self.plant.h**2 / 8)
         third = (along + self.bend(rows) * size * self.plant.h).entries()

@@ -195,8 +195,9 @@ def test_motion_leaves_its_chord_by_no_more_than_its_bow(sampled):
     motion, X = plant.loop(matrix(K.tolist())), A if sampled else A - B @ K
     start = Zonotope(column(rng.normal(size=4).tolist()), matrix((0.1 * rng.normal(size=(4, 3))).tolist()))
     of_rows, rate = matrix(rows.tolist()), start.image(motion.closed)
-    bound = np.array([float(x) for x in motion.bow(of_rows, rate)])
-    boxed = np.array(list(map(float, motion.lesser_bow(of_rows, rate.size(), rate.image(motion.X).size()))))
+    boxed, bound = (
+        np.array([float(x) for x in bow(of_rows, rate)]) for bow in (motion.bow, motion.closer_bow)
+    )
     assert np.all(bound <= boxed) and np.any(bound < 0.9 * boxed), "a set is less than its box"
     furthest = np.zeros(5)
     for b in rng.choice([-1.0, 1.0], (20, 3)):
