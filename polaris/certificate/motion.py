@@ -128,7 +128,7 @@ class Motion:
         return self.lesser_bow(rows, rate.size(), rate.image(self.X).size())
 
     def closer_bow(self, rows: arb_mat, rate: Zonotope) -> list[arb]:
-        """The same, or ``|row X rate| + h |row X e^{X s}| |X rate|``, whose first part is of the whole set."""
+        """The same, or ``|row X rate| + h |row X e^{X s}| |X rate|``, the first part of the whole set."""
         turned = rate.image(self.X)
         size, along = turned.size(), turned.image(rows).size() * (self.plant.h**2 / 8)
         third = (along + self.bend(rows) * size * self.plant.h).entries()
