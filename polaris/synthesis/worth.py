@@ -50,16 +50,12 @@ class Worth:
 
     def of(self, shares: Mapping[int, float], delta_v: float, switches: int) -> float:
         """Worth of shares of the time by mode, a velocity change [m/s] and a number of switches."""
-        time = sum(self.weight(mode) * share for mode, share in shares.items())
+        worths = self.rules.worths(max(shares) + 1)
+        time = sum(worths[mode] * share for mode, share in shares.items())
         price = self.rules.delta_v_price * delta_v / self.scale + self.rules.switch_price * switches
         less = max(self.share - sum(share for mode, share in shares.items() if mode), 0.0)
         more = max(delta_v - self.delta_v, 0.0) / self.scale
         return time - price - WORSE * (less + more)
-
-    def weight(self, mode: int) -> float:
-        """Worth of a step under one mode."""
-        weights = self.rules.weights
-        return 0.0 if mode == 0 else weights[mode - 1] if mode <= len(weights) else 1.0
 
     def __call__(self, schedule: Schedule) -> tuple[bool, bool, bool, float]:
         """Whether a schedule keeps the budget, is as long safe as the printed one, and arrives; its worth."""

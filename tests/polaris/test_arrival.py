@@ -128,7 +128,7 @@ def test_the_middle_of_the_tube_counts_and_not_the_reference():
 
 
 def test_the_disturbance_is_followed_from_the_hand_over_on(tmp_path):
-    """Seed 13: a claim of 1.77 m was 16 times as far as this; the set at T encloses what S alone keeps smaller."""
+    """Seed 13: a claim of 1.77 m was 16 times as far as this, as the set at T is an enclosure."""
     _, schedule = random_scene(13, tmp_path)
     both, last = schedule.arrival, arrival(schedule.safety, ((schedule.final, 0),), 0.0)
     assert both.reached is last.reached is True
