@@ -251,18 +251,13 @@ class Windows:
             return None
 
 
-def followable(printed: Schedule) -> list[tuple[int, AffineController]]:
+def followable(printed: Schedule) -> Iterator[tuple[int, AffineController]]:
     """Modes and laws with a path of their own that a reference can follow."""
-    reference = printed.safety.reference
-    found = []
     for mode, law in enumerate(printed.controllers[1:], start=1):
-        if isinstance(law, AffineController) and law.own is not reference:
-            try:
+        if isinstance(law, AffineController) and law.own is not printed.safety.reference:
+            with suppress(PolarisError, ValueError, ArithmeticError):
                 law.flow.lyapunov  # noqa: B018  a law that is not stable has no path of its own
-            except (PolarisError, ValueError, ArithmeticError):
-                continue
-            found.append((mode, law))
-    return found
+                yield mode, law
 
 
 def views(printed: Schedule, worth: Worth) -> list[Windows]:
