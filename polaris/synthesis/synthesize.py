@@ -100,7 +100,9 @@ def with_recourse(search: Search, printed: Schedule) -> Schedule:
 
     worth = Worth.beside(printed, search.rules)
     searches = views(printed, worth)
-    best = max([printed, *(found for view in searches for found in view.schedules(prove))], key=worth)
+    found = [printed, *(one for view in searches for one in view.schedules(prove))]
+    best = max(found, key=worth)
+    library = tuple(one for one in found if one is not best and worth(one)[:2] >= worth(best)[:2])
     seconds = {**printed.seconds, "recourse": time.perf_counter() - begun}
     if any(view.late for view in searches):
         told = "the wall clock (planner.time_limit_s) ended the search for a reference with U in view early"
@@ -109,4 +111,4 @@ def with_recourse(search: Search, printed: Schedule) -> Schedule:
         )
         cut = (*printed.safety.cut_by_clock, "reference with U in view")
         best = replace(best, safety=replace(best.safety, cut_by_clock=cut))
-    return replace(best, seconds=seconds)
+    return replace(best, seconds=seconds, library=library, worth=worth.plain)

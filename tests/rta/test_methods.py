@@ -130,6 +130,9 @@ def test_options_are_checked():
         Monitor(made, trust="blind")
     with pytest.raises(ScenarioError, match="dwell"):
         Monitor(made, dwell=0)
+    for reentry in (-0.1, 1.0, np.nan):
+        with pytest.raises(ScenarioError, match="reentry"):
+            Monitor(made, reentry=reentry)
     with pytest.raises(ScenarioError, match="alpha"):
         ExplicitASIF(made, alpha=-1.0)
     for slope in (0.0, 1.5, np.nan):
