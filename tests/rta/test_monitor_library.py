@@ -1,4 +1,4 @@
-"""The monitor's re-entry margin, and the safe references it may choose from: calmer, and as proven as before."""
+"""The monitor's re-entry margin, and the safe references it may choose from: calmer, and as proven."""
 
 from dataclasses import replace
 
