@@ -1,4 +1,4 @@
-"""Every method on the same scene: same reference, same disturbances, same experimental controller."""
+"""Every method on the same scene: same references to choose from, disturbances and experimental controller."""
 
 from __future__ import annotations
 

@@ -116,14 +116,9 @@ def with_recourse(search: Search, printed: Schedule) -> Schedule:
         best = max(found, key=worth)
         if search.rules.affords(best.spent):
             break
-    until, claims = best.safety.end.until, worth(best)
-    library = tuple(
-        one
-        for one in found
-        if one is not best
-        and one.safety.end.until >= until
-        and np.all(worth(one)[:3] >= np.array(claims[:3]))
-    )
+    claims = np.array([(*worth(one)[:3], one.safety.end.until) for one in (*found, best)], dtype=float)
+    as_good = np.all(claims[:-1] >= claims[-1], axis=1)
+    library = tuple(one for one, good in zip(found, as_good, strict=True) if good and one is not best)
     seconds = {**printed.seconds, "recourse": time.perf_counter() - begun}
     if late:
         told = "the wall clock (planner.time_limit_s) ended the search for a reference with U in view early"

@@ -98,14 +98,17 @@ def test_the_words_of_the_page_follow_from_its_tables():
     # The monitor.
     for name in page.SCENES:
         assert value(name, MONITOR, SHARE) > value(name, SCHEDULE, SHARE)
-        assert abs(value(name, MONITOR, SHARE) - value(name, LIMITS, SHARE)) < 0.01
-        assert value(name, MONITOR, SHARE) - value(name, SCHEDULE, SHARE) < 0.02
-        assert ratio(name, MONITOR, SCHEDULE, COST) == pytest.approx(1, abs=0.1)
+        assert value(name, LIMITS, SHARE) - value(name, MONITOR, SHARE) < 0.01
+        assert value(name, MONITOR, SHARE) - value(name, SCHEDULE, SHARE) < 0.03
+        more = 1.2 if name == "dynamic" else 1.02
+        assert 0.98 < ratio(name, MONITOR, SCHEDULE, COST) < more
         assert value(name, MONITOR, NEAR) < value(name, SCHEDULE, NEAR)
-        assert value(name, MONITOR, SWITCHES) > value(name, SCHEDULE, SWITCHES)
-        dwell = {setting: cells[name] for setting, cells in swept["monitor"].items()}
-        spent = [cell.delta_v for cell in dwell.values()]
-        assert max(spent) < 1.02 * min(spent) and dwell[100].share < value(name, SCHEDULE, SHARE)
+        assert 0 <= value(name, MONITOR, SWITCHES) - value(name, SCHEDULE, SWITCHES) < 1
+        reentry, dwell = ({at: cells[name] for at, cells in swept[f"monitor.{option}"].items()} for option in
+                          ("reentry", "dwell"))  # fmt: skip
+        assert reentry[0.1].switches < reentry[0.0].switches / 3 + 0.05
+        assert reentry[0.0].share - reentry[0.1].share < 0.03
+        assert max(cell.worth for cell in dwell.values()) < dwell[1].worth + page.DEARER
     # All that fly S's reference.
     others = [row for row in rows(TABLES["static"]) if not row.startswith(("U alone", EXPLICIT))]
     assert len(others) > 8
@@ -119,7 +122,7 @@ def test_the_words_of_the_page_follow_from_its_tables():
     assert 1.7 < max(clear) / min(clear) < 2
     steepest = swept["asif_explicit.alpha"][max(swept["asif_explicit.alpha"])]
     assert steepest["dynamic"].violations and steepest["robot"].violations
-    assert ratio("robot", IMPLICIT, MONITOR, COST) < 1 <= ratio("dynamic", IMPLICIT, MONITOR, COST)
+    assert ratio("robot", IMPLICIT, MONITOR, COST) < 1 > ratio("dynamic", IMPLICIT, MONITOR, COST)
     assert ratio("static", IMPLICIT, MONITOR, COST) > 1
     for name in page.SCENES:
         assert value(name, IMPLICIT, SHARE) < value(name, MONITOR, SHARE)
@@ -133,6 +136,15 @@ def test_the_words_of_the_page_follow_from_its_tables():
     assert value("static", "Implicit simplex", HITS) > 0
     proved = [row for name in page.SCENES for row in rows(TABLES[name]).values() if row["Proven"] == "yes"]
     assert proved and all(row[HITS] == "0" for row in proved)
+
+
+MUST = [("static", 0.92, 10, 1.2), ("dynamic", 0.95, 6, 1.5)]
+
+
+@pytest.mark.parametrize(("name", "share", "switches", "spent"), MUST)
+def test_the_monitor_is_worth_flying(name, share, switches, spent):
+    assert value(name, MONITOR, SHARE) >= share
+    assert value(name, MONITOR, SWITCHES) <= switches and value(name, MONITOR, COST) <= spent
 
 
 def hits(cells):
