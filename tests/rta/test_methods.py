@@ -111,7 +111,7 @@ def test_filters_answer_within_the_limits_and_change_as_little_as_they_can():
 def test_dwell_keeps_s_in_control():
     made = scene("robot")
     conditions = Conditions.draw(made, 8, 1)
-    quick, slow = (fly(made, Monitor(made, dwell=dwell), conditions).modes for dwell in (1, 20))
+    quick, slow = (fly(made, Monitor(made, dwell=dwell, reentry=0.0), conditions).modes for dwell in (1, 20))
     for modes in slow:
         lengths = _stretches(modes[:-1])
         assert min(lengths, default=20) >= 20
