@@ -31,10 +31,13 @@ from .random_scenarios import written
 from .tiny import synthesised
 
 VARIANTS = {
-    "reached": [],
+    "reached": ["recoverable.recourse=in_view"],
     "too narrow": ["goal.tolerance_m=0.01"],
     "any state": ['goal={kind="box",center=[8.0,6.0,0.0,0.0],half_widths=[inf,inf,inf,inf]}'],
-    "a box": ['goal={kind="box",center=[8.0,6.0,0.0,0.0],half_widths=[0.0,0.5,inf,0.1]}'],
+    "a box": [
+        'goal={kind="box",center=[8.0,6.0,0.0,0.0],half_widths=[0.0,0.5,inf,0.1]}',
+        "recoverable.recourse=in_view",
+    ],
 }
 
 
@@ -128,7 +131,7 @@ def test_the_middle_of_the_tube_counts_and_not_the_reference():
 
 
 def test_the_disturbance_is_followed_from_the_hand_over_on(tmp_path):
-    """Seed 13: a claim of 1.77 m was 16 times as far as this; the set at T encloses what S alone keeps smaller."""
+    """Seed 13: 1.77 m was claimed, 16 times as far: the set at T encloses what S alone keeps smaller."""
     _, schedule = random_scene(13, tmp_path)
     both, last = schedule.arrival, arrival(schedule.safety, ((schedule.final, 0),), 0.0)
     assert both.reached is last.reached is True
