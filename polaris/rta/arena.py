@@ -1,4 +1,4 @@
-"""Every method on the same scene: same references to choose from, disturbances and experimental controller."""
+"""Every method on the same scene: same references to choose from, same disturbances, same U."""
 
 from __future__ import annotations
 
