@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ...model.compiled import loops
 from ...model.errors import ScenarioError
 from ...model.system import Array
 from ...rta.projection import DESIRED, FAILED, FILTERED, SHORT, project, project_coupled
@@ -18,6 +19,9 @@ from ..constraints.families import Families, Rows
 CENTRALIZED = "centralized"
 SHARINGS = ("coasting", "half", "consensus")
 Statuses = NDArray[np.int8]
+
+LOOPS, LEFT = "polaris.rta.nearest", 2
+"""Compiled programs, and what they say of one that they leave to the solver."""
 
 AGREED = 1e-9
 """By how much a deputy may miss its part of an agreed solution that violates a row [units of h per s]."""
@@ -51,7 +55,7 @@ class Centralized:
     """
 
     def __init__(self, families: Families) -> None:
-        self.families = families
+        self.families, self.loops = families, loops(LOOPS)
 
     def batch(self, x: Array, sun: Array, desired: Array) -> Filtered:
         """Filter inputs of shape (R, N, 3) at states (R, N, 6) and sun angles (R,) [rad]."""
@@ -64,8 +68,14 @@ class Centralized:
         families, limit = self.families, self.families.inspection.thrust_max
         u = np.clip(desired, -limit, limit)
         status = _unchanged(u, desired)
-        broken = ~(np.einsum("rmv,rmv->rm", rows.G, families.relative(u)) >= rows.bound)  # nan: not met
-        runs = np.flatnonzero(broken.any(axis=1))
+        if self.loops:
+            who = families.first, families.second
+            done = self.loops.coupled(rows.G, rows.bound, *who, np.ascontiguousarray(desired), limit, u)
+            status = _unchanged(u, desired)
+            runs = np.flatnonzero(done == LEFT)
+        else:
+            broken = ~(np.einsum("rmv,rmv->rm", rows.G, families.relative(u)) >= rows.bound)  # nan: not met
+            runs = np.flatnonzero(broken.any(axis=1))
         if len(runs):
             G, bound, rank = rows.G[runs], rows.bound[runs], families.rank(rows.h[runs])
             who = families.first, families.second
@@ -94,7 +104,7 @@ class Decentralized:
     def __init__(self, families: Families, sharing: str = "coasting") -> None:
         if sharing not in SHARINGS:
             raise ScenarioError("sharing", sharing, f"must be one of {', '.join(SHARINGS)}")
-        self.families, self.sharing = families, sharing
+        self.families, self.sharing, self.loops = families, sharing, loops(LOOPS)
         N, first, second = families.inspection.deputies, families.first, families.second
         self._mine = np.array([np.flatnonzero((first == i) | (second == i)) for i in range(N)])
         self._as_second = second[self._mine] == np.arange(N)[:, None]
@@ -110,11 +120,15 @@ class Decentralized:
         status = _unchanged(u, desired)
         # Row by row, as the deputies see it: their rows, signs and bounds, shapes (R, N, m, ...).
         bound = np.where(self._as_second, second[:, self._mine], first[:, self._mine])
-        G = rows.G[:, self._mine]
-        met = np.einsum("rnmv,rnv->rnm", G, u) * self._sign
-        run, who = np.nonzero((~(met >= bound)).any(axis=2))  # nan: not met
+        if self.loops:
+            which = self._mine, self._sign, np.ascontiguousarray(desired)
+            run, who = np.nonzero(self.loops.alone(rows.G, bound, *which, limit, u) == LEFT)
+            status = _unchanged(u, desired)
+        else:
+            met = np.einsum("rnmv,rnv->rnm", rows.G[:, self._mine], u) * self._sign
+            run, who = np.nonzero((~(met >= bound)).any(axis=2))  # nan: not met
         if len(run):
-            signed = G[run, who] * self._sign[who][..., None]
+            signed = rows.G[run[:, None], self._mine[who]] * self._sign[who][..., None]
             rank = self.families.rank(rows.h)[:, self._mine][run, who]
             found = project(signed, bound[run, who], desired[run, who], limit, rank)
             u[run, who], status[run, who] = found.u, found.status
