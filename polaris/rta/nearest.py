@@ -14,45 +14,56 @@ from ..model.system import Array
 PRIMAL = 1e-11
 """As in `polaris.rta.projection`."""
 
+DESIRED, FILTERED, LEFT = 0, 1, -1
+"""How an input came about: as in `polaris.rta.projection`, or left to the solver."""
+
 MET = 1e-13
 """Violation of a row of length 1 at which the method stops."""
 
 
 @compiled
-def alone(G: Array, bound: Array, mine: Array, sign: Array, desired: Array, limit: float, u: Array) -> Array:
-    """Project each deputy's input (R, N, 3) on its own rows; answers are written into u.
+def alone(
+    G: Array, bounds: Array, mine: Array, sign: Array, desired: Array, limit: float
+) -> tuple[Array, Array, int]:
+    """Project each deputy's input (R, N, 3) on its own rows: `mine` (N, m) of G (R, M, 3).
 
-    Rows `mine` (N, m) of G (R, M, 3) times `sign` (N, m), bounds (R, N, m). Returned is what became of each,
-    (R, N): whether it had to be changed, 2 where it is left to do.
+    `bounds` (2, R, M) are for a row's first deputy and for its second, whose `sign` (N, m) is negative.
+    Returned are the inputs, how they came about (R, N), `LEFT` where they did not, and how many were left.
     """
     runs, deputies, count = desired.shape[0], desired.shape[1], mine.shape[1]
-    done = np.zeros((runs, deputies), np.int8)
+    u, status, left = np.empty(desired.shape), np.zeros((runs, deputies), np.int8), 0
     rows, least = np.empty((count + 6, 3)), np.empty(count + 6)
     for r in range(runs):
         for i in range(deputies):
             met, kept = True, 0
+            status[r, i] = DESIRED if _clip(desired[r, i], limit, u[r, i]) else FILTERED
             for k in range(count):
-                value, span = 0.0, 0.0
+                m, value, span = mine[i, k], 0.0, 0.0
                 for j in range(3):
-                    rows[kept, j] = sign[i, k] * G[r, mine[i, k], j]
+                    rows[kept, j] = sign[i, k] * G[r, m, j]
                     value += rows[kept, j] * u[r, i, j]
                     span += abs(rows[kept, j])
-                least[kept] = bound[r, i, k]
+                least[kept] = bounds[0 if sign[i, k] > 0 else 1, r, m]
                 met = met and value >= least[kept]
                 if not least[kept] <= -limit * span:  # the others hold for every admissible input
                     kept += 1
             if not met:
-                done[r, i] = 1 if _nearest(rows, least, kept, desired[r, i], limit, u[r, i]) else 2
-    return done
+                good = _nearest(rows, least, kept, desired[r, i], limit, u[r, i])
+                status[r, i], left = (FILTERED, left) if good else (LEFT, left + 1)
+    return u, status, left
 
 
 @compiled
-def coupled(G: Array, bound: Array, first: Array, second: Array, desired: Array, limit: float, u: Array) -> Array:
-    """Project the inputs of all deputies together: ``G (u_first - u_second) >= bound``; as `alone`, (R,)."""
+def coupled(
+    G: Array, bound: Array, first: Array, second: Array, desired: Array, limit: float
+) -> tuple[Array, Array, int]:
+    """Project the inputs of all deputies together: ``G (u_first - u_second) >= bound``; as `alone`."""
     runs, deputies, count = desired.shape[0], desired.shape[1], len(first)
-    done = np.zeros(runs, np.int8)
+    u, status, left, size = np.empty(desired.shape), np.zeros((runs, deputies), np.int8), 0, 3 * deputies
     for r in range(runs):
-        met, asking = True, 0
+        for i in range(deputies):
+            _clip(desired[r, i], limit, u[r, i])
+        met, asking = True, np.zeros(count, np.bool_)
         for m in range(count):
             value = span = 0.0
             i, j = first[m], second[m]
@@ -60,27 +71,52 @@ def coupled(G: Array, bound: Array, first: Array, second: Array, desired: Array,
                 value += G[r, m, k] * (u[r, i, k] - (u[r, j, k] if j >= 0 else 0.0))
                 span += abs(G[r, m, k])
             met = met and value >= bound[r, m]
-            asking += not bound[r, m] <= -limit * span * (2 if j >= 0 else 1)
-        if met:
-            continue
-        size = 3 * deputies
-        rows, least, kept = np.zeros((asking + 2 * size, size)), np.empty(asking + 2 * size), 0
-        for m in range(count):
-            i, j = first[m], second[m]
-            span = abs(G[r, m, 0]) + abs(G[r, m, 1]) + abs(G[r, m, 2])
-            if bound[r, m] <= -limit * span * (2 if j >= 0 else 1):
-                continue  # holds for every admissible input
-            for k in range(3):
-                rows[kept, 3 * i + k] = G[r, m, k]
-                if j >= 0:
-                    rows[kept, 3 * j + k] = -G[r, m, k]
-            least[kept] = bound[r, m]
-            kept += 1
-        found = np.empty(size)
-        done[r] = 1 if _nearest(rows, least, kept, desired[r].ravel(), limit, found) else 2
-        if done[r] == 1:
+            asking[m] = not bound[r, m] <= -limit * span * (2 if j >= 0 else 1)
+        if not met:
+            kept, found = np.flatnonzero(asking), np.empty(size)
+            rows, least = np.zeros((len(kept) + 2 * size, size)), np.empty(len(kept) + 2 * size)
+            for at in range(len(kept)):
+                m, least[at] = kept[at], bound[r, kept[at]]
+                i, j = first[m], second[m]
+                for k in range(3):
+                    rows[at, 3 * i + k] = G[r, m, k]
+                    if j >= 0:
+                        rows[at, 3 * j + k] = -G[r, m, k]
+            if not _nearest(rows, least, len(kept), desired[r].copy().reshape(size), limit, found):
+                status[r], left = LEFT, left + 1
+                continue
             u[r] = found.reshape(deputies, 3)
-    return done
+        for i in range(deputies):
+            same = (u[r, i] == desired[r, i]).all()
+            status[r, i] = DESIRED if same else FILTERED
+    return u, status, left
+
+
+@compiled
+def _clip(desired: Array, limit: float, u: Array) -> bool:
+    """Clip an input to the limits; whether that leaves it as it is."""
+    same = True
+    for k in range(3):
+        u[k] = min(max(desired[k], -limit), limit)
+        same = same and u[k] == desired[k]
+    return same
+
+
+@compiled
+def tight(
+    G: Array, bound: Array, first: Array, second: Array, u: Array, within: float
+) -> Array:
+    """Rows (of one run) that an input (N, 3) meets with equality, but for `within` times their size."""
+    found, count = np.empty(len(first), np.int64), 0
+    for m in range(len(first)):
+        gap, size = -bound[m], 0.0
+        for k in range(3):
+            gap += G[m, k] * (u[first[m], k] - (u[second[m], k] if second[m] >= 0 else 0.0))
+            size += abs(G[m, k])
+        if gap <= within * size:
+            found[count] = m
+            count += 1
+    return found[:count]
 
 
 @compiled

@@ -86,7 +86,7 @@ class Families(Table):
         self._rank = np.array([KINDS[name].rank for name in self.family], dtype=np.intp)
         self.loops = loops("polaris.inspection.loops") if sampled is None else None
         if self.loops:
-            self._table, self._values, self._numbers = self._for_loops()
+            self._fixed = self._for_loops()
 
     def _beyond(self, q: Inspection, approach: ClosestApproach) -> float:
         """From which value on a passive constraint allows every input: it then need not be exact."""
@@ -96,8 +96,16 @@ class Families(Table):
         drift = 2 * q.distance_max * per_metre + 2 * np.sqrt(3) * q.speed_max * per_speed
         return max(self.alpha[name].reaches(thrust + 2 * drift) for name in ("passive", "deputy_passive"))
 
-    def _for_loops(self) -> tuple[Index, Array, Array]:
-        """The arguments `table`, `values` and `numbers` of `polaris.inspection.loops.rows`."""
+    def _by_loops(self, x: Array, sun: Array) -> Rows:
+        lead = x.shape[:-2]
+        if x.ndim == 3 and sun.shape == lead:
+            return Rows(*self.loops.rows(x, sun, *self._fixed))
+        sun = np.broadcast_to(sun, lead).reshape(-1)
+        found = self.loops.rows(x.reshape(-1, *x.shape[-2:]), sun, *self._fixed)
+        return Rows(*(part.reshape(lead + part.shape[1:]) for part in found))
+
+    def _for_loops(self) -> tuple[Array, ...]:
+        """The arguments after the first two of `polaris.inspection.loops.rows`."""
         q, exact = self.inspection, np.inf
         table, values = [], np.zeros((len(self.family), 9))
         for group in self.groups:
@@ -112,7 +120,8 @@ class Families(Table):
         values[:, 3:] = np.array(self._alpha).T
         about_rows = (q.mean_motion, 1 / q.mass, q.smoothing, q.return_speed, q.field_of_view / 2)
         about_speeds = (CENTRE, STANDSTILL, q.docking_speed, q.nu_1, q.speed_max, exact)
-        return np.stack([table, self.place], axis=1), values, np.array(about_rows + about_speeds)
+        numbers = np.array(about_rows + about_speeds)
+        return q.pairs, np.stack([table, self.place], axis=1), values, numbers, self.approach.numbers
 
     def rank(self, h: Array) -> Index:
         """Which row gives way to which, least last; shape (..., M) as h.
@@ -135,11 +144,7 @@ class Families(Table):
         """Barrier conditions at states of shape (..., N, 6) and sun angles of shape (...) [rad]."""
         q = self.inspection
         if self.loops:
-            lead = x.shape[:-2]
-            x, sun = x.reshape(-1, *x.shape[-2:]), np.broadcast_to(sun, lead).reshape(-1)
-            fixed = q.pairs, self._table, self._values, self._numbers, self.approach.numbers
-            found = self.loops.rows(np.ascontiguousarray(x), sun, *fixed)
-            return Rows(*(part.reshape(lead + part.shape[1:]) for part in found))
+            return self._by_loops(np.ascontiguousarray(x), np.asarray(sun, dtype=float))
         every = self.stack(x)
         drift = every @ q.system.A.T
         sun = np.asarray(sun)[..., None]
