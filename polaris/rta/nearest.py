@@ -17,6 +17,9 @@ PRIMAL = 1e-11
 DESIRED, FILTERED, LEFT = 0, 1, -1
 """How an input came about: as in `polaris.rta.projection`, or left to the solver."""
 
+Program = tuple[Array, Array, Array]
+"""Rows by their entries that may be other than zero (T, w), the columns of these, and least values (T,)."""
+
 MET = 1e-13
 """Violation of a row of length 1 at which the method stops."""
 
@@ -32,7 +35,7 @@ def alone(
     """
     runs, deputies, count = desired.shape[0], desired.shape[1], mine.shape[1]
     u, status, left = np.empty(desired.shape), np.zeros((runs, deputies), np.int8), 0
-    rows, least = np.empty((count + 6, 3)), np.empty(count + 6)
+    rows, columns, least = np.empty((count + 6, 3)), np.empty((count + 6, 3), np.int64), np.empty(count + 6)
     for r in range(runs):
         for i in range(deputies):
             met, kept = True, 0
@@ -46,9 +49,10 @@ def alone(
                 least[kept] = bounds[0 if sign[i, k] > 0 else 1, r, m]
                 met = met and value >= least[kept]
                 if not least[kept] <= -limit * span:  # the others hold for every admissible input
+                    columns[kept] = 0, 1, 2
                     kept += 1
             if not met:
-                good = _nearest(rows, least, kept, desired[r, i], limit, u[r, i])
+                good = _nearest((rows, columns, least), kept, desired[r, i], limit, u[r, i])
                 status[r, i], left = (FILTERED, left) if good else (LEFT, left + 1)
     return u, status, left
 
@@ -74,15 +78,15 @@ def coupled(
             asking[m] = not bound[r, m] <= -limit * span * (2 if j >= 0 else 1)
         if not met:
             kept, found = np.flatnonzero(asking), np.empty(size)
-            rows, least = np.zeros((len(kept) + 2 * size, size)), np.empty(len(kept) + 2 * size)
+            rows, least = np.zeros((len(kept) + 2 * size, 6)), np.empty(len(kept) + 2 * size)
+            columns = np.empty(rows.shape, np.int64)
             for at in range(len(kept)):
                 m, least[at] = kept[at], bound[r, kept[at]]
                 i, j = first[m], second[m]
                 for k in range(3):
-                    rows[at, 3 * i + k] = G[r, m, k]
-                    if j >= 0:
-                        rows[at, 3 * j + k] = -G[r, m, k]
-            if not _nearest(rows, least, len(kept), desired[r].copy().reshape(size), limit, found):
+                    rows[at, k], columns[at, k] = G[r, m, k], 3 * i + k
+                    rows[at, 3 + k], columns[at, 3 + k] = (-G[r, m, k] if j >= 0 else 0.0), 3 * max(j, 0) + k
+            if not _nearest((rows, columns, least), len(kept), desired[r].copy().reshape(size), limit, found):
                 status[r], left = LEFT, left + 1
                 continue
             u[r] = found.reshape(deputies, 3)
@@ -120,61 +124,80 @@ def tight(
 
 
 @compiled
-def _nearest(rows: Array, least: Array, count: int, desired: Array, limit: float, found: Array) -> bool:
-    """Goldfarb and Idnani's method; the last 2 v of the rows are filled with the limits."""
-    size, total = len(desired), count + 2 * len(desired)
-    rows, least = rows[:total], least[:total]
-    for k in range(size):
-        if not np.isfinite(desired[k]):
-            return False
+def _nearest(program: Program, count: int, desired: Array, limit: float, found: Array) -> bool:
+    """Goldfarb and Idnani's method (1983); the limits are filled in behind the first `count` rows."""
+    size, (rows, columns, least) = len(desired), program
+    if not np.isfinite(desired).all():
+        return False
     for m in range(count):
-        length = 0.0
-        for k in range(size):
-            length += rows[m, k] ** 2
-        length = np.sqrt(length)
+        length = np.sqrt((rows[m] * rows[m]).sum())
         if not (np.isfinite(length) and np.isfinite(least[m]) and length > 1e-100):
             return False
         least[m] /= length
-        for k in range(size):
-            rows[m, k] /= length
+        rows[m] /= length
+    total = count + 2 * size
     for m in range(count, total):
-        k = m - count
-        rows[m] = 0.0
-        rows[m, k // 2], least[m] = 1.0 if k % 2 else -1.0, -limit
+        rows[m], columns[m], least[m] = 0.0, (m - count) // 2, -limit
+        rows[m, 0] = 1.0 if (m - count) % 2 else -1.0
     u, active, held = desired.copy(), np.empty(size, np.int64), 0
-    force, factor = np.zeros(size + 1), np.empty((size, size))
+    force, factor = np.zeros(size), np.empty((size, size))
     for _ in range(20 * size + 20):
         entering, short = -1, MET
         for m in range(total):
-            gap = least[m]
-            for k in range(size):
-                gap -= rows[m, k] * u[k]
+            gap = least[m] - _dot(program, m, u)
             if gap > short:
                 entering, short = m, gap
         if entering < 0:
-            return _accepted(rows, least, desired, limit, u, active[:held], force, found)
-        held = _enter(rows, entering, short, u, active, held, force, factor)
+            return _accepted(program, total, desired, limit, u, active[:held], force, found)
+        held = _enter(program, entering, short, u, active, held, force, factor)
         if held < 0:
             return False
     return False
 
 
 @compiled
+def _dot(program: Program, m: int, vector: Array) -> float:
+    value = 0.0
+    for k in range(program[0].shape[1]):
+        value += program[0][m, k] * vector[program[1][m, k]]
+    return value
+
+
+@compiled
+def _add(program: Program, m: int, times: float, vector: Array) -> None:
+    for k in range(program[0].shape[1]):
+        vector[program[1][m, k]] += times * program[0][m, k]
+
+
+@compiled
 def _enter(
-    rows: Array, entering: int, short: float, u: Array, active: Array, held: int, force: Array, factor: Array
+    program: Program,
+    entering: int,
+    short: float,
+    u: Array,
+    active: Array,
+    held: int,
+    force: Array,
+    factor: Array,
 ) -> int:
-    """Take in a row that is missed by `short`; rows whose force would change its sign leave. -1 if it cannot."""
+    """Take in a row that is missed by `short`; rows whose force would change its sign leave.
+
+    `factor` is the Cholesky factor of the products of the active rows. Returned is how many are active, -1 if
+    the row cannot be met.
+    """
     size, new = len(u), 0.0
-    share, step = np.empty(size), np.empty(size)
+    own, share, step = np.zeros(size), np.empty(size), np.empty(size)
+    _add(program, entering, 1.0, own)
     while True:
-        _shares(rows, entering, active, held, factor, share)
-        for k in range(size):
-            step[k] = rows[entering, k]
-            for a in range(held):
-                step[k] -= share[a] * rows[active[a], k]
-        gain, leaves, move = 0.0, -1, np.inf
-        for k in range(size):
-            gain += step[k] * step[k]
+        solved = _factored(program, own, active, held, factor)
+        step[:] = own
+        for a in range(held - 1, -1, -1):
+            share[a] = solved[a]
+            for b in range(a + 1, held):
+                share[a] -= factor[b, a] * share[b]
+            share[a] /= factor[a, a]
+            _add(program, active[a], -share[a], step)
+        gain, leaves, move = (step * step).sum(), -1, np.inf
         for a in range(held):
             if share[a] > 1e-12 and force[a] / share[a] < move:
                 leaves, move = a, force[a] / share[a]
@@ -182,67 +205,60 @@ def _enter(
         length = min(move, full)
         if not length < 1e12:
             return -1
-        for a in range(held):
-            force[a] -= length * share[a]
+        force[:held] -= length * share[:held]
         new += length
         if full < np.inf:
-            for k in range(size):
-                u[k] += length * step[k]
+            u += length * step
             short -= length * gain
         if full <= move:
-            active[held], force[held] = entering, new
+            active[held], force[held], factor[held, :held] = entering, new, solved[:held]
+            factor[held, held] = np.sqrt(gain)
             return held + 1
-        for a in range(leaves, held - 1):
-            active[a], force[a] = active[a + 1], force[a + 1]
         held -= 1
+        active[leaves:held], force[leaves:held] = active[leaves + 1 : held + 1], force[leaves + 1 : held + 1]
+        for a in range(leaves, held):
+            one = np.zeros(size)
+            _add(program, active[a], 1.0, one)
+            factor[a, :a] = _factored(program, one, active, a, factor)[:a]
+            factor[a, a] = np.sqrt(max((one * one).sum() - (factor[a, :a] ** 2).sum(), 1e-30))
 
 
 @compiled
-def _dot(a: Array, b: Array) -> float:
-    value = 0.0
-    for k in range(len(a)):
-        value += a[k] * b[k]
-    return value
-
-
-@compiled
-def _shares(rows: Array, entering: int, active: Array, held: int, factor: Array, share: Array) -> None:
-    """Least squares: the entering row as a sum of the active ones, by their Gram matrix's Cholesky factor."""
+def _factored(program: Program, vector: Array, active: Array, held: int, factor: Array) -> Array:
+    """Products of a vector with the active rows, forward through their factor."""
+    solved = np.empty(len(vector))
     for a in range(held):
-        for b in range(a + 1):
-            value = _dot(rows[active[a]], rows[active[b]])
-            for c in range(b):
-                value -= factor[a, c] * factor[b, c]
-            factor[a, b] = np.sqrt(max(value, 1e-30)) if a == b else value / factor[b, b]
-        value = _dot(rows[active[a]], rows[entering])
-        for c in range(a):
-            value -= factor[a, c] * share[c]
-        share[a] = value / factor[a, a]
-    for a in range(held - 1, -1, -1):
-        for c in range(a + 1, held):
-            share[a] -= factor[c, a] * share[c]
-        share[a] /= factor[a, a]
+        value = _dot(program, active[a], vector)
+        for b in range(a):
+            value -= factor[a, b] * solved[b]
+        solved[a] = value / factor[a, a]
+    return solved
 
 
 @compiled
 def _accepted(
-    rows: Array, least: Array, desired: Array, limit: float, u: Array, active: Array, force: Array, found: Array
+    program: Program,
+    total: int,
+    desired: Array,
+    limit: float,
+    u: Array,
+    active: Array,
+    force: Array,
+    found: Array,
 ) -> bool:
     """Write down what satisfies all rows and is the desired input but for forces along active ones."""
+    moved, (_, _, least) = desired.copy(), program
+    for a in range(len(active)):
+        _add(program, active[a], force[a], moved)
     for k in range(len(u)):
-        moved = desired[k]
-        for a in range(len(active)):
-            moved += force[a] * rows[active[a], k]
-        if not abs(moved - u[k]) <= 1e-9 * (limit + abs(desired[k])):
+        if not abs(moved[k] - u[k]) <= 1e-9 * (limit + abs(desired[k])):
             return False
         u[k] = min(max(u[k], -limit), limit)
-    for m in range(len(rows)):
-        gap = least[m] - _dot(rows[m], u)
-        if not gap <= PRIMAL:
+    for m in range(total):
+        if not least[m] - _dot(program, m, u) <= PRIMAL:
             return False
     for a in range(len(active)):
-        gap = least[active[a]] - _dot(rows[active[a]], u)
-        if force[a] < -1e-12 or abs(gap) > 1e-9 * (1 + limit):
+        if force[a] < -1e-12 or abs(least[active[a]] - _dot(program, active[a], u)) > 1e-9 * (1 + limit):
             return False
     found[:] = u
     return True
