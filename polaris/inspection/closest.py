@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..model.compiled import loops
+from ..model.compiled import loops, plain
 from ..model.hill import free_flight
 from ..model.system import Array
 from .vectors import dot
@@ -123,7 +123,8 @@ class ClosestApproach:
         )
         self.loops = loops("polaris.inspection.loops")
         angle = mean_motion * self.times
-        self.numbers = np.array([(mean_motion, *self.speed_gain), *zip(self.times, np.cos(angle), np.sin(angle))])
+        instants = np.stack([self.times, 2 * np.sin(angle / 2) ** 2, np.sin(angle)], axis=1)
+        self.numbers = np.vstack([[mean_motion, *self.speed_gain], instants])
 
     def __call__(self, z: Array, beyond: float = np.inf) -> Approach:
         """Find the closest approach of every flight from states (..., 6).
@@ -132,7 +133,7 @@ class ClosestApproach:
         """
         flat, shape = z.reshape(-1, 6), z.shape[:-1]
         if self.loops:
-            distance, when, place = self.loops.approaches(np.ascontiguousarray(flat), beyond, self.numbers)
+            distance, when, place = self.loops.approaches(plain(flat), float(beyond), self.numbers)
             return Approach(distance.reshape(shape), when.reshape(shape), place.reshape(*shape, 3))
         found = [self._block(flat[k : k + BLOCK], beyond) for k in range(0, max(len(flat), 1), BLOCK)]
         distance, when, place = found[0] if len(found) == 1 else map(np.concatenate, zip(*found, strict=True))

@@ -157,7 +157,7 @@ def _passive(z: Array, radius: float, beyond: float, flight: Array, gradient: Ar
     if distance <= beyond:  # beyond, the row allows every input
         n, o = flight[0, 0], np.empty(3)
         s, c = np.sin(n * when), np.cos(n * when)
-        _position(_parts(z, n), when, c, s, o)
+        _position(_parts(z, n), when, 2 * np.sin(n * when / 2) ** 2, s, o)
         _, by = _rounded(o[0], o[1], o[2], 1e-9)
         o /= by
         gradient[0], gradient[1] = o[0] * (4 - 3 * c) + o[1] * 6 * (s - n * when), o[1]
@@ -174,15 +174,19 @@ def approaches(z: Array, beyond: float, flight: Array) -> tuple[Array, Array, Ar
     n = flight[0, 0]
     for k in range(len(z)):
         distance[k], when[k] = closest(z[k], beyond, flight)
-        _position(_parts(z[k], n), when[k], np.cos(n * when[k]), np.sin(n * when[k]), place[k])
+        angle = n * when[k]
+        _position(_parts(z[k], n), when[k], 2 * np.sin(angle / 2) ** 2, np.sin(angle), place[k])
     return distance, when, place
 
 
 @compiled
 def _parts(z: Array, n: float) -> Array:
-    """As `polaris.inspection.closest.flight_parts`, of one flight: (4, 3)."""
+    """As `polaris.inspection.closest.flight_parts`, of one flight, but first where it starts: (4, 3).
+
+    ``p(t) = p(0) + b t - c (1 - cos(n t)) + d sin(n t)`` has no differences of large numbers where n is small.
+    """
     parts = np.zeros((4, 3))
-    parts[0, 0], parts[0, 1] = 4 * z[0] + 2 / n * z[4], z[1] - 2 / n * z[3]
+    parts[0] = z[:3]
     parts[1, 1] = -6 * n * z[0] - 3 * z[4]
     parts[2, 0], parts[2, 1], parts[2, 2] = -3 * z[0] - 2 / n * z[4], 2 / n * z[3], z[2]
     parts[3, 0], parts[3, 1], parts[3, 2] = z[3] / n, 6 * z[0] + 4 / n * z[4], z[5] / n
@@ -190,19 +194,19 @@ def _parts(z: Array, n: float) -> Array:
 
 
 @compiled
-def _position(parts: Array, t: float, cosine: float, sine: float, place: Array) -> None:
+def _position(parts: Array, t: float, versine: float, sine: float, place: Array) -> None:
     for j in range(3):
-        place[j] = parts[0, j] + parts[1, j] * t + parts[2, j] * cosine + parts[3, j] * sine
+        place[j] = parts[0, j] + parts[1, j] * t - parts[2, j] * versine + parts[3, j] * sine
 
 
 @compiled
 def _ends(parts: Array, n: float, t: float) -> tuple[float, float, float, float]:
     """Half the squared distance at a time, its rate and its bend; the squared speed."""
-    sine, cosine = np.sin(n * t), np.cos(n * t)
+    sine, cosine, versine = np.sin(n * t), np.cos(n * t), 2 * np.sin(n * t / 2) ** 2
     half = rate = bend = speed = 0.0
     for j in range(3):
         circle = parts[2, j] * cosine + parts[3, j] * sine
-        p = parts[0, j] + parts[1, j] * t + circle
+        p = parts[0, j] + parts[1, j] * t - parts[2, j] * versine + parts[3, j] * sine
         v = parts[1, j] + n * (parts[3, j] * cosine - parts[2, j] * sine)
         half, rate, bend, speed = half + p * p / 2, rate + p * v, bend - n**2 * p * circle, speed + v * v
     return half, rate, bend + speed, speed
@@ -212,7 +216,7 @@ def _ends(parts: Array, n: float, t: float) -> tuple[float, float, float, float]
 def closest(z: Array, beyond: float, flight: Array) -> tuple[float, float]:
     """Distance and time of the closest approach of one flight; beyond a distance only a bound on it.
 
-    `flight` (S + 2, 3) has the mean motion and the two gains of speed, then each instant, its cosine and sine.
+    `flight` (S + 2, 3) has n and the gains of speed, then of each instant t, 1 - cos(n t) and sin(n t).
     """
     n, count = flight[0, 0], len(flight) - 1
     parts, place, squares = _parts(z, n), np.empty(3), np.empty(count)

@@ -10,12 +10,23 @@ from importlib.util import find_spec
 from types import ModuleType
 from typing import Any, TypeVar
 
+import numpy as np
+
+from .system import Array
+
 Loop = TypeVar("Loop", bound=Callable[..., Any])
 
 
 def wanted() -> bool:
     """Whether compiled loops are to be used: numba is there, and POLARIS_COMPILED is not set to 0."""
     return find_spec("numba") is not None and os.environ.get("POLARIS_COMPILED", "1") != "0"
+
+
+def plain(x: Array) -> Array:
+    """Numbers in C order and writeable: for any others, compiled loops would be compiled anew."""
+    flags = x.flags
+    good = flags.c_contiguous and flags.writeable and x.dtype == np.float64
+    return x if good else np.array(x, dtype=np.float64, order="C")
 
 
 def compiled(loop: Loop) -> Loop:

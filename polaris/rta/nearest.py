@@ -7,6 +7,7 @@ program without a solution, is left to the solver.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..model.compiled import compiled
 from ..model.system import Array
@@ -17,7 +18,9 @@ PRIMAL = 1e-11
 DESIRED, FILTERED, LEFT = 0, 1, -1
 """How an input came about: as in `polaris.rta.projection`, or left to the solver."""
 
-Program = tuple[Array, Array, Array]
+Index = NDArray[np.int64]
+Statuses = NDArray[np.int8]
+Program = tuple[Array, Index, Array]
 """Rows by their entries that may be other than zero (T, w), the columns of these, and least values (T,)."""
 
 MET = 1e-13
@@ -26,15 +29,15 @@ MET = 1e-13
 
 @compiled
 def alone(
-    G: Array, bounds: Array, mine: Array, sign: Array, desired: Array, limit: float
-) -> tuple[Array, Array, int]:
+    G: Array, bounds: Array, mine: Index, sign: Array, desired: Array, limit: float
+) -> tuple[Array, Statuses, int]:
     """Project each deputy's input (R, N, 3) on its own rows: `mine` (N, m) of G (R, M, 3).
 
     `bounds` (2, R, M) are for a row's first deputy and for its second, whose `sign` (N, m) is negative.
     Returned are the inputs, how they came about (R, N), `LEFT` where they did not, and how many were left.
     """
     runs, deputies, count = desired.shape[0], desired.shape[1], mine.shape[1]
-    u, status, left = np.empty(desired.shape), np.zeros((runs, deputies), np.int8), 0
+    u, status, left = np.empty_like(desired), np.zeros((runs, deputies), np.int8), 0
     rows, columns, least = np.empty((count + 6, 3)), np.empty((count + 6, 3), np.int64), np.empty(count + 6)
     for r in range(runs):
         for i in range(deputies):
@@ -59,11 +62,11 @@ def alone(
 
 @compiled
 def coupled(
-    G: Array, bound: Array, first: Array, second: Array, desired: Array, limit: float
-) -> tuple[Array, Array, int]:
+    G: Array, bound: Array, first: Index, second: Index, desired: Array, limit: float
+) -> tuple[Array, Statuses, int]:
     """Project the inputs of all deputies together: ``G (u_first - u_second) >= bound``; as `alone`."""
     runs, deputies, count = desired.shape[0], desired.shape[1], len(first)
-    u, status, left, size = np.empty(desired.shape), np.zeros((runs, deputies), np.int8), 0, 3 * deputies
+    u, status, left, size = np.empty_like(desired), np.zeros((runs, deputies), np.int8), 0, 3 * deputies
     for r in range(runs):
         for i in range(deputies):
             _clip(desired[r, i], limit, u[r, i])
@@ -107,9 +110,7 @@ def _clip(desired: Array, limit: float, u: Array) -> bool:
 
 
 @compiled
-def tight(
-    G: Array, bound: Array, first: Array, second: Array, u: Array, within: float
-) -> Array:
+def tight(G: Array, bound: Array, first: Index, second: Index, u: Array, within: float) -> Index:
     """Rows (of one run) that an input (N, 3) meets with equality, but for `within` times their size."""
     found, count = np.empty(len(first), np.int64), 0
     for m in range(len(first)):
@@ -175,7 +176,7 @@ def _enter(
     entering: int,
     short: float,
     u: Array,
-    active: Array,
+    active: Index,
     held: int,
     force: Array,
     factor: Array,
@@ -224,7 +225,7 @@ def _enter(
 
 
 @compiled
-def _factored(program: Program, vector: Array, active: Array, held: int, factor: Array) -> Array:
+def _factored(program: Program, vector: Array, active: Index, held: int, factor: Array) -> Array:
     """Products of a vector with the active rows, forward through their factor."""
     solved = np.empty(len(vector))
     for a in range(held):
@@ -242,7 +243,7 @@ def _accepted(
     desired: Array,
     limit: float,
     u: Array,
-    active: Array,
+    active: Index,
     force: Array,
     found: Array,
 ) -> bool:

@@ -164,7 +164,7 @@ class Receiver:
         return Received(t, states, known, estimated, u, given, clipped, wanted, tuple(odd), steady)
 
     def _whole(self, t: float, x: Array, wanted: Array, within: bool, steady: bool) -> Received:
-        """Of a call in which nothing is missing or odd; whether the desired thrust is surely within the limits."""
+        """Of a call in which nothing is missing or odd; `within`: the desired thrust is within the limits."""
         self._x, self._t, self._seen = x, t, np.full(len(x), t)
         u, clipped = wanted, self._none
         if not within:

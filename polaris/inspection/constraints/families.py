@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...model.compiled import loops
+from ...model.compiled import loops, plain
 from ...model.errors import ScenarioError
 from ...model.system import Array
 from ..closest import ClosestApproach, map_norms
@@ -84,7 +85,7 @@ class Families(Table):
         super().__init__(inspection, "h", without, approach, sampled is not None, beyond)
         self._alpha = tuple(np.array([self.alpha[name].numbers for name in self.family]).T)
         self._rank = np.array([KINDS[name].rank for name in self.family], dtype=np.intp)
-        self.loops = loops("polaris.inspection.loops") if sampled is None else None
+        self.loops: Any = loops("polaris.inspection.loops") if sampled is None else None
         if self.loops:
             self._fixed = self._for_loops()
 
@@ -99,12 +100,12 @@ class Families(Table):
     def _by_loops(self, x: Array, sun: Array) -> Rows:
         lead = x.shape[:-2]
         if x.ndim == 3 and sun.shape == lead:
-            return Rows(*self.loops.rows(x, sun, *self._fixed))
-        sun = np.broadcast_to(sun, lead).reshape(-1)
+            return Rows(*self.loops.rows(x, plain(sun), *self._fixed))
+        sun = np.array(np.broadcast_to(sun, lead)).reshape(-1)
         found = self.loops.rows(x.reshape(-1, *x.shape[-2:]), sun, *self._fixed)
         return Rows(*(part.reshape(lead + part.shape[1:]) for part in found))
 
-    def _for_loops(self) -> tuple[Array, ...]:
+    def _for_loops(self) -> tuple[Array | Index, ...]:
         """The arguments after the first two of `polaris.inspection.loops.rows`."""
         q, exact = self.inspection, np.inf
         table, values = [], np.zeros((len(self.family), 9))
@@ -144,7 +145,7 @@ class Families(Table):
         """Barrier conditions at states of shape (..., N, 6) and sun angles of shape (...) [rad]."""
         q = self.inspection
         if self.loops:
-            return self._by_loops(np.ascontiguousarray(x), np.asarray(sun, dtype=float))
+            return self._by_loops(plain(x), np.asarray(sun, dtype=float))
         every = self.stack(x)
         drift = every @ q.system.A.T
         sun = np.asarray(sun)[..., None]

@@ -56,6 +56,10 @@ class ActiveSetFilter(CallByCall):
         self._nobody = np.zeros(self.inspection.deputies, dtype=bool)
         self._nobody.flags.writeable = False
         super().__init__(self.inspection, None if sampled is None else sampled.period)
+        if filtering.loops:  # what compiles them, or reads them from disk, is not left to the first decision
+            still = np.zeros((1, self.inspection.deputies, 6))
+            found = filtering.batch(still, np.zeros(1), still[..., :3].copy())
+            self._active(found.rows, np.zeros_like(found.u[0]))
 
     def reset(self) -> None:
         """Forget the last states: a new flight begins."""

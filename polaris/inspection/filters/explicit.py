@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ...model.compiled import loops
+from ...model.compiled import loops, plain
 from ...model.errors import ScenarioError
 from ...model.system import Array
 from ...rta.projection import DESIRED, FAILED, FILTERED, SHORT, project, project_coupled
@@ -68,8 +68,8 @@ class Centralized:
         families, limit = self.families, self.families.inspection.thrust_max
         who = families.first, families.second
         if self.loops:
-            desired = np.ascontiguousarray(desired)
-            u, status, left = self.loops.coupled(rows.G, rows.bound, *who, desired, limit)
+            G, bound, desired = plain(rows.G), plain(rows.bound), plain(desired)
+            u, status, left = self.loops.coupled(G, bound, *who, desired, limit)
             if not left:
                 return u, status
             runs = np.flatnonzero(status[:, 0] == LEFT)
@@ -118,7 +118,7 @@ class Decentralized:
         limit = self.families.inspection.thrust_max
         bounds, agreed = self._shares(rows, desired.shape[1])
         if self.loops:
-            which = self._mine, self._sign, np.ascontiguousarray(desired)
+            which = self._mine, self._sign, plain(desired)
             u, status, left = self.loops.alone(rows.G, bounds, *which, limit)
             if agreed is None and not left:
                 return Filtered(u, status, rows)
@@ -142,7 +142,7 @@ class Decentralized:
         return Filtered(u, status, rows)
 
     def _shares(self, rows: Rows, deputies: int) -> tuple[Array, Statuses | None]:
-        """Bounds for a row's first and second deputy, (2, R, M); status of what was agreed on, if it was, (R,)."""
+        """Bounds for a row's first and second deputy, (2, R, M); the status of what was agreed, (R,)."""
         bound = rows.bound
         if self.sharing == "coasting":
             return np.stack([bound, bound]), None
