@@ -183,7 +183,7 @@ def approaches(z: Array, beyond: float, flight: Array) -> tuple[Array, Array, Ar
 def _parts(z: Array, n: float) -> Array:
     """As `polaris.inspection.closest.flight_parts`, of one flight, but first where it starts: (4, 3).
 
-    ``p(t) = p(0) + b t - c (1 - cos(n t)) + d sin(n t)`` has no differences of large numbers where n is small.
+    ``p(t) = p(0) + b t - c (1 - cos(n t)) + d sin(n t)`` has no differences of large numbers.
     """
     parts = np.zeros((4, 3))
     parts[0] = z[:3]

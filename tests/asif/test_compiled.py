@@ -87,6 +87,7 @@ def test_programs_are_answered_as_by_the_solver_or_left(seed, coupled):
         assert np.abs(u).max() <= 1.0
 
 
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")  # as they stand, the loops say so
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 def test_what_is_no_number_is_left(bad):
     G, bound, desired = np.diag([1.0, 1.0, -1.0])[None], np.full((1, 3), 0.5), np.zeros((1, 1, 3))
