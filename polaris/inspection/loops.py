@@ -15,8 +15,7 @@ SPHERE, CONE, PASSIVE, SPEED, VELOCITY = range(5)
 FORMULAS = {"Radial": SPHERE, "SunCone": CONE, "Passive": PASSIVE, "Speed": SPEED, "Velocity": VELOCITY}
 """Formulas of rows, by the class that is their account."""
 
-TOLERANCE, NEWTON, HALVINGS = 1e-6, 40, 40
-"""As in `polaris.inspection.closest`."""
+TOLERANCE, NEWTON, HALVINGS = 1e-6, 40, 40  # as in `polaris.inspection.closest`
 
 
 @compiled
