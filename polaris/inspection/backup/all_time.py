@@ -27,6 +27,8 @@ class AllTime:
         Distances, phi4 and phi5 among them, in m; speeds in m/s.
     first, second : ndarray of int, shape (M,)
         The deputies of each; the second is -1 where there is one only.
+    about_speed, about_thrust : ndarray of bool, shape (M,)
+        Which are not distances.
     """
 
     def __init__(self, brake: Brake, sun_start: float = 0.0) -> None:
@@ -43,6 +45,8 @@ class AllTime:
         rows += [(name, *pair) for name in both[1] for pair in q.pairs]
         self.first, self.second = (np.array([row[k] for row in rows], dtype=np.intp) for k in (1, 2))
         self.labels = tuple(f"{name}[{i}]" if j < 0 else f"{name}[{i},{j}]" for name, i, j in rows)
+        self.about_speed = np.array([row[0] in ("phi3", "phi9", "phi10", "phi11") for row in rows])
+        self.about_thrust = np.array([row[0] == "thrust" for row in rows])
         self._paired = places[:, 1] >= 0
         self._twice = np.where(self._paired, 2.0, 1.0)
         self._radius = np.where(self._paired, q.deputy_separation, q.separation)
