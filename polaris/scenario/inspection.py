@@ -19,10 +19,11 @@ from .filter_tables import FAMILY_NAMES, Alpha, FlightFilter
 from .reading import did_you_mean
 
 if TYPE_CHECKING:
+    from ..inspection.backup.brake import Uncertainty
     from ..inspection.backup.law import Law
     from ..inspection.constraints.families import Families
     from ..inspection.flights.primary import Primary
-    from ..inspection.flights.simulation import BatchFilter
+    from ..inspection.flights.simulation import BatchFilter, Errors
     from ..model.system import Array
 
 
@@ -82,7 +83,13 @@ class FilteredScenario(InspectionScenario):
 
     def filter(self, spec: FlightFilter, period: float) -> BatchFilter:
         """The filter that a table describes."""
-        return spec.build(self.inspection(), self.strengthening(), period)
+        return spec.build(self.inspection(), self.strengthening(), period, self.uncertainty())
+
+    def uncertainty(self) -> Uncertainty:
+        """What is not known exactly; nothing, where the scenario has no tables of it."""
+        from ..inspection.backup.brake import Uncertainty
+
+        return Uncertainty()
 
     def _check_filter(self, path: str, spec: FlightFilter, table: str, period: float) -> None:
         """Build a filter once: the conditions between samples bound the control period."""
@@ -158,6 +165,26 @@ class FlightScenario(FilteredScenario):
             return np.array(given.states, dtype=float), float(np.radians(given.sun_angle_deg))
         x, sun = InitialConditions(self.families(), given.seed, block=1024).first(1)
         return x[0], float(sun[0])
+
+    def uncertainty(self) -> Uncertainty:
+        """What is not known exactly."""
+        from ..inspection.backup.brake import Uncertainty
+
+        navigation, thrusters = self.model.navigation, self.model.thrusters
+        with in_file_terms("navigation", navigation):
+            return Uncertainty(
+                navigation.position_error_m,
+                navigation.velocity_error_m_s,
+                self.model.flight.disturbance_max_m_s2,
+                thrusters.magnitude_error,
+            )
+
+    def errors(self) -> Errors | None:
+        """What errors are flown, if any."""
+        from ..inspection.flights.simulation import Errors
+
+        unknown = self.uncertainty()
+        return None if unknown.exact else Errors(unknown, self.inspection(), self.model.flight.errors_seed)
 
     def primary(self) -> Primary:
         """The primary controller, phase by phase."""

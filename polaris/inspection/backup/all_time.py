@@ -5,11 +5,13 @@ The lemmas are those of ``docs/inspection-theory.md``, section 6.
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import numpy as np
 
 from ...model.system import Array
 from ..closest import ClosestApproach, circle_map, map_norms
-from ..inspection import Inspection
+from ..constraints.catalogue import KINDS
 from ..vectors import dot, length
 from .brake import TOLERANCE, Brake, turned
 
@@ -31,7 +33,7 @@ class AllTime:
         Which are not distances.
     """
 
-    def __init__(self, brake: Brake, sun_start: float = 0.0) -> None:
+    def __init__(self, brake: Brake, sun_start: float = 0.0, without: Collection[str] = ()) -> None:
         self.brake, self.inspection, self.sun_start = brake, brake.inspection, sun_start
         q = self.inspection
         self.approach = ClosestApproach(q.mean_motion, q.passive_time)
@@ -43,6 +45,9 @@ class AllTime:
         single = [*both[0], "phi6", "phi3", "phi9", "phi10", "phi11", "thrust"]
         rows = [(name, *place) for name in single for place in alone]
         rows += [(name, *pair) for name in both[1] for pair in q.pairs]
+        left_out = {name for family in without for name in KINDS[family].phi}
+        self._counted = np.array([row[0].rstrip("+-") not in left_out for row in rows])
+        rows = [row for row, counted in zip(rows, self._counted, strict=True) if counted]
         self.first, self.second = (np.array([row[k] for row in rows], dtype=np.intp) for k in (1, 2))
         self.labels = tuple(f"{name}[{i}]" if j < 0 else f"{name}[{i},{j}]" for name, i, j in rows)
         self.about_speed = np.array([row[0] in ("phi3", "phi9", "phi10", "phi11") for row in rows])
@@ -82,7 +87,7 @@ class AllTime:
         passive = self._passive(z, bow_hill, jolt)
         alone = [clear[:N], passive[:N], cones[0][:N], inside, speed, *axes.T, thrust]
         of_pairs = [clear[N:], passive[N:], cones[0][N:], cones[1][N:]]
-        return np.concatenate([*alone, *of_pairs])
+        return np.concatenate([*alone, *of_pairs])[self._counted]
 
     def _bows(self, z: Array) -> tuple[Array, Array, Array]:
         """Lemma 4: how far flights leave the chords between samples, shape (N + P,) each.

@@ -54,6 +54,11 @@ class Uncertainty:
         for name, unit in units.items():
             non_negative(name, getattr(self, name), unit)
 
+    @property
+    def exact(self) -> bool:
+        """Whether nothing is unknown."""
+        return self == Uncertainty()
+
 
 @dataclass(frozen=True)
 class Tube:
@@ -103,7 +108,6 @@ class Brake:
         self.resting = np.vstack([np.eye(3), self.spin])
         omega = 1 / max(10.0, 5 * D)
         self.gain = -q.mass * np.hstack([omega**2 * np.eye(3), 2 * omega * np.eye(3)])
-        self.still = bool(self.uncertainty == Uncertainty())
         self.tube = self._tube()
         self.available = q.thrust_max - self.tube.feedback
         self.holding = float(length(self._hold @ self.resting).max())  # N per axis and metre

@@ -74,7 +74,7 @@ class Assured(CallByCall):
         able = got.known & got.given
         proposed, who = self._proposal(got, able, backup)
         u, found, flown = self._tried(got, x, proposed, who & able, backup, kept)
-        sure = found.good and bool((got.known | self.brake.still).all()) and bool(got.estimated.all())
+        sure = found.good and bool((got.known | self.brake.uncertainty.exact).all()) and bool(got.estimated.all())
         if not sure:
             notes.append("no plan is known to be safe for all time")
         self._plan = Proven(self.brake.extended(found.plan, 3)[1:], found.margins) if sure else None
