@@ -12,6 +12,7 @@ import numpy as np
 from ...model.system import Array
 from ..closest import ClosestApproach, circle_map, map_norms
 from ..constraints.catalogue import KINDS
+from ..constraints.table import Index
 from ..vectors import dot, length
 from .brake import TOLERANCE, Brake, turned
 
@@ -57,8 +58,11 @@ class AllTime:
         self._radius = np.where(self._paired, q.deputy_separation, q.separation)
         self._gains = _gains(self.approach)
 
-    def __call__(self, t: float, x: Array) -> Array:
-        """Lower bounds (M,) over all time from t [s] on, of plans x (L+1, N, 6) that end at rest."""
+    def __call__(self, t: float, x: Array, age: Index) -> Array:
+        """Lower bounds (M,) over all time from t [s] on, of plans x (L+1, N, 6) that end at rest.
+
+        They were made `age` (N,) periods ago.
+        """
         q, brake, N = self.inspection, self.brake, self.inspection.deputies
         D, n, tube, pairs = brake.period, q.mean_motion, brake.tube, q.pairs
         z = np.concatenate([x, x[:, pairs[:, 0]] - x[:, pairs[:, 1]]], axis=1)
@@ -66,20 +70,20 @@ class AllTime:
         turn = np.stack([turned(n * D * k) for k in range(len(x))])
         at = np.einsum("kij,kmj->kmi", turn, z[..., :3])
         bow, bow_hill, jolt = self._bows(z)
-        wide = tube.position * self._twice
+        astray, slip = tube.during(age, len(x))
+        wide = np.concatenate([astray, astray[:, pairs[:, 0]] + astray[:, pairs[:, 1]]], axis=1)
         r, closest = _convex(at, length(at), _units(at), bow)
-        clear = closest.min(axis=0) - wide - self._radius
+        clear = (closest - wide).min(axis=0) - self._radius
         sun = q.sun_angle(t, self.sun_start)
-        cones = [self._cone(at, float(sun), side, bow).min(axis=0) - wide for side in (1.0, -1.0)]
-        inside = q.distance_max - r[:, :N].max(axis=0) - bow[:N] - tube.position
-        fastest = _over_periods(length(x[..., 3:])) + jolt[:N] + tube.velocity
-        allowed = q.docking_speed + q.nu_1 * (closest[:, :N] - tube.position)
+        cones = [(self._cone(at, float(sun), side, bow) - wide).min(axis=0) for side in (1.0, -1.0)]
+        inside = q.distance_max - (_over_periods(r[:, :N]) + astray).max(axis=0) - bow[:N]
+        fastest = _over_periods(length(x[..., 3:])) + jolt[:N] + slip
+        allowed = q.docking_speed + q.nu_1 * (closest[:, :N] - astray)
         speed = (allowed - fastest).min(axis=0)
-        along = np.abs(x[..., 3:]).max(axis=0)
+        along = _over_periods(np.abs(x[..., 3:]))
         # Held, a deputy turns about z: each axis of the plane comes to have its whole speed.
-        along[:, :2] = np.maximum(along[:, :2], n * length(x[-1, :, :2])[:, None])
-        along = along + jolt[:N, None] + tube.velocity
-        axes = q.speed_max**2 - along**2
+        along[-1, :, :2] = n * length(x[-1, :, :2])[:, None]
+        axes = q.speed_max**2 - ((along + slip[..., None]).max(axis=0) + jolt[:N, None]) ** 2
         u = np.abs(brake.thrusts(x)).max(axis=2)
         thrust = np.minimum(q.thrust_max - u[0], brake.available - u[1:].max(axis=0, initial=0.0))
         held = brake.holding * length(x[-1, :, :3])
@@ -134,7 +138,7 @@ class AllTime:
         """Lower bounds of phi7 and phi8, (N + P,), at every instant of the plans and ever after."""
         gain_p, gain_v = self._gains
         brake, tube = self.brake, self.brake.tube
-        spread = self._twice * (gain_p * tube.position + gain_v * tube.velocity)
+        spread = self._twice * (gain_p * tube.position[-1] + gain_v * tube.velocity[-1])
         lost = spread + gain_p * bow + gain_v * jolt + self._radius
         plane, across = brake.drifting
         held = np.hypot(plane * length(z[-1, :, :2]), across * np.abs(z[-1, :, 2])) - spread - self._radius

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...model.checks import non_negative, positive
 from ...model.errors import ScenarioError
@@ -25,6 +26,9 @@ LONGEST = 4096
 
 TOLERANCE = 1e-9
 """By how much a plan may ask for more than the thrust there is [N]; the tube pays for what is clipped."""
+
+RESPONSES = (10.0, 20.0, 40.0)
+"""Time constants [s] of the feedback that holds a plan, of which the one with the thinnest tube is taken."""
 
 LOOKS = 2048
 """Instants at which free flight from rest is looked at, once."""
@@ -60,16 +64,26 @@ class Uncertainty:
         return self == Uncertainty()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Tube:
-    """How far the true state may be from a plan, at all times: position [m], velocity [m/s] (2-norms).
+    """How far the true state may be from a plan, in 2-norms: position [m], velocity [m/s], shape (K,).
 
-    `feedback` is the most thrust per axis [N] that keeps it there.
+    The numbers are for the periods since the plan was made, rising, the last of them for ever; half a period
+    before and after a sample is included. `feedback` is the most thrust per axis [N] that keeps it there.
     """
 
-    position: float
-    velocity: float
+    position: Array
+    velocity: Array
     feedback: float
+
+    def during(self, age: NDArray[np.intp], count: int) -> tuple[Array, Array]:
+        """Positions and velocities, (count, N) each, for the periods of plans made `age` (N,) periods ago.
+
+        The last is for ever.
+        """
+        at = np.minimum(age + np.arange(1, count + 1)[:, None], len(self.position) - 1)
+        at[-1] = len(self.position) - 1
+        return self.position[at], self.velocity[at]
 
 
 class Brake:
@@ -106,9 +120,8 @@ class Brake:
         self.to_rest = to_rest
         self._turn = np.kron(np.eye(2), turned(-n * D))  # a state at rest, a period later
         self.resting = np.vstack([np.eye(3), self.spin])
-        omega = 1 / max(10.0, 5 * D)
-        self.gain = -q.mass * np.hstack([omega**2 * np.eye(3), 2 * omega * np.eye(3)])
-        self.tube = self._tube()
+        held = [self._tube(max(response, 5 * D)) for response in RESPONSES]
+        self.gain, self.tube = min(held, key=lambda one: one[1].position[-1] + q.passive_time * one[1].velocity[-1])
         self.available = q.thrust_max - self.tube.feedback
         self.holding = float(length(self._hold @ self.resting).max())  # N per axis and metre
         if self.available <= 2 * self.holding * q.distance_max:
@@ -118,8 +131,8 @@ class Brake:
 
     # -- the tube ---------------------------------------------------------------------------------
 
-    def _tube(self) -> Tube:
-        """Lemma 2: sums over the powers of the loop, and what may be added between samples."""
+    def _tube(self, response: float) -> tuple[Array, Tube]:
+        """Lemma 2: the gain for a time constant [s]; sums over the powers of the loop, and between samples."""
         q, D, u, n = self.inspection, self.period, self.uncertainty, self.inspection.mean_motion
         Phi, Gamma = self.motion
         grow = np.exp((2 + np.sqrt(3)) * n * D)
@@ -129,40 +142,40 @@ class Brake:
         w = u.disturbance + np.sqrt(3) * (u.thrust * q.thrust_max + TOLERANCE) / q.mass
         pushed = missed + w * grow * np.array([D**2 / 2, D])
         unknown = np.repeat([u.position, u.velocity], 3)
-        loop = Phi + Gamma @ self.gain
-        outputs = np.vstack([np.eye(6), self.gain])
-        sums, first = self._sums(loop, outputs, Gamma @ self.gain, pushed, unknown)
-        error = sums + np.maximum(first, np.abs(outputs) @ unknown)
-        position, velocity = float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:6]))
-        feedback = float((error[6:] + np.abs(self.gain) @ unknown).max())
+        gain = -q.mass * np.hstack([np.eye(3) / response**2, 2 * np.eye(3) / response])
+        outputs = np.vstack([np.eye(6), gain])
+        scale = np.repeat([response, 1.0], 3)
+        error = self._sums(Phi + Gamma @ gain, outputs, Gamma @ gain, pushed, unknown, scale)
+        error[0] = np.maximum(error[0], np.abs(outputs) @ unknown)
+        error = np.maximum.accumulate(error)
+        position, velocity = length(error[:, :3]), length(error[:, 3:6])
+        feedback = float((error[-1, 6:] + np.abs(gain) @ unknown).max())
         # What holding takes at each instant turns with the deputy; it is held for a period.
         needed = self.spin @ self.spin - q.system.A[3:] @ self.resting
         uneven = np.linalg.norm(needed + self._hold @ self.resting / q.mass, 2) + np.linalg.norm(needed, 2) * n * D
         extra = np.sqrt(3) * feedback / q.mass + w + uneven * q.distance_max
         between = (velocity + np.sqrt(3) * n * position + extra * D / 2) * grow
-        return Tube(position + between * D / 2, between, feedback)
+        return gain, Tube(position + between * D / 2, between, feedback)
 
     def _sums(
-        self, loop: Array, outputs: Array, by_estimate: Array, pushed: Array, unknown: Array
+        self, loop: Array, outputs: Array, by_estimate: Array, pushed: Array, unknown: Array, scale: Array
     ) -> tuple[Array, Array]:
-        """Most that errors of every period add to the outputs, and that of the first estimate; (9,) each."""
-        scale = np.repeat([max(10.0, 5 * self.period), 1.0], 3)
-        outer = np.linalg.norm((by_estimate * unknown) / scale[:, None], axis=0).sum() + np.hypot(
-            pushed[0] / scale[0], pushed[1]
-        )
-        power, sums, first, gains = outputs, np.zeros(9), np.zeros(9), np.zeros(9)
-        start = self.motion[0] * unknown
-        for count in range(1, LONGEST + 1):
-            sums += np.abs(power @ by_estimate) @ unknown
-            sums += length(power[:, :3]) * pushed[0] + length(power[:, 3:]) * pushed[1]
-            first = np.maximum(first, np.abs(power @ start).sum(axis=1))
+        """Bounds on the outputs of the error 0, 1, 2, ... periods after a plan was made, (K, 9); the last for ever."""
+        outer = length((by_estimate * unknown).T / scale).sum() + np.hypot(pushed[0] / scale[0], pushed[1])
+        start, power = self.motion[0] * unknown, outputs
+        sums, gains, closed, found = np.zeros(9), np.zeros(9), np.eye(6), [np.abs(outputs) @ unknown]
+        for _ in range(LONGEST):
+            sums = sums + np.abs(power @ by_estimate) @ unknown
+            sums = sums + length(power[:, :3]) * pushed[0] + length(power[:, 3:]) * pushed[1]
+            first = np.abs(power @ start).sum(axis=1)
             gains = gains + length(power * scale)
-            power = power @ loop
-            shrunk = np.linalg.norm(np.linalg.matrix_power(loop, count) * scale / scale[:, None], 2)
+            found.append(sums + first)
+            power, closed = power @ loop, closed @ loop
+            shrunk = np.linalg.norm(closed * scale / scale[:, None], 2)
             if shrunk <= SHRUNK:
-                rest = gains * shrunk / (1 - shrunk)
-                late = length(start.T / scale).sum()
-                return sums + rest * outer, first + rest * late
+                rest = gains * shrunk / (1 - shrunk) * (outer + length(start.T / scale).sum())
+                found.append(np.max(found, axis=0) + rest)
+                return np.stack(found)
         raise ScenarioError("period", self.period, "too long: the loop that holds a plan does not settle")
 
     def _free_flight(self) -> tuple[float, float]:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.system import Array
+from ..constraints.table import Index
 from ..vectors import length
 from .all_time import AllTime
 from .brake import Brake
@@ -20,9 +21,13 @@ ROOM = 0.5
 
 
 class Proven(NamedTuple):
-    """A plan (L+1, N, 6), from now on, and the bounds (M,) of all constraints along it: negative if unproven."""
+    """A plan (L+1, N, 6), from now on, how many periods ago each deputy's was made (N,), and what it keeps.
+
+    Bounds (M,) of all constraints along it, for all time: negative where they are not proven.
+    """
 
     plan: Array
+    age: Index
     margins: Array
 
     @property
@@ -42,7 +47,7 @@ class Planner:
         t: float,
         x: Array,
         u: Array | None = None,
-        kept: Array | None = None,
+        kept: Proven | None = None,
         keeps: NDArray[np.bool_] | None = None,
     ) -> Proven:
         """The first plan that is proven from states (N, 6) at t [s], or the one that misses least.
@@ -54,16 +59,17 @@ class Planner:
         Phi, Gamma = brake.motion
         start = x if u is None else x @ Phi.T + u @ Gamma.T
         toward, shift = np.zeros((len(x), 3)), np.zeros((len(x), 3))
-        best: Proven | None = None
+        best, age = None, np.zeros(len(x), dtype=np.intp)
         for _ in range(ATTEMPTS):
             plan = brake.plan(start, toward, shift)
             if u is not None:
                 plan = np.concatenate([x[None], plan])
             if kept is not None and keeps is not None and keeps.any():
-                count = max(len(plan), len(kept))
-                plan, old = brake.extended(plan, count), brake.extended(kept, count)
+                count = max(len(plan), len(kept.plan))
+                plan, old = brake.extended(plan, count), brake.extended(kept.plan, count)
                 plan[:, keeps] = old[:, keeps]
-            found = Proven(plan, self.check(t, plan))
+                age = np.where(keeps, kept.age, 0)
+            found = Proven(plan, age, self.check(t, plan, age))
             if best is None or found.margins.min() > best.margins.min():
                 best = found
             if best.good or not self._mend(t, found, start, toward, shift, keeps):
@@ -101,7 +107,7 @@ class Planner:
     def _inwards(self, rest: Array) -> Array:
         """By what (3,) a deputy must be held farther in, so that turning about z keeps the velocity limits."""
         brake, q = self.brake, self.check.inspection
-        most = (q.speed_max - brake.tube.velocity) / q.mean_motion - ROOM
+        most = (q.speed_max - brake.tube.velocity[-1]) / q.mean_motion - ROOM
         p = rest.copy()
         p[2] = 0.0
         far = length(p[:3])

@@ -29,6 +29,10 @@ HALVINGS = 6
 """Halvings of the way from the backup's thrust to the wanted one."""
 
 
+FAR = 1e-6
+"""How much farther from its plan a state may be by rounding [m]; a thousandth of it in m/s."""
+
+
 class Assured(CallByCall):
     """What the four filters share: the plan that is proven, and that nothing is applied before its rest is.
 
@@ -63,40 +67,43 @@ class Assured(CallByCall):
         return
 
     def _answer(self, got: Received) -> Answer:
-        if not got.estimated.any():
-            every = np.ones(len(got.u), dtype=bool)
-            self._plan = None
-            return Answer(np.zeros_like(got.u), every, ~every, every, {}, [], unproven=True)
         notes: list[str] = []
         kept = self._kept(got, notes)
+        if kept is None and not got.estimated.any():
+            every = np.ones(len(got.u), dtype=bool)
+            return Answer(np.zeros_like(got.u), every, ~every, every, {}, notes, unproven=True)
+        sure = kept is not None
+        kept = kept or self.planner.find(got.t, got.x)
         x = np.where(got.known[:, None], got.x, kept.plan[0])
         backup = self.brake.follow(x, kept.plan)
         able = got.known & got.given
         proposed, who = self._proposal(got, able, backup)
         u, found, flown = self._tried(got, x, proposed, who & able, backup, kept)
-        sure = found.good and bool((got.known | self.brake.uncertainty.exact).all()) and bool(got.estimated.all())
+        # A state that is not known is where its plan has it, if that was proven and nothing else acts.
+        sure = found.good and bool((got.known | (sure & self.brake.uncertainty.exact)).all())
         if not sure:
             notes.append("no plan is known to be safe for all time")
-        self._plan = Proven(self.brake.extended(found.plan, 3)[1:], found.margins) if sure else None
+        after = self.brake.extended(found.plan, 3)[1:]
+        self._plan = found._replace(plan=after, age=found.age + 1) if sure else None
         self._due = got.t + self.period
+        labels = np.array(self.check.labels)
+        active = tuple(labels[found.margins < 0].tolist()) if not found.good else ()
         intervened = (u != got.wanted).any(axis=1) | ~able
-        active = tuple(np.array(self.check.labels)[kept.margins < 0].tolist()) if not kept.good else ()
-        none = np.zeros(len(u), dtype=bool)
-        return Answer(
-            u, intervened, ~flown, none, named(self.check.labels, found.margins), notes, active, unproven=not sure
-        )
+        none, margins = np.zeros(len(u), dtype=bool), named(self.check.labels, found.margins)
+        return Answer(u, intervened, ~flown, none, margins, notes, active, unproven=not sure)
 
-    def _kept(self, got: Received, notes: list[str]) -> Proven:
-        """The plan that was proven, from now on; a new one where there is none, or a state is not within it."""
+    def _kept(self, got: Received, notes: list[str]) -> Proven | None:
+        """The plan that was proven, from now on; None where there is none, or a state is not within it."""
         plan, tube, error = self._plan, self.brake.tube, self.brake.uncertainty
-        if plan is not None and abs(got.t - self._due) <= 1e-6 * self.period:
-            off = np.abs(got.x - plan.plan[0])
-            near = length(off[:, :3]) <= tube.position + np.sqrt(3) * error.position + 1e-9 * FAR
-            near &= length(off[:, 3:]) <= tube.velocity + np.sqrt(3) * error.velocity + 1e-9
-            if (near | ~got.known).all():
-                return plan
-            notes.append("a state is farther from its plan than is possible")
-        return self.planner.find(got.t, got.x)
+        if plan is None or abs(got.t - self._due) > 1e-6 * self.period:
+            return None
+        off = np.abs(got.x - plan.plan[0])
+        near = length(off[:, :3]) <= tube.position[-1] + np.sqrt(3) * error.position + FAR
+        near &= length(off[:, 3:]) <= tube.velocity[-1] + np.sqrt(3) * error.velocity + 1e-3 * FAR
+        if (near | ~got.known).all():
+            return plan
+        notes.append("a state is farther from its plan than is possible")
+        return None
 
     def _tried(
         self, got: Received, x: Array, proposed: Array, who: Some, backup: Array, kept: Proven
@@ -104,7 +111,7 @@ class Assured(CallByCall):
         """The proposal of as many as it is proven for; what is known of it; whose it is."""
         while who.any():
             u = np.where(who[:, None], proposed, backup)
-            found = self.planner.find(got.t, x, u, kept.plan, ~who)
+            found = self.planner.find(got.t, x, u, kept, ~who)
             if found.good:
                 return u, found, who
             concerned = _concerned(self.check, found.margins < 0, len(who)) & who
@@ -114,10 +121,6 @@ class Assured(CallByCall):
             self._refused(got, dropped, reason)
             who = who & ~dropped
         return backup, kept, who
-
-
-FAR = 1e4
-"""Distances [m] whose rounding is allowed for."""
 
 
 class Explicit(Assured):
@@ -163,7 +166,7 @@ class Implicit(Assured):
             share = (low + high) / 2
             part = np.where(back[:, None], backup + share * (proposed - backup), proposed)
             part = np.where(who[:, None], part, backup)
-            tried = self.planner.find(got.t, x, part, kept.plan, ~who)
+            tried = self.planner.find(got.t, x, part, kept, ~who)
             if tried.good:
                 u, found, passed, low = part, tried, who, share
             else:
