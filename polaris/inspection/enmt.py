@@ -123,25 +123,6 @@ class Ellipses:
         out[..., 2::3] = (c_aim / np.where(c > 0, c, 1.0))[..., None] * x[..., 2::3]
         return out
 
-    def inside_slope(self, x: Array) -> Array:
-        """Derivative of `inside`, shape (..., 6, 6), where it has one (not on the limits themselves)."""
-        n, axes = self.mean_motion, semi_axes(x, self.mean_motion)
-        # Coordinates in which the limits are rings, and the state on an eNMT as a function of them.
-        into, back = np.zeros((2, 2, 6)), np.zeros((2, 6, 2))
-        into[0, 0, 0], into[0, 1, 1], into[1, 0, 2], into[1, 1, 5] = 1.0, 0.5, 1.0, 1 / n
-        back[0, 0, 0], back[0, 1, 1], back[0, 3, 1], back[0, 4, 0] = 1.0, 2.0, n, -2 * n
-        back[1, 2, 0], back[1, 5, 1] = 1.0, n
-        out = np.zeros((*x.shape, 6))
-        for part, length, aim in zip(range(2), axes, self._aims(*axes), strict=True):
-            safe = np.where(length > 0, length, 1.0)
-            unit = x @ into[part].T / safe[..., None]
-            across = np.eye(2) - unit[..., :, None] * unit[..., None, :]
-            moved = np.where(
-                (aim != length)[..., None, None], (aim / safe)[..., None, None] * across, np.eye(2)
-            )
-            out += back[part] @ moved @ into[part]
-        return out
-
 
 def stopping_point(x: Array, n: float, acceleration: float) -> Array:
     """States (..., 6) moved to where braking with `acceleration` [m/s^2] per axis ends the velocity error.

@@ -123,6 +123,7 @@ DEFINITIONS = {
     "delta_v_m_s": "sum of the absolute thrusts over mass and time (eq. 25), per deputy",
 }
 
+
 def assumptions(scenario: FlightScenario) -> list[str]:
     """What a claim about a flight rests on."""
     known, flight = scenario.uncertainty(), scenario.model.flight

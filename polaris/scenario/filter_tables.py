@@ -14,7 +14,6 @@ from .fields import ScenarioPart, unit
 if TYPE_CHECKING:
     from ..inspection.backup.brake import Brake, Uncertainty
     from ..inspection.backup.planner import Planner
-    from ..inspection.constraints.families import Families
     from ..inspection.constraints.strengthening import Strengthening
     from ..inspection.flights.simulation import BatchFilter
     from ..inspection.inspection import Inspection

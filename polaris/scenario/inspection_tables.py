@@ -77,7 +77,7 @@ class FlightTime(ScenarioPart):
     disturbance_max_m_s2: f.NonNegative = unit("m/s^2", default=0.0)
     """Bound on the 2-norm of the disturbance acceleration."""
     errors_seed: f.Seed = unit("-", default=0)
-    """The errors of estimates and thrusters and the disturbance are drawn with it, at the edge of their bounds."""
+    """Errors of estimates and thrusters and the disturbance are drawn with it, at the edge of their bounds."""
 
 
 class NoThrust(ScenarioPart):
@@ -137,7 +137,9 @@ class Navigation(ScenarioPart):
 class Thrusters(ScenarioPart):
     """How far what the thrusters give may be from what they are asked for."""
 
-    magnitude_error: f.Real = unit("-", "Largest error, as a share of the thrust limit.", default=0.0, ge=0, lt=1)
+    magnitude_error: f.Real = unit(
+        "-", "Largest error, as a share of the thrust limit.", default=0.0, ge=0, lt=1
+    )
 
 
 class InspectionModel(_Filtered):

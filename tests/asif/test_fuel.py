@@ -8,7 +8,6 @@ from polaris.inspection.backup.law import fly_backup
 from polaris.inspection.backup.parking import Parking
 from polaris.inspection.backup.tracker import Tracker
 from polaris.inspection.enmt import velocity_error
-from polaris.inspection.filters.flight_check import FlightCheck
 from polaris.inspection.filters.fuel import FuelLimit, clearance
 from polaris.inspection.flights.fuel_run import fly_fuel_limit
 from polaris.inspection.flights.primary import LQR, Phases
@@ -270,8 +269,6 @@ PARKING_2 = Parking(TWO)
 def test_horizons_out_of_range(horizon):
     with pytest.raises(ScenarioError, match="horizon"):
         FuelLimit(Parking(ONE), horizon=horizon)
-    with pytest.raises(ScenarioError, match="horizon"):
-        FlightCheck(Parking(ONE), horizon)
 
 
 def test_arguments():

@@ -1,4 +1,4 @@
-"""Is a plan that brakes and holds safe for all time? Lower bounds of phi1 to phi11, between samples and for ever.
+"""Is a plan that brakes and holds safe for all time? Bounds of phi1 to phi11, between samples and for ever.
 
 The lemmas are those of ``docs/inspection-theory.md``, section 6.
 """
@@ -94,7 +94,7 @@ class AllTime:
         return np.concatenate([*alone, *of_pairs])[self._counted]
 
     def _bows(self, z: Array) -> tuple[Array, Array, Array]:
-        """Lemma 4: how far flights leave the chords between samples, shape (N + P,) each.
+        """Lemma D: how far flights leave the chords between samples, shape (N + P,) each.
 
         Positions in axes that keep their direction and in Hill's frame [m], velocities in Hill's frame [m/s].
         """

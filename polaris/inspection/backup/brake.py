@@ -90,8 +90,9 @@ class Brake:
     """Plans of N deputies that brake to co-rotation with the sun and hold there, and the tube about them.
 
     A plan is a sequence of states at samples, flown exactly by the thrust between them. The velocity
-    ``V = v - w x p``, w = (0, 0, -n), shrinks by equal parts to zero; from then on the deputy is held where it is, seen from axes that keep their direction in space. What is applied is the
-    plan's thrust and feedback of the estimate's distance from the plan (lemmas 1 to 3 of the theory).
+    ``V = v - w x p``, w = (0, 0, -n), shrinks by equal parts to zero; from then on the deputy is held where
+    it is, seen from axes that keep their direction in space. What is applied is the plan's thrust and
+    feedback of the estimate's distance from the plan (lemmas A to C of the theory).
 
     Parameters
     ----------
@@ -121,7 +122,9 @@ class Brake:
         self._turn = np.kron(np.eye(2), turned(-n * D))  # a state at rest, a period later
         self.resting = np.vstack([np.eye(3), self.spin])
         held = [self._tube(max(response, 5 * D)) for response in RESPONSES]
-        self.gain, self.tube = min(held, key=lambda one: one[1].position[-1] + q.passive_time * one[1].velocity[-1])
+        self.gain, self.tube = min(
+            held, key=lambda one: one[1].position[-1] + q.passive_time * one[1].velocity[-1]
+        )
         self.available = q.thrust_max - self.tube.feedback
         self.holding = float(length(self._hold @ self.resting).max())  # N per axis and metre
         if self.available <= 2 * self.holding * q.distance_max:
@@ -132,7 +135,7 @@ class Brake:
     # -- the tube ---------------------------------------------------------------------------------
 
     def _tube(self, response: float) -> tuple[Array, Tube]:
-        """Lemma 2: the gain for a time constant [s]; sums over the powers of the loop, and between samples."""
+        """Lemma B: the gain for a time constant [s]; sums over the loop's powers, and between samples."""
         q, D, u, n = self.inspection, self.period, self.uncertainty, self.inspection.mean_motion
         Phi, Gamma = self.motion
         grow = np.exp((2 + np.sqrt(3)) * n * D)
@@ -152,15 +155,17 @@ class Brake:
         feedback = float((error[-1, 6:] + np.abs(gain) @ unknown).max())
         # What holding takes at each instant turns with the deputy; it is held for a period.
         needed = self.spin @ self.spin - q.system.A[3:] @ self.resting
-        uneven = np.linalg.norm(needed + self._hold @ self.resting / q.mass, 2) + np.linalg.norm(needed, 2) * n * D
+        uneven = (
+            np.linalg.norm(needed + self._hold @ self.resting / q.mass, 2) + np.linalg.norm(needed, 2) * n * D
+        )
         extra = np.sqrt(3) * feedback / q.mass + w + uneven * q.distance_max
         between = (velocity + np.sqrt(3) * n * position + extra * D / 2) * grow
         return gain, Tube(position + between * D / 2, between, feedback)
 
     def _sums(
         self, loop: Array, outputs: Array, by_estimate: Array, pushed: Array, unknown: Array, scale: Array
-    ) -> tuple[Array, Array]:
-        """Bounds on the outputs of the error 0, 1, 2, ... periods after a plan was made, (K, 9); the last for ever."""
+    ) -> Array:
+        """Bounds on the outputs of the error 0, 1, ... periods after a plan was made; the last for ever."""
         outer = length((by_estimate * unknown).T / scale).sum() + np.hypot(pushed[0] / scale[0], pushed[1])
         start, power = self.motion[0] * unknown, outputs
         sums, gains, closed, found = np.zeros(9), np.zeros(9), np.eye(6), [np.abs(outputs) @ unknown]
@@ -179,7 +184,7 @@ class Brake:
         raise ScenarioError("period", self.period, "too long: the loop that holds a plan does not settle")
 
     def _free_flight(self) -> tuple[float, float]:
-        """Lemma 5: what is left, after up to T without thrust, of a distance held in the plane and across it.
+        """Lemma F: what is left, after up to T without thrust, of a distance held in the plane and across it.
 
         Least share of the distance over the times of free flight from rest, lowered by what may happen
         between the instants that are looked at.

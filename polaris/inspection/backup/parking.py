@@ -13,11 +13,11 @@ from ...model.system import Array
 from ...synthesis.tracking import solve_are
 from ..enmt import Ellipses, semi_axes, velocity_error
 from ..inspection import Inspection
-from .law import Memoryless, Outlook
+from .law import Law, Outlook
 from .settled import Decay
 
 
-class Parking(Memoryless):
+class Parking(Law):
     """LQR tracker to a closed eNMT, by the present state alone: ``u = clip(-K (x - inside(x)))``.
 
     ``inside(x)`` is the state on the nearest eNMT within limits (`Ellipses.inside`). Within the limits it
@@ -80,18 +80,19 @@ class Parking(Memoryless):
             u = -(x - rings.inside(x)) @ self.gain.T
         return np.asarray(np.minimum(np.maximum(u, -limit), limit))
 
-    def thrust_slope(self, x: Array) -> Array:
-        """Derivative of the thrust by the state, shape (N, 3, 6): zero for axes that are clipped."""
-        slope = -self.gain @ (np.eye(6) - self.ellipses.inside_slope(x))
-        clipped = np.abs((x - self.ellipses.inside(x)) @ self.gain.T) >= self.inspection.thrust_max
-        slope[clipped] = 0.0
-        return np.asarray(slope)
+    def start(self, x: Array) -> Array:
+        """Nothing: shape (N, 0)."""
+        return np.empty((len(x), 0))
 
-    def settled(self, x: Array, memory: Array, share: float = 1.0) -> NDArray[np.bool_]:
+    def thrust(self, x: Array, memory: Array) -> tuple[Array, Array]:
+        """Thrust of the next period [N], shape (N, 3), and the memory."""
+        return self(0.0, x), memory
+
+    def settled(self, x: Array, memory: Array) -> NDArray[np.bool_]:
         """Whether the loop is linear from here on, shape (N,)."""
         n, rings = self.inspection.mean_motion, self.ellipses
         e, (a, c) = velocity_error(x, n), semi_axes(x, n)
-        calm = self._thrusts.never_above(e, share * self.inspection.thrust_max)
+        calm = self._thrusts.never_above(e, self.inspection.thrust_max)
         moved = 2 * self.period * self._errors.total_gain * np.sqrt((e * e).sum(axis=1))  # the axis, by most
         room = (a >= rings.least + moved) & (a <= rings.largest - moved) & (c <= rings.cross_track)
         return np.asarray(calm & room)
@@ -100,7 +101,7 @@ class Parking(Memoryless):
         """What is known about all the future.
 
         In the linear range the semi-minor axis changes by at most ``integral norm(e) dt``, because
-        ``dq/dt`` is a turn plus ``(e_x, e_y / 2)``; that sum bounds `strays`, too. Between samples e is
+        ``dq/dt`` is a turn plus ``(e_x, e_y / 2)``; between samples e is
         nearly a straight line: twice the sum over the samples is more than the integral.
         """
         q = self.inspection
@@ -109,9 +110,7 @@ class Parking(Memoryless):
         moved = 2 * D * np.linalg.norm(self._errors.total(e), axis=1)
         settled = self.settled(x, memory)
         delta_v = self._thrusts.total(e).sum(axis=1) * D / q.mass
-        fastest = 1.1 * np.linalg.norm(self._errors.peak(e), axis=1)
-        nearest, a = self.ellipses.nearest(x), semi_axes(x, n)[0]
-        return Outlook(settled, delta_v, nearest, 2 * moved, 2 * n * moved + fastest, a - moved)
+        return Outlook(settled, delta_v, semi_axes(x, n)[0] - moved)
 
 
 def lqr_weights(inspection: Inspection, response: float) -> tuple[float, list[float]]:

@@ -11,7 +11,6 @@ from ...model.system import Array
 from ..constraints.table import Index
 from ..vectors import length
 from .all_time import AllTime
-from .brake import Brake
 
 ATTEMPTS = 4
 """Most plans that are tried from one state."""
@@ -105,7 +104,7 @@ class Planner:
         return not (np.array_equal(toward, before[0]) and np.array_equal(shift, before[1]))
 
     def _inwards(self, rest: Array) -> Array:
-        """By what (3,) a deputy must be held farther in, so that turning about z keeps the velocity limits."""
+        """By what (3,) a deputy must be held farther in, so that turning keeps its velocity limits."""
         brake, q = self.brake, self.check.inspection
         most = (q.speed_max - brake.tube.velocity[-1]) / q.mean_motion - ROOM
         p = rest.copy()

@@ -104,9 +104,9 @@ class Tracker(Law):
         after[:, 6:] = memory[:, 6:] + np.where(held, 0.0, self.period * error[:, :3])
         return u, after
 
-    def settled(self, x: Array, memory: Array, share: float = 1.0) -> NDArray[np.bool_]:
+    def settled(self, x: Array, memory: Array) -> NDArray[np.bool_]:
         """Whether the loop is linear from here on, shape (N,)."""
-        return self._thrusts.never_above(_errors(x, memory), share * self.inspection.thrust_max)
+        return self._thrusts.never_above(_errors(x, memory), self.inspection.thrust_max)
 
     def outlook(self, x: Array, memory: Array) -> Outlook:
         """What is known about all the future: in the linear range, by sums over the loop's powers."""
@@ -117,10 +117,9 @@ class Tracker(Law):
         # Between samples: the errors' acceleration is the thrust's and little else.
         push = 1.1 * np.sqrt(3) * q.thrust_max / q.mass
         strays = np.linalg.norm(peaks[:, :3], axis=1) + push * D**2 / 8
-        slips = np.linalg.norm(peaks[:, 3:], axis=1) + push * D / 2
         spent = self._thrusts.total(s).sum(axis=1) * D / q.mass
         distance = semi_axes(memory, q.mean_motion)[0] - strays
-        return Outlook(settled, spent, memory[:, :6], strays, slips, distance)
+        return Outlook(settled, spent, distance)
 
     def reset(self) -> None:
         """Forget the references; the next call chooses new ones."""

@@ -1,8 +1,8 @@
 """Filters that always have a proven answer: a plan that brakes and holds is proven before it is needed.
 
-Each period something is proposed: the wanted thrust, the nearest that keeps every barrier, or something on the
-way to the backup. It is applied if, after it, a plan is safe for all time; otherwise the plan that was proven
-before is flown on. Proofs are in ``docs/inspection-theory.md``, section 6.
+Each period something is proposed: the wanted thrust, the nearest that keeps every barrier, or something on
+the way to the backup. It is applied if, after it, a plan is safe for all time; otherwise the plan that was
+proven before is flown on. Proofs are in ``docs/inspection-theory.md``, section 6.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ class Assured(CallByCall):
 
     Notes
     -----
-    ``status``: "desired", "filtered", "backup" (some fly their plan), "coast" (no state known). ``margins`` are
-    lower bounds, over all time, of the constraints along what will be flown if the backup takes over after
-    the period. A deputy whose state is not known flies its plan. `Decision.unproven` is false once a plan has
+    ``status``: "desired", "filtered", "backup" (some fly their plan), "coast" (no state known). ``margins``
+    are lower bounds, over all time, of the constraints along what will be flown if the backup takes over
+    after the period. A deputy whose state is not known flies its plan. `Decision.unproven` is false once a plan has
     been proven, as long as the states are known within their bounds and the calls come each period; without
     errors of any kind states may be missing, too.
     """
@@ -146,7 +146,7 @@ class Explicit(Assured):
 
 
 class Implicit(Assured):
-    """What is wanted, and otherwise as much of the way to it, from the backup's thrust, as a plan is proven for.
+    """What is wanted, and otherwise as far on the way to it, from the backup's thrust, as is proven.
 
     Parameters
     ----------

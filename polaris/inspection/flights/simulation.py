@@ -78,7 +78,7 @@ class Errors:
         return np.asarray(x + bound * self._signs(x.shape))
 
     def acting(self, u: Array) -> Array:
-        """What acts for a period [N] where thrust (..., 3) is asked for: its errors and the disturbance, too."""
+        """What acts for a period [N] where thrust (..., 3) is asked for: errors and the disturbance, too."""
         q, way = self.inspection, self._rng.normal(size=u.shape)
         push = self.unknown.disturbance * q.mass * way / length(way)[..., None]
         return np.asarray(u + self.unknown.thrust * q.thrust_max * self._signs(u.shape) + push)
