@@ -26,6 +26,7 @@ from ..inspection.flights.simulation import (
     Flights,
     InspectionRun,
     fly_one,
+    smoothness,
     whole_periods,
 )
 from ..rta.projection import DESIRED, FAILED, FILTERED, SHORT
@@ -120,6 +121,8 @@ DEFINITIONS = {
     "nearest that satisfies all conditions; short, none does, and this violates them least; failed, no "
     "answer, no thrust; backup, the backup controller's; unproven, not even this is known to be safe",
     "filter_seconds": "wall time of one answer for all deputies",
+    "smoothness": "changes of sign from one period to the next, and the sum of all changes of thrust [N], per "
+    "axis and minute: of what was applied, and of what was wanted within the thrust limits",
     "delta_v_m_s": "sum of the absolute thrusts over mass and time (eq. 25), per deputy",
 }
 
@@ -161,6 +164,10 @@ def _tell(scenario: FlightScenario, flown: JudgedRun, seconds: Mapping[str, floa
         "barriers": least_rows(flown.barriers),
         "steps": steps(run.status),
         "delta_v_m_s": spent,
+        "smoothness": {
+            name: smoothness(u, run.t, run.inspection.thrust_max)
+            for name, u in (("applied", run.u), ("wanted", run.desired))
+        },
         "filter_seconds": {
             "median": float(np.median(run.seconds)),
             "p99": float(np.quantile(run.seconds, 0.99)),

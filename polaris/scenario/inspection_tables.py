@@ -77,7 +77,7 @@ class FlightTime(ScenarioPart):
     disturbance_max_m_s2: f.NonNegative = unit("m/s^2", default=0.0)
     """Bound on the 2-norm of the disturbance acceleration."""
     errors_seed: f.Seed = unit("-", default=0)
-    """Errors of estimates and thrusters and the disturbance are drawn with it, at the edge of their bounds."""
+    """Errors of estimates and thrusters and the disturbance are drawn with it, at the edge of their bound."""
 
 
 class NoThrust(ScenarioPart):

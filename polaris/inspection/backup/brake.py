@@ -27,6 +27,9 @@ LONGEST = 4096
 TOLERANCE = 1e-9
 """By how much a plan may ask for more than the thrust there is [N]; the tube pays for what is clipped."""
 
+MOST = 2000
+"""Most samples of a plan: what would take longer is not proven."""
+
 RESPONSES = (10.0, 20.0, 40.0)
 """Time constants [s] of the feedback that holds a plan, of which the one with the thinnest tube is taken."""
 
@@ -205,11 +208,11 @@ class Brake:
     # -- plans ------------------------------------------------------------------------------------
 
     def steps(self, change: Array) -> Array:
-        """Periods that changes of V (..., 3) [m/s] take with the thrust there is, about; shape (...)."""
+        """Periods that changes of V (..., 3) [m/s] take with the thrust there is, about; at most a quarter of `MOST`."""
         q = self.inspection
         room = self.available - self.holding * q.distance_max
         size = np.abs(change).max(axis=-1) + 0.02 * length(change)  # the thrusters' axes turn meanwhile
-        return np.ceil(np.maximum(size * q.mass / (self.period * room), 0.5))
+        return np.ceil(np.clip(size * q.mass / (self.period * room), 0.5, MOST / 4))
 
     def plan(self, x: Array, toward: Array | None = None, shift: Array | None = None) -> Array:
         """States (L+1, N, 6) at samples from x (N, 6) on; at rest at the end.
@@ -242,7 +245,7 @@ class Brake:
         speed = np.where(far > 0, self.inspection.docking_speed, 0.0)
         unit = _divided(shift, far)
         ramp = self.steps(2 * speed[:, None] * unit)
-        still = np.ceil(np.maximum(_divided(far, speed * self.period) - ramp, 0.0))
+        still = np.ceil(np.clip(_divided(far, speed * self.period) - ramp, 0.0, MOST / 2))
         return unit * (far / (self.period * (ramp + still)))[:, None], ramp, still
 
     def _flown(self, x: Array, wanted: Array) -> Array:

@@ -90,7 +90,6 @@ class VelocitySide(Velocity):
     def curvature(self, z: Array, sun: ArrayLike, motion: Motion) -> Array:
         """Bound M; ``-inf`` where the limit cannot be reached within the period, ``inf`` where both can."""
         speed = np.abs(dot(z[..., 3:], self.direction))
-        # Thrust is within a box whose half-diagonal is motion.thrust; the rest is natural motion.
-        change = (motion.acceleration - (1 - 1 / np.sqrt(3)) * motion.thrust) * motion.period
+        change = motion.along * motion.period
         M = np.where(change < self.limit + speed, (self.limit + speed) * motion.jerk, np.inf)
         return np.where(speed + change <= self.limit, -np.inf, M)

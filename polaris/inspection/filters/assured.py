@@ -45,9 +45,9 @@ class Assured(CallByCall):
     -----
     ``status``: "desired", "filtered", "backup" (some fly their plan), "coast" (no state known). ``margins``
     are lower bounds, over all time, of the constraints along what will be flown if the backup takes over
-    after the period. A deputy whose state is not known flies its plan. `Decision.unproven` is false once a plan has
-    been proven, as long as the states are known within their bounds and the calls come each period; without
-    errors of any kind states may be missing, too.
+    after the period. A deputy whose state is not known flies its plan. `Decision.unproven` is false once a
+    plan has been proven, as long as the states are known within their bounds and calls come each period;
+    without errors of any kind states may be missing, too.
     """
 
     def __init__(self, planner: Planner) -> None:

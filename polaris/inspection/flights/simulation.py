@@ -221,6 +221,25 @@ class InspectionRun:
         return np.concatenate([np.zeros((1, steps.shape[1])), np.cumsum(steps, axis=0)])
 
 
+SMALL = 0.02
+"""Share of the thrust limit below which thrust has no sign."""
+
+
+def smoothness(u: Array, t: Array, limit: float) -> dict[str, float]:
+    """How smooth thrust (K, N, 3) [N] over the times t (K+1,) [s] is, per deputy and axis and minute.
+
+    ``switches`` of the sign from one period to the next, and ``variation``, the sum of the changes [N].
+    """
+    u = np.clip(u, -limit, limit)
+    signs = np.sign(np.where(np.abs(u) > SMALL * limit, u, 0.0))
+    minutes = float(t[-1] - t[0]) / 60
+    switches = (signs[1:] * signs[:-1] < 0).sum(axis=0).mean()
+    return {
+        "switches": float(switches) / minutes,
+        "variation": float(np.abs(np.diff(u, axis=0)).sum(axis=0).mean()) / minutes,
+    }
+
+
 def fly_one(flights: Flights, filtering: BatchFilter, *observers: Observer) -> InspectionRun:
     """Fly one run (R = 1) and keep all of it; further observers are as in `fly`."""
     kept = Kept(flights)
