@@ -121,8 +121,8 @@ DEFINITIONS = {
     "nearest that satisfies all conditions; short, none does, and this violates them least; failed, no "
     "answer, no thrust; backup, the backup controller's; unproven, not even this is known to be safe",
     "filter_seconds": "wall time of one answer for all deputies",
-    "smoothness": "changes of sign from one period to the next, and the sum of all changes of thrust [N], per "
-    "axis and minute: of what was applied, and of what was wanted within the thrust limits",
+    "smoothness": "changes of sign from one period to the next, and the sum of all changes of thrust [N], "
+    "per axis and minute: of what was applied, and of what was wanted within the thrust limits",
     "delta_v_m_s": "sum of the absolute thrusts over mass and time (eq. 25), per deputy",
 }
 

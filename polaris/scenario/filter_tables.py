@@ -59,8 +59,8 @@ class StrengtheningTable(ScenarioPart):
 
     preset: f.Text = unit("-", default="polaris")
     """Named set. `afrl-one`, `afrl-five`: those of the library the paper's authors published, in its code for
-    one deputy and for five. `afrl`: the latter's, with the keep-in zone of the former. `polaris`: as `afrl` with
-    quicker velocity limits. `linear`: 0.3 h throughout, for conditions that hold between samples."""
+    one deputy and for five. `afrl`: the latter's, with the keep-in zone of the former. `polaris`: as `afrl`
+    with quicker velocity limits. `linear`: 0.3 h throughout, for conditions that hold between samples."""
     chief_separation: Alpha | None = _alpha("h1, separation from the chief")
     deputy_separation: Alpha | None = _alpha("h2, separation of two deputies")
     speed: Alpha | None = _alpha("h3, dynamic speed limit")

@@ -38,7 +38,8 @@ def show_flight(summary: Mapping[str, Any], folder: str, console: Console | None
     smooth = summary.get("smoothness")
     if smooth:
         applied, wanted = (
-            f"{one['switches']:.2g} and {one['variation']:.2g} N" for one in (smooth["applied"], smooth["wanted"])
+            f"{one['switches']:.2g} and {one['variation']:.2g} N"
+            for one in (smooth["applied"], smooth["wanted"])
         )
         out.say(f"Changes of sign and of thrust per axis and minute: {applied}; wanted {wanted}.")
     out.claim(summary["guarantee"])

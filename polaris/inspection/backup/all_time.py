@@ -91,7 +91,7 @@ class AllTime:
         passive = self._passive(z, bow_hill, jolt)
         alone = [clear[:N], passive[:N], cones[0][:N], inside, speed, *axes.T, thrust]
         of_pairs = [clear[N:], passive[N:], cones[0][N:], cones[1][N:]]
-        return np.concatenate([*alone, *of_pairs])[self._counted]
+        return np.asarray(np.concatenate([*alone, *of_pairs])[self._counted])
 
     def _bows(self, z: Array) -> tuple[Array, Array, Array]:
         """Lemma D: how far flights leave the chords between samples, shape (N + P,) each.

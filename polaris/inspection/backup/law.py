@@ -69,8 +69,8 @@ class Law(ABC):
         """Thrust of the next period [N], shape (N, 3), within the limits, and the memory after it."""
 
     @abstractmethod
-    def settled(self, x: Array, memory: Array) -> NDArray[np.bool_]:
-        """Whether the loop is linear from here on, shape (N,)."""
+    def settled(self, x: Array, memory: Array, share: float = 1.0) -> NDArray[np.bool_]:
+        """Whether the loop is linear from here on, shape (N,), with at most a share of the thrust."""
 
     @abstractmethod
     def outlook(self, x: Array, memory: Array) -> Outlook:
@@ -110,13 +110,16 @@ class BackupFlight:
         return np.asarray(np.abs(self.u).sum(axis=(0, 2)) * (period / mass) + self.outlook.delta_v)
 
 
-def fly_backup(law: Law, x: Array, steps: int) -> BackupFlight:
-    """Fly from states (N, 6) until all deputies have settled, at most `steps` periods."""
+def fly_backup(law: Law, x: Array, steps: int, share: float = 1.0) -> BackupFlight:
+    """Fly from states (N, 6) until all deputies have settled, at most `steps` periods.
+
+    That is until no more than a `share` of the thrust limit will be used.
+    """
     memory = law.start(x)
     Phi, Gamma = (matrix.T for matrix in law.motion)
     states, inputs = [x], []
     for k in range(steps):
-        if k % LOOK == 0 and law.settled(x, memory).all():
+        if k % LOOK == 0 and law.settled(x, memory, share).all():
             break
         u, memory = law.thrust(x, memory)
         x = x @ Phi + u @ Gamma

@@ -88,11 +88,11 @@ class Parking(Law):
         """Thrust of the next period [N], shape (N, 3), and the memory."""
         return self(0.0, x), memory
 
-    def settled(self, x: Array, memory: Array) -> NDArray[np.bool_]:
+    def settled(self, x: Array, memory: Array, share: float = 1.0) -> NDArray[np.bool_]:
         """Whether the loop is linear from here on, shape (N,)."""
         n, rings = self.inspection.mean_motion, self.ellipses
         e, (a, c) = velocity_error(x, n), semi_axes(x, n)
-        calm = self._thrusts.never_above(e, self.inspection.thrust_max)
+        calm = self._thrusts.never_above(e, share * self.inspection.thrust_max)
         moved = 2 * self.period * self._errors.total_gain * np.sqrt((e * e).sum(axis=1))  # the axis, by most
         room = (a >= rings.least + moved) & (a <= rings.largest - moved) & (c <= rings.cross_track)
         return np.asarray(calm & room)

@@ -104,9 +104,9 @@ class Tracker(Law):
         after[:, 6:] = memory[:, 6:] + np.where(held, 0.0, self.period * error[:, :3])
         return u, after
 
-    def settled(self, x: Array, memory: Array) -> NDArray[np.bool_]:
+    def settled(self, x: Array, memory: Array, share: float = 1.0) -> NDArray[np.bool_]:
         """Whether the loop is linear from here on, shape (N,)."""
-        return self._thrusts.never_above(_errors(x, memory), self.inspection.thrust_max)
+        return self._thrusts.never_above(_errors(x, memory), share * self.inspection.thrust_max)
 
     def outlook(self, x: Array, memory: Array) -> Outlook:
         """What is known about all the future: in the linear range, by sums over the loop's powers."""

@@ -78,7 +78,7 @@ class SampledData:
         return Motion(D, fastest, a, 3 * n**2 * fastest + 2 * n * a, np.asarray(thrust, dtype=float), along)
 
     def held(self, z: Array, rates: Array, n: float, thrust: Array) -> Motion:
-        """As `motion`, with the thrust known: `rates` (..., 6) have what it gives, `thrust` (...) its length."""
+        """As `motion`, of known thrust: `rates` (..., 6) have what it gives, `thrust` (...) is its length."""
         D, speed = self.period, length(z[..., 3:])
         a = self._acceleration(length(rates[..., 3:]), speed, n)
         fastest = speed + a * D

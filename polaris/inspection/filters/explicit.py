@@ -90,7 +90,7 @@ class Centralized:
             found.u[done], found.status[done], found.rows.bound[done] = (
                 held[good],
                 status[good],
-                own.bound[good],
+                bound[good],
             )
             left = solved & ~good
             runs, bound, held = runs[left], bound[left], held[left]
