@@ -266,7 +266,9 @@ class Schedule(ScenarioPart):
     switch_price: f.NonNegative = unit("-", default=0.005)
     """Share of the horizon under an experimental controller that is given up for one switch less."""
     delta_v_max_m_s: f.Positive | None = unit("m/s", default=None)
-    """Budget of velocity change: schedules that are proven to keep it come first. None without it."""
+    """Budget of velocity change until the goal, or until the end if the goal is not proven reached. What is
+    returned is proven to keep it; where no such schedule is found, exit code 4, and how little was. None
+    without it."""
     beam: f.Whole = unit("-", default=1, ge=1, le=1000)
     """Schedules that `look_ahead` keeps at every step for each number of switches and controller. More find
     better ones, in as much more time."""
