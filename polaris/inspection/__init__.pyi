@@ -3,7 +3,6 @@ from .backup.brake import Brake as Brake
 from .backup.brake import Tube as Tube
 from .backup.brake import Uncertainty as Uncertainty
 from .backup.law import Outlook as Outlook
-from .backup.parking import Parking as Parking
 from .backup.planner import Planner as Planner
 from .backup.tracker import Tracker as Tracker
 from .constraints.allowable_set import allowable as allowable

@@ -17,7 +17,7 @@ from ..model.system import Array
 from .inspection import Inspection
 
 DEEPER = 0.1
-"""How far inside the limits, as a share of them, a state outside is sent by `Ellipses.inside`."""
+"""A third of the room that there must be between the limits, as a share of them."""
 
 
 def velocity_error(x: Array, n: float) -> Array:
@@ -95,24 +95,7 @@ class Ellipses:
         of the chief (+y) is taken there. Without limits this is eq. 41.
         """
         a, c = semi_axes(x, self.mean_motion)
-        return self._scaled(x, a, np.clip(a, self.least, self.largest), c, np.minimum(c, self.cross_track))
-
-    def inside(self, x: Array) -> Array:
-        """As `nearest`, but states outside a limit are sent a share `DEEPER` further in.
-
-        For a controller that follows the answer step by step: it arrives inside the limits instead of
-        approaching them for ever.
-        """
-        a, c = semi_axes(x, self.mean_motion)
-        aim, across = self._aims(a, c)
-        return self._scaled(x, a, aim, c, across)
-
-    def _aims(self, a: Array, c: Array) -> tuple[Array, Array]:
-        aim = np.where(a < self.least, self.least * (1 + DEEPER), a)
-        aim = np.where(a > self.largest, self.largest * (1 - DEEPER), aim)
-        return aim, np.where(c > self.cross_track, self.cross_track * (1 - DEEPER), c)
-
-    def _scaled(self, x: Array, a: Array, a_aim: Array, c: Array, c_aim: Array) -> Array:
+        a_aim, c_aim = np.clip(a, self.least, self.largest), np.minimum(c, self.cross_track)
         n = self.mean_motion
         out = np.empty(x.shape)
         scale = a_aim / np.where(a > 0, a, 1.0)

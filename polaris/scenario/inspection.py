@@ -229,7 +229,6 @@ class FuelLimitScenario(InspectionScenario):
     @kept
     def backup(self) -> Law:
         """The backup controller."""
-        from ..inspection.backup.parking import Parking
         from ..inspection.backup.tracker import Tracker
         from ..inspection.enmt import Ellipses
 
@@ -242,8 +241,7 @@ class FuelLimitScenario(InspectionScenario):
         keys = {"least": "fuel.semi_minor_least_m", "largest": "fuel.semi_minor_largest_m"}
         with in_file_terms("fuel", given, period="flight.period_s", **keys):
             ellipses = replace(usual, **{name: x for name, x in limits.items() if x is not None})
-            law = Parking if given.backup == "parking" else Tracker
-            return law(q, ellipses, self.model.flight.period_s, given.response_s)
+            return Tracker(q, ellipses, self.model.flight.period_s, given.response_s)
 
     def primary(self) -> Primary:
         """Regulators to the outer and to the inner target in turn."""

@@ -155,11 +155,8 @@ class InspectionModel(_Filtered):
 
 
 class FuelTable(ScenarioPart):
-    """The latched switching filter of eq. 39 and its backup controller; the limit is `delta_v_max_m_s`."""
+    """The latched switching filter of eq. 39, its backup (eqs. 40, 41); the limit is `delta_v_max_m_s`."""
 
-    backup: Literal["parking", "tracker"] = unit("-", default="parking")
-    """`parking`: feedback of the velocity error of eq. 41 alone. `tracker`: the paper's, with an integral of
-    the error (eq. 40), about a reference that moves on the ellipse."""
     response_s: f.Positive = unit("s", "Time constant for which its weights are chosen.", default=20.0)
     semi_minor_least_m: f.Positive | None = unit("m", default=None)
     """Least semi-minor axis of a parking orbit; one and a half times r_d + r_c without it."""

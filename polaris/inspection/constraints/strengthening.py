@@ -106,7 +106,7 @@ PRESETS: dict[str, dict[str, Strengthening]] = {
 """Named sets of strengthening functions; the paper prints none.
 
 ``afrl-one`` and ``afrl-five``: those of its authors' library, in its code for one deputy and in that for
-five, which differ in the speed limit and in the bias of the keep-in zone.
+five, which differ in the speed limit and in the bias of the keep-in zone. ``afrl``: the speed of the one
 for five, the bias of that for one. ``polaris``: as ``afrl`` with quicker velocity limits; those of ``afrl``
 hold back thrust that other constraints need, at speeds far from the limit. ``linear``: ``0.3 h`` throughout,
 for conditions that hold between samples (`SampledData`), which need no bias.
