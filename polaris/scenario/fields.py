@@ -108,16 +108,9 @@ def whole_parts(total: float, part: float) -> int | None:
 
 
 def unit(text: str, description: str | None = None, **rules: Any) -> Any:
-    """Field with its unit and its description, both shown in the JSON Schema and the reference.
+    """Field with its unit ("-" if it has none) and what it means, as the JSON Schema and the reference say.
 
-    Parameters
-    ----------
-    text : str
-        Unit, or "-" where the field has none.
-    description : str, optional
-        What the field means; without it, the string beneath the field says so.
-    **rules
-        Handed to `pydantic.Field` (default, gt, le, min_length, ...).
+    Without a description the string beneath the field is one; `rules` are those of `pydantic.Field`.
     """
     return Field(description=description, json_schema_extra={"unit": text}, **rules)
 
