@@ -48,12 +48,12 @@ class SpeedInSquares(Speed):
         return Evaluation(limit - speed, gradient / (limit + speed)[..., None], 0.0)
 
     def curvature(self, z: Array, sun: ArrayLike, motion: Motion) -> Array:
-        """Bound M; ``-inf`` where the limit cannot be reached within the period."""
+        """Bound M. Never ``-inf``: without its row a deputy would speed up for a period and brake in the next."""
         limit, _, speed, _ = self._parts(z)
-        D, a = motion.period, motion.acceleration
-        change = self.slope * motion.speed * D
+        a = motion.acceleration
+        change = self.slope * motion.speed * motion.period
         M = 2 * (limit + change) * self.slope * a + 2 * a**2 + 2 * motion.speed * motion.jerk
-        return np.where(motion.speed <= limit - change, -np.inf, M / (limit + speed))
+        return np.asarray(M / (limit + speed))
 
 
 @dataclass(frozen=True, eq=False)
