@@ -48,7 +48,7 @@ class SpeedInSquares(Speed):
         return Evaluation(limit - speed, gradient / (limit + speed)[..., None], 0.0)
 
     def curvature(self, z: Array, sun: ArrayLike, motion: Motion) -> Array:
-        """Bound M. Never ``-inf``: without its row a deputy would speed up for a period and brake in the next."""
+        """Bound M. Never ``-inf``: without its row a deputy would speed up, to brake in the next period."""
         limit, _, speed, _ = self._parts(z)
         a = motion.acceleration
         change = self.slope * motion.speed * motion.period
