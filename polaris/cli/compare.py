@@ -57,7 +57,7 @@ def compare_command(scenario: Name, options: Options) -> None:
 
     stages = ShownStages(options.quiet or options.as_json)
     with stages.stage("load"):
-        from ..rta.arena import compare_methods
+        from ..rta.arena import compare_methods, selected
         from ..rta.decision_grid import DecisionGrid
         from ..runs.atomic import check_target
         from ..runs.comparison import write_comparison
@@ -67,6 +67,8 @@ def compare_command(scenario: Name, options: Options) -> None:
         loaded = load_scenario(scenario, options.assignments or (), only=ScheduleScenario)
         target = check_target(options.out if options.out is not None else f"runs/{loaded.name}-comparison")
         half, tuning = _numbers("--estimate-error", options.estimate_error or "0"), _tuning(options.tune)
+        named = None if options.methods is None else options.methods.replace(" ", "").split(",")
+        selected(named, tuning)  # what does not exist is refused before the synthesis
     with stages.stage("schedule"):
         schedule = synthesize(loaded)
     with stages.stage("flights"):
@@ -74,7 +76,7 @@ def compare_command(scenario: Name, options: Options) -> None:
             DecisionGrid.of(schedule, options.period, options.latency, half if len(half) > 1 else half[0]),
             options.runs,
             options.seed,
-            methods=None if options.methods is None else options.methods.replace(" ", "").split(","),
+            methods=named,
             tuning=tuning,
             progress=lambda key, done, total: stages.note(f"flights: {key}", done, total),
         )

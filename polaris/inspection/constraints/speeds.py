@@ -48,12 +48,16 @@ class SpeedInSquares(Speed):
         return Evaluation(limit - speed, gradient / (limit + speed)[..., None], 0.0)
 
     def curvature(self, z: Array, sun: ArrayLike, motion: Motion) -> Array:
-        """Bound M. Never ``-inf``: without its row a deputy would speed up, to brake in the next period."""
+        """Bound M; less, by and by, where the limit cannot be reached within the period.
+
+        A row that is dropped at once lets a deputy speed up for a period and makes it brake in the next.
+        """
         limit, _, speed, _ = self._parts(z)
-        a = motion.acceleration
-        change = self.slope * motion.speed * motion.period
+        D, a = motion.period, motion.acceleration
+        change = self.slope * motion.speed * D
         M = 2 * (limit + change) * self.slope * a + 2 * a**2 + 2 * motion.speed * motion.jerk
-        return np.asarray(M / (limit + speed))
+        room = np.maximum(limit - change - motion.speed, 0.0)
+        return np.asarray(M / (limit + speed) - 2 * room / D**2)
 
 
 @dataclass(frozen=True, eq=False)
