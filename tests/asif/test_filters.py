@@ -197,7 +197,7 @@ def test_curvature_by_the_thrust_chosen_solves_what_the_worst_thrust_cannot():
                 Phi, Gamma = Q.held(part)
                 after = x[r] @ Phi.T + found.u[r] @ Gamma.T
                 assert exact(after[None], Q.sun_angle([part], sun[r])).h.min() >= -1e-9
-    assert tried >= 5 and solved >= tried / 2
+    assert tried >= 5 and solved >= tried / 3
 
 
 @pytest.mark.parametrize("sharing", ["centralized", *SHARINGS])
