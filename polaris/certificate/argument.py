@@ -160,7 +160,7 @@ class Argument:
         disturbed = needs.disturbed
         tube = needs.tube(start)
         names = [f"position {i}" for i in range(C.nrows())] * 2 + doc.input_names * 2
-        d = 2 * C.nrows()
+        d, error = 2 * C.nrows(), self.pilots[0].error
         for k in range(self.K):
             lags = range(k * q, (k + 1) * q + 1)
             if lags[-1] <= memory.periods:
@@ -172,7 +172,7 @@ class Argument:
             for i, top in enumerate(self.plant.u_max):
                 below, over, u = need[d + i], need[d + len(doc.u_max) + i], doc.inputs[k][i]
                 where = f"{doc.input_names[i]} in step {k}"
-                self._no_smaller("thrust", where, doc.peaks[k][i], largest((over + u, below - u)))
+                self._no_smaller("thrust", where, doc.peaks[k][i], largest((over + u, below - u)) + error[i])
                 require("thrust", top - doc.peaks[k][i], f"{where}, {doc.peaks[k][i]:.6g} claimed")
         for name, stored, most in zip(names, doc.settled, disturbed[-2], strict=True):
             self._no_smaller("error_bounds", f"{name} from rest, for ever", stored, most)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 from flint import arb, arb_mat
@@ -42,8 +42,18 @@ class Pilot:
         """Its loop with the gain of every input times a slope; unchanged without slopes."""
         key = tuple(slopes)
         if key not in self._loops:
-            self._loops[key] = self.plant.loop(diagonal(key) * self.gain if key else self.gain)
+            self._loops[key] = self.plant.loop(diagonal(key) * self.gain if key else self.gain, self.gain)
         return self._loops[key]
+
+    @cached_property
+    def free(self) -> Motion:
+        """Motion under inputs that do not depend on the state, but are as wrong as those of this law."""
+        return replace(self.plant.open, error=self.error, _asked={})
+
+    @cached_property
+    def error(self) -> list[arb]:
+        """Bounds on the errors of what it applies."""
+        return self.plant.input_error(self.gain)
 
     @cached_property
     def commands(self) -> arb_mat:
@@ -66,8 +76,8 @@ class Pilot:
             if not self.plant.sampled:
                 most = period.within(self.commands, d, most)
             tops = [
-                smallest((top, largest((-lo, hi))))
-                for (lo, hi), top in zip(_ranges(u, most), tops, strict=True)
+                smallest((top, largest((-lo, hi)) + error))
+                for (lo, hi), top, error in zip(_ranges(u, most), tops, self.error, strict=True)
             ]
         return sum(tops, arb(0)) * self.plant.h
 
@@ -82,7 +92,11 @@ class Pilot:
         most = d.support(self.commands)
         if not self.plant.sampled:
             most = linear.within(self.commands, d, most)
-        if all(max(-lo, hi) <= top for (lo, hi), top in zip(_ranges(u, most), self.plant.u_max, strict=True)):
+        # What an error of the estimate adds to a command comes after the clip; without one, it counts.
+        room = [
+            top - x if kind == "affine" else top for top, x in zip(self.plant.u_max, self.error, strict=True)
+        ]
+        if all(max(-lo, hi) <= top for (lo, hi), top in zip(_ranges(u, most), room, strict=True)):
             return linear  # proven, since nothing clips as long as it is within the limits
         if kind == "affine":
             raise Rejected(
@@ -206,7 +220,7 @@ def _clipped(pilot: Pilot, d: Zonotope, u: arb_mat, stored: list[float] | None) 
         pushes = [(-top - x, top - x) for top, x in commands]
         for _ in range(ROUNDS):
             middle, spread = zip(*(_around(*push) for push in pushes), strict=True)
-            free = Period(plant.open, plant.B * column(middle), Push.in_box(plant.B, list(spread)))
+            free = Period(pilot.free, plant.B * column(middle), Push.in_box(plant.B, list(spread)))
             ranges = _ranges(u, free.within(rows, d, at_node))
             pushes = [
                 (_clip(lo, top) - x, _clip(hi, top) - x)

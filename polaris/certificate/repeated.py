@@ -253,6 +253,7 @@ def check_gains(document: Document, scenario: dict[str, Any], path: Path) -> dic
             "input_max": document.u_max,
             "disturbance_max": document.w_max,
             "mass_kg": document.mass,
+            "estimate_error": document.estimate or None,
         },
         "feedback": {
             "sampled": document.sampled,

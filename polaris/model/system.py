@@ -59,6 +59,9 @@ class LinearSystem:
         is an acceleration.
     mean_motion : float, optional
         Orbital rate [rad/s] if the frame is Hill's, else None.
+    estimate_error : array_like, shape (n,), optional
+        How far each state may be from the estimate that controllers act on, at any time and however the
+        difference changes; zero by default.
 
     Raises
     ------
@@ -75,6 +78,7 @@ class LinearSystem:
     mass: float = 1.0
     mean_motion: float | None = None
     state_names: tuple[str, ...] = ()
+    estimate_error: Array | None = None
 
     def __post_init__(self) -> None:
         put = object.__setattr__
@@ -102,6 +106,10 @@ class LinearSystem:
         put(self, "C", as_finite("system.C", C, 2))
         if self.position.shape[1] != n or not 1 <= self.position.shape[0] <= 3:
             raise ScenarioError("system.C", self.position.shape, f"must be (d, {n}) with d = 1, 2 or 3")
+        eta = np.zeros(n) if self.estimate_error is None else self.estimate_error
+        put(self, "estimate_error", as_finite("navigation", eta, 1))
+        if self.navigation.shape != (n,) or np.any(self.navigation < 0):
+            raise ScenarioError("navigation", self.navigation.tolist(), f"must be {n} numbers >= 0")
         if not self.state_names:
             put(self, "state_names", tuple(f"x{i}" for i in range(n)))
 
@@ -119,6 +127,25 @@ class LinearSystem:
     def p(self) -> int:
         """Number of disturbance channels."""
         return int(self.D.shape[1])
+
+    @property
+    def navigation(self) -> Array:
+        """Bound on the error of the estimate of every state, shape (n,)."""
+        assert self.estimate_error is not None
+        return self.estimate_error
+
+    def input_error(self, *gains: Array) -> Array:
+        """By how much what is applied may differ from what it would be on the exact state, shape (m,).
+
+        ``|gain| navigation``, the largest of some laws: thrusters clip, and two clipped commands differ by no
+        more than the commands do (docs/theory.md, Lemma 21).
+        """
+        return np.max([np.abs(gain) @ self.navigation for gain in gains], axis=0)
+
+    def error_map(self, *gains: Array) -> Array | None:
+        """`input_error` as generators of the rate of the states, shape (n, m); None where it is zero."""
+        error = self.input_error(*gains)
+        return self.B * error if np.any(error) else None
 
     @property
     def input_names(self) -> tuple[str, ...]:

@@ -85,6 +85,10 @@ class DecisionGrid:
         """
         of_kind("schedule", schedule, Schedule, "polaris.synthesize")
         safety = schedule.safety
+        if np.any(safety.problem.system.navigation):
+            given = safety.problem.system.navigation.tolist()
+            rule = "is not covered by the run-time methods: they take the laws to act on the exact state"
+            raise ScenarioError("navigation", given, rule)
         delta, feedback, n = safety.tracking.delta, safety.tracking.feedback, safety.problem.system.n
         if period is None:
             period = safety.tracking.flow.h if feedback.sampled else delta / ceil(delta / PERIOD - WHOLE)

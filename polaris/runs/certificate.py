@@ -12,6 +12,7 @@ import numpy as np
 from reach.numerics.linear import growth
 
 from ..certificate.document import FORMAT, VERSION, canonical, digest
+from ..model.obstacle import chaser_radius
 from ..model.system import Array, LinearSystem
 from ..model.timed_polytope import TimedPolytope
 from ..model.tolerances import ROUNDING
@@ -42,6 +43,7 @@ def certificate(schedule: Schedule, name: str, files: Iterable[Path] = ()) -> di
         "sampling": {"kind": kind, "step": float(safety.problem.delta), "steps": K, "nodes_per_step": q},
         "initial_set": {"center": start.c, "generators": start.G.T},
         "unsafe_sets": [_unsafe(item, safety.reference.cells) for item in safety.clearance.unsafe],
+        **({"chaser_radius": radius} if (radius := chaser_radius(safety.problem.unsafe)) else {}),
         "facets": safety.clearance.facets,
         "reference": {"states": safety.reference.chi, "inputs": safety.reference.nu},
         "controllers": [_controller(item, safety) for item in schedule.controllers],
@@ -80,6 +82,7 @@ def _system(system: LinearSystem) -> dict[str, Any]:
         "input_max": system.u_max,
         "disturbance_max": float(system.w_max),
         "input_names": list(system.input_names),
+        **({"estimate_error": system.navigation} if np.any(system.navigation) else {}),
     }
 
 
@@ -106,7 +109,7 @@ def _bounds(safety: Safety) -> dict[str, Any]:
     tube = error_tube(tracking, safety.start, rows).over_cells(K, q)
     below, above = np.split(tube[:, 2 * len(C) :], 2, axis=1)
     nu = safety.reference.nu[:K]
-    peak = np.maximum(above + nu, below - nu)
+    peak = np.maximum(above + nu, below - nu) + tracking.system.input_error(gain)
     return {
         "error_bounds": {"per_step": tube, "settled": tracking.disturbance(rows)[-1]},
         "thrust": {"peak": peak * (1 + ROUNDING)},

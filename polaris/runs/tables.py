@@ -161,6 +161,7 @@ def gains(schedule: Schedule) -> dict[str, Any]:
             "input_max": system.u_max,
             "disturbance_max": system.w_max,
             "mass_kg": system.mass,
+            **({"estimate_error": system.navigation} if np.any(system.navigation) else {}),
         },
         "feedback": {
             "sampled": tracking.feedback.sampled,

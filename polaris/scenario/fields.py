@@ -194,6 +194,11 @@ PositivePerAxis = Annotated[
     _by_shape("number", "vector", "vector"),
 ]
 """One positive number for all axes, or one per axis."""
+NonNegativePerAxis = Annotated[
+    Annotated[NonNegative, Tag("number")] | Annotated[WidthVector, Tag("vector")],
+    _by_shape("number", "vector", "vector"),
+]
+"""The same, zero allowed."""
 WordOrWeights = Annotated[
     Annotated[Literal["auto", "identity"], Tag("word")] | Annotated[LimitVector, Tag("vector")],
     _by_shape("word", "vector", "vector"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from reach.sets.zonotope import Zonotope
@@ -70,8 +71,11 @@ class ScheduleScenario(Scenario):
 
     @kept
     def system(self) -> LinearSystem:
-        """The controlled system."""
-        return self.model.system.build()
+        """The controlled system, and how well its state is known."""
+        system, navigation = self.model.system.build(), self.model.navigation
+        if navigation is None:
+            return system
+        return replace(system, estimate_error=navigation.build(system))
 
     @kept
     def initial_set(self) -> Zonotope:
@@ -80,8 +84,9 @@ class ScheduleScenario(Scenario):
 
     @kept
     def obstacles(self) -> tuple[Obstacle, ...]:
-        """Unsafe sets of the perception oracle: obstacles first, then keep-in sets."""
-        return tuple(part.build(path) for path, part in self.model.scene_parts())
+        """Unsafe sets of the perception oracle, grown by the chaser: obstacles first, then keep-in sets."""
+        radius = 0.0 if self.model.chaser is None else self.model.chaser.radius_m
+        return tuple(part.build(path).grown(radius) for path, part in self.model.scene_parts())
 
     @kept
     def goal(self) -> Goal:

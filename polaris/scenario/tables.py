@@ -111,6 +111,41 @@ class Orbit(ScenarioPart):
     radiation pressure, plumes, higher harmonics."""
 
 
+class Navigation(ScenarioPart):
+    """How well the state is known: bounds on the errors of the estimate that every controller acts on.
+
+    Within the bounds the errors may be any at any time. In Hill's frame positions and velocities have bounds,
+    in other systems states.
+    """
+
+    position_error_m: f.NonNegativePerAxis = unit("m", "Per axis, or one number for all.", default=0.0)
+    velocity_error_m_s: f.NonNegativePerAxis = unit("m/s", "Per axis, or one number for all.", default=0.0)
+    state_error: f.WidthVector | None = unit("SI (state order)", "n numbers >= 0.", default=None)
+
+    def build(self, system: LinearSystem) -> Array:
+        """Bounds on the error of every state, shape (n,)."""
+        if system.mean_motion is None:
+            if np.any(self.position_error_m) or np.any(self.velocity_error_m_s):
+                rule = "needs Hill's frame (system.kind = 'clohessy_wiltshire'); give state_error"
+                raise ScenarioError("navigation.position_error_m", self.position_error_m, rule)
+            given = (0.0,) * system.n if self.state_error is None else self.state_error
+            f.check_length("navigation.state_error", given, system.n)
+            return np.array(given)
+        if self.state_error is not None:
+            rule = "is for other systems; in Hill's frame give position_error_m and velocity_error_m_s"
+            raise ScenarioError("navigation.state_error", self.state_error, rule)
+        named = ("position_error_m", self.position_error_m), ("velocity_error_m_s", self.velocity_error_m_s)
+        return np.concatenate([_limits(f"navigation.{name}", value, 3) for name, value in named])
+
+
+class Chaser(ScenarioPart):
+    """What is controlled has a size: it is added to every unsafe set."""
+
+    radius_m: f.NonNegative = unit("m")
+    """Radius of a ball, about the point that is navigated, that contains all of the chaser in any attitude.
+    All distances that are reported are those of its surface. Facets of boxes and polytopes move out by it."""
+
+
 class _Initial(ScenarioPart):
     """Base of initial sets."""
 
@@ -288,6 +323,10 @@ class ScenarioModel(f.Head):
     system: System = unit("-", "The controlled system.")
     orbit: Orbit | None = unit("-", default=None)
     """What the linear model of a spacecraft leaves out; needed by `polaris model-error`."""
+    navigation: Navigation | None = unit(
+        "-", "How well it knows its state; exactly without it.", default=None
+    )
+    chaser: Chaser | None = unit("-", "The chaser's own size; a point without it.", default=None)
     initial_set: InitialSet = unit("-", "All states it may start in (Theta).")
     horizon: Horizon = unit("-", "Time covered and its steps.")
     feedback: Feedback = unit("-", default_factory=lambda: ContinuousFeedback(kind="continuous"))

@@ -51,14 +51,20 @@ class AffineLaw:
     @cached_property
     def open_flow(self) -> LinearFlow:
         """Motion under a known input: what bounds a clipped law before its command is known."""
-        return LinearFlow.continuous(self.system.A, self.system.D, self.system.w_max, self.flow.h)
+        return self._continuous(self.system.A, self.gain)
+
+    def _continuous(self, A: Array, *gains: Array) -> LinearFlow:
+        """Continuous motion of some matrix under all that may disturb one of some gains."""
+        system = self.system
+        E = system.error_map(*gains)
+        return LinearFlow.continuous(A, system.D, system.w_max, self.flow.h, E)
 
     def relaxed_flow(self, slope: Array) -> LinearFlow:
         """Error dynamics where the clip lets a share `slope`, shape (m,), of the feedback through."""
         key = slope.tobytes()
         if key not in self._relaxed:
             A_c = self.system.A - self.system.B @ (slope[:, None] * self.gain)
-            self._relaxed[key] = LinearFlow.continuous(A_c, self.system.D, self.system.w_max, self.flow.h)
+            self._relaxed[key] = self._continuous(A_c, self.gain)
         return self._relaxed[key]
 
     @cached_property
@@ -89,7 +95,7 @@ class AffineLaw:
         fastest = np.maximum(np.abs(self.flow.A_c), np.abs(self.tracking.flow.A_c))
         if self.clips:
             fastest = np.maximum(fastest, np.abs(self.system.A) + np.abs(self.system.B) @ np.abs(self.gain))
-        return LinearFlow.continuous(fastest, self.system.D, self.system.w_max, self.flow.h).period_box
+        return self._continuous(fastest, self.gain, self.tracking.gain).period_box
 
     def command(self, k: int, xi: Array, own: Array, x: Array) -> Array:
         """Thrust command before clipping, shape (..., m)."""

@@ -130,7 +130,7 @@ class AffineController(AffineLaw):
         return replace(self, reference=reference, own=own, tracking=tracking, _relaxed={})
 
     def commanded(self, nodes: Zonotope, bow: Array, k: int) -> tuple[Array, Array]:
-        """Command before clipping in step k, its middle and spread at every node [N], shapes (q+1, m).
+        """Command on the exact state before clipping in step k, its middle and spread, shapes (q+1, m) [N].
 
         `nodes` are errors about the law's own reference. With the bow on either side booked, the hull of two
         nodes holds what is commanded in the part between them.
@@ -142,6 +142,8 @@ class AffineController(AffineLaw):
     def _over_limit(self, nodes: Zonotope, bow: Array, k: int) -> tuple[float, int]:
         """By how much the unclipped command may exceed the limits in the step [N], and on which axis."""
         centre, spread = self.commanded(nodes, bow, k)
+        if not self.clips:  # else what the estimate adds to a command comes after the clip (Lemma 21)
+            spread = spread + self.system.input_error(self.gain)
         excess = (np.abs(centre) + spread) * (1 + ROUNDING) - self.system.u_max
         return float(excess.max()), int(np.argmax(excess.max(axis=0)))
 

@@ -35,7 +35,7 @@ def plan_problem(problem: Problem, tracking: Tracking, sets: tuple[TimedPolytope
     largest = float(np.min(system.u_max / np.linalg.norm(tracking.gain @ tracking.W_inverse, axis=1)))
     tube = error_tube(tracking, start, np.vstack([tracking.gain, -tracking.gain]))
     thrust = np.maximum(tube.over_cells(K, q), tube.left_over(tracking, largest))
-    needed = np.maximum(thrust[:, : system.m], thrust[:, system.m :])
+    needed = np.maximum(thrust[:, : system.m], thrust[:, system.m :]) + system.input_error(tracking.gain)
     limit = system.u_max * (1 - SOLVER_BOOK_INPUT) - needed
     if np.any(limit < 0):
         k, axis = np.unravel_index(int(np.argmin(limit)), limit.shape)

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from reach.sets.zonotope import Zonotope as Zonotope  # the door of the package finds it here
@@ -113,6 +114,8 @@ class Problem:
         if not 0 <= number("thrust_reserve", self.thrust_reserve) < 1:
             raise ScenarioError("thrust_reserve", self.thrust_reserve, "must be in [0, 1)")
         one_of("recoverable", self.recoverable, RECOVERABLE_KINDS)
+        if np.any(self.system.navigation) and self.recoverable != "polytope":
+            raise ScenarioError("recoverable.kind", self.recoverable, "must be 'polytope' with [navigation]")
         one_of("recourse", self.recourse, RECOURSE)
 
 

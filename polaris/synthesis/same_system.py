@@ -26,7 +26,7 @@ from .get_safety import Safety
 from .planning_problem import perceive_unsafe
 from .problem import Problem
 
-SYSTEM = ("A", "B", "D", "u_max", "w_max", "position", "mass", "mean_motion")
+SYSTEM = ("A", "B", "D", "u_max", "w_max", "position", "mass", "mean_motion", "navigation")
 """What two systems are compared by."""
 
 

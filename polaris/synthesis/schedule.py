@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from reach.sets.zonotope import Zonotope
 
 from ..certificate.assumptions import assumptions
+from ..model.obstacle import chaser_radius
 from ..model.satellite import SatelliteObstacle
 from ..model.system import Array
 from .arrival import Arrival, arrival
@@ -130,6 +131,8 @@ def assumed(safety: Safety) -> list[str]:
         satellites=any(isinstance(unsafe, SatelliteObstacle) for unsafe in problem.unsafe),
         horizon=safety.end.horizon,
         until=safety.end.until if np.isfinite(safety.end.until) else None,
+        estimate=problem.system.navigation.tolist(),
+        chaser=chaser_radius(problem.unsafe),
     )
 
 

@@ -83,10 +83,10 @@ class Feedback:
 
     def flow(self, system: LinearSystem, gain: Array, delta: float) -> LinearFlow:
         """Error dynamics under ``u = mu + gain (xi - x)``."""
-        h = delta / self.nodes_per_cell
+        h, E = delta / self.nodes_per_cell, system.error_map(gain)
         if self.sampled:
-            return LinearFlow.sampled(system.A, system.B, gain, system.D, system.w_max, h)
-        return LinearFlow.continuous(system.A - system.B @ gain, system.D, system.w_max, h)
+            return LinearFlow.sampled(system.A, system.B, gain, system.D, system.w_max, h, E)
+        return LinearFlow.continuous(system.A - system.B @ gain, system.D, system.w_max, h, E)
 
 
 def choose_feedback(system: LinearSystem, gains: list[Array], delta: float, period: float | None) -> Feedback:

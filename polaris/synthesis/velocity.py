@@ -22,6 +22,7 @@ def velocity_change(law: Controller, tube: TubeSegment, k: int, delta: float) ->
     u_max = law.system.u_max
     centre, spread = law.commanded(tube.nodes - law.offset[k], tube.bow, k)
     middle = np.minimum(np.abs(centre), u_max)
+    spread = spread + law.system.input_error(law.gain)
     highest = np.minimum((np.abs(centre) + spread) * (1 + ROUNDING), u_max)
     h = delta / (len(centre) - 1)
     held = middle[:-1] if law.feedback.sampled else (middle[:-1] + middle[1:]) / 2

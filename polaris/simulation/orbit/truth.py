@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ...model.system import Array
 from ...synthesis.schedule import Schedule
+from ..disturbances import disturbances
 from ..integration import Integrator, runge_kutta
 from ..run_metrics import Runs
 from ..simulate import Initial, flown_modes, initial_states
@@ -83,7 +84,9 @@ def fly_true(
     flight = _TrueMotion(schedule, modes, substeps)
     flight.env, flight.ballistic = env, ballistic
     flight.residual = np.zeros((len(modes) * flight.q, n))
-    runs = flight.run(np.concatenate([x, target], axis=1), np.broadcast_to(push, (flight.steps, n, 3)))
+    pushed, errors = np.broadcast_to(push, (flight.steps, n, 3)), disturbances(flight, n, rng, "random")[0]
+    pushed = np.concatenate([pushed, errors[..., flight.system.p :]], axis=2)
+    runs = flight.run(np.concatenate([x, target], axis=1), pushed)
     target = runs.states[..., 6:]
     runs = replace(runs, states=runs.states[..., :6])
     return TrueFlights(runs, flight.residual.T, target, ballistic, declared(env, target))
