@@ -64,7 +64,7 @@ class Plant:
     estimate: tuple[float, ...] = ()  # bounds on the error of the estimate of every state, if any is not zero
 
     def loop(self, gain: arb_mat, whole: arb_mat | None = None) -> Motion:
-        """Motion under ``u = -gain x``, what is applied being as wrong as that of a law of the gain `whole`."""
+        """Motion under ``u = -gain x``, its input as wrong as that of a law of the gain `whole`."""
         closed, error = self.A - self.B * gain, self.input_error(gain if whole is None else whole)
         if self.sampled:
             return Motion(self, self.A, closed, gain, error)

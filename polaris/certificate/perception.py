@@ -59,7 +59,7 @@ def check_unsafe(document: Document, scenario: dict[str, Any]) -> int:
 
 
 def _grown(document: Document, spec: dict[str, Any], radius: arb) -> dict[str, Any]:
-    """What the scenario says of a set, each facet moved outwards (inwards, if negative) by the chaser's radius."""
+    """What the scenario says of a set, its facets moved outwards (inwards, if negative) by the chaser's radius."""
     if spec["kind"] == "box":
         return spec | {"half_widths_m": [x + radius for x in spec["half_widths_m"]]}
     if spec["kind"] == "polytope":

@@ -214,7 +214,7 @@ class KeepInCone(KeepIn):
             positive(f"{self.path}.length", self.length, "m")
 
     def _grown(self, radius: float) -> KeepInCone:
-        """The cone of the points that are the radius or more from its sides: its apex moves along the axis."""
+        """The cone of the points at least the radius from its sides: its apex moves along the axis."""
         inwards = radius / np.sin(self.half_angle_rad)
         left = None if self.length is None else self.length - radius - inwards
         if left is not None and left <= 0:

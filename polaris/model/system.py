@@ -140,7 +140,7 @@ class LinearSystem:
         ``|gain| navigation``, the largest of some laws: thrusters clip, and two clipped commands differ by no
         more than the commands do (docs/theory.md, Lemma 21).
         """
-        return np.max([np.abs(gain) @ self.navigation for gain in gains], axis=0)
+        return np.asarray(np.max([np.abs(gain) @ self.navigation for gain in gains], axis=0))
 
     def error_map(self, *gains: Array) -> Array | None:
         """`input_error` as generators of the rate of the states, shape (n, m); None where it is zero."""

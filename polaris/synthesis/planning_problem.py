@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ..model.errors import NotCertified, SynthesisInfeasible
@@ -39,10 +41,11 @@ def plan_problem(problem: Problem, tracking: Tracking, sets: tuple[TimedPolytope
     limit = system.u_max * (1 - SOLVER_BOOK_INPUT) - needed
     if np.any(limit < 0):
         k, axis = np.unravel_index(int(np.argmin(limit)), limit.shape)
+        estimates = errors_alone(tracking, axis)
         raise SynthesisInfeasible(
             f"the tracker alone may demand {needed[k, axis]:.4g} of the {system.u_max[axis]:.4g} of "
             f"{system.input_names[axis]} at t = {k * problem.delta:g} s to correct the initial set and the "
-            "disturbance.",
+            f"disturbance{f', {estimates:.4g} of it for errors of navigation' if estimates else ''}.",
             float(-limit[k, axis]),
             "shrink the initial set, raise the thrust limit, or raise tracking.R for a softer tracker.",
         )
@@ -63,6 +66,14 @@ def plan_problem(problem: Problem, tracking: Tracking, sets: tuple[TimedPolytope
         problem.objective,
         problem.extra_margin,
     )
+
+
+def errors_alone(tracking: Tracking, axis: int) -> float:
+    """What S demands of an input, once settled, because estimates are wrong."""
+    system, row = tracking.system, tracking.gain[axis : axis + 1]
+    exact = replace(tracking, system=replace(system, estimate_error=None))
+    beyond = tracking.disturbance(row)[-1] - exact.disturbance(row)[-1]
+    return float(beyond[0] + system.input_error(tracking.gain)[axis])
 
 
 def find_plan(asked: PlanProblem, options: PlannerOptions) -> Plan:
