@@ -64,7 +64,7 @@ def _grown(document: Document, spec: dict[str, Any], radius: arb) -> dict[str, A
         return spec | {"half_widths_m": [x + radius for x in spec["half_widths_m"]]}
     if spec["kind"] == "polytope":
         lengths = [_length([arb(x) for x in normal]) for normal in spec["normals"]]
-        return spec | {"offsets_m": [b + radius * l for b, l in zip(spec["offsets_m"], lengths, strict=True)]}
+        return spec | {"offsets_m": [b + radius * size for b, size in zip(spec["offsets_m"], lengths, strict=True)]}
     if spec["kind"] != "cone":
         return spec | {"radius_m": spec["radius_m"] + radius}
     inwards = -radius / (arb(spec["half_angle_deg"]) * arb.pi() / 180).sin()

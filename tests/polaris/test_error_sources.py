@@ -1,6 +1,7 @@
 """Errors of navigation and the size of the chaser: in sets and certificates, and flown at their worst."""
 
 import json
+import pydoc
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -15,10 +16,12 @@ from polaris.rta.decision_grid import DecisionGrid
 from polaris.runs.certificate import certificate
 from polaris.scenario.reading import write_toml
 from polaris.scenario.scenario import load_scenario
+from polaris.scenario.tables import ScenarioModel
 from polaris.simulation.falsification.search import falsify
 from polaris.synthesis.clearance import error_tube
 from polaris.synthesis.synthesize import synthesize
 
+from ..kept import ROOT
 from .closed_loops import attack
 from .forging import CERTIFICATE, Forger, make
 from .random_scenarios import random_scenario, synthesised
@@ -180,6 +183,18 @@ def test_a_grown_set_holds_every_place_within_the_radius():
         assert np.all((after < 0)[before < radius]) and item.grown(radius).chaser_radius == radius
         near = np.abs(after) < 0.2
         assert np.median((before - radius - after)[near]) < 0.02, item.name  # facets fit exactly
+
+
+def test_every_place_where_the_docs_say_an_error_enters_is_there():
+    text = (ROOT / "docs" / "guarantees.md").read_text(encoding="utf-8")
+    rows = text.split("### Where an error enters")[1].split("|---|---|---|---|---|---|\n")[1].split("\n\n")[0]
+    tables = set(ScenarioModel.model_fields)
+    for row in rows.splitlines():
+        name, table, *places, online = (cell.strip() for cell in row.strip("|").split("|"))
+        assert table.strip("`").split(".")[0] in tables and online in ("booked", "refused"), name
+        assert len(places) == 3
+        for place in places:
+            assert pydoc.locate(place.strip("`")) is not None, place
 
 
 def test_forged_errors_are_refused(tmp_path):
