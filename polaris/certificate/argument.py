@@ -7,7 +7,7 @@ from dataclasses import replace
 from flint import arb, arb_mat
 
 from .arrival import Arrival
-from .balls import above, column, identity, largest, magnitude, matrix, plain, require
+from .balls import above, column, identity, largest, magnitude, matrix, plain, require, sums
 from .document import Document, UnsafeSet
 from .flights import Flown, Pilot, fly
 from .lemma import Stated, check_norm_bounds
@@ -57,7 +57,9 @@ class Argument:
         self.n, self.K = len(document.A), document.steps
         self.plant = plant_of(document)
         self.pilots = [Pilot(law, self.plant, document.slopes) for law in document.laws]
-        self.gain, self.loop = self.pilots[0].gain, self.pilots[0].loop()
+        self.gain, noise = self.pilots[0].gain, self.pilots[0].noise
+        most = [x * document.share for x in self.plant.u_max]
+        self.loop = self.plant.loop(self.gain, sums(noise, self.plant.thruster_error(most)))
 
     def run(self) -> None:
         """Check everything; returns only if every claim holds.
@@ -160,7 +162,7 @@ class Argument:
         disturbed = needs.disturbed
         tube = needs.tube(start)
         names = [f"position {i}" for i in range(C.nrows())] * 2 + doc.input_names * 2
-        d, error = 2 * C.nrows(), self.pilots[0].error
+        d, error = 2 * C.nrows(), self.pilots[0].noise
         for k in range(self.K):
             lags = range(k * q, (k + 1) * q + 1)
             if lags[-1] <= memory.periods:

@@ -20,6 +20,7 @@ def assumptions(
     horizon: str = "none",
     until: float | None = None,
     estimate: Iterable[float] = (),
+    thrusters: Iterable[float] = (),
     chaser: float = 0.0,
 ) -> list[str]:
     """What a certificate rests on and no checker can confirm: the one list, for runs and certificates.
@@ -40,6 +41,8 @@ def assumptions(
         Last instant of a claim of one further period [s].
     estimate : iterable of float
         Bounds on the errors of the states' estimates.
+    thrusters : iterable of float
+        Errors of what is applied: as a share of the command, of the 2-norm of all, and whatever is commanded.
     chaser : float
         Radius of the chaser [m]; 0 for a point.
     """
@@ -51,6 +54,8 @@ def assumptions(
         law = f"every controller renews its input each {period:g} s, in time and with {seen}"
     bounds = ", ".join(f"{x:g}" for x in errors)
     known = f"navigation: at all times no state is further from its estimate than [{bounds}], one by one"
+    applied = list(thrusters)
+    off = " + ".join(f"{x:g} {of}" for x, of in zip(applied, ("|u_i|", "norm(u, 2)", "N"), strict=False) if x)
     size = f"within {chaser:g} m of the point that is navigated, which is added to every unsafe set"
     point = "a point, its own size being part of the unsafe sets"
     ever = horizon == "infinite"
@@ -69,6 +74,11 @@ def assumptions(
         *([SATELLITES] if satellites else []),
         f"sampling: {law}",
         *([known] if any(errors) else []),
+        *(
+            [f"thrusters: what is applied to an input is within {off} of its command u_i"]
+            if any(applied)
+            else []
+        ),
         "clocks: exact; schedule, reference and unsafe sets count from the same instant",
         "experimental controllers: each obeys its declared model",
         fuel,

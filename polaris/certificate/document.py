@@ -124,6 +124,11 @@ class Document:
         self.w_max: float = system["disturbance_max"]
         self.mass: float = system["mass"]
         self.estimate: Vector = system.get("estimate_error") or []
+        errors = system.get("thrusters")
+        self.thrusters: Vector = [errors[key] for key in ("along", "across", "bit")] if errors else []
+        self.share: float = 1.0 if system.get("safety_share") is None else system["safety_share"]
+        if not 0 < self.share <= 1 or any(x < 0 for x in self.thrusters):
+            raise ValueError("the safety controller's share must be within 0 and 1, errors not negative")
         self.mean_motion: float | None = system["mean_motion"]
         self.input_names: list[str] = system["input_names"]
         if self.q > MOST_NODES:
@@ -203,6 +208,7 @@ class Document:
             horizon=self.horizon,
             until=self.until,
             estimate=self.estimate,
+            thrusters=self.thrusters,
             chaser=self.chaser_radius,
         )
         if read["assumptions"] != self.assumptions:

@@ -7,7 +7,7 @@ sampled feedback the input of the period is fixed at its start, so ``x(s) = M(s)
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -18,11 +18,13 @@ from .balls import (
     beside,
     column,
     diagonal,
+    dot,
     exponential,
     exponential_over,
     largest,
     magnitude,
     norms,
+    root,
     row_sums,
     sums,
 )
@@ -62,22 +64,35 @@ class Plant:
     sampled: bool  # whether inputs are held over a period
     q: int = 1  # periods per step
     estimate: tuple[float, ...] = ()  # bounds on the error of the estimate of every state, if any is not zero
+    thrusters: tuple[float, ...] = ()  # errors along, across and of the bit, if any is not zero
 
-    def loop(self, gain: arb_mat, whole: arb_mat | None = None) -> Motion:
-        """Motion under ``u = -gain x``, its input as wrong as that of a law of the gain `whole`."""
-        closed, error = self.A - self.B * gain, self.input_error(gain if whole is None else whole)
+    def loop(self, gain: arb_mat, error: list[arb] | None = None) -> Motion:
+        """Motion under ``u = -gain x``, every input off by an error at most."""
+        closed = self.A - self.B * gain
         if self.sampled:
-            return Motion(self, self.A, closed, gain, error)
-        return Motion(self, closed, closed, None, error)
+            return Motion(self, self.A, closed, gain, error or [])
+        return Motion(self, closed, closed, None, error or [])
 
-    def input_error(self, gain: arb_mat) -> list[arb]:
-        """By how much what a law applies may differ from what it would on the exact state, ``|gain| eta``.
+    def command_error(self, gain: arb_mat) -> list[arb]:
+        """By how much a command may differ from what it would be on the exact state, ``|gain| eta``.
 
         Clipped commands differ by no more than commands do.
         """
         if not self.estimate:
             return [arb(0)] * gain.nrows()
         return (absolute(gain) * column(self.estimate)).entries()
+
+    def thruster_error(self, most: Sequence[arb]) -> list[arb]:
+        """By how much what is applied may differ from commands up to some sizes."""
+        if not self.thrusters:
+            return [arb(0)] * len(most)
+        along, across, bit = self.thrusters
+        size = root(dot(most, most))
+        return [along * x + across * size + bit for x in most]
+
+    def push(self, error: list[arb]) -> Push | None:
+        """Errors of the inputs as what pushes; None where there are none."""
+        return Push.in_box(self.B, error) if any(x > 0 for x in error) else None
 
     @cached_property
     def open(self) -> Motion:
@@ -189,8 +204,8 @@ class Motion:
     @cached_property
     def disturbances(self) -> list[Push]:
         """What disturbs: w, and errors of the inputs."""
-        w, error = self.plant.disturbance, self.error
-        return [w, Push.in_box(self.plant.B, error)] if any(x > 0 for x in error) else [w]
+        w, push = self.plant.disturbance, self.plant.push(self.error)
+        return [w] if push is None else [w, push]
 
     def disturbance_gain(self, rows: arb_mat) -> list[arb]:
         """`push_gain` of all that disturbs."""

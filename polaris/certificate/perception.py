@@ -59,12 +59,14 @@ def check_unsafe(document: Document, scenario: dict[str, Any]) -> int:
 
 
 def _grown(document: Document, spec: dict[str, Any], radius: arb) -> dict[str, Any]:
-    """What the scenario says of a set, its facets moved outwards (inwards, if negative) by the chaser's radius."""
+    """What the scenario says of a set, its facets moved by the chaser's radius: outwards if positive."""
     if spec["kind"] == "box":
         return spec | {"half_widths_m": [x + radius for x in spec["half_widths_m"]]}
     if spec["kind"] == "polytope":
         lengths = [_length([arb(x) for x in normal]) for normal in spec["normals"]]
-        return spec | {"offsets_m": [b + radius * size for b, size in zip(spec["offsets_m"], lengths, strict=True)]}
+        return spec | {
+            "offsets_m": [b + radius * size for b, size in zip(spec["offsets_m"], lengths, strict=True)]
+        }
     if spec["kind"] != "cone":
         return spec | {"radius_m": spec["radius_m"] + radius}
     inwards = -radius / (arb(spec["half_angle_deg"]) * arb.pi() / 180).sin()

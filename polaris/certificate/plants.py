@@ -28,8 +28,9 @@ def plant_of(document: Document) -> Plant:
         A, B, D = exact
     h = arb(document.delta) / document.q
     u_max = [arb(x) for x in document.u_max]
-    C, w_max, estimate = matrix(document.C), arb(document.w_max), tuple(document.estimate)
-    return Plant(A, B, D, C, u_max, w_max, h, document.sampled, document.q, estimate)
+    C, w_max = matrix(document.C), arb(document.w_max)
+    errors = tuple(document.estimate), tuple(document.thrusters)
+    return Plant(A, B, D, C, u_max, w_max, h, document.sampled, document.q, *errors)
 
 
 def within_limits(document: Document, inputs: list[list[float]], claim: str, whose: str) -> None:

@@ -68,6 +68,10 @@ SCENARIO = {
         "inclination_max_deg?": Real(least=0, most=90),
     },
     "navigation?": {**every(SIZES, "position_error_m? velocity_error_m_s?"), "state_error?": WIDTHS},
+    "thrusters?": {
+        **every(Real(least=0, below=0.5), "magnitude_error? mass_error?"), "impulse_bit_N_s?": NOT_NEGATIVE,
+        "misalignment_deg?": Real(least=0, most=45),
+    },
     "chaser?": {"radius_m": NOT_NEGATIVE},
     "feedback?": Kinds({"continuous": {}, "sampled": {"period_s": POSITIVE}}),
     "initial_set": Kinds({
@@ -78,6 +82,7 @@ SCENARIO = {
     "horizon": every(POSITIVE, "duration_s step_s"),
     "tracking": {
         "Q": WEIGHT, "R": WEIGHT, "bound?": Text(("envelope", "lyapunov")),
+        "thrust_share?": Real(above=0, most=1),
         "weight?": Either((Text(("auto", "identity")), LIMITS)),
     },
     "recoverable?": {

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .errors import ScenarioError
+from .thrusters import Thrusters
 
 Array = NDArray[np.float64]
 
@@ -62,6 +63,8 @@ class LinearSystem:
     estimate_error : array_like, shape (n,), optional
         How far each state may be from the estimate that controllers act on, at any time and however the
         difference changes; zero by default.
+    thrusters : Thrusters
+        How far what is applied may be from what is commanded; not at all by default.
 
     Raises
     ------
@@ -79,6 +82,7 @@ class LinearSystem:
     mean_motion: float | None = None
     state_names: tuple[str, ...] = ()
     estimate_error: Array | None = None
+    thrusters: Thrusters = Thrusters()
 
     def __post_init__(self) -> None:
         put = object.__setattr__
@@ -134,17 +138,29 @@ class LinearSystem:
         assert self.estimate_error is not None
         return self.estimate_error
 
-    def input_error(self, *gains: Array) -> Array:
-        """By how much what is applied may differ from what it would be on the exact state, shape (m,).
+    @property
+    def ideal(self) -> bool:
+        """Whether laws see the exact state, and what they command is what is applied."""
+        return self.thrusters.exact and not np.any(self.navigation)
 
-        ``|gain| navigation``, the largest of some laws: thrusters clip, and two clipped commands differ by no
-        more than the commands do (docs/theory.md, Lemma 21).
+    def as_ideal(self) -> LinearSystem:
+        """The same system without errors of estimates and thrusters."""
+        return self if self.ideal else replace(self, estimate_error=None, thrusters=Thrusters())
+
+    def command_error(self, gain: Array) -> Array:
+        """By how much a command may differ from what it would be on the exact state, shape (m,)."""
+        return np.asarray(np.abs(gain) @ self.navigation)
+
+    def input_error(self, gain: Array, most: Array) -> Array:
+        """By how much what is applied may differ from what a law, clipped, would command on the exact state.
+
+        Under commands up to `most`, shape (m,). Two clipped commands differ by no more than the commands do
+        (docs/theory.md, Lemmas 21 and 23).
         """
-        return np.asarray(np.max([np.abs(gain) @ self.navigation for gain in gains], axis=0))
+        return np.asarray(self.command_error(gain) + self.thrusters.error(most))
 
-    def error_map(self, *gains: Array) -> Array | None:
-        """`input_error` as generators of the rate of the states, shape (n, m); None where it is zero."""
-        error = self.input_error(*gains)
+    def error_map(self, error: Array) -> Array | None:
+        """Errors of inputs as generators of the rate of the states, shape (n, m); None where there is none."""
         return self.B * error if np.any(error) else None
 
     @property

@@ -85,9 +85,11 @@ class DecisionGrid:
         """
         of_kind("schedule", schedule, Schedule, "polaris.synthesize")
         safety = schedule.safety
-        if np.any(safety.problem.system.navigation):
+        if not safety.problem.system.ideal or safety.tracking.share < 1:
             given = safety.problem.system.navigation.tolist()
-            rule = "is not covered by the run-time methods: they take the laws to act on the exact state"
+            rule = (
+                "is not covered by the run-time methods, nor are errors of thrusters, nor a limit of S's own"
+            )
             raise ScenarioError("navigation", given, rule)
         delta, feedback, n = safety.tracking.delta, safety.tracking.feedback, safety.problem.system.n
         if period is None:

@@ -71,11 +71,19 @@ class ScheduleScenario(Scenario):
 
     @kept
     def system(self) -> LinearSystem:
-        """The controlled system, and how well its state is known."""
-        system, navigation = self.model.system.build(), self.model.navigation
-        if navigation is None:
-            return system
-        return replace(system, estimate_error=navigation.build(system))
+        """The controlled system, how well its state is known, and its thrusters."""
+        system, navigation, thrusters = self.model.system.build(), self.model.navigation, self.model.thrusters
+        if navigation is not None:
+            system = replace(system, estimate_error=navigation.build(system))
+        if thrusters is not None:
+            system = replace(system, thrusters=thrusters.build(system, self._period))
+        return system
+
+    @property
+    def _period(self) -> float | None:
+        """Control period of sampled feedback [s]."""
+        feedback = self.model.feedback
+        return feedback.period_s if isinstance(feedback, SampledFeedback) else None
 
     @kept
     def initial_set(self) -> Zonotope:
@@ -115,7 +123,7 @@ class ScheduleScenario(Scenario):
         from .experimental import gains_of
 
         system, tracking, given = self.system(), self.model.tracking, self.model.planner.arguments()
-        feedback, weight = self.model.feedback, tracking.weight
+        weight = tracking.weight
         return Problem(
             system=system,
             initial_set=self.initial_set(),
@@ -128,12 +136,13 @@ class ScheduleScenario(Scenario):
             goal_tolerance=self.model.goal.tolerance_m,
             recoverable=self.model.recoverable.kind,
             recourse=self.model.recoverable.recourse,
-            period=feedback.period_s if isinstance(feedback, SampledFeedback) else None,
+            period=self._period,
             bound=tracking.bound,
             weight=weight if isinstance(weight, str) else numerics.full_weight(weight),
             objective=given.pop("objective"),
             extra_margin=given.pop("extra_margin"),
             thrust_reserve=given.pop("thrust_reserve"),
+            thrust_share=tracking.thrust_share,
             planner=PlannerOptions(**given),
             gains=gains_of(self.model, system),
         )

@@ -19,6 +19,7 @@ from reach.sets.zonotope import Zonotope
 from ..model.errors import ScenarioError
 from ..model.hill import clohessy_wiltshire
 from ..model.system import Array, LinearSystem
+from ..model.thrusters import Thrusters as Errors
 from . import fields as f
 from .fields import ScenarioPart, unit
 from .scene_tables import Experimental, Goal, KeepIn, Obstacle
@@ -138,6 +139,32 @@ class Navigation(ScenarioPart):
         return np.concatenate([_limits(f"navigation.{name}", value, 3) for name, value in named])
 
 
+class Thrusters(ScenarioPart):
+    """How far what is applied may be from what is commanded, at any time, in any direction that fits."""
+
+    magnitude_error: f.Real = unit(
+        "-", "Share by which thrust may be too large or small.", default=0.0, ge=0, lt=0.5
+    )
+    misalignment_deg: f.Real = unit("deg", default=0.0, ge=0, le=45)
+    """Angle by which the direction of the thrust may be off. Hill's frame only."""
+    mass_error: f.Real = unit("-", default=0.0, ge=0, lt=0.5)
+    """Share by which the mass may be more or less than `system.mass_kg`, propellant spent included."""
+    impulse_bit_N_s: f.NonNegative = unit("N s", default=0.0)
+    """Smallest impulse: that of a period is a multiple of it, the nearest to what is commanded. Needs sampled
+    feedback. The thrust counts as constant over the period."""
+
+    def build(self, system: LinearSystem, period: float | None) -> Errors:
+        """Bounds on the errors of the inputs."""
+        if self.misalignment_deg > 0 and (system.mean_motion is None or system.m != 3):
+            rule = "needs Hill's frame (system.kind = 'clohessy_wiltshire')"
+            raise ScenarioError("thrusters.misalignment_deg", self.misalignment_deg, rule)
+        if self.impulse_bit_N_s > 0 and period is None:
+            rule = "needs sampled feedback (feedback.kind = 'sampled')"
+            raise ScenarioError("thrusters.impulse_bit_N_s", self.impulse_bit_N_s, rule)
+        bit = 0.0 if period is None else self.impulse_bit_N_s / (2 * period)
+        return Errors.of(self.magnitude_error, np.deg2rad(self.misalignment_deg), self.mass_error, bit)
+
+
 class Chaser(ScenarioPart):
     """What is controlled has a size: it is added to every unsafe set."""
 
@@ -242,6 +269,9 @@ class Tracking(ScenarioPart):
     bound: Literal["envelope", "lyapunov"] = unit("-", default="envelope")
     """How the norm of the tracking error is bounded (Lemma 1): an envelope of the matrix exponential
     (tighter), or a Lyapunov function."""
+    thrust_share: f.Real = unit("-", default=1.0, gt=0, le=1)
+    """Share of the thrust limits that the safety controller uses at most, its reference included. Errors of
+    thrusters are proportional to what is commanded: less of it can be worth more."""
     weight: f.WordOrWeights = unit("-", default="auto")
     """Weighted norm of that bound: chosen for the closed loop, none (m and m/s in one norm, loose), or the
     diagonal of W, n numbers > 0."""
@@ -326,6 +356,7 @@ class ScenarioModel(f.Head):
     navigation: Navigation | None = unit(
         "-", "How well it knows its state; exactly without it.", default=None
     )
+    thrusters: Thrusters | None = unit("-", "Errors of the thrusters; none without it.", default=None)
     chaser: Chaser | None = unit("-", "The chaser's own size; a point without it.", default=None)
     initial_set: InitialSet = unit("-", "All states it may start in (Theta).")
     horizon: Horizon = unit("-", "Time covered and its steps.")

@@ -12,7 +12,7 @@ from reach.numerics.linear import discretize
 from ..model.system import Array
 from ..synthesis.controllers import AffineController
 from ..synthesis.schedule import Schedule
-from .integration import Integrator
+from .integration import Integrator, columns
 
 Disturbance = Literal["none", "random", "worst", "mixed"]
 
@@ -22,14 +22,14 @@ def disturbances(
 ) -> tuple[Array, Array]:
     """Disturbances constant over each integration step, shape (steps, n, p), norm at most w_max.
 
-    Where the state is not known exactly, one more column for the error of the estimate of every state.
+    Errors of estimates and thrusters, where there are any, have `columns` of their own.
     Also the direction, at time 0, in which the initial error of each worst-case run counts, (worst, n).
     """
     system, steps = flight.system, flight.steps
-    p, noisy = system.p, bool(np.any(system.navigation))
-    w = np.zeros((steps, n, p + system.n * noisy))
+    p, places = system.p, columns(system)
+    w = np.zeros((steps, n, places[-1].stop))
     adjoint = np.zeros((0, system.n))
-    if kind == "none" or (system.w_max == 0 and not noisy):
+    if kind == "none" or (system.w_max == 0 and system.ideal):
         return w, adjoint
     worst = n if kind == "worst" else (n // 2 if kind == "mixed" else 0)
     if worst:
@@ -38,10 +38,11 @@ def disturbances(
     if count:
         longest = flight.steps_per_cell * 4
         w[:, worst:, :p] = _piecewise(steps, count, p, longest, rng) * system.w_max
-        if noisy:
-            drawn = _piecewise(steps, count, system.n, longest, rng)
-            far = np.max(np.abs(drawn), axis=2, keepdims=True)
-            w[:, worst:, p:] = drawn / np.maximum(far, 1e-300) * system.navigation
+        for part, size in zip(places[1:], (system.navigation, np.ones(system.m)), strict=True):
+            if part.start < part.stop:
+                drawn = _piecewise(steps, count, part.stop - part.start, longest, rng)
+                far = np.max(np.abs(drawn), axis=2, keepdims=True)
+                w[:, worst:, part] = drawn / np.maximum(far, 1e-300) * size
     return w, adjoint
 
 
@@ -96,8 +97,8 @@ def adjoint_worst_case(
     system, steps = flight.system, flight.steps
     numbers = np.repeat(flight.modes, flight.steps_per_cell)
     choices = {number: _loops(flight, number) for number in np.unique(numbers).tolist()}
-    adjoint, p, noisy = np.zeros((len(rows), system.n)), system.p, bool(np.any(system.navigation))
-    w = np.zeros((steps, len(rows), p + system.n * noisy))
+    adjoint, (own, eta, errors) = np.zeros((len(rows), system.n)), columns(system)
+    w = np.zeros((steps, len(rows), errors.stop))
     free = np.zeros((steps, len(rows), system.m)) if flight.may_do_anything else None
     bits = 2 ** np.arange(system.m)
     for step in range(steps - 1, -1, -1):
@@ -110,11 +111,13 @@ def adjoint_worst_case(
             case = clipped[step] @ bits
             column = adjoint[:, None, :]
             direction, kick, carried = ((column @ part[case])[:, 0] for part in (push, thrust, back))
-        along = direction[:, :p]
+        along = direction[:, own]
         size = np.sqrt(np.einsum("ij,ij->i", along, along))[:, None]
-        w[step, :, :p] = along * (system.w_max / np.maximum(size, 1e-300))
-        if noisy:
-            w[step, :, p:] = np.sign(direction[:, p:]) * system.navigation
+        w[step, :, own] = along * (system.w_max / np.maximum(size, 1e-300))
+        if eta.start < eta.stop:
+            w[step, :, eta] = np.sign(direction[:, eta]) * system.navigation
+        if errors.start < errors.stop:
+            w[step, :, errors] = np.sign(kick)
         if free is not None:
             free[step] = np.sign(kick) * system.u_max
         adjoint = carried

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from reach.numerics.linear import discretize
 
-from ..model.system import Array
+from ..model.system import Array, LinearSystem
 from ..synthesis.controllers import AffineController, AnyThrust
 from ..synthesis.schedule import Schedule
 from .run_metrics import Runs
@@ -27,17 +27,26 @@ def runge_kutta(rate: Callable[[int, Array], Array], x: Array, dt: float, first:
     return np.asarray(x + dt / 6 * (first + 2 * second + 2 * third + fourth))
 
 
+def columns(system: LinearSystem) -> tuple[slice, slice, slice]:
+    """Columns of what disturbs: w, the error of every estimate, that of every thruster; none where exact."""
+    first = system.p
+    second = first + system.n * bool(np.any(system.navigation))
+    return slice(first), slice(first, second), slice(second, second + system.m * (not system.thrusters.exact))
+
+
 class Integrator:
     """Time grid, references and transitions of one simulation.
 
     What a controller does that may do anything is `free` (steps, R, m); without it, as its `command` says.
-    Errors of the estimates that controllers act on are `eta` (steps, R, n).
+    Errors of the estimates that controllers act on are `eta` (steps, R, n), those of the thrusters, as shares
+    of the largest that what is commanded allows, `thrust` (steps, R, m).
     """
 
     def __init__(self, schedule: Schedule, modes: NDArray[np.int_], substeps: int) -> None:
         safety = schedule.safety
         self.free: Array | None = None
         self.eta: Array | None = None
+        self.thrust: Array | None = None
         self.schedule, self.modes, self.substeps = schedule, modes, substeps
         self.system, self.tracking = safety.tracking.system, safety.tracking
         self.q, self.sampled = self.tracking.feedback.nodes_per_cell, self.tracking.feedback.sampled
@@ -79,10 +88,15 @@ class Integrator:
         own = self.own[number][k, half + later] if number in self.own else xi
         return controller.command(k, xi, own, x)
 
+    def applied(self, raw: Array, step: int) -> Array:
+        """What the thrusters make of commands in a step."""
+        u = np.clip(raw, -self.system.u_max, self.system.u_max)
+        return u if self.thrust is None else u + self.thrust[step] * self.system.thrusters.error(u)
+
     def rate(self, number: int, k: int, half: int, later: int, x: Array, force: Array) -> Array:
         """``x'`` under one controller, `later` half-steps after the half-step `half` of cell k."""
         raw = self.command(number, k, half, x, later)
-        u = np.clip(raw, -self.system.u_max, self.system.u_max)
+        u = self.applied(raw, k * self.steps_per_cell + half // 2)
         return np.asarray(x @ self.system.A.T + u @ self.system.B.T + force)
 
     def move(self, number: int, k: int, step: int, x: Array, u: Array, w: Array) -> Array:
@@ -110,8 +124,8 @@ class Integrator:
             if sub == 0 or not self.sampled:
                 raw = self.command(number, k, 2 * step, x)
                 demanded = np.maximum(demanded, np.max(np.abs(raw) / limit, axis=1))
-                u = np.clip(raw, -limit, limit)
-            first = u if sub == 0 else first
+                u = self.applied(raw, k * self.steps_per_cell + step)
+            first = np.clip(raw, -limit, limit) if sub == 0 else first
             x = self.move(number, k, step, x, u, w[sub])
             spent += np.abs(u).sum(axis=1)
         return x, first, demanded, spent
@@ -119,10 +133,11 @@ class Integrator:
     def run(self, x0: Array, w: Array) -> Runs:
         """Fly from initial states (R, n) under disturbances held over each step, (steps, R, p).
 
-        With p + n columns the last ones are the errors of the estimates.
+        Further columns, as `columns` has them, are the errors of the estimates and of the thrusters.
         """
-        q, nodes, p = self.q, len(self.modes) * self.q, self.system.p
-        w, self.eta = w[..., :p], w[..., p:] if w.shape[2] > p else None
+        q, nodes = self.q, len(self.modes) * self.q
+        w, *errors = (w[..., part] for part in columns(self.system))
+        self.eta, self.thrust = (part if part.shape[2] else None for part in errors)
         # Time comes first while writing: every instant's block is then one piece of memory.
         states, inputs = np.empty((nodes + 1, *x0.shape)), np.empty((nodes, len(x0), self.system.m))
         demanded, delta_v = np.zeros((nodes, len(x0))), np.zeros(len(x0))
@@ -153,7 +168,8 @@ class Integrator:
         `period` returns for every node, stacked, and what is spent in the whole cell.
         """
         law, limit, count = self.schedule.controllers[number], self.system.u_max, self.steps_per_cell
-        if not isinstance(law, AffineController) or (self.sampled and self.substeps > 1):
+        held = self.sampled and self.substeps > 1
+        if not isinstance(law, AffineController) or held or self.thrust is not None:
             return None
         own = self.own.get(number, self.safe)[k]  # of the law's reference, at whole and half steps
         eta = np.zeros(1) if self.eta is None else self.eta[k * count : (k + 1) * count]

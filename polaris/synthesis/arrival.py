@@ -125,8 +125,9 @@ def _correcting(safety: Safety, final: Zonotope, nodes: int) -> float:
     both = np.vstack([tracking.gain, -tracking.gain])
     need = error_tube(tracking, final, both).need
     need = need + safety.clearance.jump_need(both) + safety.clearance.round_off(both)
-    most = need.reshape(len(need), 2, -1).max(axis=1) + system.input_error(tracking.gain)
-    thrust = np.minimum(most, system.u_max).sum(axis=1)
+    most = need.reshape(len(need), 2, -1).max(axis=1) + system.command_error(tracking.gain)
+    most = np.minimum(most, system.u_max)
+    thrust = (most + system.thrusters.error(most)).sum(axis=1)
     at = thrust[np.minimum(np.arange(nodes + 1), len(thrust) - 1)]
     return float(np.maximum(at[:-1], at[1:]).sum() * tracking.flow.h / system.mass)
 

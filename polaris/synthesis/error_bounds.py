@@ -73,8 +73,7 @@ def get_err_bounds(
         If the method is unknown or the weight is singular.
     """
     one_of("tracking.bound", method, ("envelope", "lyapunov"))
-    if np.any(tracking.system.navigation):
-        tracking = replace(tracking, system=replace(tracking.system, estimate_error=None))
+    tracking = tracking if tracking.system.ideal else replace(tracking, system=tracking.system.as_ideal())
     flow, system = tracking.flow, tracking.system
     W = _weight(tracking, weight)
     inverse = np.asarray(np.linalg.inv(W), dtype=float)

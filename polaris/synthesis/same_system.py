@@ -26,7 +26,7 @@ from .get_safety import Safety
 from .planning_problem import perceive_unsafe
 from .problem import Problem
 
-SYSTEM = ("A", "B", "D", "u_max", "w_max", "position", "mass", "mean_motion", "navigation")
+SYSTEM = ("A", "B", "D", "u_max", "w_max", "position", "mass", "mean_motion", "navigation", "thrusters")
 """What two systems are compared by."""
 
 
@@ -44,6 +44,7 @@ def check_safety(safety: Safety, problem: Problem) -> None:
     for name, part in (("tracking", tracking), ("reference", reference), ("controller", s)):
         _same_system(f"safety.{name}", part.system, problem.system)
     _same("safety.tracking.delta", tracking.delta, problem.delta, "step of the problem")
+    _same("safety.tracking.share", tracking.share, problem.thrust_share, "problem's")
     feedback = tracking.feedback
     _same("safety.tracking.feedback.sampled", feedback.sampled, problem.period is not None, "problem's")
     if problem.period is not None:

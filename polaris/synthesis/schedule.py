@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import astuple, dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -132,6 +132,7 @@ def assumed(safety: Safety) -> list[str]:
         horizon=safety.end.horizon,
         until=safety.end.until if np.isfinite(safety.end.until) else None,
         estimate=problem.system.navigation.tolist(),
+        thrusters=astuple(problem.system.thrusters),
         chaser=chaser_radius(problem.unsafe),
     )
 

@@ -17,13 +17,15 @@ def velocity_change(law: Controller, tube: TubeSegment, k: int, delta: float) ->
     """
     if not isinstance(law, AffineController):
         limit = getattr(law, "system", None)
-        most = float(np.sum(limit.u_max)) * delta if limit is not None else np.inf
+        tops = None if limit is None else limit.u_max + limit.thrusters.error(limit.u_max)
+        most = np.inf if tops is None else float(np.sum(tops)) * delta
         return most, most
     u_max = law.system.u_max
     centre, spread = law.commanded(tube.nodes - law.offset[k], tube.bow, k)
     middle = np.minimum(np.abs(centre), u_max)
-    spread = spread + law.system.input_error(law.gain)
+    spread = spread + law.system.command_error(law.gain)
     highest = np.minimum((np.abs(centre) + spread) * (1 + ROUNDING), u_max)
+    highest = highest + law.system.thrusters.error(highest)
     h = delta / (len(centre) - 1)
     held = middle[:-1] if law.feedback.sampled else (middle[:-1] + middle[1:]) / 2
     return float(held.sum()) * h, float(np.maximum(highest[:-1], highest[1:]).sum()) * h

@@ -106,8 +106,6 @@ class _TrueMotion(Integrator):
         """Nothing is linear here."""
 
     def move(self, number: int, k: int, step: int, x: Array, u: Array, w: Array) -> Array:
-        limit = self.system.u_max
-
         def rates(u: Array, state: Array) -> tuple[Array, Array]:
             own, target, left_out = relative_rate(self.env, state[:, 6:], state[:, :6], self.ballistic)
             own = own + u @ self.system.B.T
@@ -118,7 +116,7 @@ class _TrueMotion(Integrator):
             if self.sampled:
                 return rates(u, state)[0]
             asked = self.command(number, k, 2 * step, state, later)
-            return rates(np.clip(asked, -limit, limit), state)[0]
+            return rates(self.applied(asked, k * self.steps_per_cell + step), state)[0]
 
         first, left_out = rates(u, x)
         node = k * self.q + step // self.substeps
