@@ -126,7 +126,7 @@ class Pilot:
 
 @dataclass(frozen=True, eq=False)
 class Period:
-    """Motion over one period: ``d' = ... + g + V v`` with v of a push, held or not, and errors of the inputs."""
+    """Motion over one period: ``d' = ... + g + V v`` with v of a push, held or not, and errors of inputs."""
 
     motion: Motion
     g: arb_mat

@@ -127,7 +127,8 @@ def _check_thrusters(document: Document, scenario: dict[str, Any]) -> None:
         raise Rejected("system", "an impulse bit needs a control period")
     if angle > 0 and document.mean_motion is None:
         raise Rejected("system", "a misalignment needs Hill's frame")
-    wanted = most - 1, turned, bit / (2 * document.delta / document.q)
+    rounding = bit / (2 * arb(document.delta) / document.q)
+    wanted = most - 1, turned, rounding * (most + turned * arb(len(document.u_max)).sqrt())
     stored = document.thrusters or [0.0] * 3
     for name, least, found in zip(("along", "across", "of the bit"), wanted, stored, strict=True):
         require("system", found - least + least * ROUNDED, f"error of the thrusters {name}: {found}")

@@ -160,7 +160,7 @@ class LinearSystem:
         return np.asarray(self.command_error(gain) + self.thrusters.error(most))
 
     def error_map(self, error: Array) -> Array | None:
-        """Errors of inputs as generators of the rate of the states, shape (n, m); None where there is none."""
+        """Errors of inputs as generators of the rate of the states, shape (n, m); None without any."""
         return self.B * error if np.any(error) else None
 
     @property

@@ -34,11 +34,12 @@ class Thrusters:
             raise ScenarioError("thrusters", sizes, "must be finite numbers >= 0")
 
     @classmethod
-    def of(cls, magnitude: float, misalignment: float, mass: float, bit: float) -> Thrusters:
-        """From errors of magnitude and mass (shares) and of the direction [rad], and the bit [N]; rounded up."""
+    def of(cls, magnitude: float, misalignment: float, mass: float, rounding: float, m: int) -> Thrusters:
+        """From errors of magnitude, direction [rad], mass and rounding [N] of m inputs; rounded up."""
         most = (1 + magnitude) / (1 - mass)
-        shares = (most - 1, 2 * np.sin(misalignment / 2) * most)
-        return cls(*(float(x) * (1 + 1e-9) if x > 0 else 0.0 for x in shares), bit)
+        along, across = most - 1, 2 * float(np.sin(misalignment / 2)) * most
+        bounds = along, across, rounding * (1 + along + across * m**0.5)
+        return cls(*(x * (1 + 1e-9) if x > 0 else 0.0 for x in bounds))
 
     @property
     def exact(self) -> bool:

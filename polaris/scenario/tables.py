@@ -162,7 +162,9 @@ class Thrusters(ScenarioPart):
             rule = "needs sampled feedback (feedback.kind = 'sampled')"
             raise ScenarioError("thrusters.impulse_bit_N_s", self.impulse_bit_N_s, rule)
         bit = 0.0 if period is None else self.impulse_bit_N_s / (2 * period)
-        return Errors.of(self.magnitude_error, np.deg2rad(self.misalignment_deg), self.mass_error, bit)
+        return Errors.of(
+            self.magnitude_error, np.deg2rad(self.misalignment_deg), self.mass_error, bit, system.m
+        )
 
 
 class Chaser(ScenarioPart):

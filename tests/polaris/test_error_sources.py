@@ -1,7 +1,8 @@
-"""Errors of navigation and the size of the chaser: in sets and certificates, and flown at their worst."""
+"""Errors of navigation and thrusters, and the chaser's size: in sets, certificates, and flown at their worst."""
 
 import json
 import pydoc
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -12,6 +13,7 @@ import pytest
 from polaris.model.errors import PolarisError, ScenarioError, SynthesisInfeasible
 from polaris.model.keep_in import KeepInCone, KeepInPolytope
 from polaris.model.obstacles import BallObstacle, BoxObstacle, PolytopeObstacle
+from polaris.model.thrusters import Thrusters
 from polaris.rta.decision_grid import DecisionGrid
 from polaris.runs.certificate import certificate
 from polaris.scenario.reading import write_toml
@@ -21,30 +23,37 @@ from polaris.simulation.falsification.search import falsify
 from polaris.synthesis.clearance import error_tube
 from polaris.synthesis.synthesize import synthesize
 
-from ..kept import ROOT
+from ..kept import ROOT, kept
 from .closed_loops import attack
 from .forging import CERTIFICATE, Forger, make
-from .random_scenarios import random_scenario, synthesised
+from .random_scenarios import random_scenario
 from .test_closed_loops import judge
 from .tiny import TINY
 
 FEW = (5016, 5024, 5034)
 """Random scenes that are proved with errors, too; among them clipped laws and sampled feedback."""
 
-ERRORS = ("navigation.state_error=[0.02, 0.02, 0.004, 0.004]", "chaser.radius_m=0.05")
+POLYTOPE = "recoverable.kind=polytope"
+ERRORS = (
+    "navigation.state_error=[0.02, 0.02, 0.004, 0.004]",
+    "chaser.radius_m=0.05",
+    "thrusters.magnitude_error=0.02",
+    "thrusters.mass_error=0.01",
+    "tracking.thrust_share=0.9",
+)
 
 
-def tables(seed, scale=0.1):
-    """Assignments of random errors of navigation, and a size, to a random scene."""
+def exact(seed):
+    """A random scene without errors."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "scene.toml"
         path.write_text(random_scenario(seed), encoding="utf-8")
-        scenario = load_scenario(path)
-    rng, widths, d = (
-        np.random.default_rng(seed + 10**7),
-        scenario.initial_set().half_widths,
-        scenario.system().d,
-    )
+        return load_scenario(path, [POLYTOPE])
+
+
+def tables(scenario, seed, scale=0.1):
+    """Assignments of random errors of navigation and thrusters, and a size, to a random scene."""
+    rng, widths, d = np.random.default_rng(seed), scenario.initial_set().half_widths, scenario.system().d
     error = widths * rng.uniform(0, scale, len(widths))
     size = f"chaser.radius_m={widths.max() * rng.uniform(0, scale):.6g}"
     if scenario.system().mean_motion is None:
@@ -52,18 +61,24 @@ def tables(seed, scale=0.1):
     else:
         parts = ("position_error_m", error[:d].tolist()), ("velocity_error_m_s", error[d:].tolist())
         given = [f"navigation.{name}={part}" for name, part in parts]
-    return (*given, size, "recoverable.kind=polytope")
+    thrusters = [f"thrusters.{key}={rng.uniform(0, 0.06):.3g}" for key in ("magnitude_error", "mass_error")]
+    if scenario.problem().period is not None:
+        most = scenario.problem().period * scenario.system().u_max.min()
+        thrusters.append(f"thrusters.impulse_bit_N_s={float(most * rng.uniform(0, 0.03))}")
+    if scenario.system().mean_motion is not None:
+        thrusters.append(f"thrusters.misalignment_deg={rng.uniform(0, 2):.3g}")
+    return [*given, size, *thrusters, f"tracking.thrust_share={rng.uniform(0.5, 1):.3g}"]
 
 
 @cache
 def made(seed):
     """(scenario, schedule) of a random scene with errors, if it is proved."""
-    with TemporaryDirectory() as folder:
-        try:
-            scenario, schedule = synthesised(seed, Path(folder), *tables(seed))
-        except PolarisError:
-            return None
-    return (scenario, schedule) if schedule.guarantee == "proved" else None
+    scenario = exact(seed)
+    scenario = scenario.with_assignments(tables(scenario, seed))
+    try:
+        return kept(f"errors-{seed}", lambda: (scenario, synthesize(scenario)))
+    except PolarisError:
+        return None
 
 
 def test_a_few_proofs_hold_with_errors_at_their_worst():
@@ -81,12 +96,9 @@ def test_errors_left_out_of_the_proof_break_it():
     """The same attacks refute a schedule that was made without the errors."""
     over = []
     for seed in FEW:
-        with TemporaryDirectory() as folder:
-            exact = synthesised(seed, Path(folder), "recoverable.kind=polytope")[1]
-        object.__setattr__(
-            exact.safety.problem.system, "estimate_error", 20 * made(seed)[0].system().navigation
-        )
-        over.append(attack(exact, 60, seed).over)
+        schedule, wrong = synthesize(exact(seed)), 20 * made(seed)[0].system().navigation
+        object.__setattr__(schedule.safety.problem.system, "estimate_error", wrong)
+        over.append(attack(schedule, 60, seed).over)
     assert max(over) > 1e-3
 
 
@@ -122,6 +134,7 @@ def test_the_share_of_an_error_is_what_its_worst_signs_reach():
 def test_without_errors_everything_is_as_without_the_tables():
     plain = load_scenario(TINY)
     zero = plain.with_assignments(["navigation.state_error=[0.0, 0.0, 0.0, 0.0]", "chaser.radius_m=0.0"])
+    zero = zero.with_assignments(["thrusters.magnitude_error=0.0", "thrusters.mass_error=0.0"])
     assert certificate(synthesize(plain), "tiny") == certificate(synthesize(zero), "tiny")
 
 
@@ -143,6 +156,10 @@ def test_a_need_grows_with_the_error_and_what_cannot_be_met_is_named():
         ("navigation.state_error=[-0.1, 0.0, 0.0, 0.0]", "navigation.state_error"),
         ("navigation.position_error_m=0.1", "navigation.position_error_m"),
         ("chaser.radius_m=-1.0", "chaser.radius_m"),
+        ("thrusters.magnitude_error=0.5", "thrusters.magnitude_error"),
+        ("thrusters.misalignment_deg=1.0", "thrusters.misalignment_deg"),
+        ("thrusters.impulse_bit_N_s=0.1", "thrusters.impulse_bit_N_s"),
+        ("tracking.thrust_share=0.0", "tracking.thrust_share"),
     ],
 )
 def test_bad_tables_are_refused_by_name(assignment, field):
@@ -158,6 +175,35 @@ def test_in_hills_frame_errors_have_units():
     assert scenario.system().navigation.tolist() == [1, 2, 3, 0.5, 0.5, 0.5]
     with pytest.raises(ScenarioError, match="position_error_m"):
         load_scenario("static").with_assignments(["navigation.state_error=[0.1, 0, 0, 0, 0, 0]"])
+
+
+def test_errors_of_thrusters_cover_every_way_to_make_them():
+    """Any magnitude, direction and mass within the bounds, and an impulse rounded to the bit."""
+    rng, bounds = np.random.default_rng(1), (0.05, np.deg2rad(4.0), 0.03)
+    bit, period = 0.005, 2.0
+    rounding = bit / (2 * period)
+    errors, most = Thrusters.of(*bounds, rounding, 3), 0.0
+    for _ in range(4000):
+        u = rng.normal(size=3) * [1.0, 0.3, 0.1]
+        told = np.round(u * period / bit) * bit / period
+        way = np.cross(told, rng.normal(size=3))
+        aside = np.sin(bounds[1]) * np.linalg.norm(told) * way / np.linalg.norm(way)
+        turned = np.cos(bounds[1]) * told + aside
+        size, mass = 1 + bounds[0] * rng.choice([-1, 1], 3), 1 + bounds[2] * rng.choice([-1, 1])
+        share = np.abs(size * turned / mass - u) / errors.error(u)
+        assert np.all(share <= 1)
+        most = max(most, share.max())
+    assert most > 0.9
+
+
+def test_the_errors_of_a_step_follow_what_is_commanded_in_it():
+    schedule = synthesize(load_scenario(TINY).with_assignments(["thrusters.magnitude_error=0.1"]))
+    law, start = schedule.controllers[1], schedule.safety.start
+    told = law.fly(start, 0)
+    assert all(np.all(kept <= law.system.u_max) for kept in map(np.frombuffer, law._levels))
+    least, most = (replace(law, most=share * law.system.u_max, _relaxed={}) for share in (1e-9, 1.0))
+    sizes = [tube.end.half_widths for tube in (least._flown(start, 0)[0], told, most._flown(start, 0)[0])]
+    assert np.all(sizes[0] <= sizes[1] + 1e-12) and np.all(sizes[1] <= sizes[2] + 1e-12)
 
 
 def test_run_time_methods_refuse_what_they_do_not_cover():
@@ -210,6 +256,13 @@ def test_forged_errors_are_refused(tmp_path):
     ):
         verdict = forger.judge({CERTIFICATE: json.dumps(data | forged)})
         assert (verdict.outcome, verdict.claim) == ("REJECTED", claim)
+    exact = {"system": {k: v for k, v in data["system"].items() if k != "thrusters"}}
+    ideal = [w for w in names if not w.startswith("thrusters")]
+    verdict = forger.judge({CERTIFICATE: json.dumps(data | exact | {"assumptions": ideal})})
+    assert (verdict.outcome, verdict.claim) == ("REJECTED", "system")
+    whole = {"system": data["system"] | {"safety_share": (0.5).hex()}}
+    verdict = forger.judge({CERTIFICATE: json.dumps(data | whole)})
+    assert (verdict.outcome, verdict.claim) == ("REJECTED", "system")
     smaller = {"system": data["system"] | {"estimate_error": [(0.01).hex()] * 4}}
     words = [w.replace("[0.02, 0.02, 0.004, 0.004]", "[0.01, 0.01, 0.01, 0.01]") for w in names]
     verdict = forger.judge({CERTIFICATE: json.dumps(data | smaller | {"assumptions": words})})
