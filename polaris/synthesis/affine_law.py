@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -31,7 +30,7 @@ class AffineLaw:
     clips: bool = False
     most: Array | None = None
     _relaxed: dict[bytes, LinearFlow] = field(default_factory=dict, repr=False)
-    _levels: dict[bytes, Any] = field(default_factory=dict, repr=False)
+    _levels: dict[bytes, AffineLaw] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
         shape = (self.system.m, self.system.n)

@@ -122,9 +122,10 @@ class AffineController(AffineLaw):
     def _within(self, most: Array) -> AffineController:
         """The same law while it commands no more than that."""
         key = most.tobytes()
-        if key not in self._levels:
-            self._levels[key] = replace(self, most=most, _relaxed={}, _levels={})
-        return self._levels[key]
+        law = self._levels.get(key) or replace(self, most=most, _relaxed={}, _levels={})
+        self._levels[key] = law
+        assert isinstance(law, AffineController)
+        return law
 
     def _flown(self, start: Zonotope, k: int) -> tuple[TubeSegment, Array]:
         """Reachable set over step k, and what is commanded at most in it, shape (m,).

@@ -41,7 +41,7 @@ def plan_problem(problem: Problem, tracking: Tracking, sets: tuple[TimedPolytope
     limit = tracking.u_max * (1 - SOLVER_BOOK_INPUT) - needed
     if np.any(limit < 0):
         k, axis = np.unravel_index(int(np.argmin(limit)), limit.shape)
-        errors = errors_alone(tracking, axis)
+        errors = errors_alone(tracking, int(axis))
         share = f", {errors:.4g} of it for errors of navigation and thrusters" if errors else ""
         raise SynthesisInfeasible(
             f"the tracker alone may demand {needed[k, axis]:.4g} of the {tracking.u_max[axis]:.4g} of "

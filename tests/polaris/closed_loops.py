@@ -275,7 +275,7 @@ class Loop:
             raw = np.abs(self.nu[k] - need)
             kept = (
                 self.schedule.safety.tracking.share
-            )  # to which S keeps; errors of estimates add to commands
+            )  # to which S keeps; estimates add to commands
             most = kept * system.u_max - system.navigation @ np.abs(self.gain).T
             thrust = np.minimum(thrust, np.where(safe[..., None], most - raw, np.inf).min(axis=0))
             for sign in (1, -1):
