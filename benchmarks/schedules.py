@@ -2,6 +2,7 @@
 
     python -m benchmarks.schedules                    bundled scenarios
     python -m benchmarks.schedules static robot
+    python -m benchmarks.schedules crowded            static, 120 steps long, with 8 obstacles that matter
     python -m benchmarks.schedules --random 100       random scenes of the tests as well (some minutes)
 
 For each scene: share of time under the experimental controllers, switches, mean velocity change of
@@ -14,6 +15,7 @@ from __future__ import annotations
 import argparse
 import time
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -22,12 +24,31 @@ import numpy as np
 from polaris.model.errors import PolarisError
 from polaris.scenario.scenario import ScheduleScenario, load_scenario
 from polaris.simulation.simulate import simulate
+from polaris.synthesis.get_safety import get_safety
 from polaris.synthesis.schedule import Schedule
 from polaris.synthesis.synthesize import synthesize
 
 BUNDLED = ("static", "dynamic", "keep_out", "hold_point", "robot")
 PRINTED = "recoverable.recourse=none"
 RUNS = 100
+
+
+def crowded(count: int = 8, steps: int = 120) -> ScheduleScenario:
+    """`static` with more steps, and boxes strung along the way that U would fly, on either side in turn.
+
+    The way is inside each box, 3 m from its nearer side.
+    """
+    longer = load_scenario("static").with_assignments([f"horizon.duration_s={30 * steps}"])
+    way = get_safety(replace(longer.problem(), unsafe=())).reference.chi[: steps + 1, :3]
+    boxes = []
+    for i, k in enumerate(np.linspace(0.12 * steps, 0.62 * steps, count).astype(int)):
+        ahead = way[k + 1] - way[k]
+        aside = np.array([-ahead[1], ahead[0], 0.0]) / np.hypot(ahead[0], ahead[1])
+        place = (way[k] + 12.0 * (-1) ** i * aside).round(1).tolist()
+        boxes.append(
+            f'{{kind="box", name="box-{i + 1}", center_m={place}, half_widths_m=[15.0, 15.0, 15.0]}}'
+        )
+    return longer.with_assignments([f"obstacles=[{', '.join(boxes)}]"])
 
 
 def timed(scenario: ScheduleScenario) -> tuple[Schedule, float]:
@@ -43,7 +64,7 @@ def spent(schedule: Schedule, mode: int | None = None) -> float:
 
 def row(name: str) -> str:
     """A bundled scene: printed, and with U in view."""
-    scenario = load_scenario(name)
+    scenario = crowded() if name == "crowded" else load_scenario(name)
     printed, first = timed(scenario.with_assignments([PRINTED]))
     found, whole = timed(scenario)
     cells = [f"{name:11s}  S alone {spent(printed, 0):6.3f} m/s"]

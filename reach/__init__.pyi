@@ -6,6 +6,7 @@ from .hybrid.segments import Segment as Segment
 from .hybrid.simulation import HybridTrajectory as HybridTrajectory
 from .hybrid.simulation import Visit as Visit
 from .hybrid.simulation import simulate_hybrid as simulate_hybrid
+from .hybrid.tube import HybridOptions as HybridOptions
 from .hybrid.tube import hybrid_tube as hybrid_tube
 from .hybrid.verification import HybridVerdict as HybridVerdict
 from .hybrid.verification import falsify_hybrid as falsify_hybrid
@@ -41,8 +42,7 @@ from .tubes.flow import LinearFlow as LinearFlow
 from .tubes.flow import state_scale as state_scale
 from .tubes.flowpipes import Flowpipes as Flowpipes
 from .tubes.ltv import LTVSystem as LTVSystem
-from .tubes.ltv import ltv_support_tube as ltv_support_tube
-from .tubes.ltv import ltv_zonotope_tube as ltv_zonotope_tube
+from .tubes.ltv import Varying as Varying
 from .tubes.systems import LinearSystem as LinearSystem
 from .tubes.systems import Signal as Signal
 from .tubes.trajectory import Trajectory as Trajectory
@@ -52,7 +52,6 @@ from .tubes.tubes import SupportTube as SupportTube
 from .tubes.tubes import ZonotopeTube as ZonotopeTube
 from .tubes.tubes import support_tube as support_tube
 from .tubes.tubes import zonotope_tube as zonotope_tube
-from .tubes.varying import Varying as Varying
 from .verification.specification import Always as Always
 from .verification.specification import Never as Never
 from .verification.specification import Verdict as Verdict

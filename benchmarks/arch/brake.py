@@ -24,6 +24,7 @@ from reach import (
     Always,
     HPolytope,
     HybridAutomaton,
+    HybridOptions,
     Interval,
     LinearSystem,
     Mode,
@@ -120,13 +121,9 @@ def run(name: str) -> Row:
         rest,
         specs,
         HORIZON,
+        HybridOptions(step=2 * PERIOD, order=6, clusters=1, reduction="girard", jumps=JUMPS),
         dt=PERIOD,
         runs=0,
-        step=2 * PERIOD,
-        order=6,
-        clusters=1,
-        reduction="girard",
-        jumps=JUMPS,
     )
     seconds = perf_counter() - begun
     assert verdict.tube is not None

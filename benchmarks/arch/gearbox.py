@@ -21,6 +21,7 @@ from reach import (
     Always,
     HPolytope,
     HybridAutomaton,
+    HybridOptions,
     Interval,
     LinearSystem,
     Mode,
@@ -102,7 +103,7 @@ def run(name: str) -> Row:
     """Verify one instance."""
     model, initial = automaton(), INITIAL[name]
     begun = perf_counter()
-    verdict = verify_hybrid(model, initial, SPECS, HORIZON, dt=1e-4, runs=0, step=STEPS)
+    verdict = verify_hybrid(model, initial, SPECS, HORIZON, HybridOptions(step=STEPS), dt=1e-4, runs=0)
     seconds = perf_counter() - begun
     assert verdict.tube is not None
     bound = float(max(verdict.tube.support(mode, GAINED)[0] for mode in SPECS))

@@ -27,6 +27,7 @@ from reach import (
     Always,
     HPolytope,
     HybridAutomaton,
+    HybridOptions,
     Interval,
     LinearSystem,
     Mode,
@@ -95,7 +96,9 @@ def switched(name: str) -> Row:
     specs = {mode: [Always(HPolytope(SPACING, [LIMITS[name]] * 3))] for mode in MATRICES}
     model, start = automaton(), Zonotope.point(np.zeros(9))
     begun = perf_counter()
-    verdict = verify_hybrid(model, start, specs, HORIZON, dt=0.1, runs=0, step=STEP[name], order=ORDER[name])
+    verdict = verify_hybrid(
+        model, start, specs, HORIZON, HybridOptions(step=STEP[name], order=ORDER[name]), dt=0.1, runs=0
+    )
     seconds = perf_counter() - begun
     assert verdict.tube is not None
     bound = float(np.max([verdict.tube.support(mode, SPACING) for mode in MATRICES]))

@@ -24,6 +24,7 @@ from benchmarks.arch.row import Row
 from reach import (
     HPolytope,
     HybridAutomaton,
+    HybridOptions,
     LinearSystem,
     Mode,
     Never,
@@ -123,7 +124,9 @@ def run(name: str) -> Row:
     none = [Never(HPolytope(side * np.eye(n)[[0]], [side]), during=ended) for side in (1, -1)]
     specs = {mode.name: none for mode in model.modes if mode.name != "positive"}
     begun = perf_counter()
-    verdict = verify_hybrid(model, start, specs, HORIZON, dt=1e-3, runs=0, step=STEP, order=ORDER)
+    verdict = verify_hybrid(
+        model, start, specs, HORIZON, HybridOptions(step=STEP, order=ORDER), dt=1e-3, runs=0
+    )
     seconds = perf_counter() - begun
     assert verdict.tube is not None
     ends = np.vstack([np.eye(n)[0], -np.eye(n)[0]])

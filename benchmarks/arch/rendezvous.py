@@ -21,6 +21,7 @@ from reach import (
     Always,
     HPolytope,
     HybridAutomaton,
+    HybridOptions,
     HybridTrajectory,
     LinearSystem,
     Mode,
@@ -110,7 +111,12 @@ def run(name: str) -> Row:
     begun = perf_counter()
     specs = {mode.name: SPECS[mode.name] for mode in model.modes if mode.name in SPECS}
     verdict = verify_hybrid(
-        model, INITIAL, specs, HORIZON, dt=0.2, step=STEPS, tolerance=TOLERANCE, clusters=CLUSTERS
+        model,
+        INITIAL,
+        specs,
+        HORIZON,
+        HybridOptions(step=STEPS, tolerance=TOLERANCE, clusters=CLUSTERS),
+        dt=0.2,
     )
     seconds = perf_counter() - begun
     if verdict.trajectory is not None:

@@ -94,7 +94,9 @@ class Argument:
         self.recoverability(path, memory, sets)
         if self.stated.goal is not None and self.document.guarantee == "proved":
             spent = sum((step.spent for step in flown), arb(0)) / self.document.mass
-            arrival = Arrival(self.document, path, self.loop, memory, sets[-1], spent)
+            last = max((k + 1 for k, mode in enumerate(self.document.modes) if mode), default=0)
+            held = ((sets[last], (self.K - last) * self.document.q), (sets[-1], 0))
+            arrival = Arrival(self.document, path, self.loop, memory, held, spent)
             self.record.holds("goal", arrival.check(*self.stated.goal))
 
     def reference(self) -> Path:

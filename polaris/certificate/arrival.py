@@ -146,16 +146,17 @@ class Weighted:
 
 @dataclass(frozen=True, eq=False)
 class Arrival:
-    """S from the set reached at T on, along the tail.
+    """S along the tail.
 
-    `spent` bounds the velocity change until T [m/s].
+    `held` are sets that each hold all errors, at the last hand-over to S and at T, with how many nodes it is
+    until T; `spent` bounds the velocity change until T [m/s].
     """
 
     document: Document
     path: Path
     loop: Motion
     memory: Memory
-    final: Zonotope
+    held: tuple[tuple[Zonotope, int], ...]
     spent: arb
     _known: dict[int, list[arb]] = field(default_factory=dict, repr=False)
 
@@ -222,12 +223,13 @@ class Arrival:
 
     def _likely(self, rows: Weighted, needs: Needs, claimed: float) -> list[int]:
         """Nodes at which flights may come as near to the goal as is claimed, the likeliest first."""
-        size, found = self.final.size(), []
+        final = self.held[-1][0]
+        size, found = final.size(), []
         for node in range(self._last + 1):
             lag = min(node, self.memory.periods)
             middle = rows.over(self._state(node))
             if node <= self.memory.periods:
-                middle = sums(middle, (needs.carried[lag] * self.final.c).entries())
+                middle = sums(middle, (needs.carried[lag] * final.c).entries())
             if not rows.distance(middle) > arb(claimed) * (1 + SLACK):
                 reach = (magnitude(needs.carried[lag]) * size).entries()
                 found.append((float(rows.distance(sums(middle, reach, needs.responses[lag])).mid()), node))
@@ -239,29 +241,29 @@ class Arrival:
         spare = arb(claimed) * (1 + SLACK) - derived
         require("goal", spare, f"{what}: {claimed:.6g} claimed, {plain(derived)} derived")
 
-    def _forgotten(self, needs: Needs) -> list[arb]:
-        """What errors at T, and the jump, still need at any node beyond the loop's memory."""
-        z = self.memory.z.entries()
-        sizes = (self.final.size().entries(), magnitude(self.path.jump).entries())
-        parts = [largest(a / b for a, b in zip(size, z, strict=True)) for size in sizes]
-        return [late * (parts[0] + parts[1]) for late in needs.forgotten]
+    def _forgotten(self, needs: Needs, size: arb_mat) -> list[arb]:
+        """What undisturbed errors up to a size still need at any node beyond the loop's memory."""
+        share = largest(a / b for a, b in zip(size.entries(), self.memory.z.entries(), strict=True))
+        return [late * share for late in needs.forgotten]
 
-    def _at(self, needs: Needs, node: int) -> list[arb]:
-        """What errors need along rows at a node after T."""
-        if node > self.memory.periods:
-            return sums(self._forgotten(needs), needs.settled)
-        carried = needs.carried[node]
-        jump = (magnitude(carried) * magnitude(self.path.jump)).entries()
-        return sums(self.final.support(carried), needs.responses[node], jump)
-
-    def _around(self, needs: Needs, node: int) -> list[arb]:
-        """The same in the periods on both sides of the node, too."""
-        if node > self.memory.periods:
-            return sums(self._forgotten(needs), needs.disturbed[-1])
-        carried, size = needs.carried[node], magnitude(self.path.jump)
-        jump = ((magnitude(carried) + needs.bend[node]) * size).entries()
-        booked, disturbed = needs.booked(self.final, node), needs.disturbed[node]
-        return sums(self.final.support(carried), booked, disturbed, jump)
+    def _at(self, needs: Needs, node: int, around: bool = False) -> list[arb]:
+        """What errors need along rows at a node after T; `around` in the periods on both sides of it, too."""
+        found, periods, jump = [], self.memory.periods, magnitude(self.path.jump)
+        for z, since in self.held:
+            lag = since + node
+            pushed = needs.disturbed if around else [*needs.responses[: periods + 1], needs.settled]
+            parts = [pushed[min(lag, periods + 1)]]
+            if lag > periods:
+                parts.append(self._forgotten(needs, z.size()))
+            else:
+                parts.append(z.support(needs.carried[lag]))
+                parts += [needs.booked(z, lag)] if around else []
+            found.append(sums(*parts))
+        least = [smallest(x.upper() for x in each) for each in zip(*found, strict=True)]
+        if node > periods:
+            return sums(least, self._forgotten(needs, jump))
+        carried = magnitude(needs.carried[node])
+        return sums(least, ((carried + needs.bend[node] if around else carried) * jump).entries())
 
     def _state(self, node: int) -> arb_mat:
         """State of the reference at a node of the tail."""
@@ -311,5 +313,5 @@ class Arrival:
     def _thrust(self, node: int) -> list[arb]:
         """What S commands for errors, of both signs, in the periods on both sides of a node."""
         if node not in self._known:
-            self._known[node] = self._around(self._commands, node)
+            self._known[node] = self._at(self._commands, node, around=True)
         return self._known[node]

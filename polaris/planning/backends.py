@@ -13,7 +13,8 @@ from ..model.errors import ScenarioError
 from ..model.tolerances import SOLVER_FEASIBILITY
 from .problem import PlannerOptions
 
-Listen = Callable[[float, float], None]
+Hear = Callable[[float, float, float], str]
+"""Told incumbent (infinite while there is none), bound and nodes; answers why to stop, or an empty string."""
 
 
 @dataclass(frozen=True)
@@ -29,27 +30,6 @@ class Found:
     nodes: float
 
 
-@dataclass(frozen=True)
-class Limits:
-    """How long a back end may search: nodes, and wall time [s] as the last resort.
-
-    Its patience is the same while it has found nothing.
-    """
-
-    nodes: int
-    seconds: float
-    patience_nodes: float = np.inf
-    patience_seconds: float = np.inf
-
-    def given_up(self, found: bool, nodes: float, seconds: float) -> str:
-        """Why to stop a search that has found nothing, or an empty string."""
-        if found:
-            return ""
-        if nodes >= self.patience_nodes:
-            return "effort_limit"
-        return "time_limit" if seconds >= self.patience_seconds else ""
-
-
 def require(solver: str) -> None:
     """Refuse a back end that is not installed."""
     if solver == "gurobi" and find_spec("gurobipy") is None:
@@ -57,13 +37,10 @@ def require(solver: str) -> None:
         raise ScenarioError("planner.solver", "gurobi", rule)
 
 
-def run(lp: Any, options: PlannerOptions, limits: Limits, listen: Listen) -> Found:
-    """Solve a PuLP model in place, from the values that its variables have, if any.
-
-    `listen` is told the incumbent and the bound.
-    """
+def run(lp: Any, options: PlannerOptions, nodes: int, seconds: float, hear: Hear) -> Found:
+    """Solve a PuLP model in place, from the values that its variables have, if any, within nodes and time."""
     solve = _gurobi if options.solver == "gurobi" else _highs
-    return solve(lp, options, limits, listen)
+    return solve(lp, options, nodes, max(seconds, 0.05), hear)
 
 
 def _warm_highs(**options: Any) -> Any:
@@ -88,24 +65,22 @@ def _warm_highs(**options: Any) -> Any:
     return WarmHiGHS(msg=False, **options)
 
 
-def _highs(lp: Any, options: PlannerOptions, limits: Limits, listen: Listen) -> Found:
+def _highs(lp: Any, options: PlannerOptions, most: int, seconds: float, hear: Hear) -> Found:
     import highspy
 
     kind, gave_up = highspy.HighsModelStatus, [""]
 
-    def hear(what: Any, message: str, data: Any, answer: Any, user: Any) -> None:
-        listen(data.mip_primal_bound, data.mip_dual_bound)
-        found = bool(data.mip_primal_bound < highspy.kHighsInf)
-        gave_up[0] = limits.given_up(found, data.mip_node_count, data.running_time) or gave_up[0]
+    def ask(what: Any, message: str, data: Any, answer: Any, user: Any) -> None:
+        gave_up[0] = hear(data.mip_primal_bound, data.mip_dual_bound, data.mip_node_count) or gave_up[0]
         answer.user_interrupt = bool(gave_up[0])
 
     solver = _warm_highs(
         gapRel=options.gap / 2,
-        timeLimit=max(limits.seconds, 0.05),
+        timeLimit=seconds,
         threads=options.threads,
-        callbackTuple=(hear, None),
+        callbackTuple=(ask, None),
         callbacksToActivate=[highspy.cb.HighsCallbackType.kCallbackMipInterrupt],
-        mip_max_nodes=limits.nodes,
+        mip_max_nodes=most,
         primal_feasibility_tolerance=SOLVER_FEASIBILITY,
         mip_feasibility_tolerance=SOLVER_FEASIBILITY,
     )
@@ -121,26 +96,25 @@ def _highs(lp: Any, options: PlannerOptions, limits: Limits, listen: Listen) -> 
     return Found("optimal" if status == kind.kOptimal else gave_up[0] or ended, solved, bound, nodes)
 
 
-def _gurobi(lp: Any, options: PlannerOptions, limits: Limits, listen: Listen) -> Found:
+def _gurobi(lp: Any, options: PlannerOptions, most: int, seconds: float, hear: Hear) -> Found:
     import gurobipy as gp
     import pulp
 
     grb, gave_up = gp.GRB, [""]
 
-    def hear(model: Any, where: int) -> None:
+    def ask(model: Any, where: int) -> None:
         if where != grb.Callback.MIP:
             return
-        asked = ("MIP_OBJBST", "MIP_OBJBND", "MIP_NODCNT", "RUNTIME")
-        best, bound, nodes, seconds = (model.cbGet(getattr(grb.Callback, what)) for what in asked)
-        listen(best, bound)
-        gave_up[0] = limits.given_up(best < grb.INFINITY, nodes, seconds) or gave_up[0]
+        asked = ("MIP_OBJBST", "MIP_OBJBND", "MIP_NODCNT")
+        best, bound, nodes = (model.cbGet(getattr(grb.Callback, what)) for what in asked)
+        gave_up[0] = hear(best if best < grb.INFINITY else np.inf, bound, nodes) or gave_up[0]
         if gave_up[0]:
             model.terminate()
 
     settings = {
-        "timeLimit": max(limits.seconds, 0.05),
+        "timeLimit": seconds,
         "MIPGap": options.gap / 2,  # PuLP's own argument passes a gap of 0 over
-        "NodeLimit": limits.nodes,
+        "NodeLimit": most,
         "FeasibilityTol": SOLVER_FEASIBILITY,
         "IntFeasTol": SOLVER_FEASIBILITY,
         "Threads": 0 if options.threads is None else options.threads,
@@ -150,7 +124,7 @@ def _gurobi(lp: Any, options: PlannerOptions, limits: Limits, listen: Listen) ->
         with gp.Env(params={"OutputFlag": 0}) as env:
             solver = pulp.GUROBI(msg=False, env=env, warmStart=True, **settings)
             try:
-                lp.solve(solver, callback=hear)
+                lp.solve(solver, callback=ask)
                 return _gurobi_answer(lp.solverModel, grb, gave_up[0])
             finally:
                 solver.close()

@@ -82,7 +82,7 @@ class FollowingSearch(PathSearch):
         per = np.tile(np.repeat(prices, self.rows.problem.system.m), 2)
         first, allowed = 2 * self.rows.N + 2, np.isfinite(per)
         self.lp.price(first, np.where(allowed, per, 0.0))
-        self.lp.limit_all(first, np.zeros(len(per)), np.where(allowed, MOST, 0.0))
+        self.lp.limit(first, np.zeros(len(per)), np.where(allowed, MOST, 0.0))
 
     def departures(self, path: Candidate) -> Array:
         """Largest departure from the law in every step, in shares of full thrust, shape (K,)."""

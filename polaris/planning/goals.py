@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..model.checks import non_negative, number, positive, whole
 from ..model.errors import ScenarioError
@@ -123,8 +124,7 @@ class Box(Goal):
         return "box about (" + ", ".join(f"{s:g}" for s in self.center) + ")"
 
 
-@dataclass(frozen=True, eq=False)
-class StationaryPoint(Goal):
+class StationaryPoint(Box):
     """End exactly at a state. In Hill's frame only rest on the along-track axis needs no thrust after.
 
     Parameters
@@ -134,26 +134,18 @@ class StationaryPoint(Goal):
         Rate [1/s] by which velocities are divided to read as lengths. It only weighs residuals.
     """
 
-    state: Array
-    rate: float = 1e-2
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "state", as_finite("goal.state", self.state, 1))
-        positive("goal.rate", self.rate, "1/s")
+    def __init__(self, state: ArrayLike, rate: float = 1e-2) -> None:
+        point = as_finite("goal.state", state, 1)
+        super().__init__(point, np.zeros(len(point)), rate)
 
     @property
-    def n(self) -> int:
-        """Number of states."""
-        return len(self.state)
-
-    @cached_property
-    def conditions(self) -> GoalConditions:
-        """One equality per state."""
-        return Box(self.state, np.zeros(self.n), self.rate).conditions
+    def state(self) -> Array:
+        """Where to end, shape (n,)."""
+        return self.center
 
     def describe(self) -> str:
         """One line for messages."""
-        return "stationary point (" + ", ".join(f"{s:g}" for s in self.state) + ")"
+        return super().describe().replace("box about", "stationary point")
 
 
 class _HillGoal(Goal):

@@ -74,12 +74,7 @@ class GrowingLP:
         columns = np.arange(first, first + len(cost), dtype=np.int32)
         self.highs.changeColsCost(len(cost), columns, cost)
 
-    def limit(self, column: int, low: float, high: float) -> None:
-        """Change the bounds of one column."""
-        self.highs.changeColBounds(column, low, high)
-        self._room[column] = high - low
-
-    def limit_all(self, first: int, low: Array, high: Array) -> None:
+    def limit(self, first: int, low: Array, high: Array) -> None:
         """Change the bounds of consecutive columns."""
         columns = np.arange(first, first + len(low), dtype=np.int32)
         self.highs.changeColsBounds(len(low), columns, low, high)

@@ -6,7 +6,6 @@ Disjunctions enter the program when its solution lacks clearance there.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable
-from dataclasses import replace
 from itertools import chain
 from operator import eq, ge, le
 from time import perf_counter
@@ -194,7 +193,7 @@ def by_back_end(effort: Effort, stage: str, best: Candidate | None, allowed: All
         budget = best.fuel * (1 + 1e-6) + 1e-9 if best is not None and by_fuel else np.inf
         model = Model(search, cells, budget)
         effort.add_time("model", begun)
-        answer = _run(effort, model, stage, best, _limits(effort.used, best, allowed))
+        answer = _run(effort, model, stage, best, allowed)
         if answer.status == "infeasible":
             bound = search.value(best) if best is not None else np.inf
             return outcome("infeasible" if best is None else "optimal")
@@ -211,31 +210,25 @@ def by_back_end(effort: Effort, stage: str, best: Candidate | None, allowed: All
     return outcome("optimal" if best is not None and within() else ended)
 
 
-def _limits(used: float, best: Candidate | None, allowed: Allowance) -> backends.Limits:
-    """What is allowed, less what is used. A search that finds nothing may have to end early."""
-    spare, now = allowed.spare(best), perf_counter()
-    nodes, seconds = [most - used for most in allowed.effort], [end - now for end in allowed.deadline]
-    which = 0 if spare and best is not None else 1
-    limits = backends.Limits(max(int(nodes[which]), 1), seconds[which])
-    if spare and best is None:
-        return replace(limits, patience_nodes=nodes[0], patience_seconds=seconds[0])
-    return limits
-
-
 def _run(
-    effort: Effort, model: Model, stage: str, best: Candidate | None, limits: backends.Limits
+    effort: Effort, model: Model, stage: str, best: Candidate | None, allowed: Allowance
 ) -> backends.Found:
     """Solve a model from the best path, and account for it."""
     if model.impossible:
         return backends.Found("infeasible", False, np.inf, 0.0)
     begun, top = perf_counter(), effort.search.value(best) if best is not None else np.inf
+    used = effort.used
 
-    def listen(incumbent: float, bound: float) -> None:
+    def hear(incumbent: float, bound: float, nodes: float) -> str:
         effort.report(stage, min(top, incumbent), bound)
+        nothing = best is None and incumbent == np.inf  # a search that finds nothing may have to end early
+        return allowed.spent(None, used + nodes) if nothing and allowed.spare(None) else ""
 
     if best is not None:
         model.begin_at(best)
-    found = backends.run(model.lp, effort.options, limits, listen)
+    which = 0 if best is not None and allowed.spare(best) else 1
+    nodes, seconds = max(int(allowed.effort[which] - used), 1), allowed.deadline[which] - begun
+    found = backends.run(model.lp, effort.options, nodes, seconds, hear)
     effort.add_time("solver", begun)
     binaries = sum(z is not None for z in model.z.values())
     sizes = {"rows": model.lp.numConstraints(), "cols": model.lp.numVariables(), "binaries": binaries}

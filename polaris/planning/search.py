@@ -81,8 +81,7 @@ class PathSearch:
         s, free = 2 * self.rows.N, bool(np.isfinite(short))
         fuel_cost = self.rows.price * fuel
         self.lp.price(0, np.r_[fuel_cost, fuel_cost, -margin, short if free else 0.0])
-        self.lp.limit(s, low, high)
-        self.lp.limit(s + 1, 0.0, np.inf if free else 0.0)
+        self.lp.limit(s, np.array([low, 0.0]), np.array([high, np.inf if free else 0.0]))
 
     def value(self, path: Candidate) -> float:
         """Objective of a path at the prices set."""

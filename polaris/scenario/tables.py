@@ -162,9 +162,8 @@ class Thrusters(ScenarioPart):
             rule = "needs sampled feedback (feedback.kind = 'sampled')"
             raise ScenarioError("thrusters.impulse_bit_N_s", self.impulse_bit_N_s, rule)
         bit = 0.0 if period is None else self.impulse_bit_N_s / (2 * period)
-        return Errors.of(
-            self.magnitude_error, np.deg2rad(self.misalignment_deg), self.mass_error, bit, system.m
-        )
+        turned = float(np.deg2rad(self.misalignment_deg))
+        return Errors.of(self.magnitude_error, turned, self.mass_error, bit, system.m)
 
 
 class Chaser(ScenarioPart):
@@ -333,7 +332,9 @@ class Schedule(ScenarioPart):
     switch_price: f.NonNegative = unit("-", default=0.005)
     """Share of the horizon under an experimental controller that is given up for one switch less."""
     delta_v_max_m_s: f.Positive | None = unit("m/s", default=None)
-    """Budget of velocity change: schedules that are proven to keep it come first. None without it."""
+    """Budget of velocity change until the goal, or until the end if the goal is not proven reached. What is
+    returned is proven to keep it; where no such schedule is found, exit code 4, and how little was. None
+    without it."""
     beam: f.Whole = unit("-", default=1, ge=1, le=1000)
     """Schedules that `look_ahead` keeps at every step for each number of switches and controller. More find
     better ones, in as much more time."""

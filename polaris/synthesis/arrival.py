@@ -57,10 +57,14 @@ class Arrival:
     delta_v: float
 
 
-def arrival(safety: Safety, final: Zonotope, spent: float) -> Arrival:
+Held = tuple[tuple[Zonotope, int], ...]
+"""Sets that each hold all errors, where S takes over for good and at T, with how many nodes it is until T."""
+
+
+def arrival(safety: Safety, held: Held, spent: float) -> Arrival:
     """What is proven of the goal at the nodes from T on, under S, until the end of the coasting tail.
 
-    `final` holds the errors at T, `spent` bounds the velocity change [m/s] until then.
+    `spent` bounds the velocity change [m/s] until T.
     """
     problem, tracking, reference = safety.problem, safety.tracking, safety.reference
     goal, K, h = problem.goal.conditions, problem.K, tracking.flow.h
@@ -70,24 +74,23 @@ def arrival(safety: Safety, final: Zonotope, spent: float) -> Arrival:
     rows, sides = rows * weight[:, None], sides * weight
     cells = reference.fine(tracking.feedback.nodes_per_cell)[K:]
     states = np.concatenate([reference.chi[K][None], *(cell[1:] for cell in cells)])
-    need, centre = _needs(safety, final, rows)
-    lag = np.minimum(np.arange(len(states)), len(need) - 1)
+    need, centre = _needs(safety, held, rows, len(states))
     beyond = states @ rows.T - sides
     size = ROUNDING * (np.abs(states) @ np.abs(rows).T + np.abs(sides))
-    most = _distance(goal, beyond + need[lag] + size)
+    most = _distance(goal, beyond + need + size)
     tolerance = problem.goal_tolerance
     if tolerance is None:
         tolerance = max(GOAL_SHARE * goal.scale, _to_hold(tracking, rows) * (1 + GOAL_SHARE))
     within = np.flatnonzero(most <= tolerance) if safety.guarantee == "proved" else np.zeros(0, dtype=int)
     best = int(within[0]) if len(within) else int(np.argmin(most))
-    near = bool(np.min(_distance(goal, beyond + centre[lag])) <= tolerance)
+    near = bool(np.min(_distance(goal, beyond + centre)) <= tolerance)
     return Arrival(
         reached=True if len(within) else "not_proven" if near else False,
         by=K * problem.delta + best * h if len(within) else None,
         distance=float(most[best]),
         tolerance=tolerance,
-        drift=_drift(safety, final, states[best], best),
-        delta_v=(spent + _correcting(safety, final, best)) * (1 + ROUNDING),
+        drift=_drift(safety, held, states[best], best),
+        delta_v=(spent + _correcting(safety, held, best)) * (1 + ROUNDING),
     )
 
 
@@ -100,18 +103,28 @@ def _weights(problem: Problem, rows: Array) -> Array:
     return np.where(velocity, np.minimum(rate / soon, 1.0), 1.0)
 
 
-def _needs(safety: Safety, final: Zonotope, rows: Array) -> tuple[Array, Array]:
-    """What errors need along rows at every node after T, and what their middle does, shapes (memory + 3, r).
+def _needs(safety: Safety, held: Held, rows: Array, nodes: int) -> tuple[Array, Array]:
+    """What errors need along rows at so many nodes from T on, and what their middle does, shapes (nodes, r).
 
-    The last entries hold for every later node.
+    The disturbance is followed along every row from the hand-over on: the set at T encloses what it has done
+    until then by generators, which no row sees quite so small.
     """
     tracking = safety.tracking
     carried = rows @ tracking.transitions
-    centre, spread = carried @ final.c, np.abs(carried @ final.G).sum(axis=-1)
-    need = centre + spread + tracking.flow.disturbance_support(rows, len(carried) - 1)
-    need = np.vstack([need, error_tube(tracking, final, rows).need[-1]])
-    need = need + safety.clearance.jump_need(rows) + safety.clearance.round_off(rows)
-    return need + ROUNDING * np.abs(need), np.vstack([centre, np.zeros(len(rows))])
+    last = len(carried) - 1
+    pushed = tracking.flow.disturbance_support(rows, last)
+    late = np.linalg.norm(rows @ tracking.W_inverse, axis=1) * tracking.decay[-1]
+    always = pushed[-1] + late * tracking.period_gain / (1 - tracking.flow.lyapunov[1])
+    found, centre = [], np.zeros((nodes, len(rows)))
+    for z, since in held:
+        lag = since + np.arange(nodes)
+        near, gone = np.minimum(lag, last), (lag > last)[:, None]
+        centre = np.where(gone, 0.0, (carried @ z.c)[near])
+        spread = np.abs(carried @ z.G).sum(axis=-1)[near]
+        forgotten = late * float(z.norm_bound(tracking.W)) + always
+        found.append(np.where(gone, forgotten, centre + spread + pushed[near]))
+    need = np.min(found, axis=0) + safety.clearance.jump_need(rows) + safety.clearance.round_off(rows)
+    return need + ROUNDING * np.abs(need), centre
 
 
 def _to_hold(tracking: Tracking, rows: Array) -> float:
@@ -119,16 +132,16 @@ def _to_hold(tracking: Tracking, rows: Array) -> float:
     return float(np.max(tracking.flow.disturbance_support(rows, tracking.memory + 1)[-1], initial=0.0))
 
 
-def _correcting(safety: Safety, final: Zonotope, nodes: int) -> float:
+def _correcting(safety: Safety, held: Held, nodes: int) -> float:
     """Bound on S's velocity change over so many periods after T [m/s]; the reference coasts."""
     tracking, system = safety.tracking, safety.problem.system
     both = np.vstack([tracking.gain, -tracking.gain])
-    need = error_tube(tracking, final, both).need
+    tubes = ((error_tube(tracking, z, both).need, since + np.arange(nodes + 1)) for z, since in held)
+    need = np.min([each[np.minimum(lag, len(each) - 1)] for each, lag in tubes], axis=0)
     need = need + safety.clearance.jump_need(both) + safety.clearance.round_off(both)
-    most = need.reshape(len(need), 2, -1).max(axis=1) + system.command_error(tracking.gain)
+    most = need.reshape(nodes + 1, 2, -1).max(axis=1) + system.command_error(tracking.gain)
     most = np.minimum(most, system.u_max)
-    thrust = (most + system.thrusters.error(most)).sum(axis=1)
-    at = thrust[np.minimum(np.arange(nodes + 1), len(thrust) - 1)]
+    at = (most + system.thrusters.error(most)).sum(axis=1)
     return float(np.maximum(at[:-1], at[1:]).sum() * tracking.flow.h / system.mass)
 
 
@@ -143,13 +156,13 @@ def _distance(goal: GoalConditions, over: Array) -> Array:
     return np.asarray(worst)
 
 
-def _drift(safety: Safety, final: Zonotope, x: Array, node: int) -> float | None:
+def _drift(safety: Safety, held: Held, x: Array, node: int) -> float | None:
     """Bound on the along-track drift per orbit, ``6 pi |2 x + v_y / eta|``, at a node after T [m]."""
     system = safety.problem.system
     if not in_hills_frame(system) or system.mean_motion is None:
         return None
     row = np.array([[2.0, 0.0, 0.0, 0.0, 1 / system.mean_motion, 0.0]])
     both = np.vstack([row, -row])
-    need = _needs(safety, final, both)[0]
+    need = _needs(safety, held, both, node + 1)[0][-1]
     size = ROUNDING * (np.abs(both) @ np.abs(x))
-    return float(6 * np.pi * np.max(both @ x + size + need[min(node, len(need) - 1)]) * (1 + ROUNDING))
+    return float(6 * np.pi * np.max(both @ x + size + need) * (1 + ROUNDING))

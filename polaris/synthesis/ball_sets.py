@@ -106,6 +106,10 @@ class BallSets:
             float(share[j, limit]), names[limit], time, float(need[j, limit]), float(room[j, limit])
         )
 
+    def holds(self, k: int, nodes: Zonotope, bow: Array) -> bool:
+        """Whether a tube over cell k is inside."""
+        return self.margin(k, nodes, bow).inside
+
     def margin(self, k: int, nodes: Zonotope, bow: Array) -> Margin:
         """Margin of a tube over cell k."""
         extra = np.linalg.norm(at_nodes(bow) @ np.abs(self.bounds.W).T, axis=-1)

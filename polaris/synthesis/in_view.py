@@ -25,10 +25,9 @@ from ..planning.problem import IN_VIEW, Plan
 from ..planning.recheck import certified
 from ..planning.rows import Key, Rows
 from ..planning.search import Candidate, Seen
+from .attempts import perceive_unsafe, plan_problem
 from .clearance import error_tube
 from .controllers import AffineController
-from .planning_problem import perceive_unsafe, plan_problem
-from .recoverable import contains_tube
 from .schedule import Schedule
 from .tracking import Tracking
 from .worth import Mask, Worth
@@ -203,9 +202,8 @@ class Windows:
         names = [unsafe.name for unsafe in self.asked.unsafe]
         for k, step in enumerate(schedule.steps):
             if step.mode == 0 and intended[k]:
-                margin = contains_tube(
-                    safety.recoverable, k, schedule.controllers[intended[k]].fly(reached, k)
-                )
+                tube = schedule.controllers[intended[k]].fly(reached, k)
+                margin = safety.recoverable.margin(k, tube.nodes, tube.bow)
                 if not margin.inside and margin.limit in names:
                     cell = min(int(margin.time / safety.problem.delta), self.K - 1)
                     near = slice(max(cell - 1, 0), cell + 2)

@@ -215,12 +215,23 @@ class PolytopeSets:
         time = (first + i0 + lag0) * self.clearance.tracking.flow.h
         return Margin(worst, self.names[limit0], time, *found)
 
+    def holds(self, k: int, nodes: Zonotope, bow: Array) -> bool:
+        """Whether a tube over cell k is inside: only what the norm cannot tell is worked out exactly."""
+        first, grown, radius = self._grown(k, nodes, bow)
+        far = self._far_margin(first, radius)
+        return far.inside and self._near_margin(first, nodes, grown, radius, 1.0).inside
+
     def margin(self, k: int, nodes: Zonotope, bow: Array) -> Margin:
         """Margin of a tube over cell k."""
+        first, grown, radius = self._grown(k, nodes, bow)
+        return self._margins(first, nodes, grown, radius)
+
+    def _grown(self, k: int, nodes: Zonotope, bow: Array) -> tuple[int, Array, float]:
+        """First node of a tube over cell k, its bow at every node, and a bound on ``norm(W e)`` over it."""
         grown, W = at_nodes(bow), self.clearance.tracking.W
         # States between two nodes, and those of a switch there, are as large as the larger node's.
         radius = float(np.max(nodes.norm_bound(W) + np.linalg.norm(grown @ np.abs(W).T, axis=-1)))
-        return self._margins(k * self.clearance.q, nodes, grown, radius)
+        return k * self.clearance.q, grown, radius
 
     def margin_at(self, k: int, start: Zonotope) -> Margin:
         """Margin of one set at the start of cell k."""

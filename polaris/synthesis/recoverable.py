@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from reach.sets.zonotope import Zonotope
 
 from ..model.system import Array
-from .controllers import TubeSegment
 
 
 @dataclass(frozen=True)
@@ -66,8 +65,15 @@ class RecoverableSet(Protocol):
         """``proved``, or ``none`` for the option that is not sound."""
         ...
 
+    def holds(self, k: int, nodes: Zonotope, bow: Array) -> bool:
+        """Line 13 of Algorithm 2: whether the reach set over ``[t1, t2]`` is inside, pointwise in time.
+
+        The tube over cell k is given by the sets at its q+1 nodes, and the bow over the q parts between them.
+        """
+        ...
+
     def margin(self, k: int, nodes: Zonotope, bow: Array) -> Margin:
-        """Margin of a tube over cell k: sets at its q+1 nodes, bow over the q parts (see TubeSegment)."""
+        """How far a tube over cell k is inside: at least 0 where `holds`."""
         ...
 
     def margin_at(self, k: int, start: Zonotope) -> Margin:
@@ -81,11 +87,6 @@ class RecoverableSet(Protocol):
     def radius(self, node: int) -> float:
         """Radius of the largest ball ``norm(W e) <= r`` inside the set at a node."""
         ...
-
-
-def contains_tube(recoverable: RecoverableSet, k: int, tube: TubeSegment) -> Margin:
-    """Line 13 of Algorithm 2: how far the reach set over ``[t1, t2]`` is inside, pointwise in time."""
-    return recoverable.margin(k, tube.nodes, tube.bow)
 
 
 def directed(value: float, form: str, up: bool = False) -> str:

@@ -7,124 +7,42 @@ scenario, is looked at here before anything is proven with it.
 
 from __future__ import annotations
 
+from dataclasses import fields, is_dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from reach.numerics.linear import discretize
 from reach.sets.zonotope import Zonotope
 
-from ..model.errors import ScenarioError
-from ..model.system import Array, LinearSystem
-from ..model.tolerances import ROUNDING
-from ..planning.reference import Reference
-from .ball_sets import BallSets
+from ..model.errors import ScenarioError, SynthesisInfeasible
+from ..model.system import Array
+from ..model.tolerances import REFERENCE, ROUNDING
 from .controllers import AffineController, AnyThrust, Controller, TubeSegment
-from .end_condition import judge_end, tail_length
-from .error_bounds import get_err_bounds
-from .get_safety import Safety
-from .planning_problem import perceive_unsafe
+from .get_safety import Safety, get_safety
 from .problem import Problem
 
-SYSTEM = ("A", "B", "D", "u_max", "w_max", "position", "mass", "mean_motion", "navigation", "thrusters")
-"""What two systems are compared by."""
+UNPROVEN = ("problem", "plan", "start_margin", "seconds", "cut_by_clock", "_relaxed", "_levels")
+"""Fields that no proof rests on: what was asked, how it was found, and what is only told or remembered."""
 
 
 def check_safety(safety: Safety, problem: Problem) -> None:
-    """Refuse a `Safety` that is not about a problem: changed afterwards, or made for another.
+    """Refuse a `Safety` that is not what Algorithm 1 makes of a problem along the same plan.
+
+    Only its kind of recoverable set may be another than the problem asks for.
 
     Raises
     ------
     ScenarioError
         Naming the part, what it has, and what it must have.
     """
-    tracking, reference, clearance, s = safety.tracking, safety.reference, safety.clearance, safety.controller
-    if type(s) is not AffineController or s.clips:
-        raise ScenarioError("safety.controller", type(s).__name__, "must be an AffineController without clip")
-    for name, part in (("tracking", tracking), ("reference", reference), ("controller", s)):
-        _same_system(f"safety.{name}", part.system, problem.system)
-    _same("safety.tracking.delta", tracking.delta, problem.delta, "step of the problem")
-    _same("safety.tracking.share", tracking.share, problem.thrust_share, "problem's")
-    feedback = tracking.feedback
-    _same("safety.tracking.feedback.sampled", feedback.sampled, problem.period is not None, "problem's")
-    if problem.period is not None:
-        nodes = round(problem.delta / problem.period)
-        _same("safety.tracking.feedback.nodes_per_cell", feedback.nodes_per_cell, nodes, "problem's periods")
-    _check_reference("safety.reference", reference, problem)
-    _same("safety.clearance.planned", clearance.planned, problem.K, "number of steps of the problem")
-    parts = (
-        ("controller.reference", s.reference, reference),
-        ("controller.own", s.own, reference),
-        ("controller.tracking", s.tracking, tracking),
-        ("clearance.tracking", clearance.tracking, tracking),
-        ("clearance.reference", clearance.reference, reference),
-        ("recoverable.clearance", getattr(safety.recoverable, "clearance", clearance), clearance),
-    )
-    for name, found, wanted in parts:
-        if found is not wanted:
-            raise ScenarioError(f"safety.{name}", type(found).__name__, "must be this Safety's own")
-    _same("safety.controller.gain", s.gain, tracking.gain, "gain of its tracking")
-    theta = problem.initial_set - reference.chi[0]
-    _same("safety.start", safety.start.c, theta.c, "initial set of the problem, about the reference")
-    _same("safety.start", safety.start.G, theta.G, "initial set of the problem, about the reference")
-    sets = perceive_unsafe(problem, reference.cells)
-    _same("safety.clearance.unsafe", [u.name for u in clearance.unsafe], [u.name for u in sets], "problem's")
-    for given, asked in zip(clearance.unsafe, sets, strict=True):
-        _same(f"the normals of {given.name}", given.normals, asked.normals, "problem's")
-        cells = min(given.cells, reference.cells)
-        _same(f"the cells of {given.name}", cells, reference.cells, "reference's")
-        _same(f"the offsets of {given.name}", given.offsets[:cells], asked.offsets, "problem's")
-    _check_proof(safety, problem)
-
-
-def _check_proof(safety: Safety, problem: Problem) -> None:
-    """What `get_safety` proves of a reference and of recoverable sets, worked out again."""
-    reference, clearance, recoverable = safety.reference, safety.clearance, safety.recoverable
-    _check_motion(reference, problem.K, clearance.jump)
-    if isinstance(recoverable, BallSets):
-        bounds = get_err_bounds(safety.tracking, problem.bound, problem.weight)
-        for name in ("W", "beta", "gamma_position", "gain_position", "gamma_input", "gain_input"):
-            rule = "error bound of its own tracking"
-            _same(
-                f"safety.recoverable.bounds.{name}",
-                getattr(recoverable.bounds, name),
-                getattr(bounds, name),
-                rule,
-            )
-    if safety.guarantee != "proved":
-        return
-    margin = recoverable.margin_at(0, safety.start)
-    if not margin.inside:
-        raise ScenarioError("safety.recoverable", str(margin), "must hold the initial set at the start")
-    if not safety.end.proven:
-        return
-    tail = reference.cells - problem.K
-    if tail != tail_length(safety.tracking):
-        length = tail_length(safety.tracking)
-        rule = f"must be followed by {length} steps without input where {safety.end.horizon} is claimed"
-        raise ScenarioError("safety.reference", f"{tail} steps after the end", rule)
-    end = judge_end(safety.tracking, reference, problem.K, tail, clearance.unsafe, margin)
-    _same("safety.end.horizon", safety.end.horizon, end.horizon, "one that its own parts show")
-    _same("safety.end.until", safety.end.until, end.until, "one that its own parts show")
-
-
-def _check_motion(reference: Reference, planned: int, jump: Array) -> None:
-    """The safe reference must move as the system does under its inputs, but for the jump into its tail."""
-    Ad, Bd = discretize(reference.system.A, reference.system.B, reference.delta)
-    before, after, nu = reference.chi[:-1], reference.chi[1:], reference.nu
-    off = np.abs(after - before @ Ad.T - nu @ Bd.T)
-    booked = ROUNDING * np.max(
-        np.abs(before) @ np.abs(Ad).T + np.abs(nu) @ np.abs(Bd).T + np.abs(after), axis=0
-    )
-    allowed = np.tile(booked, (len(off), 1))
-    if reference.cells > planned:
-        allowed[planned - 1] += jump
-        if np.any(nu[planned:]):
-            raise ScenarioError("safety.reference.nu", "an input after the end", "must be zero from there on")
-    k = int(np.argmax(np.max(off - allowed, axis=1)))
-    if not np.all(off <= allowed):
-        rule = "must move as the system does under its inputs"
-        raise ScenarioError("safety.reference.chi", f"{float(off[k].max()):.3g} off in step {k}", rule)
+    _same("safety.plan.nu", np.shape(safety.plan.nu), (problem.K, problem.system.m), "shape of the inputs")
+    _same_parts("safety.tracking.system", safety.tracking.system, problem.system)
+    try:
+        made = get_safety(replace(problem, recoverable=safety.recoverable.kind), along=safety.plan)
+    except SynthesisInfeasible as error:
+        rule = "must hold the initial set at the start"
+        raise ScenarioError("safety.recoverable", str(error), rule) from error
+    _same_parts("safety", safety, made)
 
 
 def check_controller(controller: Controller, safety: Safety) -> None:
@@ -148,8 +66,19 @@ def check_controller(controller: Controller, safety: Safety) -> None:
     if reference is not safety.reference or tracking is not safety.tracking:
         rule = "was built on the reference of another Safety; build it on this one's"
         raise ScenarioError("experimental", name, rule)
-    _same_system(name, getattr(controller, "system", problem.system), problem.system)
-    _check_reference(f"{name}.own", getattr(controller, "own", reference), problem)
+    _same_parts(f"{name}.system", getattr(controller, "system", problem.system), problem.system)
+    own, K = getattr(controller, "own", reference), problem.K
+    _same_parts(f"{name}.own.system", own.system, problem.system)
+    _same(f"{name}.own.delta", own.delta, problem.delta, "step of the problem")
+    shapes = (max(own.cells, K) + 1, problem.system.n), (max(own.cells, K), problem.system.m)
+    _same(
+        f"{name}.own.chi and nu",
+        (np.shape(own.chi), np.shape(own.nu)),
+        shapes,
+        f"shapes of a path of {K} steps or more",
+    )
+    if not (np.all(np.isfinite(own.chi)) and np.all(np.isfinite(own.nu))):
+        raise ScenarioError(f"{name}.own", "nan or inf", "must be finite numbers")
 
 
 def check_segment(controller: Controller, start: Zonotope, tube: Any, safety: Safety) -> TubeSegment:
@@ -182,20 +111,26 @@ def check_segment(controller: Controller, start: Zonotope, tube: Any, safety: Sa
     return tube
 
 
-def _same_system(field: str, found: LinearSystem, wanted: LinearSystem) -> None:
-    for name in SYSTEM if found is not wanted else ():
-        _same(f"{field}.system.{name}", getattr(found, name), getattr(wanted, name), "problem's own")
+def _same_parts(field: str, found: Any, wanted: Any) -> None:
+    """Refuse what is not of the same kind with the same parts, its arrays to rounding, as what is wanted."""
+    if found is wanted:
+        return
+    if is_dataclass(wanted):
+        if type(found) is not type(wanted):
+            raise ScenarioError(field, type(found).__name__, f"must be of the kind {type(wanted).__name__}")
+        for part in fields(wanted):
+            if part.name not in UNPROVEN:
+                _same_parts(f"{field}.{part.name}", getattr(found, part.name), getattr(wanted, part.name))
+    elif isinstance(wanted, tuple) and isinstance(found, tuple) and len(found) == len(wanted):
+        for i, (one, other) in enumerate(zip(found, wanted, strict=True)):
+            _same_parts(f"{field}[{i}]", one, other)
+    elif not (isinstance(wanted, np.ndarray) and _close(found, wanted)):
+        _same(field, found, wanted, "one that its problem and plan lead to")
 
 
-def _check_reference(field: str, reference: Reference, problem: Problem) -> None:
-    _same_system(field, reference.system, problem.system)
-    _same(f"{field}.delta", reference.delta, problem.delta, "step of the problem")
-    if reference.cells < problem.K:
-        raise ScenarioError(field, f"{reference.cells} steps", f"must cover {problem.K} steps")
-    shape = (reference.cells + 1, problem.system.n), (reference.cells, problem.system.m)
-    _same(f"{field}.chi and nu", (np.shape(reference.chi), np.shape(reference.nu)), shape, "shapes of a path")
-    if not (np.all(np.isfinite(reference.chi)) and np.all(np.isfinite(reference.nu))):
-        raise ScenarioError(field, "nan or inf", "must be finite numbers")
+def _close(found: Any, wanted: Array) -> bool:
+    same = isinstance(found, np.ndarray) and found.shape == wanted.shape
+    return same and bool(np.all(np.abs(found - wanted) <= REFERENCE * np.max(np.abs(wanted), initial=0.0)))
 
 
 def _same(field: str, found: Any, wanted: Any, whose: str) -> None:

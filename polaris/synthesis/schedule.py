@@ -15,11 +15,11 @@ from ..certificate.assumptions import assumptions
 from ..model.obstacle import chaser_radius
 from ..model.satellite import SatelliteObstacle
 from ..model.system import Array
+from ..model.tolerances import ROUNDING
 from .arrival import Arrival, arrival
-from .controllers import Controller, TubeSegment
+from .controllers import AffineController, Controller, TubeSegment
 from .get_safety import Safety
-from .recoverable import Margin
-from .velocity import of_steps
+from .recoverable import Margin, RecoverableSet
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,14 +32,23 @@ class Step:
         0 is S, 1, 2, ... the experimental controllers.
     tube : TubeSegment
         Reachable set over the step, in error coordinates.
-    margin : Margin
-        How far it is inside the recoverable sets. Steps under S need no margin: from a recoverable
-        set S stays safe to the end.
+    k : int
+        Which step it is.
+    recoverable : RecoverableSet
     """
 
     mode: int
     tube: TubeSegment
-    margin: Margin
+    k: int
+    recoverable: RecoverableSet
+
+    @cached_property
+    def margin(self) -> Margin:
+        """How far the tube is inside the recoverable sets.
+
+        Steps under S need no margin: from a recoverable set S stays safe to the end.
+        """
+        return self.recoverable.margin(self.k, self.tube.nodes, self.tube.bow)
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,10 +65,6 @@ class Schedule:
         One per planning step.
     final : Zonotope
         Set of errors at T.
-    guarantee : {"proved", "none"}
-        Whether safety is proven; how far the claim reaches is in ``safety.end``.
-    assumptions : tuple of str
-        What the guarantee rests on, for a mission to discharge.
     seconds : mapping
         Wall time of the synthesis by stage.
     """
@@ -68,9 +73,31 @@ class Schedule:
     controllers: tuple[Controller, ...]
     steps: tuple[Step, ...]
     final: Zonotope
-    guarantee: str
-    assumptions: tuple[str, ...]
     seconds: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def guarantee(self) -> str:
+        """``proved`` or ``none``: whether safety is; until when says ``safety.end``."""
+        return self.safety.guarantee
+
+    @cached_property
+    def assumptions(self) -> tuple[str, ...]:
+        """What the guarantee rests on, for a mission to discharge."""
+        safety = self.safety
+        problem, cells, end = safety.problem, safety.reference.cells, safety.end
+        offsets = [unsafe.offsets[:cells] for unsafe in safety.clearance.unsafe]
+        told = assumptions(
+            problem.system.w_max,
+            problem.delta / safety.clearance.q if safety.tracking.feedback.sampled else None,
+            resting=any(bool(np.all(b == b[0, 0])) for b in offsets),
+            satellites=any(isinstance(unsafe, SatelliteObstacle) for unsafe in problem.unsafe),
+            horizon=end.horizon,
+            until=end.until if np.isfinite(end.until) else None,
+            estimate=problem.system.navigation.tolist(),
+            thrusters=astuple(problem.system.thrusters),
+            chaser=chaser_radius(problem.unsafe),
+        )
+        return *told, "arithmetic: in double precision, its round-off covered by booked tolerances"
 
     @cached_property
     def modes(self) -> NDArray[np.int_]:
@@ -91,13 +118,25 @@ class Schedule:
     def delta_v(self) -> tuple[float, float]:
         """Velocity change until T [m/s]: along the middle of the tubes, and proven never to be exceeded."""
         problem = self.safety.problem
-        steps = ((self.controllers[step.mode], step.tube) for step in self.steps)
-        return of_steps(steps, problem.delta, problem.system.mass)
+        parts = [_pushed(self.controllers[step.mode], step, problem.delta) for step in self.steps]
+        middle, most = np.sum(parts, axis=0) / problem.system.mass
+        return float(middle), float(most) * (1 + ROUNDING)
 
     @cached_property
     def arrival(self) -> Arrival:
         """Whether and by when the goal is proven reached."""
-        return arrival(self.safety, self.final, self.delta_v[1])
+        safety, last = self.safety, max((step.k + 1 for step in self.steps if step.mode), default=0)
+        handed = self.steps[last - 1].tube.end if last else safety.start
+        flown = (len(self.steps) - last) * safety.clearance.q
+        return arrival(safety, ((handed, flown), (self.final, 0)), self.delta_v[1])
+
+    @property
+    def spent(self) -> float:
+        """Velocity change [m/s] that is proven never to be exceeded until the goal, or T if it is not proven.
+
+        This is what a budget, `SwitchingRules.delta_v_max`, is held against.
+        """
+        return self.arrival.delta_v if self.arrival.reached is True else self.delta_v[1]
 
     def share(self, mode: int | None = None) -> float:
         """Share of time under one mode; without one, under any experimental controller."""
@@ -120,23 +159,22 @@ class Schedule:
         return np.array([step.margin.value for step in self.steps])
 
 
-def assumed(safety: Safety) -> list[str]:
-    """What run and certificate both rest on, in words."""
-    problem, tracking, cells = safety.problem, safety.tracking, safety.reference.cells
-    offsets = [unsafe.offsets[:cells] for unsafe in safety.clearance.unsafe]
-    return assumptions(
-        problem.system.w_max,
-        problem.delta / safety.clearance.q if tracking.feedback.sampled else None,
-        resting=any(bool(np.all(b == b[0, 0])) for b in offsets),
-        satellites=any(isinstance(unsafe, SatelliteObstacle) for unsafe in problem.unsafe),
-        horizon=safety.end.horizon,
-        until=safety.end.until if np.isfinite(safety.end.until) else None,
-        estimate=problem.system.navigation.tolist(),
-        thrusters=astuple(problem.system.thrusters),
-        chaser=chaser_radius(problem.unsafe),
-    )
+def _pushed(law: Controller, step: Step, delta: float) -> tuple[float, float]:
+    """Integral of the 1-norm of the thrust over a step [N s]: along the middle of its tube, and at most.
 
-
-def assumptions_of(safety: Safety) -> tuple[str, ...]:
-    """What a schedule's guarantee rests on; how far it reaches is in `Safety.end`."""
-    return *assumed(safety), "arithmetic: in double precision, its round-off covered by booked tolerances"
+    A controller of which only the thrust limits are known is charged all of them.
+    """
+    if not isinstance(law, AffineController):
+        limit = getattr(law, "system", None)
+        tops = None if limit is None else limit.u_max + limit.thrusters.error(limit.u_max)
+        most = np.inf if tops is None else float(np.sum(tops)) * delta
+        return most, most
+    u_max, tube = law.system.u_max, step.tube
+    centre, spread = law.commanded(tube.nodes - law.offset[step.k], tube.bow, step.k)
+    middle = np.minimum(np.abs(centre), u_max)
+    spread = spread + law.system.command_error(law.gain)
+    highest = np.minimum((np.abs(centre) + spread) * (1 + ROUNDING), u_max)
+    highest = highest + law.system.thrusters.error(highest)
+    h = delta / (len(centre) - 1)
+    held = middle[:-1] if law.feedback.sampled else (middle[:-1] + middle[1:]) / 2
+    return float(held.sum()) * h, float(np.maximum(highest[:-1], highest[1:]).sum()) * h

@@ -16,12 +16,8 @@ from .controllers import Controller, TubeSegment
 from .get_safety import Safety
 from .look_ahead import SAFETY, LookAhead
 from .problem import Problem
-from .recoverable import Margin, contains_tube
 from .same_system import check_controller, check_safety, check_segment
-from .schedule import Schedule, Step, assumptions_of
-
-Decided = tuple[int, TubeSegment, Margin | None]
-"""Mode, tube and margin of one step; S is given its margins in the end (`with_margins`)."""
+from .schedule import Schedule, Step
 
 
 @dataclass(frozen=True)
@@ -48,7 +44,7 @@ class SwitchingRules:
     switch_price : float
         Share of the horizon that a switch costs there.
     delta_v_max : float or None
-        Budget [m/s] that the proven bound on the velocity change should keep.
+        Budget [m/s] of velocity change (`Schedule.spent`): what is returned is proven to keep it.
     """
 
     strategy: str = "greedy"
@@ -73,13 +69,17 @@ class SwitchingRules:
         for weight in self.weights:
             positive("schedule.weights", weight, "-")
 
+    def affords(self, spent: float) -> bool:
+        """Whether the budget allows a velocity change [m/s]."""
+        return self.delta_v_max is None or spent <= self.delta_v_max
+
 
 @dataclass(frozen=True, eq=False)
 class Branch:
     """A schedule under construction: the set reached at step k, and how it came about."""
 
     reached: Zonotope
-    steps: tuple[Decided, ...] = ()
+    steps: tuple[Step, ...] = ()
     held: int = 0
     switches: int = 0
 
@@ -91,7 +91,7 @@ class Branch:
     @property
     def mode(self) -> int:
         """Mode of the last step; S before the first."""
-        return self.steps[-1][0] if self.steps else SAFETY
+        return self.steps[-1].mode if self.steps else SAFETY
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,32 +166,30 @@ class Search:
     def fly(self, branch: Branch, mode: int, steps: int) -> Branch | None:
         """Let one controller fly the next steps; None if it is not proven recoverable throughout."""
         for _ in range(min(steps, self.safety.problem.K - branch.k)):
-            flown = self.step(branch.reached, branch.k, mode)
-            if flown is None:
+            tube = self.tube(branch.reached, branch.k, mode)
+            if tube is None:
                 return None
+            step = Step(mode, tube, branch.k, self.safety.recoverable)
             switched = branch.k > 0 and mode != branch.mode
             held = 1 if switched or branch.k == 0 else branch.held + 1
-            branch = Branch(flown[0].end, (*branch.steps, (mode, *flown)), held, branch.switches + switched)
+            branch = Branch(tube.end, (*branch.steps, step), held, branch.switches + switched)
         return branch
 
-    def step(self, start: Zonotope, k: int, mode: int) -> tuple[TubeSegment, Margin | None] | None:
+    def tube(self, start: Zonotope, k: int, mode: int) -> TubeSegment | None:
         """Lines 12, 13 and 18: the tube of one controller over step k, if it is proven recoverable."""
         controller = self.controllers[mode]
-        segment = check_segment(controller, start, controller.fly(start, k), self.safety)  # GetReach
+        tube = check_segment(controller, start, controller.fly(start, k), self.safety)  # GetReach
         if mode == SAFETY:
-            return segment, None  # S stays safe from where it took over
-        if segment.refused:
-            return None
-        margin = contains_tube(self.safety.recoverable, k, segment)
-        return (segment, margin) if margin.inside else None
+            return tube  # S stays safe from where it took over
+        return tube if not tube.refused and self.safety.recoverable.holds(k, tube.nodes, tube.bow) else None
 
     @cached_property
     def planned(self) -> tuple[int, ...]:
         """Modes of the best of many schedules, each proven step by step as the greedy one (`look_ahead`)."""
 
         def prove(start: Zonotope, k: int, mode: int) -> Zonotope | None:
-            flown = self.step(start, k, mode)
-            return None if flown is None else flown[0].end
+            tube = self.tube(start, k, mode)
+            return None if tube is None else tube.end
 
         weights, W = self.rules.weights, self.safety.tracking.W
         more = len(self.controllers) - 1 - len(weights)
@@ -207,20 +205,7 @@ class Search:
 
     def schedule(self, branch: Branch) -> Schedule:
         """The schedule that a complete branch stands for, with what it rests on."""
-        safety = self.safety
         if self.progress and self.rules.strategy == "greedy":
             self.progress(branch.k, branch.k)
-        steps = with_margins(safety, branch.steps)
-        seconds = {**safety.seconds, "schedule": time.perf_counter() - self.begun}
-        assumptions = assumptions_of(safety)
-        return Schedule(
-            safety, self.controllers, steps, branch.reached, safety.guarantee, assumptions, seconds
-        )
-
-
-def with_margins(safety: Safety, flown: Sequence[Decided]) -> tuple[Step, ...]:
-    """The chosen steps, with the margins of those under S filled in (the proof does not need them)."""
-    return tuple(
-        Step(mode, segment, margin or contains_tube(safety.recoverable, k, segment))
-        for k, (mode, segment, margin) in enumerate(flown)
-    )
+        seconds = {**self.safety.seconds, "schedule": time.perf_counter() - self.begun}
+        return Schedule(self.safety, self.controllers, branch.steps, branch.reached, seconds)

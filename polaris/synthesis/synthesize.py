@@ -8,14 +8,19 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
-from ..model.errors import ClockWarning, SynthesisInfeasible
+from ..model.errors import ClockWarning, NotCertified, SynthesisInfeasible
 from ..planning.problem import Plan
 from .controllers import AffineController, AnyThrust, Controller
 from .get_safety import Safety, get_safety
 from .in_view import views
+from .look_ahead import SAFETY
+from .recoverable import directed
 from .schedule import Schedule
 from .search import Branch, Search, SwitchingRules
 from .worth import Worth
+
+DEARER = (0.0, 0.3, 3.0)
+"""What is added to the price of velocity change, in turn, while no schedule keeps the budget."""
 
 
 def synthesize(
@@ -54,7 +59,7 @@ def synthesize(
     Raises
     ------
     ScenarioError, SynthesisInfeasible, NotCertified
-        See `get_safety`.
+        See `get_safety`. `NotCertified` also where no schedule is found that keeps the budget.
     """
     if isinstance(scenario, Safety):
         safety, scenario = scenario, scenario.problem
@@ -62,7 +67,8 @@ def synthesize(
     safety = get_safety(scenario) if safety is None else safety
     search = Search.over(scenario, safety, experimental, rules, progress)
     printed = switching_logic(search)
-    return with_recourse(search, printed) if recourse and safety.problem.recourse != "none" else printed
+    found = with_recourse(search, printed) if recourse and safety.problem.recourse != "none" else printed
+    return found if search.rules.affords(found.spent) else within_budget(search, [printed, found])
 
 
 def switching_logic(search: Search) -> Schedule:
@@ -81,8 +87,9 @@ def switching_logic(search: Search) -> Schedule:
 def with_recourse(search: Search, printed: Schedule) -> Schedule:
     """The most worthy schedule: the printed one, or one along a reference planned with U in view.
 
-    Each candidate passes both algorithms whole. First come those proven safe for as long as the printed
-    one, then those that are proven to arrive, then those that keep the budget of velocity change (`Worth`).
+    Each candidate passes both algorithms whole. First come those that keep the budget of velocity change,
+    then those proven safe for as long as the printed one, then those that are proven to arrive (`Worth`).
+    While none keeps the budget, more are looked for at higher prices of velocity change.
     """
     problem, begun = printed.safety.problem, time.perf_counter()
     laws = [law for law in printed.controllers[1:] if isinstance(law, (AffineController, AnyThrust))]
@@ -98,11 +105,17 @@ def with_recourse(search: Search, printed: Schedule) -> Schedule:
         along = replace(search, safety=safety, controllers=(safety.controller, *turns), intended=intended)
         return switching_logic(along)
 
-    worth = Worth.beside(printed, search.rules)
-    searches = views(printed, worth)
-    best = max([printed, *(found for view in searches for found in view.schedules(prove))], key=worth)
+    worth, found, late = Worth.beside(printed, search.rules), [printed], False
+    for dearer in DEARER:
+        dear = replace(search.rules, delta_v_price=search.rules.delta_v_price + dearer)
+        searches = views(printed, replace(worth, rules=dear))
+        found += [each for view in searches for each in view.schedules(prove)]
+        late |= any(view.late for view in searches)
+        best = max(found, key=worth)
+        if search.rules.affords(best.spent):
+            break
     seconds = {**printed.seconds, "recourse": time.perf_counter() - begun}
-    if any(view.late for view in searches):
+    if late:
         told = "the wall clock (planner.time_limit_s) ended the search for a reference with U in view early"
         warnings.warn(
             f"{told}: another machine, or another run, may find another", ClockWarning, stacklevel=3
@@ -110,3 +123,36 @@ def with_recourse(search: Search, printed: Schedule) -> Schedule:
         cut = (*printed.safety.cut_by_clock, "reference with U in view")
         best = replace(best, safety=replace(best.safety, cut_by_clock=cut))
     return replace(best, seconds=seconds)
+
+
+def within_budget(search: Search, over: Sequence[Schedule]) -> Schedule:
+    """The longest beginning of a schedule after which S alone keeps the budget, of several the most worthy.
+
+    Raises
+    ------
+    NotCertified
+        If not even S alone keeps it along any of their references.
+    """
+    kept, least = [], min(schedule.spent for schedule in over)
+    for schedule in over:
+        along = replace(search, safety=schedule.safety, controllers=schedule.controllers)
+        K, modes = len(schedule.steps), tuple(schedule.modes.tolist())
+        few, many, best = -1, K, None
+        while many - few > 1:
+            tried = (few + many) // 2 if best else 0  # S alone first
+            found = switching_logic(replace(along, intended=modes[:tried] + (SAFETY,) * (K - tried)))
+            least = min(least, found.spent)
+            if search.rules.affords(found.spent):
+                few, best = tried, found
+            elif best is None:
+                break
+            else:
+                many = tried
+        kept += [best] if best else []
+    if not kept:
+        told = directed(least, ".4g", up=True)
+        raise NotCertified(
+            f"none found within schedule.delta_v_max_m_s = {search.rules.delta_v_max:g}: the least that one"
+            f" is proven to keep is {told} m/s; raise the budget, or give more time or a wider goal"
+        )
+    return max(kept, key=Worth.beside(over[0], search.rules))

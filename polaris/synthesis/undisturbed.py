@@ -19,8 +19,8 @@ from ..model.errors import NotCertified
 from ..model.system import Array
 from ..model.tolerances import REFERENCE, ROUNDING
 from ..planning.lp import GrowingLP
+from .attempts import perceive_unsafe
 from .controllers import AffineController
-from .planning_problem import perceive_unsafe
 from .problem import Problem
 from .saturation import clipped_map
 from .tracking import at_nodes

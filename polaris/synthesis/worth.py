@@ -62,12 +62,11 @@ class Worth:
         return 0.0 if mode == 0 else weights[mode - 1] if mode <= len(weights) else 1.0
 
     def __call__(self, schedule: Schedule) -> tuple[bool, bool, bool, float]:
-        """Whether a schedule is as long safe as the printed one, arrives and keeps the budget; its worth."""
+        """Whether a schedule keeps the budget, is as long safe as the printed one, and arrives; its worth."""
         shares = {mode: schedule.share(mode) for mode in range(len(schedule.controllers))}
-        delta_v, most = schedule.delta_v
-        within = self.rules.delta_v_max is None or most <= self.rules.delta_v_max
+        value = self.of(shares, schedule.delta_v[0], schedule.switches)
         lasts = schedule.safety.end.until >= self.until
-        return lasts, schedule.arrival.reached is True, within, self.of(shares, delta_v, schedule.switches)
+        return self.rules.affords(schedule.spent), lasts, schedule.arrival.reached is True, value
 
     def allows(self, mask: Mask) -> bool:
         """Whether S may fly just these steps, by the dwell time and the cap on switches."""

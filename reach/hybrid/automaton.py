@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ..numerics.checks import as_array, as_numbers, check_fields, require_single
+from ..numerics.checks import Array, as_array, as_numbers, check_fields, require_single
 from ..numerics.errors import ReachError
 from ..sets.convex import ConvexSet
 from ..sets.polytope import HPolytope
@@ -24,7 +24,7 @@ class Mode:
     ----------
     name : str
     system : LinearSystem
-        Continuous, with one set of inputs at most.
+        Continuous, with one set of inputs at most and no nominal input.
     invariant : HPolytope, optional
         A trajectory stays in this mode only while it is inside; where it would leave it must take a
         transition, and without one it ends there. None: everywhere.
@@ -32,7 +32,7 @@ class Mode:
     Raises
     ------
     ReachError
-        If the system is discrete, its input set changes in time, or the dimensions differ.
+        If the system is discrete or has a nominal input, its input set changes in time, or dimensions differ.
     """
 
     name: str
@@ -45,6 +45,8 @@ class Mode:
             raise ReachError(f"mode {self.name!r} needs a system in continuous time")
         if len(self.system.U) > 1:
             raise ReachError(f"mode {self.name!r} needs one set of inputs, it has {len(self.system.U)}")
+        if self.system.nominal is not None:
+            raise ReachError(f"mode {self.name!r} takes no nominal input: it would be left out of the tube")
         if self.invariant is not None:
             require_single(f"the invariant of mode {self.name!r}", self.invariant, self.system.dim)
 
@@ -178,3 +180,16 @@ class HybridAutomaton:
     def leaving(self, name: str) -> list[Transition]:
         """Transitions out of a mode."""
         return [t for t in self.transitions if t.source == name]
+
+    def longest_stay(self, name: str, first: Array | float, last: Array | float) -> Array:
+        """How long a mode entered between two times, shapes (...), may last by its urgent transitions.
+
+        A window that may have ended before the entry binds nobody.
+        """
+        stay = np.full(np.shape(first), np.inf)
+        for t in self.leaving(name):
+            if t.urgent and t.window is not None:
+                stay = np.minimum(stay, np.where(last <= t.window[1], t.window[1] - first, np.inf))
+            if t.urgent and t.dwell is not None:
+                stay = np.minimum(stay, t.dwell[1])
+        return np.asarray(stay)

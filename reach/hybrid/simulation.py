@@ -15,10 +15,8 @@ from ..numerics.exponentials import dense
 from ..sets.polytope import HPolytope
 from .automaton import HybridAutomaton, Mode, Transition
 
-TOUCH = 1e-9
-"""A state this close to a face, relative to the terms of its row, counts as on it."""
-REPLAYED = 1e-6
-"""The same for a trajectory that is integrated again."""
+TOUCH = 1e-9  # a state this close to a face, relative to the terms of its row, counts as on it
+REPLAYED = 1e-6  # the same for a trajectory that is integrated again
 BISECTIONS = 40
 
 MOST_SAMPLES = 10_000_000
@@ -113,7 +111,7 @@ def simulate_hybrid(
         mode, drawn = automaton[name], rng if policy == "random" else None
         u = _point(mode.system.U[0], drawn) if mode.system.U else np.zeros(0)
         move = _Motion(mode, x, u, dt)
-        left, bound = horizon - t, longest_stay(automaton, name, t)
+        left, bound = horizon - t, float(automaton.longest_stay(name, t, t))
         end, stops = move.leaves(min(left, bound))
         stops = stops or bound < left
         options = _options(automaton, move, t, end) if len(visits) < jumps else []
@@ -208,13 +206,6 @@ def inside(region: HPolytope | None, states: Array, size: Array, slack: float = 
         return np.ones(len(states), dtype=bool)
     room = slack * (np.abs(region.A) @ size + np.abs(region.b))
     return np.asarray(np.all(states @ region.A.T <= region.b + room, axis=1))
-
-
-def longest_stay(automaton: HybridAutomaton, name: str, t: float) -> float:
-    """How long a mode that is entered at time t may last, by its urgent transitions."""
-    urgent = [o for o in automaton.leaving(name) if o.urgent]
-    stays = [o.window[1] - t for o in urgent if o.window is not None and t <= o.window[1]]
-    return min([*stays, *(o.dwell[1] for o in urgent if o.dwell is not None)], default=np.inf)
 
 
 def _options(

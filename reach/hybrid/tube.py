@@ -15,7 +15,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..numerics.checks import Array, as_count, as_numbers, checked, require_positive, require_single
+from ..numerics.checks import (
+    Array,
+    as_count,
+    as_numbers,
+    check_fields,
+    checked,
+    require_positive,
+    require_single,
+)
 from ..numerics.errors import ReachError
 from ..sets.clipping import clip, hull_of, strips
 from ..sets.convex import ConvexSet
@@ -24,31 +32,13 @@ from ..tubes.flowpipes import Flowpipes, Propagator, flowpipes, input_response
 from .automaton import HybridAutomaton, Mode, Transition
 from .segments import HybridTube, Segment
 
-JUMPS = 50
-"""Most transitions of one trajectory, if nothing else is said."""
 
-
-@checked
-def hybrid_tube(
-    automaton: HybridAutomaton,
-    initial: ConvexSet,
-    horizon: float,
-    *,
-    step: float | Mapping[str, float],
-    tolerance: ArrayLike | Mapping[str, ArrayLike] | None = None,
-    clusters: int | Mapping[str, int] | None = None,
-    order: float = 10.0,
-    reduction: str = "pca",
-    jumps: int = JUMPS,
-) -> HybridTube:
-    """Enclose all trajectories of a hybrid automaton, continuously in time.
+@dataclass(frozen=True, eq=False)
+class HybridOptions:
+    """How a hybrid automaton is followed.
 
     Parameters
     ----------
-    automaton : HybridAutomaton
-    initial : ConvexSet
-        A zonotope or a stack of them; of any other set the interval hull is taken.
-    horizon : float
     step : float or mapping from mode names
         Longest time step.
     tolerance : array_like of shape (n,) or a number, or mapping from mode names, optional
@@ -64,6 +54,46 @@ def hybrid_tube(
     jumps : int
         Most transitions of one trajectory. What would need more makes the tube incomplete.
 
+    Raises
+    ------
+    ReachError
+        If a number is not positive and finite, or the method of reduction is unknown.
+    """
+
+    step: float | Mapping[str, float]
+    tolerance: ArrayLike | Mapping[str, ArrayLike] | None = None
+    clusters: int | Mapping[str, int] | None = None
+    order: float = 10.0
+    reduction: str = "pca"
+    jumps: int = 50
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        for name in ("step", "tolerance", "clusters"):
+            _require_positive(name, getattr(self, name))
+        as_count("jumps", self.jumps)
+        Zonotope.point([0.0]).reduce(self.order, self.reduction)  # refuses what it does not know
+
+    def of(self, name: str, mode: Mode) -> Any:
+        """An option for a mode; None if it has none."""
+        value = getattr(self, name)
+        return value.get(mode.name) if isinstance(value, Mapping) else value
+
+
+@checked
+def hybrid_tube(
+    automaton: HybridAutomaton, initial: ConvexSet, horizon: float, options: HybridOptions
+) -> HybridTube:
+    """Enclose all trajectories of a hybrid automaton, continuously in time.
+
+    Parameters
+    ----------
+    automaton : HybridAutomaton
+    initial : ConvexSet
+        A zonotope or a stack of them; of any other set the interval hull is taken.
+    horizon : float
+    options : HybridOptions
+
     Returns
     -------
     HybridTube
@@ -71,17 +101,13 @@ def hybrid_tube(
     Raises
     ------
     ReachError
-        If a number is not positive and finite, a mode has no step, or dimensions differ.
+        If the horizon is not positive and finite, a mode has no step, or dimensions differ.
     """
-    for name, value in (("step", step), ("tolerance", tolerance), ("clusters", clusters)):
-        _require_positive(name, value)
-    if jumps < 0:
-        raise ReachError(f"jumps must be at least 0, got {jumps}")
     require_positive("horizon", horizon)
-    worklist = Worklist(automaton, float(horizon), step, tolerance, clusters, order, reduction)
+    worklist = Worklist(automaton, float(horizon), options)
     pending = worklist.entries(initial)
     segments: list[Segment] = []
-    for depth in range(jumps + 1):
+    for depth in range(options.jumps + 1):
         entered: list[Starts] = []
         for starts in pending:
             segment = worklist.follow(starts, depth)
@@ -121,15 +147,8 @@ class Worklist:
 
     automaton: HybridAutomaton
     horizon: float
-    step: Any
-    tolerance: Any
-    clusters: Any
-    order: float
-    reduction: str
+    options: HybridOptions
     propagators: dict[str, Propagator] = field(default_factory=dict)
-
-    def _of(self, value: Any, mode: Mode) -> Any:
-        return value.get(mode.name) if isinstance(value, Mapping) else value
 
     def entries(self, initial: ConvexSet) -> list[Starts]:
         """The part of the initial set that the invariant of the first mode leaves, if any."""
@@ -141,27 +160,19 @@ class Worklist:
         return [Starts(mode, start[meets], np.zeros((int(meets.sum()), 2)))] if np.any(meets) else []
 
     def _flowpipes(self, mode: Mode, sets: Zonotope, length: float, **more: Any) -> Flowpipes:
-        step = self._of(self.step, mode)
+        step = self.options.of("step", mode)
         if step is None:
             raise ReachError(f"mode {mode.name!r} has no step")
         if mode.name not in self.propagators:
             self.propagators[mode.name] = Propagator(mode.system)
-        more |= {"step": step, "tolerance": self._of(self.tolerance, mode)}
+        more |= {"step": step, "tolerance": self.options.of("tolerance", mode)}
         return flowpipes(self.propagators[mode.name], sets, length, **more)
 
     def _stay(self, starts: Starts | Segment) -> Array:
-        """Longest time in the mode after each entry, shape (N,).
-
-        A window that may have ended before the entry binds nobody.
-        """
+        """Longest time in the mode after each entry, shape (N,)."""
         a, b = starts.entered.T
-        until = self.horizon - a
-        for t in self.automaton.leaving(starts.mode.name):
-            if t.urgent and t.window is not None:
-                until = np.minimum(until, np.where(b <= t.window[1], t.window[1] - a, np.inf))
-            if t.urgent and t.dwell is not None:
-                until = np.minimum(until, t.dwell[1])
-        return np.asarray(np.maximum(until, 0.0))
+        stay = self.automaton.longest_stay(starts.mode.name, a, b)
+        return np.asarray(np.maximum(np.minimum(self.horizon - a, stay), 0.0))
 
     def follow(self, starts: Starts, depth: int) -> Segment:
         """Follow a mode until nothing is left of it."""
@@ -227,7 +238,7 @@ class Worklist:
     def _responding(self, sets: Zonotope, segment: Segment, until: Array) -> Zonotope:
         """Add the response to the inputs; it grows with time, as the centred inputs hold zero."""
         if np.ptp(until) == 0:
-            step = self._of(self.step, segment.mode)
+            step = self.options.of("step", segment.mode)
             return sets + input_response(segment.mode.system, float(until[0]), step)
         k = np.searchsorted(segment.flowpipes.times, until * (1 - 1e-12)) - 1
         k = np.clip(k, 0, segment.flowpipes.shape[0] - 1)
@@ -241,7 +252,7 @@ class Worklist:
             same = [s for s in entered if s.mode is mode]
             if not same:
                 continue
-            most = self._of(self.clusters, mode)
+            most = self.options.of("clusters", mode)
             same = [s if most is None or len(s.sets) <= most else _merged(s, int(most)) for s in same]
             width = max(s.sets.order_count for s in same)
             padded = [s.sets._pad(width) for s in same]
@@ -249,7 +260,7 @@ class Worklist:
             times = np.concatenate([s.entered for s in same])
             used = np.any(sets.G != 0, axis=(0, 1))
             sets = Zonotope(sets.c, sets.G[..., used])
-            pending.append(Starts(mode, sets.reduce(self.order, self.reduction), times))
+            pending.append(Starts(mode, sets.reduce(self.options.order, self.options.reduction), times))
         return pending
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from time import perf_counter
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,17 +18,14 @@ from ..sets.polytope import HPolytope
 from ..verification.specification import Always, Never
 from .automaton import HybridAutomaton
 from .segments import HybridTube, Segment
-from .simulation import REPLAYED, HybridTrajectory, Policy, Visit, inside, longest_stay, simulate_hybrid
-from .tube import JUMPS, hybrid_tube
+from .simulation import REPLAYED, HybridTrajectory, Policy, Visit, inside, simulate_hybrid
+from .tube import HybridOptions, hybrid_tube
 
 Specs = Mapping[str, Sequence[Always | Never]]
 
-DEEP = 1e-6
-"""A violation must go beyond its limit by this share of the terms of the row, after the replay."""
-CORNERS = 8
-"""Directions in which corners of the initial set are tried."""
-PART = 20_000
-"""Sets that are cut at once."""
+DEEP = 1e-6  # a violation must go beyond its limit by this share of the terms of the row, after the replay
+CORNERS = 8  # directions in which corners of the initial set are tried
+PART = 20_000  # sets that are cut at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,11 +60,11 @@ def verify_hybrid(
     initial: ConvexSet,
     specs: Specs,
     horizon: float,
+    options: HybridOptions,
     *,
     dt: float,
     runs: int = 100,
     seed: int = 0,
-    **options: Any,
 ) -> HybridVerdict:
     """Decide whether every trajectory meets what is asked in each mode, in continuous time.
 
@@ -82,13 +78,12 @@ def verify_hybrid(
     initial : ConvexSet
     specs : mapping from mode names to sequences of Always and Never
     horizon : float
+    options : HybridOptions
     dt : float
         Sampling of the trajectories tried.
     runs : int
         Random trajectories tried.
     seed : int
-    **options
-        Of `hybrid_tube`.
 
     Raises
     ------
@@ -105,18 +100,17 @@ def verify_hybrid(
         for spec in asked:
             if spec.region.dim != automaton[name].system.dim:
                 raise ReachError(f"a region for mode {name!r} has dimension {spec.region.dim}")
-    limit = int(options.get("jumps", JUMPS))
-    rng = np.random.default_rng(as_count("seed", seed))
+    rng, jumps = np.random.default_rng(as_count("seed", seed)), options.jumps
     tube: HybridTube | None = None
-    found = falsify_hybrid(automaton, initial, specs, horizon, dt=dt, jumps=limit)
+    found = falsify_hybrid(automaton, initial, specs, horizon, dt=dt, jumps=jumps)
     if found is None:
-        tube = hybrid_tube(automaton, initial, horizon, **options)
+        tube = hybrid_tube(automaton, initial, horizon, options)
         every = ((name, spec) for name, asked in specs.items() for spec in asked)
         doubt = next(filter(None, (unproven(tube, name, spec) for name, spec in every)), "")
         doubt = doubt if tube.complete else "the limit on jumps cut trajectories off"
         if not doubt:
             return verdict("proven", "the tube meets all of it")
-        found = falsify_hybrid(automaton, initial, specs, horizon, dt=dt, runs=runs, rng=rng, jumps=limit)
+        found = falsify_hybrid(automaton, initial, specs, horizon, dt=dt, runs=runs, rng=rng, jumps=jumps)
         if found is None:
             return verdict("unknown", doubt)
     last = found.visits[-1]
@@ -185,7 +179,7 @@ def falsify_hybrid(
     dt: float,
     runs: int = 0,
     rng: np.random.Generator | None = None,
-    jumps: int = JUMPS,
+    jumps: int = HybridOptions.jumps,
 ) -> HybridTrajectory | None:
     """Look for a trajectory that breaks a specification; None if none was found, which proves nothing.
 
@@ -276,7 +270,7 @@ def replay_hybrid(automaton: HybridAutomaton, trajectory: HybridTrajectory, rtol
         kept = [
             *(U.contains(visit.input) for U in mode.system.U),
             np.all(inside(mode.invariant, states, size, REPLAYED)),
-            length <= longest_stay(automaton, visit.mode, begun) + slack,
+            length <= float(automaton.longest_stay(visit.mode, begun, begun)) + slack,
         ]
         if t is not None and after is not None:
             w = np.zeros(len(t.r)) if visit.uncertain is None else visit.uncertain

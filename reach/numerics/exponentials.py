@@ -18,23 +18,17 @@ from .errors import Unresolved
 
 FLUSH = 1e-36
 """Entries below this share of the largest of their row are set to zero: denormal numbers are slow."""
-REACH = 3.0
-"""Norm of ``A t`` up to which Taylor's series of the action is summed at once."""
+REACH = 3.0  # norm of ``A t`` up to which Taylor's series of the action is summed at once
 CANCELLED = float(np.exp(2 * REACH) / (8 * REACH))
 """How much more rounding, per norm of ``A t``, such a series has than a product: its terms grow to
 ``exp(REACH)`` before they sum to what may be ``exp(-REACH)``."""
-FLUSHED = 1e-15
-"""Share of the sizes of all states that is booked along with each row for what was cut off."""
-FULL = 500
-"""Entries a row up to which products with a sparse exponential are cheaper than its action."""
+FLUSHED = 1e-15  # share of the sizes of all states that is booked along with each row for what was cut off
+FULL = 500  # entries a row up to which products with a sparse exponential are cheaper than its action
 THIN = 1 / 4
 """Share of all entries up to which an exponential counts as sparse: of a fuller one products are slow."""
-PROBES = 3
-"""Rows from which it is seen how many entries such an exponential has."""
-OVERHEAD = 20_000
-"""Entries of a sparse matrix that are multiplied while one product is set up."""
-MOST_PARTS = 50_000
-"""Series in a row that one step may take."""
+PROBES = 3  # rows from which it is seen how many entries such an exponential has
+OVERHEAD = 20_000  # entries of a sparse matrix that are multiplied while one product is set up
+MOST_PARTS = 50_000  # series in a row that one step may take
 
 
 def exponential(A: Any, h: float) -> Any:

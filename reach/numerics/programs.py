@@ -12,8 +12,7 @@ from .errors import ReachError
 TOLERANCE = 1e-10
 """Feasibility asked of the solver, on equilibrated data. Whatever is proved is re-checked without it."""
 
-SWEEPS = 6
-"""Passes over rows and columns while a program is equilibrated."""
+SWEEPS = 6  # passes over rows and columns while a program is equilibrated
 
 
 @dataclass(frozen=True)

@@ -12,19 +12,12 @@ from ..numerics.checks import Array
 from ..numerics.programs import Maximum, maximise
 from ..numerics.rounding import mixture
 
-EXACT_MOST = 24
-"""Largest dimension in which inequalities are mixed without rounding."""
-
-MOST_BASES = 4096
-"""Bases kept."""
-INSIDE = 1e-11
-"""A multiplier above minus this, rows scaled alike, counts as not negative."""
-OUTSIDE = 1e-10
-"""A vertex may break a row by this share of the sizes of its terms."""
-FEW = 4
-"""Directions up to which each is one linear program."""
-ENTRIES = 2_000_000
-"""Numbers handled at once."""
+EXACT_MOST = 24  # largest dimension in which inequalities are mixed without rounding
+MOST_BASES = 4096  # bases kept
+INSIDE = 1e-11  # a multiplier above minus this, rows scaled alike, counts as not negative
+OUTSIDE = 1e-10  # a vertex may break a row by this share of the sizes of its terms
+FEW = 4  # directions up to which each is one linear program
+ENTRIES = 2_000_000  # numbers handled at once
 
 
 class Bases:

@@ -10,16 +10,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..numerics.checks import Array, as_vector, checked, require_alike, require_same_dim
+from ..numerics.checks import Array, as_numbers, as_vector, checked, require_alike, require_same_dim
 from ..numerics.errors import ReachError
 from ..numerics.rounding import gamma
 from .polytope import HPolytope
 from .zonotope import Zonotope
 
-SWEEPS = 3
-"""Passes over the rows while coefficients are narrowed."""
-WORTH = 0.9
-"""A strip is intersected by one more generator if it is narrower than this share of the set."""
+SWEEPS = 3  # passes over the rows while coefficients are narrowed
+WORTH = 0.9  # a strip is intersected by one more generator if it is narrower than this share of the set
 
 
 def strips(polytopes: Sequence[HPolytope | None], n: int) -> tuple[Array, Array, Array]:
@@ -204,7 +202,7 @@ def meet_halfspace(zonotope: Zonotope, normal: ArrayLike, offset: ArrayLike) -> 
     ReachError
         If no point of (one of) the set(s) is left.
     """
-    a, b = as_vector(normal, zonotope.dim), np.asarray(offset, dtype=float)
+    a, b = as_vector(normal, zonotope.dim), as_numbers("offset", offset)
     if not np.all(np.isfinite(b)):
         raise ReachError("offset must be finite")
     require_alike(a.shape[:-1], b.shape, zonotope.batch)
@@ -218,5 +216,5 @@ def meet_halfspace(zonotope: Zonotope, normal: ArrayLike, offset: ArrayLike) -> 
     stack = Zonotope(c.reshape(M, n), G.reshape(M, n, g))
     cut, meets = clip(stack, H, np.full_like(high, -np.inf), high)
     if not np.all(meets):
-        raise ReachError("no point of the zonotope satisfies normal . x <= offset")
+        raise ReachError("no point of the set satisfies normal . x <= offset")
     return Zonotope(cut.c.reshape(*shape, n), cut.G.reshape(*shape, n, cut.order_count))

@@ -24,8 +24,7 @@ from .zonotope import Zonotope
 Method = Literal["auto", "exact", "sufficient"]
 Settle = Callable[[NDArray[np.intp]], list[bool | None]]
 
-MOST = 20_000
-"""Facets of an outer zonotope, or branches over an inner one, looked at by default."""
+MOST = 20_000  # facets of an outer zonotope, or branches over an inner one, looked at by default
 
 TOUCHING = "the sets touch to within rounding"
 

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import product
 from typing import TYPE_CHECKING, Any, Protocol, Self, cast, runtime_checkable
 
 import numpy as np
@@ -59,7 +58,7 @@ class SetOperators(ConvexSet, ABC):
 
     All are exact; what a class cannot represent comes back as a lazily evaluated
     `reach.MinkowskiSum` or `reach.AffineImage`. Enclosures have names, never operators. What depends on
-    the classes of both sets is found in the table of `reach.sets.pairs`.
+    the classes of both sets is in `reach.sets.pairs`.
     """
 
     # Let ``M @ X`` and ``v + X`` reach this class instead of numpy's broadcasting.
@@ -245,18 +244,6 @@ class SetOperators(ConvexSet, ABC):
         polygon = outline(self.project(dims))
         ax.fill(polygon[:, 0], polygon[:, 1], **({"alpha": 0.5} | style))
         return ax
-
-
-def find(table: Mapping[tuple[type, ...], Any], *sets: Any) -> Any:
-    """The entry of a table for the classes of some sets; None if there is none.
-
-    The order of fallbacks: the classes themselves; then the bases of the last set's class, nearest
-    first, up to ``object``; then those of the set before it, each again with all of the last's.
-    """
-    exact = table.get(tuple(type(X) for X in sets))
-    if exact is not None:
-        return exact
-    return next((table[key] for key in product(*(type(X).__mro__ for X in sets)) if key in table), None)
 
 
 def weighed(rows: Array, extent: Array) -> Array:

@@ -19,11 +19,8 @@ from .zonotope import Zonotope
 CUTS = 30
 """Supporting planes that a round part is given, one after the other, in the search along one direction."""
 
-CLOSE = 1e-8
-"""Distance from a round part, in sizes of the sets, at which the search ends."""
-
-DEPTH = 1e-7
-"""Depth of the centre, in sizes of the sets, below which an intersection counts as flat."""
+CLOSE = 1e-8  # distance from a round part, in sizes of the sets, at which the search ends
+DEPTH = 1e-7  # depth of the centre, in sizes of the sets, below which an intersection counts as flat
 
 
 class Search:

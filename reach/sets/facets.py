@@ -1,4 +1,4 @@
-"""Facets and volume of zonotopes by the combinations of their generators, membership by a linear program."""
+"""Facets of zonotopes by the combinations of their generators, membership by a linear program."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ from ..numerics.checks import Array
 from ..numerics.errors import ReachError
 from ..numerics.rounding import Whole, cross, floats, gamma, integers
 
-FLAT = 1e-9
-"""Ratio of singular values (axes scaled to unit size) below which a zonotope is treated as flat."""
+FLAT = 1e-9  # ratio of singular values (axes scaled to unit size) below which a zonotope is treated as flat
 
 
 def combination_count(G: Array) -> int:
@@ -55,16 +54,6 @@ def _spanning(G: Array) -> Array:
         return np.hstack([G, np.eye(len(G)) * np.where(size > 0, size, 1.0)])
     values = np.linalg.svd(G / size[:, None], compute_uv=False)
     return np.hstack([G, np.diag(size)]) if values[-1] < FLAT * values[0] else G
-
-
-def volume(G: Array, most: int) -> Array:
-    """Volume of ``{G b : |b_i| <= 1}``, shape (...): ``2^n`` times the sum of the sizes of n x n minors."""
-    n, g = G.shape[-2:]
-    if comb(g, n) > most:
-        raise ReachError(f"{g} generators in dimension {n} have {comb(g, n)} determinants, more than {most}")
-    groups = np.array(list(combinations(range(g), n)), dtype=int).reshape(-1, n)
-    minors = np.moveaxis(G[..., groups], -3, -2)
-    return np.asarray(2.0**n * np.abs(np.linalg.det(minors)).sum(axis=-1))
 
 
 def least_level(c: Array, G: Array, point: Array) -> float:

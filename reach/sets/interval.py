@@ -111,10 +111,8 @@ class Interval(SetStack):
         rounding of the points forgiven.
         """
         checks.require_alike(np.shape(points)[:-1], self.batch)
-        x, extra = (
-            checks.as_vector(points, self.dim),
-            slack * (self.hi - self.lo) / 2 + gamma(1) * self.extent,
-        )
+        x = checks.as_vector(points, self.dim)
+        extra = slack * (self.hi - self.lo) / 2 + gamma(1) * self.extent
         return np.asarray(np.all((self.lo - extra <= x) & (x <= self.hi + extra), axis=-1))
 
     def __rmatmul__(self, M: ArrayLike) -> Zonotope:
@@ -157,16 +155,7 @@ class Interval(SetStack):
     def meet_halfspace(self, normal: ArrayLike, offset: ArrayLike) -> Interval:
         """Smallest box around the part with ``normal . x <= offset``, rounded outwards.
 
-        Parameters
-        ----------
-        normal : array_like, shape (..., n)
-        offset : array_like, shape (...)
-            Both broadcast with the batch.
-
-        Raises
-        ------
-        ReachError
-            If no point of (one of) the set(s) is left.
+        Arguments and errors are those of `reach.meet_halfspace`.
         """
         a, b = checks.as_vector(normal, self.dim), checks.as_numbers("offset", offset)[..., None]
         checks.require_alike(a.shape[:-1], b.shape[:-1], self.batch)
@@ -177,7 +166,7 @@ class Interval(SetStack):
         booked = gamma(2 * self.dim) * (np.abs(a) * self.extent).sum(axis=-1, keepdims=True)
         total = least.sum(axis=-1, keepdims=True)
         if np.any(total - booked > b):
-            raise ReachError("no point of the interval satisfies normal . x <= offset")
+            raise ReachError("no point of the set satisfies normal . x <= offset")
         room = b - (total - least) + booked + gamma(1) * np.abs(b)
         with np.errstate(over="ignore"):  # of a row that hardly depends on a coordinate: no limit
             ratio = np.divide(room, a, out=np.zeros(np.broadcast_shapes(room.shape, a.shape)), where=a != 0)

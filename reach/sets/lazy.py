@@ -82,9 +82,6 @@ class AffineImage(SetOperators):
     def _translated(self, v: Array) -> AffineImage:
         return AffineImage(self.M, self.base, self.v + v)
 
-    def _scaled(self, a: float) -> AffineImage:
-        return AffineImage(a * self.M, self.base, a * self.v)
-
     def to_polytope(self) -> HPolytope:
         """Inequalities around the image of a bounded polytope, its offsets rounded up.
 
@@ -170,13 +167,6 @@ class MinkowskiSum(OfParts):
     def extent(self) -> Array:
         """Elementwise bound on the points, before rounding, shape (n,)."""
         return np.asarray(sum(part.extent for part in self.parts))
-
-    def interval_hull(self) -> Interval:
-        """Smallest box around the set, rounded outwards."""
-        total = self.parts[0].interval_hull()
-        for part in self.parts[1:]:
-            total = total + part.interval_hull()
-        return total  # type: ignore[no-any-return]
 
     def __rmatmul__(self, M: ArrayLike) -> MinkowskiSum:
         """Linear image: the sum of the images."""

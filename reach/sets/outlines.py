@@ -13,11 +13,8 @@ from .interval import Interval
 from .lazy import AffineImage, OfParts
 from .zonotope import Zonotope
 
-OUTLINE = 128
-"""Supporting lines that a round set is drawn with; it is overestimated by 0.03 %."""
-
-SAME = 1e-9
-"""Points this close, in sizes of the set, are one vertex."""
+OUTLINE = 128  # supporting lines that a round set is drawn with; it is overestimated by 0.03 %
+SAME = 1e-9  # points this close, in sizes of the set, are one vertex
 
 
 def is_round(X: Any) -> bool:

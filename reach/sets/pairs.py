@@ -1,8 +1,4 @@
-"""What is asked of two sets: one table from their classes to the function that answers.
-
-Where a pair has no entry of its own, the bases of the classes are tried in the order of
-`reach.sets.convex.find`: the second set gives way first, then the first.
-"""
+"""What is asked of two sets, by their classes."""
 
 from __future__ import annotations
 
@@ -17,7 +13,7 @@ from ..numerics.rounding import add_down, add_up
 from . import containment as inside
 from . import separation as apart
 from .containment import MOST, Method
-from .convex import Answer, SetOperators, find
+from .convex import Answer
 from .ellipsoid import Ellipsoid
 from .intersection import Intersection
 from .interval import Interval
@@ -68,11 +64,11 @@ def contains(outer: Any, inner: Any, method: Method = "auto", most: int = MOST) 
         return Answer(True, np.inf) if inner.proved_empty else Answer(None, 0.0, reason=inside.TOUCHING)
     if isinstance(inner, HPolytope) and not inner.is_bounded and isinstance(outer, Generated):
         outer = outer.interval_hull().to_polytope()  # what has no bounds leaves the hull too
-    answer: Callable[..., Answer] | None = find(CONTAINS, outer)
-    if answer is None:
-        given = type(outer).__name__
-        raise ReachError(f"containment in a {given} is not offered: enclose or convert it first")
-    return answer(outer, inner, method, most)
+    for kind, answer in CONTAINS.items():
+        if isinstance(outer, kind):
+            return answer(outer, inner, method, most)
+    given = type(outer).__name__
+    raise ReachError(f"containment in a {given} is not offered: enclose or convert it first")
 
 
 @checked
@@ -110,31 +106,13 @@ def disjoint(X: Any, Y: Any) -> Answer:
 
 
 def intersect(X: Any, Y: Any) -> Any:
-    """The points of both sets: a box of two boxes, an `HPolytope` of inequalities, else lazy.
-
-    Raises
-    ------
-    ReachError
-        If the dimensions differ, a set is a stack (but for boxes), or two boxes have no point in common.
-    """
+    """The points of both sets: of two boxes a box, of all inequalities a polytope, lazy with any others."""
     require_same_dim(X, Y)
-    return find(INTERSECTION, X, Y)(X, Y)
-
-
-def minkowski_sum(X: Any, Y: Any) -> Any:
-    """The sums of a point of each set: an interval or a zonotope where that is exact, else lazy."""
-    return find(MINKOWSKI_SUM, X, Y)(X, Y)
-
-
-def _box_of_boxes(X: Interval, Y: Interval) -> Interval:
-    lo, hi = np.maximum(X.lo, Y.lo), np.minimum(X.hi, Y.hi)
-    if np.any(lo > hi):
-        raise ReachError("the intersection of the intervals is empty")
-    return Interval(lo, hi)
-
-
-def _shared_points(X: Any, Y: Any) -> Any:
-    """One polytope of all inequalities, and the other sets; lazy unless one of both is all there is."""
+    if isinstance(X, Interval) and isinstance(Y, Interval):
+        lo, hi = np.maximum(X.lo, Y.lo), np.minimum(X.hi, Y.hi)
+        if np.any(lo > hi):
+            raise ReachError("the intersection of the intervals is empty")
+        return Interval(lo, hi)
     parts = [part for one in (X, Y) for part in (one.parts if isinstance(one, Intersection) else (one,))]
     rows = [part.to_polytope() for part in parts if isinstance(part, Interval | HPolytope)]
     others = [part for part in parts if not isinstance(part, Interval | HPolytope)]
@@ -143,36 +121,25 @@ def _shared_points(X: Any, Y: Any) -> Any:
     return others[0] if len(others) == 1 else Intersection(tuple(others))
 
 
-def _sum_of_boxes(X: Interval, Y: Interval) -> Interval:
-    require_same_dim(X, Y)
-    require_alike(X.batch, Y.batch)
-    return Interval(add_down(X.lo, Y.lo), add_up(X.hi, Y.hi))
-
-
-def _lazy_sum(X: Any, Y: Any) -> MinkowskiSum:
-    """Kept unevaluated; nested sums are flattened."""
+def minkowski_sum(X: Any, Y: Any) -> Any:
+    """The sums of a point of each set: an interval or a zonotope where that is exact, else lazy and flat."""
+    Z, box = (X, Y) if isinstance(X, Zonotope) else (Y, X)
+    if isinstance(box, Interval) and isinstance(Z, Zonotope):
+        return Z + box.to_zonotope()
+    if isinstance(X, Interval) and isinstance(Y, Interval):
+        require_same_dim(X, Y)
+        require_alike(X.batch, Y.batch)
+        return Interval(add_down(X.lo, Y.lo), add_up(X.hi, Y.hi))
     parts = [part for one in (X, Y) for part in (one.parts if isinstance(one, MinkowskiSum) else (one,))]
     return MinkowskiSum(tuple(parts))
 
 
-CONTAINS: dict[tuple[type, ...], Callable[..., Answer]] = {
-    (Interval,): lambda outer, *asked: inside.in_polytope(outer.to_polytope(), *asked),
-    (HPolytope,): inside.in_polytope,
-    (Zonotope,): inside.in_zonotope,
-    (Ellipsoid,): inside.in_ellipsoid,
-    (AffineImage,): inside.in_image,
-    (Intersection,): inside.in_intersection,
+CONTAINS: dict[type, Callable[..., Answer]] = {
+    Interval: lambda outer, *asked: inside.in_polytope(outer.to_polytope(), *asked),
+    HPolytope: inside.in_polytope,
+    Zonotope: inside.in_zonotope,
+    Ellipsoid: inside.in_ellipsoid,
+    AffineImage: inside.in_image,
+    Intersection: inside.in_intersection,
 }
 """Of the outer set's class, whatever the inner one. No entry: not offered."""
-
-INTERSECTION: dict[tuple[type, ...], Callable[..., Any]] = {
-    (Interval, Interval): _box_of_boxes,
-    (object, object): _shared_points,
-}
-
-MINKOWSKI_SUM: dict[tuple[type, ...], Callable[..., Any]] = {
-    (Interval, Interval): _sum_of_boxes,
-    (Interval, Zonotope): lambda X, Y: Y + X.to_zonotope(),
-    (Zonotope, Interval): lambda X, Y: X + Y.to_zonotope(),
-    (SetOperators, SetOperators): _lazy_sum,
-}

@@ -18,8 +18,7 @@ from .convex import SetOperators, weighed
 from .distance import unit_sizes
 from .interval import Interval
 
-FLATNESS = 1e-9
-"""An inscribed radius above minus this, relative to the offsets, counts as 'not empty'."""
+FLATNESS = 1e-9  # an inscribed radius above minus this, relative to the offsets, counts as 'not empty'
 
 
 @dataclass(frozen=True, eq=False)

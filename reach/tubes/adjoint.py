@@ -28,8 +28,7 @@ from ..sets.stacks import Generated
 from .rows import Rows
 from .systems import LinearSystem
 
-SMALL = 2000
-"""Entries that a product with a sparse input map must save to be worth it."""
+SMALL = 2000  # entries that a product with a sparse input map must save to be worth it
 
 
 class Overflow(Unresolved):
@@ -72,19 +71,16 @@ class Adjoint:
         self._force = sparse.hstack(force, format="csr") if thin else np.hstack(force)
         self._sizes = np.stack(sizes, axis=1)
         self._grown: dict[float, Array] = {}
-        self.weights = self._weighed([], 0.0)
+        self.watch([])
 
     def watch(self, lags: list[float], moved: Array | float = 0.0) -> None:
         """Weigh rounding by the sizes that states grow to after some lags (see `Rows.lags`).
 
         `moved` are the sizes that a nominal input brings them to.
         """
-        self.weights = self._weighed(lags, moved)
-
-    def _weighed(self, lags: list[float], moved: Array | float) -> Array:
         states = self._sizes[:, 0] + moved / self.rows.scale
         both = np.stack([states, self._sizes[:, 1:].sum(axis=1)], axis=1)
-        return self.rows.weights(lags, self.rows.weights(lags, both))
+        self.weights = self.rows.weights(lags, self.rows.weights(lags, both))
 
     def along(self, rows: Array) -> Array:
         """``rows A^k [B c]`` for k = 0, 1, 2, shape (3, ..., m+1); rows in balanced coordinates."""
@@ -93,11 +89,7 @@ class Adjoint:
 
     def supports(self, piece: int, along: Array, attained: bool = False) -> Array:
         """``sup over u in U of b u + c`` for rows ``[b c]``, or what some u attains."""
-        if not self.inputs:
-            return np.asarray(along[..., -1])
-        rows, U = along[..., :-1], self.inputs[piece]
-        support = supported(U, rows)
-        return np.asarray(along[..., -1] + (attained_support(U, rows, support) if attained else support))
+        return driven_support(self.inputs[piece] if self.inputs else None, along, attained)
 
     def magnitudes(self, piece: int, along: Array) -> Array:
         """``sup over u in U of |b u + c|`` for rows ``[b c]``."""
@@ -171,6 +163,15 @@ def is_symmetric(body: ConvexSet) -> bool:
 def attained_support(body: Any, rows: Array, support: Array) -> Array:
     """What is proved to be attained, where the support is found by a program and is an upper bound."""
     return support if is_symmetric(body) or not hasattr(body, "support_down") else body.support_down(rows)
+
+
+def driven_support(U: Any, along: Array, attained: bool = False) -> Array:
+    """``sup over u in U of b u + c`` for rows ``[b c]``, or what some u attains; c where there is no U."""
+    value, rows = along[..., -1], along[..., :-1]
+    if U is not None:
+        support = supported(U, rows)
+        value = value + (attained_support(U, rows, support) if attained else support)
+    return np.asarray(value)
 
 
 def supported(body: Any, rows: Array) -> Array:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
+from time import perf_counter
 
 import numpy as np
 
 from ..numerics.checks import Array
+from ..numerics.errors import Unresolved
 from .adjoint import Adjoint, Block, Overflow
-from .known_input import known_response
+from .known_input import KnownResponse
 from .rows import ROUNDING
 from .systems import LinearSystem
 
@@ -21,14 +23,14 @@ class RowBounds:
     times: Array  # nodes, (K+1,)
     first: Array  # support of the initial set, moved on without unknown inputs, at the nodes, (K+1, r)
     attained: Array  # what one of its points attains there, (K+1, r)
-    driven: Array  # the part of it that a nominal input causes, (K+1, r)
-    kinks: Array  # by how much the slope of that part jumps at the nodes, (K+1, r)
     upper: Array  # support of the response to the inputs alone: bound, (K+1, r)
     lower: Array  # and attained value, (K+1, r)
     bow: Array  # how far the first part exceeds the lines that join the nodes, (K, r)
     bend: Array  # and how far the response to the inputs does, (K, r)
     rounding: Array  # booked rounding of the sum of the two parts, (K+1, r)
-    rows: Array | None  # d e^{A t} at the nodes, if they were to be kept, (K+1, r, n)
+    driven: Array  # the part of `first` that a nominal input causes, (K+1, r)
+    kinks: Array  # by how much the slope of that part jumps at the nodes, (K+1, r)
+    rows: Array | None = None  # d e^{A t} at the nodes, if they were to be kept, (K+1, r, n)
     parts: int = 1
 
     @property
@@ -64,6 +66,12 @@ class RowBounds:
         return replace(self, **nodes | {"bow": bow, "bend": bend, "parts": 1})
 
 
+def in_time(deadline: float) -> None:
+    """Be `Unresolved` where a time (of `perf_counter`) has passed."""
+    if perf_counter() > deadline:
+        raise Unresolved("time ran out")
+
+
 def collect(
     adjoint: Adjoint,
     D: Array,
@@ -71,8 +79,9 @@ def collect(
     blocks: Iterable[tuple[float, Block]],
     keep: bool,
     parts: int = 1,
+    known: KnownResponse | None = None,
 ) -> RowBounds:
-    """Put blocks together: sums of the steps, shifted for every input set, and the rounding."""
+    """Put blocks together: sums of the steps, shifted for every input set, the known motion, the rounding."""
     found = [(h, block if keep else replace(block, rows=block.first)) for h, block in blocks]
 
     def at_nodes(values: list[Array]) -> Array:
@@ -99,23 +108,12 @@ def collect(
     if not (np.all(np.isfinite(rounding)) and np.all(np.isfinite(upper)) and np.all(np.isfinite(first))):
         raise Overflow("the bounds or their rounding are beyond floating point")
     motion, kinks = np.zeros((2, *first.shape))
-    if adjoint.system.nominal is not None:
-        by = known_response(adjoint.system, D, times, steps)
-        motion, kinks, bow = by.values, by.kinks, bow + by.bow
-    return RowBounds(
-        times,
-        first + motion,
-        attained + motion,
-        motion,
-        kinks,
-        _totals(upper, starts),
-        _totals(lower, starts),
-        bow,
-        _bends(bend, starts),
-        rounding,
-        rows / adjoint.rows.scale if keep else None,
-        parts,
-    )
+    if known is not None:
+        motion, kinks, bow = known.values, known.kinks, bow + known.bow
+    kept = rows / adjoint.rows.scale if keep else None
+    upper, lower, bend = _totals(upper, starts), _totals(lower, starts), _bends(bend, starts)
+    first, attained = first + motion, attained + motion
+    return RowBounds(times, first, attained, upper, lower, bow, bend, rounding, motion, kinks, kept, parts)
 
 
 def _booked(adjoint: Adjoint, D: Array, times: Array, steps: Array, states: Array, rates: Array) -> Array:

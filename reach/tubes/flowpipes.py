@@ -20,12 +20,9 @@ from .rows import ROUNDING
 from .stepping import MAX_STEPS, substeps
 from .systems import LinearSystem
 
-BLOCK = 32
-"""Steps carried together."""
-ENTRIES = 1_000_000
-"""Numbers handled at once where a stack is worked through in parts."""
-HALVINGS = 16
-"""A step is halved at most this often to meet a tolerance."""
+BLOCK = 32  # steps carried together
+ENTRIES = 1_000_000  # numbers handled at once where a stack is worked through in parts
+HALVINGS = 16  # a step is halved at most this often to meet a tolerance
 
 
 @dataclass(frozen=True, eq=False)

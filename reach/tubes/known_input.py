@@ -14,12 +14,8 @@ from ..numerics.exponentials import times
 from .rows import Rows
 from .systems import LinearSystem, Signal
 
-SNAP = 1e-14
-"""A knot as near to a node as this share of the horizon is the node."""
-ENTRIES = 2_000_000
-"""Entries of all states that are computed together."""
-AHEAD = 256
-"""Cells in which the motion is looked at before steps are chosen."""
+SNAP = 1e-14  # a knot as near to a node as this share of the horizon is the node
+ENTRIES = 2_000_000  # entries of all states that are computed together
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,26 +108,3 @@ def _follow(system: LinearSystem, D: Array, substeps: _Substeps) -> tuple[Array,
             grown = forward.closing(h, (np.abs(Z[:-1]) / forward.scale).T)
             curve[i : i + count] = np.maximum(size[1:], size[:-1]) + h**2 / 8 * (D4 @ grown).T
     return y, curve
-
-
-class Forecast:
-    """What a known signal will ask of steps, looked at in cells before they are chosen."""
-
-    def __init__(self, system: LinearSystem, D: Array, horizon: float) -> None:
-        cells = int(horizon) if system.discrete else AHEAD
-        steps = np.full(cells, horizon / cells)
-        signal = system.nominal
-        assert signal is not None
-        jumps = np.nonzero((np.diff(signal.times) == 0) & np.any(np.diff(signal.values, axis=0), axis=1))[0]
-        self.jumps = signal.times[jumps] / horizon
-        self.sizes = np.abs((signal.values[jumps + 1] - signal.values[jumps]) @ np.asarray(D @ system.B).T)
-        found = known_response(system, D, np.linspace(0, horizon, cells + 1), steps)
-        self.horizon, self.curve = horizon, found.bow * 8 / steps[:, None] ** 2
-        self.states = np.abs(found.states).max(axis=0)
-
-    def bow(self, begin: float, end: float, step: float) -> Array:
-        """About the largest bow of steps of some length within a part of the horizon, shape (r,)."""
-        cells = slice(int(begin * AHEAD), max(int(np.ceil(end * AHEAD)), int(begin * AHEAD) + 1))
-        inside = (self.jumps > begin) & (self.jumps < end)
-        smooth = (self.horizon * step) ** 2 / 8 * self.curve[cells].max(axis=0)
-        return np.asarray(smooth + self.horizon * step / 4 * self.sizes[inside].sum(axis=0))

@@ -13,32 +13,57 @@ grows with the square of the number of steps.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..numerics.checks import (
-    Array,
-    as_directions,
-    as_frame,
-    as_numbers,
-    checked,
-    require_positive,
-    require_single,
-)
+from ..numerics.checks import Array, as_array, as_factor, as_numbers, check_fields, require_single
 from ..numerics.errors import ReachError
 from ..numerics.exponentials import exponential
 from ..sets.convex import ConvexSet
-from ..sets.zonotope import Zonotope
-from .adjoint import attained_support, extent
+from .adjoint import attained_support, driven_support, extent
+from .bounds import RowBounds, in_time
 from .rows import ROUNDING
-from .stepping import warn_if_wide
-from .tubes import SupportTube, ZonotopeTube, along_frame
-from .varying import Varying, sample
 
+Bound = ArrayLike | Callable[[float, float], ArrayLike] | None
+
+CONSISTENT = 1e-6
+"""Share by which values may break a bound on their derivatives before this is said (rounding)."""
 MAX_STEPS = 20_000
+
+
+@dataclass(frozen=True, eq=False)
+class Varying:
+    """A matrix or vector as a function of time, with elementwise bounds on its derivatives.
+
+    Parameters
+    ----------
+    value : callable
+        ``value(t)`` is the matrix at time t.
+    slope : array_like or callable, optional
+        Bound on the absolute value of the first derivative: for all times, or ``slope(a, b)`` over
+        the interval from a to b.
+    bend : array_like or callable, optional
+        The same for the second derivative. With it tubes are of second order in the step, with
+        the first alone of first order.
+
+    Raises
+    ------
+    ReachError
+        If neither bound is given.
+    """
+
+    value: Callable[[float], ArrayLike]
+    slope: Bound = None
+    bend: Bound = None
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        if self.slope is None and self.bend is None:
+            raise ReachError("a matrix that varies needs a bound on its first or second derivative")
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +77,8 @@ class LTVSystem:
         Input map; the identity if only U is given.
     U : ConvexSet of dimension m, optional
     c : Varying or array_like, shape (n,), optional
+    begin : float
+        Time at which the state is in its initial set, and at which tubes begin.
 
     Raises
     ------
@@ -63,14 +90,17 @@ class LTVSystem:
     B: Any = None
     U: Any = None
     c: Any = None
+    begin: float = 0.0
+    discrete: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
-        A = self.A.value(0.0) if isinstance(self.A, Varying) else self.A
+        object.__setattr__(self, "begin", as_factor(self.begin, "begin"))
+        A = self.A.value(self.begin) if isinstance(self.A, Varying) else self.A
         A = as_numbers("A", A)
         if A.ndim != 2 or A.shape[0] != A.shape[1] or len(A) == 0:
             raise ReachError(f"A must be square, got shape {A.shape}")
         n = len(A)
-        if self.U is None and self.B is not None:
+        if self.U is None and self.B is not None and np.size(self.B):
             raise ReachError("B is given without U, the set of its input")
         if self.U is not None:
             require_single("U", self.U)
@@ -90,122 +120,89 @@ class LTVSystem:
         return 0 if self.U is None else int(self.U.dim)
 
 
-@checked
-def ltv_support_tube(
-    system: LTVSystem,
-    initial: ConvexSet,
-    horizon: float,
-    directions: ArrayLike,
-    *,
-    step: float,
-    begin: float = 0.0,
-) -> SupportTube:
-    """Bound chosen directions over the reachable sets, continuously in time.
-
-    Parameters
-    ----------
-    system : LTVSystem
-    initial : ConvexSet
-        Of the state at the time `begin`.
-    horizon : float
-    directions : array_like, shape (r, n)
-    step : float
-        Length of every step (shortened so that it divides the horizon).
-    begin : float
-
-    Returns
-    -------
-    SupportTube
-        With times from `begin` to ``begin + horizon``.
-
-    Raises
-    ------
-    ReachError
-        If shapes do not fit, numbers are not finite, or the bounds on derivatives do not hold.
-    """
-    D, n = as_directions(directions, system.dim), system.dim
-    r = len(D)
-    sweep = _Sweep(system, initial, horizon, step, begin)
-    rows = np.vstack([D, np.eye(n), -np.eye(n)])
-    run = sweep.run(rows, slice(r, r + n), slice(r + n, None), np.eye(n))
-    upper, bow = (run.first + run.upper)[:, :r], run.bow[:, :r]
-    attained = run.lower[:, :r]
-    interval = np.maximum(upper[1:], upper[:-1]) + bow
-    warn_if_wide(interval.max(axis=0), attained.max(axis=0), np.abs(upper).max(axis=0))
-    return SupportTube(sweep.times, D, upper, attained, interval, bow)
-
-
-@checked
-def ltv_zonotope_tube(
-    system: LTVSystem,
-    initial: ConvexSet,
-    horizon: float,
-    *,
-    step: float,
-    begin: float = 0.0,
-    frame: ArrayLike | None = None,
-) -> ZonotopeTube:
-    """Enclose the reachable sets by zonotopes, continuously in time and without wrapping.
-
-    Parameters
-    ----------
-    system : LTVSystem
-    initial : ConvexSet
-        A zonotope; of any other set the interval hull is taken.
-    horizon : float
-    step : float
-        Length of every step (shortened so that it divides the horizon).
-    begin : float
-    frame : array_like, shape (n, n), optional
-        Columns: axes along which the response to the inputs is bounded tightly. Default: the
-        coordinate axes.
-
-    Raises
-    ------
-    ReachError
-        As for `reach.ltv_support_tube`.
-    """
-    n = system.dim
-    F = as_frame(frame, n)
-    require_single("the initial set", initial)
-    start = initial if isinstance(initial, Zonotope) else initial.interval_hull().to_zonotope()
-    sweep = _Sweep(system, start, horizon, step, begin)
-    inverse = np.linalg.inv(F)
-    run = sweep.run(np.vstack([inverse, -inverse]), slice(n), slice(n, None), F)
-    nodes = run.first + run.upper
-    warn_if_wide(nodes.max(axis=0) + run.bow.max(axis=0), nodes.max(axis=0), np.abs(nodes).max(axis=0))
-    bow = np.maximum(run.bow[:, :n], run.bow[:, n:])
-    inputs = run.upper[:, n:], run.upper[:, :n]
-    return along_frame(sweep.times, inverse @ (run.maps @ start), inputs, bow, F)
-
-
 @dataclass(frozen=True, eq=False)
-class _Run:
-    """Bounds at the nodes, (K+1, r): of the initial set moved on, of the rest, and attained by both."""
+class Sampled:
+    """A varying matrix over K steps of length h, compared with the chord between two nodes."""
 
-    first: Array
-    upper: Array
-    lower: Array
-    bow: Array
-    maps: Array
+    nodes: Array  # values, (K+1, p, q)
+    chord: Array  # slope of the chord, (K, p, q)
+    off: Array  # largest distance from the chord, (K, p, q)
+    area: Array  # integral of that distance over the step, (K, p, q)
+    rate: Array  # largest absolute value of the derivative, (K, p, q)
+    swing: Array  # largest distance of the derivative from the slope of the chord, (K, p, q)
+
+    @property
+    def middle(self) -> Array:
+        """Mean of the values at both ends of every step, shape (K, p, q)."""
+        return np.asarray((self.nodes[1:] + self.nodes[:-1]) / 2)
+
+    @property
+    def most(self) -> Array:
+        """Largest absolute value in every step, shape (K, p, q)."""
+        return np.maximum(np.abs(self.nodes[1:]), np.abs(self.nodes[:-1])) + self.off
 
 
-class _Sweep:
+def sample(name: str, M: Any, shape: tuple[int, ...], times: Array) -> Sampled:
+    """Evaluate a constant or varying matrix, vectors as one column; its bounds must hold at the nodes."""
+    column = (*shape, 1)[:2]
+    h, count = np.diff(times), len(times)
+    if not isinstance(M, Varying):
+        value = as_array(name, M, *shape).reshape(column)
+        zero = np.zeros((count - 1, *column))
+        return Sampled(np.tile(value, (count, 1, 1)), zero, zero, zero, zero, zero)
+    with np.errstate(all="ignore"):  # what is not finite is refused with its name and time
+        values = [M.value(float(t)) for t in times]
+    named = zip(values, times, strict=True)
+    nodes = np.stack([as_array(f"{name}({t:g})", value, *shape).reshape(column) for value, t in named])
+    step = h[:, None, None]
+    chord = np.diff(nodes, axis=0) / step
+    slope = _bound(f"slope of {name}", M.slope, shape, times).reshape(count - 1, *column)
+    bend = _bound(f"bend of {name}", M.bend, shape, times).reshape(count - 1, *column)
+    noise = 16 * np.finfo(float).eps * np.abs(nodes).max(axis=0)
+    _consistent(f"slope of {name}", np.abs(chord) - noise / step, slope)
+    if count > 2:
+        # The second difference is a mean of the second derivative over two steps.
+        second = np.abs(np.diff(chord, axis=0)) - 4 * noise / step[:-1]
+        _consistent(f"bend of {name}", second / step[:-1], np.maximum(bend[1:], bend[:-1]))
+    return Sampled(
+        nodes,
+        chord,
+        np.minimum(step / 2 * slope, step**2 / 8 * bend),
+        np.minimum(step**2 / 3 * slope, step**3 / 12 * bend),
+        np.minimum(slope, np.abs(chord) + step / 2 * bend),
+        np.minimum(slope + np.abs(chord), step / 2 * bend),
+    )
+
+
+def _bound(name: str, bound: Bound, shape: tuple[int, ...], times: Array) -> Array:
+    if bound is None:
+        return np.full((len(times) - 1, *shape), np.inf)
+    over = bound if callable(bound) else lambda a, b: bound
+    found = [as_numbers(name, over(float(a), float(b))) for a, b in zip(times[:-1], times[1:], strict=True)]
+    for values in found:
+        if values.shape != shape or not np.all(values >= 0):
+            raise ReachError(f"the {name} must be >= 0 and of shape {shape}, got {values!r}")
+    return np.stack(found)
+
+
+def _consistent(name: str, seen: Array, bound: Array) -> None:
+    if np.any(seen > bound * (1 + CONSISTENT)):
+        k, i, j = np.unravel_index(np.argmax(seen - bound * (1 + CONSISTENT)), seen.shape)
+        given = f"values change by {seen[k, i, j]:g} in entry ({i}, {j}) of step {k}"
+        raise ReachError(f"the bound on the {name} is too small: {given}, the bound is {bound[k, i, j]:g}")
+
+
+class Sweep:
     """Steps of a varying system: transitions, what inputs add, and boxes around all rests."""
 
-    def __init__(
-        self, system: LTVSystem, initial: ConvexSet, horizon: float, step: float, begin: float
-    ) -> None:
+    def __init__(self, system: LTVSystem, initial: ConvexSet, horizon: float, step: float) -> None:
         n, m = system.dim, system.inputs
         require_single("the initial set", initial, n)
-        require_positive("horizon", horizon)
-        require_positive("step", step)
-        if not np.isfinite(begin) or horizon / step > MAX_STEPS:
-            given = f"got {begin!r}, {horizon / step}"
-            raise ReachError(f"at most {MAX_STEPS:,} steps from a finite begin, {given}")
+        if horizon / step > MAX_STEPS:
+            raise ReachError(f"a system that varies takes at most {MAX_STEPS:,} steps, got {horizon / step}")
         count = max(int(np.ceil(horizon / step * (1 - 1e-12))), 1)
-        self.initial, self.U, self.n, self.m = initial, system.U, n, m
-        self.times = begin + np.linspace(0, horizon, count + 1)
+        self.initial, self.U, self.n = initial, system.U, n
+        self.times = system.begin + np.linspace(0, horizon, count + 1)
         self.h = h = horizon / count
         A, B = sample("A", system.A, (n, n), self.times), sample("B", system.B, (n, m), self.times)
         c = sample("c", system.c, (n,), self.times)
@@ -242,24 +239,25 @@ class _Sweep:
         slide = most @ driven + Y @ (most @ force_most + rate) / 2
         self.local = h**2 / 4 * slide[..., 0]
 
-    def _support(self, along: Array, attained: bool = False) -> Array:
-        """``sup of b u + c`` for rows ``[b c]``, or what some u attains."""
-        value, rows = along[..., -1], along[..., :-1]
-        if not self.m:
-            return np.asarray(value)
-        support = self.U.support(rows)
-        return np.asarray(value + (attained_support(self.U, rows, support) if attained else support))
-
-    def run(self, rows: Array, plus: slice, minus: slice, F: Array) -> _Run:
-        """Bounds forward; `plus` and `minus` are the rows inv(F) and their opposites, which bound x."""
-        K, n, h = len(self.P), self.n, self.h
-        first, upper, lower = (np.zeros((K + 1, len(rows))) for _ in range(3))
+    def run(self, D: Array, deadline: float) -> RowBounds:
+        """Bounds along rows D, which are kept; rows along the axes and against them bound the states."""
+        K, n, h, r = len(self.P), self.n, self.h, len(D)
+        axes = np.vstack([np.eye(n), -np.eye(n)])
+        rows = D if np.array_equal(D, axes) else np.vstack([D, axes])
+        first, upper, lower, attained = (np.zeros((K + 1, len(rows))) for _ in range(4))
         bow, maps, later = np.empty((K, len(rows))), np.empty((K + 1, n, n)), np.empty((K, n, n))
         boxes = np.empty((K, n))
         maps[0], first[0], size, absolute = np.eye(n), self.initial.support(rows), self.x0, np.abs(rows)
-        moved, upper[0] = np.zeros(n), ROUNDING * n * (absolute @ size)
-        lower[0] = attained_support(self.initial, rows, first[0]) - upper[0]
+        attained[0] = attained_support(self.initial, rows, first[0])
+        upper[0] = ROUNDING * n * (absolute @ size)
+        moved, lower[0] = np.zeros(n), -upper[0]
+
+        def largest(bounds: Array) -> Array:
+            """Elementwise bound on what has bounds along the axes and against them."""
+            return np.maximum(np.abs(bounds[-2 * n : -n]), np.abs(bounds[-n:]))
+
         for k in range(K):
+            in_time(deadline)
             boxes[k] = self.missed[k] @ size + self.rest[k]
             curved = rows @ self.curve[k]
             along = curved @ maps[k]
@@ -269,18 +267,20 @@ class _Sweep:
             later[:k] = self.P[k] @ later[:k]
             later[k] = np.eye(n)
             maps[k + 1] = self.P[k] @ maps[k]
-            first[k + 1] = self.initial.support(rows @ maps[k + 1])
+            carried = rows @ maps[k + 1]
+            first[k + 1] = self.initial.support(carried)
+            attained[k + 1] = attained_support(self.initial, carried, first[k + 1])
             R = rows @ later[: k + 1]
             start, end = R @ self.early[: k + 1], R @ self.late[: k + 1]
-            value, middle = self._support(start) + self._support(end), self._support((start + end) / 2, True)
+            value = driven_support(self.U, start) + driven_support(self.U, end)
+            middle = driven_support(self.U, (start + end) / 2, attained=True)
             error = (np.abs(R) @ boxes[: k + 1, :, None]).sum(axis=0)[:, 0]
             upper[k + 1] = h / 2 * value.sum(axis=0) + error
             lower[k + 1] = h * middle.sum(axis=0) - error
-            lower[k + 1] += attained_support(self.initial, rows @ maps[k + 1], first[k + 1])
-            moved = np.abs(F) @ np.maximum(np.abs(upper[k + 1, plus]), np.abs(upper[k + 1, minus]))
-            ends_x = first[k + 1] + upper[k + 1]
-            size = np.abs(F) @ np.maximum(np.abs(ends_x[plus]), np.abs(ends_x[minus]))
-        return _Run(first, upper, lower, bow, maps)
+            moved, size = largest(upper[k + 1]), largest(first[k + 1] + upper[k + 1])
+        first, attained, upper, lower, bow = (part[:, :r] for part in (first, attained, upper, lower, bow))
+        none, straight = np.zeros((K + 1, r)), np.zeros((K, r))
+        return RowBounds(self.times, first, attained, upper, lower, bow, straight, none, none, none, D @ maps)
 
 
 def _growing(M: Array, more: Array | float) -> Array:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
-from time import perf_counter
+from fractions import Fraction
+from math import lcm
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,79 +15,73 @@ from ..numerics.checks import Array, per_row, require_positive
 from ..numerics.errors import ReachError, ReachWarning, Unresolved
 from ..sets.convex import ConvexSet
 from .adjoint import Adjoint, Block, Overflow, augmented
-from .bounds import RowBounds, collect
-from .known_input import Forecast
+from .bounds import RowBounds, collect, in_time
+from .known_input import known_response
+from .ltv import LTVSystem, Sweep
 from .rows import ROUNDING
 from .systems import LinearSystem
 
 MAX_STEPS = 2_000_000
-BLOCK = 64
-"""Steps that are carried together when their length may change."""
-ENTRIES = 50_000
-"""Entries of all rows that are carried together when it does not."""
-SHARE = 0.01
-"""Tolerance if none is given, as a share of the largest support."""
-AHEAD = 64
-"""Instants, and halvings of the first of them, at which it is looked at what a row will come to."""
-PARTS = 16
-"""Parts that a step of the user may be carried in whatever that costs."""
-CHEAP = 1_000_000
-"""Entries of all rows of a run up to which a step is carried in as many parts as it needs."""
-WIDE = 10.0
-"""Bounds between nodes that exceed what is attained by this factor are warned of."""
+BLOCK = 64  # steps that are carried together when their length may change
+ENTRIES = 50_000  # entries of all rows that are carried together when it does not
+GRID = 10_000  # most steps that a first grid takes to have every change of the input on a node
+SHARE = 0.01  # tolerance if none is given, as a share of the largest support
+CELLS = 256  # least steps in which it is looked at how large a known motion becomes
+AHEAD = 64  # instants, and halvings of the first of them, at which it is looked at what a row will come to
+PARTS = 16  # parts that a step of the user may be carried in whatever that costs
+CHEAP = 1_000_000  # entries of all rows of a run up to which a step is carried in as many parts as it needs
+WIDE = 10.0  # bounds between nodes that exceed what is attained by this factor are warned of
 USELESS = 1e9
 """Bounds between nodes may exceed the size of what is bounded by this; more is an error, not a bound."""
-FINEST = 2.0**-40
-"""Shortest step of the automatic choice, as a share of the horizon."""
+FINEST = 2.0**-40  # shortest step of the automatic choice, as a share of the horizon
 
 
 @dataclass(frozen=True, eq=False)
 class Steps:
     """How a horizon is stepped through: with a step or by a tolerance, see `reach.support_tube`.
 
-    A step may be `cut` into parts; rows are kept if asked for; `deadline` is a time of `perf_counter`.
+    Rows are kept if asked for; `deadline` is a time of `perf_counter`.
     """
 
     step: float | None = None
     tolerance: ArrayLike | None = None
     limit: ArrayLike | None = None
-    cut: bool = True
     keep: bool = False
     deadline: float = np.inf
 
 
-def row_bounds(system: LinearSystem, initial: ConvexSet, D: Array, horizon: float, steps: Steps) -> RowBounds:
+def row_bounds(
+    system: LinearSystem | LTVSystem, initial: ConvexSet, D: Array, horizon: float, steps: Steps
+) -> RowBounds:
     """Carry rows D of a system over the horizon."""
-    around, start = augmented(system, initial)
-    D = np.hstack([D, np.zeros((len(D), around.dim - system.dim))])
-    adjoint, step, tolerance = Adjoint(around, start), steps.step, steps.tolerance
+    step, tolerance = steps.step, steps.tolerance
     require_positive("horizon", horizon)
     if step is not None and tolerance is not None:
         raise ReachError("give a step or a tolerance, not both")
     if step is not None:
         require_positive("step", step)
+    if isinstance(system, LTVSystem):
+        if step is None:
+            raise ReachError("a system that varies in time needs a step")
+        return Sweep(system, initial, horizon, step).run(D, steps.deadline)
+    around, start = augmented(system, initial)
+    D = np.hstack([D, np.zeros((len(D), around.dim - system.dim))])
+    adjoint = Adjoint(around, start)
     if system.discrete:
         if horizon != round(horizon) or step not in (None, 1):
             given = f"got horizon {horizon!r} and step {step!r}"
             raise ReachError(f"a discrete system takes a whole number of steps of 1, {given}")
         step = 1.0
-    if step is None and adjoint.input_pieces > 1:
-        raise ReachError("an input that changes its set needs a step, best one that divides its breaks")
     if step is not None:
-        parts = substeps(adjoint, step, horizon, len(D)) if steps.cut else 1
-        return _regular(adjoint, D, horizon, step, parts, steps)
+        return _regular(adjoint, D, horizon, step, substeps(adjoint, step, horizon, len(D)), steps)
     goal = None if tolerance is None else per_row("tolerance", tolerance, len(D))
     if goal is not None and not np.all((goal > 0) & np.isfinite(goal)):
         raise ReachError(f"the tolerance must be finite and > 0, got {tolerance!r}")
     ceiling = np.full(len(D), -np.inf) if steps.limit is None else per_row("limit", steps.limit, len(D))
+    if adjoint.input_pieces > 1 or system.nominal is not None:
+        return _halved(adjoint, D, horizon, goal, ceiling, steps)
     blocks = _adaptive(adjoint, D, horizon, goal, ceiling, steps.deadline)
     return collect(adjoint, D, horizon, blocks, steps.keep)
-
-
-def in_time(deadline: float) -> None:
-    """Be `Unresolved` where a time (of `perf_counter`) has passed."""
-    if perf_counter() > deadline:
-        raise Unresolved("time ran out")
 
 
 def substeps(adjoint: Adjoint, step: float, horizon: float = 0.0, rows: int = 1) -> int:
@@ -122,7 +117,14 @@ def _regular(adjoint: Adjoint, D: Array, horizon: float, step: float, parts: int
     count = max(int(np.ceil(horizon / step * (1 - 1e-12))), 1) * parts
     size = int(np.clip(ENTRIES // D.size, BLOCK, count))
     h = horizon / count
-    _watch(adjoint, D, h, horizon)
+    known, sizes = None, np.zeros(adjoint.system.dim)
+    if adjoint.system.nominal is not None:
+        # The sizes that it brings states to are looked at in many places, however few the nodes are.
+        every = 1 if adjoint.system.discrete else -(-CELLS // count)
+        nodes, lengths = np.linspace(0, horizon, every * count + 1), np.full(every * count, h / every)
+        sizes = np.abs(known_response(adjoint.system, D[:1], nodes, lengths).states).max(axis=0)
+        known = known_response(adjoint.system, D, nodes[::every], np.full(count, h))
+    adjoint.watch(adjoint.rows.lags(h, horizon), sizes)
 
     def blocks() -> Iterator[tuple[float, Block]]:
         rows = D * adjoint.rows.scale
@@ -132,17 +134,36 @@ def _regular(adjoint: Adjoint, D: Array, horizon: float, step: float, parts: int
             yield h, block
             rows = block.rows[-1]
 
-    run = collect(adjoint, D, horizon, blocks(), steps.keep, parts)
+    run = collect(adjoint, D, horizon, blocks(), steps.keep, parts, known)
     if not np.all((run.bow + run.bend).max(axis=0) <= USELESS / ROUNDING * run.rounding.max(axis=0)):
         raise Unresolved(f"the step {step:g} is too long: nothing useful is known between two nodes")
     return run
 
 
-def _watch(adjoint: Adjoint, D: Array, h: float, horizon: float) -> Forecast | None:
-    """Weigh rounding by the sizes that states grow to; what a nominal input, if any, will ask of steps."""
-    ahead = None if adjoint.system.nominal is None else Forecast(adjoint.system, D, horizon)
-    adjoint.watch(adjoint.rows.lags(h, horizon), 0.0 if ahead is None else ahead.states)
-    return ahead
+def _halved(
+    adjoint: Adjoint, D: Array, horizon: float, goal: Array | None, ceiling: Array, steps: Steps
+) -> RowBounds:
+    """Steps of one length, halved until they meet the tolerance: for inputs known or of changing sets.
+
+    Where they have a grid in common, every change of an input set and every jump of a nominal input is at
+    a node. Half of the tolerance is for the nodes and half for what lies between them.
+    """
+    system = adjoint.system
+    changes = system.breaks if system.nominal is None else np.r_[system.breaks, system.nominal.jumps]
+    near = [Fraction(t / horizon).limit_denominator(GRID) for t in changes if 0 < t < horizon]
+    grid = lcm(*(share.denominator for share in near))
+    count = grid if grid <= GRID else AHEAD
+    count *= 2 ** int(np.ceil(np.log2(max(horizon * adjoint.rows.norm / count, 1.0))))
+    while True:
+        run = _regular(adjoint, D, horizon, horizon / count, 1, steps)
+        above = run.above
+        allowed = (SHARE * np.abs(above).max(axis=0) if goal is None else goal) / 2
+        room = np.maximum(allowed, ceiling - np.maximum(above[1:], above[:-1]))
+        if np.all(above - run.below <= allowed) and np.all(run.bow + run.bend <= room):
+            return run
+        if grid <= GRID and np.any(2 * run.rounding > allowed):
+            raise Unresolved(f"the tolerance {2 * allowed} is below the rounding of the bounds")
+        count *= 2
 
 
 def _adaptive(
@@ -156,9 +177,7 @@ def _adaptive(
     """
     rows = D * adjoint.rows.scale
     level = int(np.clip(np.ceil(np.log2(max(horizon * adjoint.rows.norm, 1.0))), 0, 40))
-    ahead = _watch(adjoint, D, horizon * 2.0**-level, horizon)
-    if ahead is not None:
-        ceiling = np.full(len(D), -np.inf)  # what is compared with it leaves the nominal input out
+    adjoint.watch(adjoint.rows.lags(horizon * 2.0**-level, horizon))
     done, patience, steps = 0.0, 0, 0
     reached, spent, sums, met = np.zeros((4, len(D)))
     known = _foreseen(adjoint, rows, horizon) if goal is None else met
@@ -184,8 +203,6 @@ def _adaptive(
         with np.errstate(invalid="ignore"):
             loss = (block.upper - block.lower).sum(axis=(0, 1))
             bend = block.bow + block.bend.sum(axis=1)
-            if ahead is not None:
-                bend = bend + ahead.bow(done, done + count * h, h)
             node = block.first + reached + np.vstack([np.zeros(len(D)), np.cumsum(gain, axis=0)])
             room = np.maximum(tolerance / 2, ceiling - np.maximum(node[1:], node[:-1]))
             share = (tolerance / 2 - spent) * np.maximum(count * h / (1 - done), 0.05)

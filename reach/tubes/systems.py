@@ -12,10 +12,8 @@ from scipy import sparse
 from ..numerics.checks import Array, as_array, as_numbers, finite_fields, require_single
 from ..numerics.errors import ReachError
 
-FILLED = 0.25
-"""Share of entries from which a matrix in a sparse container is handled as a dense one."""
-FILLED_MOST = 1000
-"""Most states for which it is: beyond, exponentials cost more than they save."""
+FILLED = 0.25  # share of entries from which a matrix in a sparse container is handled as a dense one
+FILLED_MOST = 1000  # most states for which it is: beyond, exponentials cost more than they save
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +60,13 @@ class Signal:
         k = np.searchsorted(self.times, t, side="right") - 1
         since = np.where(k < 0, 0.0, t - self.times[np.maximum(k, 0)])
         return np.asarray(self.values[np.maximum(k, 0)] + since[:, None] * self.slope(t))
+
+    @property
+    def jumps(self) -> Array:
+        """Times at which the value jumps, shape (j,)."""
+        return np.asarray(
+            self.times[1:][(np.diff(self.times) == 0) & np.any(np.diff(self.values, axis=0), axis=1)]
+        )
 
     def slope(self, t: ArrayLike) -> Array:
         """Slopes at given times, those to the right at a knot, shape (len(t), m)."""

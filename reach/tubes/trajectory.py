@@ -20,10 +20,8 @@ from .known_input import known_response
 from .stepping import Steps, row_bounds
 from .systems import LinearSystem
 
-DENSE_MOST = 400
-"""States up to which a simulation forms exponentials."""
-STEPS = 256
-"""Steps of a worst case if no tolerance is given."""
+DENSE_MOST = 400  # states up to which a simulation forms exponentials
+STEPS = 256  # steps of a worst case if no tolerance is given
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,7 +146,7 @@ def worst_case(
         return Trajectory(np.zeros(1), initial.support_vector(d), np.zeros((0, system.inputs)))
     if step is None and tolerance is None and not system.discrete:
         step = horizon / STEPS
-    run = row_bounds(system, initial, d, horizon, Steps(step, tolerance, [np.inf], cut=False, keep=True))
+    run = row_bounds(system, initial, d, horizon, Steps(step, tolerance, [np.inf], keep=True)).coarse()
     assert run.rows is not None
     rows = run.rows[:, 0, : system.dim]
     x0 = initial.support_vector(rows[-1])

@@ -13,6 +13,7 @@ from ..numerics.errors import ReachError
 from ..sets.convex import ConvexSet
 from ..sets.zonotope import Zonotope
 from .adjoint import augmented, is_symmetric
+from .ltv import LTVSystem
 from .rows import ROUNDING
 from .stepping import Steps, row_bounds, warn_if_wide
 from .systems import LinearSystem
@@ -25,7 +26,7 @@ class SupportTube:
     Attributes
     ----------
     times : ndarray, shape (K+1,)
-        Nodes, from 0 to the horizon.
+        Nodes, from 0 to the horizon; of an `LTVSystem` from its `begin` on.
     directions : ndarray, shape (r, n)
     upper : ndarray, shape (K+1, r)
         ``d x(t_k) <= upper[k]`` for every initial state and every input.
@@ -71,7 +72,7 @@ class SupportTube:
 
 @checked
 def support_tube(
-    system: LinearSystem,
+    system: LinearSystem | LTVSystem,
     initial: ConvexSet,
     horizon: float,
     directions: ArrayLike,
@@ -85,8 +86,9 @@ def support_tube(
 
     Parameters
     ----------
-    system : LinearSystem
-        Dense or sparse; continuous or discrete.
+    system : LinearSystem or LTVSystem
+        Dense or sparse; continuous or discrete. One that varies in time needs a step, and effort that
+        grows with the square of the number of steps.
     initial : ConvexSet
     horizon : float
         For a discrete system the number of steps.
@@ -96,7 +98,8 @@ def support_tube(
         step, it is carried in up to 16 parts that are not shown.
     tolerance : float or array_like of shape (r,), optional
         Instead of a step: how far the bounds may lie above what is attained. Steps are then chosen
-        by it, and differ. Default: a hundredth of the largest value met.
+        by it, and differ (not of inputs that are known or change their set). Default: a hundredth of
+        the largest value met.
     limit : array_like, shape (r,), optional
         With a tolerance: a bound between nodes that stays below this is tight enough.
     max_seconds : float, optional
@@ -109,7 +112,7 @@ def support_tube(
     Raises
     ------
     ReachError
-        If a number is not finite or shapes do not fit.
+        If a number is not finite, shapes do not fit, or the bounds on derivatives do not hold.
     Unresolved
         If the tolerance cannot be met, in the time given, or a bound is beyond floating point.
     """
@@ -130,7 +133,7 @@ class ZonotopeTube:
     Attributes
     ----------
     times : ndarray, shape (K+1,)
-        Nodes, from 0 to the horizon.
+        Nodes, from 0 to the horizon; of an `LTVSystem` from its `begin` on.
     nodes : Zonotope, batch (K+1,)
         ``x(t_k)`` lies in ``nodes[k]`` for every initial state and every input. The generators of
         the initial set come first, in its order; then one per axis of the frame, for the inputs.
@@ -188,7 +191,7 @@ class ZonotopeTube:
 
 @checked
 def zonotope_tube(
-    system: LinearSystem,
+    system: LinearSystem | LTVSystem,
     initial: ConvexSet,
     horizon: float,
     *,
@@ -204,7 +207,7 @@ def zonotope_tube(
 
     Parameters
     ----------
-    system : LinearSystem
+    system : LinearSystem or LTVSystem
     initial : ConvexSet
         A zonotope; of any other set the interval hull is taken.
     horizon : float
@@ -229,7 +232,7 @@ def zonotope_tube(
     rows = inverse = np.asarray(np.linalg.inv(F))
     if tolerance is not None:
         tolerance = per_row("tolerance", tolerance, n)
-    if len(system.U) > 1 or not all(is_symmetric(U) for U in system.U):
+    if isinstance(system, LTVSystem) or len(system.U) > 1 or not all(is_symmetric(U) for U in system.U):
         rows = np.vstack([inverse, -inverse])
         tolerance = None if tolerance is None else np.tile(tolerance, 2)
     run = row_bounds(system, start, rows, horizon, Steps(step, tolerance, keep=True)).coarse()
@@ -237,7 +240,8 @@ def zonotope_tube(
     if step is not None and not system.discrete:
         nodes = run.above.max(axis=0)
         warn_if_wide(nodes + (run.bow + run.bend).max(axis=0, initial=0.0), nodes, np.abs(nodes))
-    image = run.rows[:, :n] @ augmented(system, start.to_zonotope())[1]
+    start = start.to_zonotope()
+    image = run.rows[:, :n] @ (start if isinstance(system, LTVSystem) else augmented(system, start)[1])
     # The second half of the rows is the first half with the sign turned, or left out if alike.
     high, low = (run.upper[:, rows] + run.rounding[:, rows] for rows in (slice(n), slice(-n, None)))
     bow = np.maximum(run.bow[:, :n], run.bow[:, -n:]) + np.maximum(run.bend[:, :n], run.bend[:, -n:])

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
-from fractions import Fraction
 from functools import cached_property
-from math import lcm
 from time import perf_counter
 from typing import Any
 
@@ -23,14 +22,8 @@ from .specification import Verdict
 REPLAY = 1e-9
 """A replayed trajectory must pass a limit by this share of its size before it counts as a violation."""
 
-SHARPER = 8.0
-"""Factor by which the tolerance shrinks while neither proof nor violation is found."""
-
-FIRST, LAST = 0.05, 1e-7
-"""First and last tolerance, as shares of the size of the quantity bounded."""
-
-GRID = 10_000
-"""Most steps that a first grid takes to have every change of the input set on a node."""
+SHARPER = 8.0  # factor by which the tolerance shrinks while neither proof nor violation is found
+FIRST, LAST = 0.05, 1e-7  # first and last tolerance, as shares of the size of the quantity bounded
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,8 +48,7 @@ class Motions:
         axes = np.vstack([np.eye(n), -np.eye(n)])
         most = self.initial.support(axes)
         if end > 0:
-            step = {"step": end / 64} if len(self.system.U) > 1 and not self.system.discrete else {}
-            most = self._support_tube(axes, **step).most
+            most = self._support_tube(axes).most
         return np.asarray(np.maximum(most[:n], most[n:]).clip(min=0))
 
     def _support_tube(self, C: Array, **how: Any) -> SupportTube:
@@ -64,37 +56,23 @@ class Motions:
         return support_tube(self.system, self.initial, self.window[1], C, max_seconds=seconds, **how)
 
     def tube(self, C: Array, tolerance: Array, limits: Array) -> SupportTube:
-        """A tube as sharp as a tolerance asks; with several input sets, equal steps short enough for it.
+        """A tube as sharp as a tolerance asks.
 
         What stays below its limit between nodes is sharp enough; at a single instant, which is a node,
         nothing between nodes matters.
         """
-        end, system = self.window[1], self.system
+        end = self.window[1]
         if end == 0:
             start, none = self.initial.support(C)[None], np.zeros((0, len(C)))
             return SupportTube(np.zeros(1), C, start, start, none, none)
         limits = limits if self.window[0] < end else np.full(len(C), np.inf)
-        if system.discrete:
-            return self._support_tube(C)
-        if len(system.U) < 2:
-            return self._support_tube(C, tolerance=tolerance, limit=limits)
-        step = end / _grid(system.breaks[system.breaks < end] / end)
-        while True:
-            tube = self._support_tube(C, step=step)
-            loose = np.maximum((tube.upper - tube.attained).max(axis=0), tube.bow.max(axis=0))
-            if np.all(loose <= tolerance):
-                return tube
-            step /= 2
+        return self._support_tube(C, tolerance=tolerance, limit=limits)
 
     def worst_case(self, instant: float, d: Array, tolerance: float, step: float) -> Trajectory:
         """`reach.worst_case` by a tolerance; with the step of the tube where that cannot be."""
-        if not self.system.discrete and len(self.system.U) < 2:
-            try:
-                return worst_case(self.system, self.initial, instant, d, tolerance=tolerance)
-            except Unresolved:
-                pass
-        held = {} if self.system.discrete else {"step": step}
-        return worst_case(self.system, self.initial, instant, d, **held)
+        with suppress(Unresolved):
+            return worst_case(self.system, self.initial, instant, d, tolerance=tolerance)
+        return worst_case(self.system, self.initial, instant, d, step=step)
 
     def seen(self, tube: SupportTube) -> tuple[Array, Array]:
         """Times, one each, and bounds (k, r) over what covers the window: intervals, or nodes if discrete."""
@@ -118,29 +96,25 @@ class Motions:
         return bounds, tube.times[best], tube.attained[best, np.arange(len(bounds))]
 
 
-def _grid(shares: Array) -> int:
-    """Least number of equal parts of [0, 1] that has all shares at its nodes, if there is a small one."""
-    near = [Fraction(share).limit_denominator(GRID) for share in shares]
-    count = lcm(*(share.denominator for share in near))
-    return count if count <= GRID else 64
-
-
 def verify_always(motions: Motions, region: HPolytope) -> Verdict:
     """`verify` for a region to stay in: one tube along its normals, sharper where it must be."""
     C, limits = region.A, region.b
     lengths, size = np.linalg.norm(C, axis=1), motions.sizes(C, limits)
     bounds, reached = np.full(len(C), np.inf), np.full(len(C), -np.inf)
     share, steps, rows = FIRST, 0, np.arange(len(C))
+
+    def verdict(status: str, margin: float, reason: str, path: Trajectory | None = None) -> Verdict:
+        return Verdict(status, margin, bounds, reached, path, steps, reason)
+
     while len(rows):
         if share < LAST:
             gap = np.max((np.abs(bounds - reached) / size)[rows])
             reason = f"bounds and trajectories are within {gap:.1g} of each other and of the limit"
-            return Verdict("unknown", np.nan, bounds, reached, None, steps, reason)
+            return verdict("unknown", np.nan, reason)
         try:
             tube = motions.tube(C[rows], share * size[rows], limits[rows])
         except Unresolved as exc:
-            reason = f"neither proven nor violated: {exc}"
-            return Verdict("unknown", np.nan, bounds, reached, None, steps, reason)
+            return verdict("unknown", np.nan, f"neither proven nor violated: {exc}")
         steps = len(tube.times) - 1
         bounds[rows], instants, reached[rows] = motions.extremes(tube)
         broken = np.nonzero(reached > limits)[0]
@@ -151,9 +125,7 @@ def verify_always(motions: Motions, region: HPolytope) -> Verdict:
             value = float(C[row] @ path.states[-1])
             if value > limits[row] + REPLAY * size[row]:
                 reason = f"row {row} reaches {value:.6g} at t = {instant:.6g}, its limit is {limits[row]:.6g}"
-                margin = float((limits[row] - value) / lengths[row])
-                return Verdict("violated", margin, bounds, reached, path, steps, reason)
+                return verdict("violated", float((limits[row] - value) / lengths[row]), reason, path)
         rows, share = np.nonzero(~(bounds <= limits))[0], share / SHARPER
     margin = float(np.min((limits - bounds) / lengths))
-    reason = f"every bound keeps {margin:.6g} from its limit"
-    return Verdict("proven", margin, bounds, reached, None, steps, reason)
+    return verdict("proven", margin, f"every bound keeps {margin:.6g} from its limit")

@@ -1,22 +1,40 @@
-"""Verification in one call: proven, violated with a trajectory that shows it, or unknown."""
+"""Verification in one call: proven, violated with a trajectory that shows it, or unknown.
+
+Never entering a polytope: along each direction d the reachable set stays below the least value o that d
+takes in the region, or it does not. Directions are the outer normals of the region first; where none
+separates, the nearest points of the region and of the exact reachable set at that time give the next one,
+or a trajectory that ends in the region.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from time import perf_counter
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
+from scipy.optimize import nnls
 
-from ..numerics.checks import checked, require_single
-from ..numerics.errors import ReachError
+from ..numerics.checks import Array, checked, require_single
+from ..numerics.errors import ReachError, Unresolved
+from ..numerics.rounding import gamma
 from ..sets.convex import ConvexSet
+from ..sets.distance import nearest, unit_sizes
+from ..sets.interval import Interval
 from ..sets.polytope import HPolytope
+from ..tubes.bounds import in_time
 from ..tubes.systems import LinearSystem
-from ..tubes.trajectory import worst_case
-from .avoidance import verify_never
-from .invariance import Motions, verify_always
+from ..tubes.trajectory import STEPS, Trajectory, simulate, worst_case
+from .invariance import FIRST, LAST, REPLAY, SHARPER, Motions, verify_always
 from .specification import Always, Never, Verdict
+
+MOST_DIRECTIONS = 64
+MOST_STEPS = 20_000  # steps of a trajectory into the region
+TOUCHING = 1e-8  # distance, in sizes of the sets, at which two points count as one
+SHRINK = (0.25, 0.01, 0.0)
+"""Shares of the inscribed radius by which the region is pulled in while a trajectory into it is sought,
+so that rounding cannot put its end outside."""
 
 
 @checked
@@ -90,3 +108,129 @@ def _without_limits(motions: Motions, spec: Always | Never) -> Verdict:
         return Verdict("proven", np.inf, none, none, None, 0, "the region has no limits")
     path = worst_case(system, motions.initial, motions.window[0], np.ones(system.dim))
     return Verdict("violated", -np.inf, none, none, path, 0, "the region to avoid has no limits")
+
+
+@dataclass
+class Reached:
+    """What rows are at one time, asked through trajectories of a system: its answers are attained.
+
+    Each answer is kept, so that a point found as a mixture of answers can be traced back to one
+    trajectory: initial sets and input sets are convex, and motions are linear in them.
+    """
+
+    motions: Motions
+    rows: Array
+    time: float
+    step: float | None
+    found: list[Trajectory] = field(default_factory=list)
+
+    @property
+    def center(self) -> Array:
+        """Some point of the set, shape (r,)."""
+        return self.support_vector(np.ones(len(self.rows)))
+
+    def support_vector(self, directions: ArrayLike) -> Array:
+        """The values of the rows that go furthest in one direction, shape (r,)."""
+        in_time(self.motions.deadline)
+        d = np.asarray(directions, dtype=float) @ self.rows
+        motions = self.motions
+        self.found.append(worst_case(motions.system, motions.initial, self.time, d, step=self.step))
+        return np.asarray(self.rows @ self.found[-1].states[-1])
+
+    @property
+    def answers(self) -> Array:
+        """Every point found so far, shape (k, r)."""
+        return np.array([self.rows @ path.states[-1] for path in self.found])
+
+    def leading_to(self, point: Array) -> Trajectory:
+        """The trajectory that mixes the answers so as to end closest to a point."""
+        answers = self.answers
+        size = np.maximum(np.abs(answers).max(axis=0), np.finfo(float).tiny)
+        M, aim = np.vstack([(answers / size).T, np.full(len(answers), 1e3)]), np.r_[point / size, 1e3]
+        try:
+            weights = nnls(M, aim, maxiter=100 * (len(answers) + 1))[0]
+        except RuntimeError as exc:
+            raise Unresolved(f"no mixture of trajectories was found: {exc}") from None
+        weights = weights / weights.sum()
+        x0 = np.tensordot(weights, np.array([path.states[0] for path in self.found]), axes=1)
+        inputs = np.tensordot(weights, np.array([path.inputs for path in self.found]), axes=1)
+        if self.time == 0:
+            return replace(self.found[0], states=x0[None])
+        return simulate(self.motions.system, x0, self.found[0].times, inputs)
+
+
+def verify_never(motions: Motions, region: HPolytope) -> Verdict:
+    """`verify` for a region to stay out of."""
+    D, least = -region.A, -region.b
+    bounds, steps, share = np.full((1, len(D)), np.nan), 0, FIRST
+
+    def verdict(status: str, margin: float, reason: str, path: Trajectory | None = None) -> Verdict:
+        return Verdict(status, margin, bounds.max(axis=0), np.full(len(D), np.nan), path, steps, reason)
+
+    try:
+        if region.is_empty and region.is_empty_within(motions.visited):
+            return verdict("proven", np.inf, "the region is empty")
+        while share >= LAST:
+            tube = motions.tube(D, share * motions.sizes(D, least), least)
+            t, bounds = motions.seen(tube)
+            steps, step = len(tube.times) - 1, float(np.min(np.diff(tube.times), initial=np.inf))
+            best = ((least - bounds) / np.linalg.norm(D, axis=1)).max(axis=1)
+            worst = int(np.argmin(best))
+            if best[worst] > 0:
+                reason = f"some direction keeps {best[worst]:.6g} from the region at every time"
+                return verdict("proven", float(best[worst]), reason)
+            path, mix = _try(motions, region, float(t[worst]), step)
+            if path is not None:
+                room = region.b - region.A @ path.states[-1]
+                depth = float(np.min(room / np.linalg.norm(region.A, axis=1)))
+                reason = f"a trajectory is in the region at t = {path.times[-1]:.6g}, {depth:.6g} deep"
+                return verdict("violated", -depth, reason, path)
+            if mix is not None and len(D) < MOST_DIRECTIONS and _is_new(-mix @ region.A, D):
+                # In the region -mix A x >= -mix b, but for the rounding of the products.
+                level, residual = region.weak_duality((mix @ region.A)[None], mix[None])
+                most = level + (1 + gamma(motions.system.dim)) * residual @ motions.visited
+                D, least = np.vstack([D, -mix @ region.A]), np.r_[least, -most]
+            else:
+                share /= SHARPER
+    except Unresolved as exc:
+        return verdict("unknown", np.nan, f"neither proven nor violated: {exc}")
+    reason = "found no directions that separate, and no trajectory that enters beyond rounding"
+    return verdict("unknown", np.nan, reason)
+
+
+def _is_new(d: Array, D: Array) -> bool:
+    """Whether a direction differs from all those in use."""
+    cosines = D @ d / np.linalg.norm(D, axis=1) / np.linalg.norm(d)
+    return bool(np.max(cosines) < 1 - 1e-9)
+
+
+def _try(
+    motions: Motions, region: HPolytope, time: float, step: float
+) -> tuple[Trajectory | None, Array | None]:
+    """A trajectory that ends in the region at about a time, or else what separates there.
+
+    In the coordinates ``y = A x`` the region is what lies below b, so that a separating direction
+    is a mixture of the rows of A: with l >= 0, ``-l A x >= -l b`` in the region.
+    """
+    held = None if time == 0 else max(min(time / STEPS, step), time / MOST_STEPS)
+    if motions.system.discrete:
+        time, held = float(np.clip(round(time), *motions.window)), None
+    body = Reached(motions, region.A, time, held)
+    for d in np.vstack([np.eye(len(region.b)), -np.eye(len(region.b))]):
+        body.support_vector(d)
+    lo = body.answers.min(axis=0)
+    size = unit_sizes(np.ptp(body.answers, axis=0) / 2)
+    if np.any(lo > region.b):
+        return None, None  # a row separates: only the bounds were not sharp enough
+    floor = np.minimum(lo, region.b) - size
+    for share in SHRINK:
+        aim = Interval(floor, np.maximum(region.b - share * np.minimum(size, region.b - lo), floor))
+        answer = nearest(body, aim, size)
+        if answer.gap <= TOUCHING:
+            path = body.leading_to(answer.x)
+            deep = REPLAY * (np.abs(region.A) @ np.abs(path.states[-1]) + np.abs(region.b))
+            if np.all(region.A @ path.states[-1] <= region.b - deep):
+                return path, None
+    mix = np.maximum(-answer.direction, 0.0)
+    d, terms = -mix @ region.A, mix @ np.abs(region.A)
+    return None, mix if answer.least > 0 and np.any(np.abs(d) > 1e-9 * terms) else None

@@ -26,14 +26,18 @@ from polaris.synthesis.get_safety import get_safety
 from polaris.synthesis.synthesize import synthesize
 
 from .forging import CERTIFICATE, Forger, Lie, make
+from .random_scenarios import synthesised as random_scene
 from .random_scenarios import written
 from .tiny import synthesised
 
 VARIANTS = {
-    "reached": [],
+    "reached": ["recoverable.recourse=in_view"],
     "too narrow": ["goal.tolerance_m=0.01"],
     "any state": ['goal={kind="box",center=[8.0,6.0,0.0,0.0],half_widths=[inf,inf,inf,inf]}'],
-    "a box": ['goal={kind="box",center=[8.0,6.0,0.0,0.0],half_widths=[0.0,0.5,inf,0.1]}'],
+    "a box": [
+        'goal={kind="box",center=[8.0,6.0,0.0,0.0],half_widths=[0.0,0.5,inf,0.1]}',
+        "recoverable.recourse=in_view",
+    ],
 }
 
 
@@ -105,7 +109,7 @@ def test_the_velocity_change_goes_on_for_as_long_as_s_corrects():
     _, schedule = synthesised()
     safety, final = schedule.safety, schedule.final
     late = safety.tracking.memory + 5
-    spent = [_correcting(safety, final, nodes) for nodes in (0, late, late + 10, late + 20)]
+    spent = [_correcting(safety, ((final, 0),), nodes) for nodes in (0, late, late + 10, late + 20)]
     assert spent[0] == 0 and spent[1] > 0
     assert spent[2] - spent[1] == pytest.approx(spent[3] - spent[2], rel=1e-9)
     assert spent[2] > spent[1]
@@ -116,14 +120,22 @@ def test_the_middle_of_the_tube_counts_and_not_the_reference():
     _, schedule = synthesised()
     off = schedule.final + np.array([30.0, 0.0, 0.0, 0.0])
     rows = schedule.safety.problem.goal.conditions.E
-    need, centre = _needs(schedule.safety, off, rows)
+    need, centre = _needs(schedule.safety, ((off, 0),), rows, schedule.safety.tracking.memory)
     assert np.abs(centre[0]).max() == pytest.approx(30, rel=0.1)
     assert np.all(need >= centre) and np.all(np.diff(np.abs(centre[:, 0]))[-3:] <= 0)
     short = replace(
         schedule.safety, reference=replace(schedule.safety.reference, **cut(schedule.safety, after=0))
     )
-    assert arrival(short, off, 0.0).reached is False
-    assert arrival(short, schedule.final, 0.0).reached is True
+    assert arrival(short, ((off, 0),), 0.0).reached is False
+    assert arrival(short, ((schedule.final, 0),), 0.0).reached is True
+
+
+def test_the_disturbance_is_followed_from_the_hand_over_on(tmp_path):
+    """Seed 13: 1.77 m was claimed, 16 times as far: the set at T encloses what S alone keeps smaller."""
+    _, schedule = random_scene(13, tmp_path)
+    both, last = schedule.arrival, arrival(schedule.safety, ((schedule.final, 0),), 0.0)
+    assert both.reached is last.reached is True
+    assert both.distance < 0.1 * last.distance
 
 
 def cut(safety, after):
@@ -164,7 +176,9 @@ def derived(forger):
     sets, flown = argument.tubes(path, Merging(80))
     memory = checked.Memory.of(argument.loop, widest(sets), document.q)
     spent = sum((step.spent for step in flown), arb(0)) / document.mass
-    found = checked.Arrival(document, path, argument.loop, memory, sets[-1], spent)
+    last = max((k + 1 for k, mode in enumerate(document.modes) if mode), default=0)
+    held = ((sets[last], (document.steps - last) * document.q), (sets[-1], 0))
+    found = checked.Arrival(document, path, argument.loop, memory, held, spent)
     return found, forger.tree("schedule.json")["guarantee"]["goal"], forger.tree("scenario.toml")["goal"]
 
 

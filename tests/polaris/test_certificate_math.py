@@ -31,7 +31,11 @@ from .tiny import TINY
 ANY = ('experimental.0={kind="any_thrust",name="any"}', "tracking.Q=[1,1,1,1]", "tracking.R=[8,8]")
 SCENES = {
     "clipped": ("tracking.R=[60,60]",),
-    "clipped, sampled": ("tracking.R=[60,60]", 'feedback={kind="sampled",period_s=0.1}'),
+    "clipped, sampled": (
+        "tracking.R=[60,60]",
+        'feedback={kind="sampled",period_s=0.1}',
+        "recoverable.recourse=in_view",
+    ),
     "any thrust": (*ANY, "horizon.step_s=0.25", "planner.thrust_reserve=0.5"),
 }
 

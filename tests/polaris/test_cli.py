@@ -118,7 +118,9 @@ def test_python_runs_what_the_command_runs(invoke, tmp_path):
 
 @pytest.mark.parametrize("options", [(), ("--quiet",), ("--json",)])
 def test_a_run_that_proves_nothing_says_so_on_standard_error(invoke, monkeypatch, options):
-    unsound = replace(synthesised()[1], guarantee="none")
+    schedule = synthesised()[1]
+    sets = replace(schedule.safety.recoverable, guarantee="none")
+    unsound = replace(schedule, safety=replace(schedule.safety, recoverable=sets))
     monkeypatch.setattr("polaris.synthesis.synthesize.synthesize", lambda *args, **given: unsound)
     done = invoke("run", TINY, *options)
     assert done.exit_code == 0

@@ -15,7 +15,8 @@ from polaris.rta.methods.monitor import Monitor
 from polaris.simulation.falsification.search import falsify
 from polaris.simulation.simulate import simulate
 from polaris.synthesis.controllers import AffineController
-from polaris.synthesis.search import Search, SwitchingRules, with_margins
+from polaris.synthesis.schedule import Step
+from polaris.synthesis.search import Search, SwitchingRules
 from polaris.synthesis.synthesize import synthesize
 
 from .closed_loops import Attack, Loop, attack, attack_monitor
@@ -66,9 +67,9 @@ def reckless(schedule):
     )
     for k in range(schedule.safety.problem.K):
         flight = search.controllers[1].fly(start, k)
-        steps.append((1, flight, None))
+        steps.append(Step(1, flight, k, schedule.safety.recoverable))
         start = flight.end
-    return replace(schedule, steps=with_margins(schedule.safety, steps), final=start)
+    return replace(schedule, steps=tuple(steps), final=start)
 
 
 def monitored(seed, schedule):

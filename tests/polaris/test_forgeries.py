@@ -16,9 +16,8 @@ from polaris.certificate.document import canonical, digest
 from polaris.certificate.perception import _check_cone, _check_keep_in
 from polaris.certificate.verdict import Rejected, Undecided
 from polaris.runs.certificate import certificate
-from polaris.scenario.scenario import load_scenario
-from polaris.synthesis.synthesize import synthesize
 
+from .conftest import synthesised as bundled
 from .tiny import TINY
 
 
@@ -78,8 +77,8 @@ def test_a_run_folder_is_compared_whatever_the_certificate_names(forge, named):
 
 @pytest.mark.parametrize("value", [-1.2e-3, 0.0])
 def test_a_mean_motion_that_is_not_positive_is_refused(value):
-    scenario = load_scenario("static")
-    data = json.loads(canonical(certificate(synthesize(scenario), scenario.name)))
+    scenario, schedule = bundled("static")
+    data = json.loads(canonical(certificate(schedule, scenario.name)))
     data["system"]["mean_motion"] = float(value).hex()
     data["digest"] = digest(data)
     verdict = verify_document(data)

@@ -141,7 +141,7 @@ def test_a_budget_comes_first():
     free, tight = (
         Worth.beside(schedule, SwitchingRules(delta_v_max=most)) for most in (None, schedule.delta_v[1] / 2)
     )
-    assert free(schedule)[2] and not tight(schedule)[2]
+    assert free(schedule)[0] and not tight(schedule)[0]
     assert scenario.switching_rules().delta_v_max is None
 
 

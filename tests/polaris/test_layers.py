@@ -6,6 +6,7 @@ then, or only for its types, still cannot be read or moved without it. So do the
 
 import ast
 from collections import defaultdict
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -94,13 +95,18 @@ def told(edges, found):
     return "\n".join(f"{a} imports {', '.join(sorted(found[a, b]))} from {b}" for a, b in sorted(edges))
 
 
+@cache
+def of_the_tree():
+    return imports(ROOT)
+
+
 def violations(found):
     """What breaks the rules."""
     return upward(found) | circular(found)
 
 
 def test_no_room_imports_upwards_and_no_files_import_in_a_circle():
-    found = imports(ROOT)
+    found = of_the_tree()
     broken = violations(found)
     assert not broken, f"these imports go upwards or in a circle:\n{told(broken, found)}"
 
@@ -113,7 +119,7 @@ def test_there_are_at_most_twelve_rooms_and_nothing_lies_between_them():
 
 
 def test_the_certificate_imports_nothing_of_the_packages_it_judges():
-    found = imports(ROOT)
+    found = of_the_tree()
     assert not [edge for edge in found if room(edge[0]) == "polaris.certificate" != room(edge[1])]
 
 

@@ -312,29 +312,27 @@ def test_a_back_end_asked_for_does_the_work_and_prints_nothing(solver, capfd):
 def test_a_back_end_has_the_whole_time_and_effort(monkeypatch):
     given, run = [], backends.run
 
-    def hear(lp, options, limits, *rest):
-        given.append(limits)
-        return run(lp, options, replace(limits, seconds=1.0), *rest)
+    def briefly(lp, options, nodes, seconds, hear):
+        given.append((nodes, seconds, hear))
+        return run(lp, options, nodes, 1.0, hear)
 
-    monkeypatch.setattr(backends, "run", hear)
+    monkeypatch.setattr(backends, "run", briefly)
     options = PlannerOptions(solver="highs", time_limit=40.0, max_nodes=500)
     with pytest.warns(ClockWarning):
         plan(problem([STATIC, KEEP_OUT]), options)
-    first = given[0]  # a path is known: all of it
-    assert first.nodes == 500 and 30.0 < first.seconds <= 40.0 and first.patience_seconds == np.inf
+    nodes, seconds, hear = given[0]  # a path is known: all of it
+    assert nodes == 500 and 30.0 < seconds <= 40.0
+    assert hear(np.inf, -np.inf, 499) == ""
     given.clear()
     found = plan(small_robot(), options)
-    first = given[0]  # none is: a quarter to find one, and if one is found, all of it
-    assert 30.0 < first.seconds <= 40.0 and 7.0 < first.patience_seconds <= 10.0
-    assert first.nodes == 500 and first.patience_nodes == 125
+    nodes, seconds, hear = given[0]  # none is: a quarter to find one, and if one is found, all of it
+    assert nodes == 500 and 30.0 < seconds <= 40.0
     assert found.status == "optimal"
-
-
-def test_a_back_end_that_finds_nothing_is_given_up():
-    limits = backends.Limits(500, 40.0, 125, 10.0)
-    assert limits.given_up(False, 125, 1.0) == "effort_limit"
-    assert limits.given_up(False, 3, 10.0) == "time_limit"
-    assert limits.given_up(True, 400, 39.0) == limits.given_up(False, 3, 1.0) == ""
+    assert hear(np.inf, -np.inf, 124) == hear(1.0, 0.0, 400) == ""
+    assert hear(np.inf, -np.inf, 125) == "effort_limit"
+    now = perf_counter()
+    monkeypatch.setattr(effort, "perf_counter", lambda: now + 10.0)
+    assert hear(np.inf, -np.inf, 3) == "time_limit" and hear(1.0, 0.0, 3) == ""
 
 
 def test_distance_reaches_further_than_the_default():

@@ -267,7 +267,7 @@ def test_a_proved_run_is_verified_and_none_made_with_d_is(monkeypatch, tmp_path)
     pytest.importorskip("flint")
     from polaris.certificate.checker import verify
 
-    scenario = Scenario.from_dict(scene())
+    scenario = Scenario.from_dict(scene()).set("recoverable.recourse", "none")
     most = scenario.obstacles()[0].thrust_accel_max + scenario.system().w_max
     told = []
     for made_with_d in (False, True):

@@ -27,7 +27,7 @@ from polaris.runs.schedule import DATA_FILES
 from .tiny import TINY
 
 ROOT = Path(__file__).parents[2]
-SET = ["system.input_max=2.0", "simulation.runs=2"]
+SET = ["recoverable.recourse=in_view", "system.input_max=2.0", "simulation.runs=2"]
 PRICES = [3, 0]
 NAMES = ["price-0", "price-3", "printed"]
 TABLES = ["tradeoff.csv", "scenario.toml"]
@@ -225,7 +225,7 @@ def test_a_lost_worker_is_told(tmp_path):
 def test_a_pool_gives_the_same_and_tells_why_there_is_no_schedule(folder, tmp_path):
     assert contents(again(tmp_path / "one", executor=local(2)).path) == contents(folder.path)
     with pytest.raises(PolarisError, match=r"(price-\d|printed): .*feasible") as told:
-        again(tmp_path / "two", overrides=["system.input_max=0.05"], executor=local(2))
+        again(tmp_path / "two", overrides=[*SET[:1], "system.input_max=0.05"], executor=local(2))
     assert told.value.exit_code == 3
 
 
@@ -235,14 +235,14 @@ def test_a_pool_gives_the_same_and_tells_why_there_is_no_schedule(folder, tmp_pa
 @pytest.mark.parametrize("prices", [[], [-0.1], [0.1, 0.2, 0.1], [0.0, -0.0], [float("nan")], ["x"]], ids=str)
 def test_prices_that_make_no_sense(prices, tmp_path):
     with pytest.raises(ScenarioError, match="prices"):
-        polaris.tradeoff(TINY, tmp_path / "one", prices)
+        polaris.tradeoff(TINY, tmp_path / "one", prices, overrides=SET)
     assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("text", ["schedule.delta_v_price=1", "recoverable.recourse=none"])
 def test_overrides_that_are_its_own(text, tmp_path):
     with pytest.raises(ScenarioError, match="must be left out"):
-        polaris.tradeoff(TINY, tmp_path / "one", [0], overrides=[text])
+        polaris.tradeoff(TINY, tmp_path / "one", [0], overrides=[*SET[:1], text])
 
 
 def test_folders_of_others_are_left_alone(folder, copied, tmp_path):
@@ -260,11 +260,12 @@ def test_folders_of_others_are_left_alone(folder, copied, tmp_path):
 
 
 def invoke(*args):
-    return CliRunner().invoke(app, ["tradeoff", str(TINY), *map(str, args), "--workers", "1"])
+    given = [str(TINY), "--workers", "1", "--set", SET[0], *map(str, args)]
+    return CliRunner().invoke(app, ["tradeoff", *given])
 
 
 def test_command(copied, computed):
-    given = ["--out", copied, "--prices", "0,3", *itertools.chain(*(("--set", text) for text in SET))]
+    given = ["--out", copied, "--prices", "0,3", *itertools.chain(*(("--set", text) for text in SET[1:]))]
     done = invoke(*given)
     assert done.exit_code == 0, done.output
     lines = [line.split()[:3] for line in done.stdout.splitlines()]

@@ -19,7 +19,7 @@ def test_what_a_halfspace_leaves_is_enclosed(z, normal, offset):
     points = z.sample(np.random.default_rng(0), 200)
     left = points[points @ normal <= offset]
     if -z.support(-normal) > offset:
-        with pytest.raises(ReachError, match="no point of the zonotope"):
+        with pytest.raises(ReachError, match="no point of the set"):
             meet_halfspace(z, normal, offset)
         return
     part, D = meet_halfspace(z, normal, offset), directions(3)

@@ -65,7 +65,7 @@ def test_halfspace_leaves_the_tight_box(box, normal, offset):
     points = grid.reshape(2, -1).T
     left = points[points @ normal <= offset]
     if -box.support(-normal) > offset:
-        with pytest.raises(ReachError, match="no point of the interval"):
+        with pytest.raises(ReachError, match="no point of the set"):
             box.meet_halfspace(normal, offset)
         return
     cut = box.meet_halfspace(normal, offset)

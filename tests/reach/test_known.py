@@ -7,7 +7,18 @@ from hypothesis import strategies as st
 from scipy import sparse
 from scipy.integrate import solve_ivp
 
-from reach import Interval, LinearSystem, ReachError, Signal, Zonotope, support_tube, zonotope_tube
+from reach import (
+    Always,
+    HPolytope,
+    Interval,
+    LinearSystem,
+    ReachError,
+    Signal,
+    Zonotope,
+    support_tube,
+    verify,
+    zonotope_tube,
+)
 from reach.tubes.known_input import known_response
 from reach.tubes.trajectory import worst_case
 from tests.reach import truth
@@ -105,6 +116,22 @@ def test_sampled_trajectories_stay_inside(arguments):
     assert np.all(center[-1] @ D.T + reached >= tube.upper[-1] - loose)
     if "tolerance" in arguments:
         assert np.all(tube.bow <= 0.5e-3 * 1.05)
+
+
+def test_a_specification_of_a_motion_with_a_nominal_input_is_decided():
+    system = LinearSystem(A, B, Interval([-0.05], [0.05]), nominal=RAMPS)
+    t = np.linspace(0, 3, 601)
+    top = motion(LinearSystem(A, B, nominal=RAMPS), RAMPS, t)[:, 0].max()
+    still = Interval([0.0, 0.0], [0.01, 0.0])
+    for limit, status in ((top + 0.1, "proven"), (top, "violated")):
+        assert verify(system, still, Always(HPolytope([[1.0, 0.0]], [limit])), 3.0).status == status
+
+
+def test_a_known_motion_that_is_back_at_the_nodes_is_bounded_between_them():
+    """One step over a whole turn: at both ends the state is as good as at rest."""
+    turning = LinearSystem([[0.0, 1.0], [-1.0, 0.0]], [[0.0], [1.0]], nominal=Signal([0.0], [[1.0]]))
+    tube = support_tube(turning, Zonotope.point([0.0, 0.0]), 2 * np.pi, [[1.0, 0.0]], step=2 * np.pi)
+    assert tube.interval[0, 0] >= 2.0 and abs(tube.upper[-1, 0]) < 1e-6
 
 
 def test_a_break_of_slope_between_nodes_is_of_second_order_and_a_jump_of_first():

@@ -54,6 +54,22 @@ def test_sampled_trajectories_stay_inside_a_tube_by_tolerance(case, exponent):
     assert np.all(tube.interval - np.maximum(tube.upper[1:], tube.upper[:-1]) <= tolerance / 2 * (1 + 1e-9))
 
 
+@pytest.mark.parametrize("tolerance", [None, 0.02])
+@pytest.mark.parametrize("breaks", [[0.3, 0.75], [1 / np.pi, 1 / np.e]])
+def test_a_tolerance_is_met_where_input_sets_change(breaks, tolerance):
+    sets = [Interval([low], [low + 0.5]) for low in (-1.0, 0.5, 0.0)]
+    system, X = (
+        LinearSystem(OSCILLATOR.A, OSCILLATOR.B, sets, breaks=breaks),
+        Interval([0.0, 0.0], [0.1, 0.2]),
+    )
+    rng = np.random.default_rng(0)
+    tube = support_tube(system, X, 1.0, rows(2, rng), tolerance=tolerance)
+    holds(tube, system, X, rng)
+    allowed = 0.01 * np.abs(tube.upper).max(axis=0) if tolerance is None else tolerance
+    assert np.all(tube.upper - tube.attained <= allowed)
+    assert np.all(tube.interval - tube.attained[1:] <= 0.5)
+
+
 @given(truth.cases(pieces=3))
 @settings(max_examples=30, deadline=None)
 def test_input_sets_that_change_hold_sampled_trajectories(case):
