@@ -35,10 +35,10 @@ FEW = (5016, 5024, 5034)
 
 POLYTOPE = "recoverable.kind=polytope"
 ERRORS = (
-    "navigation.state_error=[0.02, 0.02, 0.004, 0.004]",
+    "navigation.state_error=[0.01, 0.01, 0.002, 0.002]",
     "chaser.radius_m=0.05",
-    "thrusters.magnitude_error=0.02",
-    "thrusters.mass_error=0.01",
+    "thrusters.magnitude_error=0.01",
+    "thrusters.mass_error=0.005",
     "tracking.thrust_share=0.9",
 )
 
@@ -250,7 +250,7 @@ def test_forged_errors_are_refused(tmp_path):
     names = forger.honest["assumptions"]
     data = forger.tree(CERTIFICATE)
     for forged, claim in (
-        ({"system": data["system"] | {"estimate_error": [(0.01).hex()] * 4}}, "assumptions"),
+        ({"system": data["system"] | {"estimate_error": [(0.001).hex()] * 4}}, "assumptions"),
         ({"system": {k: v for k, v in data["system"].items() if k != "estimate_error"}}, "assumptions"),
         ({"chaser_radius": (0.01).hex()}, "assumptions"),
     ):
@@ -263,8 +263,8 @@ def test_forged_errors_are_refused(tmp_path):
     whole = {"system": data["system"] | {"safety_share": (0.5).hex()}}
     verdict = forger.judge({CERTIFICATE: json.dumps(data | whole)})
     assert (verdict.outcome, verdict.claim) == ("REJECTED", "system")
-    smaller = {"system": data["system"] | {"estimate_error": [(0.01).hex()] * 4}}
-    words = [w.replace("[0.02, 0.02, 0.004, 0.004]", "[0.01, 0.01, 0.01, 0.01]") for w in names]
+    smaller = {"system": data["system"] | {"estimate_error": [(0.001).hex()] * 4}}
+    words = [w.replace("[0.01, 0.01, 0.002, 0.002]", "[0.001, 0.001, 0.001, 0.001]") for w in names]
     verdict = forger.judge({CERTIFICATE: json.dumps(data | smaller | {"assumptions": words})})
     assert (verdict.outcome, verdict.claim) == ("REJECTED", "system")
     point = [w.replace("within 0.05 m", "within 0.04 m") for w in names]
