@@ -151,7 +151,7 @@ SUMMARY = {
     "synthesis": {
         **every(TEXT, "recoverable start_limit"),
         **every(SHARE, "experimental_share share_at_most"),
-        "share_bound": {**every(Whole(), "programs demands"), "ended": TEXT},
+        "share_bound": {"worth": NOT_NEGATIVE, **every(Whole(), "programs demands"), "ended": TEXT},
         "switches": Whole(),
         "start_margin": OPTIONAL,
         "planner": Named(object),

@@ -7,7 +7,7 @@ does) ends with 0 and a warning on standard error.
 """
 
 from . import run  # noqa: F401, I001
-from . import attacks, compare, tradeoff, campaign, traces  # noqa: F401
+from . import attacks, compare, campaign, traces  # noqa: F401
 from .shell import app
 
 __all__ = ["app"]

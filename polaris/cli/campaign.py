@@ -105,8 +105,9 @@ def replay_command(
     as_json: Json = False,
 ) -> None:
     """Fly one run of a campaign again, bit for bit, and write its trajectory."""
+    from ..runs.campaign.batch import check_trajectory
+    from ..runs.campaign.drive import find_worst, replay_run
     from ..runs.campaign.folder import read_campaign
-    from ..runs.campaign.replay import check_trajectory, find_worst, replay_run
     from .show.schedule import show_run
 
     if out is not None:
@@ -132,7 +133,7 @@ def replay_command(
 def _plan(scenarios: Sequence[ScheduleScenario], options: Options, stages: Stages) -> CampaignPlan:
     """The campaign of schedules that the options ask for."""
     from ..runs.campaign import CampaignPlan, ScheduleRuns, make_cases, parse_grid
-    from ..runs.campaign.formats import usable
+    from ..runs.campaign.folder import usable
 
     given = {name: getattr(options, name) for name in ("initial", "disturbance") if getattr(options, name)}
     sized = {"batch": options.batch} if options.batch else {}

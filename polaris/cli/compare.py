@@ -1,14 +1,15 @@
-"""The verb ``polaris compare``: every run-time assurance method on the same scene."""
+"""The verbs that fly one scene in many ways: compare (every method), tradeoff (several prices)."""
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from typing import Any
 
 from typer import Option
 from typer.core import TyperCommand, TyperOption
 
-from ..model.errors import ScenarioError
+from ..model.errors import ClockWarning, ScenarioError
 from .shell import Assignments, Figures, Json, Name, Quiet, drawing, finish, verb
 
 
@@ -56,7 +57,7 @@ def compare_command(scenario: Name, options: Options) -> None:
 
     stages = ShownStages(options.quiet or options.as_json)
     with stages.stage("load"):
-        from ..rta.arena import compare_methods
+        from ..rta.arena import compare_methods, selected
         from ..rta.decision_grid import DecisionGrid
         from ..runs.atomic import check_target
         from ..runs.comparison import write_comparison
@@ -65,15 +66,17 @@ def compare_command(scenario: Name, options: Options) -> None:
 
         loaded = load_scenario(scenario, options.assignments or (), only=ScheduleScenario)
         target = check_target(options.out if options.out is not None else f"runs/{loaded.name}-comparison")
-        half, tuning = _numbers(options.estimate_error), _tuning(options.tune)
+        half, tuning = _numbers("--estimate-error", options.estimate_error or "0"), _tuning(options.tune)
+        named = None if options.methods is None else options.methods.replace(" ", "").split(",")
+        selected(named, tuning)  # what does not exist is refused before the synthesis
     with stages.stage("schedule"):
         schedule = synthesize(loaded)
     with stages.stage("flights"):
         comparison = compare_methods(
-            DecisionGrid.of(schedule, options.period, options.latency, half),
+            DecisionGrid.of(schedule, options.period, options.latency, half if len(half) > 1 else half[0]),
             options.runs,
             options.seed,
-            methods=None if options.methods is None else options.methods.replace(" ", "").split(","),
+            methods=named,
             tuning=tuning,
             progress=lambda key, done, total: stages.note(f"flights: {key}", done, total),
         )
@@ -83,14 +86,11 @@ def compare_command(scenario: Name, options: Options) -> None:
     finish(folder, True, options.as_json, options.quiet)
 
 
-def _numbers(text: str | None) -> Any:
-    if text is None:
-        return 0.0
+def _numbers(option: str, text: str) -> list[float]:
     try:
-        found = [float(part) for part in text.split(",")]
+        return [float(part) for part in text.split(",")]
     except ValueError:
-        raise ScenarioError("--estimate-error", text, "must be numbers separated by commas") from None
-    return found[0] if len(found) == 1 else found
+        raise ScenarioError(option, text, "must be numbers separated by commas") from None
 
 
 def _tuning(assignments: list[str]) -> dict[str, float]:
@@ -102,3 +102,42 @@ def _tuning(assignments: list[str]) -> dict[str, float]:
         except ValueError:
             raise ScenarioError("--tune", text, "must be METHOD.OPTION=NUMBER") from None
     return out
+
+
+@verb("tradeoff")
+def tradeoff_command(
+    scenario: Name,
+    out: str | None = Option(None, metavar="DIR", help="Folder; default runs/<scenario>-tradeoff."),
+    prices: str = Option(
+        "0,0.02,0.06,0.1,0.2,0.5", metavar="P[,P...]", help="Values of schedule.delta_v_price."
+    ),
+    workers: int | None = Option(None, min=1, help="Processes; default one per processor."),
+    assignments: Assignments = None,
+    figures: Figures = True,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Find the front of share of U against velocity change against switches: a run folder for each price.
+
+    A trade-off that was stopped goes on where it was.
+    """
+    from ..runs.campaign.workers import local
+    from ..runs.tradeoff import tradeoff
+    from .console import ShownStages
+
+    folder = tradeoff(
+        scenario,
+        out,
+        _numbers("--prices", prices),
+        overrides=assignments or (),
+        draw=drawing(figures),
+        stages=ShownStages(quiet or as_json),
+        executor=local(workers),
+    )
+    cut = [point["folder"] for point in folder.summary["points"] if point["cut_by_clock"]]
+    if cut:
+        told = (
+            f"the planner's wall clock ended its search early ({', '.join(cut)}): another machine, or another"
+        )
+        warnings.warn(f"{told} run, may find another plan; allow more time", ClockWarning, stacklevel=2)
+    finish(folder, figures, as_json, quiet)

@@ -24,13 +24,7 @@ WINDOW = 3600.0
 
 
 class ShownStages(Stages):
-    """Shows stages that take longer than `PATIENCE`: live on a terminal, one line each when done.
-
-    Parameters
-    ----------
-    quiet : bool
-        Show nothing.
-    """
+    """Shows stages that take longer than `PATIENCE`, live or one line each when done; none if `quiet`."""
 
     def __init__(self, quiet: bool = False) -> None:
         super().__init__()

@@ -62,7 +62,7 @@ def check(file: Name, assignments: Assignments = None) -> None:
 
 
 def _tell_doubts(scenario: Any, err: bool = False) -> None:
-    from ..scenario.plausibility import doubts
+    from ..scenario.schedule import doubts
 
     for doubt in doubts(scenario):
         typer.echo(f"note: {doubt}", err=err)

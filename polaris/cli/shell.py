@@ -154,9 +154,17 @@ def finish(folder: RunFolder, figures: bool, as_json: bool, quiet: bool) -> None
     if as_json:
         sys.stdout.write((folder.path / folder.kind.summary).read_text(encoding="utf-8"))
     elif not quiet:
-        from .show import SUMMARIES
+        from .show import comparison, inspection, schedule
 
-        SUMMARIES[folder.kind.name](folder.summary, str(folder.path))
+        show: dict[str, Callable[[Any, str], None]] = {
+            "schedule": schedule.show_summary,
+            "inspection": inspection.show_flight,
+            "fuel_limit": inspection.show_fuel,
+            "monte_carlo": inspection.show_campaign,
+            "comparison": comparison.show_comparison,
+            "tradeoff": comparison.show_tradeoff,
+        }
+        show[folder.kind.name](folder.summary, str(folder.path))
         if not figures:
             typer.echo(f"To draw the figures: polaris plot {shlex.quote(str(folder.path))}")
 

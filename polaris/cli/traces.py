@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Literal
 
 import typer
@@ -45,9 +46,9 @@ def evaluate_command(
     """Measure a trace: distances, times to collision, usage of modes, switches."""
     from ..model.checks import positive
     from ..model.hill import clohessy_wiltshire
-    from ..traces import LegacyMetrics, TraceMetrics, evaluate_legacy, evaluate_trace, read_trace
+    from ..traces import evaluate_legacy, evaluate_trace, read_trace
     from ..traces.settings import parse_velocity
-    from .show.traces import show_metrics
+    from .show.traces import show_legacy, show_metrics
 
     eta = options.mean_motion
     if options.legacy and (options.restamp or eta is not None or options.agent_radius != 0):
@@ -61,16 +62,17 @@ def evaluate_command(
         "dims": options.dims,
         "velocity": parse_velocity(options.velocity, options.heading, options.speed),
     }
-    found: TraceMetrics | LegacyMetrics
     if options.legacy:
         found = evaluate_legacy(read, **how)
+        told, show = {"legacy_rtaeval": True, "agents": found}, partial(show_legacy, found)
     else:
         radius = options.agent_radius
-        found = evaluate_trace(read, restamp=options.restamp, system=system, agent_radius=radius, **how)
+        metrics = evaluate_trace(read, restamp=options.restamp, system=system, agent_radius=radius, **how)
+        told, show = metrics.summary(), partial(show_metrics, metrics)
     if options.as_json:
-        print_json(found.summary())
+        print_json(told)
     elif not options.quiet:
-        show_metrics(found)
+        show()
 
 
 @verb("export")
@@ -96,7 +98,7 @@ def export_command(
     from ..runs.atomic import check_file
     from ..runs.run import read_run
     from ..traces.export import export_run
-    from ..traces.writing import write_trace
+    from ..traces.reading import write_trace
 
     check_file(trace, "trace", (".json",))
     compared = read_run(run).kind.name == "comparison"

@@ -58,5 +58,12 @@ class OutOfTime(NotCertified):
     """Nothing was found before the planner's wall clock ran out; with more time there may be an answer."""
 
 
+def failed(message: str, exit_code: int) -> PolarisError:
+    """An error of another process, or of an earlier run, by its message and its exit code."""
+    error = PolarisError(message)
+    error.exit_code = exit_code
+    return error
+
+
 class ClockWarning(UserWarning):
     """The planner's wall clock ended a search early: elsewhere, or again, the result may be another."""

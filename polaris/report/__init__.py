@@ -10,9 +10,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from ..model.errors import ScenarioError
-from ..runs.atomic import check_file, replacing_file
+from ..runs.atomic import check_file, write_whole
+from ..runs.comparison import TRADEOFF
 from ..runs.folder import RunFolder, readable
-from ..runs.front import TRADEOFF
 from ..runs.run import read_run
 from .html.page import Page, page_html
 
@@ -39,19 +39,13 @@ def write_report(folder: str | Path, out: str | Path | None = None) -> Path:
     ScenarioError
         If the folder is none of these or damaged, or the file cannot be written.
     """
-    if not Path(folder).is_dir():
-        known = Path(folder).exists()
-        rule = "is a file; must be a run folder or a comparison" if known else "there is no such folder"
-        raise ScenarioError("report", str(folder), rule)
     run = read_run(folder)
     if run.kind is TRADEOFF:
         rule = "is a trade-off, which is a table and a figure; give one of the run folders in it"
         raise ScenarioError("report", str(folder), rule)
     target = run.path / "report.html" if out is None else Path(out)
     check_file(target, endings=(".html", ".htm"))
-    text = page_html(report_page(run))
-    with replacing_file(target) as beside:
-        beside.write_text(text, encoding="utf-8", newline="\n")
+    write_whole(target, page_html(report_page(run)))
     return target
 
 

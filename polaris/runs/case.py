@@ -26,7 +26,7 @@ from .schedule import SCHEDULE, digest
 from .tables import json_text, read_reference
 
 FORMAT = "polaris case"
-VERSION = 1
+VERSION = 2
 
 
 def load_target(target: str) -> tuple[ScheduleScenario, Schedule]:
@@ -71,7 +71,7 @@ def write_case(path: str | Path, scenario: ScheduleScenario, found: Falsificatio
         "tail": tail,
         "substeps": substeps,
         "violation": vars(found.failure),
-        "x0": _hex(attack.x0[0]),
+        "x0": attack.x0[0],
         "w": _packed(attack.w[:, 0]),
         "inputs": None if attack.free is None else _packed(attack.free[:, 0]),
     }
@@ -103,7 +103,7 @@ def replay(path: str | Path) -> tuple[Failure | None, ScheduleScenario]:
         raise ScenarioError("case", str(path), rule)
     try:
         attack = Attack(
-            _numbers(data["x0"])[None],
+            _finite(data["x0"])[None],
             _unpacked(data["w"]),
             None if data["inputs"] is None else _unpacked(data["inputs"]),
         )
@@ -129,19 +129,19 @@ def _read(path: Path) -> dict[str, Any]:
     return data
 
 
-def _hex(row: Array) -> list[str]:
-    return [float(value).hex() for value in row]
-
-
-def _numbers(row: list[str]) -> Array:
-    return np.array([float.fromhex(value) for value in row])
-
-
 def _packed(rows: Array) -> list[list[Any]]:
-    """Rows, each with the number of times it follows itself."""
-    return [[len(list(group)), row] for row, group in groupby(map(_hex, rows))]
+    """Rows, each with the number of times it follows itself; JSON keeps numbers exactly."""
+    alike = (list(group) for _, group in groupby(rows.tolist(), repr))
+    return [[len(group), group[0]] for group in alike]
 
 
 def _unpacked(packed: list[list[Any]]) -> Array:
-    rows = np.array([_numbers(row) for _, row in packed])
+    rows = _finite([row for _, row in packed])
     return np.repeat(rows, [int(count) for count, _ in packed], axis=0)[:, None]
+
+
+def _finite(values: Any) -> Array:
+    found = np.array(values, dtype=float)
+    if not np.isfinite(found).all():
+        raise ValueError("numbers that are not finite")
+    return found

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..model.errors import PolarisError
+from ..model.errors import failed
 from ..model.system import Array
 from ..scenario.scenario import MonteCarloScenario
 from .atomic import replacing_file, write_whole
@@ -47,9 +47,7 @@ def run_monte_carlo(
     plan = CampaignPlan((case_of(scenario),), model.campaign.runs, model.campaign.seed, BLOCK, kind)
     folder = run_campaign(plan, out, executor=executor, fresh=fresh, progress=progress)
     for failure in folder.failures().values():
-        error = PolarisError(failure["message"])
-        error.exit_code = failure["exit_code"]
-        raise error
+        raise failed(failure["message"], failure["exit_code"])
     write_whole(folder.path / SCENARIO, scenario.copy_text())
     rows = [
         {"study": name, "time_s": one.pop("time"), **one, "deputies": " ".join(map(str, one["deputies"]))}

@@ -78,20 +78,11 @@ class SlicePicture:
 
     A slice contains the place of its own run: those that are not recoverable have none. It says nothing
     of other instants, nor of other runs, whose velocities differ.
-
-    Attributes
-    ----------
-    times : ndarray, shape (S,)
-        [s]
-    places : ndarray, shape (S, R, d)
-        Where the chaser then is in each run [m]; nan if not recoverable.
-    outlines : ndarray, shape (S, R, M, 2) or, on the line, (S, R, 2, 1)
-        Slices in the plane of the figures [m], through the chaser's place; nan likewise.
     """
 
-    times: Array
-    places: Array
-    outlines: Array
+    times: Array  # (S,) [s]
+    places: Array  # where the chaser then is in each run, (S, R, d) [m]; nan if not recoverable
+    outlines: Array  # in the plane, (S, R, M, 2), or on the line, (S, R, 2, 1) [m]; nan likewise
 
 
 class PrintedSlice(NamedTuple):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,21 +22,15 @@ SLICES = 240
 
 def picture_of_safety(safety: Safety) -> Picture:
     """What Algorithm 1 found."""
-    picture = _bare(safety)
-    return replace(picture, slices=recoverable_slices(safety, picture))
+    return _picture(safety, "Safe reference")
 
 
-def _bare(safety: Safety) -> Picture:
+def _picture(safety: Safety, title: str, **found: Any) -> Picture:
+    """The reference, what Algorithm 2 found besides, and slices of the recoverable sets."""
     problem = safety.problem
-    return Picture(
-        "Safe reference",
-        problem.system,
-        tuple(problem.unsafe),
-        problem.goal,
-        problem.initial_set,
-        safety.reference,
-        problem.K,
-    )
+    scene = (problem.system, tuple(problem.unsafe), problem.goal, problem.initial_set)
+    picture = Picture(title, *scene, safety.reference, problem.K, **found)
+    return replace(picture, slices=recoverable_slices(safety, picture))
 
 
 def picture_of(schedule: Schedule, flights: Mapping[str, Flights] | None = None) -> Picture:
@@ -45,9 +40,9 @@ def picture_of(schedule: Schedule, flights: Mapping[str, Flights] | None = None)
         if len(schedule.controllers) > 1:
             flights["experimental"] = fly_nominal(schedule, 1, schedule.controllers[1].name)
     arrival = schedule.arrival if schedule.guarantee == "proved" else None
-    picture = replace(
-        _bare(schedule.safety),
-        title="Switching schedule",
+    return _picture(
+        schedule.safety,
+        "Switching schedule",
         controllers=tuple(controller.name for controller in schedule.controllers),
         modes=schedule.modes,
         margins=schedule.margins,
@@ -57,7 +52,6 @@ def picture_of(schedule: Schedule, flights: Mapping[str, Flights] | None = None)
         reached=arrival.by if arrival else None,
         delta_v_max=arrival.delta_v if arrival else None,
     )
-    return replace(picture, slices=recoverable_slices(schedule.safety, picture))
 
 
 def tube_of(schedule: Schedule) -> TubePicture:

@@ -14,9 +14,8 @@ from ..model.errors import ScenarioError
 from ..scenario.scenario import MonteCarloScenario, Scenario, load_scenario
 from .atomic import check_target
 from .campaign.workers import Workers
-from .comparison import COMPARISON
+from .comparison import COMPARISON, TRADEOFF
 from .folder import SCENARIO, Draw, RunFolder, RunKind, write_folder
-from .front import TRADEOFF
 from .fuel_limit import FUEL_LIMIT
 from .inspection import FLIGHT
 from .monte_carlo import MONTE_CARLO, run_monte_carlo
@@ -84,15 +83,11 @@ def run(
     target = f"runs/{scenario.name}" if out is None else out
     if isinstance(scenario, MonteCarloScenario):
         return _run_many(target, scenario, draw, stages, executor=executor, fresh=fresh)
-    return _run_one(check_target(target), scenario, draw, stages)
-
-
-def _run_one(target: Path, scenario: Scenario, draw: Draw | None, stages: Stages) -> RunFolder:
-    kind = KINDS[scenario.kind]
+    place, kind = check_target(target), KINDS[scenario.kind]
     assert kind.fly is not None
     found = kind.fly(scenario, stages)
     with stages.stage("run folder"):
-        return write_folder(target, kind, scenario, found, draw=draw, stages=stages)
+        return write_folder(place, kind, scenario, found, draw=draw, stages=stages)
 
 
 def _run_many(
@@ -121,8 +116,8 @@ def read_run(path: str | Path) -> RunFolder:
     kind = _kind_of(folder)
     for name in kind.files:
         if not (folder / name).is_file():
-            has_none = f"must be a run folder; it has no {name}"
-            rule = has_none if folder.is_dir() else "there is no such folder"
+            other = "is a file; must be a run folder" if folder.exists() else "there is no such folder"
+            rule = f"must be a run folder; it has no {name}" if folder.is_dir() else other
             raise ScenarioError("run folder", str(path), rule)
     if kind is COMPARISON:
         return RunFolder(folder, read_run(folder / "run").scenario, kind)

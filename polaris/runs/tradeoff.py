@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 import warnings
-from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
+from concurrent.futures import Executor
+from dataclasses import replace
 from pathlib import Path
 
 from ..model.checks import non_negative
-from ..model.errors import ClockWarning, PolarisError, ScenarioError
+from ..model.errors import ClockWarning, PolarisError, ScenarioError, failed
 from ..model.version import versions
 from ..scenario.base import parse_assignment
 from ..scenario.scenario import ScheduleScenario, load_scenario
 from .atomic import check_target
-from .campaign.drive import Interrupted
-from .campaign.workers import AHEAD, Workers, given, local
+from .campaign.workers import AHEAD, Workers, going_on, work_through, workers_of
+from .comparison import TRADEOFF, Row, non_dominated, row_of
 from .folder import SCENARIO, Draw, RunFolder, write_folder
-from .front import TRADEOFF, Row, non_dominated, row_of
 from .ownership import listed, tidy_all, write_manifest
 from .run import read_run, run
 from .schedule import SCHEDULE
@@ -25,6 +24,9 @@ from .stages import Stages
 
 PRICES = (0.0, 0.02, 0.06, 0.1, 0.2, 0.5)
 """Prices of velocity change, if none are given."""
+
+Point = tuple[Path, ScheduleScenario]
+"""Folder of a point and its scenario."""
 
 PRICE, RECOURSE = "schedule.delta_v_price", "recoverable.recourse"
 
@@ -88,8 +90,7 @@ def tradeoff(
     points["printed"] = scenario.with_assignments([f"{RECOURSE}=none"])
     target = _take_up(f"runs/{scenario.name}-tradeoff" if out is None else out)
     with stages.stage("points"):
-        workers = executor if isinstance(executor, Workers) else given(executor) if executor else local(1)
-        _compute(points, target, workers, stages.counting("{} of {} points"))
+        _compute(points, target, workers_of(executor), stages.counting("{} of {} points"))
         rows = [row_of(read_run(target / name), name, named.get(name)) for name in points]
     with stages.stage("folder"):
         chosen = non_dominated(rows)
@@ -137,50 +138,33 @@ def _compute(
     progress: Callable[[int, int], None],
 ) -> None:
     """Write the run folders of all points that are not there yet."""
-    missing = deque(name for name, one in points.items() if not _whole(target / name, one))
+    missing = [(target / name, one) for name, one in points.items() if not _whole(target / name, one)]
     done = len(points) - len(missing)
     progress(done, len(points))
-    kept = f"points that are done are kept in {target}, and the same command goes on from there"
-    flying: dict[Future[tuple[str, int]], str] = {}
-    executor = workers.make() if missing else None
-    try:
-        while executor and (missing or flying):
-            while missing and len(flying) < max(workers.window() // AHEAD, 1):  # none waits, to be cut short
-                name = missing.popleft()
-                flying[executor.submit(_write_point, points[name], target / name)] = name
-            for future in wait(flying, return_when=FIRST_COMPLETED).done:
-                name = flying.pop(future)
-                failure, code = future.result()
-                if failure:
-                    raise _failed(f"{name}: {failure}", code)
-                done += 1
-                progress(done, len(points))
-    except KeyboardInterrupt:
-        raise Interrupted(f"interrupted; {kept}") from None
-    except workers.lost as error:
-        raise PolarisError(f"a worker was lost (out of memory, or killed?); {kept}") from error
-    finally:
-        for future in flying:
-            future.cancel()
-        if executor and workers.again:
-            executor.shutdown()
+
+    def keep(point: Point, failure: tuple[str, int] | None) -> None:
+        nonlocal done
+        if failure:
+            raise failed(f"{point[0].name}: {failure[0]}", failure[1])
+        done += 1
+        progress(done, len(points))
+
+    one_each = replace(workers, window=lambda: max(workers.window() // AHEAD, 1))  # none waits to be cut off
+    with going_on(lambda: f"points that are done are kept in {target}"):
+        if missing and work_through(one_each, _write_point, iter(missing), keep):
+            raise PolarisError("a worker was lost (out of memory, or killed?)")
 
 
-def _write_point(scenario: ScheduleScenario, folder: Path) -> tuple[str, int]:
-    """Write the run folder of a point, in whatever process; why there is none, and the exit code of that.
+def _write_point(point: Point) -> tuple[str, int] | None:
+    """Write the run folder of a point, in whatever process; else why there is none, and its exit code.
 
     The error itself may not travel between processes.
     """
+    folder, scenario = point
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ClockWarning)  # the table tells
             run(scenario, folder)
     except PolarisError as error:
         return str(error), error.exit_code
-    return "", 0
-
-
-def _failed(message: str, code: int) -> PolarisError:
-    error = PolarisError(message)
-    error.exit_code = code
-    return error
+    return None

@@ -19,7 +19,7 @@ from .reading import NOTHING, did_you_mean, join_path, printable, validate, writ
 KINDS: dict[str, type[Scenario]] = {}
 """Class of every kind, by the key ``kind`` at the top of the file; `polaris.scenario.scenario` fills it."""
 
-_KEY_PART = re.compile(r"([A-Za-z0-9_-]+)((?:\[\d{1,4}\])*)")
+_KEY = re.compile(r"[A-Za-z0-9_-]+(\[\d{1,4}\])*(\.[A-Za-z0-9_-]+(\[\d{1,4}\])*)*")
 
 SCHEDULE = "schedule"
 """Kind of a file without the key ``kind``."""
@@ -206,14 +206,9 @@ def parse_assignment(text: str) -> tuple[str, Any]:
 
 def _split(key: str) -> list[str | int]:
     """Parts of a dotted key; ``a[0].b`` and ``a.0.b`` mean the same."""
-    parts: list[str | int] = []
-    for piece in key.split("."):
-        match = _KEY_PART.fullmatch(piece)
-        if not match:
-            raise ScenarioError("--set", printable(key), "must name a key, as in planner.solver=highs")
-        parts.append(int(match[1]) if match[1].isdigit() else match[1])
-        parts += [int(index) for index in re.findall(r"\d+", match[2])]
-    return parts
+    if not _KEY.fullmatch(key):
+        raise ScenarioError("--set", printable(key), "must name a key, as in planner.solver=highs")
+    return [int(part) if part.isdigit() else part for part in re.findall(r"[\w-]+", key)]
 
 
 def put(document: dict[str, Any], key: str, value: Any, where: str | None) -> None:

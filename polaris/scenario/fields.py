@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import (
     AfterValidator,
     BaseModel,
@@ -24,6 +25,7 @@ from pydantic_core import PydanticCustomError
 from ..model.checks import MAX_STEPS as MAX_STEPS
 from ..model.checks import counted
 from ..model.errors import ScenarioError
+from ..model.system import Array
 from ..model.tolerances import TIME
 
 LARGEST = 1e12
@@ -108,16 +110,9 @@ def whole_parts(total: float, part: float) -> int | None:
 
 
 def unit(text: str, description: str | None = None, **rules: Any) -> Any:
-    """Field with its unit and its description, both shown in the JSON Schema and the reference.
+    """Field with its unit ("-" if it has none) and what it means, as the JSON Schema and the reference say.
 
-    Parameters
-    ----------
-    text : str
-        Unit, or "-" where the field has none.
-    description : str, optional
-        What the field means; without it, the string beneath the field says so.
-    **rules
-        Handed to `pydantic.Field` (default, gt, le, min_length, ...).
+    Without a description the string beneath the field is one; `rules` are those of `pydantic.Field`.
     """
     return Field(description=description, json_schema_extra={"unit": text}, **rules)
 
@@ -203,6 +198,13 @@ WordOrWeights = Annotated[
     Annotated[Literal["auto", "identity"], Tag("word")] | Annotated[LimitVector, Tag("vector")],
     _by_shape("word", "vector", "vector"),
 ]
+
+
+def per_axis(field: str, given: float | tuple[float, ...], count: int) -> Array:
+    """Numbers of all axes or inputs, shape (count,), from one for all or one each."""
+    if isinstance(given, tuple):
+        check_length(field, given, count)
+    return np.broadcast_to(np.asarray(given, dtype=float), (count,)).copy()
 
 
 class Head(ScenarioPart):

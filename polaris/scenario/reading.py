@@ -62,11 +62,7 @@ def join_path(path: Sequence[str | int]) -> str:
 def read_document(path: Path) -> tuple[dict[str, Any], str]:
     """Read a TOML file; return its data and its text.
 
-    Raises
-    ------
-    ScenarioError
-        If there is no such regular file, it cannot be read, is too large, empty, not UTF-8 text, or
-        not TOML.
+    `ScenarioError` if it is no regular file, or cannot be read, or is too large, empty, or not TOML in UTF-8.
     """
     shown = printable(str(path))
     try:
@@ -103,10 +99,7 @@ def parse_toml(text: str, where: str) -> dict[str, Any]:
 def validate(model: type[Model], document: Mapping[str, Any], where: str | None = None) -> Model:
     """Validate the fields of a document one by one (no rules that join several fields).
 
-    Raises
-    ------
-    ScenarioError
-        Naming the field as in the TOML, what was given, and the rule.
+    `ScenarioError` names the field as in the TOML, what was given, and the rule.
     """
     try:
         return model.model_validate(document)
@@ -165,24 +158,20 @@ _RULES = {
     "greater_than_equal": "must be >= {ge:g}",
     "less_than": "must be < {lt:g}",
     "less_than_equal": "must be <= {le:g}",
-    "finite_number": "must be a finite number",
     "float_type": "must be a number",
     "int_type": "must be a whole number",
     "int_from_float": "must be a whole number",
     "int_parsing_size": "must be a whole number",
     "string_type": "must be text in quotes",
-    "literal_error": "must be {expected}",
     "tuple_type": "must be a list",
     "list_type": "must be a list",
-    "too_long": "must have at most {max_length} entries",
     "string_pattern_mismatch": f"must consist of letters, digits, _ and -, as in {NAME_PATTERN}",
-    "string_too_long": "must have at most {max_length} characters",
     "string_too_short": "must not be empty",
     "model_type": "must be a table",
     "model_attributes_type": "must be a table",
     "dict_type": "must be a table",
 }
-"""The rule that was broken, in plain words, by pydantic's name of it."""
+"""The rule that was broken, by pydantic's name of it, where there are plainer words than its own."""
 
 
 def _rule(kind: str, context: Mapping[str, Any], value: Any, message: str) -> str:
@@ -195,7 +184,7 @@ def _rule(kind: str, context: Mapping[str, Any], value: Any, message: str) -> st
         return printable(str(context.get("error", message)))
     if kind in _RULES:
         return _RULES[kind].format(**context)
-    return printable(message[:1].lower() + message[1:])
+    return printable(re.sub(r"^[A-Z]\w* should", "must", message))
 
 
 def write_toml(document: Mapping[str, Any]) -> str:

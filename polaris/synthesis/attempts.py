@@ -23,6 +23,9 @@ from .problem import Problem
 from .recoverable import Margin, RecoverableSet
 from .tracking import Tracking
 
+AGAIN = 1000, 2
+"""Linear programs allowed to a plan with coasting: so many, or so many times those of the plan without."""
+
 
 class Clock:
     """Wall time by stage [s]; a stage named twice adds up."""
@@ -78,8 +81,10 @@ class Attempts:
 
     def _with_coasting(self, asked: PlanProblem) -> Plan | None:
         """The plan again, so that coasting after its end is safe; None if there is none to be had."""
+        options = self.problem.planner
+        most = min(options.max_linear_programs, max(AGAIN[0], AGAIN[1] * int(self.plan.stats["lps"])))
         try:
-            found = plan(replace(asked, tail_cells=self.tail), self.problem.planner)
+            found = plan(replace(asked, tail_cells=self.tail), replace(options, max_linear_programs=most))
         except OutOfTime as error:
             self.cut_by_clock += ("plan with coasting",)
             warnings.warn(f"safe coasting after the end: {error}", ClockWarning, stacklevel=4)

@@ -100,21 +100,6 @@ class Clearance:
     planned: int
     jump: Array
 
-    @classmethod
-    def along(
-        cls,
-        reference: Reference,
-        tracking: Tracking,
-        unsafe: tuple[TimedPolytope, ...],
-        start: Zonotope,
-        planned: int,
-        jump: Array,
-    ) -> Clearance:
-        """Room along a reference, by the facets that leave most beyond S's tube from a set of errors."""
-        return cls(
-            tracking, reference, unsafe, best_facets(tracking, reference, unsafe, start), planned, jump
-        )
-
     @property
     def q(self) -> int:
         """Nodes per cell."""

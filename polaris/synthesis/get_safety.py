@@ -15,7 +15,7 @@ from ..planning.problem import Plan
 from ..planning.reference import Reference
 from .attempts import Attempts, Clock
 from .ball_sets import BallSets
-from .clearance import Clearance
+from .clearance import Clearance, best_facets
 from .controllers import AffineController, construct_s
 from .end_condition import EndCondition
 from .error_bounds import ErrorBounds, get_err_bounds
@@ -127,7 +127,8 @@ def get_safety(
     for reference, jump in attempts:  # line 4: safeConstraints; lines 5 and 6: D2C of states and inputs
         s = construct_s(tracking, reference)  # line 7: constructS
         # Line 8: not one r_min over all time, but the room along a facet of every set at every time.
-        clearance = Clearance.along(reference, tracking, attempts.unsafe, attempts.start, problem.K, jump)
+        facets = best_facets(tracking, reference, attempts.unsafe, attempts.start)
+        clearance = Clearance(tracking, reference, attempts.unsafe, facets, problem.K, jump)
         recoverable = get_recover(problem.recoverable, clearance, bounds)  # line 9: GetRecover
         if attempts.settled(reference, recoverable):
             break

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import astuple, dataclass, field
 from functools import cached_property
 
@@ -67,6 +67,11 @@ class Schedule:
         Set of errors at T.
     seconds : mapping
         Wall time of the synthesis by stage.
+    library : tuple of Schedule
+        Along other references, proven on the way to this one: as long safe, and they arrive if it does.
+    worth : callable, optional
+        What a flight is worth at the scenario's prices, by its shares of the time per mode, its velocity
+        change [m/s] and its number of switches; known where references were planned with U in view.
     """
 
     safety: Safety
@@ -74,6 +79,8 @@ class Schedule:
     steps: tuple[Step, ...]
     final: Zonotope
     seconds: Mapping[str, float] = field(default_factory=dict)
+    library: tuple[Schedule, ...] = ()
+    worth: Callable[[Mapping[int, float], float, float], float] | None = None
 
     @property
     def guarantee(self) -> str:

@@ -2,7 +2,6 @@ from .evaluation import evaluate_trace as evaluate_trace
 from .export import Export as Export
 from .export import export_run as export_run
 from .export import to_trace as to_trace
-from .legacy import LegacyMetrics as LegacyMetrics
 from .legacy import evaluate_legacy as evaluate_legacy
 from .model import NORMAL as NORMAL
 from .model import SAFETY as SAFETY
@@ -16,11 +15,11 @@ from .model import Trace as Trace
 from .model import UnsafeTrace as UnsafeTrace
 from .reading import parse_trace as parse_trace
 from .reading import read_trace as read_trace
+from .reading import trace_data as trace_data
+from .reading import write_trace as write_trace
 from .results import AgentMetrics as AgentMetrics
 from .results import Separation as Separation
 from .results import Spread as Spread
 from .results import TraceMetrics as TraceMetrics
 from .settings import Heading as Heading
 from .settings import restamp as restamp
-from .writing import trace_data as trace_data
-from .writing import write_trace as write_trace

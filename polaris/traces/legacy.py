@@ -7,14 +7,13 @@ Written from a description of what it computes, and held against what its own ev
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import daqp
 import numpy as np
 
 from ..model.system import Array
-from ..runs.tables import strict
 from .model import SAFETY, UNTRUSTED, AgentTrace, AnySet, BallTrace, PointTrace, PolytopeTrace, Trace
 from .placing import Faceted, place, unit_rows
 from .settings import DIFFERENCES, Heading, Velocity, find_dims, find_velocity, guess_heading
@@ -26,35 +25,18 @@ Each = tuple[dict[str, float], dict[str, float], dict[str, float]]
 """Least, largest and mean values by name of what is measured to."""
 
 
+Legacy = dict[str, dict[str, Any]]
+
+
 class Raises(str):
     """Stands where the framework ends with an exception; says which."""
-
-
-@dataclass(frozen=True)
-class LegacyMetrics:
-    """Results per agent and method, in the order of values the methods return.
-
-    Attributes
-    ----------
-    agents : dict
-        Agent to method (``controllerUsage``, ``compute_dists``, ``compute_agent_dists``,
-        ``compute_unsafe_TTC``, ``compute_agent_TTC``, ``running_times``) to what it returns, or to
-        `Raises`.
-    """
-
-    agents: dict[str, dict[str, Any]]
-
-    def summary(self) -> dict[str, Any]:
-        """Plain data for strict JSON; nan is null."""
-        out: dict[str, Any] = strict({"legacy_rtaeval": True, "agents": self.agents})
-        return out
 
 
 class _Stop(Exception):
     """The framework would raise here."""
 
 
-def evaluate_legacy(trace: Trace, *, dims: int | None = None, velocity: Velocity = None) -> LegacyMetrics:
+def evaluate_legacy(trace: Trace, *, dims: int | None = None, velocity: Velocity = None) -> Legacy:
     """Measure a trace as RTAEval does.
 
     Parameters
@@ -63,6 +45,13 @@ def evaluate_legacy(trace: Trace, *, dims: int | None = None, velocity: Velocity
     dims, velocity
         As of `polaris.traces.evaluate_trace`; by default the velocity is angles and speed after the position,
         if the position changes as they say.
+
+    Returns
+    -------
+    dict
+        What it returns, values in its order, or `Raises`, by agent and method (``controllerUsage``,
+        ``compute_dists``, ``compute_agent_dists``, ``compute_unsafe_TTC``, ``compute_agent_TTC``,
+        ``running_times``).
 
     Raises
     ------
@@ -78,7 +67,7 @@ def evaluate_legacy(trace: Trace, *, dims: int | None = None, velocity: Velocity
         except _Stop as stop:
             return Raises(f"raises: {stop}")
 
-    agents: dict[str, dict[str, Any]] = {}
+    agents: Legacy = {}
     for name, agent in trace.agents.items():
         one = _Agent(trace, name, agent, d or 1, velocity)
         agents[name] = {
@@ -89,7 +78,7 @@ def evaluate_legacy(trace: Trace, *, dims: int | None = None, velocity: Velocity
             "compute_agent_TTC": attempt(one.agent_ttc),
             "running_times": attempt(one.running_times),
         }
-    return LegacyMetrics(agents)
+    return agents
 
 
 class _Agent:

@@ -1,10 +1,10 @@
-"""Reading traces: strict JSON in, one clear message for whatever is wrong with it."""
+"""Traces as files of strict JSON in RTAEval's form: one clear message for whatever is wrong with one."""
 
 from __future__ import annotations
 
 import gc
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from enum import Enum
 from pathlib import Path
@@ -12,9 +12,12 @@ from typing import Any, NoReturn
 
 import numpy as np
 
+from ..model.checks import of_kind
 from ..model.distances import UNKNOWN
 from ..model.errors import ScenarioError
-from .model import MODE_NAMES, AgentTrace, AnySet, Modes, Trace
+from ..runs.atomic import check_file, replacing_file
+from ..runs.tables import strict
+from .model import MODE_NAMES, AgentTrace, AnySet, BallTrace, Modes, PointTrace, RectangleTrace, Trace
 from .rows import Odd, numbers, set_trace, table
 
 MODE_NUMBERS = {name: number for number, name in MODE_NAMES.items()} | {"UNKNOWN": UNKNOWN}
@@ -82,7 +85,7 @@ def parse_trace(data: Any) -> Trace:
     ScenarioError
         As `read_trace`.
     """
-    return _trace(_plain(data))
+    return _trace(strict(data, float))
 
 
 def _no_constant(name: str) -> NoReturn:
@@ -95,17 +98,6 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         keys = [key for key, _ in pairs]
         raise Odd(f"holds the key {next(key for key in keys if keys.count(key) > 1)!r} twice in one object")
     return out
-
-
-def _plain(value: Any) -> Any:
-    """Lists for tuples and arrays, plain numbers for NumPy's."""
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, (np.ndarray, np.generic)):
-        return _plain(value.tolist())
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    return value
 
 
 # -- the parts --------------------------------------------------------------------------------------
@@ -202,3 +194,80 @@ def _mode(place: str, i: int, given: Any) -> int:
 def _set(where: str, item: dict[str, Any]) -> AnySet:
     rows = _list(where, item, "state_trace", "must be a list of rows [t, def], at least one")
     return set_trace(where, item.get("set_type"), rows, item.get("velocity_trace"))
+
+
+def trace_data(trace: Trace) -> dict[str, Any]:
+    """The trace as plain lists and numbers, as RTAEval lays it out.
+
+    Agents' rows are flat, ``[t, s0, s1, ...]``; those of sets nested, ``[t, def]``; modes are whole
+    numbers, null where unknown. ``running_times`` is there only if the agent has any, ``velocity_trace``
+    only if a ball's velocities are known.
+    """
+    return {
+        "agents": {name: _agent_data(agent) for name, agent in trace.agents.items()},
+        "unsafe": {name: _set_data(item) for name, item in trace.unsafe.items()},
+    }
+
+
+def write_trace(path: str | Path, trace: Trace) -> Path:
+    """Write a trace, replacing an older file once everything is written.
+
+    Parameters
+    ----------
+    path : path
+        The JSON file; its folder must be there.
+    trace : Trace
+
+    Returns
+    -------
+    Path
+        The file. Numbers are written in the shortest form that reads back exactly.
+
+    Raises
+    ------
+    ScenarioError
+        If `path` is a folder, or cannot be written.
+    """
+    of_kind("trace", trace, Trace, "polaris.read_trace")
+    target = Path(path)
+    check_file(target, "trace", (".json",))
+    try:
+        with uncollected():
+            text = json.dumps(trace_data(trace), allow_nan=False, ensure_ascii=False) + "\n"
+        data = text.encode("utf-8")
+    except ValueError as error:
+        raise ScenarioError("trace", str(path), f"cannot be written: {error}") from error
+    with replacing_file(target, "trace") as beside:
+        beside.write_bytes(data)
+    return target
+
+
+def _agent_data(agent: AgentTrace) -> dict[str, Any]:
+    out: dict[str, Any] = {
+        "state_trace": np.column_stack([agent.times, agent.states]).tolist(),
+        "mode_trace": [None if mode == UNKNOWN else mode for mode in agent.modes.tolist()],
+    }
+    if len(agent.running_times):
+        out["running_times"] = agent.running_times.tolist()
+    return out
+
+
+def _set_data(item: AnySet) -> dict[str, Any]:
+    out: dict[str, Any] = {"set_type": item.set_type, "state_trace": _set_rows(item)}
+    if isinstance(item, BallTrace) and item.velocities is not None:
+        out["velocity_trace"] = item.velocities.tolist()
+    return out
+
+
+def _set_rows(item: AnySet) -> list[Any]:
+    times = item.times.tolist()
+    if isinstance(item, PointTrace):
+        return [[t, c] for t, c in zip(times, item.centers.tolist(), strict=True)]
+    if isinstance(item, BallTrace):
+        rows = zip(times, item.centers.tolist(), item.radii.tolist(), strict=True)
+        return [[t, [c, r]] for t, c, r in rows]
+    if isinstance(item, RectangleTrace):
+        boxes = zip(times, item.centers.tolist(), item.lengths.tolist(), strict=True)
+        return [[t, [c, *lengths]] for t, c, lengths in boxes]
+    A = item.A.tolist() * (len(times) if len(item.A) == 1 else 1)
+    return [[t, [rows, b]] for t, rows, b in zip(times, A, item.b.tolist(), strict=True)]

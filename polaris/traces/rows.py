@@ -86,16 +86,10 @@ def _velocities(where: str, given: Any, count: int) -> Array | None:
     if given is None:
         return None
     place, rule = f"{where}.velocity_trace", f"must be a list of rows [vx, vy, vz], {count} as in state_trace"
-    if not isinstance(given, list) or len(given) != count:
-        raise ScenarioError(place, given if not isinstance(given, list) else f"{len(given)} rows", rule)
-
-    return table(place, given, _velocity)
-
-
-def _velocity(row: Any) -> list[Any]:
-    if not isinstance(row, list):
-        raise Odd("must be a row [vx, vy, vz]")
-    return row
+    rows = given if isinstance(given, list) and all(isinstance(row, list) for row in given) else []
+    if len(rows) != count:
+        raise ScenarioError(place, given, rule)
+    return numbers(place, rows, rows)
 
 
 def _definition(kind: str, row: Any) -> tuple[Any, Any]:

@@ -5,11 +5,11 @@ import pytest
 from typer.testing import CliRunner
 
 from polaris.cli import app as cli
+from polaris.report.figures import draw_figures, inspection
 from polaris.report.figures import flight as figures
 from polaris.report.figures.flight import free_flights, nearest_deputy
-from polaris.report.figures.fuel_limit import draw_fuel_run
-from polaris.report.figures.monte_carlo import draw_failures, draw_initial_conditions
-from polaris.report.figures.style import new_figure, style
+from polaris.report.figures.inspection import failures, initial_conditions
+from polaris.report.figures.style import style
 from polaris.runs.fuel_limit import fly_fuel
 from polaris.runs.inspection import fly_flight
 from polaris.runs.monte_carlo import CampaignPicture
@@ -39,12 +39,12 @@ def inside(figure):
 @pytest.mark.parametrize("name", ["speed", "separation", "sun", "deputy_sun", "velocity", "delta_v"])
 def test_figure_fits_its_page(run, name):
     with style():
-        inside(figures._FIGURES[name](run))
+        inside(figures.FIGURES[name](run))
 
 
 def test_lines_are_the_data(run):
     with style():
-        ax = figures._FIGURES["separation"](run).axes[0]
+        ax = figures.FIGURES["separation"](run).axes[0]
     lines = [line for line in ax.get_lines() if len(line.get_xdata()) == len(run.t)]
     assert len(lines) == len(run.inspection.pairs)
     i, j = run.inspection.pairs[3]
@@ -64,8 +64,8 @@ def test_one_deputy_has_no_figures_of_pairs(tmp_path, monkeypatch):
     lone = load_scenario("inspection").with_assignments(
         ["flight.duration_s=5", "initial.states=[[0, -300, 0, 0, 0, 0]]"]
     )
-    monkeypatch.setattr(figures, "FLIGHT_FIGURES", ("speed", "separation"))
-    drawn = figures.draw_flight(fly_flight(lone).run, tmp_path)
+    chosen = {name: figures.FIGURES[name] for name in ("speed", "separation")}
+    drawn = draw_figures(fly_flight(lone).run, tmp_path, chosen)
     assert [path.name for path in drawn] == ["speed.pdf", "speed.png"]
 
 
@@ -76,7 +76,7 @@ def test_fuel_figures_are_drawn_with_and_without_a_switch(tmp_path):
         )
         flown = fly_fuel(scenario)
         assert (flown.latched_at is not None) == switched
-        names = {path.name for path in draw_fuel_run(flown, tmp_path)}
+        names = {path.name for path in draw_figures(flown, tmp_path, inspection.FUEL_FIGURES)}
         assert names == {f"{name}.{kind}" for name in ("path", "fuel", "thrust") for kind in ("pdf", "png")}
 
 
@@ -92,20 +92,17 @@ def test_campaign_shows_successes_and_failures(studies):
     names = tuple(f"study-{k}" for k in range(studies))
     picture = CampaignPicture(x, names, success, failed, ("phi5",), counts)
     with style():
-        figure = new_figure(4.0, 4.7)
-        axes = figure.subplots(-(-studies // 2), min(studies, 2), squeeze=False).ravel()
-        draw_initial_conditions(axes, picture)
-        red = axes[0].collections[1].get_offsets()
-        assert np.allclose(red, x[2, 1, [1, 0]]) and "83.33% of 6" in axes[0].get_title()
+        figure = initial_conditions(picture)
+        red = figure.axes[0].collections[1].get_offsets()
+        assert np.allclose(red, x[2, 1, [1, 0]]) and "83.33% of 6" in figure.axes[0].get_title()
         inside(figure)
-        bars = new_figure(2.0, 4.7)
-        draw_failures(bars.add_subplot(), picture)
+        bars = failures(picture)
         assert [patch.get_width() for patch in bars.axes[0].patches] == counts[:, 0].tolist()
         inside(bars)
 
 
 def test_plot_redraws_the_same_bytes_from_the_files_alone(tmp_path, monkeypatch):
-    monkeypatch.setattr(figures, "FLIGHT_FIGURES", ("speed", "sun"))
+    monkeypatch.setattr(figures, "FIGURES", {name: figures.FIGURES[name] for name in ("speed", "sun")})
     assert invoke("run", "inspection", "--set", "flight.duration_s=5", "--out", tmp_path / "a").exit_code == 0
     folder = tmp_path / "a" / "figures"
     before = {path.name: path.read_bytes() for path in folder.glob("[!.]*")}
@@ -119,5 +116,5 @@ def test_plot_redraws_the_same_bytes_from_the_files_alone(tmp_path, monkeypatch)
 
 @pytest.mark.slow
 def test_every_figure_of_a_flight_is_drawn(run, tmp_path):
-    drawn = {path.name for path in figures.draw_flight(run, tmp_path)}
-    assert drawn == {f"{name}.{kind}" for name in figures.FLIGHT_FIGURES for kind in ("pdf", "png")}
+    drawn = {path.name for path in draw_figures(run, tmp_path, figures.FIGURES)}
+    assert drawn == {f"{name}.{kind}" for name in figures.FIGURES for kind in ("pdf", "png")}

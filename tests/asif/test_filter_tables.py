@@ -16,6 +16,7 @@ from polaris.inspection.filters.implicit import ImplicitASIF
 from polaris.inspection.filters.simplex import ExplicitSimplex, Guarded, ImplicitSimplex
 from polaris.inspection.flights.simulation import BACKUP, UNPROVEN
 from polaris.model.errors import ScenarioError
+from polaris.report.figures import flight
 from polaris.rta.projection import FILTERED
 from polaris.runs.run import read_run
 from polaris.scenario.reading import write_toml
@@ -90,7 +91,7 @@ def test_flight_is_judged_and_told(flown):
 
 
 def test_flight_is_on_the_page_and_in_the_figures(flown, tmp_path, monkeypatch):
-    monkeypatch.setattr("polaris.report.figures.flight.FLIGHT_FIGURES", ("speed",))
+    monkeypatch.setattr(flight, "FIGURES", {"speed": flight.FIGURES["speed"]})
     assert invoke("plot", flown[1]).exit_code == 0
     assert (flown[1] / "figures" / "speed.pdf").is_file()
     done = invoke("report", flown[1], "--out", tmp_path / "page.html")

@@ -251,6 +251,6 @@ def test_a_run_that_fails_late_leaves_the_old_folder_whole(folders, tmp_path, mo
     def fail(*args):
         raise RuntimeError("no ink")
 
-    monkeypatch.setattr("polaris.report.figures.flight.draw_flight", fail)
+    monkeypatch.setattr("polaris.report.figures.draw_figures", fail)
     assert invoke("run", "inspection", "--set", "flight.duration_s=2", "--out", folder, "-q").exit_code == 1
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before

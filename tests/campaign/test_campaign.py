@@ -139,8 +139,8 @@ def test_few_tasks_are_handed_out_at_a_time(tmp_path):
 # -- taken up again -----------------------------------------------------------------------------------
 
 
-def test_finished_parts_are_not_flown_again(flown, tmp_path, monkeypatch):
-    out = fly(tmp_path / "c").path
+def test_finished_parts_are_not_flown_again(flown, copied, monkeypatch):
+    out = copied
     (out / "runs" / "case-0001-batch-00002.parquet").unlink()
     left = left_by_a_dead_process(out / "runs" / "case-0000-batch-00000.parquet")
     seen = counting(monkeypatch)
@@ -172,16 +172,16 @@ def corrupt(path, kind):
 
 
 @pytest.mark.parametrize("kind", ["empty", "cut", "bit", "footer"])
-def test_damaged_parts_are_flown_again(flown, tmp_path, monkeypatch, kind):
-    out = fly(tmp_path / "c").path
+def test_damaged_parts_are_flown_again(flown, copied, monkeypatch, kind):
+    out = copied
     corrupt(out / "runs" / "case-0000-batch-00003.parquet", kind)
     seen = counting(monkeypatch)
     fly(out)
     assert seen == [(0, 3)] and table(out) == table(flown.path)
 
 
-def test_a_part_of_elsewhere_is_flown_again(flown, tmp_path, monkeypatch):
-    out, other = fly(tmp_path / "c").path, fly(tmp_path / "d", seed=8).path
+def test_a_part_of_elsewhere_is_flown_again(flown, copied, tmp_path, monkeypatch):
+    out, other = copied, fly(tmp_path / "d", seed=8).path
     parts = [folder / "runs" / "case-0000-batch-00001.parquet" for folder in (out, other)]
     parts[0].write_bytes(parts[1].read_bytes())
     (out / "runs" / "case-0001-batch-00000.parquet").write_bytes(
@@ -382,14 +382,13 @@ def test_a_schedule_that_hangs_on_the_clock_is_not_flown(tmp_path, monkeypatch):
     """Another machine might fly another one."""
     from polaris.planning.effort import Effort
 
-    schedules._made.cache_clear()
     with monkeypatch.context() as late:
+        late.setattr(schedules, "_made", schedules._made.__wrapped__)  # others keep what they made
         struck = property(lambda self: ("fuel",) if self.search.rows.problem.unsafe else ())
         late.setattr(Effort, "cut_by_clock", struck)
         found = run(make_cases([TINY]), 3, tmp_path / "c").summary
     assert found["flown"] == 0 and "raise planner.time_limit_s" in found["cases"][0]["failure"]
     assert found["cases"][0]["exit_code"] == 4
-    schedules._made.cache_clear()
     assert run(make_cases([TINY]), 3, tmp_path / "c").summary["flown"] == 3
 
 

@@ -96,7 +96,7 @@ def test_a_scheduler_that_dies_is_told_and_parts_are_kept(flown, nodes, tmp_path
 
 def test_a_cluster_without_workers_is_told_and_goes_on_with_some(flown, tmp_path, monkeypatch):
     monkeypatch.setattr("polaris.runs.campaign.workers.DESERTED", 1.5)
-    monkeypatch.setattr("polaris.runs.campaign.drive.TICK", 0.2)
+    monkeypatch.setattr("polaris.runs.campaign.workers.TICK", 0.2)
     options = {"processes": False, "protocol": "tcp", "host": "127.0.0.1", "dashboard_address": None}
     with distributed.LocalCluster(n_workers=0, **options) as here:
         told = r"has had no worker for 1\.5 s; 0 runs are kept in .*the same command goes on"

@@ -10,7 +10,7 @@ from rich.console import Console
 from polaris.certificate.assumptions import assumptions
 from polaris.certificate.document import Document, digest
 from polaris.certificate.verdict import Rejected
-from polaris.cli.show import show_summary
+from polaris.cli.show.schedule import show_summary
 from polaris.report.html.run_report import guarantee as told_in_report
 from polaris.runs.certificate import certificate
 from polaris.runs.schedule import SCHEDULE, FlownSchedule

@@ -19,10 +19,10 @@ from polaris.cli import shell
 from polaris.model.checks import counted
 from polaris.model.errors import NotCertified, ScenarioError, SynthesisInfeasible
 from polaris.planning.problem import Progress
-from polaris.report.figures import draw_figures
+from polaris.report.figures import FIGURES, draw_figures
 from polaris.runs.stages import planner_line
-from polaris.scenario.plausibility import doubts
 from polaris.scenario.scenario import bundled_files, load_scenario
+from polaris.scenario.schedule import doubts
 
 from .tiny import TINY, flown, synthesised
 
@@ -40,7 +40,7 @@ def invoke(tmp_path, monkeypatch):
     monkeypatch.setattr("polaris.simulation.baselines.compare", lambda *args: flown())
     monkeypatch.setattr(
         "polaris.report.figures.draw_figures",
-        lambda picture, folder: [(folder / "scene.pdf").touch() or folder / "scene.pdf"],
+        lambda picture, folder, figures: [(folder / "scene.pdf").touch() or folder / "scene.pdf"],
     )
     return lambda *args: CliRunner().invoke(cli.app, list(map(str, args)))
 
@@ -97,7 +97,7 @@ def test_quiet_prints_nothing(invoke):
 
 def test_figures_can_wait(invoke, tmp_path, monkeypatch):
     monkeypatch.setattr("polaris.report.figures.draw_figures", draw_figures)
-    monkeypatch.setattr("polaris.report.figures.NAMES", ("modes",))
+    monkeypatch.setattr("polaris.report.figures.FIGURES", {"modes": FIGURES["modes"]})
     done = invoke("run", TINY, "--out", "here", "--no-figures")
     assert done.exit_code == 0 and not (tmp_path / "here" / "figures").exists()
     assert "draw the figures: polaris plot" in " ".join(done.stdout.split())
@@ -271,7 +271,8 @@ def test_hints_name_packages_that_exist():
 
 def test_plot_redraws_the_same_bytes_from_the_files_alone(invoke, tmp_path, monkeypatch):
     monkeypatch.setattr("polaris.report.figures.draw_figures", draw_figures)
-    monkeypatch.setattr("polaris.report.figures.NAMES", ("modes", "margin"))
+    chosen = {name: FIGURES[name] for name in ("modes", "margin")}
+    monkeypatch.setattr("polaris.report.figures.FIGURES", chosen)
     invoke("run", TINY, "--out", "here", "-q")
     figures = tmp_path / "here" / "figures"
     before = {path.name: path.read_bytes() for path in figures.glob("[!.]*")}
@@ -330,7 +331,7 @@ def test_bad_input_is_one_message_and_exit_code_2(invoke, tmp_path, arguments, w
         (("export", "here", "here/schedule.json"), ("part of the results",)),
         (("falsify", "here", "--runs", "1", "--out", "here/gains.json"), ("part of the results",)),
         (("report", "mine.toml"), ("mine.toml", "is a file")),
-        (("report", "nope"), ("report", "'nope'", "no such folder")),
+        (("report", "nope"), ("run folder", "'nope'", "no such folder")),
         (("verify", "nope"), ("'nope'", "no such file or folder")),
     ],
 )

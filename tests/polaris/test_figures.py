@@ -16,12 +16,11 @@ from polaris.model.satellite import SatelliteObstacle
 from polaris.model.system import LinearSystem
 from polaris.planning.goals import Box, EllipticalNMT, LinearNMT, StationaryPoint
 from polaris.planning.reference import Reference
-from polaris.report.figures import _FIGURES, NAMES, draw_figures, plot_reference, plot_schedule
+from polaris.report.figures import FIGURES, draw_figures, plot_reference, plot_schedule
 from polaris.report.figures.style import style
 from polaris.report.figures.timelines import limit_group
-from polaris.report.scene.closeups import MOST, closeups, outline_gap
 from polaris.report.scene.geometry import faces, flat_outline, polygon, stretches, tube_support
-from polaris.report.scene.items import under_mode
+from polaris.report.scene.items import MOST, closeups, outline_gap, under_mode
 from polaris.report.scene.palette import (
     GREEN,
     INPUT_SHADES,
@@ -50,7 +49,7 @@ def picture():
 
 def drawn(name, picture, dpi=150):
     with style():
-        figure = _FIGURES[name](picture)
+        figure = FIGURES[name](picture)
         figure.set_dpi(dpi)
         figure.draw_without_rendering()
     return figure
@@ -59,7 +58,7 @@ def drawn(name, picture, dpi=150):
 # -- what a reader sees -------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", FIGURES)
 def test_column_width_and_type_of_at_least_7_points(picture, name):
     figure = drawn(name, picture)
     assert figure.get_figwidth() == 3.5
@@ -138,10 +137,10 @@ def test_limits_of_one_keep_in_set_are_one_name():
 
 def test_files_hold_no_dates_and_are_the_same_twice(picture, tmp_path, monkeypatch):
     names = ("scene", "scene_3d", "margin")
-    monkeypatch.setattr("polaris.report.figures.NAMES", names)
+    chosen = {name: FIGURES[name] for name in names}
     (tmp_path / "a").mkdir()
     (tmp_path / "b").mkdir()
-    first, second = draw_figures(picture, tmp_path / "a"), draw_figures(picture, tmp_path / "b")
+    first, second = (draw_figures(picture, tmp_path / one, chosen) for one in "ab")
     assert [path.name for path in first] == [f"{name}.{end}" for name in names for end in ("pdf", "png")]
     for a, b in zip(first, second, strict=True):
         assert a.read_bytes() == b.read_bytes()
@@ -149,13 +148,15 @@ def test_files_hold_no_dates_and_are_the_same_twice(picture, tmp_path, monkeypat
 
 
 def test_pdfs_embed_truetype_fonts_whose_text_can_be_searched(picture, tmp_path, monkeypatch):
-    monkeypatch.setattr("polaris.report.figures.NAMES", ("modes",))
-    draw_figures(picture, tmp_path)
+    chosen = {"modes": FIGURES["modes"]}
+    draw_figures(picture, tmp_path, chosen)
     plain = (tmp_path / "modes.pdf").read_bytes()
     assert b"/FontFile2" in plain and b"/ToUnicode" in plain and b"/Type3" not in plain
     assert b"PolarisSans" in plain and b"DejaVuSans" not in plain
     # A letter that the light font lacks comes from the full one.
-    draw_figures(replace(picture, controllers=("safety", "\N{CYRILLIC CAPITAL LETTER ZHE}")), tmp_path)
+    draw_figures(
+        replace(picture, controllers=("safety", "\N{CYRILLIC CAPITAL LETTER ZHE}")), tmp_path, chosen
+    )
     assert b"DejaVuSans" in (tmp_path / "modes.pdf").read_bytes()
 
 
@@ -172,8 +173,7 @@ def test_each_format_is_drawn_once_and_the_layout_solved_once(picture, tmp_path,
             return true(self, *args)
 
         monkeypatch.setattr(owner, name, counted)
-    monkeypatch.setattr("polaris.report.figures.NAMES", ("scene", "scene_3d"))
-    draw_figures(picture, tmp_path)
+    draw_figures(picture, tmp_path, {name: FIGURES[name] for name in ("scene", "scene_3d")})
     assert calls == ["execute", "draw", "draw", "draw", "draw"]
 
 

@@ -51,7 +51,7 @@ def write(target, files, also=()):
 
 
 def test_a_newer_run_replaces_what_polaris_wrote_and_nothing_else(tmp_path, monkeypatch):
-    def draw(picture, folder):
+    def draw(picture, folder, figures):
         paths = [folder / name for name in ("scene.pdf", "scene.png")]
         for path in paths:
             path.write_bytes(b"drawn")
@@ -231,7 +231,7 @@ def test_unwritable_files_are_found_before_the_work(tmp_path, monkeypatch):
 
     for name in (
         "polaris.runs.case.load_target",
-        "polaris.runs.campaign.replay.replay_run",
+        "polaris.runs.campaign.drive.replay_run",
         "polaris.traces.export.export_run",
         "polaris.report.report_page",
         "polaris.synthesis.get_safety.get_safety",

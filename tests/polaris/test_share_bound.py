@@ -170,6 +170,9 @@ def test_the_integer_program_finds_the_fewest_steps(seed):
     fewest, found = master.solve()
     assert fewest == min((m.count(FREE) for m in every), default=K + 1)
     assert found is None if not every else found in every
+    worths = (0.0, *rng.choice([0.5, 1.0, 2.0], modes - 1))
+    best = max((sum(worths[mode] for mode in m) / K for m in every), default=0.0)
+    assert best <= master.worth(worths) <= best + 1e-3
 
 
 # -- the bound ----------------------------------------------------------------------------------------

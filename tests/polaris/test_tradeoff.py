@@ -16,13 +16,13 @@ from typer.testing import CliRunner
 import polaris
 from polaris.cli.app import app
 from polaris.model.errors import PolarisError, ScenarioError
+from polaris.report.figures.comparison import _front
 from polaris.report.figures.style import printing
-from polaris.report.figures.tradeoff import _front
 from polaris.runs import tradeoff as module
-from polaris.runs.campaign.drive import Interrupted
-from polaris.runs.campaign.workers import InProcess, Workers, local
-from polaris.runs.front import non_dominated
+from polaris.runs.campaign.workers import InProcess, Interrupted, Workers, local
+from polaris.runs.comparison import non_dominated
 from polaris.runs.schedule import DATA_FILES
+from tests.leftovers import left_by_a_dead_process
 
 from .tiny import TINY
 
@@ -142,7 +142,8 @@ def test_points_that_are_there_are_kept_and_others_computed(folder, copied, comp
     before = contents(folder.path)
     assert contents(again(copied).path) == before and computed == []
     shutil.rmtree(copied / "price-3")
-    assert contents(again(copied).path) == before and computed == ["price-3"]
+    left = left_by_a_dead_process(copied / "price-3", folder=True)
+    assert contents(again(copied).path) == before and computed == ["price-3"] and not left.exists()
     with pytest.raises(FileNotFoundError):  # a new price is asked for
         again(copied, [0, 3, 7])
     assert computed[1:] == ["price-7"] and contents(copied) == before
@@ -198,6 +199,7 @@ tradeoff.tradeoff(tiny, out, [0, 3], overrides=overrides)
 """
 
 
+@pytest.mark.slow
 def test_a_killed_one_goes_on_from_there(folder, computed, tmp_path):
     command = [sys.executable, "-c", KILLED, str(folder.path), str(tmp_path / "one"), str(TINY), *SET]
     done = subprocess.run(command, env={**os.environ, "PYTHONPATH": str(ROOT)}, timeout=120, check=False)

@@ -13,7 +13,7 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from polaris.cli import app as cli
-from polaris.cli.show import show_summary
+from polaris.cli.show.schedule import show_summary
 from polaris.model.errors import ScenarioError
 from polaris.report import write_report
 from polaris.report.html.page import own_script, page_html, plotly

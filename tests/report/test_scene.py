@@ -17,7 +17,7 @@ from polaris.planning.goals import Box, EllipticalNMT, Goal, GoalConditions, Lin
 from polaris.planning.reference import Reference
 from polaris.report.html.scene import scene_data
 from polaris.report.html.timelines import proven_distance
-from polaris.report.scene.closeups import plane_gap
+from polaris.report.scene.items import plane_gap
 from polaris.report.scene.scene import describe, shown_axes
 from polaris.runs.picture import Picture, TubePicture
 from reach.sets.zonotope import Zonotope

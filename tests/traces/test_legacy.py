@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from polaris.runs.tables import strict
 from polaris.traces import (
     AgentTrace,
     BallTrace,
@@ -29,7 +30,7 @@ T = np.arange(3.0)
 def both(found, **options):
     """(ours, what RTAEval's methods return) of agent a; velocities are differences, as defect 9 demands."""
     ours = evaluate_trace(found, velocity="differences", **options).agents["a"]
-    legacy = evaluate_legacy(found, velocity="differences", **options).agents["a"]
+    legacy = evaluate_legacy(found, velocity="differences", **options)["a"]
     return ours, legacy
 
 
@@ -150,7 +151,7 @@ def test_5_agents_head_on_never_meet(gap, speeds, true):
     found = Trace({"a": flying(0, 0.0, speeds[0]), "b": flying(gap, np.pi, speeds[1])})
     velocity = Heading(3, (2,))
     ours = evaluate_trace(found, dims=2, velocity=velocity, agent_radius=1e-9).agents["a"]
-    legacy = evaluate_legacy(found, dims=2, velocity=velocity).agents["a"]
+    legacy = evaluate_legacy(found, dims=2, velocity=velocity)["a"]
     assert ours.others[0].ttc.max == pytest.approx(true)
     assert legacy["compute_agent_TTC"] == ({"b": 1e20}, {"b": 1e20}, {"b": 1e20})
 
@@ -223,7 +224,7 @@ def test_9_velocity_vectors_are_unsupported():
     states = np.column_stack([10 - T, T * 0, T * 0, -np.ones(3), T * 0, T * 0])
     found = Trace({"a": AgentTrace(T, states)}, {"s": ball([0, 0, 0], 2)})
     assert evaluate_trace(found).agents["a"].unsafe[0].ttc.max == 8
-    legacy = evaluate_legacy(found).agents["a"]
+    legacy = evaluate_legacy(found)["a"]
     assert legacy["compute_unsafe_TTC"] == "raises: the states have no heading"
 
 
@@ -238,7 +239,7 @@ def test_equal_to_what_rtaeval_printed(name, heading, kind, stated):
     file = DATA / f"{name}_{kind if kind == 'sim' else 'eval_ego1'}.json.gz"
     found = parse_trace(json.loads(gzip.decompress(file.read_bytes())))
     velocity = heading if stated else None
-    agents = evaluate_legacy(found, velocity=velocity).summary()["agents"]
+    agents = strict(evaluate_legacy(found, velocity=velocity))
     printed = json.loads((DATA / f"{name}_rtaeval_results.json").read_text())["ego1"]
     wanted = {key.split("@")[0]: value for key, value in printed.items() if key.endswith(kind)}
     assert len(wanted) == 5
@@ -262,7 +263,7 @@ def test_10_stamps_and_modes_lag():
     """x = 10 - t, S from 2 s on: half of the time, where RTAEval counts the initial row in."""
     rows = [[0, 10.0], [0, 9.0], [1, 8.0], [2, 7.0], [3, 6.0]]
     found = parse_trace(trace({"a": agent(rows, [2, 2, 2, 3, 3])}, s=entry("point", [0, 0])))
-    legacy = evaluate_legacy(found).agents["a"]
+    legacy = evaluate_legacy(found)["a"]
     assert legacy["controllerUsage"] == (0.6, 0.4, 1)
     ours = evaluate_trace(found, restamp=True).agents["a"]
     assert (ours.usage["untrusted"], ours.usage["safety"]) == (0.5, 0.5)

@@ -10,7 +10,7 @@ from rich.text import Text
 
 from ...model.checks import counted
 from ...runs.inspection import MEANING
-from .printing import RED, Printout, alarming, table
+from . import RED, Printout, alarming, table
 
 
 def show_flight(summary: Mapping[str, Any], folder: str, console: Console | None = None) -> None:

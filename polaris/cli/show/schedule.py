@@ -11,7 +11,7 @@ from rich.text import Text
 
 from ...model.checks import counted
 from ...synthesis.recoverable import directed
-from .printing import RED, Printout, alarming, table
+from . import RED, Printout, alarming, table
 
 TITLES = {"safety": "S alone", "experimental": "U alone", "polaris": "Polaris"}
 

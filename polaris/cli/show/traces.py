@@ -11,20 +11,14 @@ from rich.table import Table
 from rich.text import Text
 
 from ...model.checks import counted
-from ...traces.legacy import LegacyMetrics, Raises
+from ...traces.legacy import Legacy, Raises
 from ...traces.results import AgentMetrics, Separation, Spread, TraceMetrics
-from .printing import Printout, alarming, table
+from . import Printout, alarming, table
 
 
-def show_metrics(found: TraceMetrics | LegacyMetrics, console: Console | None = None) -> None:
+def show_metrics(found: TraceMetrics, console: Console | None = None) -> None:
     """Print what `polaris.traces.evaluate_trace` found, as tables."""
-    if isinstance(found, LegacyMetrics):
-        _show_legacy(found, Printout(console))
-    else:
-        _show_metrics(found, Printout(console))
-
-
-def _show_metrics(found: TraceMetrics, out: Printout) -> None:
+    out = Printout(console)
     axes = "" if found.dims is None else f", {counted(found.dims, 'axis', 'axes')}"
     for name, agent in found.agents.items():
         out.say(f"{name}: {counted(agent.samples, 'sample')} over {agent.duration:.6g} s{axes}", "bold")
@@ -80,9 +74,10 @@ LEGACY_FORMS = {
 }
 
 
-def _show_legacy(found: LegacyMetrics, out: Printout) -> None:
+def show_legacy(found: Legacy, console: Console | None = None) -> None:
     """Print what RTAEval's methods return, in their order."""
-    for name, methods in found.agents.items():
+    out = Printout(console)
+    for name, methods in found.items():
         out.say(f"{name}: as RTAEval computes it, defects included", "bold")
         rows = [(method, LEGACY_FORMS[method], Text(_shown(value))) for method, value in methods.items()]
         out.table(table("method", "returns", "value", words=3, rows=rows))

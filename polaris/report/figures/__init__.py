@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from .scene3d import scene_3d_figure
 from .style import WIDTH, keep_ticks, save_all, style
 from .timelines import distance_figure, margin_figure, modes_figure
 
-__all__ = ["NAMES", "draw_figures", "draw_run", "plot_reference", "plot_schedule"]
+__all__ = ["FIGURES", "draw_figures", "draw_run", "plot_reference", "plot_schedule"]
 
 
 def plot_reference(safety: Safety, ax: Any = None) -> Any:
@@ -90,39 +90,36 @@ def draw_run(folder: RunFolder) -> list[Path]:
         If a file is missing or damaged, or the place cannot be written to.
     """
     from ...runs.atomic import replacing
-    from .comparison import draw_comparison
-    from .flight import draw_flight
-    from .fuel_limit import draw_fuel_run
-    from .monte_carlo import draw_campaign
-    from .tradeoff import draw_tradeoff
+    from . import comparison, flight, inspection
 
-    draw: Any = {
-        "schedule": draw_figures,
-        "inspection": draw_flight,
-        "fuel_limit": draw_fuel_run,
-        "monte_carlo": draw_campaign,
-        "comparison": draw_comparison,
-        "tradeoff": draw_tradeoff,
-    }[folder.kind.name]
+    known: dict[str, Mapping[str, Figure]] = {
+        "schedule": FIGURES,
+        "inspection": flight.FIGURES,
+        "fuel_limit": inspection.FUEL_FIGURES,
+        "monte_carlo": inspection.FIGURES,
+        "comparison": comparison.FIGURES,
+        "tradeoff": comparison.TRADEOFF,
+    }
     picture, place = folder.picture(), folder.path / "figures"
     with replacing(place) as beside:
-        names = [path.name for path in draw(picture, beside)]
+        names = [path.name for path in draw_figures(picture, beside, known[folder.kind.name])]
     return [place / name for name in names]
 
 
-def draw_figures(picture: Picture, folder: Path) -> list[Path]:
-    """Draw and write a schedule's figures into a folder, each as PDF and PNG; same picture, same bytes."""
-    names = [name for name in NAMES if name != "scene_3d" or picture.system.d > 1]
-    return save_all(((name, _FIGURES[name](picture)) for name in names), folder)
+Figure = Callable[[Any], Any]
+"""Draws one figure of what a run folder shows; nothing if there is nothing to be seen."""
 
-
-_FIGURES: dict[str, Callable[[Picture], Any]] = {
+FIGURES: Mapping[str, Figure] = {
     "scene": scene_figure,
     "scene_3d": scene_3d_figure,
     "distance": distance_figure,
     "modes": modes_figure,
     "margin": margin_figure,
 }
+"""Figures of a schedule, by name."""
 
-NAMES = tuple(_FIGURES)
-"""Figures of a run folder."""
+
+def draw_figures(picture: Any, folder: Path, figures: Mapping[str, Figure] = FIGURES) -> list[Path]:
+    """Draw and write figures into a folder, each as PDF and PNG; same picture, same bytes."""
+    drawn = ((name, draw(picture)) for name, draw in figures.items())
+    return save_all(((name, figure) for name, figure in drawn if figure is not None), folder)

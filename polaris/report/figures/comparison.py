@@ -1,27 +1,28 @@
-"""Figures of a comparison: where every method flew, and what was gained and lost."""
+"""Figures of a comparison and of a trade-off: where every method flew, and what was gained and lost."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from io import BytesIO
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.lines import Line2D
+from matplotlib.ticker import LogLocator, NullLocator
 
-from ...rta.arena import Shown
+from ...model.checks import counted
 from ...runs.comparison import ComparisonPicture
-from ...runs.picture import Picture
 from ..scene.items import under_mode
-from ..scene.palette import BLUE, GREEN, GREY, ORANGE, RED
+from ..scene.palette import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, RED
 from ..scene.scene import describe
 from .scene import draw_unsafe
-from .style import DOTS, new_figure, printing, save_all, shortened
+from .style import ABOVE, DOTS, WIDTH, new_figure, printing, shortened
 from .view import View
 
 MODES = ((1, ORANGE, "U's input"), (-1, GREY, "filtered input"), (0, BLUE, "S"))
+
+Methods = Sequence[Mapping[str, Any]]
 
 PANELS: tuple[tuple[str, str, bool], ...] = (
     ("min_distance_m", "Least distance\n(m)", False),
@@ -33,29 +34,21 @@ PANELS: tuple[tuple[str, str, bool], ...] = (
 """Metric, label, and whether its axis is logarithmic."""
 
 
-def draw_comparison(found: ComparisonPicture, out: Path) -> list[Path]:
-    """Draw ``paths`` (every method's run that came closest) and ``tradeoffs`` (metrics with intervals)."""
-
-    def figures() -> Iterable[tuple[str, Any]]:
-        methods = [method for method in found.table["methods"] if method["available"]]
-        yield "tradeoffs", _tradeoffs(methods)
-        picture = found.run.picture()
-        if picture.system.d > 1:
-            yield "paths", _paths(picture, methods, found.shown)
-
-    return save_all(figures(), out)
-
-
-def tradeoffs_png(methods: Sequence[Mapping[str, Any]]) -> bytes:
+def tradeoffs_png(methods: Methods) -> bytes:
     """The figure ``tradeoffs`` as a picture for a page."""
     file = BytesIO()
     with printing():
-        chosen = [method for method in methods if method.get("available", True)]
-        _tradeoffs(chosen).savefig(file, format="png", dpi=180, metadata={"Software": "polaris"})
+        _tradeoffs(methods).savefig(file, format="png", dpi=180, metadata={"Software": "polaris"})
     return file.getvalue()
 
 
-def _tradeoffs(methods: Sequence[Mapping[str, Any]]) -> Any:
+def _available(methods: Methods) -> Methods:
+    return [method for method in methods if method.get("available", True)]
+
+
+def _tradeoffs(methods: Methods) -> Any:
+    """Metrics of every method with intervals."""
+    methods = _available(methods)
     panels = [panel for panel in PANELS if any(method["metrics"].get(panel[0]) for method in methods)]
     figure = new_figure(0.6 + 0.22 * len(methods), 7.2)
     y = -np.arange(len(methods))
@@ -88,7 +81,11 @@ def _tradeoffs(methods: Sequence[Mapping[str, Any]]) -> Any:
     return figure
 
 
-def _paths(picture: Picture, methods: Sequence[Mapping[str, Any]], shown: Mapping[str, Shown]) -> Any:
+def _paths(found: ComparisonPicture) -> Any:
+    """Every method's run that came closest."""
+    picture, methods, shown = found.run.picture(), _available(found.table["methods"]), found.shown
+    if picture.system.d == 1:
+        return None
     view, alone = View(describe(picture), mute=True), replace(picture, tube=None, slices=None)
     columns = 3 if view.aspect < 0.8 else 4
     rows = -(-len(methods) // columns)
@@ -121,3 +118,90 @@ def _paths(picture: Picture, methods: Sequence[Mapping[str, Any]], shown: Mappin
     handles = [Line2D([], [], color=colour, lw=1.4, label=name) for _, colour, name in MODES]
     figure.legend(handles=handles, loc="outside upper center", ncols=3, fontsize=7)
     return figure
+
+
+GAP = 0.14
+"""Height of a label [in]."""
+
+
+SPREAD = 4.0
+"""Ratio of the largest velocity change to the least from which on the axis is logarithmic."""
+
+
+Places = dict[tuple[float, float, int], list[Mapping[str, Any]]]
+"""Points by velocity change [m/s], share [%] and switches."""
+
+
+def _front(points: Sequence[Mapping[str, Any]]) -> Any:
+    """Points by velocity change and share, those that no other outdoes joined; prices and switches beside."""
+    places: Places = {}
+    for point in points:
+        place = (point["delta_v_m_s"], 100 * point["weighted_share"], point["switches"])
+        places.setdefault(place, []).append(point)
+    height = max(2.0, GAP * (len(places) + 1))
+    figure = new_figure(height + 0.7, 1.4 * WIDTH)
+    ax = figure.add_subplot()
+    ax.margins(0.1)
+    spent = [place[0] for place in places]
+    if max(spent) > SPREAD * min(spent) > 0:
+        ax.set_xscale("log")
+        ax.xaxis.set_major_locator(LogLocator(subs=(1, 2, 3, 5)))
+        ax.xaxis.set_major_formatter("{x:g}")
+        ax.xaxis.set_minor_locator(NullLocator())
+    front = sorted(place for place, here in places.items() if any(one["non_dominated"] for one in here))
+    ax.plot([place[0] for place in front], [place[1] for place in front], color=BLACK, lw=0.9, zorder=2)
+    for (x, y, _), here in places.items():
+        ax.plot(x, y, "o", color=BLACK if (x, y, _) in front else GREY, ms=4, zorder=3)
+        if any(one["price"] is None for one in here):
+            ax.plot(x, y, "D", color=PURPLE, ms=8, mfc="none", mew=1.0, zorder=4)
+    _label(ax, places, GAP / height)
+    weighted = any(point["share"] != point["weighted_share"] for point in points)
+    ax.set_ylabel(f"{'Weighted share' if weighted else 'Share'} of time under U (%)")
+    ax.set_xlabel("Velocity change, mean over runs (m/s)")
+    ax.grid(True)
+    handles = [
+        Line2D([], [], ls="none", marker=marker, color=colour, mfc=fill, ms=4, label=name)
+        for marker, colour, fill, name in (
+            ("o", BLACK, BLACK, "no other outdoes it"),
+            ("o", GREY, GREY, "outdone"),
+            ("D", PURPLE, "none", "printed algorithms"),
+        )
+    ]
+    ax.legend(handles=handles, columnspacing=0.9, **ABOVE)
+    return figure
+
+
+def _label(ax: Any, places: Places, gap: float) -> None:
+    """Prices and switches in a column beside the axes, in order of the share, led to their points."""
+    low, high = ax.get_ylim()
+    order = sorted(places, key=lambda place: (place[1], -place[0]))
+    heights = [(place[1] - low) / (high - low) for place in order]
+    for i in range(1, len(order)):
+        heights[i] = max(heights[i], heights[i - 1] + gap)
+    heights[-1] = min(heights[-1], 1.0)
+    for i in reversed(range(len(order) - 1)):
+        heights[i] = min(heights[i], heights[i + 1] - gap)
+    every = [one["price"] for here in places.values() for one in here]
+    known = sorted(price for price in every if price is not None)
+    for place, height in zip(order, heights, strict=True):
+        text = f"{shortened(_prices(places[place], known), 1.4)}, {counted(place[2], 'switch', 'switches')}"
+        look = {"arrowstyle": "-", "lw": 0.4, "color": GREY, "shrinkA": 1, "shrinkB": 3}
+        where: Any = {"xytext": (1.04, height), "textcoords": "axes fraction", "va": "center", "fontsize": 7}
+        ax.annotate(text, place[:2], arrowprops=look, annotation_clip=False, **where)
+
+
+def _prices(here: Sequence[Mapping[str, Any]], known: Sequence[float]) -> str:
+    """Prices of the points at one place, three or more in a row of all that are known as from and to."""
+    prices = sorted(one["price"] for one in here if one["price"] is not None)
+    names = [f"{price:g}" for price in prices]
+    if len(prices) > 2 and prices == [price for price in known if prices[0] <= price <= prices[-1]]:
+        names = [f"{names[0]} to {names[-1]}"]
+    told = [f"price {', '.join(names)}"] if names else []
+    return ", ".join(told + ["printed"] * (len(here) > len(prices)))
+
+
+FIGURES = {"tradeoffs": lambda found: _tradeoffs(found.table["methods"]), "paths": _paths}
+"""Figures of a comparison."""
+
+TRADEOFF = {"tradeoff": _front}
+"""Figures of a trade-off."""

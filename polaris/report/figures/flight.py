@@ -4,28 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.lines import Line2D
-from matplotlib.patches import Circle
 
 from ...inspection.constraints.allowable_set import allowable
 from ...inspection.flights.simulation import InspectionRun
-from ...inspection.inspection import Inspection
 from ...model.hill import free_flight
 from ...model.system import Array
-from ..scene.palette import BLACK, BLUE, GREEN, GREY, LOOKS, RED, SKY, deputy_colour, tint
+from ..scene.palette import BLACK, BLUE, GREY, LOOKS, RED, SKY, deputy_colour, tint
 from ..scene.unsafe import AXES, ORDER, surroundings
+from .inspection import SAFE, UNSAFE, Panel, draw_chief, shade, shade_thrust, stack, tell, without_legend
 from .scene3d import frame_axes
-from .style import ABOVE, WIDTH, new_figure, save_all, step_edges
+from .style import ABOVE, WIDTH, new_figure, step_edges
 
 DASHES: tuple[Any, ...] = ("-", (0, (5, 1.2)), (0, (1.2, 1)), (0, (4, 1, 1, 1)), (0, (2, 1)))
 
-SAFE, UNSAFE = tint(GREEN, 0.14), tint(RED, 0.16)
-
-Panel = Callable[[Any, Any], None]
 
 SHOWN_FLIGHTS = 16
 """Free flights that are drawn."""
@@ -37,31 +32,12 @@ MOST_NAMED = 10
 """Most lines that a legend names."""
 
 
-def draw_flight(run: InspectionRun, folder: Path) -> list[Path]:
-    """Draw and write the figures of one flight, each as PDF and PNG; same flight, same bytes."""
-    alone = run.inspection.deputies == 1
-    names = [name for name in FLIGHT_FIGURES if not (alone and name in ("separation", "deputy_sun"))]
-    return save_all(((name, _FIGURES[name](run)) for name in names), folder)
-
-
 # -- figures ----------------------------------------------------------------------------------------
 
 
-def stack(height: float, *panels: Panel) -> Callable[[Any], Any]:
-    """A figure of some height [in] of panels over each other, named and labelled once."""
-
-    def drawn(run: Any) -> Any:
-        figure = new_figure(height)
-        axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False).ravel()
-        for ax, draw in zip(axes, panels, strict=True):
-            draw(ax, run)
-            if ax is not axes[0]:
-                _without_legend(ax)
-            if ax is not axes[-1]:
-                ax.set_xlabel("")
-        return figure
-
-    return drawn
+def _of_pairs(draw: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """A figure that a deputy alone has not."""
+    return lambda run: draw(run) if run.inspection.deputies > 1 else None
 
 
 def _overview(run: InspectionRun) -> Any:
@@ -159,7 +135,7 @@ def _thrusts(ax: Any, run: InspectionRun) -> None:
     """All components of the thrust, which nobody could name."""
     for k in range(3):
         _thrust(k, ax, run, 0.35)
-    _without_legend(ax)
+    without_legend(ax)
     ax.set_ylabel("Thrust (N)")
 
 
@@ -252,43 +228,11 @@ def _passive(ax: Any, run: InspectionRun) -> None:
 # -- parts ------------------------------------------------------------------------------------------
 
 
-def draw_chief(ax: Any, q: Inspection) -> Any:
-    """Draw the sphere round the chief as a circle; a handle for legends."""
-    ax.add_patch(Circle((0, 0), q.separation, fc=tint(RED, 0.45), ec=RED, zorder=2.5))
-    look: dict[str, Any] = {"marker": "o", "mfc": tint(RED, 0.45), "ls": "none", "ms": 5}
-    return Line2D([], [], color=RED, label=LOOKS["chief"].legend, **look)
-
-
 def _ends(path: Any, ax: Any, deputy: int) -> None:
     """Mark where the path of a deputy begins and ends."""
     look = {"color": deputy_colour(deputy), "mec": "white", "mew": 0.4, "zorder": 4}
     ax.plot(*(axis[:1] for axis in path), "o", ms=3.5, **look)
     ax.plot(*(axis[-1:] for axis in path), "s", ms=3.2, **look)
-
-
-def shade(ax: Any, low: float, high: float, limits: Any) -> None:
-    """Shade an axis of values: safe, and unsafe beyond each limit (value, whether above it is unsafe)."""
-    ax.axhspan(low, high, color=SAFE, lw=0, zorder=0)
-    for value, above in limits:
-        ax.axhspan(value, high if above else low, color=UNSAFE, lw=0, zorder=0.1)
-        ax.axhline(value, color=RED, lw=0.7, zorder=0.2)
-    ax.set_ylim(low, high)
-
-
-def shade_thrust(ax: Any, q: Inspection) -> None:
-    """The same of thrust between its limits."""
-    most = q.thrust_max
-    shade(ax, -1.25 * most, 1.25 * most, ((most, True), (-most, False)))
-
-
-def tell(ax: Any, text: str, x: float, y: float, **options: Any) -> None:
-    """Write the name of a limit in its colour."""
-    ax.text(x, y, text, color=RED, fontsize=6.5, zorder=6, **options)
-
-
-def _without_legend(ax: Any) -> None:
-    if ax.get_legend() is not None:
-        ax.get_legend().remove()
 
 
 def _legend(ax: Any, lines: list[Any], pairs: Any = None) -> None:
@@ -305,18 +249,16 @@ def _legend(ax: Any, lines: list[Any], pairs: Any = None) -> None:
         handle.set_linewidth(1.2)
 
 
-_FIGURES: dict[str, Callable[[InspectionRun], Any]] = {
+FIGURES: dict[str, Callable[[InspectionRun], Any]] = {
     "overview": _overview,
     "speed": stack(2.8, _speed),
     "velocity": stack(3.9, *(partial(_velocity, k) for k in range(3))),
-    "separation": stack(2.8, _distance),
+    "separation": _of_pairs(stack(2.8, _distance)),
     "sun": stack(2.6, partial(_sun, False)),
-    "deputy_sun": stack(2.8, partial(_sun, True)),
+    "deputy_sun": _of_pairs(stack(2.8, partial(_sun, True))),
     "passive": _passive_and_distance,
     "thrust": stack(3.9, *(partial(_thrust, k) for k in range(3))),
     "delta_v": stack(2.4, _spent),
     "paths_3d": _paths_3d,
 }
-
-FLIGHT_FIGURES = tuple(_FIGURES)
 """Figures of a flight."""

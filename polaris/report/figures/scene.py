@@ -22,9 +22,8 @@ from ..scene.items import Item, Scene
 from ..scene.palette import BLACK, DARK_OLIVE, GREEN, GREY, LOOKS, OLIVE, ORANGE, RED, mode_colour, tint
 from ..scene.scene import describe
 from . import style
-from .closeups import LETTERS, draw_closeup
 from .style import DASHES, DOTS, GOAL_DASHES, LONG, WIDTH, draw_safe_path, new_figure, shortened
-from .view import View
+from .view import LETTERS, View, draw_closeup
 
 
 def scene_figure(picture: Picture, new: Callable[[float], Any] = new_figure) -> Any:

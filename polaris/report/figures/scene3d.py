@@ -18,7 +18,9 @@ from .style import DASHES, DOTS, GOAL_DASHES, LONG, legend_rows, new_figure
 
 
 def scene_3d_figure(picture: Picture) -> Any:
-    """A figure of the scene in space."""
+    """A figure of the scene in space; none of motion on a line."""
+    if picture.system.d == 1:
+        return None
     space = picture.system.d == 3
     figure = new_figure(2.5 if space else 3.0)
     figure.set_layout_engine(None)

@@ -1,15 +1,24 @@
-"""The plane that is drawn, and where in it there is room for names."""
+"""The plane that is drawn, where in it there is room for names, and close-ups where it does not tell.
+
+A set may be passed above or below. What a close-up shows is how the path lies to the set, in a plane or over
+time: of a moving set, relative to its centre.
+"""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
+from matplotlib.patches import Polygon
 from matplotlib.patheffects import withStroke
 
 from ...model.system import Array
-from ..scene.items import Scene
-from .style import text_width
+from ...runs.picture import Picture, seconds
+from ..scene.geometry import flat_outline
+from ..scene.items import CloseUp, Scene
+from ..scene.palette import BLACK, RED, tint
+from ..scene.space import Space, moves
+from .style import draw_safe_path, shortened, text_width
 
 WIDTH = 2.8
 """Of the axes [in]."""
@@ -91,3 +100,63 @@ class View:
         look = {"ha": "center", "va": "center", "zorder": 8, "clip_on": True}
         drawn = ax.text(*(place + size / 2), text, color=colour, fontsize=7, **look)
         drawn.set_path_effects([withStroke(linewidth=1.6, foreground="white")])
+
+
+LETTERS = "abcdef"
+
+
+def draw_closeup(ax: Any, picture: Picture, one: CloseUp, letter: str, aspect: float, width: float) -> None:
+    """Draw one close-up, wholly within `width` [in], as high as `aspect` times that."""
+    apart = f"{one.distance:.3g}" if one.distance < 1000 else f"{one.distance:.0f}"
+    told = f"{seconds(one.time)} s: {apart} m"
+    told += " apart" if one.distance < 1000 and text_width(told + " apart") < width else ""
+    name = shortened(f"({letter}) {one.obstacle.name}", 0.9 * width)
+    ax.locator_params(nbins=4)
+    ax.set_title(f"{name}\n{told}", fontsize=7, loc="left", linespacing=1.1, pad=3)
+    labels = ["Time (s)", "Distance (m)"]
+    if one.axes is None:
+        _over_time(ax, picture, one)
+    else:
+        labels = [picture.frame.labels[picture.frame.axes.index(axis)] for axis in one.axes]
+        if moves(one.obstacle, picture):
+            labels = [f"Rel. {label[0].lower()}{label[1:]}" for label in labels]
+        _in_plane(ax, picture, one, one.axes, aspect)
+    ax.set_xlabel(labels[0], fontsize=7)
+    ax.set_ylabel(labels[1], fontsize=7)
+    ax.grid(True)
+
+
+def _in_plane(ax: Any, picture: Picture, one: CloseUp, axes: list[int], aspect: float) -> None:
+    times, path = picture.safe_path()
+    space, origin = Space.of(picture), np.zeros(picture.system.d)
+    if moves(one.obstacle, picture):
+        path = path - one.obstacle.centre(times, picture.system)
+        origin = np.asarray(one.obstacle.centre(one.time, picture.system))
+    at = int(np.argmin(np.abs(times - one.time)))
+    outline = space.outline(one.obstacle, one.time, axes) - origin[axes]
+    ax.add_patch(Polygon(outline, facecolor=tint(RED, 0.45), edgecolor=RED, lw=0.6, zorder=1.5))
+    cover = space.cover(one.obstacle, one.time)
+    if cover is not None:
+        outline = flat_outline(cover[:, axes]) - origin[axes]
+        ax.add_patch(Polygon(outline, facecolor="none", edgecolor=RED, lw=0.5, zorder=1.6))
+    near = np.vstack([outline, path[at : at + 1, axes]])
+    low, high = near.min(axis=0), near.max(axis=0)
+    size, middle = 1.5 * (high - low), (low + high) / 2
+    half = 0.5 * np.array([max(size[0], size[1] / aspect), max(size[1], aspect * size[0])])
+    (x0, y0), (x1, y1) = middle - half, middle + half
+    ax.set(xlim=(x0, x1), ylim=(y0, y1))
+    ax.set_aspect("equal")
+    draw_safe_path(ax, picture, path[:, axes], one.span)
+    ax.plot(*path[at, axes], marker="o", mfc="white", mec=BLACK, mew=0.7, ms=3, zorder=6)
+
+
+def _over_time(ax: Any, picture: Picture, one: CloseUp) -> None:
+    times, path = picture.safe_path()
+    distance = one.obstacle.signed_distance(times, path, picture.system)
+    a, b = one.span
+    top = 4 * one.distance
+    near = np.flatnonzero(distance[a:b] <= top) + a
+    ends = times[near[0]], times[near[-1]]
+    draw_safe_path(ax, picture, np.column_stack([times, distance]), one.span)
+    ax.axhspan(-0.2 * top, 0, color=tint(RED, 0.45), lw=0)
+    ax.set(xlim=ends if ends[0] < ends[1] else None, ylim=(-0.2 * top, top))

@@ -5,7 +5,8 @@ from __future__ import annotations
 import base64
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -164,31 +165,19 @@ def _difference(one: Mapping[str, Any]) -> Cell:
 # -- decisions --------------------------------------------------------------------------------------
 
 
-@dataclass
-class Stretch:
-    """Decisions of one method in a row with the same mode and reason: times [s], least margin."""
-
-    mode: Any
-    reason: Any
-    begin: float
-    end: float
-    count: int = 0
-    margin: float | None = None
+Decisions = list[dict[str, Any]]
 
 
-def stretches(lines: Iterable[str]) -> dict[str, list[Stretch]]:
-    """Decisions (JSON, one per line) joined where nothing changes, by method, in the order of the file."""
-    found: dict[str, list[Stretch]] = {}
+def stretches(lines: Iterable[str]) -> dict[str, list[Decisions]]:
+    """Decisions (JSON, one per line) by method, those in a row with the same mode and reason together."""
+    found: dict[str, Decisions] = {}
     for row in (json.loads(line) for line in lines if line.strip()):
-        own = found.setdefault(str(row["method"]), [])
-        mode, reason, margin = row["mode"], row.get("reason"), row.get("margin")
-        if not own or (own[-1].mode, own[-1].reason) != (mode, reason):
-            own.append(Stretch(mode, reason, row["t"], row["t"]))
-        last = own[-1]
-        last.end, last.count = row["t"], last.count + 1
-        if margin is not None:
-            last.margin = margin if last.margin is None else min(last.margin, margin)
-    return found
+        found.setdefault(str(row["method"]), []).append(row)
+
+    def alike(row: Mapping[str, Any]) -> tuple[Any, Any]:
+        return row["mode"], row.get("reason")
+
+    return {key: [list(group) for _, group in groupby(own, alike)] for key, own in found.items()}
 
 
 def _decisions(path: Path, names: Mapping[str, str]) -> str:
@@ -201,22 +190,24 @@ def _decisions(path: Path, names: Mapping[str, str]) -> str:
     return logs or "<p>The log is empty.</p>"
 
 
-def _log(own: Sequence[Stretch]) -> str:
+def _log(own: Sequence[Decisions]) -> str:
     rows = []
-    for one in own[:MOST_STRETCHES]:
-        margin = number_cell(one.margin)
-        if one.margin is not None and np.isfinite(one.margin):
-            margin = Cell(directed(one.margin, ".4g"), one.margin)  # a share of room left is rounded down
+    for alike in own[:MOST_STRETCHES]:
+        first, last = alike[0], alike[-1]
+        least = min((one["margin"] for one in alike if one.get("margin") is not None), default=None)
+        margin = number_cell(least)
+        if least is not None and np.isfinite(least):
+            margin = Cell(directed(least, ".4g"), least)  # a share of room left is rounded down
         rows.append(
             [
-                Cell(f"{shown(one.begin)} to {shown(one.end)} s", one.begin),
-                text_cell({0: "S", -1: "filtered"}.get(one.mode, f"U ({one.mode})")),
-                number_cell(one.count),
+                Cell(f"{shown(first['t'])} to {shown(last['t'])} s", first["t"]),
+                text_cell({0: "S", -1: "filtered"}.get(first["mode"], f"U ({first['mode']})")),
+                number_cell(len(alike)),
                 margin,
-                text_cell(one.reason or "none"),
+                text_cell(first.get("reason") or "none"),
             ]
         )
-    total, changes = sum(one.count for one in own), len(own)
+    total, changes = sum(map(len, own)), len(own)
     heads = ["time", "who flies", "decisions", "least margin", "reason"]
     body = table(f"{total} decisions in {changes} stretches of the same reason", heads, rows)
     return body + (items([f"and {changes - MOST_STRETCHES} more"]) if changes > MOST_STRETCHES else "")

@@ -1,17 +1,25 @@
-"""What a scene is made of: plain data in the axes of the scene, whoever draws it."""
+"""What a scene is made of, whoever draws it: plain data in its axes, and passages that need a close-up.
+
+A close-up is needed where the plane of motion shows the safe path within a set that it passes above or below.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...model.keep_in import KeepIn
+from ...model.obstacle import Obstacle
+from ...model.satellite import SatelliteObstacle
+from ...model.shapes import Ball
 from ...model.system import Array
 from ...runs.picture import Picture
-from .closeups import CloseUp
-from .geometry import Shape, gapped, stretches
+from .geometry import Shape, flat_outline, gapped, stretches
+from .space import Space
 
 if TYPE_CHECKING:
     from ...rta.arena import Shown
@@ -128,3 +136,115 @@ def by_mode(picture: Picture, shown: Array, span: tuple[int, int] | None = None)
     modes, counts = np.unique(who, return_counts=True)
     order = modes[np.argsort(-counts, kind="stable")]
     return {int(mode): under_mode(shown[a:b], who == mode) for mode in order}
+
+
+MOST = 6
+"""Most close-ups of a figure: those that are passed nearest."""
+
+
+FLAT = 0.05
+"""Motion out of the plane that nobody would see, as a share of its size."""
+
+
+@dataclass(frozen=True, eq=False)
+class CloseUp:
+    """One passage of one unsafe set, closest at a time [s] with a distance [m].
+
+    `axes` are the two position coordinates that show the gap, or None if only the distance over time does;
+    `span` is the first and one-past-last sample of the safe path at which they do.
+    """
+
+    obstacle: Obstacle
+    time: float
+    distance: float
+    axes: list[int] | None
+    span: tuple[int, int]
+
+
+def closeups(picture: Picture) -> list[CloseUp]:
+    """Passages that the plane of the figures does not show to be safe, in the order of time.
+
+    A passage is a stretch of the safe path that is drawn within a set at the same time but is outside it. A
+    set that is truly entered has none.
+    """
+    if picture.system.d < 3:
+        return []
+    path, space = picture.safe_path()[1], Space.of(picture)
+    found: list[CloseUp] = []
+    for obstacle in picture.obstacles:
+        if isinstance(obstacle, KeepIn) or not len(space.corners(obstacle, picture.approach(obstacle).time)):
+            continue
+        distance = obstacle.signed_distance(picture.safe_path()[0], path, picture.system)
+        if np.all(distance > 0):
+            found += _passages(obstacle, space, distance)
+    nearest = sorted(found, key=lambda one: one.distance)[:MOST]
+    return sorted(nearest, key=lambda one: one.time)
+
+
+def _passages(obstacle: Obstacle, space: Space, distance: Array) -> list[CloseUp]:
+    """Passages of one set, until the panels together show the distance (N,) of all samples."""
+    picture, frame = space.picture, space.picture.frame
+    times, path = picture.safe_path()
+    planes = [[frame.axes[0], frame.axes[2]], [frame.axes[1], frame.axes[2]]]
+    hidden = plane_gap(obstacle, picture, frame.flat) <= 0
+    gaps = [plane_gap(obstacle, picture, axes) for axes in planes] if hidden.any() else []
+    found = []
+    while hidden.any():
+        at = int(np.flatnonzero(hidden)[np.argmin(distance[hidden])])
+        best = int(np.argmax([gap[at] for gap in gaps]))
+        axes = planes[best] if gaps[best][at] > 0 else None
+        shows = distance > 0 if axes is None else gaps[best] > 0
+        cover = space.cover(obstacle, float(times[at]))
+        if axes is not None and cover is not None:  # the one that is drawn, for all of the stretch
+            gone = obstacle.centre(times, picture.system) - obstacle.centre(times[at], picture.system)
+            shows &= outline_gap(flat_outline(cover[:, axes]), (path - gone)[:, axes]) > 0
+            shows[at] = True
+        span = next((a, b) for a, b in stretches(shows) if a <= at < b)
+        hidden[slice(*span)] = False
+        if cover is None:
+            at = span[0] + int(np.argmin(distance[slice(*span)]))
+        found.append(CloseUp(obstacle, float(times[at]), float(distance[at]), axes, span))
+    return found
+
+
+def is_flat(picture: Picture, paths: Sequence[Array] = ()) -> bool:
+    """Whether the plane of the figures shows all there is to see: motion within it, past all sets.
+
+    `paths` are further positions flown, shape (N, d) [m].
+    """
+    if picture.system.d < 3:
+        return True
+    space = Space.of(picture)
+    shown = (*picture.path(), picture.safe_path()[1], *paths)
+    third = np.concatenate([path[:, picture.frame.axes[2]] for path in shown])
+    size = float(np.max((space.high - space.low)[picture.frame.flat]))
+    return bool(np.ptp(third) <= FLAT * size) and not closeups(picture)
+
+
+def plane_gap(obstacle: Obstacle, picture: Picture, axes: Sequence[int]) -> Array:
+    """How far the safe path is from a set at the same time, as both look along the other axes, (N,) [m].
+
+    Negative where the path is drawn within the set. Of another satellite the timed cover counts.
+    """
+    axes, system, shape = list(axes), picture.system, obstacle.drawn
+    times, path = picture.safe_path()
+    if isinstance(obstacle, SatelliteObstacle) or not shape.bounded:  # by the facets that are seen edge on
+        (timed,) = obstacle.timed_polytopes(system, picture.reference.delta, picture.planned)
+        cell = np.clip(times / picture.reference.delta, 0, picture.planned)
+        k = np.minimum(cell.astype(int), picture.planned - 1)
+        s = (cell - k)[:, None]
+        rows = np.all(np.abs(np.delete(timed.normals, axes, axis=1)) < 1e-9, axis=1)
+        offsets = (timed.offsets[k, 0] * (1 - s) + timed.offsets[k, 1] * s)[:, rows]
+        return np.asarray((path @ timed.normals[rows].T - offsets).max(axis=1, initial=-np.inf))
+    path = path - obstacle.centre(times, system)
+    if isinstance(shape, Ball):
+        return np.asarray(np.linalg.norm(path[:, axes], axis=1) - shape.radius)
+    return outline_gap(flat_outline(shape.vertices()[:, axes]), path[:, axes])
+
+
+def outline_gap(outline: Array, points: Array) -> Array:
+    """How far points (N, 2) are from the convex set within an outline (V, 2), at least; negative inside."""
+    edge = np.roll(outline, -1, axis=0) - outline
+    normal = np.stack([edge[:, 1], -edge[:, 0]], axis=1)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    return np.asarray((points @ normal.T - np.sum(normal * outline, axis=1)).max(axis=1))

@@ -15,9 +15,8 @@ from ...model.shapes import Ball, Polytope
 from ...model.system import Array
 from ...runs.picture import seconds
 from . import geometry
-from .closeups import CloseUp
 from .geometry import Shape, boxed, closed, faces, flat_outline, gapped, hull, on_box
-from .items import Item, Mark
+from .items import CloseUp, Item, Mark
 from .palette import LOOKS
 from .space import Space, moves
 

@@ -1,5 +1,7 @@
 from .batch import Case as Case
-from .drive import Interrupted as Interrupted
+from .batch import Replayed as Replayed
+from .drive import find_worst as find_worst
+from .drive import replay_run as replay_run
 from .drive import run_campaign as run_campaign
 from .folder import CampaignFolder as CampaignFolder
 from .folder import read_campaign as read_campaign
@@ -7,10 +9,8 @@ from .inspections import InspectionRuns as InspectionRuns
 from .plan import CampaignPlan as CampaignPlan
 from .plan import make_cases as make_cases
 from .plan import parse_grid as parse_grid
-from .replay import Replayed as Replayed
-from .replay import find_worst as find_worst
-from .replay import replay_run as replay_run
 from .schedules import ScheduleRuns as ScheduleRuns
+from .workers import Interrupted as Interrupted
 from .workers import Workers as Workers
 from .workers import cluster as cluster
 from .workers import local as local

@@ -7,7 +7,9 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
+from itertools import zip_longest
+from pathlib import Path
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -15,6 +17,8 @@ import numpy as np
 from ...model.errors import PolarisError
 from ...model.system import Array
 from ...model.version import version
+from ..atomic import check_file, replacing_file
+from ..tables import write_csv
 
 Columns = dict[str, Array]
 """Results by name, one entry per run: one mode after the other."""
@@ -67,14 +71,44 @@ class Task:
 
 
 @dataclass(frozen=True, eq=False)
-class Trajectory:
-    """One run of a batch in full: arrays by the names they have in an ``.npz`` file, units included.
+class Replayed:
+    """One run of a campaign, flown again.
 
-    `table` has the same as columns; those of control periods are one shorter than those of instants.
+    Attributes
+    ----------
+    arrays : mapping
+        Its trajectory by the names arrays have in an ``.npz`` file, units included.
+    table : mapping
+        The same as columns; those of control periods are one shorter than those of instants.
+    row : mapping
+        What the campaign's table says of it.
     """
 
     arrays: Mapping[str, Any]
     table: Mapping[str, Array]
+    row: Mapping[str, Any] = field(default_factory=dict)
+
+    def write(self, path: str | Path) -> Path:
+        """Write the trajectory as CSV or, if the name ends so, as ``.npz``; whole, or not at all.
+
+        Raises
+        ------
+        ScenarioError
+            If the name ends otherwise, or the file cannot be written.
+        """
+        target = check_trajectory(path)
+        with replacing_file(target) as beside:
+            if target.suffix == ".npz":
+                np.savez(beside, **self.arrays)
+            else:
+                rows = zip_longest(*(values.tolist() for values in self.table.values()))
+                write_csv(beside, [dict(zip(self.table, row, strict=True)) for row in rows])
+        return target
+
+
+def check_trajectory(path: str | Path) -> Path:
+    """Whether a trajectory may be written there, as CSV or ``.npz``."""
+    return check_file(path, endings=(".csv", ".npz"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +123,7 @@ class Batch:
     columns: Columns
     failure: str = ""
     code: int = 0  # exit code of the failure
-    trajectory: Trajectory | None = None
+    trajectory: Replayed | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,10 +146,7 @@ class Results:
 class Kind(ABC):
     """What a kind of run brings to a campaign; plain data, for it travels with every task.
 
-    Attributes
-    ----------
-    modes : tuple of str
-        Who flies; every run is flown once by each.
+    Every run is flown once by each of the `modes`.
     """
 
     modes: tuple[str, ...]

@@ -1,32 +1,28 @@
-"""Flying a campaign: hands tasks to an executor, keeps what comes back, and survives lost workers."""
+"""Flying a campaign: hands tasks to an executor, keeps what comes back, and survives lost workers.
+
+One run of it can be flown again: the same numbers, with its whole trajectory.
+"""
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from ...model.errors import PolarisError
-from .batch import Batch, Task, fly_batch
+import numpy as np
+
+from ...model.errors import PolarisError, ScenarioError
+from .batch import Batch, Replayed, Task, fly_batch
 from .folder import CampaignFolder, open_campaign
 from .plan import CampaignPlan
-from .workers import Workers, given, local
+from .workers import Workers, going_on, work_through, workers_of
 
 RECOVERIES = 3
 """Times in a row that lost workers are replaced without a batch being finished."""
 
-TICK = 2.0
-"""Seconds without a result after which the workers are asked whether there are any."""
-
 Progress = Callable[[int, int], None]
-
-
-class Interrupted(PolarisError):
-    """The user stopped the campaign; what was finished is kept."""
-
-    exit_code = 130
 
 
 @dataclass
@@ -42,63 +38,26 @@ class Driver:
 
     def fly(self) -> None:
         """Do every task whose result is not there yet."""
-        try:
-            self._fly()
-        except (KeyboardInterrupt, PolarisError) as error:
-            kept = f"{self.done} runs are kept in {self.folder.path}, and the same command goes on from there"
-            if isinstance(error, KeyboardInterrupt):
-                raise Interrupted(f"interrupted; {kept}") from None
-            raise PolarisError(f"{error}; {kept}") from error
-
-    def _fly(self) -> None:
         self.failed = set(self.folder.failures())
-        missing = deque(task for task in self.folder.plan.tasks() if not self._kept(task))
-        self._tell()
-        losses = 0
-        while missing:
-            before = self.done
-            lost = self._until_broken(missing)
-            if not lost:
-                break
-            missing.extendleft(reversed(lost))
-            losses = losses + 1 if self.done == before else 1
-            if not self.workers.again or losses > RECOVERIES:
-                rule = (
-                    f"workers were lost {losses} times without finishing a batch (out of memory, or killed?)"
-                )
-                raise PolarisError(rule)
+        with going_on(lambda: f"{self.done} runs are kept in {self.folder.path}"):
+            missing = deque(task for task in self.folder.plan.tasks() if not self._kept(task))
+            self._tell()
+            losses = 0
+            while missing:
+                before = self.done
+                lost = work_through(self.workers, fly_batch, self._left(missing), self._keep)
+                missing.extendleft(sorted(lost, key=lambda task: (task.case, task.batch), reverse=True))
+                losses = losses + 1 if self.done == before else 1
+                if lost and (not self.workers.again or losses > RECOVERIES):
+                    rule = f"workers were lost {losses} times without finishing a batch"
+                    raise PolarisError(f"{rule} (out of memory, or killed?)")
 
-    def _until_broken(self, missing: deque[Task]) -> list[Task]:
-        """Hand out tasks until all are done or workers are lost; returns the tasks lost."""
-        executor = self.workers.make()
-        flying: dict[Future[Batch], Task] = {}
-        lost: list[Task] = []
-        try:
-            while (missing and not lost) or flying:
-                while missing and not lost and len(flying) < self.workers.window():
-                    task = missing.popleft()
-                    if task.case in self.failed:
-                        continue
-                    try:
-                        flying[executor.submit(fly_batch, task)] = task
-                    except self.workers.lost:
-                        lost.append(task)
-                ready, _ = wait(flying, TICK, FIRST_COMPLETED)
-                trouble = "" if ready else self.workers.trouble()
-                if trouble:
-                    raise PolarisError(trouble)
-                for future in ready:
-                    task = flying.pop(future)
-                    try:
-                        self._keep(task, future.result())
-                    except self.workers.lost:
-                        lost.append(task)
-        finally:
-            for future in flying:
-                future.cancel()
-            if self.workers.again:
-                executor.shutdown(wait=False)
-        return sorted(lost, key=lambda task: (task.case, task.batch))
+    def _left(self, missing: deque[Task]) -> Iterator[Task]:
+        """Tasks of cases that can be flown, taken out of those that are missing."""
+        while missing:
+            task = missing.popleft()
+            if task.case not in self.failed:
+                yield task
 
     def _kept(self, task: Task) -> bool:
         """Whether a task needs no work: its part is there, or its case cannot be flown."""
@@ -175,7 +134,89 @@ def run_campaign(
         If workers are lost again and again, stay away or disagree; what was finished is kept.
     """
     folder = open_campaign(out, plan, fresh)
-    workers = executor if isinstance(executor, Workers) else given(executor) if executor else local(1)
-    Driver(folder, workers, progress).fly()
+    Driver(folder, workers_of(executor), progress).fly()
     folder.write_summary(worst)
     return folder
+
+
+def find_worst(
+    folder: CampaignFolder, rank: int, mode: str | None = None, case: int | None = None
+) -> tuple[int, int, int]:
+    """Case, batch and run that came closest to an unsafe set, or the `rank`-th closest (1 is the closest).
+
+    Raises
+    ------
+    ScenarioError
+        If there are fewer runs, not all of the parts yet, or runs of this kind are not ranked.
+    """
+    ranking = folder.plan.kind.ranking
+    if not ranking:
+        raise ScenarioError("--worst", rank, "runs of this kind are not ranked; give --case, --batch, --run")
+    mode = mode or folder.plan.kind.modes[0]
+    failed = folder.failures()
+    cases = [case] if case is not None else [c for c in range(len(folder.plan.cases)) if c not in failed]
+    found = []
+    for number in cases:
+        _check(folder, folder.plan.task(number, 0), mode)
+        try:
+            table = folder.read(number, ["batch", "run", "mode", ranking])
+        except OSError as error:
+            raise ScenarioError(
+                "campaign", str(folder.path), "is not finished; run it again first"
+            ) from error
+        flown = table["mode"] == mode
+        least, batches, runs = (table[name][flown] for name in (ranking, "batch", "run"))
+        order = np.lexsort((runs, batches, least))[:rank]
+        found += [(float(least[i]), number, int(batches[i]), int(runs[i])) for i in order]
+    if not 1 <= rank <= len(found):
+        raise ScenarioError("--worst", rank, f"must be from 1 to the number of runs, {len(found)}")
+    return sorted(found)[rank - 1][1:]
+
+
+def replay_run(folder: CampaignFolder, case: int, batch: int, run: int, mode: str | None = None) -> Replayed:
+    """Fly one run again, bit for bit: its batch is flown as it was, and this run taken out of it.
+
+    Parameters
+    ----------
+    folder : CampaignFolder
+    case, batch, run : int
+        As in the table.
+    mode : str, optional
+        Who flies; by default the first that flew.
+
+    Raises
+    ------
+    ScenarioError
+        If there is no such run, or its part is missing or damaged.
+    PolarisError
+        If what flies here is another schedule, or the run gives other numbers than the table has.
+    """
+    task = folder.plan.task(case, batch)
+    mode = mode or folder.plan.kind.modes[0]
+    _check(folder, task, mode)
+    if not 0 <= run < task.runs:
+        raise ScenarioError("--run", run, f"must be from 0 to {task.runs - 1}")
+    known = folder.check(task)
+    if known is None:
+        rule = f"the part {folder.part(task).name} is missing or damaged; run the campaign again"
+        raise ScenarioError("campaign", str(folder.path), rule)
+    flown = folder.plan.kind.fly(task, mode, run)
+    if flown.schedule != known:
+        raise PolarisError("this case gives another schedule here than it gave then (other versions?)")
+    row = folder.row(task, mode, run)
+    for name, values in flown.columns.items():
+        here, there = values[run].item(), row[name]
+        if here != there and (here == here or there == there):  # the same, or both nan
+            given = f"{name} is {here!r} here and {there!r} in the table"
+            raise PolarisError(f"the run comes out differently on this machine: {given}")
+    assert flown.trajectory is not None
+    return replace(flown.trajectory, row=row)
+
+
+def _check(folder: CampaignFolder, task: Task, mode: str) -> None:
+    if mode not in folder.plan.kind.modes:
+        rule = f"was not flown; must be one of {', '.join(folder.plan.kind.modes)}"
+        raise ScenarioError("--mode", mode, rule)
+    failure = folder.failures().get(task.case)
+    if failure is not None:
+        raise ScenarioError("--case", task.case, f"cannot be flown: {failure['message']}")

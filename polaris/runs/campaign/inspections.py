@@ -20,7 +20,7 @@ from ...simulation.metrics import CONFIDENCE, lower_bound
 from ..arrays import held_by
 from ..folder import summary_of
 from ..inspection import ARRAYS
-from .batch import Batch, Case, Kind, Results, Task, Trajectory, of_mode
+from .batch import Batch, Case, Kind, Replayed, Results, Task, of_mode
 
 BLOCK = 100
 """Runs flown together: what fits into fast memory."""
@@ -147,7 +147,7 @@ def _told(name: str, outcome: Outcome) -> dict[str, Any]:
     }
 
 
-def _trajectory(run: InspectionRun) -> Trajectory:
+def _trajectory(run: InspectionRun) -> Replayed:
     """One run; the arrays are those of a flight's run folder."""
     deputies = run.inspection.deputies
     table: dict[str, Any] = {
@@ -158,4 +158,4 @@ def _trajectory(run: InspectionRun) -> Trajectory:
     for i in range(deputies):
         table |= {f"deputy_{i}_u_{axis}_N": run.u[:, i, k] for k, axis in enumerate("xyz")}
         table[f"deputy_{i}_status"] = run.status[:, i]
-    return Trajectory(held_by(run, ARRAYS), table)
+    return Replayed(held_by(run, ARRAYS), table)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -25,8 +26,6 @@ KINDS: dict[str, type[Kind]] = {kind.name: kind for kind in (ScheduleRuns, Inspe
 
 BATCH = 250
 """Runs per task: enough to be worth sending, few enough to lose little with a worker."""
-
-OPENING, CLOSING = "[{", "]}"
 
 
 @dataclass(frozen=True)
@@ -202,18 +201,12 @@ def parse_grid(texts: Sequence[str]) -> dict[str, list[Any]]:
 
 def _split(text: str) -> list[str]:
     """Parts between commas that stand outside brackets and quotes."""
-    parts, depth, quote = [""], 0, ""
-    for letter in text:
-        if quote:
-            quote = "" if letter == quote else quote
-        elif letter in "\"'":
-            quote = letter
-        elif letter in OPENING:
-            depth += 1
-        elif letter in CLOSING:
-            depth -= 1
-        if letter == "," and depth <= 0 and not quote:
-            parts.append("")
+    parts = [""]
+    for piece in text.split(","):
+        bare = re.sub(r"\"[^\"]*\"|'[^']*'", "", parts[-1])
+        inside = any(bare.count(mark) % 2 for mark in "\"'")
+        if inside or bare.count("[") > bare.count("]") or bare.count("{") > bare.count("}"):
+            parts[-1] += f",{piece}"
         else:
-            parts[-1] += letter
-    return parts
+            parts.append(piece)
+    return parts[1:]

@@ -26,7 +26,7 @@ from ...synthesis.schedule import Schedule
 from ...synthesis.synthesize import synthesize
 from ..schedule import digest
 from ..tables import columns
-from .batch import Batch, Columns, Kind, Results, Task, Trajectory, of_mode
+from .batch import Batch, Columns, Kind, Replayed, Results, Task, of_mode
 
 MODES: dict[str, int | None] = {"polaris": None, "safety": 0, "experimental": 1}
 """Who flies: the schedule, S alone, or the preferred U alone."""
@@ -200,7 +200,7 @@ def batch_seeds(task: Task) -> tuple[int, int]:
     return int(drawn[0]), int(drawn[1])
 
 
-def _trajectory(task: Task, runs: Runs, run: int) -> Trajectory:
+def _trajectory(task: Task, runs: Runs, run: int) -> Replayed:
     """One run, with its distance to every true unsafe set."""
     problem = runs.schedule.safety.problem
     obstacles, system = tuple(problem.unsafe), problem.system
@@ -227,7 +227,7 @@ def _trajectory(task: Task, runs: Runs, run: int) -> Trajectory:
         "mode": runs.mode_per_period,
         **{f"distance_{name}_m": values for name, values in zip(names, distances, strict=True)},
     }
-    return Trajectory(arrays, table)
+    return Replayed(arrays, table)
 
 
 def _told(columns: Columns, worst: int) -> dict[str, Any]:

@@ -10,12 +10,17 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor
+from concurrent import futures
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
+from itertools import islice
+from typing import Any, TypeVar
 
-from ...model.errors import PolarisError, ScenarioError
+from ...model.errors import PolarisError, ScenarioError, failed
+
+TICK = 2.0
+"""Seconds without a result after which the workers are asked whether there are any."""
 
 PATIENCE = 5.0
 """Seconds a scheduler may take to answer."""
@@ -23,14 +28,32 @@ PATIENCE = 5.0
 DESERTED = 60.0
 """Seconds a cluster may be without any worker before the campaign ends."""
 
-ASKED = 1.0
-"""Seconds for which a cluster's answer about its workers is taken to hold."""
-
 LOGGERS = ("distributed", "tornado", "asyncio")
 """Roots of the loggers of Dask's client."""
 
 AHEAD = 4
 """Tasks handed out per worker: enough to keep it busy, few enough to bound the memory."""
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+
+
+class Interrupted(PolarisError):
+    """The user stopped the work; what was finished is kept."""
+
+    exit_code = 130
+
+
+@contextmanager
+def going_on(kept: Callable[[], str]) -> Iterator[None]:
+    """Say with whatever ends the work what is kept of it, and that the same command goes on from there."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise Interrupted(f"interrupted; {kept()}, and the same command goes on from there") from None
+    except PolarisError as error:
+        told = f"{error}; {kept()}, and the same command goes on from there"
+        raise failed(told, error.exit_code) from error
 
 
 @dataclass(frozen=True)
@@ -88,14 +111,55 @@ def local(workers: int | None = None) -> Workers:
         for library in ("OPENBLAS", "OMP", "MKL"):
             os.environ.setdefault(f"{library}_NUM_THREADS", "1")
         context = multiprocessing.get_context("spawn")
-        return ProcessPoolExecutor(count, mp_context=context, initializer=_prepare)
+        return futures.ProcessPoolExecutor(count, mp_context=context, initializer=_prepare)
 
     return Workers(pool, lambda: AHEAD * count)
 
 
-def given(executor: Executor, window: int | None = None) -> Workers:
-    """Somebody else's executor; it is neither closed nor replaced."""
-    return Workers(lambda: executor, lambda: window or AHEAD * cores(), again=False)
+def workers_of(executor: Executor | Workers | None) -> Workers:
+    """What users give as executor: somebody else's is neither closed nor replaced; None is this process."""
+    if isinstance(executor, Workers):
+        return executor
+    return Workers(lambda: executor, lambda: AHEAD * cores(), again=False) if executor else local(1)
+
+
+def work_through(
+    workers: Workers,
+    work: Callable[[Task], Result],
+    tasks: Iterator[Task],
+    keep: Callable[[Task, Result], None],
+) -> list[Task]:
+    """Hand tasks to workers, and results to `keep`, until all are done or some lost: these are returned."""
+    executor = workers.make()
+    flying: dict[Future[Result], Task] = {}
+    lost: list[Task] = []
+    try:
+        while True:
+            room = 0 if lost else max(workers.window() - len(flying), 0)
+            for task in islice(tasks, room):
+                try:
+                    flying[executor.submit(work, task)] = task
+                except workers.lost:
+                    lost.append(task)
+            if not flying:
+                return lost
+            ready, _ = futures.wait(flying, TICK, futures.FIRST_COMPLETED)
+            trouble = "" if ready else workers.trouble()
+            if trouble:
+                raise PolarisError(trouble)
+            for future in ready:
+                task = flying.pop(future)
+                try:
+                    result = future.result()
+                except workers.lost:
+                    lost.append(task)
+                else:
+                    keep(task, result)
+    finally:
+        for future in flying:
+            future.cancel()
+        if workers.again:
+            executor.shutdown(wait=False)
 
 
 @contextmanager
@@ -154,8 +218,7 @@ class _Crew:
     """The workers of a cluster: how many threads they have, and since when there are none."""
 
     def __init__(self, client: Any, address: str) -> None:
-        self.client, self.address = client, address
-        self.known, self.asked, self.seen = 0, -ASKED, time.monotonic()
+        self.client, self.address, self.seen = client, address, time.monotonic()
 
     def executor(self) -> Any:
         """The cluster's executor, if its scheduler still answers."""
@@ -168,17 +231,14 @@ class _Crew:
         return AHEAD * max(self.threads(), 4)
 
     def threads(self) -> int:
-        """Threads of all workers, as told a moment ago at most."""
-        now = time.monotonic()
-        if now - self.asked >= ASKED:
-            try:
-                self.known = sum(self.client.nthreads().values())
-            except OSError:  # a lost scheduler shows in the futures
-                self.known = 0
-            self.asked = time.monotonic()
-            if self.known:
-                self.seen = self.asked
-        return self.known
+        """Threads of all workers."""
+        try:
+            known = int(sum(self.client.nthreads().values()))
+        except OSError:  # a lost scheduler shows in the futures
+            known = 0
+        if known:
+            self.seen = time.monotonic()
+        return known
 
     def trouble(self) -> str:
         """Whether there has been no worker for too long."""

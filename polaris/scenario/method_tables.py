@@ -1,0 +1,91 @@
+"""The scenario file's models of the methods: tracking, recoverable sets, planner, switching schedule."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from . import fields as f
+from .fields import ScenarioPart, unit
+
+
+class Tracking(ScenarioPart):
+    """The tracking controller of section III-A and the bound on its error."""
+
+    Q: f.DiagonalOrMatrix = unit("1/unit of the state^2")
+    """LQR state weight: its diagonal (n numbers) or the full matrix. Positive semidefinite."""
+    R: f.DiagonalOrMatrix = unit("1/unit of the input^2")
+    """LQR input weight: its diagonal (m numbers) or the full matrix. Positive definite."""
+    bound: Literal["envelope", "lyapunov"] = unit("-", default="envelope")
+    """How the norm of the tracking error is bounded (Lemma 1): an envelope of the matrix exponential
+    (tighter), or a Lyapunov function."""
+    thrust_share: f.Real = unit("-", default=1.0, gt=0, le=1)
+    """Share of the thrust limits that the safety controller uses at most, its reference included. Errors of
+    thrusters are proportional to what is commanded: less of it can be worth more."""
+    weight: f.WordOrWeights = unit("-", default="auto")
+    """Weighted norm of that bound: chosen for the closed loop, none (m and m/s in one norm, loose), or the
+    diagonal of W, n numbers > 0."""
+
+
+class Recoverable(ScenarioPart):
+    """From where the safety controller still saves the day (Definition 1)."""
+
+    kind: Literal["polytope", "ball", "time_varying_ball", "paper_ball"] = unit("-", default="polytope")
+    """`polytope`: facets of the plan carried back in time, exact for them. `time_varying_ball`: eq. 12 with
+    the clearance still ahead. `ball`: eqs. 11-12 in the weighted norm, thrust limits included. `paper_ball`:
+    as printed, without thrust limits; UNSOUND, for comparison only, never a guarantee."""
+    recourse: Literal["in_view", "none"] = unit("-", default="in_view")
+    """`in_view`: the safe reference may be planned along the path of an experimental controller, so that the
+    safety controller acts only where it must. `none`: the one of the printed Algorithm 1."""
+
+
+class Planner(ScenarioPart):
+    """The mixed-integer program behind the reference (section III-C)."""
+
+    objective: Literal["margin_then_fuel", "distance", "fuel"] = unit("-", default="margin_then_fuel")
+    """`margin_then_fuel`: reach extra_margin_m where there is room, then least fuel. `fuel`: least fuel.
+    `distance`: eq. 19, largest clearance at any price."""
+    extra_margin_m: f.NonNegative = unit("m", default=0.0)
+    """Clearance wanted beyond the tracking error; room for the experimental controller."""
+    thrust_reserve: f.Real = unit("-", default=0.2, ge=0, lt=1)
+    """Share of the thrust limits the reference leaves to the tracker beyond what the initial set needs; room
+    for the experimental controller, as extra_margin_m is."""
+    solver: Literal["facets", "highs", "gurobi"] = unit("-", default="facets")
+    """Who chooses the side on which to pass: `facets`, the planner's own branch and bound, whose linear
+    programs HiGHS solves; or `highs` or `gurobi` on the same program with binary variables (gurobi needs the
+    extra of that name)."""
+    max_linear_programs: f.Whole = unit("-", default=10_000, ge=1, le=10**9)
+    """Most linear programs that `facets` solves, in all stages."""
+    max_nodes: f.Whole = unit("-", default=100_000, ge=1, le=10**9)
+    """Most branch-and-bound nodes of `highs` or `gurobi`, in all stages."""
+    time_limit_s: f.Real = unit("s", default=600.0, gt=0, le=1e6)
+    """Wall time for each plan, the last resort: what it cuts short depends on the machine, and the run says
+    so."""
+    gap: f.Real = unit("-", "Relative optimality gap at which the search stops.", default=1e-3, ge=0, lt=1)
+
+
+class Schedule(ScenarioPart):
+    """How the switching schedule is chosen (Algorithm 2 and beyond)."""
+
+    strategy: Literal["greedy", "look_ahead"] = unit("-", default="greedy")
+    """`greedy`: Algorithm 2, use an experimental controller whenever it is safe now. `look_ahead`: most use
+    over the whole horizon, by weight."""
+    min_dwell_steps: f.Whole = unit("steps", default=1, ge=1, le=f.MAX_STEPS)
+    """Fewest steps between two switches."""
+    max_switches: f.Whole | None = unit(
+        "-", "Most switches in the run; no cap without it.", default=None, ge=0
+    )
+    delta_v_price: f.NonNegative = unit("-", default=0.06)
+    """Share of the horizon under an experimental controller that is given up for a velocity change as large
+    as the safety controller's alone."""
+    switch_price: f.NonNegative = unit("-", default=0.005)
+    """Share of the horizon under an experimental controller that is given up for one switch less."""
+    delta_v_max_m_s: f.Positive | None = unit("m/s", default=None)
+    """Budget of velocity change until the goal, or until the end if the goal is not proven reached. What is
+    returned is proven to keep it; where no such schedule is found, exit code 4, and how little was. None
+    without it."""
+    beam: f.Whole = unit("-", default=1, ge=1, le=1000)
+    """Schedules that `look_ahead` keeps at every step for each number of switches and controller. More find
+    better ones, in as much more time."""
+    bound_programs: f.Whole = unit("-", default=400, ge=0, le=10**9)
+    """Linear programs, about, spent on a proven bound on the time under experimental controllers over all
+    schedules; 0 for none."""
