@@ -111,7 +111,7 @@ def test_many_proofs_hold_with_errors_at_their_worst():
         found = attack(known[1], 200, seed)
         judge(seed, found)
         scenes, tight = scenes + 1, [*tight, found.tight]
-    assert scenes >= 25 and np.median(tight) > 0.75
+    assert scenes >= 50 and np.median(tight) > 0.6
 
 
 def test_the_share_of_an_error_is_what_its_worst_signs_reach():
