@@ -15,7 +15,7 @@ from .loop import Memory, Needs
 from .motion import Arc, Path
 from .plants import plant_of, within_limits
 from .recovery import Barrier, Limits, Recovery
-from .verdict import Record, Rejected
+from .verdict import Imprecise, Record, Rejected
 from .zonotopes import Merging, Zonotope, widest
 
 ORDERS = (12, 80, 400)
@@ -222,6 +222,9 @@ class Argument:
         for _ in range(-(-missing // doc.q)):
             arcs.append(Arc.of(self.plant, arcs[-1].nodes[-1], arb_mat(len(doc.u_max), 1)))
             chosen.append([self._widest_facet(item, arcs[-1]) for item in doc.unsafe])
+        last = arcs[-1].nodes[-1]
+        if not largest(x.rad() for x in last.entries()) <= PATH_SLACK * largest(magnitude(last).entries()):
+            raise Imprecise("recoverable", "precision is lost before the loop has forgotten what it was at T")
         return replace(path, arcs=arcs), chosen
 
     def _widest_facet(self, item: UnsafeSet, arc: Arc) -> int:

@@ -297,10 +297,10 @@ class Arrival:
             first, last = self._thrust(node), self._thrust(node + 1)
             u = doc.inputs[doc.steps + node // doc.q]
             tops = [
-                smallest(
-                    (top, largest((first[i], first[m + i], last[i], last[m + i])) + abs(u[i]) + error[i])
+                smallest((top, (largest(parts) + abs(x) + wrong).upper()))
+                for top, x, wrong, *parts in zip(
+                    plant.u_max, u, error, first[:m], first[m:], last[:m], last[m:], strict=True
                 )
-                for i, top in enumerate(plant.u_max)
             ]
             total += sum(sums(tops, plant.thruster_error(tops)), arb(0))
         return total * plant.h / doc.mass

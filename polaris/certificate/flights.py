@@ -78,7 +78,7 @@ class Pilot:
     def clipped(self, ranges: list[tuple[arb, arb]]) -> list[arb]:
         """Bounds on its commands after the clip, on any estimate, from their ranges on the exact state."""
         parts = zip(ranges, self.plant.u_max, self.noise, strict=True)
-        return [smallest((top, largest((-lo, hi)) + noise)) for (lo, hi), top, noise in parts]
+        return [smallest((top, (largest((-lo, hi)) + noise).upper())) for (lo, hi), top, noise in parts]
 
     def period(self, d: Zonotope, u: arb_mat, k: int, i: int) -> Period:
         """Motion over a period of a step from a set about the base arc, whose input is u.

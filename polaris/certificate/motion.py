@@ -157,6 +157,15 @@ class Motion:
         """
         return self.lesser_bow(rows, rate.size(), rate.image(self.X).size())
 
+    def closer_bow(self, rows: arb_mat, rate: Zonotope) -> list[arb]:
+        """The same, or ``|row X rate| + h |row X e^{X s}| |X rate|``, the first part of the whole set."""
+        turned = rate.image(self.X)
+        size, along = turned.size(), turned.image(rows).size() * (self.plant.h**2 / 8)
+        third = (along + self.bend(rows) * size * self.plant.h).entries()
+        return [
+            a if a <= b else b for a, b in zip(self.lesser_bow(rows, rate.size(), size), third, strict=True)
+        ]
+
     def lesser_bow(self, rows: arb_mat, rate: arb_mat, turned: arb_mat) -> list[arb]:
         """The same from bounds on ``|rate|`` and ``|X rate|``, shapes (n, 1)."""
         first = self.bend(rows) * rate

@@ -6,6 +6,7 @@ import warnings
 from dataclasses import dataclass
 from typing import Any
 
+import typer
 from typer import Option
 from typer.core import TyperCommand, TyperOption
 
@@ -134,6 +135,9 @@ def tradeoff_command(
         stages=ShownStages(quiet or as_json),
         executor=local(workers),
     )
+    unproven = [point["folder"] for point in folder.summary["points"] if point["guarantee"] != "proved"]
+    if unproven:  # even if asked to be quiet
+        typer.echo(f"warning: NOTHING IS PROVEN by {', '.join(unproven)}", err=True)
     cut = [point["folder"] for point in folder.summary["points"] if point["cut_by_clock"]]
     if cut:
         told = (

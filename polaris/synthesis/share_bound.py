@@ -134,7 +134,7 @@ def share_bound(schedule: Schedule, rules: SwitchingRules, limit: int) -> ShareB
     worths = rules.worths(len(laws) + 1)
     if limit == 0 or len(own) < len(laws) or safety.guarantee != "proved" or problem.K > STEPS:
         return ShareBound(1.0, max(worths))
-    flights, master = Flights(problem, own), Master(problem.K, len(laws) + 1, rules)
+    flights, master = Flights(safety, own), Master(problem.K, len(laws) + 1, rules)
     demands, least, ended = 0, 0, "effort_limit"
     while flights.programs < limit:
         fewest, held = master.solve()

@@ -427,6 +427,64 @@ def _aims(loop: Loop, count: int, rng: np.random.Generator) -> tuple[Any, ...]:
     return over, printed, rows, targets
 
 
+# -- what is claimed of the goal ------------------------------------------------------------------------
+
+
+def arrivals(schedule: Schedule, rounds: int = 3) -> dict[str, float]:
+    """Largest shares of what is claimed of the arrival (distance, drift, velocity change) in worst cases.
+
+    Aimed at is every row of the goal, as docs/theory.md weighs it, and the row that drifts.
+    """
+    loop, claim, problem = Loop(schedule, 8), schedule.arrival, schedule.safety.problem
+    if claim.by is None:
+        return {}
+    goal, at, eta = problem.goal.conditions, round(claim.by / loop.dt), problem.system.mean_motion
+    rows = np.vstack([goal.E, -goal.E, goal.G, *(-N for N, _ in goal.one_of)])
+    sides = np.concatenate([goal.e, -goal.e, goal.g, *(-c for _, c in goal.one_of)])
+    length = np.linalg.norm(rows, axis=1)
+    still = np.all(rows @ problem.system.position.T == 0, axis=1) & (length > 0)
+    weight = np.where(still, np.minimum(problem.K * problem.delta / 4 / np.where(still, length, 1), 1), 1)
+    rows, sides = rows * weight[:, None], sides * weight
+    drifts = [[2, 0, 0, 0, 1 / eta, 0]] if claim.drift is not None and eta else np.zeros((0, loop.system.n))
+    aims = np.vstack([rows, drifts, -np.array(drifts), np.zeros((1, loop.system.n))])
+    who, clipped, most = loop.scheduled(np.full(len(aims), loop.N)), None, {"distance": 0.0, "delta_v": 0.0}
+    modes = np.array([who(i, aims) for i in range(loop.N)])
+    for _ in range(rounds):
+        flown = loop.fly(loop.worst(aims, np.full(len(aims), at), modes, clipped), who)
+        clipped, x = flown.clipped, flown.states[at]
+        over, first = x @ rows.T - sides, len(rows) - sum(len(N) for N, _ in goal.one_of)
+        parts = [over[:, :first].max(axis=1, initial=0.0)]
+        for N, _ in goal.one_of:
+            parts.append(over[:, first : first + len(N)].min(axis=1))
+            first += len(N)
+        error = 1e-8 * float(np.abs(x @ problem.system.position.T).max())  # of the integration [m]
+        found = {"distance": float(np.max(parts)) / (claim.distance + error)}
+        found["delta_v"] = _spent(loop, flown, at) / claim.delta_v
+        if len(drifts):
+            assert claim.drift is not None
+            found["drift"] = (
+                6 * np.pi * float(np.abs(x @ np.transpose(drifts)).max()) / (claim.drift + 60 * error)
+            )
+        most = {key: max(value, most.get(key, 0.0)) for key, value in found.items()}
+    return most
+
+
+def _spent(loop: Loop, flown: Flown, end: int) -> float:
+    """Largest velocity change until a step [m/s]; by the trapezoidal rule if the feedback is continuous."""
+    total = np.zeros(flown.states.shape[1])
+    for i in range(end):
+        k, j = divmod(i, loop.per)
+        number, u_max = int(flown.modes[i, 0]), loop.system.u_max
+        if number and number not in loop.laws:
+            total += u_max.sum() * loop.dt
+            continue
+        first = i - j % loop.parts if loop.sampled else i
+        ends = [(first, first - k * loop.per)] if loop.sampled else [(i, j), (i + 1, j + 1)]
+        raw = [loop.command(number, k, 2 * place, flown.states[step]) for step, place in ends]
+        total += np.abs(np.clip(raw, -u_max, u_max)).sum(axis=2).mean(axis=0) * loop.dt
+    return float(total.max()) / loop.system.mass
+
+
 # -- the online monitor ---------------------------------------------------------------------------------
 
 
