@@ -62,21 +62,21 @@ def test_modes_of_both_kinds_are_flown():
 
 
 def part_of_inner(part):
-    return [case for i, case in enumerate(inner(alone())) if i % 12 == part]
+    return [case for i, case in enumerate(inner(alone())) if i % 10 == part]
 
 
 def test_the_argument_notices():
     count, wrong = judge(part_of_inner(0))
     assert not wrong
-    assert count >= 14
+    assert count >= 17
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("part", range(1, 12))
+@pytest.mark.parametrize("part", range(1, 10))
 def test_the_argument_notices_the_rest(part):
     count, wrong = judge(part_of_inner(part))
     assert not wrong
-    assert count >= 14
+    assert count >= 17
 
 
 def test_they_are_more_than_two_hundred_without_the_slow_ones(folder):
