@@ -62,21 +62,21 @@ def test_modes_of_both_kinds_are_flown():
 
 
 def part_of_inner(part):
-    return [case for i, case in enumerate(inner(alone())) if i % 10 == part]
+    return [case for i, case in enumerate(inner(alone())) if i % 9 == part]
 
 
 def test_the_argument_notices():
     count, wrong = judge(part_of_inner(0))
     assert not wrong
-    assert count >= 17
+    assert count >= 19
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("part", range(1, 10))
+@pytest.mark.parametrize("part", range(1, 9))
 def test_the_argument_notices_the_rest(part):
     count, wrong = judge(part_of_inner(part))
     assert not wrong
-    assert count >= 17
+    assert count >= 19
 
 
 def test_they_are_more_than_two_hundred_without_the_slow_ones(folder):
