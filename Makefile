@@ -6,6 +6,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 BASE := $(VENV)/.stamp-base
 TEST := $(VENV)/.stamp-test
+FAST := $(VENV)/.stamp-fast
 DOCS := $(VENV)/.stamp-docs
 BENCH := $(VENV)/.stamp-bench
 RUN := runs/static
@@ -28,7 +29,7 @@ demo: $(BASE) ## Run the static scenario and say where its report lies
 test: $(TEST) ## Run the quick tests
 	$(BIN)/python -m pytest -q -n 2 --dist loadfile --no-loadscope-reorder $(ARGS)
 
-test-slow: $(TEST) ## Run the long tests, and properties on all of their examples
+test-slow: $(TEST) $(FAST) ## Run the long tests, and properties on all of their examples
 	HYPOTHESIS_PROFILE=whole $(BIN)/python -m pytest -q -n 2 -m "slow or property" $(ARGS)
 
 lint: $(TEST) ## Check style, formatting and types
@@ -67,6 +68,11 @@ $(BASE): pyproject.toml | $(BIN)/python
 $(TEST): pyproject.toml | $(BIN)/python
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[test]'
 	@touch $(BASE) $@
+
+# Compiled loops are tested with the long tests: compiling them takes as long as some of these.
+$(FAST): $(TEST)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[fast]'
+	@touch $@
 
 $(DOCS): $(BASE)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'

@@ -6,7 +6,9 @@
 One default per method is used on all scenes. It is chosen by `chosen` from the sweep: of the values with the
 fewest violations on all scenes together, those whose deviation from U's input is within two per cent of the
 least (as a mean over the scenes of its ratio to the best value of each); of these, the one with the largest
-share of U. Where another value does better on one scene alone, that scene's table has a row for it.
+share of U. The monitor changes nothing but who flies: of its values, the one that is worth most at the
+scenarios' own prices (as a mean over the scenes). Where another value does better on one scene alone, that
+scene's table has a row for it.
 """
 
 from __future__ import annotations
@@ -16,7 +18,7 @@ import re
 import shutil
 import tempfile
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -30,39 +32,56 @@ from polaris.rta.method_result import MethodResult
 from polaris.rta.methods import METHODS
 from polaris.runs.comparison import write_comparison
 from polaris.scenario.scenario import load_scenario
+from polaris.synthesis.schedule import Schedule
 from polaris.synthesis.synthesize import synthesize
 
 SCENES = ("static", "dynamic", "robot")
 RUNS, SWEPT_RUNS = 30, 10
 FIGURES = {"static": ("paths", "tradeoffs"), "dynamic": ("tradeoffs",)}
 
-SWEPT = tuple(key for key, one in METHODS.items() if "option" in vars(one))
-VALUES = {key: METHODS[key].option.values for key in SWEPT}
+SWEPT = {
+    f"{key}.{option.name}": option
+    for key, one in METHODS.items()
+    if "options" in vars(one)
+    for option in one.options
+}
+VALUES = {name: option.values for name, option in SWEPT.items()}
 BETTER = 0.98
 """Deviations that differ by less are alike; a scene's own value gets a row if it is better by more."""
+DEARER = 0.01
+"""The same of worths."""
 
 
 @dataclass(frozen=True)
 class Cell:
-    """What one value of one option did on one scene: means over the runs."""
+    """What one value of one option did on one scene: means over the runs.
+
+    Of methods that change nothing but who flies, the worth at the scenario's prices too.
+    """
 
     violations: int
     share: float
     delta_v: float
     deviation: float
+    switches: float = np.nan
+    worth: float = np.nan
 
     def __str__(self) -> str:
         hit = f"**{self.violations} hit**, " if self.violations else ""
-        return f"{hit}{100 * self.share:.1f} %, {self.delta_v:.4g}, {self.deviation:.4g}"
+        told = f"; {self.switches:.1f} switches, worth {self.worth:.4f}" if np.isfinite(self.worth) else ""
+        return f"{hit}{100 * self.share:.1f} %, {self.delta_v:.4g}, {self.deviation:.4g}{told}"
 
 
-CELL = re.compile(r"(?:\*\*(\d+) hit\*\*, )?([\d.]+) %, ([\d.e+-]+), ([\d.e+-]+)")
+CELL = re.compile(
+    r"(?:\*\*(\d+) hit\*\*, )?([\d.]+) %, ([\d.e+-]+), ([\d.e+-]+)"
+    r"(?:; ([\d.]+) switches, worth (-?[\d.]+))?"
+)
 
 
 def read_cell(text: str) -> Cell:
     """A cell of the page."""
-    hit, share, delta_v, deviation = CELL.fullmatch(text.strip()).groups()
-    return Cell(int(hit or 0), float(share) / 100, float(delta_v), float(deviation))
+    hit, share, *means = CELL.fullmatch(text.strip()).groups()
+    return Cell(int(hit or 0), float(share) / 100, *(float(mean or np.nan) for mean in means))
 
 
 def scaled(scene: DecisionGrid, option: Option, value: float) -> float:
@@ -71,34 +90,35 @@ def scaled(scene: DecisionGrid, option: Option, value: float) -> float:
     return value * {"per duration": 1 / duration, "of the duration": duration}.get(option.unit, 1.0)
 
 
-def standing(scene: DecisionGrid, method: Method) -> float:
+def standing(scene: DecisionGrid, method: Method, option: Option) -> float:
     """The other way round: what a method was tuned with, in the sweep's units."""
-    return method.settings[method.option.name] / scaled(scene, method.option, 1.0)
+    return method.settings[option.name] / scaled(scene, option, 1.0)
 
 
 Sweep = dict[str, dict[float, dict[str, Cell]]]
-"""By method, value and scene."""
+"""By option, value and scene."""
 
 
-def sweep(schedules: Mapping[str, object], runs: int, methods: Iterable[str] = SWEPT) -> Sweep:
+def sweep(schedules: Mapping[str, Schedule], runs: int, options: Iterable[str] = tuple(SWEPT)) -> Sweep:
     """Every value of every option on every scene."""
     out: Sweep = {}
-    for key in methods:
-        option = METHODS[key].option
-        out[key] = {value: {} for value in VALUES[key]}
+    for full in options:
+        option, key = SWEPT[full], full.partition(".")[0]
+        out[full] = {value: {} for value in VALUES[full]}
         for name, schedule in schedules.items():
             scene = DecisionGrid.of(schedule)
-            for value in VALUES[key]:
-                tuning = {f"{key}.{option.name}": scaled(scene, option, value)}
+            for value in VALUES[full]:
+                tuning = {full: scaled(scene, option, value)}
                 one = compare_methods(schedule, runs, 0, methods=(key,), tuning=tuning).results[key]
-                hit, m = int(one.metrics.collided.sum()), one.metrics
-                out[key][value][name] = Cell(
-                    hit,
-                    float(m.experimental_share.mean()),
-                    float(m.delta_v.mean()),
-                    float(one.deviation.mean()),
-                )
-                print(f"  {key}.{option.name} = {value:g} on {name}: {out[key][value][name]}", flush=True)
+                m = one.metrics
+                share, delta_v = float(m.experimental_share.mean()), float(m.delta_v.mean())
+                cell = Cell(int(m.collided.sum()), share, delta_v, float(one.deviation.mean()))
+                if key == "monitor":
+                    switches = float(m.switches.mean())
+                    worth = schedule.worth({0: 1 - share, 1: share}, delta_v, switches)
+                    cell = replace(cell, switches=switches, worth=worth)
+                out[full][value][name] = cell
+                print(f"  {full} = {value:g} on {name}: {cell}", flush=True)
     return out
 
 
@@ -107,6 +127,9 @@ def chosen(values: Mapping[float, Mapping[str, Cell]]) -> float:
     scenes = next(iter(values.values()))
     hits = {value: sum(cell.violations for cell in cells.values()) for value, cells in values.items()}
     left = {value: cells for value, cells in values.items() if hits[value] == min(hits.values())}
+    worth = {value: sum(cell.worth for cell in cells.values()) for value, cells in left.items()}
+    if np.isfinite(max(worth.values())):
+        return max(left, key=worth.__getitem__)
     best = {name: min(cells[name].deviation for cells in left.values()) for name in scenes}
     cost = {
         value: float(np.mean([cell.deviation / best[name] for name, cell in cells.items()]))
@@ -121,7 +144,9 @@ def own(values: Mapping[float, Mapping[str, Cell]], name: str) -> float | None:
     default = chosen(values)
     best = chosen({value: {name: cells[name]} for value, cells in values.items()})
     ours, theirs = values[default][name], values[best][name]
-    better = theirs.deviation < BETTER * ours.deviation or theirs.violations < ours.violations
+    nearer = theirs.deviation < BETTER * ours.deviation
+    better = theirs.worth > ours.worth + DEARER if np.isfinite(ours.worth) else nearer
+    better = better or theirs.violations < ours.violations
     return best if better else None
 
 
@@ -130,13 +155,13 @@ def sweep_table(swept: Sweep) -> str:
     scenes = list(next(iter(next(iter(swept.values())).values())))
     lines = ["| Option | Value | " + " | ".join(f"`{name}`" for name in scenes) + " |"]
     lines.append("|---" * (2 + len(scenes)) + "|")
-    for key, values in swept.items():
-        option, default = METHODS[key].option, chosen(values)
+    for full, values in swept.items():
+        option, default = SWEPT[full], chosen(values)
         for value, cells in values.items():
             told = f"{value:g} {option.unit}".strip()
             told = f"**{told}**" if value == default else told
             shown = " | ".join(str(cells[name]) for name in scenes)
-            lines.append(f"| `{key}.{option.name}` | {told} | {shown} |")
+            lines.append(f"| `{full}` | {told} | {shown} |")
     return "\n".join(lines)
 
 
@@ -145,7 +170,7 @@ def read_sweep(table: str) -> tuple[Sweep, dict[str, float]]:
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines()]
     scenes, out, defaults = [name.strip("`") for name in rows[0][2:]], {}, {}
     for option, told, *cells in rows[2:]:
-        key, value = option.strip("`").split(".")[0], float(told.strip("*").split()[0])
+        key, value = option.strip("`"), float(told.strip("*").split()[0])
         out.setdefault(key, {})[value] = {
             name: read_cell(cell) for name, cell in zip(scenes, cells, strict=True)
         }
@@ -184,11 +209,11 @@ def scene_table(schedule: object, runs: int, tuned: Mapping[str, float]) -> tupl
     lines = ["| " + " | ".join(COLUMNS) + " |", "|---" * len(COLUMNS) + "|"]
     for key, one in comparison.results.items():
         lines.append(row(one.name, one))
-        if key in tuned:
-            option = METHODS[key].option
-            tuning = {f"{key}.{option.name}": scaled(scene, option, tuned[key])}
+        for full in (full for full in tuned if full.partition(".")[0] == key):
+            option = SWEPT[full]
+            tuning = {full: scaled(scene, option, tuned[full])}
             other = compare_methods(schedule, runs, 0, methods=(key,), tuning=tuning).results[key]
-            told = f"{tuned[key]:g} {option.unit}".strip()
+            told = f"{tuned[full]:g} {option.unit}".strip()
             lines.append(row(f"{one.name}, {option.name} {told}", other))
     return "\n".join(lines), comparison
 

@@ -29,8 +29,8 @@ def tables() -> dict[str, str]:
     for key, one in METHODS.items():
         proven = "yes" if one.proven else "no"
         methods.append(f"| `{key}` | {one.name} | {one.how} | {proven} |")
-        if one.option:
-            tuning.append(f"| `{key}.{one.option.name}` | {one.option.meaning} | {one.option.default} |")
+        for option in one.options:
+            tuning.append(f"| `{key}.{option.name}` | {option.meaning} | {option.default} |")
     return {"methods": "\n".join(methods), "tuning": "\n".join(tuning)}
 
 

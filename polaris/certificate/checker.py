@@ -13,8 +13,8 @@ from .artefacts import check_artefacts, check_hashes, check_networks, has_artefa
 from .balls import PRECISION
 from .document import Document, read
 from .inputs import check_inputs
-from .plants import precision_for
-from .verdict import LONGEST, UNKNOWN, VERIFIED, Failed, Record, Verdict
+from .plants import MOST_BITS, precision_for
+from .verdict import LONGEST, UNKNOWN, VERIFIED, Failed, Imprecise, Record, Verdict
 
 NAME = "certificate.json"
 """The certificate's name in a run folder."""
@@ -85,6 +85,15 @@ def _check(document: Document, folder: Path | None, record: Record, whole: bool 
         check_networks(document, scenario, folder, record)
         stated = check_artefacts(document, folder, scenario, record)
         trusted += unchecked(scenario, folder)
-    Argument(document, record, stated).run()
+    confirmed = len(record.checked)
+    while True:
+        try:
+            Argument(document, record, stated).run()
+            break
+        except Imprecise:
+            if flint.ctx.prec >= MOST_BITS:
+                raise
+            flint.ctx.prec *= 2
+            del record.checked[confirmed:]
     version = f"python-flint {flint.__version__} (ball arithmetic, {flint.ctx.prec} bit)"
     return [*trusted, f"{version}, SHA-256, and this checker"]

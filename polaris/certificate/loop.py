@@ -10,7 +10,7 @@ from flint import arb, arb_mat
 
 from .balls import above, column, identity, largest, magnitude, norms, sums
 from .motion import Motion
-from .verdict import Undecided
+from .verdict import Imprecise, Undecided
 from .zonotopes import Zonotope
 
 FORGOTTEN = 1e-6
@@ -39,7 +39,10 @@ class Memory:
 
     @classmethod
     def of(cls, motion: Motion, extent: arb_mat, multiple: int) -> Memory:
-        """Find N, a multiple of a number of periods, for errors up to an extent; or `Undecided`."""
+        """Find N, a multiple of a number of periods, for errors up to an extent.
+
+        `Undecided` if there is none, `Imprecise` if the powers' own radii, which grow, have come to more.
+        """
         p = motion.disturbance_box
         z0 = column([x + 10 * y + 1e-30 for x, y in zip(extent.entries(), p.entries(), strict=True)])
         powers = [identity(len(z0.entries()))]
@@ -51,6 +54,9 @@ class Memory:
             c = largest(a / b for a, b in zip((last * z).entries(), z.entries(), strict=True))
             if c < FORGOTTEN:
                 return cls([*powers, powers[-1] * motion.phi], z, c)
+            radii = arb_mat(*(len(z0.entries()),) * 2, [x.rad() for x in powers[-1].entries()]) * z
+            if not largest(a / b for a, b in zip(radii.entries(), z.entries(), strict=True)) < FORGOTTEN:
+                raise Imprecise("recoverable", f"precision is lost within {len(powers)} periods of the loop")
         raise Undecided("recoverable", f"the loop has not forgotten errors after {LONGEST} periods")
 
 
@@ -77,8 +83,8 @@ class Needs:
     @cached_property
     def responses(self) -> list[list[arb]]:
         """Response at node L to the disturbance from rest, for L = 0 ... N + 1."""
-        w, found = self.motion.plant.disturbance, [[arb(0)] * self.rows.nrows()]
-        for gains in self._split(self.motion.push_gain(above(*self.carried[:-1]), w)):
+        found = [[arb(0)] * self.rows.nrows()]
+        for gains in self._split(self.motion.disturbance_gain(above(*self.carried[:-1]))):
             found.append([x.upper() for x in sums(found[-1], gains)])
         return found
 
@@ -135,7 +141,7 @@ class Needs:
     def booked(self, start: Zonotope, lag: int) -> list[arb]:
         """What is booked between nodes for one set, for the periods next to node l: no more than `bend`."""
         later = [start.image(self.motion.closed * self.memory.powers[at]) for at in {lag, max(lag - 1, 0)}]
-        bows = [self.motion.bow(self.rows, rate) for rate in later]
+        bows = [self.motion.closer_bow(self.rows, rate) for rate in later]
         return [largest(each) for each in zip(*bows, strict=True)]
 
     def per_norm(self, inverse: arb_mat) -> list[list[arb]]:

@@ -43,6 +43,10 @@ class Undecided(Failed):
     """The checker can neither confirm nor refute it."""
 
 
+class Imprecise(Undecided):
+    """More bits might decide it."""
+
+
 @dataclass
 class Record:
     """Claims confirmed so far, each with what was found."""

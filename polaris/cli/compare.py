@@ -6,6 +6,7 @@ import warnings
 from dataclasses import dataclass
 from typing import Any
 
+import typer
 from typer import Option
 from typer.core import TyperCommand, TyperOption
 
@@ -57,7 +58,7 @@ def compare_command(scenario: Name, options: Options) -> None:
 
     stages = ShownStages(options.quiet or options.as_json)
     with stages.stage("load"):
-        from ..rta.arena import compare_methods
+        from ..rta.arena import compare_methods, selected
         from ..rta.decision_grid import DecisionGrid
         from ..runs.atomic import check_target
         from ..runs.comparison import write_comparison
@@ -67,6 +68,8 @@ def compare_command(scenario: Name, options: Options) -> None:
         loaded = load_scenario(scenario, options.assignments or (), only=ScheduleScenario)
         target = check_target(options.out if options.out is not None else f"runs/{loaded.name}-comparison")
         half, tuning = _numbers("--estimate-error", options.estimate_error or "0"), _tuning(options.tune)
+        named = None if options.methods is None else options.methods.replace(" ", "").split(",")
+        selected(named, tuning)  # what does not exist is refused before the synthesis
     with stages.stage("schedule"):
         schedule = synthesize(loaded)
     with stages.stage("flights"):
@@ -74,7 +77,7 @@ def compare_command(scenario: Name, options: Options) -> None:
             DecisionGrid.of(schedule, options.period, options.latency, half if len(half) > 1 else half[0]),
             options.runs,
             options.seed,
-            methods=None if options.methods is None else options.methods.replace(" ", "").split(","),
+            methods=named,
             tuning=tuning,
             progress=lambda key, done, total: stages.note(f"flights: {key}", done, total),
         )
@@ -132,6 +135,9 @@ def tradeoff_command(
         stages=ShownStages(quiet or as_json),
         executor=local(workers),
     )
+    unproven = [point["folder"] for point in folder.summary["points"] if point["guarantee"] != "proved"]
+    if unproven:  # even if asked to be quiet
+        typer.echo(f"warning: NOTHING IS PROVEN by {', '.join(unproven)}", err=True)
     cut = [point["folder"] for point in folder.summary["points"] if point["cut_by_clock"]]
     if cut:
         told = (

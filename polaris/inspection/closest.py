@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..model.compiled import loops, plain
 from ..model.hill import free_flight
 from ..model.system import Array
 from .vectors import dot
@@ -120,6 +121,10 @@ class ClosestApproach:
             float(per_metre.max()) + 3 * mean_motion**2 * self.times[1],
             float(per_speed.max()) + 2 * mean_motion * self.times[1],
         )
+        self.loops = loops("polaris.inspection.loops")
+        angle = mean_motion * self.times
+        instants = np.stack([self.times, 2 * np.sin(angle / 2) ** 2, np.sin(angle)], axis=1)
+        self.numbers = np.vstack([[mean_motion, *self.speed_gain], instants])
 
     def __call__(self, z: Array, beyond: float = np.inf) -> Approach:
         """Find the closest approach of every flight from states (..., 6).
@@ -127,6 +132,9 @@ class ClosestApproach:
         Distances larger than `beyond` [m] need not be exact: they may come out smaller, but not below it.
         """
         flat, shape = z.reshape(-1, 6), z.shape[:-1]
+        if self.loops:
+            distance, when, place = self.loops.approaches(plain(flat), float(beyond), self.numbers)
+            return Approach(distance.reshape(shape), when.reshape(shape), place.reshape(*shape, 3))
         found = [self._block(flat[k : k + BLOCK], beyond) for k in range(0, max(len(flat), 1), BLOCK)]
         distance, when, place = found[0] if len(found) == 1 else map(np.concatenate, zip(*found, strict=True))
         return Approach(distance.reshape(shape), when.reshape(shape), place.reshape(*shape, 3))

@@ -1,4 +1,4 @@
-"""Every method on the same scene: same reference, same disturbances, same experimental controller."""
+"""Every method on the same scene: same references to choose from, same disturbances, same U."""
 
 from __future__ import annotations
 
@@ -122,10 +122,7 @@ def compare_methods(
     """
     grid = scene if isinstance(scene, DecisionGrid) else DecisionGrid.of(scene)
     whole("runs", runs, 1)
-    keys = list(dict.fromkeys(METHODS if methods is None else methods))
-    for key in keys:
-        one_of("methods", key, METHODS)
-    options = _options(tuning or {})
+    keys, options = selected(methods, tuning)
     if len(grid.controllers) < 2:
         raise ScenarioError("experimental", "none", "a comparison needs an experimental controller")
     parts = [Conditions.draw(grid, min(BATCH, runs - first), seed + first) for first in range(0, runs, BATCH)]
@@ -144,9 +141,8 @@ def compare_methods(
 
 def _made(key: str, grid: DecisionGrid, options: Mapping[str, float]) -> Method | str:
     """A method on the grid, or why it does not admit it; an option of its own that is wrong is raised."""
-    made: Callable[..., Method] = METHODS[key]
     try:
-        return made(grid, **options)
+        return METHODS[key].on(grid, **options)
     except PolarisError as error:
         if isinstance(error, ScenarioError) and error.field in options:
             raise
@@ -155,19 +151,23 @@ def _made(key: str, grid: DecisionGrid, options: Mapping[str, float]) -> Method 
 
 def tunable() -> list[str]:
     """What may be tuned: ``method.option`` each."""
-    return [f"{key}.{one.option.name}" for key, one in METHODS.items() if one.option]
+    return [f"{key}.{option.name}" for key, one in METHODS.items() for option in one.options]
 
 
-def _options(tuning: Tuning) -> dict[str, dict[str, float]]:
-    """Options by method."""
+def selected(
+    methods: Sequence[str] | None, tuning: Tuning | None
+) -> tuple[list[str], dict[str, dict[str, float]]]:
+    """Keys of the methods that are asked for, and options by method; refuses those that do not exist."""
+    keys = list(dict.fromkeys(METHODS if methods is None else methods))
+    for key in keys:
+        one_of("methods", key, METHODS)
     out: dict[str, dict[str, float]] = {}
-    for name, value in tuning.items():
+    for name, value in (tuning or {}).items():
         one_of("tuning", name, tunable())
         key, _, option = name.partition(".")
-        found = METHODS[key].option
-        counted = found is not None and found.unit == "decisions" and float(value).is_integer()
-        out[key] = {option: int(value) if counted else value}
-    return out
+        counted = any(one.name == option and one.unit == "decisions" for one in METHODS[key].options)
+        out.setdefault(key, {})[option] = int(value) if counted and float(value).is_integer() else value
+    return keys, out
 
 
 def _flown(
@@ -181,15 +181,15 @@ def _flown(
     found: list[Metrics] = []
     deviations, counts, kept = [], np.zeros(len(method.reasons), dtype=int), None
     for conditions in parts:
-        flight = fly(grid, method, conditions, progress)
-        metrics = measure(grid, flight, conditions, method.name)
+        flight = fly(method.grid, method, conditions, progress)
+        metrics = measure(method.grid, flight, conditions, method.name)
         if kept is None or metrics.min_distance.min() < min(one.min_distance.min() for one in found):
             kept = flight, metrics.worst
         found.append(metrics)
         deviations.append(flight.deviation)
         counts += np.bincount(flight.why.ravel(), minlength=len(counts))
     assert kept is not None
-    seconds = fly(grid, method, parts[0].only(0)).seconds
+    seconds = fly(method.grid, method, parts[0].only(0)).seconds
     outcome = MethodResult(
         method.key,
         method.name,

@@ -61,6 +61,13 @@ class Conditions:
         errors = rng.uniform(-1, 1, (grid.decisions, runs, grid.system.n)) * grid.half_widths
         return cls(x0, np.concatenate(parts, axis=1), errors, seed)
 
+    @classmethod
+    def undisturbed(cls, grid: DecisionGrid) -> Conditions:
+        """One run from the middle of the initial set, exactly known."""
+        x0, last = grid.schedule.safety.problem.initial_set.c[None], grid.decisions * grid.nodes
+        none = np.zeros((grid.decisions, 1, grid.system.n))
+        return cls(x0, np.zeros((last, 1, grid.system.D.shape[1])), none, 0)
+
     def only(self, run: int) -> Conditions:
         """Those of one run."""
         one = slice(run, run + 1)

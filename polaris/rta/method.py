@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -121,7 +121,7 @@ class Method(ABC):
         Whether its promise is proved.
     reasons : tuple of str
         What `Choice.why` points into.
-    option : Option or None
+    options : tuple of Option
         What it can be tuned by.
     delayed : bool
         Whether it decides on a measurement, so that the latency passes before a decision takes effect.
@@ -136,7 +136,7 @@ class Method(ABC):
     how: ClassVar[str]
     proven: ClassVar[bool] = False
     reasons: ClassVar[tuple[str, ...]]
-    option: ClassVar[Option | None] = None
+    options: ClassVar[tuple[Option, ...]] = ()
     delayed: ClassVar[bool] = True
     place: ClassVar[int] = 100
 
@@ -150,6 +150,11 @@ class Method(ABC):
     def __init__(self, grid: DecisionGrid) -> None:
         self.grid = grid
         self.settings: dict[str, float] = {}
+
+    @classmethod
+    def on(cls, grid: DecisionGrid, **options: Any) -> Method:
+        """The method as it flies in a comparison, on a grid of its own if that suits it better."""
+        return cls(grid, **options)
 
     @property
     def claim(self) -> Claim:

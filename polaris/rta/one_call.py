@@ -97,7 +97,8 @@ class Answer:
     """What a filter has decided, before it is put into words: see `Decision`.
 
     `backup` and `coasting` say whose input is the backup's, and whose is none because nothing else is
-    possible; `notes` what is not regular; `short` that no input satisfies all conditions.
+    possible; `notes` what is not regular; `short` that no input satisfies all conditions; `regular` that no
+    input is the backup's or none.
     """
 
     u: Array
@@ -110,15 +111,16 @@ class Answer:
     missed: dict[str, float] = field(default_factory=dict)
     short: bool = False
     unproven: bool = False
+    regular: bool = False
 
     @property
     def status(self) -> str:
         """One word for all deputies."""
-        if self.coasting.all():
+        if not self.regular and self.coasting.all():
             return "coast"
         if self.short:
             return "short"
-        if (self.backup & ~self.coasting).any():
+        if not self.regular and (self.backup & ~self.coasting).any():
             return "backup"
         return "filtered" if self.intervened.any() else "desired"
 
@@ -146,7 +148,7 @@ class CallByCall(ABC):
             answer.status,
             said,
             answer.missed,
-            answer.backup | answer.coasting,
+            answer.backup.copy() if answer.regular else answer.backup | answer.coasting,
             answer.unproven,
         )
 
@@ -168,4 +170,5 @@ class CallByCall(ABC):
 
 def named(labels: Sequence[str], values: Array, shown: NDArray[np.bool_] | bool = True) -> dict[str, float]:
     """Values by their names; nan where they are not to be shown."""
-    return dict(zip(labels, np.where(shown, values, np.nan).tolist(), strict=True))
+    told = values if shown is True else np.where(shown, values, np.nan)
+    return dict(zip(labels, told.tolist(), strict=True))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import isfinite, isnan
 from typing import Any, Protocol
 
 import numpy as np
@@ -61,7 +62,8 @@ class Received:
     nothing could be propagated from the last good one. Desired thrusts (N, m), clipped to the limits and as
     `wanted` [N], zero where not `given` in time as finite numbers; whose were `clipped`. `odd` says in words
     what was wrong with the time, and what was no numbers of the right shape; `steady` whether the time went
-    on from the last call's without a break: what lasted till then lasts.
+    on from the last call's without a break: what lasted till then lasts; `whole` that nothing is missing
+    or odd.
     """
 
     t: float
@@ -74,6 +76,7 @@ class Received:
     wanted: Array
     odd: tuple[str, ...] = ()
     steady: bool = True
+    whole: bool = False
 
     def counted(self, first: NDArray[np.intp], second: NDArray[np.intp]) -> NDArray[np.bool_]:
         """Constraints all of whose deputies have an estimate; `second` is -1 where there is one only."""
@@ -81,6 +84,8 @@ class Received:
 
     def fallback(self) -> str | None:
         """What was missing, in words; None if nothing."""
+        if self.whole:
+            return None
         parts = [*self.odd]
         if not self.known.all():
             parts.append(f"state not known: deputy {listed(~self.known)}")
@@ -110,11 +115,18 @@ class Receiver:
 
     def __init__(self, craft: Craft, period: float | None = None) -> None:
         self.craft, self.period = craft, period
-        self._step = 0.0
         N, (n, m) = craft.deputies, craft.held(1.0)[1].shape
-        self._x, self._t = np.zeros((N, n)), np.nan
-        self._seen = np.full(N, -np.inf)  # when each state was last known
-        self._applied = np.zeros((N, m))
+        self._every, self._none = np.ones(N, dtype=bool), np.zeros(N, dtype=bool)
+        self._every.flags.writeable = self._none.flags.writeable = False
+        self._least = float(np.min(craft.thrust_max))
+        self._x, self._applied = np.zeros((N, n)), np.zeros((N, m))
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget the last states: a new flight begins."""
+        self._step, self._t = 0.0, np.nan
+        self._x, self._applied = np.zeros_like(self._x), np.zeros_like(self._applied)
+        self._seen = np.full(len(self._x), -np.inf)  # when each state was last known
 
     def receive(self, t: float, x: ArrayLike, u_des: ArrayLike | None) -> Received:
         """Take in one call; arguments as of `RunTimeFilter.filter`.
@@ -129,6 +141,14 @@ class Receiver:
         if states is None:
             odd.append(f"the states are malformed: {kind_of(x)}")
             states = np.full(self._x.shape, np.nan)
+        asked = numbers(u_des, shape)
+        if asked is None and u_des is not None:
+            odd.append(f"the desired input is malformed: {kind_of(u_des)}")
+        if not odd and asked is not None:
+            x, u = states.copy(), asked.copy()
+            # Squares that add up to little are little each, and numbers.
+            if np.vdot(x, x) <= FARTHEST**2 and (size := np.vdot(u, u)) < np.inf:
+                return self._whole(t, x, u, bool(size <= self._least**2), steady)
         known = np.asarray((np.abs(states) <= FARTHEST).all(axis=1))  # false for nan and inf
         seen, estimate = self._estimate(t)
         seen = np.where(known, t, seen)
@@ -136,15 +156,21 @@ class Receiver:
         states = np.where(known[:, None], states, np.where(estimated[:, None], estimate, 0.0))
         self._x, self._t, self._seen = states, t, np.where(estimated, seen, -np.inf)
         self._applied = np.zeros(shape)
-        asked = numbers(u_des, shape)
-        if asked is None and u_des is not None:
-            odd.append(f"the desired input is malformed: {kind_of(u_des)}")
         wanted = np.full(shape, np.nan) if asked is None else asked
         given = np.asarray(np.isfinite(wanted).all(axis=1))
         wanted = np.where(given[:, None], wanted, 0.0)
         u = np.clip(wanted, -limit, limit)
         clipped = np.asarray((u != wanted).any(axis=1))
         return Received(t, states, known, estimated, u, given, clipped, wanted, tuple(odd), steady)
+
+    def _whole(self, t: float, x: Array, wanted: Array, within: bool, steady: bool) -> Received:
+        """Of a call in which nothing is missing or odd; `within`: the desired thrust is within the limits."""
+        self._x, self._t, self._seen = x, t, np.full(len(x), t)
+        u, clipped = wanted, self._none
+        if not within:
+            u = np.clip(wanted, -self.craft.thrust_max, self.craft.thrust_max)
+            clipped = np.asarray((u != wanted).any(axis=1))
+        return Received(t, x, self._every, self._every, u, self._every, clipped, wanted, (), steady, True)
 
     def applied(self, u: Array) -> None:
         """Note the thrust [N], shape (N, m), that was answered to the last call."""
@@ -153,11 +179,11 @@ class Receiver:
     def _time(self, t: object) -> tuple[float, str | None, bool]:
         """The time to go by [s], what is wrong with the one given, whether it goes on steadily."""
         now = real(t)
-        if now is None or not np.isfinite(now):
-            now = 0.0 if np.isnan(self._t) else self._t + self._step
+        if now is None or not isfinite(now):
+            now = 0.0 if isnan(self._t) else self._t + self._step
             return now, f"the time is not a finite number: taken for {now:g} s", False
         passed = now - self._t
-        if np.isnan(passed):  # the first call
+        if isnan(passed):  # the first call
             return now, None, True
         if passed < 0:
             return now, f"the time runs backwards by {-passed:g} s", False

@@ -62,7 +62,7 @@ class FlownSchedule:
 
     schedule: Schedule
     flown: Mapping[str, baselines.Flown]
-    at_most: ShareBound = ShareBound(1.0)
+    at_most: ShareBound = ShareBound(1.0, 1.0)
 
 
 def digest(schedule: Schedule) -> str:

@@ -100,21 +100,6 @@ class Clearance:
     planned: int
     jump: Array
 
-    @classmethod
-    def along(
-        cls,
-        reference: Reference,
-        tracking: Tracking,
-        unsafe: tuple[TimedPolytope, ...],
-        start: Zonotope,
-        planned: int,
-        jump: Array,
-    ) -> Clearance:
-        """Room along a reference, by the facets that leave most beyond S's tube from a set of errors."""
-        return cls(
-            tracking, reference, unsafe, best_facets(tracking, reference, unsafe, start), planned, jump
-        )
-
     @property
     def q(self) -> int:
         """Nodes per cell."""
@@ -166,7 +151,7 @@ class Clearance:
     def thrust(self) -> tuple[Array, Array]:
         """Input left above and below the reference input per cell [N], each of shape (cells, m)."""
         system = self.tracking.system
-        limit = system.u_max * (1 - ROUNDING)
+        limit = self.tracking.u_max * (1 - ROUNDING) - system.command_error(self.tracking.gain)
         cost = self.jumps[1]
         return limit - self.reference.nu - cost, limit + self.reference.nu - cost
 

@@ -15,7 +15,7 @@ from ..planning.problem import Plan
 from ..planning.reference import Reference
 from .attempts import Attempts, Clock
 from .ball_sets import BallSets
-from .clearance import Clearance
+from .clearance import Clearance, best_facets
 from .controllers import AffineController, construct_s
 from .end_condition import EndCondition
 from .error_bounds import ErrorBounds, get_err_bounds
@@ -121,13 +121,14 @@ def get_safety(
     problem, clock = as_problem(problem, given, options), Clock()
     gain = lqr_gain(problem.system, problem.Q, problem.R)  # lines 1 and 2: solveARE, Lambda
     feedback = choose_feedback(problem.system, [gain, *problem.gains], problem.delta, problem.period)
-    tracking = Tracking(problem.system, gain, feedback, problem.delta)
+    tracking = Tracking(problem.system, gain, feedback, problem.delta, problem.thrust_share)
     bounds = get_err_bounds(tracking, problem.bound, problem.weight)  # line 3: getErrBounds
     attempts = Attempts(problem, tracking, clock, along)
     for reference, jump in attempts:  # line 4: safeConstraints; lines 5 and 6: D2C of states and inputs
         s = construct_s(tracking, reference)  # line 7: constructS
         # Line 8: not one r_min over all time, but the room along a facet of every set at every time.
-        clearance = Clearance.along(reference, tracking, attempts.unsafe, attempts.start, problem.K, jump)
+        facets = best_facets(tracking, reference, attempts.unsafe, attempts.start)
+        clearance = Clearance(tracking, reference, attempts.unsafe, facets, problem.K, jump)
         recoverable = get_recover(problem.recoverable, clearance, bounds)  # line 9: GetRecover
         if attempts.settled(reference, recoverable):
             break

@@ -44,6 +44,8 @@ PROGRAMS = 120
 """Most windows tried from each start."""
 STARTS, ATTEMPTS = 3, 4
 """Sets of windows that are improved, and attempts to prove each."""
+SIDES = 8
+"""Sides of unsafe sets in U's way that are tried as starts: those that a path takes most cheaply."""
 SPARE = 2.0
 """By how much more than was lacking the clearance is raised from one attempt to the next."""
 
@@ -104,7 +106,7 @@ class Windows:
         self.worth, self.K, self.mode = worth, problem.K, mode
         sets = perceive_unsafe(problem, problem.K)
         asked = plan_problem(problem, tracking, sets)
-        u = Tracking(system, law.gain, tracking.feedback, problem.delta)
+        u = Tracking(system, law.gain, tracking.feedback, problem.delta, tracking.share)
         margins = []
         for unsafe, margin in zip(sets, asked.margins, strict=True):
             tube = error_tube(u, safety.start, -unsafe.normals @ system.position)
@@ -146,10 +148,15 @@ class Windows:
         if own is None:
             return []
         sides: list[tuple[dict[Key, int], Seen | None]] = [({}, None), ({}, self.planned)]
+        ways: list[tuple[float, int, dict[Key, int]]] = []
         for i, surplus in enumerate(self.search.look(own).surplus):
             cells = np.flatnonzero(surplus[: self.K].max(axis=1) < 0).tolist()
-            if cells and surplus.shape[1] > 1:
-                sides += [({(i, k): f for k in cells}, None) for f in range(surplus.shape[1])]
+            for f in range(surplus.shape[1]) if cells and surplus.shape[1] > 1 else ():
+                path = self.search.solve({(i, k): f for k in cells})
+                cost = np.inf if path is None else self.search.value(path)
+                ways.append((cost, len(ways), {(i, k): f for k in cells}))
+        nearest = sorted(sorted(ways, key=lambda way: way[:2])[:SIDES], key=lambda way: way[1])
+        sides += [(way, None) for _, _, way in nearest]
         found: list[tuple[float, int, Mask, Seen]] = []
         for choice, guide in sides:
             self.search.guide = guide
@@ -244,18 +251,13 @@ class Windows:
             return None
 
 
-def followable(printed: Schedule) -> list[tuple[int, AffineController]]:
+def followable(printed: Schedule) -> Iterator[tuple[int, AffineController]]:
     """Modes and laws with a path of their own that a reference can follow."""
-    reference = printed.safety.reference
-    found = []
     for mode, law in enumerate(printed.controllers[1:], start=1):
-        if isinstance(law, AffineController) and law.own is not reference:
-            try:
+        if isinstance(law, AffineController) and law.own is not printed.safety.reference:
+            with suppress(PolarisError, ValueError, ArithmeticError):
                 law.flow.lyapunov  # noqa: B018  a law that is not stable has no path of its own
-            except (PolarisError, ValueError, ArithmeticError):
-                continue
-            found.append((mode, law))
-    return found
+                yield mode, law
 
 
 def views(printed: Schedule, worth: Worth) -> list[Windows]:

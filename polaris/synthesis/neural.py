@@ -96,7 +96,7 @@ class NeuralController:
     Raises
     ------
     ScenarioError
-        If feedback is not sampled, or the policy does not fit the system.
+        If feedback is not sampled, estimates or thrusters have errors, or the policy does not fit the system.
     """
 
     name: str
@@ -109,6 +109,7 @@ class NeuralController:
     def __post_init__(self) -> None:
         if not self.feedback.sampled:
             raise ScenarioError("feedback.kind", "continuous", NEEDS_SAMPLES)
+        check_exact(self.system)
         self.policy.check(self.system, self.name)
 
     @property
@@ -203,6 +204,15 @@ class NeuralController:
 
 NEEDS_SAMPLES = "must be sampled where a network flies: it is evaluated once a control period"
 """What a scenario with a network must have."""
+
+
+def check_exact(system: LinearSystem) -> None:
+    """Refuse errors of estimates and of thrusters: no tube of a network knows of them."""
+    if not system.ideal:
+        field = "navigation" if np.any(system.navigation) else "thrusters"
+        raise ScenarioError(
+            field, None, "must be left out where a network flies: its tube knows of no such error"
+        )
 
 
 def _reduced(z: Zonotope) -> Zonotope:

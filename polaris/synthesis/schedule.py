@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import astuple, dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from reach.sets.zonotope import Zonotope
 
 from ..certificate.assumptions import assumptions
+from ..model.obstacle import chaser_radius
 from ..model.satellite import SatelliteObstacle
 from ..model.system import Array
 from ..model.tolerances import ROUNDING
@@ -67,6 +68,11 @@ class Schedule:
         Set of errors at T.
     seconds : mapping
         Wall time of the synthesis by stage.
+    library : tuple of Schedule
+        Along other references, proven on the way to this one: as long safe, and they arrive if it does.
+    worth : callable, optional
+        What a flight is worth at the scenario's prices, by its shares of the time per mode, its velocity
+        change [m/s] and its number of switches; known where references were planned with U in view.
     """
 
     safety: Safety
@@ -74,6 +80,8 @@ class Schedule:
     steps: tuple[Step, ...]
     final: Zonotope
     seconds: Mapping[str, float] = field(default_factory=dict)
+    library: tuple[Schedule, ...] = ()
+    worth: Callable[[Mapping[int, float], float, float], float] | None = None
 
     @property
     def guarantee(self) -> str:
@@ -93,6 +101,9 @@ class Schedule:
             satellites=any(isinstance(unsafe, SatelliteObstacle) for unsafe in problem.unsafe),
             horizon=end.horizon,
             until=end.until if np.isfinite(end.until) else None,
+            estimate=problem.system.navigation.tolist(),
+            thrusters=astuple(problem.system.thrusters),
+            chaser=chaser_radius(problem.unsafe),
         )
         return *told, "arithmetic: in double precision, its round-off covered by booked tolerances"
 
@@ -163,12 +174,16 @@ def _pushed(law: Controller, step: Step, delta: float) -> tuple[float, float]:
     """
     if not isinstance(law, (AffineController, NeuralController)):
         limit = getattr(law, "system", None)
-        most = float(np.sum(limit.u_max)) * delta if limit is not None else np.inf
+        tops = None if limit is None else limit.u_max + limit.thrusters.error(limit.u_max)
+        most = np.inf if tops is None else float(np.sum(tops)) * delta
         return most, most
     u_max, tube = law.system.u_max, step.tube
     centre, spread = law.commanded(tube.nodes - law.offset[step.k], tube.bow, step.k)
     middle = np.minimum(np.abs(centre), u_max)
+    if isinstance(law, AffineController):  # a network flies on exact states
+        spread = spread + law.system.command_error(law.gain)
     highest = np.minimum((np.abs(centre) + spread) * (1 + ROUNDING), u_max)
+    highest = highest + law.system.thrusters.error(highest)
     h = delta / (len(centre) - 1)
     held = middle[:-1] if law.feedback.sampled else (middle[:-1] + middle[1:]) / 2
     return float(held.sum()) * h, float(np.maximum(highest[:-1], highest[1:]).sum()) * h

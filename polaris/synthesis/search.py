@@ -69,6 +69,11 @@ class SwitchingRules:
         for weight in self.weights:
             positive("schedule.weights", weight, "-")
 
+    def worths(self, modes: int) -> tuple[float, ...]:
+        """Worth of a step under each of so many modes: 0 under S, 1 where no weight is given."""
+        given = (0.0, *self.weights)[:modes]
+        return given + (1.0,) * (modes - len(given))
+
     def affords(self, spent: float) -> bool:
         """Whether the budget allows a velocity change [m/s]."""
         return self.delta_v_max is None or spent <= self.delta_v_max
@@ -191,14 +196,13 @@ class Search:
             tube = self.tube(start, k, mode)
             return None if tube is None else tube.end
 
-        weights, W = self.rules.weights, self.safety.tracking.W
-        more = len(self.controllers) - 1 - len(weights)
+        W = self.safety.tracking.W
         search = LookAhead(
             self.safety.start,
             self.safety.problem.K,
             prove,
             lambda reached: float(reached.norm_bound(W)),
-            (0.0, *weights, *[1.0] * more),
+            self.rules.worths(len(self.controllers)),
             self.rules.beam,
         )
         return search.best(self.rules.min_dwell, self.rules.max_switches, self.progress)

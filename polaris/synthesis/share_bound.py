@@ -9,7 +9,9 @@ proven impossible demands a step more, and an integer program tells how few step
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.optimize import Bounds, LinearConstraint, milp
@@ -22,6 +24,8 @@ from .undisturbed import FREE, Flights, Held
 
 NODES = 2000
 """Most nodes of an integer program; what it has proven until then is used."""
+SLACK = 1e-4
+"""Steps by which its bound is lowered, for its tolerances."""
 ROWS, STEPS = 20_000, 500
 """Most rows that state the dwell time, and most steps of a schedule, for which an integer program is made."""
 
@@ -35,6 +39,8 @@ class ShareBound:
     share : float
         No schedule that keeps clear of the unsafe sets as perceived has more, along whatever reference and
         with whatever safety controller, on the same steps and by the same dwell time and cap.
+    worth : float
+        The same of the shares of all modes, each weighted by the worth of its steps.
     programs : int
         Linear programs solved and flights looked at.
     demands : int
@@ -45,6 +51,7 @@ class ShareBound:
     """
 
     share: float
+    worth: float
     programs: int = 0
     demands: int = 0
     ended: str = "none"
@@ -83,13 +90,13 @@ class Master:
         at = [self._at(k, mode) for k, mode in enumerate(held) if mode != FREE]
         self.rows.append((dict.fromkeys(at, -1.0), 1.0 - len(at)))
 
-    def solve(self) -> tuple[int, Held | None]:
-        """Proven number of steps under S, K + 1 if there is no schedule; and modes with as few, if found."""
+    def _cheapest(self, prices: Sequence[float]) -> tuple[float, Any]:
+        """Proven bound on the cost of all steps, priced by mode, infinite if impossible; and the answer."""
         entries = [(i, at, value) for i, (row, _) in enumerate(self.rows) for at, value in row.items()]
         i, at, value = (np.array(part) for part in zip(*entries, strict=True))
         A = coo_array((value, (i, at)), shape=(len(self.rows), self.size)).tocsr()
         cost, whole = np.zeros(self.size), np.ones(self.size)
-        cost[FREE : self.K * self.modes : self.modes] = 1.0
+        cost[: self.K * self.modes] = np.tile(prices, self.K)
         whole[self.K * self.modes :] = 0.0
         answer = milp(
             cost,
@@ -99,13 +106,24 @@ class Master:
             options={"node_limit": NODES},
         )
         if answer.status == 2:
-            return self.K + 1, None
+            return np.inf, answer
         least = answer.mip_dual_bound
-        fewest = 0 if least is None or not np.isfinite(least) else int(np.ceil(least - 1e-4))
+        return 0.0 if least is None or not np.isfinite(least) else max(float(least) - SLACK, 0.0), answer
+
+    def solve(self) -> tuple[int, Held | None]:
+        """Proven number of steps under S, K + 1 if there is no schedule; and modes with as few, if found."""
+        least, answer = self._cheapest([float(mode == FREE) for mode in range(self.modes)])
+        fewest = self.K + 1 if np.isinf(least) else int(np.ceil(least))
         if answer.x is None:
-            return max(fewest, 0), None
+            return fewest, None
         flown = answer.x[: self.K * self.modes].reshape(self.K, self.modes)
-        return max(fewest, 0), tuple(int(mode) for mode in flown.argmax(axis=1))
+        return fewest, tuple(int(mode) for mode in flown.argmax(axis=1))
+
+    def worth(self, worths: Sequence[float]) -> float:
+        """Proven bound on the mean worth of a step, by that of each mode; 0 if there is no schedule."""
+        most = max(worths)
+        least = self._cheapest([1.0 - worth / most for worth in worths])[0]
+        return most * max(1.0 - least / self.K, 0.0)
 
 
 def share_bound(schedule: Schedule, rules: SwitchingRules, limit: int) -> ShareBound:
@@ -113,9 +131,10 @@ def share_bound(schedule: Schedule, rules: SwitchingRules, limit: int) -> ShareB
     safety = schedule.safety
     problem, laws = safety.problem, schedule.controllers[1:]
     own = [law for law in laws if isinstance(law, AffineController) and law.own is not law.reference]
+    worths = rules.worths(len(laws) + 1)
     if limit == 0 or len(own) < len(laws) or safety.guarantee != "proved" or problem.K > STEPS:
-        return ShareBound(1.0)
-    flights, master = Flights(problem, own), Master(problem.K, len(laws) + 1, rules)
+        return ShareBound(1.0, max(worths))
+    flights, master = Flights(safety, own), Master(problem.K, len(laws) + 1, rules)
     demands, least, ended = 0, 0, "effort_limit"
     while flights.programs < limit:
         fewest, held = master.solve()
@@ -127,4 +146,6 @@ def share_bound(schedule: Schedule, rules: SwitchingRules, limit: int) -> ShareB
             break
         master.demand(flights.widened(held))
         demands += 1
-    return ShareBound(1.0 - min(least, problem.K) / problem.K, flights.programs, demands, ended)
+    share = 1.0 - min(least, problem.K) / problem.K
+    worth = share * max(worths) if len(set(worths[1:])) <= 1 else master.worth(worths)
+    return ShareBound(share, min(worth, share * max(worths)), flights.programs, demands, ended)

@@ -8,6 +8,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from ..model.errors import ClockWarning, NotCertified, SynthesisInfeasible
 from ..planning.problem import Plan
 from .controllers import AffineController, AnyThrust, Controller
@@ -116,6 +118,9 @@ def with_recourse(search: Search, printed: Schedule) -> Schedule:
         best = max(found, key=worth)
         if search.rules.affords(best.spent):
             break
+    claims = np.array([(*worth(one)[:3], one.safety.end.until) for one in (*found, best)], dtype=float)
+    as_good = np.all(claims[:-1] >= claims[-1], axis=1)
+    library = tuple(one for one, good in zip(found, as_good, strict=True) if good and one is not best)
     seconds = {**printed.seconds, "recourse": time.perf_counter() - begun}
     if late:
         told = "the wall clock (planner.time_limit_s) ended the search for a reference with U in view early"
@@ -124,7 +129,7 @@ def with_recourse(search: Search, printed: Schedule) -> Schedule:
         )
         cut = (*printed.safety.cut_by_clock, "reference with U in view")
         best = replace(best, safety=replace(best.safety, cut_by_clock=cut))
-    return replace(best, seconds=seconds)
+    return replace(best, seconds=seconds, library=library, worth=worth.plain)
 
 
 def within_budget(search: Search, over: Sequence[Schedule]) -> Schedule:

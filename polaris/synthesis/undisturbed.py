@@ -19,9 +19,8 @@ from ..model.errors import NotCertified
 from ..model.system import Array
 from ..model.tolerances import REFERENCE, ROUNDING
 from ..planning.lp import GrowingLP
-from .attempts import perceive_unsafe
 from .controllers import AffineController
-from .problem import Problem
+from .get_safety import Safety
 from .saturation import clipped_map
 from .tracking import at_nodes
 
@@ -45,21 +44,22 @@ class Flights:
 
     Parameters
     ----------
-    problem : Problem
+    safety : Safety
+        Its problem, and the unsafe sets as its proof has them: over fewer steps others may be perceived.
     laws : sequence of AffineController
         Those of modes 1, 2, ...
     """
 
-    def __init__(self, problem: Problem, laws: Sequence[AffineController]) -> None:
+    def __init__(self, safety: Safety, laws: Sequence[AffineController]) -> None:
+        problem, sets = safety.problem, safety.clearance.unsafe
         system, K = problem.system, problem.K
         self.system, self.laws = system, laws
         flow = LinearFlow.continuous(system.A, system.D, 0.0, problem.delta / PARTS)
         push = flow.input_zonotope(system.B, np.diag(system.u_max), np.abs(system.B) @ system.u_max).G
         moved = [np.linalg.matrix_power(flow.phi, j) for j in range(PARTS + 1)]
         self.moved, self.push = moved[PARTS], np.hstack([part @ push for part in moved[:PARTS]])
-        sets = perceive_unsafe(problem, K)
         self.normals = [unsafe.normals for unsafe in sets]
-        ends = [unsafe.offsets[np.minimum(np.arange(K), unsafe.cells - 1)] for unsafe in sets]
+        ends = [unsafe.offsets[:K] for unsafe in sets]
         # The set of both cells that meet at a node: less than either.
         self.offsets = [np.minimum(b[:, 1], np.vstack([b[1:, 0], b[-1:, 1]])) for b in ends]
         start = np.asarray(problem.initial_set.c)

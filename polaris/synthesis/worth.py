@@ -48,18 +48,17 @@ class Worth:
         scale = max(printed.safety.plan.delta_v, 1e-3 * most)
         return cls(rules, scale, printed.share(), printed.delta_v[0], printed.safety.end.until)
 
-    def of(self, shares: Mapping[int, float], delta_v: float, switches: int) -> float:
+    def plain(self, shares: Mapping[int, float], delta_v: float, switches: float) -> float:
         """Worth of shares of the time by mode, a velocity change [m/s] and a number of switches."""
-        time = sum(self.weight(mode) * share for mode, share in shares.items())
-        price = self.rules.delta_v_price * delta_v / self.scale + self.rules.switch_price * switches
+        worths = self.rules.worths(max(shares) + 1)
+        time = sum(worths[mode] * share for mode, share in shares.items())
+        return time - self.rules.delta_v_price * delta_v / self.scale - self.rules.switch_price * switches
+
+    def of(self, shares: Mapping[int, float], delta_v: float, switches: int) -> float:
+        """The same, less what is worse than with the printed algorithms' schedule."""
         less = max(self.share - sum(share for mode, share in shares.items() if mode), 0.0)
         more = max(delta_v - self.delta_v, 0.0) / self.scale
-        return time - price - WORSE * (less + more)
-
-    def weight(self, mode: int) -> float:
-        """Worth of a step under one mode."""
-        weights = self.rules.weights
-        return 0.0 if mode == 0 else weights[mode - 1] if mode <= len(weights) else 1.0
+        return self.plain(shares, delta_v, switches) - WORSE * (less + more)
 
     def __call__(self, schedule: Schedule) -> tuple[bool, bool, bool, float]:
         """Whether a schedule keeps the budget, is as long safe as the printed one, and arrives; its worth."""

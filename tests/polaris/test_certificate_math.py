@@ -14,12 +14,13 @@ import flint
 from flint import arb, arb_mat
 
 from polaris.certificate.argument import Argument
-from polaris.certificate.balls import column, exponential_over, matrix, norms, require
+from polaris.certificate.balls import PRECISION, column, exponential_over, matrix, norms, require
+from polaris.certificate.checker import verify_document
 from polaris.certificate.document import Document, digest
 from polaris.certificate.loop import Memory, Needs
 from polaris.certificate.motion import Plant, Push
 from polaris.certificate.recovery import Limits, Recovery, Target
-from polaris.certificate.verdict import Record, Rejected, Undecided
+from polaris.certificate.verdict import Imprecise, Record, Rejected, Undecided
 from polaris.certificate.zonotopes import Merging, Zonotope, ball_cover, inner_radius, widest
 from polaris.runs.certificate import certificate, hexadecimal
 from polaris.scenario.scenario import load_scenario
@@ -193,7 +194,11 @@ def test_motion_leaves_its_chord_by_no_more_than_its_bow(sampled):
     K, rows = rng.normal(size=(2, 4)), rng.normal(size=(5, 4))
     motion, X = plant.loop(matrix(K.tolist())), A if sampled else A - B @ K
     start = Zonotope(column(rng.normal(size=4).tolist()), matrix((0.1 * rng.normal(size=(4, 3))).tolist()))
-    bound = np.array([float(x) for x in motion.bow(matrix(rows.tolist()), start.image(motion.closed))])
+    of_rows, rate = matrix(rows.tolist()), start.image(motion.closed)
+    boxed, bound = (
+        np.array([float(x) for x in bow(of_rows, rate)]) for bow in (motion.bow, motion.closer_bow)
+    )
+    assert np.all(bound <= boxed) and np.any(bound < 0.9 * boxed), "a set is less than its box"
     furthest = np.zeros(5)
     for b in rng.choice([-1.0, 1.0], (20, 3)):
         x = values(start.c)[:, 0] + values(start.G) @ b
@@ -204,6 +209,45 @@ def test_motion_leaves_its_chord_by_no_more_than_its_bow(sampled):
         chord = path[0] + (path[-1] - path[0]) * (fine / 0.2)[:, None]
         furthest = np.maximum(furthest, np.abs((path - chord) @ rows.T).max(axis=0))
     assert np.all(furthest <= bound) and np.any(furthest > 0.3 * bound)
+
+
+def bits(verdict):
+    return int(verdict.trusted[-1].split("arithmetic, ")[1].split()[0])
+
+
+def test_an_orbit_followed_beyond_the_tail_keeps_its_precision(monkeypatch):
+    argument = scene("clipped")[1]
+    path, document = argument.reference(), argument.document
+    monkeypatch.setattr(document, "horizon", "infinite")
+    forgetting = SimpleNamespace(periods=document.cells * document.q)
+    assert len(argument._prolonged(path, forgetting)[0].arcs) == document.steps + document.cells
+    flint.ctx.prec = 24
+    with pytest.raises(Imprecise, match="before the loop has forgotten"):
+        argument._prolonged(path, forgetting)
+
+
+def test_where_precision_is_lost_more_bits_are_taken(monkeypatch):
+    """The powers of a loop that swings and hardly decays: their radii grow like those of absolute values."""
+
+    def swinging():
+        A, B = matrix([[0, 1], [-1, -1 / 32]]), matrix([[0], [1]])
+        return Plant(A, B, B, matrix([[1, 0]]), [], arb(0), arb(0.25), False).loop(matrix([[0, 0]]))
+
+    with pytest.raises(Imprecise, match="precision is lost"):
+        Memory.of(swinging(), column([1, 1]), 4)
+    flint.ctx.prec = 2048
+    assert 3000 < Memory.of(swinging(), column([1, 1]), 4).periods < 4000
+    flint.ctx.prec = PRECISION
+
+    def of(motion, extent, multiple):
+        if flint.ctx.prec <= 2 * PRECISION:
+            raise Imprecise("recoverable", "too few bits")
+        return Memory.of(motion, extent, multiple)
+
+    monkeypatch.setattr("polaris.certificate.argument.Memory", SimpleNamespace(of=of))
+    verdict = verify_document(certificate(scene("clipped")[0], "tiny"))
+    assert verdict.outcome == "VERIFIED" and bits(verdict) > 2 * PRECISION, verdict.text()
+    assert len({claim for claim, _ in verdict.checked}) == len(verdict.checked), "nothing is told twice"
 
 
 @pytest.mark.parametrize("p", [1, 2, 3, 5])

@@ -19,7 +19,7 @@ from polaris.synthesis.schedule import Step
 from polaris.synthesis.search import Search, SwitchingRules
 from polaris.synthesis.synthesize import synthesize
 
-from .closed_loops import Attack, Loop, attack, attack_monitor
+from .closed_loops import Attack, Loop, arrivals, attack, attack_monitor
 from .random_scenarios import synthesised
 
 EXACT = 1e-6
@@ -114,6 +114,19 @@ def test_a_few_proofs_hold_at_their_worst_and_leave_little_idle():
         assert np.median([one.tight for one in found.values()]) > least
 
 
+def arrives(seed, schedule):
+    """No flight is further from the goal, drifts more or has spent more than claimed; how near it comes."""
+    found = arrivals(schedule)
+    assert all(share <= 1 + (1e-4 if key == "delta_v" else EXACT) for key, share in found.items()), seed
+    return found
+
+
+def test_a_few_claims_of_the_goal_hold_at_their_worst_and_leave_little_idle():
+    found = [arrives(seed, schedule) for seed, schedule in proved((5000, *FEW))]
+    for key, least in (("distance", 0.99), ("delta_v", 0.99), ("drift", 0.5)):
+        assert max(one.get(key, 0.0) for one in found) > least, key
+
+
 def test_a_schedule_that_ignores_its_proof_is_broken():
     ((_, schedule),) = proved((5024,))
     assert attack(reckless(schedule), 60, 1).left.min() < 0
@@ -158,15 +171,16 @@ def test_a_few_monitors_hold_at_their_worst():
 
 @pytest.mark.slow
 def test_a_hundred_thousand_worst_cases_break_nothing():
-    scenes, runs, tight = 0, 0, []
+    scenes, runs, tight, near = 0, 0, [], []
     for seed, schedule in proved(range(FIRST, FIRST + 130)):
         found = attack(schedule, 260, seed)
         judge(seed, found)
         scenes, runs = scenes + 1, runs + found.runs
         tight += [found.tight] * (schedule.safety.recoverable.kind == "polytope")
+        near.append(arrives(seed, schedule).get("distance", 0.0))
     print(f"\n{scenes} scenes, {runs} trajectories, need flown over need claimed: {max(tight):.1%} at most")
     assert scenes >= 46 and runs >= 100_000
-    assert np.median(tight) > 0.8
+    assert np.median(tight) > 0.8 and max(near) > 0.99
 
 
 @pytest.mark.slow

@@ -47,7 +47,7 @@ def folder(tmp_path_factory):
 
 def test_a_followed_path_is_that_of_the_law():
     _, schedule = printed()
-    _, law = followable(schedule)[0]
+    _, law = next(followable(schedule))
     window = Windows(schedule, law, 1, Worth.beside(schedule, SwitchingRules()))
     followed = Followed.of(law.system, law.powers[-1], law.own)
     own = law.own

@@ -209,7 +209,7 @@ def layers_of(network):
 # -- runs -------------------------------------------------------------------------------------------
 
 
-def scene(folder, file=HASTY, feedback=None, **more):
+def scene(folder, file=HASTY, feedback=None, thrusters=None, **more):
     """A scenario file in a folder that flies a network beside it."""
     table = {"kind": "neural", "name": "net", "path": file.name, "output_scale_N": 1.0}
     table |= {"reference": {"kind": "unaware"}, **more}
@@ -217,6 +217,7 @@ def scene(folder, file=HASTY, feedback=None, **more):
         shutil.copyfile(file, folder / file.name)
     found = load_scenario(TINY, SAMPLED).to_dict() | {"experimental": [table]}
     found["feedback"] = feedback or found["feedback"]
+    found |= {"thrusters": thrusters} if thrusters else {}
     (folder / "scene.toml").write_text(write_toml(found), encoding="utf-8")
     return folder / "scene.toml"
 
@@ -405,6 +406,7 @@ WRONG = {
     "an input that is none": ({"inputs": ["weather"]}, "experimental[0].inputs[0]"),
     "scales": ({"input_scale": [1.0, 2.0]}, "experimental[0].input_scale"),
     "a scale of outputs": ({"output_scale_N": [1.0, 1.0, 1.0]}, "experimental[0].output_scale_N"),
+    "errors of thrusters": ({"thrusters": {"magnitude_error": 0.05}}, "thrusters"),
     "no file": ({"path": "nowhere.onnx"}, "experimental[0].path"),
     "no ONNX file": ({"path": "text.onnx"}, "experimental[0].path"),
     "another ending": ({"path": "hasty.pickle"}, "experimental[0].path"),

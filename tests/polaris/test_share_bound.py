@@ -81,7 +81,7 @@ def least_room(flights, states):
 def test_every_flight_lies_in_what_is_enclosed(more, times):
     _, schedule = printed(*more)
     problem, law = schedule.safety.problem, laws_of(schedule, times)[0]
-    flights, rng, clipped = Flights(problem, [law]), np.random.default_rng(5), 0
+    flights, rng, clipped = Flights(schedule.safety, [law]), np.random.default_rng(5), 0
     for seed in range(6):
         held = tuple(np.where(rng.random(problem.K) < 0.35, FREE, 1).tolist())
         c, G, _ = flights.fly(held)
@@ -100,7 +100,7 @@ def test_every_flight_lies_in_what_is_enclosed(more, times):
 def test_nothing_that_can_be_flown_is_called_impossible(more):
     scenario, schedule = printed(*more)
     problem, law = schedule.safety.problem, laws_of(schedule)[0]
-    flights, K = Flights(problem, [law]), problem.K
+    flights, K = Flights(schedule.safety, [law]), problem.K
     rng = np.random.default_rng(1)
     sets = [free for count in range(3) for free in combinations(range(K), count)]
     sets += [tuple(np.flatnonzero(rng.random(K) < 0.4).tolist()) for _ in range(20)]
@@ -120,7 +120,7 @@ def test_nothing_that_can_be_flown_is_called_impossible(more):
 
 def test_what_is_widened_is_still_impossible_and_demands_no_less():
     _, schedule = printed()
-    flights, K = Flights(schedule.safety.problem, laws_of(schedule)), schedule.safety.problem.K
+    flights, K = Flights(schedule.safety, laws_of(schedule)), schedule.safety.problem.K
     held = (1,) * K
     assert flights.impossible(held)
     wide = flights.widened(held)
@@ -131,7 +131,7 @@ def test_what_is_widened_is_still_impossible_and_demands_no_less():
 
 def test_the_word_of_a_solver_is_not_enough(monkeypatch):
     _, schedule = printed()
-    flights, K = Flights(schedule.safety.problem, laws_of(schedule)), schedule.safety.problem.K
+    flights, K = Flights(schedule.safety, laws_of(schedule)), schedule.safety.problem.K
     free = (FREE,) * K
     assert not flights.impossible(free)
     monkeypatch.setattr(GrowingLP, "solve", lambda self, seconds: None)
@@ -170,6 +170,9 @@ def test_the_integer_program_finds_the_fewest_steps(seed):
     fewest, found = master.solve()
     assert fewest == min((m.count(FREE) for m in every), default=K + 1)
     assert found is None if not every else found in every
+    worths = (0.0, *rng.choice([0.5, 1.0, 2.0], modes - 1))
+    best = max((sum(worths[mode] for mode in m) / K for m in every), default=0.0)
+    assert best <= master.worth(worths) <= best + 1e-3
 
 
 # -- the bound ----------------------------------------------------------------------------------------
@@ -227,6 +230,16 @@ def test_a_law_without_a_path_of_its_own_bounds_nothing():
         assert share_bound(both, scenario.switching_rules(), 400).share == 1
     unproven = printed("recoverable.kind=paper_ball")[1]
     assert share_bound(unproven, scenario.switching_rules(), 400).share == 1
+
+
+def test_the_unsafe_sets_are_those_that_the_proof_keeps_clear_of():
+    """Over the schedule's steps alone, another satellite might be followed in fewer, larger parts."""
+    scenario, schedule = printed()
+    safety, rules = schedule.safety, scenario.switching_rules()
+    gone = tuple(replace(unsafe, offsets=unsafe.offsets - 100.0) for unsafe in safety.clearance.unsafe)
+    clear = replace(safety, clearance=replace(safety.clearance, unsafe=gone))
+    assert share_bound(schedule, rules, 400).share < 1
+    assert share_bound(replace(schedule, safety=clear), rules, 400).share == 1
 
 
 def test_a_cap_of_no_switch_leaves_s_alone():

@@ -15,12 +15,14 @@ from typer.testing import CliRunner
 
 import polaris
 from polaris.cli.app import app
+from polaris.cli.show.comparison import _row
 from polaris.model.errors import PolarisError, ScenarioError
 from polaris.report.figures.comparison import _front
 from polaris.report.figures.style import printing
 from polaris.runs import tradeoff as module
 from polaris.runs.campaign.workers import InProcess, Interrupted, Workers, local
 from polaris.runs.comparison import non_dominated
+from polaris.runs.folder import RunFolder
 from polaris.runs.schedule import DATA_FILES
 from tests.leftovers import left_by_a_dead_process
 
@@ -277,6 +279,19 @@ def test_command(copied, computed):
     assert json.loads(told.stdout) == json.loads((copied / "tradeoff.json").read_text(encoding="utf-8"))
     assert not (copied / "figures").exists()
     assert (invoke(*given, "-q").output, computed) == ("", [])
+
+
+def test_where_nothing_is_proven_that_is_said_and_no_bound_is_shown(folder, monkeypatch):
+    points = [row | {"guarantee": "none", "delta_v_most_m_s": 1.00001} for row in folder.summary["points"]]
+    told = folder.summary | {"points": points}
+    monkeypatch.setattr(RunFolder, "summary", property(lambda self: told))
+    monkeypatch.setattr(module, "tradeoff", lambda *_, **__: folder)
+    done = invoke("--no-figures")
+    assert done.stderr.count("NOTHING IS PROVEN by price-0, price-3, printed\n") == 1, done.output
+    assert done.stdout.count("not proven") >= 2 * len(points)
+    assert invoke("--no-figures", "-q").stderr == done.stderr
+    assert _row(points[0])[5:8:2] == ("not proven", "not proven")
+    assert _row(points[0] | {"guarantee": "proved"})[5] == "1.001", "a bound is rounded up"
 
 
 @pytest.mark.parametrize(

@@ -159,18 +159,19 @@ def test_wrong_options_are_refused(options, told):
 
 def test_methods_are_tuned_and_the_folder_says_how(tmp_path):
     scenario, schedule = synthesised()
-    tuning = {"monitor.dwell": 7.0, "asif_explicit.alpha": 0.3, "asif_implicit.slope": 0.5,
-              "simulation.horizon": 2.0, "reachability.horizon": 3.0}  # fmt: skip
-    keys = [name.split(".")[0] for name in tuning]
+    tuning = {"monitor.reentry": 0.3, "monitor.dwell": 7.0, "asif_explicit.alpha": 0.3,
+              "asif_implicit.slope": 0.5, "simulation.horizon": 2.0, "reachability.horizon": 3.0}  # fmt: skip
+    keys = {name.split(".")[0] for name in tuning}
     comparison = compare_methods(schedule, 1, 0, methods=keys, tuning=tuning)
     table = write_comparison(tmp_path / "one", scenario, comparison).summary
     told = {
         f"{one['key']}.{name}": value for one in table["methods"] for name, value in one["settings"].items()
     }
     assert told == tuning
-    for key, option in ((key, one.option.name) for key, one in METHODS.items() if one.option):
+    for key, options in ((key, one.options) for key, one in METHODS.items() if one.options):
         found = compare_methods(schedule, 1, 0, methods=(key,)).results[key].settings
-        assert set(found) == {option} and found[option] != tuning.get(f"{key}.{option}")
+        assert set(found) == {option.name for option in options}
+        assert all(found[option.name] != tuning.get(f"{key}.{option.name}") for option in options)
     for wrong in ({"monitor.alpha": 1.0}, {"nothing": 1.0}, {"schedule.dwell": 2}, {"monitor.dwell": 1.5}):
         with pytest.raises(ScenarioError, match="tuning|dwell"):
             compare_methods(schedule, 1, 0, tuning=wrong)
@@ -203,7 +204,7 @@ def test_folder_holds_what_was_found(tmp_path):
     assert {line["reason"] for line in lines if line["method"] == "monitor"} <= {
         "U is recoverable",
         "U is not recoverable",
-        "dwell in S",
+        "S keeps control: dwell or re-entry margin",
     }
 
 
@@ -230,13 +231,16 @@ def test_command(tmp_path):
     assert again.exit_code == 0
     table = json.loads(again.stdout)
     assert table["protocol"]["runs"] == 3 and len(table["methods"]) == 3
-    assert table["methods"][2]["settings"] == {"dwell": 4.0}
+    assert table["methods"][2]["settings"] == {"reentry": 0.1, "dwell": 4.0}
     for arguments, told in (
         (["compare", "inspection"], "must be a scenario of the kind 'schedule'"),
         (["compare", str(TINY), "--methods", "nonsense"], "must be one of"),
         (["compare", "robot", "--estimate-error", "much"], "must be numbers"),
         (["compare", str(TINY), "--tune", "monitor.dwell"], "must be METHOD.OPTION=NUMBER"),
-        (["compare", str(TINY), "--tune", "monitor.gain=2"], "must be one of 'monitor.dwell'"),
+        (
+            ["compare", str(TINY), "--tune", "monitor.gain=2"],
+            "must be one of 'monitor.reentry'",
+        ),
         (["compare", "nowhere"], "nowhere"),
     ):
         failed = runner.invoke(app, [*arguments, "--out", str(tmp_path / "other")])

@@ -43,24 +43,25 @@ def test_the_page_holds_every_table():
 
 def test_defaults_are_what_the_sweep_of_the_page_says():
     swept, defaults = page.read_sweep(TABLES["sweep"])
-    assert set(swept) == set(page.SWEPT) and set(page.SWEPT) | {"monitor_declared"} == {
-        key for key, one in METHODS.items() if one.option
-    }
+    assert set(swept) == set(page.SWEPT)
+    tuned = {key for key, one in METHODS.items() if one.options}
+    assert {name.partition(".")[0] for name in swept} | {"monitor_declared"} == tuned
     made = scene("robot")
-    for key, values in swept.items():
-        assert tuple(values) == page.VALUES[key]
-        assert page.chosen(values) == defaults[key]
-        assert page.standing(made, METHODS[key](made)) == pytest.approx(defaults[key]), key
+    for full, values in swept.items():
+        assert tuple(values) == page.VALUES[full]
+        assert page.chosen(values) == defaults[full]
+        method = METHODS[full.partition(".")[0]](made)
+        assert page.standing(made, method, page.SWEPT[full]) == pytest.approx(defaults[full]), full
     assert METHODS["monitor_declared"](made).settings == METHODS["monitor"](made).settings
 
 
 def test_scenes_have_a_row_for_a_value_that_is_better_there():
     swept, _ = page.read_sweep(TABLES["sweep"])
     for name in page.SCENES:
-        for key, values in swept.items():
-            best, option = page.own(values, name), METHODS[key].option
-            marked = [row for row in rows(TABLES[name]) if f", {option.name} " in row and made_by(row) == key]
-            assert len(marked) == (best is not None), (name, key, best)
+        for full, values in swept.items():
+            best, (key, _, option) = page.own(values, name), full.partition(".")
+            marked = [row for row in rows(TABLES[name]) if f", {option} " in row and made_by(row) == key]
+            assert len(marked) == (best is not None), (name, full, best)
 
 
 def made_by(row):
@@ -86,22 +87,28 @@ def test_the_words_of_the_page_follow_from_its_tables():
         return value(name, one, column) / value(name, other, column)
 
     # Look-ahead.
-    assert all(cells["static"].violations for cells in swept["simulation"].values())
-    shares = [cells["static"].share for cells in swept["simulation"].values()]
+    assert all(cells["static"].violations for cells in swept["simulation.horizon"].values())
+    shares = [cells["static"].share for cells in swept["simulation.horizon"].values()]
     assert shares == sorted(shares, reverse=True)
     assert all(value(name, "Forward reachability", HITS) == 0 for name in page.SCENES)
-    assert swept["reachability"][defaults["reachability"] / 2]["robot"].violations == page.SWEPT_RUNS
+    assert (
+        swept["reachability.horizon"][defaults["reachability.horizon"] / 2]["robot"].violations
+        == page.SWEPT_RUNS
+    )
     # The monitor.
     for name in page.SCENES:
         assert value(name, MONITOR, SHARE) > value(name, SCHEDULE, SHARE)
-        assert abs(value(name, MONITOR, SHARE) - value(name, LIMITS, SHARE)) < 0.01
-        assert value(name, MONITOR, SHARE) - value(name, SCHEDULE, SHARE) < 0.02
-        assert ratio(name, MONITOR, SCHEDULE, COST) == pytest.approx(1, abs=0.1)
+        assert value(name, LIMITS, SHARE) - value(name, MONITOR, SHARE) < 0.01
+        assert value(name, MONITOR, SHARE) - value(name, SCHEDULE, SHARE) < 0.03
+        more = 1.2 if name == "dynamic" else 1.02
+        assert 0.98 < ratio(name, MONITOR, SCHEDULE, COST) < more
         assert value(name, MONITOR, NEAR) < value(name, SCHEDULE, NEAR)
-        assert value(name, MONITOR, SWITCHES) > value(name, SCHEDULE, SWITCHES)
-        dwell = {setting: cells[name] for setting, cells in swept["monitor"].items()}
-        spent = [cell.delta_v for cell in dwell.values()]
-        assert max(spent) < 1.02 * min(spent) and dwell[100].share < value(name, SCHEDULE, SHARE)
+        assert 0 <= value(name, MONITOR, SWITCHES) - value(name, SCHEDULE, SWITCHES) < 1
+        reentry, dwell = ({at: cells[name] for at, cells in swept[f"monitor.{option}"].items()} for option in
+                          ("reentry", "dwell"))  # fmt: skip
+        assert reentry[0.1].switches < reentry[0.0].switches / 3 + 0.05
+        assert reentry[0.0].share - reentry[0.1].share < 0.03
+        assert max(cell.worth for cell in dwell.values()) < dwell[1].worth + page.DEARER
     # All that fly S's reference.
     others = [row for row in rows(TABLES["static"]) if not row.startswith(("U alone", EXPLICIT))]
     assert len(others) > 8
@@ -111,15 +118,15 @@ def test_the_words_of_the_page_follow_from_its_tables():
         assert ratio(name, EXPLICIT, MONITOR, COST) == pytest.approx(2, rel=0.1)
         assert 2 < ratio(name, EXPLICIT, MONITOR, AWAY) < 4.2
     assert ratio("robot", EXPLICIT, MONITOR, COST) < 1
-    clear = [cells["dynamic"].delta_v for cells in swept["asif_explicit"].values() if not hits(cells)]
+    clear = [cells["dynamic"].delta_v for cells in swept["asif_explicit.alpha"].values() if not hits(cells)]
     assert 1.7 < max(clear) / min(clear) < 2
-    steepest = swept["asif_explicit"][max(swept["asif_explicit"])]
+    steepest = swept["asif_explicit.alpha"][max(swept["asif_explicit.alpha"])]
     assert steepest["dynamic"].violations and steepest["robot"].violations
-    assert ratio("robot", IMPLICIT, MONITOR, COST) < 1 <= ratio("dynamic", IMPLICIT, MONITOR, COST)
+    assert ratio("robot", IMPLICIT, MONITOR, COST) < 1 > ratio("dynamic", IMPLICIT, MONITOR, COST)
     assert ratio("static", IMPLICIT, MONITOR, COST) > 1
     for name in page.SCENES:
         assert value(name, IMPLICIT, SHARE) < value(name, MONITOR, SHARE)
-        slopes = [cells[name] for cells in swept["asif_implicit"].values()]
+        slopes = [cells[name] for cells in swept["asif_implicit.slope"].values()]
         for part in ([one.delta_v for one in slopes], [one.share for one in slopes]):
             assert part == sorted(part)
     # Simplex.
@@ -129,6 +136,15 @@ def test_the_words_of_the_page_follow_from_its_tables():
     assert value("static", "Implicit simplex", HITS) > 0
     proved = [row for name in page.SCENES for row in rows(TABLES[name]).values() if row["Proven"] == "yes"]
     assert proved and all(row[HITS] == "0" for row in proved)
+
+
+MUST = [("static", 0.92, 10, 1.2), ("dynamic", 0.95, 6, 1.5)]
+
+
+@pytest.mark.parametrize(("name", "share", "switches", "spent"), MUST)
+def test_the_monitor_is_worth_flying(name, share, switches, spent):
+    assert value(name, MONITOR, SHARE) >= share
+    assert value(name, MONITOR, SWITCHES) <= switches and value(name, MONITOR, COST) <= spent
 
 
 def hits(cells):
@@ -179,7 +195,7 @@ def test_a_scenes_table_is_flown_again(name):
 @pytest.mark.parametrize("name", page.SCENES)
 def test_the_sweep_is_flown_again(name, monkeypatch):
     """But for the longest look-aheads, which take as long as all the rest."""
-    for key in ("simulation", "reachability"):
+    for key in ("simulation.horizon", "reachability.horizon"):
         monkeypatch.setitem(page.VALUES, key, page.VALUES[key][:-1])
     found = page.sweep({name: synthesize(load_scenario(name))}, page.SWEPT_RUNS)
     swept, _ = page.read_sweep(TABLES["sweep"])

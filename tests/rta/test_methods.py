@@ -111,7 +111,7 @@ def test_filters_answer_within_the_limits_and_change_as_little_as_they_can():
 def test_dwell_keeps_s_in_control():
     made = scene("robot")
     conditions = Conditions.draw(made, 8, 1)
-    quick, slow = (fly(made, Monitor(made, dwell=dwell), conditions).modes for dwell in (1, 20))
+    quick, slow = (fly(made, Monitor(made, dwell=dwell, reentry=0.0), conditions).modes for dwell in (1, 20))
     for modes in slow:
         lengths = _stretches(modes[:-1])
         assert min(lengths, default=20) >= 20
@@ -130,6 +130,9 @@ def test_options_are_checked():
         Monitor(made, trust="blind")
     with pytest.raises(ScenarioError, match="dwell"):
         Monitor(made, dwell=0)
+    for reentry in (-0.1, 1.0, np.nan):
+        with pytest.raises(ScenarioError, match="reentry"):
+            Monitor(made, reentry=reentry)
     with pytest.raises(ScenarioError, match="alpha"):
         ExplicitASIF(made, alpha=-1.0)
     for slope in (0.0, 1.5, np.nan):

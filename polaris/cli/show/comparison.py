@@ -12,6 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ...model.checks import counted
+from ...synthesis.recoverable import directed
 from . import Printout, table
 
 SAFETY = (
@@ -98,7 +99,8 @@ def _row(point: Mapping[str, Any]) -> tuple[str, ...]:
         f"{'*' if point['non_dominated'] else ' '} {point['folder']}",
         f"{point['share']:.1%}",
         str(point["switches"]),
-        *(f"{point[key]:.4g}" for key in ("delta_v_m_s", "delta_v_max_m_s", "delta_v_most_m_s")),
+        *(f"{point[key]:.4g}" for key in ("delta_v_m_s", "delta_v_max_m_s")),
+        directed(point["delta_v_most_m_s"], ".4g", up=True) if proved else "not proven",
         f"{point['goal_by_s']:.6g}" if point["goal_reached"] is True else "not proven",
         until if proved else "not proven",
     )

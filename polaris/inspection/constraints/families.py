@@ -8,17 +8,22 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ...model.compiled import loops, plain
 from ...model.errors import ScenarioError
 from ...model.system import Array
 from ..closest import ClosestApproach, map_norms
 from ..inspection import Inspection
-from ..vectors import dot
+from ..vectors import CENTRE, STANDSTILL, dot
+from .barriers import Radial, SunCone
 from .catalogue import FAMILIES, KINDS
 from .motion import Motion, SampledData
+from .passive import Passive
+from .speeds import Velocity
 from .strengthening import PRESETS, Strengthening, evaluate
 from .table import Index, Table
 
@@ -80,6 +85,9 @@ class Families(Table):
         super().__init__(inspection, "h", without, approach, sampled is not None, beyond)
         self._alpha = tuple(np.array([self.alpha[name].numbers for name in self.family]).T)
         self._rank = np.array([KINDS[name].rank for name in self.family], dtype=np.intp)
+        self.loops: Any = loops("polaris.inspection.loops") if sampled is None else None
+        if self.loops:
+            self._fixed = self._for_loops()
 
     def _beyond(self, q: Inspection, approach: ClosestApproach) -> float:
         """From which value on a passive constraint allows every input: it then need not be exact."""
@@ -88,6 +96,33 @@ class Families(Table):
         per_metre, per_speed = approach.speed_gain
         drift = 2 * q.distance_max * per_metre + 2 * np.sqrt(3) * q.speed_max * per_speed
         return max(self.alpha[name].reaches(thrust + 2 * drift) for name in ("passive", "deputy_passive"))
+
+    def _by_loops(self, x: Array, sun: Array) -> Rows:
+        lead = x.shape[:-2]
+        if x.ndim == 3 and sun.shape == lead:
+            return Rows(*self.loops.rows(x, plain(sun), *self._fixed))
+        sun = np.array(np.broadcast_to(sun, lead)).reshape(-1)
+        found = self.loops.rows(x.reshape(-1, *x.shape[-2:]), sun, *self._fixed)
+        return Rows(*(part.reshape(lead + part.shape[1:]) for part in found))
+
+    def _for_loops(self) -> tuple[Array | Index, ...]:
+        """The arguments after the first two of `polaris.inspection.loops.rows`."""
+        q, exact = self.inspection, np.inf
+        table, values = [], np.zeros((len(self.family), 9))
+        for group in self.groups:
+            barrier = group.barrier
+            table += [self.loops.FORMULAS[type(barrier).__name__]] * (group.rows.stop - group.rows.start)
+            radius = barrier.axis if isinstance(barrier, Velocity) else getattr(barrier, "radius", 0.0)
+            values[group.rows, 0] = radius
+            if isinstance(barrier, (Radial, SunCone)):
+                values[group.rows, 1], values[group.rows, 2] = barrier.braking.acceleration, barrier.side
+            if isinstance(barrier, Passive):
+                exact = barrier.beyond + float(np.max(barrier.radius))
+        values[:, 3:] = np.array(self._alpha).T
+        about_rows = (q.mean_motion, 1 / q.mass, q.smoothing, q.return_speed, q.field_of_view / 2)
+        about_speeds = (CENTRE, STANDSTILL, q.docking_speed, q.nu_1, q.speed_max, exact)
+        numbers = np.array(about_rows + about_speeds)
+        return q.pairs, np.stack([table, self.place], axis=1), values, numbers, self.approach.numbers
 
     def rank(self, h: Array) -> Index:
         """Which row gives way to which, least last; shape (..., M) as h.
@@ -106,13 +141,25 @@ class Families(Table):
         gap = np.maximum(rows.bound - dot(rows.G, self.relative(u)), 0.0)
         return np.asarray(np.divide(gap, size, out=np.where(gap > 0, np.inf, 0.0), where=size > 0))
 
-    def __call__(self, x: Array, sun: ArrayLike) -> Rows:
-        """Barrier conditions at states of shape (..., N, 6) and sun angles of shape (...) [rad]."""
+    def given(self, desired: Array) -> Array:
+        """What the thrusters would give of inputs (..., N, 3) [N]: the nearest to that is looked for.
+
+        The nearest to thrust far beyond the limits is at their corners, and at another corner each period.
+        """
+        return np.clip(desired, -self.inspection.thrust_max, self.inspection.thrust_max)
+
+    def __call__(self, x: Array, sun: ArrayLike, held: Array | None = None) -> Rows:
+        """Barrier conditions at states of shape (..., N, 6) and sun angles of shape (...) [rad].
+
+        For sampled data they hold for every thrust, or, if it is given, for a thrust `held` (..., N, 3) [N].
+        """
         q = self.inspection
+        if self.loops:
+            return self._by_loops(plain(x), np.asarray(sun, dtype=float))
         every = self.stack(x)
         drift = every @ q.system.A.T
         sun = np.asarray(sun)[..., None]
-        motion = self._motion(every, drift)
+        motion = self._motion(every, drift, held)
         shape = (*x.shape[:-2], len(self.family))
         h, rate, M = np.empty(shape), np.empty(shape), np.zeros(shape)
         G = np.empty((*shape, 3))
@@ -134,11 +181,15 @@ class Families(Table):
             bound = bound + np.maximum(alpha - linear, 0.0) * (h > 0) + M * (D / 2)
         return Rows(h, G, bound)
 
-    def _motion(self, every: Array, drift: Array) -> Motion | None:
+    def _motion(self, every: Array, drift: Array, held: Array | None) -> Motion | None:
         """What is possible within a period."""
         if self.sampled is None:
             return None
         q = self.inspection
+        if held is not None:
+            push = self.stack(held) / q.mass
+            rates = drift + np.concatenate([np.zeros_like(push), push], axis=-1)
+            return self.sampled.held(every, rates, q.mean_motion, np.sqrt(dot(push, push)))
         thrust = np.full(every.shape[-2], np.sqrt(3) * q.thrust_max / q.mass)
         thrust[q.deputies :] *= 2
         return self.sampled.motion(every, drift, q.mean_motion, thrust)

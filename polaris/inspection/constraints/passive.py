@@ -22,20 +22,28 @@ BOW = 0.01
 class Passive(Barrier):
     """Clear of a sphere for T seconds without thrust: ``inf norm(p(t)) - radius`` [m] over free flight.
 
-    Values larger than `beyond` [m] need not be exact: they may come out smaller, but not below it.
+    Values larger than `beyond` [m] need not be exact: they may come out smaller, but not below it, and then
+    without a gradient.
     """
 
     radius: Array | float
     approach: ClosestApproach
     beyond: float = np.inf
 
+    @cached_property
+    def _largest(self) -> float:
+        return float(np.max(self.radius))
+
     def __call__(self, z: Array, sun: ArrayLike = 0.0) -> Evaluation:
         """Evaluate at states of shape (..., 6)."""
-        found = self.approach(z, self.beyond + float(np.max(self.radius)))
-        outward = rounded_length(found.place, 1e-9)[1]
-        still, drift, circle, across = (outward @ part for part in self.approach.parts)
-        angle = (self.approach.mean_motion * found.when)[..., None]
-        gradient = still + drift * found.when[..., None] + circle * np.cos(angle) + across * np.sin(angle)
+        exact = self.beyond + self._largest
+        found = self.approach(z, exact)
+        near, gradient = found.distance <= exact, np.zeros(z.shape)
+        if near.any():
+            outward, when = rounded_length(found.place[near], 1e-9)[1], found.when[near][:, None]
+            still, drift, circle, across = (outward @ part for part in self.approach.parts)
+            angle = self.approach.mean_motion * when
+            gradient[near] = still + drift * when + circle * np.cos(angle) + across * np.sin(angle)
         return Evaluation(found.distance - self.radius, gradient, 0.0)
 
 

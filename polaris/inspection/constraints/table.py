@@ -134,7 +134,7 @@ class Table:
             raise ScenarioError("without", sorted(without), "must leave a constraint")
         self.family = tuple(family for family, _, _ in rows)
         self.place = np.array([place for _, _, place in rows])
-        self.first, self.second = self.everyone[self.place].T
+        self.first, self.second = np.ascontiguousarray(self.everyone[self.place].T)
         self.labels = tuple(
             f"{number}[{i},{j}]" if j >= 0 else f"{number}[{i}]"
             for (_, number, _), i, j in zip(rows, self.first, self.second, strict=True)

@@ -6,8 +6,8 @@ import numpy as np
 
 from ...model.system import Array
 from ...rta.one_call import Answer, Backup, CallByCall, named
-from ...rta.projection import FAILED, SHORT
-from ...rta.received import Received, Receiver
+from ...rta.projection import DESIRED, FAILED, FILTERED, SHORT
+from ...rta.received import Received
 from ..constraints.families import Rows
 from ..vectors import dot
 from .explicit import Centralized, Decentralized
@@ -53,45 +53,56 @@ class ActiveSetFilter(CallByCall):
         # Several rows may stand for one constraint; they follow each other.
         self._starts = np.flatnonzero(np.append(True, labels[1:] != labels[:-1]))
         self._names = tuple(labels[self._starts].tolist())
+        self._nobody = np.zeros(self.inspection.deputies, dtype=bool)
+        self._nobody.flags.writeable = False
         super().__init__(self.inspection, None if sampled is None else sampled.period)
+        if filtering.loops:  # what compiles them, or reads them from disk, is not left to the first decision
+            still = np.zeros((1, self.inspection.deputies, 6))
+            found = filtering.batch(still, np.zeros(1), still[..., :3].copy())
+            self._active(found.rows, np.zeros_like(found.u[0]))
 
     def reset(self) -> None:
         """Forget the last states: a new flight begins."""
-        self._receiver = Receiver(self.inspection, self._receiver.period)
+        self._receiver.forget()
 
     def _answer(self, got: Received) -> Answer:
-        replaced = ~(got.given & got.known)
-        if not got.estimated.all():
-            every = np.ones(len(got.u), dtype=bool)
-            return Answer(np.zeros_like(got.u), every, ~every, every, {}, [])
         notes: list[str] = []
-        desired = got.wanted
-        if replaced.any():
-            desired = np.where(replaced[:, None], self._backed_up(self.backup, got, notes), desired)
-        # Commands beyond a million times the limit are as good as that; squares of huge ones overflow.
-        most = 1e6 * self.inspection.thrust_max
-        sun = self.inspection.sun_angle([got.t], self.sun_start)
-        found = self.filtering.batch(got.x[None], sun, np.clip(desired, -most, most)[None])
+        desired, on_backup, regular = got.wanted, self._nobody, got.whole
+        if not regular:
+            if not got.estimated.all():
+                return Answer(np.zeros_like(got.u), ~on_backup, on_backup, ~on_backup, {}, [])
+            on_backup = ~(got.given & got.known)
+            if on_backup.any():
+                desired = np.where(on_backup[:, None], self._backed_up(self.backup, got, notes), desired)
+        sun = np.array([self.sun_start - self.inspection.mean_motion * got.t])
+        found = self.filtering.batch(got.x[None], sun, self._bounded(desired)[None])
         u, status, rows = found.u[0], found.status[0], found.rows
-        if (failed := status == FAILED).any():
+        worst, changed = max(status.tolist()), status > DESIRED
+        failed = self._nobody
+        if worst == FAILED:
+            failed, regular = status == FAILED, False
             notes.append("the program failed")
             u = np.where(failed[:, None], self._backed_up(self.backup, got, notes), u)
-        answer = Answer(
-            u,
-            (u != desired).any(axis=1) | replaced,
-            replaced | failed,
-            np.zeros(len(u), dtype=bool),
-            named(self._names, np.minimum.reduceat(rows.h[0], self._starts)),
-            notes,
-            short=bool((status >= SHORT).any() and not failed.any()),
-        )
-        if answer.intervened.any():
+        if worst > FILTERED or not regular:
+            changed = (u != desired).any(axis=1) | on_backup
+            on_backup = on_backup | failed
+        values = rows.h[0]
+        if len(values) > len(self._names):
+            values = np.minimum.reduceat(values, self._starts)
+        margins, short = named(self._names, values), worst == SHORT
+        answer = Answer(u, changed, on_backup, self._nobody, margins, notes, short=short, regular=regular)
+        if True in changed.tolist():
             answer.active = self._active(rows, u)
-        if (status >= SHORT).any():
+        if worst >= SHORT:
             answer.missed = self._missed(rows, u)
         if answer.short:
             notes.append(f"no input satisfies all conditions: least violation, misses {_told(answer.missed)}")
         return answer
+
+    def _bounded(self, desired: Array) -> Array:
+        """Commands beyond a million times the limit are as good as that; squares of huge ones overflow."""
+        most = 1e6 * self.inspection.thrust_max
+        return desired if np.vdot(desired, desired) <= most**2 else np.clip(desired, -most, most)
 
     def _missed(self, rows: Rows, u: Array) -> dict[str, float]:
         """Constraints whose condition is not met, and by how much [N]."""
@@ -102,11 +113,14 @@ class ActiveSetFilter(CallByCall):
     def _active(self, rows: Rows, u: Array) -> tuple[str, ...]:
         """Constraints whose condition holds with equality, and thrust limits that are reached."""
         G, bound = rows.G[0], rows.bound[0]
-        gap = dot(G, self.families.relative(u)) - bound
-        tight = np.flatnonzero(gap <= TIGHT * np.abs(G).sum(axis=1))
+        if self.filtering.loops:
+            tight = self.filtering.loops.tight(G, bound, self.families.first, self.families.second, u, TIGHT)
+        else:
+            gap = dot(G, self.families.relative(u)) - bound
+            tight = np.flatnonzero(gap <= TIGHT * np.abs(G).sum(axis=1))
         names = dict.fromkeys(self.families.labels[k] for k in tight.tolist())
-        limit = self.inspection.thrust_max
-        at_limit = np.flatnonzero((np.abs(u) >= limit * (1 - 1e-12)).any(axis=1))
+        most = self.inspection.thrust_max * (1 - 1e-12)
+        at_limit = (i for i, (a, b, c) in enumerate(np.abs(u).tolist()) if max(a, b, c) >= most)
         return (*names, *(f"thrust[{i}]" for i in at_limit))
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ...model.compiled import loops, plain
 from ...model.errors import ScenarioError
 from ...model.system import Array
 from ...rta.projection import DESIRED, FAILED, FILTERED, SHORT, project, project_coupled
@@ -18,6 +19,15 @@ from ..constraints.families import Families, Rows
 CENTRALIZED = "centralized"
 SHARINGS = ("coasting", "half", "consensus")
 Statuses = NDArray[np.int8]
+
+TRIES = 6
+"""Programs for which the curvature is bounded by the thrust that the one before chose."""
+
+MET = 1e-9
+"""By how much a condition may be missed [units of h per s]: what the solver leaves."""
+
+LOOPS, LEFT = "polaris.rta.nearest", -1
+"""Compiled programs, and the status of one that they leave to the solver."""
 
 AGREED = 1e-9
 """By how much a deputy may miss its part of an agreed solution that violates a row [units of h per s]."""
@@ -51,24 +61,63 @@ class Centralized:
     """
 
     def __init__(self, families: Families) -> None:
-        self.families = families
+        self.families, self.loops = families, loops(LOOPS)
 
     def batch(self, x: Array, sun: Array, desired: Array) -> Filtered:
         """Filter inputs of shape (R, N, 3) at states (R, N, 6) and sun angles (R,) [rad]."""
-        rows = self.families(x, sun)
-        u, status = self.project(rows, desired)
-        return Filtered(u, status, rows)
+        rows, wanted = self.families(x, sun), self.families.given(desired)
+        u, status = self.project(rows, wanted)
+        runs = np.flatnonzero(status.max(axis=1) >= SHORT)
+        if self.families.sampled is not None and len(runs):
+            self._tighten(Filtered(u, status, rows), runs, x, sun, wanted)
+        return Filtered(u, _clipped(status, u, desired), rows)
+
+    def _tighten(self, found: Filtered, runs: NDArray[np.intp], x: Array, sun: Array, wanted: Array) -> None:
+        """Solve again for some runs: bound the curvature by the thrust chosen, not by all there is.
+
+        Begun with no thrust's curvature; an answer stands if it satisfies the rows of its own, otherwise
+        these are added. Those for which that does not do stay as they are.
+        """
+        families, held = self.families, np.zeros_like(wanted[runs])
+        bound: Array = np.full(found.rows.bound[runs].shape, -np.inf)
+        for _ in range(TRIES):
+            rows = families(x[runs], sun[runs], held)
+            bound = np.maximum(bound, rows.bound)
+            held, status = self.project(Rows(rows.h, rows.G, bound), wanted[runs])
+            solved = status.max(axis=1) < SHORT
+            if not solved.any():
+                return
+            own = families(x[runs], sun[runs], np.where(np.isfinite(held), held, 0.0))
+            met = np.einsum("rmv,rmv->rm", own.G, families.relative(held)) >= own.bound - MET
+            good = solved & met.all(axis=1)
+            done = runs[good]
+            found.u[done], found.status[done], found.rows.bound[done] = (
+                held[good],
+                status[good],
+                bound[good],
+            )
+            left = solved & ~good
+            runs, bound, held = runs[left], bound[left], held[left]
+            if not len(runs):
+                return
 
     def project(self, rows: Rows, desired: Array) -> tuple[Array, Statuses]:
         """Nearest inputs that satisfy all rows, shapes (R, N, 3) and (R, N)."""
         families, limit = self.families, self.families.inspection.thrust_max
-        u = np.clip(desired, -limit, limit)
-        status = _unchanged(u, desired)
-        broken = ~(np.einsum("rmv,rmv->rm", rows.G, families.relative(u)) >= rows.bound)  # nan: not met
-        runs = np.flatnonzero(broken.any(axis=1))
+        who = families.first, families.second
+        if self.loops:
+            G, bound, desired = plain(rows.G), plain(rows.bound), plain(desired)
+            u, status, left = self.loops.coupled(G, bound, *who, desired, limit)
+            if not left:
+                return u, status
+            runs = np.flatnonzero(status[:, 0] == LEFT)
+        else:
+            u = np.clip(desired, -limit, limit)
+            status = _unchanged(u, desired)
+            broken = ~(np.einsum("rmv,rmv->rm", rows.G, families.relative(u)) >= rows.bound)  # nan: not met
+            runs = np.flatnonzero(broken.any(axis=1))
         if len(runs):
             G, bound, rank = rows.G[runs], rows.bound[runs], families.rank(rows.h[runs])
-            who = families.first, families.second
             found = project_coupled(G, bound, desired[runs], limit, *who, rank)
             u[runs] = found.u
             worse = found.status[:, None]
@@ -94,7 +143,7 @@ class Decentralized:
     def __init__(self, families: Families, sharing: str = "coasting") -> None:
         if sharing not in SHARINGS:
             raise ScenarioError("sharing", sharing, f"must be one of {', '.join(SHARINGS)}")
-        self.families, self.sharing = families, sharing
+        self.families, self.sharing, self.loops = families, sharing, loops(LOOPS)
         N, first, second = families.inspection.deputies, families.first, families.second
         self._mine = np.array([np.flatnonzero((first == i) | (second == i)) for i in range(N)])
         self._as_second = second[self._mine] == np.arange(N)[:, None]
@@ -103,33 +152,41 @@ class Decentralized:
 
     def batch(self, x: Array, sun: Array, desired: Array) -> Filtered:
         """Filter inputs of shape (R, N, 3) at states (R, N, 6) and sun angles (R,) [rad]."""
-        rows = self.families(x, sun)
-        limit = self.families.inspection.thrust_max
-        first, second, agreed = self._shares(rows, desired.shape[1])
-        u = np.clip(desired, -limit, limit)
-        status = _unchanged(u, desired)
+        rows, asked = self.families(x, sun), desired
+        limit, desired = self.families.inspection.thrust_max, self.families.given(asked)
+        bounds, agreed = self._shares(rows, desired.shape[1])
+        if self.loops:
+            which = self._mine, self._sign, plain(desired)
+            u, status, left = self.loops.alone(rows.G, bounds, *which, limit)
+            if agreed is None and not left:
+                return Filtered(u, _clipped(status, u, asked), rows)
+            run, who = np.nonzero(status == LEFT)
+        else:
+            u = np.clip(desired, -limit, limit)
+            status = _unchanged(u, desired)
         # Row by row, as the deputies see it: their rows, signs and bounds, shapes (R, N, m, ...).
-        bound = np.where(self._as_second, second[:, self._mine], first[:, self._mine])
-        G = rows.G[:, self._mine]
-        met = np.einsum("rnmv,rnv->rnm", G, u) * self._sign
-        run, who = np.nonzero((~(met >= bound)).any(axis=2))  # nan: not met
+        bound = np.where(self._as_second, bounds[1][:, self._mine], bounds[0][:, self._mine])
+        if not self.loops:
+            met = np.einsum("rnmv,rnv->rnm", rows.G[:, self._mine], u) * self._sign
+            run, who = np.nonzero((~(met >= bound)).any(axis=2))  # nan: not met
         if len(run):
-            signed = G[run, who] * self._sign[who][..., None]
+            signed = rows.G[run[:, None], self._mine[who]] * self._sign[who][..., None]
             rank = self.families.rank(rows.h)[:, self._mine][run, who]
             found = project(signed, bound[run, who], desired[run, who], limit, rank)
             u[run, who], status[run, who] = found.u, found.status
-        status = np.maximum(status, np.where(agreed >= SHORT, agreed, DESIRED)[:, None]).astype(np.int8)
+        if agreed is not None:
+            status = np.maximum(status, np.where(agreed >= SHORT, agreed, DESIRED)[:, None]).astype(np.int8)
         u[status == FAILED] = np.nan
-        return Filtered(u, status, rows)
+        return Filtered(u, _clipped(status, u, asked), rows)
 
-    def _shares(self, rows: Rows, deputies: int) -> tuple[Array, Array, Statuses]:
-        """Bounds for a row's first and second deputy, (R, M); status of what was agreed on, (R,)."""
-        bound, met = rows.bound, np.zeros(len(rows.bound), dtype=np.int8)
+    def _shares(self, rows: Rows, deputies: int) -> tuple[Array, Statuses | None]:
+        """Bounds for a row's first and second deputy, (2, R, M); the status of what was agreed, (R,)."""
+        bound = rows.bound
         if self.sharing == "coasting":
-            return bound, bound, met
+            return np.stack([bound, bound]), None
         if self.sharing == "half":
             half = np.where(self._pair, bound / 2, bound)
-            return half, half, met
+            return np.stack([half, half]), None
         agreed, status = Centralized(self.families).project(rows, np.zeros((len(bound), deputies, 3)))
         agreed = np.where(np.isfinite(agreed), agreed, 0.0)  # where it failed, the status says so
         first = np.einsum("rmv,rmv->rm", rows.G, agreed[:, self.families.first])
@@ -140,7 +197,7 @@ class Decentralized:
         short = (status == SHORT)[:, None]
         alone = np.where(short, np.minimum(bound, first - AGREED), bound)
         spare = spare + np.where(short, AGREED, 0.0)
-        return np.where(self._pair, first - spare, alone), second - spare, status
+        return np.stack([np.where(self._pair, first - spare, alone), second - spare]), status
 
 
 def make_filter(families: Families, sharing: str) -> Centralized | Decentralized:
@@ -156,3 +213,8 @@ def make_filter(families: Families, sharing: str) -> Centralized | Decentralized
 
 def _unchanged(u: Array, desired: Array) -> Statuses:
     return np.where((u == desired).all(axis=-1), DESIRED, FILTERED).astype(np.int8)
+
+
+def _clipped(status: Statuses, u: Array, desired: Array) -> Statuses:
+    """The statuses of inputs (R, N, 3): also where nothing but the thrusters' limits was in the way."""
+    return np.where(status == DESIRED, _unchanged(u, desired), status).astype(np.int8)

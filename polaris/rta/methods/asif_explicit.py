@@ -48,12 +48,14 @@ class ExplicitASIF(Method):
         "barrier functions of every obstacle (closing speed from which full thrust can brake), nearest input"
         " by a quadratic program"
     )
-    option = Option(
-        "alpha",
-        "slope of the class-K function: by what share per second a barrier may fall [1/s]",
-        f"{SLOPE:g}, divided by the duration of the flight",
-        (1, 2, 5, 10, 20, 50, 100, 200, 1000),
-        "per duration",
+    options = (
+        Option(
+            "alpha",
+            "slope of the class-K function: by what share per second a barrier may fall [1/s]",
+            f"{SLOPE:g}, divided by the duration of the flight",
+            (1, 2, 5, 10, 20, 50, 100, 200, 1000),
+            "per duration",
+        ),
     )
     reasons = ("desired input", "filtered", "no input satisfies all conditions: S")
 

@@ -54,8 +54,13 @@ class ImplicitASIF(Method):
         "nearest input from which S can still take over; rows of the recoverable sets, exact in discrete"
         " time, estimate error and disturbance booked"
     )
-    option = Option(
-        "slope", "share of the room of a row that one decision may use up", "1", (0.01, 0.03, 0.1, 0.3, 1.0)
+    options = (
+        Option(
+            "slope",
+            "share of the room of a row that one decision may use up",
+            "1",
+            (0.01, 0.03, 0.1, 0.3, 1.0),
+        ),
     )
     reach = "state estimate within its error bound"
     reasons = ("desired input", "filtered", "no input is recoverable: S")

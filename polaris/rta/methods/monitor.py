@@ -12,19 +12,27 @@ is recoverable again.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
-from ...model.checks import whole
-from ...model.errors import ScenarioError
+from ...model.checks import non_negative, whole
+from ...model.errors import NotCertified, ScenarioError
 from ...model.system import Array
 from ...synthesis.controllers import AffineController
 from ..decision_grid import DecisionGrid
+from ..flight import Conditions, fly
 from ..method import Choice, Method, Option, Seen
 from ..prospect import Leg, Prospect
 from ..recovery import Recovery
 
 TRUST = ("declared", "thrust_limits")
+REENTRIES, DWELLS = (0.0, 0.02, 0.05, 0.1, 0.2), (1, 3, 10, 30, 100)
+"""What the benchmark of the comparison page tries."""
+REENTRY = 0.1
+"""Default of the share of the room to be left: chosen by ``benchmarks/comparison.py``."""
 
 
 class Monitor(Method):
@@ -39,6 +47,9 @@ class Monitor(Method):
         anything are always taken at the limits.
     dwell : int
         Decisions for which S keeps control once it has it.
+    reentry : float
+        Share of the room that must be left for U to take over from S: whoever gets control with more than
+        none to spare does not lose it again at once.
 
     Raises
     ------
@@ -53,17 +64,24 @@ class Monitor(Method):
         "U flies if everything that any input within the thrust limits can reach until the next decision"
         " takes effect is recoverable ([more](online-monitor.md))"
     )
-    option = Option(
-        "dwell", "decisions for which S keeps control once it has it", "1", (1, 3, 10, 30, 100), "decisions"
+    options = (
+        Option("reentry", "share of the room that U must leave to take over from S", "0.1", REENTRIES),
+        Option("dwell", "decisions for which S keeps control once it has it", "1", DWELLS, "decisions"),
     )
-    reasons = ("U is recoverable", "U is not recoverable", "dwell in S")
+    reasons = ("U is recoverable", "U is not recoverable", "S keeps control: dwell or re-entry margin")
 
-    def __init__(self, grid: DecisionGrid, trust: str = "thrust_limits", dwell: int = 1) -> None:
+    def __init__(
+        self, grid: DecisionGrid, trust: str = "thrust_limits", dwell: int = 1, reentry: float = REENTRY
+    ) -> None:
         if trust not in TRUST:
             raise ScenarioError("trust", trust, f"must be one of {', '.join(TRUST)}")
         super().__init__(grid)
         self.dwell = whole("dwell", dwell, 1)
-        self.settings = {"dwell": float(self.dwell)}
+        self.reentry = non_negative("reentry", reentry, "")
+        if self.reentry >= 1:
+            raise ScenarioError("reentry", reentry, "must be a share of the room, less than 1")
+        self.settings = {"reentry": self.reentry, "dwell": float(self.dwell)}
+        self.along = ""
         self.recovery, self.trust = Recovery.certified(grid), trust
         # By controller (0: anything within the thrust limits) and by who flies until a decision takes effect.
         self.prospects: dict[tuple[int, int], Prospect] = {}
@@ -81,7 +99,42 @@ class Monitor(Method):
     def reach(self) -> str:
         """See the module."""
         what = "its declared model" if self.trust == "declared" else "nothing but its thrust limits"
-        return f"state estimate within its error bound, U obeys {what}"
+        return f"state estimate within its error bound, U obeys {what}{self.along}"
+
+    @classmethod
+    def on(cls, grid: DecisionGrid, **options: Any) -> Monitor:
+        """A monitor along that safe reference, the schedule's or one of its library, that is worth most.
+
+        What each is worth is flown beforehand, from the middle of Theta and undisturbed. S must then fly that
+        reference too: that of the monitor's own `grid`.
+
+        Raises
+        ------
+        NotCertified
+            If the initial set is not inside the first recoverable set of any.
+        """
+        made, refused = [], None
+        for i, schedule in enumerate((grid.schedule, *grid.schedule.library)):
+            here = DecisionGrid.of(schedule, grid.period, grid.latency, grid.half_widths) if i else grid
+            try:
+                made.append(cls(here, **options))
+            except NotCertified as error:
+                refused = refused or error
+        if not made:
+            raise refused or NotCertified("nothing is proven")
+        worth = grid.schedule.worth
+        best = max(made, key=lambda one: one.worth(worth)) if worth and len(made) > 1 else made[0]
+        if best.grid is not grid:
+            best.along = ", along a safe reference of its own, proven like the schedule's"
+        return best
+
+    def worth(self, priced: Callable[[Mapping[int, float], float, float], float]) -> float:
+        """What the undisturbed flight from the middle of the initial set is worth."""
+        flight = fly(self.grid, self, Conditions.undisturbed(self.grid))
+        modes = flight.modes[0]
+        shares = np.bincount(modes) / len(modes)
+        switches = int(np.count_nonzero(np.diff(modes)))
+        return priced(dict(enumerate(shares.tolist())), float(flight.delta_v[0]), switches)
 
     def start(self, runs: int) -> None:
         """Nobody dwells."""
@@ -93,18 +146,17 @@ class Monitor(Method):
         if len(e) == 1:
             return self._decide_one(seen.k, e[0], int(seen.mode[0]))
         mode, margin = self.judge(seen.k, e, seen.mode)
-        why = np.where(mode > 0, 0, 1)
-        waiting = (mode > 0) & (seen.mode == 0) & (self._since < self.dwell)
-        mode, why = np.where(waiting, 0, mode), np.where(waiting, 2, why)
+        mode = np.where((seen.mode == 0) & (self._since < self.dwell), 0, mode)
+        why = np.where(mode > 0, 0, np.where(margin >= 0, 2, 1))
         self._since = np.where(mode > 0, self.dwell, np.where(seen.mode > 0, 1, self._since + 1))
         return Choice(mode, margin, why)
 
     def _decide_one(self, k: int, e: Array, flown: int) -> Choice:
         """`decide` of one run: the same without arrays, which take longer than the decision itself."""
         mode, margin = self.judge_one(k, e, flown)
-        since, why = int(self._since[0]), 0 if mode else 1
-        if mode and flown == 0 and since < self.dwell:
-            mode, why = 0, 2
+        since = int(self._since[0])
+        mode = 0 if flown == 0 and since < self.dwell else mode
+        why = 0 if mode else 2 if margin >= 0 else 1
         self._since[0] = self.dwell if mode else (1 if flown else since + 1)
         return Choice(np.array([mode]), np.array([margin]), np.array([why]))
 
@@ -121,6 +173,7 @@ class Monitor(Method):
         """
         R = len(e)
         mode, margin = np.zeros(R, dtype=int), np.full(R, -np.inf)
+        most = np.where(flown == 0, self._most(k), 1.0)
         for candidate in range(1, len(self.grid.controllers)):
             share = np.full(R, np.inf)
             for before in (0, 1) if self.grid.delay else (0,):
@@ -129,8 +182,12 @@ class Monitor(Method):
                     share[mine] = self._share(k, e[mine], candidate, before)
             undecided = mode == 0
             margin = np.where(undecided, np.maximum(margin, 1 - share), margin)
-            mode = np.where(undecided & (share <= 1), candidate, mode)
+            mode = np.where(undecided & (share <= most), candidate, mode)
         return mode, margin
+
+    def _most(self, k: int) -> float:
+        """Share of the room that U may need to take over from S; at the start nobody has flown."""
+        return 1 - self.reentry if k else 1.0
 
     def _share(self, k: int, e: Array, candidate: int, before: int) -> Array:
         cautious = self.prospects[0, before]
@@ -151,6 +208,7 @@ class Monitor(Method):
     def _quickest(self, k: int, e: Array, flown: int) -> tuple[int, float, tuple[Prospect, int] | None]:
         """Mode; margin and tightest limit of the controller chosen, or of the best refused."""
         before, best, nearest = 1 if self.grid.delay and flown else 0, np.inf, None
+        most = 1.0 if flown else self._most(k)
         for candidate in range(1, len(self.grid.controllers)):
             cautious = self.prospects[0, before]
             prospect = self.prospects.get((candidate, before), cautious)
@@ -158,7 +216,7 @@ class Monitor(Method):
             if not holds:
                 prospect = cautious
                 share, where, _ = prospect.share_one(k, e)
-            if share <= 1:
+            if share <= most:
                 return candidate, 1 - share, (prospect, where)
             if nearest is None or share < best:
                 best, nearest = share, (prospect, where)
@@ -171,5 +229,5 @@ class DeclaredMonitor(Monitor):
     key, name, place = "monitor_declared", "Polaris online monitor, U at its declared law", 4
     how = "everything that U can reach at its declared law is recoverable"
 
-    def __init__(self, grid: DecisionGrid, dwell: int = 1) -> None:
-        super().__init__(grid, "declared", dwell)
+    def __init__(self, grid: DecisionGrid, dwell: int = 1, reentry: float = REENTRY) -> None:
+        super().__init__(grid, "declared", dwell, reentry)

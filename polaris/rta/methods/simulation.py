@@ -40,7 +40,7 @@ class Simulation(Method):
 
     key, name, place = "simulation", "Look-ahead by simulation", 9
     how = "one undisturbed flight of U over a share of the horizon keeps clear"
-    option = HORIZON
+    options = (HORIZON,)
     reasons = ("the predicted flight keeps clear", "the predicted flight enters an unsafe set")
     ahead: ClassVar[float] = 0.4
     """Share of the duration looked ahead by default: chosen by ``benchmarks/comparison.py``."""
@@ -105,7 +105,9 @@ class ForwardReachability(Simulation):
 
     key, name, place = "reachability", "Forward reachability of U", 10
     how = "U's reachable set over a share of the horizon keeps clear"
-    option = replace(HORIZON, meaning="the same", default=f"0.2 of the flight, at least {LEAST} decisions")
+    options = (
+        replace(HORIZON, meaning="the same", default=f"0.2 of the flight, at least {LEAST} decisions"),
+    )
     reasons = ("U's reachable set keeps clear", "U's reachable set touches an unsafe set")
     ahead = 0.2
 

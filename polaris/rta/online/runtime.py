@@ -180,7 +180,8 @@ class OnlineMonitor:
         mode, margin, limit = self.monitor.explained(k, e, before)
         if mode and not self._flown and self._dwelt < self.options.min_dwell:
             faults.append(Fault("rule", f"dwell: {self._dwelt} of {self.options.min_dwell} decisions in S"))
-        return k, mode, margin, f"nearest limit: {limit}"
+        less = "" if mode or not margin >= 0 else "; less room than U needs to take over from S"
+        return k, mode, margin, f"nearest limit: {limit}{less}"
 
     def _latched(self, faults: list[Fault]) -> None:
         o, agreed, conflicts = self.options, self.observer.agreed, self.observer.conflicts

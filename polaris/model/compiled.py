@@ -1,0 +1,56 @@
+"""Plain loops over arrays that numba compiles, where it is installed (the extra ``fast``)."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from functools import cache
+from importlib import import_module
+from importlib.util import find_spec
+from types import ModuleType
+from typing import Any, TypeVar
+
+import numpy as np
+
+from .system import Array
+
+Loop = TypeVar("Loop", bound=Callable[..., Any])
+
+
+def wanted() -> bool:
+    """Whether compiled loops are to be used: numba is there, and POLARIS_COMPILED is not set to 0."""
+    return find_spec("numba") is not None and os.environ.get("POLARIS_COMPILED", "1") != "0"
+
+
+def plain(x: Array) -> Array:
+    """Numbers in C order and writeable: for any others, compiled loops would be compiled anew."""
+    flags = x.flags
+    good = flags.c_contiguous and flags.writeable and x.dtype == np.float64
+    return x if good else np.array(x, dtype=np.float64, order="C")
+
+
+def compiled(loop: Loop) -> Loop:
+    """Compile a function of loops at its first call; as it stands without numba, for tests.
+
+    What is compiled is kept on disk, by its file alone: such a function calls no function of another file,
+    and takes constants of other files as arguments. Operations keep their order and their rounding.
+    """
+    if find_spec("numba") is None:
+        return loop
+    import numba
+
+    try:
+        made: Loop = numba.njit(cache=True, error_model="numpy", nogil=True)(loop)
+    except RuntimeError:  # nowhere to keep it
+        made = numba.njit(error_model="numpy", nogil=True)(loop)
+    return made
+
+
+@cache
+def _module(name: str) -> ModuleType:
+    return import_module(name)
+
+
+def loops(name: str) -> Any:
+    """The module of compiled loops of this name, imported when it is first wanted; None if it is not."""
+    return _module(name) if wanted() else None

@@ -1,0 +1,265 @@
+"""Small programs of `polaris.rta.projection` by a dual active-set method in loops, for numba to compile.
+
+What it answers satisfies every row to `PRIMAL` and the conditions of optimality; whatever does not, also a
+program without a solution, is left to the solver.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..model.compiled import compiled
+from ..model.system import Array
+
+PRIMAL = 1e-11
+"""As in `polaris.rta.projection`."""
+
+DESIRED, FILTERED, LEFT = 0, 1, -1
+"""How an input came about: as in `polaris.rta.projection`, or left to the solver."""
+
+Index = NDArray[np.int64]
+Statuses = NDArray[np.int8]
+Program = tuple[Array, Index, Array]
+"""Rows by their entries that may be other than zero (T, w), the columns of these, and least values (T,)."""
+
+MET = 1e-13
+"""Violation of a row of length 1 at which the method stops."""
+
+
+@compiled
+def alone(
+    G: Array, bounds: Array, mine: Index, sign: Array, desired: Array, limit: float
+) -> tuple[Array, Statuses, int]:
+    """Project each deputy's input (R, N, 3) on its own rows: `mine` (N, m) of G (R, M, 3).
+
+    `bounds` (2, R, M) are for a row's first deputy and for its second, whose `sign` (N, m) is negative.
+    Returned are the inputs, how they came about (R, N), `LEFT` where they did not, and how many were left.
+    """
+    runs, deputies, count = desired.shape[0], desired.shape[1], mine.shape[1]
+    u, status, left = np.empty_like(desired), np.zeros((runs, deputies), np.int8), 0
+    rows, columns, least = np.empty((count + 6, 3)), np.empty((count + 6, 3), np.int64), np.empty(count + 6)
+    for r in range(runs):
+        for i in range(deputies):
+            met, kept = True, 0
+            status[r, i] = DESIRED if _clip(desired[r, i], limit, u[r, i]) else FILTERED
+            for k in range(count):
+                m, value, span = mine[i, k], 0.0, 0.0
+                for j in range(3):
+                    rows[kept, j] = sign[i, k] * G[r, m, j]
+                    value += rows[kept, j] * u[r, i, j]
+                    span += abs(rows[kept, j])
+                least[kept] = bounds[0 if sign[i, k] > 0 else 1, r, m]
+                met = met and value >= least[kept]
+                if not least[kept] <= -limit * span:  # the others hold for every admissible input
+                    columns[kept] = 0, 1, 2
+                    kept += 1
+            if not met:
+                good = _nearest((rows, columns, least), kept, desired[r, i], limit, u[r, i])
+                status[r, i], left = (FILTERED, left) if good else (LEFT, left + 1)
+    return u, status, left
+
+
+@compiled
+def coupled(
+    G: Array, bound: Array, first: Index, second: Index, desired: Array, limit: float
+) -> tuple[Array, Statuses, int]:
+    """Project the inputs of all deputies together: ``G (u_first - u_second) >= bound``; as `alone`."""
+    runs, deputies, count = desired.shape[0], desired.shape[1], len(first)
+    u, status, left, size = np.empty_like(desired), np.zeros((runs, deputies), np.int8), 0, 3 * deputies
+    for r in range(runs):
+        for i in range(deputies):
+            _clip(desired[r, i], limit, u[r, i])
+        met, asking = True, np.zeros(count, np.bool_)
+        for m in range(count):
+            value = span = 0.0
+            i, j = first[m], second[m]
+            for k in range(3):
+                value += G[r, m, k] * (u[r, i, k] - (u[r, j, k] if j >= 0 else 0.0))
+                span += abs(G[r, m, k])
+            met = met and value >= bound[r, m]
+            asking[m] = not bound[r, m] <= -limit * span * (2 if j >= 0 else 1)
+        if not met:
+            kept, found = np.flatnonzero(asking), np.empty(size)
+            rows, least = np.zeros((len(kept) + 2 * size, 6)), np.empty(len(kept) + 2 * size)
+            columns = np.empty(rows.shape, np.int64)
+            for at in range(len(kept)):
+                m, least[at] = kept[at], bound[r, kept[at]]
+                i, j = first[m], second[m]
+                for k in range(3):
+                    rows[at, k], columns[at, k] = G[r, m, k], 3 * i + k
+                    rows[at, 3 + k], columns[at, 3 + k] = (-G[r, m, k] if j >= 0 else 0.0), 3 * max(j, 0) + k
+            if not _nearest((rows, columns, least), len(kept), desired[r].copy().reshape(size), limit, found):
+                status[r], left = LEFT, left + 1
+                continue
+            u[r] = found.reshape(deputies, 3)
+        for i in range(deputies):
+            same = (u[r, i] == desired[r, i]).all()
+            status[r, i] = DESIRED if same else FILTERED
+    return u, status, left
+
+
+@compiled
+def _clip(desired: Array, limit: float, u: Array) -> bool:
+    """Clip an input to the limits; whether that leaves it as it is."""
+    same = True
+    for k in range(3):
+        u[k] = min(max(desired[k], -limit), limit)
+        same = same and u[k] == desired[k]
+    return same
+
+
+@compiled
+def tight(G: Array, bound: Array, first: Index, second: Index, u: Array, within: float) -> Index:
+    """Rows (of one run) that an input (N, 3) meets with equality, but for `within` times their size."""
+    found, count = np.empty(len(first), np.int64), 0
+    for m in range(len(first)):
+        gap, size = -bound[m], 0.0
+        for k in range(3):
+            gap += G[m, k] * (u[first[m], k] - (u[second[m], k] if second[m] >= 0 else 0.0))
+            size += abs(G[m, k])
+        if gap <= within * size:
+            found[count] = m
+            count += 1
+    return found[:count]
+
+
+@compiled
+def _nearest(program: Program, count: int, desired: Array, limit: float, found: Array) -> bool:
+    """Goldfarb and Idnani's method (1983); the limits are filled in behind the first `count` rows."""
+    size, (rows, columns, least) = len(desired), program
+    if not np.isfinite(desired).all():
+        return False
+    for m in range(count):
+        length = np.sqrt((rows[m] * rows[m]).sum())
+        if not (np.isfinite(length) and np.isfinite(least[m]) and length > 1e-100):
+            return False
+        least[m] /= length
+        rows[m] /= length
+    total = count + 2 * size
+    for m in range(count, total):
+        rows[m], columns[m], least[m] = 0.0, (m - count) // 2, -limit
+        rows[m, 0] = 1.0 if (m - count) % 2 else -1.0
+    u, active, held = desired.copy(), np.empty(size, np.int64), 0
+    force, factor = np.zeros(size), np.empty((size, size))
+    for _ in range(20 * size + 20):
+        entering, short = -1, MET
+        for m in range(total):
+            gap = least[m] - _dot(program, m, u)
+            if gap > short:
+                entering, short = m, gap
+        if entering < 0:
+            return _accepted(program, total, desired, limit, u, active[:held], force, found)
+        held = _enter(program, entering, short, u, active, held, force, factor)
+        if held < 0:
+            return False
+    return False
+
+
+@compiled
+def _dot(program: Program, m: int, vector: Array) -> float:
+    value = 0.0
+    for k in range(program[0].shape[1]):
+        value += program[0][m, k] * vector[program[1][m, k]]
+    return value
+
+
+@compiled
+def _add(program: Program, m: int, times: float, vector: Array) -> None:
+    for k in range(program[0].shape[1]):
+        vector[program[1][m, k]] += times * program[0][m, k]
+
+
+@compiled
+def _enter(
+    program: Program,
+    entering: int,
+    short: float,
+    u: Array,
+    active: Index,
+    held: int,
+    force: Array,
+    factor: Array,
+) -> int:
+    """Take in a row that is missed by `short`; rows whose force would change its sign leave.
+
+    `factor` is the Cholesky factor of the products of the active rows. Returned is how many are active, -1 if
+    the row cannot be met.
+    """
+    size, new = len(u), 0.0
+    own, share, step = np.zeros(size), np.empty(size), np.empty(size)
+    _add(program, entering, 1.0, own)
+    while True:
+        solved = _factored(program, own, active, held, factor)
+        step[:] = own
+        for a in range(held - 1, -1, -1):
+            share[a] = solved[a]
+            for b in range(a + 1, held):
+                share[a] -= factor[b, a] * share[b]
+            share[a] /= factor[a, a]
+            _add(program, active[a], -share[a], step)
+        gain, leaves, move = (step * step).sum(), -1, np.inf
+        for a in range(held):
+            if share[a] > 1e-12 and force[a] / share[a] < move:
+                leaves, move = a, force[a] / share[a]
+        full = short / gain if gain > 1e-12 and held < size else np.inf
+        length = min(move, full)
+        if not length < 1e12:
+            return -1
+        force[:held] -= length * share[:held]
+        new += length
+        if full < np.inf:
+            u += length * step
+            short -= length * gain
+        if full <= move:
+            active[held], force[held], factor[held, :held] = entering, new, solved[:held]
+            factor[held, held] = np.sqrt(gain)
+            return held + 1
+        held -= 1
+        active[leaves:held], force[leaves:held] = active[leaves + 1 : held + 1], force[leaves + 1 : held + 1]
+        for a in range(leaves, held):
+            one = np.zeros(size)
+            _add(program, active[a], 1.0, one)
+            factor[a, :a] = _factored(program, one, active, a, factor)[:a]
+            factor[a, a] = np.sqrt(max((one * one).sum() - (factor[a, :a] ** 2).sum(), 1e-30))
+
+
+@compiled
+def _factored(program: Program, vector: Array, active: Index, held: int, factor: Array) -> Array:
+    """Products of a vector with the active rows, forward through their factor."""
+    solved = np.empty(len(vector))
+    for a in range(held):
+        value = _dot(program, active[a], vector)
+        for b in range(a):
+            value -= factor[a, b] * solved[b]
+        solved[a] = value / factor[a, a]
+    return solved
+
+
+@compiled
+def _accepted(
+    program: Program,
+    total: int,
+    desired: Array,
+    limit: float,
+    u: Array,
+    active: Index,
+    force: Array,
+    found: Array,
+) -> bool:
+    """Write down what satisfies all rows and is the desired input but for forces along active ones."""
+    moved, (_, _, least) = desired.copy(), program
+    for a in range(len(active)):
+        _add(program, active[a], force[a], moved)
+    for k in range(len(u)):
+        if not abs(moved[k] - u[k]) <= 1e-9 * (limit + abs(desired[k])):
+            return False
+        u[k] = min(max(u[k], -limit), limit)
+    for m in range(total):
+        if not least[m] - _dot(program, m, u) <= PRIMAL:
+            return False
+    for a in range(len(active)):
+        if force[a] < -1e-12 or abs(least[active[a]] - _dot(program, active[a], u)) > 1e-9 * (1 + limit):
+            return False
+    found[:] = u
+    return True
