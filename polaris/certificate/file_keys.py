@@ -30,27 +30,17 @@ def grid(sizes: str, item: Shape = HEX) -> Shape:
 
 _OWN = {"name": NAME, "gain": grid("m n"), "own_states?": grid("* n"), "own_inputs?": grid("* m")}
 
+# fmt: off
 _LIMITS = {"low": HEX, "high": HEX}
 _NETWORK = {
-    "name": NAME,
-    "inputs": Rows(Text(("error", "state", "time", "reference_input")), 1, 4),
-    "input_scale": grid("*"),
-    "output_scale": grid("m"),
-    "layers": Rows(
-        Kinds(
-            {
-                "affine": {"W": grid("* *"), "b": grid("*")},
-                **every(_LIMITS, "relu tanh sigmoid clip"),
-            }
-        ),
-        1,
-        1000,
-    ),
-    "own_states?": grid("* n"),
-    "own_inputs?": grid("* m"),
+    "name": NAME, "inputs": Rows(Text(("error", "state", "time", "reference_input")), 1, 4),
+    "input_scale": grid("*"), "output_scale": grid("m"),
+    "own_states?": grid("* n"), "own_inputs?": grid("* m"),
+    "layers": Rows(Kinds({
+        "affine": {"W": grid("* *"), "b": grid("*")}, **every(_LIMITS, "relu tanh sigmoid clip"),
+    }), 1, 1000),
 }
 
-# fmt: off
 CERTIFICATE = {
     **every(TEXT, "format digest guarantee"),
     **every(object, "schema_version assumptions"),
