@@ -12,6 +12,7 @@ from typing import Any
 from .assumptions import SATELLITES, assumptions
 from .file_keys import CERTIFICATE
 from .files import contents
+from .layers import Layer, network_of
 from .structure import Lengths, conform, strict_json
 from .verdict import Rejected, Undecided
 
@@ -61,17 +62,6 @@ class UnsafeSet:
     def resting(self) -> bool:
         """Whether the offsets are the same at all times."""
         return all(b == self.start[0] for b in (*self.start, *self.end))
-
-
-@dataclass(frozen=True)
-class Layer:
-    """One layer of a network: weights and biases of an affine one, or limits of an activation."""
-
-    kind: str  # affine, relu, tanh, sigmoid or clip
-    W: Matrix = field(default_factory=list)
-    b: Vector = field(default_factory=list)
-    low: float = 0.0
-    high: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -192,7 +182,7 @@ class Document:
         if self.cells < self.steps:
             raise ValueError("the reference must cover every step")
         self.laws = [
-            Law(*map(law.get, ("name", "kind", "gain", "own_states", "own_inputs")), **_network(law))
+            Law(*map(law.get, ("name", "kind", "gain", "own_states", "own_inputs")), **network_of(law))
             for law in read["controllers"]
         ]
 
@@ -289,30 +279,6 @@ def read(path: Path) -> Document:
     if not isinstance(data, dict):
         raise Rejected("format", "not a JSON object")
     return Document(data)
-
-
-def _network(law: dict[str, Any]) -> dict[str, Any]:
-    """Fields of a law that is a network, its layers of sizes that fit."""
-    if law["kind"] != "neural":
-        return {}
-    layers, width = [Layer(**layer) for layer in law["layers"]], len(law["input_scale"])
-    for layer in layers:
-        if layer.kind == "affine":
-            if not layer.W or len(layer.W) != len(layer.b) or any(len(row) != width for row in layer.W):
-                raise ValueError(f"layers of {law['name']} do not fit one another")
-            width = len(layer.W)
-        elif (layer.kind == "relu" and not 0 <= layer.low <= 1) or not (
-            layer.kind != "clip" or layer.low <= layer.high
-        ):
-            raise ValueError(f"{law['name']} has a {layer.kind} that decreases")
-    if (
-        width != len(law["output_scale"])
-        or min(law["output_scale"]) <= 0
-        or len(set(law["inputs"])) < len(law["inputs"])
-    ):
-        raise ValueError(f"inputs or outputs of {law['name']} do not fit")
-    scales = {name: law[name] for name in ("input_scale", "output_scale")}
-    return {"reads": law["inputs"], "layers": layers, **scales}
 
 
 def _unsafe(item: dict[str, Any]) -> UnsafeSet:

@@ -16,7 +16,8 @@ from flint import arb, arb_mat
 
 from polaris.certificate.balls import matrix
 from polaris.certificate.checker import verify
-from polaris.certificate.document import Law, Layer, canonical, digest
+from polaris.certificate.document import Law, canonical, digest
+from polaris.certificate.layers import Layer
 from polaris.certificate.networks import Policy as CheckedPolicy
 from polaris.certificate.networks import band, value
 from polaris.certificate.onnx_file import read_layers
