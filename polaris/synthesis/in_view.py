@@ -25,7 +25,7 @@ from ..planning.problem import IN_VIEW, Plan
 from ..planning.recheck import certified
 from ..planning.rows import Key, Rows
 from ..planning.search import Candidate, Seen
-from .attempts import perceive_unsafe, plan_problem
+from .attempts import plan_problem
 from .clearance import error_tube
 from .controllers import AffineController
 from .schedule import Schedule
@@ -104,14 +104,14 @@ class Windows:
         safety = printed.safety
         problem, tracking, system = safety.problem, safety.tracking, safety.problem.system
         self.worth, self.K, self.mode = worth, problem.K, mode
-        tail = safety.reference.cells - problem.K  # coasting that is proven safe shall stay so
-        sets = perceive_unsafe(problem, problem.K + tail)
+        sets, tail = safety.clearance.unsafe, safety.reference.cells - problem.K
         asked = plan_problem(problem, tracking, sets)
         u = Tracking(system, law.gain, tracking.feedback, problem.delta)
         margins = []
         for unsafe, margin in zip(sets, asked.margins, strict=True):
             tube = error_tube(u, safety.start, -unsafe.normals @ system.position)
             margins.append(margin + tube.over_cells(problem.K, tracking.feedback.nodes_per_cell))
+        # Coasting after T that is proven safe along the printed reference shall stay so.
         self.asked = replace(asked, objective="fuel", margins=tuple(margins), tail_cells=tail)
         self.rows = Rows(self.asked)
         followed = Followed.of(system, law.powers[-1], law.own)
