@@ -17,7 +17,7 @@ from ..model.system import Array
 from .inspection import Inspection
 
 DEEPER = 0.1
-"""How far inside the limits, as a share of them, a state outside is sent by `Ellipses.inside`."""
+"""A third of the room that there must be between the limits, as a share of them."""
 
 
 def velocity_error(x: Array, n: float) -> Array:
@@ -95,24 +95,7 @@ class Ellipses:
         of the chief (+y) is taken there. Without limits this is eq. 41.
         """
         a, c = semi_axes(x, self.mean_motion)
-        return self._scaled(x, a, np.clip(a, self.least, self.largest), c, np.minimum(c, self.cross_track))
-
-    def inside(self, x: Array) -> Array:
-        """As `nearest`, but states outside a limit are sent a share `DEEPER` further in.
-
-        For a controller that follows the answer step by step: it arrives inside the limits instead of
-        approaching them for ever.
-        """
-        a, c = semi_axes(x, self.mean_motion)
-        aim, across = self._aims(a, c)
-        return self._scaled(x, a, aim, c, across)
-
-    def _aims(self, a: Array, c: Array) -> tuple[Array, Array]:
-        aim = np.where(a < self.least, self.least * (1 + DEEPER), a)
-        aim = np.where(a > self.largest, self.largest * (1 - DEEPER), aim)
-        return aim, np.where(c > self.cross_track, self.cross_track * (1 - DEEPER), c)
-
-    def _scaled(self, x: Array, a: Array, a_aim: Array, c: Array, c_aim: Array) -> Array:
+        a_aim, c_aim = np.clip(a, self.least, self.largest), np.minimum(c, self.cross_track)
         n = self.mean_motion
         out = np.empty(x.shape)
         scale = a_aim / np.where(a > 0, a, 1.0)
@@ -121,25 +104,6 @@ class Ellipses:
         out[..., 3] = n / 2 * out[..., 1]
         out[..., 4] = -2 * n * out[..., 0]
         out[..., 2::3] = (c_aim / np.where(c > 0, c, 1.0))[..., None] * x[..., 2::3]
-        return out
-
-    def inside_slope(self, x: Array) -> Array:
-        """Derivative of `inside`, shape (..., 6, 6), where it has one (not on the limits themselves)."""
-        n, axes = self.mean_motion, semi_axes(x, self.mean_motion)
-        # Coordinates in which the limits are rings, and the state on an eNMT as a function of them.
-        into, back = np.zeros((2, 2, 6)), np.zeros((2, 6, 2))
-        into[0, 0, 0], into[0, 1, 1], into[1, 0, 2], into[1, 1, 5] = 1.0, 0.5, 1.0, 1 / n
-        back[0, 0, 0], back[0, 1, 1], back[0, 3, 1], back[0, 4, 0] = 1.0, 2.0, n, -2 * n
-        back[1, 2, 0], back[1, 5, 1] = 1.0, n
-        out = np.zeros((*x.shape, 6))
-        for part, length, aim in zip(range(2), axes, self._aims(*axes), strict=True):
-            safe = np.where(length > 0, length, 1.0)
-            unit = x @ into[part].T / safe[..., None]
-            across = np.eye(2) - unit[..., :, None] * unit[..., None, :]
-            moved = np.where(
-                (aim != length)[..., None, None], (aim / safe)[..., None, None] * across, np.eye(2)
-            )
-            out += back[part] @ moved @ into[part]
         return out
 
 

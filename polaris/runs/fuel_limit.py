@@ -47,7 +47,6 @@ def _tell(scenario: FuelLimitScenario, run: FuelRun, seconds: Mapping[str, float
     return {
         "duration_s": float(run.t[-1]),
         "period_s": model.flight.period_s,
-        "backup": model.fuel.backup,
         "safe": bool(left.min() >= 0),
         "fuel_left_m_s": float(left[-1]),
         "phi12_least_m_s": float(left.min()),

@@ -26,11 +26,11 @@ from ..inspection.flights.simulation import (
     Flights,
     InspectionRun,
     fly_one,
+    smoothness,
     whole_periods,
 )
 from ..rta.projection import DESIRED, FAILED, FILTERED, SHORT
-from ..scenario.filter_tables import BackupFilter, BarrierFilter, ExplicitSimplexFilter
-from ..scenario.inspection_tables import InspectionModel
+from ..scenario.filter_tables import AssuredFilter, BarrierFilter
 from ..scenario.scenario import FlightScenario
 from .arrays import held_by, read_finite, read_held
 from .folder import SCENARIO, RunKind
@@ -61,6 +61,7 @@ def fly_flight(scenario: FlightScenario, stages: Stages | None = None) -> Judged
             flight.duration_s,
             flight.period_s,
             scenario.primary(),
+            scenario.errors(),
         )
         total = whole_periods(flight.duration_s, flight.period_s)
         counting = stages.counting("flight: {} of {} periods")
@@ -120,14 +121,28 @@ DEFINITIONS = {
     "nearest that satisfies all conditions; short, none does, and this violates them least; failed, no "
     "answer, no thrust; backup, the backup controller's; unproven, not even this is known to be safe",
     "filter_seconds": "wall time of one answer for all deputies",
+    "smoothness": "changes of sign from one period to the next, and the sum of all changes of thrust [N], "
+    "per axis and minute: of what was applied, and of what was wanted within the thrust limits",
     "delta_v_m_s": "sum of the absolute thrusts over mass and time (eq. 25), per deputy",
 }
 
-ASSUMPTIONS = (
-    "the motion is that of the Clohessy-Wiltshire equations, without disturbance",
-    "every deputy's state is known exactly and without delay",
-    "the thrust is applied exactly, and held for the control period",
-)
+
+def assumptions(scenario: FlightScenario) -> list[str]:
+    """What a claim about a flight rests on."""
+    known, flight = scenario.uncertainty(), scenario.model.flight
+    state, push, thrust = "exactly and without delay", "without disturbance", "exactly"
+    if known.position or known.velocity:
+        state = f"without delay, to {known.position:g} m and {known.velocity:g} m/s per axis"
+    if known.disturbance:
+        push = f"with a disturbance of at most {known.disturbance:g} m/s^2"
+    if known.thrust:
+        thrust = f"to {100 * known.thrust:g} % of its limit"
+    return [
+        f"the motion is that of the Clohessy-Wiltshire equations, {push}",
+        f"every deputy's state is known {state}",
+        f"the thrust is applied {thrust}, and held for the control period",
+        f"the filter is asked every {flight.period_s:g} s",
+    ]
 
 
 def _tell(scenario: FlightScenario, flown: JudgedRun, seconds: Mapping[str, float]) -> dict[str, Any]:
@@ -149,12 +164,16 @@ def _tell(scenario: FlightScenario, flown: JudgedRun, seconds: Mapping[str, floa
         "barriers": least_rows(flown.barriers),
         "steps": steps(run.status),
         "delta_v_m_s": spent,
+        "smoothness": {
+            name: smoothness(u, run.t, run.inspection.thrust_max)
+            for name, u in (("applied", run.u), ("wanted", run.desired))
+        },
         "filter_seconds": {
             "median": float(np.median(run.seconds)),
             "p99": float(np.quantile(run.seconds, 0.99)),
             "largest": float(run.seconds.max()),
         },
-        "guarantee": guarantee(model, flown),
+        "guarantee": guarantee(scenario, flown),
         "definitions": DEFINITIONS,
         "seconds": dict(seconds),
     }
@@ -194,31 +213,31 @@ def covered_periods(run: InspectionRun) -> NDArray[np.bool_]:
     return np.asarray(safe & (run.h >= 0).all(axis=1) & (run.status < SHORT).all(axis=1))
 
 
-def guarantee(model: InspectionModel, flown: JudgedRun) -> dict[str, Any]:
+def guarantee(scenario: FlightScenario, flown: JudgedRun) -> dict[str, Any]:
     """What is claimed of one flight, and on what assumptions."""
-    run, spec = flown.run, model.filter
-    if isinstance(spec, BarrierFilter | ExplicitSimplexFilter):
-        covered = covered_periods(run)
-    else:
-        covered = ~(run.status == UNPROVEN).any(axis=1)
+    run, spec = flown.run, scenario.model.filter
+    barriers = isinstance(spec, BarrierFilter)
+    covered = covered_periods(run) if barriers else ~(run.status == UNPROVEN).any(axis=1)
     missed = np.flatnonzero(~covered)
-    kind, reason = _argument(spec, len(missed))
+    kind, reason = _argument(spec, len(missed), scenario.uncertainty().exact)
     return {
         "kind": kind,
         "periods": len(covered),
         "periods_covered": int(covered.sum()),
         "first_missed_s": float(run.t[missed[0]]) if len(missed) else None,
-        "assumptions": [] if kind == "none" else list(ASSUMPTIONS),
+        "assumptions": [] if kind == "none" else assumptions(scenario),
         "reason": reason,
     }
 
 
-def _argument(spec: BarrierFilter | BackupFilter, missed: int) -> tuple[str, str]:
+def _argument(spec: BarrierFilter | AssuredFilter, missed: int, exact: bool) -> tuple[str, str]:
     """Which guarantee a filter gives where so many periods are not covered, and why."""
     left_out = f"constraints left out: {', '.join(spec.without)}"
     if isinstance(spec, BarrierFilter):
         if not spec.sampled_data:
             return "none", "the conditions are met at the start of each period only"
+        if not exact:
+            return "none", "the conditions take states, thrust and model for exact"
         if getattr(spec, "sharing", None) == "coasting":
             return "none", "each deputy answers for a pair as if the other did not thrust"
         if spec.without:
@@ -227,16 +246,13 @@ def _argument(spec: BarrierFilter | BackupFilter, missed: int) -> tuple[str, str
             "each period that began safe and for which the program had a solution: no barrier becomes "
             "negative within it. That the next program has one is not claimed"
         )
-    if isinstance(spec, ExplicitSimplexFilter):
-        reason = "the barriers are looked at at instants, and what the backup controller does is not proven"
-        return "none", reason
     if missed:
-        return "none", "not even the backup's flight is proven to keep the constraints everywhere"
+        return "none", "not from every state a plan is known that keeps the constraints"
     if spec.without:
         return "none", left_out
-    return "by_prediction", (
-        "phi1 to phi6 and phi9 to phi11 hold for all time: every period ends where the backup's flight is "
-        "predicted to its end and proven to keep them. Free flights (phi7, phi8) are not looked at"
+    return "all_time", (
+        "phi1 to phi11 hold at every instant, and would for ever if the primary controller were never heard "
+        "again: nothing is applied before a plan after it is proven safe for all time"
     )
 
 

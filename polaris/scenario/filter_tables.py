@@ -12,8 +12,8 @@ from . import fields as f
 from .fields import ScenarioPart, unit
 
 if TYPE_CHECKING:
-    from ..inspection.backup.parking import Parking
-    from ..inspection.constraints.families import Families
+    from ..inspection.backup.brake import Brake, Uncertainty
+    from ..inspection.backup.planner import Planner
     from ..inspection.constraints.strengthening import Strengthening
     from ..inspection.flights.simulation import BatchFilter
     from ..inspection.inspection import Inspection
@@ -58,8 +58,9 @@ class StrengtheningTable(ScenarioPart):
     """The functions alpha of eq. 7: a named set, and what replaces it for single kinds of constraint."""
 
     preset: f.Text = unit("-", default="polaris")
-    """Named set. `afrl`: that of the library the paper's authors published. `polaris`: the same with quicker
-    velocity limits. `linear`: 0.3 h throughout, for conditions that hold between samples."""
+    """Named set. `afrl-one`, `afrl-five`: those of the library the paper's authors published, in its code for
+    one deputy and for five. `afrl`: the latter's, with the keep-in zone of the former. `polaris`: as `afrl`
+    with quicker velocity limits. `linear`: 0.3 h throughout, for conditions that hold between samples."""
     chief_separation: Alpha | None = _alpha("h1, separation from the chief")
     deputy_separation: Alpha | None = _alpha("h2, separation of two deputies")
     speed: Alpha | None = _alpha("h3, dynamic speed limit")
@@ -81,8 +82,10 @@ class BarrierFilter(ScenarioPart):
     sampled_data_share: f.Real = unit("-", default=0.5, gt=0, le=1)
     """Part of a constraint's value that may be lost in one period; less is calmer."""
 
-    def build(self, q: Inspection, alpha: Mapping[str, Strengthening], period: float) -> BatchFilter:
-        """The filter, for a control period [s]."""
+    def build(
+        self, q: Inspection, alpha: Mapping[str, Strengthening], period: float, unknown: Uncertainty
+    ) -> BatchFilter:
+        """The filter, for a control period [s]; it takes everything for exact."""
         from ..inspection.constraints.families import Families
         from ..inspection.constraints.motion import SampledData
         from ..inspection.filters.explicit import CENTRALIZED, make_filter
@@ -107,88 +110,107 @@ class DecentralizedFilter(BarrierFilter):
     paper's). `half`: each for half. `consensus`: each for its part of a solution all can compute."""
 
 
-class BackupFilter(ScenarioPart):
-    """What the filters share that fall back to a backup controller, which parks on a closed ellipse."""
+class AssuredFilter(ScenarioPart):
+    """A filter that applies nothing before a plan after it is proven safe for all time: brake, and hold."""
 
     without: tuple[Family, ...] = unit("-", "Kinds of constraint that are left out.", default=())
-    response_s: f.Positive = unit("s", "Time constant of the backup controller.", default=20.0)
 
-    def build(self, q: Inspection, alpha: Mapping[str, Strengthening], period: float) -> BatchFilter:
+    def build(
+        self, q: Inspection, alpha: Mapping[str, Strengthening], period: float, unknown: Uncertainty
+    ) -> BatchFilter:
         """The filter, for a control period [s]."""
-        from ..inspection.backup.parking import Parking
+        from ..inspection.backup.brake import Brake
         from ..inspection.constraints.families import Families
         from ..inspection.flights.simulation import OneFlight
 
-        law, watched = Parking(q, period=period, response=self.response_s), Families(q, alpha, self.without)
-        return OneFlight(lambda sun: self.start(law, watched, sun), watched, period)
+        watched, brake = Families(q, alpha, self.without), Brake(q, period, unknown)
+        self.start(brake, alpha, 0.0)
+        return OneFlight(lambda sun: self.start(brake, alpha, sun), watched, period)
+
+    def planner(self, brake: Brake, sun: float) -> Planner:
+        """What plans and proves, from an angle of the sun [rad] on."""
+        from ..inspection.backup.all_time import AllTime
+        from ..inspection.backup.planner import Planner
+
+        return Planner(AllTime(brake, sun, self.without))
 
     @abstractmethod
-    def start(self, law: Parking, watched: Families, sun: float) -> RunTimeFilter:
+    def start(self, brake: Brake, alpha: Mapping[str, Strengthening], sun: float) -> RunTimeFilter:
         """The filter of one flight, from an angle of the sun [rad] on."""
 
 
-class _Switching(BackupFilter):
-    """A filter that passes the desired thrust as it is, or hands over to the backup."""
+class ExplicitFilter(AssuredFilter):
+    """The nearest thrust that keeps every barrier."""
+
+    kind: Literal["explicit"] = unit("-", "Barrier conditions, and a proven plan after every answer.")
+    sharing: Literal["centralized", "consensus"] = unit("-", default="centralized")
+    """One quadratic program for all, or one for each deputy and its part of a solution all can compute."""
+    sampled_data_share: f.Real = unit("-", default=0.5, gt=0, le=1)
+    """Part of a constraint's value that may be lost in one period; less is calmer."""
+
+    def start(self, brake: Brake, alpha: Mapping[str, Strengthening], sun: float) -> RunTimeFilter:
+        """See `AssuredFilter.start`."""
+        from ..inspection.constraints.families import Families
+        from ..inspection.constraints.motion import SampledData
+        from ..inspection.filters.assured import Explicit
+        from ..inspection.filters.explicit import make_filter
+
+        sampled = SampledData(brake.period, self.sampled_data_share)
+        families = Families(brake.inspection, alpha, self.without, sampled)
+        return Explicit(self.planner(brake, sun), make_filter(families, self.sharing))
+
+
+class ImplicitFilter(AssuredFilter):
+    """As much of what is wanted as a plan is proven for."""
+
+    kind: Literal["implicit"] = unit("-", "As near to what is wanted as a proven plan allows.")
+
+    def start(self, brake: Brake, alpha: Mapping[str, Strengthening], sun: float) -> RunTimeFilter:
+        """See `AssuredFilter.start`."""
+        from ..inspection.filters.assured import Implicit
+
+        return Implicit(self.planner(brake, sun))
+
+
+class _Switching(AssuredFilter):
+    """A filter that passes the desired thrust as it is, or hands a deputy over to its plan."""
 
     dwell_s: f.NonNegative = unit("s", default=30.0)
     """For so long all must have been at its release before a deputy is handed back."""
 
 
-class _Predicting(BackupFilter):
-    """A filter that flies the backup controller ahead; it looks at all constraints but h7 and h8."""
+class SimplexExplicitFilter(_Switching):
+    """Passes the desired thrust while every barrier stays at its margin, and a plan after it is proven."""
 
-    horizon_s: f.Positive = unit("s", default=600.0)
-    """Longest backup flight: all deputies must have settled by then."""
-
-
-class ExplicitSimplexFilter(_Switching):
-    """Passes the desired thrust while every barrier stays at its margin."""
-
-    kind: Literal["explicit_simplex"] = unit("-", "The desired thrust or the backup's, by the barriers.")
+    kind: Literal["simplex_explicit"] = unit("-", "The desired thrust or the plan's, by the barriers.")
     margin: f.NonNegative = unit("unit of h", "Least value of every barrier for passing.", default=0.0)
     release: f.NonNegative = unit("unit of h", default=0.05)
     """Least value of every barrier for handing back; at least the margin."""
     looks: f.Whole = unit("-", default=2, ge=1, le=100)
     """Instants of the coming period at which the barriers are looked at."""
 
-    def start(self, law: Parking, watched: Families, sun: float) -> RunTimeFilter:
-        """See `BackupFilter.start`."""
-        from ..inspection.filters.explicit import Centralized
-        from ..inspection.filters.simplex import ExplicitSimplex, Guarded
+    def start(self, brake: Brake, alpha: Mapping[str, Strengthening], sun: float) -> RunTimeFilter:
+        """See `AssuredFilter.start`."""
+        from ..inspection.constraints.families import Families
+        from ..inspection.filters.assured import SimplexExplicit
 
-        backup, limits = Guarded(Centralized(watched), law, sun), (self.margin, self.release)
-        return ExplicitSimplex(watched, backup, law.period, *limits, self.dwell_s, sun, self.looks)
+        families, limits = Families(brake.inspection, alpha, self.without), (self.margin, self.release)
+        return SimplexExplicit(self.planner(brake, sun), families, *limits, self.dwell_s, self.looks)
 
 
-class ImplicitSimplexFilter(_Switching, _Predicting):
-    """Passes the desired thrust while the backup flight after the period keeps the constraints for ever."""
+class SimplexImplicitFilter(_Switching):
+    """Passes the desired thrust while a plan after it is proven."""
 
-    kind: Literal["implicit_simplex"] = unit("-")
-    """The desired thrust or the backup's, by the backup's flight."""
+    kind: Literal["simplex_implicit"] = unit("-", "The desired thrust or the plan's, by the proof.")
     release_distance_m: f.NonNegative = unit("m", "Least distances for handing back.", default=2.0)
     release_speed_m_s: f.NonNegative = unit("m/s", "Least speeds to spare for handing back.", default=0.02)
 
-    def start(self, law: Parking, watched: Families, sun: float) -> RunTimeFilter:
-        """See `BackupFilter.start`."""
-        from ..inspection.filters.flight_check import FlightCheck
-        from ..inspection.filters.simplex import ImplicitSimplex
+    def start(self, brake: Brake, alpha: Mapping[str, Strengthening], sun: float) -> RunTimeFilter:
+        """See `AssuredFilter.start`."""
+        from ..inspection.filters.assured import SimplexImplicit
 
-        check = FlightCheck(law, self.horizon_s, sun, self.without)
-        return ImplicitSimplex(check, self.release_distance_m, self.release_speed_m_s, self.dwell_s)
-
-
-class ImplicitASIFFilter(_Predicting):
-    """The nearest thrust after which the backup flight keeps the constraints for ever."""
-
-    kind: Literal["implicit_asif"] = unit("-", "Barrier conditions on the backup's flight.")
-    rate_1_s: f.Positive = unit("1/s", "The function alpha of eq. 7 is this times the value.", default=0.1)
-
-    def start(self, law: Parking, watched: Families, sun: float) -> RunTimeFilter:
-        """See `BackupFilter.start`."""
-        from ..inspection.filters.flight_check import FlightCheck
-        from ..inspection.filters.implicit import ImplicitASIF
-
-        return ImplicitASIF(FlightCheck(law, self.horizon_s, sun, self.without), self.rate_1_s)
+        release = self.release_distance_m, self.release_speed_m_s
+        return SimplexImplicit(self.planner(brake, sun), *release, self.dwell_s)
 
 
 Filter = Annotated[CentralizedFilter | DecentralizedFilter, *f.BY_KIND]
@@ -197,9 +219,10 @@ Filter = Annotated[CentralizedFilter | DecentralizedFilter, *f.BY_KIND]
 FlightFilter = Annotated[
     CentralizedFilter
     | DecentralizedFilter
-    | ExplicitSimplexFilter
-    | ImplicitSimplexFilter
-    | ImplicitASIFFilter,
+    | ExplicitFilter
+    | ImplicitFilter
+    | SimplexExplicitFilter
+    | SimplexImplicitFilter,
     *f.BY_KIND,
 ]
 """Those of one flight."""

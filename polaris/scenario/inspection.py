@@ -19,10 +19,11 @@ from .filter_tables import FAMILY_NAMES, Alpha, FlightFilter
 from .reading import did_you_mean
 
 if TYPE_CHECKING:
+    from ..inspection.backup.brake import Uncertainty
     from ..inspection.backup.law import Law
     from ..inspection.constraints.families import Families
     from ..inspection.flights.primary import Primary
-    from ..inspection.flights.simulation import BatchFilter
+    from ..inspection.flights.simulation import BatchFilter, Errors
     from ..model.system import Array
 
 
@@ -82,7 +83,13 @@ class FilteredScenario(InspectionScenario):
 
     def filter(self, spec: FlightFilter, period: float) -> BatchFilter:
         """The filter that a table describes."""
-        return spec.build(self.inspection(), self.strengthening(), period)
+        return spec.build(self.inspection(), self.strengthening(), period, self.uncertainty())
+
+    def uncertainty(self) -> Uncertainty:
+        """What is not known exactly; nothing, where the scenario has no tables of it."""
+        from ..inspection.backup.brake import Uncertainty
+
+        return Uncertainty()
 
     def _check_filter(self, path: str, spec: FlightFilter, table: str, period: float) -> None:
         """Build a filter once: the conditions between samples bound the control period."""
@@ -159,6 +166,26 @@ class FlightScenario(FilteredScenario):
         x, sun = InitialConditions(self.families(), given.seed, block=1024).first(1)
         return x[0], float(sun[0])
 
+    def uncertainty(self) -> Uncertainty:
+        """What is not known exactly."""
+        from ..inspection.backup.brake import Uncertainty
+
+        navigation, thrusters = self.model.navigation, self.model.thrusters
+        with in_file_terms("navigation", navigation):
+            return Uncertainty(
+                navigation.position_error_m,
+                navigation.velocity_error_m_s,
+                self.model.flight.disturbance_max_m_s2,
+                thrusters.magnitude_error,
+            )
+
+    def errors(self) -> Errors | None:
+        """What errors are flown, if any."""
+        from ..inspection.flights.simulation import Errors
+
+        unknown = self.uncertainty()
+        return None if unknown.exact else Errors(unknown, self.inspection(), self.model.flight.errors_seed)
+
     def primary(self) -> Primary:
         """The primary controller, phase by phase."""
         from ..inspection.flights.primary import LQR, NoInput, Phases
@@ -202,7 +229,6 @@ class FuelLimitScenario(InspectionScenario):
     @kept
     def backup(self) -> Law:
         """The backup controller."""
-        from ..inspection.backup.parking import Parking
         from ..inspection.backup.tracker import Tracker
         from ..inspection.enmt import Ellipses
 
@@ -215,8 +241,7 @@ class FuelLimitScenario(InspectionScenario):
         keys = {"least": "fuel.semi_minor_least_m", "largest": "fuel.semi_minor_largest_m"}
         with in_file_terms("fuel", given, period="flight.period_s", **keys):
             ellipses = replace(usual, **{name: x for name, x in limits.items() if x is not None})
-            law = Parking if given.backup == "parking" else Tracker
-            return law(q, ellipses, self.model.flight.period_s, given.response_s)
+            return Tracker(q, ellipses, self.model.flight.period_s, given.response_s)
 
     def primary(self) -> Primary:
         """Regulators to the outer and to the inner target in turn."""

@@ -74,6 +74,10 @@ class FlightTime(ScenarioPart):
     )
     between: f.Whole = unit("-", default=4, ge=0, le=99)
     """Instants inside each period at which the constraints are evaluated, too."""
+    disturbance_max_m_s2: f.NonNegative = unit("m/s^2", default=0.0)
+    """Bound on the 2-norm of the disturbance acceleration."""
+    errors_seed: f.Seed = unit("-", default=0)
+    """Errors of estimates and thrusters and the disturbance are drawn with it, at the edge of their bound."""
 
 
 class NoThrust(ScenarioPart):
@@ -123,6 +127,21 @@ class _Filtered(_Scene):
     """The functions alpha of eq. 7."""
 
 
+class Navigation(ScenarioPart):
+    """How far an estimated state may be from the true one, per axis, however the difference changes."""
+
+    position_error_m: f.NonNegative = unit("m", "Largest error of each position.", default=0.0)
+    velocity_error_m_s: f.NonNegative = unit("m/s", "Largest error of each velocity.", default=0.0)
+
+
+class Thrusters(ScenarioPart):
+    """How far what the thrusters give may be from what they are asked for."""
+
+    magnitude_error: f.Real = unit(
+        "-", "Largest error, as a share of the thrust limit.", default=0.0, ge=0, lt=1
+    )
+
+
 class InspectionModel(_Filtered):
     """Deputies about a chief, one flight under a barrier filter."""
 
@@ -130,15 +149,14 @@ class InspectionModel(_Filtered):
     filter: FlightFilter = unit("-", "Who filters the primary controller's thrust.")
     initial: Initial = unit("-", "Where it starts.")
     flight: FlightTime = unit("-", "Length and control period.", default_factory=FlightTime)
+    navigation: Navigation = unit("-", "Errors of the estimated states.", default_factory=Navigation)
+    thrusters: Thrusters = unit("-", "Errors of the thrusters.", default_factory=Thrusters)
     primary: Phases = unit("-", "Primary controllers, one after another.")
 
 
 class FuelTable(ScenarioPart):
-    """The latched switching filter of eq. 39 and its backup controller; the limit is `delta_v_max_m_s`."""
+    """The latched switching filter of eq. 39, its backup (eqs. 40, 41); the limit is `delta_v_max_m_s`."""
 
-    backup: Literal["parking", "tracker"] = unit("-", default="parking")
-    """`parking`: feedback of the velocity error of eq. 41 alone. `tracker`: the paper's, with an integral of
-    the error (eq. 40), about a reference that moves on the ellipse."""
     response_s: f.Positive = unit("s", "Time constant for which its weights are chosen.", default=20.0)
     semi_minor_least_m: f.Positive | None = unit("m", default=None)
     """Least semi-minor axis of a parking orbit; one and a half times r_d + r_c without it."""

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from polaris.inspection.backup.law import Coast, fly_backup, sensitivities
-from polaris.inspection.backup.parking import Parking
+from polaris.inspection.backup.law import fly_backup
 from polaris.inspection.backup.settled import Decay
 from polaris.inspection.backup.tracker import Tracker
 from polaris.inspection.enmt import Ellipses, semi_axes, stopping_point, velocity_error
@@ -69,8 +68,6 @@ def test_nearest_is_equation_41_within_the_limits():
 
 def test_nearest_at_the_very_centre():
     np.testing.assert_allclose(LIMITS.nearest(np.zeros(6))[:3], [0, 30.0, 0])
-    assert np.isfinite(LIMITS.inside(np.zeros((1, 6)))).all()
-    assert np.isfinite(LIMITS.inside_slope(np.zeros((1, 6)))).all()
 
 
 def test_ellipses_keep_their_semi_minor_axis_and_stay_farther_away():
@@ -98,21 +95,6 @@ def test_limits_for_a_problem_keep_in_and_slow():
 def test_limits_without_room_are_refused(least, largest, cross):
     with pytest.raises(ScenarioError):
         Ellipses(N, least, largest, cross)
-
-
-def test_slope_of_inside_against_differences():
-    for x in states(60, 3):
-        step = np.array([1e-3] * 3 + [1e-6] * 3)
-        numeric = np.stack(
-            [
-                (LIMITS.inside(x + h) - LIMITS.inside(x - h)) / (2 * step[k])
-                for k, h in enumerate(np.diag(step))
-            ],
-            axis=1,
-        )
-        slope = LIMITS.inside_slope(x)
-        scale = step[None, :] / step[:, None]  # every entry as a change per step
-        np.testing.assert_allclose(slope * scale, numeric * scale, atol=2e-5)
 
 
 def test_stopping_point_is_where_braking_ends():
@@ -155,15 +137,13 @@ def test_unstable_and_creeping_loops_are_refused():
         with pytest.raises(ScenarioError):
             Decay(radius * np.eye(2), np.eye(2), np.ones(2))
     with pytest.raises(ScenarioError, match="period"):
-        Parking(Q, period=200.0)
-    with pytest.raises(ScenarioError, match="period"):
         Tracker(Q, period=200.0)
 
 
 # ---- the controllers
 
 
-@pytest.mark.parametrize("law", [Parking(Q), Tracker(Q), Parking(Q, period=5.0)], ids=["p", "t", "p5"])
+@pytest.mark.parametrize("law", [Tracker(Q), Tracker(Q, period=5.0)], ids=["1 s", "5 s"])
 def test_flights_settle_thrust_goes_to_zero_and_the_outlook_holds(law):
     x = np.vstack([states(60), states(40, 5, 12.0, 0.3), np.zeros((1, 6)), 0 * np.ones((1, 6))])
     x[-1, :3] = 1e-9
@@ -181,58 +161,9 @@ def test_flights_settle_thrust_goes_to_zero_and_the_outlook_holds(law):
     assert (look.delta_v <= 1.05 * spent + 1e-3).all()
     distance = np.linalg.norm(xs[..., :3], axis=-1)
     assert (distance.min(axis=0) >= look.distance).all()
-    orbit = np.einsum("sij,nj->sni", free_flight(N, law.period * np.arange(len(xs))), look.ellipse)
-    apart = xs - orbit
-    assert (np.linalg.norm(apart[..., :3], axis=-1).max(axis=0) <= look.strays + 1e-6).all()
-    assert (np.linalg.norm(apart[..., 3:], axis=-1).max(axis=0) <= look.slips + 1e-9).all()
     # It ends clear of the chief.
     assert (semi_axes(xs[-1], N)[0] >= 1.2 * Q.separation).all()
     assert np.abs(velocity_error(xs[-1], N)).max() < 1e-7
-
-
-def test_parking_uses_no_thrust_on_an_ellipse_and_none_across():
-    x = elliptical_nmt(N, 150.0, np.linspace(0, 6, 20), 90.0, 1.0)
-    assert np.abs(Parking(Q)(0.0, x)).max() < 1e-12
-    x[:, 3] += 0.1
-    u = Parking(Q)(0.0, x)
-    assert (u[:, 0] < -1e-2).all()
-    assert (u[:, 2] == 0).all()
-
-
-def test_parking_leaves_the_chief_from_its_centre():
-    law = Parking(Q)
-    flight = fly_backup(law, np.zeros((1, 6)), 3000)
-    assert flight.outlook.distance[0] > Q.separation
-
-
-def test_thrust_slope_against_differences_with_clipped_axes():
-    law = Parking(Q, LIMITS)
-    step = np.array([1e-4] * 3 + [1e-7] * 3)
-    clipped = 0
-    for x in np.vstack([states(50, 6, 300.0, 0.6), states(30, 7, 300.0, 3.0)]):
-        numeric = np.stack(
-            [
-                (law(0, (x + h)[None]) - law(0, (x - h)[None]))[0] / (2 * step[k])
-                for k, h in enumerate(np.diag(step))
-            ],
-            axis=1,
-        )
-        slope = law.thrust_slope(x[None])[0]
-        clipped += int((slope == 0).all(axis=1)[:2].sum())
-        np.testing.assert_allclose(slope * step, numeric * step, atol=1e-9)
-    assert clipped > 10
-
-
-def test_sensitivity_of_a_flight_against_differences():
-    law = Parking(Q, LIMITS)
-    Phi, Gamma = law.motion
-    for x in (np.array([90.0, 60, 40, 0.9, -2.6, 0.1]), np.array([100.0, -30, 10, 0.1, 0.2, 0.0])):
-        flown = on_long(law, x[None], law.start(x[None]), 60)[0]
-        S = sensitivities(law, flown)[:, 0]
-        step = np.array([1e-4] * 3 + [1e-6] * 3)
-        for k, h in enumerate(np.diag(step)):
-            up, down = (on_long(law, (x + s * h)[None], law.start(x[None]), 60)[0][:, 0] for s in (1, -1))
-            np.testing.assert_allclose(S[:, :, k], (up - down) / (2 * step[k]), rtol=2e-4, atol=2e-4)
 
 
 def test_anti_windup_holds_the_integral_of_clipped_axes():
@@ -268,18 +199,6 @@ def test_tracker_remembers_between_calls_and_starts_anew_after_a_gap():
     np.testing.assert_array_equal(law(101.0, x), law.thrust(x, law.start(x))[0])
 
 
-def test_coasting():
-    law = Coast(Q)
-    x = np.vstack([states(3), elliptical_nmt(N, 50.0, 1.0)])
-    flight = fly_backup(law, x, 10)
-    assert not law(0.0, x).any()
-    assert not law.thrust_slope(x).any()
-    assert flight.outlook.settled.all()
-    assert not flight.outlook.delta_v.any()
-    assert (flight.outlook.distance[:3] == -np.inf).all()
-
-
-@pytest.mark.parametrize("law", [Parking, Tracker])
-def test_ellipses_of_another_orbit_are_refused(law):
+def test_ellipses_of_another_orbit_are_refused():
     with pytest.raises(ScenarioError, match="ellipses"):
-        law(Q, Ellipses(0.0011, 15.0))
+        Tracker(Q, Ellipses(0.0011, 15.0))

@@ -33,6 +33,11 @@ def situation(seed, R=12, spread=(20.0, 600.0)):
     return x, rng.uniform(-np.pi, np.pi, R), rng.standard_normal((R, N, 3)) * 10 ** rng.uniform(-2, 1)
 
 
+def within(desired):
+    """What the thrusters would give of it: the nearest to that is looked for."""
+    return np.clip(desired, -Q.thrust_max, Q.thrust_max)
+
+
 def wide_rows(families, G, coupled=True):
     """Rows on all inputs together, written out."""
     M = len(families.first)
@@ -62,7 +67,7 @@ def test_centralized_is_the_projection(name, seed):
             if (answer.status[r] < SHORT).all():
                 finite = bound > -np.inf
                 primal, stationarity = residuals(
-                    wide[finite], bound[finite], given_, Q.thrust_max, answer.u[r].ravel()
+                    wide[finite], bound[finite], within(given_), Q.thrust_max, answer.u[r].ravel()
                 )
                 assert primal < CLOSE and stationarity < CLOSE
                 changed = (answer.u[r] != desired[r]).any(axis=1)
@@ -106,7 +111,7 @@ def test_coasting_is_the_projection_of_each_deputy(name, seed):
                 if answer.status[r, i] < SHORT:
                     finite = bound > -np.inf
                     primal, stationarity = residuals(
-                        rows[finite], bound[finite], desired[r, i], Q.thrust_max, answer.u[r, i]
+                        rows[finite], bound[finite], within(desired[r, i]), Q.thrust_max, answer.u[r, i]
                     )
                     assert primal < CLOSE and stationarity < CLOSE
                 else:
@@ -164,16 +169,35 @@ def test_coasting_shares_do_not_add_up():
 def test_consensus_can_be_met_whenever_the_centralized_program_can(name, seed):
     families = FAMILIES[name]
     x, sun, desired = situation(seed, spread=(10.0, 400.0))
-    central = Centralized(families).batch(x, sun, desired)
+    rows = families(x, sun)  # those that hold for every thrust: nobody knows the others'
+    status = Centralized(families).project(rows, within(desired))[1]
     agreed = Decentralized(families, "consensus").batch(x, sun, desired)
     for r in range(len(x)):
         if (agreed.status[r] >= SHORT).any():
             # Either no program has a solution, or by less than rounding.
-            assert (central.status[r] == SHORT).all() or not feasible(
-                wide_rows(families, central.rows.G[r]), central.rows.bound[r]
-            )
+            assert (status[r] == SHORT).all() or not feasible(wide_rows(families, rows.G[r]), rows.bound[r])
         else:
-            assert (central.status[r] < SHORT).all()
+            assert (status[r] < SHORT).all()
+
+
+def test_curvature_by_the_thrust_chosen_solves_what_the_worst_thrust_cannot():
+    """Drawn near and beyond boundaries: the answers keep every barrier that held, between samples as well."""
+    families, exact = Families(Q, "linear", sampled=SampledData(2.0)), Families(Q, "linear", exact=True)
+    solved = tried = 0
+    for seed in range(25):
+        x, sun, desired = situation(seed, spread=(60.0, 500.0))
+        status = Centralized(families).project(families(x, sun), within(desired))[1]
+        inside = (exact(x, sun).h >= 0).all(axis=1)
+        found = Centralized(families).batch(x, sun, desired)
+        short = np.flatnonzero((status >= SHORT).any(axis=1) & inside)
+        tried += len(short)
+        for r in short[(found.status[short] < SHORT).all(axis=1)]:
+            solved += 1
+            for part in np.linspace(0.1, 2.0, 20):
+                Phi, Gamma = Q.held(part)
+                after = x[r] @ Phi.T + found.u[r] @ Gamma.T
+                assert exact(after[None], Q.sun_angle([part], sun[r])).h.min() >= -1e-9
+    assert tried >= 5 and solved >= tried / 3
 
 
 @pytest.mark.parametrize("sharing", ["centralized", *SHARINGS])

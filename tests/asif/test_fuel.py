@@ -5,10 +5,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 
 from polaris.inspection.backup.law import fly_backup
-from polaris.inspection.backup.parking import Parking
 from polaris.inspection.backup.tracker import Tracker
 from polaris.inspection.enmt import velocity_error
-from polaris.inspection.filters.flight_check import FlightCheck
 from polaris.inspection.filters.fuel import FuelLimit, clearance
 from polaris.inspection.flights.fuel_run import fly_fuel_limit
 from polaris.inspection.flights.primary import LQR, Phases
@@ -29,14 +27,12 @@ def wasteful(q):
 
 
 def run(law=None, **options):
-    return fly_fuel_limit(FuelLimit(law or Parking(ONE)), wasteful(ONE), START, **options)
+    return fly_fuel_limit(FuelLimit(law or Tracker(ONE)), wasteful(ONE), START, **options)
 
 
-@pytest.mark.parametrize(
-    "law", [Parking(ONE), pytest.param(Tracker(ONE), marks=pytest.mark.slow)], ids=["parking", "tracker"]
-)
-def test_fig_9_fuel_stays_below_the_limit_and_thrust_goes_to_zero(law):
-    r = run(law, predict_at=(10.0, 25.0))
+@pytest.mark.slow
+def test_fig_9_fuel_stays_below_the_limit_and_thrust_goes_to_zero():
+    r = run(predict_at=(10.0, 25.0))
     assert r.t[-1] == 7000
     assert 20 < r.latched_at < 200
     assert "fuel" in r.reason
@@ -65,7 +61,7 @@ def test_fig_9_fuel_stays_below_the_limit_and_thrust_goes_to_zero(law):
 
 def test_without_the_filter_the_limit_would_be_broken_by_far():
     q = Inspection(deputies=1, delta_v_max=1e5)
-    r = fly_fuel_limit(FuelLimit(Parking(q)), wasteful(q), START, 200.0)
+    r = fly_fuel_limit(FuelLimit(Tracker(q)), wasteful(q), START, 200.0)
     assert r.delta_v[-1] > 1.5 * ONE.delta_v_max
     assert r.latched_at is None
     assert r.reason is None
@@ -73,7 +69,7 @@ def test_without_the_filter_the_limit_would_be_broken_by_far():
 
 def test_the_printed_condition_breaks_the_limit_and_ours_does_not():
     """Eq. 39 looks at the backup flight from now; the coming period is nobody's."""
-    period, law = 20.0, Parking(ONE, period=20.0, response=60.0)
+    period, law = 20.0, Tracker(ONE, period=20.0, response=60.0)
     Phi, Gamma = law.motion
 
     def bound(x):
@@ -94,7 +90,7 @@ def test_the_printed_condition_breaks_the_limit_and_ours_does_not():
         assert fly(True) <= limit
         q = Inspection(deputies=1, delta_v_max=float(limit))
         ours = fly_fuel_limit(
-            FuelLimit(Parking(q, period=period, response=60.0)),
+            FuelLimit(Tracker(q, period=period, response=60.0)),
             lambda t, x: np.ones((1, 1, 3)),
             [200.0, -100, 0, 0, 0, 0],
             2000.0,
@@ -104,11 +100,11 @@ def test_the_printed_condition_breaks_the_limit_and_ours_does_not():
     assert max(totals) > 1.0
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_the_limit_is_kept_by_the_condition_alone(seed):
     """From random states and by random inputs; the last rule never has to act."""
     rng = np.random.default_rng(seed)
-    law = (Parking(TWO), Tracker(TWO))[seed % 2]
+    law = Tracker(TWO)
     Phi, Gamma = law.motion
     x = np.hstack([rng.uniform(-300, 300, (2, 3)), rng.uniform(-0.3, 0.3, (2, 3))])
     x[:, 1] += 150 * np.sign(x[:, 1])
@@ -137,15 +133,15 @@ def test_the_limit_is_kept_by_the_condition_alone(seed):
 def test_a_chief_in_the_way_is_left_clear_of():
     """The deputy is sent straight at the chief, with fuel enough."""
     x0 = [0.0, -400.0, 0.0, 0.0, 0.0, 0.0]
-    free = fly_fuel_limit(FuelLimit(Parking(ONE), keep_clear=False), LQR(ONE), x0, 700.0)
-    kept = fly_fuel_limit(FuelLimit(Parking(ONE)), LQR(ONE), x0, 700.0)
+    free = fly_fuel_limit(FuelLimit(Tracker(ONE), keep_clear=False), LQR(ONE), x0, 700.0)
+    kept = fly_fuel_limit(FuelLimit(Tracker(ONE)), LQR(ONE), x0, 700.0)
     assert np.linalg.norm(free.x[:, :3], axis=1).min() < ONE.separation
     assert np.linalg.norm(kept.x[:, :3], axis=1).min() >= ONE.separation
     assert "chief" in kept.reason
 
 
 def test_clearance_is_below_what_dense_samples_show():
-    law = Parking(ONE, period=4.0)
+    law = Tracker(ONE, period=4.0)
     rng = np.random.default_rng(2)
     x = np.hstack([rng.uniform(-60, 60, (30, 3)), rng.uniform(-1, 1, (30, 3))])
     u = rng.uniform(-1, 1, (30, 3))
@@ -162,7 +158,7 @@ def test_clearance_is_below_what_dense_samples_show():
     assert (bound <= least - ONE.separation).all()
     assert (bound > -np.inf).all()
     assert (
-        np.median(least - ONE.separation - bound) < 20.0
+        np.median(least - ONE.separation - bound) < 30.0
     )  # on an ellipse the semi-minor axis is all that is claimed
 
 
@@ -172,7 +168,7 @@ def test_clearance_is_below_what_dense_samples_show():
 def test_fuel_nearly_used_up_at_the_start():
     """Backup at once; thrust is cut where the fuel ends; the limit holds."""
     r = fly_fuel_limit(
-        FuelLimit(Parking(ONE), spent=19.99), wasteful(ONE), [100.0, 50.0, 0.0, 0.5, 0.0, 0.0], 300.0
+        FuelLimit(Tracker(ONE), spent=19.99), wasteful(ONE), [100.0, 50.0, 0.0, 0.5, 0.0, 0.0], 300.0
     )
     assert r.latched_at == 0.0
     assert r.exhausted
@@ -182,7 +178,7 @@ def test_fuel_nearly_used_up_at_the_start():
 
 @pytest.mark.parametrize("spent", [20.0, 25.0])
 def test_no_fuel_at_all_is_no_thrust_at_all(spent):
-    f = FuelLimit(Parking(ONE), spent=spent)
+    f = FuelLimit(Tracker(ONE), spent=spent)
     d = f.filter(0.0, np.array([START]), np.ones((1, 3)))
     assert not d.u.any()
     assert d.status == "coast"
@@ -191,7 +187,7 @@ def test_no_fuel_at_all_is_no_thrust_at_all(spent):
 
 
 def test_at_the_centre_of_the_chief_the_backup_leads_away():
-    r = fly_fuel_limit(FuelLimit(Parking(ONE)), LQR(ONE), np.zeros(6), 3000.0)
+    r = fly_fuel_limit(FuelLimit(Tracker(ONE)), LQR(ONE), np.zeros(6), 3000.0)
     assert r.latched_at == 0.0
     assert "chief" in r.reason
     assert np.linalg.norm(r.x[-1, :3]) > ONE.separation
@@ -199,7 +195,7 @@ def test_at_the_centre_of_the_chief_the_backup_leads_away():
 
 
 def test_a_horizon_too_short_is_not_taken_for_safe():
-    f = FuelLimit(Parking(ONE), horizon=5.0)
+    f = FuelLimit(Tracker(ONE), horizon=5.0)
     f.filter(0.0, np.array([[100.0, 0, 0, 2.0, 0, 0]]), np.ones((1, 3)))
     assert f.latched[0]
     assert "horizon" in f.log[0].reason
@@ -212,11 +208,11 @@ def test_a_tiny_thrust_limit_is_refused_by_the_problem_itself():
 
 def test_missing_input_is_backup_for_that_period_only():
     x = elliptical_nmt(ONE.mean_motion, 100.0, 1.0)[None] + [0, 0, 0, 0.05, 0, 0]
-    f = FuelLimit(Parking(ONE))
+    f = FuelLimit(Tracker(ONE))
     for bad in (None, [[np.nan, 0, 0]], [[np.inf, 0, 0]]):
-        f = FuelLimit(Parking(ONE))
+        f = FuelLimit(Tracker(ONE))
         d = f.filter(0.0, x, bad)
-        np.testing.assert_allclose(d.u, Parking(ONE)(0.0, x), atol=1e-12)
+        np.testing.assert_allclose(d.u, Tracker(ONE)(0.0, x), atol=1e-12)
         assert d.status == "backup"
         assert "desired input" in d.fallback
         assert not f.latched[0]
@@ -225,7 +221,7 @@ def test_missing_input_is_backup_for_that_period_only():
 
 def test_late_calls_are_counted_and_recorded():
     x = elliptical_nmt(ONE.mean_motion, 100.0, 1.0)[None]
-    f = FuelLimit(Parking(ONE))
+    f = FuelLimit(Tracker(ONE))
     f.filter(0.0, x, np.full((1, 3), 0.4))
     np.testing.assert_allclose(f.spent, 0.1)
     d = f.filter(3.0, x, np.zeros((1, 3)))
@@ -235,7 +231,7 @@ def test_late_calls_are_counted_and_recorded():
 
 def test_lost_state_coasts_and_comes_back():
     x = elliptical_nmt(ONE.mean_motion, 100.0, 1.0)[None]
-    f = FuelLimit(Parking(ONE))
+    f = FuelLimit(Tracker(ONE))
     assert f.filter(0.0, x, np.full((1, 3), 0.4)).status == "desired"
     d = f.filter(1.0, np.full((1, 6), np.nan), np.full((1, 3), 0.4))
     assert d.status == "coast"
@@ -245,45 +241,43 @@ def test_lost_state_coasts_and_comes_back():
 
 def test_clipped_input_is_recorded():
     x = elliptical_nmt(ONE.mean_motion, 100.0, 1.0)[None]
-    d = FuelLimit(Parking(ONE)).filter(0.0, x, np.array([[5.0, 0.0, -0.5]]))
+    d = FuelLimit(Tracker(ONE)).filter(0.0, x, np.array([[5.0, 0.0, -0.5]]))
     np.testing.assert_array_equal(d.u, [[1.0, 0.0, -0.5]])
     assert d.status == "filtered"
     assert d.intervened[0]
 
 
 def test_malformed_values_are_answered():
-    malformed(FuelLimit(Parking(TWO)))
+    malformed(FuelLimit(Tracker(TWO)))
 
 
 @given(calls(2))
 @settings(max_examples=25, deadline=None, suppress_health_check=list(HealthCheck))
 def test_garbage(sequence):
-    f = FuelLimit(PARKING_2, horizon=200.0)
+    f = FuelLimit(LAW_2, horizon=200.0)
     answers(f, sequence)
     assert np.isfinite(f.spent).all()
 
 
-PARKING_2 = Parking(TWO)
+LAW_2 = Tracker(TWO)
 
 
 @pytest.mark.parametrize("horizon", [0.0, 0.5, 1e9, np.nan, -1.0])
 def test_horizons_out_of_range(horizon):
     with pytest.raises(ScenarioError, match="horizon"):
-        FuelLimit(Parking(ONE), horizon=horizon)
-    with pytest.raises(ScenarioError, match="horizon"):
-        FlightCheck(Parking(ONE), horizon)
+        FuelLimit(Tracker(ONE), horizon=horizon)
 
 
 def test_arguments():
     for spent in (-1.0, np.nan, [1.0, 2.0, 3.0]):
         with pytest.raises(ScenarioError, match="spent"):
-            FuelLimit(Parking(TWO), spent=spent)
+            FuelLimit(Tracker(TWO), spent=spent)
     with pytest.raises(ScenarioError, match="deputies"):
-        fly_fuel_limit(FuelLimit(Parking(TWO)), wasteful(TWO), START)
+        fly_fuel_limit(FuelLimit(Tracker(TWO)), wasteful(TWO), START)
     with pytest.raises(ScenarioError, match="period"):
-        fly_fuel_limit(FuelLimit(Parking(ONE, period=3.0)), wasteful(ONE), START, 10.0)
+        fly_fuel_limit(FuelLimit(Tracker(ONE, period=3.0)), wasteful(ONE), START, 10.0)
 
 
 def test_odd_times_are_answered_and_told():
     x = elliptical_nmt(ONE.mean_motion, 100.0, 1.0)[None]
-    odd_times(FuelLimit(Parking(ONE)), x, np.zeros((1, 3)))
+    odd_times(FuelLimit(Tracker(ONE)), x, np.zeros((1, 3)))

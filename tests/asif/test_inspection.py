@@ -177,6 +177,22 @@ def test_bad_numbers(field, least):
             Strengthening((1.0, 0.0, 0.0), **{field: value})
 
 
+def test_presets_are_the_published_numbers_of_each_code():
+    """Coefficients of h and h^3, and the bias, as their library has them; below zero 10 alpha - 0.01."""
+    far, velocity = ((0.01, 0.001), 0.0), ((0.1, 0.01), 1e-3)
+    shared = dict.fromkeys(("chief_separation", "deputy_separation", "passive", "deputy_passive"), far)
+    shared |= {"sun": ((0.001, 0.0001), 1e-3), "deputy_sun": ((0.0, 0.1), 1e-3), "velocity": velocity}
+    zone, speed = ((0.01, 0.001), 1e-3), ((0.0, 0.1), 2e-3)
+    published = {
+        "afrl-one": {**shared, "keep_in": zone, "speed": ((0.05, 0.005), 1e-3)},
+        "afrl-five": {**shared, "keep_in": far, "speed": speed},
+        "afrl": {**shared, "keep_in": zone, "speed": speed},
+    }
+    for name, of_each in published.items():
+        for family, ((c1, c3), bias) in of_each.items():
+            assert PRESETS[name][family].numbers == (c1, 0.0, c3, bias, 10.0, 0.01), (name, family)
+
+
 @pytest.mark.parametrize("family", FAMILIES)
 def test_presets_are_increasing_and_zero_at_the_bias(family):
     alpha = PRESETS["afrl"][family]

@@ -49,6 +49,7 @@ class Attack:
         drift = z @ cw_matrix(self.n).T
         limit = np.full(z.shape[:-1], np.sqrt(3) * self.thrust)
         motion = self.data.motion(z, drift, self.n, limit)
+        self.motion = motion
         M = np.broadcast_to(self.barrier.curvature(z, sun, motion), found.h.shape)
         if found.h.shape != z.shape[:-1]:
             drift = np.repeat(drift, found.h.shape[-1] // z.shape[-2], axis=-2)
@@ -82,8 +83,12 @@ class Attack:
         path = self.fly(z, np.nan_to_num(a))
         values = self.values(path, sun, z)
         part = (self.times / self.data.period).reshape(-1, *[1] * h.ndim)
-        promised = np.where(np.isneginf(M), 0.0, (1 - self.data.share * part) * h)
+        promised = np.where(self.dropped(z, M), 0.0, (1 - self.data.share * part) * h)
         return np.where(flown, promised - values, -np.inf).max(axis=0), flown
+
+    def dropped(self, z, M):
+        """Rows that promise no more than that h does not become negative."""
+        return np.isneginf(M)
 
     def values(self, path, sun, z):
         t = self.times.reshape(-1, *[1] * np.ndim(sun))
@@ -91,6 +96,11 @@ class Attack:
 
 
 class SpeedAttack(Attack):
+    def dropped(self, z, M):
+        """Those that fade: the limit is out of reach within the period."""
+        limit = self.barrier.docking_speed + self.barrier.slope * np.linalg.norm(z[..., :3], axis=-1)
+        return self.motion.speed * (1 + self.barrier.slope * self.data.period) <= limit
+
     def values(self, path, sun, z):
         """The squares that the bound is about, with the factor of the sample."""
         b = self.barrier

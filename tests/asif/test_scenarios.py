@@ -256,7 +256,6 @@ BROKEN = {
     "five numbers": ("fuel", {"initial_state": [0, 400, 0, 0, 0]}, "initial_state", "must have 6"),
     "fuel start in the chief": ("fuel", {"initial_state": [0] * 6}, "initial_state", "farther"),
     "more fuel than there is": ("fuel", {"fuel.spent_m_s": 21.0}, "fuel.spent_m_s", "20 m/s"),
-    "unknown backup": ("fuel", {"fuel.backup": "park"}, "fuel.backup", "'parking' or 'tracker'"),
     "ellipses without room": (
         "fuel",
         {"fuel.semi_minor_least_m": 100.0, "fuel.semi_minor_largest_m": 110.0},

@@ -35,6 +35,13 @@ def show_flight(summary: Mapping[str, Any], folder: str, console: Console | None
     out.say(f"Time of an answer: {1e3 * seconds['median']:.3g} ms, p99 {1e3 * seconds['p99']:.3g} ms.")
     spent = ", ".join(f"{value:.4g}" for value in summary["delta_v_m_s"])
     out.say(f"Velocity change per deputy: {spent} m/s.")
+    smooth = summary.get("smoothness")
+    if smooth:
+        applied, wanted = (
+            f"{one['switches']:.2g} and {one['variation']:.2g} N"
+            for one in (smooth["applied"], smooth["wanted"])
+        )
+        out.say(f"Changes of sign and of thrust per axis and minute: {applied}; wanted {wanted}.")
     out.claim(summary["guarantee"])
     out.say(f"Run folder: {folder}")
 

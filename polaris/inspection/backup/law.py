@@ -1,4 +1,4 @@
-"""Backup laws, whose flights can be predicted: what they are, coasting, and the flights under them.
+"""Laws of the fuel limit, whose flights can be predicted: what they are, and the flights under them.
 
 Flights are exact motion with the thrust held period by period.
 """
@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from ...model.checks import positive
 from ...model.errors import ScenarioError
 from ...model.system import Array
-from ..enmt import semi_axes, velocity_error
 from ..inspection import Inspection
 
 LONGEST = 20_000
@@ -37,24 +36,16 @@ class Outlook:
         other fields mean something only here.
     delta_v : ndarray, shape (N,)
         Upper bound on what will still be spent [m/s]; inf where not settled.
-    ellipse : ndarray, shape (N, 6)
-        State on a closed eNMT which, flown freely, stays near the deputy.
-    strays, slips : ndarray, shape (N,)
-        Upper bounds on the distance [m] and the relative speed [m/s] between the two, at all times; inf
-        where not settled.
     distance : ndarray, shape (N,)
         Lower bound on the distance from the chief's centre [m]; -inf where not settled.
     """
 
     settled: NDArray[np.bool_]
     delta_v: Array
-    ellipse: Array
-    strays: Array
-    slips: Array
     distance: Array
 
     def __post_init__(self) -> None:
-        nothing = {"delta_v": np.inf, "strays": np.inf, "slips": np.inf, "distance": -np.inf}
+        nothing = {"delta_v": np.inf, "distance": -np.inf}
         for name, value in nothing.items():
             object.__setattr__(self, name, np.where(self.settled, getattr(self, name), value))
 
@@ -90,53 +81,6 @@ class Law(ABC):
         """Thrust [N], shape (N, 3), at finite states (N, 6): as a `Backup`."""
 
 
-class Memoryless(Law):
-    """A law that depends on the state alone: a flight's rest is the flight from where it has come to."""
-
-    def start(self, x: Array) -> Array:
-        """Nothing: shape (N, 0)."""
-        return np.empty((len(x), 0))
-
-    def thrust(self, x: Array, memory: Array) -> tuple[Array, Array]:
-        """Thrust of the next period [N], shape (N, 3), and the memory."""
-        return self(0.0, x), memory
-
-    @abstractmethod
-    def thrust_slope(self, x: Array) -> Array:
-        """Derivative of the thrust by the state, shape (N, 3, 6)."""
-
-
-class Coast(Memoryless):
-    """No thrust.
-
-    Parameters
-    ----------
-    inspection : Inspection
-    period : float
-        [s]
-    """
-
-    def __call__(self, t: float, x: Array) -> Array:
-        """Zeros, shape (N, 3)."""
-        return np.zeros((len(x), 3))
-
-    def thrust_slope(self, x: Array) -> Array:
-        """Zeros, shape (N, 3, 6)."""
-        return np.zeros((len(x), 3, 6))
-
-    def settled(self, x: Array, memory: Array, share: float = 1.0) -> NDArray[np.bool_]:
-        """Always."""
-        return np.ones(len(x), dtype=bool)
-
-    def outlook(self, x: Array, memory: Array) -> Outlook:
-        """Nothing more is ever spent; where it leads is known only on a closed eNMT."""
-        n = self.inspection.mean_motion
-        still = (velocity_error(x, n) == 0).all(axis=1)
-        zero, off = np.zeros(len(x)), np.where(still, 0.0, np.inf)
-        distance = np.where(still, semi_axes(x, n)[0], -np.inf)
-        return Outlook(np.ones(len(x), dtype=bool), zero, np.array(x), off, off, distance)
-
-
 def periods(horizon: float, period: float) -> int:
     """Whole periods [s] in a horizon [s]; a ScenarioError if there is none, or more than `LONGEST`."""
     count = int(positive("horizon", horizon, "s") / period + 1e-9)
@@ -169,8 +113,7 @@ class BackupFlight:
 def fly_backup(law: Law, x: Array, steps: int, share: float = 1.0) -> BackupFlight:
     """Fly from states (N, 6) until all deputies have settled, at most `steps` periods.
 
-    That is until no more than a `share` of the thrust limit will be used: the smaller, the longer the flight,
-    and the nearer its end to the parking orbit.
+    That is until no more than a `share` of the thrust limit will be used.
     """
     memory = law.start(x)
     Phi, Gamma = (matrix.T for matrix in law.motion)
@@ -185,19 +128,3 @@ def fly_backup(law: Law, x: Array, steps: int, share: float = 1.0) -> BackupFlig
     outlook = law.outlook(x, memory)
     flown = np.stack(inputs) if inputs else np.empty((0, len(x), 3))
     return BackupFlight(np.stack(states), flown, memory, outlook)
-
-
-def sensitivities(law: Memoryless, x: Array) -> Array:
-    """Derivatives of a flight's states x (K+1, N, 6) by its first, shape (K+1, N, 6, 6).
-
-    Clipped axes do not answer to the state. Where the thrust itself jumps (the limits of `Ellipses`) the
-    derivative leaves the jump out.
-    """
-    count, N = x.shape[:2]
-    Phi, Gamma = law.motion
-    steps = Phi + Gamma @ law.thrust_slope(x[:-1].reshape(-1, 6)).reshape(count - 1, N, 3, 6)
-    out = np.empty((count, N, 6, 6))
-    out[0] = np.eye(6)
-    for k in range(count - 1):
-        np.matmul(steps[k], out[k], out=out[k + 1])
-    return out

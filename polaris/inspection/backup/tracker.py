@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ...model.checks import positive
 from ...model.system import Array
 from ...synthesis.tracking import solve_are
 from ..enmt import Ellipses, semi_axes, stopping_point
 from ..inspection import Inspection
 from .law import Law, Outlook
-from .parking import lqr_weights
 from .settled import Decay
 
 BRAKING = 0.5
@@ -35,8 +35,7 @@ class Tracker(Law):
     over, the eNMT nearest to where braking brings the deputy is chosen (`Ellipses.nearest`,
     `stopping_point`); the reference starts at its nearest phase and moves freely from then on, which needs
     no thrust. ``e = x - x_ref(t)`` then obeys the linear equations of motion, z integrates its three
-    positions, and both go to zero: so does the thrust. With eq. 41 itself the law is
-    `polaris.inspection.backup.parking.Parking` without limits.
+    positions, and both go to zero: so does the thrust.
 
     z does not grow further on an axis whose thrust is clipped and would be more so (anti-windup).
 
@@ -117,10 +116,9 @@ class Tracker(Law):
         # Between samples: the errors' acceleration is the thrust's and little else.
         push = 1.1 * np.sqrt(3) * q.thrust_max / q.mass
         strays = np.linalg.norm(peaks[:, :3], axis=1) + push * D**2 / 8
-        slips = np.linalg.norm(peaks[:, 3:], axis=1) + push * D / 2
         spent = self._thrusts.total(s).sum(axis=1) * D / q.mass
         distance = semi_axes(memory, q.mean_motion)[0] - strays
-        return Outlook(settled, spent, memory[:, :6], strays, slips, distance)
+        return Outlook(settled, spent, distance)
 
     def reset(self) -> None:
         """Forget the references; the next call chooses new ones."""
@@ -140,6 +138,17 @@ class Tracker(Law):
         u, self._memory = self.thrust(x, self._memory)
         self._last, self._next = (t, u), t + self.period
         return u.copy()
+
+
+def lqr_weights(inspection: Inspection, response: float) -> tuple[float, list[float]]:
+    """Stiffness [N/m] and weights of the six states for a time constant [s] of the velocity error.
+
+    The weights are such that, without gravity, a velocity error decays with it and a position error with
+    twice that.
+    """
+    damping = inspection.mass / positive("response", response, "s")
+    stiffness = damping / (4 * response)
+    return stiffness, [stiffness**2] * 3 + [damping**2 - 2 * inspection.mass * stiffness] * 3
 
 
 def _errors(x: Array, memory: Array) -> Array:

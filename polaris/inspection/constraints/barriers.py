@@ -246,5 +246,5 @@ class SunCone(Barrier):
         slip = motion.speed + n * far
         push = motion.acceleration + 2 * n * slip + n**2 * far
         jerk = motion.jerk + n * motion.acceleration + 2 * n * push + n**2 * slip
-        seen = Motion(motion.period, slip, push, jerk, motion.thrust)
+        seen = Motion(motion.period, slip, push, jerk, motion.thrust, motion.along)
         return self.braking.curvature(delta, rate, radius, seen, np.cos(self.half_angle))

@@ -141,15 +141,25 @@ class Families(Table):
         gap = np.maximum(rows.bound - dot(rows.G, self.relative(u)), 0.0)
         return np.asarray(np.divide(gap, size, out=np.where(gap > 0, np.inf, 0.0), where=size > 0))
 
-    def __call__(self, x: Array, sun: ArrayLike) -> Rows:
-        """Barrier conditions at states of shape (..., N, 6) and sun angles of shape (...) [rad]."""
+    def given(self, desired: Array) -> Array:
+        """What the thrusters would give of inputs (..., N, 3) [N]: the nearest to that is looked for.
+
+        The nearest to thrust far beyond the limits is at their corners, and at another corner each period.
+        """
+        return np.clip(desired, -self.inspection.thrust_max, self.inspection.thrust_max)
+
+    def __call__(self, x: Array, sun: ArrayLike, held: Array | None = None) -> Rows:
+        """Barrier conditions at states of shape (..., N, 6) and sun angles of shape (...) [rad].
+
+        For sampled data they hold for every thrust, or, if it is given, for a thrust `held` (..., N, 3) [N].
+        """
         q = self.inspection
         if self.loops:
             return self._by_loops(plain(x), np.asarray(sun, dtype=float))
         every = self.stack(x)
         drift = every @ q.system.A.T
         sun = np.asarray(sun)[..., None]
-        motion = self._motion(every, drift)
+        motion = self._motion(every, drift, held)
         shape = (*x.shape[:-2], len(self.family))
         h, rate, M = np.empty(shape), np.empty(shape), np.zeros(shape)
         G = np.empty((*shape, 3))
@@ -171,11 +181,15 @@ class Families(Table):
             bound = bound + np.maximum(alpha - linear, 0.0) * (h > 0) + M * (D / 2)
         return Rows(h, G, bound)
 
-    def _motion(self, every: Array, drift: Array) -> Motion | None:
+    def _motion(self, every: Array, drift: Array, held: Array | None) -> Motion | None:
         """What is possible within a period."""
         if self.sampled is None:
             return None
         q = self.inspection
+        if held is not None:
+            push = self.stack(held) / q.mass
+            rates = drift + np.concatenate([np.zeros_like(push), push], axis=-1)
+            return self.sampled.held(every, rates, q.mean_motion, np.sqrt(dot(push, push)))
         thrust = np.full(every.shape[-2], np.sqrt(3) * q.thrust_max / q.mass)
         thrust[q.deputies :] *= 2
         return self.sampled.motion(every, drift, q.mean_motion, thrust)

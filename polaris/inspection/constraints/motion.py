@@ -71,17 +71,30 @@ class SampledData:
         acceleration by thrust [m/s^2].
         """
         D, speed = self.period, length(z[..., 3:])
-        # a <= natural + thrust + 3 n^2 (speed + a D) D + 2 n a D, solved for a.
-        a = (length(drift[..., 3:]) + thrust + 3 * n**2 * speed * D) * self.growth(n)
+        a = self._acceleration(length(drift[..., 3:]) + thrust, speed, n)
         fastest = speed + a * D
-        return Motion(D, fastest, a, 3 * n**2 * fastest + 2 * n * a, np.asarray(thrust, dtype=float))
+        # Thrust is within a box whose half-diagonal is `thrust`; the rest is natural motion.
+        along = a - (1 - 1 / np.sqrt(3)) * thrust
+        return Motion(D, fastest, a, 3 * n**2 * fastest + 2 * n * a, np.asarray(thrust, dtype=float), along)
+
+    def held(self, z: Array, rates: Array, n: float, thrust: Array) -> Motion:
+        """As `motion`, of known thrust: `rates` (..., 6) have what it gives, `thrust` (...) is its length."""
+        D, speed = self.period, length(z[..., 3:])
+        a = self._acceleration(length(rates[..., 3:]), speed, n)
+        fastest = speed + a * D
+        return Motion(D, fastest, a, 3 * n**2 * fastest + 2 * n * a, thrust, a)
+
+    def _acceleration(self, first: Array, speed: Array, n: float) -> Array:
+        """Largest acceleration of a period that begins with `first`, which thrust does not change."""
+        # a <= first + 3 n^2 (speed + a D) D + 2 n a D, solved for a.
+        return np.asarray((first + 3 * n**2 * speed * self.period) * self.growth(n))
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
     """Bounds on speed, acceleration and jerk over one period [s], each of shape (...), in SI units.
 
-    `thrust` is the part of the acceleration that is held.
+    `thrust` is the part of the acceleration that is held; along one axis there is at most `along`.
     """
 
     period: float
@@ -89,8 +102,9 @@ class Motion:
     acceleration: Array
     jerk: Array
     thrust: Array
+    along: Array
 
     def __getitem__(self, place: NDArray[np.intp] | slice) -> Motion:
         """The bounds of some states."""
-        parts = (self.speed, self.acceleration, self.jerk, self.thrust)
+        parts = (self.speed, self.acceleration, self.jerk, self.thrust, self.along)
         return Motion(self.period, *(part[..., place] for part in parts))

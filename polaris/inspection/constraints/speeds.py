@@ -48,12 +48,16 @@ class SpeedInSquares(Speed):
         return Evaluation(limit - speed, gradient / (limit + speed)[..., None], 0.0)
 
     def curvature(self, z: Array, sun: ArrayLike, motion: Motion) -> Array:
-        """Bound M; ``-inf`` where the limit cannot be reached within the period."""
+        """Bound M; less, by and by, where the limit cannot be reached within the period.
+
+        A row that is dropped at once lets a deputy speed up for a period and makes it brake in the next.
+        """
         limit, _, speed, _ = self._parts(z)
         D, a = motion.period, motion.acceleration
         change = self.slope * motion.speed * D
         M = 2 * (limit + change) * self.slope * a + 2 * a**2 + 2 * motion.speed * motion.jerk
-        return np.where(motion.speed <= limit - change, -np.inf, M / (limit + speed))
+        room = np.maximum(limit - change - motion.speed, 0.0)
+        return np.asarray(M / (limit + speed) - 2 * room / D**2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +94,6 @@ class VelocitySide(Velocity):
     def curvature(self, z: Array, sun: ArrayLike, motion: Motion) -> Array:
         """Bound M; ``-inf`` where the limit cannot be reached within the period, ``inf`` where both can."""
         speed = np.abs(dot(z[..., 3:], self.direction))
-        # Thrust is within a box whose half-diagonal is motion.thrust; the rest is natural motion.
-        change = (motion.acceleration - (1 - 1 / np.sqrt(3)) * motion.thrust) * motion.period
+        change = motion.along * motion.period
         M = np.where(change < self.limit + speed, (self.limit + speed) * motion.jerk, np.inf)
         return np.where(speed + change <= self.limit, -np.inf, M)

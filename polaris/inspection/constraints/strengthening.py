@@ -98,12 +98,16 @@ _AFRL = {
 }
 PRESETS: dict[str, dict[str, Strengthening]] = {
     "afrl": _AFRL,
+    "afrl-one": {**_AFRL, "speed": Strengthening((0.05, 0.0, 0.005), 1e-3, 10.0, 0.01)},
+    "afrl-five": {**_AFRL, "keep_in": _FAR},
     "polaris": {**_AFRL, "velocity": Strengthening((0.5, 0.0, 0.01), 1e-3, 10.0, 0.01)},
     "linear": {family: Strengthening((0.3, 0.0, 0.0)) for family in FAMILIES},
 }
 """Named sets of strengthening functions; the paper prints none.
 
-``afrl``: those of its authors' library. ``polaris``: the same with quicker velocity limits; those of ``afrl``
+``afrl-one`` and ``afrl-five``: those of its authors' library, in its code for one deputy and in that for
+five, which differ in the speed limit and in the bias of the keep-in zone. ``afrl``: the speed of the one
+for five, the bias of that for one. ``polaris``: as ``afrl`` with quicker velocity limits; those of ``afrl``
 hold back thrust that other constraints need, at speeds far from the limit. ``linear``: ``0.3 h`` throughout,
 for conditions that hold between samples (`SampledData`), which need no bias.
 """

@@ -20,6 +20,12 @@ CENTRALIZED = "centralized"
 SHARINGS = ("coasting", "half", "consensus")
 Statuses = NDArray[np.int8]
 
+TRIES = 6
+"""Programs for which the curvature is bounded by the thrust that the one before chose."""
+
+MET = 1e-9
+"""By how much a condition may be missed [units of h per s]: what the solver leaves."""
+
 LOOPS, LEFT = "polaris.rta.nearest", -1
 """Compiled programs, and the status of one that they leave to the solver."""
 
@@ -59,9 +65,41 @@ class Centralized:
 
     def batch(self, x: Array, sun: Array, desired: Array) -> Filtered:
         """Filter inputs of shape (R, N, 3) at states (R, N, 6) and sun angles (R,) [rad]."""
-        rows = self.families(x, sun)
-        u, status = self.project(rows, desired)
-        return Filtered(u, status, rows)
+        rows, wanted = self.families(x, sun), self.families.given(desired)
+        u, status = self.project(rows, wanted)
+        runs = np.flatnonzero(status.max(axis=1) >= SHORT)
+        if self.families.sampled is not None and len(runs):
+            self._tighten(Filtered(u, status, rows), runs, x, sun, wanted)
+        return Filtered(u, _clipped(status, u, desired), rows)
+
+    def _tighten(self, found: Filtered, runs: NDArray[np.intp], x: Array, sun: Array, wanted: Array) -> None:
+        """Solve again for some runs: bound the curvature by the thrust chosen, not by all there is.
+
+        Begun with no thrust's curvature; an answer stands if it satisfies the rows of its own, otherwise
+        these are added. Those for which that does not do stay as they are.
+        """
+        families, held = self.families, np.zeros_like(wanted[runs])
+        bound: Array = np.full(found.rows.bound[runs].shape, -np.inf)
+        for _ in range(TRIES):
+            rows = families(x[runs], sun[runs], held)
+            bound = np.maximum(bound, rows.bound)
+            held, status = self.project(Rows(rows.h, rows.G, bound), wanted[runs])
+            solved = status.max(axis=1) < SHORT
+            if not solved.any():
+                return
+            own = families(x[runs], sun[runs], np.where(np.isfinite(held), held, 0.0))
+            met = np.einsum("rmv,rmv->rm", own.G, families.relative(held)) >= own.bound - MET
+            good = solved & met.all(axis=1)
+            done = runs[good]
+            found.u[done], found.status[done], found.rows.bound[done] = (
+                held[good],
+                status[good],
+                bound[good],
+            )
+            left = solved & ~good
+            runs, bound, held = runs[left], bound[left], held[left]
+            if not len(runs):
+                return
 
     def project(self, rows: Rows, desired: Array) -> tuple[Array, Statuses]:
         """Nearest inputs that satisfy all rows, shapes (R, N, 3) and (R, N)."""
@@ -114,14 +152,14 @@ class Decentralized:
 
     def batch(self, x: Array, sun: Array, desired: Array) -> Filtered:
         """Filter inputs of shape (R, N, 3) at states (R, N, 6) and sun angles (R,) [rad]."""
-        rows = self.families(x, sun)
-        limit = self.families.inspection.thrust_max
+        rows, asked = self.families(x, sun), desired
+        limit, desired = self.families.inspection.thrust_max, self.families.given(asked)
         bounds, agreed = self._shares(rows, desired.shape[1])
         if self.loops:
             which = self._mine, self._sign, plain(desired)
             u, status, left = self.loops.alone(rows.G, bounds, *which, limit)
             if agreed is None and not left:
-                return Filtered(u, status, rows)
+                return Filtered(u, _clipped(status, u, asked), rows)
             run, who = np.nonzero(status == LEFT)
         else:
             u = np.clip(desired, -limit, limit)
@@ -139,7 +177,7 @@ class Decentralized:
         if agreed is not None:
             status = np.maximum(status, np.where(agreed >= SHORT, agreed, DESIRED)[:, None]).astype(np.int8)
         u[status == FAILED] = np.nan
-        return Filtered(u, status, rows)
+        return Filtered(u, _clipped(status, u, asked), rows)
 
     def _shares(self, rows: Rows, deputies: int) -> tuple[Array, Statuses | None]:
         """Bounds for a row's first and second deputy, (2, R, M); the status of what was agreed, (R,)."""
@@ -175,3 +213,8 @@ def make_filter(families: Families, sharing: str) -> Centralized | Decentralized
 
 def _unchanged(u: Array, desired: Array) -> Statuses:
     return np.where((u == desired).all(axis=-1), DESIRED, FILTERED).astype(np.int8)
+
+
+def _clipped(status: Statuses, u: Array, desired: Array) -> Statuses:
+    """The statuses of inputs (R, N, 3): also where nothing but the thrusters' limits was in the way."""
+    return np.where(status == DESIRED, _unchanged(u, desired), status).astype(np.int8)

@@ -6,7 +6,7 @@ the state x, and x' the state after a period D of the desired input u, that inpu
 
     spent + norm_1(u) D / m + b(x') <= delta_v_max.                                              (*)
 
-Why this keeps the limit is proven in ``docs/inspection-theory.md``, section 6.
+Why this keeps the limit is proven in ``docs/inspection-theory.md``, section 7.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class FuelLimit(CallByCall):
     Parameters
     ----------
     law : Law
-        Backup law, as `Parking` or `Tracker`. Its period is the filter's: call it once per period.
+        Backup law, as `Tracker`. Its period is the filter's: call it once per period.
     keep_clear : bool
         The predicted flight must also keep away from the chief; the printed condition has fuel only.
     horizon : float

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from time import perf_counter
 from typing import Protocol
 
@@ -15,9 +15,11 @@ from ...model.errors import ScenarioError
 from ...model.system import Array
 from ...rta.one_call import RunTimeFilter
 from ...rta.projection import DESIRED, FAILED, FILTERED, SHORT
+from ..backup.brake import Uncertainty
 from ..constraints.families import Families
 from ..filters.explicit import Filtered
 from ..inspection import Inspection
+from ..vectors import length
 from .primary import NoInput, Primary
 
 BACKUP, UNPROVEN = FAILED + 1, FAILED + 2
@@ -61,6 +63,27 @@ class OneFlight:
         return Filtered(decision.u[None], status[None].astype(np.int8), self.families(x, sun))
 
 
+class Errors:
+    """Errors at the edge of their bounds, drawn anew for each period; the same ones for the same seed."""
+
+    def __init__(self, unknown: Uncertainty, inspection: Inspection, seed: int = 0) -> None:
+        self.unknown, self.inspection, self._rng = unknown, inspection, np.random.default_rng(seed)
+
+    def _signs(self, shape: tuple[int, ...]) -> Array:
+        return self._rng.choice([-1.0, 1.0], shape)
+
+    def estimated(self, x: Array) -> Array:
+        """What navigation makes of states (..., 6)."""
+        bound = np.repeat([self.unknown.position, self.unknown.velocity], 3)
+        return np.asarray(x + bound * self._signs(x.shape))
+
+    def acting(self, u: Array) -> Array:
+        """What acts for a period [N] where thrust (..., 3) is asked for: errors and the disturbance, too."""
+        q, way = self.inspection, self._rng.normal(size=u.shape)
+        push = self.unknown.disturbance * q.mass * way / length(way)[..., None]
+        return np.asarray(u + self.unknown.thrust * q.thrust_max * self._signs(u.shape) + push)
+
+
 @dataclass(frozen=True, eq=False)
 class Flights:
     """R flights of N deputies that are to be flown.
@@ -76,6 +99,8 @@ class Flights:
         Of each flight and of one control period [s]; the period must divide the duration.
     primary : Primary
         By default nobody wants any thrust.
+    errors : Errors, optional
+        Of estimates, which filter and primary controller act on, of thrusters and of the model.
     """
 
     inspection: Inspection
@@ -84,6 +109,7 @@ class Flights:
     duration: float = 500.0
     period: float = 1.0
     primary: Primary = field(default_factory=NoInput)
+    errors: Errors | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,13 +164,16 @@ def fly(flights: Flights, filtering: BatchFilter, *observers: Observer, between:
     moves = [q.held(period * (b + 1) / parts) for b in range(parts)]
     for k in range(count):
         t = k * period
-        sun, desired = q.sun_angle(t, flights.sun), flights.primary(t, x)
+        sun, seen = q.sun_angle(t, flights.sun), x if flights.errors is None else flights.errors.estimated(x)
+        desired = flights.primary(t, seen)
         lost = np.asarray(~np.isfinite(desired).all(axis=2))
         begun = perf_counter()
-        filtered = filtering.batch(x, sun, np.where(lost[..., None], 0.0, desired))
+        filtered = filtering.batch(seen, sun, np.where(lost[..., None], 0.0, desired))
         seconds = perf_counter() - begun
         filtered.u[filtered.status == FAILED] = 0.0
         filtered.status[lost] = FAILED
+        if flights.errors is not None:
+            filtered = replace(filtered, u=flights.errors.acting(filtered.u))
         after = np.stack([x @ Phi.T + filtered.u @ Gamma.T for Phi, Gamma in moves])
         for observe in observers:
             observe(Step(k, t, x, sun, desired, filtered, after, seconds))
@@ -166,7 +195,7 @@ class InspectionRun:
     sun : ndarray, shape (K+1,)
         Sun angle [rad].
     u, desired : ndarray, shape (K, N, 3)
-        Applied and desired thrust [N].
+        Applied (with the errors that act, if any) and desired thrust [N].
     status : ndarray of int, shape (K, N)
         See `polaris.rta.projection`.
     h : ndarray, shape (K, M)
@@ -190,6 +219,25 @@ class InspectionRun:
         """Spent velocity change of each deputy [m/s] (eq. 25), shape (K+1, N)."""
         steps = np.abs(self.u).sum(axis=2) / self.inspection.mass * np.diff(self.t)[:, None]
         return np.concatenate([np.zeros((1, steps.shape[1])), np.cumsum(steps, axis=0)])
+
+
+SMALL = 0.02
+"""Share of the thrust limit below which thrust has no sign."""
+
+
+def smoothness(u: Array, t: Array, limit: float) -> dict[str, float]:
+    """How smooth thrust (K, N, 3) [N] over the times t (K+1,) [s] is, per deputy and axis and minute.
+
+    ``switches`` of the sign from one period to the next, and ``variation``, the sum of the changes [N].
+    """
+    u = np.clip(u, -limit, limit)
+    signs = np.sign(np.where(np.abs(u) > SMALL * limit, u, 0.0))
+    minutes = float(t[-1] - t[0]) / 60
+    switches = (signs[1:] * signs[:-1] < 0).sum(axis=0).mean()
+    return {
+        "switches": float(switches) / minutes,
+        "variation": float(np.abs(np.diff(u, axis=0)).sum(axis=0).mean()) / minutes,
+    }
 
 
 def fly_one(flights: Flights, filtering: BatchFilter, *observers: Observer) -> InspectionRun:

@@ -58,6 +58,7 @@ BADGES = {
     "statistical": ("limited", "≈ statistical"),
     "per_period": ("limited", "≈ per period"),
     "by_prediction": ("limited", "≈ by prediction"),
+    "all_time": ("proved", "✓ for all time"),
     "none": ("nothing", "✕ nothing proven"),
 }
 """Class and text of a badge, by kind of guarantee."""

@@ -1,0 +1,222 @@
+"""Is a plan that brakes and holds safe for all time? Bounds of phi1 to phi11, between samples and for ever.
+
+The lemmas are those of ``docs/inspection-theory.md``, section 6.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+import numpy as np
+
+from ...model.system import Array
+from ..closest import ClosestApproach, circle_map, map_norms
+from ..constraints.catalogue import KINDS
+from ..constraints.table import Index
+from ..vectors import dot, length
+from .brake import TOLERANCE, Brake, turned
+
+SUPPORTS = 16
+"""Most steps towards the nearest point of a patch of free flights; each gives a valid bound."""
+
+
+class AllTime:
+    """Bounds every constraint from below, for all time, along plans and within the tube about them.
+
+    Attributes
+    ----------
+    labels : tuple of str, length M
+        ``phi1[0]``, ``phi2[0,3]`` and so on; ``thrust[i]`` is what a plan leaves of the thrust limit [N].
+        Distances, phi4 and phi5 among them, in m; speeds in m/s.
+    first, second : ndarray of int, shape (M,)
+        The deputies of each; the second is -1 where there is one only.
+    about_speed, about_thrust : ndarray of bool, shape (M,)
+        Which are not distances.
+    """
+
+    def __init__(self, brake: Brake, sun_start: float = 0.0, without: Collection[str] = ()) -> None:
+        self.brake, self.inspection, self.sun_start = brake, brake.inspection, sun_start
+        q = self.inspection
+        self.approach = ClosestApproach(q.mean_motion, q.passive_time)
+        self._circle = circle_map(q.mean_motion)
+        every = np.arange(q.deputies)
+        alone = np.stack([every, np.full_like(every, -1)], axis=1)
+        places = np.concatenate([alone, q.pairs])
+        both = ["phi1", "phi7", "phi4"], ["phi2", "phi8", "phi5+", "phi5-"]
+        single = [*both[0], "phi6", "phi3", "phi9", "phi10", "phi11", "thrust"]
+        rows = [(name, *place) for name in single for place in alone]
+        rows += [(name, *pair) for name in both[1] for pair in q.pairs]
+        left_out = {name for family in without for name in KINDS[family].phi}
+        self._counted = np.array([row[0].rstrip("+-") not in left_out for row in rows])
+        rows = [row for row, counted in zip(rows, self._counted, strict=True) if counted]
+        self.first, self.second = (np.array([row[k] for row in rows], dtype=np.intp) for k in (1, 2))
+        self.labels = tuple(f"{name}[{i}]" if j < 0 else f"{name}[{i},{j}]" for name, i, j in rows)
+        self.about_speed = np.array([row[0] in ("phi3", "phi9", "phi10", "phi11") for row in rows])
+        self.about_thrust = np.array([row[0] == "thrust" for row in rows])
+        self._paired = places[:, 1] >= 0
+        self._twice = np.where(self._paired, 2.0, 1.0)
+        self._radius = np.where(self._paired, q.deputy_separation, q.separation)
+        self._gains = _gains(self.approach)
+
+    def __call__(self, t: float, x: Array, age: Index) -> Array:
+        """Lower bounds (M,) over all time from t [s] on, of plans x (L+1, N, 6) that end at rest.
+
+        They were made `age` (N,) periods ago.
+        """
+        q, brake, N = self.inspection, self.brake, self.inspection.deputies
+        D, n, tube, pairs = brake.period, q.mean_motion, brake.tube, q.pairs
+        z = np.concatenate([x, x[:, pairs[:, 0]] - x[:, pairs[:, 1]]], axis=1)
+        # Axes that keep their direction in space: those of Hill's frame at the time t.
+        turn = np.stack([turned(n * D * k) for k in range(len(x))])
+        at = np.einsum("kij,kmj->kmi", turn, z[..., :3])
+        bow, bow_hill, jolt = self._bows(z)
+        astray, slip = tube.during(age, len(x))
+        wide = np.concatenate([astray, astray[:, pairs[:, 0]] + astray[:, pairs[:, 1]]], axis=1)
+        r, closest = _convex(at, length(at), _units(at), bow)
+        clear = (closest - wide).min(axis=0) - self._radius
+        sun = q.sun_angle(t, self.sun_start)
+        cones = [(self._cone(at, float(sun), side, bow) - wide).min(axis=0) for side in (1.0, -1.0)]
+        inside = q.distance_max - (_over_periods(r[:, :N]) + astray).max(axis=0) - bow[:N]
+        fastest = _over_periods(length(x[..., 3:])) + jolt[:N] + slip
+        allowed = q.docking_speed + q.nu_1 * (closest[:, :N] - astray)
+        speed = (allowed - fastest).min(axis=0)
+        along = _over_periods(np.abs(x[..., 3:]))
+        # Held, a deputy turns about z: each axis of the plane comes to have its whole speed.
+        along[-1, :, :2] = n * length(x[-1, :, :2])[:, None]
+        axes = q.speed_max**2 - ((along + slip[..., None]).max(axis=0) + jolt[:N, None]) ** 2
+        u = np.abs(brake.thrusts(x)).max(axis=2)
+        thrust = np.minimum(q.thrust_max - u[0], brake.available - u[1:].max(axis=0, initial=0.0))
+        held = brake.holding * length(x[-1, :, :3])
+        thrust = np.minimum(thrust, brake.available - held) + TOLERANCE
+        passive = self._passive(z, bow_hill, jolt)
+        alone = [clear[:N], passive[:N], cones[0][:N], inside, speed, *axes.T, thrust]
+        of_pairs = [clear[N:], passive[N:], cones[0][N:], cones[1][N:]]
+        return np.asarray(np.concatenate([*alone, *of_pairs])[self._counted])
+
+    def _bows(self, z: Array) -> tuple[Array, Array, Array]:
+        """Lemma D: how far flights leave the chords between samples, shape (N + P,) each.
+
+        Positions in axes that keep their direction and in Hill's frame [m], velocities in Hill's frame [m/s].
+        """
+        q, D, n = self.inspection, self.brake.period, self.inspection.mean_motion
+        push = self._twice * np.sqrt(3) * q.thrust_max / q.mass
+        speed, far = length(z[..., 3:]).max(axis=0), length(z[..., :3]).max(axis=0)
+        grow = np.exp((2 + np.sqrt(3)) * n * D)
+        speed = (speed + np.sqrt(3) * n * far + push * D) * grow  # also between the samples
+        far = far + D * speed
+        hill = 3 * n**2 * far + 2 * n * speed + push
+        jerk = 3 * n**2 * speed + 2 * n * hill
+        part = D**2 / 8
+        return part * (2 * n**2 * far + push), part * hill, part * jerk
+
+    def direction(self, name: str, z: Array, t: float) -> Array:
+        """Unit vector (3,) along which a distance of a place z (3,) at t [s] grows fastest, by its name."""
+        away = _units(z)
+        if name in ("phi1", "phi2"):
+            return away
+        if name == "phi6":
+            return -away
+        sun = float(self.inspection.sun_angle(t, self.sun_start))
+        return self._normal(z, sun, -1.0 if name == "phi5-" else 1.0)[1]
+
+    def _normal(self, at: Array, sun: float, side: float) -> tuple[Array, Array]:
+        """Signed distances (...) from a cone about the sun's line, and their slopes, at places (..., 3)."""
+        half = self.inspection.field_of_view / 2
+        axis = -side * np.array([np.cos(sun), np.sin(sun), 0.0])
+        along = at @ axis
+        across = at - along[..., None] * axis
+        value = np.cos(half) * length(across) - np.sin(half) * along
+        return value, np.cos(half) * _units(across) - np.sin(half) * axis
+
+    def _cone(self, at: Array, sun: float, side: float, bow: Array) -> Array:
+        """Signed distance from a cone about the sun's line, over every period, shape (L+1, N + P) [m]."""
+        return _convex(at, *self._normal(at, sun, side), bow)[1]
+
+    # -- free flights -----------------------------------------------------------------------------
+
+    def _passive(self, z: Array, bow: Array, jolt: Array) -> Array:
+        """Lower bounds of phi7 and phi8, (N + P,), at every instant of the plans and ever after."""
+        gain_p, gain_v = self._gains
+        brake, tube = self.brake, self.brake.tube
+        spread = self._twice * (gain_p * tube.position[-1] + gain_v * tube.velocity[-1])
+        lost = spread + gain_p * bow + gain_v * jolt + self._radius
+        plane, across = brake.drifting
+        held = np.hypot(plane * length(z[-1, :, :2]), across * np.abs(z[-1, :, 2])) - spread - self._radius
+        n, step = self.inspection.mean_motion, self.approach.times[1]
+        amplitude = length(z @ self._circle.T).max(axis=0)
+        lost = lost + (n * step) ** 2 / 8 * amplitude
+        places = (z @ self.approach.positions).reshape(*z.shape[:2], -1, 3)
+        # No point of a patch is farther from its nearest corner than half of two of its sides.
+        moved = np.abs(np.diff(z, axis=0)).max(axis=0, initial=0.0)
+        sides = gain_p * length(moved[:, :3]) + gain_v * length(moved[:, 3:])
+        sides = sides + length(np.diff(places, axis=2)).max(axis=(0, 2))
+        least = length(places).min(axis=(0, 2)) - sides / 2
+        near = np.flatnonzero(least < lost)
+        if len(near):
+            least[near] = np.maximum(least[near], _patches(places[:, near]))
+        return np.asarray(np.minimum(least - lost, held))
+
+
+def _patches(places: Array) -> Array:
+    """Lower bounds (K,) of distances over the patches between the places (S, K, T, 3) of free flights."""
+    if len(places) == 1:
+        places = np.concatenate([places, places])
+    ends = places[:, :, :-1], places[:, :, 1:]
+    corners = np.stack([ends[0][:-1], ends[1][:-1], ends[0][1:], ends[1][1:]], axis=-2)
+    middle = corners.mean(axis=-2)
+    least = length(middle) - length(corners - middle[..., None, :]).max(axis=-1)
+    close = np.nonzero(least < length(places).min(axis=(0, 2))[None, :, None])  # of others a corner is nearer
+    least[close] = np.maximum(least[close], _nearest(corners[close], middle[close]))
+    return np.asarray(least.min(axis=(0, 2)))
+
+
+def _gains(approach: ClosestApproach) -> tuple[float, float]:
+    """Most metres of a free flight's place per metre and per m/s of its start, at any time up to T."""
+    by_place, by_speed = map_norms(approach.place_maps)
+    half = approach.times[1] / 2
+    per_metre, per_speed = approach.speed_gain
+    return float(by_place.max()) + per_metre * half, float(by_speed.max()) + per_speed * half
+
+
+def _units(vectors: Array) -> Array:
+    """Directions; zero, a subgradient of the length, where there is none."""
+    size = length(vectors)
+    return np.asarray(vectors / np.where(size > 0, size, 1.0)[..., None])
+
+
+def _over_periods(values: Array) -> Array:
+    """The larger of the values at the ends of each period, and the last for ever; shape (L+1, ...)."""
+    return np.concatenate([np.maximum(values[1:], values[:-1]), values[-1:]])
+
+
+def _convex(at: Array, value: Array, slope: Array, bow: Array) -> tuple[Array, Array]:
+    """Lower bounds of a convex function of slope at most 1 over every period, and its last value for ever.
+
+    From the values (L+1, K) and the subgradients (L+1, K, 3) at samples (L+1, K, 3): between two of them a
+    convex function is nowhere below its tangents on the chord, nor by more than the bow (K,) off it.
+    """
+    chord = at[1:] - at[:-1]
+    falls, rises = dot(slope[:-1], chord), dot(slope[1:], chord)
+    first, last = value[:-1], value[1:]
+    bends = np.maximum(rises - falls, 1e-300)
+    meet = first + falls * np.clip((first - last + rises) / bends, 0.0, 1.0)
+    least = np.where(falls >= 0, first, np.where(rises <= 0, last, np.minimum(meet, np.minimum(first, last))))
+    return value, np.concatenate([least - bow, value[-1:]])
+
+
+def _nearest(corners: Array, start: Array) -> Array:
+    """Lower bounds (K,) of the distances from the origin of the hulls of corners (K, 4, 3).
+
+    Every direction gives one, the least of the corners along it; the directions are those of points that
+    walk towards the nearest (Gilbert's steps).
+    """
+    point, best = start, np.full(len(start), -np.inf)
+    every = np.arange(len(start))
+    for _ in range(SUPPORTS):
+        along = np.einsum("kci,ki->kc", corners, _units(point))
+        lowest = along.argmin(axis=1)
+        best = np.maximum(best, along[every, lowest])
+        way = corners[every, lowest] - point
+        share = np.clip(-dot(point, way) / np.maximum(dot(way, way), 1e-300), 0.0, 1.0)
+        point = point + share[:, None] * way
+    return best

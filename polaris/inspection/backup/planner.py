@@ -1,0 +1,113 @@
+"""Plans of a backup that are proven before they are needed: the plainest, and what mends one that is not."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...model.system import Array
+from ..constraints.table import Index
+from ..vectors import length
+from .all_time import AllTime
+
+ATTEMPTS = 4
+"""Most plans that are tried from one state."""
+
+ROOM = 0.5
+"""How much farther in than need be a deputy is moved that could not be held where it would stop [m]."""
+
+
+class Proven(NamedTuple):
+    """A plan (L+1, N, 6), from now on, how many periods ago each deputy's was made (N,), and what it keeps.
+
+    Bounds (M,) of all constraints along it, for all time: negative where they are not proven.
+    """
+
+    plan: Array
+    age: Index
+    margins: Array
+
+    @property
+    def good(self) -> bool:
+        """Whether everything holds for all time."""
+        return bool((self.margins >= 0).all())
+
+
+class Planner:
+    """Finds plans that brake and hold and are safe for all time; see `Brake` and `AllTime`."""
+
+    def __init__(self, check: AllTime) -> None:
+        self.check, self.brake = check, check.brake
+
+    def find(
+        self,
+        t: float,
+        x: Array,
+        u: Array | None = None,
+        kept: Proven | None = None,
+        keeps: NDArray[np.bool_] | None = None,
+    ) -> Proven:
+        """The first plan that is proven from states (N, 6) at t [s], or the one that misses least.
+
+        With a period of the thrust u (N, 3) before it, if given. Those who `keeps` (N,) says go on with the
+        plan `kept`.
+        """
+        brake = self.brake
+        Phi, Gamma = brake.motion
+        start = x if u is None else x @ Phi.T + u @ Gamma.T
+        toward, shift = np.zeros((len(x), 3)), np.zeros((len(x), 3))
+        best, age = None, np.zeros(len(x), dtype=np.intp)
+        for _ in range(ATTEMPTS):
+            plan = brake.plan(start, toward, shift)
+            if u is not None:
+                plan = np.concatenate([x[None], plan])
+            if kept is not None and keeps is not None and keeps.any():
+                count = max(len(plan), len(kept.plan))
+                plan, old = brake.extended(plan, count), brake.extended(kept.plan, count)
+                plan[:, keeps] = old[:, keeps]
+                age = np.where(keeps, kept.age, 0)
+            found = Proven(plan, age, self.check(t, plan, age))
+            if best is None or found.margins.min() > best.margins.min():
+                best = found
+            if best.good or not self._mend(t, found, start, toward, shift, keeps):
+                break
+        assert best is not None
+        return best
+
+    def _mend(
+        self,
+        t: float,
+        found: Proven,
+        start: Array,
+        toward: Array,
+        shift: Array,
+        keeps: NDArray[np.bool_] | None,
+    ) -> bool:
+        """Change what concerned deputies end first or where they are held; False if nothing new helps."""
+        before = toward.copy(), shift.copy()
+        brake, check = self.brake, self.check
+        D = brake.period if len(found.plan) > 1 else 0.0
+        for row in np.flatnonzero(found.margins < 0)[::-1]:
+            name, i, j = check.labels[row].split("[")[0], check.first[row], check.second[row]
+            if name in ("phi9", "phi10"):
+                shift[i] += self._inwards(found.plan[-1, i])
+            elif name in ("phi1", "phi2", "phi4", "phi5+", "phi5-", "phi6"):
+                z = start[i, :3] - (start[j, :3] if j >= 0 else 0.0)
+                outward = check.direction(name, z, t + D)
+                toward[i] = -outward
+                if j >= 0:
+                    toward[j] = outward
+        if keeps is not None:
+            toward[keeps], shift[keeps] = 0.0, 0.0
+        return not (np.array_equal(toward, before[0]) and np.array_equal(shift, before[1]))
+
+    def _inwards(self, rest: Array) -> Array:
+        """By what (3,) a deputy must be held farther in, so that turning keeps its velocity limits."""
+        brake, q = self.brake, self.check.inspection
+        most = (q.speed_max - brake.tube.velocity[-1]) / q.mean_motion - ROOM
+        p = rest.copy()
+        p[2] = 0.0
+        far = length(p[:3])
+        return np.asarray(-p[:3] / far * max(far - most, 0.0)) if far > 0 else np.zeros(3)
