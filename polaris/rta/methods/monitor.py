@@ -139,7 +139,7 @@ class Monitor(Method):
     def worth(
         self, priced: Callable[[Mapping[int, float], float, float], float], modes: tuple[int, ...] = ()
     ) -> float:
-        """What the undisturbed flight from the middle of the initial set is worth, these modes taking part."""
+        """What the undisturbed flight from the middle of the initial set is worth, with these modes."""
         self.modes = modes or self.modes
         flight = fly(self.grid, self, Conditions.undisturbed(self.grid))
         modes = flight.modes[0]
