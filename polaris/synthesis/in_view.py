@@ -25,7 +25,7 @@ from ..planning.problem import IN_VIEW, Plan
 from ..planning.recheck import certified
 from ..planning.rows import Key, Rows
 from ..planning.search import Candidate, Seen
-from .attempts import perceive_unsafe, plan_problem
+from .attempts import plan_problem
 from .clearance import error_tube
 from .controllers import AffineController
 from .schedule import Schedule
@@ -104,14 +104,15 @@ class Windows:
         safety = printed.safety
         problem, tracking, system = safety.problem, safety.tracking, safety.problem.system
         self.worth, self.K, self.mode = worth, problem.K, mode
-        sets = perceive_unsafe(problem, problem.K)
+        sets, tail = safety.clearance.unsafe, safety.reference.cells - problem.K
         asked = plan_problem(problem, tracking, sets)
         u = Tracking(system, law.gain, tracking.feedback, problem.delta, tracking.share)
         margins = []
         for unsafe, margin in zip(sets, asked.margins, strict=True):
             tube = error_tube(u, safety.start, -unsafe.normals @ system.position)
             margins.append(margin + tube.over_cells(problem.K, tracking.feedback.nodes_per_cell))
-        self.asked = replace(asked, objective="fuel", margins=tuple(margins))
+        # Coasting after T that is proven safe along the printed reference shall stay so.
+        self.asked = replace(asked, objective="fuel", margins=tuple(margins), tail_cells=tail)
         self.rows = Rows(self.asked)
         followed = Followed.of(system, law.powers[-1], law.own)
         self.search = FollowingSearch(self.rows, perf_counter() + problem.planner.time_limit, followed)
@@ -212,7 +213,7 @@ class Windows:
                 tube = schedule.controllers[intended[k]].fly(reached, k)
                 margin = safety.recoverable.margin(k, tube.nodes, tube.bow)
                 if not margin.inside and margin.limit in names:
-                    cell = min(int(margin.time / safety.problem.delta), self.K - 1)
+                    cell = min(int(margin.time / safety.problem.delta), self.asked.cells - 1)
                     near = slice(max(cell - 1, 0), cell + 2)
                     lacking = SPARE * (margin.need - margin.room)
                     booked = self.rows.booking[names.index(margin.limit)]

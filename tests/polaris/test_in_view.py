@@ -112,6 +112,16 @@ def test_with_u_in_view_nothing_is_lost(seed, folder):
     assert schedule.margins[schedule.modes > 0].min(initial=1.0) >= 0
 
 
+def test_what_is_in_the_way_after_the_end_alone_is_passed_with_u_in_view_too():
+    """A box on the orbit that the reference of `static` with U in view would coast along after T."""
+    late = '{kind="box", name="late", center_m=[-71.0, 75.0, 0.0], half_widths_m=[10.0, 10.0, 10.0]}'
+    debris = '{kind="box", name="debris", center_m=[135.0, 215.0, 0.0], half_widths_m=[25.0, 25.0, 25.0]}'
+    schedule = synthesize(load_scenario("static", [f"obstacles=[{debris}, {late}]"]))
+    assert schedule.safety.plan.status == "in_view" and schedule.safety.plan.tail_facets.shape[1] > 0
+    assert schedule.safety.end.until == np.inf and schedule.arrival.reached is True
+    assert schedule.share() > 0.85 and schedule.switches == 2
+
+
 @pytest.mark.slow
 def test_with_u_in_view_nothing_is_lost_in_many_scenes(folder):
     kept = changed = 0

@@ -13,6 +13,7 @@ from polaris.rta.decision_grid import DecisionGrid
 from polaris.rta.flight import Conditions, fly
 from polaris.rta.method_result import measure
 from polaris.rta.methods.monitor import Monitor
+from polaris.synthesis.controllers import AnyThrust
 from reach.sets.zonotope import Zonotope
 from tests.polaris.random_scenarios import synthesised
 from tests.rta.scenes import corridor, robot, scene
@@ -100,6 +101,25 @@ def test_the_reference_that_is_worth_most_is_flown():
         assert own == ("a safe reference of its own" in best.claim.reach)
         assert own == (np.argmax(spent) > 0)
         kept(best)
+
+
+def test_of_several_controllers_one_alone_flies_if_that_is_worth_more():
+    schedule = corridor()
+    safety, (own, straight) = schedule.safety, schedule.controllers
+    anything = AnyThrust("anything", safety.problem.system, safety.reference, safety.tracking)
+    both = replace(schedule, controllers=(own, anything, straight))
+    thrifty = replace(both, worth=lambda shares, delta_v, switches: -delta_v)
+    best = Monitor.on(DecisionGrid.of(thrifty))
+    assert best.modes == (2,) and "only straight flies" in best.claim.reach
+    conditions = Conditions.draw(best.grid, 4, 0)
+    assert set(np.unique(fly(best.grid, best, conditions).modes)) == {0, 2}
+    assert set(np.unique(fly(best.grid, best, conditions.only(0)).modes)) == {0, 2}
+    kept(best)
+    first = replace(both, worth=lambda shares, delta_v, switches: shares.get(1, 0.0))
+    for one in (both, first):  # nothing is known of its worth; or no other is worth more
+        best = Monitor.on(DecisionGrid.of(one))
+        assert best.modes == (1, 2) and "only" not in best.claim.reach
+        assert 1 in fly(best.grid, best, conditions).modes
 
 
 def test_comparisons_fly_it_and_scenes_without_a_library_their_own():

@@ -22,6 +22,8 @@ from .style import draw_safe_path, shortened, text_width
 
 WIDTH = 2.8
 """Of the axes [in]."""
+CLASH = 4.0
+"""What it counts if a name lies on another: more than all else; then a line further off will do."""
 
 
 class View:
@@ -80,7 +82,7 @@ class View:
         middle = (low + high) / 2 - size / 2
         sides = np.stack([low - size, middle, high])
         beside = ((1, 2), (2, 1), (1, 0), (0, 1), (2, 2), (2, 0), (0, 2), (0, 0))  # above first, then right
-        places = [sides[list(place), [0, 1]] for place in beside]
+        places = around = [sides[list(place), [0, 1]] for place in beside]
         if np.all(size * (1, 1.8) < high - low):
             heights = (low[1] + share * (high[1] - low[1]) - size[1] / 2 for share in (0.5, 0.25, 0.75))
             places = [*(np.array([middle[0], height]) for height in heights), *places]
@@ -93,8 +95,11 @@ class View:
             crossing = self.points - place
             over = int(np.count_nonzero(np.all((crossing > 0) & (crossing < size), axis=1)))
             clash = any(np.all((place < at + own) & (at < place + size)) for at, own in self.taken)
-            return min(over, 20) / 20 + np.any(place != wanted) + 2 * clash
+            return min(over, 20) / 20 + np.any(place != wanted) + CLASH * clash
 
+        if min(map(cost, places)) >= CLASH:
+            off = [np.array([0.0, 1.2 * (row - 1) * size[1]]) for _, row in beside]
+            places = [*places, *map(np.add, around, off)]
         place = into(min(places, key=cost))
         self.taken.append((place, size))
         look = {"ha": "center", "va": "center", "zorder": 8, "clip_on": True}

@@ -144,7 +144,7 @@ def synthesis(summary: Mapping[str, Any]) -> str:
     room = start.text(found["start_margin"], proven=True)
     rows = {
         "recoverable sets": escaped(found["recoverable"]),
-        "plan": f"{escaped(plan['status'])} ({escaped(plan.get('solver_name', plan['solver']))})",
+        "plan": escaped(f"{plan['status'].replace('_', ' ')} ({plan.get('solver_name', plan['solver'])})"),
         "clearance of the plan beyond the tube": Measure.of("margin_m").text(plan["margin_m"], proven=True),
         "velocity change of the plan": Measure.of("delta_v_m_s").text(plan["delta_v_m_s"]),
         "room left at the start": f"{room}, least at {escaped(found['start_limit'])}",

@@ -81,7 +81,8 @@ class Monitor(Method):
         if self.reentry >= 1:
             raise ScenarioError("reentry", reentry, "must be a share of the room, less than 1")
         self.settings = {"reentry": self.reentry, "dwell": float(self.dwell)}
-        self.along = ""
+        self.modes = tuple(range(1, len(grid.controllers)))  # who may fly beside S, in order of preference
+        self.chosen = ""
         self.recovery, self.trust = Recovery.certified(grid), trust
         # By controller (0: anything within the thrust limits) and by who flies until a decision takes effect.
         self.prospects: dict[tuple[int, int], Prospect] = {}
@@ -99,14 +100,15 @@ class Monitor(Method):
     def reach(self) -> str:
         """See the module."""
         what = "its declared model" if self.trust == "declared" else "nothing but its thrust limits"
-        return f"state estimate within its error bound, U obeys {what}{self.along}"
+        return f"state estimate within its error bound, U obeys {what}{self.chosen}"
 
     @classmethod
     def on(cls, grid: DecisionGrid, **options: Any) -> Monitor:
         """A monitor along that safe reference, the schedule's or one of its library, that is worth most.
 
-        What each is worth is flown beforehand, from the middle of Theta and undisturbed. S must then fly that
-        reference too: that of the monitor's own `grid`.
+        Of several experimental controllers it lets all fly, or one alone, whatever is worth more. Each is
+        flown beforehand, from the middle of Theta and undisturbed. S must then fly that reference too: that
+        of the monitor's own `grid`.
 
         Raises
         ------
@@ -122,14 +124,23 @@ class Monitor(Method):
                 refused = refused or error
         if not made:
             raise refused or NotCertified("nothing is proven")
-        worth = grid.schedule.worth
-        best = max(made, key=lambda one: one.worth(worth)) if worth and len(made) > 1 else made[0]
+        best, everyone, worth = made[0], made[0].modes, grid.schedule.worth
+        alone = [(mode,) for mode in everyone] if len(everyone) > 1 else []
+        choices = [(one, modes) for one in made for modes in (everyone, *alone)]
+        if worth and len(choices) > 1:
+            best, modes = max(choices, key=lambda choice: choice[0].worth(worth, choice[1]))
+            best.modes = modes
         if best.grid is not grid:
-            best.along = ", along a safe reference of its own, proven like the schedule's"
+            best.chosen = ", along a safe reference of its own, proven like the schedule's"
+        if best.modes != everyone:
+            best.chosen += f"; only {grid.controllers[best.modes[0]].name} flies, which is worth more"
         return best
 
-    def worth(self, priced: Callable[[Mapping[int, float], float, float], float]) -> float:
-        """What the undisturbed flight from the middle of the initial set is worth."""
+    def worth(
+        self, priced: Callable[[Mapping[int, float], float, float], float], modes: tuple[int, ...] = ()
+    ) -> float:
+        """What the undisturbed flight from the middle of the initial set is worth, with these modes."""
+        self.modes = modes or self.modes
         flight = fly(self.grid, self, Conditions.undisturbed(self.grid))
         modes = flight.modes[0]
         shares = np.bincount(modes) / len(modes)
@@ -174,7 +185,7 @@ class Monitor(Method):
         R = len(e)
         mode, margin = np.zeros(R, dtype=int), np.full(R, -np.inf)
         most = np.where(flown == 0, self._most(k), 1.0)
-        for candidate in range(1, len(self.grid.controllers)):
+        for candidate in self.modes:
             share = np.full(R, np.inf)
             for before in (0, 1) if self.grid.delay else (0,):
                 mine = ((flown != 0) == before) if self.grid.delay else np.ones(R, dtype=bool)
@@ -209,7 +220,7 @@ class Monitor(Method):
         """Mode; margin and tightest limit of the controller chosen, or of the best refused."""
         before, best, nearest = 1 if self.grid.delay and flown else 0, np.inf, None
         most = 1.0 if flown else self._most(k)
-        for candidate in range(1, len(self.grid.controllers)):
+        for candidate in self.modes:
             cautious = self.prospects[0, before]
             prospect = self.prospects.get((candidate, before), cautious)
             share, where, holds = prospect.share_one(k, e)

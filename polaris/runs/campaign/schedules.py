@@ -7,7 +7,7 @@ import threading
 import tomllib
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, ClassVar
 
@@ -89,7 +89,7 @@ def _made(text: str) -> tuple[Schedule, str] | PolarisError:
         cut = ", ".join(schedule.safety.cut_by_clock)
         rule = f"the wall clock ended the planner's search early ({cut}), and a campaign must be repeatable"
         return OutOfTime(f"{rule}: raise planner.time_limit_s")
-    return schedule, digest(schedule)
+    return replace(schedule, library=()), digest(schedule)  # other references fly nowhere here
 
 
 def schedule_of(text: str) -> tuple[Schedule, str]:
