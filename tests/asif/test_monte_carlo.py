@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
+from scipy.stats import binomtest
 
 from polaris.inspection.constraints.allowable_set import allowable
 from polaris.inspection.constraints.families import Families
@@ -170,11 +174,14 @@ def test_a_primary_controller_that_attacks_is_filtered(drawn):
 
 @pytest.mark.slow
 def test_the_papers_monte_carlo(tmp_path):
-    """2,000 runs: the paper has 100 %, 90.95 % and 100 %; shared conditions lose none."""
-    folder = run_monte_carlo(tmp_path / "c", load_scenario("inspection-monte-carlo"), executor=local(2))
+    """200 of the 2,000 runs: the paper has 100 %, 90.95 % and 100 %; shared conditions lose none."""
+    scenario = load_scenario("inspection-monte-carlo", {"campaign.runs": 200})
+    folder = run_monte_carlo(tmp_path / "c", scenario, executor=local(2))
     success = {study["name"]: study["success_share"] for study in folder.summary["studies"]}
-    assert folder.summary["runs"] == 2000
-    assert success["centralized"] == 1.0
-    assert 0.9 < success["decentralized"] < 0.99
-    assert success["decentralized-no-h5"] >= 0.999
-    assert success["decentralized-shared"] == 1.0
+    shown = Path("docs/inspection.md").read_text(encoding="utf-8")
+    told = {name: float(re.findall(rf"^{name} +([0-9.]+)%", shown, re.MULTILINE)[0]) / 100 for name in success}
+    assert success["centralized"] == told["centralized"] == 1.0
+    assert success["decentralized-no-h5"] == told["decentralized-no-h5"] == 1.0
+    assert success["decentralized-shared"] == told["decentralized-shared"] == 1.0
+    few, many = binomtest(round(200 * success["decentralized"]), 200).proportion_ci(0.999)
+    assert few <= told["decentralized"] <= many < 1.0
