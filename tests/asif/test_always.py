@@ -212,7 +212,7 @@ def test_held_in_free_flight_keeps_its_share_of_the_distance():
 
 
 def test_held_for_long_nothing_is_claimed_across_the_plane():
-    """Within half an orbit what is held on the axis flies through the chief; the same in the plane, or nearly."""
+    """After a quarter of an orbit what was held on the axis across the plane is at the chief."""
     quarter = np.pi / 2 / Q.mean_motion
     for duration in (quarter - 0.3, quarter, quarter + 0.7, 1.4 * quarter):
         brake = Brake(replace(Q, passive_time=duration))

@@ -160,9 +160,7 @@ class Brake:
         feedback = float((error[-1, 6:] + np.abs(gain) @ unknown).max())
         # What holding takes at each instant turns with the deputy; it is held for a period.
         needed = self.spin @ self.spin - q.system.A[3:] @ self.resting
-        uneven = (
-            np.linalg.norm(needed - self._still / q.mass, 2) + np.linalg.norm(needed, 2) * n * D
-        )
+        uneven = np.linalg.norm(needed - self._still / q.mass, 2) + np.linalg.norm(needed, 2) * n * D
         extra = np.sqrt(3) * feedback / q.mass + w + uneven * q.distance_max
         between = (velocity + np.sqrt(3) * n * position + extra * D / 2) * grow
         return gain, Tube(position + between * D / 2, between, feedback)
