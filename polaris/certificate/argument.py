@@ -7,7 +7,7 @@ from dataclasses import replace
 from flint import arb, arb_mat
 
 from .arrival import Arrival
-from .balls import above, column, identity, largest, magnitude, matrix, plain, require
+from .balls import above, column, identity, largest, magnitude, matrix, plain, require, sums
 from .document import Document, UnsafeSet
 from .flights import Flown, Pilot, fly
 from .lemma import Stated, check_norm_bounds
@@ -57,7 +57,9 @@ class Argument:
         self.n, self.K = len(document.A), document.steps
         self.plant = plant_of(document)
         self.pilots = [Pilot(law, self.plant, document.slopes) for law in document.laws]
-        self.gain, self.loop = self.pilots[0].gain, self.pilots[0].loop()
+        self.gain, noise = self.pilots[0].gain, self.pilots[0].noise
+        most = [x * document.share for x in self.plant.u_max]
+        self.loop = self.plant.loop(self.gain, sums(noise, self.plant.thruster_error(most)))
 
     def run(self) -> None:
         """Check everything; returns only if every claim holds.
@@ -162,7 +164,7 @@ class Argument:
         disturbed = needs.disturbed
         tube = needs.tube(start)
         names = [f"position {i}" for i in range(C.nrows())] * 2 + doc.input_names * 2
-        d = 2 * C.nrows()
+        d, error = 2 * C.nrows(), self.pilots[0].noise
         for k in range(self.K):
             lags = range(k * q, (k + 1) * q + 1)
             if lags[-1] <= memory.periods:
@@ -174,7 +176,7 @@ class Argument:
             for i, top in enumerate(self.plant.u_max):
                 below, over, u = need[d + i], need[d + len(doc.u_max) + i], doc.inputs[k][i]
                 where = f"{doc.input_names[i]} in step {k}"
-                self._no_smaller("thrust", where, doc.peaks[k][i], largest((over + u, below - u)))
+                self._no_smaller("thrust", where, doc.peaks[k][i], largest((over + u, below - u)) + error[i])
                 require("thrust", top - doc.peaks[k][i], f"{where}, {doc.peaks[k][i]:.6g} claimed")
         for name, stored, most in zip(names, doc.settled, disturbed[-2], strict=True):
             self._no_smaller("error_bounds", f"{name} from rest, for ever", stored, most)

@@ -292,12 +292,17 @@ class Arrival:
     def _correcting(self, nodes: int) -> arb:
         """Bound on S's velocity change over periods after T [m/s]."""
         doc, plant, m, total = self.document, self.loop.plant, len(self.document.u_max), arb(0)
+        error = plant.command_error(matrix(doc.laws[0].gain or []))
         for node in range(nodes):
             first, last = self._thrust(node), self._thrust(node + 1)
             u = doc.inputs[doc.steps + node // doc.q]
-            for i, top in enumerate(plant.u_max):
-                most = largest((first[i], first[m + i], last[i], last[m + i])) + abs(u[i])
-                total += smallest((most.upper(), top))
+            tops = [
+                smallest((top, (largest(parts) + abs(x) + wrong).upper()))
+                for top, x, wrong, *parts in zip(
+                    plant.u_max, u, error, first[:m], first[m:], last[:m], last[m:], strict=True
+                )
+            ]
+            total += sum(sums(tops, plant.thruster_error(tops)), arb(0))
         return total * plant.h / doc.mass
 
     @cached_property

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 SATELLITES = (
     "other satellites: each obeys x' = A x + D w with the same A, D and bound on w, and adds no more "
     "acceleration than is declared for it"
@@ -17,6 +19,9 @@ def assumptions(
     satellites: bool = False,
     horizon: str = "none",
     until: float | None = None,
+    estimate: Iterable[float] = (),
+    thrusters: Iterable[float] = (),
+    chaser: float = 0.0,
 ) -> list[str]:
     """What a certificate rests on and no checker can confirm: the one list, for runs and certificates.
 
@@ -34,11 +39,25 @@ def assumptions(
         How long safety is claimed.
     until : float or None
         Last instant of a claim of one further period [s].
+    estimate : iterable of float
+        Bounds on the errors of the states' estimates.
+    thrusters : iterable of float
+        Errors of what is applied: as a share of the command, of the 2-norm of all, and whatever is commanded.
+    chaser : float
+        Radius of the chaser [m]; 0 for a point.
     """
+    errors = list(estimate)
+    seen = "an estimate of the state" if any(errors) else "the exact state"
     if period is None:
-        law = "every controller acts continuously on the exact state"
+        law = f"every controller acts continuously on {seen}"
     else:
-        law = f"every controller renews its input each {period:g} s, in time and with the exact state"
+        law = f"every controller renews its input each {period:g} s, in time and with {seen}"
+    bounds = ", ".join(f"{x:g}" for x in errors)
+    known = f"navigation: at all times no state is further from its estimate than [{bounds}], one by one"
+    applied = list(thrusters)
+    off = " + ".join(f"{x:g} {of}" for x, of in zip(applied, ("|u_i|", "norm(u, 2)", "N"), strict=False) if x)
+    size = f"within {chaser:g} m of the point that is navigated, which is added to every unsafe set"
+    point = "a point, its own size being part of the unsafe sets"
     ever = horizon == "infinite"
     if horizon == "none" or not (ever or until):
         fuel = "fuel: enough for every command up to T"
@@ -49,11 +68,17 @@ def assumptions(
     return [
         f"model: x' = A x + B u + D w, |u_i| <= u_max, norm(w, 2) <= {w_max:g} and otherwise arbitrary",
         "initial state: inside the initial set",
-        "chaser: a point, its own size being part of the unsafe sets",
+        f"chaser: {size if chaser else point}",
         "perception: every unsafe set lies in its timed polytope",
         *(rest if resting else []),
         *([SATELLITES] if satellites else []),
         f"sampling: {law}",
+        *([known] if any(errors) else []),
+        *(
+            [f"thrusters: what is applied to an input is within {off} of its command u_i"]
+            if any(applied)
+            else []
+        ),
         "clocks: exact; schedule, reference and unsafe sets count from the same instant",
         "experimental controllers: each obeys its declared model",
         fuel,

@@ -123,6 +123,12 @@ class Document:
         self.u_max: Vector = system["input_max"]
         self.w_max: float = system["disturbance_max"]
         self.mass: float = system["mass"]
+        self.estimate: Vector = system.get("estimate_error") or []
+        errors = system.get("thrusters")
+        self.thrusters: Vector = [errors[key] for key in ("along", "across", "bit")] if errors else []
+        self.share: float = 1.0 if system.get("safety_share") is None else system["safety_share"]
+        if not 0 < self.share <= 1 or any(x < 0 for x in self.thrusters):
+            raise ValueError("the safety controller's share must be within 0 and 1, errors not negative")
         self.mean_motion: float | None = system["mean_motion"]
         self.input_names: list[str] = system["input_names"]
         if self.q > MOST_NODES:
@@ -131,6 +137,8 @@ class Document:
             raise ValueError("the step must be positive")
         if len(self.A) > MOST_STATES:
             raise Undecided("system", f"{len(self.A)} states, more than {MOST_STATES}")
+        if self.estimate and not (min(self.estimate) >= 0 and max(self.estimate) > 0):
+            raise ValueError("errors of estimates must not be negative, nor all zero")
         if not (self.A and min(self.u_max) > 0 and self.w_max >= 0 and 1 <= len(self.C) <= 3):
             raise ValueError("limits must be positive, and positions have one to three axes")
         if not (self.mass > 0 and (self.mean_motion is None or self.mean_motion > 0)):
@@ -143,6 +151,9 @@ class Document:
         self.inputs: Matrix = read["reference"]["inputs"]
         self.cells = len(self.inputs)
         self.facets: list[list[int]] = read["facets"]
+        self.chaser_radius: float = read.get("chaser_radius") or 0.0
+        if self.chaser_radius < 0:
+            raise ValueError("the chaser's radius must not be negative")
         if len(self.generators) > MOST_GENERATORS:
             raise Undecided("initial_set", f"more than {MOST_GENERATORS} generators")
         if self.cells * self.q > MOST_NODES_IN_ALL:
@@ -196,6 +207,9 @@ class Document:
             satellites=self.satellites,
             horizon=self.horizon,
             until=self.until,
+            estimate=self.estimate,
+            thrusters=self.thrusters,
+            chaser=self.chaser_radius,
         )
         if read["assumptions"] != self.assumptions:
             raise Rejected(

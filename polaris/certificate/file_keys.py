@@ -41,7 +41,9 @@ CERTIFICATE = {
         "A": grid("n n"), "B": grid("n m"), "C": grid("d n"), "D": grid("n p"),
         "input_max": grid("m"), "input_names": grid("m", NAME),
         **every(HEX, "disturbance_max mass"), "mean_motion": Either((HEX, None)),
+        "estimate_error?": grid("n"), "thrusters?": every(HEX, "along across bit"), "safety_share?": HEX,
     },
+    "chaser_radius?": HEX,
     "sampling": {
         "kind": Text(("continuous", "sampled")), "step": HEX, **every(Whole(1), "steps nodes_per_step"),
     },
@@ -111,6 +113,8 @@ GAINS = {
     "law": TEXT,
     "system": {
         **every(MATRIX, "A B C D"), "input_max": VECTOR, "disturbance_max": NOT_NEGATIVE, "mass_kg": REAL,
+        "estimate_error?": VECTOR, "thrusters?": every(NOT_NEGATIVE, "along across bit"),
+        "safety_share?": NOT_NEGATIVE,
     },
     "feedback": {"sampled": bool, "node_spacing_s": REAL, "nodes_per_step": Whole(1)},
     "controllers": Rows({

@@ -15,6 +15,8 @@ from .recovery import Barrier
 from .verdict import Rejected
 from .zonotopes import Merging, Zonotope
 
+GUESSES = 3
+"""How often it is guessed how much is commanded in a period before all that there is is taken for it."""
 ROUNDS = 5
 """How often the range of a clipped command is narrowed by the thrust that it allows."""
 
@@ -46,6 +48,11 @@ class Pilot:
         return self._loops[key]
 
     @cached_property
+    def noise(self) -> list[arb]:
+        """Bounds on what errors of the estimate add to its command."""
+        return self.plant.command_error(self.gain)
+
+    @cached_property
     def commands(self) -> arb_mat:
         """Rows of its command and, for the other limit, of the negative one."""
         return above(-self.gain, self.gain)
@@ -65,40 +72,66 @@ class Pilot:
             most = d.support(self.commands)
             if not self.plant.sampled:
                 most = period.within(self.commands, d, most)
-            tops = [
-                smallest((top, largest((-lo, hi))))
-                for (lo, hi), top in zip(_ranges(u, most), tops, strict=True)
-            ]
-        return sum(tops, arb(0)) * self.plant.h
+            tops = self.clipped(_ranges(u, most))
+        return sum(sums(tops, self.plant.thruster_error(tops)), arb(0)) * self.plant.h
+
+    def clipped(self, ranges: list[tuple[arb, arb]]) -> list[arb]:
+        """Bounds on its commands after the clip, on any estimate, from their ranges on the exact state."""
+        parts = zip(ranges, self.plant.u_max, self.noise, strict=True)
+        return [smallest((top, (largest((-lo, hi)) + noise).upper())) for (lo, hi), top, noise in parts]
 
     def period(self, d: Zonotope, u: arb_mat, k: int, i: int) -> Period:
-        """Motion over a period of a step from a set about the base arc, whose input is u."""
-        still, kind = arb_mat(d.c.nrows(), 1), self.law.kind
-        if kind == "any_thrust":
-            return Period(self.plant.open, still, Push.in_box(self.plant.B, self.plant.u_max))
-        linear = Period(self.loop(), still)
-        if kind == "safety":
-            return linear
-        most = d.support(self.commands)
-        if not self.plant.sampled:
-            most = linear.within(self.commands, d, most)
-        if all(max(-lo, hi) <= top for (lo, hi), top in zip(_ranges(u, most), self.plant.u_max, strict=True)):
-            return linear  # proven, since nothing clips as long as it is within the limits
+        """Motion over a period of a step from a set about the base arc, whose input is u.
+
+        Errors of the thrusters are those of commands up to a guess, which is one if what is found keeps below
+        it: no flight can be the first to exceed it.
+        """
+        plant = self.plant
+        if self.law.kind == "any_thrust":
+            tops = sums(plant.u_max, plant.thruster_error(plant.u_max))
+            return Period(plant.open, arb_mat(d.c.nrows(), 1), Push.in_box(plant.B, tops))
+        found = self.clipped(_ranges(u, d.support(self.commands)))
+        for _ in range(GUESSES if plant.thrusters else 0):
+            guess = [
+                smallest((top, 1.02 * x.upper() + 1e-3 * top))
+                for top, x in zip(plant.u_max, found, strict=True)
+            ]
+            period, found = self._under(guess, d, u, k, i)
+            if all(x < y or y == top for x, y, top in zip(found, guess, plant.u_max, strict=True)):
+                return period
+        return self._under(plant.u_max, d, u, k, i)[0]
+
+    def _under(self, most: list[arb], d: Zonotope, u: arb_mat, k: int, i: int) -> tuple[Period, list[arb]]:
+        """Motion over a period under errors of the thrusters for commands up to `most`, and its commands."""
+        kind, plant = self.law.kind, self.plant
+        error = plant.push(sums(self.noise, plant.thruster_error(most)))
+        linear = Period(self.loop(), arb_mat(d.c.nrows(), 1), None, error)
+        reach = d.support(self.commands)
+        if not plant.sampled:
+            reach = linear.within(self.commands, d, reach)
+        ranges = _ranges(u, reach)
+        # What an error of the estimate adds to a command comes after the clip; without one, it counts.
+        noise = self.noise if kind == "affine" else [arb(0)] * len(most)
+        room = [top - x for top, x in zip(plant.u_max, noise, strict=True)]
+        # Within the limits nothing clips; the safety controller keeps to them, as is shown of it elsewhere.
+        if kind == "safety" or all(max(-lo, hi) <= top for (lo, hi), top in zip(ranges, room, strict=True)):
+            return linear, self.clipped(ranges)
         if kind == "affine":
             raise Rejected(
                 "controllers", f"{self.law.name} may exceed the thrust limits, unclipped, in step {k}"
             )
         step = self.slopes[k]
-        return _clipped(self, d, u, None if step is None else step[i])
+        return _clipped(self, d, u, None if step is None else step[i], error)
 
 
 @dataclass(frozen=True, eq=False)
 class Period:
-    """Motion over one period: ``d' = ... + g + V v`` with v of a push."""
+    """Motion over one period: ``d' = ... + g + V v`` with v of a push, held or not, and errors of inputs."""
 
     motion: Motion
     g: arb_mat
     push: Push | None = None
+    error: Push | None = None
 
     def ends(self, d: Zonotope) -> Zonotope:
         """Where the motion without disturbance and without v ends."""
@@ -110,6 +143,8 @@ class Period:
         if push is not None:
             held = self.motion.held is not None
             pushed = [self.motion.gamma * push.V * push.cover if held else self.motion.pushed(push)]
+        if self.error is not None:
+            pushed.append(self.motion.pushed(self.error))
         return end.grown(*pushed, self.motion.disturbance_set)
 
     def extra(self, rows: arb_mat, d: Zonotope) -> tuple[list[arb], list[arb]]:
@@ -121,9 +156,10 @@ class Period:
         motion = self.motion
         bend, last = motion.disturbance_along(rows)
         first = sums(motion.bow(rows, d.image(motion.closed).moved(self.g)), bend)
-        if self.push is not None:
-            first = sums(first, motion.push_bend(rows, self.push))
-            last = sums(last, motion.push_gain(rows, self.push))
+        for push in (self.push, self.error):
+            if push is not None:
+                first = sums(first, motion.push_bend(rows, push))
+                last = sums(last, motion.push_gain(rows, push))
         return first, sums(first, last)
 
     def within(self, rows: arb_mat, d: Zonotope, at_node: list[arb]) -> list[arb]:
@@ -189,8 +225,10 @@ def _ranges(u: arb_mat, most: list[arb]) -> list[tuple[arb, arb]]:
     return [((u[i, 0] - most[m + i]).lower(), (u[i, 0] + most[i]).upper()) for i in range(m)]
 
 
-def _clipped(pilot: Pilot, d: Zonotope, u: arb_mat, stored: list[float] | None) -> Period:
-    """A clipped law over a period, as a linear one and an input within a band.
+def _clipped(
+    pilot: Pilot, d: Zonotope, u: arb_mat, stored: list[float] | None, error: Push | None
+) -> tuple[Period, list[arb]]:
+    """A clipped law over a period, as a linear one and an input within a band; and its commands at most.
 
     The range of the command comes from what any thrust known so far may do within the period, and a
     range of the command limits that thrust: each round of this is valid because the one before was.
@@ -206,7 +244,7 @@ def _clipped(pilot: Pilot, d: Zonotope, u: arb_mat, stored: list[float] | None) 
         pushes = [(-top - x, top - x) for top, x in commands]
         for _ in range(ROUNDS):
             middle, spread = zip(*(_around(*push) for push in pushes), strict=True)
-            free = Period(plant.open, plant.B * column(middle), Push.in_box(plant.B, list(spread)))
+            free = Period(plant.open, plant.B * column(middle), Push.in_box(plant.B, list(spread)), error)
             ranges = _ranges(u, free.within(rows, d, at_node))
             pushes = [
                 (_clip(lo, top) - x, _clip(hi, top) - x)
@@ -221,7 +259,8 @@ def _clipped(pilot: Pilot, d: Zonotope, u: arb_mat, stored: list[float] | None) 
         middle_rest, band = _around(smallest(rests), largest(rests))
         known.append(slope * x + middle_rest - x)
         bands.append(band)
-    return Period(pilot.loop(slopes), plant.B * column(known), Push.in_box(plant.B, bands))
+    period = Period(pilot.loop(slopes), plant.B * column(known), Push.in_box(plant.B, bands), error)
+    return period, pilot.clipped(ranges)
 
 
 def _around(low: arb, high: arb) -> tuple[arb, arb]:

@@ -21,6 +21,8 @@ GOAL_SLACK = 1e-5
 """By how much the goal may be missed, relative to its size. No claim of safety rests on the goal."""
 
 
+ROUNDED = 1e-12
+"""Rounding of what is worked out from numbers of the scenario, relative to it."""
 HILL_RANGE = 1e5
 """Farthest start from the target in Hill's frame [m]."""
 
@@ -34,7 +36,9 @@ def check_inputs(document: Document, scenario: dict[str, Any], record: Record) -
         if scenario["name"] != document.scenario:
             raise Rejected("system", f"{document.scenario} is not the scenario {scenario['name']}")
         _check_system(document, scenario["system"])
-        record.holds("system", "matrices and limits of the scenario")
+        _check_navigation(document, scenario.get("navigation", {}))
+        _check_thrusters(document, scenario)
+        record.holds("system", "matrices, limits and errors of estimates of the scenario")
         _check_initial_set(document, scenario["initial_set"])
         record.holds("initial_set", f"contains the scenario's {scenario['initial_set']['kind']}")
         _check_sampling(document, scenario)
@@ -94,6 +98,40 @@ def _check_system(document: Document, spec: dict[str, Any]) -> None:
     C = matrix(document.C)
     if positive_definite(C * C.transpose()) is not True:
         raise Rejected("system", "the coordinates of the position are not independent")
+
+
+def _check_navigation(document: Document, spec: dict[str, Any]) -> None:
+    """The bounds on the errors of the estimates are the scenario's."""
+    if document.mean_motion is None:
+        given = spec.get("state_error", [0.0] * len(document.A))
+    else:
+        axes = [spec.get(key, 0.0) for key in ("position_error_m", "velocity_error_m_s")]
+        given = [x for part in axes for x in (part if isinstance(part, list) else [part] * 3)]
+    wrong = ("position_error_m", "velocity_error_m_s") if document.mean_motion is None else ("state_error",)
+    if any(key in spec and spec[key] != 0.0 for key in wrong):
+        raise Rejected("system", "errors of estimates are given for another kind of system")
+    _need("system", "error of estimates", document.estimate, list(given) if any(given) else [])
+
+
+def _check_thrusters(document: Document, scenario: dict[str, Any]) -> None:
+    """Errors of the thrusters are no smaller than those of the scenario."""
+    _need("system", "share of thrust", document.share, scenario["tracking"].get("thrust_share", 1.0))
+    spec = scenario.get("thrusters", {})
+    magnitude, mass, angle, bit = (
+        arb(spec.get(key, 0.0))
+        for key in ("magnitude_error", "mass_error", "misalignment_deg", "impulse_bit_N_s")
+    )
+    most = (1 + magnitude) / (1 - mass)
+    turned = 2 * (angle * arb.pi() / 360).sin() * most
+    if bit > 0 and not document.sampled:
+        raise Rejected("system", "an impulse bit needs a control period")
+    if angle > 0 and document.mean_motion is None:
+        raise Rejected("system", "a misalignment needs Hill's frame")
+    rounding = bit / (2 * arb(document.delta) / document.q)
+    wanted = most - 1, turned, rounding * (most + turned * arb(len(document.u_max)).sqrt())
+    stored = document.thrusters or [0.0] * 3
+    for name, least, found in zip(("along", "across", "of the bit"), wanted, stored, strict=True):
+        require("system", found - least + least * ROUNDED, f"error of the thrusters {name}: {found}")
 
 
 def _check_initial_set(document: Document, spec: dict[str, Any]) -> None:

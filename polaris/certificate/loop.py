@@ -83,8 +83,8 @@ class Needs:
     @cached_property
     def responses(self) -> list[list[arb]]:
         """Response at node L to the disturbance from rest, for L = 0 ... N + 1."""
-        w, found = self.motion.plant.disturbance, [[arb(0)] * self.rows.nrows()]
-        for gains in self._split(self.motion.push_gain(above(*self.carried[:-1]), w)):
+        found = [[arb(0)] * self.rows.nrows()]
+        for gains in self._split(self.motion.disturbance_gain(above(*self.carried[:-1]))):
             found.append([x.upper() for x in sums(found[-1], gains)])
         return found
 

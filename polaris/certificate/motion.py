@@ -7,22 +7,26 @@ sampled feedback the input of the period is fixed at its start, so ``x(s) = M(s)
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
 from flint import arb, arb_mat
 
 from .balls import (
+    absolute,
     beside,
     column,
     diagonal,
+    dot,
     exponential,
     exponential_over,
     largest,
     magnitude,
     norms,
+    root,
     row_sums,
+    sums,
 )
 from .zonotopes import Zonotope, ball_cover
 
@@ -59,11 +63,36 @@ class Plant:
     h: arb  # length of a period [s]
     sampled: bool  # whether inputs are held over a period
     q: int = 1  # periods per step
+    estimate: tuple[float, ...] = ()  # bounds on the error of the estimate of every state, if any is not zero
+    thrusters: tuple[float, ...] = ()  # errors along, across and of the bit, if any is not zero
 
-    def loop(self, gain: arb_mat) -> Motion:
-        """Motion under ``u = -gain x``."""
+    def loop(self, gain: arb_mat, error: list[arb] | None = None) -> Motion:
+        """Motion under ``u = -gain x``, every input off by an error at most."""
         closed = self.A - self.B * gain
-        return Motion(self, self.A, closed, gain) if self.sampled else Motion(self, closed, closed)
+        if self.sampled:
+            return Motion(self, self.A, closed, gain, error or [])
+        return Motion(self, closed, closed, None, error or [])
+
+    def command_error(self, gain: arb_mat) -> list[arb]:
+        """By how much a command may differ from what it would be on the exact state, ``|gain| eta``.
+
+        Clipped commands differ by no more than commands do.
+        """
+        if not self.estimate:
+            return [arb(0)] * gain.nrows()
+        return (absolute(gain) * column(self.estimate)).entries()
+
+    def thruster_error(self, most: Sequence[arb]) -> list[arb]:
+        """By how much what is applied may differ from commands up to some sizes."""
+        if not self.thrusters:
+            return [arb(0)] * len(most)
+        along, across, bit = self.thrusters
+        size = root(dot(most, most))
+        return [along * x + across * size + bit for x in most]
+
+    def push(self, error: list[arb]) -> Push | None:
+        """Errors of the inputs as what pushes; None where there are none."""
+        return Push.in_box(self.B, error) if any(x > 0 for x in error) else None
 
     @cached_property
     def open(self) -> Motion:
@@ -90,6 +119,7 @@ class Motion:
     X: arb_mat  # matrix of the motion within the period
     closed: arb_mat  # A_c
     held: arb_mat | None = None  # the gain, if its input is held
+    error: list[arb] = field(default_factory=list)  # bounds on the error of every input, if there is any
     _asked: dict[int, tuple[arb_mat, list[arb], list[arb]]] = field(default_factory=dict, repr=False)
 
     @cached_property
@@ -176,20 +206,33 @@ class Motion:
     def disturbance_along(self, rows: arb_mat) -> tuple[list[arb], list[arb]]:
         """`push_bend` and `push_gain` of the disturbance, once for the same rows: every period asks."""
         if id(rows) not in self._asked:
-            w = self.plant.disturbance
-            self._asked[id(rows)] = rows, self.push_bend(rows, w), self.push_gain(rows, w)
+            bends = [self.push_bend(rows, push) for push in self.disturbances]
+            self._asked[id(rows)] = rows, sums(*bends), self.disturbance_gain(rows)
         return self._asked[id(rows)][1:]
+
+    @cached_property
+    def disturbances(self) -> list[Push]:
+        """What disturbs: w, and errors of the inputs."""
+        w, push = self.plant.disturbance, self.plant.push(self.error)
+        return [w] if push is None else [w, push]
+
+    def disturbance_gain(self, rows: arb_mat) -> list[arb]:
+        """`push_gain` of all that disturbs."""
+        return sums(*(self.push_gain(rows, push) for push in self.disturbances))
 
     @cached_property
     def disturbance_set(self) -> arb_mat:
         """Generators that enclose what the disturbance adds over one period."""
-        return self.pushed(self.plant.disturbance)
+        return beside(*(self.pushed(push) for push in self.disturbances))
 
     @cached_property
     def disturbance_box(self) -> arb_mat:
         """Bound on what the disturbance adds to each state within a period, shape (n, 1)."""
-        sizes = row_sums(magnitude(self.over * self.plant.D))
-        return magnitude(column([s * self.plant.w_max * self.plant.h for s in sizes]))
+        h, sizes = self.plant.h, row_sums(magnitude(self.over * self.plant.D))
+        box = column([s * self.plant.w_max * h for s in sizes])
+        for push in self.disturbances[1:]:
+            box += column(push.along(magnitude(self.over * push.V))) * h
+        return magnitude(box)
 
 
 # -- arcs of the reference ------------------------------------------------------------------------------

@@ -28,7 +28,14 @@ SLOPE = 1e-6
 
 def check_unsafe(document: Document, scenario: dict[str, Any]) -> int:
     """Check every unsafe set of the certificate, in the scenario's order; returns their number."""
-    left, obstacles = list(document.unsafe), scenario.get("obstacles", ())
+    left, radius = list(document.unsafe), scenario.get("chaser", {}).get("radius_m", 0.0)
+    if document.chaser_radius != radius:
+        told = f"the chaser's radius is {document.chaser_radius} in the certificate, {radius} in the scenario"
+        raise Rejected("unsafe_sets", told)
+    obstacles, kept = (
+        [_grown(document, spec, sign * arb(radius)) if radius else spec for spec in scenario.get(key, ())]
+        for key, sign in (("obstacles", 1), ("keep_in", -1))
+    )
     others = any(spec["kind"] == "satellite" for spec in obstacles)
     if document.satellites != others:
         has, assumed = ("", "nothing") if others else ("no ", "something")
@@ -38,7 +45,7 @@ def check_unsafe(document: Document, scenario: dict[str, Any]) -> int:
         if not left or left[0].name != spec["name"] or left[0].keep_in:
             raise Rejected("unsafe_sets", f"{spec['name']} is missing")
         _check_obstacle(document, left.pop(0), spec)
-    for spec in scenario.get("keep_in", ()):
+    for spec in kept:
         facets: list[UnsafeSet] = []
         while left and left[0].keep_in and left[0].name == f"{spec['name']}[{len(facets)}]":
             facets.append(left.pop(0))
@@ -49,6 +56,25 @@ def check_unsafe(document: Document, scenario: dict[str, Any]) -> int:
     if left:
         raise Rejected("unsafe_sets", f"{left[0].name} is not in the scenario")
     return len(document.unsafe)
+
+
+def _grown(document: Document, spec: dict[str, Any], radius: arb) -> dict[str, Any]:
+    """What the scenario says of a set, its facets moved by the chaser's radius: outwards if positive."""
+    if spec["kind"] == "box":
+        return spec | {"half_widths_m": [x + radius for x in spec["half_widths_m"]]}
+    if spec["kind"] == "polytope":
+        lengths = [_length([arb(x) for x in normal]) for normal in spec["normals"]]
+        return spec | {
+            "offsets_m": [b + radius * size for b, size in zip(spec["offsets_m"], lengths, strict=True)]
+        }
+    if spec["kind"] != "cone":
+        return spec | {"radius_m": spec["radius_m"] + radius}
+    inwards = -radius / (arb(spec["half_angle_deg"]) * arb.pi() / 180).sin()
+    axis = [arb(x) for x in spec["axis"]]
+    length = _length(axis)
+    apex = [a + inwards * x / length for a, x in zip(spec["apex_m"], axis, strict=True)]
+    cut = spec.get("length_m")
+    return spec | {"apex_m": apex} | ({} if cut is None else {"length_m": cut + radius - inwards})
 
 
 # -- obstacles --------------------------------------------------------------------------------------

@@ -28,7 +28,9 @@ def plant_of(document: Document) -> Plant:
         A, B, D = exact
     h = arb(document.delta) / document.q
     u_max = [arb(x) for x in document.u_max]
-    return Plant(A, B, D, matrix(document.C), u_max, arb(document.w_max), h, document.sampled, document.q)
+    C, w_max = matrix(document.C), arb(document.w_max)
+    errors = tuple(document.estimate), tuple(document.thrusters)
+    return Plant(A, B, D, C, u_max, w_max, h, document.sampled, document.q, *errors)
 
 
 def within_limits(document: Document, inputs: list[list[float]], claim: str, whose: str) -> None:

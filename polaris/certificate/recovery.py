@@ -63,14 +63,18 @@ class Limits:
     @classmethod
     def of(cls, document: Document, path: Path, gain: arb_mat, chosen: list[list[int]]) -> Limits:
         """Limits around a path, with one facet per cell and unsafe set."""
-        plant = path.plant
+        plant, error = path.plant, path.plant.command_error(gain) * 2
         pairs = sorted({(o, f) for row in chosen for o, f in enumerate(row)})
         index = {pair: i for i, pair in enumerate(pairs)}
         facets = _against([document.unsafe[o].normals[f] for o, f in pairs], plant.C)
         targets = []
         for cell, arc in enumerate(path.arcs):
             barrier = Barrier.of(document, plant.C, cell, chosen[cell])
-            thrust = sums(plant.u_max * 2, above(arc.u, -arc.u).entries())
+            thrust = sums(
+                [x * document.share for x in plant.u_max] * 2,
+                above(arc.u, -arc.u).entries(),
+                [-x for x in error],
+            )
             inputs = [
                 Target(len(pairs) + j, room, name, room)
                 for j, (room, name) in enumerate(zip(thrust, document.input_names * 2, strict=True))

@@ -253,6 +253,11 @@ def check_gains(document: Document, scenario: dict[str, Any], path: Path) -> dic
             "input_max": document.u_max,
             "disturbance_max": document.w_max,
             "mass_kg": document.mass,
+            "estimate_error": document.estimate or None,
+            "thrusters": dict(zip(("along", "across", "bit"), document.thrusters, strict=True))
+            if document.thrusters
+            else None,
+            "safety_share": None if document.share == 1 else document.share,
         },
         "feedback": {
             "sampled": document.sampled,

@@ -28,6 +28,7 @@ LIMITS = Rows(POSITIVE, 1, 100)
 MATRIX = Rows(VECTOR, 1, 1000, even=True)
 WEIGHT = Either((VECTOR, MATRIX))
 PER_AXIS = Either((POSITIVE, LIMITS))
+SIZES = Either((NOT_NEGATIVE, WIDTHS))
 SHARE = Real(least=0, below=1)
 WORTH = Real(above=0, most=1e6)
 FACETS = Whole(3, 64)
@@ -66,6 +67,12 @@ SCENARIO = {
         "scale_height_m": POSITIVE,
         "inclination_max_deg?": Real(least=0, most=90),
     },
+    "navigation?": {**every(SIZES, "position_error_m? velocity_error_m_s?"), "state_error?": WIDTHS},
+    "thrusters?": {
+        **every(Real(least=0, below=0.5), "magnitude_error? mass_error?"), "impulse_bit_N_s?": NOT_NEGATIVE,
+        "misalignment_deg?": Real(least=0, most=45),
+    },
+    "chaser?": {"radius_m": NOT_NEGATIVE},
     "feedback?": Kinds({"continuous": {}, "sampled": {"period_s": POSITIVE}}),
     "initial_set": Kinds({
         "box": {"center": VECTOR, "half_widths": WIDTHS},
@@ -75,6 +82,7 @@ SCENARIO = {
     "horizon": every(POSITIVE, "duration_s step_s"),
     "tracking": {
         "Q": WEIGHT, "R": WEIGHT, "bound?": Text(("envelope", "lyapunov")),
+        "thrust_share?": Real(above=0, most=1),
         "weight?": Either((Text(("auto", "identity")), LIMITS)),
     },
     "recoverable?": {

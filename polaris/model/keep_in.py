@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -148,6 +148,9 @@ class KeepInPolytope(KeepIn):
         put(self, "H", polytope.H)
         put(self, "b", polytope.b)
 
+    def _grown(self, radius: float) -> KeepInPolytope:
+        return replace(self, b=np.asarray(self.b) - radius)
+
     @cached_property
     def inside(self) -> Polytope:
         """The polytope."""
@@ -209,6 +212,15 @@ class KeepInCone(KeepIn):
             raise ScenarioError(f"{self.path}.facets", self.facets, f"must be at most {MOST_ROWS - 1}")
         if self.length is not None:
             positive(f"{self.path}.length", self.length, "m")
+
+    def _grown(self, radius: float) -> KeepInCone:
+        """The cone of the points at least the radius from its sides: its apex moves along the axis."""
+        inwards = radius / np.sin(self.half_angle_rad)
+        left = None if self.length is None else self.length - radius - inwards
+        if left is not None and left <= 0:
+            rule = f"must leave something of {self.path}, which is {self.length:g} m long"
+            raise ScenarioError("chaser.radius_m", radius, rule)
+        return replace(self, apex=self.anchor + inwards * np.asarray(self.axis), length=left)
 
     @property
     def anchor(self) -> Array:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterable
 from functools import cached_property
 from itertools import product
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,9 +23,29 @@ class Obstacle(ABC):
     """A set to stay out of: a convex `shape` (possibly the outside of one) carried by a motion.
 
     Subclasses are frozen dataclasses with a `name`.
+
+    Attributes
+    ----------
+    chaser_radius : float
+        Radius [m] of a chaser by which the set has been `grown`; 0 for a point.
     """
 
     name: str
+    chaser_radius = 0.0
+
+    def grown(self, radius: float) -> Self:
+        """The set that the centre of a chaser within a ball of a radius [m] must stay out of.
+
+        Facets move out by the radius, so at edges and corners it is somewhat larger than needed.
+        """
+        if not radius > 0:
+            return self
+        found = self._grown(radius)
+        object.__setattr__(found, "chaser_radius", self.chaser_radius + radius)
+        return found
+
+    @abstractmethod
+    def _grown(self, radius: float) -> Self: ...
 
     @property
     def path(self) -> str:
@@ -174,6 +196,11 @@ class RigidObstacle(Anchored):
         nodes = b + normals @ self.anchor + t * (normals @ self._v) + ROUNDING * size
         offsets = np.stack([nodes[:-1], nodes[1:]], axis=1)
         return (TimedPolytope(self.name, normals, offsets, static=not np.any(self._v)),)
+
+
+def chaser_radius(unsafe: Iterable[Any]) -> float:
+    """Radius [m] by which all of some unsafe sets have been grown; 0 where a chaser is a point."""
+    return float(min((getattr(item, "chaser_radius", 0.0) for item in unsafe), default=0.0))
 
 
 def directions(d: int, facets: int | None = None, path: str = "facets") -> Array:

@@ -8,7 +8,7 @@ on and which contain the true set at every instant of every cell, and the true s
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -53,6 +53,9 @@ class BoxObstacle(RigidObstacle):
         """The box, about its centre."""
         return Box.of(np.asarray(self.half_widths))
 
+    def _grown(self, radius: float) -> BoxObstacle:
+        return replace(self, half_widths=np.asarray(self.half_widths) + radius)
+
 
 @dataclass(frozen=True, eq=False)
 class BallObstacle(RigidObstacle):
@@ -95,6 +98,9 @@ class BallObstacle(RigidObstacle):
         normals = directions(len(self.anchor), self.facets, f"{self.path}.facets")
         return Polytope(normals, np.full(len(normals), self.radius))
 
+    def _grown(self, radius: float) -> BallObstacle:
+        return replace(self, radius=self.radius + radius)
+
 
 @dataclass(frozen=True, eq=False)
 class PolytopeObstacle(RigidObstacle):
@@ -130,6 +136,9 @@ class PolytopeObstacle(RigidObstacle):
     def shape(self) -> Polytope:
         """The polytope at t = 0."""
         return Polytope(np.asarray(self.H), np.asarray(self.b))
+
+    def _grown(self, radius: float) -> PolytopeObstacle:
+        return replace(self, b=np.asarray(self.b) + radius)
 
     @cached_property
     def anchor(self) -> Array:

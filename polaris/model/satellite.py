@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -75,6 +75,9 @@ class SatelliteObstacle(Obstacle):
     def shape(self) -> Ball:
         """The ball about the true centre."""
         return Ball(self.radius)
+
+    def _grown(self, radius: float) -> SatelliteObstacle:
+        return replace(self, radius=self.radius + radius)
 
     @property
     def drawn(self) -> Ball:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .errors import ScenarioError
+from .thrusters import Thrusters
 
 Array = NDArray[np.float64]
 
@@ -59,6 +60,11 @@ class LinearSystem:
         is an acceleration.
     mean_motion : float, optional
         Orbital rate [rad/s] if the frame is Hill's, else None.
+    estimate_error : array_like, shape (n,), optional
+        How far each state may be from the estimate that controllers act on, at any time and however the
+        difference changes; zero by default.
+    thrusters : Thrusters
+        How far what is applied may be from what is commanded; not at all by default.
 
     Raises
     ------
@@ -75,6 +81,8 @@ class LinearSystem:
     mass: float = 1.0
     mean_motion: float | None = None
     state_names: tuple[str, ...] = ()
+    estimate_error: Array | None = None
+    thrusters: Thrusters = Thrusters()
 
     def __post_init__(self) -> None:
         put = object.__setattr__
@@ -102,6 +110,10 @@ class LinearSystem:
         put(self, "C", as_finite("system.C", C, 2))
         if self.position.shape[1] != n or not 1 <= self.position.shape[0] <= 3:
             raise ScenarioError("system.C", self.position.shape, f"must be (d, {n}) with d = 1, 2 or 3")
+        eta = np.zeros(n) if self.estimate_error is None else self.estimate_error
+        put(self, "estimate_error", as_finite("navigation", eta, 1))
+        if self.navigation.shape != (n,) or np.any(self.navigation < 0):
+            raise ScenarioError("navigation", self.navigation.tolist(), f"must be {n} numbers >= 0")
         if not self.state_names:
             put(self, "state_names", tuple(f"x{i}" for i in range(n)))
 
@@ -119,6 +131,37 @@ class LinearSystem:
     def p(self) -> int:
         """Number of disturbance channels."""
         return int(self.D.shape[1])
+
+    @property
+    def navigation(self) -> Array:
+        """Bound on the error of the estimate of every state, shape (n,)."""
+        assert self.estimate_error is not None
+        return self.estimate_error
+
+    @property
+    def ideal(self) -> bool:
+        """Whether laws see the exact state, and what they command is what is applied."""
+        return self.thrusters.exact and not np.any(self.navigation)
+
+    def as_ideal(self) -> LinearSystem:
+        """The same system without errors of estimates and thrusters."""
+        return self if self.ideal else replace(self, estimate_error=None, thrusters=Thrusters())
+
+    def command_error(self, gain: Array) -> Array:
+        """By how much a command may differ from what it would be on the exact state, shape (m,)."""
+        return np.asarray(np.abs(gain) @ self.navigation)
+
+    def input_error(self, gain: Array, most: Array) -> Array:
+        """By how much what is applied may differ from what a law, clipped, would command on the exact state.
+
+        Under commands up to `most`, shape (m,). Two clipped commands differ by no more than the commands do
+        (docs/theory.md, Lemmas 21 and 23).
+        """
+        return np.asarray(self.command_error(gain) + self.thrusters.error(most))
+
+    def error_map(self, error: Array) -> Array | None:
+        """Errors of inputs as generators of the rate of the states, shape (n, m); None without any."""
+        return self.B * error if np.any(error) else None
 
     @property
     def input_names(self) -> tuple[str, ...]:

@@ -12,14 +12,15 @@ import numpy as np
 from reach.numerics.linear import growth
 
 from ..certificate.document import FORMAT, VERSION, canonical, digest
-from ..model.system import Array, LinearSystem
+from ..model.obstacle import chaser_radius
+from ..model.system import Array
 from ..model.timed_polytope import TimedPolytope
 from ..model.tolerances import ROUNDING
 from ..synthesis.clearance import error_tube
 from ..synthesis.controllers import AffineController, Controller, TubeSegment
 from ..synthesis.get_safety import Safety
 from ..synthesis.schedule import Schedule
-from .tables import finite, strict, write_text
+from .tables import errors_of, finite, strict, write_text
 
 
 def hexadecimal(values: Any) -> Any:
@@ -38,10 +39,11 @@ def certificate(schedule: Schedule, name: str, files: Iterable[Path] = ()) -> di
         "schema_version": VERSION,
         "scenario": {"name": name},
         "artefacts": {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in files},
-        "system": _system(safety.problem.system),
+        "system": _system(safety),
         "sampling": {"kind": kind, "step": float(safety.problem.delta), "steps": K, "nodes_per_step": q},
         "initial_set": {"center": start.c, "generators": start.G.T},
         "unsafe_sets": [_unsafe(item, safety.reference.cells) for item in safety.clearance.unsafe],
+        **({"chaser_radius": radius} if (radius := chaser_radius(safety.problem.unsafe)) else {}),
         "facets": safety.clearance.facets,
         "reference": {"states": safety.reference.chi, "inputs": safety.reference.nu},
         "controllers": [_controller(item, safety) for item in schedule.controllers],
@@ -68,7 +70,8 @@ def write_certificate(folder: Path, schedule: Schedule, name: str, files: Iterab
     write_text(folder / "certificate.json", canonical(data) + "\n")
 
 
-def _system(system: LinearSystem) -> dict[str, Any]:
+def _system(safety: Safety) -> dict[str, Any]:
+    system = safety.problem.system
     return {
         "kind": "linear" if system.mean_motion is None else "clohessy_wiltshire",
         "mean_motion": None if system.mean_motion is None else float(system.mean_motion),
@@ -80,6 +83,7 @@ def _system(system: LinearSystem) -> dict[str, Any]:
         "input_max": system.u_max,
         "disturbance_max": float(system.w_max),
         "input_names": list(system.input_names),
+        **errors_of(safety),
     }
 
 
@@ -106,7 +110,7 @@ def _bounds(safety: Safety) -> dict[str, Any]:
     tube = error_tube(tracking, safety.start, rows).over_cells(K, q)
     below, above = np.split(tube[:, 2 * len(C) :], 2, axis=1)
     nu = safety.reference.nu[:K]
-    peak = np.maximum(above + nu, below - nu)
+    peak = np.maximum(above + nu, below - nu) + tracking.system.command_error(gain)
     return {
         "error_bounds": {"per_step": tube, "settled": tracking.disturbance(rows)[-1]},
         "thrust": {"peak": peak * (1 + ROUNDING)},

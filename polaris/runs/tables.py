@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import numpy as np
 from ..model.system import LinearSystem
 from ..planning.reference import Reference
 from ..synthesis.controllers import AffineController
+from ..synthesis.get_safety import Safety
 from ..synthesis.schedule import Schedule
 
 
@@ -141,6 +143,16 @@ def read_reference(path: Path, system: LinearSystem, delta: float) -> Reference:
     return Reference(system, delta, chi, nu)
 
 
+def errors_of(safety: Safety) -> dict[str, Any]:
+    """Errors of estimates and thrusters, and the share of thrust that S keeps to, where there are any."""
+    system, share = safety.problem.system, safety.tracking.share
+    return {
+        **({"estimate_error": system.navigation} if np.any(system.navigation) else {}),
+        **({} if system.thrusters.exact else {"thrusters": asdict(system.thrusters)}),
+        **({"safety_share": share} if share < 1 else {}),
+    }
+
+
 def gains(schedule: Schedule) -> dict[str, Any]:
     """System, gains, error bounds and the experimental controllers' own references."""
     safety = schedule.safety
@@ -161,6 +173,7 @@ def gains(schedule: Schedule) -> dict[str, Any]:
             "input_max": system.u_max,
             "disturbance_max": system.w_max,
             "mass_kg": system.mass,
+            **errors_of(safety),
         },
         "feedback": {
             "sampled": tracking.feedback.sampled,

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import (
     AfterValidator,
     BaseModel,
@@ -24,6 +25,7 @@ from pydantic_core import PydanticCustomError
 from ..model.checks import MAX_STEPS as MAX_STEPS
 from ..model.checks import counted
 from ..model.errors import ScenarioError
+from ..model.system import Array
 from ..model.tolerances import TIME
 
 LARGEST = 1e12
@@ -187,10 +189,22 @@ PositivePerAxis = Annotated[
     _by_shape("number", "vector", "vector"),
 ]
 """One positive number for all axes, or one per axis."""
+NonNegativePerAxis = Annotated[
+    Annotated[NonNegative, Tag("number")] | Annotated[WidthVector, Tag("vector")],
+    _by_shape("number", "vector", "vector"),
+]
+"""The same, zero allowed."""
 WordOrWeights = Annotated[
     Annotated[Literal["auto", "identity"], Tag("word")] | Annotated[LimitVector, Tag("vector")],
     _by_shape("word", "vector", "vector"),
 ]
+
+
+def per_axis(field: str, given: float | tuple[float, ...], count: int) -> Array:
+    """Numbers of all axes or inputs, shape (count,), from one for all or one each."""
+    if isinstance(given, tuple):
+        check_length(field, given, count)
+    return np.broadcast_to(np.asarray(given, dtype=float), (count,)).copy()
 
 
 class Head(ScenarioPart):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -73,8 +74,19 @@ class ScheduleScenario(Scenario):
 
     @kept
     def system(self) -> LinearSystem:
-        """The controlled system."""
-        return self.model.system.build()
+        """The controlled system, how well its state is known, and its thrusters."""
+        system, navigation, thrusters = self.model.system.build(), self.model.navigation, self.model.thrusters
+        if navigation is not None:
+            system = replace(system, estimate_error=navigation.build(system))
+        if thrusters is not None:
+            system = replace(system, thrusters=thrusters.build(system, self._period))
+        return system
+
+    @property
+    def _period(self) -> float | None:
+        """Control period of sampled feedback [s]."""
+        feedback = self.model.feedback
+        return feedback.period_s if isinstance(feedback, SampledFeedback) else None
 
     @kept
     def initial_set(self) -> Zonotope:
@@ -83,8 +95,9 @@ class ScheduleScenario(Scenario):
 
     @kept
     def obstacles(self) -> tuple[Obstacle, ...]:
-        """Unsafe sets of the perception oracle: obstacles first, then keep-in sets."""
-        return tuple(part.build(path) for path, part in self.model.scene_parts())
+        """Unsafe sets of the perception oracle, grown by the chaser: obstacles first, then keep-in sets."""
+        radius = 0.0 if self.model.chaser is None else self.model.chaser.radius_m
+        return tuple(part.build(path).grown(radius) for path, part in self.model.scene_parts())
 
     @kept
     def goal(self) -> Goal:
@@ -113,7 +126,7 @@ class ScheduleScenario(Scenario):
         from .experimental import gains_of
 
         system, tracking, given = self.system(), self.model.tracking, self.model.planner.arguments()
-        feedback, weight = self.model.feedback, tracking.weight
+        weight = tracking.weight
         return Problem(
             system=system,
             initial_set=self.initial_set(),
@@ -126,12 +139,13 @@ class ScheduleScenario(Scenario):
             goal_tolerance=self.model.goal.tolerance_m,
             recoverable=self.model.recoverable.kind,
             recourse=self.model.recoverable.recourse,
-            period=feedback.period_s if isinstance(feedback, SampledFeedback) else None,
+            period=self._period,
             bound=tracking.bound,
             weight=weight if isinstance(weight, str) else rules.full_weight(weight),
             objective=given.pop("objective"),
             extra_margin=given.pop("extra_margin"),
             thrust_reserve=given.pop("thrust_reserve"),
+            thrust_share=tracking.thrust_share,
             planner=PlannerOptions(**given),
             gains=gains_of(self.model, system),
         )

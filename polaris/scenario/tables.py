@@ -18,8 +18,9 @@ from reach.sets.zonotope import Zonotope
 
 from ..model.errors import ScenarioError
 from ..model.hill import clohessy_wiltshire
-from ..model.system import Array, LinearSystem
+from ..model.system import LinearSystem
 from . import fields as f
+from .error_tables import Chaser, Navigation, Thrusters
 from .fields import ScenarioPart, unit
 from .method_tables import Planner, Recoverable, Schedule, Tracking
 from .scene_tables import Experimental, Goal, KeepIn, Obstacle
@@ -39,7 +40,7 @@ class ClohessyWiltshire(ScenarioPart):
 
     def build(self) -> LinearSystem:
         """The controlled system."""
-        limit = _limits("system.thrust_max_N", self.thrust_max_N, 3)
+        limit = f.per_axis("system.thrust_max_N", self.thrust_max_N, 3)
         return clohessy_wiltshire(self.mean_motion_rad_s, self.mass_kg, limit, self.disturbance_max_m_s2)
 
 
@@ -64,19 +65,12 @@ class Linear(ScenarioPart):
 
     def build(self) -> LinearSystem:
         """The controlled system."""
-        limit = _limits("system.input_max", self.input_max, len(self.B[0]))
+        limit = f.per_axis("system.input_max", self.input_max, len(self.B[0]))
         C = None if self.C is None else np.array(self.C)
         if self.position_states is not None:
             C = np.eye(len(self.A))[list(self.position_states)]
         A, B, D = (np.array(given) for given in (self.A, self.B, self.D))
         return LinearSystem(A, B, D, limit, self.disturbance_max, C, self.mass_kg)
-
-
-def _limits(field: str, given: float | tuple[float, ...], count: int) -> Array:
-    """Limits of all inputs, shape (count,), from one number for all or one each."""
-    if isinstance(given, tuple):
-        f.check_length(field, given, count)
-    return np.broadcast_to(np.asarray(given, dtype=float), (count,)).copy()
 
 
 System = Annotated[ClohessyWiltshire | Linear, *f.BY_KIND]
@@ -211,6 +205,11 @@ class ScenarioModel(f.Head):
     system: System = unit("-", "The controlled system.")
     orbit: Orbit | None = unit("-", default=None)
     """What the linear model of a spacecraft leaves out; needed by `polaris model-error`."""
+    navigation: Navigation | None = unit(
+        "-", "How well it knows its state; exactly without it.", default=None
+    )
+    thrusters: Thrusters | None = unit("-", "Errors of the thrusters; none without it.", default=None)
+    chaser: Chaser | None = unit("-", "The chaser's own size; a point without it.", default=None)
     initial_set: InitialSet = unit("-", "All states it may start in (Theta).")
     horizon: Horizon = unit("-", "Time covered and its steps.")
     feedback: Feedback = unit("-", default_factory=lambda: ContinuousFeedback(kind="continuous"))

@@ -12,7 +12,7 @@ from reach.numerics.linear import discretize
 from ..model.system import Array
 from ..synthesis.controllers import AffineController
 from ..synthesis.schedule import Schedule
-from .integration import Integrator
+from .integration import Integrator, columns
 
 Disturbance = Literal["none", "random", "worst", "mixed"]
 
@@ -22,19 +22,27 @@ def disturbances(
 ) -> tuple[Array, Array]:
     """Disturbances constant over each integration step, shape (steps, n, p), norm at most w_max.
 
+    Errors of estimates and thrusters, where there are any, have `columns` of their own.
     Also the direction, at time 0, in which the initial error of each worst-case run counts, (worst, n).
     """
     system, steps = flight.system, flight.steps
-    w = np.zeros((steps, n, system.p))
+    p, places = system.p, columns(system)
+    w = np.zeros((steps, n, places[-1].stop))
     adjoint = np.zeros((0, system.n))
-    if kind == "none" or system.w_max == 0:
+    if kind == "none" or (system.w_max == 0 and system.ideal):
         return w, adjoint
     worst = n if kind == "worst" else (n // 2 if kind == "mixed" else 0)
     if worst:
         w[:, :worst], adjoint = _worst_case(flight, worst, rng)
     count = n - worst
     if count:
-        w[:, worst:] = _piecewise(steps, count, system.p, flight.steps_per_cell * 4, rng) * system.w_max
+        longest = flight.steps_per_cell * 4
+        w[:, worst:, :p] = _piecewise(steps, count, p, longest, rng) * system.w_max
+        for part, size in zip(places[1:], (system.navigation, np.ones(system.m)), strict=True):
+            if part.start < part.stop:
+                drawn = _piecewise(steps, count, part.stop - part.start, longest, rng)
+                far = np.max(np.abs(drawn), axis=2, keepdims=True)
+                w[:, worst:, part] = drawn / np.maximum(far, 1e-300) * size
     return w, adjoint
 
 
@@ -78,7 +86,8 @@ def adjoint_worst_case(
 
     ``w(s) = w_max G' lambda(s) / norm``, with lambda the adjoint of the closed loop and G what a disturbance
     held over a step adds. For a linear loop no other held disturbance goes further; about a loop whose
-    thrusters clip it is the worst case to first order.
+    thrusters clip it is the worst case to first order. Errors of estimates, if there are any, follow the
+    disturbance in columns of their own, each at its bound, with the sign of ``G' lambda(s)``.
 
     Rows (R, n) are directions in the space of states, targets (R,) instants as numbers of steps. Inputs that
     the thrusters clip (steps, R, m) do not answer to the state. Returned are the disturbances (steps, R, p),
@@ -88,8 +97,8 @@ def adjoint_worst_case(
     system, steps = flight.system, flight.steps
     numbers = np.repeat(flight.modes, flight.steps_per_cell)
     choices = {number: _loops(flight, number) for number in np.unique(numbers).tolist()}
-    adjoint = np.zeros((len(rows), system.n))
-    w = np.zeros((steps, len(rows), system.p))
+    adjoint, (own, eta, errors) = np.zeros((len(rows), system.n)), columns(system)
+    w = np.zeros((steps, len(rows), errors.stop))
     free = np.zeros((steps, len(rows), system.m)) if flight.may_do_anything else None
     bits = 2 ** np.arange(system.m)
     for step in range(steps - 1, -1, -1):
@@ -102,8 +111,13 @@ def adjoint_worst_case(
             case = clipped[step] @ bits
             column = adjoint[:, None, :]
             direction, kick, carried = ((column @ part[case])[:, 0] for part in (push, thrust, back))
-        size = np.sqrt(np.einsum("ij,ij->i", direction, direction))[:, None]
-        w[step] = direction * (system.w_max / np.maximum(size, 1e-300))
+        along = direction[:, own]
+        size = np.sqrt(np.einsum("ij,ij->i", along, along))[:, None]
+        w[step, :, own] = along * (system.w_max / np.maximum(size, 1e-300))
+        if eta.start < eta.stop:
+            w[step, :, eta] = np.sign(direction[:, eta]) * system.navigation
+        if errors.start < errors.stop:
+            w[step, :, errors] = np.sign(kick)
         if free is not None:
             free[step] = np.sign(kick) * system.u_max
         adjoint = carried
@@ -113,7 +127,7 @@ def adjoint_worst_case(
 def _loops(flight: Integrator, number: int) -> tuple[Array, Array, Array]:
     """Of one controller, for every set of clipped inputs: transition over a step, and what is held adds.
 
-    For disturbance and thrust, shapes (2^m, n, n), (2^m, n, p), (2^m, n, m).
+    For disturbance with errors of estimates and thrust, shapes (2^m, n, n), (2^m, n, p + n), (2^m, n, m).
     """
     system, dt = flight.system, flight.dt
     law = flight.schedule.controllers[number]
@@ -126,6 +140,6 @@ def _loops(flight: Integrator, number: int) -> tuple[Array, Array, Array]:
         carried, pushed = discretize(loop, system.D, dt)
         kicked = discretize(loop, system.B, dt)[1]
         back.append(carried - kicked @ (free[:, None] * gain) if held else carried)
-        push.append(pushed)
+        push.append(np.hstack([pushed, -kicked @ (free[:, None] * gain)]))
         thrust.append(kicked)
     return np.array(back), np.array(push), np.array(thrust)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from reach.numerics.linear import discretize
 
-from ..model.system import Array
+from ..model.system import Array, LinearSystem
 from ..synthesis.controllers import AffineController, AnyThrust
 from ..synthesis.schedule import Schedule
 from .run_metrics import Runs
@@ -27,15 +27,26 @@ def runge_kutta(rate: Callable[[int, Array], Array], x: Array, dt: float, first:
     return np.asarray(x + dt / 6 * (first + 2 * second + 2 * third + fourth))
 
 
+def columns(system: LinearSystem) -> tuple[slice, slice, slice]:
+    """Columns of what disturbs: w, the error of every estimate, that of every thruster; none where exact."""
+    first = system.p
+    second = first + system.n * bool(np.any(system.navigation))
+    return slice(first), slice(first, second), slice(second, second + system.m * (not system.thrusters.exact))
+
+
 class Integrator:
     """Time grid, references and transitions of one simulation.
 
     What a controller does that may do anything is `free` (steps, R, m); without it, as its `command` says.
+    Errors of the estimates that controllers act on are `eta` (steps, R, n), those of the thrusters, as shares
+    of the largest that what is commanded allows, `thrust` (steps, R, m).
     """
 
     def __init__(self, schedule: Schedule, modes: NDArray[np.int_], substeps: int) -> None:
         safety = schedule.safety
         self.free: Array | None = None
+        self.eta: Array | None = None
+        self.thrust: Array | None = None
         self.schedule, self.modes, self.substeps = schedule, modes, substeps
         self.system, self.tracking = safety.tracking.system, safety.tracking
         self.q, self.sampled = self.tracking.feedback.nodes_per_cell, self.tracking.feedback.sampled
@@ -68,17 +79,24 @@ class Integrator:
 
     def command(self, number: int, k: int, half: int, x: Array, later: int = 0) -> Array:
         """Command before clipping, shape (R, m), `later` half-steps after the half-step `half` of cell k."""
-        controller = self.schedule.controllers[number]
+        controller, step = self.schedule.controllers[number], k * self.steps_per_cell + half // 2
         if self.free is not None and isinstance(controller, AnyThrust):
-            return np.asarray(self.free[k * self.steps_per_cell + half // 2])
+            return np.asarray(self.free[step])
+        if self.eta is not None:
+            x = x + self.eta[step]
         xi = self.safe[k, half + later]
         own = self.own[number][k, half + later] if number in self.own else xi
         return controller.command(k, xi, own, x)
 
+    def applied(self, raw: Array, step: int) -> Array:
+        """What the thrusters make of commands in a step."""
+        u = np.clip(raw, -self.system.u_max, self.system.u_max)
+        return u if self.thrust is None else u + self.thrust[step] * self.system.thrusters.error(u)
+
     def rate(self, number: int, k: int, half: int, later: int, x: Array, force: Array) -> Array:
         """``x'`` under one controller, `later` half-steps after the half-step `half` of cell k."""
         raw = self.command(number, k, half, x, later)
-        u = np.clip(raw, -self.system.u_max, self.system.u_max)
+        u = self.applied(raw, k * self.steps_per_cell + half // 2)
         return np.asarray(x @ self.system.A.T + u @ self.system.B.T + force)
 
     def move(self, number: int, k: int, step: int, x: Array, u: Array, w: Array) -> Array:
@@ -106,15 +124,20 @@ class Integrator:
             if sub == 0 or not self.sampled:
                 raw = self.command(number, k, 2 * step, x)
                 demanded = np.maximum(demanded, np.max(np.abs(raw) / limit, axis=1))
-                u = np.clip(raw, -limit, limit)
-            first = u if sub == 0 else first
+                u = self.applied(raw, k * self.steps_per_cell + step)
+            first = np.clip(raw, -limit, limit) if sub == 0 else first
             x = self.move(number, k, step, x, u, w[sub])
             spent += np.abs(u).sum(axis=1)
         return x, first, demanded, spent
 
     def run(self, x0: Array, w: Array) -> Runs:
-        """Fly from initial states (R, n) under disturbances held over each step, (steps, R, p)."""
+        """Fly from initial states (R, n) under disturbances held over each step, (steps, R, p).
+
+        Further columns, as `columns` has them, are the errors of the estimates and of the thrusters.
+        """
         q, nodes = self.q, len(self.modes) * self.q
+        w, *errors = (w[..., part] for part in columns(self.system))
+        self.eta, self.thrust = (part if part.shape[2] else None for part in errors)
         # Time comes first while writing: every instant's block is then one piece of memory.
         states, inputs = np.empty((nodes + 1, *x0.shape)), np.empty((nodes, len(x0), self.system.m))
         demanded, delta_v = np.zeros((nodes, len(x0))), np.zeros(len(x0))
@@ -144,22 +167,25 @@ class Integrator:
         cell's commands are worked out at once afterwards, and none may exceed the limits. Returned is what
         `period` returns for every node, stacked, and what is spent in the whole cell.
         """
-        law, limit = self.schedule.controllers[number], self.system.u_max
-        if not isinstance(law, AffineController) or (self.sampled and self.substeps > 1):
+        law, limit, count = self.schedule.controllers[number], self.system.u_max, self.steps_per_cell
+        held = self.sampled and self.substeps > 1
+        if not isinstance(law, AffineController) or held or self.thrust is not None:
             return None
         own = self.own.get(number, self.safe)[k]  # of the law's reference, at whole and half steps
+        eta = np.zeros(1) if self.eta is None else self.eta[k * count : (k + 1) * count]
+        w = w if self.eta is None else np.concatenate([w, eta], axis=2)
         carried, forced, places = self._scheme(law, number, k, own, w)
         path = np.empty((len(w) + 1, *x.shape))
         path[0] = x
         for step in range(len(w)):
             path[step + 1] = path[step] @ carried[-1] + forced[-1][step]
-        raw = law.own.nu[k] + (own[:-1:2, None] - path[:-1]) @ law.gain.T
+        raw = law.own.nu[k] + (own[:-1:2, None] - path[:-1] - eta) @ law.gain.T
         size = np.abs(raw)
         if not np.all(size <= limit):
             return None
         for i, place in enumerate(places):  # the stages within the steps
             inner = path[:-1] @ carried[i] + forced[i]
-            if not np.all(np.abs(law.own.nu[k] + (place[:, None] - inner) @ law.gain.T) <= limit):
+            if not np.all(np.abs(law.own.nu[k] + (place[:, None] - inner - eta) @ law.gain.T) <= limit):
                 return None
         per_node = (size / limit).max(axis=2).reshape(self.q, self.substeps, len(x)).max(axis=1)
         return path[self.substeps :: self.substeps], raw[:: self.substeps], per_node, size.sum(axis=(0, 2))
@@ -174,12 +200,15 @@ class Integrator:
         places = [own[:-1:2], own[1::2], own[1::2], own[2::2]]
         if self.sampled:
             Ad, Bd, Dd = self.held
+            Dd = Dd if self.eta is None else np.hstack([Dd, -Bd @ law.gain])
             forced = ((law.own.nu[k] + places[0] @ law.gain.T) @ Bd.T)[:, None] + w @ Dd.T
             return [(Ad - Bd @ law.gain).T], [forced], []
         loop = self.system.A - self.system.B @ law.gain
         if number not in self._schemes:
             carried = [np.eye(self.system.n) + part for part in self._stages(loop, [loop.T] * 4)]
-            self._schemes[number] = carried, self._stages(loop, [self.system.D.T] * 4)
+            D, noise = self.system.D, -self.system.B @ law.gain
+            enters = D if self.eta is None else np.hstack([D, noise])
+            self._schemes[number] = carried, self._stages(loop, [enters.T] * 4)
         carried, pushed = self._schemes[number]
         known = [(law.own.nu[k] + place @ law.gain.T) @ self.system.B.T for place in places]
         stages = zip(self._stages(loop, known), pushed, strict=True)

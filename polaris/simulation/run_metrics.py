@@ -33,7 +33,7 @@ class Runs:
     states : ndarray, shape (R, N+1, n)
         Absolute states.
     inputs : ndarray, shape (R, N, m)
-        Input applied right after every node [N], after the thrusters' clipping.
+        Input right after every node [N], after the thrusters' clipping and before their errors.
     demanded : ndarray, shape (R, N)
         Largest ratio of commanded to available thrust within each period; above 1 the thrusters
         clipped.

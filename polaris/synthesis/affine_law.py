@@ -28,7 +28,9 @@ class AffineLaw:
     own: Reference
     tracking: Tracking
     clips: bool = False
+    most: Array | None = None
     _relaxed: dict[bytes, LinearFlow] = field(default_factory=dict, repr=False)
+    _levels: dict[bytes, AffineLaw] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
         shape = (self.system.m, self.system.n)
@@ -46,19 +48,30 @@ class AffineLaw:
     @cached_property
     def flow(self) -> LinearFlow:
         """Error dynamics about the law's own reference, unsaturated."""
-        return self.feedback.flow(self.system, self.gain, self.reference.delta)
+        return self.feedback.flow(self.system, self.gain, self.reference.delta, self.error)
+
+    @cached_property
+    def error(self) -> Array:
+        """Bounds on the errors of what is applied, shape (m,), as long as commands are within `most`."""
+        return self.system.input_error(self.gain, self.system.u_max if self.most is None else self.most)
 
     @cached_property
     def open_flow(self) -> LinearFlow:
         """Motion under a known input: what bounds a clipped law before its command is known."""
-        return LinearFlow.continuous(self.system.A, self.system.D, self.system.w_max, self.flow.h)
+        return self._continuous(self.system.A, self.error)
+
+    def _continuous(self, A: Array, error: Array) -> LinearFlow:
+        """Continuous motion of some matrix under the disturbance and errors of the inputs."""
+        system = self.system
+        E = system.error_map(error)
+        return LinearFlow.continuous(A, system.D, system.w_max, self.flow.h, E)
 
     def relaxed_flow(self, slope: Array) -> LinearFlow:
         """Error dynamics where the clip lets a share `slope`, shape (m,), of the feedback through."""
         key = slope.tobytes()
         if key not in self._relaxed:
             A_c = self.system.A - self.system.B @ (slope[:, None] * self.gain)
-            self._relaxed[key] = LinearFlow.continuous(A_c, self.system.D, self.system.w_max, self.flow.h)
+            self._relaxed[key] = self._continuous(A_c, self.error)
         return self._relaxed[key]
 
     @cached_property
@@ -89,7 +102,7 @@ class AffineLaw:
         fastest = np.maximum(np.abs(self.flow.A_c), np.abs(self.tracking.flow.A_c))
         if self.clips:
             fastest = np.maximum(fastest, np.abs(self.system.A) + np.abs(self.system.B) @ np.abs(self.gain))
-        return LinearFlow.continuous(fastest, self.system.D, self.system.w_max, self.flow.h).period_box
+        return self._continuous(fastest, np.maximum(self.error, self.tracking.error)).period_box
 
     def command(self, k: int, xi: Array, own: Array, x: Array) -> Array:
         """Thrust command before clipping, shape (..., m)."""

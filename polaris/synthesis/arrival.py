@@ -139,7 +139,9 @@ def _correcting(safety: Safety, held: Held, nodes: int) -> float:
     tubes = ((error_tube(tracking, z, both).need, since + np.arange(nodes + 1)) for z, since in held)
     need = np.min([each[np.minimum(lag, len(each) - 1)] for each, lag in tubes], axis=0)
     need = need + safety.clearance.jump_need(both) + safety.clearance.round_off(both)
-    at = np.minimum(need.reshape(nodes + 1, 2, -1).max(axis=1), system.u_max).sum(axis=1)
+    most = need.reshape(nodes + 1, 2, -1).max(axis=1) + system.command_error(tracking.gain)
+    most = np.minimum(most, system.u_max)
+    at = (most + system.thrusters.error(most)).sum(axis=1)
     return float(np.maximum(at[:-1], at[1:]).sum() * tracking.flow.h / system.mass)
 
 

@@ -138,21 +138,23 @@ def plan_problem(problem: Problem, tracking: Tracking, sets: tuple[TimedPolytope
     start = problem.initial_set - problem.initial_set.c
     # Errors as large as the thrusters can correct at all must be forgotten by the time they have left
     # the loop's memory, or a tight place late in the flight would bind early recoverable sets.
-    largest = float(np.min(system.u_max / np.linalg.norm(tracking.gain @ tracking.W_inverse, axis=1)))
+    largest = float(np.min(tracking.u_max / np.linalg.norm(tracking.gain @ tracking.W_inverse, axis=1)))
     tube = error_tube(tracking, start, np.vstack([tracking.gain, -tracking.gain]))
     thrust = np.maximum(tube.over_cells(K, q), tube.left_over(tracking, largest))
-    needed = np.maximum(thrust[:, : system.m], thrust[:, system.m :])
-    limit = system.u_max * (1 - SOLVER_BOOK_INPUT) - needed
+    needed = np.maximum(thrust[:, : system.m], thrust[:, system.m :]) + system.command_error(tracking.gain)
+    limit = tracking.u_max * (1 - SOLVER_BOOK_INPUT) - needed
     if np.any(limit < 0):
         k, axis = np.unravel_index(int(np.argmin(limit)), limit.shape)
+        errors = errors_alone(tracking, int(axis))
+        share = f", {errors:.4g} of it for errors of navigation and thrusters" if errors else ""
         raise SynthesisInfeasible(
-            f"the tracker alone may demand {needed[k, axis]:.4g} of the {system.u_max[axis]:.4g} of "
+            f"the tracker alone may demand {needed[k, axis]:.4g} of the {tracking.u_max[axis]:.4g} of "
             f"{system.input_names[axis]} at t = {k * problem.delta:g} s to correct the initial set and the "
-            "disturbance.",
+            f"disturbance{share}.",
             float(-limit[k, axis]),
             "shrink the initial set, raise the thrust limit, or raise tracking.R for a softer tracker.",
         )
-    limit = np.maximum(limit - problem.thrust_reserve * system.u_max, 0.0)
+    limit = np.maximum(limit - problem.thrust_reserve * tracking.u_max, 0.0)
     margins = []
     for unsafe in sets:
         tube = error_tube(tracking, start, -unsafe.normals @ system.position)
@@ -169,6 +171,14 @@ def plan_problem(problem: Problem, tracking: Tracking, sets: tuple[TimedPolytope
         problem.objective,
         problem.extra_margin,
     )
+
+
+def errors_alone(tracking: Tracking, axis: int) -> float:
+    """What S demands of an input, once settled, because of errors of estimates and thrusters."""
+    system, row = tracking.system, tracking.gain[axis : axis + 1]
+    exact = replace(tracking, system=system.as_ideal())
+    beyond = tracking.disturbance(row)[-1] - exact.disturbance(row)[-1]
+    return float(beyond[0] + system.command_error(tracking.gain)[axis])
 
 
 def find_plan(asked: PlanProblem, options: PlannerOptions) -> Plan:

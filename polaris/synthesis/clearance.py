@@ -151,7 +151,7 @@ class Clearance:
     def thrust(self) -> tuple[Array, Array]:
         """Input left above and below the reference input per cell [N], each of shape (cells, m)."""
         system = self.tracking.system
-        limit = system.u_max * (1 - ROUNDING)
+        limit = self.tracking.u_max * (1 - ROUNDING) - system.command_error(self.tracking.gain)
         cost = self.jumps[1]
         return limit - self.reference.nu - cost, limit + self.reference.nu - cost
 

@@ -23,6 +23,8 @@ from .intersample import affine_bow, clipped_bow
 from .saturation import clipped_step
 from .tracking import Tracking, at_nodes
 
+LEVELS = (1 / 32, 1 / 22, 1 / 16, 1 / 11, 1 / 8, 1 / 5.6, 1 / 4, 1 / 2.8, 1 / 2, 0.7, 1.0)
+"""Shares of the thrust limits by which the commands of a step, and so errors of thrusters, are bounded."""
 ORDER = 25.0
 """Generators per dimension kept at the end of a step; what is merged has decayed by then."""
 
@@ -102,7 +104,31 @@ class AffineController(AffineLaw):
     """
 
     def fly(self, start: Zonotope, k: int) -> TubeSegment:
-        """Reachable set over step k.
+        """Reachable set over step k, with errors of the thrusters as large as what is commanded in it allows.
+
+        A tube that is found under errors of commands within some bound, and in which commands keep within it,
+        holds every flight: none can be the first to exceed it.
+        """
+        if not self.system.thrusters.proportional:
+            return self._flown(start, k)[0]
+        most = LEVELS[0] * self.system.u_max
+        while True:
+            tube, commanded = self._within(most)._flown(start, k)
+            if tube.refused or np.all(commanded <= most):
+                return tube
+            above = np.searchsorted(LEVELS, np.minimum(commanded / self.system.u_max, 1.0))
+            most = np.maximum(most, np.array(LEVELS)[above] * self.system.u_max)
+
+    def _within(self, most: Array) -> AffineController:
+        """The same law while it commands no more than that."""
+        key = most.tobytes()
+        law = self._levels.get(key) or replace(self, most=most, _relaxed={}, _levels={})
+        self._levels[key] = law
+        assert isinstance(law, AffineController)
+        return law
+
+    def _flown(self, start: Zonotope, k: int) -> tuple[TubeSegment, Array]:
+        """Reachable set over step k, and what is commanded at most in it, shape (m,).
 
         Where the tube of the unclipped law stays within the thrust limits, the clipped law is the
         same law; only elsewhere is the clip relaxed (or an unclipped controller refused).
@@ -111,26 +137,31 @@ class AffineController(AffineLaw):
         d = start - zeta[0]
         nodes = self.powers @ d + self.disturbance
         bow = affine_bow(self, nodes[:-1], k)
-        excess, axis = self._over_limit(nodes, bow, k)
-        refused, slopes = "", None
+        commanded, refused, slopes = self._at_most(nodes, bow, k), "", None
+        # Without a clip, what the estimate adds to a command counts; else it comes after the clip (Lemma 21).
+        noise = self.system.command_error(self.gain)
+        over = commanded + (0.0 if self.clips else noise) - self.system.u_max
+        excess, axis = float(over.max()), int(np.argmax(over))
         if excess > 0 and self.clips:
             nodes, slopes = self._clipped_nodes(d, k)
             bow = clipped_bow(self, nodes[:-1], k)
+            commanded = self._at_most(nodes, bow, k)
         elif excess > 0:
             refused = f"its command may exceed the limit of {self.system.input_names[axis]} by {excess:.3g}"
         # The two references are stored states: what separates them is known up to their round-off.
         bow = bow + self.reference.rounding[k] + self.own.rounding[k]
         error = nodes + zeta
         end = error[-1].inflate(self.reference.rounding[k] + self.own.rounding[k])
-        return TubeSegment(error, bow, end.reduce(ORDER), refused, slopes)
+        segment = TubeSegment(error, bow, end.reduce(ORDER), refused, slopes)
+        return segment, np.minimum(commanded + noise, self.system.u_max)
 
     def along(self, reference: Reference, tracking: Tracking) -> AffineController:
         """The same law beside another safe reference; one that shares the safe reference shares that one."""
         own = reference if self.own is self.reference else self.own
-        return replace(self, reference=reference, own=own, tracking=tracking, _relaxed={})
+        return replace(self, reference=reference, own=own, tracking=tracking, _relaxed={}, _levels={})
 
     def commanded(self, nodes: Zonotope, bow: Array, k: int) -> tuple[Array, Array]:
-        """Command before clipping in step k, its middle and spread at every node [N], shapes (q+1, m).
+        """Command on the exact state before clipping in step k, its middle and spread, shapes (q+1, m) [N].
 
         `nodes` are errors about the law's own reference. With the bow on either side booked, the hull of two
         nodes holds what is commanded in the part between them.
@@ -139,11 +170,10 @@ class AffineController(AffineLaw):
         spread = np.abs(self.gain @ nodes.G).sum(axis=-1)
         return centre, spread + at_nodes(bow) @ np.abs(self.gain).T
 
-    def _over_limit(self, nodes: Zonotope, bow: Array, k: int) -> tuple[float, int]:
-        """By how much the unclipped command may exceed the limits in the step [N], and on which axis."""
+    def _at_most(self, nodes: Zonotope, bow: Array, k: int) -> Array:
+        """Bound on the unclipped command on the exact state in the step [N], shape (m,)."""
         centre, spread = self.commanded(nodes, bow, k)
-        excess = (np.abs(centre) + spread) * (1 + ROUNDING) - self.system.u_max
-        return float(excess.max()), int(np.argmax(excess.max(axis=0)))
+        return np.asarray(((np.abs(centre) + spread) * (1 + ROUNDING)).max(axis=0))
 
     def _clipped_nodes(self, d: Zonotope, k: int) -> tuple[Zonotope, Array]:
         nodes, slopes = [d], []
@@ -179,7 +209,7 @@ class AnyThrust:
     @cached_property
     def _push(self) -> Zonotope:
         """What the inputs, about zero, add per period."""
-        B, u_max = self.system.B, self.system.u_max
+        B, u_max = self.system.B, self.system.u_max + self.system.thrusters.error(self.system.u_max)
         return self.flow.input_zonotope(B, np.diag(u_max), np.abs(B) @ u_max)
 
     def command(self, k: int, xi: Array, own: Array, x: Array) -> Array:

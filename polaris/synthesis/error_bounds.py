@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,7 +18,7 @@ from .tracking import Tracking
 
 @dataclass(frozen=True, eq=False)
 class ErrorBounds:
-    """ISS bounds on the error ``e = x - xi`` (Lemma 1; theory, items 1 to 4).
+    """ISS bounds on the error ``e = x - xi`` (Lemma 1; theory, items 1 to 4), w being all that disturbs it.
 
     Each bound reads ``gamma exp(-beta t) norm(W e(0), 2) + gain w_max``, for all t >= 0.
 
@@ -73,6 +73,7 @@ def get_err_bounds(
         If the method is unknown or the weight is singular.
     """
     one_of("tracking.bound", method, ("envelope", "lyapunov"))
+    tracking = tracking if tracking.system.ideal else replace(tracking, system=tracking.system.as_ideal())
     flow, system = tracking.flow, tracking.system
     W = _weight(tracking, weight)
     inverse = np.asarray(np.linalg.inv(W), dtype=float)

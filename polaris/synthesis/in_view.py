@@ -106,7 +106,7 @@ class Windows:
         self.worth, self.K, self.mode = worth, problem.K, mode
         sets = perceive_unsafe(problem, problem.K)
         asked = plan_problem(problem, tracking, sets)
-        u = Tracking(system, law.gain, tracking.feedback, problem.delta)
+        u = Tracking(system, law.gain, tracking.feedback, problem.delta, tracking.share)
         margins = []
         for unsafe, margin in zip(sets, asked.margins, strict=True):
             tube = error_tube(u, safety.start, -unsafe.normals @ system.position)

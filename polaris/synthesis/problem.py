@@ -61,6 +61,8 @@ class Problem:
         Clearance [m] wanted beyond what S's own tube needs: the room left to U.
     thrust_reserve : float
         Share of the thrust limits, in [0, 1), that the reference leaves beyond what S's tube needs.
+    thrust_share : float
+        Share of the thrust limits, in (0, 1], that S commands at most: errors of thrusters grow with it.
     planner : PlannerOptions
         Solver, time limit, gap.
     gains : tuple of ndarray
@@ -84,6 +86,7 @@ class Problem:
     objective: Objective = "margin_then_fuel"
     extra_margin: float = 0.0
     thrust_reserve: float = 0.2
+    thrust_share: float = 1.0
     planner: PlannerOptions = field(default_factory=PlannerOptions)
     gains: tuple[Array, ...] = ()
 
@@ -113,6 +116,11 @@ class Problem:
         if not 0 <= number("thrust_reserve", self.thrust_reserve) < 1:
             raise ScenarioError("thrust_reserve", self.thrust_reserve, "must be in [0, 1)")
         one_of("recoverable", self.recoverable, RECOVERABLE_KINDS)
+        if not self.system.ideal and self.recoverable != "polytope":
+            rule = "must be 'polytope' with [navigation] or [thrusters]"
+            raise ScenarioError("recoverable.kind", self.recoverable, rule)
+        if not 0 < number("tracking.thrust_share", self.thrust_share) <= 1:
+            raise ScenarioError("tracking.thrust_share", self.thrust_share, "must be above 0 and at most 1")
         one_of("recourse", self.recourse, RECOURSE)
 
 

@@ -21,7 +21,7 @@ from .controllers import AffineController, AnyThrust, Controller, TubeSegment
 from .get_safety import Safety, get_safety
 from .problem import Problem
 
-UNPROVEN = ("problem", "plan", "start_margin", "seconds", "cut_by_clock", "_relaxed")
+UNPROVEN = ("problem", "plan", "start_margin", "seconds", "cut_by_clock", "_relaxed", "_levels")
 """Fields that no proof rests on: what was asked, how it was found, and what is only told or remembered."""
 
 

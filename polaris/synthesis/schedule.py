@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import astuple, dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from reach.sets.zonotope import Zonotope
 
 from ..certificate.assumptions import assumptions
+from ..model.obstacle import chaser_radius
 from ..model.satellite import SatelliteObstacle
 from ..model.system import Array
 from ..model.tolerances import ROUNDING
@@ -99,6 +100,9 @@ class Schedule:
             satellites=any(isinstance(unsafe, SatelliteObstacle) for unsafe in problem.unsafe),
             horizon=end.horizon,
             until=end.until if np.isfinite(end.until) else None,
+            estimate=problem.system.navigation.tolist(),
+            thrusters=astuple(problem.system.thrusters),
+            chaser=chaser_radius(problem.unsafe),
         )
         return *told, "arithmetic: in double precision, its round-off covered by booked tolerances"
 
@@ -169,12 +173,15 @@ def _pushed(law: Controller, step: Step, delta: float) -> tuple[float, float]:
     """
     if not isinstance(law, AffineController):
         limit = getattr(law, "system", None)
-        most = float(np.sum(limit.u_max)) * delta if limit is not None else np.inf
+        tops = None if limit is None else limit.u_max + limit.thrusters.error(limit.u_max)
+        most = np.inf if tops is None else float(np.sum(tops)) * delta
         return most, most
     u_max, tube = law.system.u_max, step.tube
     centre, spread = law.commanded(tube.nodes - law.offset[step.k], tube.bow, step.k)
     middle = np.minimum(np.abs(centre), u_max)
+    spread = spread + law.system.command_error(law.gain)
     highest = np.minimum((np.abs(centre) + spread) * (1 + ROUNDING), u_max)
+    highest = highest + law.system.thrusters.error(highest)
     h = delta / (len(centre) - 1)
     held = middle[:-1] if law.feedback.sampled else (middle[:-1] + middle[1:]) / 2
     return float(held.sum()) * h, float(np.maximum(highest[:-1], highest[1:]).sum()) * h

@@ -81,12 +81,12 @@ class Feedback:
     nodes_per_cell: int
     sampled: bool = False
 
-    def flow(self, system: LinearSystem, gain: Array, delta: float) -> LinearFlow:
-        """Error dynamics under ``u = mu + gain (xi - x)``."""
-        h = delta / self.nodes_per_cell
+    def flow(self, system: LinearSystem, gain: Array, delta: float, error: Array | float = 0.0) -> LinearFlow:
+        """Error dynamics under ``u = mu + gain (xi - x)``, every input off by `error` at most."""
+        h, E = delta / self.nodes_per_cell, system.error_map(np.asarray(error))
         if self.sampled:
-            return LinearFlow.sampled(system.A, system.B, gain, system.D, system.w_max, h)
-        return LinearFlow.continuous(system.A - system.B @ gain, system.D, system.w_max, h)
+            return LinearFlow.sampled(system.A, system.B, gain, system.D, system.w_max, h, E)
+        return LinearFlow.continuous(system.A - system.B @ gain, system.D, system.w_max, h, E)
 
 
 def choose_feedback(system: LinearSystem, gains: list[Array], delta: float, period: float | None) -> Feedback:
@@ -118,17 +118,30 @@ class Tracking:
         Continuous, or sampled with its control period.
     delta : float
         Planning step [s].
+    share : float
+        Share of the thrust limits that S commands at most.
     """
 
     system: LinearSystem
     gain: Array
     feedback: Feedback
     delta: float
+    share: float = 1.0
+
+    @property
+    def u_max(self) -> Array:
+        """What S commands at most, shape (m,)."""
+        return self.share * self.system.u_max
+
+    @property
+    def error(self) -> Array:
+        """Bounds on the errors of what S applies, shape (m,)."""
+        return self.system.input_error(self.gain, self.u_max)
 
     @cached_property
     def flow(self) -> LinearFlow:
         """Error dynamics of the safety controller."""
-        flow = self.feedback.flow(self.system, self.gain, self.delta)
+        flow = self.feedback.flow(self.system, self.gain, self.delta, self.error)
         try:
             flow.lyapunov  # noqa: B018  an unstable sampled loop is refused here, with its reason
         except ReachError as error:

@@ -21,7 +21,7 @@ from ..sets.zonotope import Zonotope
 
 @dataclass(frozen=True, eq=False)
 class LinearFlow:
-    """Motion of ``e' = A e + B u + D w`` under the feedback ``u = -K e``, node by node.
+    """Motion of ``e' = A e + B u + D w + E v`` under the feedback ``u = -K e``, node by node.
 
     Over one period of length h from a node, ``e(s) = M(s) e(0) + int_0^s e^{A_x (s-r)} D w(r) dr``
     with ``M'' (s) = A_x e^{A_x s} A_c``, where ``A_c = A - B K`` and
@@ -39,6 +39,9 @@ class LinearFlow:
         Length of a period [s].
     phi : ndarray, shape (n, n)
         Transition ``M(h)`` from node to node.
+    E : ndarray, shape (n, g), or None
+        Map of a second disturbance, measurable too, whose parts obey ``|v_j| <= 1`` one by one. What is
+        called the disturbance below is both together.
     """
 
     A_x: Array
@@ -47,22 +50,25 @@ class LinearFlow:
     w_max: float
     h: float
     phi: Array
+    E: Array | None = None
 
     @classmethod
     @checked
-    def continuous(cls, A_c: Array, D: Array, w_max: float, h: float) -> LinearFlow:
+    def continuous(cls, A_c: Array, D: Array, w_max: float, h: float, E: Array | None = None) -> LinearFlow:
         """Continuous feedback, closed-loop matrix A_c."""
         require_square("A_c", A_c)
-        return cls(A_c, A_c, D, w_max, h, np.asarray(expm(A_c * h)))
+        return cls(A_c, A_c, D, w_max, h, np.asarray(expm(A_c * h)), E)
 
     @classmethod
     @checked
-    def sampled(cls, A: Array, B: Array, K: Array, D: Array, w_max: float, h: float) -> LinearFlow:
+    def sampled(
+        cls, A: Array, B: Array, K: Array, D: Array, w_max: float, h: float, E: Array | None = None
+    ) -> LinearFlow:
         """Zero-order-hold feedback ``u = -K e(t_j)`` renewed every h."""
         Ah, Bh = discretize(A, B, h)
         if K.shape != B.shape[::-1]:
             raise ReachError(f"K must have shape {B.shape[::-1]}, got {K.shape}")
-        return cls(A, A - B @ K, D, w_max, h, Ah - Bh @ K)
+        return cls(A, A - B @ K, D, w_max, h, Ah - Bh @ K, E)
 
     def __post_init__(self) -> None:
         require_square("A_c", self.A_c)
@@ -82,7 +88,10 @@ class LinearFlow:
         reached = discretize(np.abs(self.A_x), np.abs(self.D), self.h)[1]
         # |D| w is bounded row by row by the 2-norm of the row times w_max; the sum over columns of
         # the integral is an upper bound either way.
-        return np.asarray(reached.sum(axis=1) * self.w_max)
+        box = np.asarray(reached.sum(axis=1) * self.w_max)
+        if self.E is None:
+            return box
+        return np.asarray(box + discretize(np.abs(self.A_x), np.abs(self.E), self.h)[1].sum(axis=1))
 
     @checked
     def input_map(self, B: Array) -> Array:
@@ -189,21 +198,28 @@ class LinearFlow:
         if rows.ndim != 2 or rows.shape[1] != len(self.phi):
             raise ReachError(f"rows must have shape (r, {len(self.phi)}), got {rows.shape}")
         images = rows @ powers(self.phi, count)  # (count+1, r, n)
-        end = np.asarray(expm(self.A_x * self.h)) @ self.D
-        left = np.linalg.norm(images[:-1] @ self.D, axis=-1)
-        right = np.linalg.norm(images[:-1] @ end, axis=-1)
-        # |v'' | <= |row phi^l A_x^2| e^{|A_x| h} |D|, elementwise
-        bend = np.linalg.norm(
-            np.abs(images[:-1] @ (self.A_x @ self.A_x)) @ self.growth @ np.abs(self.D), axis=-1
-        )
-        period = self.w_max * (self.h / 2 * (left + right) + self.h**3 / 12 * bend)
+        period = self.w_max * self._along(images[:-1], self.D, 2)
+        if self.E is not None:
+            period = period + self._along(images[:-1], self.E, 1)
         return np.vstack([np.zeros((1, len(rows))), np.cumsum(period, axis=0)])
+
+    def _along(self, rows: Array, M: Array, order: int) -> Array:
+        """Bound on ``int_0^h norm(row e^{A_x s} M) ds``, for a norm of an order."""
+        end = np.asarray(expm(self.A_x * self.h)) @ M
+        left, right = (np.linalg.norm(rows @ part, order, axis=-1) for part in (M, end))
+        # |v'' | <= |row A_x^2| e^{|A_x| h} |M|, elementwise
+        bent = np.abs(rows @ (self.A_x @ self.A_x)) @ self.growth @ np.abs(M)
+        bend = np.linalg.norm(bent, order, axis=-1)
+        return np.asarray(self.h / 2 * (left + right) + self.h**3 / 12 * bend)
 
     @cached_property
     def period_zonotope(self) -> Zonotope:
-        """Zonotope enclosing ``{int_0^h e^{A_x s} D w(s) ds}`` (the disturbance of one period)."""
+        """Zonotope enclosing ``{int_0^h e^{A_x s} (D w(s) + E v(s)) ds}`` (the disturbance of one period)."""
         ball = ball_generators(self.D.shape[1], self.w_max)
-        return self.input_zonotope(self.D, ball, np.linalg.norm(self.D, axis=1) * self.w_max)
+        found = self.input_zonotope(self.D, ball, np.linalg.norm(self.D, axis=1) * self.w_max)
+        if self.E is None:
+            return found
+        return found + self.input_zonotope(self.E, np.eye(self.E.shape[1]), np.abs(self.E).sum(axis=1))
 
     @checked
     def disturbance_nodes(self, count: int, order: float = 30.0) -> Zonotope:

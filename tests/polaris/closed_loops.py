@@ -49,12 +49,18 @@ class Attack:
         Inputs of controllers that may do anything.
     way : ndarray, shape (N, R, n)
         In which direction the state counts for what is aimed at; zero after that.
+    eta : ndarray, shape (N, R, n), or 0
+        Error of the estimates that the laws act on.
+    off : ndarray, shape (N, R, m), or 0
+        Errors of the thrusters, as shares of the largest that the command allows.
     """
 
     x0: Array
     w: Array
     free: Array
     way: Array
+    eta: Any = 0.0
+    off: Any = 0.0
 
 
 Who = Callable[[int, Array], NDArray[np.int_]]
@@ -122,7 +128,8 @@ class Loop:
         states[0] = x = attack.x0
         Ad, Bd = held(A, B, self.dt)
         Dd = held(A, D, self.dt)[1]
-        limit, dt = self.system.u_max, self.dt
+        limit, dt, eta = self.system.u_max, self.dt, np.broadcast_to(attack.eta, (self.N, R, n))
+        off, errors = np.broadcast_to(attack.off, (self.N, R, m)), self.system.thrusters
         for i in range(self.N):
             k, j = divmod(i, self.per)
             modes[i] = flying = who(i, x)
@@ -136,8 +143,12 @@ class Loop:
                 raw = np.empty((R, m))
                 for number, mine in parts:  # noqa: B023
                     free = number and number not in self.laws
-                    raw[mine] = attack.free[i, mine] if free else self.command(number, k, half, at[mine])  # noqa: B023
-                return np.clip(raw, -limit, limit), np.abs(raw) > limit
+                    seen = at[mine] + eta[i, mine]  # noqa: B023
+                    raw[mine] = attack.free[i, mine] if free else self.command(number, k, half, seen)  # noqa: B023
+                u = np.clip(raw, -limit, limit)
+                size = np.linalg.norm(u, axis=1, keepdims=True)
+                wrong = errors.along * np.abs(u) + errors.across * size + errors.bit
+                return u + off[i] * wrong, np.abs(raw) > limit  # noqa: B023
 
             if self.sampled:
                 fresh, over = inputs(2 * j, x)
@@ -192,7 +203,8 @@ class Loop:
         """What takes every run furthest along a row at an instant (step), under modes and clips as flown."""
         R, (n, m, p) = len(rows), (self.system.n, self.system.m, self.system.p)
         w, free, kept = np.zeros((self.N, R, p)), np.zeros((self.N, R, m)), np.zeros((self.N, R, n))
-        lam, spent = np.zeros((R, n)), np.zeros((R, m))
+        lam, spent, eta = np.zeros((R, n)), np.zeros((R, m)), np.zeros((self.N, R, n))
+        off = np.zeros((self.N, R, m))
         bits = 2 ** np.arange(m)
         for i in range(self.N - 1, -1, -1):
             k, j = divmod(i, self.per)
@@ -208,6 +220,12 @@ class Loop:
                 w[i, run] = self.system.w_max * way / np.where(size > 0, size, 1)
                 thrust = lam[run] @ kick
                 lam[run] = lam[run] @ back
+                off[i, run] = np.where(thrust + (spent[run] if number in self.laws else 0) < 0, -1, 1)
+                if number in self.laws:
+                    # Held inputs count in all of their period: the estimate at its first step is what errs.
+                    counts = (spent[run] + thrust) * (1.0 - ((which >> np.arange(m)) & 1))
+                    far = np.where(counts @ self.laws[number][0] > 0, -1, 1) * self.system.navigation
+                    eta[i, run] = far
                 if number not in self.laws:
                     free[i, run] = np.where(thrust < 0, -1, 1) * self.system.u_max
                 elif self.sampled:
@@ -218,7 +236,7 @@ class Loop:
                         spent[run] = 0.0
             kept[i] = lam
         theta = self.schedule.safety.problem.initial_set
-        return Attack(theta.c + np.where(lam @ theta.G < 0, -1.0, 1.0) @ theta.G.T, w, free, kept)
+        return Attack(theta.c + np.where(lam @ theta.G < 0, -1.0, 1.0) @ theta.G.T, w, free, kept, eta, off)
 
     # -- judging ----------------------------------------------------------------------------------------
 
@@ -255,9 +273,11 @@ class Loop:
             mode = flown.modes[k * self.per : (k + 1) * self.per]
             safe = (np.vstack([mode, mode[-1:]]) == 0)[:end:every]
             raw = np.abs(self.nu[k] - need)
-            thrust = np.minimum(thrust, np.where(safe[..., None], system.u_max - raw, np.inf).min(axis=0))
+            kept = self.schedule.safety.tracking.share  # to which S keeps; estimates add to commands
+            most = kept * system.u_max - system.navigation @ np.abs(self.gain).T
+            thrust = np.minimum(thrust, np.where(safe[..., None], most - raw, np.inf).min(axis=0))
             for sign in (1, -1):
-                room = system.u_max + sign * self.nu[k]
+                room = most + sign * self.nu[k]
                 free = 1 - _share(sign * need, np.broadcast_to(room, need.shape)).max(axis=2)
                 share = np.minimum(share, _least(free, taken[:end:every]))
         return Outcome(left, thrust / system.u_max, share, printed)
@@ -535,9 +555,11 @@ def by_chance(loop: Loop, worst: Attack, rng: np.random.Generator) -> Attack:
     w = rng.normal(size=(pieces, R, p))
     w *= loop.system.w_max / np.linalg.norm(w, axis=2, keepdims=True)
     free = np.sign(rng.uniform(-1, 1, (pieces, R, loop.system.m))) * loop.system.u_max
+    eta = rng.uniform(-1, 1, (pieces, R, loop.system.n)) * loop.system.navigation
+    off = rng.uniform(-1, 1, (pieces, R, loop.system.m))
     theta = loop.schedule.safety.problem.initial_set
     b = np.sign(rng.uniform(-1, 1, (R, theta.G.shape[1])))
     inside = rng.random(R) < 0.3
     b[inside] *= rng.random((int(inside.sum()), 1))
-    spread = [np.repeat(x, hold, axis=0)[: loop.N] for x in (w, free)]
-    return Attack(theta.c + b @ theta.G.T, spread[0], spread[1], worst.way)
+    spread = [np.repeat(x, hold, axis=0)[: loop.N] for x in (w, free, eta, off)]
+    return Attack(theta.c + b @ theta.G.T, spread[0], spread[1], worst.way, *spread[2:])

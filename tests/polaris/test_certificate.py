@@ -116,13 +116,13 @@ def test_an_unclipped_controller_between_balls_verifies(kind):
 # -- unsound ones do not ------------------------------------------------------------------------------
 
 
-def test_the_printed_ball_is_rejected_because_the_thrusters_saturate():
+@pytest.mark.parametrize("change", [relabelled, pytest.param(dict, marks=pytest.mark.slow)])
+def test_the_printed_ball_is_rejected_because_the_thrusters_saturate(change):
     data = variant("recoverable.kind=paper_ball", "tracking.R=[1.5,1.5]")
     assert data["guarantee"] == "none" and 1 in data["schedule"]["modes"]
-    for claimed in (data, relabelled(data)):
-        verdict = verify_document(claimed)
-        assert (verdict.outcome, verdict.claim) == ("REJECTED", "recoverable")
-        assert "input" in verdict.witness and verdict.excess > 0.1  # m/s^2, of 1 m/s^2
+    verdict = verify_document(change(data))
+    assert (verdict.outcome, verdict.claim) == ("REJECTED", "recoverable")
+    assert "input" in verdict.witness and verdict.excess > 0.1  # m/s^2, of 1 m/s^2
 
 
 def test_no_guarantee_is_not_verified_even_if_nothing_else_fails():

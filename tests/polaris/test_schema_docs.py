@@ -51,6 +51,7 @@ UNITS = {
     "_kg": "kg",
     "_m2_kg": "m^2/kg",
     "_N": "N",
+    "_N_s": "N s",
     "_m_s": "m/s",
     "_m_s2": "m/s^2",
     "_rad": "rad",

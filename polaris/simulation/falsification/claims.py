@@ -102,7 +102,7 @@ class Claims:
         gain = safety.tracking.gain
         need, bow = self._needs(np.vstack([gain, -gain]))
         nu = safety.reference.nu[: self.cells]
-        room = np.tile(self.system.u_max, 2) + np.hstack([nu, -nu])
+        room = np.tile(self.system.u_max - self.system.command_error(gain), 2) + np.hstack([nu, -nu])
         left = np.min((room[:, None, :] - need).reshape(self.cells, self.q + 1, 2, m), axis=2)
         thrust = np.minimum(left[:, :-1], left[:, 1:]) - bow.reshape(self.cells, self.q, 2, m).max(axis=2)
         out = np.column_stack([*(part.max(axis=1) for part in self.facets), self._flat(thrust)])
@@ -200,11 +200,12 @@ def _look_closer(
 
 
 def _measure_thrust(claims: Claims, runs: Runs, flown: NDArray[np.intp], out: Attained) -> None:
-    """Thrust left at the nodes of the periods that S flies."""
+    """Thrust left at the nodes of the periods that S flies, the estimate being as wrong as it may be."""
     safety, system = claims.schedule.safety, claims.system
+    gain, most = safety.tracking.gain, system.u_max - system.command_error(safety.tracking.gain)
     xi = safety.clearance.nodes[: claims.cells, :-1].reshape(-1, system.n)[flown]
     mu = np.repeat(safety.reference.nu[: claims.cells], claims.q, axis=0)[flown]
-    left = system.u_max - np.abs(mu + (xi - runs.states[:, flown]) @ safety.tracking.gain.T)
+    left = most - np.abs(mu + (xi - runs.states[:, flown]) @ gain.T)
     inputs = slice(len(claims.unsafe), None)
     out.margin[:, inputs] = left.min(axis=1)
     out.when[:, inputs] = runs.times[flown][np.argmin(left, axis=1)]

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ...model.system import Array
 from ...synthesis.schedule import Schedule
+from ..disturbances import disturbances
 from ..integration import Integrator, runge_kutta
 from ..run_metrics import Runs
 from ..simulate import Initial, flown_modes, initial_states
@@ -83,7 +84,9 @@ def fly_true(
     flight = _TrueMotion(schedule, modes, substeps)
     flight.env, flight.ballistic = env, ballistic
     flight.residual = np.zeros((len(modes) * flight.q, n))
-    runs = flight.run(np.concatenate([x, target], axis=1), np.broadcast_to(push, (flight.steps, n, 3)))
+    pushed, errors = np.broadcast_to(push, (flight.steps, n, 3)), disturbances(flight, n, rng, "random")[0]
+    pushed = np.concatenate([pushed, errors[..., flight.system.p :]], axis=2)
+    runs = flight.run(np.concatenate([x, target], axis=1), pushed)
     target = runs.states[..., 6:]
     runs = replace(runs, states=runs.states[..., :6])
     return TrueFlights(runs, flight.residual.T, target, ballistic, declared(env, target))
@@ -103,8 +106,6 @@ class _TrueMotion(Integrator):
         """Nothing is linear here."""
 
     def move(self, number: int, k: int, step: int, x: Array, u: Array, w: Array) -> Array:
-        limit = self.system.u_max
-
         def rates(u: Array, state: Array) -> tuple[Array, Array]:
             own, target, left_out = relative_rate(self.env, state[:, 6:], state[:, :6], self.ballistic)
             own = own + u @ self.system.B.T
@@ -115,7 +116,7 @@ class _TrueMotion(Integrator):
             if self.sampled:
                 return rates(u, state)[0]
             asked = self.command(number, k, 2 * step, state, later)
-            return rates(np.clip(asked, -limit, limit), state)[0]
+            return rates(self.applied(asked, k * self.steps_per_cell + step), state)[0]
 
         first, left_out = rates(u, x)
         node = k * self.q + step // self.substeps

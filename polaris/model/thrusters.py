@@ -1,0 +1,57 @@
+"""How far what thrusters apply may be from what they are commanded."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import ScenarioError
+
+
+@dataclass(frozen=True)
+class Thrusters:
+    """Errors of what is applied, at any time and however they change (docs/theory.md, Lemma 23).
+
+    Parameters
+    ----------
+    along : float
+        Of every input, as a share of its own command.
+    across : float
+        Of every input, as a share of the 2-norm of all commands.
+    bit : float
+        Of every input, whatever its command [N].
+    """
+
+    along: float = 0.0
+    across: float = 0.0
+    bit: float = 0.0
+
+    def __post_init__(self) -> None:
+        sizes = (self.along, self.across, self.bit)
+        if not all(np.isfinite(size) and size >= 0 for size in sizes):
+            raise ScenarioError("thrusters", sizes, "must be finite numbers >= 0")
+
+    @classmethod
+    def of(cls, magnitude: float, misalignment: float, mass: float, rounding: float, m: int) -> Thrusters:
+        """From errors of magnitude, direction [rad], mass and rounding [N] of m inputs; rounded up."""
+        most = (1 + magnitude) / (1 - mass)
+        along, across = most - 1, 2 * float(np.sin(misalignment / 2)) * most
+        bounds = along, across, rounding * (1 + along + across * m**0.5)
+        return cls(*(x * (1 + 1e-9) if x > 0 else 0.0 for x in bounds))
+
+    @property
+    def exact(self) -> bool:
+        """Whether what is commanded is what is applied."""
+        return self == Thrusters()
+
+    @property
+    def proportional(self) -> bool:
+        """Whether the errors depend on what is commanded."""
+        return self.along > 0 or self.across > 0
+
+    def error(self, u: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Bounds on the errors under commands up to u in size, shape (..., m)."""
+        size = np.linalg.norm(u, axis=-1, keepdims=True)
+        return np.asarray(self.along * np.abs(u) + self.across * size + self.bit)

@@ -1,0 +1,73 @@
+"""The scenario file's models of what is not exact: navigation, thrusters, and the size of the chaser."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..model.errors import ScenarioError
+from ..model.system import Array, LinearSystem
+from ..model.thrusters import Thrusters as Errors
+from . import fields as f
+from .fields import ScenarioPart, unit
+
+
+class Navigation(ScenarioPart):
+    """How well the state is known: bounds on the errors of the estimate that every controller acts on.
+
+    Within the bounds the errors may be any at any time. In Hill's frame positions and velocities have bounds,
+    in other systems states.
+    """
+
+    position_error_m: f.NonNegativePerAxis = unit("m", "Per axis, or one number for all.", default=0.0)
+    velocity_error_m_s: f.NonNegativePerAxis = unit("m/s", "Per axis, or one number for all.", default=0.0)
+    state_error: f.WidthVector | None = unit("SI (state order)", "n numbers >= 0.", default=None)
+
+    def build(self, system: LinearSystem) -> Array:
+        """Bounds on the error of every state, shape (n,)."""
+        if system.mean_motion is None:
+            if np.any(self.position_error_m) or np.any(self.velocity_error_m_s):
+                rule = "needs Hill's frame (system.kind = 'clohessy_wiltshire'); give state_error"
+                raise ScenarioError("navigation.position_error_m", self.position_error_m, rule)
+            given = (0.0,) * system.n if self.state_error is None else self.state_error
+            f.check_length("navigation.state_error", given, system.n)
+            return np.array(given)
+        if self.state_error is not None:
+            rule = "is for other systems; in Hill's frame give position_error_m and velocity_error_m_s"
+            raise ScenarioError("navigation.state_error", self.state_error, rule)
+        named = ("position_error_m", self.position_error_m), ("velocity_error_m_s", self.velocity_error_m_s)
+        return np.concatenate([f.per_axis(f"navigation.{name}", value, 3) for name, value in named])
+
+
+class Thrusters(ScenarioPart):
+    """How far what is applied may be from what is commanded, at any time, in any direction that fits."""
+
+    magnitude_error: f.Real = unit(
+        "-", "Share by which thrust may be too large or small.", default=0.0, ge=0, lt=0.5
+    )
+    misalignment_deg: f.Real = unit("deg", default=0.0, ge=0, le=45)
+    """Angle by which the direction of the thrust may be off. Hill's frame only."""
+    mass_error: f.Real = unit("-", default=0.0, ge=0, lt=0.5)
+    """Share by which the mass may be more or less than `system.mass_kg`, propellant spent included."""
+    impulse_bit_N_s: f.NonNegative = unit("N s", default=0.0)
+    """Smallest impulse: that of a period is a multiple of it, the nearest to what is commanded. Needs sampled
+    feedback. The thrust counts as constant over the period."""
+
+    def build(self, system: LinearSystem, period: float | None) -> Errors:
+        """Bounds on the errors of the inputs."""
+        if self.misalignment_deg > 0 and (system.mean_motion is None or system.m != 3):
+            rule = "needs Hill's frame (system.kind = 'clohessy_wiltshire')"
+            raise ScenarioError("thrusters.misalignment_deg", self.misalignment_deg, rule)
+        if self.impulse_bit_N_s > 0 and period is None:
+            rule = "needs sampled feedback (feedback.kind = 'sampled')"
+            raise ScenarioError("thrusters.impulse_bit_N_s", self.impulse_bit_N_s, rule)
+        bit = 0.0 if period is None else self.impulse_bit_N_s / (2 * period)
+        turned = float(np.deg2rad(self.misalignment_deg))
+        return Errors.of(self.magnitude_error, turned, self.mass_error, bit, system.m)
+
+
+class Chaser(ScenarioPart):
+    """What is controlled has a size: it is added to every unsafe set."""
+
+    radius_m: f.NonNegative = unit("m")
+    """Radius of a ball, about the point that is navigated, that contains all of the chaser in any attitude.
+    All distances that are reported are those of its surface. Facets of boxes and polytopes move out by it."""

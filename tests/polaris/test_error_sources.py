@@ -1,0 +1,276 @@
+"""Errors of navigation and thrusters, the chaser's size: in sets, certificates, and flown at their worst."""
+
+import json
+import pydoc
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import pytest
+
+from polaris.model.errors import PolarisError, ScenarioError, SynthesisInfeasible
+from polaris.model.keep_in import KeepInCone, KeepInPolytope
+from polaris.model.obstacles import BallObstacle, BoxObstacle, PolytopeObstacle
+from polaris.model.thrusters import Thrusters
+from polaris.rta.decision_grid import DecisionGrid
+from polaris.runs.certificate import certificate
+from polaris.scenario.reading import write_toml
+from polaris.scenario.scenario import load_scenario
+from polaris.scenario.tables import ScenarioModel
+from polaris.simulation.falsification.search import falsify
+from polaris.synthesis.clearance import error_tube
+from polaris.synthesis.synthesize import synthesize
+
+from ..kept import ROOT, kept
+from .closed_loops import attack
+from .forging import CERTIFICATE, Forger, make
+from .random_scenarios import random_scenario
+from .test_closed_loops import judge
+from .tiny import TINY
+
+FEW = (5016, 5024, 5034)
+"""Random scenes that are proved with errors, too; among them clipped laws and sampled feedback."""
+
+POLYTOPE = "recoverable.kind=polytope"
+ERRORS = (
+    "navigation.state_error=[0.01, 0.01, 0.002, 0.002]",
+    "chaser.radius_m=0.05",
+    "thrusters.magnitude_error=0.01",
+    "thrusters.mass_error=0.005",
+    "tracking.thrust_share=0.9",
+)
+
+
+def exact(seed):
+    """A random scene without errors."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "scene.toml"
+        path.write_text(random_scenario(seed), encoding="utf-8")
+        return load_scenario(path, [POLYTOPE])
+
+
+def tables(scenario, seed, scale=0.1):
+    """Assignments of random errors of navigation and thrusters, and a size, to a random scene."""
+    rng, widths, d = np.random.default_rng(seed), scenario.initial_set().half_widths, scenario.system().d
+    error = widths * rng.uniform(0, scale, len(widths))
+    size = f"chaser.radius_m={widths.max() * rng.uniform(0, scale):.6g}"
+    if scenario.system().mean_motion is None:
+        given = [f"navigation.state_error={error.tolist()}"]
+    else:
+        parts = ("position_error_m", error[:d].tolist()), ("velocity_error_m_s", error[d:].tolist())
+        given = [f"navigation.{name}={part}" for name, part in parts]
+    thrusters = [f"thrusters.{key}={rng.uniform(0, 0.06):.3g}" for key in ("magnitude_error", "mass_error")]
+    if scenario.problem().period is not None:
+        most = scenario.problem().period * scenario.system().u_max.min()
+        thrusters.append(f"thrusters.impulse_bit_N_s={float(most * rng.uniform(0, 0.03))}")
+    if scenario.system().mean_motion is not None:
+        thrusters.append(f"thrusters.misalignment_deg={rng.uniform(0, 2):.3g}")
+    return [*given, size, *thrusters, f"tracking.thrust_share={rng.uniform(0.5, 1):.3g}"]
+
+
+@cache
+def made(seed):
+    """(scenario, schedule) of a random scene with errors, if it is proved."""
+    scenario = exact(seed)
+    scenario = scenario.with_assignments(tables(scenario, seed))
+    try:
+        return kept(f"errors-{seed}", lambda: (scenario, synthesize(scenario)))
+    except PolarisError:
+        return None
+
+
+def test_a_few_proofs_hold_with_errors_at_their_worst():
+    tight = []
+    for seed in FEW:
+        _, schedule = made(seed)
+        found = attack(schedule, 60, seed)
+        judge(seed, found)
+        tight.append(found.tight)
+        assert falsify(schedule, 300, seed).failure is None
+    assert np.median(tight) > 0.6
+
+
+def test_errors_left_out_of_the_proof_break_it():
+    """The same attacks refute a schedule that was made without the errors."""
+    over = []
+    for seed in FEW:
+        schedule, wrong = synthesize(exact(seed)), 20 * made(seed)[0].system().navigation
+        object.__setattr__(schedule.safety.problem.system, "estimate_error", wrong)
+        over.append(attack(schedule, 60, seed).over)
+    assert max(over) > 1e-3
+
+
+@pytest.mark.slow
+def test_many_proofs_hold_with_errors_at_their_worst():
+    scenes, tight = 0, []
+    for seed in range(5000, 5080):
+        if (known := made(seed)) is None:
+            continue
+        found = attack(known[1], 200, seed)
+        judge(seed, found)
+        scenes, tight = scenes + 1, [*tight, found.tight]
+    assert scenes >= 50 and np.median(tight) > 0.6
+
+
+def test_the_share_of_an_error_is_what_its_worst_signs_reach():
+    """Along a row, for ever: the bound is the sum over the periods of the response to constant signs."""
+    scenario = load_scenario(TINY).with_assignments(["system.disturbance_max=0.0", ERRORS[0]])
+    tracking = synthesize(scenario).safety.tracking
+    system, flow = tracking.system, tracking.flow
+    rows = np.vstack([system.position, tracking.gain])
+    bound = tracking.disturbance(rows)[-1]
+    steps = 20
+    loop = type(flow).continuous(flow.A_c, flow.D, 0.0, flow.h / steps)
+    kick = loop.input_map(system.B) @ tracking.gain
+    reached, carried = np.zeros(len(rows)), rows
+    for _ in range(tracking.memory * steps):
+        reached += np.abs(carried @ kick) @ system.navigation
+        carried = carried @ loop.phi
+    assert np.all(reached <= bound) and np.all((reached / bound).reshape(2, 2).T > [0.9, 0.6])
+
+
+def test_without_errors_everything_is_as_without_the_tables():
+    plain = load_scenario(TINY)
+    zero = plain.with_assignments(["navigation.state_error=[0.0, 0.0, 0.0, 0.0]", "chaser.radius_m=0.0"])
+    zero = zero.with_assignments(["thrusters.magnitude_error=0.0", "thrusters.mass_error=0.0"])
+    assert certificate(synthesize(plain), "tiny") == certificate(synthesize(zero), "tiny")
+
+
+def test_a_need_grows_with_the_error_and_what_cannot_be_met_is_named():
+    scenario = load_scenario(TINY)
+    needs = []
+    for error in (0.0, 0.001, 0.01):
+        safety = synthesize(scenario.with_assignments([f"navigation.state_error=[{error}, 0, 0, 0]"])).safety
+        needs.append(error_tube(safety.tracking, safety.start, safety.tracking.gain).need[-1, 0])
+    assert needs[0] < needs[1] < needs[2]
+    with pytest.raises(SynthesisInfeasible, match="navigation"):
+        synthesize(scenario.with_assignments(["navigation.state_error=[50.0, 0, 0, 0]"]))
+
+
+@pytest.mark.parametrize(
+    ("assignment", "field"),
+    [
+        ("navigation.state_error=[0.1]", "navigation.state_error"),
+        ("navigation.state_error=[-0.1, 0.0, 0.0, 0.0]", "navigation.state_error"),
+        ("navigation.position_error_m=0.1", "navigation.position_error_m"),
+        ("chaser.radius_m=-1.0", "chaser.radius_m"),
+        ("thrusters.magnitude_error=0.5", "thrusters.magnitude_error"),
+        ("thrusters.misalignment_deg=1.0", "thrusters.misalignment_deg"),
+        ("thrusters.impulse_bit_N_s=0.1", "thrusters.impulse_bit_N_s"),
+        ("tracking.thrust_share=0.0", "tracking.thrust_share"),
+    ],
+)
+def test_bad_tables_are_refused_by_name(assignment, field):
+    with pytest.raises(ScenarioError) as error:
+        load_scenario(TINY).with_assignments([assignment])
+    assert error.value.field.startswith(field)
+
+
+def test_in_hills_frame_errors_have_units():
+    scenario = load_scenario("static").with_assignments(
+        ["navigation.position_error_m=[1, 2, 3]", "navigation.velocity_error_m_s=0.5"]
+    )
+    assert scenario.system().navigation.tolist() == [1, 2, 3, 0.5, 0.5, 0.5]
+    with pytest.raises(ScenarioError, match="position_error_m"):
+        load_scenario("static").with_assignments(["navigation.state_error=[0.1, 0, 0, 0, 0, 0]"])
+
+
+def test_errors_of_thrusters_cover_every_way_to_make_them():
+    """Any magnitude, direction and mass within the bounds, and an impulse rounded to the bit."""
+    rng, bounds = np.random.default_rng(1), (0.05, np.deg2rad(4.0), 0.03)
+    bit, period = 0.005, 2.0
+    rounding = bit / (2 * period)
+    errors, most = Thrusters.of(*bounds, rounding, 3), 0.0
+    for _ in range(4000):
+        u = rng.normal(size=3) * [1.0, 0.3, 0.1]
+        told = np.round(u * period / bit) * bit / period
+        way = np.cross(told, rng.normal(size=3))
+        aside = np.sin(bounds[1]) * np.linalg.norm(told) * way / np.linalg.norm(way)
+        turned = np.cos(bounds[1]) * told + aside
+        size, mass = 1 + bounds[0] * rng.choice([-1, 1], 3), 1 + bounds[2] * rng.choice([-1, 1])
+        share = np.abs(size * turned / mass - u) / errors.error(u)
+        assert np.all(share <= 1)
+        most = max(most, share.max())
+    assert most > 0.9
+
+
+def test_the_errors_of_a_step_follow_what_is_commanded_in_it():
+    schedule = synthesize(load_scenario(TINY).with_assignments(["thrusters.magnitude_error=0.1"]))
+    law, start = schedule.controllers[1], schedule.safety.start
+    told = law.fly(start, 0)
+    assert all(np.all(kept <= law.system.u_max) for kept in map(np.frombuffer, law._levels))
+    least, most = (replace(law, most=share * law.system.u_max, _relaxed={}) for share in (1e-9, 1.0))
+    sizes = [tube.end.half_widths for tube in (least._flown(start, 0)[0], told, most._flown(start, 0)[0])]
+    assert np.all(sizes[0] <= sizes[1] + 1e-12) and np.all(sizes[1] <= sizes[2] + 1e-12)
+
+
+def test_run_time_methods_refuse_what_they_do_not_cover():
+    schedule = synthesize(load_scenario(TINY).with_assignments([ERRORS[0]]))
+    with pytest.raises(ScenarioError, match="not covered"):
+        DecisionGrid.of(schedule)
+
+
+def test_a_grown_set_holds_every_place_within_the_radius():
+    rng, radius = np.random.default_rng(0), 0.7
+    axis, turn = np.array([1.0, 2.0, 0.5]), np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    sets = [
+        BoxObstacle("box", [0, 0, 0], [1, 2, 3]),
+        BallObstacle("ball", [0, 0, 0], 2.0),
+        PolytopeObstacle("polytope", np.vstack([turn, -turn]), np.full(6, 2.0)),
+        KeepInPolytope("room", np.vstack([np.eye(3), -np.eye(3)]), np.full(6, 4.0)),
+        KeepInCone("cone", [0, 0, 0], axis, 0.4, length=9.0),
+    ]
+    p = rng.uniform(-8, 8, (4000, 3))
+    for item in sets:
+        before, after = item.signed_distance(0.0, p), item.grown(radius).signed_distance(0.0, p)
+        assert np.all(after <= before - radius + 1e-9), item.name
+        assert np.all((after < 0)[before < radius]) and item.grown(radius).chaser_radius == radius
+        near = np.abs(after) < 0.2
+        assert np.median((before - radius - after)[near]) < 0.02, item.name  # facets fit exactly
+
+
+def test_every_place_where_the_docs_say_an_error_enters_is_there():
+    text = (ROOT / "docs" / "guarantees.md").read_text(encoding="utf-8")
+    rows = text.split("### Where an error enters")[1].split("|---|---|---|---|---|---|\n")[1].split("\n\n")[0]
+    tables = set(ScenarioModel.model_fields)
+    for row in rows.splitlines():
+        name, table, *places, online = (cell.strip() for cell in row.strip("|").split("|"))
+        assert table.strip("`").split(".")[0] in tables and online in ("booked", "refused"), name
+        assert len(places) == 3
+        for place in places:
+            assert pydoc.locate(place.strip("`")) is not None, place
+
+
+def test_forged_errors_are_refused(tmp_path):
+    """The scenario's bounds are the certificate's: no smaller ones pass, wherever they are written."""
+    forger = Forger(make(ERRORS, tmp_path), tmp_path)
+    assert forger.judge({}).outcome == "VERIFIED"
+    names = forger.honest["assumptions"]
+    data = forger.tree(CERTIFICATE)
+    for forged, claim in (
+        ({"system": data["system"] | {"estimate_error": [(0.001).hex()] * 4}}, "assumptions"),
+        ({"system": {k: v for k, v in data["system"].items() if k != "estimate_error"}}, "assumptions"),
+        ({"chaser_radius": (0.01).hex()}, "assumptions"),
+    ):
+        verdict = forger.judge({CERTIFICATE: json.dumps(data | forged)})
+        assert (verdict.outcome, verdict.claim) == ("REJECTED", claim)
+    exact = {"system": {k: v for k, v in data["system"].items() if k != "thrusters"}}
+    ideal = [w for w in names if not w.startswith("thrusters")]
+    verdict = forger.judge({CERTIFICATE: json.dumps(data | exact | {"assumptions": ideal})})
+    assert (verdict.outcome, verdict.claim) == ("REJECTED", "system")
+    whole = {"system": data["system"] | {"safety_share": (0.5).hex()}}
+    verdict = forger.judge({CERTIFICATE: json.dumps(data | whole)})
+    assert (verdict.outcome, verdict.claim) == ("REJECTED", "system")
+    smaller = {"system": data["system"] | {"estimate_error": [(0.001).hex()] * 4}}
+    words = [w.replace("[0.01, 0.01, 0.002, 0.002]", "[0.001, 0.001, 0.001, 0.001]") for w in names]
+    verdict = forger.judge({CERTIFICATE: json.dumps(data | smaller | {"assumptions": words})})
+    assert (verdict.outcome, verdict.claim) == ("REJECTED", "system")
+    point = [w.replace("within 0.05 m", "within 0.04 m") for w in names]
+    forged = data | {"chaser_radius": (0.04).hex(), "assumptions": point}
+    verdict = forger.judge({CERTIFICATE: json.dumps(forged)})
+    assert (verdict.outcome, verdict.claim) == ("REJECTED", "unsafe_sets")
+    scenario = forger.tree("scenario.toml")
+    scenario["navigation"]["state_error"] = [0.03] * 4
+    assert forger.judge({"scenario.toml": write_toml(scenario)}).outcome == "REJECTED"
