@@ -187,3 +187,25 @@ def test_the_papers_monte_carlo(tmp_path):
     assert success["decentralized-shared"] == told["decentralized-shared"] == 1.0
     few, many = binomtest(round(200 * success["decentralized"]), 200).proportion_ci(0.999)
     assert few <= told["decentralized"] <= many < 1.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("shown", "coefficients", "share"),
+    [
+        ("0.1 h^3`, published", (0, 0, 0.1), 95.0),
+        ("0.001 h + 0.0001 h^3`", (1e-3, 0, 1e-4), 89.5),
+        ("h`", (1, 0, 0), 69.5),
+    ],
+)
+def test_success_hangs_on_the_function_of_h5(tmp_path, shown, coefficients, share):
+    """The table of docs/inspection.md; one run in 200 may hang on rounding."""
+    filtering = {"kind": "decentralized", "sharing": "coasting", "sampled_data": False}
+    changed = {
+        "campaign.runs": 200,
+        "strengthening": {"preset": "afrl", "deputy_sun": {"coefficients": coefficients}},
+        "studies": [{"name": "decentralized", "filter": filtering}],
+    }
+    folder = run_monte_carlo(tmp_path / "c", load_scenario("inspection-monte-carlo", changed))
+    assert f"| `{shown} | {share} % |" in Path("docs/inspection.md").read_text(encoding="utf-8")
+    assert 100 * folder.summary["studies"][0]["success_share"] == pytest.approx(share, abs=0.51)
