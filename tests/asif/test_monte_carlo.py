@@ -209,3 +209,15 @@ def test_success_hangs_on_the_function_of_h5(tmp_path, shown, coefficients, shar
     folder = run_monte_carlo(tmp_path / "c", load_scenario("inspection-monte-carlo", changed))
     assert f"| `{shown} | {share} % |" in Path("docs/inspection.md").read_text(encoding="utf-8")
     assert 100 * folder.summary["studies"][0]["success_share"] == pytest.approx(share, abs=0.51)
+
+
+@pytest.mark.slow
+def test_published_velocity_limits_fail_the_run_that_is_told():
+    x, sun = InitialConditions(Families(Q), seed=0).first(1909)
+    flights = Flights(Q, x[-1:], sun[-1:], 30.0)
+    assert "(seed 0, run 1908)" in Path("docs/inspection.md").read_text(encoding="utf-8")
+    for preset, good in (("afrl", False), ("polaris", True)):
+        found = fly_block(flights, Centralized(Families(Q, preset)))
+        assert found.success[0] == good and (found.least["phi4"][0] >= 0) == good
+        for sharing in ("coasting", "consensus"):
+            assert fly_block(flights, Decentralized(Families(Q, preset), sharing)).success[0] == good
