@@ -24,11 +24,14 @@ __version__ = version()
 
 
 def versions() -> dict[str, str]:
-    """Versions of everything a result depends on, by name."""
+    """Versions of everything a result depends on, by name; numba's where it compiles loops."""
     import platform
 
-    found = {"polaris": version(), "python": platform.python_version()}
-    for name in ("numpy", "scipy", "control", "pulp", "highspy", "matplotlib"):
+    from .compiled import wanted
+
+    used = ("numba",) if wanted() else ()
+    found = {"numba": "not used", "polaris": version(), "python": platform.python_version()}
+    for name in ("numpy", "scipy", "control", "pulp", "highspy", "matplotlib", *used):
         try:
             found[name] = metadata.version(name)
         except metadata.PackageNotFoundError:  # vendored, or installed without its metadata

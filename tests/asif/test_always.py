@@ -1,5 +1,6 @@
 """Filters that always have a proven answer: what they claim holds, whoever flies and whatever is measured."""
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -208,6 +209,35 @@ def test_held_in_free_flight_keeps_its_share_of_the_distance():
     least = np.linalg.norm(flown, axis=-1).min(axis=0)
     claimed = np.hypot(plane * np.linalg.norm(p[:, :2], axis=1), across * np.abs(p[:, 2]))
     assert (claimed <= least).all() and (claimed >= 0.8 * least).all()
+
+
+def test_held_for_long_nothing_is_claimed_across_the_plane():
+    """After a quarter of an orbit what was held on the axis across the plane is at the chief."""
+    quarter = np.pi / 2 / Q.mean_motion
+    for duration in (quarter - 0.3, quarter, quarter + 0.7, 1.4 * quarter):
+        brake = Brake(replace(Q, passive_time=duration))
+        plane, across = brake.drifting
+        flown = free_flight(Q.mean_motion, np.linspace(0, duration, 20001))[:, :3] @ brake.resting
+        assert 0 <= across <= np.abs(flown[:, 2, 2]).min() + 1e-9
+        assert 0 <= plane <= np.linalg.svd(flown[:, :2, :2], compute_uv=False).min() + 1e-9
+
+
+@pytest.mark.parametrize("distance", [900.0, 3000.0])
+def test_where_the_zone_is_left_out_no_plan_beyond_it_is_proven(distance):
+    """What holding misses grows with the distance, and the tube counts it up to r_max only."""
+    q = Inspection(deputies=1)
+    brake = Brake(q)
+    x = np.array([[0.6 * distance, 0.8 * distance, 0.0, 0.0, 0.0, 0.0]])
+    x[:, 3:] = x[:, :3] @ brake.spin.T
+    check = AllTime(brake, 0.3, without=("keep_in", "velocity", "speed", "sun"))
+    found = Planner(check).find(0.0, x)
+    assert found.good == (distance < q.distance_max)
+    plan, (Phi, Gamma), astray = found.plan, brake.motion, 0.0
+    for _ in range(200):
+        x = x @ Phi.T + brake.follow(x, plan) @ Gamma.T
+        plan = brake.extended(plan, 3)[1:]
+        astray = max(astray, float(np.linalg.norm((x - plan[0])[0, :3])))
+    assert (astray <= brake.tube.position[-1]) == found.good
 
 
 @pytest.mark.parametrize("period", [0.2, 1.0, 2.0])

@@ -13,6 +13,7 @@ from polaris.inspection.filters.asif import ActiveSetFilter
 from polaris.inspection.filters.explicit import make_filter
 from polaris.inspection.inspection import Inspection
 from polaris.model import compiled
+from polaris.model.version import versions
 from polaris.rta import nearest
 from polaris.rta.projection import FILTERED, PRIMAL, project_coupled
 
@@ -139,5 +140,7 @@ def test_calls_in_odd_arrays_compile_nothing_anew():
 def test_the_switch(monkeypatch):
     monkeypatch.setenv("POLARIS_COMPILED", "0")
     assert Families(Inspection(deputies=1)).loops is None
+    assert versions()["numba"] == "not used"
     monkeypatch.setenv("POLARIS_COMPILED", "1")
     assert (Families(Inspection(deputies=1)).loops is not None) == NUMBA
+    assert (versions()["numba"] != "not used") == NUMBA

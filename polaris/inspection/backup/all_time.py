@@ -88,6 +88,8 @@ class AllTime:
         thrust = np.minimum(q.thrust_max - u[0], brake.available - u[1:].max(axis=0, initial=0.0))
         held = brake.holding * length(x[-1, :, :3])
         thrust = np.minimum(thrust, brake.available - held) + TOLERANCE
+        # The tube counts what holding misses up to r_max; farther out, where phi6 is left out, it is none.
+        thrust[length(x[-1, :, :3]) > q.distance_max] = -np.inf
         passive = self._passive(z, bow_hill, jolt)
         alone = [clear[:N], passive[:N], cones[0][:N], inside, speed, *axes.T, thrust]
         of_pairs = [clear[N:], passive[N:], cones[0][N:], cones[1][N:]]

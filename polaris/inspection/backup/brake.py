@@ -124,12 +124,14 @@ class Brake:
         self.to_rest = to_rest
         self._turn = np.kron(np.eye(2), turned(-n * D))  # a state at rest, a period later
         self.resting = np.vstack([np.eye(3), self.spin])
+        # The constant thrust after which a state at rest has the velocity of rest again, per metre.
+        self._still = np.linalg.inv(Gamma[3:]) @ (self._turn @ self.resting - Phi @ self.resting)[3:]
         held = [self._tube(max(response, 5 * D)) for response in RESPONSES]
         self.gain, self.tube = min(
             held, key=lambda one: one[1].position[-1] + q.passive_time * one[1].velocity[-1]
         )
         self.available = q.thrust_max - self.tube.feedback
-        self.holding = float(length(self._hold @ self.resting).max())  # N per axis and metre
+        self.holding = float(length(self._still).max())  # N per axis and metre
         if self.available <= 2 * self.holding * q.distance_max:
             rule = f"too weak: {self.tube.feedback:.3g} N go to what is not known exactly"
             raise ScenarioError("thrust_max", q.thrust_max, rule)
@@ -143,7 +145,7 @@ class Brake:
         Phi, Gamma = self.motion
         grow = np.exp((2 + np.sqrt(3)) * n * D)
         # What holding with constant thrust misses of a state at rest, per metre of its distance.
-        slip = Phi @ self.resting - Gamma @ self._hold @ self.resting - self._turn @ self.resting
+        slip = Phi @ self.resting + Gamma @ self._still - self._turn @ self.resting
         missed = np.array([np.linalg.norm(slip[:3], 2), np.linalg.norm(slip[3:], 2)]) * q.distance_max
         w = u.disturbance + np.sqrt(3) * (u.thrust * q.thrust_max + TOLERANCE) / q.mass
         pushed = missed + w * grow * np.array([D**2 / 2, D])
@@ -158,9 +160,7 @@ class Brake:
         feedback = float((error[-1, 6:] + np.abs(gain) @ unknown).max())
         # What holding takes at each instant turns with the deputy; it is held for a period.
         needed = self.spin @ self.spin - q.system.A[3:] @ self.resting
-        uneven = (
-            np.linalg.norm(needed + self._hold @ self.resting / q.mass, 2) + np.linalg.norm(needed, 2) * n * D
-        )
+        uneven = np.linalg.norm(needed - self._still / q.mass, 2) + np.linalg.norm(needed, 2) * n * D
         extra = np.sqrt(3) * feedback / q.mass + w + uneven * q.distance_max
         between = (velocity + np.sqrt(3) * n * position + extra * D / 2) * grow
         return gain, Tube(position + between * D / 2, between, feedback)
@@ -203,7 +203,8 @@ class Brake:
         far = float(np.linalg.norm(places, 2, axis=(1, 2)).max()) + fastest * step
         lost = (fastest + 2 * n**2 * far * step) * step / 2
         plane = np.linalg.svd(places[:, :2, :2], compute_uv=False)[:, -1].min()
-        return float(plane - lost), float(np.abs(places[:, 2, 2]).min() - lost)
+        across = np.abs(places[:, 2, 2]).min()
+        return max(float(plane - lost), 0.0), max(float(across - lost), 0.0)
 
     # -- plans ------------------------------------------------------------------------------------
 
