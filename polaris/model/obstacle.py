@@ -44,8 +44,9 @@ class Obstacle(ABC):
         object.__setattr__(found, "chaser_radius", self.chaser_radius + radius)
         return found
 
-    @abstractmethod
-    def _grown(self, radius: float) -> Self: ...
+    def _grown(self, radius: float) -> Self:
+        rule = f"must be left out: {type(self).__name__} does not say how it grows (_grown)"
+        raise ScenarioError("chaser.radius_m", radius, rule)
 
     @property
     def path(self) -> str:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..numerics.checks import Array
+from ..numerics.checks import Array, check_fields
 from ..numerics.errors import ReachError
 
 SLACK = 16 * float(np.finfo(float).eps)
@@ -41,6 +41,7 @@ class Activation:
     high: float = 0.0
 
     def __post_init__(self) -> None:
+        check_fields(self)
         if self.kind not in _FUNCTIONS:
             raise ReachError(f"an activation must be one of {', '.join(_FUNCTIONS)}, got {self.kind!r}")
         if not (np.isfinite(self.low) and np.isfinite(self.high)):

@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..numerics.checks import Array, as_count, checked, require_single
+from ..numerics.checks import Array, as_count, as_directions, check_fields, checked, per_row, require_single
 from ..numerics.errors import ReachError
+from ..numerics.linear import require_square
 from ..numerics.rounding import gamma
 from ..sets.zonotope import Zonotope
 from ..tubes.flow import LinearFlow
@@ -52,7 +53,7 @@ class NetworkTube:
 
     def support(self, directions: ArrayLike) -> Array:
         """Bounds on ``d x(t)`` over every period for rows d, shape (K, r) for rows (r, n)."""
-        D = np.atleast_2d(np.asarray(directions, dtype=float))
+        D = as_directions(directions, self.nodes.dim)
         nodes = self.nodes.support(D)
         return np.asarray(np.maximum(nodes[1:], nodes[:-1]) + self.bow @ np.abs(D).T)
 
@@ -97,11 +98,14 @@ class NetworkLoop:
     C: Array
 
     def __post_init__(self) -> None:
+        check_fields(self)
+        require_square("A", self.A)
         if self.B.shape != (len(self.A), self.network.outputs):
             raise ReachError(f"B must have shape {(len(self.A), self.network.outputs)}, got {self.B.shape}")
         if np.shape(self.C) != (self.network.inputs, len(self.A)):
             shape = (self.network.inputs, len(self.A))
             raise ReachError(f"C must have shape {shape}, got {np.shape(self.C)}")
+        self.flow  # noqa: B018  what it refuses is refused here
 
     @cached_property
     def flow(self) -> LinearFlow:
@@ -110,7 +114,8 @@ class NetworkLoop:
 
     def command(self, states: Zonotope, s: ArrayLike | float = 0.0, off: Any = 0.0) -> Zonotope:
         """The network over a set of states: the first generators are theirs, the others few."""
-        seen = self.C @ states + np.broadcast_to(s, (self.network.inputs,))
+        s = per_row("offset of what is read", s, self.network.inputs)
+        seen = self.C @ states + s
         rounding = gamma(states.dim) * (np.abs(self.C) @ states.extent + np.abs(s)) + off
         out = self.network.enclose(seen, rounding)
         g = states.order_count
@@ -143,7 +148,7 @@ class NetworkLoop:
         require_single("the states", states)
         command = self.command(states, s, off)
         held = self.flow.input_map(self.B)
-        drive = command.c + v
+        drive = command.c + per_row("known input", v, command.dim)
         phi = self.flow.phi
         grown = command.G.shape[1] - states.G.shape[1]
         G = np.pad(states.G, ((0, 0), (0, grown)))

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..numerics.checks import Array, as_numbers, as_vector, checked, finite_fields, require_single
+from ..numerics.checks import Array, as_vector, checked, finite_fields, per_row, require_single
 from ..numerics.errors import ReachError
 from ..numerics.rounding import gamma
 from ..sets.zonotope import Zonotope
@@ -61,7 +61,10 @@ class Network:
     layers: tuple[Affine | Activation, ...]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "layers", tuple(self.layers))
+        layers = self.layers if isinstance(self.layers, list | tuple) else ()
+        if not all(isinstance(layer, Affine | Activation) for layer in layers):
+            raise ReachError("layers must each be an Affine or an Activation")
+        object.__setattr__(self, "layers", tuple(layers))
         if not self._affine:
             raise ReachError("a network needs at least one affine layer")
         for before, after in zip(self._affine, self._affine[1:], strict=False):
@@ -121,7 +124,7 @@ class Network:
         if inputs.dim != self.inputs:
             raise ReachError(f"the network has {self.inputs} inputs, the set has dimension {inputs.dim}")
         c, G = inputs.c, inputs.G
-        off = np.broadcast_to(as_numbers("error", error), (inputs.dim,))
+        off = np.abs(per_row("error", error, inputs.dim))
         for layer in self.layers:
             extent = np.abs(c) + np.abs(G).sum(axis=1)
             if isinstance(layer, Affine):

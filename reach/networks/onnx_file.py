@@ -37,6 +37,8 @@ def read_onnx(path: str | Path) -> Network:
         raise ReachError(
             "reading ONNX files needs the package onnx (pip install 'polaris[networks]')"
         ) from error
+    if not isinstance(path, str | Path):
+        raise ReachError(f"the path of a file is needed, got {type(path).__name__}")
     path = Path(path)
     try:
         if path.stat().st_size > LARGEST:

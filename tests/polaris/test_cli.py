@@ -35,7 +35,7 @@ def invoke(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     schedule = synthesised()[1]
     monkeypatch.setattr("polaris.synthesis.get_safety.get_safety", lambda problem: schedule.safety)
-    monkeypatch.setattr("polaris.scenario.experimental.build_controllers", lambda model, safety: ())
+    monkeypatch.setattr("polaris.scenario.experimental.build_controllers", lambda *args: ())
     monkeypatch.setattr("polaris.synthesis.synthesize.synthesize", lambda *args, **options: schedule)
     monkeypatch.setattr("polaris.simulation.baselines.compare", lambda *args: flown())
     monkeypatch.setattr(

@@ -46,6 +46,8 @@ AUTOMATON = HybridAutomaton(
 )
 TRAJECTORY = reach.simulate_hybrid(AUTOMATON, [0.0, 1.0], 1.0, dt=0.1)
 FLOW = LinearFlow.continuous(A, B, 0.1, 0.1)
+POLICY = reach.Network((reach.Affine([[1.0, 0.5]], [0.1]), reach.Activation("tanh")))
+LOOP = reach.NetworkLoop(A, B, B, 0.1, 0.1, POLICY, np.eye(2))
 TUBE = reach.support_tube(SYSTEM, BOX, 1.0, np.eye(2), step=0.5)
 SETS = {
     "interval": BOX,
@@ -60,6 +62,17 @@ SETS = {
 }
 
 CALLS = {
+    "Activation": (reach.Activation, ("clip", -1.0, 1.0)),
+    "Affine": (reach.Affine, (np.eye(2), [0.0, 0.0])),
+    "Network": (reach.Network, (POLICY.layers,)),
+    "Network.__call__": (POLICY, ([0.0, 1.0],)),
+    "Network.enclose": (POLICY.enclose, (ZONOTOPE, 0.1)),
+    "NetworkLoop": (reach.NetworkLoop, (A, B, B, 0.1, 0.1, POLICY, np.eye(2))),
+    "NetworkLoop.step": (LOOP.step, (ZONOTOPE, [0.0, 0.0], [0.0])),
+    "NetworkLoop.tube": (LOOP.tube, (ZONOTOPE, 2, 30.0)),
+    "NetworkTube.support": (LOOP.tube(ZONOTOPE, 2).support, (np.eye(2),)),
+    "NetworkTube.at": (LOOP.tube(ZONOTOPE, 2).at, ([0.0, 0.1],)),
+    "read_onnx": (reach.read_onnx, ("missing.onnx",)),
     "AffineImage": (AffineImage, (np.eye(2), BOX, [0.0, 0.0])),
     "Always": (Always, (POLYTOPE, (0.0, 1.0))),
     "Ellipsoid": (Ellipsoid, ([0.0, 0.0], np.eye(2))),
@@ -296,6 +309,7 @@ def test_every_public_function_is_tried():
         "HybridTube",
         "HybridVerdict",
         "LinearFlow",
+        "NetworkTube",
         "NormBracket",
         "ReachError",
         "ReachWarning",
