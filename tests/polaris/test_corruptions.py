@@ -6,6 +6,7 @@ import pytest
 
 pytest.importorskip("flint")
 
+from polaris.certificate.argument import ORDERS
 from polaris.certificate.checker import verify_document
 from polaris.runs.certificate import certificate
 from polaris.runs.schedule import write_run
@@ -65,14 +66,16 @@ def part_of_inner(part):
     return [case for i, case in enumerate(inner(alone())) if i % 9 == part]
 
 
-def test_the_argument_notices():
+def test_the_argument_notices(monkeypatch):
+    # With few generators: the long part tries again with many, as the checker does, in four times the time.
+    monkeypatch.setattr("polaris.certificate.argument.ORDERS", ORDERS[:1])
     count, wrong = judge(part_of_inner(0))
     assert not wrong
     assert count >= 19
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("part", range(1, 9))
+@pytest.mark.parametrize("part", range(9))
 def test_the_argument_notices_the_rest(part):
     count, wrong = judge(part_of_inner(part))
     assert not wrong
