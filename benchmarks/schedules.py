@@ -3,6 +3,7 @@
     python -m benchmarks.schedules                    bundled scenarios
     python -m benchmarks.schedules static robot
     python -m benchmarks.schedules crowded            static, 120 steps long, with 8 obstacles that matter
+    python -m benchmarks.schedules static --gains     the same with other gains of the safety controller
     python -m benchmarks.schedules --random 100       random scenes of the tests as well (some minutes)
 
 For each scene: share of time under the experimental controllers, switches, mean velocity change of
@@ -78,6 +79,24 @@ def row(name: str) -> str:
     return "  |  ".join(cells)
 
 
+def gains(name: str) -> list[str]:
+    """What a library of gains of S would offer: the weight R of thrust times some factors, one schedule each.
+
+    Worth is that of the scene's own rules, in units of what the cheapest safe reference costs.
+    """
+    scenario = load_scenario(name)
+    unit = synthesize(scenario.with_assignments([PRINTED])).safety.plan.delta_v
+    weights, rules = np.asarray(scenario.to_dict()["tracking"]["R"]), scenario.switching_rules()
+    told = []
+    for factor in (0.3, 1.0, 3.0, 10.0):
+        found = synthesize(scenario.set("tracking.R", (factor * weights).tolist()))
+        worth = found.share() - rules.delta_v_price * found.delta_v[0] / unit
+        worth -= rules.switch_price * found.switches
+        numbers = f"{found.share():6.1%} {found.switches:3d} {found.delta_v[0]:7.3f} m/s, worth {worth:.4f}"
+        told.append(f"{name:11s} R x {factor:4g}  {numbers}")
+    return told
+
+
 def random_scenes(count: int) -> str:
     """What comes of the first so many random scenes that are proved."""
     from tests.polaris.random_scenarios import random_scenario
@@ -116,11 +135,14 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("names", nargs="*", default=[])
+    parser.add_argument("--gains", action="store_true")
     parser.add_argument("--random", type=int, default=0, metavar="N")
     options = parser.parse_args()
     print("scene, S alone | printed: share, switches, velocity change, goal, time | the same in view")
     for name in options.names or BUNDLED:
         print(row(name), flush=True)
+        for line in gains(name) if options.gains else ():
+            print(line, flush=True)
     if options.random:
         print(random_scenes(options.random))
 
