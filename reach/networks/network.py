@@ -93,10 +93,6 @@ class Network:
             y = layer(y)
         return np.asarray(y)
 
-    def after(self, W: ArrayLike, b: ArrayLike) -> Network:
-        """The network applied to ``W x + b``: scaled inputs."""
-        return Network((Affine(W, b), *self.layers))  # type: ignore[arg-type]
-
     @checked
     def enclose(self, inputs: Zonotope, error: ArrayLike = 0.0) -> Zonotope:
         """Enclose the outputs over a (single) set of inputs, each still tied to the input it belongs to.

@@ -42,18 +42,14 @@ def read_onnx(path: str | Path) -> Network:
     path = Path(path)
     try:
         if path.stat().st_size > LARGEST:
-            raise ReachError(f"{path} has more than {LARGEST} bytes: not a controller")
-        graph = onnx.load_model_from_string(path.read_bytes()).graph
+            raise ReachError(f"has more than {LARGEST} bytes: not a controller")
+        return _Reader(onnx.load_model_from_string(path.read_bytes()).graph).network()
     except OSError as error:
         raise ReachError(f"{path} cannot be read: {error.strerror}") from error
-    except ReachError:
-        raise
-    except Exception as error:  # the parser of the package raises errors of its own
-        raise ReachError(f"{path} is not an ONNX file: {error}") from error
-    try:
-        return _Reader(graph).network()
     except ReachError as error:
         raise ReachError(f"{path}: {error}") from error
+    except Exception as error:  # the package raises errors of its own where a file or a tensor is garbled
+        raise ReachError(f"{path} is not an ONNX file: {error}") from error
 
 
 @dataclass

@@ -121,6 +121,15 @@ def test_files_that_are_none(tmp_path):
         read_onnx(saved(tmp_path, [FIRST, LAST], WEIGHTS, shape=[4, 3]))
 
 
+def test_a_tensor_cut_short_is_one_error(tmp_path):
+    made = model([FIRST, LAST], WEIGHTS)
+    made.graph.initializer[0].raw_data = made.graph.initializer[0].raw_data[:-4]
+    path = tmp_path / "policy.onnx"
+    path.write_bytes(made.SerializeToString())
+    with pytest.raises(ReachError, match="not an ONNX file"):
+        read_onnx(path)
+
+
 def test_weights_in_another_file_are_refused(tmp_path):
     made = model([FIRST, LAST], WEIGHTS)
     made.graph.initializer[0].data_location = TensorProto.EXTERNAL

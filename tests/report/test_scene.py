@@ -64,9 +64,6 @@ class Rod(RigidObstacle):
     def shape(self):
         return SimpleNamespace(signed_distance=lambda p: np.linalg.norm(p[..., :2], axis=-1) - 5.0)
 
-    def _grown(self, radius):
-        raise NotImplementedError
-
 
 class Near(Goal):
     """A goal of a kind that figures do not know: the position within 4 m of a point on every axis."""
