@@ -6,6 +6,7 @@ import hashlib
 import json
 import math
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -147,9 +148,8 @@ class Document:
         self.estimate: Vector = system.get("estimate_error") or []
         errors = system.get("thrusters")
         self.thrusters: Vector = [errors[key] for key in ("along", "across", "bit")] if errors else []
-        self.share: float = 1.0 if system.get("safety_share") is None else system["safety_share"]
-        if not 0 < self.share <= 1 or any(x < 0 for x in self.thrusters):
-            raise ValueError("the safety controller's share must be within 0 and 1, errors not negative")
+        if any(x < 0 for x in self.thrusters):
+            raise ValueError("errors of thrusters must not be negative")
         self.mean_motion: float | None = system["mean_motion"]
         self.input_names: list[str] = system["input_names"]
         if self.q > MOST_NODES:
@@ -204,6 +204,10 @@ class Document:
         self.tube: Matrix = read["error_bounds"]["per_step"]
         self.settled: Vector = read["error_bounds"]["settled"]
         self.peaks: Matrix = read["thrust"]["peak"]
+        caused = any(x > 0 for x in self.thrusters[:2])
+        self.profile: Matrix = (read["thrust"].get("profile") or [self.u_max]) if caused else []
+        if any(a < b for one, two in pairwise(self.profile) for a, b in zip(one, two, strict=True)):
+            raise ValueError("what is commanded after a hand-over must not grow")
         self.recoverable: str = read["recoverable"]["kind"]
         self.weight: Matrix = read["recoverable"]["weight"]
         self.radius: Vector = read["recoverable"]["radius"]

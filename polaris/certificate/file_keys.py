@@ -51,7 +51,7 @@ CERTIFICATE = {
         "A": grid("n n"), "B": grid("n m"), "C": grid("d n"), "D": grid("n p"),
         "input_max": grid("m"), "input_names": grid("m", NAME),
         **every(HEX, "disturbance_max mass"), "mean_motion": Either((HEX, None)),
-        "estimate_error?": grid("n"), "thrusters?": every(HEX, "along across bit"), "safety_share?": HEX,
+        "estimate_error?": grid("n"), "thrusters?": every(HEX, "along across bit"),
     },
     "chaser_radius?": HEX,
     "sampling": {
@@ -73,7 +73,7 @@ CERTIFICATE = {
     }), 1),
     "schedule": {"modes": grid("K", Whole()), "margins": grid("K", Either((HEX, None)))},
     "error_bounds": {"per_step": grid("K 2d+2m"), "settled": grid("2d+2m")},
-    "thrust": {"peak": grid("K m")},
+    "thrust": {"peak": grid("K m"), "profile?": grid("* m")},
     "recoverable": {
         "kind": Text(("polytope", "time_varying_ball", "ball", "paper_ball")),
         "weight": grid("n n"), "radius": grid("K+1", Either((HEX, None))),
@@ -125,7 +125,6 @@ GAINS = {
     "system": {
         **every(MATRIX, "A B C D"), "input_max": VECTOR, "disturbance_max": NOT_NEGATIVE, "mass_kg": REAL,
         "estimate_error?": VECTOR, "thrusters?": every(NOT_NEGATIVE, "along across bit"),
-        "safety_share?": NOT_NEGATIVE,
     },
     "feedback": {"sampled": bool, "node_spacing_s": REAL, "nodes_per_step": Whole(1)},
     "controllers": Rows({

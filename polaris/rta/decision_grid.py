@@ -86,11 +86,9 @@ class DecisionGrid:
         """
         of_kind("schedule", schedule, Schedule, "polaris.synthesize")
         safety = schedule.safety
-        if not safety.problem.system.ideal or safety.tracking.share < 1:
+        if not safety.problem.system.ideal:
             given = safety.problem.system.navigation.tolist()
-            rule = (
-                "is not covered by the run-time methods, nor are errors of thrusters, nor a limit of S's own"
-            )
+            rule = "is not covered by the run-time methods, nor are errors of thrusters"
             raise ScenarioError("navigation", given, rule)
         delta, feedback, n = safety.tracking.delta, safety.tracking.feedback, safety.problem.system.n
         if period is None:

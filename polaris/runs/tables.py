@@ -145,12 +145,11 @@ def read_reference(path: Path, system: LinearSystem, delta: float) -> Reference:
 
 
 def errors_of(safety: Safety) -> dict[str, Any]:
-    """Errors of estimates and thrusters, and the share of thrust that S keeps to, where there are any."""
-    system, share = safety.problem.system, safety.tracking.share
+    """Errors of estimates and thrusters, where there are any."""
+    system = safety.problem.system
     return {
         **({"estimate_error": system.navigation} if np.any(system.navigation) else {}),
         **({} if system.thrusters.exact else {"thrusters": asdict(system.thrusters)}),
-        **({"safety_share": share} if share < 1 else {}),
     }
 
 

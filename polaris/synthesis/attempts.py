@@ -138,23 +138,23 @@ def plan_problem(problem: Problem, tracking: Tracking, sets: tuple[TimedPolytope
     start = problem.initial_set - problem.initial_set.c
     # Errors as large as the thrusters can correct at all must be forgotten by the time they have left
     # the loop's memory, or a tight place late in the flight would bind early recoverable sets.
-    largest = float(np.min(tracking.u_max / np.linalg.norm(tracking.gain @ tracking.W_inverse, axis=1)))
+    largest = float(np.min(tracking.most / np.linalg.norm(tracking.gain @ tracking.W_inverse, axis=1)))
     tube = error_tube(tracking, start, np.vstack([tracking.gain, -tracking.gain]))
     thrust = np.maximum(tube.over_cells(K, q), tube.left_over(tracking, largest))
     needed = np.maximum(thrust[:, : system.m], thrust[:, system.m :]) + system.command_error(tracking.gain)
-    limit = tracking.u_max * (1 - SOLVER_BOOK_INPUT) - needed
+    limit = system.u_max * (1 - SOLVER_BOOK_INPUT) - needed
     if np.any(limit < 0):
         k, axis = np.unravel_index(int(np.argmin(limit)), limit.shape)
         errors = errors_alone(tracking, int(axis))
         share = f", {errors:.4g} of it for errors of navigation and thrusters" if errors else ""
         raise SynthesisInfeasible(
-            f"the tracker alone may demand {needed[k, axis]:.4g} of the {tracking.u_max[axis]:.4g} of "
+            f"the tracker alone may demand {needed[k, axis]:.4g} of the {system.u_max[axis]:.4g} of "
             f"{system.input_names[axis]} at t = {k * problem.delta:g} s to correct the initial set and the "
             f"disturbance{share}.",
             float(-limit[k, axis]),
             "shrink the initial set, raise the thrust limit, or raise tracking.R for a softer tracker.",
         )
-    limit = np.maximum(limit - problem.thrust_reserve * tracking.u_max, 0.0)
+    limit = np.maximum(limit - problem.thrust_reserve * system.u_max, 0.0)
     margins = []
     for unsafe in sets:
         tube = error_tube(tracking, start, -unsafe.normals @ system.position)
