@@ -296,11 +296,14 @@ class Arrival:
             return
         if claimed is None:
             return
-        row = [arb(2), *[arb(0)] * 3, 1 / arb(doc.mean_motion or 0.0), arb(0)]
-        both = above(matrix([row]), -matrix([row]))
-        need = self._at(Needs(self.loop, self.memory, both), node)
-        most = largest(sums((both * self._state(node)).entries(), need))
+        both = self._drifting.rows
+        most = largest(sums((both * self._state(node)).entries(), self._at(self._drifting, node)))
         self._no_less("drift per orbit", claimed, 6 * arb.pi() * most)
+
+    @cached_property
+    def _drifting(self) -> Needs:
+        row = [arb(2), *[arb(0)] * 3, 1 / arb(self.document.mean_motion or 0.0), arb(0)]
+        return Needs(self.loop, self.memory, above(matrix([row]), -matrix([row])))
 
     def _correcting(self, nodes: int) -> arb:
         """Bound on S's velocity change over periods after T [m/s]."""

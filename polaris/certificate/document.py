@@ -206,8 +206,9 @@ class Document:
         self.peaks: Matrix = read["thrust"]["peak"]
         caused = any(x > 0 for x in self.thrusters[:2])
         self.profile: Matrix = (read["thrust"].get("profile") or [self.u_max]) if caused else []
-        if any(a < b for one, two in pairwise(self.profile) for a, b in zip(one, two, strict=True)):
-            raise ValueError("what is commanded after a hand-over must not grow")
+        falls = pairwise([*self.profile, [0.0] * len(self.u_max)] if caused else [])
+        if any(a < b for one, two in falls for a, b in zip(one, two, strict=True)):
+            raise ValueError("what is commanded after a hand-over must not grow, nor be negative")
         self.recoverable: str = read["recoverable"]["kind"]
         self.weight: Matrix = read["recoverable"]["weight"]
         self.radius: Vector = read["recoverable"]["radius"]

@@ -161,9 +161,6 @@ class Recovery:
     levels: list[list[Target]] = field(default_factory=list)
     """What feedback may command l periods after a hand-over; the last ones hold from then on."""
 
-    def _level(self, lag: int) -> list[Target]:
-        return self.levels[min(lag, len(self.levels) - 1)] if self.levels else []
-
     @property
     def nodes(self) -> int:
         """Number of the last node."""
@@ -225,7 +222,8 @@ class Recovery:
 
     def _all(self, step: int, lag: int) -> list[Target]:
         """Limits that a set at the start of a step must keep to some periods later."""
-        return self.limits.at(step * self.document.q + lag, first=lag == 0) + self._level(lag)
+        booked = self.levels[min(lag, len(self.levels) - 1)] if self.levels else []
+        return self.limits.at(step * self.document.q + lag, first=lag == 0) + booked
 
     def _of(self, share: float, step: int, lag: int) -> float:
         """The share claimed of limits some periods after the start of a step: none of those flown on to."""
@@ -273,7 +271,7 @@ class Recovery:
         need = sums(self.needs.forgotten, self.needs.disturbed[-1])
         for cell in range(self._far_cell(0), len(self.limits.targets)):
             for i, met in enumerate(self.limits.targets[cell]):
-                for t in (*met, *self._level(self.lags(0) + 1)):
+                for t in (*met, *(self.levels[-1] if self.levels else ())):
                     if need[t.row] <= t.room:
                         continue
                     where = f"errors forgotten by the loop, {t.name} at t = {self.time(cell, i)}"

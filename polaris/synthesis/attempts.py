@@ -18,11 +18,14 @@ from ..planning.problem import Plan, PlannerOptions, PlanProblem
 from ..planning.reference import Reference
 from ..planning.solve import plan
 from .clearance import error_tube
+from .demand import Scheduled
 from .end_condition import EndCondition, coast, judge_end, tail_length
 from .problem import Problem
 from .recoverable import Margin, RecoverableSet
 from .tracking import Tracking
 
+AFRESH = 2
+"""How often it is planned again where errors of thrusters leave the reference no room."""
 AGAIN = 1000, 2
 """Linear programs allowed to a plan with coasting: so many, or so many times those of the plan without."""
 
@@ -71,6 +74,13 @@ class Attempts:
         self.cut_by_clock = found.cut_by_clock
         self.clock.lap("plan")
         yield from self._references(found)
+        for _ in range(AFRESH if self.tracking.profile is not None else 0):
+            if self.margin.inside:
+                break
+            asked = self._allowing(asked)
+            found = find_plan(asked, self.problem.planner)
+            self.clock.lap("plan")
+            yield from self._references(found)
         if not self.margin.inside:
             return
         self.clock.lap("recoverable")
@@ -78,6 +88,18 @@ class Attempts:
         self.clock.lap("plan")
         if again is not None:
             yield from self._references(again)
+
+    def _allowing(self, asked: PlanProblem) -> PlanProblem:
+        """The same, with room for errors of thrusters as large as the last plan's commands cause them."""
+        system, K = self.problem.system, self.problem.K
+        last = Reference.propagate(system, self.problem.delta, self.problem.initial_set.c, self.plan.nu)
+        caused, gain = Scheduled(self.tracking, last, K), self.tracking.gain
+        margins = tuple(
+            margin + caused.along(-unsafe.normals @ system.position).max(axis=1)
+            for unsafe, margin in zip(asked.unsafe, asked.margins, strict=True)
+        )
+        limit = np.maximum(asked.u_limit - caused.along(gain).max(axis=1), 0.0)
+        return replace(asked, margins=margins, u_limit=limit)
 
     def _with_coasting(self, asked: PlanProblem) -> Plan | None:
         """The plan again, so that coasting after its end is safe; None if there is none to be had."""

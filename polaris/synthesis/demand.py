@@ -109,9 +109,10 @@ class Scheduled:
         return np.asarray((found + late + curved) * (1 + ROUNDING))
 
 
-def commanded(tracking: Tracking, reference: Reference, planned: int) -> Array:
-    """Bound on all that S commands along a reference, shape (m,) [N]."""
-    if tracking.profile is None:
-        return tracking.system.u_max
-    told = Scheduled(tracking, reference, planned).commanded.max(axis=0) + tracking.profile[0]
-    return np.asarray(np.minimum(told, tracking.system.u_max))
+def taken_over(tracking: Tracking, reference: Reference) -> Array:
+    """Bound on the errors of what S applies along a reference, right after it takes over, shape (m,) [N]."""
+    system, told = tracking.system, tracking.system.u_max
+    if tracking.profile is not None:
+        scheduled = Scheduled(tracking, reference, reference.cells).commanded.max(axis=0)
+        told = np.minimum(told, scheduled + tracking.profile[0])
+    return system.input_error(tracking.gain, told)

@@ -249,7 +249,7 @@ class Tracking:
         if self.profile is not None:
             gains = self.flow.input_gains(rows, self.system.B, count)
             sums = sums + summed(gains, self.system.thrusters.part(self.profile))[: count + 1]
-        return sums
+        return np.asarray(sums)
 
     def pushed(self, rows: Array, profile: Array | None) -> Array:
         """The same as `disturbance` under the errors of commands within a profile, shape (memory + 2, m)."""
