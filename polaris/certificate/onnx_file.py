@@ -43,7 +43,7 @@ def check_file(law: Law, path: Path) -> None:
 
 
 def read_layers(data: bytes, width: int) -> list[Layer]:
-    """Layers of a model that reads so many values; an error of any class if it is no chain of known operators."""
+    """Layers of a model that reads so many values, or an error: a chain of known operators only."""
     import onnx
 
     graph = onnx.load_model_from_string(data).graph

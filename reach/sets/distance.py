@@ -30,10 +30,9 @@ class Nearest:
 
 
 def nearest(X: Any, Y: Any, scale: Array) -> Nearest:
-    """Nearest points of two bounded convex sets (Wolfe 1976: the point of least norm of ``X - Y``).
+    """Nearest points of two bounded convex sets (Wolfe 1976), distances measured in one unit for each axis.
 
-    Distances are measured in `scale`, one unit for each axis. Of the sets a `center` and `support_vector`
-    are asked, nothing else.
+    Asked of the sets are `center` and `support_vector`, nothing else.
     """
     pairs = [np.stack([X.center, Y.center])]
     corral, weights, least = ((X.center - Y.center) / scale)[None], np.ones(1), 0.0
@@ -64,10 +63,9 @@ def unit_sizes(half_widths: Array) -> Array:
 
 
 def _least_norm(points: Array) -> Array | None:
-    """Weights of the convex combination of least norm, shape (k,); at most n + 1 of them are not zero.
+    """Weights (k,) of the convex combination of least norm, at most n + 1 not zero; None if none is found.
 
-    None if the search for them does not end. With u >= 0 free in scale,
-    ``norm(u P)^2 + (sum(u) - 1)^2`` is least along the combination sought.
+    With u >= 0 free in scale, ``norm(u P)^2 + (sum(u) - 1)^2`` is least along it.
     """
     from scipy.optimize import nnls
 

@@ -57,10 +57,7 @@ def _spanning(G: Array) -> Array:
 
 
 def least_level(c: Array, G: Array, point: Array) -> float:
-    """Least t with ``point = c + G b`` and ``|b_i| <= t``; inf if there is none.
-
-    Along an axis on which the set is flat the rounding of the point is forgiven.
-    """
+    """Least t with ``point = c + G b``, ``|b_i| <= t``; inf if none. On a flat axis rounding is forgiven."""
     from scipy.optimize import linprog
 
     G, scale, gap = G[:, np.any(G != 0, axis=0)], np.abs(G).sum(axis=1), point - c

@@ -45,10 +45,7 @@ def vertices_2d(X: Any) -> Array:
 
 
 def _of_zonotope(Z: Zonotope) -> Array:
-    """Generators in the order of their angles, walked around; stacks give (..., 2 g, 2).
-
-    Points repeat or lie on an edge where generators vanish or are parallel.
-    """
+    """Generators in the order of their angles, walked around, (..., 2 g, 2); points may repeat."""
     if Z.order_count == 0:
         return Z.c[..., None, :]
     x, y = Z.G[..., 0, :], Z.G[..., 1, :]
