@@ -56,8 +56,7 @@ def set_arrays(schedule: Schedule, slices: SlicePicture) -> dict[str, Any]:
 def tube_arrays(schedule: Schedule) -> dict[str, Any]:
     """The reachable set of every step at its nodes, in error and in absolute coordinates.
 
-    The set at a node is ``center + generators b`` with every ``|b_i| <= 1``; between two nodes it
-    lies in the hull of the two, up to ``bow`` on either side.
+    ``center + generators b``, ``|b_i| <= 1``; between nodes in the hull of two, up to ``bow`` on either side.
     """
     safety, nodes = schedule.safety, Zonotope.stack([step.tube.nodes for step in schedule.steps])
     q = safety.tracking.feedback.nodes_per_cell

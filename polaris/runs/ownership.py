@@ -150,10 +150,7 @@ def beside_name(name: str, word: str) -> str:
 
 
 def tidy(target: Path) -> None:
-    """Clear away what killed processes left beside a folder or file: of this machine, or a day old.
-
-    A half-written result is deleted; an old folder that was about to be replaced is put back.
-    """
+    """Clear away (or put back) what killed processes left beside a place: of this machine, or a day old."""
     tidy_all(target.parent, re.escape(target.name))
 
 

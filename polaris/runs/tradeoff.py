@@ -156,10 +156,7 @@ def _compute(
 
 
 def _write_point(point: Point) -> tuple[str, int] | None:
-    """Write the run folder of a point, in whatever process; else why there is none, and its exit code.
-
-    The error itself may not travel between processes.
-    """
+    """Write the run folder of a point, in whatever process; else why there is none, and the exit code."""
     folder, scenario = point
     try:
         with warnings.catch_warnings():

@@ -49,10 +49,7 @@ def read_trace(path: str | Path) -> Trace:
 
 @contextmanager
 def uncollected() -> Iterator[None]:
-    """Pause the cyclic garbage collector while millions of small lists are made: several times as fast.
-
-    There are no cycles among them.
-    """
+    """Pause the garbage collector while millions of small lists are made: several times as fast."""
     enabled = gc.isenabled()
     gc.disable()
     try:

@@ -1,7 +1,4 @@
-"""Figures of a campaign (initial conditions by success, figure 8) and of the fuel limit (figure 9).
-
-And the parts that figures of flights are made of.
-"""
+"""Figures of a campaign (figure 8) and of the fuel limit (figure 9), and parts of those of flights."""
 
 from __future__ import annotations
 
@@ -78,10 +75,7 @@ def without_legend(ax: Any) -> None:
 
 
 def initial_conditions(picture: CampaignPicture) -> Any:
-    """Where every deputy of every run starts, one panel per study: red where it failed, else cyan.
-
-    Of a run that failed, the deputies that the failures concern are red.
-    """
+    """Where every deputy of every run starts, one panel per study: red those that a failure concerns."""
     count = len(picture.studies)
     columns = min(count, 2)
     rows = -(-count // columns)

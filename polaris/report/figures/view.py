@@ -1,8 +1,4 @@
-"""The plane that is drawn, where in it there is room for names, and close-ups where it does not tell.
-
-A set may be passed above or below. What a close-up shows is how the path lies to the set, in a plane or over
-time: of a moving set, relative to its centre.
-"""
+"""The plane that is drawn, where in it there is room for names, and close-ups where it does not tell."""
 
 from __future__ import annotations
 

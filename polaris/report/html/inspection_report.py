@@ -1,7 +1,4 @@
-"""The page of a run folder of the inspection problem: a flight, a fuel limit, or a campaign.
-
-It draws deputies about the chief, constraint margins and thrust; of a campaign it has tables alone.
-"""
+"""The page of the inspection problem: a flight, a fuel limit, or a campaign (tables alone)."""
 
 from __future__ import annotations
 

@@ -20,11 +20,9 @@ SCRIPTS = ("tables.js", "scene.js", "timelines.js", "main.js")
 
 @dataclass(frozen=True)
 class Page:
-    """What a report says.
+    """What a report says: title, HTML under it, sections (key, title, HTML), data for scripts, the summary.
 
-    The title (of the scenario, escaped when the page is written), HTML right under it, sections (key, title,
-    HTML) in their order, what the scripts draw (nothing without ``scene``), and the summary of the folder,
-    whose definitions and versions come last. The scene and the timelines come first, if there are any.
+    The scene and the timelines come first (if ``scene`` is drawn), definitions and versions last.
     """
 
     title: str

@@ -76,10 +76,7 @@ def escaped(text: Any) -> str:
 
 
 def shown(value: Any, key: str = "", form: str = ".4g", unit: str = "") -> str:
-    """A value of a file as HTML: a number in some form with its unit, a text, truth value, list or None.
-
-    The key in the file says what null means there (`ABSENT`).
-    """
+    """A value of a file as HTML, numbers in a form with a unit; `ABSENT` says by key what null means."""
     after = f" {unit}" if unit else ""
     if value is None:
         return _without_number(*ABSENT.get(key, ("none", "no value")))
@@ -109,11 +106,7 @@ def _is_number(value: Any) -> bool:
 
 @dataclass(frozen=True)
 class Cell:
-    """One cell of a table.
-
-    What the column is sorted by may be None, which comes last whichever way. A bad cell tells of something
-    that must not happen; a text is set to the left.
-    """
+    """One cell: HTML, what it is sorted by (None comes last), whether it tells of what must not happen."""
 
     html: str
     sort: float | str | None = None
@@ -170,10 +163,7 @@ class Measure:
         return shown(value, self.key, ".4g", told)
 
     def cell(self, value: Any, unit: bool = True, difference: bool = False) -> Cell:
-        """A value of a file, or a mean with its bounds, as a cell; marked if it tells of a collision.
-
-        A `difference` of two methods has other limits, and tells of no collision.
-        """
+        """A value, or a mean with its bounds, as a cell, marked if it tells of a collision."""
         if not isinstance(value, Mapping):
             return Cell(self.text(value, unit), number_cell(value).sort, not difference and self._bad(value))
         mean, low, high, worst = (value.get(name) for name in ("mean", "low", "high", "worst"))
@@ -197,10 +187,7 @@ class Measure:
 
 
 def table(caption: str, heads: Sequence[str], rows: Iterable[Sequence[Cell]], sort: bool = False) -> str:
-    """A table whose first column names the rows, perhaps sortable; without room its rows become cards.
-
-    Caption and heads are escaped here.
-    """
+    """A table whose first column names the rows; caption and heads are escaped here."""
     rows = list(rows)
     told = []
     for column, head in enumerate(heads):

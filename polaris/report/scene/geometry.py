@@ -18,10 +18,7 @@ from ...runs.picture import directions
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """A ``line`` (with gaps where it is nan), single ``points``, an ``area`` in an outline, or a ``mesh``.
-
-    Points are of shape (N, dim) [m]; a mesh has triangles (F, 3) with corners among them.
-    """
+    """A ``line`` (nan: gap), ``points``, ``area`` or ``mesh`` of triangles (F, 3); points (N, dim) [m]."""
 
     kind: str
     points: Array
@@ -50,10 +47,9 @@ def polygon(support: ArrayLike, rays: Array) -> Array:
 
 
 def tube_support(centre: Array, generators: Array, bow: Array, parts: int, rays: Array) -> Array:
-    """Support (K, parts, R) [m] of a tube over parts of every step, at most q, along rays (R, e).
+    """Support (K, parts, R) [m] of a tube over parts of every step along rays (R, e).
 
-    Centres (K, q+1, e) and generators (K, q+1, e, g) are those at the nodes of every step; the bow (K, q, e)
-    bounds what lies outside the hull of consecutive nodes.
+    From centres (K, q+1, e) and generators (K, q+1, e, g) at nodes, and the bow (K, q, e) between them.
     """
     node = centre @ rays.T + np.abs(np.einsum("ri,kqig->kqrg", rays, generators)).sum(axis=-1)
     between = np.maximum(node[:, :-1], node[:, 1:]) + bow @ np.abs(rays).T

@@ -35,8 +35,7 @@ def shown_axes(picture: Picture, paths: Sequence[Array] = ()) -> list[int]:
 def describe(picture: Picture, paths: Sequence[Array] | None = None, axes: list[int] | None = None) -> Scene:
     """What a scene shows of a picture in two or three axes, by default the plane of the figures.
 
-    It is widened for paths flown (N, d) [m] that stay near, by default the picture's own. Motion on a line is
-    drawn over time.
+    Widened for paths flown (N, d) [m] that stay near; motion on a line is drawn over time.
     """
     if picture.system.d == 1:
         return _on_the_line(picture, paths)

@@ -1,7 +1,4 @@
-"""One task of a campaign, and what a kind of run brings to it: flying a batch, statistics, replay.
-
-A task is text and numbers, its result plain arrays: nothing else travels between processes.
-"""
+"""One task of a campaign, and what a kind of run brings to it; only text and plain arrays travel."""
 
 from __future__ import annotations
 
@@ -54,11 +51,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Task:
-    """One batch of runs of one case: the scenario as TOML, and numbers.
-
-    Cases, batches and runs count from 0; `first` is the number of its first run in the case, `runs` how
-    many each mode flies. A worker with another `version` of this package refuses.
-    """
+    """One batch of runs of one case (TOML); a worker with another `version` of this package refuses."""
 
     kind: Kind
     case: int
@@ -89,13 +82,7 @@ class Replayed:
     row: Mapping[str, Any] = field(default_factory=dict)
 
     def write(self, path: str | Path) -> Path:
-        """Write the trajectory as CSV or, if the name ends so, as ``.npz``; whole, or not at all.
-
-        Raises
-        ------
-        ScenarioError
-            If the name ends otherwise, or the file cannot be written.
-        """
+        """Write the trajectory as CSV or ``.npz``, whole or not at all; `ScenarioError` if it cannot be."""
         target = check_trajectory(path)
         with replacing_file(target) as beside:
             if target.suffix == ".npz":
@@ -115,8 +102,7 @@ def check_trajectory(path: str | Path) -> Path:
 class Batch:
     """What became of a task: columns, shapes (modes * runs,), or why its case cannot be flown.
 
-    `schedule` is the SHA-256 of what the schedule that flies does, on which all batches of a case must agree;
-    it may be empty. `trajectory` is that of the run that was asked for.
+    All batches of a case must agree on `schedule`, the SHA-256 of what the schedule that flies does.
     """
 
     schedule: str
@@ -128,11 +114,7 @@ class Batch:
 
 @dataclass(frozen=True, eq=False)
 class Results:
-    """A finished campaign, as statistics see it.
-
-    `failures` tells ``message`` and ``exit_code`` of cases that cannot be flown; `read` gives columns of all
-    runs of a case, by its number and their names (None: all), in order.
-    """
+    """A finished campaign, as statistics see it; `read` gives columns of all runs of a case, in order."""
 
     cases: Sequence[Case]
     runs: int
@@ -144,10 +126,7 @@ class Results:
 
 @dataclass(frozen=True)
 class Kind(ABC):
-    """What a kind of run brings to a campaign; plain data, for it travels with every task.
-
-    Every run is flown once by each of the `modes`.
-    """
+    """What a kind of run brings to a campaign; plain data. Every run is flown once by each of the `modes`."""
 
     modes: tuple[str, ...]
 
@@ -172,10 +151,7 @@ class Kind(ABC):
 
     @abstractmethod
     def fly(self, task: Task, mode: str, run: int | None = None) -> Batch:
-        """Fly and measure one mode of a batch, bit for bit the same in every process.
-
-        The trajectory is that of `run`. A `PolarisError` says why the case cannot be flown.
-        """
+        """Fly and measure one mode of a batch, the same in every process, with the trajectory of `run`."""
 
     @abstractmethod
     def summarise(self, results: Results, worst: int) -> dict[str, Any]:

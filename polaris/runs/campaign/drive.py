@@ -1,7 +1,4 @@
-"""Flying a campaign: hands tasks to an executor, keeps what comes back, and survives lost workers.
-
-One run of it can be flown again: the same numbers, with its whole trajectory.
-"""
+"""Flying a campaign: tasks to an executor, survival of lost workers; and flying one run again."""
 
 from __future__ import annotations
 
@@ -142,13 +139,7 @@ def run_campaign(
 def find_worst(
     folder: CampaignFolder, rank: int, mode: str | None = None, case: int | None = None
 ) -> tuple[int, int, int]:
-    """Case, batch and run that came closest to an unsafe set, or the `rank`-th closest (1 is the closest).
-
-    Raises
-    ------
-    ScenarioError
-        If there are fewer runs, not all of the parts yet, or runs of this kind are not ranked.
-    """
+    """Case, batch and run that came `rank`-th closest to an unsafe set; `ScenarioError` if there is none."""
     ranking = folder.plan.kind.ranking
     if not ranking:
         raise ScenarioError("--worst", rank, "runs of this kind are not ranked; give --case, --batch, --run")

@@ -191,10 +191,7 @@ class ScheduleRuns(Kind):
 
 
 def batch_seeds(task: Task) -> tuple[int, int]:
-    """Seeds of the flights and of the other satellites' true states, below 2^63.
-
-    They hang on the campaign's seed, the case's text and the batch's number alone.
-    """
+    """Seeds of the flights and of true satellites, below 2^63, from seed, case text and batch alone."""
     case = int.from_bytes(hashlib.sha256(task.text.encode()).digest()[:16], "big")
     drawn = np.random.SeedSequence([task.seed, case, task.batch]).generate_state(2, np.uint64) >> np.uint64(1)
     return int(drawn[0]), int(drawn[1])
