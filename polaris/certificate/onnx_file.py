@@ -15,8 +15,7 @@ from .files import contents
 from .layers import Layer
 from .verdict import Rejected, Undecided
 
-LARGEST = 64 * 2**20
-"""Most bytes of a file."""
+LARGEST = 64 * 2**20  # most bytes of a file
 
 SAME = ("Identity", "Flatten", "Reshape", "Squeeze", "Unsqueeze", "Cast", "Dropout")
 """Operators that change no value of a vector."""

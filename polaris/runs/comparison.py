@@ -165,8 +165,7 @@ COMPARISON = RunKind(
 """What a comparison leaves."""
 
 
-Row = dict[str, Any]
-"""What one point says, by column."""
+Row = dict[str, Any]  # what one point says, by column
 
 
 COLUMNS = {

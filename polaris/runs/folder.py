@@ -87,8 +87,7 @@ class RunFolder:
             return self.kind.read(self.path, self.scenario)
 
 
-Draw = Callable[[RunFolder], object]
-"""What puts the figures into a folder: `polaris.draw_run`."""
+Draw = Callable[[RunFolder], object]  # what puts the figures into a folder: `polaris.draw_run`
 
 
 def write_folder(

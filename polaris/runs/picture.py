@@ -19,8 +19,7 @@ if TYPE_CHECKING:
     from ..rta.arena import Shown
     from ..simulation.baselines import Flights
 
-PRINTED = 8
-"""Most hand-overs that are drawn with their slices."""
+PRINTED = 8  # most hand-overs that are drawn with their slices
 
 
 def seconds(t: float) -> str:

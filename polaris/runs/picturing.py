@@ -16,8 +16,7 @@ from ..synthesis.schedule import Schedule
 from .arrays import position_tube, tube_arrays
 from .picture import Picture, SlicePicture, TubePicture, directions
 
-SLICES = 240
-"""Decisions, and besides them switches, up to which all get a slice of their recoverable set."""
+SLICES = 240  # decisions, and besides them switches, up to which all get a slice of their recoverable set
 
 
 def picture_of_safety(safety: Safety) -> Picture:

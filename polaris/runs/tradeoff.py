@@ -22,11 +22,8 @@ from .run import read_run, run
 from .schedule import SCHEDULE
 from .stages import Stages
 
-PRICES = (0.0, 0.02, 0.06, 0.1, 0.2, 0.5)
-"""Prices of velocity change, if none are given."""
-
-Point = tuple[Path, ScheduleScenario]
-"""Folder of a point and its scenario."""
+PRICES = (0.0, 0.02, 0.06, 0.1, 0.2, 0.5)  # prices of velocity change, if none are given
+Point = tuple[Path, ScheduleScenario]  # folder of a point and its scenario
 
 PRICE, RECOURSE = "schedule.delta_v_price", "recoverable.recourse"
 

@@ -13,8 +13,7 @@ from .model import SAFETY, UNTRUSTED, AgentTrace, AnySet, BallTrace, PointTrace,
 from .placing import Faceted, place, unit_rows
 from .settings import DIFFERENCES, Heading, Velocity, find_dims, find_velocity, guess_heading
 
-NEVER = 1e20
-"""What stands for no collision between agents there."""
+NEVER = 1e20  # what stands for no collision between agents there
 
 Each = tuple[dict[str, float], dict[str, float], dict[str, float]]
 """Least, largest and mean values by name of what is measured to."""

@@ -14,8 +14,7 @@ from ..model.distances import UNKNOWN
 from ..model.errors import ScenarioError
 from ..model.system import Array, as_finite
 
-NORMAL, UNTRUSTED, SAFETY = 1, 2, 3
-"""Mode numbers of a trace; all others are unknown."""
+NORMAL, UNTRUSTED, SAFETY = 1, 2, 3  # mode numbers of a trace; all others are unknown
 
 MODE_NAMES = {NORMAL: "NORMAL", UNTRUSTED: "UNTRUSTED", SAFETY: "SAFETY"}
 

@@ -59,7 +59,7 @@ class Faceted:
         none, free = np.zeros(p.shape[1]), np.full(rows.shape[1], -1e30)
         for i in np.flatnonzero(scale):
             top = np.minimum(slack[i] / scale[i], 1e30)
-            lines[i] = scale[i] * daqp.solve(np.eye(len(none)), none, rows[i], top, free)[0]
+            lines[i] = scale[i] * daqp.solve(np.eye(len(none)), none, rows[i].copy(), top, free)[0]
         return lines
 
     def _rows(self, p: Array) -> Array:

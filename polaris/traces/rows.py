@@ -12,8 +12,7 @@ from ..model.errors import ScenarioError
 from ..model.system import Array
 from .model import AnySet, BallTrace, PointTrace, PolytopeTrace, RectangleTrace
 
-LARGEST = 1e300
-"""Numbers beyond are refused: their squares are not finite."""
+LARGEST = 1e300  # numbers beyond are refused: their squares are not finite
 
 
 class Odd(ValueError):

@@ -103,6 +103,24 @@ class SetOperators(ConvexSet, ABC):
         """Scaled copy ``{a x}``."""
         return self._scaled(as_factor(factor))
 
+    def support(self, directions: ArrayLike) -> Array:
+        """Largest value of each direction over the set, shape (..., r) for rows (..., r, n)."""
+        return np.asarray(self._support(self._rows(directions)))
+
+    def support_vector(self, directions: ArrayLike) -> Array:
+        """Points of the set that attain the support, shape of `directions` broadcast with the batch."""
+        return np.asarray(self._furthest(self._rows(directions)))
+
+    def _rows(self, directions: ArrayLike) -> Array:
+        """Finite rows (..., r, n), or one vector (n,)."""
+        return as_vector(directions, self.dim)
+
+    @abstractmethod
+    def _support(self, D: Array) -> Array: ...
+
+    @abstractmethod
+    def _furthest(self, D: Array) -> Array: ...
+
     def support_up(self, directions: ArrayLike) -> Array:
         """Support with its rounding booked: never below the true value, shape (..., r)."""
         return self._booked(as_vector(directions, self.dim), 1)
@@ -124,10 +142,17 @@ class SetOperators(ConvexSet, ABC):
 
     @checked
     def contains(self, points: ArrayLike, slack: float = 1e-9) -> NDArray[np.bool_]:
-        """Whether each point lies in the set, to `slack` times its size; shape (...) for (..., n)."""
+        """Whether each point lies in the set, to `slack` times its size; shape (...) for points (..., n).
+
+        Half-widths, coefficients and norms are taken ``1 + slack`` times, of a row the sizes of its terms. A
+        (single) zonotope takes one linear program for each point.
+        """
+        return np.asarray(self._holds(as_vector(points, self.dim), slack))
+
+    def _holds(self, x: Array, slack: float) -> NDArray[np.bool_]:
         from .distance import contains_by_distance
 
-        return contains_by_distance(self, points, slack)
+        return contains_by_distance(self, x, slack)
 
     def __radd__(self, other: Any) -> Any:
         return self + other

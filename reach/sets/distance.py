@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from ..numerics.checks import Array, as_vector
+from ..numerics.checks import Array
 from .convex import ConvexSet
 
 STEPS = 300
@@ -80,13 +80,13 @@ def _least_norm(points: Array) -> Array | None:
     return np.asarray(found / total) if total > 0 else np.full(k, 1 / k)
 
 
-def contains_by_distance(X: ConvexSet, points: ArrayLike, slack: float) -> NDArray[np.bool_]:
+def contains_by_distance(X: ConvexSet, x: Array, slack: float) -> NDArray[np.bool_]:
     """Whether each point is within `slack` of the set, measured in sizes of its interval hull.
 
     A point is outside only if a direction shows it.
     """
     from .zonotope import Zonotope
 
-    x, size = as_vector(points, X.dim), unit_sizes(X.interval_hull().half_widths)
+    size = unit_sizes(X.interval_hull().half_widths)
     least = [nearest(Zonotope.point(p), X, size).least for p in x.reshape(-1, X.dim)]
     return np.array(least).reshape(x.shape[:-1]) <= slack

@@ -6,9 +6,9 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from ..numerics.checks import Array, as_vector, checked
+from ..numerics.checks import Array
 from ..numerics.errors import ReachError
 from ..numerics.rounding import gamma
 from .convex import weighed
@@ -75,9 +75,9 @@ class Intersection(OfParts):
         if self.is_empty:
             raise ReachError("the intersection is empty")
 
-    def support(self, directions: ArrayLike) -> Array:
-        """Upper bound of each direction over the set, shape (..., r) for rows (..., r, n)."""
-        return self.support_up(directions)
+    def _support(self, D: Array) -> Array:
+        """An upper bound."""
+        return self._booked(D, 1)
 
     def _booked(self, D: Array, way: int) -> Array:
         """Up: a bound by splitting each direction. Down: at a point that passes the parts' tests, or -inf."""
@@ -98,10 +98,9 @@ class Intersection(OfParts):
         total += float(weighed(booked, self.extent)) + gamma(len(split)) * abs(total)
         return min(best, total) if np.isfinite(total) else best
 
-    def support_vector(self, directions: ArrayLike) -> Array:
-        """Points that attain the support, shape of `directions`, pulled in where there is room."""
+    def _furthest(self, D: Array) -> Array:
+        """Points pulled in where there is room."""
         self._refuse_empty()
-        D = as_vector(directions, self.dim)
         out = []
         for d in D.reshape(-1, self.dim):
             point = self._search.inside(d)
@@ -116,7 +115,5 @@ class Intersection(OfParts):
     def _hull(self) -> Interval:
         return super().interval_hull()
 
-    @checked
-    def contains(self, points: ArrayLike, slack: float = 1e-9) -> NDArray[np.bool_]:
-        """Whether each point is in all parts, each judged with this slack, shape (...) for (..., n)."""
-        return np.asarray(np.all([part.contains(points, slack) for part in self.parts], axis=0))
+    def _holds(self, x: Array, slack: float) -> NDArray[np.bool_]:
+        return np.asarray(np.all([part.contains(x, slack) for part in self.parts], axis=0))

@@ -115,14 +115,10 @@ class Zonotope(Generated):
         half = np.broadcast_to(half, (*np.broadcast_shapes(half.shape[:-1], self.batch), self.dim))
         return self + Zonotope.box(np.zeros_like(half), half)
 
-    def support(self, directions: ArrayLike) -> Array:
-        """Largest value of each direction over the set, shape (..., r) for rows (..., r, n)."""
-        D = self._rows(directions)
+    def _support(self, D: Array) -> Array:
         return np.asarray((D @ self.c[..., None])[..., 0] + np.abs(D @ self.G).sum(axis=-1))
 
-    def support_vector(self, directions: ArrayLike) -> Array:
-        """Corners that attain the support, shape of `directions` broadcast with the batch."""
-        D = self._rows(directions)
+    def _furthest(self, D: Array) -> Array:
         signs = np.where(D @ self.G < 0, -1.0, 1.0)
         if D.ndim == 1:
             return np.asarray(self.c + (self.G @ signs[..., None])[..., 0])
@@ -145,18 +141,8 @@ class Zonotope(Generated):
         b[: count // 3] = np.sign(b[: count // 3])
         return np.asarray(self.c + b @ self.G.T)
 
-    @checked
-    def contains(self, points: ArrayLike, slack: float = 1e-9) -> NDArray[np.bool_]:
-        """Whether each point lies in the (single) set, by one linear program each, shape (...).
-
-        Parameters
-        ----------
-        points : array_like, shape (..., n)
-        slack : float
-            Points reached with ``|b_i| <= 1 + slack`` count as inside.
-        """
+    def _holds(self, x: Array, slack: float) -> NDArray[np.bool_]:
         checks.require_single("a set asked about points", self)
-        x = checks.as_vector(points, self.dim)
         levels = [least_level(self.c, self.G, p) for p in x.reshape(-1, self.dim)]
         return np.array(levels).reshape(x.shape[:-1]) <= 1 + slack
 

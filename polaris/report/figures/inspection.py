@@ -133,16 +133,9 @@ def failures(picture: CampaignPicture) -> Any:
     return figure
 
 
-FIGURES = {"initial_conditions": initial_conditions, "failures": failures}
-"""Figures of a campaign."""
-
-
-PIECES = 400
-"""Pieces in which a path changes its colour."""
-
-
-AFTER = 500.0
-"""Time [s] for which a predicted flight is shown after its last thrust: nothing more is spent."""
+FIGURES = {"initial_conditions": initial_conditions, "failures": failures}  # figures of a campaign
+PIECES = 400  # pieces in which a path changes its colour
+AFTER = 500.0  # time [s] for which a predicted flight is shown after its last thrust: nothing more is spent
 
 
 def _path(ax: Any, run: FuelRun) -> None:

@@ -25,8 +25,7 @@ from ...runs.picture import Picture
 from ..scene.items import by_mode
 from ..scene.palette import GREY, mode_colour
 
-WIDTH = 3.5
-"""Width of a figure [in]: one column of a two-column page."""
+WIDTH = 3.5  # width of a figure [in]: one column of a two-column page
 
 DOTS, DASHES, LONG, GOAL_DASHES = (0, (1, 1.4)), (0, (3, 1.2)), (0, (5, 1.5)), (0, (4, 2))
 

@@ -16,10 +16,8 @@ from ..scene.palette import BLACK, RED, tint
 from ..scene.space import Space, moves
 from .style import draw_safe_path, shortened, text_width
 
-WIDTH = 2.8
-"""Of the axes [in]."""
-CLASH = 4.0
-"""What it counts if a name lies on another: more than all else; then a line further off will do."""
+WIDTH = 2.8  # of the axes [in]
+CLASH = 4.0  # what it counts if a name lies on another: more than all else; then a line further off will do
 
 
 class View:

@@ -21,11 +21,8 @@ from .run_report import NOTE, guarantee, loud
 from .tables import Cell, Measure, badge, details, escaped, items, number_cell, shown, table, text_cell
 from .timelines import Flown, flight_data
 
-FIRST = 4
-"""Methods that are shown at first; the others can be chosen."""
-
-MOST_STRETCHES = 40
-"""Stretches of alike decisions that are listed of each method."""
+FIRST = 4  # methods that are shown at first; the others can be chosen
+MOST_STRETCHES = 40  # stretches of alike decisions that are listed of each method
 
 Methods = Sequence[Mapping[str, Any]]
 

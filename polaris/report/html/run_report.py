@@ -17,8 +17,7 @@ from .page import Page, reading
 from .tables import Cell, Measure, badge, escaped, items, table
 from .timelines import Flown, flight_data
 
-MOST_TOLD = 3
-"""Most stretches under S that are told one by one."""
+MOST_TOLD = 3  # most stretches under S that are told one by one
 
 NOTE = (
     "Drawn paths keep at most 400 samples of a run; the tables use all of them. Bands reach over all "

@@ -63,8 +63,7 @@ BADGES = {
 }
 """Class and text of a badge, by kind of guarantee."""
 
-MOST = 4
-"""Columns of a table that have room on any screen."""
+MOST = 4  # columns of a table that have room on any screen
 
 
 # -- values -----------------------------------------------------------------------------------------

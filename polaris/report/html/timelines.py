@@ -32,8 +32,7 @@ from ..scene.palette import GREEN, input_labels, mode_colour
 from ..scene.scene import describe, shown_axes
 from .scene import plain, scene_data
 
-MOST = 400
-"""Most samples of a run that are drawn, besides changes of controller."""
+MOST = 400  # most samples of a run that are drawn, besides changes of controller
 
 WHO = "Who flies"
 

@@ -128,12 +128,8 @@ def by_mode(picture: Picture, shown: Array, span: tuple[int, int] | None = None)
     return {int(mode): under_mode(shown[a:b], who == mode) for mode in order}
 
 
-MOST = 6
-"""Most close-ups of a figure: those that are passed nearest."""
-
-
-FLAT = 0.05
-"""Motion out of the plane that nobody would see, as a share of its size."""
+MOST = 6  # most close-ups of a figure: those that are passed nearest
+FLAT = 0.05  # motion out of the plane that nobody would see, as a share of its size
 
 
 @dataclass(frozen=True, eq=False)

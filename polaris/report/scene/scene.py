@@ -22,8 +22,7 @@ from .unsafe import prisms, unsafe_items
 MOST_FRAMES = (1, 960, 240)
 """Most sets of a tube that are drawn on the line (one per step), in the plane and in space."""
 
-PATHS = ("reference", "tail")
-"""Roles of the reference until the horizon and after it."""
+PATHS = ("reference", "tail")  # roles of the reference until the horizon and after it
 
 
 def shown_axes(picture: Picture, paths: Sequence[Array] = ()) -> list[int]:
@@ -153,8 +152,7 @@ def _tube(picture: Picture, axes: list[int]) -> list[Item]:
 INSTANTS = 121
 
 
-WIDEN = 2.5
-"""Sets are shown that are no further from the path than so many times its extent."""
+WIDEN = 2.5  # sets are shown that are no further from the path than so many times its extent
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,8 +18,7 @@ from ...planning.goals import EllipticalNMT, Goal, LinearNMT
 from ...runs.picture import Approach, Picture, directions
 from .geometry import Shape, ball_points, boxed, flat_outline
 
-NEAR = 0.35
-"""How far a flight may stray beyond the safe path, in widths of it, and still widen the view."""
+NEAR = 0.35  # how far a flight may stray beyond the safe path, in widths of it, and still widen the view
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,17 +21,13 @@ from .palette import LOOKS
 from .space import Space, moves
 
 AXES = ("Radial", "Along-track", "Cross-track")
-ORDER = [1, 0, 2]
-"""Hill's coordinates in the order of the axes of a scene: along-track, radial, cross-track."""
-
-PATH = 121
-"""Instants between which a moving set is carried evenly."""
+ORDER = [1, 0, 2]  # Hill's coordinates in the order of the axes of a scene: along-track, radial, cross-track
+PATH = 121  # instants between which a moving set is carried evenly
 
 APART = 2.2
 """A moving set is marked before and after the closest approach where it has moved so many times its width."""
 
-PRISMS = 5
-"""Instants between which a set that moves in the plane is a prism along the axis of time."""
+PRISMS = 5  # instants between which a set that moves in the plane is a prism along the axis of time
 
 
 def unsafe_items(space: Space, axes: list[int], found: Sequence[CloseUp]) -> list[Item]:

@@ -17,8 +17,7 @@ from ...model.version import version
 from ..atomic import check_file, replacing_file
 from ..tables import write_csv
 
-Columns = dict[str, Array]
-"""Results by name, one entry per run: one mode after the other."""
+Columns = dict[str, Array]  # results by name, one entry per run: one mode after the other
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,7 @@ from .folder import CampaignFolder, open_campaign
 from .plan import CampaignPlan
 from .workers import Workers, going_on, work_through, workers_of
 
-RECOVERIES = 3
-"""Times in a row that lost workers are replaced without a batch being finished."""
+RECOVERIES = 3  # times in a row that lost workers are replaced without a batch being finished
 
 Progress = Callable[[int, int], None]
 

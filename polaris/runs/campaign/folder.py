@@ -222,8 +222,7 @@ def _difference(known: dict[str, Any], plan: CampaignPlan) -> str:
     return "other " + ", ".join(names) if names else "its manifest was changed"
 
 
-KEY = "polaris"
-"""Where a part says which campaign, case, batch and schedule it belongs to."""
+KEY = "polaris"  # where a part says which campaign, case, batch and schedule it belongs to
 
 
 class Parquet:

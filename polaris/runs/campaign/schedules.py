@@ -31,8 +31,7 @@ from .batch import Batch, Columns, Kind, Replayed, Results, Task, of_mode
 MODES: dict[str, int | None] = {"polaris": None, "safety": 0, "experimental": 1}
 """Who flies: the schedule, S alone, or the preferred U alone."""
 
-KEPT = 4
-"""Schedules a process keeps; cases come one after the other, so few are in use at a time."""
+KEPT = 4  # schedules a process keeps; cases come one after the other, so few are in use at a time
 
 _lock = threading.Lock()
 

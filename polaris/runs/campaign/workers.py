@@ -19,20 +19,11 @@ from typing import Any, TypeVar
 
 from ...model.errors import PolarisError, ScenarioError, failed
 
-TICK = 2.0
-"""Seconds without a result after which the workers are asked whether there are any."""
-
-PATIENCE = 5.0
-"""Seconds a scheduler may take to answer."""
-
-DESERTED = 60.0
-"""Seconds a cluster may be without any worker before the campaign ends."""
-
-LOGGERS = ("distributed", "tornado", "asyncio")
-"""Roots of the loggers of Dask's client."""
-
-AHEAD = 4
-"""Tasks handed out per worker: enough to keep it busy, few enough to bound the memory."""
+TICK = 2.0  # seconds without a result after which the workers are asked whether there are any
+PATIENCE = 5.0  # seconds a scheduler may take to answer
+DESERTED = 60.0  # seconds a cluster may be without any worker before the campaign ends
+LOGGERS = ("distributed", "tornado", "asyncio")  # roots of the loggers of Dask's client
+AHEAD = 4  # tasks handed out per worker: enough to keep it busy, few enough to bound the memory
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
