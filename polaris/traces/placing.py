@@ -49,7 +49,8 @@ class Faceted:
     def signed_distance(self, p: Array) -> Array:
         """Distance [m] of positions (N, d), one per time."""
         worst = np.max(np.einsum("nfd,nd->nf", self._rows(p), p) - self.b, axis=1)
-        return np.where(worst > 0, np.maximum(np.linalg.norm(self.to_nearest(p), axis=1), worst), worst)
+        away = np.linalg.norm(self.to_nearest(p), axis=1)
+        return np.asarray(np.where(worst > 0, np.maximum(away, worst), worst))
 
     def to_nearest(self, p: Array) -> Array:
         """Lines (N, d) from positions to the nearest points, 0 inside: one quadratic program each."""
