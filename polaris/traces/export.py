@@ -21,17 +21,10 @@ from .model import SAFETY, UNTRUSTED, AgentTrace, AnySet, BallTrace, PolytopeTra
 
 @dataclass(frozen=True, eq=False)
 class Export:
-    """A run as a trace.
-
-    Attributes
-    ----------
-    trace : Trace
-    notes : tuple of str
-        What is not represented as it is, and on which side it errs.
-    """
+    """A run as a trace."""
 
     trace: Trace
-    notes: tuple[str, ...]
+    notes: tuple[str, ...]  # what is not represented as it is, and on which side it errs
 
 
 def to_trace(

@@ -16,19 +16,13 @@ from .model import AgentTrace, Trace
 
 @dataclass(frozen=True)
 class Heading:
-    """A velocity given by its size and its direction.
+    """A velocity given by its size and its direction: entries of the states, from 0.
 
-    Parameters
-    ----------
-    speed : int
-        Entry of the states (from 0) that is the speed [m/s]; signed in one axis.
-    angles : tuple of int
-        Entries that are angles [rad], one less than there are axes: heading, from x towards y, and pitch,
-        from there towards z.
+    There is one angle less than there are axes: heading, from x towards y, and pitch, from there towards z.
     """
 
-    speed: int
-    angles: tuple[int, ...] = ()
+    speed: int  # [m/s], signed in one axis
+    angles: tuple[int, ...] = ()  # [rad]
 
 
 Velocity = str | Sequence[int] | Heading | None

@@ -22,21 +22,11 @@ Columns = dict[str, Array]  # results by name, one entry per run: one mode after
 
 @dataclass(frozen=True)
 class Case:
-    """One scenario with one combination of values, flown many times.
+    """One scenario with one combination of values, flown many times."""
 
-    Attributes
-    ----------
-    scenario : str
-        Name of the scenario.
-    parameters : tuple of (str, value)
-        Keys of the grid and their values here.
-    text : str
-        The whole scenario as TOML, overrides and parameters applied.
-    """
-
-    scenario: str
-    parameters: tuple[tuple[str, Any], ...]
-    text: str
+    scenario: str  # its name
+    parameters: tuple[tuple[str, Any], ...]  # keys of the grid and their values here
+    text: str  # the whole scenario as TOML, overrides and parameters applied
 
     @property
     def label(self) -> str:
@@ -64,21 +54,11 @@ class Task:
 
 @dataclass(frozen=True, eq=False)
 class Replayed:
-    """One run of a campaign, flown again.
+    """One run of a campaign, flown again."""
 
-    Attributes
-    ----------
-    arrays : mapping
-        Its trajectory by the names arrays have in an ``.npz`` file, units included.
-    table : mapping
-        The same as columns; those of control periods are one shorter than those of instants.
-    row : mapping
-        What the campaign's table says of it.
-    """
-
-    arrays: Mapping[str, Any]
-    table: Mapping[str, Array]
-    row: Mapping[str, Any] = field(default_factory=dict)
+    arrays: Mapping[str, Any]  # its trajectory by the names arrays have in an ``.npz`` file, units included
+    table: Mapping[str, Array]  # the same as columns: those of periods are one shorter than of instants
+    row: Mapping[str, Any] = field(default_factory=dict)  # what the campaign's table says of it
 
     def write(self, path: str | Path) -> Path:
         """Write the trajectory as CSV or ``.npz``, whole or not at all; `ScenarioError` if it cannot be."""

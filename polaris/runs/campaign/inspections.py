@@ -46,13 +46,7 @@ GUARANTEE = {
 
 @dataclass(frozen=True)
 class InspectionRuns(Kind):
-    """Runs of a scenario of the kind ``monte_carlo``.
-
-    Attributes
-    ----------
-    modes : tuple of str
-        Names of the scenario's studies; all fly the same initial conditions.
-    """
+    """Runs of a ``monte_carlo`` scenario; the modes are its studies, on the same initial conditions."""
 
     name: ClassVar[str] = "inspection"
     formats: ClassVar[tuple[str, ...]] = ("parquet", "npz")

@@ -104,17 +104,8 @@ def schedule_of(text: str) -> tuple[Schedule, str]:
 class ScheduleRuns(Kind):
     """Runs of switching schedules, as `polaris.simulate` flies and `polaris.evaluate` measures them.
 
-    Attributes
-    ----------
-    modes : tuple of str
-        ``polaris``, ``safety``, ``experimental``.
-    initial, disturbance : str
-        As in `polaris.simulate`.
-
-    Raises
-    ------
-    ScenarioError
-        If a value is not allowed.
+    The modes are among ``polaris``, ``safety``, ``experimental``; `initial` and `disturbance` are those of
+    `polaris.simulate`. `ScenarioError` if a value is not allowed.
     """
 
     modes: tuple[str, ...] = ("polaris",)

@@ -49,27 +49,13 @@ def going_on(kept: Callable[[], str]) -> Iterator[None]:
 
 @dataclass(frozen=True)
 class Workers:
-    """An executor that can be made again, and how losses of workers show.
+    """An executor that can be made again, and how losses of workers show."""
 
-    Attributes
-    ----------
-    make : callable
-        A new executor.
-    window : callable
-        Most tasks to hand out at a time, now.
-    lost : tuple of exception types
-        Errors of a future whose worker was lost: its task is to be done again.
-    again : bool
-        Whether a broken executor is to be replaced by a new one.
-    trouble : callable
-        Why nothing can come back any more; empty if nothing speaks against it.
-    """
-
-    make: Callable[[], Executor]
-    window: Callable[[], int]
-    lost: tuple[type[BaseException], ...] = (BrokenExecutor, CancelledError)
-    again: bool = True
-    trouble: Callable[[], str] = lambda: ""
+    make: Callable[[], Executor]  # a new executor
+    window: Callable[[], int]  # most tasks to hand out at a time, now
+    lost: tuple[type[BaseException], ...] = (BrokenExecutor, CancelledError)  # its task is to be done again
+    again: bool = True  # whether a broken executor is to be replaced by a new one
+    trouble: Callable[[], str] = lambda: ""  # why nothing can come back any more, if so
 
 
 class InProcess(Executor):
