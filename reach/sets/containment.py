@@ -11,15 +11,15 @@ from numpy.typing import NDArray
 from ..numerics.checks import Array
 from ..numerics.errors import ReachError
 from ..numerics.rounding import Whole, floats, gamma, integers
-from .convex import Answer, weighed
+from .convex import weighed
+from .distance import Answer
 from .ellipsoid import Ellipsoid
-from .facets import FLAT, combination_count, facet_normals
 from .intersection import Intersection
 from .interval import Interval
 from .lazy import AffineImage, inverse
 from .norms import largest_norm
 from .polytope import HPolytope
-from .zonotope import Zonotope
+from .zonotope import FLAT, Zonotope, combination_count, facet_normals
 
 Method = Literal["auto", "exact", "sufficient"]
 Settle = Callable[[NDArray[np.intp]], list[bool | None]]

@@ -11,8 +11,8 @@ from scipy.linalg import block_diag
 from ..numerics.checks import Array
 from ..numerics.programs import maximise
 from ..numerics.rounding import gamma, integers
-from .convex import Answer, weighed
-from .distance import nearest, unit_sizes
+from .convex import weighed
+from .distance import Answer, nearest, unit_sizes
 from .intersection import Intersection
 from .interval import Interval
 from .lazy import AffineImage, MinkowskiSum

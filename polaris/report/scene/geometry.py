@@ -36,16 +36,6 @@ class Shape:
 # -- in the plane -----------------------------------------------------------------------------------
 
 
-def polygon(support: ArrayLike, rays: Array) -> Array:
-    """Corners (..., R, 2) of a polygon about a set, by its support (..., R) along rays in order of angle."""
-    h = np.asarray(support, dtype=float)
-    after, h_after = np.roll(rays, -1, axis=0), np.roll(h, -1, axis=-1)
-    cross = rays[:, 0] * after[:, 1] - rays[:, 1] * after[:, 0]
-    x = (h * after[:, 1] - h_after * rays[:, 1]) / cross
-    y = (h_after * rays[:, 0] - h * after[:, 0]) / cross
-    return np.stack([x, y], axis=-1)
-
-
 def tube_support(centre: Array, generators: Array, bow: Array, parts: int, rays: Array) -> Array:
     """Support (K, parts, R) [m] of a tube over parts of every step along rays (R, e).
 

@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from reach.sets.outlines import polygon
+
 from ...model.keep_in import KeepIn
 from ...model.obstacle import Obstacle
 from ...model.obstacle import directions as directions_in_space
@@ -89,7 +91,7 @@ def _start(picture: Picture, axes: list[int]) -> list[Item]:
     rays = directions(64) if len(axes) == 2 else directions_in_space(3)
     size = np.abs(rays @ G).sum(axis=-1)
     if len(axes) == 2:
-        shape: Shape | None = Shape("area", geometry.polygon(rays @ c + size, rays))
+        shape: Shape | None = Shape("area", polygon(rays @ c + size, rays))
     else:
         thick = np.maximum(size, 1e-3 * float(np.max(size, initial=0.0)))
         shape = geometry.polyhedron(rays, rays @ c + thick, c)
@@ -141,7 +143,7 @@ def _tube(picture: Picture, axes: list[int]) -> list[Item]:
         steps = [np.array([[t, a], [t + delta, a], [t + delta, b], [t, b]]) for t, a, b in ends]
         shapes = [Shape("area", one) for one in steps]
     elif dim == 2:
-        shapes = [Shape("area", one) for one in geometry.polygon(support, rays)]
+        shapes = [Shape("area", one) for one in polygon(support, rays)]
     else:
         inside = centre[:, (edges[:-1] + edges[1:]) // 2].reshape(-1, 3)
         shapes = [geometry.polyhedron(rays, b, c) for b, c in zip(support, inside, strict=True)]
