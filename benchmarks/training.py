@@ -30,9 +30,7 @@ def unpacked(flat: Array, dims: list[int]) -> list[Array]:
     """Weights and biases of two tanh layers and a linear one, of candidates (R, count)."""
     shapes = [(b, a) for a, b in zip(dims, dims[1:], strict=False)] + [(d,) for d in dims[1:]]
     ends = np.cumsum([0, *(int(np.prod(shape)) for shape in shapes)])
-    return [
-        flat[:, i:j].reshape(-1, *shape) for i, j, shape in zip(ends, ends[1:], shapes, strict=False)
-    ]
+    return [flat[:, i:j].reshape(-1, *shape) for i, j, shape in zip(ends, ends[1:], shapes, strict=False)]
 
 
 def commanded(P: list[Array], seen: Array) -> Array:
@@ -73,10 +71,13 @@ def train(env: Any, generations: int, seed: int = 0, told: Any = None) -> tuple[
         rank = np.argsort(np.argsort(value)) / (len(value) - 1) - 0.5
         slope = (rank[:half] - rank[half:]) @ way / half
         first, second = 0.9 * first + 0.1 * slope, 0.99 * second + 0.01 * slope**2
-        moved = first / (1 - 0.9 ** (generation + 1)) / (np.sqrt(second / (1 - 0.99 ** (generation + 1))) + 1e-8)
+        moved = (
+            first / (1 - 0.9 ** (generation + 1)) / (np.sqrt(second / (1 - 0.99 ** (generation + 1))) + 1e-8)
+        )
         mean = mean + RATE * 0.5 * (1 + np.cos(np.pi * generation / generations)) * (moved - DECAY * mean)
         if told and (generation % 20 == 0 or generation == generations - 1):
-            told(f"  {generation:4d} return {value.mean():6.3f} S {by_s.mean():5.1%} collided {collided.mean():5.1%}")
+            found = value.mean(), by_s.mean(), collided.mean()
+            told("  {:4d} return {:6.3f} S {:5.1%} collided {:5.1%}".format(generation, *found))
     return mean, collisions
 
 

@@ -173,9 +173,17 @@ class NeuralController:
 
     def command(self, k: int, xi: Array, own: Array, x: Array) -> Array:
         """Thrust command before clipping, shape (..., m), in step k."""
+        return np.asarray(self.policy.network(self._read(k, own, x)) * self.policy.output_scale)
+
+    def pullback(self, k: int, own: Array, x: Array, weights: Array) -> Array:
+        """Gradient of ``weights . command`` by x, shape (..., n), for weights (..., m)."""
+        read = self._read(k, own, x)
+        return self.policy.network.pullback(read, weights * self.policy.output_scale) @ self.loop.C
+
+    def _read(self, k: int, own: Array, x: Array) -> Array:
         time = np.array([k * self.reference.delta])
         parts = {"error": own - x, "state": x, "time": time, "reference_input": self.own.nu[k]}
-        return np.asarray(self.policy.network(self.policy.stack(parts)) * self.policy.output_scale)
+        return self.policy.stack(parts)
 
     def fly(self, start: Zonotope, k: int) -> TubeSegment:
         """Reachable set over step k from a set in error coordinates; refused where its numbers overflow."""
