@@ -61,6 +61,9 @@ def read_layers(data: bytes, width: int) -> list[Layer]:
             continue
         if into.count(at) != 1:
             raise ValueError(f"{kind} does not take the output before it once")
+        domain = node.get(7, [b""])[-1].decode()
+        if domain not in ("", "ai.onnx") or (kind == "Cast" and more["to"].get(3) not in ([1], [11])):
+            raise ValueError(f"the operator {domain}.{kind} is not known, or changes values")
         values = [None if name == at or not name else constants[name] for name in into]
         if kind not in SAME:
             layers.append(_layer(kind, values, more, width))
