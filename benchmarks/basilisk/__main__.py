@@ -6,8 +6,8 @@
 
 Each scene is synthesised with feedback every two seconds and the errors below, written as a run folder, and
 flown by flight software that reads the folder (`onboard.py`) in a world of two craft (`world.py`): J2, drag,
-pulsed thrusters with errors of magnitude, direction and mass, noisy navigation, everything drawn within what the
-scenario declares. The table sets what was measured beside what was proven.
+pulsed thrusters with errors of magnitude, direction and mass, noisy navigation, everything drawn within what
+the scenario declares. The table sets what was measured beside what was proven.
 """
 
 from __future__ import annotations

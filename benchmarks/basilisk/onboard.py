@@ -1,7 +1,7 @@
 """Flight software of a chaser: it reads a run folder, and nothing of the toolkit that wrote it.
 
 Every control period it takes the navigation solution and answers with the thrust that the scheduled
-controller asks for, in Hill's frame. Where the scenario declares a delay, a solution is that much old when its
+controller asks for, in Hill's frame. Where the scenario declares a delay, a solution is that old when its
 command takes effect; the software then carries it forward by the linear model and the commands it has issued.
 """
 
@@ -29,8 +29,8 @@ class FlightSoftware:
     Parameters
     ----------
     folder : Path
-        A run folder of a switching schedule with sampled feedback. After its end the safety controller goes on
-        along the reference's coasting tail.
+        A run folder of a switching schedule with sampled feedback. After its end the safety controller goes
+        on along the reference's coasting tail.
     """
 
     def __init__(self, folder: Path) -> None:
