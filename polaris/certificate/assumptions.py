@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from typing import Any
 
 SATELLITES = (
     "other satellites: each obeys x' = A x + D w with the same A, D and bound on w, and adds no more "
@@ -23,7 +24,7 @@ def assumptions(
     estimate: Iterable[float] = (),
     thrusters: Iterable[float] = (),
     chaser: float = 0.0,
-    sampled: tuple[float, float, int, int, int, int] | None = None,
+    sampled: Mapping[str, Any] | None = None,
 ) -> list[str]:
     """What a certificate rests on and no checker can confirm: the one list, for runs and certificates.
 
@@ -47,8 +48,8 @@ def assumptions(
         Errors of what is applied: as a share of the command, of the 2-norm of all, and whatever is commanded.
     chaser : float
         Radius of the chaser [m]; 0 for a point.
-    sampled : tuple, optional
-        What is said of black boxes: probability, confidence, flights, those outside, seed, attempts.
+    sampled : mapping, optional
+        What is said of black boxes: probability, confidence, flights, outside, seed, attempts.
     """
     errors = list(estimate)
     seen = "an estimate of the state" if any(errors) else "the exact state"
@@ -85,7 +86,7 @@ def assumptions(
         ),
         "clocks: exact; schedule, reference and unsafe sets count from the same instant",
         "experimental controllers: each obeys its declared model",
-        *(_of_samples(*sampled) if sampled else []),
+        *(_of_samples(**sampled) if sampled else []),
         fuel,
     ]
 
@@ -99,7 +100,7 @@ def _of_samples(
     return [
         "black boxes: a flight drawn at random leaves the sets of their steps with a probability of at most"
         f" {most}; that is wrong with a probability of {doubt} over the samples ({flights} flights,"
-        f" {outside} outside, seed {seed}, attempt {attempts}); of a flight that leaves them nothing is known",
+        f" {outside} outside, seed {seed}, attempt {attempts}); of flights that leave them nothing is known",
         "distribution: a flight's initial state is uniform in the generators of the initial set, its"
         " disturbance piecewise constant as simulated at random; flights are independent",
         "no drift: the boxes answer in flight as they answered the samples, by time and state alone",

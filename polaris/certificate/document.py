@@ -29,8 +29,6 @@ MOST_GENERATORS = 1000
 """Most generators of the initial set."""
 MOST_WORK = 10**10
 """Most products of numbers that all enclosures of a network may take."""
-STATEMENT = ("probability", "confidence", "flights", "outside", "seed", "attempts")
-"""What is said of the samples that black boxes were asked."""
 MOST_FLIGHTS = 10**7
 """Most flights of a statement."""
 MOST_STATES = 32
@@ -238,7 +236,7 @@ class Document:
             estimate=self.estimate,
             thrusters=self.thrusters,
             chaser=self.chaser_radius,
-            sampled=tuple(map(self.statement.get, STATEMENT)) if self.statement else None,
+            sampled=self.statement or None,
         )
         if read["assumptions"] != self.assumptions:
             raise Rejected(

@@ -17,7 +17,7 @@ def check_statement(said: dict[str, Any]) -> str:
     """Confirm the bound on the probability of leaving the sets, from the numbers of flights.
 
     Were it higher, so few flights outside would have at most the attempt's share of the doubt: a half of it
-    for the first, a quarter for the second (Clopper and Pearson 1934). That they were flown cannot be checked.
+    for the first, a quarter for the second (Clopper and Pearson 1934). It trusts that they were flown.
     """
     flights, outside, attempts = said["flights"], said["outside"], said["attempts"]
     if not (0 < said["confidence"] < 1 and 0 < said["probability"] < 1 and 1 <= attempts <= 64):

@@ -61,6 +61,8 @@ def run(
         folder = run_scenario(loaded, out, black_boxes=boxes, **flying)
     if folder.kind.name == "schedule":
         claim, kind = folder.summary["guarantee"]["kind"], folder.summary["synthesis"]["recoverable"]
+        if claim == "statistical":
+            typer.echo("warning: statistical, not proven: steps of black boxes rest on samples", err=True)
         if claim == "none":  # even if asked to be quiet
             warning = "NOTHING IS PROVEN by this run, whatever its simulation shows"
             typer.echo(f"warning: {warning} (recoverable kind {kind}, guarantee {claim})", err=True)

@@ -1,7 +1,7 @@
 """A program that answers one line of JSON for each line of JSON: a black box in any language.
 
-A question is ``{"t": 12.5, "x": [[...], ...], "reference": [...]}``: time [s], states of any number of flights, and
-the state of the safe reference there. The answer is ``{"u": [[...], ...]}``, a command for every state.
+A question is ``{"t": 12.5, "x": [[...], ...], "reference": [...]}``: time [s], states of any number of
+flights, and the state of the safe reference there. The answer is ``{"u": [[...], ...]}``, a command for each.
 """
 
 from __future__ import annotations
@@ -70,9 +70,7 @@ class Program:
             raise self._refused(f"must answer within {self.seconds:g} s")
         if not found or not found[0].endswith(b"\n"):
             self._process.kill()
-            raise self._refused(
-                f"must answer every line; it ended, or its line was too long{self._last_words()}"
-            )
+            raise self._refused(f"must answer each line; it ended, or wrote too much{self._last_words()}")
         try:
             return json.loads(found[0])["u"]
         except (ValueError, TypeError, KeyError, RecursionError):

@@ -58,8 +58,8 @@ def run(
     executor, fresh
         Of many flights: who flies, and whether others are replaced, as in `run_campaign`.
     black_boxes : mapping, optional
-        What is asked of a schedule's black boxes, by their names: called with a time [s], states (R, n) and the
-        state (n,) of the safe reference, commands (R, m) are returned. A scenario file alone starts no program.
+        What is asked of a schedule's black boxes, by their names: called with a time [s], states (R, n) and
+        the state (n,) of the safe reference, it returns commands (R, m). A scenario file starts no program.
 
     Returns
     -------

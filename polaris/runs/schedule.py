@@ -99,10 +99,15 @@ def fly_schedule(
     with stages.stage("schedule"):
         counting, sampled = stages.counting("schedule: step {} of {}"), None
         if boxes:
-            (probability, confidence), seed = scenario.asked, scenario.simulation.seed
+            probability, confidence = scenario.asked
             sampled = synthesize_sampled(
-                *(scenario, safety, experimental),
-                **{"probability": probability, "confidence": confidence, "seed": seed, "progress": counting},
+                scenario,
+                safety,
+                experimental,
+                probability=probability,
+                confidence=confidence,
+                seed=scenario.simulation.seed,
+                progress=counting,
             )
             schedule = sampled.schedule
         else:
@@ -215,11 +220,17 @@ def _boxes(sampled: Sampled | None) -> dict[str, Any]:
     """What is proven without asking the black boxes, and the worst that was found with them."""
     if sampled is None:
         return {}
-    worst = None if sampled.worst is None else sampled.worst.summary()
-    keys = ("runs", "violated", "failure")
-    least = [] if worst is None else [(row["least"], row["limit"]) for row in worst["limits"]]
-    found = {key: worst[key] for key in keys} | dict(zip(("least", "limit"), min(least))) if worst else None
-    return {"proven_share": sampled.proven.share(), "worst_found": found}
+    told, worst = None, sampled.worst
+    if worst is not None:
+        sets = worst.least[: len(sampled.schedule.safety.clearance.unsafe)]
+        told = {
+            "runs": worst.runs,
+            "violated": worst.failure is not None,
+            "failure": None if worst.failure is None else str(worst.failure),
+            "least_m": files.finite(float(min(sets, default=np.inf))),
+            "leave_sets": sampled.adverse,
+        }
+    return {"proven_share": sampled.proven.share(), "worst_found": told}
 
 
 def guarantee(schedule: Schedule) -> dict[str, Any]:

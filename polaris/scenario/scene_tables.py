@@ -299,8 +299,8 @@ class Neural(ScenarioPart):
 class BlackBox(ScenarioPart):
     """A controller that is asked for its commands once a control period: its sets come from samples.
 
-    Needs sampled feedback, and to be given when it is run: `polaris run --black-box NAME=COMMAND`, or a callable
-    from Python. Where it flies the guarantee is `statistical`.
+    Needs sampled feedback, and to be given when it is run: `polaris run --black-box NAME=COMMAND`, or a
+    callable from Python. Where it flies the guarantee is `statistical`.
     """
 
     kind: Literal["black_box"] = unit("-", "Unknown controller that can be asked.")

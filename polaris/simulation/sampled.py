@@ -1,7 +1,7 @@
 """Schedules that rest on samples: how surely a flight keeps to the sets that black boxes were fitted with.
 
-Everything is decided first: modes, sets, margins. Then flights that nothing was fitted to are drawn, and how many
-of them leave any fit is held against the asked probability by the exact binomial bound. See docs/theory.md.
+Everything is decided first: modes, sets, margins. Then flights that nothing was fitted to are drawn, and how
+many of them leave any fit is held against the asked probability by the exact binomial bound.
 """
 
 from __future__ import annotations
@@ -45,18 +45,22 @@ class Sampled:
         With anything within the thrust limits in place of the boxes.
     worst : Falsification or None
         The worst that a search found with the boxes; None where none of them flies.
+    adverse : float
+        Share of flights from corners of the initial set under worst-case disturbances that leave the boxes'
+        sets: what the statement, which is about flights drawn at random, says nothing of.
     """
 
     schedule: Schedule
     proven: Schedule
     worst: Falsification | None
+    adverse: float = 0.0
 
 
 def flights_needed(probability: float, doubt: float) -> int:
     """Least number of flights of which `SPARE` may leave their sets, by the exact binomial distribution.
 
-    Were the probability of leaving them higher than asked, no more than so many would with a probability of at
-    most `doubt`.
+    Were the probability of leaving them higher than asked, no more than so many would leave them with a
+    probability of at most `doubt`.
     """
     high = SPARE + 1
     while binom.cdf(SPARE, high, probability) > doubt:
@@ -69,7 +73,7 @@ def flights_needed(probability: float, doubt: float) -> int:
 
 
 def at_most(outside: int, flights: int, doubt: float) -> float:
-    """Upper bound on a probability (Clopper and Pearson 1934), wrong with a probability of at most `doubt`."""
+    """Upper bound on a probability (Clopper and Pearson 1934), wrong with one of at most `doubt`."""
     return 1.0 if outside >= flights else float(beta.ppf(1 - doubt, outside + 1, flights - outside))
 
 
@@ -113,8 +117,8 @@ def synthesize_sampled(
 
     Notes
     -----
-    The doubt ``1 - confidence`` is shared out among the attempts: a half to the first, a quarter to the second,
-    and so on, so that the statement holds though later attempts depend on earlier samples.
+    The doubt ``1 - confidence`` is shared out among the attempts: a half to the first, a quarter to the
+    second, and so on, so that the statement holds though later attempts depend on earlier samples.
     """
     known = [_anything(law) if isinstance(law, BlackBox) else law for law in experimental]
     proven = synthesize(scenario, safety, known, progress=progress, recourse=True)
@@ -133,7 +137,9 @@ def synthesize_sampled(
         if most <= probability:
             said = Statement(most, confidence, flights, left, seed, attempt + 1)
             found = replace(found, statement=said)
-            return Sampled(found, proven, falsify(found, attacks, seed))
+            hostile = simulate(found, min(attacks, BATCH), seed, initial="corners", disturbance="worst")
+            adverse = float(np.mean(outside(hostile) > 1))
+            return Sampled(found, proven, falsify(found, attacks, seed), adverse)
         laws = [replace(law, wider=law.wider * WIDEN) if isinstance(law, BlackBox) else law for law in laws]
     return Sampled(proven, proven, None)
 

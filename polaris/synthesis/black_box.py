@@ -1,8 +1,8 @@
 """A controller of which nothing is known but what it answers: its reachable sets come from samples.
 
-In every step that the box flies, each node's error is fitted as an affine function of the error at the start of
-the step, with a box for what is left over. Whether flights keep to these boxes is what sampled flights are asked
-(`polaris.simulation.sampled`); all else, between the nodes and after them, is proven. See docs/theory.md.
+In every step that the box flies, each node's error is fitted as an affine function of the error at the start
+of the step, with a box for what is left over. Whether flights keep to that is what sampled flights are asked
+(`polaris.simulation.sampled`); all else, between the nodes and after them, is proven (docs/theory.md).
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import astuple, dataclass, field
+from dataclasses import asdict, astuple, dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -55,7 +55,7 @@ class Step:
 
 @dataclass(frozen=True)
 class Statement:
-    """What samples say of the steps of black boxes: flights that nothing was fitted to, and how many left the sets.
+    """What samples say of the steps of black boxes, from flights that nothing was fitted to.
 
     Attributes
     ----------
@@ -144,7 +144,7 @@ class Schedule:
             estimate=problem.system.navigation.tolist(),
             thrusters=astuple(problem.system.thrusters),
             chaser=chaser_radius(problem.unsafe),
-            sampled=None if self.statement is None else astuple(self.statement),
+            sampled=None if self.statement is None else asdict(self.statement),
         )
         return *told, "arithmetic: in double precision, its round-off covered by booked tolerances"
 

@@ -46,7 +46,8 @@ def show_summary(summary: Mapping[str, Any], folder: str, console: Console | Non
     out.say(f"U flies {_share(synthesis)}.")
     if "proven_share" in synthesis:
         told = "proven for anything within the thrust limits instead of black boxes"
-        out.say(f"{synthesis['proven_share']:.1%} of the time is {told}{_worst(synthesis['worst_found'])}.")
+        out.say(f"{synthesis['proven_share']:.1%} of the time is {told}.")
+        out.say(_worst(synthesis["worst_found"]))
     out.say(f"Synthesis: {seconds['total']:.2f} s ({stages}).")
     proved = claim["kind"] != "none"
     out.say(f"Guarantee: {_claim(claim)}", "bold" if claim["kind"] == "proved" else RED)
@@ -75,15 +76,13 @@ def _planned(plan: Mapping[str, Any]) -> str:
 
 
 def _worst(found: Mapping[str, Any] | None) -> str:
-    """The worst that a search found with black boxes."""
+    """What flights at their worst do with black boxes."""
     if found is None:
-        return ""
-    told = (
-        "enter an unsafe set"
-        if found["violated"]
-        else f"come within {found['least']:.4g} of {found['limit']}"
-    )
-    return f"; the worst of {counted(found['runs'], 'flight')} searched for with them {told}"
+        return "Black boxes fly no step: nothing could be said of them with the probability asked for."
+    hit = "one enters an unsafe set" if found["violated"] else "none enters an unsafe set"
+    near = "" if found["least_m"] is None else f", least distance {found['least_m']:.4g} m"
+    leave = f"{found['leave_sets']:.1%} of flights at their worst leave the sets of black boxes"
+    return f"Of {counted(found['runs'], 'flight')} searched for the worst {hit}{near}; {leave}."
 
 
 def _claim(claim: Mapping[str, Any]) -> str:
