@@ -23,7 +23,7 @@ ORDERS = (12, 80, 400)
 """Generators per dimension that sets keep from one step to the next: what is tried in turn."""
 
 NETWORK_ORDER = 30
-"""The same to begin with where a network flies: fewer widen what turns, by more than a margin forgives."""
+"""The same to begin with where a network or a black box flies: fewer widen what turns, more than is forgiven."""
 
 NARROWER = ("controllers", "separation", "enclosures", "recoverable", "margins", "goal")
 """Claims that may fail because sets are wider than they need to be."""
@@ -73,7 +73,7 @@ class Argument:
         """
         path, confirmed = self.reference(), len(self.record.checked)
         flies = {self.document.laws[mode].kind for mode in self.document.modes}
-        for order in (NETWORK_ORDER, *ORDERS[1:]) if "neural" in flies else ORDERS:
+        for order in (NETWORK_ORDER, *ORDERS[1:]) if flies & {"neural", "black_box"} else ORDERS:
             merging = Merging(order)
             try:
                 self.flights(path, merging)

@@ -98,8 +98,8 @@ def _of_samples(
     most = f"{math.ceil(probability * 1e6) / 1e6:g}"
     doubt = f"{float(f'{1 - confidence:.12g}'):g}"
     return [
-        "black boxes: a flight drawn at random leaves the sets of their steps with a probability of at most"
-        f" {most}; that is wrong with a probability of {doubt} over the samples ({flights} flights,"
+        "black boxes: a flight drawn at random leaves the bands of their commands with a probability of at"
+        f" most {most}; that is wrong with a probability of {doubt} over the samples ({flights} flights,"
         f" {outside} outside, seed {seed}, attempt {attempts}); of flights that leave them nothing is known",
         "distribution: a flight's initial state is uniform in the generators of the initial set, its"
         " disturbance piecewise constant as simulated at random; flights are independent",

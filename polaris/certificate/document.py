@@ -274,7 +274,7 @@ class Document:
         if self.guarantee != "none" and any(boxes) == (self.guarantee == "proved"):
             raise Rejected("guarantee", f"{self.guarantee} is claimed; black boxes fly {sum(boxes)} steps")
         if any(row[-1] < 0 for fit in self.fits for node in fit or () for row in node):
-            raise ValueError("boxes of fits must not be negative")
+            raise ValueError("bands must not be negative")
         if self.statement and not 0 <= self.statement["outside"] <= self.statement["flights"] <= MOST_FLIGHTS:
             raise ValueError("more flights are outside than there are, or there are too many")
         if self.cells == self.steps and self.radius[-1] is None:

@@ -84,7 +84,7 @@ CERTIFICATE = {
     },
     "samples?": {
         **every(HEX, "probability confidence"), **every(Whole(), "flights outside seed attempts"),
-        "fits": grid("K", Either((None, grid("q n n+2")))),
+        "fits": grid("K", Either((None, grid("q m n+2")))),
     },
     "end": {"horizon": HORIZON, "until": Either((HEX, None)), "reason": TEXT},
 }

@@ -18,8 +18,6 @@ from .zonotopes import Merging, Zonotope
 
 GUESSES = 3
 """How often it is guessed how much is commanded in a period before all that there is is taken for it."""
-FIT_SLACK = 1e-9
-"""By how much the boxes of a fit are wider than they say: samples are known to rounding."""
 ROUNDS = 5
 """How often the range of a clipped command is narrowed by the thrust that it allows."""
 
@@ -36,7 +34,7 @@ class Pilot:
     Any are sound; None for those of the checker's own.
     """
     fits: list[list[Matrix] | None] = field(default_factory=list)
-    """By step, where samples of a black box say that errors are at the nodes after the first."""
+    """By step and period, the affine functions that samples of a black box say its commands are near."""
     _loops: dict[tuple[float, ...], Motion] = field(default_factory=dict, repr=False)
 
     @cached_property
@@ -106,6 +104,12 @@ class Pilot:
             command = self.policy.command(d, self.policy.known(base, k, i))
             push = Push.in_zonotope(plant.B, command.V)
             return Period(plant.loop(-command.K), plant.B * (command.c - u), push, most=command.most)
+        fit = self.fits[k] if self.law.kind == "black_box" else None
+        if fit is not None:
+            n, rows = d.c.nrows(), fit[i]
+            K, c = matrix([row[:n] for row in rows]), column([row[n] for row in rows])
+            push = Push.in_box(plant.B, [arb(row[n + 1]) for row in rows])
+            return Period(plant.loop(-K), plant.B * (c - u), push)
         found = self.clipped(_ranges(u, d.support(self.commands)))
         for _ in range(GUESSES if plant.thrusters else 0):
             guess = [
@@ -196,43 +200,6 @@ class Flown:
     spent: arb  # bound on the integral of the 1-norm of the thrust [N s]
 
 
-def _sampled(pilot: Pilot, d: Zonotope, u: arb_mat, fit: Matrix, start: Zonotope) -> Sampled:
-    """A period of a black box that ends where samples say, about the safe reference; its motion is proven."""
-    n, plant = d.c.nrows(), pilot.plant
-    M, c, r = matrix([row[:n] for row in fit]), column([row[n] for row in fit]), [row[n + 1] for row in fit]
-    end = start.image(M).moved(c).grown(diagonal([arb(x) * (1 + FIT_SLACK) for x in r]))
-    tops = [top + abs(x) for top, x in zip(plant.u_max, u.entries(), strict=True)]
-    return Sampled(plant.loop(arb_mat(len(tops), n)), arb_mat(n, 1), Push.in_box(plant.B, tops), told=end)
-
-
-@dataclass(frozen=True, eq=False)
-class Sampled(Period):
-    """Motion over one period under a held input within limits, to a set that is told, not derived."""
-
-    told: Zonotope | None = None
-
-    def ends(self, d: Zonotope) -> Zonotope:
-        """Where samples say that it ends, disturbance and all."""
-        assert self.told is not None
-        return self.told
-
-    def after(self, end: Zonotope) -> Zonotope:
-        """The same."""
-        return end
-
-    def extra(self, rows: arb_mat, d: Zonotope) -> tuple[list[arb], list[arb]]:
-        """Bounds on how far ``row d`` leaves the chord of its end values: what bends, and the disturbance.
-
-        The second derivative is ``A e^{A s} (A d + B v)`` with v held; what the disturbance has done counts
-        within the period and, as the chord ends where it has led, at its end.
-        """
-        assert self.push is not None
-        rates = d.image(self.motion.closed).grown(self.push.V * self.push.cover)
-        bend, last = self.motion.disturbance_along(rows)
-        most = sums(self.motion.bow(rows, rates), bend, last, last)
-        return most, most
-
-
 def fly(
     pilot: Pilot, start: Zonotope, k: int, path: Path, barrier: Barrier | None, merging: Merging
 ) -> Flown:
@@ -246,14 +213,12 @@ def fly(
     heights, bows = base.heights(rows), base.bows(rows)
     if barrier is not None:
         rows, room = above(rows, barrier.rows), base.room(barrier.rows, barrier.offsets)
-    entry = merging.reduced(start)
-    d = entry.moved(path.arcs[k].nodes[0] - base.nodes[0])
+    d = merging.reduced(start).moved(path.arcs[k].nodes[0] - base.nodes[0])
     lows: list[list[arb]] = [[] for _ in range(n)]
     highs: list[list[arb]] = [[] for _ in range(n)]
     spent = arb(0)
     for i in range(pilot.plant.q):
-        fit = pilot.fits[k] if pilot.law.kind == "black_box" else None
-        period = pilot.period(d, base, k, i) if fit is None else _sampled(pilot, d, base.u, fit[i], entry)
+        period = pilot.period(d, base, k, i)
         spent += pilot.spent(period, d, base.u)
         end, extra = period.ends(d), period.extra(rows, d)
         for place, z, more in ((i, d, extra[0]), (i + 1, end, extra[1])):

@@ -14,7 +14,7 @@ SLACK = 1e-9
 
 
 def check_statement(said: dict[str, Any]) -> str:
-    """Confirm the bound on the probability of leaving the sets, from the numbers of flights.
+    """Confirm the bound on the probability of leaving the bands, from the numbers of flights.
 
     Were it higher, so few flights outside would have at most the attempt's share of the doubt: a half of it
     for the first, a quarter for the second (Clopper and Pearson 1934). It trusts that they were flown.

@@ -306,7 +306,7 @@ class BlackBox(ScenarioPart):
     kind: Literal["black_box"] = unit("-", "Unknown controller that can be asked.")
     name: f.Name = unit("-", "Its name in tables and figures.")
     probability: f.Real = unit("-", default=0.01, ge=1e-5, le=0.5)
-    """With which a flight may leave the sets of the steps of all black boxes; the least one given counts."""
+    """With which a flight may leave the bands of all black boxes; the least one given counts."""
     confidence: f.Real = unit("-", default=0.999, ge=0.5, le=1 - 1e-9)
     """Of the statement that it is no more; the highest one given counts."""
     weight: f.Real = unit("-", "What a second of its use is worth to look_ahead.", default=1.0, gt=0, le=1e6)

@@ -1,7 +1,7 @@
-"""Schedules that rest on samples: how surely a flight keeps to the sets that black boxes were fitted with.
+"""Schedules that rest on samples: how surely the commands of black boxes keep to their bands.
 
 Everything is decided first: modes, sets, margins. Then flights that nothing was fitted to are drawn, and how
-many of them leave any fit is held against the asked probability by the exact binomial bound.
+many of them leave any band is held against the asked probability by the exact binomial bound.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from .run_metrics import Runs
 from .simulate import simulate
 
 ATTEMPTS = 4
-"""How often wider boxes are tried, with other flights each, before no statement is made."""
+"""How often wider bands are tried, with other flights each, before no statement is made."""
 WIDEN = 1.6
 """By how much they are wider each time."""
 SPARE = 8
-"""Flights that may leave their sets without a further attempt: what they cost is more flights."""
+"""Flights that may leave a band without a further attempt: what they cost is more flights."""
 BATCH = 1000
 """Flights at a time."""
 
@@ -46,8 +46,8 @@ class Sampled:
     worst : Falsification or None
         The worst that a search found with the boxes; None where none of them flies.
     adverse : float
-        Share of flights from corners of the initial set under worst-case disturbances that leave the boxes'
-        sets: what the statement, which is about flights drawn at random, says nothing of.
+        Share of flights from corners of the initial set under worst-case disturbances that leave a band:
+        what the statement, which is about flights drawn at random, says nothing of.
     """
 
     schedule: Schedule
@@ -57,9 +57,9 @@ class Sampled:
 
 
 def flights_needed(probability: float, doubt: float) -> int:
-    """Least number of flights of which `SPARE` may leave their sets, by the exact binomial distribution.
+    """Least number of flights of which `SPARE` may leave a band, by the exact binomial distribution.
 
-    Were the probability of leaving them higher than asked, no more than so many would leave them with a
+    Were the probability of leaving one higher than asked, no more than so many would leave one with a
     probability of at most `doubt`.
     """
     high = SPARE + 1
@@ -78,14 +78,15 @@ def at_most(outside: int, flights: int, doubt: float) -> float:
 
 
 def outside(runs: Runs) -> NDArray[np.float64]:
-    """How far each flight leaves the fitted sets, at its worst, shape (R,); above 1 it is outside."""
+    """How far each flight leaves the bands of its boxes, at its worst, shape (R,); above 1 it is outside."""
     schedule, most = runs.schedule, np.zeros(len(runs.states))
     q = schedule.safety.tracking.feedback.nodes_per_cell
     arcs = schedule.safety.reference.fine(q)
     for step in schedule.steps:
         if isinstance(step.tube, FittedSegment):
-            errors = runs.states[:, step.k * q : (step.k + 1) * q + 1] - arcs[step.k]
-            most = np.maximum(most, step.tube.outside(errors))
+            part = slice(step.k * q, (step.k + 1) * q)
+            errors = runs.states[:, part] - arcs[step.k, :-1]
+            most = np.maximum(most, step.tube.outside(errors, runs.inputs[:, part]))
     return np.asarray(most)
 
 
@@ -107,7 +108,7 @@ def synthesize_sampled(
     scenario, safety, experimental, progress
         As in `synthesize`.
     probability : float
-        With which a flight may leave the sets of the boxes' steps, all steps of a flight taken together.
+        With which a flight may leave a band in any step that a box flies.
     confidence : float
         Of the statement that it is no more; over the samples.
     seed : int

@@ -1,8 +1,8 @@
 """A controller of which nothing is known but what it answers: its reachable sets come from samples.
 
-In every step that the box flies, each node's error is fitted as an affine function of the error at the start
-of the step, with a box for what is left over. Whether flights keep to that is what sampled flights are asked
-(`polaris.simulation.sampled`); all else, between the nodes and after them, is proven (docs/theory.md).
+For every period of a step that the box flies, what it commands is fitted as an affine function of the error
+with a band about it. Whether commands keep to their bands is what sampled flights are asked
+(`polaris.simulation.sampled`); all else is proven of every admissible disturbance (docs/theory.md).
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from reach.networks.loop import held_step
 from reach.numerics.linear import discretize
 from reach.sets.zonotope import Zonotope
 from reach.tubes.flow import LinearFlow
@@ -22,8 +23,8 @@ from ..model.errors import ScenarioError
 from ..model.system import Array, LinearSystem
 from ..model.tolerances import ROUNDING
 from ..planning.reference import Reference
-from .controllers import ORDER, TubeSegment
-from .neural import check_exact
+from .controllers import TubeSegment
+from .neural import check_exact, reduced
 from .tracking import Tracking
 
 Ask = Callable[[float, Array, Array], Any]
@@ -32,29 +33,29 @@ Ask = Callable[[float, Array, Array], Any]
 SAMPLES = 400
 """Starts that shape the sets of a step; that these hold is asked of other flights."""
 
-WIDER = 1.1
-"""By how much the boxes are wider than what the samples leave over."""
+WIDER = 2.0
+"""By how much the bands are wider than what the samples leave over."""
 
 
 @dataclass(frozen=True, eq=False)
 class FittedSegment(TubeSegment):
-    """A tube fitted to samples.
+    """A tube of commands that were fitted to samples.
 
     Attributes
     ----------
-    fit : ndarray, shape (q, n, n + 2)
-        Errors at the nodes after the first are within ``fit[i, :, n + 1]`` of
-        ``fit[i, :, :n] e + fit[i, :, n]``, e that at the start.
+    fit : ndarray, shape (q, m, n + 2)
+        What is applied from node i on is within ``fit[i, :, n + 1]`` of ``fit[i, :, :n] e + fit[i, :, n]``, e
+        the error there.
     """
 
     fit: Array | None = None
 
-    def outside(self, errors: Array) -> Array:
-        """How far errors at the nodes (R, q+1, n) are from the fit, in units of its boxes, shape (R,)."""
+    def outside(self, errors: Array, inputs: Array) -> Array:
+        """How far inputs (R, q, m) at errors (R, q, n) are off, in units of their bands, shape (R,)."""
         assert self.fit is not None
         n = errors.shape[-1]
-        told = np.einsum("iab,rb->ria", self.fit[..., :n], errors[:, 0]) + self.fit[..., n]
-        return np.asarray((np.abs(errors[:, 1:] - told) / self.fit[..., n + 1]).max(axis=(1, 2)))
+        told = np.einsum("iab,rib->ria", self.fit[..., :n], errors) + self.fit[..., n]
+        return np.asarray((np.abs(inputs - told) / self.fit[..., n + 1]).max(axis=(1, 2)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +76,7 @@ class BlackBox:
         See `Ask`; what it answers depends on what it is asked alone (it has no memory from one period to the
         next, nor from one flight to another).
     wider : float
-        Scale of the boxes, see `WIDER`.
+        Scale of the bands, see `WIDER`.
     seed : int
         Of the samples.
 
@@ -124,50 +125,45 @@ class BlackBox:
         return LinearFlow.continuous(system.A, system.D, system.w_max, self.tracking.flow.h)
 
     def fly(self, start: Zonotope, k: int) -> FittedSegment:
-        """What samples say of the reachable set over step k; between the nodes it is proven."""
-        system, n, xi = self.system, self.system.n, self.reference.fine(self._q)[k]
-        errors = self._sampled(start, k) - xi
-        known = errors[:, 0] - start.c
-        scale = np.maximum(np.abs(known).max(axis=0), 1e-300)
-        base = np.hstack([known / scale, np.ones((len(known), 1))])
-        fit = np.empty((self._q, n, n + 2))
-        for i, node in enumerate(errors.swapaxes(0, 1)[1:]):
-            solved = np.linalg.lstsq(base, node, rcond=1e-10)[0]
-            fit[i, :, :n] = (solved[:n] / scale[:, None]).T
-            fit[i, :, n] = solved[n] - fit[i, :, :n] @ start.c
-            left = np.abs(node - base @ solved).max(axis=0)
-            fit[i, :, n + 1] = self.wider * left + ROUNDING * (np.abs(xi[i + 1]).max() + np.abs(node).max())
-        nodes = [start]
-        for M, c, r in zip(fit[..., :n], fit[..., n], fit[..., n + 1], strict=True):
-            nodes.append((M @ start + c).inflate(r))
-        stack = Zonotope.stack(nodes)
-        # x'' = e^{A s} A (A e + B (u - nu)); the disturbance counts at both ends and between them.
-        spread = system.u_max + np.abs(self.reference.nu[k])
-        turned = (system.A @ system.A) @ stack[:-1]
-        bend = np.abs(turned.c) + turned.half_widths + np.abs(system.A @ system.B) @ spread
-        bow = self.flow.h**2 / 8 * bend @ self.flow.growth.T + 2 * self.flow.period_box
-        end = nodes[-1].inflate(self.reference.rounding[k]).reduce(ORDER)
-        return FittedSegment(stack, bow + self.reference.rounding[k], end, fit=fit)
+        """The reachable set over step k of all that commands within the bands, under any disturbance."""
+        system, fit = self.system, self._fitted(start, k)
+        n, rounding = system.n, self.reference.rounding[k]
+        nodes, bows = [start], []
+        for row in fit:
+            e, K, c, r = nodes[-1], row[:, :n], row[:, n], row[:, n + 1]
+            G = np.hstack([K @ e.G, np.diag(r)])
+            after, bow = held_step(self.flow, system.B, e, Zonotope(K @ e.c + c - self.reference.nu[k], G))
+            nodes.append(reduced(after))
+            bows.append(bow + rounding)
+        end = reduced(nodes[-1].inflate(rounding))
+        return FittedSegment(Zonotope.stack(nodes), np.array(bows), end, fit=fit)
 
     @property
     def _q(self) -> int:
         return self.tracking.feedback.nodes_per_cell
 
-    def _sampled(self, start: Zonotope, k: int) -> Array:
-        """States at the nodes of step k from all over a set, its corners too, shape (R, q+1, n)."""
-        system, rng = self.system, np.random.default_rng([self.seed, k])
+    def _fitted(self, start: Zonotope, k: int) -> Array:
+        """Affine functions and bands about what is commanded from all over a set, its corners too."""
+        system, rng, n = self.system, np.random.default_rng([self.seed, k]), self.system.n
         b = rng.uniform(-1, 1, (SAMPLES, start.order_count))
         b[::2] = np.sign(b[::2])
-        tips = start.support_vector(np.vstack([np.eye(system.n), -np.eye(system.n)]))
-        xi = self.reference.fine(self._q)[k]
-        path = [xi[0] + np.vstack([start.c + b @ start.G.T, tips])]
+        tips = start.support_vector(np.vstack([np.eye(n), -np.eye(n)]))
+        e = np.vstack([start.c + b @ start.G.T, tips])
         Ad, Bd = discretize(system.A, system.B, self.flow.h)
         Dd = discretize(system.A, system.D, self.flow.h)[1]
-        w = rng.normal(size=(self._q, len(path[0]), system.p))
+        w = rng.normal(size=(self._q, len(e), system.p))
         w[:, ::3] = w[:1, ::3]  # the same way all along
         w *= system.w_max / np.maximum(np.linalg.norm(w, axis=2, keepdims=True), 1e-300)
-        for i in range(self._q):
-            raw = self.command(k, xi[i], xi[i], path[-1], i * self.flow.h)
-            u = np.clip(raw, -system.u_max, system.u_max)
-            path.append(path[-1] @ Ad.T + u @ Bd.T + w[i] @ Dd.T)
-        return np.stack(path, axis=1)
+        fit = np.empty((self._q, system.m, n + 2))
+        for i, xi in enumerate(self.reference.fine(self._q)[k, :-1]):
+            u = np.clip(self.command(k, xi, xi, e + xi, i * self.flow.h), -system.u_max, system.u_max)
+            middle = e.mean(axis=0)
+            scale = np.maximum(np.abs(e - middle).max(axis=0), 1e-300)
+            base = np.hstack([(e - middle) / scale, np.ones((len(e), 1))])
+            solved = np.linalg.lstsq(base, u, rcond=1e-9)[0]
+            K = (solved[:n] / scale[:, None]).T
+            left = np.abs(u - base @ solved).max(axis=0)
+            book = ROUNDING * (system.u_max + np.abs(K) @ (np.abs(xi) + np.abs(e).max(axis=0)))
+            fit[i] = np.column_stack([K, solved[n] - K @ middle, self.wider * left + book])
+            e = e @ Ad.T + (u - self.reference.nu[k]) @ Bd.T + w[i] @ Dd.T
+        return fit

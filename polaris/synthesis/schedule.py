@@ -55,12 +55,12 @@ class Step:
 
 @dataclass(frozen=True)
 class Statement:
-    """What samples say of the steps of black boxes, from flights that nothing was fitted to.
+    """What samples say of the steps of black boxes, from flights that no band was fitted to.
 
     Attributes
     ----------
     probability : float
-        With which a flight leaves them at most.
+        With which a flight leaves a band at most.
     confidence : float
         With which that is so, over the samples.
     flights, outside : int
@@ -68,7 +68,7 @@ class Statement:
     seed : int
         Of the samples.
     attempts : int
-        Sets that were tried in turn, each wider.
+        Bands that were tried in turn, each wider.
     """
 
     probability: float

@@ -82,46 +82,36 @@ def test_the_bound_is_wrong_no_more_often_than_it_says():
 # -- sets -------------------------------------------------------------------------------------------
 
 
-def test_what_keeps_to_the_fit_keeps_to_the_tube_between_the_nodes():
+def test_what_keeps_to_the_bands_keeps_to_the_tube_between_the_nodes():
     law, rng = box(), np.random.default_rng(0)
     start, k = Zonotope.box(np.zeros(4), [0.06, 0.05, 0.02, 0.02]), 2
     tube = law.fly(start, k)
-    system, q, h = law.system, 4, PERIOD
-    x = law.reference.fine(q)[k, 0] + rng.uniform(-1, 1, (300, 4)) @ start.G.T
-    parts, xi = 8, law.reference.fine(8 * q)[k]
-    Ad, Bd = discretize(system.A, system.B, h / parts)
-    Dd = discretize(system.A, system.D, h / parts)[1]
-    errors, between = [x - xi[0]], []
-    for i in range(q):
-        asked = law.command(k, xi[i * parts], xi[i * parts], x, i * h)
-        u = np.clip(asked, -system.u_max, system.u_max)
-        for part in range(parts):
-            w = rng.normal(size=(len(x), system.p))
-            w *= system.w_max / np.linalg.norm(w, axis=1, keepdims=True)
-            x = x @ Ad.T + u @ Bd.T + w @ Dd.T
-            between.append((i, (part + 1) / parts, x - xi[i * parts + part + 1]))
-        errors.append(x - xi[(i + 1) * parts])
-    kept = tube.outside(np.stack(errors, axis=1)) <= 1
-    assert np.mean(kept) > 0.9
+    system, q, parts = law.system, 4, 8
+    xi = law.reference.fine(parts * q)[k]
+    x = xi[0] + rng.uniform(-1, 1, (200, 4)) @ start.G.T
+    Ad, Bd = discretize(system.A, system.B, PERIOD / parts)
+    Dd = discretize(system.A, system.D, PERIOD / parts)[1]
     rows = rng.normal(size=(40, 4))
     support = tube.nodes.support(rows)
-    for i, s, e in between:
-        most = (1 - s) * support[i] + s * support[i + 1] + tube.bow[i] @ np.abs(rows).T
-        assert np.all(e[kept] @ rows.T <= most + 1e-9)
+    for i in range(q):
+        asked = law.command(k, xi[i * parts], xi[i * parts], x, i * PERIOD)
+        K, c, r = tube.fit[i, :, :4], tube.fit[i, :, 4], tube.fit[i, :, 5]
+        told = (x - xi[i * parts]) @ K.T + c
+        u = np.clip(np.clip(asked, -system.u_max, system.u_max), told - r, told + r)
+        u[::2] = told[::2] + rng.choice([-1.0, 1.0], u[::2].shape) * r  # at the edge of the bands
+        w = rng.normal(size=(len(x), system.p))
+        w *= system.w_max / np.linalg.norm(w, axis=1, keepdims=True)
+        for part in range(1, parts + 1):
+            x = x @ Ad.T + u @ Bd.T + w @ Dd.T
+            s, e = part / parts, x - xi[i * parts + part]
+            most = (1 - s) * support[i] + s * support[i + 1] + tube.bow[i] @ np.abs(rows).T
+            assert np.all(e @ rows.T <= most + 1e-9)
 
 
-def test_an_affine_box_without_disturbance_is_fitted_to_rounding():
-    scene = document()
-    scene["system"] |= {"disturbance_max": 0.0}
-    part = polaris.get_safety(ScheduleScenario.from_dict(scene))
-    law = BlackBox(
-        "box", part.problem.system, part.reference, part.tracking, lambda t, x, xi: 0.3 * (xi - x)[:, :2]
-    )
+def test_an_affine_box_is_fitted_to_rounding():
+    law = box(lambda t, x, xi: 0.3 * (xi - x)[:, :2])
     tube = law.fly(Zonotope.box(np.zeros(4), [0.05, 0.05, 0.01, 0.0]), 1)
-    system = law.system
-    Ad, Bd = discretize(system.A, system.B, PERIOD)
-    loop = Ad - 0.3 * Bd @ np.eye(4)[:2]
-    assert_allclose(tube.fit[1, :, :3], (loop @ loop)[:, :3], atol=1e-9)
+    assert_allclose(tube.fit[1, :, :3], -0.3 * np.eye(4)[:2, :3], atol=1e-9)
     assert np.all(tube.fit[..., 5] < 1e-7)
 
 
@@ -165,7 +155,7 @@ def started(schedule, x):
 
 
 def test_a_rare_fault_is_within_what_is_said_and_not_found():
-    """In 0.1 % of the initial set the box is wrong: what is said of 2 % holds; of that strip it says nothing."""
+    """In 0.1 % of the initial set the box is wrong: 2 % hold; of that strip nothing is said."""
     found = sampled(faulty(5e-5), probability=0.02)
     schedule, said = found.schedule, found.schedule.statement
     assert schedule.modes[0] == 1 and schedule.share() > 0.8 and said.outside <= SPARE
@@ -242,7 +232,7 @@ def _later_attempt(data):
 def _wider(data):
     for fit in filter(None, data["samples"]["fits"]):
         for row in fit[1]:
-            row[-1] = (float.fromhex(row[-1]) * 40).hex()
+            row[-1] = (float.fromhex(row[-1]) * 4000).hex()
 
 
 def _another_step(data):

@@ -81,7 +81,7 @@ def _worst(found: Mapping[str, Any] | None) -> str:
         return "Black boxes fly no step: nothing could be said of them with the probability asked for."
     hit = "one enters an unsafe set" if found["violated"] else "none enters an unsafe set"
     near = "" if found["least_m"] is None else f", least distance {found['least_m']:.4g} m"
-    leave = f"{found['leave_sets']:.1%} of flights at their worst leave the sets of black boxes"
+    leave = f"{found['leave_sets']:.1%} of flights at their worst leave the bands of black boxes"
     return f"Of {counted(found['runs'], 'flight')} searched for the worst {hit}{near}; {leave}."
 
 
