@@ -23,7 +23,7 @@ ORDERS = (12, 80, 400)
 """Generators per dimension that sets keep from one step to the next: what is tried in turn."""
 
 NETWORK_ORDER = 30
-"""The same to begin with where a network or a black box flies: fewer widen what turns, more than is forgiven."""
+"""The same to begin with where a network or a black box flies: fewer widen too much what turns."""
 
 NARROWER = ("controllers", "separation", "enclosures", "recoverable", "margins", "goal")
 """Claims that may fail because sets are wider than they need to be."""
