@@ -232,7 +232,7 @@ def _later_attempt(data):
 def _wider(data):
     for fit in filter(None, data["samples"]["fits"]):
         for row in fit[1]:
-            row[-1] = (float.fromhex(row[-1]) * 4000).hex()
+            row[-1] = (1.0).hex()
 
 
 def _another_step(data):

@@ -39,6 +39,12 @@ NOT_PROVEN = (
 )
 
 
+SAMPLED = (
+    "What a proven schedule claims, of all flights but for the share that the assumption on black boxes names: "
+    "their steps rest on samples"
+)
+
+
 def run_page(folder: RunFolder) -> Page:
     """The report of a run folder."""
     summary = folder.summary
@@ -52,7 +58,7 @@ def run_page(folder: RunFolder) -> Page:
     ]
     return Page(
         str(summary["title"]),
-        ("" if proved else loud(recoverable)) + answers(summary, picture),
+        (loud(recoverable) if claim["kind"] == "none" else "") + answers(summary, picture),
         (
             ("numbers", "Metrics", metrics(summary)),
             ("guarantee", "The guarantee", guarantee(claim, recoverable)),
@@ -82,7 +88,7 @@ def answers(summary: Mapping[str, Any], picture: Picture) -> str:
     if "safety" in summary:
         cost += f"; S alone {Measure.of('delta_v_m_s').text(summary['safety']['delta_v_m_s'])}"
     cards = (
-        ("Is it safe?", badge(claim["kind"]), reach(claim) if proved else "no claim"),
+        ("Is it safe?", badge(claim["kind"]), reach(claim) if claim["kind"] != "none" else "no claim"),
         ("Does it arrive?", *arrives),
         ("What does it cost?", Measure.of("delta_v_m_s").text(flown["delta_v_m_s"]), cost),
         (
@@ -157,8 +163,12 @@ def synthesis(summary: Mapping[str, Any]) -> str:
 
 
 def reach(claim: Mapping[str, Any]) -> str:
-    """How far a proved schedule's claim goes, in words."""
+    """How far a schedule's claim goes, in words."""
     until = claim.get("until_s")
+    if "statement" in claim:
+        most = directed(claim["statement"]["probability"], ".2g", up=True)
+        proven = {key: value for key, value in claim.items() if key != "statement"}
+        return f"{reach(proven)}, but for at most {most} of all flights"
     if claim.get("horizon") == "infinite":
         return "for all time"
     if claim.get("horizon") == "one_period" and until is not None:
@@ -168,6 +178,8 @@ def reach(claim: Mapping[str, Any]) -> str:
 
 def guarantee(claim: Mapping[str, Any], recoverable: str) -> str:
     """The section of an ordinary run folder, from ``summary.json``."""
+    if claim["kind"] == "statistical":
+        return other_guarantee(claim | {"reason": SAMPLED}, (NO_GOAL, *NOT_PROVEN))
     if claim["kind"] != "proved":
         nothing = items(("Anything.", NO_GOAL, NOT_PROVEN[0]))
         return f"{loud(recoverable)}\n{_part('What is not proven', nothing)}"
