@@ -194,13 +194,13 @@ class NeuralController:
                 after, bow, command = self.loop.step(nodes[-1], read[k, i], -mu, off[k, i])
                 open_ = np.abs(command.G[:, nodes[-1].order_count :]).sum(axis=1)
                 wider = np.abs(self.loop.flow.input_map(self.system.B)) @ open_ * WIDER
-                nodes.append(_reduced(after.inflate(wider + self.booked)))
+                nodes.append(reduced(after.inflate(wider + self.booked)))
                 bows.append(bow + wider)
         except Unresolved as error:
             q, n = self.feedback.nodes_per_cell, self.system.n
             return TubeSegment(Zonotope.stack([start] * (q + 1)), np.zeros((q, n)), start, str(error))
         rounding = self.reference.rounding[k] + self.own.rounding[k]
-        end = _reduced(nodes[-1].inflate(rounding))
+        end = reduced(nodes[-1].inflate(rounding))
         return TubeSegment(Zonotope.stack(nodes), np.array(bows) + rounding, end)
 
     def commanded(self, nodes: Zonotope, bow: Array, k: int) -> tuple[Array, Array]:
@@ -227,6 +227,6 @@ def check_exact(system: LinearSystem) -> None:
         )
 
 
-def _reduced(z: Zonotope) -> Zonotope:
+def reduced(z: Zonotope) -> Zonotope:
     """With few generators, if it has too many: reducing wraps what turns, so it is done late and by much."""
     return z if z.order_count <= ORDER * z.dim else z.reduce(ORDER / 3)
