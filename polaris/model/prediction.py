@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from reach.tubes.flow import LinearFlow
 
+from .errors import ScenarioError
 from .system import Array, LinearSystem
+from .timing import Timing
 
 PARTS = 32
 """Parts of a prediction over each of which integrals are bounded by the trapezoid rule."""
@@ -29,3 +33,25 @@ def prediction_error(system: LinearSystem, estimate: Array, thruster: Array, tau
     pushed = flow.disturbance_support(np.eye(system.n), PARTS)[-1]
     carried = np.abs(np.linalg.matrix_power(flow.phi, PARTS)) @ estimate
     return np.asarray((carried + pushed) * (1 + ROUNDED))
+
+
+def predicting(system: LinearSystem, timing: Timing, period: float | None) -> LinearSystem:
+    """The system whose controllers act on predictions, of every age that may occur.
+
+    Raises
+    ------
+    ScenarioError
+        If the system is so unstable that nothing bounds a prediction.
+    """
+    if not timing.predicts:
+        return replace(system, timing=timing)
+    worst, ages = (
+        system.thrusters.error(system.u_max),
+        timing.delay + (period or 0.0) * np.arange(timing.missed + 1),
+    )
+    with np.errstate(over="ignore", invalid="ignore"):
+        errors = [prediction_error(system, system.navigation, worst, age) for age in ages.tolist()]
+    if not np.all(np.isfinite(errors)):
+        rule = f"is too long for this system: a prediction over {ages[-1]:g} s has no bound"
+        raise ScenarioError("timing.delay_s", timing.delay, rule)
+    return replace(system, estimate_error=np.max(errors, axis=0), timing=timing)

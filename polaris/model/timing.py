@@ -24,7 +24,7 @@ class Timing:
     clock : float
         How far the schedule's clock may be from that of the unsafe sets [s].
     measured : tuple of float
-        Bounds on the errors of the measured states, before prediction; empty where there are none.
+        Bounds on the errors of the measured states, before prediction.
     """
 
     delay: float = 0.0

@@ -101,7 +101,8 @@ class Schedule:
             satellites=any(isinstance(unsafe, SatelliteObstacle) for unsafe in problem.unsafe),
             horizon=end.horizon,
             until=end.until if np.isfinite(end.until) else None,
-            estimate=problem.system.navigation.tolist(),
+            estimate=problem.system.timing.measured or problem.system.navigation.tolist(),
+            timing=astuple(problem.system.timing)[:3],
             thrusters=astuple(problem.system.thrusters),
             chaser=chaser_radius(problem.unsafe),
         )
