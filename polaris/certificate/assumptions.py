@@ -43,14 +43,14 @@ def assumptions(
     estimate : iterable of float
         Bounds on the errors of the states' estimates, before any prediction.
     timing : iterable of float
-        Delay [s], periods that may be missed, and difference of clocks [s]; empty where there is none.
+        Delay [s], jitter [s], periods that may be missed, difference of clocks [s]; empty for none.
     thrusters : iterable of float
         Errors of what is applied: as a share of the command, of the 2-norm of all, and whatever is commanded.
     chaser : float
         Radius of the chaser [m]; 0 for a point.
     """
     errors = list(estimate)
-    delay, missed, clock = list(timing) or (0.0, 0, 0.0)
+    delay, jitter, missed, clock = list(timing) or (0.0, 0.0, 0, 0.0)
     predicted = delay > 0 or missed > 0
     seen = "an estimate of the state" if any(errors) else "the exact state"
     seen = "a prediction of the state" if predicted else seen
@@ -63,7 +63,8 @@ def assumptions(
     applied = list(thrusters)
     off = " + ".join(f"{x:g} {of}" for x, of in zip(applied, ("|u_i|", "norm(u, 2)", "N"), strict=False) if x)
     late = f"timing: commands take effect {delay:g} s after the measurement they rest on"
-    late += f", or up to {missed} periods later" if missed else ""
+    late += f", {jitter:g} s earlier or later from the second on" if jitter else ""
+    late += f", at most {missed} periods in a row without a new one" if missed else ""
     late += "; what is commanded meanwhile is known, and the model holds before the start as well"
     started = f"schedule and reference count from the same instant, unsafe sets from within {clock:g} s of it"
     exact = "exact; schedule, reference and unsafe sets count from the same instant"
@@ -90,7 +91,7 @@ def assumptions(
             if any(applied)
             else []
         ),
-        *([late] if predicted else []),
+        *([late] if predicted or jitter > 0 else []),
         f"clocks: {started if clock > 0 else exact}",
         "experimental controllers: each obeys its declared model",
         fuel,

@@ -132,8 +132,8 @@ def _check_thrusters(document: Document, scenario: dict[str, Any]) -> None:
         raise Rejected("system", "a misalignment needs Hill's frame")
     rounding = bit / (2 * arb(document.delta) / document.q)
     wanted = most - 1, turned, rounding * (most + turned * arb(len(document.u_max)).sqrt())
-    stored = document.thrusters or [0.0] * 3
-    for name, least, found in zip(("along", "across", "of the bit"), wanted, stored, strict=True):
+    names = ("along", "across", "of the bit")
+    for name, least, found in zip(names, wanted, document.prompt_thrusters, strict=True):
         require("system", found - least + least * ROUNDED, f"error of the thrusters {name}: {found}")
 
 

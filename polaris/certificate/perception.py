@@ -11,7 +11,7 @@ from typing import Any
 
 from flint import arb
 
-from .balls import absolute_dot, cross, dot, largest, require
+from .balls import absolute, absolute_dot, column, cross, dot, largest, matrix, norms, require
 from .document import Document, UnsafeSet
 from .satellites import Satellite
 from .verdict import Rejected
@@ -32,10 +32,11 @@ def check_unsafe(document: Document, scenario: dict[str, Any]) -> int:
     if document.chaser_radius != radius:
         told = f"the chaser's radius is {document.chaser_radius} in the certificate, {radius} in the scenario"
         raise Rejected("unsafe_sets", told)
-    clock = arb(scenario.get("timing", {}).get("clock_error_s", 0.0))
+    clock = arb(document.timing.get("clock", 0.0))  # compared before, as what jitter displaces
+    moved = norms((absolute(matrix(document.C)) * column(document.displaced)).transpose())[0]
     obstacles, kept = (
         [
-            _grown(document, spec, sign * radius + clock * _speed(spec, clock))
+            _grown(document, spec, sign * (radius + moved) + clock * _speed(spec, clock))
             for spec in scenario.get(key, ())
         ]
         for key, sign in (("obstacles", arb(1)), ("keep_in", arb(-1)))

@@ -74,7 +74,7 @@ SCENARIO = {
     },
     "timing?": {
         "delay_s?": Real(least=0, most=1e4), "missed_periods?": Whole(0, 1000),
-        "clock_error_s?": NOT_NEGATIVE,
+        **every(NOT_NEGATIVE, "jitter_s? clock_error_s?"),
     },
     "chaser?": {"radius_m": NOT_NEGATIVE},
     "feedback?": Kinds({"continuous": {}, "sampled": {"period_s": POSITIVE}}),

@@ -48,12 +48,12 @@ class Obstacle(ABC):
         rule = f"must be left out: {type(self).__name__} does not say how it grows (_grown)"
         raise ScenarioError("chaser.radius_m", radius, rule)
 
-    def at_any_time(self, clock: float) -> Self:
-        """A set that contains this one at every time within `clock` [s] of the one that is asked for."""
+    def blurred(self, clock: float, moved: float) -> Self:
+        """The set at every time within `clock` [s] of the one that is asked for, grown by `moved` [m]."""
         if clock > 0:
             rule = f"must be 0: where {self.path} is at another time is not bounded"
             raise ScenarioError("timing.clock_error_s", clock, rule)
-        return self
+        return self._grown(moved) if moved > 0 else self
 
     @property
     def path(self) -> str:
@@ -154,10 +154,9 @@ class Anchored(Obstacle):
     def _v(self) -> Array:
         return np.zeros(len(self.anchor))
 
-    def at_any_time(self, clock: float) -> Self:
-        """The set grown by how far it moves meanwhile."""
-        moved = clock * float(np.linalg.norm(self._v)) * (1 + ROUNDING)
-        return self._grown(moved) if moved > 0 else self
+    def blurred(self, clock: float, moved: float) -> Self:
+        """Grown by how far it moves meanwhile, too."""
+        return super().blurred(0.0, moved + clock * float(np.linalg.norm(self._v)) * (1 + ROUNDING))
 
     def motion(
         self, t: ArrayLike, system: LinearSystem | None = None, state: ArrayLike | None = None

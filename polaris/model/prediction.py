@@ -1,10 +1,11 @@
-"""How far the state that flight software predicts may be from the true one."""
+"""How far the state that flight software predicts may be from the true one, and what instants add."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 import numpy as np
+from scipy.linalg import expm
 
 from reach.tubes.flow import LinearFlow
 
@@ -35,23 +36,53 @@ def prediction_error(system: LinearSystem, estimate: Array, thruster: Array, tau
     return np.asarray((carried + pushed) * (1 + ROUNDED))
 
 
+def jitter_error(system: LinearSystem, jitter: float, h: float) -> tuple[float, Array]:
+    """What commands add that take effect up to `jitter` [s] early or late, renewed every h [s].
+
+    An error of every input [N], and a displacement (n,) that does not add up (docs/theory.md, Lemma 26):
+    as much impulse at the same place is spread over a period about the instant.
+
+    Raises
+    ------
+    ScenarioError
+        If inputs that are linear in time cannot do that: too few of them for the states.
+    """
+    if not jitter > 0:
+        return 0.0, np.zeros(system.n)
+    A, B, n, m, reach = system.A, system.B, system.n, system.m, h / 2 + jitter
+    block = np.zeros((3 * n, 3 * n))
+    block[:n, :n], block[:n, n : 2 * n], block[n : 2 * n, 2 * n :] = -A, np.eye(n), np.eye(n)
+    once, twice = (expm(block * h)[:n, i * n : (i + 1) * n] for i in (1, 2))
+    moments = expm(A * h / 2) @ np.hstack([once @ B, (once - 2 / h * twice) @ B])
+    if np.linalg.matrix_rank(moments) < n:
+        rule = "must be 0 for a system with less than half as many inputs as states, or none that act on some"
+        raise ScenarioError("timing.jitter_s", jitter, rule)
+    inverse, over = np.linalg.pinv(moments), expm(np.abs(A) * reach) @ np.abs(B)
+    shape = np.abs(inverse @ B) + jitter * np.abs(inverse @ A @ B)
+    shape += jitter**2 / 2 * np.abs(inverse) @ np.abs(A) @ np.abs(A) @ over
+    impulse = jitter * (2 * system.u_max + system.thrusters.error(system.u_max))
+    spread = np.maximum((shape[:m] + shape[m:]) @ impulse, impulse / h) * (1 + ROUNDED)
+    return float(spread.max()), np.asarray(over @ spread * reach * (1 + ROUNDED))
+
+
 def predicting(system: LinearSystem, timing: Timing, period: float | None) -> LinearSystem:
-    """The system whose controllers act on predictions, of every age that may occur.
+    """The system whose controllers act on predictions, of every age that may occur, and with jitter.
 
     Raises
     ------
     ScenarioError
         If the system is so unstable that nothing bounds a prediction.
     """
-    if not timing.predicts:
-        return replace(system, timing=timing)
-    worst, ages = (
-        system.thrusters.error(system.u_max),
-        timing.delay + (period or 0.0) * np.arange(timing.missed + 1),
-    )
+    h, exact = period or 0.0, system.thrusters
+    bit, moved = jitter_error(system, timing.jitter, h)
+    measured, displaced = tuple(system.navigation.tolist()), tuple(moved.tolist())
+    timing = replace(timing, bit=exact.bit, measured=measured, displaced=displaced)
+    system = replace(system, timing=timing, thrusters=replace(exact, bit=exact.bit + bit))
+    worst, ages = system.thrusters.error(system.u_max), timing.delay + h * np.arange(timing.missed + 1)
+    known = system.navigation + moved
     with np.errstate(over="ignore", invalid="ignore"):
-        errors = [prediction_error(system, system.navigation, worst, age) for age in ages.tolist()]
+        errors = [prediction_error(system, known, worst, age) for age in ages.tolist()]
     if not np.all(np.isfinite(errors)):
         rule = f"is too long for this system: a prediction over {ages[-1]:g} s has no bound"
         raise ScenarioError("timing.delay_s", timing.delay, rule)
-    return replace(system, estimate_error=np.max(errors, axis=0), timing=timing)
+    return replace(system, estimate_error=np.max(errors, axis=0))

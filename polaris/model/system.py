@@ -147,6 +147,20 @@ class LinearSystem:
         """Whether laws see the exact state, and what they command is what is applied."""
         return self.thrusters.exact and not np.any(self.navigation)
 
+    @property
+    def displaced(self) -> Array:
+        """How far each state may be, because of jitter, from where all sets say it is, shape (n,)."""
+        return np.array(self.timing.displaced or np.zeros(self.n))
+
+    @property
+    def prompt(self) -> LinearSystem:
+        """The same system if commands took effect at once: with the errors of measurements."""
+        timing, own = self.timing, self.thrusters
+        if timing == Timing():
+            return self
+        own, measured = replace(own, bit=timing.bit), np.array(timing.measured)
+        return replace(self, estimate_error=measured, thrusters=own, timing=Timing())
+
     def as_ideal(self) -> LinearSystem:
         """The same system without errors of estimates and thrusters."""
         return (

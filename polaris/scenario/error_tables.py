@@ -77,6 +77,8 @@ class Timing(ScenarioPart):
     delay_s: f.Real = unit("s", default=0.0, ge=0, le=1e4)
     """From a measurement, within the bounds of `[navigation]`, until the command that rests on it takes
     effect; more than a period, too."""
+    jitter_s: f.NonNegative = unit("s", default=0.0)
+    """How much earlier or later it may be, each time; at most half a period. Needs sampled feedback."""
     missed_periods: f.Whole = unit("-", default=0, ge=0, le=1000)
     """Periods in a row for which there may be no new measurement or command: commands for so many periods
     ahead are sent each time. Needs sampled feedback."""
@@ -86,13 +88,16 @@ class Timing(ScenarioPart):
 
     def build(self, system: LinearSystem, period: float | None) -> LinearSystem:
         """The system, its controllers acting on predictions."""
-        if self.missed_periods and period is None:
-            rule = "needs sampled feedback (feedback.kind = 'sampled')"
-            raise ScenarioError("timing.missed_periods", self.missed_periods, rule)
-        given = self.delay_s, self.missed_periods, self.clock_error_s
-        if not any(given):
-            return system
-        return predicting(system, Delays(*given, tuple(system.navigation.tolist())), period)
+        for name in ("jitter_s", "missed_periods"):
+            if (value := getattr(self, name)) and period is None:
+                raise ScenarioError(
+                    f"timing.{name}", value, "needs sampled feedback (feedback.kind = 'sampled')"
+                )
+        if period is not None and self.jitter_s > period / 2:
+            rule = f"must be at most half of the period of {period:g} s"
+            raise ScenarioError("timing.jitter_s", self.jitter_s, rule)
+        given = Delays(self.delay_s, self.jitter_s, self.missed_periods, self.clock_error_s)
+        return system if given == Delays() else predicting(system, given, period)
 
 
 class Chaser(ScenarioPart):

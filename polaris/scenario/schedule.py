@@ -15,6 +15,7 @@ from reach.sets.zonotope import Zonotope
 
 from ..model.checks import counted
 from ..model.system import LinearSystem
+from ..model.tolerances import ROUNDING
 from . import rules
 from .base import Scenario, kept
 from .fields import whole_parts
@@ -104,9 +105,9 @@ class ScheduleScenario(Scenario):
     def obstacles(self) -> tuple[Obstacle, ...]:
         """Unsafe sets of the perception oracle, grown by the chaser: obstacles first, then keep-in sets."""
         radius = 0.0 if self.model.chaser is None else self.model.chaser.radius_m
-        clock = 0.0 if self.model.timing is None else self.model.timing.clock_error_s
-        parts = (part.build(path) for path, part in self.model.scene_parts())
-        return tuple(part.at_any_time(clock).grown(radius) for part in parts)
+        system, parts = self.system(), (part.build(path) for path, part in self.model.scene_parts())
+        moved = float(np.linalg.norm(np.abs(system.position) @ system.displaced)) * (1 + ROUNDING)
+        return tuple(part.blurred(system.timing.clock, moved).grown(radius) for part in parts)
 
     @kept
     def goal(self) -> Goal:

@@ -13,17 +13,19 @@ from .run_metrics import Runs
 from .simulate import flown_modes, initial_states
 
 SUBSTEPS = 4
-"""Steps of integration in a period; a delay is flown as a whole number of them, the nearest."""
+"""Steps of integration in a period; a delay is flown as a whole number of them, the nearest. Jitter makes
+commands late, by up to one."""
 
 
 class Predicting(Integrator):
-    """A flight whose controllers predict the state from measurements that are late, under sampled feedback.
+    """A flight whose controllers predict the state from measurements that are late; sampled feedback.
 
-    `eta` holds errors of predictions, each within its bound; scaled down they are those of measurements. Where
-    a measurement would lie before the start, the prediction is off by them as they are.
+    `eta` holds errors of predictions, each within its bound; scaled down they are those of measurements.
+    Where a measurement would lie before the start, the prediction is off by them as they are.
     """
 
     ages: Array  # periods for which a prediction has had no new measurement, (nodes, R)
+    late: Array  # by which share of a step a command comes late, (nodes, R)
     off: Array  # largest errors of predictions so far, as shares of their bounds, (n,)
 
     def prepare(self, runs: int, rng: np.random.Generator) -> None:
@@ -39,6 +41,7 @@ class Predicting(Integrator):
             self.ages[node] = np.where(lost[node] & (older <= timing.missed), older, 0)
         # Every instant's measurement, and what is commanded from then on.
         self.seen, self.told = (np.zeros((self.steps, runs, size)) for size in (system.n, system.m))
+        self.late = rng.choice([0.0, min(timing.jitter / self.dt, 1.0)], (nodes, runs))
         bound = np.maximum(system.navigation, 1e-300)
         self.noise = np.array(timing.measured or system.navigation) / bound
 
@@ -61,11 +64,16 @@ class Predicting(Integrator):
         return np.asarray(found)
 
     def applied(self, raw: Array, step: int) -> Array:
+        """Noted for predictions, too."""
         self.told[step : step + self.substeps] = np.clip(raw, -self.system.u_max, self.system.u_max)
         return super().applied(raw, step)
 
     def move(self, number: int, k: int, step: int, x: Array, u: Array, w: Array) -> Array:
-        self.seen[k * self.steps_per_cell + step] = x[:, : self.system.n]
+        """States a step later, what is measured at its start being noted."""
+        at = k * self.steps_per_cell + step
+        self.seen[at] = x[:, : self.system.n]
+        if at and at % self.substeps == 0:  # part of the step still flies what was commanded before
+            u = u + self.late[at // self.substeps][:, None] * (self.told[at - 1] - self.told[at])
         return super().move(number, k, step, x, u, w)
 
     def _unclipped(self, *cell: object) -> None:

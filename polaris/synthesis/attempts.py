@@ -13,7 +13,6 @@ from ..model.errors import ClockWarning, NotCertified, OutOfTime, SynthesisInfea
 from ..model.obstacles import perceive
 from ..model.system import Array, LinearSystem
 from ..model.timed_polytope import TimedPolytope
-from ..model.timing import Timing
 from ..model.tolerances import SOLVER_BOOK_INPUT, SOLVER_BOOK_M
 from ..planning.problem import Plan, PlannerOptions, PlanProblem
 from ..planning.reference import Reference
@@ -146,13 +145,11 @@ def plan_problem(problem: Problem, tracking: Tracking, sets: tuple[TimedPolytope
     limit = tracking.u_max * (1 - SOLVER_BOOK_INPUT) - needed
     if np.any(limit < 0):
         k, axis = np.unravel_index(int(np.argmin(limit)), limit.shape)
-        errors, timing = errors_alone(tracking, int(axis), system.as_ideal()), system.timing
+        errors = errors_alone(tracking, int(axis), system.as_ideal())
         share = f", {errors:.4g} of it for errors of navigation and thrusters" if errors else ""
-        if timing.predicts:
-            prompt = replace(system, estimate_error=np.array(timing.measured), timing=Timing())
-            share += (
-                f" (of that {errors_alone(tracking, int(axis), prompt):.4g} for delay and missed periods)"
-            )
+        if not system.timing.instant:
+            late = errors_alone(tracking, int(axis), system.prompt)
+            share += f" ({late:.4g} of that for delay, missed periods and jitter)"
         raise SynthesisInfeasible(
             f"the tracker alone may demand {needed[k, axis]:.4g} of the {tracking.u_max[axis]:.4g} of "
             f"{system.input_names[axis]} at t = {k * problem.delta:g} s to correct the initial set and the "
