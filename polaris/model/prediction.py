@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.linalg import expm
 
+from reach.numerics.errors import ReachError
 from reach.tubes.flow import LinearFlow
 
 from .errors import ScenarioError
@@ -80,9 +81,9 @@ def predicting(system: LinearSystem, timing: Timing, period: float | None) -> Li
     system = replace(system, timing=timing, thrusters=replace(exact, bit=exact.bit + bit))
     worst, ages = system.thrusters.error(system.u_max), timing.delay + h * np.arange(timing.missed + 1)
     known = system.navigation + moved
-    with np.errstate(over="ignore", invalid="ignore"):
+    try:
         errors = [prediction_error(system, known, worst, age) for age in ages.tolist()]
-    if not np.all(np.isfinite(errors)):
-        rule = f"is too long for this system: a prediction over {ages[-1]:g} s has no bound"
-        raise ScenarioError("timing.delay_s", timing.delay, rule)
+    except ReachError as error:
+        rule = f"is too long for this system, a prediction over {ages[-1]:g} s has no bound: {error}"
+        raise ScenarioError("timing.delay_s", timing.delay, rule) from error
     return replace(system, estimate_error=np.max(errors, axis=0))
