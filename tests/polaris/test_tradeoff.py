@@ -18,7 +18,7 @@ from polaris.cli.app import app
 from polaris.cli.compare import _sweep
 from polaris.cli.show.comparison import _row, answered
 from polaris.model.errors import PolarisError, ScenarioError
-from polaris.report.figures.comparison import _front
+from polaris.report.figures.comparison import _front, _points
 from polaris.report.figures.style import printing
 from polaris.runs import tradeoff as module
 from polaris.runs.campaign.workers import InProcess, Interrupted, Workers, local
@@ -265,6 +265,18 @@ def test_what_is_infeasible_is_not_asked_again(swept, tmp_path, monkeypatch):
     assert again.summary["points"] == swept.summary["points"]
     with pytest.raises(ZeroDivisionError):  # another scenario
         polaris.tradeoff(TINY, copied, {KEY: [0.05]}, overrides=["system.disturbance_max=0.01"])
+
+
+@pytest.mark.filterwarnings("error")
+def test_figures_of_fields_are_laid_out_with_infeasible_values_and_without(swept, tmp_path):
+    rows = swept.summary["points"]
+    other = [row | {"field": "other", "value": 0.1 * row["value"]} for row in rows[1:]]
+    for points, fields in (([*rows, *other], 2), (other, 1)):
+        with printing():
+            figure = _points(points)
+            figure.draw_without_rendering()
+        assert [ax.get_xlabel() for ax in figure.axes[: 2 * fields : 2]] == [KEY, "other"][-fields:]
+        assert all(ax.get_position().height > 0.2 for ax in figure.axes)
 
 
 def test_how_far_a_value_may_go():

@@ -221,9 +221,10 @@ def _sensitivity(points: Sequence[Mapping[str, Any]]) -> Any:
             told = np.array([np.nan if row[key] is None else scale * row[key] for row in mine])
             one.plot(values, told, "o-", color=colour, ms=3, lw=0.9)
         none = values[[row["guarantee"] == "infeasible" for row in mine]]
-        ax.plot(none, 0 * none, "x", color=RED, ms=5, clip_on=False)
-        ax.set(ylim=(0, 105), xlabel=field, ylabel="Share under U (%)")
-        beside.set(ylim=(0, None), ylabel="Velocity change (m/s)")
+        if len(none):
+            ax.plot(none, 0 * none, "x", color=RED, ms=5, clip_on=False)
+        ax.set(ylim=(0, 105), xlabel=field, ylabel="Share of U (%)")
+        beside.set(ylim=(0, None), ylabel="Delta-v (m/s)")
         ax.grid(True)
     names = (
         (ORANGE, "o", "share"),
