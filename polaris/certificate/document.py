@@ -257,8 +257,6 @@ class Document:
                 raise ValueError(f"{law.name} reads another number of values than it scales")
             if law.kind == "neural" and not self.sampled:
                 raise ValueError(f"{law.name} is a network, which needs sampled feedback")
-            if law.kind == "neural" and (self.estimate or self.thrusters):
-                raise Undecided("controllers", f"the network {law.name} under errors is not followed")
             if law.work * self.q * self.modes.count(mode) > MOST_WORK:
                 raise Undecided("controllers", f"the network {law.name} would take too long to follow")
         if self.cells == self.steps and self.radius[-1] is None:

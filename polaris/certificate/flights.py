@@ -101,7 +101,8 @@ class Pilot:
         if self.law.kind == "neural":
             command = self.policy.command(d, self.policy.known(base, k, i))
             push = Push.in_zonotope(plant.B, command.V)
-            return Period(plant.loop(-command.K), plant.B * (command.c - u), push, most=command.most)
+            error = plant.push(plant.thruster_error(command.most))
+            return Period(plant.loop(-command.K), plant.B * (command.c - u), push, error, command.most)
         found = self.clipped(_ranges(u, d.support(self.commands)))
         for _ in range(GUESSES if plant.thrusters else 0):
             guess = [

@@ -43,7 +43,7 @@ class Thrusters:
 
     def rounding(self, m: int) -> float:
         """Multiple of which every input is commanded [N]: twice what `of` was given."""
-        return 2 * self.bit / (1 + self.along + self.across * m**0.5)
+        return 2 * self.bit / (1 + self.along + self.across * float(np.sqrt(m)))
 
     @property
     def exact(self) -> bool:

@@ -118,8 +118,8 @@ PROTOCOL = (
     "Every method flies the same runs: the same initial states, disturbances, errors of the state estimate"
     " and true states of other satellites. Half of the runs are under worst-case disturbances, in equal"
     " shares against the flights of S alone, of U alone and of the schedule; the others under random ones."
-    " Methods decide on the estimate; S and U act on the true state, or on an estimate of their own that is as"
-    " wrong as [navigation] allows, and thrusters err as [thrusters] does. The experimental controller"
+    " Methods decide on the estimate; S and U act on the true state, or on an estimate of their own that is"
+    " as wrong as [navigation] allows, and thrusters err as [thrusters] does. The experimental controller"
     " is the preferred one; the schedule and the online monitor may use the others too."
 )
 
