@@ -103,7 +103,8 @@ class Pilot:
         if self.law.kind == "neural":
             command = self.policy.command(d, self.policy.known(base, k, i))
             push = Push.in_zonotope(plant.B, command.V)
-            return Period(plant.loop(-command.K), plant.B * (command.c - u), push, most=command.most)
+            error = plant.push(plant.thruster_error(command.most))
+            return Period(plant.loop(-command.K), plant.B * (command.c - u), push, error, command.most)
         fit = self.fits[k] if self.law.kind == "black_box" else None
         if fit is not None:
             n, rows = d.c.nrows(), fit[i]
