@@ -59,7 +59,7 @@ CERTIFICATE = {
     },
     "initial_set": {"center": grid("n"), "generators": grid("* n")},
     "unsafe_sets": Rows({
-        "name": NAME, "keep_in": bool, "normals": grid("* d"), "offsets": grid("cells two *"),
+        "name": NAME, "keep_in": bool, "normals": grid("* d"), "offsets": grid("covered two *"),
     }, size="sets"),
     "facets": grid("cells sets", Whole()),
     "reference": {"states": grid("cells+1 n"), "inputs": grid("cells m")},
@@ -82,6 +82,12 @@ CERTIFICATE = {
         **every(grid("K+1 n"), "center half_widths"), **every(grid("K n"), "lower upper"),
         "slopes": grid("K", Either((None, grid("q m")))),
     },
+    "drift?": {
+        "horizon": HEX, "keep_in": bool, "parts": Whole(1), "steps": grid("K", Either((None, Rows({
+            "periods": Whole(1), "center": grid("n"), "axes": grid("n n"),
+            "facets": Rows(Rows(Rows(Whole(), 2, 2), 1)),
+        }, 1)))),
+    },
     "end": {"horizon": HORIZON, "until": Either((HEX, None)), "reason": TEXT},
 }
 """The certificate; `Document` compares the lengths."""
@@ -92,6 +98,13 @@ CLAIMED = {
     "goal": {
         "reached": Either((bool, Text(("not_proven",)))), "by_s": OPTIONAL,
         **every(NOT_NEGATIVE, "distance_m tolerance_m delta_v_max_m_s"), "drift_m_per_orbit": BOUND,
+    },
+    "abort?": {
+        "drift_s": NOT_NEGATIVE, "keep_in": bool, "least_m": OPTIONAL,
+        "clear_s": Rows(Rows(NOT_NEGATIVE, 2, 2)),
+        "witness": Either((None, {
+            "step": Whole(), "unsafe_set": NAME, **every(REAL, "t_s after_s distance_m middle_m"),
+        })),
     },
 }
 """The guarantee as the schedule and the summary repeat it."""

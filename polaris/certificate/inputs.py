@@ -47,6 +47,7 @@ def check_inputs(document: Document, scenario: dict[str, Any], record: Record) -
         moving = [spec["name"] for spec in scenario.get("obstacles", ()) if _moves(spec)]
         if document.horizon == "infinite" and moving:
             raise Rejected("end", f"safe for ever is claimed, but unsafe sets move: {', '.join(moving)}")
+        _check_abort(document, scenario.get("abort"))
         record.holds("unsafe_sets", f"{count} timed polytopes contain the scenario's sets at all times")
         _check_controllers(document, scenario)
         told = "gains are the stabilising ones of their weights, references the scenario's"
@@ -59,6 +60,27 @@ def check_inputs(document: Document, scenario: dict[str, Any], record: Record) -
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, ZeroDivisionError) as error:
         told = f"scenario.toml cannot be compared: {type(error).__name__}: {error}"
         raise Rejected("artefacts", told) from error
+
+
+def _check_abort(document: Document, spec: dict[str, Any] | None) -> None:
+    """What is claimed of the drift after all thrust stops is what the scenario asks."""
+    drift = document.drift
+    if spec is None or drift is None:
+        if (spec is None) != (drift is None):
+            raise Rejected("passive", "certificate and scenario do not both speak of the drift")
+        return
+    if ("drift_s" in spec) == ("drift_orbits" in spec):
+        raise Rejected("passive", "the scenario must give the drift either in orbits or as a time")
+    asked = (
+        arb(spec["drift_s"])
+        if "drift_s" in spec
+        else (spec["drift_orbits"] * 2 * arb.pi() / arb(document.mean_motion or 0.0))
+    )
+    require("passive", drift.horizon - asked * (1 - ROUNDED), f"{drift.horizon:.6g} s are too short")
+    if not drift.keep_in and spec.get("keep_in", True):
+        raise Rejected("passive", "the scenario asks for keep-in sets, too")
+    if None in drift.steps and spec.get("required", False):
+        raise Rejected("passive", f"step {drift.steps.index(None)} is not clear, as is required")
 
 
 def _moves(spec: dict[str, Any]) -> bool:

@@ -28,6 +28,7 @@ class Stated:
 
     start_margin: float | None = None  # share of the room left to the initial set
     norm_bounds: dict[str, Any] | None = None  # constants of Lemma 1, see `check_norm_bounds`
+    least: float | None = None  # least distance [m] of the drift after all thrust stops
     goal: tuple[dict[str, Any], dict[str, Any]] | None = None  # what is claimed of it, and the scenario's own
 
 

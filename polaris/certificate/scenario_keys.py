@@ -73,6 +73,9 @@ SCENARIO = {
         "misalignment_deg?": Real(least=0, most=45),
     },
     "chaser?": {"radius_m": NOT_NEGATIVE},
+    "abort?": {
+        "drift_orbits?": Real(above=0, most=100), "drift_s?": POSITIVE, **every(bool, "required? keep_in?"),
+    },
     "feedback?": Kinds({"continuous": {}, "sampled": {"period_s": POSITIVE}}),
     "initial_set": Kinds({
         "box": {"center": VECTOR, "half_widths": WIDTHS},

@@ -33,6 +33,7 @@ from ..simulation.metrics import DEFINITIONS
 from ..synthesis import get_safety, synthesize
 from ..synthesis.controllers import AffineController
 from ..synthesis.neural import NeuralController
+from ..synthesis.recoverable import directed
 from ..synthesis.same_system import check_safety
 from ..synthesis.schedule import Schedule
 from ..synthesis.share_bound import ShareBound, share_bound
@@ -214,7 +215,27 @@ def guarantee(schedule: Schedule) -> dict[str, Any]:
             "drift_m_per_orbit": goal.drift,
             "delta_v_max_m_s": goal.delta_v,
         },
+        **({} if schedule.passive is None else {"abort": schedule.passive.told()}),
     }
+
+
+def drift_told(claim: Mapping[str, Any]) -> str:
+    """From when to when all thrust may stop, and where the drift is not shown to stay clear."""
+    spans = ", ".join(f"{a:.6g} to {b:.6g} s" for a, b in claim["clear_s"])
+    most = "" if claim["least_m"] is None else f", by at least {directed(claim['least_m'], '.4g')} m"
+    told = f"if all thrust stops, the drift of {claim['drift_s']:.6g} s stays clear"
+    found = f"{told} from {spans}{most}" if spans else f"{told} from no step"
+    witness = claim["witness"]
+    if witness is None:
+        return f"{found}, all of the flight."
+    enters = witness["middle_m"] <= 0
+    does, left = (
+        ("enters", witness["middle_m"]) if enters else ("is not shown to clear", witness["distance_m"])
+    )
+    return (
+        f"{found}. Witness: from step {witness['step']} ({witness['t_s']:g} s) it {does}"
+        f" {witness['unsafe_set']} by {witness['after_s']:.6g} s later ({directed(left, '.4g')} m left)."
+    )
 
 
 def _read(folder: Path, scenario: ScheduleScenario) -> Picture:

@@ -7,6 +7,7 @@ import numpy as np
 from ..model.errors import ScenarioError
 from ..model.system import Array, LinearSystem
 from ..model.thrusters import Thrusters as Errors
+from ..synthesis.passive import Abort as AbortOptions
 from . import fields as f
 from .fields import ScenarioPart, unit
 
@@ -63,6 +64,33 @@ class Thrusters(ScenarioPart):
         bit = 0.0 if period is None else self.impulse_bit_N_s / (2 * period)
         turned = float(np.deg2rad(self.misalignment_deg))
         return Errors.of(self.magnitude_error, turned, self.mass_error, bit, system.m)
+
+
+class Abort(ScenarioPart):
+    """Passive safety: what the drift must stay clear of if all thrust stops at any instant until T."""
+
+    drift_orbits: f.Real | None = unit("-", default=None, gt=0, le=100)
+    """For how many orbits the drift is followed, the disturbance included. Hill's frame only."""
+    drift_s: f.Positive | None = unit("s", default=None)
+    """The same as a time, in any system. Give one of the two."""
+    required: f.Flag = unit("-", default=False)
+    """Whether only schedules are kept whose drift stays clear from all of their steps; exit code 3 where
+    there is none. Otherwise the run says from which steps it does."""
+    keep_in: f.Flag = unit("-", "Whether the drift must also stay inside the keep-in sets.", default=True)
+
+    def build(self, system: LinearSystem) -> AbortOptions:
+        """What is asked of the drift."""
+        if (self.drift_orbits is None) == (self.drift_s is None):
+            given = self.drift_orbits, self.drift_s
+            raise ScenarioError("abort", given, "must give either drift_orbits or drift_s")
+        horizon = self.drift_s
+        if self.drift_orbits is not None:
+            if system.mean_motion is None:
+                rule = "needs Hill's frame (system.kind = 'clohessy_wiltshire'); give drift_s"
+                raise ScenarioError("abort.drift_orbits", self.drift_orbits, rule)
+            horizon = self.drift_orbits * 2 * np.pi / system.mean_motion
+        assert horizon is not None
+        return AbortOptions(float(horizon), self.required, self.keep_in)
 
 
 class Chaser(ScenarioPart):

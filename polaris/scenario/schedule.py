@@ -52,6 +52,8 @@ class ScheduleScenario(Scenario):
         self.goal()
         rules.check_start_and_goal(model, self.obstacles(), system, self.initial_set())
         self.policies()
+        if model.abort is not None:
+            model.abort.build(system)
 
     def outline(self) -> str:
         """What it describes, on one line."""
@@ -191,6 +193,7 @@ class ScheduleScenario(Scenario):
             thrust_share=tracking.thrust_share,
             planner=PlannerOptions(**given),
             gains=gains_of(self.model, system),
+            abort=None if self.model.abort is None else self.model.abort.build(system),
         )
 
     def switching_rules(self) -> SwitchingRules:

@@ -15,6 +15,7 @@ from ..model.errors import ScenarioError
 from ..model.system import Array, LinearSystem
 from ..planning.goals import Goal
 from ..planning.problem import Objective, PlannerOptions
+from .passive import Abort
 
 RECOVERABLE_KINDS = ("polytope", "time_varying_ball", "ball", "paper_ball")
 
@@ -67,6 +68,8 @@ class Problem:
         Solver, time limit, gap.
     gains : tuple of ndarray
         Gains of the experimental controllers, so that the time grid is fine enough for them.
+    abort : Abort or None
+        What is asked of the drift should all thrust stop; None for nothing.
     """
 
     system: LinearSystem
@@ -89,6 +92,7 @@ class Problem:
     thrust_share: float = 1.0
     planner: PlannerOptions = field(default_factory=PlannerOptions)
     gains: tuple[Array, ...] = ()
+    abort: Abort | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.initial_set, Zonotope):

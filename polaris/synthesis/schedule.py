@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from reach.numerics.linear import growth
 from reach.sets.zonotope import Zonotope
 
 from ..certificate.assumptions import assumptions
@@ -20,6 +21,7 @@ from .arrival import Arrival, arrival
 from .controllers import AffineController, Controller, TubeSegment
 from .get_safety import Safety
 from .neural import NeuralController
+from .passive import Drift, PassiveSafety
 from .recoverable import Margin, RecoverableSet
 
 
@@ -138,6 +140,14 @@ class Schedule:
         flown = (len(self.steps) - last) * safety.clearance.q
         return arrival(safety, ((handed, flown), (self.final, 0)), self.delta_v[1])
 
+    @cached_property
+    def passive(self) -> PassiveSafety | None:
+        """From which steps the drift stays clear if all thrust stops, where the problem asks."""
+        flight = self.safety.free_flight
+        if flight is None:
+            return None
+        return PassiveSafety(flight, tuple(drift_of(self.safety, step.tube, step.k) for step in self.steps))
+
     @property
     def spent(self) -> float:
         """Velocity change [m/s] that is proven never to be exceeded until the goal, or T if it is not proven.
@@ -165,6 +175,18 @@ class Schedule:
         recoverable set, is safe whatever that enclosure says.
         """
         return np.array([step.margin.value for step in self.steps])
+
+
+def drift_of(safety: Safety, tube: TubeSegment, k: int) -> tuple[Drift, ...]:
+    """What becomes of the flights in a tube over step k if all thrust stops; none where nothing is asked."""
+    problem, q = safety.problem, safety.clearance.q
+    flight = safety.free_flight
+    if flight is None:
+        return ()
+    system, h, arc = problem.system, problem.delta / q, safety.clearance.nodes[k]
+    rate = np.abs(arc[:-1] @ system.A.T + safety.reference.nu[k] @ system.B.T)
+    bow = tube.bow + h**2 / 8 * rate @ (np.abs(system.A) @ growth(system.A, h)).T
+    return flight.after(k, tube.nodes + arc, bow)
 
 
 def _pushed(law: Controller, step: Step, delta: float) -> tuple[float, float]:
