@@ -13,7 +13,8 @@ from scipy.linalg import expm
 
 from reach.sets.zonotope import Zonotope
 
-from ..model.checks import counted
+from ..model.checks import MAX_STEPS, counted
+from ..model.errors import ScenarioError
 from ..model.system import LinearSystem
 from . import rules
 from .base import Scenario, kept
@@ -52,8 +53,9 @@ class ScheduleScenario(Scenario):
         self.goal()
         rules.check_start_and_goal(model, self.obstacles(), system, self.initial_set())
         self.policies()
-        if model.abort is not None:
-            model.abort.build(system)
+        if model.abort is not None and model.abort.build(system).cells(self.step) > MAX_STEPS:
+            given = model.abort.drift_orbits, model.abort.drift_s
+            raise ScenarioError("abort", given, f"must be at most {MAX_STEPS} steps of {self.step:g} s")
 
     def outline(self) -> str:
         """What it describes, on one line."""

@@ -257,18 +257,22 @@ class PassiveSafety:
         }
 
     def witness(self) -> dict[str, Any] | None:
-        """The step from which the drift is least shown to stay clear, and where; None if all are clear.
+        """The step from which the drift enters an unsafe set, or is soonest not shown to stay clear.
 
-        ``distance_m`` is what is proven of the distance (negative: by how much the sets overlap), and
-        ``middle_m`` the distance of the undisturbed drift from the middle at that instant: if it is not
-        positive, the drift does enter the unsafe set.
+        None if it is clear from all. ``distance_m`` is what is proven of the distance then (negative: by how
+        much sets overlap), and ``middle_m`` that of the undisturbed drift from the middle of where thrust may
+        stop: if it is not positive, the drift does enter.
         """
         if np.all(self.clear):
             return None
         flight = self.flight
-        known = [(k, part) for k, parts in enumerate(self.drifts) for part in parts]
-        step, drift = min(known, key=lambda item: float(item[1].room.min()))
-        o, part = np.unravel_index(int(np.argmin(drift.room)), drift.room.shape)
+        known = [(k, part) for k, parts in enumerate(self.drifts) for part in parts if not part.clear]
+        step, drift = min(known, key=lambda item: float(item[1].middle.min()))
+        o, part = np.unravel_index(int(np.argmin(drift.middle)), drift.middle.shape)
+        if drift.middle[o, part] > 0:
+            step, drift = min(known, key=lambda item: int(np.argmax(np.any(item[1].room <= 0, axis=0))))
+            part = int(np.argmax(np.any(drift.room <= 0, axis=0)))
+            o = int(np.argmin(drift.room[:, part]))
         return {
             "step": step,
             "t_s": step * flight.delta,
