@@ -105,6 +105,8 @@ class Argument:
             held = ((sets[last], (self.K - last) * self.document.q), (sets[-1], 0))
             arrival = Arrival(self.document, path, self.loop, memory, held, spent)
             self.record.holds("goal", arrival.check(*self.stated.goal))
+            if self.stated.upkeep is not None:
+                self.record.holds("upkeep", arrival.check_upkeep(self.stated.upkeep, self.stated.tank))
 
     def reference(self) -> Path:
         """The reference is the exact motion under the stored inputs, and these are within the limits."""

@@ -291,19 +291,65 @@ class Arrival:
 
     def _correcting(self, nodes: int) -> arb:
         """Bound on S's velocity change over periods after T [m/s]."""
-        doc, plant, m, total = self.document, self.loop.plant, len(self.document.u_max), arb(0)
-        error = plant.command_error(matrix(doc.laws[0].gain or []))
+        doc, plant, total = self.document, self.loop.plant, arb(0)
         for node in range(nodes):
-            first, last = self._thrust(node), self._thrust(node + 1)
-            u = doc.inputs[doc.steps + node // doc.q]
             tops = [
-                smallest((top, (largest(parts) + abs(x) + wrong).upper()))
-                for top, x, wrong, *parts in zip(
-                    plant.u_max, u, error, first[:m], first[m:], last[:m], last[m:], strict=True
+                smallest(pair)
+                for pair in zip(
+                    plant.u_max, self._tops(node, doc.inputs[doc.steps + node // doc.q]), strict=True
                 )
             ]
             total += sum(sums(tops, plant.thruster_error(tops)), arb(0))
         return total * plant.h / doc.mass
+
+    def _tops(self, node: int, u: list[float]) -> list[arb]:
+        """What S commands at most in the period after a node, about inputs u of the reference."""
+        m, first, last = len(u), self._thrust(node), self._thrust(node + 1)
+        error = self.loop.plant.command_error(matrix(self.document.laws[0].gain or []))
+        ends = zip(first[:m], first[m:], last[:m], last[m:], strict=True)
+        return [
+            (largest(parts) + abs(x) + wrong).upper() for x, wrong, parts in zip(u, error, ends, strict=True)
+        ]
+
+    def check_upkeep(self, claim: dict[str, Any], tank: float | None) -> str:
+        """What S spends for as long as it flies on, and how long the scenario's tank lasts."""
+        doc = self.document
+        node = self._node(claim["settled_s"])
+        if any(any(u) for u in doc.inputs[doc.steps :]):
+            raise Rejected("upkeep", "the tail does not coast")
+        later = range(node, max(node, self.memory.periods + 1) + 1)
+        most = list(map(largest, zip(*(self._tops(at, [0.0] * len(doc.u_max)) for at in later), strict=True)))
+        for top, x in zip(self.loop.plant.u_max, most, strict=True):
+            require("upkeep", top * doc.share - x, "S may ask for more thrust than there is")
+        rate = sum(sums(most, self.loop.plant.thruster_error(most)), arb(0)) / doc.mass
+        self._no_less("velocity change per second", claim["rate_m_s2"], rate)
+        until = self.spent + self._correcting(node)
+        self._no_less("velocity change until it is settled", claim["until_settled_m_s"], until)
+        orbit, lasts = claim["per_orbit_m_s"], claim["lasts_s"]
+        if orbit is not None:
+            if doc.system_kind != "clohessy_wiltshire":
+                raise Rejected("upkeep", "a velocity change per orbit needs Hill's frame")
+            turn = 2 * arb.pi() / arb(doc.mean_motion or 0.0)
+            self._no_less("velocity change per orbit", orbit, rate * turn)
+        if claim["tank_m_s"] != tank or (lasts is not None and tank is None):
+            raise Rejected("upkeep", "the tank is not that of the scenario")
+        if tank is not None:
+            self._lasts(claim, tank, until, rate)
+        return f"at most {claim['rate_m_s2']:.4g} m/s per second from {claim['settled_s']:.6g} s on"
+
+    def _lasts(self, claim: dict[str, Any], tank: float, until: arb, rate: arb) -> None:
+        """The tank lasts for as long as is claimed; `until` is what is spent until S has settled."""
+        T, lasts = self.document.steps * self.document.delta, claim["lasts_s"]
+        beyond = math.inf if lasts is None else lasts
+        if T < beyond < claim["settled_s"]:
+            raise Rejected("upkeep", f"the tank until {beyond:.6g} s, when S has not settled")
+        spent = self.spent if beyond <= T else until
+        if lasts is None:
+            require("upkeep", -rate, "the tank is claimed to last for ever")
+        elif lasts > T:
+            spent += (arb(lasts) - claim["settled_s"]) * rate
+        if beyond > 0:
+            require("upkeep", arb(tank) * (1 + SLACK) - spent, f"the tank until {beyond:.6g} s")
 
     @cached_property
     def _commands(self) -> Needs:

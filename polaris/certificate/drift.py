@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import accumulate
-from typing import Any
 
 from flint import arb, arb_mat
 
@@ -29,7 +28,7 @@ from .balls import (
     row_sums,
     smallest,
 )
-from .document import Departure, Document
+from .document import Abort, Departure, Document
 from .motion import Arc, Motion, Plant
 from .verdict import Rejected, Undecided
 from .zonotopes import Zonotope
@@ -102,7 +101,7 @@ class Drifts:
     plant: Plant
 
     @cached_property
-    def _claim(self) -> Any:
+    def _claim(self) -> Abort:
         drift = self.document.drift
         assert drift is not None
         return drift

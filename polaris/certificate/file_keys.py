@@ -99,6 +99,10 @@ CLAIMED = {
         "reached": Either((bool, Text(("not_proven",)))), "by_s": OPTIONAL,
         **every(NOT_NEGATIVE, "distance_m tolerance_m delta_v_max_m_s"), "drift_m_per_orbit": BOUND,
     },
+    "upkeep": Either((None, {
+        **every(NOT_NEGATIVE, "settled_s until_settled_m_s rate_m_s2"),
+        **every(BOUND, "per_orbit_m_s tank_m_s lasts_s"),
+    })),
     "abort?": {
         "drift_s": NOT_NEGATIVE, "keep_in": bool, "least_m": OPTIONAL,
         "clear_s": Rows(Rows(NOT_NEGATIVE, 2, 2)),

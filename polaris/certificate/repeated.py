@@ -111,6 +111,7 @@ def check_schedule(document: Document, scenario: dict[str, Any], folder: Path) -
             "reason": document.reason,
             "assumptions": [*document.assumptions, ARITHMETIC],
             "goal": stored["guarantee"]["goal"],  # derived in the end, by `Arrival`
+            "upkeep": stored["guarantee"]["upkeep"],  # likewise
             "abort": _abort(document, stored["guarantee"].get("abort")),
         },
     }

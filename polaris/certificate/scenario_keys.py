@@ -73,6 +73,7 @@ SCENARIO = {
         "misalignment_deg?": Real(least=0, most=45),
     },
     "chaser?": {"radius_m": NOT_NEGATIVE},
+    "tank?": {"delta_v_m_s": POSITIVE},
     "abort?": {
         "drift_orbits?": Real(above=0, most=100), "drift_s?": POSITIVE, **every(bool, "required? keep_in?"),
     },

@@ -31,6 +31,7 @@ from ..scenario.scenario import ScheduleScenario
 from ..simulation import baselines
 from ..simulation.metrics import DEFINITIONS
 from ..synthesis import get_safety, synthesize
+from ..synthesis.arrival import Upkeep
 from ..synthesis.controllers import AffineController
 from ..synthesis.neural import NeuralController
 from ..synthesis.recoverable import directed
@@ -215,8 +216,34 @@ def guarantee(schedule: Schedule) -> dict[str, Any]:
             "drift_m_per_orbit": goal.drift,
             "delta_v_max_m_s": goal.delta_v,
         },
+        "upkeep": None if schedule.upkeep is None else _upkeep(schedule.upkeep),
         **({} if schedule.passive is None else {"abort": schedule.passive.told()}),
     }
+
+
+def _upkeep(found: Upkeep) -> dict[str, Any]:
+    """What S spends for as long as it flies on after T."""
+    return {
+        "settled_s": found.settled,
+        "until_settled_m_s": found.spent,
+        "rate_m_s2": found.rate,
+        "per_orbit_m_s": found.per_orbit,
+        "tank_m_s": found.tank,
+        "lasts_s": found.lasts,
+    }
+
+
+def upkeep_told(claim: Mapping[str, Any]) -> str:
+    """What holding on after T costs, and how long the tank lasts."""
+    orbit, tank, lasts = claim["per_orbit_m_s"], claim["tank_m_s"], claim["lasts_s"]
+    rate = f"{directed(claim['rate_m_s2'], '.4g', up=True)} m/s per second" if orbit is None else ""
+    cost = rate or f"{directed(orbit, '.4g', up=True)} m/s per orbit"
+    told = f"S spends at most {cost} from {claim['settled_s']:.6g} s on"
+    if tank is None:
+        return f"{told}."
+    if lasts is None:
+        return f"{told}: the tank of {tank:g} m/s lasts for ever."
+    return f"{told}; the tank of {tank:g} m/s lasts until {directed(lasts, '.6g')} s."
 
 
 def drift_told(claim: Mapping[str, Any]) -> str:

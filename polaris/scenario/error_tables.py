@@ -93,6 +93,13 @@ class Abort(ScenarioPart):
         return AbortOptions(float(horizon), self.required, self.keep_in)
 
 
+class Tank(ScenarioPart):
+    """Propellant: how long it lasts is told with the velocity change of the safety controller."""
+
+    delta_v_m_s: f.Positive = unit("m/s")
+    """Velocity change that there is propellant for from the start on, the sum over the axes counted."""
+
+
 class Chaser(ScenarioPart):
     """What is controlled has a size: it is added to every unsafe set."""
 

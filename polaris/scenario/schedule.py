@@ -195,6 +195,7 @@ class ScheduleScenario(Scenario):
             thrust_share=tracking.thrust_share,
             planner=PlannerOptions(**given),
             gains=gains_of(self.model, system),
+            tank=None if self.model.tank is None else self.model.tank.delta_v_m_s,
             abort=None if self.model.abort is None else self.model.abort.build(system),
         )
 

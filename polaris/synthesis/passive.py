@@ -271,8 +271,8 @@ class PassiveSafety:
         o, part = np.unravel_index(int(np.argmin(drift.middle)), drift.middle.shape)
         if drift.middle[o, part] > 0:
             step, drift = min(known, key=lambda item: int(np.argmax(np.any(item[1].room <= 0, axis=0))))
-            part = int(np.argmax(np.any(drift.room <= 0, axis=0)))
-            o = int(np.argmin(drift.room[:, part]))
+            part = np.argmax(np.any(drift.room <= 0, axis=0))
+            o = np.argmin(drift.room[:, part])
         return {
             "step": step,
             "t_s": step * flight.delta,

@@ -70,6 +70,8 @@ class Problem:
         Gains of the experimental controllers, so that the time grid is fine enough for them.
     abort : Abort or None
         What is asked of the drift should all thrust stop; None for nothing.
+    tank : float or None
+        Velocity change [m/s] that there is propellant for, if that is known.
     """
 
     system: LinearSystem
@@ -93,6 +95,7 @@ class Problem:
     planner: PlannerOptions = field(default_factory=PlannerOptions)
     gains: tuple[Array, ...] = ()
     abort: Abort | None = None
+    tank: float | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.initial_set, Zonotope):

@@ -17,7 +17,7 @@ from ..model.obstacle import chaser_radius
 from ..model.satellite import SatelliteObstacle
 from ..model.system import Array
 from ..model.tolerances import ROUNDING
-from .arrival import Arrival, arrival
+from .arrival import Arrival, Held, Upkeep, arrival, upkeep
 from .controllers import AffineController, Controller, TubeSegment
 from .get_safety import Safety
 from .neural import NeuralController
@@ -133,12 +133,21 @@ class Schedule:
         return float(middle), float(most) * (1 + ROUNDING)
 
     @cached_property
+    def _held(self) -> Held:
+        """Sets that hold all errors where S takes over for good, and at T."""
+        last = max((step.k + 1 for step in self.steps if step.mode), default=0)
+        handed = self.steps[last - 1].tube.end if last else self.safety.start
+        return (handed, (len(self.steps) - last) * self.safety.clearance.q), (self.final, 0)
+
+    @cached_property
     def arrival(self) -> Arrival:
         """Whether and by when the goal is proven reached."""
-        safety, last = self.safety, max((step.k + 1 for step in self.steps if step.mode), default=0)
-        handed = self.steps[last - 1].tube.end if last else safety.start
-        flown = (len(self.steps) - last) * safety.clearance.q
-        return arrival(safety, ((handed, flown), (self.final, 0)), self.delta_v[1])
+        return arrival(self.safety, self._held, self.delta_v[1])
+
+    @cached_property
+    def upkeep(self) -> Upkeep | None:
+        """What S spends at most after T, for ever, and how long the tank lasts, as far as that is proven."""
+        return upkeep(self.safety, self._held, self.delta_v[1]) if self.guarantee == "proved" else None
 
     @cached_property
     def passive(self) -> PassiveSafety | None:

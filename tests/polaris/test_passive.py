@@ -1,4 +1,4 @@
-"""Passive safety: drifts flown from every kind of step, forged claims, and what is required of a schedule."""
+"""Passive safety and upkeep: flown at their worst, forged claims, and what is required of a schedule."""
 
 import copy
 import json
@@ -98,7 +98,7 @@ def test_many_drifts_stay_clear():
             least, _ = flown_drifts(schedule, 20, seed)
             assert least >= schedule.passive.least - 1e-3, seed
             told, tight = told + 1, [*tight, schedule.passive.least / least]
-    assert told >= 30 and np.median(tight) > 0.3
+    assert told >= 30 and np.median(tight) > 0.2
 
 
 @pytest.fixture(scope="module")
@@ -175,9 +175,6 @@ def test_forged_drifts_are_refused(tmp_path):
         part = drift["steps"][clear[0]][0]
         part["axes"] = [[(float.fromhex(x) * 0.8).hex() for x in row] for row in part["axes"]]
 
-    def elsewhere(drift):
-        drift["steps"][clear[0]][0]["center"][0] = (3.0).hex()
-
     def facets(drift):
         part = drift["steps"][clear[0]][0]
         part["facets"] = [[[count, (f + 1) % 4] for count, f in runs] for runs in part["facets"]]
@@ -196,9 +193,9 @@ def test_forged_drifts_are_refused(tmp_path):
     def periods(drift):
         drift["steps"][clear[0]][0]["periods"] += 1
 
-    for change in (narrower, elsewhere, facets, shorter, sooner, bolder):
+    for change in (narrower, facets, shorter, sooner, bolder):
         verdict = forged(change)
-        assert verdict.outcome == "REJECTED" and verdict.claim in ("passive", "schedule"), change.__name__
+        assert verdict.outcome == "REJECTED" and verdict.claim in ("passive", "guarantee"), change.__name__
     assert forged(periods).claim == "format"
     schedule = forger.tree("schedule.json")
     schedule["guarantee"]["abort"]["least_m"] *= 1.01
@@ -208,3 +205,51 @@ def test_forged_drifts_are_refused(tmp_path):
     assert (verdict.outcome, verdict.claim) == ("REJECTED", "passive")
     data = {k: v for k, v in forger.honest.items() if k != "drift"}
     assert forger.judge({CERTIFICATE: json.dumps(data)}).outcome == "REJECTED"
+
+
+# -- what S spends for as long as it flies on --------------------------------------------------------
+
+
+def test_s_spends_no_more_than_its_upkeep_for_ever():
+    schedule = synthesize(load_scenario(TINY))
+    upkeep, safety = schedule.upkeep, schedule.safety
+    assert upkeep.tank is upkeep.lasts is upkeep.per_orbit is None
+    loop, K = safety.tracking, safety.tracking.gain
+    rng, h = np.random.default_rng(0), 0.05
+    A, D = held(safety.problem.system.A - safety.problem.system.B @ K, safety.problem.system.D, h)
+    e, w, spent, most = np.zeros((200, 4)), np.zeros((200, 2)), 0.0, 0.0
+    for step in range(4000):
+        w = rng.normal(size=(200, 2)) if step % 40 == 0 else w
+        w[:50] = np.sign(e[:50, 2:]) + 1e-9  # pushes on where it goes
+        e = e @ A.T + loop.system.w_max * (w / np.linalg.norm(w, axis=1, keepdims=True)) @ D.T
+        spent = spent + np.abs(e @ K.T).sum(axis=1) * h
+        most = max(most, float(np.abs(e @ K.T).sum(axis=1).max()))
+    assert (spent / (4000 * h)).max() <= upkeep.rate and most <= upkeep.rate * (1 + 1e-9)
+    assert (spent / (4000 * h)).max() > 0.3 * upkeep.rate
+
+
+def test_the_tank_lasts_as_long_as_the_bounds_say():
+    def lasts(tank):
+        return synthesize(load_scenario(TINY).with_assignments([f"tank.delta_v_m_s={tank}"])).upkeep
+
+    plenty, scarce, none = lasts(8.0), lasts(5.5), lasts(0.1)
+    assert plenty.lasts == pytest.approx(plenty.settled + (8 - plenty.spent) / plenty.rate)
+    assert scarce.lasts == 12.0 and none.lasts == 0.0
+
+
+def test_forged_upkeep_is_refused(tmp_path):
+    forger = Forger(make(["tank.delta_v_m_s=20.0"], tmp_path), tmp_path)
+    honest = forger.tree("schedule.json")["guarantee"]["upkeep"]
+    assert honest["lasts_s"] > 12 and forger.judge({}).outcome == "VERIFIED"
+    for change in (
+        {"rate_m_s2": honest["rate_m_s2"] * 0.9},
+        {"lasts_s": honest["lasts_s"] * 1.1},
+        {"tank_m_s": 30.0},
+    ):
+        files = {}
+        for name in ("schedule.json", "summary.json"):
+            data = forger.tree(name)
+            data["guarantee"]["upkeep"] |= change
+            files[name] = json.dumps(data)
+        verdict = forger.judge(files)
+        assert verdict.outcome == "REJECTED" and verdict.claim in ("upkeep", "goal"), change

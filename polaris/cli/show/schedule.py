@@ -10,7 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ...model.checks import counted
-from ...runs.schedule import drift_told
+from ...runs.schedule import drift_told, upkeep_told
 from ...synthesis.recoverable import directed
 from . import RED, Printout, alarming, table
 
@@ -51,6 +51,8 @@ def show_summary(summary: Mapping[str, Any], folder: str, console: Console | Non
     out.assume(claim["assumptions"] if proved else ())
     if proved:
         out.say(f"Goal: {_goal(claim['goal'])}")
+    if proved and claim["upkeep"] is not None:
+        out.say(f"Upkeep: {upkeep_told(claim['upkeep'])}")
     if proved and "abort" in claim:
         out.say(f"Passive safety: {drift_told(claim['abort'])}")
     out.say(f"Run folder: {folder}")

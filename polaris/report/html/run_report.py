@@ -10,7 +10,7 @@ import numpy as np
 from ...model.checks import counted
 from ...runs.folder import RunFolder
 from ...runs.picture import Picture
-from ...runs.schedule import drift_told
+from ...runs.schedule import drift_told, upkeep_told
 from ...synthesis.recoverable import directed
 from ..scene.geometry import stretches
 from ..scene.palette import PILOTS, mode_colour
@@ -187,6 +187,8 @@ def guarantee(claim: Mapping[str, Any], recoverable: str) -> str:
             f" It is within {_most(goal, 'distance_m')} m of the goal at {_time(goal['by_s'])}, for a "
             f"velocity change of at most {_most(goal, 'delta_v_max_m_s')} m/s until then."
         )
+    if claim.get("upkeep"):
+        what += f" After the end {escaped(upkeep_told(claim['upkeep']))}"
     if "abort" in claim:
         what += f" Passive safety: {escaped(drift_told(claim['abort']))}"
     parts = (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from reach.numerics.linear import powers
@@ -18,7 +19,7 @@ STOPS = 64
 
 def least_distances(
     passive: PassiveSafety, runs: Runs, nodes: int, rng: np.random.Generator, stops: int = STOPS
-) -> tuple[Array, Array, Array]:
+) -> tuple[Array, NDArray[np.int_], Array]:
     """Least distance of drifts from each unsafe set, thrust stopping at random nodes of clear steps.
 
     At every instant of the drift the disturbance has done all it can against the facet that keeps the drift
@@ -50,7 +51,7 @@ def least_distances(
         best = (place @ item.normals.T - offsets).argmax(axis=-1)
         hit = place + pushed[best, np.arange(len(ahead))]
         out[:, o] = (hit @ item.normals.T - offsets).max(axis=-1).min(axis=1)
-    return out, run, node * h
+    return out, run, np.asarray(node * h, dtype=float)
 
 
 def _offsets(item: TimedPolytope, times: Array, delta: float) -> Array:
