@@ -10,6 +10,12 @@ SATELLITES = (
 )
 """Assumed where there are any."""
 
+ALLOCATED = (
+    "faults: of the thrusters at most one fails, in a way that is declared and known at once, and what is "
+    "commanded is allocated to the others"
+)
+"""Assumed where inputs are made by thrusters that may fail, or that are not aligned with them."""
+
 
 def assumptions(
     w_max: float,
@@ -22,6 +28,7 @@ def assumptions(
     estimate: Iterable[float] = (),
     thrusters: Iterable[float] = (),
     chaser: float = 0.0,
+    allocated: bool = False,
 ) -> list[str]:
     """What a certificate rests on and no checker can confirm: the one list, for runs and certificates.
 
@@ -45,6 +52,8 @@ def assumptions(
         Errors of what is applied: as a share of the command, of the 2-norm of all, and whatever is commanded.
     chaser : float
         Radius of the chaser [m]; 0 for a point.
+    allocated : bool
+        Whether inputs are made by thrusters of which one may have failed.
     """
     errors = list(estimate)
     seen = "an estimate of the state" if any(errors) else "the exact state"
@@ -79,6 +88,7 @@ def assumptions(
             if any(applied)
             else []
         ),
+        *([ALLOCATED] if allocated else []),
         "clocks: exact; schedule, reference and unsafe sets count from the same instant",
         "experimental controllers: each obeys its declared model",
         fuel,

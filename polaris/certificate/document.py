@@ -171,6 +171,7 @@ class Document:
         if not 0 < self.share <= 1 or any(x < 0 for x in self.thrusters):
             raise ValueError("the safety controller's share must be within 0 and 1, errors not negative")
         self.mean_motion: float | None = system["mean_motion"]
+        self.allocation: dict[str, Any] | None = system.get("allocation")
         self.input_names: list[str] = system["input_names"]
         if self.q > MOST_NODES:
             raise ValueError(f"more than {MOST_NODES} periods in a step")
@@ -218,6 +219,7 @@ class Document:
         if covered != self.cells and (self.drift is None or covered < self.cells):
             raise ValueError("unsafe sets must be known for as long as the reference")
         sizes["covered"] = covered
+        sizes["thrusters"] = 0 if self.allocation is None else len(self.allocation["limits"])
         for size, places in lengths.items():
             for length, where in places.items():
                 if length != sizes[size]:
@@ -257,6 +259,7 @@ class Document:
             estimate=self.estimate,
             thrusters=self.thrusters,
             chaser=self.chaser_radius,
+            allocated=self.allocation is not None,
         )
         if read["assumptions"] != self.assumptions:
             raise Rejected(

@@ -52,6 +52,9 @@ CERTIFICATE = {
         "input_max": grid("m"), "input_names": grid("m", NAME),
         **every(HEX, "disturbance_max mass"), "mean_motion": Either((HEX, None)),
         "estimate_error?": grid("n"), "thrusters?": every(HEX, "along across bit"), "safety_share?": HEX,
+        "allocation?": {
+            "directions": grid("thrusters m"), "limits": grid("thrusters"), "corners": grid("* * thrusters"),
+        },
     },
     "chaser_radius?": HEX,
     "sampling": {

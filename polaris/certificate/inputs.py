@@ -8,6 +8,7 @@ from typing import Any
 
 from flint import arb, arb_mat
 
+from .allocation import check_allocation, per_axis
 from .balls import matrix, require, row_sums
 from .document import Document
 from .lqr import check_gain, positive_definite
@@ -38,6 +39,7 @@ def check_inputs(document: Document, scenario: dict[str, Any], record: Record) -
         _check_system(document, scenario["system"])
         _check_navigation(document, scenario.get("navigation", {}))
         _check_thrusters(document, scenario)
+        check_allocation(document, scenario)
         record.holds("system", "matrices, limits and errors of estimates of the scenario")
         _check_initial_set(document, scenario["initial_set"])
         record.holds("initial_set", f"contains the scenario's {scenario['initial_set']['kind']}")
@@ -99,7 +101,7 @@ def _check_system(document: Document, spec: dict[str, Any]) -> None:
     axes = [f"{axis} thrust" for axis in ("radial", "along-track", "cross-track")]
     given = {
         "kind": (document.system_kind, spec["kind"]),
-        "input limit": (document.u_max, top if isinstance(top, list) else [top] * m),
+        **({} if document.allocation else {"input limit": (document.u_max, per_axis(top, m))}),
         "disturbance bound": (
             document.w_max,
             spec.get("disturbance_max_m_s2" if hill else "disturbance_max", 0.0),

@@ -70,8 +70,9 @@ SCENARIO = {
     "navigation?": {**every(SIZES, "position_error_m? velocity_error_m_s?"), "state_error?": WIDTHS},
     "thrusters?": {
         **every(Real(least=0, below=0.5), "magnitude_error? mass_error?"), "impulse_bit_N_s?": NOT_NEGATIVE,
-        "misalignment_deg?": Real(least=0, most=45),
+        "misalignment_deg?": Real(least=0, most=45), "directions?": MATRIX, "thrust_max_N?": PER_AXIS,
     },
+    "faults?": Rows(Kinds({"stuck_off": {}, "loss": {"share": Real(above=0, below=1)}}), 0, 8),
     "chaser?": {"radius_m": NOT_NEGATIVE},
     "tank?": {"delta_v_m_s": POSITIVE},
     "abort?": {

@@ -14,6 +14,7 @@ from reach.networks.network import Affine
 from reach.numerics.linear import growth
 
 from ..certificate.document import FORMAT, VERSION, canonical, digest
+from ..model.allocation import Allocation
 from ..model.obstacle import chaser_radius
 from ..model.system import Array
 from ..model.timed_polytope import TimedPolytope
@@ -89,7 +90,16 @@ def _system(safety: Safety) -> dict[str, Any]:
         "disturbance_max": float(system.w_max),
         "input_names": list(system.input_names),
         **errors_of(safety),
+        **(
+            {}
+            if safety.problem.allocation is None
+            else {"allocation": _allocation(safety.problem.allocation)}
+        ),
     }
+
+
+def _allocation(made: Allocation) -> dict[str, Any]:
+    return {"directions": made.directions, "limits": made.limits, "corners": made.corners}
 
 
 def _covered(safety: Safety) -> int:

@@ -18,12 +18,14 @@ from ..model.errors import ScenarioError
 from ..model.system import LinearSystem
 from . import rules
 from .base import Scenario, kept
+from .error_tables import allocation
 from .fields import whole_parts
 from .reading import write_toml
 from .scene_tables import Neural
 from .tables import SampledFeedback, ScenarioModel, Simulation
 
 if TYPE_CHECKING:
+    from ..model.allocation import Allocation
     from ..model.obstacle import Obstacle
     from ..planning.goals import Goal
     from ..synthesis.controllers import Controller
@@ -91,7 +93,13 @@ class ScheduleScenario(Scenario):
             system = replace(system, estimate_error=navigation.build(system))
         if thrusters is not None:
             system = replace(system, thrusters=thrusters.build(system, self._period))
-        return system
+        allocation = self.allocation()
+        return system if allocation is None else replace(system, u_max=allocation.u_max)
+
+    @kept
+    def allocation(self) -> Allocation | None:
+        """What the thrusters make of the inputs in every fault, where anything is said of it."""
+        return allocation(self.model.thrusters, self.model.faults, self.model.system.build().u_max)
 
     @property
     def _period(self) -> float | None:
@@ -195,6 +203,7 @@ class ScheduleScenario(Scenario):
             thrust_share=tracking.thrust_share,
             planner=PlannerOptions(**given),
             gains=gains_of(self.model, system),
+            allocation=self.allocation(),
             tank=None if self.model.tank is None else self.model.tank.delta_v_m_s,
             abort=None if self.model.abort is None else self.model.abort.build(system),
         )

@@ -21,6 +21,7 @@ from ..model.hill import clohessy_wiltshire
 from ..model.system import LinearSystem
 from . import fields as f
 from .error_tables import Abort, Chaser, Navigation, Tank, Thrusters
+from .fault_tables import Fault
 from .fields import ScenarioPart, unit
 from .method_tables import Planner, Recoverable, Schedule, Tracking
 from .scene_tables import Experimental, Goal, KeepIn, Obstacle
@@ -209,6 +210,7 @@ class ScenarioModel(f.Head):
         "-", "How well it knows its state; exactly without it.", default=None
     )
     thrusters: Thrusters | None = unit("-", "Errors of the thrusters; none without it.", default=None)
+    faults: tuple[Fault, ...] = unit("-", "Faults of thrusters to survive.", default=(), max_length=8)
     chaser: Chaser | None = unit("-", "The chaser's own size; a point without it.", default=None)
     tank: Tank | None = unit("-", "Propellant; not counted without it.", default=None)
     abort: Abort | None = unit("-", "What the drift must stay clear of if all thrust stops.", default=None)

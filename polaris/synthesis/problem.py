@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from reach.sets.zonotope import Zonotope as Zonotope  # the door of the package finds it here
 
+from ..model.allocation import Allocation
 from ..model.checks import MAX_STEPS, non_negative, number, one_of, positive, whole
 from ..model.errors import ScenarioError
 from ..model.system import Array, LinearSystem
@@ -72,6 +73,8 @@ class Problem:
         What is asked of the drift should all thrust stop; None for nothing.
     tank : float or None
         Velocity change [m/s] that there is propellant for, if that is known.
+    allocation : Allocation or None
+        Thrusters that make the inputs in every fault, where that is what their limits come from.
     """
 
     system: LinearSystem
@@ -96,6 +99,7 @@ class Problem:
     gains: tuple[Array, ...] = ()
     abort: Abort | None = None
     tank: float | None = None
+    allocation: Allocation | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.initial_set, Zonotope):

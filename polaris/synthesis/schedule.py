@@ -106,6 +106,7 @@ class Schedule:
             estimate=problem.system.navigation.tolist(),
             thrusters=astuple(problem.system.thrusters),
             chaser=chaser_radius(problem.unsafe),
+            allocated=problem.allocation is not None,
         )
         return *told, "arithmetic: in double precision, its round-off covered by booked tolerances"
 
