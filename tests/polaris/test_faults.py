@@ -63,18 +63,8 @@ def test_without_faults_nothing_changes_and_pairs_stated_are_the_pairs_there_wer
     [
         ([FIVE[0]], "thrusters.directions"),
         (["thrusters.directions=[[1.0],[-1.0]]", "thrusters.thrust_max_N=1.0"], "thrusters.directions"),
-        (
-            [f"thrusters.directions={in_text(ROUND)}", "thrusters.thrust_max_N=[1.0]"],
-            "thrusters.thrust_max_N",
-        ),
-        (
-            [
-                f"thrusters.directions={in_text(ROUND)}",
-                "thrusters.thrust_max_N=1.0",
-                "thrusters.magnitude_error=0.1",
-            ],
-            "thrusters.magnitude_error",
-        ),
+        ([FIVE[0], "thrusters.thrust_max_N=[1.0]"], "thrusters.thrust_max_N"),
+        ([*FIVE, "thrusters.magnitude_error=0.1"], "thrusters.magnitude_error"),
         (['faults=[{kind="loss",share=1.0}]'], "faults"),
         (['faults=[{kind="stuck_on"}]'], "faults"),
     ],
