@@ -174,16 +174,14 @@ class Arrival:
         rows = Weighted.of(GOALS[spec["kind"]](self.document, spec), self._soon(), self.document)
         needs = Needs(self.loop, self.memory, rows.rows)
         self._tolerance(claim, spec, rows.scale, largest(needs.settled))
-        nodes = [self._node(by)] if by is not None else self._likely(rows, needs, claim["distance_m"])
+        nodes = [self.node_at(by)] if by is not None else self._likely(rows, needs, claim["distance_m"])
         refusals: list[Rejected | Undecided] = []
         for node in nodes:
             try:
-                self._no_less(
-                    "distance from the goal", claim["distance_m"], self._distance(rows, needs, node)
-                )
+                self.no_less("distance from the goal", claim["distance_m"], self._distance(rows, needs, node))
                 self._drift(claim["drift_m_per_orbit"], node)
-                spent = self.spent + self._correcting(node)
-                self._no_less("velocity change", claim["delta_v_max_m_s"], spent)
+                spent = self.spent + self.correcting(node)
+                self.no_less("velocity change", claim["delta_v_max_m_s"], spent)
             except (Rejected, Undecided) as error:
                 refusals.append(error)
             else:
@@ -206,7 +204,7 @@ class Arrival:
             spare = arb(claim["tolerance_m"]) - claim["distance_m"]
             require("goal", spare, "the distance is more than tolerated")
 
-    def _node(self, by: float) -> int:
+    def node_at(self, by: float) -> int:
         """The node of the tail at an instant [s]."""
         doc = self.document
         T = doc.steps * doc.delta
@@ -237,7 +235,8 @@ class Arrival:
             raise Rejected("goal", f"not even the middle of the flights comes as near as {claimed:.6g} m")
         return [node for _, node in sorted(found)[:MOST]]
 
-    def _no_less(self, what: str, claimed: float, derived: arb) -> None:
+    def no_less(self, what: str, claimed: float, derived: arb) -> None:
+        """What is claimed is no less than what is derived, up to rounding."""
         spare = arb(claimed) * (1 + SLACK) - derived
         require("goal", spare, f"{what}: {claimed:.6g} claimed, {plain(derived)} derived")
 
@@ -287,22 +286,22 @@ class Arrival:
         both = above(matrix([row]), -matrix([row]))
         need = self._at(Needs(self.loop, self.memory, both), node)
         most = largest(sums((both * self._state(node)).entries(), need))
-        self._no_less("drift per orbit", claimed, 6 * arb.pi() * most)
+        self.no_less("drift per orbit", claimed, 6 * arb.pi() * most)
 
-    def _correcting(self, nodes: int) -> arb:
+    def correcting(self, nodes: int) -> arb:
         """Bound on S's velocity change over periods after T [m/s]."""
         doc, plant, total = self.document, self.loop.plant, arb(0)
         for node in range(nodes):
             tops = [
                 smallest(pair)
                 for pair in zip(
-                    plant.u_max, self._tops(node, doc.inputs[doc.steps + node // doc.q]), strict=True
+                    plant.u_max, self.tops(node, doc.inputs[doc.steps + node // doc.q]), strict=True
                 )
             ]
             total += sum(sums(tops, plant.thruster_error(tops)), arb(0))
         return total * plant.h / doc.mass
 
-    def _tops(self, node: int, u: list[float]) -> list[arb]:
+    def tops(self, node: int, u: list[float]) -> list[arb]:
         """What S commands at most in the period after a node, about inputs u of the reference."""
         m, first, last = len(u), self._thrust(node), self._thrust(node + 1)
         error = self.loop.plant.command_error(matrix(self.document.laws[0].gain or []))
@@ -310,46 +309,6 @@ class Arrival:
         return [
             (largest(parts) + abs(x) + wrong).upper() for x, wrong, parts in zip(u, error, ends, strict=True)
         ]
-
-    def check_upkeep(self, claim: dict[str, Any], tank: float | None) -> str:
-        """What S spends for as long as it flies on, and how long the scenario's tank lasts."""
-        doc = self.document
-        node = self._node(claim["settled_s"])
-        if any(any(u) for u in doc.inputs[doc.steps :]):
-            raise Rejected("upkeep", "the tail does not coast")
-        later = range(node, max(node, self.memory.periods + 1) + 1)
-        most = list(map(largest, zip(*(self._tops(at, [0.0] * len(doc.u_max)) for at in later), strict=True)))
-        for top, x in zip(self.loop.plant.u_max, most, strict=True):
-            require("upkeep", top * doc.share - x, "S may ask for more thrust than there is")
-        rate = sum(sums(most, self.loop.plant.thruster_error(most)), arb(0)) / doc.mass
-        self._no_less("velocity change per second", claim["rate_m_s2"], rate)
-        until = self.spent + self._correcting(node)
-        self._no_less("velocity change until it is settled", claim["until_settled_m_s"], until)
-        orbit, lasts = claim["per_orbit_m_s"], claim["lasts_s"]
-        if orbit is not None:
-            if doc.system_kind != "clohessy_wiltshire":
-                raise Rejected("upkeep", "a velocity change per orbit needs Hill's frame")
-            turn = 2 * arb.pi() / arb(doc.mean_motion or 0.0)
-            self._no_less("velocity change per orbit", orbit, rate * turn)
-        if claim["tank_m_s"] != tank or (lasts is not None and tank is None):
-            raise Rejected("upkeep", "the tank is not that of the scenario")
-        if tank is not None:
-            self._lasts(claim, tank, until, rate)
-        return f"at most {claim['rate_m_s2']:.4g} m/s per second from {claim['settled_s']:.6g} s on"
-
-    def _lasts(self, claim: dict[str, Any], tank: float, until: arb, rate: arb) -> None:
-        """The tank lasts for as long as is claimed; `until` is what is spent until S has settled."""
-        T, lasts = self.document.steps * self.document.delta, claim["lasts_s"]
-        beyond = math.inf if lasts is None else lasts
-        if T < beyond < claim["settled_s"]:
-            raise Rejected("upkeep", f"the tank until {beyond:.6g} s, when S has not settled")
-        spent = self.spent if beyond <= T else until
-        if lasts is None:
-            require("upkeep", -rate, "the tank is claimed to last for ever")
-        elif lasts > T:
-            spent += (arb(lasts) - claim["settled_s"]) * rate
-        if beyond > 0:
-            require("upkeep", arb(tank) * (1 + SLACK) - spent, f"the tank until {beyond:.6g} s")
 
     @cached_property
     def _commands(self) -> Needs:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
+from collections.abc import Iterable, Mapping
+from typing import Any
 
 SATELLITES = (
     "other satellites: each obeys x' = A x + D w with the same A, D and bound on w, and adds no more "
@@ -29,6 +31,7 @@ def assumptions(
     thrusters: Iterable[float] = (),
     chaser: float = 0.0,
     allocated: bool = False,
+    sampled: Mapping[str, Any] | None = None,
 ) -> list[str]:
     """What a certificate rests on and no checker can confirm: the one list, for runs and certificates.
 
@@ -54,6 +57,8 @@ def assumptions(
         Radius of the chaser [m]; 0 for a point.
     allocated : bool
         Whether inputs are made by thrusters of which one may have failed.
+    sampled : mapping, optional
+        What is said of black boxes: probability, confidence, flights, outside, seed, attempts.
     """
     errors = list(estimate)
     seen = "an estimate of the state" if any(errors) else "the exact state"
@@ -91,5 +96,22 @@ def assumptions(
         *([ALLOCATED] if allocated else []),
         "clocks: exact; schedule, reference and unsafe sets count from the same instant",
         "experimental controllers: each obeys its declared model",
+        *(_of_samples(**sampled) if sampled else []),
         fuel,
+    ]
+
+
+def _of_samples(
+    probability: float, confidence: float, flights: int, outside: int, seed: int, attempts: int
+) -> list[str]:
+    """What a statement about black boxes is conditional on."""
+    most = f"{math.ceil(probability * 1e6) / 1e6:g}"
+    doubt = f"{float(f'{1 - confidence:.12g}'):g}"
+    return [
+        "black boxes: a flight drawn at random leaves the bands of their commands with a probability of at"
+        f" most {most}; that is wrong with a probability of {doubt} over the samples ({flights} flights,"
+        f" {outside} outside, seed {seed}, attempt {attempts}); of flights that leave them nothing is known",
+        "distribution: a flight's initial state is uniform in the generators of the initial set, its"
+        " disturbance piecewise constant as simulated at random; flights are independent",
+        "no drift: the boxes answer in flight as they answered the samples, by time and state alone",
     ]

@@ -17,7 +17,7 @@ BOUND = Either((NOT_NEGATIVE, None))
 VECTOR = Rows(REAL)
 MATRIX = Rows(VECTOR)
 ONE = Whole(1, 1)
-GUARANTEE = Text(("proved", "none"))
+GUARANTEE = Text(("proved", "statistical", "none"))
 HORIZON = Text(("infinite", "one_period", "none"))
 
 
@@ -71,7 +71,7 @@ CERTIFICATE = {
         "safety": {"name": NAME, "gain": grid("m n")},
         "affine": _OWN,
         "saturated_affine": _OWN,
-        "any_thrust": {"name": NAME},
+        **every({"name": NAME}, "any_thrust black_box"),
         "neural": _NETWORK,
     }), 1),
     "schedule": {"modes": grid("K", Whole()), "margins": grid("K", Either((HEX, None)))},
@@ -90,6 +90,10 @@ CERTIFICATE = {
             "periods": Whole(1), "center": grid("n"), "axes": grid("n n"),
             "facets": Rows(Rows(Rows(Whole(), 2, 2), 1)),
         }, 1)))),
+    },
+    "samples?": {
+        **every(HEX, "probability confidence"), **every(Whole(), "flights outside seed attempts"),
+        "fits": grid("K", Either((None, grid("q m n+2")))),
     },
     "end": {"horizon": HORIZON, "until": Either((HEX, None)), "reason": TEXT},
 }
@@ -112,6 +116,9 @@ CLAIMED = {
         "witness": Either((None, {
             "step": Whole(), "unsafe_set": NAME, **every(REAL, "t_s after_s distance_m middle_m"),
         })),
+    },
+    "statement?": {
+        **every(SHARE, "probability confidence"), **every(Whole(), "flights outside seed attempts"),
     },
 }
 """The guarantee as the schedule and the summary repeat it."""
@@ -181,7 +188,7 @@ SUMMARY = {
     **every(FLOWN, "polaris safety experimental?"),
     "synthesis": {
         **every(TEXT, "recoverable start_limit"),
-        **every(SHARE, "experimental_share share_at_most"),
+        **every(SHARE, "experimental_share share_at_most proven_share?"), "worst_found?": object,
         "share_bound": {"worth": NOT_NEGATIVE, **every(Whole(), "programs demands"), "ended": TEXT},
         "switches": Whole(),
         "start_margin": OPTIONAL,

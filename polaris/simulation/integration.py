@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from reach.numerics.linear import discretize
 
 from ..model.system import Array, LinearSystem
+from ..synthesis.black_box import BlackBox
 from ..synthesis.controllers import AffineController, AnyThrust
 from ..synthesis.neural import NeuralController
 from ..synthesis.schedule import Schedule
@@ -90,6 +91,8 @@ class Integrator:
             x = x + self.eta[step]
         xi = self.safe[k, half + later]
         own = self.own[number][k, half + later] if number in self.own else xi
+        if isinstance(controller, BlackBox):
+            return controller.command(k, xi, own, x, (half + later) / 2 * self.dt)
         return controller.command(k, xi, own, x)
 
     def applied(self, raw: Array, step: int) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 import numpy as np
 
@@ -83,6 +83,11 @@ class Upkeep:
     per_orbit: float | None
     tank: float | None
     lasts: float | None
+
+    def told(self) -> dict[str, float | None]:
+        """What a run claims of it."""
+        names = "settled_s", "until_settled_m_s", "rate_m_s2", "per_orbit_m_s", "tank_m_s", "lasts_s"
+        return dict(zip(names, astuple(self), strict=True))
 
 
 Held = tuple[tuple[Zonotope, int], ...]
