@@ -304,8 +304,8 @@ class Arrival:
                     plant.u_max, u, error, first[:m], first[m:], last[:m], last[m:], strict=True
                 )
             ]
-            total += sum(sums(tops, plant.thruster_error(tops)), arb(0))
-        return total * plant.h / doc.mass
+            total += plant.spent(tops)
+        return total / doc.mass
 
     @cached_property
     def _commands(self) -> Needs:

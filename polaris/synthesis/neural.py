@@ -210,6 +210,7 @@ def check_exact(system: LinearSystem) -> None:
     """Refuse errors of estimates and of thrusters: no tube of a network knows of them."""
     if not system.ideal:
         field = "navigation" if np.any(system.navigation) else "thrusters"
+        field = field if system.timing.instant else "timing"
         raise ScenarioError(
             field, None, "must be left out where a network flies: its tube knows of no such error"
         )
