@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
+from collections.abc import Iterable, Mapping
+from typing import Any
 
 SATELLITES = (
     "other satellites: each obeys x' = A x + D w with the same A, D and bound on w, and adds no more "
@@ -23,6 +25,7 @@ def assumptions(
     timing: Iterable[float] = (),
     thrusters: Iterable[float] = (),
     chaser: float = 0.0,
+    sampled: Mapping[str, Any] | None = None,
 ) -> list[str]:
     """What a certificate rests on and no checker can confirm: the one list, for runs and certificates.
 
@@ -48,6 +51,8 @@ def assumptions(
         Errors of what is applied: as a share of the command, of the 2-norm of all, and whatever is commanded.
     chaser : float
         Radius of the chaser [m]; 0 for a point.
+    sampled : mapping, optional
+        What is said of black boxes: probability, confidence, flights, outside, seed, attempts.
     """
     errors = list(estimate)
     delay, jitter, missed, clock = list(timing) or (0.0, 0.0, 0, 0.0)
@@ -94,5 +99,22 @@ def assumptions(
         *([late] if predicted or jitter > 0 else []),
         f"clocks: {started if clock > 0 else exact}",
         "experimental controllers: each obeys its declared model",
+        *(_of_samples(**sampled) if sampled else []),
         fuel,
+    ]
+
+
+def _of_samples(
+    probability: float, confidence: float, flights: int, outside: int, seed: int, attempts: int
+) -> list[str]:
+    """What a statement about black boxes is conditional on."""
+    most = f"{math.ceil(probability * 1e6) / 1e6:g}"
+    doubt = f"{float(f'{1 - confidence:.12g}'):g}"
+    return [
+        "black boxes: a flight drawn at random leaves the bands of their commands with a probability of at"
+        f" most {most}; that is wrong with a probability of {doubt} over the samples ({flights} flights,"
+        f" {outside} outside, seed {seed}, attempt {attempts}); of flights that leave them nothing is known",
+        "distribution: a flight's initial state is uniform in the generators of the initial set, its"
+        " disturbance piecewise constant as simulated at random; flights are independent",
+        "no drift: the boxes answer in flight as they answered the samples, by time and state alone",
     ]

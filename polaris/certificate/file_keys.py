@@ -17,7 +17,7 @@ BOUND = Either((NOT_NEGATIVE, None))
 VECTOR = Rows(REAL)
 MATRIX = Rows(VECTOR)
 ONE = Whole(1, 1)
-GUARANTEE = Text(("proved", "none"))
+GUARANTEE = Text(("proved", "statistical", "none"))
 HORIZON = Text(("infinite", "one_period", "none"))
 
 
@@ -70,7 +70,7 @@ CERTIFICATE = {
         "safety": {"name": NAME, "gain": grid("m n")},
         "affine": _OWN,
         "saturated_affine": _OWN,
-        "any_thrust": {"name": NAME},
+        **every({"name": NAME}, "any_thrust black_box"),
         "neural": _NETWORK,
     }), 1),
     "schedule": {"modes": grid("K", Whole()), "margins": grid("K", Either((HEX, None)))},
@@ -84,6 +84,10 @@ CERTIFICATE = {
         **every(grid("K+1 n"), "center half_widths"), **every(grid("K n"), "lower upper"),
         "slopes": grid("K", Either((None, grid("q m")))),
     },
+    "samples?": {
+        **every(HEX, "probability confidence"), **every(Whole(), "flights outside seed attempts"),
+        "fits": grid("K", Either((None, grid("q m n+2")))),
+    },
     "end": {"horizon": HORIZON, "until": Either((HEX, None)), "reason": TEXT},
 }
 """The certificate; `Document` compares the lengths."""
@@ -94,6 +98,9 @@ CLAIMED = {
     "goal": {
         "reached": Either((bool, Text(("not_proven",)))), "by_s": OPTIONAL,
         **every(NOT_NEGATIVE, "distance_m tolerance_m delta_v_max_m_s"), "drift_m_per_orbit": BOUND,
+    },
+    "statement?": {
+        **every(SHARE, "probability confidence"), **every(Whole(), "flights outside seed attempts"),
     },
 }
 """The guarantee as the schedule and the summary repeat it."""
@@ -167,7 +174,7 @@ SUMMARY = {
     **every(FLOWN, "polaris safety experimental?"),
     "synthesis": {
         **every(TEXT, "recoverable start_limit"),
-        **every(SHARE, "experimental_share share_at_most"),
+        **every(SHARE, "experimental_share share_at_most proven_share?"), "worst_found?": object,
         "share_bound": {"worth": NOT_NEGATIVE, **every(Whole(), "programs demands"), "ended": TEXT},
         "switches": Whole(),
         "start_margin": OPTIONAL,

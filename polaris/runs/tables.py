@@ -47,10 +47,7 @@ def write_text(path: Path, text: str) -> None:
 
 
 def write_csv(path: Path, rows: Sequence[Mapping[str, Any]], header: Sequence[str] = ()) -> None:
-    """Write rows by column; numbers in the shortest form that reads back exactly, what is not finite empty.
-
-    The header is that of the first row if not given.
-    """
+    """Write rows by column (the first row's by default), exact numbers, what is not finite empty."""
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.DictWriter(file, header or list(rows[0]), lineterminator="\n")
         writer.writeheader()

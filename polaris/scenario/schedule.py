@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,12 +20,13 @@ from . import rules
 from .base import Scenario, kept
 from .fields import whole_parts
 from .reading import write_toml
-from .scene_tables import Neural
+from .scene_tables import BlackBox, Neural
 from .tables import SampledFeedback, ScenarioModel, Simulation
 
 if TYPE_CHECKING:
     from ..model.obstacle import Obstacle
     from ..planning.goals import Goal
+    from ..synthesis.black_box import Ask
     from ..synthesis.controllers import Controller
     from ..synthesis.get_safety import Safety
     from ..synthesis.neural import Policy
@@ -114,19 +115,32 @@ class ScheduleScenario(Scenario):
         """Where the reference must end."""
         return self.model.goal.build(self.system())
 
-    def controllers(self, safety: Safety) -> tuple[Controller, ...]:
+    def controllers(self, safety: Safety, boxes: Mapping[str, Ask] | None = None) -> tuple[Controller, ...]:
         """The experimental controllers on a safety controller's reference, in order of preference.
+
+        Parameters
+        ----------
+        safety : Safety
+            Result of `get_safety`.
+        boxes : mapping, optional
+            What is asked of its black boxes, by their names.
 
         Raises
         ------
         ScenarioError
-            If one is malformed.
+            If one is malformed, or a black box is not given.
         SynthesisInfeasible, NotCertified
             If the plan that an ``unaware`` reference stands for cannot be found.
         """
         from .experimental import build_controllers
 
-        return build_controllers(self.model, safety, self.policies())
+        return build_controllers(self.model, safety, self.policies(), boxes or {})
+
+    @property
+    def asked(self) -> tuple[float, float]:
+        """Probability and confidence of the statement about its black boxes."""
+        specs = [spec for spec in self.model.experimental if isinstance(spec, BlackBox)]
+        return min(spec.probability for spec in specs), max(spec.confidence for spec in specs)
 
     @kept
     def policies(self) -> dict[str, tuple[Path, Policy]]:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from reach.numerics.linear import discretize
 
 from ..model.system import Array, LinearSystem
+from ..synthesis.black_box import BlackBox
 from ..synthesis.controllers import AffineController, AnyThrust
 from ..synthesis.neural import NeuralController
 from ..synthesis.schedule import Schedule
@@ -88,6 +89,8 @@ class Integrator:
             return np.asarray(self.free[step])
         x, xi = self.estimate(step, x), self.safe[k, half + later]
         own = self.own[number][k, half + later] if number in self.own else xi
+        if isinstance(controller, BlackBox):
+            return controller.command(k, xi, own, x, (half + later) / 2 * self.dt)
         return controller.command(k, xi, own, x)
 
     def estimate(self, step: int, x: Array) -> Array:
