@@ -19,7 +19,7 @@ from .filter_tables import FAMILY_NAMES, Alpha, FlightFilter
 from .reading import did_you_mean
 
 if TYPE_CHECKING:
-    from ..inspection.backup.law import Law
+    from ..inspection.backup.tracker import Tracker
     from ..inspection.backup.tube import Uncertainty
     from ..inspection.constraints.families import Families
     from ..inspection.flights.primary import Primary
@@ -223,7 +223,7 @@ class FuelLimitScenario(InspectionScenario):
         return f"{flown}, fuel limit {limit:g} m/s"
 
     @kept
-    def backup(self) -> Law:
+    def backup(self) -> Tracker:
         """The backup controller."""
         from ..inspection.backup.tracker import Tracker
         from ..inspection.enmt import Ellipses

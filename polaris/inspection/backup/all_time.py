@@ -97,8 +97,8 @@ class AllTime:
         thrust[length(x[-1, :, :3]) > q.distance_max] = -np.inf
         passive = self._passive(z, wide, bow_hill, jolt, radius)
         alone = [clear[:N], passive[:N], cones[0][:N], inside, speed, *axes.T, thrust]
-        of_pairs = [v[N:].reshape(-1, len(q.pairs)) for v in (clear, passive, *cones)]
-        of_pairs = [v.min(axis=0, initial=np.inf) for v in of_pairs]
+        ways = 1 if old is None else 3
+        of_pairs = [v[N:].reshape(ways, -1).min(axis=0) for v in (clear, passive, *cones)]
         return np.asarray(np.concatenate([*alone, *of_pairs])[self._counted])
 
     def _bows(self, z: Array) -> tuple[Array, Array, Array]:
