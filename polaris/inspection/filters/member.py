@@ -20,7 +20,7 @@ from .assured import Explicit, Implicit
 class Message(NamedTuple):
     """What a deputy tells the others each period: estimated state (6,), wanted thrust (3,) [N], its plan.
 
-    The plan (L+1, 6) is from now on; the tube about it is (L+1, 2).
+    The plan (L+1, 1, 6) is from now on; the tube about it is (L+1, 1, 2).
     """
 
     x: Array
@@ -65,12 +65,14 @@ class Member:
             worst = int(found.margins.argmin())
             told = f"{rule.check.labels[worst]} would be {found.margins[worst]:.3g}"
             raise ScenarioError("x", x.tolist(), f"no plan is proven from there: {told}")
-        self.plan, self.tube = found.plan[:, me], found.tube[:, me]
+        self._none = np.zeros(len(rule.check.labels))
+        self._due, self._flown = t, self._part(found)
         self.moved = self.unproven = False
 
     def message(self, x: Array, wanted: Array) -> Message:
         """What to tell all, at an estimated state (6,) and with a wanted thrust (3,) [N]."""
-        return Message(np.array(x, dtype=float), np.array(wanted, dtype=float), self.plan, self.tube)
+        plan, tube, _ = self._flown
+        return Message(np.array(x, dtype=float), np.array(wanted, dtype=float), plan, tube)
 
     def decide(self, t: float, told: Sequence[Message | None]) -> Array:
         """Thrust (3,) [N] of the period that begins at t [s]; messages of all, the own among them, by number.
@@ -80,29 +82,27 @@ class Member:
         own, heard = told[self.me], [message for message in told if message is not None]
         if own is None:
             raise ScenarioError("told", self.me, "a deputy knows what it tells itself")
-        self.moved = False
-        if len(heard) == len(told) and all(np.isfinite(message.x).all() for message in heard):
-            count = max(len(message.plan) for message in heard)
-            parts = [self.rule.planner.extended(_alone(message), count) for message in heard]
-            plan, tube = (np.concatenate(values, axis=1) for values in zip(*parts, strict=True))
-            self.rule.take_over(Proven(plan, tube, np.zeros(len(self.rule.check.labels))), t)
+        on_time = abs(t - self._due) <= 1e-6 * self.brake.period
+        self._due = t + self.brake.period
+        if on_time and len(heard) == len(told) and all(np.isfinite(message.x).all() for message in heard):
+            plans = [Proven(message.plan, message.tube, np.zeros(0)) for message in heard]
+            count = max(len(each.plan) for each in plans)
+            plan, tube = zip(*(self.rule.planner.extended(each, count) for each in plans), strict=True)
+            self.rule.take_over(Proven(np.hstack(plan), np.hstack(tube), self._none), t)
             x, wanted = np.array([m.x for m in heard]), np.array([m.wanted for m in heard])
             decision = self.rule.filter(t, x, wanted)
-            self.moved = not decision.unproven
-        if self.moved and self.rule.plan is not None:
-            self.plan, self.tube = self.rule.plan.plan[:, self.me], self.rule.plan.tube[:, self.me]
-            self.unproven = False
-            return np.asarray(decision.u[self.me])
-        seen = np.isfinite(own.x).all()
-        x = np.where(seen, own.x, self.plan[0])
-        error = self.brake.uncertainty
-        self.unproven = not (seen or error.exact) or not self.rule.near(x[None], _alone(own)).all()
-        u = np.asarray(self.brake.follow(x[None], self.plan[:, None])[0])
-        plan, tube = self.rule.planner.extended(_alone(own), 3)
-        self.plan, self.tube = plan[1:, 0], tube[1:, 0]
-        return u
+            if self.rule.plan is not None:  # it has been proven
+                self.moved, self.unproven, self._flown = True, False, self._part(self.rule.plan)
+                return np.asarray(decision.u[self.me])
+        seen, flown = bool(np.isfinite(own.x).all()), self._flown
+        x = np.where(seen, own.x, flown.plan[0])
+        known = on_time and (seen or self.brake.uncertainty.exact)
+        self.moved, self.unproven = False, not (known and self.rule.near(x, flown).all())
+        plan, tube = self.rule.planner.extended(flown, 3)
+        self._flown = Proven(plan[1:], tube[1:], self._none)
+        return np.asarray(self.brake.follow(x, flown.plan)[0])
 
-
-def _alone(message: Message) -> Proven:
-    """The plan of one deputy."""
-    return Proven(message.plan[:, None], message.tube[:, None], np.zeros(0))
+    def _part(self, found: Proven) -> Proven:
+        """The part of the plans of all that is this deputy's."""
+        mine = slice(self.me, self.me + 1)
+        return Proven(found.plan[:, mine], found.tube[:, mine], self._none)
