@@ -269,7 +269,7 @@ def test_a_hundred_thousand_shielded_periods_without_a_violation(name):
     collided, intervened, periods, worst = attacked(scene, 22_000, 2, policies)
     assert periods >= 20_000 and collided == 0 and worst <= 1 + 1e-9
     assert intervened > 0
-    assert unshielded(scene, 3000) > 0
+    assert unshielded(scene, 16 * DecisionGrid.of(scene).decisions) > 0
 
 
 @pytest.mark.slow
