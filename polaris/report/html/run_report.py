@@ -40,8 +40,8 @@ NOT_PROVEN = (
 
 
 SAMPLED = (
-    "What a proven schedule claims, of all flights but for the share that the assumption on black boxes names: "
-    "their steps rest on samples"
+    "What a proven schedule claims, of all flights but for the share that the assumption on black boxes "
+    "names: their steps rest on samples"
 )
 
 
