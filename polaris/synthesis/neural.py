@@ -22,7 +22,7 @@ from ..model.errors import ScenarioError
 from ..model.system import Array, LinearSystem
 from ..model.tolerances import ROUNDING
 from ..planning.reference import Reference
-from .controllers import TubeSegment
+from .controllers import AffineController, TubeSegment
 from .tracking import Feedback, Tracking
 
 WIDER = 0.02
@@ -161,6 +161,17 @@ class NeuralController:
             "reference_input": np.zeros((cells, 1, m)),
         }
         return read, np.abs(self.policy.stack(off)) + gamma(4) * np.abs(read)
+
+    @cached_property
+    def slope(self) -> AffineController:
+        """The clipped affine law that it is where it is on its own reference, to first order: no bound."""
+        n, small = self.system.n, 1e-6
+        known = self.known[0][0, 0]
+        steps = [self.policy.network(known + self.loop.C @ (small * axis)) for axis in np.eye(n)]
+        gain = (self.policy.network(known) - np.array(steps)).T / small * self.policy.output_scale[:, None]
+        return AffineController(
+            self.name, self.system, gain, self.reference, self.own, self.tracking, clips=True
+        )
 
     @cached_property
     def booked(self) -> Array:
